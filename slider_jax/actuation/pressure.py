@@ -1,0 +1,66 @@
+"""How a chamber's pressure follows its set-point."""
+
+from abc import abstractmethod
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from slider_jax.actuation.waveform import Segment, Waveform
+from slider_jax.parameters import Scalar
+
+
+class PressureLaw(eqx.Module):
+    """Dynamics of one chamber's pressure."""
+
+    @abstractmethod
+    def advance(self, p: Array, set_point: Segment) -> Array:
+        """Pressure [Pa] at the end of a segment from that at its start."""
+
+
+def _ramp_response(p, a0, a1, span, k):
+    """dp/dt = (a - p)/k over `span` [s], a linear from a0 to a1: exact, also for span = 0."""
+    x = span / k
+    small = x < 1e-6
+    safe = jnp.where(small, 1.0, x)
+    mean_decay = jnp.where(small, 1.0 - 0.5 * x, -jnp.expm1(-safe) / safe)
+    decay = jnp.exp(-x)
+    return decay * p + (1.0 - decay) * a0 + (a1 - a0) * (1.0 - mean_decay)
+
+
+class FirstOrderLag(PressureLaw):
+    """dp/dt = (p_set - p)/k, stepped exactly (the paper's pneumatic lag).
+
+    Range of k: 10 to 300 ms; the paper's rig has 87 ms. Vanishes at k = 0, where p = p_set.
+    """
+
+    k: Scalar
+    """Time constant [s]."""
+
+    def advance(self, p, set_point):
+        x = set_point
+        p = _ramp_response(p, x.a0, x.a1, x.t_break - x.t0, self.k)
+        return _ramp_response(p, x.b0, x.b1, x.t1 - x.t_break, self.k)
+
+
+class Ideal(PressureLaw):
+    """p = p_set: for a drive that is itself a measured pressure."""
+
+    def advance(self, p, set_point):
+        return 0.0 * p + set_point.b1
+
+
+def pressure_history(
+    law: PressureLaw, waveform: Waveform, start: Scalar, times: Float[Array, " n"]
+) -> Float[Array, " n"]:
+    """Pressure [Pa] at each of the increasing `times` [s], from `start` [Pa] at the first of them."""
+    segments = jax.vmap(waveform.segment)(times[:-1], times[1:])
+    first = jnp.asarray(start, times.dtype)
+
+    def body(p, segment):
+        p = law.advance(p, segment)
+        return p, p
+
+    _, rest = jax.lax.scan(body, first, segments)
+    return jnp.concatenate([first[None], rest])

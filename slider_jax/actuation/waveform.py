@@ -1,0 +1,114 @@
+"""Set pressures in time. Each is piecewise linear, with at most one break within a time step."""
+
+import math
+from abc import abstractmethod
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from slider_jax.parameters import Scalar
+
+
+class Segment(eqx.Module):
+    """A set pressure over [t0, t1]: linear from `a0` to `a1` until `t_break`, then `b0` to `b1` [Pa]."""
+
+    t0: Array
+    t_break: Array
+    t1: Array
+    a0: Array
+    a1: Array
+    b0: Array
+    b1: Array
+
+
+class Waveform(eqx.Module):
+    """A set pressure [Pa] as a function of time [s]."""
+
+    @abstractmethod
+    def segment(self, t0: Array, t1: Array) -> Segment:
+        """What the set pressure does over [t0, t1], exact where the class says so."""
+
+
+def _continuous(value, t0, t_break, t1) -> Segment:
+    t_break = jnp.clip(t_break, t0, t1)
+    middle = value(t_break)
+    return Segment(t0, t_break, t1, value(t0), middle, middle, value(t1))
+
+
+class SquareWave(Waveform):
+    """+-amplitude [Pa], positive in the first half of a period 1/frequency [Hz], after `phase`.
+
+    `phase` is the delay as a fraction of a period. Exact for steps up to half a period, and
+    differentiable to frequency and phase: the edge is a time, not an index.
+    """
+
+    frequency: Scalar
+    amplitude: Scalar
+    phase: Scalar = 0.0
+
+    def segment(self, t0, t1):
+        turn0 = self.frequency * t0 - self.phase
+        edge = jnp.floor(2.0 * turn0 + 1e-9) / 2.0 + 0.5
+        sign = jnp.where(jnp.floor(2.0 * turn0 + 1e-9) % 2.0 == 0.0, 1.0, -1.0)
+        t_break = (edge + self.phase) / self.frequency
+        before = sign * self.amplitude
+        after = jnp.where(t_break < t1, -before, before)
+        return Segment(t0, jnp.minimum(t_break, t1), t1, before, before, after, after)
+
+
+class SineWave(Waveform):
+    """amplitude sin(2 pi (f t - phase)) [Pa]; linear within a step, second order in it."""
+
+    frequency: Scalar
+    amplitude: Scalar
+    phase: Scalar = 0.0
+
+    def segment(self, t0, t1):
+        def value(t):
+            return self.amplitude * jnp.sin(2.0 * math.pi * (self.frequency * t - self.phase))
+
+        return _continuous(value, t0, 0.5 * (t0 + t1), t1)
+
+
+class Trapezoid(Waveform):
+    """A square wave whose edges are ramps over `rise` (fraction of a period), centred on the edges.
+
+    Exact for steps shorter than the ramp and the plateau.
+    """
+
+    frequency: Scalar
+    amplitude: Scalar
+    phase: Scalar = 0.0
+    rise: Scalar = 0.1
+
+    def segment(self, t0, t1):
+        half = 0.5 * self.rise
+
+        def value(t):
+            turn = self.frequency * t - self.phase
+            from_edge = turn - jnp.round(2.0 * turn) / 2.0
+            sign = jnp.where(jnp.round(2.0 * turn) % 2.0 == 0.0, 1.0, -1.0)
+            return sign * self.amplitude * jnp.clip(from_edge / half, -1.0, 1.0)
+
+        turn0 = self.frequency * t0 - self.phase
+        corners = [
+            jnp.floor(2.0 * (turn0 + shift) + 1e-9) / 2.0 + 0.5 - shift for shift in (half, -half)
+        ]
+        corner = jnp.minimum(*corners)
+        return _continuous(value, t0, (corner + self.phase) / self.frequency, t1)
+
+
+class Recorded(Waveform):
+    """Samples [Pa] at increasing times [s], linear between them, constant outside.
+
+    Exact for steps no longer than the spacing of the samples.
+    """
+
+    times: Float[Array, " samples"]
+    values: Float[Array, " samples"]
+
+    def segment(self, t0, t1):
+        after = jnp.searchsorted(self.times, t0 + 1e-12, side="right")
+        t_break = self.times[jnp.minimum(after, self.times.shape[0] - 1)]
+        return _continuous(lambda t: jnp.interp(t, self.times, self.values), t0, t_break, t1)

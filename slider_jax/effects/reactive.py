@@ -1,0 +1,42 @@
+"""Lighthill's reactive force: the water's added mass carried along by the body (LAEBT)."""
+
+import math
+
+import equinox as eqx
+
+from slider_jax.effects.base import ForceDensity
+from slider_jax.parameters import Scalar
+
+
+class ReactiveForce(ForceDensity):
+    """Large-amplitude elongated-body theory, all three terms, per unit length.
+
+    f = -[ d(m_A u_n n)/dt - d(m_A u_tau u_n n)/ds + d(m_A u_n^2/2 tau)/ds ], with d(tau)/ds = kappa n,
+    d(n)/ds = -kappa tau, d(n)/dt = -omega tau, for an m_A that is uniform along the body:
+
+        F_n   = -m_A ( du_n/dt - d(u_tau u_n)/ds + u_n^2 kappa/2 )
+        F_tau = -m_A ( -u_n omega + u_tau u_n kappa + u_n du_n/ds )
+        m_A   = m_a pi rho H^2/4
+
+    No point force acts at a blunt head: see docs/decisions.md.
+
+    Source: Lighthill, M. J. (1971), Large-amplitude elongated-body theory of fish locomotion, Proc. R.
+    Soc. B 179, 125-138; the paper's equations for F_a. Vanishes at m_a = 0. Range 0 to 1.5: 1 is a
+    thin plate in potential flow, separation lowers it.
+    """
+
+    m_a: Scalar
+    """Added-mass coefficient [-]."""
+    density: Scalar = eqx.field(default=1000.0)
+    """rho [kg/m^3]."""
+
+    def added_mass(self, height):
+        """m_A [kg/m] of a section of `height` [m]."""
+        return self.m_a * math.pi * self.density * height**2 / 4.0
+
+    def force(self, x):
+        m_A = self.added_mass(x.height)
+        flux_s = x.u_tau_s * x.u_n + x.u_tau * x.u_n_s
+        F_n = -m_A * (x.u_n_t - flux_s + x.u_n**2 * x.kappa / 2.0)
+        F_tau = -m_A * (-x.u_n * x.omega + x.u_tau * x.u_n * x.kappa + x.u_n * x.u_n_s)
+        return F_tau, F_n

@@ -1,0 +1,95 @@
+"""Many steps: the trajectory of one robot, differentiable forward and backward, batched by vmap."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from slider_jax.actuation import pressure_history
+from slider_jax.model import Mesh, Model, make_mesh
+from slider_jax.parameters import Numerics, Scalar
+from slider_jax.scheme import SDIRK2, Scheme
+from slider_jax.state import straight
+from slider_jax.step import Carry, Snapshot, make_step, start
+
+
+class TimeGrid(eqx.Module):
+    """`steps` equal steps of `h` [s] from `t0` [s]. Lock it to the stride with `per_stride`."""
+
+    h: Scalar
+    steps: int = eqx.field(static=True)
+    t0: Scalar = 0.0
+
+    @classmethod
+    def per_stride(cls, frequency: Scalar, steps_per_stride: int, strides: int) -> "TimeGrid":
+        """Whole steps per stride of 1/`frequency` [Hz]; an even number keeps the edges on steps."""
+        return cls(1.0 / (frequency * steps_per_stride), steps_per_stride * strides)
+
+    @property
+    def times(self) -> Float[Array, " steps"]:
+        """End of every step [s]."""
+        return self.t0 + self.h * jnp.arange(1, self.steps + 1)
+
+
+class Rollout(eqx.Module):
+    """What a rollout returns: times (steps,), what was saved at each, and how it went."""
+
+    t: Float[Array, " steps"]
+    saved: Any
+    final: Carry
+    mesh: Mesh
+
+    @property
+    def ok(self):
+        """Whether every step converged."""
+        return self.final.ok
+
+
+def stage_pressures(model: Model, times: TimeGrid, scheme: Scheme) -> Float[Array, "steps stages 2"]:
+    """Both chambers' pressures [Pa] at every stage of every step."""
+    begins = times.t0 + times.h * jnp.arange(times.steps)
+    at = begins[:, None] + times.h * jnp.asarray(scheme.nodes)
+    at = jnp.concatenate([jnp.asarray(times.t0, at.dtype)[None], at.ravel()])
+    drive = model.drive
+    chambers = ((drive.front, drive.start_front), (drive.rear, drive.start_rear))
+    histories = [pressure_history(model.pressure_law, w, p0, at)[1:] for w, p0 in chambers]
+    return jnp.stack(histories, axis=-1).reshape(times.steps, scheme.stages, 2)
+
+
+def rollout(
+    model: Model,
+    times: TimeGrid,
+    save: Callable[[Snapshot], Any],
+    numerics: Numerics = Numerics(),
+    scheme: Scheme = SDIRK2,
+    *,
+    begin: Carry | None = None,
+    checkpoint: bool = True,
+) -> Rollout:
+    """Integrate `model` over `times`; `save(snapshot)` is kept at the end of every step.
+
+    Starts straight, at rest relative to a towed clamp, unless `begin` carries on from an earlier
+    rollout's `final`. A step that fails freezes the state and clears `ok`; nothing is raised, so that
+    one member of a batch cannot stop the others (`simulate` raises for a single run).
+    With `checkpoint`, reverse mode keeps each step's carry only and recomputes the rest.
+    """
+    mesh = make_mesh(model.robot, numerics)
+    if begin is None:
+        speed = getattr(model.support, "tow_speed", 0.0)
+        begin = start(model, mesh, *straight(numerics.nodes, speed))
+    pressures = stage_pressures(model, times, scheme)
+    step = make_step(model, mesh, numerics, scheme)
+    begins = times.t0 + times.h * jnp.arange(times.steps)
+
+    def body(carry, inputs):
+        t, pressure = inputs
+        carry, snapshot = step(carry, (t, jnp.asarray(times.h), pressure))
+        return carry, save(snapshot)
+
+    if checkpoint:
+        body = jax.checkpoint(body, prevent_cse=False)
+    final, saved = jax.lax.scan(body, begin, (begins, pressures))
+    return Rollout(times.times, saved, final, mesh)

@@ -1,0 +1,54 @@
+"""The unknowns of the box method at the nodes, their names, and what time differentiates.
+
+The array of unknowns has shape (6, N): component first, node last, so that all work is elementwise
+along the contiguous node axis.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+Unknowns = Float[Array, "6 nodes"]
+
+
+class Fields(NamedTuple):
+    """Names of the six rows: at nodes, in mid-cells, or their slopes d/ds, as the holder says."""
+
+    T: Array
+    """Axial force [N], positive in tension."""
+    N: Array
+    """Shear force [N] along n."""
+    M: Array
+    """Net internal moment [N m]: elastic, viscous and active together."""
+    V_tau: Array
+    """Velocity along the body, positive towards the head [m/s]."""
+    V_n: Array
+    """Velocity along n [m/s]."""
+    phi: Array
+    """Angle of tau from the x axis [rad]."""
+
+
+def fields(y: Unknowns) -> Fields:
+    """The six rows of `y` by name."""
+    return Fields(*y)
+
+
+class Memory(eqx.Module):
+    """What the time derivatives act on: carried from step to step.
+
+    `motion` (3, N): V_tau, V_n, phi at the nodes. `strain` (N - 1,): eps in the cells. `anchor` (2,):
+    the head's position [m] in the plane.
+    """
+
+    motion: Float[Array, "3 nodes"]
+    strain: Float[Array, " cells"]
+    anchor: Float[Array, "2"]
+
+
+def straight(nodes: int, speed=0.0) -> tuple[Unknowns, Memory]:
+    """At rest relative to itself, straight along x, moving head-first at `speed` [m/s]."""
+    zero = jnp.zeros((nodes,))
+    y = jnp.stack([zero, zero, zero, zero + speed, zero, zero])
+    return y, Memory(motion=y[3:], strain=zero[1:], anchor=jnp.zeros(2))

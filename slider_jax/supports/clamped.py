@@ -1,0 +1,47 @@
+"""Head clamped to a carriage that may tow, heave and pitch it."""
+
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from slider_jax.frame import to_body, to_plane
+from slider_jax.parameters import Scalar
+from slider_jax.supports.base import Support
+
+
+class Clamped(Support):
+    """V_tau, V_n and phi of the head are given.
+
+    The carriage moves along x at `tow_speed` [m/s] and may heave along y and pitch,
+
+        y_h = heave sin(2 pi f t),    phi_h = pitch sin(2 pi f t + pitch_phase)
+
+    with `heave` [m], `pitch` [rad], f = `frequency` [Hz], `pitch_phase` [rad].
+    """
+
+    tow_speed: Scalar = eqx.field(default=0.0)
+    heave: Scalar = eqx.field(default=0.0)
+    pitch: Scalar = eqx.field(default=0.0)
+    frequency: Scalar = eqx.field(default=0.0)
+    pitch_phase: Scalar = eqx.field(default=0.0)
+
+    def carriage(self, t):
+        """Plane velocity (x, y) [m/s] and angle [rad] of the carriage at `t` [s]."""
+        turn = 2.0 * math.pi * self.frequency
+        velocity = (self.tow_speed + 0.0 * t, self.heave * turn * jnp.cos(turn * t))
+        return velocity, self.pitch * jnp.sin(turn * t + self.pitch_phase)
+
+    def rows(self, head, omega, t):
+        velocity, angle = self.carriage(t)
+        V_tau, V_n = to_body(velocity, head.phi)
+        return head.V_tau - V_tau, head.V_n - V_n, head.phi - angle
+
+    def anchor_velocity(self, head, omega, t):
+        return jnp.stack(to_plane(head.V_tau, head.V_n, head.phi))
+
+    def head_position(self, anchor, phi, t):
+        return anchor
+
+    def reanchor(self, anchor, phi, t_before, t):
+        return anchor

@@ -1,0 +1,53 @@
+"""Head pinned through a rigid cross-link, for climbing."""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from slider_jax.frame import to_plane
+from slider_jax.parameters import Scalar
+from slider_jax.supports.base import Support
+
+
+class PinnedLink(Support):
+    """A massless rigid link of `link_length` l_p [m] lies across the head; one of its ends is pinned.
+
+    The pin is at sigma l_p/2 n from the head, sigma = +1 or -1. It does not move, and carries no
+    moment:
+
+        V_tau - sigma (l_p/2) omega = 0,    V_n = 0,    M + sigma (l_p/2) T = 0
+
+    (V + omega x r = 0 with r = sigma (l_p/2) n; the paper writes Omega x r, see docs/decisions.md.)
+    sigma is +1 in the first half of every period 1/`frequency` [Hz], -1 in the second, from `phase`
+    (fraction of a period) on; with `frequency` = 0 it is +1 throughout. It holds up to and including
+    the instant of the switch.
+    """
+
+    link_length: Scalar = eqx.field(default=0.03)
+    frequency: Scalar = eqx.field(default=0.0)
+    phase: Scalar = eqx.field(default=0.0)
+
+    def side(self, t):
+        """sigma at `t` [s]."""
+        turn = self.frequency * t - self.phase - 1e-7
+        return jnp.where((self.frequency > 0) & (turn - jnp.floor(turn) >= 0.5), -1.0, 1.0)
+
+    def arm(self, t):
+        """sigma l_p/2 [m], the pin's distance from the head along n."""
+        return 0.5 * self.link_length * self.side(t)
+
+    def rows(self, head, omega, t):
+        arm = self.arm(t)
+        return head.V_tau - arm * omega, head.V_n, head.M + arm * head.T
+
+    def anchor_velocity(self, head, omega, t):
+        return jnp.stack(to_plane(head.V_tau - self.arm(t) * omega, head.V_n, head.phi))
+
+    def head_position(self, anchor, phi, t):
+        return anchor - jnp.stack(to_plane(0.0, self.arm(t), phi))
+
+    def reanchor(self, anchor, phi, t_before, t):
+        moved = jnp.where(t_before < t, self.arm(t) - self.arm(t_before), 0.0)
+        moved = jnp.where(t_before <= 0.0, 0.0, moved)
+        return anchor + jnp.stack(to_plane(0.0, moved, phi))
+
+
