@@ -1,0 +1,47 @@
+"""Differentiable simulator of SLIDER, a soft pneumatic lamprey-like robot.
+
+Public names are loaded when first used, so that `import slider_jax` costs nothing and changes no
+global setting of JAX. Functions that share their module's name are imported from it, as in
+`from slider_jax.rollout import rollout`.
+"""
+
+from importlib import import_module
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "BACKWARD_EULER": "scheme",
+    "Clamped": "supports",
+    "Drive": "model",
+    "FirstOrderLag": "actuation",
+    "Free": "supports",
+    "Gravity": "effects",
+    "Ideal": "actuation",
+    "InputError": "errors",
+    "Model": "model",
+    "NormalDrag": "effects",
+    "Numerics": "parameters",
+    "PinnedLink": "supports",
+    "ReactiveForce": "effects",
+    "Recorded": "actuation",
+    "Robot": "parameters",
+    "SDIRK2": "scheme",
+    "SineWave": "actuation",
+    "SolverError": "errors",
+    "SquareWave": "actuation",
+    "TimeGrid": "rollout",
+    "Trapezoid": "actuation",
+    "enable_float64": "precision",
+}
+
+__all__ = sorted(_HOME)
+
+
+def __getattr__(name: str):
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+
+
+def __dir__():
+    return sorted([*globals(), *_HOME])

@@ -1,0 +1,117 @@
+"""Result files: written under a temporary name, then renamed, so that none is ever half-written."""
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slider_jax.errors import InputError
+
+
+def output_folder(path: Path | str) -> Path:
+    """`path` as a folder that exists and can be written to; made if missing."""
+    path = Path(path)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        raise InputError(
+            f"--out {path}: is a file, or lies under one; give the name of a folder"
+        ) from None
+    except OSError as error:
+        raise InputError(f"--out {path}: cannot be made ({error.strerror})") from None
+    if not os.access(path, os.W_OK):
+        raise InputError(f"--out {path}: cannot be written to; give another folder")
+    return path
+
+
+@contextmanager
+def replacing(path: Path | str) -> Iterator[Path]:
+    """A temporary name beside `path`, with its suffix; renamed to `path` if the block succeeds."""
+    path = Path(path)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=".tmp-", suffix=path.suffix)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def staged(folder: Path | str) -> Iterator[Path]:
+    """A temporary folder; its files move into `folder` if the block succeeds, else none does."""
+    folder = output_folder(folder)
+    stage = Path(tempfile.mkdtemp(dir=folder, prefix=".tmp-"))
+    try:
+        yield stage
+        for item in sorted(stage.rglob("*")):
+            target = folder / item.relative_to(stage)
+            if item.is_dir():
+                target.mkdir(exist_ok=True)
+            else:
+                os.replace(item, target)
+    finally:
+        shutil.rmtree(stage, ignore_errors=True)
+
+
+def write_bytes(path: Path | str, content: bytes) -> None:
+    """Write `content` to `path` atomically."""
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def write_text(path: Path | str, text: str) -> None:
+    """Write `text` to `path` atomically, as UTF-8 with the line ends it has."""
+    write_bytes(path, text.encode())
+
+
+def _plain(value: Any) -> Any:
+    """`value` in JSON's own types; what is not finite becomes null."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+def write_json(path: Path | str, content: Any) -> None:
+    """Write `content` to `path` atomically; numbers that are not finite become null."""
+    write_text(path, json.dumps(_plain(content), indent=2, allow_nan=False) + "\n")
+
+
+def write_csv(
+    path: Path | str,
+    columns: Mapping[str, Sequence[float] | np.ndarray],
+    formats: Mapping[str, str] | None = None,
+) -> None:
+    """Write `columns` (name with unit -> values, equal lengths) to `path` atomically.
+
+    `formats` gives a format such as ".4f" for a column; the others are written with `.9g`. A NaN is
+    a blank cell.
+    """
+    formats = formats or {}
+    cells = []
+    for name, values in columns.items():
+        form = formats.get(name, ".9g")
+        cells.append(
+            [
+                value if isinstance(value, str) else "" if value != value else format(value, form)
+                for value in (values.tolist() if isinstance(values, np.ndarray) else values)
+            ]
+        )
+    rows = [",".join(columns), *(",".join(row) for row in zip(*cells, strict=True))]
+    write_text(path, "\n".join(rows) + "\n")

@@ -1,0 +1,27 @@
+"""Settings of the test run, made before JAX is imported, and the fixtures that all tests share."""
+
+import os
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+os.environ.setdefault("MPLBACKEND", "Agg")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".pytest_cache" / "jax"))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
+
+import pytest  # noqa: E402
+
+from slider_jax.precision import enable_float64  # noqa: E402
+from tests.data import data_dir  # noqa: E402
+
+enable_float64()
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    """The folder of measured data; the test is skipped where it is absent."""
+    folder = data_dir()
+    if folder is None:
+        pytest.skip("the measured data are absent; set SLIDER_DATA to their folder")
+    return folder
