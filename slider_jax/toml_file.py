@@ -1,0 +1,99 @@
+"""TOML in: read, validate, and say in one message what is wrong and where."""
+
+import difflib
+import tomllib
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from slider_jax.errors import InputError
+from slider_jax.quantity import Quantity
+
+TableType = TypeVar("TableType", bound=BaseModel)
+
+
+def read_bytes(path: Path) -> bytes:
+    """The content of an input file, or an error that says why there is none."""
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; give the file in it")
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; check the name") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file; an error names line and column."""
+    try:
+        return tomllib.loads(read_bytes(path).decode("utf-8"))
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not valid TOML: {error}") from None
+
+
+def _field_of(table: type[BaseModel], location: tuple) -> tuple[type[BaseModel], Any]:
+    """The innermost table class of a location, and the field it ends at (None if there is none)."""
+    field = None
+    for part in location:
+        if isinstance(part, int):
+            continue
+        field = table.model_fields.get(part)
+        if field is None:
+            break
+        for inner in (field.annotation, *getattr(field.annotation, "__args__", ())):
+            if isinstance(inner, type) and issubclass(inner, BaseModel):
+                table = inner
+    return table, field
+
+
+def _quantity(field: Any) -> Quantity | None:
+    candidates = list(field.metadata) if field is not None else []
+    for inner in getattr(getattr(field, "annotation", None), "__args__", ()):
+        candidates += getattr(inner, "__metadata__", ())
+    return next((item for item in candidates if isinstance(item, Quantity)), None)
+
+
+def _message(table: type[BaseModel], error: Any) -> str:
+    """One pydantic error in our words."""
+    location = tuple(part for part in error["loc"] if not str(part).startswith("function-"))
+    where = ".".join(str(part) for part in location)
+    owner, field = _field_of(table, location)
+    quantity = _quantity(field)
+    kind, given = error["type"], repr(error["input"])
+    if kind == "table":
+        return ".".join(part for part in (where, error["msg"]) if part)
+    if kind == "missing":
+        unit = f" in {quantity.unit}" if quantity and quantity.unit else ""
+        return f"{where}: missing; add it{unit}"
+    if kind == "extra_forbidden":
+        close = difflib.get_close_matches(str(location[-1]), owner.model_fields, 1)
+        advice = f"did you mean {close[0]}?" if close else "remove it"
+        return f"{where}: unknown key; allowed {', '.join(owner.model_fields)}; {advice}"
+    if kind in ("quantity", "file_name"):
+        return f"{where}: {error['msg']}"
+    if kind == "float_type" and quantity:
+        return f"{where}: given {given}; allowed a number, {quantity.allowed}"
+    if kind in ("too_short", "too_long"):
+        return f"{where}: {error['msg']}"
+    if kind == "literal_error":
+        return f"{where}: given {given}; allowed {error['ctx']['expected']}"
+    if len(given) > 60:
+        given = given[:57] + "..."
+    return f"{where}: given {given}; {error['msg'][0].lower()}{error['msg'][1:]}"
+
+
+def validate(table: type[TableType], content: Any, source: str) -> TableType:
+    """`content` as a `table`; the error names `source`, the key, what is allowed."""
+    try:
+        return table.model_validate(content)
+    except ValidationError as failure:
+        errors = failure.errors(include_url=False)
+        # A misspelt key is both unknown and missing: say the former first.
+        errors.sort(key=lambda error: error["type"] != "extra_forbidden")
+        messages = [_message(table, error) for error in errors]
+        more = f" (and {len(messages) - 1} more after it)" if len(messages) > 1 else ""
+        raise InputError(f"{source}: {messages[0]}{more}") from None
