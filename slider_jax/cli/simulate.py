@@ -1,0 +1,102 @@
+"""`slider simulate`: an experiment, or a pressure log of the rig, to thrust."""
+
+import sys
+import time
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from slider_jax.errors import InputError
+
+
+def simulate(
+    input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="EXPERIMENT.toml|LOG.txt")],
+    out: Path,
+    model: Path | None = None,
+    plot: bool = False,
+    animate: bool = False,
+    step: float | None = None,
+    nodes: int | None = None,
+    scheme: str | None = None,
+    drive: Literal["set", "measured"] = "set",
+) -> None:
+    """Simulate every trial of an experiment and write what its sensors would read.
+
+    DIR/<trial's file name> gets the columns t_s, p_front_Pa, p_rear_Pa, thrust_N, recoil_N, tip_m
+    at the trial's own sample times; DIR/summary.json the cycle means, settings and versions.
+
+    Args:
+        input: an experiment (.toml), or one of the rig's pressure logs (any other suffix).
+        out: folder for the results; made if missing, files of the same name are replaced.
+        model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
+        plot: draw time series and midlines of each trial (PNG).
+        animate: film each trial: midline, forces, moment (mp4 with ffmpeg, else gif).
+        step: longest time step in s (experiments only; default 0.0005 or as the file says).
+        nodes: nodes along the robot (experiments only; default 51 or as the file says).
+        scheme: sdirk2 or backward_euler (experiments only).
+        drive: for a log, send its command (set) or its measured pressure through the model.
+    """
+    if input.suffix.lower() != ".toml":
+        from slider_jax.cli.simulate_log import simulate_log
+
+        return simulate_log(input, model, out, drive, plot)
+    from slider_jax.experiment import load
+
+    if drive != "set":
+        raise InputError("--drive measured: is for logs; an experiment's trials say drive_is")
+    experiment = load(input, model)
+    settings = {"numerics.step": step, "numerics.nodes": nodes, "numerics.scheme": scheme}
+    given = {key: value for key, value in settings.items() if value is not None}
+    if given:
+        experiment = experiment.with_values(given, "command line")
+    return _simulate_experiment(experiment, input, model, out, plot, animate)
+
+
+def _simulate_experiment(experiment, path, model, out, plot, animate) -> None:
+    from tqdm import tqdm
+
+    from slider_jax.experiment import SAMPLES, measured, to_model
+    from slider_jax.files import staged, write_csv, write_json
+    from slider_jax.results import summary, trial_summary
+    from slider_jax.simulate import simulate as simulate_trial
+
+    for trial in experiment.trials:  # every file is checked before anything is computed
+        measured(experiment, trial)
+        to_model(experiment, trial)
+    formats = dict(zip(SAMPLES, (".9g", ".1f", ".1f", ".6f", ".6f", ".7f"), strict=True))
+    runs = []
+    with staged(out) as stage:
+        for trial in experiment.trials:
+            begun = time.perf_counter()
+            with tqdm(desc=trial.file, unit="step", leave=False, disable=None) as bar:
+
+                def advance(done, total, bar=bar):
+                    bar.total = total
+                    bar.update(done - bar.n)
+
+                run = simulate_trial(experiment, trial, shape=plot or animate, progress=advance)
+            write_csv(stage / trial.file, run.columns, formats)
+            runs.append(run)
+            if plot:
+                from slider_jax.plots import plot_run
+
+                plot_run(run, measured(experiment, trial), stage)
+            if animate:
+                from slider_jax.animate import animate_run
+
+                animate_run(run, stage)
+            print(_line(trial_summary(run), time.perf_counter() - begun), file=sys.stderr)
+        write_json(stage / "summary.json", summary(experiment, runs, path, model))
+    print(f"{len(runs)} trials and summary.json are in {out}", file=sys.stderr)
+
+
+def _line(result, seconds: float) -> str:
+    frequency = result["frequency_Hz"]
+    at = f"{frequency:4.1f} Hz" if frequency else "recorded"
+    return (
+        f"{result['file']}  {at}  thrust {1e3 * result['mean_thrust_N']:8.2f} mN  "
+        f"recoil {1e3 * result['recoil_rms_N']:7.1f} mN rms  "
+        f"tip +-{1e3 * result['tip_half_range_m']:6.2f} mm  ({result['averaged']}; "
+        f"step {1e3 * result['step_s']:.3f} ms; {seconds:.1f} s)"
+    )

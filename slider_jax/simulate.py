@@ -1,0 +1,210 @@
+"""One trial of an experiment, from its drive to what its sensors would read."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from slider_jax.effects import total_force
+from slider_jax.errors import SolverError
+from slider_jax.experiment import Experiment, sample_times, to_model, to_numerics
+from slider_jax.frame import midline, to_plane
+from slider_jax.model import Model, make_mesh
+from slider_jax.parameters import Numerics
+from slider_jax.rollout import TimeGrid, rollout
+from slider_jax.sampling import edge_steps, half_period_steps, sample
+from slider_jax.schema import Trial
+from slider_jax.scheme import Scheme
+from slider_jax.state import straight
+from slider_jax.step import Carry, Snapshot, start
+
+CHUNK = 250
+"""Steps per call of the compiled program: one program serves trials of every length."""
+
+
+def readings(x: Snapshot) -> dict[str, Any]:
+    """What the sensors read: the clamp's force sensor reads the force that the robot puts on it.
+
+    `pressure` (2,) [Pa], `thrust` = -T and `recoil` = -N at the head [N], `tip`: the tail's lateral
+    position relative to the head [m], along y.
+    """
+    line = midline(x.y[5], x.memory.strain, x.head, x.mesh.grid)
+    return {
+        "pressure": x.pressure,
+        "thrust": -x.y[0, -1],
+        "recoil": -x.y[1, -1],
+        "tip": line[1, 0] - x.head[1],
+    }
+
+
+def readings_and_shape(x: Snapshot) -> dict[str, Any]:
+    """`readings`, and for pictures, in the plane: `midline` (2, nodes) [m] relative to the head,
+    `moment` (nodes,) [N m], `force` (2, cells): the effects' force per length on the body [N/m]."""
+    section = x.section()
+    F_tau, F_n = total_force(x.stage.effects, section)
+    line = midline(x.y[5], x.memory.strain, x.head, x.mesh.grid)
+    return readings(x) | {
+        "midline": line - x.head[:, None],
+        "moment": x.y[2],
+        "force": jnp.stack(to_plane(F_tau, F_n, section.phi)),
+    }
+
+
+@dataclass(frozen=True)
+class Clock:
+    """A trial's time grid: `steps` of `h` [s]; `half_period` of them to half a stride, if any."""
+
+    h: float
+    steps: int
+    half_period: int | None = None
+    phase: float = 0.0
+
+    @property
+    def edges(self) -> np.ndarray:
+        """Step indices between which the drive is smooth."""
+        if self.half_period is None:
+            return np.array([0, self.steps])
+        return edge_steps(self.steps, self.half_period, self.phase)
+
+
+def clock(experiment: Experiment, trial: Trial, model: Model) -> Clock:
+    """Steps locked to the stride, or to the samples of a recorded drive."""
+    longest = experiment.numerics.step
+    if trial.waveform == "recorded":
+        times = np.asarray(model.drive.front.times)  # type: ignore[attr-defined]
+        spacing = (times[-1] - times[0]) / (len(times) - 1)
+        h = spacing / np.ceil(spacing / longest * (1.0 - 1e-9))
+        return Clock(h, _whole(trial.duration / h))
+    assert trial.frequency is not None
+    half = half_period_steps(trial.frequency, longest, trial.phase)
+    h = 0.5 / (trial.frequency * half)
+    return Clock(h, _whole(trial.duration / h), half, trial.phase)
+
+
+def _whole(steps: float) -> int:
+    return max(4, int(np.ceil(steps * (1.0 - 1e-9))))
+
+
+@eqx.filter_jit
+def _advance(
+    model: Model,
+    h: jax.Array,
+    t0: jax.Array,
+    begin: Carry,
+    save: Callable[[Snapshot], Any],
+    numerics: Numerics,
+    scheme: Scheme,
+):
+    times = TimeGrid(h, CHUNK, t0)
+    run = rollout(model, times, save, numerics, scheme, begin=begin, checkpoint=False)
+    return run.saved, run.final
+
+
+@dataclass(frozen=True)
+class Run:
+    """A simulated trial. Times and series on the steps start with the initial state."""
+
+    trial: Trial
+    clock: Clock
+    t: np.ndarray
+    """(steps + 1,) [s]."""
+    series: dict[str, np.ndarray]
+    """What `readings` or `readings_and_shape` names, each (steps + 1, ...)."""
+    columns: dict[str, np.ndarray]
+    """t_s, p_front_Pa, p_rear_Pa, thrust_N, recoil_N, tip_m at the trial's sample times."""
+    newton: int
+    """Newton iterations in all."""
+
+
+def simulate(
+    experiment: Experiment,
+    trial: Trial | int = 0,
+    *,
+    shape: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> Run:
+    """Simulate one trial and sample it at the trial's own times.
+
+    The robot starts straight and at rest relative to the clamp. With `shape`, midlines, moments and
+    forces are kept too. `progress(steps done, steps in all)` is called now and then. Trials of one
+    waveform and mesh share one compiled program. Raises `SolverError` naming trial, time and step
+    if a step does not converge, `InputError` if the trial's files cannot be used.
+    """
+    if isinstance(trial, int):
+        trial = experiment.trials[trial]
+    model, at = to_model(experiment, trial), sample_times(experiment, trial)
+    numerics, scheme = to_numerics(experiment)
+    grid = clock(experiment, trial, model)
+    save = readings_and_shape if shape else readings
+    mesh = make_mesh(model.robot, numerics)
+    carry = start(model, mesh, *straight(numerics.nodes, model.support.tow_speed))  # type: ignore[attr-defined]
+    initial = _initial(model, mesh, shape)
+    chunks = []
+    for done in range(0, grid.steps, CHUNK):
+        t0 = jnp.asarray(grid.h * done)
+        saved, carry = _advance(model, jnp.asarray(grid.h), t0, carry, save, numerics, scheme)
+        chunks.append(jax.tree.map(np.asarray, saved))
+        if float(carry.failed_at) <= grid.h * grid.steps:
+            raise _failure(trial, grid, float(carry.failed_at))
+        last = carry_pressures(saved)
+        model = eqx.tree_at(lambda m: (m.drive.start_front, m.drive.start_rear), model, last)
+        if progress is not None:
+            progress(min(done + CHUNK, grid.steps), grid.steps)
+    series = {
+        name: np.concatenate([initial[name][None], *(c[name] for c in chunks)])[: grid.steps + 1]
+        for name in chunks[0]
+    }
+    t = grid.h * np.arange(grid.steps + 1)
+    bad = ~np.isfinite(series["recoil"])
+    if bad.any():
+        raise _failure(trial, grid, float(t[np.argmax(bad)]))
+    return Run(trial, grid, t, series, _columns(t, series, at, grid), int(carry.newton))
+
+
+def carry_pressures(saved: dict[str, jax.Array]) -> tuple[jax.Array, jax.Array]:
+    """Both chambers' pressures [Pa] at the end of a chunk: the next one starts from them."""
+    return saved["pressure"][-1, 0], saved["pressure"][-1, 1]
+
+
+def _initial(model: Model, mesh: Any, shape: bool) -> dict[str, np.ndarray]:
+    """The initial state's readings: straight, no force."""
+    s = np.asarray(mesh.grid.s)
+    drive = model.drive
+    zero = np.zeros(())
+    values = {
+        "pressure": np.array([float(drive.start_front), float(drive.start_rear)]),
+        "thrust": zero,
+        "recoil": zero,
+        "tip": zero,
+    }
+    if shape:
+        values["midline"] = np.stack([s - s[-1], np.zeros_like(s)])
+        values["moment"] = np.zeros_like(s)
+        values["force"] = np.zeros((2, len(s) - 1))
+    return values
+
+
+def _failure(trial: Trial, grid: Clock, t: float) -> SolverError:
+    return SolverError(
+        f"{trial.file}: the step to t = {t:.6g} s (length {grid.h:.3g} s) did not converge; try a "
+        f"shorter one (--step {0.5 * grid.h:.2g}), and check amplitude, K_Q and stiffness: the "
+        "chambers may bend the body further than it can go"
+    )
+
+
+def _columns(
+    t: np.ndarray, series: dict[str, np.ndarray], at: np.ndarray, grid: Clock
+) -> dict[str, np.ndarray]:
+    pressure = sample(t, series["pressure"], at, grid.edges)
+    return {
+        "t_s": at,
+        "p_front_Pa": pressure[:, 0],
+        "p_rear_Pa": pressure[:, 1],
+        "thrust_N": sample(t, series["thrust"], at, grid.edges),
+        "recoil_N": sample(t, series["recoil"], at, grid.edges),
+        "tip_m": sample(t, series["tip"], at, grid.edges),
+    }
