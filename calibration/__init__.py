@@ -1,0 +1,1 @@
+"""Identification of the simulator's parameters from measurements."""
