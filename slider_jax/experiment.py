@@ -86,8 +86,14 @@ def load(path: Path | str, model: Path | str | None = None) -> Experiment:
     are added. Raises `InputError` naming file and key.
     """
     path = Path(path)
-    content = read_toml(path)
-    experiment = _experiment(content, str(path), path.parent)
+    return assemble(read_toml(path), str(path), path.parent, model)
+
+
+def assemble(
+    content: dict[str, Any], source: str, folder: Path, model: Path | str | None = None
+) -> Experiment:
+    """An experiment from its tables; `source` is what errors call them. `model` as in `load`."""
+    experiment = _experiment(content, source, folder)
     if model is None:
         return experiment
     changes = read_toml(Path(model))
@@ -102,7 +108,7 @@ def load(path: Path | str, model: Path | str | None = None) -> Experiment:
         "parameters": content["parameters"] | changes.get("parameters", {}),
         "effects": [*content.get("effects", []), *changes.get("effects", [])],
     }
-    return _experiment(merged, str(model), path.parent)
+    return _experiment(merged, str(model), folder)
 
 
 def _effect(table: EffectTable, where: str) -> ForceDensity:
