@@ -1,0 +1,199 @@
+"""`slider simulate LOG.txt`: a pressure log of the rig through the built-in robot, to thrust."""
+
+import sys
+from dataclasses import asdict, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from calibration.logs import PA_PER_PSI, ManifoldLog, read_log
+from calibration.shape import whole_cycles
+from slider_jax.actuation import Ideal, Recorded
+from slider_jax.errors import SolverError
+from slider_jax.experiment import SAMPLES, Experiment, assemble, to_model, to_numerics
+from slider_jax.files import staged, write_csv, write_json
+from slider_jax.model import Drive, Model, make_mesh
+from slider_jax.paper import PRESSURE_LAG, force_coefficients
+from slider_jax.parameters import Numerics, Robot
+from slider_jax.provenance import input_file, versions
+from slider_jax.rollout import TimeGrid, rollout
+from slider_jax.scheme import Scheme
+from slider_jax.simulate import carry_pressures, readings
+from slider_jax.state import straight
+from slider_jax.step import start
+
+CHUNK = 125
+"""Samples per call of the compiled program."""
+STEP = 1e-3
+"""Longest step [s]; the step divides the log's sampling. A rig's log is slow (3 Hz and less)."""
+
+NOTES = {
+    "mapping": "the log's gauge pressure is of one chamber; both chambers of the built-in robot get "
+    "it, with the same sign, so that both bend the body to the same side",
+    "start": "the robot starts straight and at rest, the pressure at the first measured sample; the "
+    "first cycle holds the transient of that",
+    "averaged": "over the log's whole cycles after the first",
+}
+
+
+def simulate_log(
+    path: Path, model: Path | None, out: Path, drive: Literal["set", "measured"], plot: bool
+) -> None:
+    """Write DIR/<log's stem>.csv, at the log's sample times, and DIR/summary.json.
+
+    With drive "set", the command runs through the pressure model freely from the first measured
+    sample; with "measured", the measured pressure acts as it is. Raises `InputError` for the log or
+    the model file, `SolverError` where a step does not converge.
+    """
+    from tqdm import tqdm
+
+    log = read_log(path)
+    for finding in log.findings:
+        print(f"{path.name}: {finding}", file=sys.stderr)
+    experiment = built_in(log, model)
+    with staged(out) as stage:
+        with tqdm(total=len(log.t), unit="sample", desc=path.stem, disable=None) as bar:
+            columns = drive_robot(log, experiment, drive, lambda done: bar.update(done - bar.n))
+        formats = dict(zip(SAMPLES, (".3f", ".1f", ".1f", ".6f", ".6f", ".7f"), strict=True))
+        write_csv(stage / f"{path.stem}.csv", columns, formats)
+        told = summary(log, experiment, model, drive, columns)
+        write_json(stage / "summary.json", told)
+        if plot:
+            from calibration.plots import plot_driven
+
+            plot_driven(log, columns, stage / f"{path.stem}.png")
+    print(
+        f"{path.stem}: mean thrust {1e3 * told['mean_thrust_N']:.2f} mN, recoil "
+        f"{1e3 * told['recoil_rms_N']:.1f} mN rms, tip +-{1e3 * told['tip_half_range_m']:.2f} mm; "
+        f"pressure off the measured by {told['pressure_rmse_psi']:.2f} psi rms; "
+        f"{path.stem}.csv and summary.json are in {out}",
+        file=sys.stderr,
+    )
+
+
+def built_in(log: ManifoldLog, model: Path | None) -> Experiment:
+    """The built-in robot at the log's frequency, C_d and m_a on the paper's ramp, with overrides."""
+    robot = asdict(Robot())
+    K_Q = robot.pop("K_Q")
+    C_d, m_a = (float(x) for x in force_coefficients(log.frequency))
+    content = {
+        "name": log.path.stem,
+        "robot": robot,
+        "parameters": {"C_d": C_d, "m_a": m_a, "k": PRESSURE_LAG, "K_Q": K_Q},
+        "numerics": {"step": STEP},
+        "trials": [
+            {
+                "file": f"{log.path.stem}.csv",
+                "waveform": "sine",
+                "frequency": log.frequency,
+                "amplitude": float(max(np.abs(log.command_Pa).max(), 1e3)),
+                "duration": float(log.t[-1]),
+            }
+        ],
+    }
+    return assemble(content, str(log.path), log.path.parent, model)
+
+
+@eqx.filter_jit
+def _advance(model: Model, h, t0, begin, numerics: Numerics, scheme: Scheme, every: int):
+    times = TimeGrid(h, CHUNK * every, t0)
+    run = rollout(model, times, readings, numerics, scheme, begin=begin, checkpoint=False)
+    return jax.tree.map(lambda x: x[every - 1 :: every], run.saved), run.final
+
+
+def drive_robot(
+    log: ManifoldLog, experiment: Experiment, drive: str, progress=lambda done: None
+) -> dict[str, np.ndarray]:
+    """The columns `SAMPLES` at the log's sample times. `progress(samples done)` is called at times.
+
+    Where the log misses samples, the drive is linear between those that are there.
+    """
+    record = log.pressure_Pa if drive == "measured" else log.command_Pa
+    count = round(log.t[-1] / log.period)
+    whole = -(-count // CHUNK) * CHUNK
+    at = log.period * np.arange(whole + 1)
+    set_point = np.interp(at, log.t, record)
+    every = int(np.ceil(log.period / experiment.numerics.step * (1.0 - 1e-9)))
+    h = log.period / every
+    numerics, scheme = to_numerics(experiment)
+    base = to_model(experiment, 0)
+    law = Ideal() if drive == "measured" else base.pressure_law
+    pressures = (jnp.asarray(log.pressure_Pa[0]),) * 2
+    carry = start(base, make_mesh(base.robot, numerics), *straight(numerics.nodes))
+    chunks: list[dict[str, Any]] = [
+        {
+            "pressure": np.array([pressures]),
+            **dict.fromkeys(("thrust", "recoil", "tip"), np.zeros(1)),
+        }
+    ]
+    for first in range(0, whole, CHUNK):
+        span = slice(first, first + CHUNK + 1)
+        wave = Recorded(jnp.asarray(at[span]), jnp.asarray(set_point[span]))
+        model = replace(base, pressure_law=law, drive=Drive(wave, wave, *pressures))
+        saved, carry = _advance(
+            model, jnp.asarray(h), jnp.asarray(at[first]), carry, numerics, scheme, every
+        )
+        chunks.append(jax.tree.map(np.asarray, saved))
+        pressures = carry_pressures(saved)
+        if float(carry.failed_at) <= log.t[-1] or not np.isfinite(chunks[-1]["recoil"]).all():
+            raise SolverError(
+                f"{log.path}: the step to t = {min(float(carry.failed_at), at[first]):.6g} s (length "
+                f"{h:.3g} s) did not converge; check K_Q, stiffness and lag in the model file: the "
+                "chambers may bend the body further than it can go"
+            )
+        progress(min(first + CHUNK + 1, len(log.t)))
+    join = partial(np.concatenate, axis=0)
+    kept = np.round(log.t / log.period).astype(int)
+    series = {name: join([c[name] for c in chunks])[kept] for name in chunks[0]}
+    return {
+        "t_s": log.t,
+        "p_front_Pa": series["pressure"][:, 0],
+        "p_rear_Pa": series["pressure"][:, 1],
+        "thrust_N": series["thrust"],
+        "recoil_N": series["recoil"],
+        "tip_m": series["tip"],
+    }
+
+
+def summary(
+    log: ManifoldLog,
+    experiment: Experiment,
+    model: Path | None,
+    drive: str,
+    columns: dict[str, np.ndarray],
+) -> dict[str, Any]:
+    """The content of summary.json."""
+    here = whole_cycles(log)
+    thrust, recoil, tip = (columns[name][here] for name in ("thrust_N", "recoil_N", "tip_m"))
+    error = (columns["p_front_Pa"] - log.pressure_Pa) / PA_PER_PSI
+    ramp = tuple(float(x) for x in force_coefficients(log.frequency))
+    used = experiment.parameters.C_d, experiment.parameters.m_a
+    return {
+        "name": log.path.stem,
+        "input": input_file(log.path),
+        "model": None if model is None else input_file(model),
+        "drive": {"set": "the command through the pressure lag", "measured": "measured pressure"}[
+            drive
+        ],
+        "frequency_Hz": log.frequency,
+        "samples": len(log.t),
+        "sampling_s": log.period,
+        "averaged_cycles": round(float(np.sum(here)) * log.period * log.frequency),
+        "mean_thrust_N": thrust.mean(),
+        "recoil_rms_N": np.sqrt(np.mean(recoil**2)),
+        "tip_half_range_m": 0.5 * np.ptp(tip),
+        "pressure_rmse_psi": np.sqrt(np.mean(error**2)),
+        "force_coefficients": "the paper's ramp at the log's frequency"
+        if np.allclose(ramp, used)
+        else "from the model file",
+        "definitions": NOTES,
+        "findings": [str(finding) for finding in log.findings],
+        "seed": None,
+        "versions": versions(),
+        "settings": experiment.model_dump(),
+    }
