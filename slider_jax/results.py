@@ -14,8 +14,8 @@ DEFINITIONS = {
     "thrust_std_N": "standard deviation of the means of single strides in the window; null for one",
     "recoil_rms_N": "root mean square over the window of the lateral force on the clamp",
     "tip_half_range_m": "half of (largest - smallest) lateral position of the tail's tip",
-    "averaged": "the last half of the whole strides, at least one; the second half of a trial "
-    "without a frequency",
+    "averaged": "window of half as many whole strides as the trial has, at least one, that ends "
+    "with the trial; the second half of a trial without a frequency",
 }
 
 
@@ -26,14 +26,14 @@ def window(run: Run) -> tuple[slice, int]:
     if half is None or strides == 0:
         return slice(run.clock.steps // 2 + 1, run.clock.steps + 1), 0
     kept = max(1, strides // 2)
-    stop = strides * 2 * half
-    return slice(stop - kept * 2 * half + 1, stop + 1), kept
+    return slice(run.clock.steps - kept * 2 * half + 1, run.clock.steps + 1), kept
 
 
 def trial_summary(run: Run) -> dict[str, Any]:
     """The numbers of `DEFINITIONS` for one trial, with its step."""
     span, strides = window(run)
-    thrust, recoil, tip = (run.series[name][span] for name in ("thrust", "recoil", "tip"))
+    thrust, recoil = run.series["thrust"][span], run.series["recoil"][span]
+    tip = run.series["tip"][span.start - 1 : span.stop]
     per_stride = thrust.reshape(strides, -1).mean(axis=1) if strides else np.array([])
     return {
         "file": run.trial.file,

@@ -100,7 +100,7 @@ class NumericsTable(Table):
     """[numerics]: nodes along the robot, the longest time step, the scheme, Newton's tolerance."""
 
     nodes: Annotated[int, Field(strict=True, ge=11, le=1001)] = 51
-    step: Annotated[float, Quantity(1e-5, 0.02, "s")] = 5e-4
+    step: Annotated[float, Quantity(1e-5, 0.02, "s")] = 1e-3
     scheme: Literal["sdirk2", "backward_euler"] = "sdirk2"
     tolerance: Annotated[float, Quantity(1e-12, 1e-3)] = 1e-6
 

@@ -90,6 +90,14 @@ def _whole(steps: float) -> int:
 
 
 @eqx.filter_jit
+def _begin(model: Model, numerics: Numerics) -> tuple[Carry, jax.Array]:
+    """At rest relative to the clamp, and the nodes' places along the robot [m]."""
+    mesh = make_mesh(model.robot, numerics)
+    speed = model.support.tow_speed  # type: ignore[attr-defined]
+    return start(model, mesh, *straight(numerics.nodes, speed)), mesh.grid.s
+
+
+@eqx.filter_jit
 def _advance(
     model: Model,
     h: jax.Array,
@@ -140,9 +148,8 @@ def simulate(
     numerics, scheme = to_numerics(experiment)
     grid = clock(experiment, trial, model)
     save = readings_and_shape if shape else readings
-    mesh = make_mesh(model.robot, numerics)
-    carry = start(model, mesh, *straight(numerics.nodes, model.support.tow_speed))  # type: ignore[attr-defined]
-    initial = _initial(model, mesh, shape)
+    carry, s = _begin(model, numerics)
+    initial = _initial(model, np.asarray(s), shape)
     chunks = []
     for done in range(0, grid.steps, CHUNK):
         t0 = jnp.asarray(grid.h * done)
@@ -170,9 +177,8 @@ def carry_pressures(saved: dict[str, jax.Array]) -> tuple[jax.Array, jax.Array]:
     return saved["pressure"][-1, 0], saved["pressure"][-1, 1]
 
 
-def _initial(model: Model, mesh: Any, shape: bool) -> dict[str, np.ndarray]:
-    """The initial state's readings: straight, no force."""
-    s = np.asarray(mesh.grid.s)
+def _initial(model: Model, s: np.ndarray, shape: bool) -> dict[str, np.ndarray]:
+    """The initial state's readings: straight, no force. `s` (nodes,) [m]."""
     drive = model.drive
     zero = np.zeros(())
     values = {

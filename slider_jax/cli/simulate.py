@@ -32,7 +32,7 @@ def simulate(
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
         plot: draw time series and midlines of each trial (PNG).
         animate: film each trial: midline, forces, moment (mp4 with ffmpeg, else gif).
-        step: longest time step in s (experiments only; default 0.0005 or as the file says).
+        step: longest time step in s (experiments only; default 0.001 or as the file says).
         nodes: nodes along the robot (experiments only; default 51 or as the file says).
         scheme: sdirk2 or backward_euler (experiments only).
         drive: for a log, send its command (set) or its measured pressure through the model.
@@ -40,6 +40,10 @@ def simulate(
     if input.suffix.lower() != ".toml":
         from slider_jax.cli.simulate_log import simulate_log
 
+        options = {"--animate": animate, "--step": step, "--nodes": nodes, "--scheme": scheme}
+        for name, value in options.items():
+            if value:
+                raise InputError(f"{name}: is for experiments; leave it out for a log")
         return simulate_log(input, model, out, drive, plot)
     from slider_jax.experiment import load
 

@@ -1,0 +1,100 @@
+"""A film of the last strides, after the paper's Fig. 8: midline, forces on it, moment in it."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+
+from slider_jax.plots import CHANNELS, title
+from slider_jax.simulate import Run
+
+FRAMES_PER_STRIDE = 40
+STRIDES = 2
+
+
+def animate_run(run: Run, folder: Path, frame_rate: int = 20) -> Path:
+    """Write `<stem>.mp4` if ffmpeg is there, else `<stem>.gif`, and return its path.
+
+    The last two strides (or two seconds) in slow motion: the midline coloured by the net internal
+    moment, arrows of the water's force per length, and below them thrust and recoil with a cursor.
+    """
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+    from matplotlib.animation import FFMpegWriter, FuncAnimation, PillowWriter
+    from matplotlib.collections import LineCollection
+
+    steps = _frames(run)
+    line, moment, force = (run.series[name] for name in ("midline", "moment", "force"))
+    line, moment = 1e3 * line, 1e3 * moment
+    largest = np.abs(moment[steps]).max() or 1.0
+    strongest = np.linalg.norm(force[steps], axis=1).max() or 1.0
+
+    figure, (ax, below) = plt.subplots(
+        2, 1, figsize=(8, 6.5), layout="constrained", height_ratios=(3, 1)
+    )
+    body = LineCollection([], cmap="coolwarm", lw=5, capstyle="round")
+    body.set_clim(-largest, largest)
+    ax.add_collection(body)
+    where = _cell_centres(line[steps[0]])[:, ::2]
+    arrows = ax.quiver(
+        *where, *np.zeros_like(where), angles="xy", scale=strongest / 60.0, scale_units="xy",
+        width=0.003, color="0.25",
+    )  # fmt: skip
+    ax.quiverkey(arrows, 0.12, 0.93, 0.5 * strongest, f"{0.5 * strongest:.2g} N/m", labelpos="E")
+    ax.plot(0.0, 0.0, "ks", ms=8)
+    shown = line[steps]
+    ax.set_xlim(shown[:, 0].min() - 25.0, shown[:, 0].max() + 25.0)
+    reach = np.abs(shown[:, 1]).max() + 40.0
+    ax.set_ylim(-reach, reach)
+    ax.set_aspect("equal")
+    ax.set_xlabel("x, forward from the clamp (mm)")
+    ax.set_ylabel("y, lateral (mm)")
+    figure.colorbar(body, ax=ax, label="internal moment (mN m)")
+    clock = ax.text(0.98, 0.93, "", transform=ax.transAxes, ha="right")
+    ax.set_title(title(run), fontsize="medium")
+
+    span = slice(steps[0], steps[-1] + 1)
+    for name, label, factor, colour in (
+        ("thrust", *CHANNELS[2][1:], "C0"),
+        ("recoil", *CHANNELS[3][1:], "C1"),
+    ):
+        axis = below if name == "thrust" else below.twinx()
+        axis.plot(run.t[span], factor * run.series[name][span], colour, lw=1.2)
+        axis.set_ylabel(label, color=colour)
+        axis.margins(x=0.0)
+    below.set_xlabel("time (s)")
+    cursor = below.axvline(run.t[steps[0]], color="k", lw=1.0)
+
+    def draw(index: int):
+        points = line[index].T
+        body.set_segments(list(np.stack([points[:-1], points[1:]], axis=1)))
+        body.set_array(0.5 * (moment[index][1:] + moment[index][:-1]))
+        arrows.set_offsets(_cell_centres(line[index])[:, ::2].T)
+        arrows.set_UVC(*force[index][:, ::2])
+        clock.set_text(f"t = {run.t[index]:.3f} s")
+        cursor.set_xdata([run.t[index]] * 2)
+        return body, arrows, clock, cursor
+
+    draw(steps[0])
+    figure.canvas.draw()
+    figure.set_layout_engine("none")  # laid out once: again for every frame takes ten times as long
+    film = FuncAnimation(figure, draw, frames=list(steps), blit=False)
+    mp4 = shutil.which("ffmpeg") is not None
+    path = folder / f"{Path(run.trial.file).stem}{'.mp4' if mp4 else '.gif'}"
+    film.save(path, (FFMpegWriter if mp4 else PillowWriter)(fps=frame_rate), dpi=90)
+    plt.close(figure)
+    return path
+
+
+def _frames(run: Run) -> np.ndarray:
+    """Steps shown: the last strides, evenly."""
+    half = run.clock.half_period
+    stride = 2 * half if half else round(1.0 / run.clock.h)
+    begin = max(0, run.clock.steps - STRIDES * stride)
+    return np.linspace(begin, run.clock.steps, STRIDES * FRAMES_PER_STRIDE + 1).round().astype(int)
+
+
+def _cell_centres(line: np.ndarray) -> np.ndarray:
+    return 0.5 * (line[:, 1:] + line[:, :-1])
