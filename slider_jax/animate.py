@@ -10,6 +10,8 @@ from slider_jax.simulate import Run
 
 FRAMES_PER_STRIDE = 40
 STRIDES = 2
+ARROW = 50.0
+"""Length of the longest arrow [mm]."""
 
 
 def animate_run(run: Run, folder: Path, frame_rate: int = 20) -> Path:
@@ -32,28 +34,30 @@ def animate_run(run: Run, folder: Path, frame_rate: int = 20) -> Path:
     strongest = np.linalg.norm(force[steps], axis=1).max() or 1.0
 
     figure, (ax, below) = plt.subplots(
-        2, 1, figsize=(8, 6.5), layout="constrained", height_ratios=(3, 1)
+        2, 1, figsize=(8, 6), layout="constrained", height_ratios=(2, 1)
     )
     body = LineCollection([], cmap="coolwarm", lw=5, capstyle="round")
     body.set_clim(-largest, largest)
     ax.add_collection(body)
     where = _cell_centres(line[steps[0]])[:, ::2]
     arrows = ax.quiver(
-        *where, *np.zeros_like(where), angles="xy", scale=strongest / 60.0, scale_units="xy",
+        *where, *np.zeros_like(where), angles="xy", scale=strongest / ARROW, scale_units="xy",
         width=0.003, color="0.25",
     )  # fmt: skip
     ax.quiverkey(arrows, 0.12, 0.93, 0.5 * strongest, f"{0.5 * strongest:.2g} N/m", labelpos="E")
     ax.plot(0.0, 0.0, "ks", ms=8)
     shown = line[steps]
     ax.set_xlim(shown[:, 0].min() - 25.0, shown[:, 0].max() + 25.0)
-    reach = np.abs(shown[:, 1]).max() + 40.0
+    reach = np.abs(shown[:, 1]).max() + ARROW
     ax.set_ylim(-reach, reach)
     ax.set_aspect("equal")
     ax.set_xlabel("x, forward from the clamp (mm)")
     ax.set_ylabel("y, lateral (mm)")
-    figure.colorbar(body, ax=ax, label="internal moment (mN m)")
-    clock = ax.text(0.98, 0.93, "", transform=ax.transAxes, ha="right")
-    ax.set_title(title(run), fontsize="medium")
+    figure.colorbar(
+        body, ax=ax, label="internal moment (mN m)", location="top", shrink=0.6, aspect=40
+    )
+    clock = ax.text(0.98, 0.05, "", transform=ax.transAxes, ha="right")
+    figure.suptitle(title(run), fontsize="medium")
 
     span = slice(steps[0], steps[-1] + 1)
     for name, label, factor, colour in (

@@ -102,9 +102,8 @@ def plot_midlines(run: Run, path: Path) -> None:
         *(1e3 * run.series["midline"][path_steps, :, 0].T), "k:", lw=1.0, label="path of the tip"
     )
     ax.plot(0.0, 0.0, "ks", ms=7, label="clamp")
-    ax.set_aspect("equal", "datalim")
     ax.set_xlabel("x, forward from the clamp (mm)")
-    ax.set_ylabel("y, lateral (mm)")
+    ax.set_ylabel("y, lateral (mm; stretched)")
     ax.legend(loc="upper left", fontsize="small")
     t = run.t[steps]
     scale = matplotlib.cm.ScalarMappable(

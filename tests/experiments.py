@@ -1,0 +1,59 @@
+"""A small experiment for the tests: coarse in space and time, so that it runs in a moment."""
+
+from pathlib import Path
+
+SMALL = """\
+name = "small"
+
+[robot]
+body_length = 0.3
+tail_length = 0.07
+linear_density = 0.7
+EI_body = 0.038
+EI_tail = 0.0058
+damping_time = 0.002
+height = 0.03
+front_chamber = [0.02, 0.145]
+rear_chamber = [0.155, 0.28]
+water_density = 1000.0
+
+[parameters]
+C_d = 3.0
+m_a = 1.0
+k = 0.087
+K_Q = 4.79e-07
+
+[sensors]
+sample_rate = 500.0
+
+[numerics]
+nodes = 16
+step = 0.005
+
+[[trials]]
+file = "trial_00.csv"
+frequency = 4.0
+amplitude = 150000.0
+rear_ratio = 0.9
+phase = 0.1
+tow_speed = 0.0
+duration = 0.75
+
+[[trials]]
+file = "trial_01.csv"
+frequency = 2.5
+amplitude = 250000.0
+tow_speed = 0.2
+duration = 0.9
+"""
+
+
+def write(folder: Path, *changes: tuple[str, str]) -> Path:
+    """Write the small experiment with some of its text replaced (each must occur)."""
+    text = SMALL
+    for old, new in changes:
+        assert old in text, f"{old!r} is not in the small experiment"
+        text = text.replace(old, new, 1)
+    path = folder / "experiment.toml"
+    path.write_text(text)
+    return path
