@@ -106,8 +106,10 @@ def _advance(
     save: Callable[[Snapshot], Any],
     numerics: Numerics,
     scheme: Scheme,
+    steps: int,
 ):
-    times = TimeGrid(h, CHUNK, t0)
+    """`steps` more steps of `h` [s] from `t0` [s]: what was saved, and what carries on."""
+    times = TimeGrid(h, steps, t0)
     run = rollout(model, times, save, numerics, scheme, begin=begin, checkpoint=False)
     return run.saved, run.final
 
@@ -134,6 +136,7 @@ def simulate(
     *,
     shape: bool = False,
     progress: Callable[[int, int], None] | None = None,
+    chunk: int = CHUNK,
 ) -> Run:
     """Simulate one trial and sample it at the trial's own times.
 
@@ -151,16 +154,21 @@ def simulate(
     carry, s = _begin(model, numerics)
     initial = _initial(model, np.asarray(s), shape)
     chunks = []
-    for done in range(0, grid.steps, CHUNK):
+    for done in range(0, grid.steps, chunk):
         t0 = jnp.asarray(grid.h * done)
-        saved, carry = _advance(model, jnp.asarray(grid.h), t0, carry, save, numerics, scheme)
+        saved, carry = _advance(
+            model, jnp.asarray(grid.h), t0, carry, save, numerics, scheme, chunk
+        )
         chunks.append(jax.tree.map(np.asarray, saved))
         if float(carry.failed_at) <= grid.h * grid.steps:
             raise _failure(trial, grid, float(carry.failed_at))
-        last = carry_pressures(saved)
-        model = eqx.tree_at(lambda m: (m.drive.start_front, m.drive.start_rear), model, last)
+        # The next chunk's chambers start from the pressures that this one ended with.
+        last = saved["pressure"][-1]
+        model = eqx.tree_at(
+            lambda m: (m.drive.start_front, m.drive.start_rear), model, (last[0], last[1])
+        )
         if progress is not None:
-            progress(min(done + CHUNK, grid.steps), grid.steps)
+            progress(min(done + chunk, grid.steps), grid.steps)
     series = {
         name: np.concatenate([initial[name][None], *(c[name] for c in chunks)])[: grid.steps + 1]
         for name in chunks[0]
@@ -170,11 +178,6 @@ def simulate(
     if bad.any():
         raise _failure(trial, grid, float(t[np.argmax(bad)]))
     return Run(trial, grid, t, series, _columns(t, series, at, grid), int(carry.newton))
-
-
-def carry_pressures(saved: dict[str, jax.Array]) -> tuple[jax.Array, jax.Array]:
-    """Both chambers' pressures [Pa] at the end of a chunk: the next one starts from them."""
-    return saved["pressure"][-1, 0], saved["pressure"][-1, 1]
 
 
 def _initial(model: Model, s: np.ndarray, shape: bool) -> dict[str, np.ndarray]:

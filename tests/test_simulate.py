@@ -1,0 +1,224 @@
+"""`slider simulate` from file to files, and what lies between."""
+
+import functools
+import json
+
+import numpy as np
+import pytest
+
+from slider_jax.cli.main import main
+from slider_jax.experiment import SAMPLES, load
+from slider_jax.files import staged, write_csv, write_json
+from slider_jax.results import trial_summary, window
+from slider_jax.sampling import edge_steps, half_period_steps, sample
+from slider_jax.simulate import CHUNK, simulate
+from tests.experiments import write
+
+run_trial = functools.partial(simulate, shape=True)  # one compiled program for all tests
+
+
+def _read(path):
+    return np.genfromtxt(path, delimiter=",", names=True)
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory):
+    """Both trials of the small experiment, through the command line, with pictures."""
+    folder = tmp_path_factory.mktemp("simulate")
+    out = folder / "out"
+    assert main(["simulate", str(write(folder)), "--out", str(out), "--plot"]) == 0
+    return folder, out
+
+
+def test_files_columns_and_sample_times(simulated):
+    _, out = simulated
+    pictures = {f"trial_0{i}{end}.png" for i in (0, 1) for end in ("", "_midlines")}
+    assert {p.name for p in out.iterdir()} == pictures | {
+        "trial_00.csv",
+        "trial_01.csv",
+        "summary.json",
+    }
+    for name, last in (("trial_00.csv", 0.75), ("trial_01.csv", 0.9)):
+        columns = _read(out / name)
+        assert columns.dtype.names == SAMPLES
+        np.testing.assert_allclose(columns["t_s"], np.arange(len(columns)) / 500, atol=1e-12)
+        assert columns["t_s"][-1] == last
+        assert [columns[name][0] for name in SAMPLES] == [0.0] * 6  # the initial state
+        assert np.ptp(columns["recoil_N"]) > 0.1 and np.ptp(columns["tip_m"]) > 0.005
+
+
+def test_pressures_follow_the_lag_in_closed_form(simulated):
+    """Exponentials between the edges of the square wave, summed over the edges so far."""
+    _, out = simulated
+    columns = _read(out / "trial_00.csv")
+    t, k, f = columns["t_s"], 0.087, 4.0
+    for name, amplitude, phase in (("p_front_Pa", 1.5e5, 0.0), ("p_rear_Pa", 1.35e5, 0.1)):
+        expected = np.zeros_like(t)
+        edges = (np.arange(-2, 8) / 2 + phase) / f
+        signs = np.where(np.arange(-2, 8) % 2 == 0, 1.0, -1.0)
+        level = 0.0
+        for edge, sign in zip(edges, signs, strict=True):
+            if edge <= 1e-12:
+                level = sign * amplitude
+                begin = 0.0
+                expected = level * -np.expm1(-t / k)
+            else:
+                jump = sign * amplitude - level
+                level = sign * amplitude
+                after = t > edge
+                begin = t[after] - edge
+                expected[after] += jump * -np.expm1(-begin / k)
+        np.testing.assert_allclose(columns[name], expected, atol=1.0)  # Pa, of 1.5e5
+
+
+def test_summary_means_are_those_of_the_columns(simulated):
+    """Against plain means of the sampled columns over the same window."""
+    folder, out = simulated
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["seed"] is None and len(summary["input"]["sha256"]) == 64
+    expected = {"slider_jax", "python", "jax", "equinox", "optimistix", "lineax", "numpy"}
+    assert expected <= set(summary["versions"])
+    assert summary["settings"]["robot"]["EA_body"] == 5e3
+    first = summary["trials"][0]
+    assert first["averaged"] == "last 1 strides" and first["averaged_to_s"] == 0.75
+    columns = _read(out / "trial_00.csv")
+    last = columns["t_s"] > 0.5 + 1e-9
+    assert first["mean_thrust_N"] == pytest.approx(columns["thrust_N"][last].mean(), abs=2e-4)
+    rms = np.sqrt(np.mean(columns["recoil_N"][last] ** 2))
+    assert first["recoil_rms_N"] == pytest.approx(rms, rel=5e-3)
+    assert first["tip_half_range_m"] == pytest.approx(np.ptp(columns["tip_m"][last]) / 2, rel=2e-3)
+
+
+def test_towing_starts_at_speed_and_costs_thrust(tmp_path):
+    """Straight and towed along itself, the body meets no crossflow: no force until it bends."""
+    quiet = ("amplitude = 150000.0", "amplitude = 0.0"), ("tow_speed = 0.0", "tow_speed = 0.3")
+    run = run_trial(load(write(tmp_path, *quiet)), 0)
+    for name in ("thrust", "recoil", "tip"):
+        np.testing.assert_allclose(run.series[name], 0.0, atol=1e-9)
+    stationary = run_trial(load(write(tmp_path, ("tow_speed = 0.2", "tow_speed = 0.0"))), 1)
+    towed = run_trial(load(write(tmp_path)), 1)
+    assert np.abs(towed.series["recoil"] - stationary.series["recoil"]).max() > 0.02
+
+
+def test_a_stream_equals_towing_through_still_water(tmp_path):
+    towed = run_trial(load(write(tmp_path)), 1)
+    streamed = load(
+        write(
+            tmp_path,
+            ("tow_speed = 0.2", "tow_speed = 0.0"),
+            ("[sensors]", "[water]\nvelocity = [-0.2, 0.0]\n[sensors]"),
+        )
+    )
+    run = run_trial(streamed, 1)
+    for name in ("thrust", "recoil", "tip"):  # equal but for the discretisation, coarse here
+        scale = np.ptp(towed.series[name])
+        np.testing.assert_allclose(run.series[name], towed.series[name], atol=2e-3 * scale)
+
+
+def test_a_measured_record_is_sampled_at_its_own_times(tmp_path):
+    path = write(tmp_path)
+    own = np.sort(np.random.default_rng(0).uniform(0.0, 0.75, 375))
+    own = np.arange(375) * 0.002 + 0.0004 * (own / 0.75 - 0.5) + 0.0002
+    write_csv(tmp_path / "trial_00.csv", {"t_s": own, "tip_m": 0.0 * own})
+    run, even = run_trial(load(path), 0), run_trial(load(write(tmp_path)), 1)
+    np.testing.assert_allclose(run.columns["t_s"], own, rtol=1e-8)
+    assert even.columns["t_s"][1] == 0.002
+
+
+def test_same_result_whatever_the_number_of_chunks(tmp_path):
+    """The state and the pressures carried from chunk to chunk are all there is to carry."""
+    experiment = load(write(tmp_path))
+    whole = run_trial(experiment, 0)
+    assert 100 < whole.clock.steps < CHUNK
+    split = run_trial(experiment, 0, chunk=37)
+    for name in ("pressure", "recoil", "tip"):
+        scale = np.abs(whole.series[name]).max()
+        np.testing.assert_allclose(split.series[name], whole.series[name], atol=1e-9 * scale)
+
+
+def test_window_is_half_of_the_whole_strides_and_ends_with_the_trial(tmp_path):
+    run = run_trial(load(write(tmp_path, ("duration = 0.75", "duration = 1.4"))), 0)
+    span, strides = window(run)
+    assert strides == 2  # of 5.6
+    summary = trial_summary(run)
+    assert summary["averaged_to_s"] - summary["averaged_from_s"] == pytest.approx(2 / 4.0)
+    assert summary["averaged_to_s"] == pytest.approx(1.4, abs=run.clock.h)
+    assert summary["mean_thrust_N"] == pytest.approx(run.series["thrust"][span].mean())
+    assert summary["thrust_std_N"] > 0.0
+
+
+@pytest.mark.parametrize("phase, expected", [(0.0, 209), (0.15, 210), (0.123, 209), (-0.1, 210)])
+def test_steps_put_both_chambers_edges_on_steps_where_they_can(phase, expected):
+    assert half_period_steps(4.8, 5e-4, phase) == expected
+
+
+def test_sampling_is_exact_for_cubics_and_does_not_cross_an_edge():
+    t = np.linspace(0.0, 1.0, 41)
+    edges = edge_steps(40, 10, 0.2)
+    np.testing.assert_array_equal(edges, [0, 4, 10, 14, 20, 24, 30, 34, 40])
+    at = np.random.default_rng(1).uniform(0.0, 1.0, 500)
+    for edge in (0.1, 0.25, 0.85):
+
+        def kinked(x, edge=edge):
+            return 1.0 + x - x**3 + np.where(x > edge, 40.0 * (x - edge) ** 2 + 9.0 * (x - edge), 0)
+
+        np.testing.assert_allclose(sample(t, kinked(t), at, edges), kinked(at), atol=1e-12)
+    smeared = sample(t, kinked(t), at, np.array([0, 40]))
+    assert np.abs(smeared - kinked(at)).max() > 1e-3
+
+
+def test_sampling_keeps_further_axes():
+    t = np.linspace(0.0, 2.0, 21)
+    values = np.stack([t**2, 1.0 - t], axis=1)
+    at = np.array([0.0, 0.33, 1.999, 2.0])
+    found = sample(t, values, at, np.array([0, 20]))
+    np.testing.assert_allclose(found, np.stack([at**2, 1.0 - at], axis=1), atol=1e-13)
+
+
+def test_staged_files_appear_together_or_not_at_all(tmp_path):
+    out = tmp_path / "out"
+    with pytest.raises(RuntimeError), staged(out) as stage:
+        write_json(stage / "a.json", {"x": float("nan")})
+        raise RuntimeError
+    assert list(out.iterdir()) == []
+    (out / "a.json").write_text("old")
+    with staged(out) as stage:
+        write_json(stage / "a.json", {"x": float("nan"), "y": np.arange(2)})
+        assert (out / "a.json").read_text() == "old"
+    assert json.loads((out / "a.json").read_text()) == {"x": None, "y": [0, 1]}
+    assert [p.name for p in out.iterdir()] == ["a.json"]
+
+
+def test_animation_is_written(simulated, monkeypatch):
+    from slider_jax import animate
+    from slider_jax.animate import animate_run
+
+    monkeypatch.setattr(animate, "FRAMES_PER_STRIDE", 4)
+    folder, _ = simulated
+    experiment = load(folder / "experiment.toml")
+    run = run_trial(experiment, 0)
+    film = animate_run(run, folder)
+    assert film.suffix in (".mp4", ".gif") and film.stat().st_size > 10_000
+
+
+def test_verification_case_from_the_command_line(data, tmp_path):
+    """An independent program's case, to the bars that hold at this step and N_p = 51."""
+    case = data / "verification" / "towed_4p8Hz"
+    expected = {
+        c["case"]: c for c in json.loads((data / "verification" / "cases.json").read_text())
+    }
+    expected = expected["towed_4p8Hz"]
+    arguments = ["simulate", str(case / "experiment.toml"), "--out", str(tmp_path)]
+    assert main(arguments) == 0
+    found, reference = _read(tmp_path / "trial_00.csv"), _read(case / "trial_00.csv")
+    np.testing.assert_array_equal(found["t_s"], reference["t_s"])
+    for name, bar in (("recoil_N", 0.06), ("tip_m", 0.03)):
+        error = np.sqrt(np.mean((found[name] - reference[name]) ** 2)) / reference[name].std()
+        assert error < bar
+    result = json.loads((tmp_path / "summary.json").read_text())["trials"][0]
+    assert result["averaged"] == "last 4 strides"
+    assert 1e3 * result["mean_thrust_N"] == pytest.approx(expected["mean_thrust_mN"], abs=1.0)
+    assert result["recoil_rms_N"] == pytest.approx(expected["recoil_rms_N"], rel=0.02)
+    assert 1e3 * result["tip_half_range_m"] == pytest.approx(
+        expected["tip_half_range_mm"], rel=0.01
+    )
