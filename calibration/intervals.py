@@ -11,7 +11,7 @@ CONFIDENCE = 0.95
 
 
 class Interval(NamedTuple):
-    """A positive parameter with its 95 % interval, and what the residual's correlation did to it."""
+    """A positive parameter with its 95 % interval, and what the correlation did to it."""
 
     value: float
     low: float
@@ -28,7 +28,7 @@ class Interval(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """What one record says of log x at the fit: residual r, J = dr/d(log x), d^2(r.r/2)/d(log x)^2."""
+    """What one record says of log x at the fit: r, J = dr/d(log x), H = d^2(r.r/2)/d(log x)^2."""
 
     residual: np.ndarray
     tangent: np.ndarray
@@ -38,8 +38,8 @@ class Evidence(NamedTuple):
 def correlation_time(residual: np.ndarray) -> float:
     """Samples per independent sample: 1 + 2 sum of the autocorrelation up to its first zero.
 
-    Of the residual about its mean. What repeats every cycle is correlated for ever; this counts about
-    four to six independent values in a cycle of it instead of its thousands of samples.
+    Of the residual about its mean. What repeats every cycle is correlated for ever; this counts
+    about four to six independent values in a cycle of it instead of its thousands of samples.
     """
     x = residual - residual.mean()
     n = len(x)
@@ -60,8 +60,8 @@ def student(freedom: float) -> float:
 def interval(log_value: float, evidence: Evidence) -> Interval:
     """Interval of a least-squares fit to one record.
 
-    The sandwich s^2 tau J.J / H^2 in log x, with tau the residual's `correlation_time` and H the true
-    curvature: where the model is wrong the residual is large and J.J alone is not the curvature.
+    The sandwich s^2 tau J.J / H^2 in log x, with tau the residual's `correlation_time` and H the
+    true curvature: where the model is wrong the residual is large and J.J alone is not that.
     """
     r, J, H = evidence
     n, time = len(r), correlation_time(r)
@@ -75,24 +75,41 @@ def interval(log_value: float, evidence: Evidence) -> Interval:
 def pooled_interval(log_value: float, evidence: Sequence[Evidence]) -> Interval:
     """Interval of the value common to records that weigh the same, as a sample of such records.
 
-    The sandwich with one cluster a record: the spread of their pulls J.r/n on the common value, Student
-    with records - 1 degrees of freedom. With one record, that record's own interval.
+    The sandwich with one cluster a record: the spread of their pulls J.r/n on the common value,
+    Student with records - 1 degrees of freedom. With one record, that record's own interval.
     """
     records = len(evidence)
     if records == 1:
         return interval(log_value, evidence[0])
-    pulls = [float(e.tangent @ e.residual) / len(e.residual) for e in evidence]
+    pulls = sum((float(e.tangent @ e.residual) / len(e.residual)) ** 2 for e in evidence)
+    return _pooled(log_value, evidence, records / (records - 1) * pulls, student(records - 1.0))
+
+
+def within_interval(log_value: float, evidence: Sequence[Evidence]) -> Interval:
+    """Interval of the value common to just these records: as `interval`, summed over them.
+
+    Says nothing of how far another record would lie from these.
+    """
+    pulls = sum(_variance(e) * correlation_time(e.residual) for e in evidence)
+    return _pooled(log_value, evidence, pulls, student(_effective(evidence) - 1.0))
+
+
+def _variance(e: Evidence) -> float:
+    """Of a record's pull J.r/n, were its samples independent."""
+    return float(e.residual @ e.residual) * float(e.tangent @ e.tangent) / len(e.residual) ** 3
+
+
+def _effective(evidence: Sequence[Evidence]) -> float:
+    return sum(max(len(e.residual) / correlation_time(e.residual), 2.0) for e in evidence)
+
+
+def _pooled(log_value: float, evidence: Sequence[Evidence], pulls: float, t: float) -> Interval:
+    """The interval from the variance of the pulls' sum and its Student quantile."""
     H = sum(e.curvature / len(e.residual) for e in evidence)
-    spread = math.sqrt(records / (records - 1) * sum(x * x for x in pulls))
     JJ = sum(float(e.tangent @ e.tangent) / len(e.residual) for e in evidence)
-    noise = sum(
-        float(e.residual @ e.residual) * float(e.tangent @ e.tangent) / len(e.residual) ** 3
-        for e in evidence
-    )
-    effective = sum(len(e.residual) / correlation_time(e.residual) for e in evidence)
-    width = student(records - 1.0) * spread / H if H > 0.0 else math.inf
-    naive = student(1e9) * math.sqrt(noise) / JJ if JJ else math.inf
-    return _around(log_value, width, naive, effective)
+    width = t * math.sqrt(pulls) / H if H > 0.0 else math.inf
+    naive = student(1e9) * math.sqrt(sum(map(_variance, evidence))) / JJ if JJ else math.inf
+    return _around(log_value, width, naive, _effective(evidence))
 
 
 def _around(log_value: float, width: float, naive: float, effective: float) -> Interval:

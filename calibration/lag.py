@@ -16,6 +16,7 @@ from slider_jax.actuation.waveform import Segment
 
 PLAUSIBLE = (0.01, 1.0)
 """Range of k [s] that is searched, set before looking at data: a valve to a leaking long hose."""
+BLOCK = 1024
 _STARTS = np.linspace(*np.log(PLAUSIBLE), 25)
 
 
@@ -30,12 +31,16 @@ class Batch(eqx.Module):
 
     @classmethod
     def of(cls, logs: Sequence[ManifoldLog]) -> "Batch":
-        """The batch of `logs`; the padding holds the last command and weighs nothing."""
-        longest = max(len(log.t) for log in logs)
+        """The batch of `logs`; the padding holds the last command and weighs nothing.
+
+        Padded to a whole number of `BLOCK`s, so that sets of similar logs share compiled programs.
+        """
+        longest = -(-max(len(log.t) for log in logs) // BLOCK) * BLOCK
         after = np.arange(1, longest + 1)
 
         def stack(values, pads):
-            rows = [np.concatenate([v, p[: longest - len(v)]]) for v, p in zip(values, pads)]
+            pairs = zip(values, pads, strict=True)
+            rows = [np.concatenate([v, p[: longest - len(v)]]) for v, p in pairs]
             return jnp.asarray(np.stack(rows))
 
         hold = np.ones(longest)
@@ -93,7 +98,7 @@ _SOLVER = optx.LevenbergMarquardt(rtol=1e-7, atol=1e-7)
 
 
 def _solve(residual, start, args):
-    # Linearising the scan itself would store every step of it; one tangent beside it stores nothing.
+    # Linearising the scan would store every step of it; one tangent beside it stores nothing.
     @jax.custom_jvp
     def with_tangent(x, args):
         return residual(x, args)
@@ -135,8 +140,8 @@ def _profile(batch: Batch):
 def _lowest_dip(square):
     """The start with the lowest mean square among those lower than both neighbours, else of all.
 
-    A lag that is longer than the log only keeps the starting pressure, which may fit well for a start
-    near the mean, and says nothing of the lag: the edge of the range is no dip.
+    A lag that is longer than the log only keeps the starting pressure, which may fit well for a
+    start near the mean, and says nothing of the lag: the edge of the range is no dip.
     """
     inner = square[1:-1]
     dip = (inner < square[:-2]) & (inner < square[2:])
@@ -158,7 +163,7 @@ def fit_each(batch: Batch) -> Fit:
 
 @jax.jit
 def fit_pooled(batch: Batch) -> Fit:
-    """One k for all logs: the least mean over logs of each log's mean square, so all weigh the same."""
+    """One k for all logs: the least mean of the logs' mean squares, so that all weigh the same."""
     start = _lowest_dip(jnp.mean(_profile(batch), axis=1))
     log_k, converged = _solve(jax.vmap(_scaled, (None, 0)), start, batch)
     return Fit(log_k, *jax.vmap(_statistics, (None, 0))(log_k, batch), converged)

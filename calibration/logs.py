@@ -1,8 +1,8 @@
 """Pressure-control logs of the SLIDER rig, as its firmware writes them, read and audited.
 
 A log is text: a header of one `name value` pair a line, a line of column names, one row a sample,
-and a last line `done<lines>` that counts the lines before it. Lines end in CR, LF or CRLF. Source of
-the format: the public repository bvanstratum/SoftSnakePressureControl.
+and a last line `done<lines>` that counts the lines before it. Lines end in CR, LF or CRLF. Source
+of the format: the public repository bvanstratum/SoftSnakePressureControl.
 """
 
 import re

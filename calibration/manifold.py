@@ -6,7 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.intervals import Evidence, Interval, interval, pooled_interval
+from calibration.intervals import (
+    Evidence,
+    Interval,
+    interval,
+    pooled_interval,
+    within_interval,
+)
 from calibration.lag import PLAUSIBLE, Batch, fit_each, fit_pooled, residuals_at
 from calibration.logs import ManifoldLog, psi
 from calibration.shape import Shape, shape_of, whole_cycles
@@ -55,6 +61,9 @@ class Identification:
 
     logs: tuple[LogResult, ...]
     k: Interval
+    """As a sample of logs like these: holds how far the logs disagree."""
+    within: Interval
+    """Of these logs alone."""
 
     def pooled_rmse(self, which: str, settled: bool = False) -> float:
         """Root of the mean over logs of each log's mean square [psi]: every log weighs the same.
@@ -84,15 +93,17 @@ def identify(logs: Sequence[ManifoldLog], reference_k: float = PAPER_K) -> Ident
     Raises `InputError` where the logs together do not fix k.
     """
     batch = Batch.of(logs)
-    each, common = fit_each(batch), fit_pooled(batch)
+    each = fit_each(batch)
+    common = fit_pooled(batch) if len(logs) > 1 else each
     before = np.asarray(residuals_at(reference_k, batch))
     counts = [len(log.t) for log in logs]
     own, shared = _evidence(each, counts), _evidence(common, counts)
-    k = pooled_interval(float(common.log_k), shared)
-    if not (bool(common.converged) and k.fixed):
+    log_k = float(np.ravel(common.log_k)[0])
+    k, within = pooled_interval(log_k, shared), within_interval(log_k, shared)
+    if not (bool(np.all(common.converged)) and within.fixed):
         raise InputError(
-            f"{', '.join(log.path.name for log in logs)}: these logs do not fix the lag k (interval "
-            f"{k.low:.3g} to {k.high:.3g} s, allowed within a factor of 10); "
+            f"{', '.join(log.path.name for log in logs)}: these logs do not fix the lag k "
+            f"(interval {within.low:.3g} to {within.high:.3g} s, allowed within a factor of 10); "
             "give logs in which command and pressure move, over more cycles or frequencies"
         )
     results = [
@@ -107,7 +118,7 @@ def identify(logs: Sequence[ManifoldLog], reference_k: float = PAPER_K) -> Ident
         )
         for i, (log, n) in enumerate(zip(logs, counts, strict=True))
     ]
-    return Identification(tuple(results), k)
+    return Identification(tuple(results), k, within)
 
 
 def _evidence(fit, counts: Sequence[int]) -> list[Evidence]:

@@ -1,4 +1,4 @@
-"""What a residual of a periodic test looks like: where in the cycle, at which harmonics, which way."""
+"""What the residual of a periodic test looks like: where in the cycle, at which harmonics."""
 
 import math
 from typing import NamedTuple
@@ -25,8 +25,8 @@ class Response(NamedTuple):
 class Shape(NamedTuple):
     """A residual, measured minus model, over the whole cycles of a log, in psi where not said.
 
-    Shares are fractions of the residual's mean square; with `mean_share` they sum to 1 up to what is
-    beyond `HARMONICS` or does not repeat.
+    Shares are fractions of the residual's mean square; with `mean_share` they sum to 1 up to what
+    is beyond `HARMONICS` or does not repeat.
     """
 
     rms: float
@@ -59,7 +59,7 @@ def whole_cycles(log: ManifoldLog) -> np.ndarray:
 
 
 def harmonics(t: np.ndarray, x: np.ndarray, frequency: float, count: int):
-    """Least-squares Fourier series of `x`: mean, and complex amplitudes c_n of Re(c_n e^{i n w t})."""
+    """Fourier series of `x` by least squares: mean, c_n of Re(c_n e^{i n w t}), and their sum."""
     turn = 2.0 * math.pi * frequency * t[:, None] * np.arange(1, count + 1)
     basis = np.concatenate([np.ones((len(t), 1)), np.cos(turn), np.sin(turn)], axis=1)
     c, *_ = np.linalg.lstsq(basis, x, rcond=None)

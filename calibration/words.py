@@ -21,6 +21,12 @@ def describe(found: Identification) -> list[str]:
         f"{after / floor:.0f} times the noise"
         + (": it does not explain these logs." if after > 2.0 * floor else "."),
     ]
+    if not k.fixed:
+        said.append(
+            f"The logs fix their common k within {1e3 * found.within.low:.0f} to "
+            f"{1e3 * found.within.high:.0f} ms, but are too few, and disagree too much, to say "
+            "what another log would give."
+        )
     return said + _spread(found) + _residual(found)
 
 
@@ -56,18 +62,17 @@ def _residual(found: Identification) -> list[str]:
     def share(values) -> float:
         return float(np.sum(square * np.asarray(values)) / np.sum(square))
 
-    mean = share([s.mean_share for s in shapes])
+    mean, offset = share([s.mean_share for s in shapes]), np.mean([s.mean for s in shapes])
     first, second, third = (share([s.harmonic_shares[i] for s in shapes]) for i in range(3))
     loose = share([s.not_repeating_rms**2 / s.rms**2 for s in shapes])
     said = [
-        f"Of the mean square left with each log its own k, {mean:.0%} is a steady offset (measured "
-        f"{'above' if np.mean([s.mean for s in shapes]) > 0 else 'below'} the model by "
-        f"{abs(np.mean([s.mean for s in shapes])):.1f} psi on average), {first:.0%} is at the drive "
-        f"frequency, {second:.0%} at twice and {third:.0%} at three times it; {loose:.1%} does not "
-        "repeat from cycle to cycle.",
+        f"Of the mean square left with each log its own k, {mean:.0%} is a steady offset "
+        f"(measured {'above' if offset > 0 else 'below'} the model by {abs(offset):.1f} psi on "
+        f"average), {first:.0%} is at the drive frequency, {second:.0%} at twice and {third:.0%} "
+        f"at three times it; {loose:.1%} does not repeat from cycle to cycle.",
         "At the drive frequency the residual is "
         f"{_signed([s.in_phase for s in shapes])} psi in phase with the command and "
-        f"{_signed([s.quadrature for s in shapes])} psi a quarter cycle behind it (range over logs).",
+        f"{_signed([s.quadrature for s in shapes])} psi a quarter cycle behind it (over logs).",
         "Mean residual while the fill valve works "
         f"{_signed([s.mean_filling for s in shapes])} psi, while the vent valve works "
         f"{_signed([s.mean_venting for s in shapes])} psi (range over logs).",
@@ -77,8 +82,8 @@ def _residual(found: Identification) -> list[str]:
     if ratio:
         same = min(ratio) <= 1.0 <= max(ratio)
         said.append(
-            f"Error over rate gives {_range_ms(up)} ms while filling and {_range_ms(down)} ms while "
-            f"venting: venting is {min(ratio):.2g} to {max(ratio):.2g} times as slow"
+            f"Error over rate gives {_range_ms(up)} ms while filling and {_range_ms(down)} ms "
+            f"while venting: venting is {min(ratio):.2g} to {max(ratio):.2g} times as slow"
             + ("." if same else f", {'slower' if min(ratio) > 1.0 else 'faster'} in every log.")
         )
     gains, phases = ([getattr(s.measured, n) for s in shapes] for n in ("k_of_gain", "k_of_phase"))
@@ -87,8 +92,8 @@ def _residual(found: Identification) -> list[str]:
     if both:
         said.append(
             f"At the drive frequency the measured gain asks for k = {_range_ms(gains)} ms and the "
-            f"measured phase for {_range_ms(phases)} ms; a first-order lag needs them equal, and they "
-            f"differ by up to a factor of {max(max(g / p, p / g) for g, p in both):.1f}."
+            f"measured phase for {_range_ms(phases)} ms; a first-order lag needs them equal, and "
+            f"they differ by up to a factor of {max(max(g / p, p / g) for g, p in both):.1f}."
         )
     if beyond:
         said.append(f"More than a quarter cycle behind, which no lag reaches: {', '.join(beyond)}.")

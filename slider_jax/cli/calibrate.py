@@ -15,20 +15,21 @@ from slider_jax.files import staged, write_json, write_text
 from slider_jax.provenance import input_file, versions
 
 DEFINITIONS = {
-    "rmse": "root mean square over all samples of measured minus free run; the free run starts at the "
-    "first measured sample and sees only the command after it",
-    "pooled rmse": "root of the mean over logs of each log's mean square: every log weighs the same",
+    "rmse": "root mean square over all samples of measured minus free run; the free run starts at "
+    "the first measured sample and sees only the command after it",
+    "pooled rmse": "root of the mean over logs of their mean squares: every log weighs the same",
     "settled": "without the first cycle of each log",
     "over samples": "root mean square over the samples of all logs: long logs weigh more",
-    "k": "least squares by Levenberg-Marquardt in log k; of all logs: least pooled rmse; searched in "
-    f"{PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g} s",
+    "k": "least squares by Levenberg-Marquardt in log k, from the lowest dip of a scan of "
+    f"{PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g} s; of all logs: least pooled rmse",
     "interval": "95 %; the residual is correlated, so its samples count as samples / (1 + 2 sum of "
     "its autocorrelation up to the first zero); sandwich with the true curvature, in log k; of all "
-    "logs: clustered by log, Student with logs - 1 degrees of freedom",
+    "logs: clustered by log, Student with logs - 1 degrees of freedom (k), and of just these logs "
+    "(k_within)",
     "widening": "width of the interval over the naive one that takes every sample as independent",
     "floor": "standard deviation of the white noise in the measured pressure, from its fourth "
     "differences; drift and slow noise are not in it",
-    "shape": "of the residual at the log's own k over whole cycles, the first left out; psi, s, rad",
+    "shape": "of the residual at the log's own k over whole cycles after the first; psi, s, rad",
 }
 
 
@@ -94,6 +95,8 @@ def report(found: Identification, said: list[str]) -> dict[str, Any]:
     return {
         "pooled": {
             "k": found.k._asdict(),
+            "k_within": found.within._asdict(),
+            "k_is_fixed": found.k.fixed,
             "rmse_before_psi": found.pooled_rmse("before"),
             "rmse_after_psi": found.pooled_rmse("pooled"),
             "rmse_each_its_own_psi": found.pooled_rmse("after"),
@@ -141,8 +144,9 @@ def model_toml(found: Identification) -> str:
     names = ", ".join(x.log.path.name for x in found.logs)
     return (
         f"# Pressure lag from {len(found.logs)} logs by slider calibrate manifold: {names}\n"
-        f"# 95 % interval {k.low:.4f} to {k.high:.4f} s; free-run RMSE {found.pooled_rmse('before'):.2f}"
-        f" psi before, {found.pooled_rmse('pooled'):.2f} psi after, noise {found.floor:.2f} psi\n"
+        f"# 95 % interval {k.low:.4f} to {k.high:.4f} s; free-run RMSE "
+        f"{found.pooled_rmse('before'):.2f} psi before, {found.pooled_rmse('pooled'):.2f} after, "
+        f"noise {found.floor:.2f}\n"
         f"[parameters]\nk = {k.value:.6g}   # s\n"
     )
 
