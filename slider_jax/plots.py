@@ -104,7 +104,7 @@ def plot_midlines(run: Run, path: Path) -> None:
     ax.plot(0.0, 0.0, "ks", ms=7, label="clamp")
     ax.set_xlabel("x, forward from the clamp (mm)")
     ax.set_ylabel("y, lateral (mm; stretched)")
-    ax.legend(loc="upper left", fontsize="small")
+    ax.legend(loc="upper right", fontsize="small")
     t = run.t[steps]
     scale = matplotlib.cm.ScalarMappable(
         matplotlib.colors.Normalize(t[0], t[-1]), matplotlib.colormaps["viridis"]
