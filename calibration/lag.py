@@ -17,7 +17,7 @@ from slider_jax.actuation.waveform import Segment
 PLAUSIBLE = (0.01, 1.0)
 """Range of k [s] that is searched, set before looking at data: a valve to a leaking long hose."""
 BLOCK = 1024
-_STARTS = np.linspace(*np.log(PLAUSIBLE), 25)
+_STARTS = np.linspace(np.log(PLAUSIBLE[0]), np.log(PLAUSIBLE[1]), 25)
 
 
 class Batch(eqx.Module):
@@ -94,7 +94,7 @@ class Fit(NamedTuple):
     converged: Array
 
 
-_SOLVER = optx.LevenbergMarquardt(rtol=1e-7, atol=1e-7)
+_SOLVER: optx.AbstractLeastSquaresSolver = optx.LevenbergMarquardt(rtol=1e-7, atol=1e-7)
 
 
 def _solve(residual, start, args):
@@ -158,7 +158,8 @@ def fit_each(batch: Batch) -> Fit:
     """
     start = jax.vmap(_lowest_dip, 1)(_profile(batch))
     log_k, converged = jax.vmap(lambda x, log: _solve(_scaled, x, log))(start, batch)
-    return Fit(log_k, *jax.vmap(_statistics)(log_k, batch), converged)
+    residual, tangent, curvature = jax.vmap(_statistics)(log_k, batch)
+    return Fit(log_k, residual, tangent, curvature, converged)
 
 
 @jax.jit
@@ -166,7 +167,8 @@ def fit_pooled(batch: Batch) -> Fit:
     """One k for all logs: the least mean of the logs' mean squares, so that all weigh the same."""
     start = _lowest_dip(jnp.mean(_profile(batch), axis=1))
     log_k, converged = _solve(jax.vmap(_scaled, (None, 0)), start, batch)
-    return Fit(log_k, *jax.vmap(_statistics, (None, 0))(log_k, batch), converged)
+    residual, tangent, curvature = jax.vmap(_statistics, (None, 0))(log_k, batch)
+    return Fit(log_k, residual, tangent, curvature, converged)
 
 
 @jax.jit

@@ -158,9 +158,9 @@ def table(found: Identification) -> str:
         f"{'before':>9}{'after':>8}{'common k':>10}{'noise':>7}   (RMSE in psi)"
     ]
     for x in found.logs:
-        k = f"{1e3 * x.k.value:7.0f}" if x.fixed else f"{'-':>7}"
+        own = f"{1e3 * x.k.value:7.0f}" if x.fixed else f"{'-':>7}"
         lines.append(
-            f"{x.log.path.name[:15]:<16}{x.log.frequency:7.4g}{len(x.log.t):9d}{k}"
+            f"{x.log.path.name[:15]:<16}{x.log.frequency:7.4g}{len(x.log.t):9d}{own}"
             f"{1e3 * x.k.low:8.0f}-{1e3 * x.k.high:<7.0f}{x.k.widening:10.1f}"
             f"{rms(x.before):9.2f}{rms(x.after):8.2f}{rms(x.pooled):10.2f}{x.shape.floor:7.2f}"
         )
