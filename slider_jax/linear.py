@@ -23,7 +23,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import lineax as lx
+import numpy as np
 from jaxtyping import Array, Float
+
 
 class BeamOperator(lx.AbstractLinearOperator):
     """Jacobian of a box-method residual with respect to the nodal unknowns (6, N).
@@ -44,7 +46,9 @@ class BeamOperator(lx.AbstractLinearOperator):
 
     def as_matrix(self):
         y = jnp.zeros(self.in_structure().shape, self.left.dtype)
-        columns = jax.vmap(lambda e: jnp.concatenate([x.ravel() for x in self.mv(e.reshape(y.shape))]))
+        columns = jax.vmap(
+            lambda e: jnp.concatenate([x.ravel() for x in self.mv(e.reshape(y.shape))])
+        )
         return columns(jnp.eye(y.size)).T
 
     def transpose(self):
@@ -77,6 +81,10 @@ for _ask in (
     _ask.register(BeamOperator)(_no_structure)
 
 
+# Ask the compiler to compute a value once rather than again inside each of its users.
+_keep = jax.lax.optimization_barrier
+
+
 def _mm(a, b):
     """Product of 3 x 3 by 3 x n blocks, elementwise along the trailing axis."""
     return sum(a[:, k, None] * b[None, k] for k in range(a.shape[1]))
@@ -104,19 +112,33 @@ def _inverse3(a):
 def _inverse6(a):
     """Inverse of 6 x 6 blocks by Gauss-Jordan without pivoting, elementwise along the trailing axis.
 
-    Written entry by entry: a blocked form moves three times the memory.
+    A loop over the pivots, although they are six: its carry keeps the compiler from recomputing the
+    entries of `a` inside each entry of the result.
     """
-    m = [[a[i, j] for j in range(6)] for i in range(6)]
-    for k in range(6):
-        pivot = 1.0 / m[k][k]
-        m[k] = [entry * pivot for entry in m[k]]
-        m[k][k] = pivot
-        for i in range(6):
-            if i != k:
-                factor = m[i][k]
-                m[i] = [m[i][j] - factor * m[k][j] for j in range(6)]
-                m[i][k] = -factor * pivot
-    return jnp.stack([jnp.stack(row) for row in m])
+    unit = jnp.eye(6, dtype=a.dtype)
+
+    def eliminate(k, m):
+        e = unit[k]
+        others = 1.0 - e
+        pivot_row, column = m[k], m[:, k]
+        row = (pivot_row * others[:, None] + e[:, None]) / pivot_row[k]
+        rest = m * others[None, :, None] * others[:, None, None]
+        return rest - (column * others[:, None])[:, None] * row + e[:, None, None] * row
+
+    return jax.lax.fori_loop(0, 6, eliminate, a)
+
+
+def _halving_order(cells: int) -> list[int]:
+    """Order of the cells in which every level of joining pairs its first half with its second.
+
+    Neighbours of a level stand at positions i and i + k, a leftover stands last: contiguous slices
+    instead of strided ones.
+    """
+    if cells == 1:
+        return [0]
+    pairs, odd = divmod(cells, 2)
+    upper = _halving_order(pairs + odd)[:pairs]
+    return [2 * i for i in upper] + [2 * i + 1 for i in upper] + [cells - 1] * odd
 
 
 class _Join(eqx.Module):
@@ -149,10 +171,10 @@ def _join(A, B):
     A11, A12, A21, A22 = A[:3, :3], A[:3, 3:], A[3:, :3], A[3:, 3:]
     B11, B12, B21, B22 = B[:3, :3], B[:3, 3:], B[3:, :3], B[3:, 3:]
     one = jnp.eye(3, dtype=A.dtype)[:, :, None]
-    E = _inverse3(one - _mm(B11, A22))
-    motion = _mm(E, jnp.concatenate([_mm(B11, A21), B12], axis=1))
+    E = _keep(_inverse3(_keep(one - _mm(B11, A22))))
+    motion = _keep(_mm(E, _keep(jnp.concatenate([_mm(B11, A21), B12], axis=1))))
     zero = jnp.zeros_like(A11)
-    forces = _mm(A22, motion) + jnp.concatenate([A21, zero], axis=1)
+    forces = _keep(_mm(A22, motion) + jnp.concatenate([A21, zero], axis=1))
     left = _mm(A12, motion) + jnp.concatenate([A11, zero], axis=1)
     right = _mm(B21, forces) + jnp.concatenate([zero, B22], axis=1)
     return _Join(E, A12, A22, B11, B21, motion, forces), jnp.concatenate([left, right])
@@ -164,12 +186,13 @@ def _factorise(operator: BeamOperator) -> _Factors:
     # node; in the rows' order (stretch, turn, moment law, balances) the diagonal is then ~ 1/ds.
     cells = _inverse6(jnp.concatenate([left[:, 3:], right[:, :3]], axis=1))
     S = -_mm(cells, jnp.concatenate([left[:, :3], right[:, 3:]], axis=1))
+    S = S[..., np.array(_halving_order(S.shape[-1]))]
     joins = []
     while S.shape[-1] > 1:
         pairs = S.shape[-1] // 2
-        join, joined = _join(S[..., 0 : 2 * pairs : 2], S[..., 1 : 2 * pairs : 2])
+        join, joined = _join(S[..., :pairs], S[..., pairs : 2 * pairs])
         joins.append(join)
-        S = jnp.concatenate([joined, S[..., 2 * pairs :]], axis=-1)
+        S = _keep(jnp.concatenate([joined, S[..., 2 * pairs :]], axis=-1))
     S = S[..., 0]
     # Tail: G_f f + G_v v = g, solved for f. Head: H_f f + H_v v = h, with f eliminated, for v.
     G_f, G_v = operator.tail[:, :3], operator.tail[:, 3:]
@@ -183,24 +206,20 @@ def _factorise(operator: BeamOperator) -> _Factors:
     return _Factors(cells, tuple(joins), S, tail_f, tail_v, tail_solve, H_f, head_solve)
 
 
-def _interleave(even, odd, last):
-    both = jnp.stack([even, odd], axis=-1).reshape(3, -1)
-    return jnp.concatenate([both, last], axis=-1)
-
-
 def _solve(factors: _Factors, rhs):
     """Solve A y = rhs; linear in `rhs`, and made of operations that JAX can transpose."""
     r_cells, r_tail, r_head = rhs
-    s = _mv(factors.cells, r_cells)
+    order = np.array(_halving_order(r_cells.shape[-1]))
+    s = _keep(_mv(factors.cells, r_cells)[:, order])
     held = []
     for join in factors.joins:
-        pairs = s.shape[-1] // 2
-        a, b, rest = s[:, 0 : 2 * pairs : 2], s[:, 1 : 2 * pairs : 2], s[:, 2 * pairs :]
-        v = _mv(join.E, _mv(join.B11, a[3:]) + b[:3])
-        f = a[3:] + _mv(join.A22, v)
-        joined = jnp.concatenate([a[:3] + _mv(join.A12, v), b[3:] + _mv(join.B21, f)])
+        pairs = join.E.shape[-1]
+        a, b, rest = s[:, :pairs], s[:, pairs : 2 * pairs], s[:, 2 * pairs :]
+        v = _keep(_mv(join.E, _mv(join.B11, a[3:]) + b[:3]))
+        f = _keep(a[3:] + _mv(join.A22, v))
         held.append((v, f))
-        s = jnp.concatenate([joined, rest], axis=-1)
+        joined = jnp.concatenate([a[:3] + _mv(join.A12, v), b[3:] + _mv(join.B21, f)])
+        s = _keep(jnp.concatenate([joined, rest], axis=-1))
     S, s = factors.body, s[:, 0]
     f_tail0 = factors.tail_f @ r_tail
     v_tail0 = factors.tail_solve @ (S[:3, :3] @ f_tail0 + s[:3])
@@ -210,16 +229,18 @@ def _solve(factors: _Factors, rhs):
     f_tail = f_tail0 + factors.tail_v @ v_tail
     f_head = S[3:, :3] @ f_tail + S[3:, 3:] @ v_head + s[3:]
     # Back down: every piece knows the forces at its left end and the motion at its right end.
-    f, v = f_tail[:, None], v_head[:, None]
-    for join, (v0, f0) in zip(reversed(factors.joins), reversed(held)):
+    ends = jnp.concatenate([f_tail, v_head])[:, None]
+    for join, (v0, f0) in zip(reversed(factors.joins), reversed(held), strict=True):
         pairs = v0.shape[-1]
-        ends = jnp.concatenate([f[:, :pairs], v[:, :pairs]])
-        v_mid = _mv(join.motion, ends) + v0
-        f_mid = _mv(join.forces, ends) + f0
-        f = _interleave(f[:, :pairs], f_mid, f[:, pairs:])
-        v = _interleave(v_mid, v[:, :pairs], v[:, pairs:])
-    forces = jnp.concatenate([f, f_head[:, None]], axis=-1)
-    motion = jnp.concatenate([v_tail[:, None], v], axis=-1)
+        outer = ends[:, :pairs]
+        v_mid = _mv(join.motion, outer) + v0
+        f_mid = _mv(join.forces, outer) + f0
+        left = jnp.concatenate([outer[:3], v_mid])
+        right = jnp.concatenate([f_mid, outer[3:]])
+        ends = _keep(jnp.concatenate([left, right, ends[:, pairs:]], axis=-1))
+    ends = ends[:, np.argsort(order)]
+    forces = jnp.concatenate([ends[:3], f_head[:, None]], axis=-1)
+    motion = jnp.concatenate([v_tail[:, None], ends[3:]], axis=-1)
     return jnp.concatenate([forces, motion])
 
 
