@@ -1,0 +1,38 @@
+"""`slider demo`: the paper's head-fixed frequency sweep, with no input."""
+
+import sys
+import time
+from pathlib import Path
+
+
+def demo(out: Path = Path("slider_demo")) -> None:
+    """Run the paper's head-fixed sweep, 0.4 to 7.0 Hz in 34 steps, and compare.
+
+    DIR gets sweep.csv, thrust_against_frequency.png (as the paper's Fig. 4), and for 1 and 4.8 Hz
+    series_*.csv and stride_*.png (as its Figs. 5 and 6), and settings.json. The chambers' spans and
+    pressures, which the paper leaves out, are assumed; the settings say so.
+
+    Args:
+        out: folder for the results; made if missing, files of the same name are replaced.
+    """
+    from tqdm import tqdm
+
+    from slider_jax.demo import Settings, run_sweep
+    from slider_jax.demo_report import comparison, write_results
+    from slider_jax.files import output_folder
+
+    output_folder(out)
+    settings, begun = Settings(), time.perf_counter()
+    print(f"{len(settings.frequencies)} frequencies; compiling one stride ...", file=sys.stderr)
+    with tqdm(desc="strides", unit="stride", unit_scale=True, delay=1e9) as bar:
+
+        def compiled(strides):
+            print(f"compiled in {time.perf_counter() - begun:.0f} s", file=sys.stderr)
+            bar.total, bar.delay = strides, 0.0
+            bar.reset(strides)
+
+        sweep = run_sweep(settings, compiled, bar.update)
+    write_results(sweep, settings, out)
+    print(comparison(sweep, settings))
+    seconds = time.perf_counter() - begun
+    print(f"results are in {out} ({seconds:.0f} s)", file=sys.stderr)

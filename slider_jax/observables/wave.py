@@ -1,0 +1,84 @@
+"""The travelling wave of the body: its wavelength, speed, and how purely it travels.
+
+A lateral motion y(s, t) = Re( c(s) exp(2 pi i f t) ) has at each point an amplitude |c| and a phase
+arg c. Where the phase grows towards the head (s is from the tail) the wave runs from head to tail.
+"""
+
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Complex, Float
+
+
+class BodyWave(eqx.Module):
+    """A body wave; scalars. Both are positive for a wave that runs from head to tail."""
+
+    wavelength: Float[Array, ""]
+    """lambda [m], along the body."""
+    speed: Float[Array, ""]
+    """V = lambda f [m/s]."""
+
+
+def fundamental_mode(
+    y: Float[Array, "times points"], t: Float[Array, " times"], frequency
+) -> Complex[Array, " points"]:
+    """c(s) [m] of the stride's fundamental: the Fourier coefficient at `frequency` [Hz].
+
+    c = (2/n) sum_t y exp(-2 pi i f t). `t` [s] are equal steps over whole strides.
+    """
+    turn = jnp.exp(-2j * math.pi * frequency * t)
+    return 2.0 * jnp.mean(y * turn[:, None], axis=0)
+
+
+def orthogonal_mode(y: Float[Array, "times points"]) -> Complex[Array, " points"]:
+    """c(s) [m] of the first complex orthogonal mode, with the phases of t = the first sample.
+
+    The dominant left singular vector of the analytic signal of y - mean(y), scaled by its rms in
+    time so that |c| is its amplitude. Needs no frequency; equal steps over whole strides.
+
+    Source: Feeny, B. F. (2008), A complex orthogonal decomposition for wave motion analysis, J.
+    Sound Vib. 310, 77-90.
+    """
+    steps = y.shape[0]
+    spectrum = jnp.fft.fft(y - jnp.mean(y, axis=0), axis=0)
+    index = jnp.arange(steps)
+    keep = jnp.where(
+        (index > 0) & (2 * index < steps), 2.0, jnp.where(2 * index == steps, 1.0, 0.0)
+    )
+    analytic = jnp.fft.ifft(spectrum * keep[:, None], axis=0)
+    in_time, size, in_space = jnp.linalg.svd(analytic, full_matrices=False)
+    return in_space[0] * in_time[0, 0] / jnp.abs(in_time[0, 0]) * size[0] / jnp.sqrt(steps)
+
+
+def body_wave(mode: Complex[Array, " points"], s: Float[Array, " points"], frequency) -> BodyWave:
+    """Wavelength and speed from a mode c(s) at `s` [m] from the tail, and its `frequency` [Hz].
+
+    The wavenumber is the slope of the straight line through the phase along the body, fitted with
+    weights |c|^2, as the phase of a point that hardly moves means little; lambda = 2 pi/wavenumber.
+    Points must be close enough that the phase turns by less than half a turn between neighbours.
+    Of a nearly standing wave (`travelling_index` below about 0.2) the phase jumps by half a turn at
+    each node, one way or the other, and neither length nor sign means much.
+    """
+    turned = mode[1:] * jnp.conj(mode[:-1])
+    # A clamped head does not move: where both are zero the phase is undefined, and weightless.
+    still = jnp.abs(turned) == 0.0
+    phase_steps = jnp.where(still, 0.0, jnp.angle(jnp.where(still, 1.0, turned)))
+    phase = jnp.concatenate([jnp.zeros(1), jnp.cumsum(phase_steps)])
+    weight = jnp.real(mode * jnp.conj(mode))
+    weight = weight / jnp.sum(weight)
+    ds, dphase = s - jnp.sum(weight * s), phase - jnp.sum(weight * phase)
+    wavenumber = jnp.sum(weight * ds * dphase) / jnp.sum(weight * ds**2)
+    wavelength = 2.0 * math.pi / wavenumber
+    return BodyWave(wavelength=wavelength, speed=wavelength * frequency)
+
+
+def travelling_index(mode: Complex[Array, " points"]) -> Float[Array, ""]:
+    """1 for a pure travelling wave, 0 for a pure standing one.
+
+    The ratio of the singular values of [Re c, Im c] (Feeny 2008, the reciprocal condition number).
+    """
+    a, b = jnp.real(mode), jnp.imag(mode)
+    mean, cross = 0.5 * (a @ a + b @ b), a @ b
+    half = jnp.sqrt((0.5 * (a @ a - b @ b)) ** 2 + cross**2)
+    return jnp.sqrt(jnp.maximum(mean - half, 0.0) / (mean + half))

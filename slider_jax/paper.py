@@ -1,0 +1,78 @@
+"""What the paper states, and what it leaves to be assumed.
+
+Source of every figure: Van Stratum et al., Model-based Optimization of Anguilliform Swimming
+Gaits for Soft Robotic Applications. Where a value is ours, its line says "assumed".
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from slider_jax.actuation import FirstOrderLag, SquareWave
+from slider_jax.effects import NormalDrag, ReactiveForce
+from slider_jax.model import Drive, Model
+from slider_jax.parameters import Robot, Scalar
+from slider_jax.supports import Clamped
+
+RAMP_START, RAMP_END = 2.0, 3.0
+"""Frequencies [Hz] between which the force coefficients change over."""
+DRAG_DOMINATED = (4.0, 0.0)
+"""(C_d, m_a) below the ramp."""
+REACTIVE = (3.0, 1.0)
+"""(C_d, m_a) above the ramp."""
+
+PRESSURE_LAG = 0.087
+"""k [s]."""
+TRANSIENT_STRIDES = 3
+"""Strides are steady "after three tailbeats"."""
+SWEEP = tuple(round(0.4 + 0.2 * i, 1) for i in range(34))
+"""Frequencies [Hz] of the head-fixed sweep: 0.4 to 7.0 in steps of 0.2."""
+
+MINIMUM_NEAR = 1.0
+"""Frequency [Hz] near which the mean thrust is least, and negative."""
+THRUST_AT, THRUST_THERE = 4.8, 0.060
+"""Mean thrust "about 60 mN" [N] near 4.8 Hz."""
+RECOIL_AT, RECOIL_THERE = 1.0, 1.0
+"""Recoil [N] goes beyond 1000 mN at 1 Hz."""
+
+
+def force_coefficients(frequency: Scalar) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """(C_d, m_a) at a stride `frequency` [Hz]: constant below 2 and above 3 Hz, linear between."""
+    along = jnp.clip((frequency - RAMP_START) / (RAMP_END - RAMP_START), 0.0, 1.0)
+    C_d, m_a = (
+        low + along * (high - low) for low, high in zip(DRAG_DOMINATED, REACTIVE, strict=True)
+    )
+    return C_d, m_a
+
+
+class Assumed(eqx.Module):
+    """What the paper does not give; all of it assumed. The chambers' spans are `Robot`'s.
+
+    | field | unit | meaning |
+    |---|---|---|
+    | `amplitude` | Pa | of the front chamber's square wave of set pressure |
+    | `rear_ratio` | - | rear amplitude over front |
+    | `phase` | - | delay of the rear chamber, fraction of a stride |
+    """
+
+    amplitude: Scalar = 250e3
+    rear_ratio: Scalar = 1.0
+    phase: Scalar = 0.15
+
+
+def head_fixed(
+    frequency: Scalar, robot: Robot | None = None, assumed: Assumed | None = None
+) -> Model:
+    """The paper's head-fixed experiment in still water at one stride `frequency` [Hz]."""
+    robot = Robot() if robot is None else robot
+    assumed = Assumed() if assumed is None else assumed
+    C_d, m_a = force_coefficients(frequency)
+    front = SquareWave(frequency, assumed.amplitude)
+    rear = SquareWave(frequency, assumed.amplitude * assumed.rear_ratio, assumed.phase)
+    return Model(
+        robot=robot,
+        effects=(NormalDrag(C_d), ReactiveForce(m_a)),
+        pressure_law=FirstOrderLag(PRESSURE_LAG),
+        drive=Drive(front, rear),
+        support=Clamped(),
+    )
