@@ -200,7 +200,7 @@ def plot_driven(log: ManifoldLog, columns: Mapping[str, np.ndarray], path: Path)
     axes[0].plot(log.t, log.pressure_Pa / 1e3, color=_MEASURED, lw=0.9, label="measured")
     axes[0].plot(t, columns["p_front_Pa"] / 1e3, color=_AFTER, label="in both chambers")
     axes[0].set_ylabel("gauge pressure (kPa)")
-    axes[0].legend(loc="upper right", ncols=3, fontsize=8)
+    _legend_below(axes[0], 3)
     for axis, name, scale, label in (
         (axes[1], "thrust_N", 1e3, "thrust (mN)"),
         (axes[2], "recoil_N", 1e3, "recoil (mN)"),
