@@ -203,6 +203,12 @@ def test_output_that_is_a_file(tmp_path, capsys):
     assert out.read_text() == "kept"
 
 
+def test_output_over_the_measured_files(tmp_path, capsys):
+    path, none = write(tmp_path), tmp_path / "none"
+    _refused(["simulate", path, "--out", tmp_path], capsys, none, "the experiment's own folder")
+    assert [p.name for p in tmp_path.iterdir()] == ["experiment.toml"]
+
+
 @pytest.mark.parametrize("flag, value", [("step", "5"), ("nodes", "3"), ("scheme", "rk4")])
 def test_bad_numerics_on_the_command_line(flag, value, tmp_path, capsys):
     path, out = write(tmp_path), tmp_path / "out"
@@ -212,6 +218,19 @@ def test_bad_numerics_on_the_command_line(flag, value, tmp_path, capsys):
 
 def test_unknown_command(tmp_path, capsys):
     _refused(["simulat"], capsys, tmp_path, "given 'simulat'; allowed simulate, demo")
+
+
+def test_an_interrupt_leaves_nothing_behind(tmp_path, capsys, monkeypatch):
+    import slider_jax.results
+
+    def interrupt(*args):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(slider_jax.results, "trial_summary", interrupt)
+    path, out = write(tmp_path), tmp_path / "out"
+    assert main(["simulate", str(path), "--out", str(out)]) == 130
+    assert capsys.readouterr().err.strip().endswith("slider: interrupted")
+    assert list(out.iterdir()) == []
 
 
 def test_a_step_that_does_not_converge_is_named(tmp_path, capsys):

@@ -2,6 +2,7 @@
 
 import functools
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -113,6 +114,30 @@ def test_a_stream_equals_towing_through_still_water(tmp_path):
     for name in ("thrust", "recoil", "tip"):  # equal but for the discretisation, coarse here
         scale = np.ptp(towed.series[name])
         np.testing.assert_allclose(run.series[name], towed.series[name], atol=2e-3 * scale)
+
+
+def test_measured_pressure_in_place_of_the_lag_gives_the_same_forces(simulated, tmp_path):
+    """The pressures that the lag gave, sampled every 2 ms and played back without the lag."""
+    folder, out = simulated
+    path = write(
+        tmp_path,
+        (
+            "frequency = 4.0\namplitude = 150000.0",
+            'waveform = "recorded"\ndrive_file = "drive.csv"\ndrive_is = "measured"',
+        ),
+    )
+    shutil.copy(out / "trial_00.csv", tmp_path / "drive.csv")
+    played, original = run_trial(load(path), 0), _read(out / "trial_00.csv")
+    assert played.clock.h == pytest.approx(0.002)
+    assert trial_summary(played)["averaged"] == "second half"
+    for name, part in (
+        ("p_front_Pa", 1e-5),
+        ("p_rear_Pa", 1e-5),
+        ("recoil_N", 2e-2),
+        ("tip_m", 1e-2),
+    ):
+        bar = part * np.ptp(original[name])
+        np.testing.assert_allclose(played.columns[name], original[name], atol=bar)
 
 
 def test_a_measured_record_is_sampled_at_its_own_times(tmp_path):

@@ -65,6 +65,11 @@ def _simulate_experiment(experiment, path, model, out, plot, animate) -> None:
     from slider_jax.results import summary, trial_summary
     from slider_jax.simulate import simulate as simulate_trial
 
+    if out.resolve() == experiment.folder.resolve():
+        raise InputError(
+            f"--out {out}: is the experiment's own folder, where trials' files hold measured data; "
+            "give another"
+        )
     for trial in experiment.trials:  # every file is checked before anything is computed
         measured(experiment, trial)
         to_model(experiment, trial)
