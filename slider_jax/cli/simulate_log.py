@@ -180,9 +180,10 @@ def summary(
         "name": log.path.stem,
         "input": input_file(log.path),
         "model": None if model is None else input_file(model),
-        "drive": {"set": "the command through the pressure lag", "measured": "measured pressure"}[
-            drive
-        ],
+        "drive": {
+            "set": "the command through the pressure lag",
+            "measured": "the measured pressure, its sensor noise included",
+        }[drive],
         "frequency_Hz": log.frequency,
         "samples": len(log.t),
         "sampling_s": log.period,
