@@ -5,6 +5,7 @@ batch. A chunk to a thread keeps every core busy: XLA runs compiled programs out
 """
 
 import os
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from typing import Any, NamedTuple
@@ -58,13 +59,19 @@ def take(tree: Any, indices: np.ndarray) -> Any:
 
 
 def in_threads(
-    work: Callable[[int], Any], chunks: list[int], workers: int
+    work: Callable[[int, Callable[[], bool]], Any], chunks: list[int], workers: int
 ) -> Iterator[tuple[int, Any]]:
-    """(chunk, work(chunk)) as each is done. Stopping early, or an error, drops those not begun."""
+    """(chunk, result) of `work(chunk, stopped)` as each is done.
+
+    An error, or an end of the loop before the last, drops chunks not begun and makes `stopped()`
+    true for those under way.
+    """
+    stop = threading.Event()
     pool = ThreadPoolExecutor(max_workers=workers)
     try:
-        futures = {pool.submit(work, chunk): chunk for chunk in chunks}
+        futures = {pool.submit(work, chunk, stop.is_set): chunk for chunk in chunks}
         for future in as_completed(futures):
             yield futures[future], future.result()
     finally:
+        stop.set()
         pool.shutdown(wait=True, cancel_futures=True)

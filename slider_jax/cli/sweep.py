@@ -1,0 +1,93 @@
+"""`slider sweep`: one or two fields of an experiment over ranges."""
+
+import shutil
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from slider_jax.errors import InputError
+
+
+def sweep(
+    experiment: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="EXPERIMENT.toml")],
+    field: str,
+    start: Annotated[float, tyro.conf.arg(name="from")],
+    stop: Annotated[float, tyro.conf.arg(name="to")],
+    count: int,
+    out: Path,
+    field2: str | None = None,
+    start2: Annotated[float | None, tyro.conf.arg(name="from2")] = None,
+    stop2: Annotated[float | None, tyro.conf.arg(name="to2")] = None,
+    count2: int | None = None,
+    model: Path | None = None,
+    trial: int | None = None,
+    strides: int = 8,
+    transient: int = 3,
+    steps_per_stride: int = 300,
+) -> None:
+    """Simulate one trial over one or two ranges and write a table and a plot.
+
+    DIR gets sweep.csv (a row a member: means of the steady strides), sweep.json (settings and
+    versions) and sweep.png. A run that was stopped goes on when its command is given again.
+
+    Args:
+        experiment: the experiment file (.toml).
+        field: the number to sweep, e.g. trials.0.frequency, robot.EI_tail, parameters.C_d.
+        start: its first value, SI.
+        stop: its last value, SI.
+        count: how many values, evenly spaced.
+        out: folder for the results; made if missing.
+        field2: a second number, for a contour plot.
+        start2: its first value, SI.
+        stop2: its last value, SI.
+        count2: how many values of the second.
+        model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
+        trial: which trial is run, from 0; by default that of a field trials.N..., else 0.
+        strides: strides run.
+        transient: strides left out of the means.
+        steps_per_stride: time steps of a stride, a multiple of 20.
+    """
+    from tqdm import tqdm
+
+    from slider_jax.experiment import load
+    from slider_jax.files import output_folder
+    from slider_jax.sweep import Axis, Sweep, run_sweep
+    from slider_jax.sweep_report import write_results
+
+    axes = [Axis.spaced(field, start, stop, count)]
+    second = {"--field2": field2, "--from2": start2, "--to2": stop2, "--count2": count2}
+    missing = [name for name, value in second.items() if value is None]
+    if not missing:
+        axes.append(Axis.spaced(field2, start2, stop2, count2))
+    elif len(missing) < len(second):
+        raise InputError(f"{', '.join(missing)}: missing; a second field needs all of them")
+    task = Sweep(
+        load(experiment, model),
+        tuple(axes),
+        _trial(axes) if trial is None else trial,
+        strides,
+        transient,
+        steps_per_stride,
+    )
+    output_folder(out)
+    with tqdm(desc="strides", unit="stride", disable=None) as bar:
+
+        def begin(total, done):
+            bar.total = total
+            bar.update(done)
+
+        table = run_sweep(task, out, begin, bar.update)
+    write_results(task, table, out, experiment)
+    shutil.rmtree(out / "partial")
+    print(f"{len(task.points)} members are in {out / 'sweep.csv'}", file=sys.stderr)
+
+
+def _trial(axes) -> int:
+    """The trial that a field names."""
+    for axis in axes:
+        parts = axis.field.split(".")
+        if parts[0] == "trials" and len(parts) > 1 and parts[1].isdigit():
+            return int(parts[1])
+    return 0

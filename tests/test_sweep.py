@@ -1,0 +1,180 @@
+"""`slider sweep`: interrupted equals uninterrupted, a member equals a single run, and bad input."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from slider_jax import sweep as sweeping
+from slider_jax.cli.main import main
+from slider_jax.errors import InputError
+from slider_jax.experiment import load, to_model, to_numerics
+from slider_jax.observables import stride_means, thrust
+from slider_jax.sweep import Axis, Sweep, run_sweep
+from tests.helpers import march
+
+EXPERIMENT = """
+name = "tiny"
+[robot]
+body_length = 0.3
+tail_length = 0.07
+linear_density = 0.7
+EI_body = 0.038
+EI_tail = 0.0058
+damping_time = 0.002
+height = 0.03
+front_chamber = [0.02, 0.145]
+rear_chamber = [0.155, 0.28]
+[parameters]
+C_d = 3.0
+m_a = 1.0
+k = 0.087
+K_Q = 4.79e-7
+[numerics]
+nodes = 11
+[[trials]]
+file = "trial_00.csv"
+frequency = 4.8
+amplitude = 250000.0
+phase = 0.15
+duration = 1.0
+[[trials]]
+file = "trial_01.csv"
+waveform = "recorded"
+drive_file = "pressure.csv"
+duration = 1.0
+"""
+SHORT = ["--strides", "3", "--transient", "1", "--steps-per-stride", "40"]
+
+
+@pytest.fixture
+def experiment(tmp_path):
+    path = tmp_path / "experiment.toml"
+    path.write_text(EXPERIMENT)
+    return path
+
+
+def tiny(path, **changes):
+    axis = Axis.spaced("trials.0.frequency", 2.0, 5.0, 5)
+    return Sweep(load(path), (axis,), 0, strides=3, transient=1, steps_per_stride=40)._replace(
+        **changes
+    )
+
+
+@pytest.fixture
+def one_core_chunks_of_two(monkeypatch):
+    monkeypatch.setattr(sweeping, "available_cores", lambda: 1)
+    monkeypatch.setattr(sweeping, "LARGEST_CHUNK", 2)
+
+
+class Killed(Exception):
+    pass
+
+
+def test_interrupted_sweep_goes_on_and_ends_as_an_uninterrupted_one(
+    experiment, tmp_path, one_core_chunks_of_two
+):
+    task, calls = tiny(experiment), []
+
+    def killed_in_the_second_chunk():
+        calls.append(1)
+        if len(calls) == 5:
+            raise Killed
+
+    (tmp_path / "a").mkdir()
+    with pytest.raises(Killed):
+        run_sweep(task, tmp_path / "a", on_stride=killed_in_the_second_chunk)
+    kept = sorted(p.name for p in (tmp_path / "a" / "partial").glob("chunk*"))
+    assert kept == ["chunk_00000.json"]
+
+    begun, later = [], []
+    resumed = run_sweep(
+        task, tmp_path / "a", lambda *numbers: begun.append(numbers), lambda: later.append(1)
+    )
+    assert begun == [(9, 3)]  # three chunks of three strides, of which one chunk was there
+    assert len(later) == 6
+
+    (tmp_path / "b").mkdir()
+    whole = run_sweep(task, tmp_path / "b")
+    assert list(whole) == list(resumed)
+    for name in whole:
+        np.testing.assert_array_equal(whole[name], resumed[name])
+
+    # A member of the batch is what a run of its own gives.
+    changed = task.experiment.with_values({"trials.0.frequency": whole["trials.0.frequency_Hz"][3]})
+    model, h = to_model(changed), 1.0 / (changed.trials[0].frequency * 40)
+    _, single = march(model, h, 120, thrust, to_numerics(changed)[0])
+    expected = np.asarray(stride_means(single, 40))[1:].mean()
+    np.testing.assert_allclose(whole["thrust_mean_N"][3], expected, rtol=0, atol=1e-10)
+
+    with pytest.raises(InputError, match=r"other settings \(strides\)"):
+        run_sweep(task._replace(strides=4), tmp_path / "a")
+
+
+def test_two_fields_from_the_command_line(experiment, tmp_path, capsys):
+    out = tmp_path / "out"
+    fields = ["--field", "robot.EI_tail", "--from", "0.003", "--to", "0.009", "--count", "2"]
+    second = ["--field2", "parameters.C_d", "--from2", "2", "--to2", "4", "--count2", "3"]
+    assert main(["sweep", str(experiment), *fields, *second, "--out", str(out), *SHORT]) == 0
+    assert sorted(p.name for p in out.iterdir()) == ["sweep.csv", "sweep.json", "sweep.png"]
+    with open(out / "sweep.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    points = [(float(r["robot.EI_tail_N_m2"]), float(r["parameters.C_d"])) for r in rows]
+    assert points == [(e, c) for e in (0.003, 0.009) for c in (2.0, 3.0, 4.0)]
+    thrusts = [float(row["thrust_mean_N"]) for row in rows]
+    assert len(set(thrusts)) == 6 and np.isfinite(thrusts).all()
+    record = json.loads((out / "sweep.json").read_text())
+    assert record["settings"]["fields"]["parameters.C_d"] == [2.0, 3.0, 4.0]
+    assert record["versions"]["jax"] and record["input"]["sha256"] and record["failed_rows"] == []
+
+
+@pytest.mark.parametrize(
+    "changes, named",
+    [
+        ({"--field": "robot.EI_fin"}, "no such field"),
+        ({"--field": "robot"}, "robot"),
+        ({"--field": "trials.0.waveform"}, "waveform"),
+        ({"--field": "trials.0.duration", "--from": "1", "--to": "2"}, "does not change"),
+        ({"--field": "robot.body_length", "--from": "300", "--to": "400"}, "metres"),
+        ({"--field": "trials.7.frequency"}, "trials.N: given 7"),
+        ({"--to": "2"}, "two different"),
+        ({"--to": "nan"}, "finite"),
+        ({"--count": "1"}, "2 or more"),
+        ({"--trial": "1"}, "recording"),
+        ({"--trial": "9"}, "--trial"),
+        ({"--transient": "3"}, "--transient"),
+        ({"--steps-per-stride": "50"}, "multiple of 20"),
+        ({"--field2": "parameters.C_d"}, "--from2"),
+        (
+            {"--field2": "trials.0.frequency", "--from2": "2", "--to2": "3", "--count2": "2"},
+            "other than --field",
+        ),
+    ],
+)
+def test_bad_sweeps_are_refused_in_one_line_and_leave_nothing(
+    experiment, tmp_path, capsys, changes, named
+):
+    out = tmp_path / "out"
+    options = {"--field": "trials.0.frequency", "--from": "2", "--to": "5", "--count": "3"}
+    options |= dict(zip(SHORT[::2], SHORT[1::2], strict=True)) | changes | {"--out": str(out)}
+    arguments = [word for pair in options.items() for word in pair]
+    assert main(["sweep", str(experiment), *arguments]) == 2
+    message = capsys.readouterr().err
+    assert message.startswith("slider: error: ") and message.count("\n") == 1
+    assert named in message and "Traceback" not in message
+    assert not out.exists() or not list(out.iterdir())
+
+
+def test_columns_carry_the_fields_units():
+    columns = {
+        "trials.0.frequency": "trials.0.frequency_Hz",
+        "robot.EI_tail": "robot.EI_tail_N_m2",
+        "parameters.K_Q": "parameters.K_Q_m3",
+        "parameters.C_d": "parameters.C_d",
+        "trials.2.tow_speed": "trials.2.tow_speed_m_per_s",
+        "trials.0.phase": "trials.0.phase",
+        "robot.EA_body": "robot.EA_body_N",
+    }
+    for field, column in columns.items():
+        assert Axis(field, (0.0, 1.0)).column == column
