@@ -16,11 +16,11 @@ import numpy as np
 
 
 class Chunks(NamedTuple):
-    """`count` chunks of `size` members; the last is filled up by repeating the last member."""
+    """`total` chunks of `size` members; the last is filled up by repeating the last member."""
 
     members: int
     size: int
-    count: int
+    total: int
     workers: int
 
     def indices(self, chunk: int) -> np.ndarray:

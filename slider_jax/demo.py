@@ -77,14 +77,14 @@ def run_sweep(
     )
     chunks = chunks_of(len(frequencies))
     programs = compile_programs(plan, take(members, chunks.indices(0)))
-    on_compiled(chunks.count * settings.strides)
+    on_compiled(chunks.total * settings.strides)
 
     def work(chunk, stopped):
         runs = march(plan, programs, take(members, chunks.indices(chunk)), on_stride, stopped)
         return {name: values[: chunks.real(chunk)] for name, values in runs.items()}
 
-    done = dict(in_threads(work, list(range(chunks.count)), chunks.workers))
-    parts = [done[chunk] for chunk in range(chunks.count)]
+    done = dict(in_threads(work, list(range(chunks.total)), chunks.workers))
+    parts = [done[chunk] for chunk in range(chunks.total)]
     runs = {name: np.concatenate([x[name] for x in parts]) for name in parts[0]}
     C_d, m_a = jax.vmap(paper.force_coefficients)(jnp.asarray(frequencies))
     table = {"frequency_Hz": frequencies, "C_d": np.asarray(C_d), "m_a": np.asarray(m_a)}

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from slider_jax.batch import available_cores, in_threads, stack, take
@@ -148,7 +149,7 @@ def _member(sweep: Sweep, point: tuple[float, ...]) -> Member:
     experiment = sweep.experiment.with_values(values, "sweep")
     trial = experiment.trials[sweep.trial]
     assert trial.frequency is not None
-    return Member(to_model(experiment, trial), np.asarray(trial.frequency, float))
+    return Member(to_model(experiment, trial), jnp.asarray(trial.frequency, float))
 
 
 def run_sweep(

@@ -62,9 +62,9 @@ def draw(sweep: Sweep, table: dict[str, np.ndarray], path: Path) -> None:
         if ax in axes[-1]:
             ax.set_xlabel(_label(x))
     trial = sweep.experiment.trials[sweep.trial]
+    averaged = sweep.strides - sweep.transient
     figure.suptitle(
-        f"{sweep.experiment.name}, trial {trial.file}: means of strides {sweep.transient + 1} to "
-        f"{sweep.strides}",
+        f"{sweep.experiment.name}, {trial.file}: last {averaged} of {sweep.strides} strides",
         fontsize="medium",
     )
     save_figure(figure, path)

@@ -67,7 +67,7 @@ def test_results_are_written_and_read_back(sweep, tmp_path):
         [float(row["thrust_mean_N"]) for row in rows], sweep.table["thrust_mean_N"], rtol=1e-8
     )
     record = json.loads((tmp_path / "settings.json").read_text())
-    assert record["settings"]["assumed"]["amplitude"] == 250e3
+    assert record["settings"]["assumed"]["amplitude"] == paper.Assumed().amplitude
     assert "amplitude" in " ".join(record["assumed"])
     assert record["versions"]["jax"]
 
@@ -116,9 +116,9 @@ def test_paper_sweep_is_34_frequencies_from_0p4_to_7():
 @pytest.mark.parametrize("members, workers", [(34, 2), (1, 4), (8, 1), (17, 3), (100, 2)])
 def test_chunks_hold_every_member_once(members, workers):
     chunks = chunks_of(members, 8, workers)
-    held = [chunks.indices(c)[: chunks.real(c)] for c in range(chunks.count)]
+    held = [chunks.indices(c)[: chunks.real(c)] for c in range(chunks.total)]
     np.testing.assert_array_equal(np.concatenate(held), np.arange(members))
-    assert all(len(chunks.indices(c)) == chunks.size <= 8 for c in range(chunks.count))
+    assert all(len(chunks.indices(c)) == chunks.size <= 8 for c in range(chunks.total))
 
 
 def test_an_error_in_a_thread_is_raised_and_stops_the_rest():

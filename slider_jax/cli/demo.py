@@ -23,15 +23,15 @@ def demo(out: Path = Path("slider_demo")) -> None:
 
     output_folder(out)
     settings, begun = Settings(), time.perf_counter()
-    print(f"{len(settings.frequencies)} frequencies; compiling one stride ...", file=sys.stderr)
-    with tqdm(desc="strides", unit="stride", unit_scale=True, delay=1e9) as bar:
+    print(f"{len(settings.frequencies)} frequencies; compiling ...", file=sys.stderr)
+    bars = []
 
-        def compiled(strides):
-            print(f"compiled in {time.perf_counter() - begun:.0f} s", file=sys.stderr)
-            bar.total, bar.delay = strides, 0.0
-            bar.reset(strides)
+    def compiled(strides):
+        print(f"compiled in {time.perf_counter() - begun:.0f} s", file=sys.stderr)
+        bars.append(tqdm(desc="strides", unit="stride", total=strides, disable=None))
 
-        sweep = run_sweep(settings, compiled, bar.update)
+    sweep = run_sweep(settings, compiled, lambda: bars[0].update())
+    bars[0].close()
     write_results(sweep, settings, out)
     print(comparison(sweep, settings))
     seconds = time.perf_counter() - begun

@@ -57,12 +57,11 @@ def sweep(
     from slider_jax.sweep_report import write_results
 
     axes = [Axis.spaced(field, start, stop, count)]
-    second = {"--field2": field2, "--from2": start2, "--to2": stop2, "--count2": count2}
-    missing = [name for name, value in second.items() if value is None]
-    if not missing:
+    second = (field2, start2, stop2, count2)
+    if field2 is not None and start2 is not None and stop2 is not None and count2 is not None:
         axes.append(Axis.spaced(field2, start2, stop2, count2))
-    elif len(missing) < len(second):
-        raise InputError(f"{', '.join(missing)}: missing; a second field needs all of them")
+    elif second != (None,) * 4:
+        raise InputError("a second field needs all of --field2, --from2, --to2, --count2")
     task = Sweep(
         load(experiment, model),
         tuple(axes),

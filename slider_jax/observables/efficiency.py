@@ -1,11 +1,9 @@
 """Dimensionless numbers of swimming, from a steady stride's means."""
 
-from jaxtyping import Array, Float
-
 from slider_jax.parameters import Scalar
 
 
-def strouhal_number(frequency: Scalar, excursion: Scalar, speed: Scalar) -> Float[Array, ""]:
+def strouhal_number(frequency: Scalar, excursion: Scalar, speed: Scalar) -> Scalar:
     """St = f A / U with A [m] the tail's peak-to-peak excursion, U [m/s] the swimming speed.
 
     Source: Triantafyllou, G. S., Triantafyllou, M. S., Grosenbaugh, M. A. (1993), J. Fluids
@@ -14,7 +12,7 @@ def strouhal_number(frequency: Scalar, excursion: Scalar, speed: Scalar) -> Floa
     return frequency * excursion / speed
 
 
-def froude_efficiency(mean_thrust: Scalar, speed: Scalar, mean_power: Scalar) -> Float[Array, ""]:
+def froude_efficiency(mean_thrust: Scalar, speed: Scalar, mean_power: Scalar) -> Scalar:
     """eta = T U / P [-]: useful power over the mean mechanical power [W] of the chambers.
 
     For a towed clamp T [N] is the mean force on the clamp and U [m/s] the tow speed. Zero at U = 0,
@@ -24,7 +22,7 @@ def froude_efficiency(mean_thrust: Scalar, speed: Scalar, mean_power: Scalar) ->
     return mean_thrust * speed / mean_power
 
 
-def force_efficiency(mean_thrust: Scalar, mean_power: Scalar) -> Float[Array, ""]:
+def force_efficiency(mean_thrust: Scalar, mean_power: Scalar) -> Scalar:
     """T / P [N/W]: mean thrust [N] per mean mechanical power [W] that the chambers put in.
 
     The measure of a robot held in place, where no useful power leaves it.
@@ -32,7 +30,7 @@ def force_efficiency(mean_thrust: Scalar, mean_power: Scalar) -> Float[Array, ""
     return mean_thrust / mean_power
 
 
-def tail_slope(amplitude: Scalar, wavelength: Scalar) -> Float[Array, ""]:
+def tail_slope(amplitude: Scalar, wavelength: Scalar) -> Scalar:
     """A_t / (lambda/4) [-]: how steeply the wave crosses the axis at the tail, as in the paper.
 
     `amplitude` A_t [m] is half the peak-to-peak excursion; lambda [m] the body wavelength.
