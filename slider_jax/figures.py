@@ -56,7 +56,7 @@ def thrust_against_frequency(sweep: Sweep, settings: Settings, path: Path) -> No
     ax.set_xlabel("stride frequency (Hz)")
     ax.set_ylabel("mean thrust (mN)")
     ax.set_xlim(0.0, float(f.max()) + 0.4)
-    ax.legend(loc="upper right", fontsize="small")
+    ax.legend(loc="lower right", fontsize="small")
     ax.set_title(_subtitle(settings), fontsize="medium")
     save_figure(figure, path)
 
