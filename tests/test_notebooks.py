@@ -1,0 +1,50 @@
+"""Every notebook runs from top to bottom as a newcomer would run it."""
+
+import runpy
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+NOTEBOOKS = sorted((Path(__file__).resolve().parent.parent / "notebooks").glob("*.py"))
+
+
+def one_stride(found):
+    """What its text says of the numbers that it prints."""
+    mean = found["last"]["thrust"].mean()
+    assert found["from_water"] == pytest.approx(mean, rel=0.01)
+    assert found["obs"].travelling_index(found["mode"]) < 0.2
+    reached = np.abs(found["last"]["pressure"]).max()
+    assert 0.5 * 260e3 < reached < 0.6 * 260e3
+    F_tau, F_n = np.moveaxis(found["last"]["reactive"], 1, 0)
+    assert np.abs(F_tau).max() < 1e-4 * np.abs(F_n).max()
+
+
+CLAIMS = {"one_stride": one_stride}
+
+
+def test_there_are_notebooks():
+    assert NOTEBOOKS
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebook_runs_and_draws(notebook, monkeypatch, tmp_path):
+    drawn = []
+
+    def show():
+        for number in plt.get_fignums():
+            figure = plt.figure(number)
+            labels = [(ax.get_xlabel(), ax.get_ylabel()) for ax in figure.axes]
+            assert all(map(any, zip(*labels, strict=True))), "an axis has no label"
+            path = tmp_path / f"{len(drawn)}.png"
+            figure.savefig(path, dpi=40)
+            drawn.append(path)
+        plt.close("all")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(plt, "show", show)
+    found = runpy.run_path(str(notebook), run_name="__main__")
+    assert drawn
+    assert not plt.get_fignums(), "a figure is never shown"
+    CLAIMS[notebook.stem](found)
