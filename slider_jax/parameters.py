@@ -47,13 +47,13 @@ class Robot(eqx.Module):
 class Numerics(eqx.Module):
     """Size of the mesh and the tolerance of a step; all static.
 
-    `tail_cells` + `body_cells` + 1 = N_p nodes. `tolerance` bounds the last Newton increment relative
-    to the robot's own scales; as Newton converges quadratically, the error left is about its square.
+    `tail_cells` + `body_cells` + 1 = N_p nodes. `tolerance` bounds the estimated error of each root
+    find relative to the robot's own scales; `max_newton` the factorisations spent on it.
     """
 
     tail_cells: int = eqx.field(static=True, default=10)
     body_cells: int = eqx.field(static=True, default=40)
-    tolerance: float = eqx.field(static=True, default=1e-6)
+    tolerance: float = eqx.field(static=True, default=1e-8)
     max_newton: int = eqx.field(static=True, default=12)
 
     @property

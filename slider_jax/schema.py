@@ -102,7 +102,7 @@ class NumericsTable(Table):
     nodes: Annotated[int, Field(strict=True, ge=11, le=1001)] = 51
     step: Annotated[float, Quantity(1e-5, 0.02, "s")] = 1e-3
     scheme: Literal["sdirk2", "backward_euler"] = "sdirk2"
-    tolerance: Annotated[float, Quantity(1e-12, 1e-3)] = 1e-6
+    tolerance: Annotated[float, Quantity(1e-10, 1e-3)] = 1e-8
 
 
 class Trial(Table):
