@@ -35,6 +35,7 @@ def test_notebook_runs_and_draws(notebook, monkeypatch, tmp_path):
     def show():
         for number in plt.get_fignums():
             figure = plt.figure(number)
+            assert figure.axes, "an empty figure"
             labels = [(ax.get_xlabel(), ax.get_ylabel()) for ax in figure.axes]
             assert all(map(any, zip(*labels, strict=True))), "an axis has no label"
             path = tmp_path / f"{len(drawn)}.png"
