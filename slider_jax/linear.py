@@ -9,10 +9,10 @@ the head. Rather than eliminate 6 x 6 blocks, every cell is first solved, all ce
     f_right = S21 f_left + S22 v_right + s2
 
 which is the response of a short cantilever: forces given at the tail side, motion at the head side,
-a problem that is always well posed. Two neighbours join into a longer cantilever by Redheffer's star
-product, so the whole body is solved by pairwise joining in log2(cells) levels, and unlike transfer
-matrices it does not lose digits on long or soft bodies. The pivots never mix forces with motion, so
-every support works without pivoting.
+a problem that is always well posed. Two neighbours join into a longer cantilever by Redheffer's
+star product, so the whole body is solved by pairwise joining in log2(cells) levels, and unlike
+transfer matrices it does not lose digits on long or soft bodies. The pivots never mix forces with
+motion, so every support works without pivoting.
 
 Arrays keep the cell axis last, where it is contiguous: all work is elementwise along it.
 
@@ -110,7 +110,7 @@ def _inverse3(a):
 
 
 def _inverse6(a):
-    """Inverse of 6 x 6 blocks by Gauss-Jordan without pivoting, elementwise along the trailing axis.
+    """Inverse of 6 x 6 blocks by Gauss-Jordan without pivoting, elementwise along the last axis.
 
     A loop over the pivots, although they are six: its carry keeps the compiler from recomputing the
     entries of `a` inside each entry of the result.

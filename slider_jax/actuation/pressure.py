@@ -54,7 +54,7 @@ class Ideal(PressureLaw):
 def pressure_history(
     law: PressureLaw, waveform: Waveform, start: Scalar, times: Float[Array, " n"]
 ) -> Float[Array, " n"]:
-    """Pressure [Pa] at each of the increasing `times` [s], from `start` [Pa] at the first of them."""
+    """Pressure [Pa] at each of the increasing `times` [s], from `start` [Pa] at the first."""
     segments = jax.vmap(waveform.segment)(times[:-1], times[1:])
     first = jnp.asarray(start, times.dtype)
 

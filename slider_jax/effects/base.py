@@ -1,8 +1,8 @@
 """What an effect is: one physical cause, its parameters as leaves, and the one method that adds it.
 
-A model is a list of effects; the solver never knows which. `ForceDensity` is the place for everything
-that pushes on the body along its length; the other places (pressure, moment law, point load, support,
-water, sensor) have base classes of their own beside it as they come into use.
+A model is a list of effects; the solver never knows which. `ForceDensity` is the place for
+everything that pushes on the body along its length; the other places (pressure, moment law, point
+load, support, water, sensor) have base classes of their own beside it as they come into use.
 """
 
 from abc import abstractmethod

@@ -13,8 +13,8 @@ class NormalDrag(ForceDensity):
         F_n = -rho C_d H |u_n| u_n / 2
 
     Source: Taylor, G. (1952), Analysis of the swimming of long and narrow animals, Proc. R. Soc. A
-    214, 158-183; the paper's equation for F_d. Vanishes at C_d = 0. Range 0 to 6: about 2 for a plate
-    in steady flow, more at small Keulegan-Carpenter numbers.
+    214, 158-183; the paper's equation for F_d. Vanishes at C_d = 0. Range 0 to 6: about 2 for a
+    plate in steady flow, more at small Keulegan-Carpenter numbers.
     """
 
     C_d: Scalar

@@ -6,7 +6,7 @@ from slider_jax.parameters import Scalar
 
 
 class Gravity(ForceDensity):
-    """Weight per unit length, less buoyancy, along -x: a body that climbs has its head up the x axis.
+    """Weight per unit length, less buoyancy, along -x: a climbing body has its head up the x axis.
 
         (F_x, F_y) = (-m g, 0)
 

@@ -11,8 +11,9 @@ from slider_jax.parameters import Scalar
 class ReactiveForce(ForceDensity):
     """Large-amplitude elongated-body theory, all three terms, per unit length.
 
-    f = -[ d(m_A u_n n)/dt - d(m_A u_tau u_n n)/ds + d(m_A u_n^2/2 tau)/ds ], with d(tau)/ds = kappa n,
-    d(n)/ds = -kappa tau, d(n)/dt = -omega tau, for an m_A that is uniform along the body:
+    f = -[ d(m_A u_n n)/dt - d(m_A u_tau u_n n)/ds + d(m_A u_n^2/2 tau)/ds ], with
+    d(tau)/ds = kappa n, d(n)/ds = -kappa tau, d(n)/dt = -omega tau, for an m_A that is uniform
+    along the body:
 
         F_n   = -m_A ( du_n/dt - d(u_tau u_n)/ds + u_n^2 kappa/2 )
         F_tau = -m_A ( -u_n omega + u_tau u_n kappa + u_n du_n/ds )
@@ -20,9 +21,9 @@ class ReactiveForce(ForceDensity):
 
     No point force acts at a blunt head: see docs/decisions.md.
 
-    Source: Lighthill, M. J. (1971), Large-amplitude elongated-body theory of fish locomotion, Proc. R.
-    Soc. B 179, 125-138; the paper's equations for F_a. Vanishes at m_a = 0. Range 0 to 1.5: 1 is a
-    thin plate in potential flow, separation lowers it.
+    Source: Lighthill, M. J. (1971), Large-amplitude elongated-body theory of fish locomotion, Proc.
+    R. Soc. B 179, 125-138; the paper's equations for F_a. Vanishes at m_a = 0. Range 0 to 1.5: 1 is
+    a thin plate in potential flow, separation lowers it.
     """
 
     m_a: Scalar
