@@ -11,7 +11,7 @@ from slider_jax.parameters import Scalar
 
 
 class Segment(eqx.Module):
-    """A set pressure [Pa] over [t0, t1]: `a0` to `a1` until `t_break`, then `b0` to `b1`, linear."""
+    """Set pressure [Pa] over [t0, t1]: `a0` to `a1` until `t_break`, then `b0` to `b1`, linear."""
 
     t0: Array
     t_break: Array
