@@ -1,9 +1,9 @@
 """The root finder of an implicit stage, and its derivative by the implicit function theorem.
 
 `BeamNewton` is a Newton method with the Jacobian's blocks, handed to `optimistix.root_find` through
-`options["jacobian"]`, a function (y, args) -> BeamOperator. `BeamAdjoint` differentiates the root with
-the same blocks; a member of a batch that failed spoils its own derivative only, and nothing in here
-calls back to the host, so compiled programs can be cached.
+`options["jacobian"]`, a function (y, args) -> BeamOperator. `BeamAdjoint` differentiates the root
+with the same blocks; a member of a batch that failed spoils its own derivative only, and nothing in
+here calls back to the host, so compiled programs can be cached.
 """
 
 import functools as ft
@@ -27,7 +27,7 @@ class BeamNewton(optx.AbstractRootFinder):
     """Shamanskii's method: each iteration factorises once and makes `corrections` Newton steps.
 
     The frozen Jacobian is exact at the first of them and nearly so at the rest, so their increments
-    shrink by a steady rate r, and |increment| r/(1 - r) estimates the error that the last one leaves.
+    shrink by a steady rate r, and |increment| r/(1 - r) estimates the error left by the last one.
     The iteration stops when that estimate, over max(`options["scale"]`, |y|), is below `rtol`.
 
     Source: Shamanskii, V. E. (1967), A modification of Newton's method, Ukr. Math. J. 19, 118-122.
@@ -86,9 +86,7 @@ class BeamAdjoint(optx.AbstractAdjoint):
             (inputs,), (t_inputs,) = primals, tangents
             y, rest = root(inputs)
             _, _, _, args, options, *_ = inputs
-            moving = jax.tree.map(
-                lambda t: t is not None, t_inputs, is_leaf=lambda t: t is None
-            )
+            moving = jax.tree.map(lambda t: t is not None, t_inputs, is_leaf=lambda t: t is None)
             dynamic, static = eqx.partition(inputs, moving)
             t_dynamic, _ = eqx.partition(t_inputs, moving)
 

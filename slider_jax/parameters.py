@@ -64,9 +64,7 @@ class Numerics(eqx.Module):
 
 def grid_of(robot: Robot, numerics: Numerics) -> Grid:
     """The robot's mesh."""
-    return make_grid(
-        robot.tail_length, robot.body_length, numerics.tail_cells, numerics.body_cells
-    )
+    return make_grid(robot.tail_length, robot.body_length, numerics.tail_cells, numerics.body_cells)
 
 
 class Scales(eqx.Module):

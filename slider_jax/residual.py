@@ -29,9 +29,7 @@ def cell_rows(mid: Fields, slope: Fields, stage: Stage) -> tuple[Array, ...]:
     """The six equations of every cell, from the unknowns' means and slopes in it."""
     x = section(mid, slope, stage.structure, stage.reference, stage.water, stage.t)
     force = total_force(stage.effects, x)
-    return equations(
-        mid, slope, x, stage.structure, stage.reference, force, stage.active_moment
-    )
+    return equations(mid, slope, x, stage.structure, stage.reference, force, stage.active_moment)
 
 
 def head_rows(head: Float[Array, "6"], stage: Stage) -> Float[Array, "3"]:

@@ -12,8 +12,7 @@ from slider_jax.actuation import pressure_history
 from slider_jax.model import Mesh, Model, make_mesh
 from slider_jax.parameters import Numerics, Scalar
 from slider_jax.scheme import SDIRK2, Scheme
-from slider_jax.state import straight
-from slider_jax.step import Carry, Snapshot, make_step, start
+from slider_jax.step import Carry, Snapshot, at_rest, make_step
 
 
 class TimeGrid(eqx.Module):
@@ -48,14 +47,17 @@ class Rollout(eqx.Module):
         return self.final.ok
 
 
-def stage_pressures(model: Model, times: TimeGrid, scheme: Scheme) -> Float[Array, "steps stages 2"]:
-    """Both chambers' pressures [Pa] at every stage of every step."""
+def stage_pressures(
+    model: Model, times: TimeGrid, scheme: Scheme, begin: Float[Array, "2"]
+) -> Float[Array, "steps stages 2"]:
+    """Both chambers' pressures [Pa] at every stage of every step, from `begin` at the start."""
     begins = times.t0 + times.h * jnp.arange(times.steps)
     at = begins[:, None] + times.h * jnp.asarray(scheme.nodes)
     at = jnp.concatenate([jnp.asarray(times.t0, at.dtype)[None], at.ravel()])
-    drive = model.drive
-    chambers = ((drive.front, drive.start_front), (drive.rear, drive.start_rear))
-    histories = [pressure_history(model.pressure_law, w, p0, at)[1:] for w, p0 in chambers]
+    waves = (model.drive.front, model.drive.rear)
+    histories = [
+        pressure_history(model.pressure_law, wave, begin[i], at)[1:] for i, wave in enumerate(waves)
+    ]
     return jnp.stack(histories, axis=-1).reshape(times.steps, scheme.stages, 2)
 
 
@@ -71,16 +73,15 @@ def rollout(
 ) -> Rollout:
     """Integrate `model` over `times`; `save(snapshot)` is kept at the end of every step.
 
-    Starts straight, at rest relative to a towed clamp, unless `begin` carries on from an earlier
-    rollout's `final`. A step that fails freezes the state and clears `ok`; nothing is raised, so that
-    one member of a batch cannot stop the others (`simulate` raises for a single run).
+    Starts straight, at rest in its support, unless `begin` carries on from an earlier rollout's
+    `final`. A step that fails freezes the state and clears `ok`; nothing is raised, so that one
+    member of a batch cannot stop the others (`simulate` raises for a single run).
     With `checkpoint`, reverse mode keeps each step's carry only and recomputes the rest.
     """
     mesh = make_mesh(model.robot, numerics)
     if begin is None:
-        speed = getattr(model.support, "tow_speed", 0.0)
-        begin = start(model, mesh, *straight(numerics.nodes, speed))
-    pressures = stage_pressures(model, times, scheme)
+        begin = at_rest(model, numerics)
+    pressures = stage_pressures(model, times, scheme, begin.pressure)
     step = make_step(model, mesh, numerics, scheme)
     begins = times.t0 + times.h * jnp.arange(times.steps)
 

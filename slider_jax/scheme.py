@@ -11,7 +11,7 @@ import equinox as eqx
 
 
 class Scheme(eqx.Module):
-    """Tableau of a diagonally implicit, stiffly accurate scheme: the last stage is the new state."""
+    """A diagonally implicit, stiffly accurate scheme: its last stage is the new state."""
 
     name: str = eqx.field(static=True)
     order: int = eqx.field(static=True)
@@ -48,10 +48,5 @@ def extrapolation(scheme: Scheme) -> list[list[float]]:
     for stage in range(scheme.stages):
         end = len(times) - scheme.stages + stage
         known, target = times[end - 3 : end], times[end]
-        rows.append(
-            [
-                math.prod((target - b) / (a - b) for b in known if b != a)
-                for a in known
-            ]
-        )
+        rows.append([math.prod((target - b) / (a - b) for b in known if b != a) for a in known])
     return rows

@@ -9,35 +9,30 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from slider_jax import observables as obs
 from slider_jax.effects import total_force
 from slider_jax.errors import SolverError
 from slider_jax.experiment import Experiment, sample_times, to_model, to_numerics
-from slider_jax.frame import midline, to_plane
+from slider_jax.frame import to_plane
 from slider_jax.model import Model, make_mesh
 from slider_jax.parameters import Numerics
 from slider_jax.rollout import TimeGrid, rollout
 from slider_jax.sampling import edge_steps, half_period_steps, sample
 from slider_jax.schema import Trial
 from slider_jax.scheme import Scheme
-from slider_jax.state import straight
-from slider_jax.step import Carry, Snapshot, start
+from slider_jax.step import Carry, Snapshot, at_rest
 
 CHUNK = 250
 """Steps per call of the compiled program: one program serves trials of every length."""
 
 
 def readings(x: Snapshot) -> dict[str, Any]:
-    """What the sensors read: the clamp's force sensor reads the force that the robot puts on it.
-
-    `pressure` (2,) [Pa], `thrust` = -T and `recoil` = -N at the head [N], `tip`: the tail's lateral
-    position relative to the head [m], along y.
-    """
-    line = midline(x.y[5], x.memory.strain, x.head, x.mesh.grid)
+    """What the sensors read: `pressure` (2,) [Pa], `thrust` and `recoil` [N], `tip` [m]."""
     return {
         "pressure": x.pressure,
-        "thrust": -x.y[0, -1],
-        "recoil": -x.y[1, -1],
-        "tip": line[1, 0] - x.head[1],
+        "thrust": obs.thrust(x),
+        "recoil": obs.recoil(x),
+        "tip": obs.tip(x),
     }
 
 
@@ -46,9 +41,8 @@ def readings_and_shape(x: Snapshot) -> dict[str, Any]:
     `moment` (nodes,) [N m], `force` (2, cells): the effects' force per length on the body [N/m]."""
     section = x.section()
     F_tau, F_n = total_force(x.stage.effects, section)
-    line = midline(x.y[5], x.memory.strain, x.head, x.mesh.grid)
     return readings(x) | {
-        "midline": line - x.head[:, None],
+        "midline": obs.midline(x) - x.head[:, None],
         "moment": x.y[2],
         "force": jnp.stack(to_plane(F_tau, F_n, section.phi)),
     }
@@ -91,10 +85,8 @@ def _whole(steps: float) -> int:
 
 @eqx.filter_jit
 def _begin(model: Model, numerics: Numerics) -> tuple[Carry, jax.Array]:
-    """At rest relative to the clamp, and the nodes' places along the robot [m]."""
-    mesh = make_mesh(model.robot, numerics)
-    speed = model.support.tow_speed  # type: ignore[attr-defined]
-    return start(model, mesh, *straight(numerics.nodes, speed)), mesh.grid.s
+    """At rest in the clamp, and the nodes' places along the robot [m]."""
+    return at_rest(model, numerics), make_mesh(model.robot, numerics).grid.s
 
 
 @eqx.filter_jit
@@ -162,11 +154,6 @@ def simulate(
         chunks.append(jax.tree.map(np.asarray, saved))
         if float(carry.failed_at) <= grid.h * grid.steps:
             raise _failure(trial, grid, float(carry.failed_at))
-        # The next chunk's chambers start from the pressures that this one ended with.
-        last = saved["pressure"][-1]
-        model = eqx.tree_at(
-            lambda m: (m.drive.start_front, m.drive.start_rear), model, (last[0], last[1])
-        )
         if progress is not None:
             progress(min(done + chunk, grid.steps), grid.steps)
     series = {

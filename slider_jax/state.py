@@ -38,8 +38,8 @@ def fields(y: Unknowns) -> Fields:
 class Memory(eqx.Module):
     """What the time derivatives act on: carried from step to step.
 
-    `motion` (3, N): V_tau, V_n, phi at the nodes. `strain` (N - 1,): eps in the cells. `anchor` (2,):
-    the head's position [m] in the plane.
+    `motion` (3, N): V_tau, V_n, phi at the nodes. `strain` (N - 1,): eps in the cells. `anchor`
+    (2,): position [m] of the point that the support anchors, the head or a pin.
     """
 
     motion: Float[Array, "3 nodes"]
@@ -47,8 +47,8 @@ class Memory(eqx.Module):
     anchor: Float[Array, "2"]
 
 
-def straight(nodes: int, speed=0.0) -> tuple[Unknowns, Memory]:
-    """At rest relative to itself, straight along x, moving head-first at `speed` [m/s]."""
+def straight(nodes: int, V_tau=0.0, V_n=0.0, phi=0.0) -> tuple[Unknowns, Memory]:
+    """Unloaded and straight at the angle `phi` [rad], moving as one at (V_tau, V_n) [m/s]."""
     zero = jnp.zeros((nodes,))
-    y = jnp.stack([zero, zero, zero, zero + speed, zero, zero])
+    y = jnp.stack([zero, zero, zero, zero + V_tau, zero + V_n, zero + phi])
     return y, Memory(motion=y[3:], strain=zero[1:], anchor=jnp.zeros(2))

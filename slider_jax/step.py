@@ -7,12 +7,13 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
 from slider_jax.beam import Reference, Section, section, strain
+from slider_jax.frame import to_body
 from slider_jax.model import Mesh, Model
 from slider_jax.newton import BeamAdjoint, BeamNewton
 from slider_jax.parameters import Numerics, scales_of
 from slider_jax.residual import Stage, jacobian, mid_and_slope, residual
 from slider_jax.scheme import Scheme, extrapolation
-from slider_jax.state import Memory, Unknowns, fields
+from slider_jax.state import Memory, Unknowns, fields, straight
 
 
 class Carry(eqx.Module):
@@ -21,6 +22,8 @@ class Carry(eqx.Module):
     history: Float[Array, "3 6 nodes"]
     """The last three solutions, oldest first: they predict the next."""
     memory: Memory
+    pressure: Float[Array, "2"]
+    """Of the two chambers [Pa]."""
     ok: Bool[Array, ""]
     """False from the first stage that did not converge; the state is frozen from there on."""
     newton: Array
@@ -64,8 +67,9 @@ def _reference(memory: Memory, mesh: Mesh, dt) -> Reference:
 def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
     """The function that advances a `Carry` by one step.
 
-    It takes (carry, (t, h, pressures)): the step's start and length [s], and the chambers' pressures
-    [Pa] at each stage, shape (stages, 2). It returns the new carry and a `Snapshot` at the step's end.
+    It takes (carry, (t, h, pressures)): the step's start and length [s], and the chambers'
+    pressures [Pa] at each stage, (stages, 2). It returns the new carry and a `Snapshot` at the
+    step's end.
     """
     solver = BeamNewton(rtol=numerics.tolerance)
     scale = scales_of(model.robot).per_unknown
@@ -114,6 +118,7 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
         new = Carry(
             history=jnp.concatenate([carry.history[1:], y[None]]),
             memory=memory,
+            pressure=pressure,
             ok=ok,
             newton=carry.newton + solution.stats["num_steps"],
             failed_at=jnp.where(carry.ok & ~converged, t, carry.failed_at),
@@ -127,7 +132,9 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
         base = eqx.tree_at(
             lambda m: m.anchor,
             carry.memory,
-            model.support.reanchor(carry.memory.anchor, carry.memory.motion[2, -1], t_start, t_inside),
+            model.support.reanchor(
+                carry.memory.anchor, carry.memory.motion[2, -1], t_start, t_inside
+            ),
         )
         carry = eqx.tree_at(lambda c: c.memory, carry, base)
 
@@ -147,12 +154,21 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
     return step
 
 
-def start(model: Model, mesh: Mesh, y: Unknowns, memory: Memory) -> Carry:
-    """The carry that begins a rollout at the state (y, memory)."""
-    del model, mesh
+def at_rest(model: Model, numerics: Numerics) -> Carry:
+    """The carry of a straight, unloaded body at rest in its support at t = 0."""
+    velocity, angle = model.support.initial()
+    drive = model.drive
+    pressure = jnp.stack([jnp.asarray(p, float) for p in (drive.start_front, drive.start_rear)])
+    V_tau, V_n = to_body(velocity, angle)
+    return start(*straight(numerics.nodes, V_tau, V_n, angle), pressure)
+
+
+def start(y: Unknowns, memory: Memory, pressure: Float[Array, "2"]) -> Carry:
+    """The carry that begins a rollout at the state (y, memory), the chambers at `pressure` [Pa]."""
     return Carry(
         history=jnp.broadcast_to(y, (3, *y.shape)),
         memory=memory,
+        pressure=pressure,
         ok=jnp.asarray(True),
         newton=jnp.asarray(0),
         failed_at=jnp.asarray(jnp.inf, y.dtype),

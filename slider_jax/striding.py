@@ -19,8 +19,7 @@ from slider_jax.model import Model, make_mesh
 from slider_jax.parameters import Numerics
 from slider_jax.rollout import TimeGrid, rollout
 from slider_jax.scheme import SDIRK2, Scheme
-from slider_jax.state import straight
-from slider_jax.step import Carry, Snapshot, start
+from slider_jax.step import Carry, Snapshot, at_rest
 
 POSES = 20
 """Midlines kept of the last stride."""
@@ -47,18 +46,11 @@ class Plan(NamedTuple):
     scheme: Scheme = SDIRK2
 
 
-class Leg(eqx.Module):
-    """What one stride hands to the next."""
-
-    carry: Carry
-    pressure: Float[Array, "2"]
-
-
 class Programs(NamedTuple):
     """Compiled for chunks of one size."""
 
-    rest: Callable[[Member], Leg]
-    stride: Callable[[Member, Array, Leg], tuple[Leg, dict[str, Array]]]
+    rest: Callable[[Member], Carry]
+    stride: Callable[[Member, Array, Carry], tuple[Carry, dict[str, Array]]]
 
 
 def readings(x: Snapshot) -> dict[str, Array]:
@@ -72,31 +64,19 @@ def readings(x: Snapshot) -> dict[str, Array]:
     }
 
 
-def at_rest(plan: Plan, member: Member) -> Leg:
-    """Straight, and at rest relative to the clamp."""
-    model = member.model
-    mesh = make_mesh(model.robot, plan.numerics)
-    speed = getattr(model.support, "tow_speed", 0.0)
-    carry = start(model, mesh, *straight(plan.numerics.nodes, speed))
-    drive = model.drive
-    return Leg(carry, jnp.stack([jnp.asarray(drive.start_front), jnp.asarray(drive.start_rear)]))
-
-
-def one_stride(plan: Plan, member: Member, number, leg: Leg) -> tuple[Leg, dict[str, Array]]:
-    """Stride `number` (0 is the first) of one member, carried on from `leg`: next leg, series."""
-    starts = leg.pressure[0], leg.pressure[1]
-    model = eqx.tree_at(lambda m: (m.drive.start_front, m.drive.start_rear), member.model, starts)
+def one_stride(plan: Plan, member: Member, number, carry: Carry) -> tuple[Carry, dict[str, Array]]:
+    """Stride `number` (from 0) of one member, carried on from `carry`: next carry, series."""
     steps, f = plan.steps_per_stride, member.frequency
     times = TimeGrid(h=1.0 / (f * steps), steps=steps, t0=number / f)
     out = rollout(
-        model, times, readings, plan.numerics, plan.scheme, begin=leg.carry, checkpoint=False
+        member.model, times, readings, plan.numerics, plan.scheme, begin=carry, checkpoint=False
     )
-    return Leg(out.final, out.saved["pressure"][-1]), {"t": out.t} | out.saved
+    return out.final, {"t": out.t} | out.saved
 
 
 def compile_programs(plan: Plan, chunk: Member) -> Programs:
     """Compile for members stacked as in `chunk`."""
-    rest = jax.jit(jax.vmap(ft.partial(at_rest, plan)))
+    rest = jax.jit(jax.vmap(lambda member: at_rest(member.model, plan.numerics)))
     stride = jax.jit(jax.vmap(ft.partial(one_stride, plan), (0, None, 0)))
     number = jnp.asarray(0.0)
     return Programs(rest, stride.lower(chunk, number, jax.eval_shape(rest, chunk)).compile())
@@ -114,11 +94,11 @@ def march(
     Returns series of shape (members, strides, steps, ...): t, pressure, thrust, recoil, power, tip;
     `midline` (members, POSES, 2, nodes) of the last stride; `ok` (members,). Raises `Stopped`.
     """
-    leg, series = programs.rest(chunk), []
+    carry, series = programs.rest(chunk), []
     for number in range(plan.strides):
         if stopped():
             raise Stopped
-        leg, saved = programs.stride(chunk, jnp.asarray(float(number)), leg)
+        carry, saved = programs.stride(chunk, jnp.asarray(float(number)), carry)
         kept = {name: np.asarray(values) for name, values in saved.items()}
         midline = kept.pop("midline")
         series.append(kept | {"tip": midline[:, :, 1, 0]})
@@ -126,7 +106,7 @@ def march(
     every = plan.steps_per_stride // POSES
     runs = {name: np.stack([x[name] for x in series], axis=1) for name in series[0]}
     runs["midline"] = midline[:, every - 1 :: every]
-    runs["ok"] = np.asarray(leg.carry.ok) & np.isfinite(runs["thrust"]).all(axis=(1, 2))
+    runs["ok"] = np.asarray(carry.ok) & np.isfinite(runs["thrust"]).all(axis=(1, 2))
     return runs
 
 

@@ -14,8 +14,7 @@ from slider_jax.parameters import Numerics, Robot
 from slider_jax.residual import Stage, residual
 from slider_jax.rollout import TimeGrid, rollout
 from slider_jax.scheme import SDIRK2
-from slider_jax.state import straight
-from slider_jax.step import start
+from slider_jax.step import at_rest
 from slider_jax.supports import Clamped
 
 SMALL = Numerics(tail_cells=4, body_cells=12)
@@ -66,7 +65,7 @@ def uniform(L=0.368, EI=0.038, effects=(), support=None, **robot) -> Model:
 
 
 def stage_of(model: Model, numerics: Numerics, y_reference, dt, t=0.0, active_moment=None) -> Stage:
-    """The stage whose time derivatives are (q(y) - q(y_reference))/dt; dt = inf is statics."""
+    """The stage whose time derivatives are (q(y) - q(y_reference))/dt; a long dt is statics."""
     mesh = make_mesh(model.robot, numerics)
     T, _, _, V_tau, V_n, phi = mesh.grid.mid(y_reference)
     reference = Reference(
@@ -124,10 +123,7 @@ def observe(x):
 
 @eqx.filter_jit
 def _chunk(model, h, t0, begin, steps, save, numerics, scheme):
-    def keep(x):
-        return save(x), x.pressure
-
-    return rollout(model, TimeGrid(h, steps, t0), keep, numerics, scheme, begin=begin)
+    return rollout(model, TimeGrid(h, steps, t0), save, numerics, scheme, begin=begin)
 
 
 def march(model, h, steps, save=observe, numerics=SMALL, scheme=SDIRK2, chunk=40):
@@ -136,18 +132,13 @@ def march(model, h, steps, save=observe, numerics=SMALL, scheme=SDIRK2, chunk=40
     Returns the times and what was saved, as numpy arrays; a failed step fails the test.
     """
     assert steps % chunk == 0
-    speed = getattr(model.support, "tow_speed", 0.0)
-    mesh = make_mesh(model.robot, numerics)
-    carry = start(model, mesh, *straight(numerics.nodes, speed))
+    carry = at_rest(model, numerics)
     times, kept = [], []
     for i in range(steps // chunk):
         t0 = jnp.asarray(i * chunk * h)
         out = _chunk(model, jnp.asarray(h), t0, carry, chunk, save, numerics, scheme)
-        saved, pressure = out.saved
         carry = out.final
-        ends = lambda m: (m.drive.start_front, m.drive.start_rear)  # noqa: E731
-        model = eqx.tree_at(ends, model, tuple(pressure[-1]))
         times.append(out.t)
-        kept.append(saved)
+        kept.append(out.saved)
     assert bool(carry.ok), f"step failed at {float(carry.failed_at)} s"
     return np.concatenate(times), jax.tree.map(lambda *x: np.concatenate(x), *kept)

@@ -31,7 +31,7 @@ def budget(x):
 
 @eqx.filter_jit
 def swim(model, h, y, memory):
-    begin = start(model, make_mesh(model.robot, FINE), y, memory)
+    begin = start(y, memory, jnp.zeros(2))
     return rollout(model, TimeGrid(h, STEPS), budget, FINE, begin=begin)
 
 

@@ -26,9 +26,11 @@ def frequencies(model, numerics, count):
         return flat_residual(v.reshape(y.shape), stage)
 
     by_y, by_ref = jax.jit(jax.jacfwd(value, argnums=(0, 1)))(y.ravel(), y.ravel())
-    mu = np.linalg.eigvals(np.linalg.solve(by_y + by_ref, by_ref))
+    # dR/dy = K + C, so (K + C) v = (1 - lambda) C v: a shift, as K alone is singular (the clamp
+    # imposes a rate).
+    mu = np.linalg.eigvals(np.linalg.solve(by_y, -by_ref))
     mu = mu[np.abs(mu) > 1e-9]
-    rates = 1.0 / mu
+    rates = 1.0 - 1.0 / mu
     oscillating = rates[rates.imag > 0]
     assert np.all(np.abs(oscillating.real[:10]) < 1e-3 * np.abs(oscillating[:10]))
     return np.sort(oscillating.imag)[:count] / (2.0 * np.pi)

@@ -30,8 +30,9 @@ def spread(position: Scalar, grid: Grid) -> Float[Array, " nodes"]:
     index = jnp.arange(nodes)
     xi = jnp.interp(position, grid.s, index.astype(grid.s.dtype))
     cell = jnp.clip(jnp.floor(xi), 0, nodes - 2)
-    first, last = jnp.where(cell < grid.tail_cells, 0, grid.tail_cells), jnp.where(
-        cell < grid.tail_cells, grid.tail_cells, nodes - 1
+    first, last = (
+        jnp.where(cell < grid.tail_cells, 0, grid.tail_cells),
+        jnp.where(cell < grid.tail_cells, grid.tail_cells, nodes - 1),
     )
     fits = (cell - 1 >= first) & (cell + 2 <= last)
     linear = jnp.maximum(0.0, 1.0 - jnp.abs(index - xi))

@@ -17,15 +17,14 @@ from slider_jax.actuation import Ideal, Recorded
 from slider_jax.errors import SolverError
 from slider_jax.experiment import SAMPLES, Experiment, assemble, to_model, to_numerics
 from slider_jax.files import staged, write_csv, write_json
-from slider_jax.model import Drive, Model, make_mesh
+from slider_jax.model import Drive, Model
 from slider_jax.paper import PRESSURE_LAG, force_coefficients
 from slider_jax.parameters import Numerics, Robot
 from slider_jax.provenance import input_file, versions
 from slider_jax.rollout import TimeGrid, rollout
 from slider_jax.scheme import Scheme
 from slider_jax.simulate import readings
-from slider_jax.state import straight
-from slider_jax.step import start
+from slider_jax.step import at_rest
 
 CHUNK = 125
 """Samples per call of the compiled program."""
@@ -125,7 +124,11 @@ def drive_robot(
     base = to_model(experiment, 0)
     law = Ideal() if drive == "measured" else base.pressure_law
     pressures = (jnp.asarray(log.pressure_Pa[0]),) * 2
-    carry = start(base, make_mesh(base.robot, numerics), *straight(numerics.nodes))
+    base = replace(base, pressure_law=law)
+    base = replace(
+        base, drive=replace(base.drive, start_front=pressures[0], start_rear=pressures[1])
+    )
+    carry = at_rest(base, numerics)
     chunks: list[dict[str, Any]] = [
         {
             "pressure": np.array([pressures]),
@@ -135,13 +138,11 @@ def drive_robot(
     for first in range(0, whole, CHUNK):
         span = slice(first, first + CHUNK + 1)
         wave = Recorded(jnp.asarray(at[span]), jnp.asarray(set_point[span]))
-        model = replace(base, pressure_law=law, drive=Drive(wave, wave, *pressures))
+        model = replace(base, drive=Drive(wave, wave))
         saved, carry = _advance(
             model, jnp.asarray(h), jnp.asarray(at[first]), carry, numerics, scheme, every
         )
         chunks.append(jax.tree.map(np.asarray, saved))
-        # The next chunk's chambers start from the pressures that this one ended with.
-        pressures = (saved["pressure"][-1, 0], saved["pressure"][-1, 1])
         failed_at = float(carry.failed_at)
         if failed_at <= log.t[-1] or not np.isfinite(chunks[-1]["recoil"]).all():
             raise SolverError(

@@ -19,6 +19,10 @@ class Support(eqx.Module):
         """
 
     @abstractmethod
+    def initial(self) -> tuple[tuple[Array, Array], Array]:
+        """Velocity (x, y) [m/s] and angle [rad] of a body that rests in the support at t = 0."""
+
+    @abstractmethod
     def anchor_velocity(self, head: Fields, omega: Array, t: Array) -> Float[Array, "2"]:
         """Velocity in the plane [m/s] of the anchored point."""
 

@@ -11,13 +11,15 @@ from slider_jax.supports.base import Support
 
 
 class Clamped(Support):
-    """V_tau, V_n and phi of the head are given.
+    """V_tau, V_n and the turning rate of the head are given.
 
     The carriage moves along x at `tow_speed` [m/s] and may heave along y and pitch,
 
         y_h = heave sin(2 pi f t),    phi_h = pitch sin(2 pi f t + pitch_phase)
 
-    with `heave` [m], `pitch` [rad], f = `frequency` [Hz], `pitch_phase` [rad].
+    with `heave` [m], `pitch` [rad], f = `frequency` [Hz], `pitch_phase` [rad]. The rate of phi_h is
+    imposed rather than phi_h: a stage that is given an angle gets its rate, and with it the forces
+    at the clamp, only to first order.
     """
 
     tow_speed: Scalar = eqx.field(default=0.0)
@@ -27,15 +29,20 @@ class Clamped(Support):
     pitch_phase: Scalar = eqx.field(default=0.0)
 
     def carriage(self, t):
-        """Plane velocity (x, y) [m/s] and angle [rad] of the carriage at `t` [s]."""
+        """Velocity (x, y) [m/s], angle [rad] and its rate [rad/s] of the carriage at `t` [s]."""
         turn = 2.0 * math.pi * self.frequency
         velocity = (self.tow_speed + 0.0 * t, self.heave * turn * jnp.cos(turn * t))
-        return velocity, self.pitch * jnp.sin(turn * t + self.pitch_phase)
+        phase = turn * t + self.pitch_phase
+        return velocity, self.pitch * jnp.sin(phase), self.pitch * turn * jnp.cos(phase)
 
     def rows(self, head, omega, t):
-        velocity, angle = self.carriage(t)
+        velocity, _, rate = self.carriage(t)
         V_tau, V_n = to_body(velocity, head.phi)
-        return head.V_tau - V_tau, head.V_n - V_n, head.phi - angle
+        return head.V_tau - V_tau, head.V_n - V_n, omega - rate
+
+    def initial(self):
+        velocity, angle, _ = self.carriage(jnp.zeros(()))
+        return velocity, angle
 
     def anchor_velocity(self, head, omega, t):
         return jnp.stack(to_plane(head.V_tau, head.V_n, head.phi))

@@ -12,6 +12,10 @@ class Free(Support):
     def rows(self, head, omega, t):
         return head.T, head.N, head.M
 
+    def initial(self):
+        zero = jnp.zeros(())
+        return (zero, zero), zero
+
     def anchor_velocity(self, head, omega, t):
         return jnp.stack(to_plane(head.V_tau, head.V_n, head.phi))
 

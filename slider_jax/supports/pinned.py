@@ -9,7 +9,7 @@ from slider_jax.supports.base import Support
 
 
 class PinnedLink(Support):
-    """A massless rigid link of `link_length` l_p [m] lies across the head; one of its ends is pinned.
+    """A massless rigid link of `link_length` l_p [m] across the head; one of its ends is pinned.
 
     The pin is at sigma l_p/2 n from the head, sigma = +1 or -1. It does not move, and carries no
     moment:
@@ -18,8 +18,8 @@ class PinnedLink(Support):
 
     (V + omega x r = 0 with r = sigma (l_p/2) n; the paper writes Omega x r, see docs/decisions.md.)
     sigma is +1 in the first half of every period 1/`frequency` [Hz], -1 in the second, from `phase`
-    (fraction of a period) on; with `frequency` = 0 it is +1 throughout. It holds up to and including
-    the instant of the switch.
+    (fraction of a period) on; with `frequency` = 0 it is +1 throughout. It holds up to and
+    including the instant of the switch.
     """
 
     link_length: Scalar = eqx.field(default=0.03)
@@ -39,6 +39,10 @@ class PinnedLink(Support):
         arm = self.arm(t)
         return head.V_tau - arm * omega, head.V_n, head.M + arm * head.T
 
+    def initial(self):
+        zero = jnp.zeros(())
+        return (zero, zero), zero
+
     def anchor_velocity(self, head, omega, t):
         return jnp.stack(to_plane(head.V_tau - self.arm(t) * omega, head.V_n, head.phi))
 
@@ -49,5 +53,3 @@ class PinnedLink(Support):
         moved = jnp.where(t_before < t, self.arm(t) - self.arm(t_before), 0.0)
         moved = jnp.where(t_before <= 0.0, 0.0, moved)
         return anchor + jnp.stack(to_plane(0.0, moved, phi))
-
-
