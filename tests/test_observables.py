@@ -118,7 +118,7 @@ def moving() -> tuple[np.ndarray, dict]:
 
 @pytest.fixture(scope="module")
 def still() -> tuple[np.ndarray, dict]:
-    """A clamp at rest. (Forces at one that pitches converge slower than the second order.)"""
+    """A clamp at rest. (Under one that pitches the thrust converges at an order of about 1.5.)"""
     return record(Clamped())
 
 

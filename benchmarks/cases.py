@@ -1,0 +1,72 @@
+"""The robot that every benchmark times, at settings whose error is measured in the same run."""
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false"
+
+import equinox as eqx  # noqa: E402
+import jax  # noqa: E402
+import jax.numpy as jnp  # noqa: E402
+import numpy as np  # noqa: E402
+
+from slider_jax import (
+    enable_float64,  # noqa: E402
+    observables as obs,  # noqa: E402
+)
+from slider_jax.actuation import FirstOrderLag, SquareWave  # noqa: E402
+from slider_jax.effects import NormalDrag, ReactiveForce  # noqa: E402
+from slider_jax.grid import split_cells  # noqa: E402
+from slider_jax.model import Drive, Model  # noqa: E402
+from slider_jax.parameters import Numerics, Robot  # noqa: E402
+from slider_jax.rollout import TimeGrid, rollout  # noqa: E402
+from slider_jax.supports import Clamped  # noqa: E402
+
+enable_float64()
+
+FREQUENCY = 4.8
+"""Of the drive [Hz]."""
+STRIDES = 6
+SECONDS = STRIDES / FREQUENCY
+NODES, STEPS = 31, 60
+"""The timed settings: nodes, and steps per stride."""
+SHEET = {"EI_tail": 2.9e9 * 0.03 * 0.93e-3**3 / 12, "EA_tail": 2.9e9 * 0.03 * 0.93e-3}
+"""A tail of 0.93 mm sheet, 30 mm high, E = 2.9 GPa."""
+
+
+def model(amplitude=250e3, **robot) -> Model:
+    """Head clamped in still water, a square wave of 4.8 Hz; every number an array."""
+    drive = Drive(SquareWave(FREQUENCY, amplitude), SquareWave(FREQUENCY, 0.9 * amplitude, 0.15))
+    body = Robot(**({"body_length": 0.3, "tail_length": 0.07} | robot))
+    whole = Model(
+        body, (NormalDrag(3.0), ReactiveForce(1.0)), FirstOrderLag(0.087), drive, Clamped()
+    )
+    return jax.tree.map(lambda x: jnp.asarray(x, float), whole)
+
+
+def numerics(nodes: int) -> Numerics:
+    """A mesh of `nodes`, shared out between tail and body by length."""
+    return Numerics(*split_cells(nodes, 0.07, 0.3))
+
+
+def run(model: Model, nodes=NODES, steps=STEPS, strides=STRIDES):
+    """Thrust [N] and tip [m] at every step, (steps, 2), and whether all went well."""
+
+    def save(x):
+        return jnp.stack([obs.thrust(x), obs.tip(x)])
+
+    times = TimeGrid.per_stride(FREQUENCY, steps, strides)
+    out = rollout(model, times, save, numerics(nodes), checkpoint=False)
+    return out.saved, out.ok
+
+
+def with_amplitude(model: Model, amplitude) -> Model:
+    """The same robot, driven at another set pressure [Pa]."""
+    where = lambda m: (m.drive.front.amplitude, m.drive.rear.amplitude)  # noqa: E731
+    return eqx.tree_at(where, model, (amplitude, 0.9 * amplitude))
+
+
+def mean_thrust_and_range(series, steps) -> np.ndarray:
+    """Of the last stride: mean thrust [N] and the tip's range [m]."""
+    last = np.asarray(series)[-steps:]
+    return np.array([last[:, 0].mean(), np.ptp(last[:, 1])])

@@ -1,0 +1,215 @@
+"""How fast the simulator is: one core, ratios against PyElastica in the same run.
+
+    python benchmarks/speed.py --peer-python /path/to/python/with/pyelastica --out speed.json
+
+Every figure is in CPU seconds of one core per simulated second (and per member in a batch), the
+least of several repeats; the error of the timed settings is measured in the same run. Without
+`--peer-python` the peer's rows are left out. `--growth` adds the tables and the plot of cost
+against nodes and batch.
+"""
+
+import argparse
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+HERE = Path(__file__).parent
+FIRST_CALL = """
+import time; start = time.perf_counter()
+import sys; sys.path.insert(0, {here!r})
+import jax
+jax.config.update("jax_compilation_cache_dir", {cache!r})
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+from cases import model, run
+jax.block_until_ready(jax.jit(run)(model()))
+print(time.perf_counter() - start)
+"""
+
+
+def least(call, repeats: int) -> float:
+    """CPU seconds of the quickest of `repeats` calls."""
+    import jax
+
+    spent = []
+    for _ in range(repeats):
+        start = time.process_time()
+        jax.block_until_ready(call())
+        spent.append(time.process_time() - start)
+    return min(spent)
+
+
+def accuracy() -> dict:
+    """Error of the timed settings against a fine mesh and step."""
+    import jax
+    from cases import NODES, STEPS, mean_thrust_and_range, model, run
+
+    fine = (201, 1000)
+    timed = mean_thrust_and_range(jax.jit(run)(model())[0], STEPS)
+    exact = mean_thrust_and_range(jax.jit(lambda m: run(m, *fine))(model())[0], fine[1])
+    error = timed / exact - 1.0
+    return {
+        "nodes": NODES,
+        "steps_per_stride": STEPS,
+        "fine_nodes_and_steps": fine,
+        "mean_thrust_N": exact[0],
+        "mean_thrust_error": error[0],
+        "tip_range_error": error[1],
+    }
+
+
+def batch_cost(members: int, repeats: int, nodes=None, chunk=8) -> float:
+    """Per member and simulated second; the batch runs in chunks that fit the cache."""
+    import jax
+    import jax.numpy as jnp
+    from cases import NODES, SECONDS, model, run, with_amplitude
+
+    base = model()
+
+    def member(amplitude):
+        series, ok = run(with_amplitude(base, amplitude), nodes or NODES)
+        return series[-1], ok
+
+    amplitudes = jnp.linspace(150e3, 300e3, members)
+    call = jax.jit(lambda a: jax.lax.map(member, a, batch_size=min(chunk, members)))
+    assert bool(jax.block_until_ready(call(amplitudes))[1].all())
+    return least(lambda: call(amplitudes), repeats) / (members * SECONDS)
+
+
+def single_cost(repeats: int, nodes=None, **robot) -> float:
+    """One robot alone, warm."""
+    import jax
+    from cases import NODES, SECONDS, model, run
+
+    call = jax.jit(lambda m: run(m, nodes or NODES))
+    one = model(**robot)
+    assert bool(jax.block_until_ready(call(one))[1])
+    return least(lambda: call(one), repeats) / SECONDS
+
+
+def gradient_ratio(repeats: int) -> float:
+    """Forward derivative of the thrust to C_d, m_a, k and K_Q, over the plain rollout."""
+    import equinox as eqx
+    import jax
+    import jax.numpy as jnp
+    from cases import STEPS, model, run
+
+    base = model()
+    where = lambda m: (  # noqa: E731
+        m.effects[0].C_d,
+        m.effects[1].m_a,
+        m.pressure_law.k,
+        m.robot.K_Q,
+    )
+
+    def thrust(parameters):
+        series, _ = run(eqx.tree_at(where, base, tuple(parameters)))
+        return jnp.mean(series[-STEPS:, 0])
+
+    at = jnp.stack(where(base))
+    plain, forward = jax.jit(thrust), jax.jit(jax.jacfwd(thrust))
+    jax.block_until_ready((plain(at), forward(at)))
+    ratios = [least(lambda: forward(at), 2) / least(lambda: plain(at), 2) for _ in range(repeats)]
+    return sorted(ratios)[len(ratios) // 2]
+
+
+def first_calls() -> dict:
+    """Wall seconds of a whole process: import, compile, run; then again with its cache."""
+    with tempfile.TemporaryDirectory() as cache:
+        script = FIRST_CALL.format(here=str(HERE), cache=cache)
+        seconds = [
+            float(
+                subprocess.run(
+                    [sys.executable, "-c", script], capture_output=True, text=True, check=True
+                ).stdout
+            )
+            for _ in range(2)
+        ]
+    return {"cold_s": seconds[0], "cached_s": seconds[1]}
+
+
+def peer(python: str) -> dict:
+    """PyElastica on the same rod, in the same run and on the same core."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "peer.json"
+        script = [python, str(HERE / "peer_pyelastica.py"), "--out", str(out)]
+        subprocess.run(script, check=True, stdout=subprocess.DEVNULL)
+        return json.loads(out.read_text())
+
+
+def growth(repeats: int) -> dict:
+    """Cost against nodes (one robot) and against members of a batch."""
+    nodes = {n: single_cost(repeats, n) for n in (26, 51, 101, 201, 401)}
+    members = {b: batch_cost(b, repeats) for b in (1, 2, 4, 8, 16, 56, 112, 224, 448)}
+    return {"nodes": nodes, "members": members}
+
+
+def plot_growth(table: dict, path: Path) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
+    n, cost = zip(*table["nodes"].items(), strict=True)
+    left.loglog(n, cost, "o-")
+    left.loglog(n, [cost[-1] * x / n[-1] for x in n], "k:", label="proportional to nodes")
+    left.set(xlabel="nodes", ylabel="core-seconds per simulated second", title="one robot")
+    left.legend()
+    right.semilogx(*zip(*table["members"].items(), strict=True), "o-")
+    right.set(xlabel="members", ylabel="the same, per member", title="batch", ylim=(0, None))
+    figure.savefig(path, dpi=120)
+
+
+def cpu_name() -> str:
+    """The processor's name, where the system tells it."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        return next(x.split(":")[1].strip() for x in lines if x.startswith("model name"))
+    except (OSError, StopIteration):
+        return platform.processor()
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--peer-python", help="interpreter that has pyelastica")
+    parser.add_argument("--out", type=Path, default=Path("speed.json"))
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--growth", action="store_true")
+    options = parser.parse_args()
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+    report: dict = {"processor": cpu_name(), "load": os.getloadavg()}
+    report["first_call"] = first_calls()
+    sys.path.insert(0, str(HERE))
+    from cases import SHEET
+
+    from slider_jax.provenance import versions
+
+    report["versions"] = versions()
+    report["accuracy"] = accuracy()
+    report["batch_of_112"] = batch_cost(112, options.repeats)
+    report["one"] = {"timed": single_cost(options.repeats), "51 nodes": single_cost(5, 51)}
+    report["one_with_sheet_tail"] = single_cost(options.repeats, **SHEET)
+    report["gradient_ratio"] = gradient_ratio(options.repeats)
+    if options.peer_python:
+        other = peer(options.peer_python)
+        report["pyelastica"] = other
+        report["times_faster"] = {
+            "one": other["robot"]["single_core_s_per_sim_s"] / report["one"]["timed"],
+            "batch_of_112": other["robot"]["batch"]["112"] / report["batch_of_112"],
+            "sheet": other["sheet"]["single_core_s_per_sim_s"] / report["one_with_sheet_tail"],
+        }
+    if options.growth:
+        report["growth"] = growth(options.repeats)
+        plot_growth(report["growth"], options.out.with_suffix(".png"))
+    options.out.write_text(json.dumps(report, indent=1, default=float) + "\n")
+    print(json.dumps({k: v for k, v in report.items() if k != "versions"}, indent=1, default=float))
+
+
+if __name__ == "__main__":
+    main()
