@@ -1,4 +1,4 @@
-"""The linear algebra of one Newton iteration: a beam's Jacobian and its structured solve.
+"""The linear algebra of one iteration of a stage: a beam's Jacobian and its structured solve.
 
 Unknowns per node are the forces f = (T, N, M) and the motion v = (V_tau, V_n, phi). A cell ties its
 left node j to its right node j + 1 by six equations; three more rows hold at the tail and three at
@@ -31,7 +31,8 @@ class BeamOperator(lx.AbstractLinearOperator):
     """Jacobian of a box-method residual with respect to the nodal unknowns (6, N).
 
     `left`, `right`: (6 rows, 6 unknowns, cells), the cell equations' derivatives to the cell's two
-    nodes. `tail`, `head`: (3 rows, 6 unknowns). Rows are laid out as `Residual`: cells, tail, head.
+    nodes. `tail`, `head`: (3 rows, 6 unknowns). Rows are in the order of `residual`: cells, tail,
+    head.
     """
 
     left: Float[Array, "6 6 cells"]
@@ -68,6 +69,7 @@ def _no_structure(operator):
     return False
 
 
+# lineax asks these of every operator when it is made.
 for _ask in (
     lx.is_symmetric,
     lx.is_diagonal,
@@ -245,7 +247,11 @@ def _solve(factors: _Factors, rhs):
 
 
 class BeamSolver(lx.AbstractLinearSolver):
-    """Direct solver for a `BeamOperator`, in O(cells) work and O(log cells) depth."""
+    """Direct solver for a `BeamOperator`, in O(cells) work and O(log cells) depth.
+
+    `init` factorises and `compute` solves, with the same factors as often as wanted; `compute` can
+    itself be transposed by JAX, so reverse mode needs no transposed operator.
+    """
 
     def init(self, operator, options):
         del options

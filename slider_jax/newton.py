@@ -1,9 +1,10 @@
 """The root finder of an implicit stage, and its derivative by the implicit function theorem.
 
-`BeamNewton` is a Newton method with the Jacobian's blocks, handed to `optimistix.root_find` through
-`options["jacobian"]`, a function (y, args) -> BeamOperator. `BeamAdjoint` differentiates the root
-with the same blocks; a member of a batch that failed spoils its own derivative only, and nothing in
-here calls back to the host, so compiled programs can be cached.
+`BeamNewton` takes the Jacobian's blocks from `options["jacobian"]`, a function (y, args) ->
+BeamOperator, the unknowns' scales from `options["scale"]`, and gives up at once where
+`options["skip"]` is true, so that a member of a batch that failed costs nothing more.
+`BeamAdjoint` differentiates the root with the same blocks; a failed member spoils its own
+derivative only, and nothing in here calls back to the host, so compiled programs can be cached.
 """
 
 import functools as ft
@@ -24,11 +25,13 @@ class _NewtonState(eqx.Module):
 
 
 class BeamNewton(optx.AbstractRootFinder):
-    """Shamanskii's method: each iteration factorises once and makes `corrections` Newton steps.
+    """Shamanskii's method: each iteration factorises once and makes `corrections` (at least 2)
+    simplified Newton steps with the same factors.
 
     The frozen Jacobian is exact at the first of them and nearly so at the rest, so their increments
     shrink by a steady rate r, and |increment| r/(1 - r) estimates the error left by the last one.
-    The iteration stops when that estimate, over max(`options["scale"]`, |y|), is below `rtol`.
+    The iteration stops when that estimate, over max(`options["scale"]`, |y|), is below `rtol`; an
+    absolute tolerance would be one for six units, so `atol`, which optimistix asks for, must be 0.
 
     Source: Shamanskii, V. E. (1967), A modification of Newton's method, Ukr. Math. J. 19, 118-122.
     """
@@ -38,6 +41,13 @@ class BeamNewton(optx.AbstractRootFinder):
     norm: Any = optx.max_norm
     corrections: int = 3
     linear_solver: BeamSolver = BeamSolver()
+
+    def __check_init__(self):
+        if self.corrections < 2 or self.atol != 0.0:
+            raise ValueError(
+                f"corrections={self.corrections}, atol={self.atol}: allowed are 2 or more (the "
+                "rate of convergence is that of the last two) and 0"
+            )
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags):
         return _NewtonState(jnp.asarray(jnp.inf, y.dtype))
@@ -60,7 +70,7 @@ class BeamNewton(optx.AbstractRootFinder):
     def terminate(self, fn, y, args, options, state, tags):
         bad = jnp.isnan(state.error)
         result = optx.RESULTS.where(bad, optx.RESULTS.nonfinite, optx.RESULTS.successful)
-        return bad | (state.error < self.rtol), result
+        return bad | (state.error < self.rtol) | options["skip"], result
 
     def postprocess(self, fn, y, aux, args, options, state, tags, result):
         return y, aux, {}

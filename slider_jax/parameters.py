@@ -67,16 +67,13 @@ def grid_of(robot: Robot, numerics: Numerics) -> Grid:
     return make_grid(robot.tail_length, robot.body_length, numerics.tail_cells, numerics.body_cells)
 
 
-class Scales(eqx.Module):
-    """Characteristic size of each nodal unknown, used only to judge convergence."""
+def scales_of(robot: Robot) -> Float[Array, "6 1"]:
+    """Characteristic size of each nodal unknown, used only to judge convergence.
 
-    per_unknown: Float[Array, "6 1"]
-
-
-def scales_of(robot: Robot) -> Scales:
-    """Force EI/L^2, moment EI/L, speed L/T with T = L^2 sqrt(m/EI), angle 1 rad."""
+    Force EI/L^2, moment EI/L, speed L/T with T = L^2 sqrt(m/EI), angle 1 rad.
+    """
     L, EI = robot.length, robot.EI_body
     force = EI / L**2
     speed = jnp.sqrt(EI / robot.linear_density) / L
-    values = jnp.stack([jnp.asarray(x, float) for x in (force, force, EI / L, speed, speed, 1.0)])
-    return Scales(values[:, None])
+    values = [jnp.asarray(x, float) for x in (force, force, EI / L, speed, speed, 1.0)]
+    return jnp.stack(values)[:, None]

@@ -73,14 +73,14 @@ def rollout(
 ) -> Rollout:
     """Integrate `model` over `times`; `save(snapshot)` is kept at the end of every step.
 
-    Starts straight, at rest in its support, unless `begin` carries on from an earlier rollout's
-    `final`. A step that fails freezes the state and clears `ok`; nothing is raised, so that one
+    Starts straight, at rest relative to its support, unless `begin` carries on from an earlier
+    rollout's `final`. A step that fails freezes the state and clears `ok`; nothing is raised, so that one
     member of a batch cannot stop the others (`simulate` raises for a single run).
     With `checkpoint`, reverse mode keeps each step's carry only and recomputes the rest.
     """
     mesh = make_mesh(model.robot, numerics)
     if begin is None:
-        begin = at_rest(model, numerics)
+        begin = at_rest(model, numerics, times.t0)
     pressures = stage_pressures(model, times, scheme, begin.pressure)
     step = make_step(model, mesh, numerics, scheme)
     begins = times.t0 + times.h * jnp.arange(times.steps)

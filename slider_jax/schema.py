@@ -70,12 +70,27 @@ class RobotTable(Table):
 
 
 class ParametersTable(Table):
-    """[parameters]: what calibration identifies."""
+    """[parameters]: what calibration identifies.
 
-    C_d: Annotated[float, Quantity(0.0, 20.0)]
-    m_a: Annotated[float, Quantity(0.0, 5.0)]
+    `force_coefficients` says where C_d and m_a come from: "fixed", the numbers here, or "ramp", the
+    paper's ramp at each trial's own frequency.
+    """
+
+    force_coefficients: Literal["fixed", "ramp"] = "fixed"
+    C_d: Annotated[float, Quantity(0.0, 20.0)] | None = None
+    m_a: Annotated[float, Quantity(0.0, 5.0)] | None = None
     k: Annotated[float, Quantity(0.001, 2.0, "s")]
     K_Q: Annotated[float, Quantity(1e-9, 1e-4, "m^3")]
+
+    @model_validator(mode="after")
+    def _coefficients_come_from_one_place(self) -> "ParametersTable":
+        for name in ("C_d", "m_a"):
+            given = getattr(self, name)
+            if self.force_coefficients == "fixed" and given is None:
+                _fail(name, "nothing", 'a number, unless force_coefficients is "ramp"')
+            if self.force_coefficients == "ramp" and given is not None:
+                _fail(name, given, 'only with force_coefficients = "fixed"; leave it out')
+        return self
 
 
 class SensorsTable(Table):
@@ -97,7 +112,7 @@ class WaterTable(Table):
 
 
 class NumericsTable(Table):
-    """[numerics]: nodes along the robot, the longest time step, the scheme, Newton's tolerance."""
+    """[numerics]: nodes along the robot, the longest time step, the scheme, a step's tolerance."""
 
     nodes: Annotated[int, Field(strict=True, ge=11, le=1001)] = 51
     step: Annotated[float, Quantity(1e-5, 0.02, "s")] = 1e-3
@@ -174,6 +189,9 @@ class ExperimentTable(Table):
                 where = f"a name of its own; trials.{seen[trial.file]} has it already"
                 _fail(f"trials.{index}.file", repr(trial.file), where)
             seen[trial.file] = index
+            if self.parameters.force_coefficients == "ramp" and trial.frequency is None:
+                ramp = 'a number, as parameters.force_coefficients is "ramp"'
+                _fail(f"trials.{index}.frequency", "nothing", ramp)
             fastest = max(trial.frequency or 0.0, trial.clamp_frequency or 0.0)
             if trial.clamp_moves and not fastest:
                 _fail(f"trials.{index}.clamp_frequency", "nothing", "a number, as the clamp moves")

@@ -41,9 +41,7 @@ SCHEMES = {scheme.name: scheme for scheme in (BACKWARD_EULER, SDIRK2)}
 
 def extrapolation(scheme: Scheme) -> list[list[float]]:
     """For each stage, weights of the last three solutions (oldest first) that predict its own."""
-    times = [node - 1.0 for node in scheme.nodes] + list(scheme.nodes)
-    while len(times) < 3 + scheme.stages:
-        times = [times[0] - 1.0, *times]
+    times = [node - back for back in (3, 2, 1, 0) for node in scheme.nodes]
     rows = []
     for stage in range(scheme.stages):
         end = len(times) - scheme.stages + stage

@@ -10,12 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from slider_jax import observables as obs
+from slider_jax.actuation import Recorded
 from slider_jax.effects import total_force
 from slider_jax.errors import SolverError
 from slider_jax.experiment import Experiment, sample_times, to_model, to_numerics
-from slider_jax.frame import to_plane
-from slider_jax.model import Model, make_mesh
-from slider_jax.parameters import Numerics
+from slider_jax.frame import midline, to_plane
+from slider_jax.model import Model
+from slider_jax.parameters import Numerics, grid_of
 from slider_jax.rollout import TimeGrid, rollout
 from slider_jax.sampling import edge_steps, half_period_steps, sample
 from slider_jax.schema import Trial
@@ -68,8 +69,8 @@ class Clock:
 def clock(experiment: Experiment, trial: Trial, model: Model) -> Clock:
     """Steps locked to the stride, or to the samples of a recorded drive."""
     longest = experiment.numerics.step
-    if trial.waveform == "recorded":
-        times = np.asarray(model.drive.front.times)  # type: ignore[attr-defined]
+    if isinstance(model.drive.front, Recorded):
+        times = np.asarray(model.drive.front.times)
         spacing = (times[-1] - times[0]) / (len(times) - 1)
         h = spacing / np.ceil(spacing / longest * (1.0 - 1e-9))
         return Clock(h, _whole(trial.duration / h))
@@ -85,8 +86,9 @@ def _whole(steps: float) -> int:
 
 @eqx.filter_jit
 def _begin(model: Model, numerics: Numerics) -> tuple[Carry, jax.Array]:
-    """At rest in the clamp, and the nodes' places along the robot [m]."""
-    return at_rest(model, numerics), make_mesh(model.robot, numerics).grid.s
+    """At rest relative to the clamp, and the midline (2, nodes) [m] from the head."""
+    carry, grid = at_rest(model, numerics), grid_of(model.robot, numerics)
+    return carry, midline(carry.memory.motion[2], carry.memory.strain, carry.memory.head, grid)
 
 
 @eqx.filter_jit
@@ -118,8 +120,8 @@ class Run:
     """What `readings` or `readings_and_shape` names, each (steps + 1, ...)."""
     columns: dict[str, np.ndarray]
     """t_s, p_front_Pa, p_rear_Pa, thrust_N, recoil_N, tip_m at the trial's sample times."""
-    newton: int
-    """Newton iterations in all."""
+    factorisations: int
+    """Of the Jacobian, in all."""
 
 
 def simulate(
@@ -132,8 +134,8 @@ def simulate(
 ) -> Run:
     """Simulate one trial and sample it at the trial's own times.
 
-    The robot starts straight and at rest relative to the clamp. With `shape`, midlines, moments and
-    forces are kept too. `progress(steps done, steps in all)` is called now and then. Trials of one
+    The robot starts straight and at rest relative to the clamp, no force on it. With `shape`,
+    midlines, moments and forces are kept too. `progress(steps done, steps in all)` is called now and then. Trials of one
     waveform and mesh share one compiled program. Raises `SolverError` naming trial, time and step
     if a step does not converge, `InputError` if the trial's files cannot be used.
     """
@@ -143,8 +145,8 @@ def simulate(
     numerics, scheme = to_numerics(experiment)
     grid = clock(experiment, trial, model)
     save = readings_and_shape if shape else readings
-    carry, s = _begin(model, numerics)
-    initial = _initial(model, np.asarray(s), shape)
+    carry, line = _begin(model, numerics)
+    initial = _initial(model, np.asarray(line), shape)
     chunks = []
     for done in range(0, grid.steps, chunk):
         t0 = jnp.asarray(grid.h * done)
@@ -152,7 +154,7 @@ def simulate(
             model, jnp.asarray(grid.h), t0, carry, save, numerics, scheme, chunk
         )
         chunks.append(jax.tree.map(np.asarray, saved))
-        if float(carry.failed_at) <= grid.h * grid.steps:
+        if float(carry.failed_at) < grid.h * (grid.steps + 0.5):
             raise _failure(trial, grid, float(carry.failed_at))
         if progress is not None:
             progress(min(done + chunk, grid.steps), grid.steps)
@@ -164,23 +166,23 @@ def simulate(
     bad = ~np.isfinite(series["recoil"])
     if bad.any():
         raise _failure(trial, grid, float(t[np.argmax(bad)]))
-    return Run(trial, grid, t, series, _columns(t, series, at, grid), int(carry.newton))
+    return Run(trial, grid, t, series, _columns(t, series, at, grid), int(carry.factorisations))
 
 
-def _initial(model: Model, s: np.ndarray, shape: bool) -> dict[str, np.ndarray]:
-    """The initial state's readings: straight, no force. `s` (nodes,) [m]."""
+def _initial(model: Model, midline: np.ndarray, shape: bool) -> dict[str, np.ndarray]:
+    """The initial state's readings: straight, no force yet. `midline` (2, nodes) [m]."""
     drive = model.drive
     zero = np.zeros(())
     values = {
         "pressure": np.array([float(drive.start_front), float(drive.start_rear)]),
         "thrust": zero,
         "recoil": zero,
-        "tip": zero,
+        "tip": midline[1, 0],
     }
     if shape:
-        values["midline"] = np.stack([s - s[-1], np.zeros_like(s)])
-        values["moment"] = np.zeros_like(s)
-        values["force"] = np.zeros((2, len(s) - 1))
+        values["midline"] = midline
+        values["moment"] = np.zeros(midline.shape[1])
+        values["force"] = np.zeros((2, midline.shape[1] - 1))
     return values
 
 

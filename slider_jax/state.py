@@ -38,17 +38,22 @@ def fields(y: Unknowns) -> Fields:
 class Memory(eqx.Module):
     """What the time derivatives act on: carried from step to step.
 
-    `motion` (3, N): V_tau, V_n, phi at the nodes. `strain` (N - 1,): eps in the cells. `anchor`
-    (2,): position [m] of the point that the support anchors, the head or a pin.
+    `motion` (3, N): V_tau, V_n, phi at the nodes. `strain` (N - 1,): eps in the cells. `head` (2,):
+    its position [m].
     """
 
     motion: Float[Array, "3 nodes"]
     strain: Float[Array, " cells"]
-    anchor: Float[Array, "2"]
+    head: Float[Array, "2"]
 
 
-def straight(nodes: int, V_tau=0.0, V_n=0.0, phi=0.0) -> tuple[Unknowns, Memory]:
-    """Unloaded and straight at the angle `phi` [rad], moving as one at (V_tau, V_n) [m/s]."""
-    zero = jnp.zeros((nodes,))
-    y = jnp.stack([zero, zero, zero, zero + V_tau, zero + V_n, zero + phi])
-    return y, Memory(motion=y[3:], strain=zero[1:], anchor=jnp.zeros(2))
+def straight(
+    s: Float[Array, " nodes"], V_tau=0.0, V_n=0.0, phi=0.0, omega=0.0
+) -> tuple[Unknowns, Memory]:
+    """Unloaded and straight at the angle `phi` [rad], the head at the origin, moving rigidly.
+
+    `s` [m]: the nodes; (V_tau, V_n) [m/s]: velocity of the head; `omega` [rad/s]: turning rate.
+    """
+    zero = jnp.zeros_like(s)
+    y = jnp.stack([zero, zero, zero, zero + V_tau, V_n + omega * (s - s[-1]), zero + phi])
+    return y, Memory(motion=y[3:], strain=zero[1:], head=jnp.zeros(2))

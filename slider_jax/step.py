@@ -1,19 +1,22 @@
 """One time step: its stages, each a root find."""
 
+import functools as ft
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optimistix as optx
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, PyTree
 
 from slider_jax.beam import Reference, Section, section, strain
 from slider_jax.frame import to_body
 from slider_jax.model import Mesh, Model
 from slider_jax.newton import BeamAdjoint, BeamNewton
-from slider_jax.parameters import Numerics, scales_of
+from slider_jax.parameters import Numerics, Scalar, grid_of, scales_of
 from slider_jax.residual import Stage, jacobian, mid_and_slope, residual
 from slider_jax.scheme import Scheme, extrapolation
 from slider_jax.state import Memory, Unknowns, fields, straight
+from slider_jax.supports import Support
 
 
 class Carry(eqx.Module):
@@ -26,8 +29,8 @@ class Carry(eqx.Module):
     """Of the two chambers [Pa]."""
     ok: Bool[Array, ""]
     """False from the first stage that did not converge; the state is frozen from there on."""
-    newton: Array
-    """Newton iterations spent so far."""
+    factorisations: Array
+    """Of the Jacobian, spent so far."""
     failed_at: Array
     """Time [s] of the stage that failed, or inf."""
 
@@ -45,7 +48,7 @@ class Snapshot(eqx.Module):
     @property
     def head(self) -> Float[Array, "2"]:
         """Position of the head [m]."""
-        return self.stage.support.head_position(self.memory.anchor, self.y[5, -1], self.t)
+        return self.memory.head
 
     def section(self) -> Section:
         """The kinematics in the cells."""
@@ -54,7 +57,7 @@ class Snapshot(eqx.Module):
         return section(mid, slope, stage.structure, stage.reference, stage.water, stage.t)
 
 
-def _blend(base: Memory, last: Memory, weight) -> Memory:
+def _blend(base: PyTree, last: PyTree, weight) -> PyTree:
     return jax.tree.map(lambda b, q: b + weight * (q - b), base, last)
 
 
@@ -64,27 +67,36 @@ def _reference(memory: Memory, mesh: Mesh, dt) -> Reference:
     return Reference(V_tau, V_n, phi, kappa, memory.strain, dt)
 
 
+def _anchor(memory: Memory, support: Support, t) -> Float[Array, "2"]:
+    return memory.head + support.anchor_offset(memory.motion[2, -1], t)
+
+
 def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
     """The function that advances a `Carry` by one step.
 
     It takes (carry, (t, h, pressures)): the step's start and length [s], and the chambers'
     pressures [Pa] at each stage, (stages, 2). It returns the new carry and a `Snapshot` at the
-    step's end.
+    step's end. Raises `ValueError` when traced in float32.
     """
+    if mesh.grid.s.dtype != jnp.float64:
+        raise ValueError(
+            f"the beam's equations need float64, given {mesh.grid.s.dtype}; call "
+            "slider_jax.enable_float64() before any array is made"
+        )
     solver = BeamNewton(rtol=numerics.tolerance)
-    scale = scales_of(model.robot).per_unknown
+    scale = scales_of(model.robot)
     water = jnp.stack([jnp.asarray(u, mesh.grid.s.dtype) for u in model.water])
     predict = jnp.asarray(extrapolation(scheme))
     nodes, weights = jnp.asarray(scheme.nodes), jnp.asarray(scheme.weights)
 
-    def run_stage(base, h, carry, stage_inputs):
+    def run_stage(base, support, h, carry, stage_inputs):
         t, weight, predictor, pressure = stage_inputs
         reference = _blend(base, carry.memory, weight)
         dt = scheme.gamma * h
         stage = Stage(
             structure=mesh.structure,
             effects=model.effects,
-            support=model.support,
+            support=support,
             reference=_reference(reference, mesh, dt),
             phi_head_reference=reference.motion[2, -1],
             active_moment=pressure @ mesh.chambers,
@@ -97,7 +109,7 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
             solver,
             guess,
             args=stage,
-            options={"jacobian": jacobian, "scale": scale},
+            options={"jacobian": jacobian, "scale": scale, "skip": ~carry.ok},
             max_steps=numerics.max_newton,
             adjoint=BeamAdjoint(),
             throw=False,
@@ -107,12 +119,12 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
         y = jnp.where(ok, solution.value, carry.history[-1])
         head = fields(y[:, -1])
         omega = (head.phi - stage.phi_head_reference) / dt
-        drift = model.support.anchor_velocity(head, omega, t)
-        T_mid = mesh.grid.mid(y[0])
+        anchor = _blend(_anchor(base, support, t), _anchor(carry.memory, support, t), weight)
+        anchor = anchor + dt * support.anchor_velocity(head, omega, t)
         found = Memory(
             motion=y[3:],
-            strain=strain(T_mid, mesh.structure, stage.reference),
-            anchor=reference.anchor + dt * drift,
+            strain=strain(mesh.grid.mid(y[0]), mesh.structure, stage.reference),
+            head=anchor - support.anchor_offset(head.phi, t),
         )
         memory = jax.tree.map(lambda a, b: jnp.where(ok, a, b), found, carry.memory)
         new = Carry(
@@ -120,32 +132,24 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
             memory=memory,
             pressure=pressure,
             ok=ok,
-            newton=carry.newton + solution.stats["num_steps"],
+            factorisations=carry.factorisations + solution.stats["num_steps"],
             failed_at=jnp.where(carry.ok & ~converged, t, carry.failed_at),
         )
         return new, stage
 
     def step(carry: Carry, inputs):
         t_start, h, pressures = inputs
-        # The support may change between steps (a pin that switches sides), so re-anchor first.
-        t_inside = t_start + scheme.nodes[0] * h
-        base = eqx.tree_at(
-            lambda m: m.anchor,
-            carry.memory,
-            model.support.reanchor(
-                carry.memory.anchor, carry.memory.motion[2, -1], t_start, t_inside
-            ),
-        )
-        carry = eqx.tree_at(lambda c: c.memory, carry, base)
-
         times = t_start + nodes * h
+        one_stage = ft.partial(
+            run_stage, carry.memory, model.support.during(t_start, t_start + h), h
+        )
 
         def body(state, stage_inputs):
             inner, _ = state
-            return run_stage(base, h, inner, stage_inputs), None
+            return one_stage(inner, stage_inputs), None
 
         rows = (times, weights, predict, pressures)
-        empty = jax.eval_shape(run_stage, base, h, carry, jax.tree.map(lambda x: x[0], rows))[1]
+        empty = jax.eval_shape(one_stage, carry, jax.tree.map(lambda x: x[0], rows))[1]
         placeholder = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), empty)
         (carry, stage), _ = jax.lax.scan(body, (carry, placeholder), rows)
         snapshot = Snapshot(times[-1], carry.history[-1], carry.memory, stage, mesh, pressures[-1])
@@ -154,13 +158,14 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
     return step
 
 
-def at_rest(model: Model, numerics: Numerics) -> Carry:
-    """The carry of a straight, unloaded body at rest in its support at t = 0."""
-    velocity, angle = model.support.initial()
+def at_rest(model: Model, numerics: Numerics, t0: Scalar = 0.0) -> Carry:
+    """The carry of a straight, unloaded body at rest relative to its support at `t0` [s]."""
+    velocity, angle, rate = model.support.start(jnp.asarray(t0))
     drive = model.drive
     pressure = jnp.stack([jnp.asarray(p, float) for p in (drive.start_front, drive.start_rear)])
     V_tau, V_n = to_body(velocity, angle)
-    return start(*straight(numerics.nodes, V_tau, V_n, angle), pressure)
+    s = grid_of(model.robot, numerics).s
+    return start(*straight(s, V_tau, V_n, angle, rate), pressure)
 
 
 def start(y: Unknowns, memory: Memory, pressure: Float[Array, "2"]) -> Carry:
@@ -170,6 +175,6 @@ def start(y: Unknowns, memory: Memory, pressure: Float[Array, "2"]) -> Carry:
         memory=memory,
         pressure=pressure,
         ok=jnp.asarray(True),
-        newton=jnp.asarray(0),
+        factorisations=jnp.asarray(0),
         failed_at=jnp.asarray(jnp.inf, y.dtype),
     )

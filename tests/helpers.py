@@ -10,7 +10,7 @@ from slider_jax.beam import Reference
 from slider_jax.effects import NormalDrag, ReactiveForce
 from slider_jax.frame import midline
 from slider_jax.model import Drive, Model, make_mesh
-from slider_jax.parameters import Numerics, Robot
+from slider_jax.parameters import Numerics, Robot, grid_of
 from slider_jax.residual import Stage, residual
 from slider_jax.rollout import TimeGrid, rollout
 from slider_jax.scheme import SDIRK2
@@ -62,6 +62,11 @@ def uniform(L=0.368, EI=0.038, effects=(), support=None, **robot) -> Model:
             Clamped() if support is None else support,
         )
     )
+
+
+def nodes_of(model: Model, numerics: Numerics):
+    """The nodes' distances from the tail [m]."""
+    return grid_of(model.robot, numerics).s
 
 
 def stage_of(model: Model, numerics: Numerics, y_reference, dt, t=0.0, active_moment=None) -> Stage:

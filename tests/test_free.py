@@ -7,13 +7,12 @@ import numpy as np
 from slider_jax.actuation import SineWave
 from slider_jax.effects import total_force
 from slider_jax.frame import to_plane
-from slider_jax.model import make_mesh
 from slider_jax.parameters import Numerics
 from slider_jax.rollout import TimeGrid, rollout
-from slider_jax.state import Memory, straight
+from slider_jax.state import straight
 from slider_jax.step import start
 from slider_jax.supports import Free
-from tests.helpers import swimmer
+from tests.helpers import nodes_of, swimmer
 
 FINE = Numerics(tail_cells=10, body_cells=40)
 STEPS, H = 400, 2.5e-4
@@ -39,23 +38,16 @@ def free_swimmer(**options):
     return swimmer(frequency=2.0, wave=SineWave, support=Free(), **options)
 
 
-def in_motion(V_tau, V_n):
-    """Straight along x, moving with the given nodal velocities [m/s]."""
-    y, memory = straight(FINE.nodes)
-    y = y.at[3].set(V_tau).at[4].set(V_n)
-    return y, Memory(motion=y[3:], strain=memory.strain, anchor=memory.anchor)
-
-
 def spinning(model):
     """Turning at 3 rad/s about mid-body while its middle moves at (0.3, 0.1) m/s."""
-    s = make_mesh(model.robot, FINE).grid.s
-    return in_motion(0.3, 0.1 + 3.0 * (s - 0.5 * s[-1]))
+    s = nodes_of(model, FINE)
+    return straight(s, 0.3, 0.1 + 1.5 * s[-1], omega=3.0)
 
 
 def test_momentum_gained_is_the_impulse_of_the_water():
     """Relative to all the momentum that the water exchanged; trapezoidal rule for the impulse."""
     model = free_swimmer()
-    y, memory = straight(FINE.nodes)
+    y, memory = straight(nodes_of(model, FINE))
     out = swim(model, jnp.asarray(H), y, memory)
     assert bool(out.ok)
     P, F, _, exchanged, phi = map(np.asarray, out.saved)
@@ -77,7 +69,7 @@ def dry():
 
 def test_no_forces_drift_at_constant_velocity():
     model = eqx.tree_at(lambda m: m.robot.K_Q, dry(), jnp.asarray(0.0))
-    out = swim(model, jnp.asarray(H), *in_motion(0.5, -0.2))
+    out = swim(model, jnp.asarray(H), *straight(nodes_of(model, FINE), 0.5, -0.2))
     P = np.asarray(out.saved[0])
     mass = float(model.robot.linear_density * model.robot.length)
     assert bool(out.ok)

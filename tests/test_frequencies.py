@@ -7,7 +7,7 @@ import pytest
 from slider_jax.effects import NormalDrag, ReactiveForce
 from slider_jax.parameters import Numerics
 from slider_jax.state import straight
-from tests.helpers import flat_residual, stage_of, uniform
+from tests.helpers import flat_residual, nodes_of, stage_of, uniform
 
 L, EI, MASS = 0.368, 0.038, 0.7
 FINE = Numerics(tail_cells=10, body_cells=40)
@@ -19,7 +19,7 @@ def frequencies(model, numerics, count):
     The residual is R(y, (q(y) - q(y_ref))/dt). With dt = 1 and both at rest, C = -dR/dy_ref acts on
     dy/dt and K = dR/dy + dR/dy_ref on y; lambda C v + K v = 0.
     """
-    y, _ = straight(numerics.nodes)
+    y, _ = straight(nodes_of(model, numerics))
 
     def value(v, v_ref):
         stage = stage_of(model, numerics, v_ref.reshape(y.shape), 1.0)

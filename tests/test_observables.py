@@ -1,6 +1,7 @@
 """Observables against closed forms, and the energy balance of a whole stride."""
 
 import jax
+import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -11,8 +12,9 @@ from slider_jax.effects import Gravity, NormalDrag, ReactiveForce, total_force
 from slider_jax.frame import to_body, to_plane
 from slider_jax.paper import force_coefficients
 from slider_jax.parameters import Numerics
+from slider_jax.rollout import TimeGrid, rollout
 from slider_jax.supports import Clamped
-from tests.helpers import march, swimmer
+from tests.helpers import SMALL, march, swimmer
 
 F, L = 3.0, 0.368
 S = jnp.linspace(0.0, L, 41)
@@ -50,6 +52,45 @@ def test_wave_of_a_clamped_body_is_fitted_where_it_moves_and_differentiable():
 
     np.testing.assert_allclose(fitted(0.5), 0.5, rtol=1e-9)
     np.testing.assert_allclose(jax.grad(fitted)(0.5), 1.0, rtol=1e-6)
+
+
+MOTIONS = {
+    "travelling, still head": lambda k: wave(k, amplitude=lambda s: 0.03 * (1 - s / L) ** 2),
+    "travelling, no gap between the singular values": lambda k: wave(L / 2 + 0.0 * k),
+    "standing": lambda k: k * (wave(0.3) + wave(0.3, direction=-1.0)),
+    "nothing moves": lambda k: 0.0 * wave(k),
+}
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("mode_of", ["fundamental", "orthogonal"])
+def test_wave_observables_have_finite_derivatives(mode_of, motion):
+    def observed(k):
+        y = MOTIONS[motion](k)
+        mode = obs.fundamental_mode(y, T, F) if mode_of == "fundamental" else obs.orthogonal_mode(y)
+        speed = obs.body_wave(mode, S, F).speed
+        travels = motion.startswith("travelling")
+        squares = obs.travelling_index(mode) ** 2 + jnp.abs(mode[0]) ** 2
+        return squares + (speed if travels else 0.0)
+
+    slope = float(jax.grad(observed)(0.5))
+    central = float((observed(0.5 + 1e-6) - observed(0.5 - 1e-6)) / 2e-6)
+    assert slope == pytest.approx(central, rel=1e-4, abs=1e-6)
+
+
+@pytest.mark.parametrize("points", [41, 40])
+def test_the_orthogonal_mode_is_the_first_singular_vector(points):
+    """Two waves of different shape and frequency; the first carries most of the motion."""
+    y = (wave(0.3) + 0.5 * jnp.sin(4 * np.pi * F * T)[:, None] * wave(0.2))[:, :points]
+    steps = y.shape[0]
+    spectrum = np.fft.fft(y - y.mean(axis=0), axis=0)
+    spectrum[1 : steps // 2] *= 2.0
+    spectrum[steps // 2 + 1 :] = 0.0
+    in_time, size, in_space = np.linalg.svd(np.fft.ifft(spectrum, axis=0), full_matrices=False)
+    phase = in_time[0, 0] / abs(in_time[0, 0])
+    assert 0.05 < size[1] / size[0] < 0.6
+    expected = in_space[0] * phase * size[0] / np.sqrt(steps)
+    np.testing.assert_allclose(obs.orthogonal_mode(y), expected, atol=1e-12)
 
 
 def test_travelling_index_is_one_for_a_travelling_and_zero_for_a_standing_wave():
@@ -97,6 +138,25 @@ def everything(x):
         water=integral((1.0 + section.strain) * in_plane),
         momentum=integral(section.linear_density * velocity),
     )
+
+
+def test_every_observable_of_a_snapshot_is_differentiable():
+    """To C_d, after 20 steps from rest, forward and by central differences."""
+
+    def saved(x):
+        shape = (obs.midline(x), obs.lateral(x), obs.tip(x))
+        return everything(x), shape, obs.chamber_power(x), obs.clamp_power(x)
+
+    @jax.jit
+    def last(C_d):
+        out = rollout(swimmer(C_d=C_d), TimeGrid(1e-3, 20), saved, SMALL)
+        return jax.flatten_util.ravel_pytree(jax.tree.map(lambda q: q[-1], out.saved))[0]
+
+    at, h = jnp.asarray(3.0), 1e-3
+    slope = jax.jit(lambda C_d: jax.jvp(last, (C_d,), (jnp.ones(()),))[1])(at)
+    central = (last(at + h) - last(at - h)) / (2.0 * h)
+    assert np.count_nonzero(slope) > 0.5 * slope.size
+    np.testing.assert_allclose(slope, central, rtol=1e-5, atol=1e-9)
 
 
 STEPS = 200

@@ -135,8 +135,30 @@ def test_pressure_is_differentiable_to_the_time_of_an_edge(argument):
     assert float(jax.grad(value)(at)) == pytest.approx(float(central), rel=1e-6)
 
 
-def test_no_lag_follows_the_set_pressure():
-    t = jnp.asarray(off_edges())
+@pytest.mark.parametrize("argument", ["frequency", "phase"])
+def test_edges_on_steps_have_the_derivative_of_the_closed_form(argument):
+    """All edges of phase 0.15 fall on these twentieths of a period; none on the last time."""
+    t = jnp.asarray(on_edges()[:46])
+
+    def last(**changed):
+        wave = SquareWave(**({"frequency": F, "amplitude": A, "phase": 0.15} | changed))
+        return pressure_history(LAG, wave, 0.0, t)[-1] / A
+
+    at = {"frequency": F, "phase": 0.15}[argument]
+    h = 1e-6 * at
+    central = (last(**{argument: at + h}) - last(**{argument: at - h})) / (2.0 * h)
+    slope = float(jax.grad(lambda x: last(**{argument: x}))(at))
+    assert abs(slope) > 0.1
+    assert slope == pytest.approx(float(central), rel=1e-5)
+
+
+@pytest.mark.parametrize("times", [on_edges, off_edges])
+def test_no_lag_follows_the_set_pressure(times):
+    t = jnp.asarray(times())
     ideal = pressure_history(Ideal(), SquareWave(F, A), 0.0, t)[1:]
     quick = pressure_history(FirstOrderLag(1e-9), SquareWave(F, A), 0.0, t)[1:]
-    np.testing.assert_allclose(quick, ideal, rtol=1e-12)
+    none = pressure_history(FirstOrderLag(0.0), SquareWave(F, A), 0.0, t)[1:]
+    np.testing.assert_array_equal(none, ideal)
+    away = np.abs((F * t[1:]) % 0.5 - 0.25) < 0.249
+    np.testing.assert_allclose(quick[away], ideal[away], rtol=1e-12)
+    assert np.all(np.abs(ideal) == A)

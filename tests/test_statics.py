@@ -8,7 +8,7 @@ from slider_jax.frame import midline, to_body
 from slider_jax.model import make_mesh
 from slider_jax.parameters import Numerics
 from slider_jax.state import straight
-from tests.helpers import dense_newton, order, stage_of, uniform
+from tests.helpers import dense_newton, nodes_of, order, stage_of, uniform
 
 L, EI = 0.368, 0.038
 
@@ -16,7 +16,7 @@ L, EI = 0.368, 0.038
 def static_shape(tail_load, numerics):
     """Midline (2, N) of the clamped uniform rod at rest under a load on its tail's end."""
     model = uniform(L, EI)
-    y, _ = straight(numerics.nodes)
+    y, _ = straight(nodes_of(model, numerics))
     y, error = dense_newton(stage_of(model, numerics, y, 1e9), y, tail_load)
     assert error < 1e-9
     mesh = make_mesh(model.robot, numerics)

@@ -21,18 +21,21 @@ class PressureLaw(eqx.Module):
 
 def _ramp_response(p, a0, a1, span, k):
     """dp/dt = (a - p)/k over `span` [s], a linear from a0 to a1: exact, also for span = 0."""
-    x = span / k
+    lagging = k > 0.0
+    x = span / jnp.where(lagging, k, 1.0)
     small = x < 1e-6
     safe = jnp.where(small, 1.0, x)
     mean_decay = jnp.where(small, 1.0 - 0.5 * x, -jnp.expm1(-safe) / safe)
     decay = jnp.exp(-x)
-    return decay * p + (1.0 - decay) * a0 + (a1 - a0) * (1.0 - mean_decay)
+    lagged = decay * p + (1.0 - decay) * a0 + (a1 - a0) * (1.0 - mean_decay)
+    return jnp.where(lagging, lagged, a1)
 
 
 class FirstOrderLag(PressureLaw):
     """dp/dt = (p_set - p)/k, stepped exactly (the paper's pneumatic lag).
 
-    Range of k: 10 to 300 ms; the paper's rig has 87 ms. Vanishes at k = 0, where p = p_set.
+    Range of k: 10 to 300 ms; the paper's rig has 87 ms. Vanishes at k = 0, where p = p_set and no
+    derivative to k is defined.
     """
 
     k: Scalar
@@ -48,7 +51,7 @@ class Ideal(PressureLaw):
     """p = p_set: for a drive that is itself a measured pressure."""
 
     def advance(self, p, set_point):
-        return 0.0 * p + set_point.b1
+        return jnp.broadcast_to(set_point.b1, jnp.shape(p))
 
 
 def pressure_history(

@@ -40,7 +40,9 @@ class SquareWave(Waveform):
     """+-amplitude [Pa], positive in the first half of a period 1/frequency [Hz], after `phase`.
 
     `phase` is the delay as a fraction of a period. Exact for steps up to half a period, and
-    differentiable to frequency and phase: the edge is a time, not an index.
+    differentiable to frequency and phase: the edge is a time, not an index, and an edge that falls
+    on the end of a step moves through it. The pressure at the instant of an edge has a corner; its
+    derivative there is that from before.
     """
 
     frequency: Scalar
@@ -48,13 +50,17 @@ class SquareWave(Waveform):
     phase: Scalar = 0.0
 
     def segment(self, t0, t1):
-        turn0 = self.frequency * t0 - self.phase
-        edge = jnp.floor(2.0 * turn0 + 1e-9) / 2.0 + 0.5
-        sign = jnp.where(jnp.floor(2.0 * turn0 + 1e-9) % 2.0 == 0.0, 1.0, -1.0)
-        t_break = (edge + self.phase) / self.frequency
-        before = sign * self.amplitude
-        after = jnp.where(t_break < t1, -before, before)
-        return Segment(t0, jnp.minimum(t_break, t1), t1, before, before, after, after)
+        def half_turns(t):
+            # Rounding must not move an edge that falls on a step into the step before.
+            return jnp.floor(2.0 * (self.frequency * t - self.phase) - 1e-9)
+
+        whole = half_turns(t0)
+        crossed = half_turns(t1) > whole
+        before = jnp.where(whole % 2.0 == 0.0, self.amplitude, -self.amplitude)
+        edge = (0.5 * (whole + 1.0) + self.phase) / self.frequency
+        t_break = jnp.where(crossed, edge, t1)
+        after = jnp.where(crossed, -before, before)
+        return Segment(t0, t_break, t1, before, before, after, after)
 
 
 class SineWave(Waveform):

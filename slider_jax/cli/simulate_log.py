@@ -14,11 +14,19 @@ import numpy as np
 from calibration.logs import PA_PER_PSI, ManifoldLog, read_log
 from calibration.shape import whole_cycles
 from slider_jax.actuation import Ideal, Recorded
+from slider_jax.cli.progress import Progress
 from slider_jax.errors import SolverError
-from slider_jax.experiment import SAMPLES, Experiment, assemble, to_model, to_numerics
+from slider_jax.experiment import (
+    SAMPLES,
+    Experiment,
+    assemble,
+    drag_and_added_mass,
+    to_model,
+    to_numerics,
+)
 from slider_jax.files import staged, write_csv, write_json
 from slider_jax.model import Drive, Model
-from slider_jax.paper import PRESSURE_LAG, force_coefficients
+from slider_jax.paper import PRESSURE_LAG
 from slider_jax.parameters import Numerics, Robot
 from slider_jax.provenance import input_file, versions
 from slider_jax.rollout import TimeGrid, rollout
@@ -50,15 +58,13 @@ def simulate_log(
     sample; with "measured", the measured pressure acts as it is. Raises `InputError` for the log or
     the model file, `SolverError` where a step does not converge.
     """
-    from tqdm import tqdm
-
     log = read_log(path)
     for finding in log.findings:
         print(f"{path.name}: {finding}", file=sys.stderr)
     experiment = built_in(log, model)
     with staged(out) as stage:
-        with tqdm(total=len(log.t), unit="sample", desc=path.stem, disable=None) as bar:
-            columns = drive_robot(log, experiment, drive, lambda done: bar.update(done - bar.n))
+        with Progress(path.stem, "sample") as progress:
+            columns = drive_robot(log, experiment, drive, progress.to)
         formats = dict(zip(SAMPLES, (".3f", ".1f", ".1f", ".6f", ".6f", ".7f"), strict=True))
         write_csv(stage / f"{path.stem}.csv", columns, formats)
         told = summary(log, experiment, model, drive, columns)
@@ -80,11 +86,10 @@ def built_in(log: ManifoldLog, model: Path | None) -> Experiment:
     """The built-in robot, C_d and m_a on the paper's ramp at the log's frequency, overridden."""
     robot = asdict(Robot())
     K_Q = robot.pop("K_Q")
-    C_d, m_a = (float(x) for x in force_coefficients(log.frequency))
     content = {
         "name": log.path.stem,
         "robot": robot,
-        "parameters": {"C_d": C_d, "m_a": m_a, "k": PRESSURE_LAG, "K_Q": K_Q},
+        "parameters": {"force_coefficients": "ramp", "k": PRESSURE_LAG, "K_Q": K_Q},
         "numerics": {"step": STEP},
         "trials": [
             {
@@ -107,9 +112,9 @@ def _advance(model: Model, h, t0, begin, numerics: Numerics, scheme: Scheme, eve
 
 
 def drive_robot(
-    log: ManifoldLog, experiment: Experiment, drive: str, progress=lambda done: None
+    log: ManifoldLog, experiment: Experiment, drive: str, progress=lambda done, total: None
 ) -> dict[str, np.ndarray]:
-    """The columns `SAMPLES` at the log's sample times. `progress(samples done)` is called at times.
+    """The columns `SAMPLES` at the log's sample times. `progress(samples done, all)` is called.
 
     Where the log misses samples, the drive is linear between those that are there.
     """
@@ -144,13 +149,13 @@ def drive_robot(
         )
         chunks.append(jax.tree.map(np.asarray, saved))
         failed_at = float(carry.failed_at)
-        if failed_at <= log.t[-1] or not np.isfinite(chunks[-1]["recoil"]).all():
+        if failed_at < log.t[-1] + 0.5 * h or not np.isfinite(chunks[-1]["recoil"]).all():
             raise SolverError(
                 f"{log.path}: the step to t = {min(failed_at, at[span][-1]):.6g} s (length "
                 f"{h:.3g} s) did not converge; check K_Q, stiffness and lag in the model file: the "
                 "chambers may bend the body further than it can go"
             )
-        progress(min(first + CHUNK + 1, len(log.t)))
+        progress(min(first + CHUNK + 1, len(log.t)), len(log.t))
     join = partial(np.concatenate, axis=0)
     kept = np.round(log.t / log.period).astype(int)
     series = {name: join([c[name] for c in chunks])[kept] for name in chunks[0]}
@@ -175,8 +180,7 @@ def summary(
     here = whole_cycles(log)
     thrust, recoil, tip = (columns[name][here] for name in ("thrust_N", "recoil_N", "tip_m"))
     error = (columns["p_front_Pa"] - log.pressure_Pa) / PA_PER_PSI
-    ramp = tuple(float(x) for x in force_coefficients(log.frequency))
-    used = experiment.parameters.C_d, experiment.parameters.m_a
+    C_d, m_a = drag_and_added_mass(experiment, experiment.trials[0])
     return {
         "name": log.path.stem,
         "input": input_file(log.path),
@@ -193,8 +197,10 @@ def summary(
         "recoil_rms_N": np.sqrt(np.mean(recoil**2)),
         "tip_half_range_m": 0.5 * np.ptp(tip),
         "pressure_rmse_psi": np.sqrt(np.mean(error**2)),
+        "C_d": C_d,
+        "m_a": m_a,
         "force_coefficients": "the paper's ramp at the log's frequency"
-        if np.allclose(ramp, used)
+        if experiment.parameters.force_coefficients == "ramp"
         else "from the model file",
         "definitions": NOTES,
         "findings": [str(finding) for finding in log.findings],

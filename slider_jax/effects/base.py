@@ -1,13 +1,14 @@
 """What an effect is: one physical cause, its parameters as leaves, and the one method that adds it.
 
 A model is a list of effects; the solver never knows which. `ForceDensity` is the place for
-everything that pushes on the body along its length; the other places (pressure, moment law, point
-load, support, water, sensor) have base classes of their own beside it as they come into use.
+everything that pushes on the body along its length; pressure, waveform and support have base
+classes of their own, beside their kinds.
 """
 
 from abc import abstractmethod
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array
 
 from slider_jax.beam import Section
@@ -23,6 +24,6 @@ class ForceDensity(eqx.Module):
 
 def total_force(effects: tuple[ForceDensity, ...], x: Section) -> tuple[Array, Array]:
     """Sum of the effects' force densities [N/m]."""
-    zero = 0.0 * x.V_n
+    zero = jnp.zeros_like(x.V_n)
     parts = [effect.force(x) for effect in effects]
     return sum((p[0] for p in parts), zero), sum((p[1] for p in parts), zero)

@@ -1,5 +1,7 @@
 """Weight, for climbing in air."""
 
+import jax.numpy as jnp
+
 from slider_jax.effects.base import ForceDensity
 from slider_jax.frame import to_body
 from slider_jax.parameters import Scalar
@@ -8,14 +10,15 @@ from slider_jax.parameters import Scalar
 class Gravity(ForceDensity):
     """Weight per unit length, less buoyancy, along -x: a climbing body has its head up the x axis.
 
-        (F_x, F_y) = (-m g, 0)
+        (F_x, F_y) = (-m g/(1 + eps), 0)
 
-    Vanishes at g = 0. In water use the reduced g (1 - rho A/m); SLIDER is near neutral there.
+    m is per unstretched length. Vanishes at g = 0. In water use the reduced g (1 - rho A/m); SLIDER
+    is near neutral there.
     """
 
     g: Scalar = 9.81
     """Acceleration [m/s^2]."""
 
     def force(self, x):
-        weight = x.linear_density * self.g
-        return to_body((-weight, 0.0 * weight), x.phi)
+        weight = x.linear_density * self.g / (1.0 + x.strain)
+        return to_body((-weight, jnp.zeros_like(weight)), x.phi)

@@ -11,6 +11,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
 
+def _over(a, b):
+    """a/b, and 0 with zero derivatives where b = 0."""
+    return jnp.where(b == 0.0, 0.0, a / jnp.where(b == 0.0, 1.0, b))
+
+
+def _root(x):
+    """sqrt(x), and 0 with a zero derivative where x <= 0."""
+    return jnp.where(x > 0.0, jnp.sqrt(jnp.where(x > 0.0, x, 1.0)), 0.0)
+
+
 class BodyWave(eqx.Module):
     """A body wave; scalars. Both are positive for a wave that runs from head to tail."""
 
@@ -34,8 +44,9 @@ def fundamental_mode(
 def orthogonal_mode(y: Float[Array, "times points"]) -> Complex[Array, " points"]:
     """c(s) [m] of the first complex orthogonal mode, with the phases of t = the first sample.
 
-    The dominant left singular vector of the analytic signal of y - mean(y), scaled by its rms in
-    time so that |c| is its amplitude. Needs no frequency; equal steps over whole strides.
+    The dominant eigenvector of the covariance of the analytic signal of y - mean(y), scaled by its
+    rms in time so that |c| is its amplitude; zero where nothing moves. Needs no frequency; equal
+    steps over whole strides.
 
     Source: Feeny, B. F. (2008), A complex orthogonal decomposition for wave motion analysis, J.
     Sound Vib. 310, 77-90.
@@ -47,8 +58,17 @@ def orthogonal_mode(y: Float[Array, "times points"]) -> Complex[Array, " points"
         (index > 0) & (2 * index < steps), 2.0, jnp.where(2 * index == steps, 1.0, 0.0)
     )
     analytic = jnp.fft.ifft(spectrum * keep[:, None], axis=0)
-    in_time, size, in_space = jnp.linalg.svd(analytic, full_matrices=False)
-    return in_space[0] * in_time[0, 0] / jnp.abs(in_time[0, 0]) * size[0] / jnp.sqrt(steps)
+    covariance = analytic.T @ jnp.conj(analytic) / steps
+    # The projector on the dominant eigenvector, by squaring: an SVD has no derivative where other
+    # singular values coincide, and all but a few of these are zero.
+    projector = covariance
+    for _ in range(12):
+        projector = _over(projector, jnp.real(jnp.trace(projector)))
+        projector = projector @ projector
+    projector = _over(projector, jnp.real(jnp.trace(projector)))
+    first = projector @ analytic[0]
+    size = _root(jnp.real(jnp.trace(projector @ covariance)))
+    return first * _over(size, _root(jnp.real(jnp.vdot(first, first))))
 
 
 def body_wave(mode: Complex[Array, " points"], s: Float[Array, " points"], frequency) -> BodyWave:
@@ -66,19 +86,20 @@ def body_wave(mode: Complex[Array, " points"], s: Float[Array, " points"], frequ
     phase_steps = jnp.where(still, 0.0, jnp.angle(jnp.where(still, 1.0, turned)))
     phase = jnp.concatenate([jnp.zeros(1), jnp.cumsum(phase_steps)])
     weight = jnp.real(mode * jnp.conj(mode))
-    weight = weight / jnp.sum(weight)
+    weight = _over(weight, jnp.sum(weight))
     ds, dphase = s - jnp.sum(weight * s), phase - jnp.sum(weight * phase)
-    wavenumber = jnp.sum(weight * ds * dphase) / jnp.sum(weight * ds**2)
-    wavelength = 2.0 * math.pi / wavenumber
+    wavenumber = _over(jnp.sum(weight * ds * dphase), jnp.sum(weight * ds**2))
+    wavelength = jnp.where(wavenumber == 0.0, jnp.inf, _over(2.0 * math.pi, wavenumber))
     return BodyWave(wavelength=wavelength, speed=wavelength * frequency)
 
 
 def travelling_index(mode: Complex[Array, " points"]) -> Float[Array, ""]:
     """1 for a pure travelling wave, 0 for a pure standing one.
 
-    The ratio of the singular values of [Re c, Im c] (Feeny 2008, the reciprocal condition number).
+    The ratio of the singular values of [Re c, Im c] (Feeny 2008, the reciprocal condition number);
+    0 where nothing moves.
     """
     a, b = jnp.real(mode), jnp.imag(mode)
     mean, cross = 0.5 * (a @ a + b @ b), a @ b
-    half = jnp.sqrt((0.5 * (a @ a - b @ b)) ** 2 + cross**2)
-    return jnp.sqrt(jnp.maximum(mean - half, 0.0) / (mean + half))
+    half = _root((0.5 * (a @ a - b @ b)) ** 2 + cross**2)
+    return _over(_root((a @ a) * (b @ b) - cross**2), mean + half)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from slider_jax.frame import to_body, to_plane
 from slider_jax.parameters import Scalar
-from slider_jax.supports.base import Support
+from slider_jax.supports.base import Start, Support
 
 
 class Clamped(Support):
@@ -19,7 +19,7 @@ class Clamped(Support):
 
     with `heave` [m], `pitch` [rad], f = `frequency` [Hz], `pitch_phase` [rad]. The rate of phi_h is
     imposed rather than phi_h: a stage that is given an angle gets its rate, and with it the forces
-    at the clamp, only to first order.
+    at the clamp, only to first order. The angle then follows to the order of the time scheme.
     """
 
     tow_speed: Scalar = eqx.field(default=0.0)
@@ -31,7 +31,7 @@ class Clamped(Support):
     def carriage(self, t):
         """Velocity (x, y) [m/s], angle [rad] and its rate [rad/s] of the carriage at `t` [s]."""
         turn = 2.0 * math.pi * self.frequency
-        velocity = (self.tow_speed + 0.0 * t, self.heave * turn * jnp.cos(turn * t))
+        velocity = (jnp.asarray(self.tow_speed), self.heave * turn * jnp.cos(turn * t))
         phase = turn * t + self.pitch_phase
         return velocity, self.pitch * jnp.sin(phase), self.pitch * turn * jnp.cos(phase)
 
@@ -40,15 +40,14 @@ class Clamped(Support):
         V_tau, V_n = to_body(velocity, head.phi)
         return head.V_tau - V_tau, head.V_n - V_n, omega - rate
 
-    def initial(self):
-        velocity, angle, _ = self.carriage(jnp.zeros(()))
-        return velocity, angle
+    def start(self, t):
+        return Start(*self.carriage(t))
+
+    def during(self, t0, t1):
+        return self
+
+    def anchor_offset(self, phi, t):
+        return jnp.zeros(2)
 
     def anchor_velocity(self, head, omega, t):
         return jnp.stack(to_plane(head.V_tau, head.V_n, head.phi))
-
-    def head_position(self, anchor, phi, t):
-        return anchor
-
-    def reanchor(self, anchor, phi, t_before, t):
-        return anchor

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 
 from slider_jax.frame import to_plane
-from slider_jax.supports.base import Support
+from slider_jax.supports.base import Start, Support
 
 
 class Free(Support):
@@ -12,15 +12,15 @@ class Free(Support):
     def rows(self, head, omega, t):
         return head.T, head.N, head.M
 
-    def initial(self):
+    def start(self, t):
         zero = jnp.zeros(())
-        return (zero, zero), zero
+        return Start((zero, zero), zero, zero)
+
+    def during(self, t0, t1):
+        return self
+
+    def anchor_offset(self, phi, t):
+        return jnp.zeros(2)
 
     def anchor_velocity(self, head, omega, t):
         return jnp.stack(to_plane(head.V_tau, head.V_n, head.phi))
-
-    def head_position(self, anchor, phi, t):
-        return anchor
-
-    def reanchor(self, anchor, phi, t_before, t):
-        return anchor

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from slider_jax.frame import to_plane
 from slider_jax.parameters import Scalar
-from slider_jax.supports.base import Support
+from slider_jax.supports.base import Start, Support
 
 
 class PinnedLink(Support):
@@ -18,8 +18,8 @@ class PinnedLink(Support):
 
     (V + omega x r = 0 with r = sigma (l_p/2) n; the paper writes Omega x r, see docs/decisions.md.)
     sigma is +1 in the first half of every period 1/`frequency` [Hz], -1 in the second, from `phase`
-    (fraction of a period) on; with `frequency` = 0 it is +1 throughout. It holds up to and
-    including the instant of the switch.
+    (fraction of a period) on; with `frequency` = 0 it is +1 throughout. It holds for whole steps: a
+    switch takes effect at the step's end nearest to it.
     """
 
     link_length: Scalar = eqx.field(default=0.03)
@@ -28,28 +28,28 @@ class PinnedLink(Support):
 
     def side(self, t):
         """sigma at `t` [s]."""
-        turn = self.frequency * t - self.phase - 1e-7
+        turn = self.frequency * t - self.phase
         return jnp.where((self.frequency > 0) & (turn - jnp.floor(turn) >= 0.5), -1.0, 1.0)
 
     def arm(self, t):
         """sigma l_p/2 [m], the pin's distance from the head along n."""
         return 0.5 * self.link_length * self.side(t)
 
+    def during(self, t0, t1):
+        signed_length = 2.0 * self.arm(0.5 * (t0 + t1))
+        zero = jnp.zeros_like(signed_length)
+        return PinnedLink(signed_length, frequency=zero, phase=zero)
+
     def rows(self, head, omega, t):
         arm = self.arm(t)
         return head.V_tau - arm * omega, head.V_n, head.M + arm * head.T
 
-    def initial(self):
+    def start(self, t):
         zero = jnp.zeros(())
-        return (zero, zero), zero
+        return Start((zero, zero), zero, zero)
+
+    def anchor_offset(self, phi, t):
+        return jnp.stack(to_plane(0.0, self.arm(t), phi))
 
     def anchor_velocity(self, head, omega, t):
         return jnp.stack(to_plane(head.V_tau - self.arm(t) * omega, head.V_n, head.phi))
-
-    def head_position(self, anchor, phi, t):
-        return anchor - jnp.stack(to_plane(0.0, self.arm(t), phi))
-
-    def reanchor(self, anchor, phi, t_before, t):
-        moved = jnp.where(t_before < t, self.arm(t) - self.arm(t_before), 0.0)
-        moved = jnp.where(t_before <= 0.0, 0.0, moved)
-        return anchor + jnp.stack(to_plane(0.0, moved, phi))
