@@ -1,48 +1,69 @@
 """A film of the last strides, after the paper's Fig. 8: midline, forces on it, moment in it."""
 
-import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
+from slider_jax.figures import new_figure
 from slider_jax.plots import CHANNELS, title
 from slider_jax.simulate import Run
 
 FRAMES_PER_STRIDE = 40
 STRIDES = 2
+FRAME = 50
+"""Time that a frame is shown [ms]."""
 ARROW = 50.0
 """Length of the longest arrow [mm]."""
 
 
-def animate_run(run: Run, folder: Path, frame_rate: int = 20) -> Path:
-    """Write `<stem>.mp4` if ffmpeg is there, else `<stem>.gif`, and return its path.
+def animate_run(
+    run: Run, folder: Path, progress: Callable[[int, int], None] = lambda done, total: None
+) -> Path:
+    """Write `<stem>.gif` and return its path. `progress(frames done, all)` is called at each.
 
     The last two strides (or two seconds) in slow motion: the midline coloured by the net internal
     moment, arrows of the water's force per length, and below them thrust and recoil with a cursor.
     """
-    import matplotlib
-
-    matplotlib.use("Agg")
     import matplotlib.pyplot as plt
-    from matplotlib.animation import FFMpegWriter, FuncAnimation, PillowWriter
-    from matplotlib.collections import LineCollection
+    from PIL import Image
 
     steps = _frames(run)
-    line, moment, force = (run.series[name] for name in ("midline", "moment", "force"))
-    line, moment = 1e3 * line, 1e3 * moment
+    figure, moving, move = _scene(run, steps)
+    canvas, images = figure.canvas, []
+    canvas.draw()
+    still = canvas.copy_from_bbox(figure.bbox)  # drawn once: its texts take most of a frame's time
+    for number, index in enumerate(steps, start=1):
+        move(index)
+        canvas.restore_region(still)
+        for artist in moving:
+            artist.axes.draw_artist(artist)
+        picture = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
+        images.append(picture.quantize(128, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE))
+        progress(number, len(steps))
+    plt.close(figure)
+    path = folder / f"{Path(run.trial.file).stem}.gif"
+    images[0].save(path, save_all=True, append_images=images[1:], duration=FRAME, loop=0)
+    return path
+
+
+def _scene(run: Run, steps: np.ndarray):
+    """The figure without what moves, the artists that move, and what moves them to a step."""
+    from matplotlib.collections import LineCollection
+
+    line, moment = 1e3 * run.series["midline"], 1e3 * run.series["moment"]
+    force = run.series["force"]
     largest = np.abs(moment[steps]).max() or 1.0
     strongest = np.linalg.norm(force[steps], axis=1).max() or 1.0
 
-    figure, (ax, below) = plt.subplots(
-        2, 1, figsize=(8, 6), layout="constrained", height_ratios=(2, 1)
-    )
-    body = LineCollection([], cmap="coolwarm", lw=5, capstyle="round")
+    figure, (ax, below) = new_figure(2, 1, figsize=(8, 6), dpi=90, height_ratios=(2, 1))
+    body = LineCollection([], cmap="coolwarm", lw=5, capstyle="round", animated=True)
     body.set_clim(-largest, largest)
     ax.add_collection(body)
     where = _cell_centres(line[steps[0]])[:, ::2]
     arrows = ax.quiver(
         *where, *np.zeros_like(where), angles="xy", scale=strongest / ARROW, scale_units="xy",
-        width=0.003, color="0.25",
+        width=0.003, color="0.25", animated=True,
     )  # fmt: skip
     ax.quiverkey(arrows, 0.12, 0.93, 0.5 * strongest, f"{0.5 * strongest:.2g} N/m", labelpos="E")
     ax.plot(0.0, 0.0, "ks", ms=8)
@@ -56,22 +77,19 @@ def animate_run(run: Run, folder: Path, frame_rate: int = 20) -> Path:
     figure.colorbar(
         body, ax=ax, label="internal moment (mN m)", location="top", shrink=0.6, aspect=40
     )
-    clock = ax.text(0.98, 0.05, "", transform=ax.transAxes, ha="right")
+    clock = ax.text(0.98, 0.05, "", transform=ax.transAxes, ha="right", animated=True)
     figure.suptitle(title(run), fontsize="medium")
 
     span = slice(steps[0], steps[-1] + 1)
-    for name, label, factor, colour in (
-        ("thrust", *CHANNELS[2][1:], "C0"),
-        ("recoil", *CHANNELS[3][1:], "C1"),
-    ):
-        axis = below if name == "thrust" else below.twinx()
-        axis.plot(run.t[span], factor * run.series[name][span], colour, lw=1.2)
-        axis.set_ylabel(label, color=colour)
+    for (_, label, unit, factor), colour in zip(CHANNELS[2:4], ("C0", "C1"), strict=True):
+        axis = below if label == "thrust" else below.twinx()
+        axis.plot(run.t[span], factor * run.series[label][span], colour, lw=1.2)
+        axis.set_ylabel(f"{label} ({unit})", color=colour)
         axis.margins(x=0.0)
     below.set_xlabel("time (s)")
-    cursor = below.axvline(run.t[steps[0]], color="k", lw=1.0)
+    cursor = below.axvline(run.t[steps[0]], color="k", lw=1.0, animated=True)
 
-    def draw(index: int):
+    def move(index: int) -> None:
         points = line[index].T
         body.set_segments(list(np.stack([points[:-1], points[1:]], axis=1)))
         body.set_array(0.5 * (moment[index][1:] + moment[index][:-1]))
@@ -79,17 +97,9 @@ def animate_run(run: Run, folder: Path, frame_rate: int = 20) -> Path:
         arrows.set_UVC(*force[index][:, ::2])
         clock.set_text(f"t = {run.t[index]:.3f} s")
         cursor.set_xdata([run.t[index]] * 2)
-        return body, arrows, clock, cursor
 
-    draw(steps[0])
-    figure.canvas.draw()
-    figure.set_layout_engine("none")  # laid out once: again for every frame takes ten times as long
-    film = FuncAnimation(figure, draw, frames=list(steps), blit=False)
-    mp4 = shutil.which("ffmpeg") is not None
-    path = folder / f"{Path(run.trial.file).stem}{'.mp4' if mp4 else '.gif'}"
-    film.save(path, (FFMpegWriter if mp4 else PillowWriter)(fps=frame_rate), dpi=90)
-    plt.close(figure)
-    return path
+    move(steps[0])
+    return figure, (body, arrows, clock, cursor), move
 
 
 def _frames(run: Run) -> np.ndarray:

@@ -50,7 +50,7 @@ class Series(NamedTuple):
     """(poses, 2, nodes) [m], over the last stride; head at the origin."""
 
 
-class Sweep(NamedTuple):
+class FrequencySweep(NamedTuple):
     """The result: `table` has a column (F,) for each quantity, named with its unit."""
 
     table: dict[str, np.ndarray]
@@ -61,14 +61,14 @@ class Sweep(NamedTuple):
     """(F,) False where a step did not converge; its row is NaN."""
 
 
-def run_sweep(
+def run_frequency_sweep(
     settings: Settings,
-    on_compiled: Callable[[int], None] = lambda strides: None,
+    on_begin: Callable[[int], None] = lambda strides: None,
     on_stride: Callable[[], None] = lambda: None,
-) -> Sweep:
+) -> FrequencySweep:
     """Run the sweep on all cores, chunk by chunk and stride by stride.
 
-    `on_compiled(n)` is called once, n chunk-strides being to come, and `on_stride()` after each.
+    `on_begin(n)` is called once, n chunk-strides being to come, and `on_stride()` after each.
     """
     frequencies = np.asarray(settings.frequencies, float)
     plan = Plan(settings.steps_per_stride, settings.strides, settings.numerics)
@@ -76,8 +76,8 @@ def run_sweep(
         [Member(paper.head_fixed(f, settings.robot, settings.assumed), f) for f in frequencies]
     )
     chunks = chunks_of(len(frequencies))
+    on_begin(chunks.total * settings.strides)
     programs = compile_programs(plan, take(members, chunks.indices(0)))
-    on_compiled(chunks.total * settings.strides)
 
     def work(chunk, stopped):
         runs = march(plan, programs, take(members, chunks.indices(chunk)), on_stride, stopped)
@@ -94,4 +94,4 @@ def run_sweep(
         if np.isclose(frequency, SHOWN).any():
             whole = {name: np.concatenate(runs[name][index]) for name in Series._fields[:-1]}
             shown[float(frequency)] = Series(**whole, midlines=runs["midline"][index])
-    return Sweep(table, runs["thrust"].mean(axis=2), shown, runs["ok"])
+    return FrequencySweep(table, runs["thrust"].mean(axis=2), shown, runs["ok"])

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from slider_jax import paper
-from slider_jax.demo import Settings, Sweep
+from slider_jax.demo import FrequencySweep, Settings
 from slider_jax.figures import stride_in_detail, thrust_against_frequency
 from slider_jax.files import staged, write_csv, write_json
 from slider_jax.provenance import versions
@@ -23,7 +23,7 @@ ASSUMED = {
 """What is ours in the demo, and why."""
 
 
-def write_results(sweep: Sweep, settings: Settings, folder: Path) -> None:
+def write_results(sweep: FrequencySweep, settings: Settings, folder: Path) -> None:
     """Write tables, pictures and settings, all or none of them."""
     with staged(folder) as stage:
         write_csv(stage / "sweep.csv", sweep.table)
@@ -52,11 +52,11 @@ def write_results(sweep: Sweep, settings: Settings, folder: Path) -> None:
         )
 
 
-def _at(sweep: Sweep, name: str, frequency: float) -> float:
+def _at(sweep: FrequencySweep, name: str, frequency: float) -> float:
     return float(sweep.table[name][np.argmin(np.abs(sweep.table["frequency_Hz"] - frequency))])
 
 
-def comparison(sweep: Sweep, settings: Settings) -> str:
+def comparison(sweep: FrequencySweep, settings: Settings) -> str:
     """The table that the demo prints: what the paper states, what is found, what differs."""
     table, f = sweep.table, sweep.table["frequency_Hz"]
     thrust, recoil = 1e3 * table["thrust_mean_N"], 1e3 * table["recoil_peak_N"]
@@ -80,7 +80,7 @@ def comparison(sweep: Sweep, settings: Settings) -> str:
         (
             f"mean thrust at {at:g} Hz",
             f"about {stated[0]:.0f} mN",
-            f"{near:.1f} +- {spread:.1f} mN",
+            f"{near:.1f} mN (s.d. of strides {spread:.1f})",
             _verdict(abs(near - stated[0]) < 0.1 * stated[0]),
         ),
         (

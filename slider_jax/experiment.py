@@ -18,19 +18,15 @@ from slider_jax.actuation import (
     SineWave,
     SquareWave,
     Trapezoid,
-    Waveform,
 )
 from slider_jax.csv_file import read_csv
 from slider_jax.effects import ForceDensity, Gravity, NormalDrag, ReactiveForce
 from slider_jax.errors import InputError
 from slider_jax.grid import split_cells
 from slider_jax.model import Drive, Model
+from slider_jax.paper import force_coefficients
 from slider_jax.parameters import Numerics, Robot
-from slider_jax.schema import (
-    EffectTable,
-    ExperimentTable,
-    Trial,
-)
+from slider_jax.schema import EffectTable, ExperimentTable, Trial
 from slider_jax.scheme import SCHEMES, Scheme
 from slider_jax.supports import Clamped
 from slider_jax.toml_file import read_toml, validate
@@ -83,7 +79,8 @@ def load(path: Path | str, model: Path | str | None = None) -> Experiment:
     """Read and check an experiment file, with the overrides of a model file if one is given.
 
     A model file may hold `[robot]` and `[parameters]`, any of their keys, and `[[effects]]`, which
-    are added. Raises `InputError` naming file and key.
+    are added. C_d and m_a there take the place of `force_coefficients = "ramp"`, and it of them.
+    Raises `InputError` naming file and key.
     """
     path = Path(path)
     return assemble(read_toml(path), str(path), path.parent, model)
@@ -103,9 +100,16 @@ def assemble(
             raise InputError(f"{model}: {key}: unknown key; allowed {', '.join(allowed)}")
         if not isinstance(value, allowed[key]):
             raise InputError(f"{model}: {key}: given {value!r}; allowed a TOML {key} table")
+    changed = changes.get("parameters", {})
+    replaced: set[str] = set()
+    if changed.get("force_coefficients") == "ramp":
+        replaced = {"C_d", "m_a"}
+    elif not changed.keys().isdisjoint(("C_d", "m_a")):
+        replaced = {"force_coefficients"}
+    kept = {key: x for key, x in content["parameters"].items() if key not in replaced}
     merged = content | {
         "robot": content["robot"] | changes.get("robot", {}),
-        "parameters": content["parameters"] | changes.get("parameters", {}),
+        "parameters": kept | changed,
         "effects": [*content.get("effects", []), *changes.get("effects", [])],
     }
     return _experiment(merged, str(model), folder)
@@ -128,7 +132,11 @@ def _effect(table: EffectTable, where: str) -> ForceDensity:
     return kind(**given)
 
 
-def _recorded(experiment: Experiment, trial: Trial) -> tuple[Waveform, Waveform]:
+LONGEST_RECORD = 20.0
+"""A recorded drive may last so many times as long as its trial; a longer one is not in seconds."""
+
+
+def _recorded(experiment: Experiment, trial: Trial) -> tuple[Recorded, Recorded]:
     """Both chambers' recorded pressures; checked for length, spacing and size."""
     path = experiment.folder / str(trial.drive_file)
     columns = read_csv(path, ("t_s", "p_front_Pa", "p_rear_Pa"))
@@ -139,6 +147,12 @@ def _recorded(experiment: Experiment, trial: Trial) -> tuple[Waveform, Waveform]
         raise InputError(
             f"{path}: mixed sample rates: rows are {np.median(spacing):.6g} s apart, but "
             f"{spacing[worst]:.6g} s after t_s = {times[worst]:g}; resample it evenly"
+        )
+    if times[-1] - times[0] > LONGEST_RECORD * trial.duration:
+        raise InputError(
+            f"{path}: t_s covers {times[0]:g} to {times[-1]:g}, the trial {trial.file} "
+            f"{trial.duration:g} s; t_s is in seconds: divide milliseconds by 1000, or cut the "
+            f"recording to at most {LONGEST_RECORD:g} times the trial's duration"
         )
     if times[0] > spacing.mean() or times[-1] < trial.duration - 1.5 * spacing.mean():
         raise InputError(
@@ -165,7 +179,8 @@ def _drive(experiment: Experiment, trial: Trial) -> Drive:
     if trial.waveform == "recorded":
         front, rear = _recorded(experiment, trial)
         if trial.drive_is == "measured":
-            return Drive(front, rear, front.values[0], rear.values[0])  # type: ignore[attr-defined]
+            start_front, start_rear = (jnp.interp(0.0, x.times, x.values) for x in (front, rear))
+            return Drive(front, rear, start_front, start_rear)
         return Drive(front, rear)
     f, amplitude = trial.frequency, trial.amplitude
     assert f is not None and amplitude is not None
@@ -194,6 +209,17 @@ def to_numerics(experiment: Experiment) -> tuple[Numerics, Scheme]:
     return Numerics(*cells, tolerance=numerics.tolerance), SCHEMES[numerics.scheme]
 
 
+def drag_and_added_mass(experiment: Experiment, trial: Trial) -> tuple[float, float]:
+    """(C_d, m_a) of a trial: the file's, or the paper's ramp at the trial's frequency."""
+    parameters = experiment.parameters
+    if parameters.force_coefficients == "ramp":
+        assert trial.frequency is not None
+        C_d, m_a = force_coefficients(trial.frequency)
+        return float(C_d), float(m_a)
+    assert parameters.C_d is not None and parameters.m_a is not None
+    return parameters.C_d, parameters.m_a
+
+
 def to_model(experiment: Experiment, trial: Trial | int = 0) -> Model:
     """The model of one trial, every number an array, so that it can be mapped and differentiated.
 
@@ -203,14 +229,15 @@ def to_model(experiment: Experiment, trial: Trial | int = 0) -> Model:
     if isinstance(trial, int):
         trial = experiment.trials[trial]
     parameters, density = experiment.parameters, experiment.robot.water_density
+    C_d, m_a = drag_and_added_mass(experiment, trial)
     measured = trial.waveform == "recorded" and trial.drive_is == "measured"
     law: PressureLaw = Ideal() if measured else FirstOrderLag(parameters.k)
     extra = [_effect(table, "effects") for table in experiment.effects]
     model = Model(
         robot=to_robot(experiment),
         effects=(
-            NormalDrag(parameters.C_d, density),
-            ReactiveForce(parameters.m_a, density),
+            NormalDrag(C_d, density),
+            ReactiveForce(m_a, density),
             *extra,
         ),
         pressure_law=law,

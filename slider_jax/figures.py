@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from slider_jax import paper
-from slider_jax.demo import Series, Settings, Sweep
+from slider_jax.demo import FrequencySweep, Series, Settings
 
 
 def new_figure(*args, **kwargs):
@@ -26,7 +26,7 @@ def save_figure(figure, path: Path) -> None:
     plt.close(figure)
 
 
-def thrust_against_frequency(sweep: Sweep, settings: Settings, path: Path) -> None:
+def thrust_against_frequency(sweep: FrequencySweep, settings: Settings, path: Path) -> None:
     """Like the paper's Fig. 4: mean thrust of steady strides, bars of one standard deviation."""
     table = sweep.table
     f, mean = table["frequency_Hz"], 1e3 * table["thrust_mean_N"]

@@ -4,32 +4,19 @@ from pathlib import Path
 
 import numpy as np
 
+from slider_jax.figures import new_figure, save_figure
 from slider_jax.simulate import Run
 
+Columns = dict[str, np.ndarray]
+
 CHANNELS = (
-    ("p_front_Pa", "front pressure (kPa)", 1e-3),
-    ("p_rear_Pa", "rear pressure (kPa)", 1e-3),
-    ("thrust_N", "thrust (mN)", 1e3),
-    ("recoil_N", "recoil (N)", 1.0),
-    ("tip_m", "tip, lateral (mm)", 1e3),
+    ("p_front_Pa", "front pressure", "kPa", 1e-3),
+    ("p_rear_Pa", "rear pressure", "kPa", 1e-3),
+    ("thrust_N", "thrust", "mN", 1e3),
+    ("recoil_N", "recoil", "mN", 1e3),
+    ("tip_m", "tip, lateral", "mm", 1e3),
 )
-"""Column, label with unit, factor from SI."""
-
-
-def _figure(*args, **kwargs):
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    return plt.subplots(*args, layout="constrained", **kwargs)
-
-
-def _close(figure, path: Path) -> None:
-    import matplotlib.pyplot as plt
-
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+"""Column, name, unit shown, factor from SI to it."""
 
 
 def title(run: Run) -> str:
@@ -46,35 +33,40 @@ def title(run: Run) -> str:
     return f"{stem}: {drive}, tow {trial.tow_speed:g} m/s"
 
 
-def plot_run(run: Run, measured: dict[str, np.ndarray] | None, folder: Path) -> None:
-    """Write `<stem>.png` (time series, measured ones under them) and `<stem>_midlines.png`."""
+def plot_run(
+    run: Run, measured: Columns | None, rmse: dict[str, float] | None, folder: Path
+) -> None:
+    """Write `<stem>.png` (time series, measured ones under them) and `<stem>_midlines.png`.
+
+    `rmse`: simulated minus measured, by column, in SI.
+    """
     stem = Path(run.trial.file).stem
-    plot_series(run, measured, folder / f"{stem}.png")
+    plot_series(run, measured or {}, rmse or {}, folder / f"{stem}.png")
     plot_midlines(run, folder / f"{stem}_midlines.png")
 
 
-def plot_series(run: Run, measured: dict[str, np.ndarray] | None, path: Path) -> None:
+def plot_series(run: Run, measured: Columns, rmse: dict[str, float], path: Path) -> None:
     """Pressures, thrust, recoil and tip against time; measured samples, if any, in grey."""
-    figure, axes = _figure(len(CHANNELS), 1, figsize=(9, 10), sharex=True)
-    for ax, (name, label, factor) in zip(axes, CHANNELS, strict=True):
-        if measured is not None and name in measured:
-            there = np.isfinite(measured[name])
-            ax.plot(
-                measured["t_s"][there],
-                factor * measured[name][there],
-                color="0.65",
-                lw=1.8,
-                label="measured",
-            )
+    figure, axes = new_figure(len(CHANNELS), 1, figsize=(9, 10), sharex=True)
+    for ax, (name, label, unit, factor) in zip(axes, CHANNELS, strict=True):
         ax.plot(run.columns["t_s"], factor * run.columns[name], "C0", lw=1.0, label="simulated")
-        ax.set_ylabel(label)
+        if name in rmse:
+            there = np.isfinite(measured[name])
+            t, values = measured["t_s"][there], factor * measured[name][there]
+            ax.plot(t, values, color="0.65", lw=1.8, zorder=1.5, label="measured")
+            said = f"rms difference {factor * rmse[name]:.3g} {unit}"
+            ax.set_title(said, fontsize="small", loc="right")
+        ax.set_ylabel(f"{label} ({unit})")
         ax.axhline(0.0, color="k", lw=0.4)
         ax.margins(x=0.0)
-    if measured is not None and len(measured) > 1:
-        axes[0].legend(loc="upper right", ncols=2, fontsize="small")
+    if rmse:
+        above = {"bbox_to_anchor": (0.0, 1.0), "ncols": 2, "fontsize": "small", "frameon": False}
+        drawn = next(ax for ax in axes if len(ax.get_lines()) > 2)
+        handles, labels = drawn.get_legend_handles_labels()
+        axes[0].legend(handles, labels, loc="lower left", **above)
     axes[-1].set_xlabel("time (s)")
     figure.suptitle(title(run), fontsize="medium")
-    _close(figure, path)
+    save_figure(figure, path)
 
 
 def last_stride(run: Run, frames: int, closed: bool = False) -> np.ndarray:
@@ -93,7 +85,7 @@ def plot_midlines(run: Run, path: Path) -> None:
     import matplotlib
 
     steps = last_stride(run, 16)
-    figure, ax = _figure(figsize=(8, 4.5))
+    figure, ax = new_figure(figsize=(8, 4.5))
     colours = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.95, len(steps)))
     for index, colour in zip(steps, colours, strict=True):
         ax.plot(*(1e3 * run.series["midline"][index]), color=colour, lw=1.2)
@@ -111,4 +103,4 @@ def plot_midlines(run: Run, path: Path) -> None:
     )
     figure.colorbar(scale, ax=ax, label="time (s)")
     ax.set_title(title(run), fontsize="medium")
-    _close(figure, path)
+    save_figure(figure, path)

@@ -19,6 +19,7 @@ from slider_jax.model import Model, make_mesh
 from slider_jax.parameters import Numerics
 from slider_jax.rollout import TimeGrid, rollout
 from slider_jax.scheme import SDIRK2, Scheme
+from slider_jax.simulate import readings
 from slider_jax.step import Carry, Snapshot, at_rest
 
 POSES = 20
@@ -53,12 +54,9 @@ class Programs(NamedTuple):
     stride: Callable[[Member, Array, Carry], tuple[Carry, dict[str, Array]]]
 
 
-def readings(x: Snapshot) -> dict[str, Array]:
-    """What is kept of every step."""
-    return {
-        "pressure": x.pressure,
-        "thrust": obs.thrust(x),
-        "recoil": obs.recoil(x),
+def kept(x: Snapshot) -> dict[str, Array]:
+    """What is kept of every step: `readings`, `power` [W] and `midline` (2, nodes) [m]."""
+    return readings(x) | {
         "power": jnp.sum(obs.chamber_power(x)),
         "midline": obs.midline(x) - x.head[:, None],
     }
@@ -69,7 +67,7 @@ def one_stride(plan: Plan, member: Member, number, carry: Carry) -> tuple[Carry,
     steps, f = plan.steps_per_stride, member.frequency
     times = TimeGrid(h=1.0 / (f * steps), steps=steps, t0=number / f)
     out = rollout(
-        member.model, times, readings, plan.numerics, plan.scheme, begin=carry, checkpoint=False
+        member.model, times, kept, plan.numerics, plan.scheme, begin=carry, checkpoint=False
     )
     return out.final, {"t": out.t} | out.saved
 
@@ -99,9 +97,8 @@ def march(
         if stopped():
             raise Stopped
         carry, saved = programs.stride(chunk, jnp.asarray(float(number)), carry)
-        kept = {name: np.asarray(values) for name, values in saved.items()}
-        midline = kept.pop("midline")
-        series.append(kept | {"tip": midline[:, :, 1, 0]})
+        midline = np.asarray(saved.pop("midline"))
+        series.append({name: np.asarray(values) for name, values in saved.items()})
         on_stride()
     every = plan.steps_per_stride // POSES
     runs = {name: np.stack([x[name] for x in series], axis=1) for name in series[0]}

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,13 +11,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from slider_jax.batch import available_cores, in_threads, stack, take
+from slider_jax.batch import available_cores, chunks_of, in_threads, stack, take
 from slider_jax.errors import InputError
 from slider_jax.experiment import Experiment, to_model, to_numerics
 from slider_jax.files import write_json
 from slider_jax.provenance import versions
-from slider_jax.quantity import Quantity
-from slider_jax.striding import POSES, Member, Plan, compile_programs, march, steady
+from slider_jax.striding import POSES, Member, Plan, Programs, compile_programs, march, steady
+from slider_jax.toml_file import field_at, quantity_of
 
 LARGEST_CHUNK = 8
 
@@ -41,32 +42,15 @@ class Axis(NamedTuple):
     @property
     def unit(self) -> str:
         """The field's unit, or nothing."""
-        return _unit(self.field)
+        _, field = field_at(Experiment, self.field.split("."))
+        quantity = quantity_of(field)
+        return quantity.unit if quantity else ""
 
     @property
     def column(self) -> str:
         """The field's name in a table, with its unit."""
         unit = self.unit.replace(" ", "_").replace("/", "_per_").replace("^", "")
         return f"{self.field}_{unit}" if unit and " of " not in self.unit else self.field
-
-
-def _unit(field: str) -> str:
-    table: Any = Experiment
-    for part in field.split("."):
-        if part.isdigit():
-            continue
-        info = getattr(table, "model_fields", {}).get(part)
-        if info is None:
-            return ""
-        inner = getattr(info.annotation, "__args__", (info.annotation,))[0]
-        table = inner if hasattr(inner, "model_fields") else info.annotation
-        quantities = [x for x in info.metadata if isinstance(x, Quantity)]
-        for argument in getattr(info.annotation, "__args__", ()):
-            found = getattr(argument, "__metadata__", ())
-            quantities += [x for x in found if isinstance(x, Quantity)]
-        if quantities:
-            return quantities[0].unit
-    return ""
 
 
 class Sweep(NamedTuple):
@@ -104,25 +88,40 @@ def digest(settings: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
 
 
-def members_of(sweep: Sweep) -> Member:
-    """The stacked members. Raises `InputError` for a field that cannot be swept."""
+class Group(NamedTuple):
+    """Points of a sweep that one compiled program serves."""
+
+    plan: Plan
+    members: Member
+    """Stacked along a first axis."""
+    points: np.ndarray
+    """Their places in the sweep."""
+
+
+def groups_of(sweep: Sweep) -> list[Group]:
+    """The members by what is compiled for them; a field of numerics makes more than one group.
+
+    Raises `InputError` for a field that cannot be swept.
+    """
     _check(sweep)
-    members = [_member(sweep, point) for point in sweep.points]
-    shapes = {str(jax.tree.structure(m)) + str(jax.tree.map(np.shape, m)) for m in members}
-    if len(shapes) > 1:
-        names = ", ".join(axis.field for axis in sweep.axes)
-        raise InputError(f"{names}: changes what the model is made of; sweep a number of it")
-    batch = stack(members)
+    cases = [_case(sweep, point) for point in sweep.points]
     for number, axis in enumerate(sweep.axes):
-        ends = [list(sweep.points[0]), list(sweep.points[0])]
-        ends[1][number] = axis.values[-1]
-        low, high = (jax.tree.leaves(_member(sweep, tuple(point))) for point in ends)
-        if all(np.array_equal(a, b) for a, b in zip(low, high, strict=True)):
+        other = list(sweep.points[0])
+        other[number] = axis.values[-1]
+        (plan, member), (other_plan, changed) = cases[0], _case(sweep, tuple(other))
+        leaves = zip(jax.tree.leaves(member), jax.tree.leaves(changed), strict=True)
+        if plan == other_plan and all(np.array_equal(a, b) for a, b in leaves):
             raise InputError(
-                f"--field {axis.field}: does not change trial {sweep.trial}'s model; allowed are "
-                "numbers of robot, parameters, water, effects, and of the trial itself (--trial)"
+                f"--field {axis.field}: changes nothing in the strides of trial {sweep.trial}; "
+                "allowed are numbers of robot, parameters, water, effects, numerics, and of the "
+                "trial itself (--trial)"
             )
-    return batch
+    plans = list(dict.fromkeys(plan for plan, _ in cases))
+    indices = [np.array([i for i, case in enumerate(cases) if case[0] == x]) for x in plans]
+    return [
+        Group(plan, stack([cases[i][1] for i in points]), points)
+        for plan, points in zip(plans, indices, strict=True)
+    ]
 
 
 def _check(sweep: Sweep) -> None:
@@ -142,14 +141,60 @@ def _check(sweep: Sweep) -> None:
         )
     if len({axis.field for axis in sweep.axes}) < len(sweep.axes):
         raise InputError.value("--field2", sweep.axes[1].field, "a field other than --field")
+    for axis in sweep.axes:
+        if axis.field.startswith("trials.") and axis.field.endswith(".duration"):
+            raise InputError(
+                f"--field {axis.field}: a sweep runs whole strides whatever the duration; "
+                "--strides says how many, --transient how many of them are left out of the means"
+            )
 
 
-def _member(sweep: Sweep, point: tuple[float, ...]) -> Member:
-    values = {axis.field: value for axis, value in zip(sweep.axes, point, strict=True)}
+def _case(sweep: Sweep, point: tuple[float, ...]) -> tuple[Plan, Member]:
+    """How a point is run, and its robot."""
+    values = {
+        axis.field: _whole(axis.field, value) for axis, value in zip(sweep.axes, point, strict=True)
+    }
     experiment = sweep.experiment.with_values(values, "sweep")
-    trial = experiment.trials[sweep.trial]
-    assert trial.frequency is not None
-    return Member(to_model(experiment, trial), jnp.asarray(trial.frequency, float))
+    f, steps = experiment.trials[sweep.trial].frequency, sweep.steps_per_stride
+    assert f is not None
+    if "numerics.step" in values:
+        steps = POSES * max(2, int(np.ceil(1.0 / (f * values["numerics.step"] * POSES) - 1e-9)))
+    plan = Plan(steps, sweep.strides, *to_numerics(experiment))
+    return plan, Member(to_model(experiment, sweep.trial), jnp.asarray(f, float))
+
+
+def _whole(field: str, value: float) -> float | int:
+    """`value` as an integer where the field is one."""
+    _, info = field_at(Experiment, field.split("."))
+    if info is None or info.annotation is not int:
+        return value
+    if not value.is_integer():
+        raise InputError.value(
+            f"--field {field}", f"{value:g}", "whole numbers", "choose --count so that they are"
+        )
+    return int(value)
+
+
+class Chunk(NamedTuple):
+    """A part of a group that is run at once, and its file."""
+
+    group: int
+    members: np.ndarray
+    """Which of the group's; the last one may be repeated to fill the chunk."""
+    points: np.ndarray
+    """Their places in the sweep, repeated ones left out."""
+    file: Path
+
+
+def _chunks(groups: list[Group], size: int, partial: Path) -> list[Chunk]:
+    found: list[Chunk] = []
+    for number, group in enumerate(groups):
+        cut = chunks_of(len(group.points), size, workers=1)
+        for i in range(cut.total):
+            members = cut.indices(i)
+            file = partial / f"chunk_{len(found):05d}.json"
+            found.append(Chunk(number, members, group.points[members[: cut.real(i)]], file))
+    return found
 
 
 def run_sweep(
@@ -164,40 +209,44 @@ def run_sweep(
     each new one. Finished chunks are files, so a killed run goes on where it was. Raises
     `InputError` if `partial` was begun with other settings.
     """
-    members = members_of(sweep)
-    plan = Plan(sweep.steps_per_stride, sweep.strides, *to_numerics(sweep.experiment))
-    count, partial = len(sweep.points), folder / "partial"
-    size = _take_up(sweep, partial, count)
-    chunks = range(-(-count // size))
-    left = [chunk for chunk in chunks if not _chunk_file(partial, chunk).exists()]
-    indices = [np.minimum(np.arange(c * size, (c + 1) * size), count - 1) for c in chunks]
-    if left:
-        programs = compile_programs(plan, take(members, indices[0]))
+    groups, partial = groups_of(sweep), folder / "partial"
+    chunks = _chunks(groups, _take_up(sweep, partial), partial)
+    left = [i for i, chunk in enumerate(chunks) if not chunk.file.exists()]
     on_begin(len(chunks) * sweep.strides, (len(chunks) - len(left)) * sweep.strides)
+    compiled: dict[int, Programs] = {}
+    locks = [threading.Lock() for _ in groups]
 
-    def work(chunk, stopped):
-        batch = take(members, indices[chunk])
-        runs = march(plan, programs, batch, on_stride, stopped)
+    def work(number, stopped):
+        chunk = chunks[number]
+        plan, members, _ = groups[chunk.group]
+        batch = take(members, chunk.members)
+        with locks[chunk.group]:
+            if chunk.group not in compiled:
+                compiled[chunk.group] = compile_programs(plan, batch)
+        runs = march(plan, compiled[chunk.group], batch, on_stride, stopped)
         rows = steady(plan, batch, runs, sweep.transient)
-        real = min(size, count - chunk * size)
-        write_json(_chunk_file(partial, chunk), {name: x[:real] for name, x in rows.items()})
+        write_json(chunk.file, {name: x[: len(chunk.points)] for name, x in rows.items()})
 
     for _ in in_threads(work, left, min(available_cores(), max(1, len(left)))):
         pass
-    parts = [json.loads(_chunk_file(partial, chunk).read_text()) for chunk in chunks]
+    return _gathered(sweep, groups, chunks)
+
+
+def _gathered(sweep: Sweep, groups: list[Group], chunks: list[Chunk]) -> dict[str, np.ndarray]:
     points = np.asarray(sweep.points)
     table = {axis.column: points[:, number] for number, axis in enumerate(sweep.axes)}
-    for name in parts[0]:
-        table[name] = np.asarray([x for part in parts for x in part[name]], float)
+    table["steps_per_stride"] = np.zeros(len(points), int)
+    for group in groups:
+        table["steps_per_stride"][group.points] = group.plan.steps_per_stride
+    for chunk in chunks:
+        for name, values in json.loads(chunk.file.read_text()).items():
+            column = table.setdefault(name, np.full(len(points), np.nan))
+            column[chunk.points] = np.asarray(values, float)
     return table
 
 
-def _chunk_file(partial: Path, chunk: int) -> Path:
-    return partial / f"chunk_{chunk:05d}.json"
-
-
-def _take_up(sweep: Sweep, partial: Path, count: int) -> int:
-    """Begin `partial`, or check that it is of this sweep. Returns the size of its chunks."""
+def _take_up(sweep: Sweep, partial: Path) -> int:
+    """Begin `partial`, or check that it is of this sweep. Returns its chunks' largest size."""
     settings, record = sweep.settings(), partial / "settings.json"
     if record.exists():
         found = json.loads(record.read_text())
@@ -208,8 +257,7 @@ def _take_up(sweep: Sweep, partial: Path, count: int) -> int:
                 "finish it with those, delete that folder, or give another --out"
             )
         return int(found["chunk"])
-    rounds = -(-count // (LARGEST_CHUNK * available_cores()))
-    size = min(LARGEST_CHUNK, -(-count // (rounds * available_cores())))
+    size = chunks_of(len(sweep.points), LARGEST_CHUNK, available_cores()).size
     partial.mkdir(exist_ok=True)
     write_json(record, {"sha256": digest(settings), "chunk": size, "settings": settings})
     return size

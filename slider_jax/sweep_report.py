@@ -1,5 +1,6 @@
 """What a sweep of fields writes: the table, its record, and a line or contour plot."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,20 @@ DRAWN = (
     ("chamber_power_W", "power of the chambers (mW)", 1e3),
 )
 """Column, label with unit, factor from SI."""
+
+
+FILES = ("sweep.csv", "sweep.json", "sweep.png")
+
+
+def is_written(sweep: Sweep, folder: Path) -> bool:
+    """Whether `folder` holds the whole result of this very sweep, versions included."""
+    if not all((folder / name).is_file() for name in FILES):
+        return False
+    try:
+        record = json.loads((folder / "sweep.json").read_bytes())
+    except ValueError:
+        return False
+    return isinstance(record, dict) and record.get("sha256") == digest(sweep.settings())
 
 
 def write_results(sweep: Sweep, table: dict[str, np.ndarray], folder: Path, source: Path) -> None:

@@ -2,10 +2,12 @@
 
 import difflib
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
 
 from slider_jax.errors import InputError
 from slider_jax.quantity import Quantity
@@ -35,13 +37,15 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: not valid TOML: {error}") from None
 
 
-def _field_of(table: type[BaseModel], location: tuple) -> tuple[type[BaseModel], Any]:
-    """The innermost table class of a location, and the field it ends at (None if there is none)."""
+def field_at(
+    table: type[BaseModel], location: Sequence[str | int]
+) -> tuple[type[BaseModel], FieldInfo | None]:
+    """The innermost table of a place such as ("trials", 0, "phase"), and the field at its end."""
     field = None
     for part in location:
-        if isinstance(part, int):
+        if str(part).isdigit():
             continue
-        field = table.model_fields.get(part)
+        field = table.model_fields.get(str(part))
         if field is None:
             break
         for inner in (field.annotation, *getattr(field.annotation, "__args__", ())):
@@ -50,7 +54,8 @@ def _field_of(table: type[BaseModel], location: tuple) -> tuple[type[BaseModel],
     return table, field
 
 
-def _quantity(field: Any) -> Quantity | None:
+def quantity_of(field: FieldInfo | None) -> Quantity | None:
+    """The unit and range of a field, if it is a number that has them."""
     candidates = list(field.metadata) if field is not None else []
     for inner in getattr(getattr(field, "annotation", None), "__args__", ()):
         candidates += getattr(inner, "__metadata__", ())
@@ -61,12 +66,18 @@ def _message(table: type[BaseModel], error: Any) -> str:
     """One pydantic error in our words."""
     location = tuple(part for part in error["loc"] if not str(part).startswith("function-"))
     where = ".".join(str(part) for part in location)
-    owner, field = _field_of(table, location)
-    quantity = _quantity(field)
+    owner, field = field_at(table, location)
+    quantity = quantity_of(field)
     kind, given = error["type"], repr(error["input"])
     if kind == "table":
         return ".".join(part for part in (where, error["msg"]) if part)
     if kind == "missing":
+        kinds = getattr(field, "annotation", None)
+        one, many = kinds is owner, owner in getattr(kinds, "__args__", ())
+        if one or many:
+            needed = [name for name, x in owner.model_fields.items() if x.is_required()]
+            name = f"[{where}]" if one else f"[[{where}]]"
+            return f"{where}: missing; add a table {name} with {', '.join(needed)}"
         unit = f" in {quantity.unit}" if quantity and quantity.unit else ""
         return f"{where}: missing; add it{unit}"
     if kind == "extra_forbidden":

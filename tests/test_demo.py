@@ -9,7 +9,7 @@ import pytest
 
 from slider_jax import paper
 from slider_jax.batch import chunks_of, in_threads, stack
-from slider_jax.demo import SHOWN, Settings, run_sweep
+from slider_jax.demo import SHOWN, Settings, run_frequency_sweep
 from slider_jax.demo_report import comparison, write_results
 from slider_jax.observables import stride_means, thrust
 from tests.helpers import SMALL, arrays, march
@@ -22,7 +22,9 @@ TINY = Settings(
 @pytest.fixture(scope="module")
 def sweep():
     calls = []
-    result = run_sweep(TINY, lambda strides: calls.append(strides), lambda: calls.append(1))
+    result = run_frequency_sweep(
+        TINY, lambda strides: calls.append(strides), lambda: calls.append(1)
+    )
     assert calls[0] == sum(calls[1:]) > 0  # progress ends where it said it would
     return result
 
@@ -102,7 +104,7 @@ def test_an_absurd_member_fails_alone(sweep):
         transient=2,
         numerics=SMALL,
     )
-    assert not run_sweep(wild).ok.any()
+    assert not run_frequency_sweep(wild).ok.any()
     assert sweep.ok.all()
 
 

@@ -4,8 +4,10 @@ import sys
 import time
 from pathlib import Path
 
+from slider_jax.cli.options import Folder
 
-def demo(out: Path = Path("slider_demo")) -> None:
+
+def demo(out: Folder = Path("slider_demo")) -> None:
     """Run the paper's head-fixed sweep, 0.4 to 7.0 Hz in 34 steps, and compare.
 
     DIR gets sweep.csv, thrust_against_frequency.png (as the paper's Fig. 4), and for 1 and 4.8 Hz
@@ -15,23 +17,15 @@ def demo(out: Path = Path("slider_demo")) -> None:
     Args:
         out: folder for the results; made if missing, files of the same name are replaced.
     """
-    from tqdm import tqdm
-
-    from slider_jax.demo import Settings, run_sweep
+    from slider_jax.cli.progress import Progress
+    from slider_jax.demo import Settings, run_frequency_sweep
     from slider_jax.demo_report import comparison, write_results
     from slider_jax.files import output_folder
 
     output_folder(out)
     settings, begun = Settings(), time.perf_counter()
-    print(f"{len(settings.frequencies)} frequencies; compiling ...", file=sys.stderr)
-    bars = []
-
-    def compiled(strides):
-        print(f"compiled in {time.perf_counter() - begun:.0f} s", file=sys.stderr)
-        bars.append(tqdm(desc="strides", unit="stride", total=strides, disable=None))
-
-    sweep = run_sweep(settings, compiled, lambda: bars[0].update())
-    bars[0].close()
+    with Progress(f"{len(settings.frequencies)} frequencies", "chunk-stride") as progress:
+        sweep = run_frequency_sweep(settings, progress.begin, progress.step)
     write_results(sweep, settings, out)
     print(comparison(sweep, settings))
     seconds = time.perf_counter() - begun

@@ -1,11 +1,13 @@
 """The `slider` command: finds the subcommand, prepares JAX, and turns errors into messages."""
 
+import difflib
+import inspect
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from slider_jax.errors import InputError, SolverError
 
@@ -33,12 +35,16 @@ COMMANDS = {
     ),
 }
 
+_GROUPS = {name.split()[0] for name in COMMANDS if " " in name}
 
-def usage() -> str:
-    """The list of subcommands."""
-    width = max(map(len, COMMANDS))
-    lines = [f"  {name:<{width}}  {command.help}" for name, command in COMMANDS.items()]
-    return "\n".join(["usage: slider COMMAND [--help] ...", "", "commands:", *lines])
+
+def usage(group: str = "") -> str:
+    """The list of subcommands, or of those of a `group` such as "calibrate"."""
+    shown = {name: x for name, x in COMMANDS.items() if name.startswith(group)}
+    width = max(map(len, shown))
+    lines = [f"  {name:<{width}}  {command.help}" for name, command in shown.items()]
+    head = f"usage: slider {group or 'COMMAND'}{' COMMAND' if group else ''} [--help] ..."
+    return "\n".join([head, "", "commands:", *lines])
 
 
 def prepare_jax() -> None:
@@ -66,8 +72,35 @@ def find(arguments: Sequence[str]) -> tuple[str, list[str]]:
         parts = name.split()
         if words[: len(parts)] == parts:
             return name, words[len(parts) :]
-    given = " ".join(words[:2]) or "nothing"
-    raise InputError(f"command: given {given!r}; allowed {', '.join(COMMANDS)}; see slider --help")
+    given = " ".join(words[: 2 if words[0] in _GROUPS else 1])
+    raise InputError(
+        f"command: given {given!r}; allowed {', '.join(COMMANDS)}"
+        f"{_nearest(given, COMMANDS)}; see slider --help"
+    )
+
+
+def _nearest(given: str, allowed: Iterable[str]) -> str:
+    close = difflib.get_close_matches(given, list(allowed), 1)
+    return f"; did you mean {close[0]}?" if close else ""
+
+
+def _refuse_unknown_options(function: Callable[..., Any], words: Sequence[str]) -> None:
+    """tyro takes what follows an unknown option for its value, and then misses a file."""
+    import tyro
+
+    allowed = ["--help"]
+    for name, parameter in inspect.signature(function).parameters.items():
+        notes = getattr(parameter.annotation, "__metadata__", ())
+        if tyro.conf.Positional in notes:
+            continue
+        name = next((x.name for x in notes if getattr(x, "name", None)), name)
+        allowed.append(f"--{'no-' if parameter.default is True else ''}{name.replace('_', '-')}")
+    for word in words:
+        option = word.split("=")[0].replace("_", "-")
+        if option.startswith("--") and option not in allowed:
+            raise InputError(
+                f"{option}: unknown option; allowed {', '.join(allowed)}{_nearest(option, allowed)}"
+            )
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -76,12 +109,10 @@ def run(arguments: Sequence[str]) -> int:
     module, function = COMMANDS[name].target.split(":")
     import tyro
 
-    parsed = tyro.cli(
-        tyro.conf.configure(tyro.conf.OmitArgPrefixes)(getattr(import_module(module), function)),
-        args=rest,
-        prog=f"slider {name}",
-    )
-    return int(parsed or 0)
+    command = getattr(import_module(module), function)
+    _refuse_unknown_options(command, rest)
+    style = tyro.conf.configure(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff)
+    return int(tyro.cli(style(command), args=rest, prog=f"slider {name}") or 0)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -89,6 +120,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments = sys.argv[1:] if arguments is None else arguments
     if not arguments or arguments[0] in ("-h", "--help", "help"):
         print(usage())
+        return 0
+    if arguments[0] in _GROUPS and (len(arguments) == 1 or arguments[1] in ("-h", "--help")):
+        print(usage(arguments[0]))
         return 0
     if arguments[0] == "--version":
         from slider_jax import __version__

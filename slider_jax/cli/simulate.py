@@ -7,18 +7,19 @@ from typing import Annotated, Literal
 
 import tyro
 
+from slider_jax.cli.options import Folder, MaybeWhole, ModelFile, Seconds
 from slider_jax.errors import InputError
 
 
 def simulate(
     input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="EXPERIMENT.toml|LOG.txt")],
-    out: Path,
-    model: Path | None = None,
+    out: Folder,
+    model: ModelFile = None,
     plot: bool = False,
     animate: bool = False,
-    step: float | None = None,
-    nodes: int | None = None,
-    scheme: str | None = None,
+    step: Seconds = None,
+    nodes: MaybeWhole = None,
+    scheme: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
     drive: Literal["set", "measured"] = "set",
 ) -> None:
     """Simulate every trial of an experiment and write what its sensors would read.
@@ -30,8 +31,8 @@ def simulate(
         input: an experiment (.toml), or one of the rig's pressure logs (any other suffix).
         out: folder for the results; made if missing, files of the same name are replaced.
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
-        plot: draw time series and midlines of each trial (PNG).
-        animate: film each trial: midline, forces, moment (mp4 with ffmpeg, else gif).
+        plot: draw time series, measured ones beside them, and midlines of each trial (PNG).
+        animate: film the last two strides of each trial: midline, forces, moment (GIF).
         step: longest time step in s (experiments only; default 0.001 or as the file says).
         nodes: nodes along the robot (experiments only; default 51 or as the file says).
         scheme: sdirk2 or backward_euler (experiments only).
@@ -58,10 +59,10 @@ def simulate(
 
 
 def _simulate_experiment(experiment, path, model, out, plot, animate) -> None:
-    from tqdm import tqdm
-
+    from slider_jax.cli.progress import Progress
     from slider_jax.experiment import SAMPLES, measured, to_model
     from slider_jax.files import staged, write_csv, write_json
+    from slider_jax.plots import plot_run
     from slider_jax.results import summary, trial_summary
     from slider_jax.simulate import simulate as simulate_trial
 
@@ -74,30 +75,40 @@ def _simulate_experiment(experiment, path, model, out, plot, animate) -> None:
         measured(experiment, trial)
         to_model(experiment, trial)
     formats = dict(zip(SAMPLES, (".9g", ".1f", ".1f", ".6f", ".6f", ".7f"), strict=True))
-    runs = []
+    results, shape = [], plot or animate
     with staged(out) as stage:
         for trial in experiment.trials:
             begun = time.perf_counter()
-            with tqdm(desc=trial.file, unit="step", leave=False, disable=None) as bar:
-
-                def advance(done, total, bar=bar):
-                    bar.total = total
-                    bar.update(done - bar.n)
-
-                run = simulate_trial(experiment, trial, shape=plot or animate, progress=advance)
+            with Progress(trial.file, "step") as progress:
+                run = simulate_trial(experiment, trial, shape=shape, progress=progress.to)
+            result = trial_summary(experiment, run)
+            results.append(result)
             write_csv(stage / trial.file, run.columns, formats)
-            runs.append(run)
             if plot:
-                from slider_jax.plots import plot_run
-
-                plot_run(run, measured(experiment, trial), stage)
+                plot_run(run, measured(experiment, trial), result["rmse_to_measured"], stage)
             if animate:
                 from slider_jax.animate import animate_run
 
-                animate_run(run, stage)
-            print(_line(trial_summary(run), time.perf_counter() - begun), file=sys.stderr)
-        write_json(stage / "summary.json", summary(experiment, runs, path, model))
-    print(f"{len(runs)} trials and summary.json are in {out}", file=sys.stderr)
+                with Progress(trial.file, "frame", "film of the last two strides") as progress:
+                    animate_run(run, stage, progress.to)
+            for line in _lines(result, time.perf_counter() - begun):
+                print(line, file=sys.stderr)
+        write_json(stage / "summary.json", summary(experiment, results, path, model))
+    print(f"{len(results)} trials and summary.json are in {out}", file=sys.stderr)
+
+
+def _lines(result, seconds: float) -> list[str]:
+    from slider_jax.plots import CHANNELS
+
+    said = [_line(result, seconds)]
+    if off := result["rmse_to_measured"]:
+        errors = [
+            f"{label} {factor * off[name]:.3g} {unit}"
+            for name, label, unit, factor in CHANNELS
+            if name in off
+        ]
+        said.append(f"{result['file']}  rms off the measured: {', '.join(errors)}")
+    return said + [f"{result['file']}  warning: {text}" for text in result["warnings"]]
 
 
 def _line(result, seconds: float) -> str:

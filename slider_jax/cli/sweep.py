@@ -7,34 +7,38 @@ from typing import Annotated
 
 import tyro
 
+from slider_jax.cli.options import Folder, MaybeValue, MaybeWhole, ModelFile, Value, Whole
 from slider_jax.errors import InputError
+
+_FIELD = tyro.conf.arg(metavar="FIELD")
 
 
 def sweep(
     experiment: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="EXPERIMENT.toml")],
-    field: str,
-    start: Annotated[float, tyro.conf.arg(name="from")],
-    stop: Annotated[float, tyro.conf.arg(name="to")],
-    count: int,
-    out: Path,
-    field2: str | None = None,
-    start2: Annotated[float | None, tyro.conf.arg(name="from2")] = None,
-    stop2: Annotated[float | None, tyro.conf.arg(name="to2")] = None,
-    count2: int | None = None,
-    model: Path | None = None,
-    trial: int | None = None,
-    strides: int = 8,
-    transient: int = 3,
-    steps_per_stride: int = 300,
+    field: Annotated[str, _FIELD],
+    start: Annotated[Value, tyro.conf.arg(name="from")],
+    stop: Annotated[Value, tyro.conf.arg(name="to")],
+    count: Whole,
+    out: Folder,
+    field2: Annotated[str | None, _FIELD] = None,
+    start2: Annotated[MaybeValue, tyro.conf.arg(name="from2")] = None,
+    stop2: Annotated[MaybeValue, tyro.conf.arg(name="to2")] = None,
+    count2: MaybeWhole = None,
+    model: ModelFile = None,
+    trial: MaybeWhole = None,
+    strides: Whole = 8,
+    transient: Whole = 3,
+    steps_per_stride: Whole = 300,
 ) -> None:
     """Simulate one trial over one or two ranges and write a table and a plot.
 
     DIR gets sweep.csv (a row a member: means of the steady strides), sweep.json (settings and
-    versions) and sweep.png. A run that was stopped goes on when its command is given again.
+    versions) and sweep.png. A run that was stopped goes on when its command is given again, and one
+    that is there is not computed again.
 
     Args:
         experiment: the experiment file (.toml).
-        field: the number to sweep, e.g. trials.0.frequency, robot.EI_tail, parameters.C_d.
+        field: the number to sweep, e.g. trials.0.frequency, robot.EI_tail, numerics.nodes.
         start: its first value, SI.
         stop: its last value, SI.
         count: how many values, evenly spaced.
@@ -47,14 +51,13 @@ def sweep(
         trial: which trial is run, from 0; by default that of a field trials.N..., else 0.
         strides: strides run.
         transient: strides left out of the means.
-        steps_per_stride: time steps of a stride, a multiple of 20.
+        steps_per_stride: time steps of a stride, a multiple of 20; follows a swept numerics.step.
     """
-    from tqdm import tqdm
-
+    from slider_jax.cli.progress import Progress
     from slider_jax.experiment import load
     from slider_jax.files import output_folder
     from slider_jax.sweep import Axis, Sweep, run_sweep
-    from slider_jax.sweep_report import write_results
+    from slider_jax.sweep_report import is_written, write_results
 
     axes = [Axis.spaced(field, start, stop, count)]
     second = (field2, start2, stop2, count2)
@@ -71,13 +74,29 @@ def sweep(
         steps_per_stride,
     )
     output_folder(out)
-    with tqdm(desc="strides", unit="stride", disable=None) as bar:
+    if is_written(task, out):
+        print(
+            f"{out / 'sweep.csv'} holds the {len(task.points)} members of this sweep already, with "
+            f"the same settings and versions; to run it again, delete {out / 'sweep.json'}",
+            file=sys.stderr,
+        )
+        return
+    try:
+        with Progress(f"{len(task.points)} members", "chunk-stride") as progress:
 
-        def begin(total, done):
-            bar.total = total
-            bar.update(done)
+            def begin(total, done):
+                if done:
+                    said = f"taking up {done // strides} of {total // strides} chunks done before"
+                    print(said, file=sys.stderr)
+                progress.begin(total, done)
 
-        table = run_sweep(task, out, begin, bar.update)
+            table = run_sweep(task, out, begin, progress.step)
+    except KeyboardInterrupt:
+        print(
+            f"finished chunks are kept in {out / 'partial'}; give the same command again to go on",
+            file=sys.stderr,
+        )
+        raise
     write_results(task, table, out, experiment)
     shutil.rmtree(out / "partial")
     print(f"{len(task.points)} members are in {out / 'sweep.csv'}", file=sys.stderr)

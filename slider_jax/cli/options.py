@@ -1,0 +1,34 @@
+"""Types of command-line arguments: their names in the help, and what a bad one is told."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from tyro.constructors import PrimitiveConstructorSpec
+
+
+def _read_by(read: Callable[[str], Any], metavar: str, allowed: str) -> PrimitiveConstructorSpec:
+    def instance(words: list[str]) -> Any:
+        try:
+            return read(words[0])
+        except ValueError:
+            raise ValueError(f"given {words[0]!r}; allowed {allowed}") from None
+
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar=metavar,
+        instance_from_str=instance,
+        is_instance=lambda x: True,
+        str_from_instance=lambda x: [str(x)],
+    )
+
+
+Folder = Annotated[Path, tyro.conf.arg(metavar="DIR")]
+ModelFile = Annotated[Path | None, tyro.conf.arg(metavar="MODEL.toml")]
+Seconds = Annotated[float | None, _read_by(float, "S", "a number of seconds")]
+_VALUE, _WHOLE = _read_by(float, "X", "a number"), _read_by(int, "N", "a whole number")
+Value = Annotated[float, _VALUE]
+MaybeValue = Annotated[float | None, _VALUE]
+Whole = Annotated[int, _WHOLE]
+MaybeWhole = Annotated[int | None, _WHOLE]
