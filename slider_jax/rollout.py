@@ -30,7 +30,7 @@ class TimeGrid(eqx.Module):
     @property
     def times(self) -> Float[Array, " steps"]:
         """End of every step [s]."""
-        return self.t0 + self.h * jnp.arange(1, self.steps + 1)
+        return self.t0 + self.h * jnp.arange(1.0, self.steps + 1.0)
 
 
 class Rollout(eqx.Module):
@@ -51,7 +51,7 @@ def stage_pressures(
     model: Model, times: TimeGrid, scheme: Scheme, begin: Float[Array, "2"]
 ) -> Float[Array, "steps stages 2"]:
     """Both chambers' pressures [Pa] at every stage of every step, from `begin` at the start."""
-    begins = times.t0 + times.h * jnp.arange(times.steps)
+    begins = times.t0 + times.h * jnp.arange(float(times.steps))
     at = begins[:, None] + times.h * jnp.asarray(scheme.nodes)
     at = jnp.concatenate([jnp.asarray(times.t0, at.dtype)[None], at.ravel()])
     waves = (model.drive.front, model.drive.rear)
@@ -83,7 +83,7 @@ def rollout(
         begin = at_rest(model, numerics, times.t0)
     pressures = stage_pressures(model, times, scheme, begin.pressure)
     step = make_step(model, mesh, numerics, scheme)
-    begins = times.t0 + times.h * jnp.arange(times.steps)
+    begins = times.t0 + times.h * jnp.arange(float(times.steps))
 
     def body(carry, inputs):
         t, pressure = inputs

@@ -7,7 +7,8 @@ import numpy as np
 
 from slider_jax.parameters import Numerics
 from slider_jax.rollout import TimeGrid, rollout
-from tests.helpers import swimmer
+from slider_jax.step import at_rest
+from tests.helpers import SMALL, swimmer
 
 NAMES = ("C_d", "m_a", "k", "K_Q", "EI_body", "EI_tail")
 PER_STRIDE, STRIDES = 40, 3
@@ -53,3 +54,29 @@ def test_forward_reverse_and_central_differences_agree():
     assert np.all(np.abs(central) > 1e-3 * abs(float(thrust)))
     np.testing.assert_allclose(reverse, forward, rtol=1e-8, atol=1e-10)
     assert np.all(np.abs(forward - central) < 1e-5 * size)
+
+
+def kept_bytes(steps, checkpoint):
+    """Bytes that reverse mode keeps between the forward and the backward pass."""
+
+    def thrust(C_d):
+        model, times = swimmer(C_d=C_d), TimeGrid(1e-3, steps)
+        return jnp.mean(
+            rollout(model, times, lambda x: x.y[0, -1], SMALL, checkpoint=checkpoint).saved
+        )
+
+    pull = jax.eval_shape(lambda x: jax.vjp(thrust, x)[1], jnp.asarray(3.0))
+    return sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(pull))
+
+
+def test_reverse_mode_keeps_little_more_than_the_carry_of_each_step():
+    def per_step(checkpoint):
+        return (kept_bytes(40, checkpoint) - kept_bytes(20, checkpoint)) / 20
+
+    carry = sum(x.nbytes for x in jax.tree.leaves(at_rest(swimmer(), SMALL)))
+    bounded, unbounded = per_step(True), per_step(False)
+    print(
+        f"a carry is {carry} bytes; {bounded:.0f} kept a step, {unbounded:.0f} without checkpoints"
+    )
+    assert bounded < 1.5 * carry
+    assert unbounded > 10 * bounded

@@ -18,7 +18,7 @@ from tests.helpers import SMALL, march, swimmer
 
 F, L = 3.0, 0.368
 S = jnp.linspace(0.0, L, 41)
-T = jnp.arange(1, 241) / (F * 120)  # two strides
+T = jnp.arange(1.0, 241.0) / (F * 120)  # two strides
 
 
 def wave(wavelength, amplitude=lambda s: 0.01 + 0.0 * s, direction=1.0):

@@ -34,9 +34,9 @@ def nrmse(found, given):
     [
         "inertial_4p8Hz",
         "towed_4p8Hz",
-        pytest.param("mixed_2p2Hz", marks=pytest.mark.slow),
-        pytest.param("drag_1Hz", marks=pytest.mark.slow),
-        pytest.param("large_1Hz", marks=pytest.mark.slow),
+        "mixed_2p2Hz",
+        "drag_1Hz",
+        "large_1Hz",
     ],
 )
 def test_agrees_with_the_independent_program(name, data):

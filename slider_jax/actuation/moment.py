@@ -27,9 +27,9 @@ def spread(position: Scalar, grid: Grid) -> Float[Array, " nodes"]:
     end or the joint the two-point (linear) delta, whose moments are exact on any grid.
     """
     nodes = grid.s.shape[0]
-    index = jnp.arange(nodes)
-    xi = jnp.interp(position, grid.s, index.astype(grid.s.dtype))
-    cell = jnp.clip(jnp.floor(xi), 0, nodes - 2)
+    index = jnp.arange(nodes, dtype=grid.s.dtype)
+    xi = jnp.interp(position, grid.s, index)
+    cell = jnp.clip(jnp.floor(xi), 0.0, nodes - 2.0).astype(int)
     first, last = (
         jnp.where(cell < grid.tail_cells, 0, grid.tail_cells),
         jnp.where(cell < grid.tail_cells, grid.tail_cells, nodes - 1),

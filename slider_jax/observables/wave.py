@@ -7,13 +7,15 @@ arg c. Where the phase grows towards the head (s is from the tail) the wave runs
 import math
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
 
 def _over(a, b):
-    """a/b, and 0 with zero derivatives where b = 0."""
-    return jnp.where(b == 0.0, 0.0, a / jnp.where(b == 0.0, 1.0, b))
+    """a/b for a real b, and 0 with zero derivatives where b = 0."""
+    inverse = jnp.where(b == 0.0, 0.0, 1.0 / jnp.where(b == 0.0, 1.0, b))
+    return a * inverse.astype(jnp.result_type(a))
 
 
 def _root(x):
@@ -37,8 +39,10 @@ def fundamental_mode(
 
     c = (2/n) sum_t y exp(-2 pi i f t). `t` [s] are equal steps over whole strides.
     """
-    turn = jnp.exp(-2j * math.pi * frequency * t)
-    return 2.0 * jnp.mean(y * turn[:, None], axis=0)
+    angle = 2.0 * math.pi * frequency * t[:, None]
+    return 2.0 * jax.lax.complex(
+        jnp.mean(y * jnp.cos(angle), axis=0), -jnp.mean(y * jnp.sin(angle), axis=0)
+    )
 
 
 def orthogonal_mode(y: Float[Array, "times points"]) -> Complex[Array, " points"]:
@@ -53,12 +57,12 @@ def orthogonal_mode(y: Float[Array, "times points"]) -> Complex[Array, " points"
     """
     steps = y.shape[0]
     spectrum = jnp.fft.fft(y - jnp.mean(y, axis=0), axis=0)
-    index = jnp.arange(steps)
+    index = jnp.arange(float(steps))
     keep = jnp.where(
         (index > 0) & (2 * index < steps), 2.0, jnp.where(2 * index == steps, 1.0, 0.0)
     )
-    analytic = jnp.fft.ifft(spectrum * keep[:, None], axis=0)
-    covariance = analytic.T @ jnp.conj(analytic) / steps
+    analytic = jnp.fft.ifft(spectrum * keep[:, None].astype(spectrum.dtype), axis=0)
+    covariance = analytic.T @ jnp.conj(analytic) / float(steps)
     # The projector on the dominant eigenvector, by squaring: an SVD has no derivative where other
     # singular values coincide, and all but a few of these are zero.
     projector = covariance
@@ -68,7 +72,7 @@ def orthogonal_mode(y: Float[Array, "times points"]) -> Complex[Array, " points"
     projector = _over(projector, jnp.real(jnp.trace(projector)))
     first = projector @ analytic[0]
     size = _root(jnp.real(jnp.trace(projector @ covariance)))
-    return first * _over(size, _root(jnp.real(jnp.vdot(first, first))))
+    return _over(first, _root(jnp.real(jnp.vdot(first, first)))) * size.astype(first.dtype)
 
 
 def body_wave(mode: Complex[Array, " points"], s: Float[Array, " points"], frequency) -> BodyWave:
