@@ -11,7 +11,7 @@ With kappa = d(phi)/ds, omega = d(phi)/dt and the strain eps, in the paper's not
 
 and T = EA (eps + alpha d(eps)/dt), which is solved for eps in each cell, so eps is no unknown.
 
-A time derivative is always (value - reference)/dt: every scheme of `step.py` has this form.
+A time derivative is always (value - reference)/dt: every stage of a scheme has this form.
 """
 
 import equinox as eqx
@@ -56,8 +56,10 @@ class Section(eqx.Module):
     linear_density: Array
     phi: Array
     kappa: Array
+    kappa_t: Array
     omega: Array
     strain: Array
+    strain_t: Array
     V_tau: Array
     V_n: Array
     V_tau_t: Array
@@ -79,8 +81,10 @@ def section(
     mid: Fields, slope: Fields, structure: Structure, reference: Reference, water, t
 ) -> Section:
     """The kinematics of a cell; `water` = (U_x, U_y) [m/s], steady and uniform over the body."""
-    omega = (mid.phi - reference.phi) / reference.dt
-    V_n_t = (mid.V_n - reference.V_n) / reference.dt
+    dt = reference.dt
+    omega = (mid.phi - reference.phi) / dt
+    V_n_t = (mid.V_n - reference.V_n) / dt
+    eps = strain(mid.T, structure, reference)
     U_tau, U_n = to_body(water, mid.phi)
     return Section(
         t=t,
@@ -89,11 +93,13 @@ def section(
         linear_density=structure.linear_density,
         phi=mid.phi,
         kappa=slope.phi,
+        kappa_t=(slope.phi - reference.kappa) / dt,
         omega=omega,
-        strain=strain(mid.T, structure, reference),
+        strain=eps,
+        strain_t=(eps - reference.strain) / dt,
         V_tau=mid.V_tau,
         V_n=mid.V_n,
-        V_tau_t=(mid.V_tau - reference.V_tau) / reference.dt,
+        V_tau_t=(mid.V_tau - reference.V_tau) / dt,
         V_n_t=V_n_t,
         u_tau=mid.V_tau - U_tau,
         u_n=mid.V_n - U_n,
@@ -108,18 +114,15 @@ def equations(
     slope: Fields,
     x: Section,
     structure: Structure,
-    reference: Reference,
     force: tuple[Array, Array],
     active_moment: Array,
 ) -> tuple[Float[Array, " cells"], ...]:
     """The six rows of a cell, in the order of the module's docstring; zero when satisfied."""
     F_tau, F_n = force
     m, stretch = structure.linear_density, 1.0 + x.strain
-    kappa_t = (x.kappa - reference.kappa) / reference.dt
-    strain_t = (x.strain - reference.strain) / reference.dt
-    elastic = structure.EI * (x.kappa + structure.damping_time * kappa_t)
+    elastic = structure.EI * (x.kappa + structure.damping_time * x.kappa_t)
     return (
-        strain_t - slope.V_tau + x.kappa * mid.V_n,
+        x.strain_t - slope.V_tau + x.kappa * mid.V_n,
         stretch * x.omega - slope.V_n - x.kappa * mid.V_tau,
         mid.M - elastic + active_moment,
         m * (x.V_tau_t - x.omega * mid.V_n) - slope.T + x.kappa * mid.N - stretch * F_tau,

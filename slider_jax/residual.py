@@ -29,14 +29,18 @@ def cell_rows(mid: Fields, slope: Fields, stage: Stage) -> tuple[Array, ...]:
     """The six equations of every cell, from the unknowns' means and slopes in it."""
     x = section(mid, slope, stage.structure, stage.reference, stage.water, stage.t)
     force = total_force(stage.effects, x)
-    return equations(mid, slope, x, stage.structure, stage.reference, force, stage.active_moment)
+    return equations(mid, slope, x, stage.structure, force, stage.active_moment)
+
+
+def turning_rate(head: Fields, stage: Stage) -> Array:
+    """omega [rad/s] of the head."""
+    return (head.phi - stage.phi_head_reference) / stage.reference.dt
 
 
 def head_rows(head: Float[Array, "6"], stage: Stage) -> Float[Array, "3"]:
     """The support's three rows."""
     at_head = fields(head)
-    omega = (at_head.phi - stage.phi_head_reference) / stage.reference.dt
-    return jnp.stack(stage.support.rows(at_head, omega, stage.t))
+    return jnp.stack(stage.support.rows(at_head, turning_rate(at_head, stage), stage.t))
 
 
 def tail_rows(tail: Float[Array, "6"]) -> Float[Array, "3"]:

@@ -74,8 +74,8 @@ def rollout(
     """Integrate `model` over `times`; `save(snapshot)` is kept at the end of every step.
 
     Starts straight, at rest relative to its support, unless `begin` carries on from an earlier
-    rollout's `final`. A step that fails freezes the state and clears `ok`; nothing is raised, so that one
-    member of a batch cannot stop the others (`simulate` raises for a single run).
+    rollout's `final`. A step that fails freezes the state and clears `ok`; nothing is raised, so
+    that one member of a batch cannot stop the others (`simulate` raises for a single run).
     With `checkpoint`, reverse mode keeps each step's carry only and recomputes the rest.
     """
     mesh = make_mesh(model.robot, numerics)

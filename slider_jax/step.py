@@ -13,7 +13,7 @@ from slider_jax.frame import to_body
 from slider_jax.model import Mesh, Model
 from slider_jax.newton import BeamAdjoint, BeamNewton
 from slider_jax.parameters import Numerics, Scalar, grid_of, scales_of
-from slider_jax.residual import Stage, jacobian, mid_and_slope, residual
+from slider_jax.residual import Stage, jacobian, mid_and_slope, residual, turning_rate
 from slider_jax.scheme import Scheme, extrapolation
 from slider_jax.state import Memory, Unknowns, fields, straight
 from slider_jax.supports import Support
@@ -118,7 +118,7 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
         ok = carry.ok & converged
         y = jnp.where(ok, solution.value, carry.history[-1])
         head = fields(y[:, -1])
-        omega = (head.phi - stage.phi_head_reference) / dt
+        omega = turning_rate(head, stage)
         anchor = _blend(_anchor(base, support, t), _anchor(carry.memory, support, t), weight)
         anchor = anchor + dt * support.anchor_velocity(head, omega, t)
         found = Memory(

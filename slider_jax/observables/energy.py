@@ -19,6 +19,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from slider_jax.residual import turning_rate
 from slider_jax.state import fields
 from slider_jax.step import Snapshot
 
@@ -76,22 +77,13 @@ def stored_energy(x: Snapshot) -> StoredEnergy:
     )
 
 
-def _rates_of_strain(x: Snapshot):
-    """kappa, eps and their time derivatives, in the cells."""
-    section, reference = x.section(), x.stage.reference
-    kappa_t = (section.kappa - reference.kappa) / reference.dt
-    strain_t = (section.strain - reference.strain) / reference.dt
-    return section.kappa, kappa_t, section.strain, strain_t
-
-
 def chamber_power(x: Snapshot) -> Float[Array, "2"]:
     """Power [W] that the front and rear chamber put into the body: int K_Q p w kappa_t ds.
 
     Positive while the body bends the way the chamber pushes; mechanical, without the losses of
     valves and supply.
     """
-    _, kappa_t, _, _ = _rates_of_strain(x)
-    return x.mesh.grid.integral(x.pressure[:, None] * x.mesh.chambers * kappa_t)
+    return x.mesh.grid.integral(x.pressure[:, None] * x.mesh.chambers * x.section().kappa_t)
 
 
 def clamp_power(x: Snapshot) -> Float[Array, ""]:
@@ -100,15 +92,13 @@ def clamp_power(x: Snapshot) -> Float[Array, ""]:
     Zero for a clamp at rest; -thrust times speed for a towed one.
     """
     head = fields(x.y[:, -1])
-    omega = (head.phi - x.stage.phi_head_reference) / x.stage.reference.dt
-    return head.T * head.V_tau + head.N * head.V_n + head.M * omega
+    return head.T * head.V_tau + head.N * head.V_n + head.M * turning_rate(head, x.stage)
 
 
 def energy_rates(x: Snapshot) -> EnergyRates:
     """Every term of the module's balance at one instant."""
     section, body, integral = x.section(), x.mesh.structure, x.mesh.grid.integral
-    kappa, kappa_t, strain, strain_t = _rates_of_strain(x)
-    stretch = 1.0 + strain
+    stretch = 1.0 + section.strain
 
     def given(effect):
         F_tau, F_n = effect.force(section)
@@ -120,10 +110,10 @@ def energy_rates(x: Snapshot) -> EnergyRates:
         clamp=clamp_power(x),
         stored=StoredEnergy(
             kinetic=integral(body.linear_density * accelerating),
-            bending=integral(body.EI * kappa * kappa_t),
-            stretching=integral(body.EA * strain * strain_t),
+            bending=integral(body.EI * section.kappa * section.kappa_t),
+            stretching=integral(body.EA * section.strain * section.strain_t),
         ),
-        dissipated_bending=integral(body.damping_time * body.EI * kappa_t**2),
-        dissipated_stretching=integral(body.damping_time * body.EA * strain_t**2),
+        dissipated_bending=integral(body.damping_time * body.EI * section.kappa_t**2),
+        dissipated_stretching=integral(body.damping_time * body.EA * section.strain_t**2),
         given=tuple(given(effect) for effect in x.stage.effects),
     )
