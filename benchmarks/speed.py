@@ -43,14 +43,14 @@ def least(call, repeats: int) -> float:
     return min(spent)
 
 
-def accuracy() -> dict:
+def accuracy(**robot) -> dict:
     """Error of the timed settings against a fine mesh and step."""
     import jax
     from cases import NODES, STEPS, mean_thrust_and_range, model, run
 
     fine = (201, 1000)
-    timed = mean_thrust_and_range(jax.jit(run)(model())[0], STEPS)
-    exact = mean_thrust_and_range(jax.jit(lambda m: run(m, *fine))(model())[0], fine[1])
+    timed = mean_thrust_and_range(jax.jit(run)(model(**robot))[0], STEPS)
+    exact = mean_thrust_and_range(jax.jit(lambda m: run(m, *fine))(model(**robot))[0], fine[1])
     error = timed / exact - 1.0
     return {
         "nodes": NODES,
@@ -156,12 +156,14 @@ def plot_growth(table: dict, path: Path) -> None:
 
     figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
     n, cost = zip(*table["nodes"].items(), strict=True)
-    left.loglog(n, cost, "o-")
-    left.loglog(n, [cost[-1] * x / n[-1] for x in n], "k:", label="proportional to nodes")
-    left.set(xlabel="nodes", ylabel="core-seconds per simulated second", title="one robot")
-    left.legend()
-    right.semilogx(*zip(*table["members"].items(), strict=True), "o-")
-    right.set(xlabel="members", ylabel="the same, per member", title="batch", ylim=(0, None))
+    left.plot(n, cost, "o-")
+    left.set(xlabel="nodes (-)", title="one robot", xticks=n, xlim=(0, None), ylim=(0, None))
+    left.set_ylabel("core-seconds per simulated second (-)")
+    left.set_xticklabels([str(x) if x > 50 else "" for x in n])
+    members, share = zip(*table["members"].items(), strict=True)
+    right.semilogx(members, share, "o-", base=2)
+    right.set(xlabel="members (-)", ylabel="the same, per member (-)", title="batch")
+    right.set(xticks=members, xticklabels=members, ylim=(0, None))
     figure.savefig(path, dpi=120)
 
 
@@ -191,7 +193,7 @@ def main() -> None:
     from slider_jax.provenance import versions
 
     report["versions"] = versions()
-    report["accuracy"] = accuracy()
+    report["accuracy"] = {"robot": accuracy(), "sheet tail": accuracy(**SHEET)}
     report["batch_of_112"] = batch_cost(112, options.repeats)
     report["one"] = {"timed": single_cost(options.repeats), "51 nodes": single_cost(5, 51)}
     report["one_with_sheet_tail"] = single_cost(options.repeats, **SHEET)

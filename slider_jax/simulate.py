@@ -136,8 +136,9 @@ def simulate(
 
     The robot starts straight and at rest relative to the clamp, no force on it. With `shape`,
     midlines, moments and forces are kept too. `progress(steps done, steps in all)` is called now
-    and then. Trials of one waveform and mesh share one compiled program. Raises `SolverError` naming trial, time and step
-    if a step does not converge, `InputError` if the trial's files cannot be used.
+    and then. Trials of one waveform and mesh share one compiled program. Raises `SolverError`
+    naming trial, time and step if a step does not converge, `InputError` if the trial's files
+    cannot be used.
     """
     if isinstance(trial, int):
         trial = experiment.trials[trial]
