@@ -13,6 +13,7 @@ import numpy as np
 
 from calibration.log_rows import COLUMNS, Finding, clean_rows
 from slider_jax.errors import InputError
+from slider_jax.toml_file import read_bytes
 
 PSI_PER_COUNT = 0.13529
 PSI_AT_ZERO = -12.4282
@@ -75,11 +76,6 @@ class ManifoldLog:
         return float(self.t[-1] * self.frequency)
 
 
-def is_log(path: Path | str) -> bool:
-    """Whether a file is named as a log rather than as an experiment."""
-    return Path(path).suffix.lower() in (".txt", ".log")
-
-
 def read_log(path: Path | str) -> ManifoldLog:
     """Read a log. What can be mended is mended and told in `findings`.
 
@@ -113,13 +109,7 @@ def read_log(path: Path | str) -> ManifoldLog:
 def _lines(path: Path) -> list[tuple[int, str]]:
     """Numbered lines that are not blank."""
     try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; give the path of a pressure log") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give a log file") from None
-    try:
-        text = content.decode("utf-8-sig")
+        text = read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError:
         text = "\0"
     if "\0" in text:

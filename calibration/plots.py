@@ -8,25 +8,10 @@ import numpy as np
 
 from calibration.logs import PA_PER_PSI, ManifoldLog, psi
 from calibration.manifold import Identification, LogResult, rms
+from slider_jax.figures import new_figure, save_figure
 
 _COMMAND, _MEASURED, _BEFORE, _AFTER = "0.55", "black", "tab:orange", "tab:blue"
 _FILL, _VENT = "tab:red", "tab:green"
-
-
-def _figure(rows: int, columns: int, size: tuple[float, float], **keywords):
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    return plt.subplots(rows, columns, figsize=size, layout="constrained", **keywords)
-
-
-def _save(figure, path: Path) -> None:
-    import matplotlib.pyplot as plt
-
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
 
 
 def plot_log(result: LogResult, reference_k: float, path: Path, cycles: float = 2.5) -> None:
@@ -34,9 +19,7 @@ def plot_log(result: LogResult, reference_k: float, path: Path, cycles: float = 
     log = result.log
     here = log.t <= cycles / log.frequency
     t, measured = log.t[here], psi(log.pressure)[here]
-    figure, (top, low) = _figure(
-        2, 1, (9.0, 6.0), sharex=True, gridspec_kw={"height_ratios": [3, 2]}
-    )
+    figure, (top, low) = new_figure(2, 1, figsize=(9.0, 6.0), sharex=True, height_ratios=[3, 2])
     after = f"lag, k = {1e3 * result.k.value:.0f} ms (this log's best)"
     before = f"lag, k = {1e3 * reference_k:.0f} ms (paper)"
     top.plot(t, psi(log.command)[here], "--", color=_COMMAND, label="command")
@@ -61,7 +44,7 @@ def plot_log(result: LogResult, reference_k: float, path: Path, cycles: float = 
     )
     _legend_below(top, 4)
     low.legend(loc="upper right", fontsize=8)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def _legend_below(axes, columns: int) -> None:
@@ -73,10 +56,8 @@ def plot_phase(found: Identification, path: Path) -> None:
     count = len(found.logs)
     across = min(count, 4)
     down = math.ceil(count / across)
-    figure, axes = _figure(
-        down, across, (3.1 * across + 1.2, 2.6 * down + 1.0), sharex=True, sharey=True,
-        squeeze=False,
-    )  # fmt: skip
+    size = 3.1 * across + 1.2, 2.6 * down + 1.0
+    figure, axes = new_figure(down, across, figsize=size, sharex=True, sharey=True, squeeze=False)
     for axis in axes.flat[count:]:
         axis.axis("off")
     for axis, result in zip(axes.flat, found.logs, strict=False):
@@ -99,7 +80,7 @@ def plot_phase(found: Identification, path: Path) -> None:
     figure.legend(handles, labels, loc="outside upper right", ncols=2, markerscale=8, fontsize=9)
     figure.suptitle("Residual at each log's own k; phase 0: the command rises through its mean",
                     fontsize=10, x=0.01, ha="left")  # fmt: skip
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def _phase(log: ManifoldLog) -> np.ndarray:
@@ -114,7 +95,7 @@ def plot_rate(found: Identification, path: Path, span: int = 10) -> None:
     """Residual against the rate of the measured pressure: all logs, rising and falling apart."""
     from matplotlib import colormaps
 
-    figure, axes = _figure(1, 2, (10.0, 4.4), sharey=True)
+    figure, axes = new_figure(1, 2, figsize=(10.0, 4.4), sharey=True)
     colours = colormaps["viridis"](np.linspace(0.0, 0.95, len(found.logs)))
     for result, colour in zip(found.logs, colours, strict=True):
         log, p = result.log, psi(result.log.pressure)
@@ -135,12 +116,12 @@ def plot_rate(found: Identification, path: Path, span: int = 10) -> None:
     axes[1].invert_xaxis()
     axes[0].set_ylabel("mean of measured - free run (psi)")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right center", fontsize=8)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def plot_k(found: Identification, reference_k: float, path: Path) -> None:
     """k of each log with its interval, what gain, phase, filling and venting ask for, and RMSE."""
-    figure, (left, middle, right) = _figure(1, 3, (14.0, 4.6))
+    figure, (left, middle, right) = new_figure(1, 3, figsize=(14.0, 4.6))
     f = np.array([x.log.frequency for x in found.logs])
     k = 1e3 * np.array([[x.k.value, x.k.low, x.k.high] for x in found.logs]).T
     fixed = np.array([x.fixed for x in found.logs])
@@ -189,12 +170,12 @@ def plot_k(found: Identification, reference_k: float, path: Path) -> None:
         axis.set_xlabel("drive frequency (Hz)")
         axis.grid(alpha=0.25, which="both")
         axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), fontsize=8, ncols=2)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def plot_driven(log: ManifoldLog, columns: Mapping[str, np.ndarray], path: Path) -> None:
     """What a log makes the robot do: pressure, forces at the clamp, tail."""
-    figure, axes = _figure(4, 1, (9.0, 8.5), sharex=True)
+    figure, axes = new_figure(4, 1, figsize=(9.0, 8.5), sharex=True)
     t = columns["t_s"]
     axes[0].plot(log.t, log.command_Pa / 1e3, "--", color=_COMMAND, label="command")
     axes[0].plot(log.t, log.pressure_Pa / 1e3, color=_MEASURED, lw=0.9, label="measured")
@@ -219,4 +200,4 @@ def plot_driven(log: ManifoldLog, columns: Mapping[str, np.ndarray], path: Path)
         f"{rms(columns['p_front_Pa'] - log.pressure_Pa) / PA_PER_PSI:.2f} psi rms",
         fontsize=10,
     )
-    _save(figure, path)
+    save_figure(figure, path)

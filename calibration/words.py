@@ -6,20 +6,33 @@ import numpy as np
 
 from calibration.manifold import Identification
 
+EXPLAINED = 2.0
+"""A lag that leaves at most so many times the sensor's noise explains the logs."""
+
+
+def verdict(found: Identification) -> str:
+    """Whether one lag explains the logs, in a sentence."""
+    times = found.pooled_rmse("pooled") / found.floor
+    one, these = ("One lag", "these logs") if len(found.logs) > 1 else ("A lag", "this log")
+    does = "explains" if times <= EXPLAINED else "does not explain"
+    return (
+        f"{one} of {1e3 * found.k.value:.0f} ms {does} {these}: in a free run it leaves "
+        f"{times:.2g} times the sensor's noise (up to {EXPLAINED:g} would explain them)."
+    )
+
 
 def describe(found: Identification) -> list[str]:
-    """What was found, what is left and what shape it has; no cause is named."""
+    """What was found, what is left and what shape it has, `verdict` first; no cause is named."""
     k, n = found.k, len(found.logs)
     before, after = found.pooled_rmse("before"), found.pooled_rmse("pooled")
     own, floor = found.pooled_rmse("after"), found.floor
     said = [
+        verdict(found),
         f"One lag for all {n} logs: k = {1e3 * k.value:.0f} ms, 95 % interval {1e3 * k.low:.0f} to "
         f"{1e3 * k.high:.0f} ms ({'clustered by log' if n > 1 else 'correlated residual'}; "
         f"{k.widening:.0f} times the naive interval).",
         f"Free-run RMSE: {before:.2f} psi before, {after:.2f} psi with the common k, {own:.2f} psi "
-        f"with each log its own; the sensor's white noise is {floor:.2f} psi. The lag leaves "
-        f"{after / floor:.0f} times the noise"
-        + (": it does not explain these logs." if after > 2.0 * floor else "."),
+        f"with each log its own; the sensor's white noise is {floor:.2f} psi.",
     ]
     if not k.fixed:
         said.append(

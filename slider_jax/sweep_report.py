@@ -51,31 +51,34 @@ def write_results(sweep: Sweep, table: dict[str, np.ndarray], folder: Path, sour
         draw(sweep, table, stage / "sweep.png")
 
 
-def _label(axis: Axis) -> str:
-    return f"{axis.field} ({axis.unit})" if axis.unit else axis.field
+_SHOWN = {"Pa": ("kPa", 1e-3), "m": ("mm", 1e3), "s": ("ms", 1e3)}
+_POWERS = str.maketrans({"2": "²", "3": "³", "^": None})
+
+
+def _axis(axis: Axis) -> tuple[np.ndarray, str]:
+    """The values of an axis in the unit that pictures show, and its label."""
+    unit, factor = _SHOWN.get(axis.unit, (axis.unit.translate(_POWERS), 1.0))
+    label = f"{axis.field} ({unit})" if unit else axis.field
+    return factor * np.asarray(axis.values), label
 
 
 def draw(sweep: Sweep, table: dict[str, np.ndarray], path: Path) -> None:
     """Lines over one field, or filled contours over two; a member that failed is left out."""
     figure, axes = new_figure(2, 2, figsize=(10, 7), sharex=True)
-    x = sweep.axes[0]
+    x, along = _axis(sweep.axes[0])
     for ax, (name, label, factor) in zip(axes.flat, DRAWN, strict=True):
         values = factor * table[name]
         if len(sweep.axes) == 1:
-            ax.plot(x.values, values, "o-", ms=4)
-            if name == "thrust_mean_N":
+            ax.plot(x, values, "o-", ms=4)
+            if np.nanmin(values, initial=0.0) < 0.0 < np.nanmax(values, initial=0.0):
                 ax.axhline(0.0, color="k", lw=0.6)
             ax.set_ylabel(label)
         else:
-            y = sweep.axes[1]
-            grid = np.ma.masked_invalid(values.reshape(len(x.values), len(y.values)).T)
-            drawn = ax.contourf(x.values, y.values, grid, levels=15, cmap="viridis")
-            lines = ax.contour(drawn, levels=drawn.levels[::3], colors="k", linewidths=0.5)
-            ax.clabel(lines, fontsize=7)
-            figure.colorbar(drawn, ax=ax, label=label)
-            ax.set_ylabel(_label(y))
+            y, across = _axis(sweep.axes[1])
+            _contours(figure, ax, x, y, values.reshape(len(x), len(y)).T, label)
+            ax.set_ylabel(across)
         if ax in axes[-1]:
-            ax.set_xlabel(_label(x))
+            ax.set_xlabel(along)
     trial = sweep.experiment.trials[sweep.trial]
     averaged = sweep.strides - sweep.transient
     figure.suptitle(
@@ -83,3 +86,22 @@ def draw(sweep: Sweep, table: dict[str, np.ndarray], path: Path) -> None:
         fontsize="medium",
     )
     save_figure(figure, path)
+
+
+def _contours(figure, ax, x: np.ndarray, y: np.ndarray, values: np.ndarray, label: str) -> None:
+    """Round, labelled levels in black, and three colours from each to the next."""
+    from matplotlib.ticker import MaxNLocator
+
+    low, high = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)
+    if not low < high:
+        ax.text(0.5, 0.5, f"{label}: no two values differ", ha="center", transform=ax.transAxes)
+        return
+    round_levels = MaxNLocator(7, steps=[1, 2, 5, 10]).tick_values(low, high)
+    fine = np.linspace(round_levels[0], round_levels[-1], 3 * (len(round_levels) - 1) + 1)
+    grid = np.ma.masked_invalid(values)
+    drawn = ax.contourf(x, y, grid, levels=fine, cmap="viridis")
+    lines = ax.contour(x, y, grid, levels=round_levels, colors="k", linewidths=0.6)
+    for text in ax.clabel(lines, fontsize=8, fmt="%g"):
+        place = (ax.transData + ax.transAxes.inverted()).transform(text.get_position())
+        text.set_visible(bool(np.all((0.05 < place) & (place < 0.95))))  # else cut by the frame
+    figure.colorbar(drawn, ax=ax, label=label, ticks=round_levels).add_lines(lines)

@@ -27,7 +27,7 @@ K_Q = 4.79e-07
 sample_rate = 500.0
 
 [numerics]
-nodes = 16
+nodes = 11
 step = 0.005
 
 [[trials]]

@@ -17,7 +17,19 @@ TOML_CASES = {
     "missing key": (("height = 0.03\n", ""), ("robot.height: missing", "in m")),
     "missing table": (
         ("[parameters]\nC_d = 3.0\nm_a = 1.0\nk = 0.087\nK_Q = 4.79e-07\n", ""),
-        ("parameters: missing",),
+        ("parameters: missing; add a table [parameters] with k, K_Q",),
+    ),
+    "no coefficient": (
+        ("m_a = 1.0\n", ""),
+        ('parameters.m_a: given nothing; allowed a number, unless force_coefficients is "ramp"',),
+    ),
+    "coefficient beside the ramp": (
+        ("m_a = 1.0", 'force_coefficients = "ramp"'),
+        ('parameters.C_d: given 3.0; allowed only with force_coefficients = "fixed"', "leave it"),
+    ),
+    "unknown coefficients": (
+        ("m_a = 1.0", 'm_a = 1.0\nforce_coefficients = "paper"'),
+        ("parameters.force_coefficients: given 'paper'; allowed 'fixed' or 'ramp'",),
     ),
     "text for a number": (("C_d = 3.0", 'C_d = "3"'), ("parameters.C_d", "allowed a number")),
     "boolean for a number": (("C_d = 3.0", "C_d = true"), ("parameters.C_d", "allowed a number")),
@@ -55,10 +67,10 @@ TOML_CASES = {
         ("step = 0.005", "step = 0.02"),
         ("numerics.step: given 0.02; allowed at most 0.0125 s", "trials.0"),
     ),
-    "too few nodes": (("nodes = 16", "nodes = 4"), ("numerics.nodes: given 4", "11")),
-    "nodes not whole": (("nodes = 16", "nodes = 16.5"), ("numerics.nodes: given 16.5", "integer")),
+    "too few nodes": (("nodes = 11", "nodes = 4"), ("numerics.nodes: given 4", "11")),
+    "nodes not whole": (("nodes = 11", "nodes = 16.5"), ("numerics.nodes: given 16.5", "integer")),
     "unknown scheme": (
-        ("nodes = 16", 'scheme = "rk4"'),
+        ("nodes = 11", 'scheme = "rk4"'),
         ("numerics.scheme: given 'rk4'; allowed 'sdirk2' or 'backward_euler'",),
     ),
     "unknown waveform": (
@@ -101,7 +113,9 @@ def test_bad_toml_is_refused_by_name(case, tmp_path, capsys):
 def test_no_trials(tmp_path, capsys):
     path, out = write(tmp_path), tmp_path / "out"
     path.write_text(path.read_text().split("[[trials]]")[0])
-    _refused(["simulate", path, "--out", out], capsys, out, "trials: missing")
+    _refused(
+        ["simulate", path, "--out", out], capsys, out, "trials: missing; add a table [[trials]]"
+    )
     path.write_text("trials = []\n" + path.read_text())
     _refused(["simulate", path, "--out", out], capsys, out, "trials: ", "at least 1 item")
 
@@ -139,6 +153,11 @@ def _drive_with(times, pressure) -> str:
 _T = np.arange(0.0, 0.76, 0.01)
 DRIVE_CASES = {
     "short": (_drive_with(_T[:20], 1e5 + 0 * _T[:20]), ("covers 0 to 0.19 s", "0.75 s")),
+    "milliseconds": (
+        _drive_with(1e3 * _T, 1e5 + 0 * _T),
+        ("t_s covers 0 to 750", "0.75 s", "t_s is in seconds: divide milliseconds by 1000"),
+    ),
+    "late": (_drive_with(_T + 0.02, 1e5 + 0 * _T), ("covers 0.02 to 0.77 s", "needs 0 to")),
     "NaN": (_drive_with(_T, ["1e5"] * 5 + ["nan"] * 71), ("line 7, column p_front_Pa", "finite")),
     "mixed rates": (
         _drive_with(np.concatenate([_T[:40], 0.4 + 0.005 * np.arange(80)]), [1e5] * 120),
@@ -159,6 +178,10 @@ def test_bad_recorded_drive_is_refused(case, tmp_path, capsys):
 
 MODEL_CASES = {
     "unknown table": ("[robt]\nEI_body = 0.04\n", ("robt: unknown key; allowed name, robot",)),
+    "ramp and a coefficient": (
+        '[parameters]\nforce_coefficients = "ramp"\nC_d = 3.0\n',
+        ("parameters.C_d: given 3.0", "leave it out"),
+    ),
     "unknown key": ("[parameters]\nCd = 3.0\n", ("parameters.Cd: unknown key", "mean C_d?")),
     "out of range": ("[parameters]\nk = 87.0\n", ("parameters.k: given 87.0", "in seconds")),
     "not a table": ("robot = 3\n", ("robot: given 3",)),
@@ -187,6 +210,8 @@ def test_missing_files_and_folders(tmp_path, capsys):
     folder = tmp_path / "folder.toml"
     folder.mkdir()
     _refused(["simulate", folder, "--out", out], capsys, out, "is a folder")
+    _refused(["simulate", tmp_path, "--out", out], capsys, out, "is a folder; give the file in it")
+    _refused(["calibrate", "manifold", tmp_path, "--out", out], capsys, out, "is a folder")
 
 
 def test_binary_experiment(tmp_path, capsys):
@@ -217,7 +242,51 @@ def test_bad_numerics_on_the_command_line(flag, value, tmp_path, capsys):
 
 
 def test_unknown_command(tmp_path, capsys):
-    _refused(["simulat"], capsys, tmp_path, "given 'simulat'; allowed simulate, demo")
+    out = tmp_path / "out"
+    _refused(["simulat"], capsys, out, "given 'simulat'; allowed simulate, demo", "mean simulate?")
+    _refused(
+        ["calibrate", "manifld"], capsys, out, "'calibrate manifld'", "mean calibrate manifold?"
+    )
+    _refused(["noise"], capsys, out, "given 'noise'; allowed")
+
+
+@pytest.mark.parametrize("words", [["calibrate"], ["calibrate", "--help"]])
+def test_a_group_of_commands_lists_them(words, capsys):
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert "calibrate manifold  the pressure lag" in said and "sweep" not in said
+
+
+def test_unknown_option(tmp_path, capsys):
+    path, out = write(tmp_path), tmp_path / "out"
+    said = "--otu: unknown option; allowed --help, --out, --model", "did you mean --out?"
+    _refused(["simulate", "--otu", out, path], capsys, out, *said)
+    _refused(["simulate", path, f"--otu={out}"], capsys, out, *said)
+    swept = "--frm: unknown option", "--from2", "did you mean --from?"
+    _refused(["sweep", path, "--frm", "1", "--out", out], capsys, out, *swept)
+
+
+@pytest.mark.parametrize(
+    "words, said",
+    [
+        (["--step", "abc"], ("--step: given 'abc'; allowed a number of seconds", "--step S")),
+        (["--nodes", "5.5"], ("--nodes: given '5.5'; allowed a whole number", "--nodes N")),
+        (["--out"], ("Missing value for argument '--out'",)),
+    ],
+)
+def test_arguments_of_a_wrong_type_or_none(words, said, tmp_path, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["simulate", str(write(tmp_path)), "--out", str(tmp_path / "out"), *words])
+    assert stop.value.code == 2 and not (tmp_path / "out").exists()
+    message = capsys.readouterr().err
+    assert all(fragment in message for fragment in said)
+
+
+def test_nothing_given_says_what_is_needed(capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["simulate"])
+    message = capsys.readouterr().err
+    assert stop.value.code == 2 and "EXPERIMENT.toml|LOG.txt" in message and "--out DIR" in message
 
 
 def test_an_interrupt_leaves_nothing_behind(tmp_path, capsys, monkeypatch):
@@ -228,7 +297,7 @@ def test_an_interrupt_leaves_nothing_behind(tmp_path, capsys, monkeypatch):
 
     monkeypatch.setattr(slider_jax.results, "trial_summary", interrupt)
     path, out = write(tmp_path), tmp_path / "out"
-    assert main(["simulate", str(path), "--out", str(out)]) == 130
+    assert main(["simulate", str(path), "--out", str(out), "--plot"]) == 130
     assert capsys.readouterr().err.strip().endswith("slider: interrupted")
     assert list(out.iterdir()) == []
 
@@ -239,7 +308,7 @@ def test_a_step_that_does_not_converge_is_named(tmp_path, capsys):
         tmp_path, ("4.79e-07", "4.79e-05"), ("EI_body = 0.038", "EI_body = 0.0004")
     ), tmp_path / "out"  # fmt: skip
     said = ("trial_00.csv", "the step to t = ", "did not converge", "--step")
-    assert main(["simulate", str(path), "--out", str(out)]) == 2
+    assert main(["simulate", str(path), "--out", str(out), "--plot"]) == 2
     message = capsys.readouterr().err.strip().splitlines()[-1]
     assert all(fragment in message for fragment in ("slider: error: ", *said))
     assert list(out.iterdir()) == []

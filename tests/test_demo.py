@@ -1,6 +1,7 @@
 """The paper's sweep at a tiny size, against single rollouts; its files and its table."""
 
 import csv
+import dataclasses
 import json
 import time
 
@@ -12,10 +13,12 @@ from slider_jax.batch import chunks_of, in_threads, stack
 from slider_jax.demo import SHOWN, Settings, run_frequency_sweep
 from slider_jax.demo_report import comparison, write_results
 from slider_jax.observables import stride_means, thrust
-from tests.helpers import SMALL, arrays, march
+from slider_jax.parameters import Numerics
+from tests.helpers import arrays, march
 
+COARSE = Numerics(tail_cells=2, body_cells=8)
 TINY = Settings(
-    frequencies=(1.0, 2.4, 4.8), steps_per_stride=80, strides=4, transient=2, numerics=SMALL
+    frequencies=(1.0, 2.4, 4.8), steps_per_stride=40, strides=4, transient=2, numerics=COARSE
 )
 
 
@@ -34,7 +37,7 @@ def test_each_frequency_is_what_a_single_rollout_gives(sweep, index):
     f = TINY.frequencies[index]
     h = 1.0 / (f * TINY.steps_per_stride)
     model = arrays(paper.head_fixed(f))
-    _, single = march(model, h, TINY.strides * TINY.steps_per_stride, thrust)
+    _, single = march(model, h, TINY.strides * TINY.steps_per_stride, thrust, COARSE)
     expected = np.asarray(stride_means(single, TINY.steps_per_stride))
     np.testing.assert_allclose(sweep.stride_thrust[index], expected, rtol=0, atol=1e-10)
     np.testing.assert_allclose(sweep.table["thrust_mean_N"][index], expected[2:].mean(), atol=1e-10)
@@ -83,6 +86,8 @@ def test_table_says_what_agrees_and_what_differs(sweep):
         lines = comparison(sweep._replace(table=table), TINY).splitlines()
         return [line.split()[-1] for line in lines[1:4]]
 
+    spread = 1e3 * sweep.table["thrust_std_of_strides_N"][2]
+    assert f" mN (s.d. of strides {spread:.1f})" in comparison(sweep, TINY)
     assert said([-20.0, 5.0, 61.0], [1200.0, 0.0, 0.0]) == ["agrees", "agrees", "agrees"]
     assert said([-1.0, -20.0, 40.0], [800.0, 0.0, 0.0]) == ["differs", "differs", "differs"]
 
@@ -96,14 +101,7 @@ def test_a_frequency_that_failed_is_nan_and_named(sweep):
 
 
 def test_an_absurd_member_fails_alone(sweep):
-    wild = Settings(
-        assumed=paper.Assumed(amplitude=np.nan),
-        frequencies=TINY.frequencies,
-        steps_per_stride=80,
-        strides=4,
-        transient=2,
-        numerics=SMALL,
-    )
+    wild = dataclasses.replace(TINY, assumed=paper.Assumed(amplitude=np.nan))
     assert not run_frequency_sweep(wild).ok.any()
     assert sweep.ok.all()
 

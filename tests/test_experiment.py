@@ -4,9 +4,17 @@ import jax
 import numpy as np
 import pytest
 
+from slider_jax import paper
 from slider_jax.actuation import Ideal, Recorded, SineWave, Trapezoid
 from slider_jax.errors import InputError
-from slider_jax.experiment import load, measured, sample_times, to_model, to_numerics
+from slider_jax.experiment import (
+    drag_and_added_mass,
+    load,
+    measured,
+    sample_times,
+    to_model,
+    to_numerics,
+)
 from tests.experiments import write
 
 
@@ -36,7 +44,7 @@ def test_every_number_of_the_file_reaches_the_model(tmp_path):
     ]
     for found, expected in pairs:
         np.testing.assert_allclose(found, expected, rtol=1e-15)
-    assert to_numerics(experiment)[0].nodes == 16
+    assert to_numerics(experiment)[0].nodes == 11
     assert all(leaf.dtype == np.float64 for leaf in jax.tree.leaves(model))
 
 
@@ -68,6 +76,53 @@ def test_recorded_drive_as_set_and_as_measured_pressure(tmp_path):
     direct = to_model(load(write(tmp_path, (old, f'{new}\ndrive_is = "measured"'))))
     assert isinstance(direct.pressure_law, Ideal)
     np.testing.assert_allclose(direct.drive.start_front, 5.0)
+
+
+def test_a_recorded_drive_need_not_begin_at_zero(tmp_path):
+    """The first sample holds before it; a record from before the start is entered at t = 0."""
+    old = "frequency = 4.0\namplitude = 150000.0"
+    new = 'waveform = "recorded"\ndrive_file = "drive.csv"\ndrive_is = "measured"'
+    path = write(tmp_path, (old, new))
+    for first in (0.008, -0.025):
+        t = first + np.arange(0.0, 0.8, 0.01)
+        rows = [f"{a:.3f},{1e5 + 1e6 * a},{-1e5}" for a in t]
+        (tmp_path / "drive.csv").write_text("\n".join(["t_s,p_front_Pa,p_rear_Pa", *rows]))
+        drive = to_model(load(path)).drive
+        begin = 1e5 + 1e6 * max(first, 0.0)
+        np.testing.assert_allclose((drive.start_front, drive.start_rear), (begin, -1e5))
+        segment = drive.front.segment(np.asarray(0.0), np.asarray(0.004))
+        np.testing.assert_allclose(segment.a0, begin)
+        np.testing.assert_allclose(segment.b1, begin if first > 0.0 else begin + 4e3)
+
+
+RAMP = ("C_d = 3.0\nm_a = 1.0", 'force_coefficients = "ramp"')
+
+
+@pytest.mark.parametrize("frequency", [1.0, 2.0, 2.4, 3.0, 4.8])
+def test_the_ramp_gives_what_the_demo_takes(frequency, tmp_path):
+    experiment = load(write(tmp_path, RAMP, ("frequency = 4.0", f"frequency = {frequency}")))
+    drag, reactive = to_model(experiment, 0).effects
+    drag_of_demo, reactive_of_demo = paper.head_fixed(frequency).effects
+    assert (drag.C_d, reactive.m_a) == (drag_of_demo.C_d, reactive_of_demo.m_a)
+    # The other trial keeps its own frequency, and so its own coefficients.
+    assert drag_and_added_mass(experiment, experiment.trials[1]) == (3.5, 0.5)
+
+
+def test_a_model_file_replaces_the_ramp_and_the_numbers(tmp_path):
+    model = tmp_path / "model.toml"
+    model.write_text("[parameters]\nC_d = 2.0\nm_a = 0.7\n")
+    parameters = load(write(tmp_path, RAMP), model).parameters
+    assert (parameters.force_coefficients, parameters.C_d, parameters.m_a) == ("fixed", 2.0, 0.7)
+    model.write_text('[parameters]\nforce_coefficients = "ramp"\n')
+    parameters = load(write(tmp_path), model).parameters
+    assert (parameters.force_coefficients, parameters.C_d, parameters.m_a) == ("ramp", None, None)
+
+
+def test_the_ramp_needs_a_frequency(tmp_path):
+    recorded = 'waveform = "recorded"\ndrive_file = "drive.csv"'
+    path = write(tmp_path, RAMP, ("frequency = 4.0\namplitude = 150000.0", recorded))
+    with pytest.raises(InputError, match='trials.0.frequency: given nothing; .*"ramp"'):
+        load(path)
 
 
 def test_model_file_overrides_and_adds(tmp_path):

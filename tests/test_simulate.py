@@ -1,16 +1,18 @@
 """`slider simulate` from file to files, and what lies between."""
 
+import dataclasses
 import functools
 import json
 import shutil
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from slider_jax.cli.main import main
 from slider_jax.experiment import SAMPLES, load
 from slider_jax.files import staged, write_csv, write_json
-from slider_jax.results import trial_summary, window
+from slider_jax.results import settled, trial_summary, window
 from slider_jax.sampling import edge_steps, half_period_steps, sample
 from slider_jax.simulate import CHUNK, simulate
 from tests.experiments import write
@@ -81,7 +83,7 @@ def test_summary_means_are_those_of_the_columns(simulated):
     assert expected <= set(summary["versions"])
     assert summary["settings"]["robot"]["EA_body"] == 5e3
     first = summary["trials"][0]
-    assert first["averaged"] == "last 1 strides" and first["averaged_to_s"] == 0.75
+    assert first["averaged"] == "last stride" and first["averaged_to_s"] == 0.75
     columns = _read(out / "trial_00.csv")
     last = columns["t_s"] > 0.5 + 1e-9
     assert first["mean_thrust_N"] == pytest.approx(columns["thrust_N"][last].mean(), abs=2e-4)
@@ -129,7 +131,7 @@ def test_measured_pressure_in_place_of_the_lag_gives_the_same_forces(simulated, 
     shutil.copy(out / "trial_00.csv", tmp_path / "drive.csv")
     played, original = run_trial(load(path), 0), _read(out / "trial_00.csv")
     assert played.clock.h == pytest.approx(0.002)
-    assert trial_summary(played)["averaged"] == "second half"
+    assert trial_summary(load(path), played)["averaged"] == "second half"
     for name, part in (
         ("p_front_Pa", 1e-5),
         ("p_rear_Pa", 1e-5),
@@ -162,14 +164,95 @@ def test_same_result_whatever_the_number_of_chunks(tmp_path):
 
 
 def test_window_is_half_of_the_whole_strides_and_ends_with_the_trial(tmp_path):
-    run = run_trial(load(write(tmp_path, ("duration = 0.75", "duration = 1.4"))), 0)
+    experiment = load(write(tmp_path, ("duration = 0.75", "duration = 1.4")))
+    run = run_trial(experiment, 0)
     span, strides = window(run)
     assert strides == 2  # of 5.6
-    summary = trial_summary(run)
+    summary = trial_summary(experiment, run)
     assert summary["averaged_to_s"] - summary["averaged_from_s"] == pytest.approx(2 / 4.0)
     assert summary["averaged_to_s"] == pytest.approx(1.4, abs=run.clock.h)
     assert summary["mean_thrust_N"] == pytest.approx(run.series["thrust"][span].mean())
     assert summary["thrust_std_N"] > 0.0
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory):
+    """A run of the first trial, three strides of 0.25 s, whose series the tests replace."""
+    return run_trial(load(write(tmp_path_factory.mktemp("short"))), 0)
+
+
+def _with(run, thrust, tip):
+    """The run with these functions of the time in strides for its series."""
+    turns = 4.0 * run.t
+    series = run.series | {"thrust": thrust(turns), "tip": tip(turns)}
+    return dataclasses.replace(run, series=series)
+
+
+def _wave(turns):
+    return 0.02 * np.sin(2 * np.pi * turns)
+
+
+@pytest.mark.parametrize(
+    "thrust, growth, said",
+    [
+        (lambda x: 0.2 + _wave(x), 0.0, None),
+        (lambda x: 0.2 + 0.0015 * x, 0.0, None),  # by 0.75 %
+        (lambda x: 0.2 + 0.0030 * x, 0.0, "mean thrust from 204.53 to 207.53 mN"),
+        (lambda x: 0.0009 * x, 0.0, None),  # below a millinewton, whatever the fraction
+        (lambda x: 0.0 * x, 0.1, "range of the tip from 45.95 to 49.94 mm"),
+        (lambda x: 0.0 * x, 0.001, None),
+    ],
+)
+def test_a_trial_is_periodic_if_its_last_two_strides_agree(short, thrust, growth, said):
+    run = _with(short, thrust, lambda x: (1.0 + growth * x) * _wave(x))
+    periodic, warning = settled(run)
+    assert periodic is (said is None)
+    assert said is None or (said in warning and "run longer (duration = 1.5)" in warning)
+
+
+def test_trials_of_less_than_two_strides_say_so(short):
+    def cut(strides):
+        steps = round(strides * 2 * short.clock.half_period)
+        return dataclasses.replace(short, clock=dataclasses.replace(short.clock, steps=steps))
+
+    assert settled(cut(1.9)) == (
+        None,
+        "shorter than two strides: too short to say whether it is periodic",
+    )
+    periodic, warning = settled(cut(0.8))
+    assert periodic is None
+    assert "shorter than one stride (0.25 s): means are over the whole trial" in warning
+    assert window(cut(0.8)) == (slice(1, cut(0.8).clock.steps + 1), 0)
+
+
+def test_a_trial_that_is_not_periodic_warns_on_stderr_and_in_the_summary(tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main(["simulate", str(write(tmp_path)), "--out", str(out), "--plot"]) == 0
+    trials = json.loads((out / "summary.json").read_text())["trials"]
+    assert [trial["periodic"] for trial in trials] == [False, False]
+    said = capsys.readouterr().err
+    for trial in trials:
+        (warning,) = trial["warnings"]
+        assert "not yet periodic" in warning
+        assert f"{trial['file']}  warning: {warning}" in said
+
+
+def test_errors_against_the_measured_file_are_told_by_channel(simulated, tmp_path, capsys):
+    """What was simulated, shifted by known offsets, half of the tip's cells blank."""
+    path, (_, out) = write(tmp_path), simulated
+    columns = _read(out / "trial_00.csv")
+    offsets = {"p_front_Pa": 2e3, "thrust_N": 0.03, "tip_m": -0.004}
+    shifted = {name: columns[name] + offset for name, offset in offsets.items()}
+    shifted["tip_m"][::2] = np.nan
+    write_csv(tmp_path / "trial_00.csv", {"t_s": columns["t_s"], **shifted})
+    again = tmp_path / "out"
+    assert main(["simulate", str(path), "--out", str(again), "--plot"]) == 0
+    trials = json.loads((again / "summary.json").read_text())["trials"]
+    expected = {name: abs(offset) for name, offset in offsets.items()}
+    assert trials[0]["rmse_to_measured"] == pytest.approx(expected, rel=1e-3)
+    assert trials[1]["rmse_to_measured"] is None
+    said = capsys.readouterr().err
+    assert "rms off the measured: front pressure 2 kPa, thrust 30 mN, tip, lateral 4 mm\n" in said
 
 
 @pytest.mark.parametrize("phase, expected", [(0.0, 209), (0.15, 210), (0.123, 209), (-0.1, 210)])
@@ -220,10 +303,15 @@ def test_animation_is_written(simulated, monkeypatch):
 
     monkeypatch.setattr(animate, "FRAMES_PER_STRIDE", 4)
     folder, _ = simulated
-    experiment = load(folder / "experiment.toml")
-    run = run_trial(experiment, 0)
-    film = animate_run(run, folder)
-    assert film.suffix in (".mp4", ".gif") and film.stat().st_size > 10_000
+    run, told = run_trial(load(folder / "experiment.toml"), 0), []
+    with Image.open(animate_run(run, folder, lambda *numbers: told.append(numbers))) as film:
+        assert film.n_frames == 9 and told == [(i, 9) for i in range(1, 10)]
+        frames = []
+        for i in (0, 3):
+            film.seek(i)
+            frames.append(np.asarray(film.convert("L"), float))
+    moved = np.abs(frames[1] - frames[0]) > 60.0
+    assert 200 < moved.sum() < 0.1 * moved.size  # the body and the cursor, not the axes
 
 
 def test_verification_case_from_the_command_line(data, tmp_path):

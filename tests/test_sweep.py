@@ -11,7 +11,8 @@ from slider_jax.cli.main import main
 from slider_jax.errors import InputError
 from slider_jax.experiment import load, to_model, to_numerics
 from slider_jax.observables import stride_means, thrust
-from slider_jax.sweep import Axis, Sweep, run_sweep
+from slider_jax.paper import force_coefficients
+from slider_jax.sweep import Axis, Sweep, groups_of, run_sweep
 from tests.helpers import march
 
 EXPERIMENT = """
@@ -112,7 +113,87 @@ def test_interrupted_sweep_goes_on_and_ends_as_an_uninterrupted_one(
         run_sweep(task._replace(strides=4), tmp_path / "a")
 
 
-def test_two_fields_from_the_command_line(experiment, tmp_path, capsys):
+def test_nodes_are_swept_like_any_number(experiment, tmp_path, one_core_chunks_of_two):
+    """Each number of nodes is a program of its own; rows are those of sweeps at fixed nodes."""
+    drag = Axis("parameters.C_d", (2.0, 4.0))
+    both = tiny(experiment, axes=(drag, Axis("numerics.nodes", (11.0, 12.0))))
+    table = run_sweep(both, _made(tmp_path / "both"))
+    np.testing.assert_array_equal(table["numerics.nodes"], [11, 12, 11, 12])
+    for i, nodes in enumerate((11, 12)):
+        fixed = both.experiment.with_values({"numerics.nodes": nodes})
+        alone = tiny(experiment, experiment=fixed, axes=(drag,))
+        expected = run_sweep(alone, _made(tmp_path / str(nodes)))["thrust_mean_N"]
+        np.testing.assert_array_equal(table["thrust_mean_N"][i::2], expected)
+        assert np.ptp(expected) > 1e-3
+    assert np.abs(np.diff(table["thrust_mean_N"][:2])) > 1e-5
+
+
+def _made(folder):
+    folder.mkdir()
+    return folder
+
+
+def test_a_swept_step_sets_the_steps_per_stride(experiment):
+    groups = groups_of(tiny(experiment, axes=(Axis("numerics.step", (0.001, 0.005, 0.006)),)))
+    # At 4.8 Hz a stride has 208.3, 41.7, 34.7 of them; multiples of 20, and 40 at least.
+    assert [group.plan.steps_per_stride for group in groups] == [220, 60, 40]
+    assert [list(group.points) for group in groups] == [[0], [1], [2]]
+
+
+def test_the_ramp_follows_a_swept_frequency(experiment):
+    ramp = EXPERIMENT.replace("C_d = 3.0\nm_a = 1.0", 'force_coefficients = "ramp"')
+    experiment.write_text(ramp.split('[[trials]]\nfile = "trial_01')[0])
+    (group,) = groups_of(tiny(experiment))
+    drag, reactive = group.members.model.effects
+    C_d, m_a = np.transpose([force_coefficients(f) for f in group.members.frequency])
+    np.testing.assert_array_equal(drag.C_d, C_d)
+    np.testing.assert_array_equal(reactive.m_a, m_a)
+    assert list(drag.C_d) == [4.0, 3.25, 3.0, 3.0, 3.0]
+
+
+@pytest.fixture
+def without_physics(monkeypatch, one_core_chunks_of_two):
+    """Sweeps that march nothing: every thrust is 1 N."""
+    names = ("thrust_mean_N", "recoil_rms_N", "tip_half_range_m", "chamber_power_W")
+    monkeypatch.setattr(sweeping, "compile_programs", lambda *args: None)
+    monkeypatch.setattr(sweeping, "march", lambda *args: None)
+    monkeypatch.setattr(sweeping, "steady", lambda *args: {name: np.ones(2) for name in names})
+
+
+def test_what_is_done_is_said_and_not_done_again(
+    experiment, tmp_path, capsys, monkeypatch, without_physics
+):
+    out, calls = tmp_path / "out", []
+    field = ["--field", "trials.0.frequency", "--from", "2", "--to", "5", "--count", "5"]
+    command = ["sweep", str(experiment), *field, "--out", str(out), *SHORT]
+
+    def march(*args):
+        calls.append(1)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(sweeping, "march", march)
+    assert main(command) == 130
+    assert "give the same command again to go on" in capsys.readouterr().err
+    assert [p.name for p in out.iterdir()] == ["partial"]
+
+    assert main(command) == 0
+    assert "taking up 2 of 3 chunks done before" in capsys.readouterr().err
+    assert len(calls) == 4
+    written = (out / "sweep.json").stat().st_mtime_ns
+
+    assert main(command) == 0
+    assert "holds the 5 members of this sweep already" in capsys.readouterr().err
+    assert len(calls) == 4 and (out / "sweep.json").stat().st_mtime_ns == written
+
+    assert main([*command, "--transient", "2"]) == 0  # another sweep, in place of it
+    assert len(calls) == 7
+    (out / "sweep.json").write_text("{")
+    assert main([*command, "--transient", "2"]) == 0
+    assert len(calls) == 10
+
+
+def test_two_fields_from_the_command_line(experiment, tmp_path, one_core_chunks_of_two):
     out = tmp_path / "out"
     fields = ["--field", "robot.EI_tail", "--from", "0.003", "--to", "0.009", "--count", "2"]
     second = ["--field2", "parameters.C_d", "--from2", "2", "--to2", "4", "--count2", "3"]
@@ -135,7 +216,10 @@ def test_two_fields_from_the_command_line(experiment, tmp_path, capsys):
         ({"--field": "robot.EI_fin"}, "no such field"),
         ({"--field": "robot"}, "robot"),
         ({"--field": "trials.0.waveform"}, "waveform"),
-        ({"--field": "trials.0.duration", "--from": "1", "--to": "2"}, "does not change"),
+        ({"--field": "trials.0.duration", "--from": "1", "--to": "2"}, "--strides says how many"),
+        ({"--field": "sensors.tip_noise", "--from": "0", "--to": "0.01"}, "changes nothing in"),
+        ({"--field": "numerics.nodes", "--from": "11", "--to": "14"}, "given 12.5; allowed whole"),
+        ({"--field": "numerics.nodes", "--from": "3", "--to": "5"}, "numerics.nodes: given 3"),
         ({"--field": "robot.body_length", "--from": "300", "--to": "400"}, "metres"),
         ({"--field": "trials.7.frequency"}, "trials.N: given 7"),
         ({"--to": "2"}, "two different"),

@@ -9,7 +9,9 @@ import tyro
 from calibration.lag import PLAUSIBLE
 from calibration.logs import PSI_AT_ZERO, PSI_PER_COUNT, read_log
 from calibration.manifold import PAPER_K, Identification, identify, rms
-from calibration.words import describe
+from calibration.words import describe, verdict
+from slider_jax.cli.options import Folder
+from slider_jax.cli.progress import Progress
 from slider_jax.errors import InputError
 from slider_jax.files import staged, write_json, write_text
 from slider_jax.provenance import input_file, versions
@@ -34,19 +36,19 @@ DEFINITIONS = {
 
 
 def manifold(
-    logs: Annotated[tuple[Path, ...], tyro.conf.Positional],
-    out: Path,
+    logs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="LOG.txt ...")],
+    out: Folder,
     plot: bool = True,
 ) -> None:
     """Identify the lag k of the pressure from logs, for each and for all.
 
     Writes DIR/manifold.json, DIR/model.toml (k, for `slider simulate --model`) and pictures, and
-    prints a table and what is left unexplained.
+    prints whether a lag explains the logs, a table, and what is left unexplained.
 
     Args:
         logs: pressure logs as the rig's firmware writes them.
         out: folder for the results; made if missing, files of the same name are replaced.
-        plot: draw pictures (PNG).
+        plot: leave the pictures (PNG) out.
     """
     _refuse_twins(logs)
     records = sorted((read_log(path) for path in logs), key=lambda log: log.frequency)
@@ -61,8 +63,7 @@ def manifold(
         write_text(stage / "model.toml", model_toml(found))
         if plot:
             _draw(found, stage)
-    print(table(found))
-    print("\n".join(said))
+    print("\n".join([said[0], "", table(found), "", *said[1:]]))
     print(f"manifold.json, model.toml{' and pictures' if plot else ''} are in {out}")
 
 
@@ -79,15 +80,15 @@ def _refuse_twins(logs: tuple[Path, ...]) -> None:
 
 
 def _draw(found: Identification, folder: Path) -> None:
-    from tqdm import tqdm
-
     from calibration.plots import plot_k, plot_log, plot_phase, plot_rate
 
     plot_k(found, PAPER_K, folder / "k_by_frequency.png")
     plot_phase(found, folder / "residual_by_phase.png")
     plot_rate(found, folder / "residual_by_rate.png")
-    for result in tqdm(found.logs, desc="pictures", unit="log", leave=False, disable=None):
-        plot_log(result, PAPER_K, folder / f"{result.log.path.stem}.png")
+    with Progress("pictures", "log", "drawing") as progress:
+        for number, result in enumerate(found.logs, start=1):
+            plot_log(result, PAPER_K, folder / f"{result.log.path.stem}.png")
+            progress.to(number, len(found.logs))
 
 
 def report(found: Identification, said: list[str]) -> dict[str, Any]:
@@ -143,6 +144,7 @@ def model_toml(found: Identification) -> str:
     k = found.k
     names = ", ".join(x.log.path.name for x in found.logs)
     return (
+        f"# {verdict(found)}\n"
         f"# Pressure lag from {len(found.logs)} logs by slider calibrate manifold: {names}\n"
         f"# 95 % interval {k.low:.4f} to {k.high:.4f} s; free-run RMSE "
         f"{found.pooled_rmse('before'):.2f} psi before, {found.pooled_rmse('pooled'):.2f} after, "

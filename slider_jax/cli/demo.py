@@ -24,7 +24,7 @@ def demo(out: Folder = Path("slider_demo")) -> None:
 
     output_folder(out)
     settings, begun = Settings(), time.perf_counter()
-    with Progress(f"{len(settings.frequencies)} frequencies", "chunk-stride") as progress:
+    with Progress(f"{len(settings.frequencies)} frequencies", "stride") as progress:
         sweep = run_frequency_sweep(settings, progress.begin, progress.step)
     write_results(sweep, settings, out)
     print(comparison(sweep, settings))

@@ -82,7 +82,7 @@ def sweep(
         )
         return
     try:
-        with Progress(f"{len(task.points)} members", "chunk-stride") as progress:
+        with Progress(f"{len(task.points)} members", "stride") as progress:
 
             def begin(total, done):
                 if done:
