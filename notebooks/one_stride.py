@@ -69,7 +69,7 @@ model = sj.Model(
 def save(x):
     section = x.section()
     return {
-        "pressure": x.pressure,
+        "pressure": x.chambers.p,
         "midline": obs.midline(x),
         "phi": section.phi,
         "drag": jnp.stack(drag.force(section)),

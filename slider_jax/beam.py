@@ -4,12 +4,12 @@ With kappa = d(phi)/ds, omega = d(phi)/dt and the strain eps, in the paper's not
 
     d(eps)/dt           = dV_tau/ds - kappa V_n                                   (stretch)
     (1 + eps) omega     = dV_n/ds + kappa V_tau                                   (turn)
-    M                   = EI (kappa + alpha d(kappa)/dt) - M_act                  (moment law)
+    M                   = EI (kappa + alpha d(kappa)/dt) + M_extra - M_act        (moment law)
     m (dV_tau/dt - omega V_n) = dT/ds - kappa N + (1 + eps) F_tau                 (along tau)
     m (dV_n/dt + omega V_tau) = dN/ds + kappa T + (1 + eps) F_n                   (along n)
     0                   = dM/ds + (1 + eps) N                                     (moment)
 
-and T = EA (eps + alpha d(eps)/dt), which is solved for eps in each cell, so eps is no unknown.
+M_extra being what the model's effects add, and T = EA (eps + alpha d(eps)/dt), which is solved for eps in each cell, so eps is no unknown.
 
 A time derivative is always (value - reference)/dt: every stage of a scheme has this form.
 """
@@ -41,6 +41,7 @@ class Reference(eqx.Module):
     phi: Array
     kappa: Array
     strain: Array
+    internal: tuple[Array, ...]
     dt: Array
 
 
@@ -80,12 +81,14 @@ def strain(T, structure: Structure, reference: Reference):
 def section(
     mid: Fields, slope: Fields, structure: Structure, reference: Reference, water, t
 ) -> Section:
-    """The kinematics of a cell; `water` = (U_x, U_y) [m/s], steady and uniform over the body."""
+    """The kinematics of a cell; `water`: velocity [m/s] and acceleration [m/s^2] of the water,
+    each (x, y), uniform over the body."""
     dt = reference.dt
     omega = (mid.phi - reference.phi) / dt
     V_n_t = (mid.V_n - reference.V_n) / dt
     eps = strain(mid.T, structure, reference)
-    U_tau, U_n = to_body(water, mid.phi)
+    U_tau, U_n = to_body(water[0], mid.phi)
+    _, A_n = to_body(water[1], mid.phi)
     return Section(
         t=t,
         s=structure.s,
@@ -105,7 +108,7 @@ def section(
         u_n=mid.V_n - U_n,
         u_tau_s=slope.V_tau - slope.phi * U_n,
         u_n_s=slope.V_n + slope.phi * U_tau,
-        u_n_t=V_n_t + omega * U_tau,
+        u_n_t=V_n_t + omega * U_tau - A_n,
     )
 
 
@@ -115,16 +118,19 @@ def equations(
     x: Section,
     structure: Structure,
     force: tuple[Array, Array],
-    active_moment: Array,
+    moment: Array,
 ) -> tuple[Float[Array, " cells"], ...]:
-    """The six rows of a cell, in the order of the module's docstring; zero when satisfied."""
+    """The six rows of a cell, in the order of the module's docstring; zero when satisfied.
+
+    `force`: (F_tau, F_n); `moment`: M_extra - M_act.
+    """
     F_tau, F_n = force
     m, stretch = structure.linear_density, 1.0 + x.strain
     elastic = structure.EI * (x.kappa + structure.damping_time * x.kappa_t)
     return (
         x.strain_t - slope.V_tau + x.kappa * mid.V_n,
         stretch * x.omega - slope.V_n - x.kappa * mid.V_tau,
-        mid.M - elastic + active_moment,
+        mid.M - elastic - moment,
         m * (x.V_tau_t - x.omega * mid.V_n) - slope.T + x.kappa * mid.N - stretch * F_tau,
         m * (x.V_n_t + x.omega * mid.V_tau) - slope.N - x.kappa * mid.T - stretch * F_n,
         slope.M + stretch * mid.N,

@@ -1,6 +1,7 @@
 """Experiments: a TOML file with its measured CSV files, and the models of its trials."""
 
 from dataclasses import fields
+from difflib import get_close_matches
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,8 @@ from slider_jax.actuation import (
     Trapezoid,
 )
 from slider_jax.csv_file import read_csv
-from slider_jax.effects import ForceDensity, Gravity, NormalDrag, ReactiveForce
+from slider_jax.effects import Effect, NormalDrag, ReactiveForce
+from slider_jax.effects.library import LIBRARY
 from slider_jax.errors import InputError
 from slider_jax.grid import split_cells
 from slider_jax.model import Drive, Model
@@ -30,9 +32,6 @@ from slider_jax.schema import EffectTable, ExperimentTable, Trial
 from slider_jax.scheme import SCHEMES, Scheme
 from slider_jax.supports import Clamped
 from slider_jax.toml_file import read_toml, validate
-
-EFFECTS: dict[str, type[ForceDensity]] = {"Gravity": Gravity}
-"""Effects that a model file may add to drag and added mass, by name."""
 
 SAMPLES = ("t_s", "p_front_Pa", "p_rear_Pa", "thrust_N", "recoil_N", "tip_m")
 """Columns of a trial, measured or simulated."""
@@ -71,7 +70,7 @@ def _experiment(content: dict[str, Any], source: str, folder: Path) -> Experimen
     experiment = validate(Experiment, content, source)
     experiment._folder = folder
     for index, effect in enumerate(experiment.effects):
-        _effect(effect, f"{source}: effects.{index}")
+        _effect(effect, f"{source}: effects.{index}", experiment.robot.water_density)
     return experiment
 
 
@@ -115,20 +114,24 @@ def assemble(
     return _experiment(merged, str(model), folder)
 
 
-def _effect(table: EffectTable, where: str) -> ForceDensity:
-    """The effect that a table names, with its parameters."""
-    if table.name not in EFFECTS:
+def _effect(table: EffectTable, where: str, density: float) -> Effect:
+    """The effect that a table names, with its parameters, in water of `density` [kg/m^3]."""
+    if table.name not in LIBRARY:
+        near = get_close_matches(table.name, LIBRARY, 1)
         raise InputError(
-            f"{where}.name: given {table.name!r}; allowed {', '.join(EFFECTS)}; drag and "
-            "added mass are always on, by parameters.C_d and parameters.m_a"
+            f"{where}.name: given {table.name!r}{f', did you mean {near[0]!r}?' if near else ''}; "
+            f"allowed {', '.join(LIBRARY)}; drag and added mass are always on, by parameters.C_d "
+            "and parameters.m_a"
         )
-    kind, given = EFFECTS[table.name], dict(table.model_extra or {})
+    kind, given = LIBRARY[table.name], dict(table.model_extra or {})
     known = [field.name for field in fields(kind)]
     for key, value in given.items():
         if key not in known:
             raise InputError(f"{where}.{key}: unknown key; allowed {', '.join(known)}")
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not isfinite(value):
             raise InputError(f"{where}.{key}: given {value!r}; allowed a finite number")
+    if "density" in known:
+        given.setdefault("density", density)
     return kind(**given)
 
 
@@ -232,7 +235,7 @@ def to_model(experiment: Experiment, trial: Trial | int = 0) -> Model:
     C_d, m_a = drag_and_added_mass(experiment, trial)
     measured = trial.waveform == "recorded" and trial.drive_is == "measured"
     law: PressureLaw = Ideal() if measured else FirstOrderLag(parameters.k)
-    extra = [_effect(table, "effects") for table in experiment.effects]
+    extra = [_effect(table, "effects", density) for table in experiment.effects]
     model = Model(
         robot=to_robot(experiment),
         effects=(

@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 
 from slider_jax.actuation import PressureLaw, Waveform, chamber_windows
 from slider_jax.beam import Structure
-from slider_jax.effects import ForceDensity
+from slider_jax.effects import BodyChange, Effect, WaterMotion, of_place
 from slider_jax.grid import Grid
 from slider_jax.parameters import Numerics, Robot, Scalar, grid_of
 from slider_jax.supports import Support
@@ -22,15 +22,33 @@ class Drive(eqx.Module):
 
 
 class Model(eqx.Module):
-    """Everything physical. The equations of motion are the sum of what is listed here."""
+    """Everything physical. The equations of motion are the sum of what is listed here.
+
+    `robot` is the body as it was measured; `body` what the effects make of it.
+    """
 
     robot: Robot
-    effects: tuple[ForceDensity, ...]
+    effects: tuple[Effect, ...]
     pressure_law: PressureLaw
     drive: Drive
     support: Support
     water: Float[Array, "2"] | tuple[Scalar, Scalar] = (0.0, 0.0)
     """Steady uniform velocity (U_x, U_y) [m/s] of the water."""
+
+    @property
+    def body(self) -> Robot:
+        """The robot with the effects that change it."""
+        robot = self.robot
+        for effect in of_place(self.effects, BodyChange):
+            robot = effect.change(robot)
+        return robot
+
+    def water_velocity(self, t: Array) -> Float[Array, "2"]:
+        """Velocity (U_x, U_y) [m/s] of the water at `t` [s]: the steady stream and the effects'."""
+        velocity = jnp.stack([jnp.asarray(u, float) for u in self.water])
+        for effect in of_place(self.effects, WaterMotion):
+            velocity = velocity + jnp.stack(effect.velocity(t))
+        return velocity
 
 
 class Mesh(eqx.Module):

@@ -5,23 +5,34 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from slider_jax.beam import Reference, Structure, equations, section
-from slider_jax.effects import ForceDensity, total_force
+from slider_jax.beam import Reference, Section, Structure, equations, section
+from slider_jax.effects import (
+    BendingMoment,
+    Effect,
+    HeadRates,
+    Mounting,
+    of_place,
+    total_force,
+)
 from slider_jax.linear import BeamOperator
 from slider_jax.state import Fields, Unknowns, fields
 from slider_jax.supports import Support
 
 
 class Stage(eqx.Module):
-    """Everything that one implicit stage holds fixed while its unknowns are sought."""
+    """Everything that one implicit stage holds fixed while its unknowns are sought.
+
+    `water`: velocity [m/s] and acceleration [m/s^2], each (x, y). `phi_head` and `load_head` (T, N, M) are references as those of `Reference`, at the head.
+    """
 
     structure: Structure
-    effects: tuple[ForceDensity, ...]
+    effects: tuple[Effect, ...]
     support: Support
     reference: Reference
-    phi_head_reference: Array
+    phi_head: Array
+    load_head: Float[Array, "3"]
     active_moment: Float[Array, " cells"]
-    water: Float[Array, "2"]
+    water: Float[Array, "2 2"]
     t: Array
 
 
@@ -29,18 +40,32 @@ def cell_rows(mid: Fields, slope: Fields, stage: Stage) -> tuple[Array, ...]:
     """The six equations of every cell, from the unknowns' means and slopes in it."""
     x = section(mid, slope, stage.structure, stage.reference, stage.water, stage.t)
     force = total_force(stage.effects, x)
-    return equations(mid, slope, x, stage.structure, force, stage.active_moment)
+    extra = sum((m for m, _ in internal_moments(x, stage)), jnp.zeros_like(mid.M))
+    return equations(mid, slope, x, stage.structure, force, extra - stage.active_moment)
+
+
+def internal_moments(x: Section, stage: Stage) -> list[tuple[Array, Array]]:
+    """Moment [N m] in the cells and new memory of every effect that is a bending moment."""
+    effects = of_place(stage.effects, BendingMoment)
+    memories = stage.reference.internal
+    pairs = zip(effects, memories, strict=True)
+    return [effect.moment(x, memory, stage.reference.dt) for effect, memory in pairs]
 
 
 def turning_rate(head: Fields, stage: Stage) -> Array:
     """omega [rad/s] of the head."""
-    return (head.phi - stage.phi_head_reference) / stage.reference.dt
+    return (head.phi - stage.phi_head) / stage.reference.dt
 
 
 def head_rows(head: Float[Array, "6"], stage: Stage) -> Float[Array, "3"]:
-    """The support's three rows."""
-    at_head = fields(head)
-    return jnp.stack(stage.support.rows(at_head, turning_rate(at_head, stage), stage.t))
+    """The support's three rows, for what is left of the head's motion where the mounting gives."""
+    at_head, omega = fields(head), turning_rate(fields(head), stage)
+    rates = HeadRates(*(head[:3] - stage.load_head) / stage.reference.dt)
+    for effect in of_place(stage.effects, Mounting):
+        tau, n, turning = effect.give(rates)
+        at_head = at_head._replace(V_tau=at_head.V_tau - tau, V_n=at_head.V_n - n)
+        omega = omega - turning
+    return jnp.stack(stage.support.rows(at_head, omega, stage.t))
 
 
 def tail_rows(tail: Float[Array, "6"]) -> Float[Array, "3"]:
@@ -52,6 +77,12 @@ def mid_and_slope(y: Unknowns, ds) -> tuple[Fields, Fields]:
     """Means and slopes of the six unknowns in each cell."""
     left, right = y[:, :-1], y[:, 1:]
     return fields(0.5 * (left + right)), fields((right - left) / ds)
+
+
+def at_cells(y: Unknowns, stage: Stage) -> Section:
+    """The kinematics in the cells."""
+    mid, slope = mid_and_slope(y, stage.structure.ds)
+    return section(mid, slope, stage.structure, stage.reference, stage.water, stage.t)
 
 
 def residual(y: Unknowns, stage: Stage):

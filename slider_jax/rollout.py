@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from slider_jax.actuation import pressure_history
 from slider_jax.model import Mesh, Model, make_mesh
 from slider_jax.parameters import Numerics, Scalar
+from slider_jax.pneumatics import Chambers, chamber_history
 from slider_jax.scheme import SDIRK2, Scheme
 from slider_jax.step import Carry, Snapshot, at_rest, make_step
 
@@ -47,18 +47,13 @@ class Rollout(eqx.Module):
         return self.final.ok
 
 
-def stage_pressures(
-    model: Model, times: TimeGrid, scheme: Scheme, begin: Float[Array, "2"]
-) -> Float[Array, "steps stages 2"]:
-    """Both chambers' pressures [Pa] at every stage of every step, from `begin` at the start."""
+def stage_chambers(model: Model, times: TimeGrid, scheme: Scheme, begin: Chambers) -> Chambers:
+    """The chambers (steps, stages, ...) at every stage of every step, from `begin` at the start."""
     begins = times.t0 + times.h * jnp.arange(float(times.steps))
     at = begins[:, None] + times.h * jnp.asarray(scheme.nodes)
     at = jnp.concatenate([jnp.asarray(times.t0, at.dtype)[None], at.ravel()])
-    waves = (model.drive.front, model.drive.rear)
-    histories = [
-        pressure_history(model.pressure_law, wave, begin[i], at)[1:] for i, wave in enumerate(waves)
-    ]
-    return jnp.stack(histories, axis=-1).reshape(times.steps, scheme.stages, 2)
+    history = chamber_history(model, begin, at)
+    return jax.tree.map(lambda x: x.reshape(times.steps, scheme.stages, *x.shape[1:]), history)
 
 
 def rollout(
@@ -78,19 +73,19 @@ def rollout(
     that one member of a batch cannot stop the others (`simulate` raises for a single run).
     With `checkpoint`, reverse mode keeps each step's carry only and recomputes the rest.
     """
-    mesh = make_mesh(model.robot, numerics)
+    mesh = make_mesh(model.body, numerics)
     if begin is None:
         begin = at_rest(model, numerics, times.t0)
-    pressures = stage_pressures(model, times, scheme, begin.pressure)
+    chambers = stage_chambers(model, times, scheme, begin.chambers)
     step = make_step(model, mesh, numerics, scheme)
     begins = times.t0 + times.h * jnp.arange(float(times.steps))
 
     def body(carry, inputs):
-        t, pressure = inputs
-        carry, snapshot = step(carry, (t, jnp.asarray(times.h), pressure))
+        t, chambers = inputs
+        carry, snapshot = step(carry, (t, jnp.asarray(times.h), chambers))
         return carry, save(snapshot)
 
     if checkpoint:
         body = jax.checkpoint(body, prevent_cse=False)
-    final, saved = jax.lax.scan(body, begin, (begins, pressures))
+    final, saved = jax.lax.scan(body, begin, (begins, chambers))
     return Rollout(times.times, saved, final, mesh)

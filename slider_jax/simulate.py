@@ -11,10 +11,11 @@ import numpy as np
 
 from slider_jax import observables as obs
 from slider_jax.actuation import Recorded
-from slider_jax.effects import total_force
+from slider_jax.effects import Readings, total_force
 from slider_jax.errors import SolverError
 from slider_jax.experiment import Experiment, sample_times, to_model, to_numerics
 from slider_jax.frame import midline, to_plane
+from slider_jax.instruments import recorded
 from slider_jax.model import Model
 from slider_jax.parameters import Numerics, grid_of
 from slider_jax.rollout import TimeGrid, rollout
@@ -30,7 +31,7 @@ CHUNK = 250
 def readings(x: Snapshot) -> dict[str, Any]:
     """What the sensors read: `pressure` (2,) [Pa], `thrust` and `recoil` [N], `tip` [m]."""
     return {
-        "pressure": x.pressure,
+        "pressure": x.chambers.p,
         "thrust": obs.thrust(x),
         "recoil": obs.recoil(x),
         "tip": obs.tip(x),
@@ -87,7 +88,7 @@ def _whole(steps: float) -> int:
 @eqx.filter_jit
 def _begin(model: Model, numerics: Numerics) -> tuple[Carry, jax.Array]:
     """At rest relative to the clamp, and the midline (2, nodes) [m] from the head."""
-    carry, grid = at_rest(model, numerics), grid_of(model.robot, numerics)
+    carry, grid = at_rest(model, numerics), grid_of(model.body, numerics)
     return carry, midline(carry.memory.motion[2], carry.memory.strain, carry.memory.head, grid)
 
 
@@ -164,6 +165,7 @@ def simulate(
         for name in chunks[0]
     }
     t = grid.h * np.arange(grid.steps + 1)
+    series |= _recorded(model, t, series)
     bad = ~np.isfinite(series["recoil"])
     if bad.any():
         raise _failure(trial, grid, float(t[np.argmax(bad)]))
@@ -185,6 +187,15 @@ def _initial(model: Model, midline: np.ndarray, shape: bool) -> dict[str, np.nda
         values["moment"] = np.zeros(midline.shape[1])
         values["force"] = np.zeros((2, midline.shape[1] - 1))
     return values
+
+
+def _recorded(model: Model, t: np.ndarray, series: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The sensors' series with what the model's instruments make of them."""
+    names = ("thrust", "recoil", "tip")
+    true = Readings(t, *series["pressure"].T, *(series[name] for name in names))
+    read = recorded(model.effects, jax.tree.map(jnp.asarray, true))
+    pressure = np.stack([read.p_front, read.p_rear], axis=1)
+    return {"pressure": pressure, **{name: np.asarray(getattr(read, name)) for name in names}}
 
 
 def _failure(trial: Trial, grid: Clock, t: float) -> SolverError:

@@ -39,12 +39,15 @@ class Memory(eqx.Module):
     """What the time derivatives act on: carried from step to step.
 
     `motion` (3, N): V_tau, V_n, phi at the nodes. `strain` (N - 1,): eps in the cells. `head` (2,):
-    its position [m].
+    its position [m]. `load` (3,): T, N, M at the head. `internal`: memories (N - 1,) of the effects
+    that are bending moments, in their order.
     """
 
     motion: Float[Array, "3 nodes"]
     strain: Float[Array, " cells"]
     head: Float[Array, "2"]
+    load: Float[Array, "3"]
+    internal: tuple[Float[Array, " cells"], ...] = ()
 
 
 def straight(
@@ -56,4 +59,4 @@ def straight(
     """
     zero = jnp.zeros_like(s)
     y = jnp.stack([zero, zero, zero, zero + V_tau, V_n + omega * (s - s[-1]), zero + phi])
-    return y, Memory(motion=y[3:], strain=zero[1:], head=jnp.zeros(2))
+    return y, Memory(motion=y[3:], strain=zero[1:], head=jnp.zeros(2), load=jnp.zeros(3))

@@ -8,12 +8,14 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, PyTree
 
-from slider_jax.beam import Reference, Section, section, strain
+from slider_jax.beam import Reference, Section, strain
+from slider_jax.effects import BendingMoment, of_place
 from slider_jax.frame import to_body
 from slider_jax.model import Mesh, Model
 from slider_jax.newton import BeamAdjoint, BeamNewton
 from slider_jax.parameters import Numerics, Scalar, grid_of, scales_of
-from slider_jax.residual import Stage, jacobian, mid_and_slope, residual, turning_rate
+from slider_jax.pneumatics import Chambers, start_chambers
+from slider_jax.residual import Stage, at_cells, internal_moments, jacobian, residual, turning_rate
 from slider_jax.scheme import Scheme, extrapolation
 from slider_jax.state import Memory, Unknowns, fields, straight
 from slider_jax.supports import Support
@@ -25,8 +27,7 @@ class Carry(eqx.Module):
     history: Float[Array, "3 6 nodes"]
     """The last three solutions, oldest first: they predict the next."""
     memory: Memory
-    pressure: Float[Array, "2"]
-    """Of the two chambers [Pa]."""
+    chambers: Chambers
     ok: Bool[Array, ""]
     """False from the first stage that did not converge; the state is frozen from there on."""
     factorisations: Array
@@ -43,7 +44,7 @@ class Snapshot(eqx.Module):
     memory: Memory
     stage: Stage
     mesh: Mesh
-    pressure: Float[Array, "2"]
+    chambers: Chambers
 
     @property
     def head(self) -> Float[Array, "2"]:
@@ -52,9 +53,7 @@ class Snapshot(eqx.Module):
 
     def section(self) -> Section:
         """The kinematics in the cells."""
-        mid, slope = mid_and_slope(self.y, self.mesh.structure.ds)
-        stage = self.stage
-        return section(mid, slope, stage.structure, stage.reference, stage.water, stage.t)
+        return at_cells(self.y, self.stage)
 
 
 def _blend(base: PyTree, last: PyTree, weight) -> PyTree:
@@ -64,7 +63,7 @@ def _blend(base: PyTree, last: PyTree, weight) -> PyTree:
 def _reference(memory: Memory, mesh: Mesh, dt) -> Reference:
     V_tau, V_n, phi = mesh.grid.mid(memory.motion)
     kappa = mesh.grid.slope(memory.motion[2])
-    return Reference(V_tau, V_n, phi, kappa, memory.strain, dt)
+    return Reference(V_tau, V_n, phi, kappa, memory.strain, memory.internal, dt)
 
 
 def _anchor(memory: Memory, support: Support, t) -> Float[Array, "2"]:
@@ -74,9 +73,8 @@ def _anchor(memory: Memory, support: Support, t) -> Float[Array, "2"]:
 def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
     """The function that advances a `Carry` by one step.
 
-    It takes (carry, (t, h, pressures)): the step's start and length [s], and the chambers'
-    pressures [Pa] at each stage, (stages, 2). It returns the new carry and a `Snapshot` at the
-    step's end. Raises `ValueError` when traced in float32.
+    It takes (carry, (t, h, chambers)): the step's start and length [s], and the chambers at each of
+    its stages, stacked. It returns the new carry and a `Snapshot` at the step's end. Raises `ValueError` when traced in float32.
     """
     if mesh.grid.s.dtype != jnp.float64:
         raise ValueError(
@@ -84,13 +82,12 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
             "slider_jax.enable_float64() before any array is made"
         )
     solver = BeamNewton(rtol=numerics.tolerance)
-    scale = scales_of(model.robot)
-    water = jnp.stack([jnp.asarray(u, mesh.grid.s.dtype) for u in model.water])
+    scale = scales_of(model.body)
     predict = jnp.asarray(extrapolation(scheme))
     nodes, weights = jnp.asarray(scheme.nodes), jnp.asarray(scheme.weights)
 
     def run_stage(base, support, h, carry, stage_inputs):
-        t, weight, predictor, pressure = stage_inputs
+        t, weight, predictor, chambers = stage_inputs
         reference = _blend(base, carry.memory, weight)
         dt = scheme.gamma * h
         stage = Stage(
@@ -98,9 +95,10 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
             effects=model.effects,
             support=support,
             reference=_reference(reference, mesh, dt),
-            phi_head_reference=reference.motion[2, -1],
-            active_moment=pressure @ mesh.chambers,
-            water=water,
+            phi_head=reference.motion[2, -1],
+            load_head=reference.load,
+            active_moment=chambers.acting @ mesh.chambers,
+            water=jnp.stack(jax.jvp(model.water_velocity, (t,), (jnp.ones_like(t),))),
             t=t,
         )
         guess = jnp.tensordot(predictor, carry.history, 1)
@@ -125,12 +123,14 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
             motion=y[3:],
             strain=strain(mesh.grid.mid(y[0]), mesh.structure, stage.reference),
             head=anchor - support.anchor_offset(head.phi, t),
+            load=y[:3, -1],
+            internal=tuple(z for _, z in internal_moments(at_cells(y, stage), stage)),
         )
         memory = jax.tree.map(lambda a, b: jnp.where(ok, a, b), found, carry.memory)
         new = Carry(
             history=jnp.concatenate([carry.history[1:], y[None]]),
             memory=memory,
-            pressure=pressure,
+            chambers=chambers,
             ok=ok,
             factorisations=carry.factorisations + solution.stats["num_steps"],
             failed_at=jnp.where(carry.ok & ~converged, t, carry.failed_at),
@@ -138,7 +138,7 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
         return new, stage
 
     def step(carry: Carry, inputs):
-        t_start, h, pressures = inputs
+        t_start, h, chambers = inputs
         times = t_start + nodes * h
         one_stage = ft.partial(
             run_stage, carry.memory, model.support.during(t_start, t_start + h), h
@@ -148,12 +148,12 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
             inner, _ = state
             return one_stage(inner, stage_inputs), None
 
-        rows = (times, weights, predict, pressures)
+        rows = (times, weights, predict, chambers)
         empty = jax.eval_shape(one_stage, carry, jax.tree.map(lambda x: x[0], rows))[1]
         placeholder = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), empty)
         (carry, stage), _ = jax.lax.scan(body, (carry, placeholder), rows)
-        snapshot = Snapshot(times[-1], carry.history[-1], carry.memory, stage, mesh, pressures[-1])
-        return carry, snapshot
+        y, memory = carry.history[-1], carry.memory
+        return carry, Snapshot(times[-1], y, memory, stage, mesh, carry.chambers)
 
     return step
 
@@ -161,19 +161,20 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
 def at_rest(model: Model, numerics: Numerics, t0: Scalar = 0.0) -> Carry:
     """The carry of a straight, unloaded body at rest relative to its support at `t0` [s]."""
     velocity, angle, rate = model.support.start(jnp.asarray(t0))
-    drive = model.drive
-    pressure = jnp.stack([jnp.asarray(p, float) for p in (drive.start_front, drive.start_rear)])
     V_tau, V_n = to_body(velocity, angle)
-    s = grid_of(model.robot, numerics).s
-    return start(*straight(s, V_tau, V_n, angle, rate), pressure)
+    s = grid_of(model.body, numerics).s
+    y, memory = straight(s, V_tau, V_n, angle, rate)
+    internal = tuple(jnp.zeros_like(s[1:]) for _ in of_place(model.effects, BendingMoment))
+    memory = eqx.tree_at(lambda m: m.internal, memory, internal)
+    return start(y, memory, start_chambers(model))
 
 
-def start(y: Unknowns, memory: Memory, pressure: Float[Array, "2"]) -> Carry:
-    """The carry that begins a rollout at the state (y, memory), the chambers at `pressure` [Pa]."""
+def start(y: Unknowns, memory: Memory, chambers: Chambers) -> Carry:
+    """The carry that begins a rollout at the state (y, memory, chambers)."""
     return Carry(
         history=jnp.broadcast_to(y, (3, *y.shape)),
         memory=memory,
-        pressure=pressure,
+        chambers=chambers,
         ok=jnp.asarray(True),
         factorisations=jnp.asarray(0),
         failed_at=jnp.asarray(jnp.inf, y.dtype),

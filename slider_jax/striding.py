@@ -144,7 +144,7 @@ def _waves(plan: Plan, members: Member, lateral):
     def wave(member, y):
         t = jnp.arange(1.0, POSES + 1.0) / (POSES * member.frequency)
         mode = obs.fundamental_mode(y, t, member.frequency)
-        s = make_mesh(member.model.robot, plan.numerics).grid.s
+        s = make_mesh(member.model.body, plan.numerics).grid.s
         return obs.body_wave(mode, s, member.frequency), obs.travelling_index(mode)
 
     return jax.vmap(wave)(members, lateral)

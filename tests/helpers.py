@@ -66,7 +66,7 @@ def uniform(L=0.368, EI=0.038, effects=(), support=None, **robot) -> Model:
 
 def nodes_of(model: Model, numerics: Numerics):
     """The nodes' distances from the tail [m]."""
-    return grid_of(model.robot, numerics).s
+    return grid_of(model.body, numerics).s
 
 
 def stage_of(model: Model, numerics: Numerics, y_reference, dt, t=0.0, active_moment=None) -> Stage:
@@ -79,6 +79,7 @@ def stage_of(model: Model, numerics: Numerics, y_reference, dt, t=0.0, active_mo
         phi=phi,
         kappa=mesh.grid.slope(y_reference[5]),
         strain=T / mesh.structure.EA,
+        internal=(),
         dt=jnp.asarray(dt, float),
     )
     return Stage(
@@ -86,9 +87,10 @@ def stage_of(model: Model, numerics: Numerics, y_reference, dt, t=0.0, active_mo
         effects=model.effects,
         support=model.support,
         reference=reference,
-        phi_head_reference=y_reference[5, -1],
+        phi_head=y_reference[5, -1],
+        load_head=y_reference[:3, -1],
         active_moment=0.0 * mesh.grid.ds if active_moment is None else active_moment,
-        water=jnp.stack([jnp.asarray(u, float) for u in model.water]),
+        water=jnp.stack([model.water_velocity(jnp.asarray(t, float)), jnp.zeros(2)]),
         t=jnp.asarray(t, float),
     )
 

@@ -18,7 +18,7 @@ LAYERS = [
     {"beam"},
     {"effects", "supports", "actuation", "linear"},
     {"residual", "model"},
-    {"newton"},
+    {"newton", "pneumatics"},
     {"scheme"},
     {"step"},
     {"rollout"},

@@ -186,8 +186,8 @@ MODEL_CASES = {
     "out of range": ("[parameters]\nk = 87.0\n", ("parameters.k: given 87.0", "in seconds")),
     "not a table": ("robot = 3\n", ("robot: given 3",)),
     "unknown effect": ('[[effects]]\nname = "Magic"\n', ("effects.0.name: given 'Magic'",)),
-    "unknown effect's key": ('[[effects]]\nname = "Gravity"\nG = 1.0\n', ("effects.0.G", "g")),
-    "effect's value is text": ('[[effects]]\nname = "Gravity"\ng = "1"\n', ("effects.0.g",)),
+    "unknown effect's key": ('[[effects]]\nname = "gravity"\nG = 1.0\n', ("effects.0.G", "g")),
+    "effect's value is text": ('[[effects]]\nname = "gravity"\ng = "1"\n', ("effects.0.g",)),
     "effect without a name": ("[[effects]]\ng = 1.0\n", ("effects.0.name: missing",)),
     "not TOML": ("k: 0.087\n", ("not valid TOML", "line 1")),
 }

@@ -128,7 +128,7 @@ def test_the_ramp_needs_a_frequency(tmp_path):
 def test_model_file_overrides_and_adds(tmp_path):
     path, model = write(tmp_path), tmp_path / "model.toml"
     model.write_text(
-        '[robot]\nEI_tail = 0.007\n[parameters]\nk = 0.05\n[[effects]]\nname = "Gravity"\ng = 0.5\n'
+        '[robot]\nEI_tail = 0.007\n[parameters]\nk = 0.05\n[[effects]]\nname = "gravity"\ng = 0.5\n'
     )
     base, changed = load(path), load(path, model)
     assert changed.robot.EI_tail == 0.007 and changed.parameters.k == 0.05

@@ -8,6 +8,7 @@ from slider_jax.actuation import SineWave
 from slider_jax.effects import total_force
 from slider_jax.frame import to_plane
 from slider_jax.parameters import Numerics
+from slider_jax.pneumatics import start_chambers
 from slider_jax.rollout import TimeGrid, rollout
 from slider_jax.state import straight
 from slider_jax.step import start
@@ -30,7 +31,7 @@ def budget(x):
 
 @eqx.filter_jit
 def swim(model, h, y, memory):
-    begin = start(y, memory, jnp.zeros(2))
+    begin = start(y, memory, start_chambers(model))
     return rollout(model, TimeGrid(h, STEPS), budget, FINE, begin=begin)
 
 

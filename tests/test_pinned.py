@@ -19,7 +19,7 @@ FREQUENCY, PER_STRIDE, STRIDES = 2.0, 160, 3
 def pin(x):
     """Pin position [m], its velocity [m/s], the moment about it [N m], the head's path, the tip."""
     T, _, M, V_tau, V_n, phi = x.y[:, -1]
-    omega = (phi - x.stage.phi_head_reference) / x.stage.reference.dt
+    omega = (phi - x.stage.phi_head) / x.stage.reference.dt
     arm = x.stage.support.arm(x.t)
     anchor = x.head + x.stage.support.anchor_offset(phi, x.t)
     shape = midline(x.y[5], x.memory.strain, x.head, x.mesh.grid)

@@ -1,8 +1,45 @@
 """Physical effects, one a file."""
 
-from slider_jax.effects.base import ForceDensity, total_force
+from slider_jax.effects.base import (
+    ActingPressure,
+    BendingMoment,
+    BodyChange,
+    Command,
+    Effect,
+    Flow,
+    ForceDensity,
+    HeadRates,
+    Instrument,
+    Mounting,
+    Prior,
+    Readings,
+    WaterMotion,
+    of_place,
+    parameter,
+    total_force,
+)
 from slider_jax.effects.drag import NormalDrag
 from slider_jax.effects.gravity import Gravity
 from slider_jax.effects.reactive import ReactiveForce
 
-__all__ = ["ForceDensity", "Gravity", "NormalDrag", "ReactiveForce", "total_force"]
+__all__ = [
+    "ActingPressure",
+    "BendingMoment",
+    "BodyChange",
+    "Command",
+    "Effect",
+    "Flow",
+    "ForceDensity",
+    "Gravity",
+    "HeadRates",
+    "Instrument",
+    "Mounting",
+    "NormalDrag",
+    "Prior",
+    "ReactiveForce",
+    "Readings",
+    "WaterMotion",
+    "of_place",
+    "parameter",
+    "total_force",
+]

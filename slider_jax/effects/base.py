@@ -1,29 +1,169 @@
 """What an effect is: one physical cause, its parameters as leaves, and the one method that adds it.
 
-A model is a list of effects; the solver never knows which. `ForceDensity` is the place for
-everything that pushes on the body along its length; pressure, waveform and support have base
-classes of their own, beside their kinds.
+A model is a list of effects; the solver never knows which. Every effect enters at one of the places
+below, each a class with one abstract method. An effect's parameters are declared with `parameter`:
+its null value, at which the effect vanishes, and the range that one would believe before looking at
+data, with the reason.
 """
 
+import re
 from abc import abstractmethod
+from dataclasses import fields
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
+from slider_jax.actuation.waveform import Waveform
 from slider_jax.beam import Section
+from slider_jax.parameters import Robot
 
 
-class ForceDensity(eqx.Module):
-    """A force per unit length on the body."""
+class Prior(NamedTuple):
+    """What is believed of a parameter before data: `low` to `high`, vanishing at `null`."""
+
+    null: float
+    low: float
+    high: float
+    unit: str
+    why: str
+
+
+def parameter(null: float, low: float, high: float, unit: str, why: str) -> Any:
+    """Declare an effect's parameter; made without a value it is at its null."""
+    return eqx.field(default=null, metadata={"prior": Prior(null, low, high, unit, why)})
+
+
+class Effect(eqx.Module):
+    """One physical cause. Its docstring gives the equation and the source."""
+
+    title: ClassVar[str] = ""
+    """What it is, in the words of a report."""
+    sensors: ClassVar[tuple[str, ...]] = ("thrust", "recoil", "tip")
+    """Channels that can see it, of pressure, thrust, recoil, tip."""
+
+    @classmethod
+    def name(cls) -> str:
+        """The class's name in lower case with underscores, as files and reports write it."""
+        return re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
+
+    @classmethod
+    def priors(cls) -> dict[str, Prior]:
+        """The parameters that may be identified, by name."""
+        return {f.name: f.metadata["prior"] for f in fields(cls) if "prior" in f.metadata}
+
+
+class ForceDensity(Effect):
+    """A force per length on the body."""
 
     @abstractmethod
     def force(self, x: Section) -> tuple[Array, Array]:
         """(F_tau, F_n) [N/m] on a section of the body."""
 
 
-def total_force(effects: tuple[ForceDensity, ...], x: Section) -> tuple[Array, Array]:
+class BendingMoment(Effect):
+    """A moment inside the body beside the elastic and viscous one, with a memory of its own."""
+
+    @abstractmethod
+    def moment(self, x: Section, memory: Array, dt: Array) -> tuple[Array, Array]:
+        """Moment [N m] in the cells, counted as EI kappa is, and the memory at the stage's end.
+
+        `memory` (cells,) is what (value - memory)/dt subtracts; the new value must follow from the
+        section in closed form. An effect without memory hands it back.
+        """
+
+
+class HeadRates(NamedTuple):
+    """Rates of the forces and the moment at the head: dT/dt, dN/dt [N/s], dM/dt [N m/s]."""
+
+    T_t: Array
+    N_t: Array
+    M_t: Array
+
+
+class Mounting(Effect):
+    """What gives way between carriage and head."""
+
+    @abstractmethod
+    def give(self, rates: HeadRates) -> tuple[Array, Array, Array]:
+        """Velocity (tau, n) [m/s] and turning rate [rad/s] of the head relative to the carriage."""
+
+
+class BodyChange(Effect):
+    """The body is not as it was measured."""
+
+    @abstractmethod
+    def change(self, robot: Robot) -> Robot:
+        """The robot as it is, from the robot as it was measured."""
+
+
+class Command(Effect):
+    """What becomes of a set pressure before the valves act on it."""
+
+    @abstractmethod
+    def command(self, wave: Waveform, chamber: int) -> Waveform:
+        """The waveform that the valves follow; `chamber` is 0 for the front, 1 for the rear."""
+
+
+class Flow(Effect):
+    """What changes the flow into a chamber."""
+
+    @abstractmethod
+    def rate(self, rate: Array, p: Array, p_set: Array, k: Array) -> Array:
+        """dp/dt [Pa/s] from that of the model without the effect, for p and p_set [Pa]."""
+
+
+class ActingPressure(Effect):
+    """Between the pressure at the sensor and the pressure that bends the body; may remember."""
+
+    @abstractmethod
+    def act(
+        self, p: Float[Array, "2"], memory: Float[Array, "2"], dt: Array
+    ) -> tuple[Array, Array]:
+        """Acting pressures (2,) [Pa] of front and rear after `dt` [s] at `p`, and the memory."""
+
+
+class WaterMotion(Effect):
+    """Motion of the water that the body does not make."""
+
+    @abstractmethod
+    def velocity(self, t: Array) -> tuple[Array, Array]:
+        """(U_x, U_y) [m/s] at `t` [s], uniform along the body."""
+
+
+class Readings(NamedTuple):
+    """What the sensors read, on the evenly spaced times of a rollout; each (n,)."""
+
+    t: Array
+    """[s]"""
+    p_front: Array
+    """[Pa]"""
+    p_rear: Array
+    """[Pa]"""
+    thrust: Array
+    """[N]"""
+    recoil: Array
+    """[N]"""
+    tip: Array
+    """[m]"""
+
+
+class Instrument(Effect):
+    """What a sensor makes of what it measures."""
+
+    @abstractmethod
+    def read(self, true: Readings) -> Readings:
+        """What is recorded when `true` is there; t stays."""
+
+
+def of_place(effects: tuple[Effect, ...], place: type) -> tuple:
+    """The effects that enter at a place, in order."""
+    return tuple(effect for effect in effects if isinstance(effect, place))
+
+
+def total_force(effects: tuple[Effect, ...], x: Section) -> tuple[Array, Array]:
     """Sum of the effects' force densities [N/m]."""
     zero = jnp.zeros_like(x.V_n)
-    parts = [effect.force(x) for effect in effects]
+    parts = [effect.force(x) for effect in of_place(effects, ForceDensity)]
     return sum((p[0] for p in parts), zero), sum((p[1] for p in parts), zero)

@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 
-from slider_jax.effects.base import ForceDensity
+from slider_jax.effects.base import ForceDensity, parameter
 from slider_jax.parameters import Scalar
 
 
@@ -13,12 +13,15 @@ class NormalDrag(ForceDensity):
         F_n = -rho C_d H |u_n| u_n / 2
 
     Source: Taylor, G. (1952), Analysis of the swimming of long and narrow animals, Proc. R. Soc. A
-    214, 158-183; the paper's equation for F_d. Vanishes at C_d = 0. Range 0 to 6: about 2 for a
-    plate in steady flow, more at small Keulegan-Carpenter numbers.
+    214, 158-183; the paper's equation for F_d.
     """
 
-    C_d: Scalar
-    """Drag coefficient [-]."""
+    title = "drag of the crossflow"
+
+    C_d: Scalar = parameter(
+        0.0, 0.0, 6.0, "-", "2 for a plate in steady flow, more at small strokes"
+    )
+    """Drag coefficient."""
     density: Scalar = eqx.field(default=1000.0)
     """rho [kg/m^3]."""
 

@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from slider_jax.effects.base import ForceDensity
+from slider_jax.effects.base import ForceDensity, parameter
 from slider_jax.frame import to_body
 from slider_jax.parameters import Scalar
 
@@ -12,12 +12,14 @@ class Gravity(ForceDensity):
 
         (F_x, F_y) = (-m g/(1 + eps), 0)
 
-    m is per unstretched length. Vanishes at g = 0. In water use the reduced g (1 - rho A/m); SLIDER
+    m is per unstretched length. In water use the reduced g (1 - rho A/m); SLIDER
     is near neutral there.
     """
 
-    g: Scalar = 9.81
-    """Acceleration [m/s^2]."""
+    title = "weight"
+
+    g: Scalar = parameter(0.0, 0.0, 9.81, "m/s^2", "9.81 in air; nearly neutral in water")
+    """Acceleration."""
 
     def force(self, x):
         weight = x.linear_density * self.g / (1.0 + x.strain)

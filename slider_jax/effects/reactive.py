@@ -4,7 +4,7 @@ import math
 
 import equinox as eqx
 
-from slider_jax.effects.base import ForceDensity
+from slider_jax.effects.base import ForceDensity, parameter
 from slider_jax.parameters import Scalar
 
 
@@ -22,12 +22,15 @@ class ReactiveForce(ForceDensity):
     No point force acts at a blunt head: see docs/decisions.md.
 
     Source: Lighthill, M. J. (1971), Large-amplitude elongated-body theory of fish locomotion, Proc.
-    R. Soc. B 179, 125-138; the paper's equations for F_a. Vanishes at m_a = 0. Range 0 to 1.5: 1 is
-    a thin plate in potential flow, separation lowers it.
+    R. Soc. B 179, 125-138; the paper's equations for F_a.
     """
 
-    m_a: Scalar
-    """Added-mass coefficient [-]."""
+    title = "reactive force of the added mass"
+
+    m_a: Scalar = parameter(
+        0.0, 0.0, 1.5, "-", "1 for a thin plate in potential flow, less separated"
+    )
+    """Added-mass coefficient."""
     density: Scalar = eqx.field(default=1000.0)
     """rho [kg/m^3]."""
 

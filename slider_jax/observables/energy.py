@@ -83,7 +83,7 @@ def chamber_power(x: Snapshot) -> Float[Array, "2"]:
     Positive while the body bends the way the chamber pushes; mechanical, without the losses of
     valves and supply.
     """
-    return x.mesh.grid.integral(x.pressure[:, None] * x.mesh.chambers * x.section().kappa_t)
+    return x.mesh.grid.integral(x.chambers.acting[:, None] * x.mesh.chambers * x.section().kappa_t)
 
 
 def clamp_power(x: Snapshot) -> Float[Array, ""]:
