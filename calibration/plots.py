@@ -74,7 +74,8 @@ def plot_phase(found: Identification, path: Path) -> None:
         axis.set_xlim(0.0, 1.0)
     for axis in axes[:, 0]:
         axis.set_ylabel("measured - free run (psi)", fontsize=9)
-    for axis in axes[-1]:
+    for axis in axes.flat[max(0, count - across) : count]:  # the lowest of each column
+        axis.tick_params(labelbottom=True)
         axis.set_xlabel("phase of the command (cycles)", fontsize=9)
     handles, labels = axes.flat[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper right", ncols=2, markerscale=8, fontsize=9)

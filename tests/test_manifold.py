@@ -16,7 +16,8 @@ from calibration.lag import Batch, fit_each, fit_pooled, free_run, residual_psi,
 from calibration.logs import PSI_PER_COUNT, ManifoldLog, read_log
 from calibration.manifold import identify, rms
 from calibration.shape import harmonics, shape_of
-from calibration.words import describe
+from calibration.words import describe, verdict
+from slider_jax.cli import simulate_log
 from slider_jax.cli.main import main
 from slider_jax.errors import InputError
 from tests.synthetic_log import PERIOD, lagged, log_lines, series, write
@@ -135,13 +136,16 @@ def test_logs_that_disagree_widen_the_common_interval():
     assert apart.k.high / apart.k.low > 1.2 * apart.within.high / apart.within.low
     assert 0.08 < apart.k.value < 0.13
     assert any("do not overlap" in line for line in describe(apart))
+    assert "One lag of" in verdict(apart) and "does not explain these logs" in verdict(apart)
+    assert "explains these logs" in verdict(alike)
 
 
 def test_what_the_lag_leaves_is_the_noise_where_the_lag_is_the_law():
     found = identify([made(k=0.15, noise=NOISE)])
     assert found.pooled_rmse("after") == pytest.approx(found.floor, rel=0.1)
     assert found.pooled_rmse("before") > 5.0 * found.floor
-    assert not any("does not explain" in line for line in describe(found))
+    assert verdict(found).startswith("A lag of 150 ms explains this log: ")
+    assert describe(found)[0] == verdict(found)
 
 
 def test_the_shape_finds_offset_and_harmonics():
@@ -179,21 +183,32 @@ def test_a_log_in_which_nothing_moves_is_refused():
 def test_calibrate_manifold_end_to_end(tmp_path, capsys):
     paths = [
         write(tmp_path / f"{f:g}.txt", log_lines(k=0.15, frequency=f, cycles=2.0, seed=i))
-        for i, f in enumerate((1.0, 2.0))
+        for i, f in enumerate((1.0, 1.5, 2.0))
     ]
     out = tmp_path / "out"
     assert main(["calibrate", "manifold", *map(str, paths), "--out", str(out)]) == 0
     report = json.loads((out / "manifold.json").read_text())
-    k = tomllib.loads((out / "model.toml").read_text())["parameters"]["k"]
+    model = (out / "model.toml").read_text()
+    k = tomllib.loads(model)["parameters"]["k"]
     assert k == pytest.approx(0.15, rel=0.02)
     assert k == pytest.approx(report["pooled"]["k"]["value"], rel=1e-5)
-    assert [x["frequency_Hz"] for x in report["logs"]] == [1.0, 2.0]
+    assert [x["frequency_Hz"] for x in report["logs"]] == [1.0, 1.5, 2.0]
     assert report["pooled"]["rmse_after_psi"] < 0.1 * report["pooled"]["rmse_before_psi"]
     pictures = {path.name for path in out.glob("*.png")}
     assert pictures == {
-        *("1.png", "2.png", "k_by_frequency.png", "residual_by_phase.png", "residual_by_rate.png")
+        *(
+            "1.png",
+            "1.5.png",
+            "2.png",
+            "k_by_frequency.png",
+            "residual_by_phase.png",
+            "residual_by_rate.png",
+        )
     }
-    assert "RMSE in psi" in capsys.readouterr().out
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith("One lag of 150 ms explains these logs: ")
+    assert model.splitlines()[0] == f"# {said[0]}"
+    assert "RMSE in psi" in said[2]
     assert not list(out.glob(".tmp*"))
 
 
@@ -203,6 +218,11 @@ def _columns(path):
     return dict(zip(table[0], np.array(table[1:], float).T, strict=True))
 
 
+@pytest.fixture
+def coarse(monkeypatch):
+    monkeypatch.setitem(simulate_log.NUMERICS, "nodes", 11)
+
+
 @pytest.fixture(scope="module")
 def short_log(tmp_path_factory):
     folder = tmp_path_factory.mktemp("log")
@@ -210,7 +230,7 @@ def short_log(tmp_path_factory):
     return write(folder / "short.txt", lines)
 
 
-def test_simulate_sends_the_command_through_the_model(tmp_path, short_log):
+def test_simulate_sends_the_command_through_the_model(tmp_path, short_log, coarse):
     model = tmp_path / "model.toml"
     model.write_text("[parameters]\nk = 0.15\n")
     out = tmp_path / "out"
@@ -228,12 +248,13 @@ def test_simulate_sends_the_command_through_the_model(tmp_path, short_log):
     summary = json.loads((out / "summary.json").read_text())
     assert summary["settings"]["parameters"]["k"] == 0.15
     # Above 3 Hz the paper's ramp has ended.
-    assert summary["settings"]["parameters"]["C_d"] == 3.0
+    assert (summary["C_d"], summary["m_a"]) == (3.0, 1.0)
+    assert summary["force_coefficients"] == "the paper's ramp at the log's frequency"
     assert summary["pressure_rmse_psi"] < 2.0 * NOISE * PSI_PER_COUNT
     assert (out / "short.png").stat().st_size > 10_000
 
 
-def test_simulate_can_take_the_measured_pressure(tmp_path, short_log):
+def test_simulate_can_take_the_measured_pressure(tmp_path, short_log, coarse):
     out = tmp_path / "out"
     assert main(["simulate", str(short_log), "--drive", "measured", "--out", str(out)]) == 0
     columns = _columns(out / "short.csv")

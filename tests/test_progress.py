@@ -8,19 +8,18 @@ from slider_jax.cli import progress
 from slider_jax.cli.progress import Progress
 
 
-@pytest.fixture
-def hasty(monkeypatch):
-    monkeypatch.setattr(progress, "PATIENCE", 0.02)
+@pytest.mark.parametrize("quick, said", [(False, "still.csv: compiling ...\n"), (True, "")])
+def test_what_is_awaited_is_said_if_it_takes_long(quick, said, monkeypatch, capsys):
+    monkeypatch.setattr(progress, "PATIENCE", 0.4)
+    with Progress("still.csv", "step") as bar:
+        if quick:
+            bar.to(1, 2)
+        time.sleep(0.6)
+    assert capsys.readouterr().err == said
+
+
+def test_lines_count_what_was_done_before_but_not_the_end(monkeypatch, capsys):
     monkeypatch.setattr(progress, "PAUSE", 0.0)
-
-
-def test_what_is_awaited_is_said_if_it_takes_long(hasty, capsys):
-    with Progress("still.csv", "step"):
-        time.sleep(0.2)
-    assert capsys.readouterr().err == "still.csv: compiling ...\n"
-
-
-def test_lines_count_what_was_done_before_but_not_the_end(hasty, capsys):
     with Progress("9 members", "stride") as bar:
         bar.begin(6, 3)
         for _ in range(3):

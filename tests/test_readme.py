@@ -1,15 +1,15 @@
 """What the README and the guide to effects show works as shown."""
 
+import json
 import re
 import shlex
-import shutil
 import tomllib
 from pathlib import Path
 
 import jax
 import pytest
 
-from slider_jax import experiment
+from slider_jax import experiment, sweep
 from slider_jax.cli.main import COMMANDS, main
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -30,9 +30,13 @@ def command(name):
 
 @pytest.fixture
 def in_copy(tmp_path, monkeypatch):
-    """A folder that holds what the README's commands name."""
+    """A folder that holds what the README's commands name, the example on a coarser mesh."""
     (tmp_path / "docs").mkdir()
-    shutil.copy(ROOT / "docs" / "experiment.toml", tmp_path / "docs")
+    text = (ROOT / "docs" / "experiment.toml").read_text()
+    for fine, coarse in (("nodes = 51", "nodes = 11"), ("step = 0.001", "step = 0.005")):
+        assert fine in text
+        text = text.replace(fine, coarse)
+    (tmp_path / "docs" / "experiment.toml").write_text(text)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SLIDER_CACHE", "off")
     return tmp_path
@@ -50,9 +54,12 @@ def test_simulate_example(in_copy):
     out = in_copy / "results" / "example"
     for name in ("still.csv", "towed.csv", "summary.json", "still.png", "towed_midlines.png"):
         assert (out / name).stat().st_size > 0
+    trials = json.loads((out / "summary.json").read_text())["trials"]
+    assert [trial["periodic"] for trial in trials] == [True, True]
 
 
-def test_sweep_example_on_fewer_and_coarser_members(in_copy):
+def test_sweep_example_on_fewer_members(in_copy, monkeypatch):
+    monkeypatch.setattr(sweep, "available_cores", lambda: 1)  # so one chunk of two
     quick = ["--strides", "2", "--transient", "1", "--steps-per-stride", "40"]
     args = command("sweep")
     args[args.index("--count") + 1] = "2"

@@ -3,7 +3,6 @@
 import sys
 import threading
 import time
-from collections.abc import Callable
 from types import TracebackType
 
 from tqdm import tqdm
@@ -69,7 +68,3 @@ class Progress:
     @staticmethod
     def _say(line: str) -> None:
         print(line, file=sys.stderr, flush=True)
-
-
-Report = Callable[[int, int], None]
-"""What is called with (done, total)."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from calibration.logs import PA_PER_PSI, ManifoldLog, read_log
 from calibration.shape import whole_cycles
-from slider_jax.actuation import Ideal, Recorded
+from slider_jax.actuation import FirstOrderLag, Recorded
 from slider_jax.cli.progress import Progress
 from slider_jax.errors import SolverError
 from slider_jax.experiment import (
@@ -36,9 +36,10 @@ from slider_jax.step import at_rest
 
 CHUNK = 125
 """Samples per call of the compiled program."""
-STEP = 1e-3
-"""Longest step [s]; the step divides the log's sampling. At 3 Hz, against 0.25 ms: thrust within
-0.4 % of its deviation, recoil 0.1 %, also where the measured pressure's noise acts as it is."""
+NUMERICS = {"step": 1e-3}
+"""With the longest step [s]; the step divides the log's sampling. At 3 Hz, against 0.25 ms: thrust
+within 0.4 % of its deviation, recoil 0.1 %, also where the measured pressure's noise acts as it is.
+"""
 
 NOTES = {
     "mapping": "the log's gauge pressure is of one chamber; both chambers of the built-in robot "
@@ -90,7 +91,7 @@ def built_in(log: ManifoldLog, model: Path | None) -> Experiment:
         "name": log.path.stem,
         "robot": robot,
         "parameters": {"force_coefficients": "ramp", "k": PRESSURE_LAG, "K_Q": K_Q},
-        "numerics": {"step": STEP},
+        "numerics": NUMERICS,
         "trials": [
             {
                 "file": f"{log.path.stem}.csv",
@@ -127,9 +128,9 @@ def drive_robot(
     h = log.period / every
     numerics, scheme = to_numerics(experiment)
     base = to_model(experiment, 0)
-    law = Ideal() if drive == "measured" else base.pressure_law
+    if drive == "measured":  # no lag; a zero one shares the compiled program
+        base = replace(base, pressure_law=FirstOrderLag(jnp.asarray(0.0, float)))
     pressures = (jnp.asarray(log.pressure_Pa[0]),) * 2
-    base = replace(base, pressure_law=law)
     base = replace(
         base, drive=replace(base.drive, start_front=pressures[0], start_rear=pressures[1])
     )
