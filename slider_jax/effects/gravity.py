@@ -13,7 +13,8 @@ class Gravity(ForceDensity):
         (F_x, F_y) = (-m g/(1 + eps), 0)
 
     m is per unstretched length. In water use the reduced g (1 - rho A/m); SLIDER
-    is near neutral there.
+    is near neutral there. Source: Archimedes' principle, e.g. Batchelor, G. K. (1967), An
+    Introduction to Fluid Dynamics, Cambridge University Press, section 1.4.
     """
 
     title = "weight"

@@ -14,8 +14,11 @@ class Delayed(Waveform):
     delay: Scalar
 
     def segment(self, t0, t1):
-        early = self.wave.segment(jnp.maximum(t0 - self.delay, 0.0), t1 - self.delay)
-        before, starts = t1 <= self.delay, (t0 < self.delay) & (t1 > self.delay)
+        early = self.wave.segment(jnp.where(t0 > self.delay, t0 - self.delay, 0.0), t1 - self.delay)
+        smooth = early.t_break >= early.t1
+        before = t1 <= self.delay
+        # Also at no delay, where it takes no time: so the start moves with the delay from null on.
+        starts = ((t0 < self.delay) | ((t0 == self.delay) & smooth)) & (t1 > self.delay)
 
         def choose(inside, beginning):
             return jnp.where(before, 0.0, jnp.where(starts, beginning, inside))
@@ -28,7 +31,7 @@ class Delayed(Waveform):
             t1,
             choose(early.a0, 0.0),
             choose(early.a1, 0.0),
-            choose(early.b0, early.b0),
+            choose(early.b0, jnp.where(smooth, early.a0, early.b0)),
             choose(early.b1, early.b1),
         )
 

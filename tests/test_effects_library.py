@@ -1,0 +1,142 @@
+"""Every effect of the library: what it declares, its null, and its tangents there.
+
+One compiled program holds all effects at once, their parameters as one vector; a tangent is a JVP
+along one of its entries, and a finite difference another call of the same program.
+"""
+
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from slider_jax.actuation import FirstOrderLag, SquareWave
+from slider_jax.effects import NormalDrag, ReactiveForce, Readings
+from slider_jax.effects.library import LIBRARY
+from slider_jax.instruments import recorded
+from slider_jax.model import Drive, Model
+from slider_jax.observables import recoil, thrust, tip
+from slider_jax.parameters import Robot
+from slider_jax.pneumatics import start_chambers
+from slider_jax.rollout import TimeGrid, rollout
+from slider_jax.supports import Clamped
+from tests.helpers import SMALL, arrays
+
+SENSORS = ("pressure", "pressure", "thrust", "recoil", "tip")
+"""Of the rows of `readings`."""
+ENTRIES = [(name, parameter) for name, kind in LIBRARY.items() for parameter in kind.priors()]
+PRIORS = [LIBRARY[name].priors()[parameter] for name, parameter in ENTRIES]
+NULL = np.array([prior.null for prior in PRIORS])
+TIMES = TimeGrid.per_stride(4.0, 60, 1)
+
+
+def readings(effects):
+    """(5, steps + 1): the sensors of a towed robot from rest, edges of the drive off the steps."""
+    model = Model(
+        Robot(),
+        (NormalDrag(3.0), ReactiveForce(1.0), *effects),
+        FirstOrderLag(0.087),
+        Drive(SquareWave(4.0, 250e3, 0.031), SquareWave(4.0, 220e3, 0.177)),
+        Clamped(tow_speed=0.1),
+    )
+    model = arrays(model)
+
+    def save(x):
+        return jnp.stack([*x.chambers.p, thrust(x), recoil(x), tip(x)])
+
+    run = rollout(model, TIMES, save, SMALL, checkpoint=False)
+    first = jnp.concatenate([start_chambers(model).p, jnp.zeros(3)])
+    t = jnp.concatenate([jnp.zeros(1), TIMES.times])
+    read = recorded(model.effects, Readings(t, *jnp.concatenate([first[None], run.saved]).T))
+    return jnp.where(run.ok, jnp.stack(read[1:]), jnp.nan)
+
+
+def extended(theta):
+    """Readings with every effect of the library, parameters as in `ENTRIES`."""
+    values = dict(zip(ENTRIES, theta, strict=True))
+    return readings(
+        tuple(
+            kind(**{parameter: values[name, parameter] for parameter in kind.priors()})
+            for name, kind in LIBRARY.items()
+        )
+    )
+
+
+@jax.jit
+@jax.vmap
+def moved(theta, direction):
+    return jax.jvp(extended, (theta,), (direction,))
+
+
+@cache
+def values_and_tangents(steps=0.0):
+    """Of every entry: readings (P, 5, n) at its null + `steps` ranges of it, and the tangent."""
+    size = np.array([prior.high - prior.low for prior in PRIORS])
+    at = NULL + np.diag(steps * size)
+    return tuple(np.asarray(x) for x in moved(jnp.asarray(at), jnp.asarray(np.diag(size))))
+
+
+@cache
+def bare():
+    return np.asarray(jax.jit(lambda: readings(()))())
+
+
+def largest(x):
+    """Largest size in each channel: (..., 5, n) to (..., 5)."""
+    return np.abs(x).max(axis=-1)
+
+
+def differs(found):
+    return largest(found - bare()) > 1e-12 * largest(bare())
+
+
+def test_at_their_nulls_the_effects_leave_every_reading_as_it_is():
+    if not differs(values_and_tangents()[0][0]).any():
+        return
+    alone = {name: readings((kind(),)) for name, kind in LIBRARY.items()}
+    off = [name for name, found in alone.items() if differs(np.asarray(found)).any()]
+    pytest.fail(f"not as without the effect at the null: {off}")
+
+
+@pytest.fixture(params=range(len(ENTRIES)), ids=[".".join(x) for x in ENTRIES])
+def entry(request):
+    return request.param
+
+
+def test_tangent_at_the_null_is_seen_by_the_declared_sensors_alone(entry):
+    """Per prior range: finite, and above a millionth of the readings somewhere it should be."""
+    tangent = values_and_tangents()[1][entry]
+    assert np.isfinite(tangent).all()
+    share = largest(tangent) / largest(bare())
+    declared = np.array([x in LIBRARY[ENTRIES[entry][0]].sensors for x in SENSORS])
+    assert share[declared].max() > 1e-6
+    assert share[~declared].max(initial=0.0) <= 1e-9 * share.max()
+
+
+def test_tangent_at_the_null_is_the_finite_difference(entry):
+    """Second order: central, or to one side where the null is an end of the range."""
+    prior, step = PRIORS[entry], 2e-4
+    values = {s: values_and_tangents(s * step)[0][entry] for s in (-2, -1, 1, 2)}
+    start, tangent = values_and_tangents()[0][entry], values_and_tangents()[1][entry]
+    if prior.low < prior.null < prior.high:
+        difference = (values[1] - values[-1]) / (2.0 * step)
+    else:
+        s = 1 if prior.null < prior.high else -1
+        difference = s * (4.0 * values[s] - values[2 * s] - 3.0 * start) / (2.0 * step)
+    off = largest(difference - tangent)
+    assert (off <= 1e-3 * largest(tangent) + 1e-9 * largest(bare())).all(), off / largest(tangent)
+
+
+@pytest.mark.parametrize("name", LIBRARY)
+def test_declares_what_reports_and_searches_need(name):
+    kind = LIBRARY[name]
+    assert kind.title
+    assert "Source:" in (kind.__doc__ or "")
+    assert kind.sensors and set(kind.sensors) <= set(SENSORS)
+    assert kind.priors()
+    for parameter, prior in kind.priors().items():
+        assert prior.low <= prior.null <= prior.high, parameter
+        assert prior.low < prior.high, parameter
+        assert prior.unit and prior.why, parameter
+        assert getattr(kind(), parameter) == prior.null
