@@ -30,6 +30,9 @@ COMMANDS = {
     "sweep": Command(
         "slider_jax.cli.sweep:sweep", "one or two fields of an experiment over ranges"
     ),
+    "effects": Command(
+        "slider_jax.cli.effects:effects", "what a model may lack, and what it does to the sensors"
+    ),
     "calibrate manifold": Command(
         "slider_jax.cli.calibrate:manifold", "the pressure lag from the rig's own logs"
     ),

@@ -1,0 +1,154 @@
+"""`slider effects`: what the library can add to a model, and what each leaves on the sensors."""
+
+import inspect
+from difflib import get_close_matches
+from pathlib import Path
+from textwrap import indent
+from typing import Annotated
+
+import tyro
+
+from slider_jax.cli.options import MaybeFolder
+from slider_jax.effects import (
+    ActingPressure,
+    BendingMoment,
+    BodyChange,
+    Command,
+    Effect,
+    Flow,
+    ForceDensity,
+    Instrument,
+    Mounting,
+    Prior,
+    WaterMotion,
+)
+from slider_jax.effects.library import LIBRARY
+from slider_jax.errors import InputError
+
+PLACES = (
+    Command,
+    Flow,
+    ActingPressure,
+    BodyChange,
+    BendingMoment,
+    Mounting,
+    ForceDensity,
+    WaterMotion,
+    Instrument,
+)
+"""Where an effect enters, from the valves to the sensors."""
+
+ExperimentFile = Annotated[Path | None, tyro.conf.arg(metavar="EXPERIMENT.toml")]
+
+
+def effects(
+    name: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="NAME")] = None,
+    out: MaybeFolder = None,
+    experiment: ExperimentFile = None,
+) -> None:
+    """List the effects that a model may be given, or explain one of them.
+
+    Without a NAME: all effects by the place where they enter, with their parameters' prior ranges
+    and the sensors that can see them. With it: equation, source and priors. With --out too, the
+    picture DIR/NAME.png of what the effect changes in one steady stride, at the end of the prior
+    range.
+
+    Args:
+        name: the effect to explain.
+        out: folder for the picture; made if missing, a file of the same name is replaced.
+        experiment: draw its first trial instead of the built-in robot at 4.8 Hz.
+    """
+    if name is None:
+        for option, given in {"--out": out, "--experiment": experiment}.items():
+            if given is not None:
+                raise InputError(f"{option}: is for the picture of one effect; give its NAME too")
+        print(listing())
+        return
+    if name not in LIBRARY:
+        near = get_close_matches(name, LIBRARY, 1)
+        raise InputError(
+            f"NAME: given {name!r}; allowed the names that slider effects lists"
+            f"{f'; did you mean {near[0]}?' if near else ''}"
+        )
+    if experiment is not None and out is None:
+        raise InputError("--experiment: is for the picture; give --out DIR too")
+    if out is None:
+        print(explanation(name))
+        return
+    _draw(name, out, experiment)
+
+
+def place_of(kind: type[Effect]) -> type[Effect]:
+    """Where an effect enters."""
+    return next(place for place in PLACES if issubclass(kind, place))
+
+
+def listing() -> str:
+    """All effects, a place at a time."""
+    width = max(map(len, LIBRARY))
+    lines = [f"{len(LIBRARY)} effects; slider effects NAME explains one"]
+    for place in PLACES:
+        kinds = {name: kind for name, kind in LIBRARY.items() if place_of(kind) is place}
+        if kinds:
+            lines += ["", _first_line(place)]
+        for name, kind in kinds.items():
+            lines.append(f"  {name:<{width}}  {kind.title} ({', '.join(kind.sensors)})")
+            for parameter, prior in kind.priors().items():
+                lines.append(f"  {'':<{width}}    {parameter}: {_range(prior)}")
+    return "\n".join(lines)
+
+
+def explanation(name: str) -> str:
+    """Docstring and priors of one effect."""
+    from slider_jax.fingerprint import typical
+
+    kind = LIBRARY[name]
+    lines = [
+        f"{name}: {kind.title}",
+        "",
+        indent(inspect.getdoc(kind) or "", "  "),
+        "",
+        f"enters at: {_first_line(place_of(kind))}",
+        f"seen by:   {', '.join(kind.sensors)}",
+        "",
+        "parameters",
+    ]
+    priors = kind.priors()
+    rows = [(parameter, _range(prior), prior.why) for parameter, prior in priors.items()]
+    widths = [max(len(row[i]) for row in rows) for i in (0, 1)]
+    for parameter, span, why in rows:
+        lines.append(f"  {parameter:<{widths[0]}}  {span:<{widths[1]}}  {why}")
+    given = "".join(f"\n  {key} = {typical(prior):g}" for key, prior in priors.items())
+    lines += ["", "in an experiment or model file", f'  [[effects]]\n  name = "{name}"{given}']
+    return "\n".join(lines)
+
+
+def _first_line(place: type[Effect]) -> str:
+    return (inspect.getdoc(place) or "").splitlines()[0].rstrip(".")
+
+
+def _range(prior: Prior) -> str:
+    unit = "" if prior.unit == "-" else f" {prior.unit}"
+    null = "" if prior.null == 0.0 else f", none at {prior.null:g}"
+    return f"{prior.low:g} to {prior.high:g}{unit}{null}"
+
+
+def _draw(name: str, out: Path, path: Path | None) -> None:
+    from slider_jax.cli.progress import Progress
+    from slider_jax.experiment import load
+    from slider_jax.files import staged
+    from slider_jax.fingerprint import built_in, fingerprint, plot_fingerprint
+    from slider_jax.plots import CHANNELS
+
+    experiment = built_in() if path is None else load(path)
+    with staged(out) as stage:
+        with Progress(name, "step") as progress:
+            found = fingerprint(experiment, name, progress.to)
+        plot_fingerprint(found, stage / f"{name}.png")
+    print(explanation(name))
+    print("\nchange over the stride, rms")
+    for trace in found.traces:
+        rms = found.rms(trace)
+        said = [f"{label} {f * rms[x]:.4g} {unit}" for x, label, unit, f in CHANNELS if rms[x]]
+        print(f"  {trace.label}: {'; '.join(said) or 'none'}")
+    print(f"{name}.png is in {out}")
