@@ -31,6 +31,10 @@ class Structure(eqx.Module):
     height: Array
     s: Array
     ds: Array
+    in_tail: Array
+    """1 in the cells of the tail, 0 in those of the body."""
+    joint: Array
+    """A unit at the joint, spread over the cells beside it [1/m]."""
 
 
 class Reference(eqx.Module):
@@ -49,10 +53,14 @@ class Section(eqx.Module):
     """A short piece of body as an effect sees it; every entry has the shape of a cell array.
 
     Velocities [m/s] in the body frame, `u` relative to the water; `_s` is d/ds, `_t` is d/dt.
+    `in_tail` and `joint` as in `Structure`.
     """
 
     t: Array
     s: Array
+    ds: Array
+    in_tail: Array
+    joint: Array
     height: Array
     linear_density: Array
     phi: Array
@@ -69,6 +77,7 @@ class Section(eqx.Module):
     u_n: Array
     u_tau_s: Array
     u_n_s: Array
+    u_tau_t: Array
     u_n_t: Array
 
 
@@ -85,13 +94,17 @@ def section(
     each (x, y), uniform over the body."""
     dt = reference.dt
     omega = (mid.phi - reference.phi) / dt
+    V_tau_t = (mid.V_tau - reference.V_tau) / dt
     V_n_t = (mid.V_n - reference.V_n) / dt
     eps = strain(mid.T, structure, reference)
     U_tau, U_n = to_body(water[0], mid.phi)
-    _, A_n = to_body(water[1], mid.phi)
+    A_tau, A_n = to_body(water[1], mid.phi)
     return Section(
         t=t,
         s=structure.s,
+        ds=structure.ds,
+        in_tail=structure.in_tail,
+        joint=structure.joint,
         height=structure.height,
         linear_density=structure.linear_density,
         phi=mid.phi,
@@ -102,12 +115,13 @@ def section(
         strain_t=(eps - reference.strain) / dt,
         V_tau=mid.V_tau,
         V_n=mid.V_n,
-        V_tau_t=(mid.V_tau - reference.V_tau) / dt,
+        V_tau_t=V_tau_t,
         V_n_t=V_n_t,
         u_tau=mid.V_tau - U_tau,
         u_n=mid.V_n - U_n,
         u_tau_s=slope.V_tau - slope.phi * U_n,
         u_n_s=slope.V_n + slope.phi * U_tau,
+        u_tau_t=V_tau_t - omega * U_n - A_tau,
         u_n_t=V_n_t + omega * U_tau - A_n,
     )
 

@@ -38,6 +38,16 @@ class Grid(eqx.Module):
         in_tail = jnp.arange(cells) < self.tail_cells
         return jnp.where(in_tail, tail, body)
 
+    def at_joint(self) -> Float[Array, " cells"]:
+        """A unit at the joint [1/m], in the cells beside it: zeroth and first moment exact."""
+        joint = self.tail_cells
+        nothing = jnp.zeros_like(self.ds)
+        if not 0 < joint < self.ds.shape[-1]:
+            return nothing
+        tail, body = self.ds[joint - 1], self.ds[joint]
+        behind, before = body / tail / (tail + body), tail / body / (tail + body)
+        return nothing.at[joint - 1].set(behind).at[joint].set(before)
+
 
 def make_grid(tail_length, body_length, tail_cells: int, body_cells: int) -> Grid:
     """The grid of a body of `body_length` [m] with a tail of `tail_length` [m] behind it."""

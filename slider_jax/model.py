@@ -72,5 +72,7 @@ def make_mesh(robot: Robot, numerics: Numerics) -> Mesh:
         height=robot.height * one,
         s=grid.mid(grid.s),
         ds=grid.ds,
+        in_tail=grid.per_cell(one, 0.0 * one),
+        joint=grid.at_joint(),
     )
     return Mesh(grid, structure, robot.K_Q * chamber_windows(robot, grid))

@@ -1,8 +1,12 @@
 """Every effect by name: what a file may add to a model, and what a residual may be traced to."""
 
+from slider_jax.effects.axial_added_mass import AxialAddedMass
+from slider_jax.effects.axial_flexibility import AxialFlexibility
 from slider_jax.effects.base import Effect
+from slider_jax.effects.body_stiffness import BodyStiffness
 from slider_jax.effects.camera_delay import CameraDelay
 from slider_jax.effects.camera_scale import CameraScale
+from slider_jax.effects.carried_mass import CarriedMass
 from slider_jax.effects.clamp_compliance import ClampCompliance
 from slider_jax.effects.force_clock_offset import ForceClockOffset
 from slider_jax.effects.force_crosstalk import ForceCrosstalk
@@ -10,10 +14,25 @@ from slider_jax.effects.force_gain import ForceGain
 from slider_jax.effects.force_resonance import ForceResonance
 from slider_jax.effects.force_sensor_lag import ForceSensorLag
 from slider_jax.effects.gravity import Gravity
+from slider_jax.effects.internal_friction import InternalFriction
+from slider_jax.effects.keulegan_carpenter_drag import KeuleganCarpenterDrag
+from slider_jax.effects.linear_drag import LinearDrag
+from slider_jax.effects.material_damping import MaterialDamping
 from slider_jax.effects.pressure_gain import PressureGain
 from slider_jax.effects.pressure_offset import PressureOffset
 from slider_jax.effects.pressure_sensor_lag import PressureSensorLag
+from slider_jax.effects.rest_curvature import RestCurvature
+from slider_jax.effects.stiffening import Stiffening
+from slider_jax.effects.stress_relaxation import StressRelaxation
+from slider_jax.effects.surge_compliance import SurgeCompliance
+from slider_jax.effects.sway_compliance import SwayCompliance
+from slider_jax.effects.tail_added_mass import TailAddedMass
+from slider_jax.effects.tail_drag import TailDrag
+from slider_jax.effects.tail_stiffness import TailStiffness
 from slider_jax.effects.tangential_friction import TangentialFriction
+from slider_jax.effects.tank_current import TankCurrent
+from slider_jax.effects.tank_seiche import TankSeiche
+from slider_jax.effects.tip_mass import TipMass
 from slider_jax.effects.valve_delay import ValveDelay
 
 LIBRARY: dict[str, type[Effect]] = {
@@ -22,10 +41,29 @@ LIBRARY: dict[str, type[Effect]] = {
         # command, flow, acting pressure
         ValveDelay,
         # body and mounting
+        BodyStiffness,
+        TailStiffness,
+        MaterialDamping,
+        CarriedMass,
+        AxialFlexibility,
+        Stiffening,
+        StressRelaxation,
+        InternalFriction,
+        RestCurvature,
         ClampCompliance,
+        SwayCompliance,
+        SurgeCompliance,
         # water
         Gravity,
         TangentialFriction,
+        LinearDrag,
+        TailDrag,
+        TailAddedMass,
+        AxialAddedMass,
+        TipMass,
+        KeuleganCarpenterDrag,
+        TankCurrent,
+        TankSeiche,
         # instruments
         PressureGain,
         PressureOffset,

@@ -1,0 +1,28 @@
+"""A mounting that yields lengthwise."""
+
+import jax.numpy as jnp
+
+from slider_jax.effects.base import Mounting, parameter
+from slider_jax.parameters import Scalar
+
+
+class SurgeCompliance(Mounting):
+    """The head moves along tau against the carriage like a spring of stiffness 1/c.
+
+        V_tau - V_tau,carriage = -c dT/dt
+
+    T at the head is what the mounting puts on the body; the spring carries -T, the thrust, and
+    gives way along it. Source: Meirovitch, L. (2001), Fundamentals of Vibrations, McGraw-Hill,
+    ch. 1.
+    """
+
+    title = "the mounting yields lengthwise"
+
+    compliance: Scalar = parameter(
+        0.0, 0.0, 5e-3, "m/N", "a thin strut or a soft force sensor, 200 N/m, at most"
+    )
+    """c, the inverse of the mounting's stiffness [N/m]."""
+
+    def give(self, rates):
+        zero = jnp.zeros_like(rates.T_t)
+        return -self.compliance * rates.T_t, zero, zero

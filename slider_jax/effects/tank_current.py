@@ -1,0 +1,29 @@
+"""Water of the tank that drifts."""
+
+import jax.numpy as jnp
+
+from slider_jax.effects.base import WaterMotion, parameter
+from slider_jax.parameters import Scalar
+
+
+class TankCurrent(WaterMotion):
+    """A steady stream, of pumps, of warmth, or that the robot itself has set going.
+
+        U = (U_x, U_y)
+
+    Source: momentum of a jet, Batchelor, G. K. (1967), An Introduction to Fluid Dynamics,
+    Cambridge, ch. 5: a thrust of 0.1 N over 0.03 m by 0.1 m makes one of about 0.2 m/s.
+    """
+
+    title = "the tank's water drifts"
+
+    U_x: Scalar = parameter(
+        0.0, -0.05, 0.05, "m/s", "a tenth of the speed of the robot's own jet comes back"
+    )
+    """Along x."""
+    U_y: Scalar = parameter(0.0, -0.03, 0.03, "m/s", "warmth and circulation stir at some cm/s")
+    """Along y."""
+
+    def velocity(self, t):
+        zero = jnp.zeros_like(t)
+        return zero + self.U_x, zero + self.U_y
