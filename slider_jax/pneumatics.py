@@ -24,15 +24,15 @@ class Chambers(eqx.Module):
     """At the sensor [Pa]."""
     acting: Float[Array, "2"]
     """What bends the body [Pa]."""
-    memories: tuple[Float[Array, "2"], ...] = ()
-    """Of the effects that are acting pressures, in their order."""
+    memories: tuple[Float[Array, "2 2"], ...] = ()
+    """Of the effects that are acting pressures, in their order: own state, pressure before."""
 
 
 def start_chambers(model: Model) -> Chambers:
     """The chambers at the pressures that the drive starts from, long at rest."""
     drive = model.drive
     p = jnp.stack([jnp.asarray(x, float) for x in (drive.start_front, drive.start_rear)])
-    return Chambers(p, p, tuple(p for _ in of_place(model.effects, ActingPressure)))
+    return Chambers(p, p, tuple(jnp.stack([p, p]) for _ in of_place(model.effects, ActingPressure)))
 
 
 def chamber_history(model: Model, begin: Chambers, times: Float[Array, " n"]) -> Chambers:
@@ -65,13 +65,19 @@ def chamber_history(model: Model, begin: Chambers, times: Float[Array, " n"]) ->
 def advance(law: PressureLaw, flows: tuple[Flow, ...], p: Array, x: Segment) -> Array:
     """Pressure [Pa] at the end of a segment from that at its start.
 
-    The law's own exact step, unless effects change the flow of a lag: then the classical
-    Runge-Kutta method, on either side of the set pressure's break.
+    The law's own exact step. Where effects change the flow of a lag, what they change in a step of
+    the classical Runge-Kutta method is added, on either side of the set pressure's break, so that
+    effects at their null change nothing.
     """
+    exact = law.advance(p, x)
     if not flows or not isinstance(law, FirstOrderLag):
-        return law.advance(p, x)
-    p = _runge_kutta(law.k, flows, p, x.a0, x.a1, x.t_break - x.t0)
-    return _runge_kutta(law.k, flows, p, x.b0, x.b1, x.t1 - x.t_break)
+        return exact
+
+    def step(flows):
+        middle = _runge_kutta(law.k, flows, p, x.a0, x.a1, x.t_break - x.t0)
+        return _runge_kutta(law.k, flows, middle, x.b0, x.b1, x.t1 - x.t_break)
+
+    return exact + (step(flows) - step(()))
 
 
 def _runge_kutta(k, flows, p, a0, a1, span):

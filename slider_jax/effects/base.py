@@ -119,9 +119,13 @@ class ActingPressure(Effect):
 
     @abstractmethod
     def act(
-        self, p: Float[Array, "2"], memory: Float[Array, "2"], dt: Array
+        self, p: Float[Array, "2"], memory: Float[Array, "2 2"], dt: Array
     ) -> tuple[Array, Array]:
-        """Acting pressures (2,) [Pa] of front and rear after `dt` [s] at `p`, and the memory."""
+        """Acting pressures (2,) [Pa] of front and rear at `p`, `dt` [s] later, and the new memory.
+
+        `memory` is the effect's own state (2,) and the pressure (2,) it was given before; both are
+        the pressure at the start. An effect without memory hands it back.
+        """
 
 
 class WaterMotion(Effect):

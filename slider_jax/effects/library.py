@@ -1,5 +1,8 @@
 """Every effect by name: what a file may add to a model, and what a residual may be traced to."""
 
+from slider_jax.effects.actuator_hysteresis import ActuatorHysteresis
+from slider_jax.effects.actuator_quadratic import ActuatorQuadratic
+from slider_jax.effects.actuator_saturation import ActuatorSaturation
 from slider_jax.effects.axial_added_mass import AxialAddedMass
 from slider_jax.effects.axial_flexibility import AxialFlexibility
 from slider_jax.effects.base import Effect
@@ -7,7 +10,13 @@ from slider_jax.effects.body_stiffness import BodyStiffness
 from slider_jax.effects.camera_delay import CameraDelay
 from slider_jax.effects.camera_scale import CameraScale
 from slider_jax.effects.carried_mass import CarriedMass
+from slider_jax.effects.chamber_crosstalk import ChamberCrosstalk
+from slider_jax.effects.chamber_expansion import ChamberExpansion
+from slider_jax.effects.chamber_mismatch import ChamberMismatch
+from slider_jax.effects.choked_flow import ChokedFlow
 from slider_jax.effects.clamp_compliance import ClampCompliance
+from slider_jax.effects.fill_vent_asymmetry import FillVentAsymmetry
+from slider_jax.effects.flow_exponent import FlowExponent
 from slider_jax.effects.force_clock_offset import ForceClockOffset
 from slider_jax.effects.force_crosstalk import ForceCrosstalk
 from slider_jax.effects.force_gain import ForceGain
@@ -16,14 +25,21 @@ from slider_jax.effects.force_sensor_lag import ForceSensorLag
 from slider_jax.effects.gravity import Gravity
 from slider_jax.effects.internal_friction import InternalFriction
 from slider_jax.effects.keulegan_carpenter_drag import KeuleganCarpenterDrag
+from slider_jax.effects.leakage import Leakage
+from slider_jax.effects.line_lag import LineLag
 from slider_jax.effects.linear_drag import LinearDrag
 from slider_jax.effects.material_damping import MaterialDamping
+from slider_jax.effects.orifice_flow import OrificeFlow
 from slider_jax.effects.pressure_gain import PressureGain
 from slider_jax.effects.pressure_offset import PressureOffset
 from slider_jax.effects.pressure_sensor_lag import PressureSensorLag
+from slider_jax.effects.rear_valve_delay import RearValveDelay
+from slider_jax.effects.regulator_gain import RegulatorGain
+from slider_jax.effects.regulator_offset import RegulatorOffset
 from slider_jax.effects.rest_curvature import RestCurvature
 from slider_jax.effects.stiffening import Stiffening
 from slider_jax.effects.stress_relaxation import StressRelaxation
+from slider_jax.effects.supply_limit import SupplyLimit
 from slider_jax.effects.surge_compliance import SurgeCompliance
 from slider_jax.effects.sway_compliance import SwayCompliance
 from slider_jax.effects.tail_added_mass import TailAddedMass
@@ -33,6 +49,7 @@ from slider_jax.effects.tangential_friction import TangentialFriction
 from slider_jax.effects.tank_current import TankCurrent
 from slider_jax.effects.tank_seiche import TankSeiche
 from slider_jax.effects.tip_mass import TipMass
+from slider_jax.effects.valve_deadband import ValveDeadband
 from slider_jax.effects.valve_delay import ValveDelay
 
 LIBRARY: dict[str, type[Effect]] = {
@@ -40,6 +57,23 @@ LIBRARY: dict[str, type[Effect]] = {
     for effect in (
         # command, flow, acting pressure
         ValveDelay,
+        RegulatorGain,
+        RegulatorOffset,
+        SupplyLimit,
+        RearValveDelay,
+        FillVentAsymmetry,
+        ChokedFlow,
+        ValveDeadband,
+        Leakage,
+        FlowExponent,
+        OrificeFlow,
+        ChamberExpansion,
+        LineLag,
+        ActuatorSaturation,
+        ActuatorQuadratic,
+        ChamberMismatch,
+        ChamberCrosstalk,
+        ActuatorHysteresis,
         # body and mounting
         BodyStiffness,
         TailStiffness,

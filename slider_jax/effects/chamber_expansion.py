@@ -1,0 +1,30 @@
+"""Chambers that grow under pressure."""
+
+from slider_jax.effects.base import Flow, parameter
+from slider_jax.effects.smooth import magnitude
+from slider_jax.parameters import Scalar
+
+ATMOSPHERE = 101325.0
+"""p_a [Pa]."""
+
+
+class ChamberExpansion(Flow):
+    """A soft chamber's volume V = V_0 (1 + c |p|) grows, so the same flow raises p less.
+
+        dp/dt = (p_set - p)/k / (1 + c (p_a + 2 |p|))
+
+    from d((p_a + |p|) V)/dt = R_gas T dm/dt at constant temperature; k is that of a rigid chamber.
+    |p| is rounded below 10 kPa. Source: mass balance of a variable volume, Beater, P. (2007),
+    Pneumatic Drives, Springer.
+    """
+
+    title = "chambers expand under pressure"
+    sensors = ("pressure", "thrust", "recoil", "tip")
+
+    expansion: Scalar = parameter(
+        0.0, 0.0, 5e-6, "1/Pa", "an elastomer chamber at most doubles its volume at 200 kPa"
+    )
+    """c, relative growth of the volume per pressure."""
+
+    def rate(self, rate, p, p_set, k):
+        return rate / (1.0 + self.expansion * (ATMOSPHERE + 2.0 * magnitude(p, 10e3)))
