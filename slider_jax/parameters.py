@@ -30,8 +30,8 @@ class Robot(eqx.Module):
     linear_density: Scalar = 0.7
     EI_body: Scalar = 0.038
     EI_tail: Scalar = 0.0058
-    EA_body: Scalar = 5.0e3
-    EA_tail: Scalar = 5.0e3
+    EA_body: Scalar = 1.0e5
+    EA_tail: Scalar = 1.0e5
     damping_time: Scalar = 2.0e-3
     height: Scalar = 0.03
     front_chamber: tuple[Scalar, Scalar] = (0.02, 0.145)

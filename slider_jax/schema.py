@@ -44,8 +44,8 @@ class RobotTable(Table):
     linear_density: Annotated[float, Quantity(0.01, 20.0, "kg/m")]
     EI_body: Annotated[float, Quantity(1e-4, 100.0, "N m^2")]
     EI_tail: Annotated[float, Quantity(1e-6, 100.0, "N m^2")]
-    EA_body: Stiffness = 5.0e3
-    EA_tail: Stiffness = 5.0e3
+    EA_body: Stiffness = 1.0e5
+    EA_tail: Stiffness = 1.0e5
     damping_time: Annotated[float, Quantity(0.0, 0.1, "s")]
     height: Annotated[float, Quantity(0.002, 0.5, "m")]
     front_chamber: Annotated[tuple[Length, Length], _FROM_LIST]

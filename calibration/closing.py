@@ -1,0 +1,110 @@
+"""Close the loop on an experiment: from measured trials to a verdict and a better model."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.evidence import Problem
+from calibration.fit import Fit, fit
+from calibration.measured import Record, records
+from calibration.plant import Parameter, candidates, parameters, start
+from calibration.search import Search, search
+from calibration.verdict import Excess, decide, excess, floors, rms_errors
+from slider_jax.errors import InputError
+from slider_jax.experiment import Experiment
+
+SYSTEMATIC = {"C_d": 0.01, "m_a": 0.015, "k": 0.001, "K_Q": 0.005}
+"""Share by which the base model's parameters differ between two correct programs, one standard
+deviation; in every interval beside what the noise leaves. Effects' parameters get `EFFECT`."""
+EFFECT = 0.02
+LEAST_TRIALS = 3
+
+
+@dataclass(frozen=True)
+class Errors:
+    """rms of measured less predicted, and the floor, of every channel in its unit."""
+
+    before: dict[str, float]
+    after: dict[str, float]
+    floor: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Everything that closing the loop found."""
+
+    experiment: Experiment
+    entries: list[Parameter]
+    verdict: str
+    search: Search
+    final: Fit
+    """The chosen model, refitted to all trials."""
+    problem: Problem
+    """All trials."""
+    used: Errors
+    held_out: Errors | None
+    excess_before: dict[str, Excess]
+    excess_after: dict[str, Excess]
+    held: list[int]
+    """Trials that the search did not see, by their place in `problem.records`."""
+
+    def interval(self, index: int) -> tuple[float, float, float]:
+        """Value and 95 % interval of an entry that was fitted."""
+        place = int(np.flatnonzero(self.final.free == index)[0])
+        value, p = float(self.final.theta[index]), self.entries[index]
+        share = EFFECT if p.effect else SYSTEMATIC[p.name]
+        error = float(np.hypot(np.sqrt(self.final.covariance[place, place]), share * value))
+        return value, value - 1.96 * error, value + 1.96 * error
+
+
+def choose_held_out(found: Sequence[Record]) -> list[int]:
+    """A quarter of the trials, spread over the frequencies but not their ends; none of too few."""
+    if len(found) < 2 * LEAST_TRIALS:
+        return []
+    order = sorted(range(len(found)), key=lambda i: (found[i].trial.frequency or 0.0, i))
+    return sorted(order[2:-1:4])
+
+
+def close_loop(
+    experiment: Experiment,
+    effects: Sequence[str] | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Outcome:
+    """Search what the model of `experiment` lacks on its measured trials.
+
+    `effects` are the candidates' names, all of the library by default. Raises `InputError` where
+    there are too few trials.
+    """
+    names = tuple(candidates() if effects is None else effects)
+    found = records(experiment)
+    if len(found) < LEAST_TRIALS:
+        raise InputError(
+            f"{experiment.folder}: holds {len(found)} measured trials; tracing an effect needs "
+            f"{LEAST_TRIALS} or more, so that each can be left out"
+        )
+    entries = parameters(names)
+    held = choose_held_out(found)
+    seen = [r for i, r in enumerate(found) if i not in held]
+    everything = Problem.of(experiment, found, names)
+    problem = Problem.of(experiment, seen, names) if held else everything
+    base = {n: getattr(experiment.parameters, n) for n in ("C_d", "m_a", "k", "K_Q")}
+    result = search(problem, entries, start(entries, base), progress)
+    before, after = excess(problem, result.base), excess(problem, result.final)
+    verdict = decide(result, before, after)
+    hidden = None
+    if held:
+        progress("predicting the trials that were held out")
+        rest = Problem.of(experiment, [found[i] for i in held], names)
+        hidden = _errors(rest, result)
+    progress("refitting to all trials")
+    final = fit(everything, entries, result.final.theta, result.final.free, progress)
+    return Outcome(
+        experiment, entries, verdict, result, final, everything, _errors(problem, result),
+        hidden, before, after, held,
+    )  # fmt: skip
+
+
+def _errors(problem: Problem, found: Search) -> Errors:
+    before, after = (problem.predict(f.theta) for f in (found.base, found.final))
+    return Errors(rms_errors(problem, before), rms_errors(problem, after), floors(problem, after))

@@ -1,0 +1,238 @@
+"""What the sensors of a trial would read for a parameter vector, and the tangents of it."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from calibration.plant import Extended
+from slider_jax import observables as obs
+from slider_jax.batch import available_cores
+from slider_jax.effects import Readings
+from slider_jax.experiment import Experiment, sample_times, to_model, to_numerics
+from slider_jax.grid import split_cells
+from slider_jax.instruments import recorded
+from slider_jax.parameters import Numerics
+from slider_jax.pneumatics import chamber_history, start_chambers
+from slider_jax.rollout import TimeGrid, rollout
+from slider_jax.sampling import edge_steps, half_period_steps, sample
+from slider_jax.schema import Trial
+from slider_jax.step import Carry, Snapshot, at_rest
+
+CHANNELS = ("p_front", "p_rear", "thrust", "recoil", "tip")
+"""The sensors' channels, in this order in every array; Pa, Pa, N, N, m."""
+BLOCK = 500
+"""Steps and samples a call of a compiled program: trials of all lengths share programs."""
+DIRECTIONS = 8
+"""Tangents a call of the compiled program."""
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """Mesh and step: `nodes`, at least `per_stride` steps a stride, none longer than `step` [s]."""
+
+    nodes: int
+    per_stride: int
+    step: float
+
+
+FINE = Resolution(51, 200, 2.0e-3)
+"""For residuals."""
+COARSE = Resolution(31, 80, 4.0e-3)
+"""For tangents, which need a tenth of the digits."""
+
+
+@dataclass(frozen=True)
+class TrialPlan:
+    """One trial of the extended model on its time grid."""
+
+    trial: Trial
+    extended: Extended
+    numerics: Numerics
+    h: float
+    steps: int
+    edges: np.ndarray
+    at: np.ndarray
+    """Sample times (n,) [s]."""
+
+    @property
+    def step_times(self) -> np.ndarray:
+        return self.h * np.arange(self.steps + 1)
+
+
+def plan(
+    experiment: Experiment, trial: Trial, effects: tuple[str, ...], resolution: Resolution
+) -> TrialPlan:
+    """Lay a trial out in time and space. Raises `InputError` for a trial that cannot be used."""
+    model, at = to_model(experiment, trial), sample_times(experiment, trial)
+    robot = experiment.robot
+    cells = split_cells(resolution.nodes, robot.tail_length, robot.body_length)
+    numerics = replace(to_numerics(experiment)[0], tail_cells=cells[0], body_cells=cells[1])
+    if trial.frequency is None:
+        h, edges = _even(at, resolution.step), None
+    else:
+        longest = min(resolution.step, 1.0 / (trial.frequency * resolution.per_stride))
+        half = half_period_steps(trial.frequency, longest, trial.phase)
+        h, edges = 0.5 / (trial.frequency * half), half
+    steps = int(np.ceil(at[-1] / h * (1.0 - 1e-9)))
+    ends = np.array([0, steps]) if edges is None else edge_steps(steps, edges, trial.phase)
+    density = jnp.asarray(robot.water_density)
+    return TrialPlan(trial, Extended(model, density, effects), numerics, h, steps, ends, at)
+
+
+def _even(at: np.ndarray, longest: float) -> float:
+    spacing = float(np.median(np.diff(at)))
+    return spacing / np.ceil(spacing / longest * (1.0 - 1e-9))
+
+
+def _save(x: Snapshot):
+    return jnp.stack([*x.chambers.p, obs.thrust(x), obs.recoil(x), obs.tip(x)])
+
+
+def _chunk(extended: Extended, theta, carry: Carry, h, t0, numerics: Numerics):
+    """`BLOCK` more steps: (p_front, p_rear, thrust, recoil, tip) (BLOCK, 5), and what carries on."""
+    times = TimeGrid(h, BLOCK, t0)
+    out = rollout(extended.at(theta), times, _save, numerics, begin=carry, checkpoint=False)
+    return out.saved, out.final
+
+
+def _read(extended: Extended, theta, t, series):
+    """thrust, recoil, tip (3, n) that the instruments make of `series` (n, 5)."""
+    read = recorded(extended.at(theta).effects, Readings(t, *series.T))
+    return jnp.stack([read.thrust, read.recoil, read.tip])
+
+
+def _pressures(extended: Extended, theta, t):
+    """p_front, p_rear (2, n) at the even sample times `t`, exact between them."""
+    model = extended.at(theta)
+    begin = start_chambers(model)
+    p = jnp.concatenate([begin.p[None], chamber_history(model, begin, t).p]).T
+    zero = jnp.zeros_like(t)
+    read = recorded(model.effects, Readings(t, *p, zero, zero, zero))
+    return jnp.stack([read.p_front, read.p_rear])
+
+
+def _along(function, arguments, directions):
+    """Tangents of function(*arguments) along `directions`, each argument's with a leading axis."""
+    dynamic, static = eqx.partition(arguments, eqx.is_inexact_array)
+
+    def value(dynamic):
+        out = function(*eqx.combine(dynamic, static))
+        return eqx.filter(out, eqx.is_inexact_array)
+
+    return jax.vmap(lambda d: jax.jvp(value, (dynamic,), (d,))[1])(directions)
+
+
+@eqx.filter_jit
+def _begin(extended: Extended, theta, numerics: Numerics) -> Carry:
+    return at_rest(extended.at(theta), numerics)
+
+
+_advance, _recorded, _chambers = map(eqx.filter_jit, (_chunk, _read, _pressures))
+
+
+@eqx.filter_jit
+def _begin_along(extended: Extended, theta, directions, numerics: Numerics):
+    return _along(lambda x: at_rest(extended.at(x), numerics), (theta,), (directions,))
+
+
+@eqx.filter_jit
+def _advance_along(extended: Extended, theta, carry, d_theta, d_carry, h, t0, numerics: Numerics):
+    def function(theta, carry):
+        return _chunk(extended, theta, carry, h, t0, numerics)
+
+    return function(theta, carry)[1], _along(function, (theta, carry), (d_theta, d_carry))
+
+
+@eqx.filter_jit
+def _recorded_along(extended: Extended, theta, t, series, d_theta, d_series):
+    return _along(lambda x, s: _read(extended, x, t, s), (theta, series), (d_theta, d_series))
+
+
+@eqx.filter_jit
+def _chambers_along(extended: Extended, theta, t, d_theta):
+    return _along(lambda x: _pressures(extended, x, t), (theta,), (d_theta,))
+
+
+def _sample_grid(at: np.ndarray) -> np.ndarray:
+    """Even times from 0 on that hold the sample times `at`, padded to a whole number of blocks."""
+    spacing = float(np.median(np.diff(at)))
+    before = np.ceil(at[0] / spacing - 1e-9)
+    n = -(-(len(at) + int(before) + 1) // BLOCK) * BLOCK
+    t = at[0] + spacing * (np.arange(n) - before)
+    t[0] = 0.0
+    return t
+
+
+def _sampled(p: TrialPlan, body: np.ndarray, pressures: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Series (..., 3, steps) and (..., 2, n) at the trial's sample times: (..., 5, samples)."""
+    lead = body.shape[:-2]
+    flat = body.reshape(-1, body.shape[-1])[:, : p.steps + 1].T
+    at_samples = sample(p.step_times, flat, p.at, p.edges).T.reshape(*lead, 3, len(p.at))
+    index = np.clip(np.round((p.at - t[0]) / (t[1] - t[0])).astype(int), 0, len(t) - 1)
+    return np.concatenate([pressures[..., index], at_samples], axis=-2)
+
+
+def predict(p: TrialPlan, theta: np.ndarray) -> np.ndarray:
+    """Readings (5, samples) of a trial; NaN from the time on at which a step failed."""
+    series, failed_at = _series(p, jnp.asarray(theta))
+    t = p.h * np.arange(len(series))
+    read = np.array(_recorded(p.extended, jnp.asarray(theta), jnp.asarray(t), series))
+    read[:, t >= failed_at - 0.5 * p.h] = np.nan
+    grid = _sample_grid(p.at)
+    pressures = _chambers(p.extended, jnp.asarray(theta), jnp.asarray(grid))
+    return _sampled(p, read, np.asarray(pressures), grid)
+
+
+def _series(p: TrialPlan, theta) -> tuple[Array, float]:
+    """True series (n, 5) with the start, and when a step failed or inf [s]."""
+    carry = _begin(p.extended, theta, p.numerics)
+    parts = [jnp.concatenate([carry.chambers.p, jnp.zeros(3)])[None]]
+    h = jnp.asarray(p.h)
+    for done in range(0, p.steps, BLOCK):
+        t0 = jnp.asarray(p.h * done)
+        saved, carry = _advance(p.extended, theta, carry, h, t0, p.numerics)
+        parts.append(saved)
+    return jnp.concatenate(parts), float(carry.failed_at)
+
+
+def tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Derivatives (k, 5, samples) of the readings along `directions` (k, parameters)."""
+    k = len(directions)
+    padded = np.zeros((-(-k // DIRECTIONS) * DIRECTIONS, len(theta)))
+    padded[:k] = directions
+    at, grid = jnp.asarray(theta), _sample_grid(p.at)
+    series, _ = _series(p, at)
+    t = jnp.asarray(p.h * np.arange(len(series)))
+    parts = []
+    for first in range(0, len(padded), DIRECTIONS):
+        d = jnp.asarray(padded[first : first + DIRECTIONS])
+        read = _recorded_along(p.extended, at, t, series, d, _series_along(p, at, d))
+        pressures = _chambers_along(p.extended, at, jnp.asarray(grid), d)
+        parts.append(_sampled(p, np.asarray(read), np.asarray(pressures), grid))
+    return np.concatenate(parts)[:k]
+
+
+def _series_along(p: TrialPlan, theta, d_theta) -> Array:
+    """Tangents (directions, n, 5) of `_series`."""
+    carry = _begin(p.extended, theta, p.numerics)
+    d_carry = _begin_along(p.extended, theta, d_theta, p.numerics)
+    parts = [jnp.pad(d_carry.chambers.p, ((0, 0), (0, 3)))[:, None]]
+    h = jnp.asarray(p.h)
+    for done in range(0, p.steps, BLOCK):
+        t0 = jnp.asarray(p.h * done)
+        carry, (d_saved, d_carry) = _advance_along(
+            p.extended, theta, carry, d_theta, d_carry, h, t0, p.numerics
+        )
+        parts.append(d_saved)
+    return jnp.concatenate(parts, axis=1)
+
+
+def on_all_cores(work, items: list) -> list:
+    """`work(item)` for every item, in order, on as many threads as there are cores."""
+    with ThreadPoolExecutor(max_workers=available_cores()) as pool:
+        return list(pool.map(work, items))

@@ -1,0 +1,157 @@
+"""The outcome as report.json and model.toml."""
+
+from typing import Any
+
+import numpy as np
+
+from calibration.closing import Errors, Outcome
+from calibration.plant import BASE
+from calibration.verdict import FLOOR
+from slider_jax.effects import Effect
+from slider_jax.effects.library import LIBRARY
+from slider_jax.provenance import versions
+
+UNITS = {"p_front": "Pa", "p_rear": "Pa", "thrust": "N", "recoil": "N", "tip": "m"}
+
+
+def report(outcome: Outcome, seconds: float, source: dict[str, Any]) -> dict[str, Any]:
+    """The content of report.json; `source` names the input."""
+    held = outcome.held_out
+    trials = outcome.problem.records
+    return {
+        "verdict": outcome.verdict,
+        "said": sentence(outcome),
+        "effects": effects(outcome),
+        "parameters": {name: _interval(outcome, "", name) for name in BASE},
+        "errors": _table(outcome.used),
+        "held_out": _table(held) if held else {},
+        "held_out_trials": [trials[i].trial.file for i in outcome.held],
+        "candidates": ranking(outcome),
+        "unexplained": where(outcome),
+        "audit": [],
+        "next_experiment": None,
+        "units": UNITS,
+        "seconds": seconds,
+        "input": source,
+        "versions": versions(),
+        "settings": outcome.experiment.model_dump(),
+    }
+
+
+def effects(outcome: Outcome) -> list[dict[str, Any]]:
+    """Every effect that was added, with the names it cannot be told from and its parameters."""
+    found = []
+    for this in outcome.search.rounds:
+        if this.chosen is None:
+            continue
+        kind = LIBRARY[this.chosen]
+        tried = next(t for t in this.tried if t.name == this.chosen)
+        found.append(
+            {
+                "name": this.chosen,
+                "title": kind.title,
+                "class": this.alike,
+                "parameters": {p: _interval(outcome, this.chosen, p) for p in kind.priors()},
+                "where": place(kind),
+                "channels": {c: share for c, share in tried.sizes.items() if share > 1e-4},
+                "gain": tried.gain,
+            }
+        )
+    return found
+
+
+def place(kind: type[Effect]) -> str:
+    """Where an effect enters: the name of its place."""
+    return next(base.__name__ for base in kind.__mro__[1:] if base.__module__.endswith(".base"))
+
+
+def _interval(outcome: Outcome, effect: str, name: str) -> dict[str, Any]:
+    index = next(i for i, p in enumerate(outcome.entries) if (p.effect, p.name) == (effect, name))
+    prior = outcome.entries[index].prior
+    value, low, high = outcome.interval(index)
+    determined = high - low < 0.5 * (prior.high - prior.low)
+    told = {"value": value, "low": low, "high": high, "unit": prior.unit}
+    return told if determined else told | {"value": None, "not_determined_by_these_data": True}
+
+
+def _table(errors: Errors) -> dict[str, dict[str, float]]:
+    return {
+        c: {"before": errors.before[c], "after": errors.after[c], "floor": errors.floor[c]}
+        for c in errors.before
+    }
+
+
+def ranking(outcome: Outcome) -> list[dict[str, Any]]:
+    """All candidates of all rounds, best first, and why each was left."""
+    rows = []
+    for number, this in enumerate(outcome.search.rounds, start=1):
+        tried = {t.name: t for t in this.tried}
+        for s in this.scores:
+            row = {"round": number, "name": s.name, "score": s.gain, "p": s.p}
+            if s.name in tried:
+                t = tried[s.name]
+                row |= {"explained": t.gain, "sizes": t.sizes, "left_out_trials_agree": t.agree}
+            rows.append(row | {"chosen": s.name == this.chosen})
+    return rows
+
+
+def where(outcome: Outcome) -> list[dict[str, Any]]:
+    """Channels and trials whose residual stands above the floor after the last fit."""
+    seen = [r for i, r in enumerate(outcome.problem.records) if i not in outcome.held]
+    found = []
+    for channel, x in outcome.excess_after.items():
+        if x.all <= FLOOR:
+            continue
+        worst = int(np.argmax(x.trials))
+        trial = seen[worst].trial
+        found.append(
+            {
+                "channel": channel,
+                "mean_square_over_noise": x.all,
+                "worst_trial": trial.file,
+                "frequency_Hz": trial.frequency,
+                "amplitude_Pa": trial.amplitude,
+                "tow_speed_m_per_s": trial.tow_speed,
+            }
+        )
+    return found
+
+
+def sentence(outcome: Outcome) -> str:
+    """The verdict in a sentence."""
+    names = [e["name"] for e in effects(outcome)]
+    titles = ", ".join(f"{LIBRARY[n].title} ({n})" for n in names)
+    match outcome.verdict:
+        case "nothing_missing":
+            return "Nothing is missing at the precision of these data: the residual is noise."
+        case "identified":
+            return f"The model lacked: {titles}."
+        case "class":
+            rivals = ", ".join(n for e in effects(outcome) for n in e["class"])
+            return (
+                f"The model lacked: {titles}; these data cannot tell "
+                f"{'it' if len(names) == 1 else 'these'} from {rivals}."
+            )
+        case "unexplained":
+            channels = ", ".join(x["channel"] for x in where(outcome))
+            best = f" The nearest, {titles}, leaves too much of it." if names else ""
+            return (
+                f"Something is missing in {channels}, and none of the candidates explains it."
+                + best
+            )
+    return "Inconclusive: a candidate explains more than chance, but the trials do not agree on it."
+
+
+def model_toml(outcome: Outcome) -> str:
+    """The calibrated model with its effects, for `slider simulate --model`."""
+    lines = [f"# {sentence(outcome)}", "[parameters]"]
+    theta = outcome.final.theta
+    for i, p in enumerate(outcome.entries):
+        if not p.effect:
+            lines.append(f"{p.name} = {theta[i]:.9g}")
+    for name in outcome.search.effects:
+        lines += ["", "[[effects]]", f'name = "{name}"']
+        lines += [
+            f"{p.name} = {theta[i]:.9g}" for i, p in enumerate(outcome.entries) if p.effect == name
+        ]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,156 @@
+"""report.html: one file with its pictures inside, for someone who was not there."""
+
+import base64
+import html
+import io
+from typing import Any
+
+import numpy as np
+
+from calibration.closing import Outcome
+from calibration.forward import CHANNELS
+
+SHOWN = {"p_front": (1e-3, "kPa"), "p_rear": (1e-3, "kPa"), "thrust": (1e3, "mN"),
+         "recoil": (1e3, "mN"), "tip": (1e3, "mm")}  # fmt: skip
+STYLE = """body{font:16px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}
+table{border-collapse:collapse;margin:1em 0}td,th{padding:.2em .8em;text-align:right;
+border-bottom:1px solid #ddd}td:first-child,th:first-child{text-align:left}
+img{max-width:100%}.verdict{font-size:1.3em;border-left:.3em solid #357;padding-left:.8em}"""
+
+
+def page(outcome: Outcome, told: dict[str, Any]) -> str:
+    """The whole page."""
+    parts = [
+        f"<h1>{_text(outcome.experiment.name)}</h1>",
+        f"<p class=verdict>{_text(told['said'])}</p>",
+        "<h2>Error before and after</h2>",
+        "<p>Root mean square of measured less predicted. The floor is what noise, tare and the "
+        "difference of correct programs leave.</p>",
+        _errors("Trials that the search used", told["errors"]),
+    ]
+    if told["held_out"]:
+        names = ", ".join(told["held_out_trials"])
+        parts.append(_errors(f"Trials held out of it ({names})", told["held_out"]))
+    parts += [
+        "<h2>Measured, before and after</h2>",
+        _picture(residual_figure(outcome), "measured less predicted of one trial"),
+        "<h2>Parameters</h2>",
+        _parameters(told),
+        "<h2>Candidates</h2>",
+        "<p>Score: by how much a candidate and the parameters together lower the sum of squares "
+        "of the noise-free residual, in units of its mean square, by one linearisation.</p>",
+        _picture(score_figure(told), "scores of the candidates"),
+    ]
+    if told["unexplained"]:
+        parts += ["<h2>What is left</h2>", _left(told["unexplained"])]
+    body = "\n".join(parts)
+    return f"<!doctype html><meta charset=utf-8><title>{_text(outcome.experiment.name)}</title>" + (
+        f"<style>{STYLE}</style>{body}\n"
+    )
+
+
+def _text(value: Any) -> str:
+    return html.escape(str(value))
+
+
+def _rows(head: list[str], rows: list[list[str]]) -> str:
+    line = "".join(f"<th>{_text(x)}</th>" for x in head)
+    body = "".join("<tr>" + "".join(f"<td>{_text(x)}</td>" for x in row) + "</tr>" for row in rows)
+    return f"<table><tr>{line}</tr>{body}</table>"
+
+
+def _errors(title: str, table: dict[str, dict[str, float]]) -> str:
+    rows = []
+    for channel, row in table.items():
+        factor, unit = SHOWN[channel]
+        rows.append([f"{channel} ({unit})", *(f"{factor * row[x]:.3g}" for x in row)])
+    return f"<h3>{_text(title)}</h3>" + _rows(["channel", "before", "after", "floor"], rows)
+
+
+def _parameters(told: dict[str, Any]) -> str:
+    rows = [[name, *_interval(x)] for name, x in told["parameters"].items()]
+    for effect in told["effects"]:
+        rows += [[f"{effect['name']}.{n}", *_interval(x)] for n, x in effect["parameters"].items()]
+    return _rows(["parameter", "value", "95 % interval", "unit"], rows)
+
+
+def _interval(x: dict[str, Any]) -> list[str]:
+    if x["value"] is None:
+        return ["not determined by these data", f"{x['low']:.3g} to {x['high']:.3g}", x["unit"]]
+    return [f"{x['value']:.4g}", f"{x['low']:.4g} to {x['high']:.4g}", x["unit"]]
+
+
+def _left(rows: list[dict[str, Any]]) -> str:
+    return _rows(
+        ["channel", "mean square over noise", "most in", "at (Hz)"],
+        [
+            [
+                x["channel"],
+                f"{x['mean_square_over_noise']:.1f}",
+                x["worst_trial"],
+                f"{x['frequency_Hz'] or float('nan'):g}",
+            ]
+            for x in rows
+        ],  # fmt: skip
+    )
+
+
+def _picture(figure, says: str) -> str:
+    import matplotlib.pyplot as plt
+
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110)
+    plt.close(figure)
+    content = base64.b64encode(buffer.getvalue()).decode()
+    return f'<img alt="{_text(says)}" src="data:image/png;base64,{content}">'
+
+
+def residual_figure(outcome: Outcome):
+    """Residuals of the base model and of the last one, every channel of one trial."""
+    import matplotlib.pyplot as plt
+
+    record, before, after = _shown_trial(outcome)
+    channels = [c for c in CHANNELS if record.has(c)]
+    figure, axes = plt.subplots(
+        len(channels), 1, figsize=(9, 1.7 * len(channels)), sharex=True, layout="constrained",
+        squeeze=False,
+    )  # fmt: skip
+    for axis, channel in zip(axes[:, 0], channels, strict=True):
+        row, (factor, unit) = CHANNELS.index(channel), SHOWN[channel]
+        there = record.there(channel)
+        for series, label, colour in ((before, "before", "0.6"), (after, "after", "C0")):
+            apart = factor * (record.values[row] - series[row])[there]
+            axis.plot(record.t[there], apart, color=colour, lw=0.7, label=label)
+        axis.set_ylabel(f"{channel}\n({unit})")
+    axes[0, 0].set_title(f"measured less predicted, {record.trial.file}", loc="left")
+    axes[0, 0].legend(loc="upper right", ncols=2, fontsize="small")
+    axes[-1, 0].set_xlabel("time (s)")
+    return figure
+
+
+def _shown_trial(outcome: Outcome):
+    """The seen trial on which the fits differ most: its record, and both predictions."""
+    seen = [i for i in range(len(outcome.problem.records)) if i not in outcome.held]
+    pairs = list(zip(outcome.search.base.predicted, outcome.search.final.predicted, strict=True))
+    apart = [
+        sum(float(np.mean((a[c] - b[c]) ** 2) / np.var(a[c])) for c in (2, 3, 4)) for a, b in pairs
+    ]
+    k = int(np.argmax(apart))
+    return outcome.problem.records[seen[k]], *pairs[k]
+
+
+def score_figure(told: dict[str, Any]):
+    """The best scores of every round."""
+    import matplotlib.pyplot as plt
+
+    rounds = sorted({x["round"] for x in told["candidates"]})
+    figure, axes = plt.subplots(
+        1, max(len(rounds), 1), figsize=(max(5.0 * len(rounds), 6.0), 4), layout="constrained",
+        squeeze=False,
+    )  # fmt: skip
+    for axis, number in zip(axes[0], rounds, strict=False):
+        rows = [x for x in told["candidates"] if x["round"] == number][:12][::-1]
+        colours = ["C0" if x["chosen"] else "0.7" for x in rows]
+        axis.barh([x["name"] for x in rows], [max(x["score"], 0.1) for x in rows], color=colours)
+        axis.set(xscale="log", xlabel="score (-)", title=f"round {number}")
+    return figure

@@ -1,0 +1,88 @@
+"""What a search amounts to, in one of five words, and how far the residual is from its floor."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from calibration.evidence import Problem
+from calibration.fit import Fit
+from calibration.forward import CHANNELS
+from calibration.noise import DISCREPANCY
+from calibration.search import Search
+
+FLOOR = 1.5
+"""Mean square of a channel's white residual up to which it is at the floor: programs that agree
+leave up to 1.3."""
+EXPLAINED = 0.8
+"""Share of what stood above the floor that the effects must remove to be named."""
+
+NOTHING, IDENTIFIED, CLASS = "nothing_missing", "identified", "class"
+UNEXPLAINED, INCONCLUSIVE = "unexplained", "inconclusive"
+
+
+class Excess(NamedTuple):
+    """Mean squares of a channel's white residuals, trial by trial and all together."""
+
+    trials: np.ndarray
+    all: float
+
+
+def excess(problem: Problem, fit: Fit) -> dict[str, Excess]:
+    """How far the residual of a fit stands above the noise, channel by channel; 1 is the floor."""
+    white = problem.whiteners(fit.predicted)
+    residuals = problem.residuals(fit.predicted, white)
+    found = {}
+    for channel in problem.channels:
+        each = [r for (_, name), r in residuals.items() if name == channel]
+        if each:
+            squares = np.array([float(np.mean(r**2)) for r in each])
+            found[channel] = Excess(squares, float(np.mean(np.concatenate(each) ** 2)))
+    return found
+
+
+def decide(search: Search, before: dict[str, Excess], after: dict[str, Excess]) -> str:
+    """The verdict on a search from the excess of the base model's and of the last fit."""
+    left = {c: x.all for c, x in after.items() if x.all > FLOOR}
+    if not search.final.converged:
+        return INCONCLUSIVE
+    if not search.effects:
+        if left:
+            return UNEXPLAINED
+        doubtful = [t for r in search.rounds for t in r.tried if t.worth_naming and t.gain > 20.0]
+        return INCONCLUSIVE if doubtful else NOTHING
+    for channel in left:
+        stood, stands = before[channel].all - 1.0, after[channel].all - 1.0
+        if stands > (1.0 - EXPLAINED) * stood:
+            return UNEXPLAINED
+    return CLASS if any(r.alike for r in search.rounds if r.chosen) else IDENTIFIED
+
+
+def rms_errors(problem: Problem, predicted: list[np.ndarray]) -> dict[str, float]:
+    """rms of measured less predicted of every channel, in its unit, all trials together."""
+    found = {}
+    for channel in problem.channels:
+        row = CHANNELS.index(channel)
+        apart = [
+            (r.values[row] - y[row])[r.there(channel)]
+            for r, y in zip(problem.records, predicted, strict=True)
+            if r.has(channel)
+        ]
+        if apart:
+            found[channel] = float(np.sqrt(np.mean(np.concatenate(apart) ** 2)))
+    return found
+
+
+def floors(problem: Problem, predicted: list[np.ndarray]) -> dict[str, float]:
+    """The rms that noise, tare and the difference of correct programs leave in every channel."""
+    found = {}
+    for channel in problem.channels:
+        row, parts = CHANNELS.index(channel), []
+        for (i, name), noise in problem.noise.items():
+            if name == channel:
+                share = DISCREPANCY[channel] * float(np.std(predicted[i][row]))
+                square = noise.white**2 + noise.slow**2 + noise.tare**2 + share**2
+                parts.append((square, int(problem.records[i].there(channel).sum())))
+        if parts:
+            squares, counts = np.array(parts).T
+            found[channel] = float(np.sqrt(np.average(squares, weights=counts)))
+    return found
