@@ -94,7 +94,7 @@ def _save(x: Snapshot):
 
 
 def _chunk(extended: Extended, theta, carry: Carry, h, t0, numerics: Numerics):
-    """`BLOCK` more steps: (p_front, p_rear, thrust, recoil, tip) (BLOCK, 5), and what carries on."""
+    """`BLOCK` more steps: p_front, p_rear, thrust, recoil, tip (BLOCK, 5), and what carries on."""
     times = TimeGrid(h, BLOCK, t0)
     out = rollout(extended.at(theta), times, _save, numerics, begin=carry, checkpoint=False)
     return out.saved, out.final

@@ -9,8 +9,6 @@ from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 

@@ -9,7 +9,8 @@ With kappa = d(phi)/ds, omega = d(phi)/dt and the strain eps, in the paper's not
     m (dV_n/dt + omega V_tau) = dN/ds + kappa T + (1 + eps) F_n                   (along n)
     0                   = dM/ds + (1 + eps) N                                     (moment)
 
-M_extra being what the model's effects add, and T = EA (eps + alpha d(eps)/dt), which is solved for eps in each cell, so eps is no unknown.
+M_extra being what the model's effects add, and T = EA (eps + alpha d(eps)/dt), which is solved for
+eps in each cell, so eps is no unknown.
 
 A time derivative is always (value - reference)/dt: every stage of a scheme has this form.
 """

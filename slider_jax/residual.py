@@ -22,7 +22,8 @@ from slider_jax.supports import Support
 class Stage(eqx.Module):
     """Everything that one implicit stage holds fixed while its unknowns are sought.
 
-    `water`: velocity [m/s] and acceleration [m/s^2], each (x, y). `phi_head` and `load_head` (T, N, M) are references as those of `Reference`, at the head.
+    `water`: velocity [m/s] and acceleration [m/s^2], each (x, y). `phi_head` and `load_head`
+    (T, N, M) are references as those of `Reference`, at the head.
     """
 
     structure: Structure

@@ -74,7 +74,8 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
     """The function that advances a `Carry` by one step.
 
     It takes (carry, (t, h, chambers)): the step's start and length [s], and the chambers at each of
-    its stages, stacked. It returns the new carry and a `Snapshot` at the step's end. Raises `ValueError` when traced in float32.
+    its stages, stacked. It returns the new carry and a `Snapshot` at the step's end. Raises
+    `ValueError` when traced in float32.
     """
     if mesh.grid.s.dtype != jnp.float64:
         raise ValueError(

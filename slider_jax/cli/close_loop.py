@@ -17,8 +17,8 @@ def close_loop(
 ) -> None:
     """Calibrate, find the residual, trace it to an effect the model lacks, add it, report.
 
-    Writes DIR/report.html (to read), DIR/report.json (to process) and DIR/model.toml (the calibrated
-    model with what was found, for `slider simulate --model`).
+    Writes DIR/report.html (to read), DIR/report.json (to process) and DIR/model.toml (the
+    calibrated model with what was found, for `slider simulate --model`).
 
     Args:
         experiment: the experiment file (.toml), its measured trials beside it.
