@@ -21,7 +21,8 @@ from calibration.transforms import Bounds
 ITERATIONS = 8
 """Outer iterations at most."""
 CLOSE = 0.02
-"""A step of less than so many standard errors in every parameter ends the fit."""
+"""A step of less than so many standard errors in every parameter ends the fit, the errors being
+those that the residual leaves as it is."""
 
 
 class Fit(NamedTuple):
@@ -81,7 +82,8 @@ def fit(
         blocks = problem.blocks(residuals, problem.tangents(theta, directions), white)
         A, b = sum(x.A for x in blocks), sum(x.b for x in blocks)
         wanted = _linear_optimum(A, b, theta[free], bounds)
-        error = np.sqrt(np.diag(inverse(A)))
+        unit = max(1.0, square / max(sum(x.n for x in blocks), 1))
+        error = np.sqrt(unit * np.diag(inverse(A)))
         step = wanted - theta[free]
         progress(f"iteration {iteration + 1}: sum of squares {square:.6g}")
         if np.all(np.abs(step) < CLOSE * error):
@@ -99,7 +101,7 @@ def fit(
             break
         gained = square - total(found)
         theta, predicted, residuals, square = trial, tried, found, total(found)
-        if gained < 0.05:
+        if gained < 0.05 * unit:
             converged = True
             blocks = problem.blocks(residuals, problem.tangents(theta, directions), white)
             break

@@ -30,6 +30,9 @@ COMMANDS = {
     "sweep": Command(
         "slider_jax.cli.sweep:sweep", "one or two fields of an experiment over ranges"
     ),
+    "close-loop": Command(
+        "slider_jax.cli.close_loop:close_loop", "what a model lacks, from measured trials"
+    ),
     "effects": Command(
         "slider_jax.cli.effects:effects", "what a model may lack, and what it does to the sensors"
     ),
