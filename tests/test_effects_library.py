@@ -90,12 +90,18 @@ def differs(found):
     return largest(found - bare()) > 1e-12 * largest(bare())
 
 
+def not_as_without(names):
+    """Those of the effects that change a reading at their null, by halving."""
+    found = np.asarray(jax.jit(lambda: readings(tuple(LIBRARY[name]() for name in names)))())
+    if not differs(found).any():
+        return []
+    half = len(names) // 2
+    return not_as_without(names[:half]) + not_as_without(names[half:]) if half else names
+
+
 def test_at_their_nulls_the_effects_leave_every_reading_as_it_is():
-    if not differs(value_and_tangent(0)[0]).any():
-        return
-    alone = {name: readings((kind(),)) for name, kind in LIBRARY.items()}
-    off = [name for name, found in alone.items() if differs(np.asarray(found)).any()]
-    pytest.fail(f"not as without the effect at the null: {off}")
+    if differs(value_and_tangent(0)[0]).any():
+        pytest.fail(f"changes a reading at the null: {not_as_without(list(LIBRARY))}")
 
 
 @pytest.fixture(params=range(len(ENTRIES)), ids=[".".join(x) for x in ENTRIES])
