@@ -7,6 +7,7 @@ import numpy as np
 
 from calibration.evidence import Problem
 from calibration.fit import Fit, fit
+from calibration.forward import COARSE, FINE, Resolution
 from calibration.measured import Record, records
 from calibration.plant import Parameter, candidates, parameters, start
 from calibration.search import Search, search
@@ -70,12 +71,18 @@ def close_loop(
     experiment: Experiment,
     effects: Sequence[str] | None = None,
     progress: Callable[[str], None] = lambda text: None,
+    fine: Resolution = FINE,
+    coarse: Resolution = COARSE,
 ) -> Outcome:
     """Search what the model of `experiment` lacks on its measured trials.
 
-    `effects` are the candidates' names, all of the library by default. Raises `InputError` where
-    there are too few trials.
+    `effects` are the candidates' names, all of the library by default. Residuals are computed at
+    the resolution `fine`, tangents at `coarse`. Raises `InputError` where there are too few trials.
     """
+
+    def problem_of(chosen: Sequence[Record]) -> Problem:
+        return Problem.of(experiment, list(chosen), names, fine=fine, coarse=coarse)
+
     names = tuple(candidates() if effects is None else effects)
     found = records(experiment)
     if len(found) < LEAST_TRIALS:
@@ -86,8 +93,8 @@ def close_loop(
     entries = parameters(names)
     held = choose_held_out(found)
     seen = [r for i, r in enumerate(found) if i not in held]
-    everything = Problem.of(experiment, found, names)
-    problem = Problem.of(experiment, seen, names) if held else everything
+    everything = problem_of(found)
+    problem = problem_of(seen) if held else everything
     base = {n: getattr(experiment.parameters, n) for n in ("C_d", "m_a", "k", "K_Q")}
     result = search(problem, entries, start(entries, base), progress)
     before, after = excess(problem, result.base), excess(problem, result.final)
@@ -95,8 +102,7 @@ def close_loop(
     hidden = None
     if held:
         progress("predicting the trials that were held out")
-        rest = Problem.of(experiment, [found[i] for i in held], names)
-        hidden = _errors(rest, result)
+        hidden = _errors(problem_of([found[i] for i in held]), result)
     progress("refitting to all trials")
     final = fit(everything, entries, result.final.theta, result.final.free, progress)
     return Outcome(

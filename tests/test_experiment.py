@@ -29,7 +29,7 @@ def test_every_number_of_the_file_reaches_the_model(tmp_path):
         (robot.linear_density, 0.7),
         (robot.EI_body, 0.038),
         (robot.EI_tail, 0.0058),
-        (robot.EA_body, 5e3),
+        (robot.EA_body, 1e5),
         (robot.damping_time, 0.002),
         (robot.height, 0.03),
         (robot.front_chamber, (0.02, 0.145)),

@@ -81,7 +81,7 @@ def test_summary_means_are_those_of_the_columns(simulated):
     assert summary["seed"] is None and len(summary["input"]["sha256"]) == 64
     expected = {"slider_jax", "python", "jax", "equinox", "optimistix", "lineax", "numpy"}
     assert expected <= set(summary["versions"])
-    assert summary["settings"]["robot"]["EA_body"] == 5e3
+    assert summary["settings"]["robot"]["EA_body"] == 1e5
     first = summary["trials"][0]
     assert first["averaged"] == "last stride" and first["averaged_to_s"] == 0.75
     columns = _read(out / "trial_00.csv")

@@ -1,0 +1,93 @@
+"""The loop closed on tanks with a known answer, over a few candidates on a coarse mesh."""
+
+import json
+
+import numpy as np
+import pytest
+
+from calibration import closing
+from calibration.forward import Resolution
+from calibration.report import model_toml, report
+from calibration.report_html import page
+from calibration.synthetic import Truth, trials, write_tank
+from slider_jax import experiment
+from slider_jax.errors import InputError
+
+CANDIDATES = ("valve_delay", "clamp_compliance", "tangential_friction", "force_gain")
+BASE = {"C_d": 3.2, "m_a": 0.6, "k": 0.08, "K_Q": 4.6e-7}
+TANK = {"nodes": 21, "step": 2e-3, "scheme": "sdirk2"}
+RUNS = [run | {"duration": 1.2} for run in trials(3, count=6)[2:]] + [
+    run | {"duration": 1.2, "file": f"again_{i}.csv"}
+    for i, run in enumerate(trials(4, count=6)[3:])
+]
+
+
+MESH = Resolution(21, 60, 3.0e-3)
+"""Of residuals and tangents: few programs. The tank has another step."""
+
+
+def closed(folder, effects, seed=0):
+    path = write_tank(folder, Truth(BASE, effects), RUNS, seed, numerics=TANK)
+    return closing.close_loop(experiment.load(path), CANDIDATES, fine=MESH, coarse=MESH)
+
+
+@pytest.fixture(scope="module")
+def null(tmp_path_factory):
+    return closed(tmp_path_factory.mktemp("null"), {})
+
+
+@pytest.fixture(scope="module")
+def delayed(tmp_path_factory):
+    return closed(tmp_path_factory.mktemp("delayed"), {"valve_delay": {"delay": 0.02}}, 1)
+
+
+def covers(outcome, name, truth):
+    index = next(i for i, p in enumerate(outcome.entries) if p.label == name)
+    _, low, high = outcome.interval(index)
+    return low < truth < high
+
+
+def test_it_stays_silent_on_data_that_lack_nothing(null):
+    assert (null.verdict, null.search.effects) == ("nothing_missing", [])
+    for name, value in BASE.items():
+        assert covers(null, name, value), name
+
+
+def test_it_names_the_effect_and_its_size(delayed):
+    assert (delayed.verdict, delayed.search.effects) == ("identified", ["valve_delay"])
+    assert covers(delayed, "valve_delay.delay", 0.02)
+    for name, value in BASE.items():
+        assert covers(delayed, name, value), name
+
+
+def test_trials_it_never_saw_are_predicted_at_the_floor(delayed):
+    for channel, floor in delayed.held_out.floor.items():
+        assert delayed.held_out.after[channel] < 1.3 * floor
+    assert delayed.held_out.before["p_front"] > 5 * delayed.held_out.after["p_front"]
+
+
+def test_the_report_is_whole_and_the_model_runs(delayed, tmp_path):
+    told = json.loads(json.dumps(report(delayed, 1.0, {"path": "x"}), default=float))
+    assert told["verdict"] == "identified" and told["effects"][0]["name"] == "valve_delay"
+    assert set(told["parameters"]) == {"C_d", "m_a", "k", "K_Q"}
+    assert told["errors"]["p_front"]["after"] < 0.2 * told["errors"]["p_front"]["before"]
+    assert {row["name"] for row in told["candidates"]} == set(CANDIDATES)
+    html = page(delayed, told)
+    assert html.count("data:image/png") == 2 and "valve_delay" in html
+    (tmp_path / "model.toml").write_text(model_toml(delayed))
+    file = delayed.experiment.folder / "experiment.toml"
+    again = experiment.load(file, tmp_path / "model.toml")
+    assert again.effects[0].name == "valve_delay"
+    np.testing.assert_allclose(again.parameters.k, delayed.final.theta[2], rtol=1e-8)
+
+
+@pytest.mark.slow
+def test_what_none_of_the_candidates_explains_is_said_to_be_unexplained(tmp_path):
+    outcome = closed(tmp_path / "odd", {"stiffening": {"beta": 5e-4}}, 2)
+    assert outcome.verdict == "unexplained"
+
+
+def test_too_few_trials_are_refused(tmp_path):
+    path = write_tank(tmp_path / "two", Truth(BASE, {}), RUNS[:2], 0, numerics=TANK)
+    with pytest.raises(InputError, match="holds 2 measured trials"):
+        closing.close_loop(experiment.load(path), CANDIDATES)
