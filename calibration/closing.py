@@ -3,22 +3,17 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from calibration.evidence import Problem
 from calibration.fit import Fit, fit
 from calibration.forward import COARSE, FINE, Resolution
 from calibration.measured import Record, records
 from calibration.plant import Parameter, candidates, parameters, start
 from calibration.search import Search, search
+from calibration.systematic import interval
 from calibration.verdict import Excess, decide, excess, floors, rms_errors
 from slider_jax.errors import InputError
 from slider_jax.experiment import Experiment
 
-SYSTEMATIC = {"C_d": 0.01, "m_a": 0.015, "k": 0.001, "K_Q": 0.005}
-"""Share by which the base model's parameters differ between two correct programs, one standard
-deviation; in every interval beside what the noise leaves. Effects' parameters get `EFFECT`."""
-EFFECT = 0.02
 LEAST_TRIALS = 3
 
 
@@ -52,11 +47,7 @@ class Outcome:
 
     def interval(self, index: int) -> tuple[float, float, float]:
         """Value and 95 % interval of an entry that was fitted."""
-        place = int(np.flatnonzero(self.final.free == index)[0])
-        value, p = float(self.final.theta[index]), self.entries[index]
-        share = EFFECT if p.effect else SYSTEMATIC[p.name]
-        error = float(np.hypot(np.sqrt(self.final.covariance[place, place]), share * value))
-        return value, value - 1.96 * error, value + 1.96 * error
+        return interval(self.final, self.entries, index)
 
 
 def choose_held_out(found: Sequence[Record]) -> list[int]:

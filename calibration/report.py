@@ -1,11 +1,13 @@
 """The outcome as report.json and model.toml."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from calibration.closing import Errors, Outcome
-from calibration.plant import BASE
+from calibration.plant import BASE, Parameter
+from calibration.systematic import determined
 from calibration.verdict import FLOOR
 from slider_jax.effects import Effect
 from slider_jax.effects.library import LIBRARY
@@ -67,11 +69,15 @@ def place(kind: type[Effect]) -> str:
 
 def _interval(outcome: Outcome, effect: str, name: str) -> dict[str, Any]:
     index = next(i for i, p in enumerate(outcome.entries) if (p.effect, p.name) == (effect, name))
-    prior = outcome.entries[index].prior
-    value, low, high = outcome.interval(index)
-    determined = high - low < 0.5 * (prior.high - prior.low)
-    told = {"value": value, "low": low, "high": high, "unit": prior.unit}
-    return told if determined else told | {"value": None, "not_determined_by_these_data": True}
+    return told(outcome.entries[index], *outcome.interval(index))
+
+
+def told(p: Parameter, value: float, low: float, high: float) -> dict[str, Any]:
+    """A parameter as reports say it: no value where the data do not fix one."""
+    said = {"value": value, "low": low, "high": high, "unit": p.prior.unit}
+    if determined(p, low, high):
+        return said
+    return said | {"value": None, "not_determined_by_these_data": True}
 
 
 def _table(errors: Errors) -> dict[str, dict[str, float]]:
@@ -144,14 +150,16 @@ def sentence(outcome: Outcome) -> str:
 
 def model_toml(outcome: Outcome) -> str:
     """The calibrated model with its effects, for `slider simulate --model`."""
-    lines = [f"# {sentence(outcome)}", "[parameters]"]
-    theta = outcome.final.theta
-    for i, p in enumerate(outcome.entries):
-        if not p.effect:
-            lines.append(f"{p.name} = {theta[i]:.9g}")
-    for name in outcome.search.effects:
+    effects = outcome.search.effects
+    return toml(sentence(outcome), outcome.entries, outcome.final.theta, effects)
+
+
+def toml(said: str, entries: Sequence[Parameter], theta: np.ndarray, effects: Sequence[str]) -> str:
+    """A model file with the base parameters and `effects`, under the comment `said`."""
+    lines = [f"# {said}", "[parameters]"]
+    pairs = list(zip(entries, theta, strict=True))
+    lines += [f"{p.name} = {x:.9g}" for p, x in pairs if not p.effect]
+    for name in effects:
         lines += ["", "[[effects]]", f'name = "{name}"']
-        lines += [
-            f"{p.name} = {theta[i]:.9g}" for i, p in enumerate(outcome.entries) if p.effect == name
-        ]
+        lines += [f"{p.name} = {x:.9g}" for p, x in pairs if p.effect == name]
     return "\n".join(lines) + "\n"

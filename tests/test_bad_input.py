@@ -252,7 +252,10 @@ def test_unknown_command(tmp_path, capsys):
 
 @pytest.mark.parametrize("words", [["calibrate"], ["calibrate", "--help"]])
 def test_a_group_of_commands_lists_them(words, capsys):
-    assert main(words) == 0
+    try:
+        assert main(words) == 0
+    except SystemExit as left:  # the help of the group's own command follows
+        assert left.code == 0 and words[-1] == "--help"
     said = capsys.readouterr().out
     assert "calibrate manifold  the pressure lag" in said and "sweep" not in said
 

@@ -39,6 +39,9 @@ COMMANDS = {
     "calibrate manifold": Command(
         "slider_jax.cli.calibrate:manifold", "the pressure lag from the rig's own logs"
     ),
+    "calibrate": Command(
+        "slider_jax.cli.calibrate_tank:tank", "C_d, m_a, k and K_Q from measured trials"
+    ),
 }
 
 _GROUPS = {name.split()[0] for name in COMMANDS if " " in name}
@@ -76,8 +79,11 @@ def find(arguments: Sequence[str]) -> tuple[str, list[str]]:
     words = list(arguments)
     for name in COMMANDS:
         parts = name.split()
-        if words[: len(parts)] == parts:
-            return name, words[len(parts) :]
+        rest = words[len(parts) :]
+        # A bare word after a group's own command is a mistyped command of it, not a file.
+        mistyped = name in _GROUPS and rest and rest[0].isalpha() and not Path(rest[0]).exists()
+        if words[: len(parts)] == parts and not mistyped:
+            return name, rest
     given = " ".join(words[: 2 if words[0] in _GROUPS else 1])
     raise InputError(
         f"command: given {given!r}; allowed {', '.join(COMMANDS)}"
@@ -129,7 +135,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     if arguments[0] in _GROUPS and (len(arguments) == 1 or arguments[1] in ("-h", "--help")):
         print(usage(arguments[0]))
-        return 0
+        if len(arguments) == 1 or arguments[0] not in COMMANDS:
+            return 0
+        print()
     if arguments[0] == "--version":
         from slider_jax import __version__
 

@@ -1,0 +1,34 @@
+"""Intervals of fitted parameters: what the noise leaves, and what correct programs differ by."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calibration.fit import Fit
+from calibration.plant import Parameter
+
+SYSTEMATIC = {"C_d": 0.01, "m_a": 0.015, "k": 0.001, "K_Q": 0.005}
+"""Share by which the base model's parameters differ between two correct programs, one standard
+deviation; in every interval beside what the noise leaves."""
+EFFECT = 0.02
+"""The same of an effect's parameter."""
+
+
+def interval(fit: Fit, entries: Sequence[Parameter], index: int) -> tuple[float, float, float]:
+    """Value and 95 % interval of the entry `index`, which was fitted."""
+    place = int(np.flatnonzero(fit.free == index)[0])
+    value, p = float(fit.theta[index]), entries[index]
+    share = EFFECT if p.effect else SYSTEMATIC[p.name]
+    error = float(np.hypot(np.sqrt(fit.covariance[place, place]), share * value))
+    return value, value - 1.96 * error, value + 1.96 * error
+
+
+def determined(p: Parameter, low: float, high: float) -> bool:
+    """Whether an interval says anything: narrower than half of what was believed before."""
+    return high - low < 0.5 * (p.prior.high - p.prior.low)
+
+
+def correlations(fit: Fit) -> np.ndarray:
+    """Of the fitted entries (k, k)."""
+    error = np.sqrt(np.diag(fit.covariance))
+    return fit.covariance / np.outer(error, error)

@@ -1,0 +1,60 @@
+"""`slider calibrate`: parameters of a tank with a known answer, from the command line."""
+
+import json
+
+import pytest
+
+from calibration import evidence, forward, identify
+from calibration.synthetic import Truth, trials, write_tank
+from slider_jax.cli.main import main
+
+TRUTH = {"C_d": 3.0, "m_a": 0.8, "k": 0.075, "K_Q": 4.5e-7}
+COARSE_TANK = {"nodes": 21, "step": 2e-3, "scheme": "sdirk2"}
+MESH = forward.Resolution(21, 60, 3.0e-3)
+
+
+@pytest.fixture(scope="module")
+def tank(tmp_path_factory):
+    runs = [run | {"duration": 1.0} for run in trials(5, count=5)[2:]]
+    folder = tmp_path_factory.mktemp("tank")
+    truth = Truth(TRUTH, {"tangential_friction": {"C_t": 0.1}})
+    return write_tank(folder, truth, runs, 0, numerics=COARSE_TANK)
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    of = evidence.Problem.of
+    monkeypatch.setattr(
+        identify.Problem, "of", lambda e, r, n, c, fine, coarse: of(e, r, n, c, MESH, MESH)
+    )
+
+
+def test_the_intervals_hold_the_truth_and_an_effect_can_be_added(tank, tmp_path, capsys):
+    out = tmp_path / "out"
+    words = ["calibrate", str(tank), "--out", str(out), "--also", "tangential_friction"]
+    assert main(words) == 0
+    found = json.loads((out / "calibration.json").read_text())
+    truth = TRUTH | {"tangential_friction.C_t": 0.1}
+    assert set(found["parameters"]) == set(truth)
+    for name, value in truth.items():
+        said = found["parameters"][name]
+        assert said["low"] < value < said["high"], name
+    assert found["converged"] and 0.8 < found["mean_square_over_noise"] < 1.3
+    for channel in found["errors"].values():
+        assert channel["after"] < 1.3 * channel["floor"]
+    matrix = found["correlations"]["matrix"]
+    assert [row[i] for i, row in enumerate(matrix)] == pytest.approx([1.0] * 5)
+    assert "tangential_friction" in (out / "model.toml").read_text()
+    assert "C_d" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--also", "tangential_frition"], "--also tangential_frition: unknown effect"),
+        (["--channels", "torque"], "--channels torque: unknown; allowed p_front"),
+    ],
+)
+def test_what_cannot_be_identified_is_refused(tank, tmp_path, capsys, words, said):
+    assert main(["calibrate", str(tank), "--out", str(tmp_path / "out"), *words]) == 2
+    assert said in capsys.readouterr().err
