@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 
 from slider_jax.beam import Reference, Section, Structure, equations, section
 from slider_jax.effects import (
+    MOUNT_LAG,
     BendingMoment,
     Effect,
     HeadRates,
@@ -23,7 +24,7 @@ class Stage(eqx.Module):
     """Everything that one implicit stage holds fixed while its unknowns are sought.
 
     `water`: velocity [m/s] and acceleration [m/s^2], each (x, y). `phi_head` and `load_head`
-    (T, N, M) are references as those of `Reference`, at the head.
+    (T, N, M, lagging by `MOUNT_LAG`) are references as those of `Reference`, at the head.
     """
 
     structure: Structure
@@ -58,10 +59,15 @@ def turning_rate(head: Fields, stage: Stage) -> Array:
     return (head.phi - stage.phi_head) / stage.reference.dt
 
 
+def load_rates(head: Float[Array, "6"], stage: Stage) -> Float[Array, "3"]:
+    """d(load)/dt of the lagging load: load + tau d(load)/dt = (T, N, M) at the head."""
+    return (head[:3] - stage.load_head) / (stage.reference.dt + MOUNT_LAG)
+
+
 def head_rows(head: Float[Array, "6"], stage: Stage) -> Float[Array, "3"]:
     """The support's three rows, for what is left of the head's motion where the mounting gives."""
     at_head, omega = fields(head), turning_rate(fields(head), stage)
-    rates = HeadRates(*(head[:3] - stage.load_head) / stage.reference.dt)
+    rates = HeadRates(*load_rates(head, stage))
     for effect in of_place(stage.effects, Mounting):
         tau, n, turning = effect.give(rates)
         at_head = at_head._replace(V_tau=at_head.V_tau - tau, V_n=at_head.V_n - n)

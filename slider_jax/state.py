@@ -39,8 +39,8 @@ class Memory(eqx.Module):
     """What the time derivatives act on: carried from step to step.
 
     `motion` (3, N): V_tau, V_n, phi at the nodes. `strain` (N - 1,): eps in the cells. `head` (2,):
-    its position [m]. `load` (3,): T, N, M at the head. `internal`: memories (N - 1,) of the effects
-    that are bending moments, in their order.
+    its position [m]. `load` (3,): T, N, M at the head, lagging as a mounting does. `internal`:
+    memories (N - 1,) of the effects that are bending moments, in their order.
     """
 
     motion: Float[Array, "3 nodes"]

@@ -15,7 +15,15 @@ from slider_jax.model import Mesh, Model
 from slider_jax.newton import BeamAdjoint, BeamNewton
 from slider_jax.parameters import Numerics, Scalar, grid_of, scales_of
 from slider_jax.pneumatics import Chambers, start_chambers
-from slider_jax.residual import Stage, at_cells, internal_moments, jacobian, residual, turning_rate
+from slider_jax.residual import (
+    Stage,
+    at_cells,
+    internal_moments,
+    jacobian,
+    load_rates,
+    residual,
+    turning_rate,
+)
 from slider_jax.scheme import Scheme, extrapolation
 from slider_jax.state import Memory, Unknowns, fields, straight
 from slider_jax.supports import Support
@@ -124,7 +132,7 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
             motion=y[3:],
             strain=strain(mesh.grid.mid(y[0]), mesh.structure, stage.reference),
             head=anchor - support.anchor_offset(head.phi, t),
-            load=y[:3, -1],
+            load=reference.load + dt * load_rates(y[:, -1], stage),
             internal=tuple(z for _, z in internal_moments(at_cells(y, stage), stage)),
         )
         memory = jax.tree.map(lambda a, b: jnp.where(ok, a, b), found, carry.memory)

@@ -1,6 +1,7 @@
 """Physical effects, one a file."""
 
 from slider_jax.effects.base import (
+    MOUNT_LAG,
     ActingPressure,
     BendingMoment,
     BodyChange,
@@ -23,6 +24,7 @@ from slider_jax.effects.gravity import Gravity
 from slider_jax.effects.reactive import ReactiveForce
 
 __all__ = [
+    "MOUNT_LAG",
     "ActingPressure",
     "BendingMoment",
     "BodyChange",

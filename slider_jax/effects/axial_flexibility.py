@@ -18,7 +18,7 @@ class AxialFlexibility(BodyChange):
     title = "the body stretches"
 
     compliance: Scalar = parameter(
-        0.0, 0.0, 5e-3, "1/N", "walls of rubber, E of 1 MPa on 5 cm^2, have 1/EA of 2e-3"
+        0.0, 0.0, 4e-3, "1/N", "walls that bend with EI = 0.038 at 8 mm from the middle have 2e-3"
     )
     """c, strain per force."""
 

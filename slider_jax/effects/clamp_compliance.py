@@ -9,7 +9,7 @@ from slider_jax.parameters import Scalar
 class ClampCompliance(Mounting):
     """The head turns against the carriage like a spring of stiffness 1/c.
 
-        phi_head - phi_carriage = -c M_head
+        phi_head - phi_carriage = -c M_head,    M lagging as `MOUNT_LAG` says
 
     M at the head is what the clamp puts on the body, positive where it bends the body to positive
     curvature; the body turns the clamp the other way. Source: Euler-Bernoulli beam on an elastic

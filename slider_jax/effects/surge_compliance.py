@@ -9,7 +9,7 @@ from slider_jax.parameters import Scalar
 class SurgeCompliance(Mounting):
     """The head moves along tau against the carriage like a spring of stiffness 1/c.
 
-        V_tau - V_tau,carriage = -c dT/dt
+        V_tau - V_tau,carriage = -c dT/dt,    T lagging as `MOUNT_LAG` says
 
     T at the head is what the mounting puts on the body; the spring carries -T, the thrust, and
     gives way along it. Source: Meirovitch, L. (2001), Fundamentals of Vibrations, McGraw-Hill,
@@ -19,7 +19,7 @@ class SurgeCompliance(Mounting):
     title = "the mounting yields lengthwise"
 
     compliance: Scalar = parameter(
-        0.0, 0.0, 5e-3, "m/N", "a thin strut or a soft force sensor, 200 N/m, at most"
+        0.0, 0.0, 3e-4, "m/N", "a soft sensor or strut, 3 kN/m; softer, the robot would bounce"
     )
     """c, the inverse of the mounting's stiffness [N/m]."""
 

@@ -9,7 +9,7 @@ from slider_jax.parameters import Scalar
 class SwayCompliance(Mounting):
     """The head moves along n against the carriage like a spring of stiffness 1/c.
 
-        V_n - V_n,carriage = -c dN/dt
+        V_n - V_n,carriage = -c dN/dt,    N lagging as `MOUNT_LAG` says
 
     N at the head is what the mounting puts on the body; the spring carries -N, the recoil, and
     gives way along it. Source: Meirovitch, L. (2001), Fundamentals of Vibrations, McGraw-Hill,
@@ -19,7 +19,7 @@ class SwayCompliance(Mounting):
     title = "the mounting yields sideways"
 
     compliance: Scalar = parameter(
-        0.0, 0.0, 5e-3, "m/N", "a thin strut, 200 N/m, sways; a stiff stand has 1e-4"
+        0.0, 0.0, 1e-3, "m/N", "a thin strut, 1 kN/m, at most; a stiff stand has 1e-5"
     )
     """c, the inverse of the mounting's stiffness [N/m]."""
 
