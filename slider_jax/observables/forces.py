@@ -1,7 +1,8 @@
-"""Forces at the head: what a sensor between robot and clamp reads.
+"""Forces at the head: what a sensor between robot and carriage reads.
 
 The body is cut at the head, so the clamp puts T tau + N n on the body and the body the opposite on
-the clamp (DESIGN: "a force sensor at a clamp reads the force the robot puts on it").
+the clamp. The sensor
+sits on the carriage: its axes pitch with that, but not with a head that turns in a soft clamp.
 """
 
 import jax.numpy as jnp
@@ -12,22 +13,27 @@ from slider_jax.state import fields
 from slider_jax.step import Snapshot
 
 
-def thrust(x: Snapshot) -> Float[Array, ""]:
-    """-T at the head [N]: the push on the clamp along tau, positive forward.
+def _on_sensor(x: Snapshot) -> tuple[Array, Array]:
+    head = fields(x.y[:, -1])
+    turned = head.phi - x.stage.support.sensor_angle(head.phi, x.t)
+    return to_plane(-head.T, -head.N, turned)
 
-    Axes turn with the clamp, as those of a sensor mounted on it; `carriage_force` does not turn.
+
+def thrust(x: Snapshot) -> Float[Array, ""]:
+    """Push on the carriage [N], positive forward: -T at the head where the clamp is rigid.
+
+    Axes turn with the carriage, as those of a sensor mounted on it; `carriage_force` does not turn.
     """
-    return -fields(x.y[:, -1]).T
+    return _on_sensor(x)[0]
 
 
 def recoil(x: Snapshot) -> Float[Array, ""]:
-    """-N at the head [N]: the push on the clamp along n, positive to the left, axes as `thrust`."""
-    return -fields(x.y[:, -1]).N
+    """Push on the carriage [N] to the left: -N at the head where the clamp is rigid; axes as
+    `thrust`."""
+    return _on_sensor(x)[1]
 
 
 def carriage_force(x: Snapshot) -> Float[Array, "2"]:
-    """Force (x, y) [N] of the body on the carriage, in axes fixed to the tank.
-
-    Equal to (thrust, recoil) while the clamp's angle is zero, else that turned by it.
-    """
-    return jnp.stack(to_plane(thrust(x), recoil(x), x.y[5, -1]))
+    """Force (x, y) [N] of the body on the carriage, in axes fixed to the tank."""
+    head = fields(x.y[:, -1])
+    return jnp.stack(to_plane(-head.T, -head.N, head.phi))

@@ -43,6 +43,10 @@ class Support(eqx.Module):
         """How a straight body moves that is at rest relative to the support at `t` [s]."""
 
     @abstractmethod
+    def sensor_angle(self, phi: Array, t: Array) -> Array:
+        """Angle [rad] of the axes of a force sensor in the support, for the head's angle `phi`."""
+
+    @abstractmethod
     def anchor_offset(self, phi: Array, t: Array) -> Float[Array, "2"]:
         """From the head to the anchored point [m], for the head's angle `phi` [rad]."""
 

@@ -46,6 +46,9 @@ class Clamped(Support):
     def during(self, t0, t1):
         return self
 
+    def sensor_angle(self, phi, t):
+        return self.carriage(t)[1]
+
     def anchor_offset(self, phi, t):
         return jnp.zeros(2)
 

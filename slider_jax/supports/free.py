@@ -19,6 +19,9 @@ class Free(Support):
     def during(self, t0, t1):
         return self
 
+    def sensor_angle(self, phi, t):
+        return phi
+
     def anchor_offset(self, phi, t):
         return jnp.zeros(2)
 

@@ -48,6 +48,9 @@ class PinnedLink(Support):
         zero = jnp.zeros(())
         return Start((zero, zero), zero, zero)
 
+    def sensor_angle(self, phi, t):
+        return phi
+
     def anchor_offset(self, phi, t):
         return jnp.stack(to_plane(0.0, self.arm(t), phi))
 
