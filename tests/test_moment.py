@@ -36,7 +36,7 @@ def test_delta_is_peskins_four_point_one():
     """Values at 0, 1/2 and 1, even and odd sums one half, and the sum of squares 3/8."""
     np.testing.assert_allclose(peskin_delta(jnp.array([0.0, 1.0, 2.0])), [0.5, 0.25, 0.0])
     x = np.linspace(0.0, 1.0, 37)[:, None]
-    for values in np.asarray(jax.jit(peskin_delta)(jnp.arange(-3, 4) - x)):
+    for values in np.asarray(jax.jit(peskin_delta)(jnp.arange(-3.0, 4.0) - x)):
         assert values[::2].sum() == pytest.approx(0.5, abs=1e-14)
         assert values[1::2].sum() == pytest.approx(0.5, abs=1e-14)
         assert (values**2).sum() == pytest.approx(0.375, abs=1e-14)
