@@ -8,6 +8,7 @@ Least squares, scores, left-out trials and classes of effects all follow from su
 simulation is done once for each vector and never again for a question asked of it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -41,6 +42,11 @@ class Block(NamedTuple):
     b: np.ndarray
     c: float
     n: int
+
+
+def summed(blocks: Sequence[Block]) -> tuple[np.ndarray, np.ndarray]:
+    """A and b of all blocks."""
+    return np.sum([x.A for x in blocks], axis=0), np.sum([x.b for x in blocks], axis=0)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 
-from calibration.evidence import Block, Problem, total
+from calibration.evidence import Block, Problem, summed, total
 from calibration.noise import Whitener
 from calibration.plant import Parameter
 from calibration.transforms import Bounds
@@ -46,7 +46,7 @@ class Fit(NamedTuple):
     @property
     def covariance(self) -> np.ndarray:
         """Of the free entries (k, k), by the least squares' normal matrix and `inflation`."""
-        A = sum(block.A for block in self.blocks)
+        A, _ = summed(self.blocks)
         return self.inflation * inverse(A)
 
 
@@ -80,7 +80,7 @@ def fit(
     square, converged = total(residuals), False
     for iteration in range(ITERATIONS):
         blocks = problem.blocks(residuals, problem.tangents(theta, directions), white)
-        A, b = sum(x.A for x in blocks), sum(x.b for x in blocks)
+        A, b = summed(blocks)
         wanted = _linear_optimum(A, b, theta[free], bounds)
         unit = max(1.0, square / max(sum(x.n for x in blocks), 1))
         error = np.sqrt(unit * np.diag(inverse(A)))

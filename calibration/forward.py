@@ -102,7 +102,8 @@ def _chunk(extended: Extended, theta, carry: Carry, h, t0, numerics: Numerics):
 
 def _read(extended: Extended, theta, t, series):
     """thrust, recoil, tip (3, n) that the instruments make of `series` (n, 5)."""
-    read = recorded(extended.at(theta).effects, Readings(t, *series.T))
+    columns = (t, *series.T)
+    read = recorded(extended.at(theta).effects, Readings(*columns))
     return jnp.stack([read.thrust, read.recoil, read.tip])
 
 
@@ -112,7 +113,8 @@ def _pressures(extended: Extended, theta, t):
     begin = start_chambers(model)
     p = jnp.concatenate([begin.p[None], chamber_history(model, begin, t).p]).T
     zero = jnp.zeros_like(t)
-    read = recorded(model.effects, Readings(t, *p, zero, zero, zero))
+    columns = (t, *p, zero, zero, zero)
+    read = recorded(model.effects, Readings(*columns))
     return jnp.stack([read.p_front, read.p_rear])
 
 
@@ -132,7 +134,9 @@ def _begin(extended: Extended, theta, numerics: Numerics) -> Carry:
     return at_rest(extended.at(theta), numerics)
 
 
-_advance, _recorded, _chambers = map(eqx.filter_jit, (_chunk, _read, _pressures))
+_advance = eqx.filter_jit(_chunk)
+_recorded = eqx.filter_jit(_read)
+_chambers = eqx.filter_jit(_pressures)
 
 
 @eqx.filter_jit

@@ -12,6 +12,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
+from slider_jax.actuation import FirstOrderLag
 from slider_jax.effects import Effect, NormalDrag, Prior, ReactiveForce
 from slider_jax.effects.library import LIBRARY
 from slider_jax.model import Model
@@ -70,8 +71,8 @@ class Extended(eqx.Module):
         drag, reactive, *rest = self.base.effects
         assert isinstance(drag, NormalDrag) and isinstance(reactive, ReactiveForce)
         law = self.base.pressure_law
-        if hasattr(law, "k"):
-            law = replace(law, k=values["", "k"])
+        if isinstance(law, FirstOrderLag):
+            law = FirstOrderLag(values["", "k"])
         return replace(
             self.base,
             robot=replace(self.base.robot, K_Q=values["", "K_Q"]),

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from calibration.evidence import Block
+from calibration.evidence import Block, summed
 from calibration.fit import inverse
 
 
@@ -37,11 +37,6 @@ class Score(NamedTuple):
     """Change of all entries (parameters,)."""
     left_out: np.ndarray
     """Drop on every trial when it alone was left out, same unit as `gain`."""
-
-
-def summed(blocks: Sequence[Block]) -> tuple[np.ndarray, np.ndarray]:
-    """A and b of all blocks."""
-    return sum(x.A for x in blocks), sum(x.b for x in blocks)
 
 
 def solve(A: np.ndarray, b: np.ndarray, index: np.ndarray) -> np.ndarray:

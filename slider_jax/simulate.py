@@ -192,8 +192,8 @@ def _initial(model: Model, midline: np.ndarray, shape: bool) -> dict[str, np.nda
 def _recorded(model: Model, t: np.ndarray, series: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The sensors' series with what the model's instruments make of them."""
     names = ("thrust", "recoil", "tip")
-    true = Readings(t, *series["pressure"].T, *(series[name] for name in names))
-    read = recorded(model.effects, jax.tree.map(jnp.asarray, true))
+    columns = (t, *series["pressure"].T, *(series[name] for name in names))
+    read = recorded(model.effects, Readings(*map(jnp.asarray, columns)))
     pressure = np.stack([read.p_front, read.p_rear], axis=1)
     return {"pressure": pressure, **{name: np.asarray(getattr(read, name)) for name in names}}
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from calibration.evidence import Block
+from calibration.evidence import Block, summed
 from calibration.fit import _linear_optimum, inverse
 from calibration.plant import Parameter
-from calibration.trace import alikeness, score, solve, summed
+from calibration.trace import alikeness, score, solve
 from calibration.transforms import Bounds
 from slider_jax.effects import Prior
 
