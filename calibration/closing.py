@@ -3,11 +3,13 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from calibration.evidence import Problem
 from calibration.fit import Fit, fit
 from calibration.forward import COARSE, FINE, Resolution
 from calibration.measured import Record, records
-from calibration.plant import Parameter, candidates, parameters, start
+from calibration.plant import BASE, Parameter, candidates, parameters, start
 from calibration.search import Search, search
 from calibration.systematic import interval
 from calibration.verdict import Excess, decide, excess, floors, rms_errors
@@ -86,22 +88,22 @@ def close_loop(
     seen = [r for i, r in enumerate(found) if i not in held]
     everything = problem_of(found)
     problem = problem_of(seen) if held else everything
-    base = {n: getattr(experiment.parameters, n) for n in ("C_d", "m_a", "k", "K_Q")}
+    base = {n: getattr(experiment.parameters, n) for n in BASE}
     result = search(problem, entries, start(entries, base), progress)
     before, after = excess(problem, result.base), excess(problem, result.final)
     verdict = decide(result, before, after)
     hidden = None
     if held:
         progress("predicting the trials that were held out")
-        hidden = _errors(problem_of([found[i] for i in held]), result)
+        rest = problem_of([found[i] for i in held])
+        hidden = _errors(rest, *(rest.predict(f.theta) for f in (result.base, result.final)))
     progress("refitting to all trials")
     final = fit(everything, entries, result.final.theta, result.final.free, progress)
+    used = _errors(problem, result.base.predicted, result.final.predicted)
     return Outcome(
-        experiment, entries, verdict, result, final, everything, _errors(problem, result),
-        hidden, before, after, held,
-    )  # fmt: skip
+        experiment, entries, verdict, result, final, everything, used, hidden, before, after, held
+    )
 
 
-def _errors(problem: Problem, found: Search) -> Errors:
-    before, after = (problem.predict(f.theta) for f in (found.base, found.final))
+def _errors(problem: Problem, before: list[np.ndarray], after: list[np.ndarray]) -> Errors:
     return Errors(rms_errors(problem, before), rms_errors(problem, after), floors(problem, after))

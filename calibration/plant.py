@@ -5,7 +5,7 @@ effects moves other entries of the same vector, and a tangent is one JVP along a
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -91,21 +91,6 @@ class Extended(eqx.Module):
         if "density" in {f.name for f in fields(kind)}:
             given["density"] = self.density
         return kind(**given)
-
-
-@dataclass(frozen=True)
-class Scale:
-    """Sizes of the entries, for steps and finite starts: a tenth of the prior's range."""
-
-    values: np.ndarray
-
-    @classmethod
-    def of(cls, entries: Sequence[Parameter], theta: np.ndarray) -> "Scale":
-        sizes = [
-            abs(x) if not p.effect else 0.1 * (p.prior.high - p.prior.low)
-            for p, x in zip(entries, theta, strict=True)
-        ]
-        return cls(np.asarray(sizes))
 
 
 def start(entries: Sequence[Parameter], base: dict[str, float]) -> np.ndarray:

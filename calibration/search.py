@@ -19,6 +19,8 @@ from calibration.trace import Score, alikeness, score
 
 CHANCE = 1e-3
 """Largest probability of a gain by chance, candidates counted."""
+LEAST_GAIN = 20.0
+"""Smallest gain of a refitted candidate that counts, in units of the residual's mean square."""
 SHORT_LIST = 5
 """Candidates that are refitted in a round."""
 MOST = 3
@@ -44,7 +46,8 @@ class Tried:
 
     @property
     def worth_naming(self) -> bool:
-        return any(self.sizes[c] > DISCREPANCY[c] for c in self.sizes)
+        large = any(self.sizes[c] > DISCREPANCY[c] for c in self.sizes)
+        return large and self.gain > LEAST_GAIN
 
 
 @dataclass
@@ -113,7 +116,7 @@ def _round(problem, entries, current: Fit, members, rest, white, progress) -> Ro
     for s in likely[:SHORT_LIST]:
         progress(f"refitting with {s.name}")
         this.tried.append(_tried(problem, entries, current, members[s.name], s, white, progress))
-    accepted = [t for t in this.tried if t.worth_naming and t.agree > 1.0 and t.gain > 20.0]
+    accepted = [t for t in this.tried if t.worth_naming and t.agree > 1.0]
     if not accepted:
         return this
     best = min(accepted, key=lambda t: t.fit.square)

@@ -48,7 +48,7 @@ def decide(search: Search, before: dict[str, Excess], after: dict[str, Excess]) 
     if not search.effects:
         if left:
             return UNEXPLAINED
-        doubtful = [t for r in search.rounds for t in r.tried if t.worth_naming and t.gain > 20.0]
+        doubtful = [t for r in search.rounds for t in r.tried if t.worth_naming]
         return INCONCLUSIVE if doubtful else NOTHING
     for channel in left:
         stood, stands = before[channel].all - 1.0, after[channel].all - 1.0
