@@ -8,13 +8,15 @@ import numpy as np
 from calibration.evidence import Problem
 from calibration.fit import Fit, fit
 from calibration.forward import COARSE, FINE, Resolution
+from calibration.log_problem import FREE, LogProblem, built_in, log_candidates, log_record
+from calibration.logs import ManifoldLog
 from calibration.measured import Record, records
 from calibration.plant import BASE, Parameter, candidates, parameters, start
 from calibration.search import Search, search
 from calibration.systematic import interval
 from calibration.verdict import Excess, decide, excess, floors, rms_errors
 from slider_jax.errors import InputError
-from slider_jax.experiment import Experiment
+from slider_jax.experiment import Experiment, drag_and_added_mass
 
 LEAST_TRIALS = 3
 
@@ -83,13 +85,63 @@ def close_loop(
             f"{experiment.folder}: holds {len(found)} measured trials; tracing an effect needs "
             f"{LEAST_TRIALS} or more, so that each can be left out"
         )
-    entries = parameters(names)
+    base = {n: getattr(experiment.parameters, n) for n in BASE}
     held = choose_held_out(found)
+    return conclude(experiment, names, found, held, problem_of, base, tuple(BASE), progress)
+
+
+def close_loop_on_logs(
+    logs: Sequence[ManifoldLog],
+    effects: Sequence[str] | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Outcome:
+    """Search what the pressure lag lacks on the rig's logs.
+
+    In order of frequency the first, third, fifth log and so on are searched, the others held out.
+    Raises `InputError` where there are fewer than five.
+    """
+    if len(logs) < 2 * LEAST_TRIALS - 1:
+        raise InputError(
+            f"{len(logs)} logs given; tracing an effect needs {2 * LEAST_TRIALS - 1} or more, at "
+            "different frequencies: every other one is held out"
+        )
+    logs = sorted(logs, key=lambda log: log.frequency)
+    names = tuple(log_candidates() if effects is None else effects)
+    experiment = built_in(logs[0], None, {})
+    found = [log_record(log, built_in(log, None, {})) for log in logs]
+
+    def problem_of(chosen: Sequence[Record]) -> Problem:
+        used = {id(r) for r in chosen}
+        picked = [log for log, r in zip(logs, found, strict=True) if id(r) in used]
+        return LogProblem.of_logs(picked, names)
+
+    base = start_values(experiment)
+    held = list(range(1, len(logs), 2))
+    return conclude(experiment, names, found, held, problem_of, base, FREE, progress)
+
+
+def start_values(experiment: Experiment) -> dict[str, float]:
+    """The base model's numbers of an experiment, by name; C_d and m_a of its first trial."""
+    C_d, m_a = drag_and_added_mass(experiment, experiment.trials[0])
+    return {"C_d": C_d, "m_a": m_a, "k": experiment.parameters.k, "K_Q": experiment.parameters.K_Q}
+
+
+def conclude(
+    experiment: Experiment,
+    names: Sequence[str],
+    found: Sequence[Record],
+    held: list[int],
+    problem_of: Callable[[Sequence[Record]], Problem],
+    base: dict[str, float],
+    base_names: Sequence[str],
+    progress: Callable[[str], None],
+) -> Outcome:
+    """Search, decide, predict what was held out, and refit to everything."""
+    entries = parameters(names)
     seen = [r for i, r in enumerate(found) if i not in held]
     everything = problem_of(found)
     problem = problem_of(seen) if held else everything
-    base = {n: getattr(experiment.parameters, n) for n in BASE}
-    result = search(problem, entries, start(entries, base), progress)
+    result = search(problem, entries, start(entries, base), progress, base_names)
     before, after = excess(problem, result.base), excess(problem, result.final)
     verdict = decide(result, before, after)
     hidden = None

@@ -86,6 +86,15 @@ class Problem:
         """Readings (5, samples) of every trial."""
         return on_all_cores(lambda p: predict(p, theta), self.fine)
 
+    def secants(self, theta: np.ndarray, others: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Changes (k, 5, samples) of every trial from `theta` to each of k `others`."""
+
+        def of(plan):
+            here = predict(plan, theta)
+            return np.stack([predict(plan, other) - here for other in others])
+
+        return on_all_cores(of, self.coarse)
+
     def tangents(self, theta: np.ndarray, directions: np.ndarray) -> list[np.ndarray]:
         """Derivatives (k, 5, samples) of every trial."""
         return on_all_cores(lambda p: tangents(p, theta, directions), self.coarse)

@@ -13,7 +13,13 @@ from calibration.plant import Extended
 from slider_jax import observables as obs
 from slider_jax.batch import available_cores
 from slider_jax.effects import Readings
-from slider_jax.experiment import Experiment, sample_times, to_model, to_numerics
+from slider_jax.experiment import (
+    Experiment,
+    conditions,
+    sample_times,
+    to_model,
+    to_numerics,
+)
 from slider_jax.grid import split_cells
 from slider_jax.instruments import recorded
 from slider_jax.parameters import Numerics
@@ -80,8 +86,8 @@ def plan(
         h, edges = 0.5 / (trial.frequency * half), half
     steps = int(np.ceil(at[-1] / h * (1.0 - 1e-9)))
     ends = np.array([0, steps]) if edges is None else edge_steps(steps, edges, trial.phase)
-    density = jnp.asarray(robot.water_density)
-    return TrialPlan(trial, Extended(model, density, effects), numerics, h, steps, ends, at)
+    taken = {name: jnp.asarray(x, float) for name, x in conditions(experiment, trial).items()}
+    return TrialPlan(trial, Extended(model, taken, effects), numerics, h, steps, ends, at)
 
 
 def _even(at: np.ndarray, longest: float) -> float:

@@ -60,7 +60,8 @@ class Extended(eqx.Module):
     """A trial's base model and the effects that may be added to it."""
 
     base: Model
-    density: Array
+    conditions: dict[str, Array]
+    """What effects take from the trial, by the names of their fields."""
     effects: tuple[str, ...] = eqx.field(static=True)
 
     def at(self, theta: Float[Array, " parameters"]) -> Model:
@@ -88,9 +89,8 @@ class Extended(eqx.Module):
     def _effect(self, name: str, values) -> Effect:
         kind = LIBRARY[name]
         given = {p: values[name, p] for p in kind.priors()}
-        if "density" in {f.name for f in fields(kind)}:
-            given["density"] = self.density
-        return kind(**given)
+        known = {f.name for f in fields(kind)}
+        return kind(**{n: x for n, x in self.conditions.items() if n in known} | given)
 
 
 def start(entries: Sequence[Parameter], base: dict[str, float]) -> np.ndarray:

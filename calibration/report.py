@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from calibration.closing import Errors, Outcome
-from calibration.plant import BASE, Parameter
+from calibration.plant import Parameter
 from calibration.systematic import determined
 from calibration.verdict import FLOOR
 from slider_jax.effects import Effect
@@ -24,7 +24,11 @@ def report(outcome: Outcome, seconds: float, source: dict[str, Any]) -> dict[str
         "verdict": outcome.verdict,
         "said": sentence(outcome),
         "effects": effects(outcome),
-        "parameters": {name: _interval(outcome, "", name) for name in BASE},
+        "parameters": {
+            p.name: _interval(outcome, "", p.name)
+            for i, p in enumerate(outcome.entries)
+            if not p.effect and i in outcome.final.free
+        },
         "errors": _table(outcome.used),
         "held_out": _table(held) if held else {},
         "held_out_trials": [trials[i].trial.file for i in outcome.held],

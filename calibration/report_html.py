@@ -41,6 +41,8 @@ def page(outcome: Outcome, told: dict[str, Any]) -> str:
         "of the noise-free residual, in units of its mean square, by one linearisation.</p>",
         _picture(score_figure(told), "scores of the candidates"),
     ]
+    if "consequence" in told:
+        parts += ["<h2>What it changes for thrust</h2>", _consequence(told["consequence"])]
     if told["unexplained"]:
         parts += ["<h2>What is left</h2>", _left(told["unexplained"])]
     body = "\n".join(parts)
@@ -78,6 +80,26 @@ def _interval(x: dict[str, Any]) -> list[str]:
     if x["value"] is None:
         return ["not determined by these data", f"{x['low']:.3g} to {x['high']:.3g}", x["unit"]]
     return [f"{x['value']:.4g}", f"{x['low']:.4g} to {x['high']:.4g}", x["unit"]]
+
+
+def _consequence(told: dict[str, Any]) -> str:
+    models = {name: x for name, x in told.items() if isinstance(x, dict)}
+    said = (
+        f"<p>The built-in robot under a {_text(told['waveform'])} wave of "
+        f"{1e-3 * told['amplitude_Pa']:.0f} kPa at {told['frequency_Hz']:g} Hz, last stride.</p>"
+    )
+    head = ["pressure model", "mean thrust (mN)", "recoil rms (mN)", "tip (mm)", "pressure (kPa)"]
+    rows = [
+        [
+            name,
+            f"{1e3 * x['mean_thrust_N']:.1f}",
+            f"{1e3 * x['recoil_rms_N']:.0f}",
+            f"{1e3 * x['tip_half_range_m']:.1f}",
+            f"{1e-3 * x['pressure_half_range_Pa']:.0f}",
+        ]
+        for name, x in models.items()
+    ]
+    return said + _rows(head, rows)
 
 
 def _left(rows: list[dict[str, Any]]) -> str:
@@ -132,8 +154,10 @@ def _shown_trial(outcome: Outcome):
     """The seen trial on which the fits differ most: its record, and both predictions."""
     seen = [i for i in range(len(outcome.problem.records)) if i not in outcome.held]
     pairs = list(zip(outcome.search.base.predicted, outcome.search.final.predicted, strict=True))
+    rows = [CHANNELS.index(c) for c in outcome.problem.channels]
     apart = [
-        sum(float(np.mean((a[c] - b[c]) ** 2) / np.var(a[c])) for c in (2, 3, 4)) for a, b in pairs
+        sum(float(np.mean((a[c] - b[c]) ** 2) / max(np.var(a[c]), 1e-300)) for c in rows)
+        for a, b in pairs
     ]
     k = int(np.argmax(apart))
     return outcome.problem.records[seen[k]], *pairs[k]

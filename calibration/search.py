@@ -14,21 +14,26 @@ from calibration.evidence import Problem
 from calibration.fit import Fit, fit
 from calibration.forward import CHANNELS
 from calibration.noise import DISCREPANCY
-from calibration.plant import Parameter
+from calibration.plant import BASE, Parameter
 from calibration.trace import Score, alikeness, score
+from slider_jax.effects.library import LIBRARY
 
 CHANCE = 1e-3
 """Largest probability of a gain by chance, candidates counted."""
 LEAST_GAIN = 20.0
 """Smallest gain of a refitted candidate that counts, in units of the residual's mean square."""
 SHORT_LIST = 5
-"""Candidates that are refitted in a round."""
+"""Candidates of each kind that are refitted in a round."""
+HALVED = 4
+"""Sizes that are tried of a start that cannot be simulated."""
 MOST = 3
 """Effects that are added at most."""
 ALIKE = 0.95
 """|cos| of two tangents from which on the effects are one class."""
 SHARE = 0.5
 """A candidate is refitted if its score is at least so much of the best one's."""
+SHARE_AFAR = 0.2
+"""The same of one that is scored at a size of its own (`Prior.start`), where less can be told."""
 
 
 @dataclass(frozen=True)
@@ -77,22 +82,65 @@ def groups(entries: Sequence[Parameter]) -> dict[str, np.ndarray]:
     return {n: np.array([i for i, p in enumerate(entries) if p.effect == n]) for n in names}
 
 
+def scored(entries: Sequence[Parameter]) -> dict[str, np.ndarray]:
+    """Indices of every effect's parameters by which it is scored: those with a start, or all."""
+    found = {}
+    for name, group in groups(entries).items():
+        begun = [i for i in group if entries[i].prior.start is not None]
+        found[name] = np.array(begun) if begun else group
+    return found
+
+
+def directions(problem: Problem, entries: Sequence[Parameter], theta: np.ndarray, free: np.ndarray):
+    """What each parameter does to each trial (parameters, 5, samples), per unit.
+
+    Tangents at `theta`; of a parameter with a start that is at its null, the change up to there,
+    halved while it cannot be simulated. Zero for the other parameters of such an effect.
+    """
+    judged = np.unique(np.concatenate([free, *scored(entries).values()]))
+    afar = [i for i in judged if entries[i].prior.start is not None and i not in free]
+    near = [i for i in judged if i not in afar]
+    found = [np.zeros((len(theta), *r.values.shape)) for r in problem.records]
+    unit = np.eye(len(theta))
+    for x, tangents in zip(found, problem.tangents(theta, unit[near]), strict=True):
+        x[near] = tangents
+    channels = [CHANNELS.index(c) for c in problem.channels]
+    size = {i: entries[i].prior.start - entries[i].prior.null for i in afar}
+    for _ in range(HALVED):
+        if not size:
+            break
+        order = list(size)
+        changes = problem.secants(theta, [theta + size[i] * unit[i] for i in order])
+        for row, i in enumerate(order):
+            if all(np.isfinite(c[row][channels]).all() for c in changes):
+                for x, c in zip(found, changes, strict=True):
+                    x[i] = c[row] / size[i]
+                del size[i]
+            else:
+                size[i] *= 0.5
+    return found
+
+
 def search(
     problem: Problem,
     entries: Sequence[Parameter],
     theta: np.ndarray,
     progress: Callable[[str], None] = lambda text: None,
+    base_names: Sequence[str] = tuple(BASE),
 ) -> Search:
-    """Search the effects of `entries` for what the base model lacks on the problem's trials."""
+    """Search the effects of `entries` for what the base model lacks on the problem's trials.
+
+    Of the base model the parameters `base_names` are fitted.
+    """
     members = groups(entries)
-    free = np.array([i for i, p in enumerate(entries) if not p.effect])
+    free = np.array([i for i, p in enumerate(entries) if not p.effect and p.name in base_names])
     progress("calibrating the base model")
     begun = fit(problem, entries, theta, free, progress)
     white = problem.whiteners(begun.predicted)
     base = current = fit(problem, entries, begun.theta, free, progress, white)
     found = Search(base, base, [], [])
     for number in range(MOST):
-        rest = [n for n in members if n not in found.effects]
+        rest = [n for n in members if _can_join(n, found.effects)]
         progress(f"round {number + 1}: scoring {len(rest)} candidates")
         this = _round(problem, entries, current, members, rest, white, progress)
         found.rounds.append(this)
@@ -104,16 +152,20 @@ def search(
     return found
 
 
+def _can_join(name: str, effects: list[str]) -> bool:
+    taken = {LIBRARY[n].instead for n in effects} - {""}
+    return name not in effects and LIBRARY[name].instead not in taken
+
+
 def _round(problem, entries, current: Fit, members, rest, white, progress) -> Round:
     residuals = problem.residuals(current.predicted, white)
-    everything = problem.tangents(current.theta, np.eye(len(entries)))
+    everything = directions(problem, entries, current.theta, current.free)
     blocks = problem.blocks(residuals, everything, white)
-    unit = current.inflation
-    scores = [score(n, members[n], current.free, blocks, unit, len(rest)) for n in rest]
+    unit, judged = current.inflation, scored(entries)
+    scores = [score(n, judged[n], current.free, blocks, unit, len(rest)) for n in rest]
     scores.sort(key=lambda s: -s.gain)
     this = Round(scores)
-    likely = [s for s in scores if s.p < CHANCE and s.gain > SHARE * scores[0].gain]
-    for s in likely[:SHORT_LIST]:
+    for s in _likely(scores, entries, judged):
         progress(f"refitting with {s.name}")
         this.tried.append(_tried(problem, entries, current, members[s.name], s, white, progress))
     accepted = [t for t in this.tried if t.worth_naming and t.agree > 1.0]
@@ -121,17 +173,24 @@ def _round(problem, entries, current: Fit, members, rest, white, progress) -> Ro
         return this
     best = min(accepted, key=lambda t: t.fit.square)
     this.chosen = best.name
-    this.alike = _alike(best, this, members, current, blocks)
+    this.alike = _alike(best, this, judged, current, blocks)
     return this
 
 
+def _likely(scores: list[Score], entries, judged) -> list[Score]:
+    """Candidates that are worth a refit, the short list of those near and of those afar."""
+    best = scores[0].gain
+
+    def of(share: float, afar: bool) -> list[Score]:
+        found = [s for s in scores if s.p < CHANCE and s.gain > share * best]
+        kind = [s for s in found if (entries[judged[s.name][0]].prior.start is not None) == afar]
+        return kind[:SHORT_LIST]
+
+    return sorted([*of(SHARE, False), *of(SHARE_AFAR, True)], key=lambda s: -s.gain)
+
+
 def _tried(problem, entries, current: Fit, group, s: Score, white, progress) -> Tried:
-    start = current.theta.copy()
-    low = np.array([entries[i].prior.low for i in group])
-    high = np.array([entries[i].prior.high for i in group])
-    start[group] = np.clip(start[group] + s.estimate, low, high)
-    inside = start[group] == current.theta[group]
-    start[group] = np.where(inside, start[group] + 0.02 * (high - low), start[group])
+    start = _begun(entries, current.theta, group, s)
     free = np.concatenate([current.free, group])
     better = fit(problem, entries, start, free, progress, white)
     gain = (current.square - better.square) / better.inflation
@@ -140,6 +199,20 @@ def _tried(problem, entries, current: Fit, group, s: Score, white, progress) -> 
     }
     spread = s.left_out.std(ddof=1) / np.sqrt(len(s.left_out)) if len(s.left_out) > 1 else np.inf
     return Tried(s.name, better, gain, sizes, float(s.left_out.mean() / max(spread, 1e-300)))
+
+
+def _begun(entries, theta: np.ndarray, group: np.ndarray, s: Score) -> np.ndarray:
+    """Where the refit of a candidate begins: at its starts, or where the score says it is."""
+    theta = theta.copy()
+    begun = [i for i in group if entries[i].prior.start is not None]
+    if begun:
+        theta[begun] = [entries[i].prior.start for i in begun]
+        return theta
+    low = np.array([entries[i].prior.low for i in group])
+    high = np.array([entries[i].prior.high for i in group])
+    estimate = np.clip(theta[group] + s.estimate, low, high)
+    theta[group] = np.where(estimate == theta[group], estimate + 0.02 * (high - low), estimate)
+    return theta
 
 
 def _share(before: list[np.ndarray], after: list[np.ndarray], row: int) -> float:

@@ -65,6 +65,8 @@ class Section(eqx.Module):
     height: Array
     linear_density: Array
     phi: Array
+    pressure: Array
+    """Of the chamber at the cell, what bends the body [Pa]."""
     kappa: Array
     kappa_t: Array
     omega: Array
@@ -89,10 +91,10 @@ def strain(T, structure: Structure, reference: Reference):
 
 
 def section(
-    mid: Fields, slope: Fields, structure: Structure, reference: Reference, water, t
+    mid: Fields, slope: Fields, structure: Structure, reference: Reference, water, pressure, t
 ) -> Section:
     """The kinematics of a cell; `water`: velocity [m/s] and acceleration [m/s^2] of the water,
-    each (x, y), uniform over the body."""
+    each (x, y), uniform over the body; `pressure` [Pa] of the chambers in the cells."""
     dt = reference.dt
     omega = (mid.phi - reference.phi) / dt
     V_tau_t = (mid.V_tau - reference.V_tau) / dt
@@ -109,6 +111,7 @@ def section(
         height=structure.height,
         linear_density=structure.linear_density,
         phi=mid.phi,
+        pressure=pressure,
         kappa=slope.phi,
         kappa_t=(slope.phi - reference.kappa) / dt,
         omega=omega,

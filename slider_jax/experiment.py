@@ -70,7 +70,7 @@ def _experiment(content: dict[str, Any], source: str, folder: Path) -> Experimen
     experiment = validate(Experiment, content, source)
     experiment._folder = folder
     for index, effect in enumerate(experiment.effects):
-        _effect(effect, f"{source}: effects.{index}", experiment.robot.water_density)
+        _effect(effect, f"{source}: effects.{index}")
     return experiment
 
 
@@ -114,8 +114,17 @@ def assemble(
     return _experiment(merged, str(model), folder)
 
 
-def _effect(table: EffectTable, where: str, density: float) -> Effect:
-    """The effect that a table names, with its parameters, in water of `density` [kg/m^3]."""
+def conditions(experiment: Experiment, trial: Trial) -> dict[str, float]:
+    """What effects take from a trial: fields of these names are of it where none are given."""
+    return {
+        "density": experiment.robot.water_density,
+        "stride_frequency": trial.frequency or 1.0,
+        "tow_speed": trial.tow_speed,
+    }
+
+
+def _effect(table: EffectTable, where: str, taken: dict[str, float] | None = None) -> Effect:
+    """The effect that a table names, with its parameters, and `taken` from the trial."""
     if table.name not in LIBRARY:
         near = get_close_matches(table.name, LIBRARY, 1)
         raise InputError(
@@ -130,9 +139,7 @@ def _effect(table: EffectTable, where: str, density: float) -> Effect:
             raise InputError(f"{where}.{key}: unknown key; allowed {', '.join(known)}")
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not isfinite(value):
             raise InputError(f"{where}.{key}: given {value!r}; allowed a finite number")
-    if "density" in known:
-        given.setdefault("density", density)
-    return kind(**given)
+    return kind(**{key: x for key, x in (taken or {}).items() if key in known} | given)
 
 
 LONGEST_RECORD = 20.0
@@ -232,10 +239,11 @@ def to_model(experiment: Experiment, trial: Trial | int = 0) -> Model:
     if isinstance(trial, int):
         trial = experiment.trials[trial]
     parameters, density = experiment.parameters, experiment.robot.water_density
+    taken = conditions(experiment, trial)
     C_d, m_a = drag_and_added_mass(experiment, trial)
     measured = trial.waveform == "recorded" and trial.drive_is == "measured"
     law: PressureLaw = Ideal() if measured else FirstOrderLag(parameters.k)
-    extra = [_effect(table, "effects", density) for table in experiment.effects]
+    extra = [_effect(table, "effects", taken) for table in experiment.effects]
     model = Model(
         robot=to_robot(experiment),
         effects=(

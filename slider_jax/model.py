@@ -58,6 +58,8 @@ class Mesh(eqx.Module):
     structure: Structure
     chambers: Float[Array, "2 cells"]
     """Moment in each cell per unit pressure in each chamber [m^3]."""
+    windows: Float[Array, "2 cells"]
+    """Share of each chamber in each cell."""
 
 
 def make_mesh(robot: Robot, numerics: Numerics) -> Mesh:
@@ -75,4 +77,5 @@ def make_mesh(robot: Robot, numerics: Numerics) -> Mesh:
         in_tail=grid.per_cell(one, 0.0 * one),
         joint=grid.at_joint(),
     )
-    return Mesh(grid, structure, robot.K_Q * chamber_windows(robot, grid))
+    windows = chamber_windows(robot, grid)
+    return Mesh(grid, structure, robot.K_Q * windows, windows)

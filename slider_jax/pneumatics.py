@@ -9,12 +9,16 @@ The body does not act on the pressure, so whole histories are known before the r
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from slider_jax.actuation import FirstOrderLag, PressureLaw
 from slider_jax.actuation.waveform import Segment
-from slider_jax.effects import ActingPressure, Command, Flow, of_place
+from slider_jax.effects import ActingPressure, Chamber, Command, Flow, of_place
 from slider_jax.model import Model
+
+REAR = np.array([0.0, 1.0])
+"""Which of the two chambers is the rear one."""
 
 
 class Chambers(eqx.Module):
@@ -47,10 +51,8 @@ def chamber_history(model: Model, begin: Chambers, times: Float[Array, " n"]) ->
         return jax.vmap(wave.segment)(times[:-1], times[1:])
 
     def body(before, inputs):
-        dt, *set_points = inputs
-        p = jnp.stack(
-            [advance(model.pressure_law, flows, before.p[i], x) for i, x in enumerate(set_points)]
-        )
+        dt, set_points = inputs
+        p = advance(model.pressure_law, flows, before.p, set_points)
         acting, memories = p, []
         for effect, memory in zip(acts, before.memories, strict=True):
             acting, memory = effect.act(acting, memory, dt)
@@ -58,38 +60,73 @@ def chamber_history(model: Model, begin: Chambers, times: Float[Array, " n"]) ->
         after = Chambers(p, acting, tuple(memories))
         return after, after
 
-    inputs = (jnp.diff(times), segments(model.drive.front, 0), segments(model.drive.rear, 1))
+    both = (segments(model.drive.front, 0), segments(model.drive.rear, 1))
+    inputs = (jnp.diff(times), jax.tree.map(lambda *x: jnp.stack(x, 1), *both))
     return jax.lax.scan(body, begin, inputs)[1]
 
 
-def advance(law: PressureLaw, flows: tuple[Flow, ...], p: Array, x: Segment) -> Array:
-    """Pressure [Pa] at the end of a segment from that at its start.
+def advance(
+    law: PressureLaw, flows: tuple[Flow, ...], p: Float[Array, "2"], x: Segment
+) -> Float[Array, "2"]:
+    """Pressures [Pa] of front and rear at the end of their segments from those at the start.
 
     The law's own exact step. Where effects change the flow of a lag, what they change in a step of
-    the classical Runge-Kutta method is added, on either side of the set pressure's break, so that
-    effects at their null change nothing.
+    the classical Runge-Kutta method is added, so that effects at their null change nothing. Steps
+    are split at the set pressure's break and where the pressure passes through zero: there a
+    chamber that was vented begins to be filled.
     """
     exact = law.advance(p, x)
     if not flows or not isinstance(law, FirstOrderLag):
         return exact
 
-    def step(flows):
-        middle = _runge_kutta(law.k, flows, p, x.a0, x.a1, x.t_break - x.t0)
-        return _runge_kutta(law.k, flows, middle, x.b0, x.b1, x.t1 - x.t_break)
+    def part(p, inputs):
+        with_them, without = p
+        return (
+            _through_zero(law.k, flows, with_them, *inputs),
+            _through_zero(law.k, (), without, *inputs),
+        ), None
 
-    return exact + (step(flows) - step(()))
+    parts = (
+        jnp.stack([x.a0, x.b0]),
+        jnp.stack([x.a1, x.b1]),
+        jnp.stack([x.t_break - x.t0, x.t1 - x.t_break]),
+    )
+    changed, plain = jax.lax.scan(part, (p, p), parts)[0]
+    return exact + (changed - plain)
 
 
-def _runge_kutta(k, flows, p, a0, a1, span):
-    def rate(p, share):
-        p_set = a0 + share * (a1 - a0)
+def _rate(k, flows, side):
+    def rate(p, p_set):
         dp = (p_set - p) / k
         for effect in flows:
-            dp = effect.rate(dp, p, p_set, k)
+            dp = effect.rate(dp, Chamber(p, p_set, k, REAR, side))
         return dp
 
-    k1 = rate(p, 0.0)
-    k2 = rate(p + 0.5 * span * k1, 0.5)
-    k3 = rate(p + 0.5 * span * k2, 0.5)
-    k4 = rate(p + span * k3, 1.0)
+    return rate
+
+
+def _through_zero(k, flows, p, a0, a1, span):
+    """A step of `_runge_kutta`, in two parts where the pressure changes its sign."""
+    rate = _rate(k, flows, jnp.where(p == 0.0, jnp.sign(a0 + a1), jnp.sign(p)))
+    whole = _runge_kutta(rate, p, a0, a1, span)
+    crosses = p * whole < 0.0
+    share = jnp.where(crosses, p / jnp.where(crosses, p - whole, 1.0), 1.0)
+    there = a0 + share * (a1 - a0)
+    near = _runge_kutta(rate, p, a0, there, share * span)
+    slope = span * rate(near, there)
+    moves = crosses & (slope != 0.0)
+    share = share - jnp.where(moves, near / jnp.where(moves, slope, 1.0), 0.0)
+    share = jnp.clip(share, 0.0, 1.0)
+    there = a0 + share * (a1 - a0)
+    beyond = _rate(k, flows, jnp.sign(whole))
+    rest = _runge_kutta(beyond, jnp.zeros_like(p), there, a1, (1.0 - share) * span)
+    return jnp.where(crosses, rest, whole)
+
+
+def _runge_kutta(rate, p, a0, a1, span):
+    middle = 0.5 * (a0 + a1)
+    k1 = rate(p, a0)
+    k2 = rate(p + 0.5 * span * k1, middle)
+    k3 = rate(p + 0.5 * span * k2, middle)
+    k4 = rate(p + span * k3, a1)
     return p + span / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)

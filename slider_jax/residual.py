@@ -33,6 +33,7 @@ class Stage(eqx.Module):
     reference: Reference
     phi_head: Array
     load_head: Float[Array, "3"]
+    pressure: Float[Array, " cells"]
     active_moment: Float[Array, " cells"]
     water: Float[Array, "2 2"]
     t: Array
@@ -40,7 +41,7 @@ class Stage(eqx.Module):
 
 def cell_rows(mid: Fields, slope: Fields, stage: Stage) -> tuple[Array, ...]:
     """The six equations of every cell, from the unknowns' means and slopes in it."""
-    x = section(mid, slope, stage.structure, stage.reference, stage.water, stage.t)
+    x = section(mid, slope, stage.structure, stage.reference, stage.water, stage.pressure, stage.t)
     force = total_force(stage.effects, x)
     extra = sum((m for m, _ in internal_moments(x, stage)), jnp.zeros_like(mid.M))
     return equations(mid, slope, x, stage.structure, force, extra - stage.active_moment)
@@ -89,7 +90,9 @@ def mid_and_slope(y: Unknowns, ds) -> tuple[Fields, Fields]:
 def at_cells(y: Unknowns, stage: Stage) -> Section:
     """The kinematics in the cells."""
     mid, slope = mid_and_slope(y, stage.structure.ds)
-    return section(mid, slope, stage.structure, stage.reference, stage.water, stage.t)
+    return section(
+        mid, slope, stage.structure, stage.reference, stage.water, stage.pressure, stage.t
+    )
 
 
 def residual(y: Unknowns, stage: Stage):

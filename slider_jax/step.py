@@ -106,6 +106,7 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
             reference=_reference(reference, mesh, dt),
             phi_head=reference.motion[2, -1],
             load_head=reference.load,
+            pressure=chambers.acting @ mesh.windows,
             active_moment=chambers.acting @ mesh.chambers,
             water=jnp.stack(jax.jvp(model.water_velocity, (t,), (jnp.ones_like(t),))),
             t=t,

@@ -36,7 +36,7 @@ def readings(effects):
     model = Model(
         Robot(),
         (NormalDrag(3.0), ReactiveForce(1.0), *effects),
-        FirstOrderLag(0.087),
+        FirstOrderLag(0.03),
         Drive(SquareWave(4.0, 250e3, 0.031), SquareWave(4.0, 220e3, 0.177)),
         Clamped(tow_speed=0.1),
     )
@@ -104,9 +104,49 @@ def test_at_their_nulls_the_effects_leave_every_reading_as_it_is():
         pytest.fail(f"changes a reading at the null: {not_as_without(list(LIBRARY))}")
 
 
-@pytest.fixture(params=range(len(ENTRIES)), ids=[".".join(x) for x in ENTRIES])
+AFAR = {name for (name, _), prior in zip(ENTRIES, PRIORS, strict=True) if prior.start is not None}
+"""Effects that are tried at a size, as their tangent at the null does not tell."""
+NEAR = [i for i, (name, _) in enumerate(ENTRIES) if name not in AFAR]
+
+
+@pytest.fixture(params=NEAR, ids=[".".join(ENTRIES[i]) for i in NEAR])
 def entry(request):
     return request.param
+
+
+@cache
+def at_start(name, entry, steps=0.0):
+    """Readings (5, n) with an effect at its start, one of its entries moved by prior ranges."""
+    theta, along = NULL.copy(), np.zeros_like(NULL)
+    for i, (other, _) in enumerate(ENTRIES):
+        if other == name and PRIORS[i].start is not None:
+            theta[i] = PRIORS[i].start
+    along[entry] = PRIORS[entry].high - PRIORS[entry].low
+    return tuple(np.asarray(x) for x in _moved(jnp.asarray(theta + steps * along), along))
+
+
+@pytest.mark.parametrize("name", sorted(AFAR))
+def test_effect_tried_at_its_start_is_seen_by_the_declared_sensors_alone(name):
+    mine = [i for i, (other, _) in enumerate(ENTRIES) if other == name]
+    change = at_start(name, mine[0])[0] - bare()
+    share = largest(change) / largest(bare())
+    declared = np.array([x in LIBRARY[name].sensors for x in SENSORS])
+    assert np.isfinite(change).all()
+    assert share[declared].max() > 1e-4
+    assert share[~declared].max(initial=0.0) <= 1e-9 * share.max()
+
+
+@pytest.mark.parametrize("name", sorted(AFAR))
+def test_tangents_at_the_start_are_the_finite_differences(name):
+    """Looser than at a null: a limit's corner lies between two steps."""
+    for i in (i for i, (other, _) in enumerate(ENTRIES) if other == name):
+        step = 1e-4
+        tangent = at_start(name, i)[1]
+        found = (at_start(name, i, step)[0] - at_start(name, i, -step)[0]) / (2.0 * step)
+        assert np.isfinite(tangent).all(), ENTRIES[i]
+        off = largest(found - tangent)
+        allowed = 2e-2 * largest(tangent) + 1e-5 * largest(bare())
+        assert (off <= allowed).all(), (ENTRIES[i], off, allowed)
 
 
 def test_tangent_at_the_null_is_seen_by_the_declared_sensors_alone(entry):

@@ -1,14 +1,10 @@
 """Set pressure, flow and acting pressure: each effect's history against a closed form."""
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.special import expi
 
-from slider_jax import pneumatics
-from slider_jax.actuation import FirstOrderLag, Ideal, Recorded, SquareWave
+from slider_jax.actuation import Ideal, Recorded
 from slider_jax.effects.actuator_hysteresis import ActuatorHysteresis
 from slider_jax.effects.actuator_quadratic import ActuatorQuadratic
 from slider_jax.effects.actuator_saturation import ActuatorSaturation
@@ -16,7 +12,6 @@ from slider_jax.effects.chamber_crosstalk import ChamberCrosstalk
 from slider_jax.effects.chamber_expansion import ATMOSPHERE, ChamberExpansion
 from slider_jax.effects.chamber_mismatch import ChamberMismatch
 from slider_jax.effects.choked_flow import ChokedFlow
-from slider_jax.effects.fill_vent_asymmetry import FillVentAsymmetry
 from slider_jax.effects.flow_exponent import FlowExponent
 from slider_jax.effects.leakage import Leakage
 from slider_jax.effects.line_lag import LineLag
@@ -25,53 +20,18 @@ from slider_jax.effects.rear_valve_delay import RearValveDelay
 from slider_jax.effects.regulator_gain import RegulatorGain
 from slider_jax.effects.regulator_offset import RegulatorOffset
 from slider_jax.effects.supply_limit import SupplyLimit
-from slider_jax.effects.valve_deadband import ValveDeadband
-from slider_jax.model import Drive, Model, make_mesh
+from slider_jax.model import make_mesh
 from slider_jax.parameters import Robot
-from slider_jax.supports import Clamped
-from tests.helpers import SMALL, arrays, order
+from tests.chambers import A, K, chambers, held, relaxation, square, strides
+from tests.helpers import SMALL, order
 
-K, F, A = 0.087, 2.2, 250e3
-LAG = FirstOrderLag(K)
 FLOWS = [
-    FillVentAsymmetry(0.4),
     ChokedFlow(5e-7),
-    ValveDeadband(20e3),
     Leakage(2.0),
     FlowExponent(0.4),
     OrificeFlow(0.8),
     ChamberExpansion(4e-6),
 ]
-
-chamber_history = eqx.filter_jit(pneumatics.chamber_history)
-
-
-def chambers(effects, front, rear, t, start=0.0, law=LAG):
-    """The chambers' history with both pressures at `start`, as numpy arrays (n, ...)."""
-    model = Model(Robot(), tuple(effects), law, Drive(front, rear, start, start), Clamped())
-    model = arrays(model)
-    begin = pneumatics.start_chambers(model)
-    rest = chamber_history(model, begin, jnp.asarray(t))
-    return jax.tree.map(lambda a, b: np.concatenate([a[None], b]), begin, rest)
-
-
-def held(p_set):
-    """A set pressure that is constant from the start."""
-    return Recorded(jnp.asarray([-2.0, -1.0]), jnp.asarray([p_set, p_set]))
-
-
-def relaxation(effect, start, p_set, t):
-    """p(t) [Pa] at the front from `start`, for a set pressure that is held."""
-    return chambers([effect], held(p_set), held(p_set), t, start).p[:, 0]
-
-
-def square(effects, t, **options):
-    """The chambers under square waves, the rear one later by 0.15 of a period."""
-    return chambers(effects, SquareWave(F, A), SquareWave(F, A, 0.15), t, **options)
-
-
-def strides(per_stride, count=3):
-    return np.arange(0, count * per_stride + 1) / (F * per_stride)
 
 
 def test_supply_is_never_exceeded_and_gives_half_at_its_own_pressure():
@@ -101,13 +61,16 @@ def test_rear_valve_delay_shifts_the_rear_chamber_alone():
 
 @pytest.mark.parametrize("effect", FLOWS, ids=lambda e: e.name())
 def test_flow_converges_for_steps_that_the_loop_takes(effect):
-    """At 114 steps a stride, 4 ms, against steps of a sixteenth of it."""
+    """At 114 steps a stride, 4 ms, against steps of a sixteenth of it.
+
+    An orifice's flow ends with a square root as the chamber empties; 1e-4 is 25 Pa.
+    """
     coarse, fine = square([effect], strides(114)).p, square([effect], strides(16 * 114)).p
     off = np.max(np.abs(coarse - fine[::16])) / A
     changed = np.max(np.abs(coarse - square([], strides(114)).p)) / A
     print(f"{effect.name()}: off {off:.1e}, changed {changed:.1e}")
     assert changed > 0.02
-    assert off < 2e-5
+    assert off < (1e-4 if isinstance(effect, OrificeFlow) else 2e-5)
 
 
 def test_smooth_flow_is_fourth_order_in_the_step():
@@ -125,14 +88,6 @@ def test_leaking_chamber_settles_lower_and_sooner():
     np.testing.assert_allclose(relaxation(Leakage(q), 0.0, A, t), exact, rtol=1e-6)
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_filling_and_venting_have_their_own_time_constants(sign):
-    a, t = 0.3, np.linspace(0.0, 0.05, 51)
-    for start, p_set, k in [(100e3, 1e6, K / (1.0 + a)), (1e6, 100e3, K / (1.0 - a))]:
-        p = sign * relaxation(FillVentAsymmetry(a), sign * start, sign * p_set, t)
-        np.testing.assert_allclose(p, p_set + (start - p_set) * np.exp(-t / k), rtol=1e-4)
-
-
 def test_choked_chamber_fills_linearly_before_it_relaxes():
     """dt = -(k/e + c) de: t = k log(e_0/e) + c (e_0 - e); the rate stays below 1/c."""
     c, t = 8e-7, np.linspace(0.0, 0.6, 601)
@@ -141,15 +96,6 @@ def test_choked_chamber_fills_linearly_before_it_relaxes():
     np.testing.assert_allclose(K * np.log(2.0 * A / e) + c * (2.0 * A - e), t, atol=1e-7)
     rate = np.diff(p) / np.diff(t)
     assert 0.8 / c < rate[0] < 1.0 / c
-
-
-def test_deadband_follows_its_integral_and_stays_shut_within():
-    """dt = -k exp(d/e) de/e: t = k (Ei(d/e) - Ei(d/e_0))."""
-    d, t = 20e3, np.linspace(0.0, 0.4, 401)
-    e = A - relaxation(ValveDeadband(d), 0.0, A, t)
-    np.testing.assert_allclose(K * (expi(d / e) - expi(d / A)), t, atol=1e-3 * K)
-    inside = A - relaxation(ValveDeadband(d), A - d / 4.0, A, np.linspace(0.0, K, 40))
-    assert 0.97 < inside[-1] / inside[0] < 1.0
 
 
 def test_square_root_flow_closes_the_gap_in_finite_time():
@@ -181,8 +127,7 @@ def test_orifice_is_the_lag_while_filling_is_choked():
     t = np.linspace(0.0, 0.008, 21)
     p = relaxation(OrificeFlow(1.0), 60e3, 500e3, t)
     assert 95e3 < p[-1] < 0.3 * (600e3 + ATMOSPHERE) - ATMOSPHERE
-    # 2 %: the share of venting, 1 - tanh(60/20), and its lower flow.
-    np.testing.assert_allclose(p - 60e3, 440e3 * (1.0 - np.exp(-t / K)), rtol=0.02)
+    np.testing.assert_allclose(p - 60e3, 440e3 * (1.0 - np.exp(-t / K)), rtol=1e-6)
 
 
 def test_choked_venting_goes_with_the_absolute_pressure():
@@ -192,7 +137,7 @@ def test_choked_venting_goes_with_the_absolute_pressure():
     share = (start - p_set) / (start - p_set + D) * np.exp(-D * t / (K * S))
     exact = p_set + D * share / (1.0 - share)
     assert exact[-1] > 240e3
-    np.testing.assert_allclose(relaxation(OrificeFlow(1.0), start, p_set, t), exact, rtol=2e-3)
+    np.testing.assert_allclose(relaxation(OrificeFlow(1.0), start, p_set, t), exact, rtol=1e-6)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -204,7 +149,7 @@ def test_expanding_chamber_takes_the_mass_that_flows_in(sign):
     mass = (ATMOSPHERE + p) * (1.0 + c * p)
     inflow = (p_set - p) / K
     taken = np.concatenate([[0.0], np.cumsum(0.5 * (inflow[1:] + inflow[:-1]) * np.diff(t))])
-    np.testing.assert_allclose(mass - mass[0], taken, rtol=1e-3, atol=1.0)
+    np.testing.assert_allclose(mass - mass[0], taken, rtol=1e-4, atol=1.0)
 
 
 def test_line_lag_is_exact_on_a_ramp_with_uneven_steps():

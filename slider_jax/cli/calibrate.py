@@ -50,7 +50,7 @@ def manifold(
         out: folder for the results; made if missing, files of the same name are replaced.
         plot: leave the pictures (PNG) out.
     """
-    _refuse_twins(logs)
+    refuse_twins(logs)
     records = sorted((read_log(path) for path in logs), key=lambda log: log.frequency)
     for log in records:
         for finding in log.findings:
@@ -67,7 +67,7 @@ def manifold(
     print(f"manifold.json, model.toml{' and pictures' if plot else ''} are in {out}")
 
 
-def _refuse_twins(logs: tuple[Path, ...]) -> None:
+def refuse_twins(logs: tuple[Path, ...]) -> None:
     if not logs:
         raise InputError("LOGS: nothing given; give one or more pressure logs")
     seen: dict[str, Path] = {}

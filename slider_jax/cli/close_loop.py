@@ -1,17 +1,21 @@
-"""`slider close-loop`: what a model lacks, from measured trials."""
+"""`slider close-loop`: what a model lacks, from measured trials or from the rig's logs."""
 
 import sys
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
 from slider_jax.cli.options import Folder, ModelFile
+from slider_jax.errors import InputError
 
 
 def close_loop(
-    experiment: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="EXPERIMENT.toml")],
+    inputs: Annotated[
+        tyro.conf.Positional[tuple[Path, ...]],
+        tyro.conf.arg(metavar="EXPERIMENT.toml | LOG.txt ...", name="inputs"),
+    ],
     out: Folder,
     model: ModelFile = None,
 ) -> None:
@@ -21,28 +25,69 @@ def close_loop(
     calibrated model with what was found, for `slider simulate --model`).
 
     Args:
-        experiment: the experiment file (.toml), its measured trials beside it.
+        inputs: an experiment file (.toml), its measured trials beside it; or five or more pressure
+            logs of the rig, at different frequencies.
         out: folder for the results; made if missing, files of the same name are replaced.
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
     """
-    from calibration.closing import close_loop as close
-    from calibration.report import model_toml, report
+    from calibration.report import model_toml
     from calibration.report_html import page
-    from slider_jax.experiment import load
     from slider_jax.files import staged, write_json, write_text
-    from slider_jax.provenance import input_file
 
     begun = time.monotonic()
 
     def say(text: str) -> None:
         print(f"{time.monotonic() - begun:5.0f} s  {text}", file=sys.stderr, flush=True)
 
-    loaded = load(experiment, model)
+    def seconds() -> float:
+        return time.monotonic() - begun
+
     with staged(out) as stage:
-        outcome = close(loaded, progress=say)
-        told = report(outcome, time.monotonic() - begun, input_file(experiment))
+        if _are_logs(inputs, model):
+            outcome, told = _of_logs(inputs, say, seconds)
+        else:
+            outcome, told = _of_experiment(inputs[0], model, say, seconds)
         write_json(stage / "report.json", told)
         write_text(stage / "model.toml", model_toml(outcome))
         write_text(stage / "report.html", page(outcome, told))
     print(told["said"])
     print(f"report.html, report.json and model.toml are in {out}", file=sys.stderr)
+
+
+def _are_logs(inputs: tuple[Path, ...], model: Path | None) -> bool:
+    if not inputs:
+        raise InputError("inputs: nothing given; allowed an experiment file or logs")
+    tables = [path for path in inputs if path.suffix == ".toml"]
+    if not tables:
+        if model is not None:
+            raise InputError(f"--model {model}: given with logs; allowed with an experiment file")
+        return True
+    if len(inputs) > 1:
+        raise InputError(
+            f"inputs: given {', '.join(map(str, inputs))}; "
+            "allowed one experiment file, or logs alone"
+        )
+    return False
+
+
+def _of_experiment(path: Path, model: Path | None, say, seconds) -> tuple[Any, dict[str, Any]]:
+    from calibration.closing import close_loop as close
+    from calibration.report import report
+    from slider_jax.experiment import load
+    from slider_jax.provenance import input_file
+
+    outcome = close(load(path, model), progress=say)
+    return outcome, report(outcome, seconds(), input_file(path))
+
+
+def _of_logs(paths: tuple[Path, ...], say, seconds) -> tuple[Any, dict[str, Any]]:
+    from calibration.closing import close_loop_on_logs
+    from calibration.log_report import log_report
+    from calibration.logs import read_log
+    from slider_jax.cli.calibrate import refuse_twins
+
+    refuse_twins(paths)
+    logs = [read_log(path) for path in paths]
+    outcome = close_loop_on_logs(logs, progress=say)
+    say("simulating what this changes for thrust")
+    return outcome, log_report(outcome, logs, seconds)

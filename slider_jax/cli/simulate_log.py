@@ -1,8 +1,7 @@
 """`slider simulate LOG.txt`: a pressure log of the rig through the built-in robot, to thrust."""
 
 import sys
-from dataclasses import asdict, replace
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,23 +10,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from calibration.log_problem import built_in
 from calibration.logs import PA_PER_PSI, ManifoldLog, read_log
 from calibration.shape import whole_cycles
 from slider_jax.actuation import FirstOrderLag, Recorded
 from slider_jax.cli.progress import Progress
+from slider_jax.effects import Readings
 from slider_jax.errors import SolverError
 from slider_jax.experiment import (
     SAMPLES,
     Experiment,
-    assemble,
     drag_and_added_mass,
     to_model,
     to_numerics,
 )
 from slider_jax.files import staged, write_csv, write_json
+from slider_jax.instruments import recorded
 from slider_jax.model import Drive, Model
-from slider_jax.paper import PRESSURE_LAG
-from slider_jax.parameters import Numerics, Robot
+from slider_jax.parameters import Numerics
 from slider_jax.provenance import input_file, versions
 from slider_jax.rollout import TimeGrid, rollout
 from slider_jax.scheme import Scheme
@@ -62,7 +62,7 @@ def simulate_log(
     log = read_log(path)
     for finding in log.findings:
         print(f"{path.name}: {finding}", file=sys.stderr)
-    experiment = built_in(log, model)
+    experiment = built_in(log, model, NUMERICS)
     with staged(out) as stage:
         with Progress(path.stem, "sample") as progress:
             columns = drive_robot(log, experiment, drive, progress.to)
@@ -81,28 +81,6 @@ def simulate_log(
         f"{path.stem}.csv and summary.json are in {out}",
         file=sys.stderr,
     )
-
-
-def built_in(log: ManifoldLog, model: Path | None) -> Experiment:
-    """The built-in robot, C_d and m_a on the paper's ramp at the log's frequency, overridden."""
-    robot = asdict(Robot())
-    K_Q = robot.pop("K_Q")
-    content = {
-        "name": log.path.stem,
-        "robot": robot,
-        "parameters": {"force_coefficients": "ramp", "k": PRESSURE_LAG, "K_Q": K_Q},
-        "numerics": NUMERICS,
-        "trials": [
-            {
-                "file": f"{log.path.stem}.csv",
-                "waveform": "sine",
-                "frequency": log.frequency,
-                "amplitude": float(max(np.abs(log.command_Pa).max(), 1e3)),
-                "duration": float(log.t[-1]),
-            }
-        ],
-    }
-    return assemble(content, str(log.path), log.path.parent, model)
 
 
 @eqx.filter_jit
@@ -157,17 +135,13 @@ def drive_robot(
                 "chambers may bend the body further than it can go"
             )
         progress(min(first + CHUNK + 1, len(log.t)), len(log.t))
-    join = partial(np.concatenate, axis=0)
+    series = {name: np.concatenate([c[name] for c in chunks]) for name in chunks[0]}
+    front, rear = series["pressure"].T
+    forces = series["thrust"], series["recoil"], series["tip"]
+    true = Readings(*(jnp.asarray(x) for x in (at, front, rear, *forces)))
     kept = np.round(log.t / log.period).astype(int)
-    series = {name: join([c[name] for c in chunks])[kept] for name in chunks[0]}
-    return {
-        "t_s": log.t,
-        "p_front_Pa": series["pressure"][:, 0],
-        "p_rear_Pa": series["pressure"][:, 1],
-        "thrust_N": series["thrust"],
-        "recoil_N": series["recoil"],
-        "tip_m": series["tip"],
-    }
+    read = [np.asarray(x)[kept] for x in recorded(base.effects, true)]
+    return dict(zip(SAMPLES, [log.t, *read[1:]], strict=True))
 
 
 def summary(

@@ -13,6 +13,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from slider_jax.actuation.waveform import Waveform
@@ -21,18 +22,25 @@ from slider_jax.parameters import Robot
 
 
 class Prior(NamedTuple):
-    """What is believed of a parameter before data: `low` to `high`, vanishing at `null`."""
+    """What is believed of a parameter before data: `low` to `high`, vanishing at `null`.
+
+    `start` is where an effect has to be tried whose tangent at its null does not tell what it does
+    at its size: a threshold, a limit, another law.
+    """
 
     null: float
     low: float
     high: float
     unit: str
     why: str
+    start: float | None = None
 
 
-def parameter(null: float, low: float, high: float, unit: str, why: str) -> Any:
-    """Declare an effect's parameter; made without a value it is at its null."""
-    return eqx.field(default=null, metadata={"prior": Prior(null, low, high, unit, why)})
+def parameter(
+    null: float, low: float, high: float, unit: str, why: str, start: float | None = None
+) -> Any:
+    """Declare an effect's parameter, as `Prior`; made without a value it is at its null."""
+    return eqx.field(default=null, metadata={"prior": Prior(null, low, high, unit, why, start)})
 
 
 class Effect(eqx.Module):
@@ -42,6 +50,8 @@ class Effect(eqx.Module):
     """What it is, in the words of a report."""
     sensors: ClassVar[tuple[str, ...]] = ("thrust", "recoil", "tip")
     """Channels that can see it, of pressure, thrust, recoil, tip."""
+    instead: ClassVar[str] = ""
+    """What of the model it takes the place of, if it does; one effect at most can."""
 
     @classmethod
     def name(cls) -> str:
@@ -116,12 +126,35 @@ class Command(Effect):
         """The waveform that the valves follow; `chamber` is 0 for the front, 1 for the rear."""
 
 
+class Chamber(NamedTuple):
+    """The chambers and their valves at one instant: front and rear, each entry (2,)."""
+
+    p: Array
+    """[Pa]"""
+    p_set: Array
+    """[Pa]"""
+    k: Array
+    """Time constant [s] of the lag; a number."""
+    rear: np.ndarray
+    """1 for the rear chamber, 0 for the front one."""
+    side: Array
+    """Sign of the pressure, which it keeps while a step lasts."""
+
+    @property
+    def filling(self) -> Array:
+        """Whether |p| grows."""
+        return self.side * (self.p_set - self.p) >= 0.0
+
+
 class Flow(Effect):
     """What changes the flow into a chamber."""
 
     @abstractmethod
-    def rate(self, rate: Array, p: Array, p_set: Array, k: Array) -> Array:
-        """dp/dt [Pa/s] from that of the model without the effect, for p and p_set [Pa]."""
+    def rate(self, rate: Array, x: Chamber) -> Array:
+        """dp/dt [Pa/s] from that of the model without the effect.
+
+        It may differ between filling and venting; steps are split where p passes through zero.
+        """
 
 
 class ActingPressure(Effect):

@@ -1,7 +1,8 @@
 """Chambers that grow under pressure."""
 
+import jax.numpy as jnp
+
 from slider_jax.effects.base import Flow, parameter
-from slider_jax.effects.smooth import magnitude
 from slider_jax.parameters import Scalar
 
 ATMOSPHERE = 101325.0
@@ -14,8 +15,7 @@ class ChamberExpansion(Flow):
         dp/dt = (p_set - p)/k / (1 + c (p_a + 2 |p|))
 
     from d((p_a + |p|) V)/dt = R_gas T dm/dt at constant temperature; k is that of a rigid chamber.
-    |p| is rounded below 10 kPa. Source: mass balance of a variable volume, Beater, P. (2007),
-    Pneumatic Drives, Springer.
+    Source: mass balance of a variable volume, Beater, P. (2007), Pneumatic Drives, Springer.
     """
 
     title = "chambers expand under pressure"
@@ -26,5 +26,5 @@ class ChamberExpansion(Flow):
     )
     """c, relative growth of the volume per pressure."""
 
-    def rate(self, rate, p, p_set, k):
-        return rate / (1.0 + self.expansion * (ATMOSPHERE + 2.0 * magnitude(p, 10e3)))
+    def rate(self, rate, x):
+        return rate / (1.0 + self.expansion * (ATMOSPHERE + 2.0 * jnp.abs(x.p)))

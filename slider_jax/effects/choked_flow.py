@@ -24,5 +24,5 @@ class ChokedFlow(Flow):
     )
     """c = 1/R, the inverse of the largest rate."""
 
-    def rate(self, rate, p, p_set, k):
+    def rate(self, rate, x):
         return rate / (1.0 + self.inverse * jnp.abs(rate))

@@ -1,26 +1,27 @@
 """Filling and venting at different time constants."""
 
+import jax.numpy as jnp
+
 from slider_jax.effects.base import Flow, parameter
-from slider_jax.effects.smooth import filling
 from slider_jax.parameters import Scalar
 
 
 class FillVentAsymmetry(Flow):
-    """A chamber fills from the supply faster than it vents to the room, or slower.
+    """A chamber vents to the room slower than it fills from the supply, or faster.
 
-        dp/dt = (1 + a s) (p_set - p)/k,    s = tanh(p/w) tanh((p_set - p)/w),    w = 20 kPa
+        dp/dt = (p_set - p)/k        while |p| grows
+        dp/dt = (p_set - p)/(r k)    while |p| falls
 
-    s is +1 while |p| grows, -1 while it falls, so filling takes k/(1 + a) and venting k/(1 - a).
     Source: charge and discharge of a volume, Beater, P. (2007), Pneumatic Drives, Springer.
     """
 
     title = "filling and venting take different times"
     sensors = ("pressure", "thrust", "recoil", "tip")
 
-    asymmetry: Scalar = parameter(
-        0.0, -0.5, 0.5, "-", "venting up to three times slower than filling, or faster"
+    ratio: Scalar = parameter(
+        1.0, 0.3, 3.0, "-", "venting up to three times slower than filling, or faster"
     )
-    """a, half the difference of the two rates over their mean."""
+    """r, time constant of venting over that of filling, k."""
 
-    def rate(self, rate, p, p_set, k):
-        return (1.0 + self.asymmetry * filling(p, p_set)) * rate
+    def rate(self, rate, x):
+        return jnp.where(x.filling, rate, rate / self.ratio)

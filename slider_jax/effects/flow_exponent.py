@@ -21,5 +21,5 @@ class FlowExponent(Flow):
     exponent: Scalar = parameter(0.0, 0.0, 0.5, "-", "laminar to turbulent")
     """b, what the power of the pressure difference lacks to 1."""
 
-    def rate(self, rate, p, p_set, k):
-        return (magnitude(p_set - p, 5e3) / 100e3) ** (-self.exponent) * rate
+    def rate(self, rate, x):
+        return (magnitude(x.p_set - x.p, 5e3) / 100e3) ** (-self.exponent) * rate

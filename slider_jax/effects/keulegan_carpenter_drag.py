@@ -31,14 +31,14 @@ class KeuleganCarpenterDrag(ForceDensity):
         0.0, 0.0, 10.0, "-", "8 for a sharp-edged plate; rounded edges and a constant part take off"
     )
     """Drag coefficient at KC = 1."""
-    frequency: Scalar = eqx.field(default=5.0)
-    """f [Hz] of the stride."""
+    stride_frequency: Scalar = eqx.field(default=5.0)
+    """f [Hz], of the trial."""
     density: Scalar = eqx.field(default=1000.0)
     """rho [kg/m^3]."""
 
     def force(self, x):
-        U_2 = x.u_n**2 + (x.u_n_t / (2.0 * math.pi * self.frequency)) ** 2
-        KC_2 = U_2 / (self.frequency * x.height) ** 2 + SMALLEST**2
+        U_2 = x.u_n**2 + (x.u_n_t / (2.0 * math.pi * self.stride_frequency)) ** 2
+        KC_2 = U_2 / (self.stride_frequency * x.height) ** 2 + SMALLEST**2
         C_d = self.C * KC_2 ** (-1.0 / 6.0)
         F_n = -0.5 * self.density * C_d * x.height * jnp.abs(x.u_n) * x.u_n
         return jnp.zeros_like(F_n), F_n

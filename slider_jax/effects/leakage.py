@@ -21,5 +21,5 @@ class Leakage(Flow):
     )
     """q = 1/tau, inverse of the time in which a shut chamber empties."""
 
-    def rate(self, rate, p, p_set, k):
-        return rate - self.leak * p
+    def rate(self, rate, x):
+        return rate - self.leak * x.p

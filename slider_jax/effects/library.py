@@ -1,5 +1,6 @@
 """Every effect by name: what a file may add to a model, and what a residual may be traced to."""
 
+from slider_jax.effects.actuator_cubic import ActuatorCubic
 from slider_jax.effects.actuator_hysteresis import ActuatorHysteresis
 from slider_jax.effects.actuator_quadratic import ActuatorQuadratic
 from slider_jax.effects.actuator_saturation import ActuatorSaturation
@@ -16,6 +17,8 @@ from slider_jax.effects.chamber_mismatch import ChamberMismatch
 from slider_jax.effects.choked_flow import ChokedFlow
 from slider_jax.effects.clamp_compliance import ClampCompliance
 from slider_jax.effects.fill_vent_asymmetry import FillVentAsymmetry
+from slider_jax.effects.firmware_valves import FirmwareValves
+from slider_jax.effects.fixture_drag import FixtureDrag
 from slider_jax.effects.flow_exponent import FlowExponent
 from slider_jax.effects.force_clock_offset import ForceClockOffset
 from slider_jax.effects.force_crosstalk import ForceCrosstalk
@@ -23,8 +26,10 @@ from slider_jax.effects.force_gain import ForceGain
 from slider_jax.effects.force_resonance import ForceResonance
 from slider_jax.effects.force_sensor_lag import ForceSensorLag
 from slider_jax.effects.gravity import Gravity
+from slider_jax.effects.hose_load import HoseLoad
 from slider_jax.effects.internal_friction import InternalFriction
 from slider_jax.effects.keulegan_carpenter_drag import KeuleganCarpenterDrag
+from slider_jax.effects.lag_mismatch import LagMismatch
 from slider_jax.effects.leakage import Leakage
 from slider_jax.effects.line_lag import LineLag
 from slider_jax.effects.linear_drag import LinearDrag
@@ -32,13 +37,18 @@ from slider_jax.effects.material_damping import MaterialDamping
 from slider_jax.effects.orifice_flow import OrificeFlow
 from slider_jax.effects.pressure_gain import PressureGain
 from slider_jax.effects.pressure_offset import PressureOffset
+from slider_jax.effects.pressure_ripple import PressureRipple
 from slider_jax.effects.pressure_sensor_lag import PressureSensorLag
+from slider_jax.effects.pressure_stiffening import PressureStiffening
+from slider_jax.effects.pulsed_valves import PulsedValves
+from slider_jax.effects.rate_limit import RateLimit
 from slider_jax.effects.rear_valve_delay import RearValveDelay
 from slider_jax.effects.regulator_gain import RegulatorGain
 from slider_jax.effects.regulator_offset import RegulatorOffset
 from slider_jax.effects.rest_curvature import RestCurvature
 from slider_jax.effects.stiffening import Stiffening
 from slider_jax.effects.stress_relaxation import StressRelaxation
+from slider_jax.effects.supply_cap import SupplyCap
 from slider_jax.effects.supply_limit import SupplyLimit
 from slider_jax.effects.surge_compliance import SurgeCompliance
 from slider_jax.effects.sway_compliance import SwayCompliance
@@ -49,8 +59,10 @@ from slider_jax.effects.tangential_friction import TangentialFriction
 from slider_jax.effects.tank_current import TankCurrent
 from slider_jax.effects.tank_seiche import TankSeiche
 from slider_jax.effects.tip_mass import TipMass
+from slider_jax.effects.tow_speed_error import TowSpeedError
 from slider_jax.effects.valve_deadband import ValveDeadband
 from slider_jax.effects.valve_delay import ValveDelay
+from slider_jax.effects.valve_overlap import ValveOverlap
 
 LIBRARY: dict[str, type[Effect]] = {
     effect.name(): effect
@@ -60,17 +72,24 @@ LIBRARY: dict[str, type[Effect]] = {
         RegulatorGain,
         RegulatorOffset,
         SupplyLimit,
+        SupplyCap,
         RearValveDelay,
         FillVentAsymmetry,
+        LagMismatch,
         ChokedFlow,
+        RateLimit,
         ValveDeadband,
+        ValveOverlap,
         Leakage,
         FlowExponent,
         OrificeFlow,
+        FirmwareValves,
+        PulsedValves,
         ChamberExpansion,
         LineLag,
         ActuatorSaturation,
         ActuatorQuadratic,
+        ActuatorCubic,
         ChamberMismatch,
         ChamberCrosstalk,
         ActuatorHysteresis,
@@ -81,6 +100,7 @@ LIBRARY: dict[str, type[Effect]] = {
         CarriedMass,
         AxialFlexibility,
         Stiffening,
+        PressureStiffening,
         StressRelaxation,
         InternalFriction,
         RestCurvature,
@@ -97,12 +117,16 @@ LIBRARY: dict[str, type[Effect]] = {
         TipMass,
         KeuleganCarpenterDrag,
         TankCurrent,
+        TowSpeedError,
         TankSeiche,
         # instruments
         PressureGain,
         PressureOffset,
+        PressureRipple,
         PressureSensorLag,
         ForceGain,
+        FixtureDrag,
+        HoseLoad,
         ForceCrosstalk,
         ForceSensorLag,
         ForceResonance,

@@ -6,7 +6,6 @@ from jaxtyping import Array
 
 from slider_jax.effects.base import Flow, parameter
 from slider_jax.effects.chamber_expansion import ATMOSPHERE
-from slider_jax.effects.smooth import filling, magnitude
 from slider_jax.parameters import Scalar
 
 
@@ -29,9 +28,8 @@ class OrificeFlow(Flow):
         c = (p_a + |p|)/(p_a + p_s) psi(p_a/(p_a + |p|))            venting, chamber to room
 
     psi is the unchoked characteristic sqrt(1 - ((r - b)/(1 - b))^2), and 1 below the critical ratio
-    b; p_s is the supply's gauge pressure; filling passes into venting as in `FillVentAsymmetry`;
-    |p| is rounded below 10 kPa. Source: ISO 6358-1 (2013), Pneumatic fluid power: determination of
-    flow-rate characteristics of components.
+    b; p_s is the supply's gauge pressure. Source: ISO 6358-1 (2013), Pneumatic fluid power:
+    determination of flow-rate characteristics of components.
     """
 
     title = "compressible flow through the valves"
@@ -44,10 +42,9 @@ class OrificeFlow(Flow):
     critical: Scalar = eqx.field(default=0.3)
     """b [-], between 0.2 and 0.5 for valves."""
 
-    def rate(self, rate, p, p_set, k):
-        inside, supply = ATMOSPHERE + magnitude(p, 10e3), ATMOSPHERE + self.supply
+    def rate(self, rate, x):
+        inside, supply = ATMOSPHERE + jnp.abs(x.p), ATMOSPHERE + self.supply
         fill = characteristic(inside / supply, self.critical)
         vent = inside / supply * characteristic(ATMOSPHERE / inside, self.critical)
-        s = filling(p, p_set)
-        c = 0.5 * (1.0 + s) * fill + 0.5 * (1.0 - s) * vent
+        c = jnp.where(x.filling, fill, vent)
         return (1.0 + self.share * (c - 1.0)) * rate

@@ -1,7 +1,10 @@
-"""Smooth forms of switches, of fixed width, so that effects keep their tangents."""
+"""Switches and limits of fixed sharpness, so that effects keep their tangents."""
 
 import jax.numpy as jnp
 from jaxtyping import Array
+
+SHARP = 32
+"""Exponent of a limit: at nine tenths of it 0.1 % are missing, at the limit itself 2 %."""
 
 
 def magnitude(x: Array, width: float) -> Array:
@@ -9,9 +12,6 @@ def magnitude(x: Array, width: float) -> Array:
     return jnp.sqrt(x**2 + width**2)
 
 
-def filling(p: Array, p_set: Array) -> Array:
-    """+1 where |p| [Pa] grows towards p_set, -1 where it falls; smooth over 20 kPa.
-
-    The product of the signs of p and of p_set - p, each a tanh.
-    """
-    return jnp.tanh(p / 20e3) * jnp.tanh((p_set - p) / 20e3)
+def limited(x: Array, inverse: Array) -> Array:
+    """x, held between -1/inverse and 1/inverse: x/(1 + |inverse x|^32)^(1/32)."""
+    return x / (1.0 + (inverse * x) ** SHARP) ** (1.0 / SHARP)

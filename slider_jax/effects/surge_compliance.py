@@ -19,7 +19,12 @@ class SurgeCompliance(Mounting):
     title = "the mounting yields lengthwise"
 
     compliance: Scalar = parameter(
-        0.0, 0.0, 3e-4, "m/N", "a soft sensor or strut, 3 kN/m; softer, the robot would bounce"
+        0.0,
+        0.0,
+        3e-4,
+        "m/N",
+        "a soft sensor or strut, 3 kN/m; softer, the robot would bounce",
+        3e-5,
     )
     """c, the inverse of the mounting's stiffness [N/m]."""
 

@@ -19,7 +19,7 @@ class SwayCompliance(Mounting):
     title = "the mounting yields sideways"
 
     compliance: Scalar = parameter(
-        0.0, 0.0, 1e-3, "m/N", "a thin strut, 1 kN/m, at most; a stiff stand has 1e-5"
+        0.0, 0.0, 1e-3, "m/N", "a thin strut, 1 kN/m, at most; a stiff stand has 1e-5", 1e-4
     )
     """c, the inverse of the mounting's stiffness [N/m]."""
 

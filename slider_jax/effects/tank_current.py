@@ -18,10 +18,10 @@ class TankCurrent(WaterMotion):
     title = "the tank's water drifts"
 
     U_x: Scalar = parameter(
-        0.0, -0.05, 0.05, "m/s", "a tenth of the speed of the robot's own jet comes back"
+        0.0, -0.2, 0.2, "m/s", "the robot's own jet runs at 0.2 m/s and comes back in a small tank"
     )
     """Along x."""
-    U_y: Scalar = parameter(0.0, -0.03, 0.03, "m/s", "warmth and circulation stir at some cm/s")
+    U_y: Scalar = parameter(0.0, -0.1, 0.1, "m/s", "warmth stirs at some cm/s, pumps at more")
     """Along y."""
 
     def velocity(self, t):

@@ -3,27 +3,29 @@
 import jax.numpy as jnp
 
 from slider_jax.effects.base import Flow, parameter
-from slider_jax.effects.smooth import magnitude
+from slider_jax.effects.smooth import SHARP, magnitude
 from slider_jax.parameters import Scalar
 
 
 class ValveDeadband(Flow):
-    """Next to no flow within a band around the set pressure, and short of it outside.
+    """No flow while the error is within a band, the lag's flow outside.
 
-        dp/dt = exp(-d/|e|) e/k,    e = p_set - p
+        dp/dt = e/k exp(-(d/|e|)^32),    e = p_set - p
 
-    Far outside the band exp(-d/|e|) e is e - d sign(e), the flow of a hard deadband; within a
-    quarter of it less than 2 % are left. |e| is rounded below 500 Pa. d is not negative. Source:
-    overlap of a valve's spool, Beater, P. (2007), Pneumatic Drives, Springer.
+    Half of the flow is left at |e| = 1.01 d, one part in a billion at 0.9 d: the pressure stops
+    short of its set point by the band. `ValveOverlap` lacks d of the flow outside too. Source:
+    on-off control of a pressure, Beater, P. (2007), Pneumatic Drives, Springer.
     """
 
     title = "deadband of the valves"
     sensors = ("pressure", "thrust", "recoil", "tip")
 
     band: Scalar = parameter(
-        0.0, 0.0, 30e3, "Pa", "a tenth of the largest set pressure; a pulse too short opens nothing"
-    )
+        0.0, 0.0, 40e3, "Pa", "an eighth of the largest set pressure; shorter pulses open nothing",
+        12e3,
+    )  # fmt: skip
     """d, half the width of the band."""
 
-    def rate(self, rate, p, p_set, k):
-        return jnp.exp(-self.band / magnitude(p_set - p, 500.0)) * rate
+    def rate(self, rate, x):
+        share = jnp.minimum(self.band / magnitude(x.p_set - x.p, 1.0), 1.5)
+        return jnp.exp(-(share**SHARP)) * rate

@@ -1,0 +1,52 @@
+"""report.json of a loop closed on the rig's logs: as of trials, and what it means for thrust."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from calibration.closing import Outcome
+from calibration.consequence import compared
+from calibration.logs import PA_PER_PSI, ManifoldLog
+from calibration.report import report
+from slider_jax.paper import PRESSURE_LAG
+from slider_jax.provenance import input_file
+
+
+def log_report(
+    outcome: Outcome, logs: Sequence[ManifoldLog], seconds: Callable[[], float]
+) -> dict[str, Any]:
+    """The content of report.json; `seconds()` since the loop began."""
+    inputs = [input_file(log.path) for log in logs]
+    told = report(outcome, 0.0, {"logs": inputs})
+    told["audit"] = [
+        {"trial": log.path.name, "kind": "reading", "detail": str(x), "action": "mended"}
+        for log in logs
+        for x in log.findings
+    ] + told["audit"]
+    told["errors_psi"] = {
+        part: {c: {k: v / PA_PER_PSI for k, v in row.items()} for c, row in told[part].items()}
+        for part in ("errors", "held_out")
+    }
+    told["consequence"] = _consequence(outcome)
+    told["seconds"] = seconds()
+    return told
+
+
+def _consequence(outcome: Outcome) -> dict[str, Any]:
+    """Thrust at 4.8 Hz with the paper's lag, with the lag that fits best, and with the effects."""
+    labels = [p.label for p in outcome.entries]
+    k = labels.index("k")
+    effects = []
+    for name in outcome.search.effects:
+        values = {
+            p.name: float(x)
+            for p, x in zip(outcome.entries, outcome.final.theta, strict=True)
+            if p.effect == name
+        }
+        effects.append({"name": name, **values})
+    return compared(
+        {
+            "lag of the paper": ({"k": PRESSURE_LAG}, []),
+            "lag that fits the logs best": ({"k": float(outcome.search.base.theta[k])}, []),
+            "with what was found": ({"k": float(outcome.final.theta[k])}, effects),
+        }
+    )
