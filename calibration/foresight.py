@@ -204,9 +204,7 @@ def foresight(
     return Foresight(experiment, names, theta, chosen, sensing, finite_starts(bare), coarse)
 
 
-def secant(
-    p: TrialPlan, theta: np.ndarray, y: np.ndarray, entry: int, step: float
-) -> np.ndarray:
+def secant(p: TrialPlan, theta: np.ndarray, y: np.ndarray, entry: int, step: float) -> np.ndarray:
     """(5, n) change of the readings, `y` at theta, per change of an entry by `step`."""
     moved = theta.copy()
     moved[entry] += step
@@ -223,7 +221,9 @@ def finite_starts(f: Foresight) -> dict[int, float]:
     scale = np.std(y, axis=1)[:, None]
     scale = np.where(scale > 0.0, scale, 1.0)
     asked = [(i, x) for i, x in zip(f.chosen, f.entries, strict=True) if x.effect]
-    J = tangents(p, f.theta, np.eye(len(f.theta))[[i for i, _ in asked]]) if asked else []
+    if not asked:
+        return {}
+    J = tangents(p, f.theta, np.eye(len(f.theta))[[i for i, _ in asked]])
 
     def one(item) -> tuple[int, float] | None:
         (i, x), tangent = item
@@ -240,9 +240,9 @@ def _tells_little(tangent: np.ndarray, finite: np.ndarray) -> bool:
         return False
     if not np.isfinite(tangent).all() or not tangent.any():
         return True
-    sizes = np.linalg.norm(tangent), np.linalg.norm(finite)
+    sizes = float(np.linalg.norm(tangent)), float(np.linalg.norm(finite))
     straight = float(tangent @ finite) / (sizes[0] * sizes[1])
-    return straight < STRAIGHT or not 1.0 / LIKE < sizes[1] / sizes[0] < LIKE
+    return straight < STRAIGHT or not bool(1.0 / LIKE < sizes[1] / sizes[0] < LIKE)
 
 
 def information(seen: Sequence[Seen]) -> np.ndarray:

@@ -10,7 +10,7 @@ more than two correct programs differ by. Two effects whose A' are parallel are 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +27,7 @@ from calibration.search import ALIKE, CHANCE, LEAST_GAIN, groups
 from calibration.trace import alikeness
 from slider_jax.effects import Prior
 from slider_jax.experiment import Experiment
+from slider_jax.fingerprint import typical
 
 ABSORBED = 1e-9
 """Share of a parameter's information below which calibration absorbs all of it."""
@@ -105,16 +106,16 @@ def matrix(
     entries, many = f.entries, len(candidates())
     members, free = groups(entries), np.flatnonzero([not p.effect for p in entries])
     limits = [
-        Limit(p, *_limit(seen, i, free, required_gain(len(members[p.effect]), many)), i in f.secants)
+        Limit(
+            p, *_limit(seen, i, free, required_gain(len(members[p.effect]), many)), i in f.secants
+        )
         for i, p in enumerate(entries)
         if p.effect
     ]
     A = information(seen)
     alike, opposed = _pairs(A, names, members, free, entries)
     found = {x.parameter.effect for x in limits if x.share > 0.0}
-    return Matrix(
-        f, seen, limits, names, alike, opposed, classes(names, alike, opposed, found)
-    )
+    return Matrix(f, seen, limits, names, alike, opposed, classes(names, alike, opposed, found))
 
 
 def _limit(seen: Sequence[Seen], i: int, free: np.ndarray, gain: float) -> tuple[float, float]:
@@ -131,8 +132,8 @@ def _limit(seen: Sequence[Seen], i: int, free: np.ndarray, gain: float) -> tuple
     changes = []
     for channel in dict.fromkeys(x.channel for x in seen):
         parts = [x for x in seen if x.channel == channel]
-        raw = sum(x.raw[np.ix_(known, known)] for x in parts)
-        square = sum(x.square for x in parts)
+        raw = np.sum([x.raw[np.ix_(known, known)] for x in parts], axis=0)
+        square = float(np.sum([x.square for x in parts]))
         share = float(np.sqrt(max(step[known] @ raw @ step[known], 0.0) / max(square, 1e-300)))
         changes.append(share / DISCREPANCY[channel])
     return float(np.sqrt(gain / kept)), 1.0 / max(max(changes), 1e-300)
@@ -184,3 +185,30 @@ def classes(
     count, label = connected_components(coo_array(linked), directed=False)
     every = [[n for n, x in zip(names, label, strict=True) if x == k] for k in range(count)]
     return [sorted(group) for group in every if len(group) > 1]
+
+
+class AtLimits(NamedTuple):
+    """What `next_trial.separate` needs of some effects, each as large as its detection limit."""
+
+    foresight: Foresight
+    before: np.ndarray
+    members: dict[str, np.ndarray]
+    sizes: dict[str, np.ndarray]
+
+
+def at_limits(m: Matrix, names: Sequence[str]) -> AtLimits:
+    """The base model and the effects `names` alone.
+
+    A parameter that the experiment could not find is taken at the end of its prior range.
+    """
+    members, entries = groups(m.foresight.entries), m.foresight.entries
+    free = np.flatnonzero([not p.effect for p in entries])
+    chosen = np.concatenate([free, *(members[n] for n in names)])
+    f = replace(m.foresight, chosen=m.foresight.chosen[chosen])
+    before = information(m.seen)[np.ix_(chosen, chosen)]
+    sizes = {}
+    for name in names:
+        ends = [typical(x.parameter.prior) - x.parameter.prior.null for x in m.limit[name]]
+        found = [x.size for x in m.limit[name]]
+        sizes[name] = np.sign(ends) * np.minimum(np.abs(ends), found)
+    return AtLimits(f, before, groups(f.entries), sizes)

@@ -26,6 +26,7 @@ def close_loop(
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
     """
     from calibration.closing import close_loop as close
+    from calibration.next_experiment import next_experiment
     from calibration.report import model_toml, report
     from calibration.report_html import page
     from slider_jax.experiment import load
@@ -40,9 +41,11 @@ def close_loop(
     loaded = load(experiment, model)
     with staged(out) as stage:
         outcome = close(loaded, progress=say)
-        told = report(outcome, time.monotonic() - begun, input_file(experiment))
+        following = next_experiment(outcome, say)
+        told = report(outcome, time.monotonic() - begun, input_file(experiment), following)
         write_json(stage / "report.json", told)
         write_text(stage / "model.toml", model_toml(outcome))
         write_text(stage / "report.html", page(outcome, told))
     print(told["said"])
+    print(f"Next: {following['said']}")
     print(f"report.html, report.json and model.toml are in {out}", file=sys.stderr)
