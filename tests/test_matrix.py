@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from calibration.evidence import Block, Problem, summed
+from calibration.evidence import Block, Problem
 from calibration.foresight import Sensing, as_block, foresight, information
 from calibration.forward import CHANNELS, Resolution, predict, tangents
 from calibration.matrix import at_limits, matrix, required_gain
@@ -17,7 +17,7 @@ from calibration.next_trial import Effort, limits_of, toml
 from calibration.noise import DISCREPANCY, Whitener
 from calibration.plant import BASE, candidates
 from calibration.search import ALIKE, LEAST_GAIN, groups
-from calibration.separation import separate
+from calibration.separation import pairs_of, separate
 from calibration.trace import alikeness, score
 from slider_jax.cli.main import COMMANDS, find, main
 from slider_jax.errors import InputError
@@ -273,7 +273,18 @@ def test_names_after_effects_are_effects_and_matrix_is_a_command():
     assert list(COMMANDS).index("effects matrix") < list(COMMANDS).index("effects")
 
 
-def test_blocks_are_summed_over_trials(still):
-    A, _ = summed([Block(x.trial, x.channel, x.A, x.A[0], 0.0, 1) for x in still.seen])
-    np.testing.assert_allclose(A, information(still.seen))
-    assert {x.trial for x in still.seen} == {0, 1}
+@pytest.mark.parametrize("sizes", [(0.1, 2.0), (2.0, 0.1)])
+def test_the_distance_of_a_pair_is_what_least_squares_leaves_of_the_smaller(sizes):
+    J = np.random.default_rng(0).normal(size=(60, 4))
+    J[:, 3] += 2.0 * J[:, 2] + J[:, 0]
+    members = {"a": np.array([2]), "b": np.array([3])}
+    (pair,) = pairs_of(J.T @ J, members, {n: np.array([x]) for n, x in zip("ab", sizes, strict=True)},
+                       np.array([0, 1]))  # fmt: skip
+
+    def left(i, others, size):
+        square = np.linalg.lstsq(J[:, others], size * J[:, i], rcond=None)[1][0]
+        return np.sqrt(square)
+
+    ways = left(2, [0, 1, 3], sizes[0]), left(3, [0, 1, 2], sizes[1])
+    assert pair.sigmas == pytest.approx(min(ways), rel=1e-9)
+    assert ways[0] < 0.5 * ways[1] or ways[1] < 0.5 * ways[0]
