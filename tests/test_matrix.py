@@ -278,8 +278,8 @@ def test_the_distance_of_a_pair_is_what_least_squares_leaves_of_the_smaller(size
     J = np.random.default_rng(0).normal(size=(60, 4))
     J[:, 3] += 2.0 * J[:, 2] + J[:, 0]
     members = {"a": np.array([2]), "b": np.array([3])}
-    (pair,) = pairs_of(J.T @ J, members, {n: np.array([x]) for n, x in zip("ab", sizes, strict=True)},
-                       np.array([0, 1]))  # fmt: skip
+    at = {name: np.array([size]) for name, size in zip("ab", sizes, strict=True)}
+    (pair,) = pairs_of(J.T @ J, members, at, np.array([0, 1]))
 
     def left(i, others, size):
         square = np.linalg.lstsq(J[:, others], size * J[:, i], rcond=None)[1][0]
