@@ -58,6 +58,8 @@ class Problem:
     coarse: list[TrialPlan]
     channels: tuple[str, ...]
     noise: dict[tuple[int, str], Noise]
+    mesh: Resolution = COARSE
+    """Of the tangents."""
 
     @classmethod
     def of(
@@ -80,7 +82,7 @@ class Problem:
             for channel in channels
             if r.has(channel)
         }
-        return cls(records, plans[0], plans[1], channels, noise)
+        return cls(records, plans[0], plans[1], channels, noise, coarse)
 
     def predict(self, theta: np.ndarray) -> list[np.ndarray]:
         """Readings (5, samples) of every trial."""

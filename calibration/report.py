@@ -16,8 +16,13 @@ from slider_jax.provenance import versions
 UNITS = {"p_front": "Pa", "p_rear": "Pa", "thrust": "N", "recoil": "N", "tip": "m"}
 
 
-def report(outcome: Outcome, seconds: float, source: dict[str, Any]) -> dict[str, Any]:
-    """The content of report.json; `source` names the input."""
+def report(
+    outcome: Outcome,
+    seconds: float,
+    source: dict[str, Any],
+    following: dict[str, Any] | None = None,
+) -> dict[str, Any]:
+    """The content of report.json; `source` names the input, `following` the next experiment."""
     held = outcome.held_out
     trials = outcome.problem.records
     return {
@@ -35,7 +40,7 @@ def report(outcome: Outcome, seconds: float, source: dict[str, Any]) -> dict[str
         "candidates": ranking(outcome),
         "unexplained": where(outcome),
         "audit": [],
-        "next_experiment": None,
+        "next_experiment": following,
         "units": UNITS,
         "seconds": seconds,
         "input": source,

@@ -45,6 +45,10 @@ def page(outcome: Outcome, told: dict[str, Any]) -> str:
         parts += ["<h2>What it changes for thrust</h2>", _consequence(told["consequence"])]
     if told["unexplained"]:
         parts += ["<h2>What is left</h2>", _left(told["unexplained"])]
+    if following := told["next_experiment"]:
+        parts += ["<h2>Next experiment</h2>", f"<p>{_text(following['said'])}</p>"]
+        if following["toml"]:
+            parts.append(f"<pre>{_text(following['toml'])}</pre>")
     body = "\n".join(parts)
     return f"<!doctype html><meta charset=utf-8><title>{_text(outcome.experiment.name)}</title>" + (
         f"<style>{STYLE}</style>{body}\n"

@@ -51,6 +51,8 @@ def close_loop(
         write_text(stage / "model.toml", model_toml(outcome))
         write_text(stage / "report.html", page(outcome, told))
     print(told["said"])
+    if told["next_experiment"]:
+        print(f"Next: {told['next_experiment']['said']}")
     print(f"report.html, report.json and model.toml are in {out}", file=sys.stderr)
 
 
@@ -72,12 +74,14 @@ def _are_logs(inputs: tuple[Path, ...], model: Path | None) -> bool:
 
 def _of_experiment(path: Path, model: Path | None, say, seconds) -> tuple[Any, dict[str, Any]]:
     from calibration.closing import close_loop as close
+    from calibration.next_experiment import next_experiment
     from calibration.report import report
     from slider_jax.experiment import load
     from slider_jax.provenance import input_file
 
     outcome = close(load(path, model), progress=say)
-    return outcome, report(outcome, seconds(), input_file(path))
+    following = next_experiment(outcome, say)
+    return outcome, report(outcome, seconds(), input_file(path), following)
 
 
 def _of_logs(paths: tuple[Path, ...], say, seconds) -> tuple[Any, dict[str, Any]]:

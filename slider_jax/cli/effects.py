@@ -51,7 +51,7 @@ def effects(
     Without a NAME: all effects by the place where they enter, with their parameters' prior ranges
     and the sensors that can see them. With it: equation, source and priors. With --out too, the
     picture DIR/NAME.png of what the effect changes in one steady stride, at the end of the prior
-    range.
+    range. slider effects matrix says which of them an experiment could find.
 
     Args:
         name: the effect to explain.

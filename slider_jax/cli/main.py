@@ -20,6 +20,8 @@ class Command(NamedTuple):
 
     target: str
     help: str
+    alone: bool = False
+    """Of a group's own command: whether it runs without arguments, and takes bare words."""
 
 
 COMMANDS = {
@@ -33,8 +35,14 @@ COMMANDS = {
     "close-loop": Command(
         "slider_jax.cli.close_loop:close_loop", "what a model lacks, from measured trials"
     ),
+    "effects matrix": Command(
+        "slider_jax.cli.effects_matrix:matrix",
+        "which of them an experiment could find and separate",
+    ),
     "effects": Command(
-        "slider_jax.cli.effects:effects", "what a model may lack, and what it does to the sensors"
+        "slider_jax.cli.effects:effects",
+        "what a model may lack, and what it does to the sensors",
+        alone=True,
     ),
     "calibrate manifold": Command(
         "slider_jax.cli.calibrate:manifold", "the pressure lag from the rig's own logs"
@@ -44,7 +52,9 @@ COMMANDS = {
     ),
 }
 
-_GROUPS = {name.split()[0] for name in COMMANDS if " " in name}
+_GROUPS = {name.split()[0] for name in COMMANDS if " " in name} - {
+    name for name, command in COMMANDS.items() if command.alone
+}
 
 
 def usage(group: str = "") -> str:

@@ -1,0 +1,139 @@
+"""What the loop proposes to measure next, for every verdict, on outcomes made by hand."""
+
+import numpy as np
+import pytest
+
+from calibration.closing import Errors, Outcome
+from calibration.evidence import Problem
+from calibration.fit import Fit
+from calibration.foresight import Foresight, Sensing, information
+from calibration.forward import CHANNELS
+from calibration.measured import Record
+from calibration.next_experiment import next_experiment
+from calibration.next_trial import Effort, limits_of
+from calibration.plant import BASE, parameters, start
+from calibration.report import report
+from calibration.report_html import page
+from calibration.search import Round, Search, Tried, groups
+from calibration.verdict import Excess
+from slider_jax.experiment import load
+from slider_jax.schema import Trial
+from tests.experiments import write
+from tests.test_matrix import EFFECTS, LIMITS, MESH, STILL
+
+FREE, FEW = np.arange(len(BASE)), Effort(spread=3, rounds=0)
+ENTRIES = parameters(EFFECTS)
+MASS, FLUID = (groups(ENTRIES)[name] for name in ("carried_mass", "axial_added_mass"))
+
+
+@pytest.fixture(scope="module")
+def tank(tmp_path_factory):
+    """A problem of two trials, noise-free, at the experiment's own parameters, and these."""
+    experiment = load(write(tmp_path_factory.mktemp("next"), *STILL))
+    theta = start(ENTRIES, {n: getattr(experiment.parameters, n) for n in BASE})
+    samples = [np.arange(int(t.duration * 200) + 1) / 200 for t in experiment.trials]
+    empty = [
+        Record(trial, t, np.zeros((5, len(t))))
+        for trial, t in zip(experiment.trials, samples, strict=True)
+    ]
+    plans = Problem.of(experiment, empty, EFFECTS, CHANNELS, MESH, MESH)
+    found = [Record(r.trial, r.t, y) for r, y in zip(empty, plans.predict(theta), strict=True)]
+    return experiment, Problem.of(experiment, found, EFFECTS, CHANNELS, MESH, MESH), theta
+
+
+def fitted(tank, theta, free, weight=1.0):
+    """A fit that ended at `theta`, its data `weight` times as informative as they are."""
+    _, problem, _ = tank
+    predicted = [r.values for r in problem.records]
+    white = problem.whiteners(predicted)
+    residuals = problem.residuals(predicted, white)
+    blocks = problem.blocks(residuals, problem.tangents(theta, np.eye(len(theta))[free]), white)
+    blocks = [x._replace(A=weight * x.A) for x in blocks]
+    return Fit(theta, free, 0.0, sum(x.n for x in blocks), blocks, predicted, True)
+
+
+def outcome(tank, verdict, final, rounds=(), after=None):
+    experiment, problem, _ = tank
+    excess = after or {c: Excess(np.ones(2), 1.0) for c in CHANNELS}
+    none = dict.fromkeys(CHANNELS, 0.0)
+    effects = [r.chosen for r in rounds if r.chosen]
+    search = Search(final, final, effects, list(rounds))
+    used = Errors(none, none, none)
+    return Outcome(
+        experiment, ENTRIES, verdict, search, final, problem, used, None, excess, excess, []
+    )
+
+
+@pytest.mark.parametrize("verdict", ["unexplained", "inconclusive"])
+def test_what_is_not_explained_is_to_be_measured_again_where_it_is_largest(tank, verdict):
+    after = {
+        "thrust": Excess(np.array([2.0, 3.0]), 2.5),
+        "recoil": Excess(np.array([1.0, 9.0]), 5.0),
+    }
+    final = fitted(tank, tank[2], FREE)
+    found = next_experiment(outcome(tank, verdict, final, after=after))
+    assert (found["purpose"], found["trial"]["frequency"]) == ("repeat", 2.5)
+    assert found["trial"]["file"] == "trial_02.csv"
+    assert "Repeat trial_01.csv" in found["said"] and "recoil" in found["said"]
+    assert "9.0 times" in found["said"]
+
+
+def test_a_class_is_to_be_separated_at_the_sizes_that_were_fitted(tank):
+    experiment, _, null = tank
+    theta, rival = null.copy(), null.copy()
+    theta[MASS], rival[FLUID] = 0.1, 0.12
+    final = fitted(tank, theta, np.concatenate([FREE, MASS]))
+    other = final._replace(theta=rival)
+    tried = [Tried(n, f, 99.0, {}, 9.0) for n, f in
+             (("carried_mass", final), ("axial_added_mass", other))]  # fmt: skip
+    this = Round([], tried, "carried_mass", ["axial_added_mass"])
+    limits = limits_of(experiment, LIMITS | {"tow_speed": (0.0, 0.25)})
+    found = next_experiment(outcome(tank, "class", final, [this]), limits=limits, effort=FEW)
+    assert found["purpose"] == "separate"
+    (pair,) = found["pairs"]
+    assert {pair["first"], pair["second"]} == {"carried_mass", "axial_added_mass"}
+    sizes = {name: x.tolist() for name, x in found["sizes"].items()}
+    assert sizes == {"carried_mass": [0.1], "axial_added_mass": [0.12]}
+    assert found["trial"]["tow_speed"] > 0.1
+    assert pair["sigmas_after"] > 2.0 * pair["sigmas_before"]
+
+
+def test_a_complete_model_asks_for_what_narrows_the_widest_interval(tank):
+    final = fitted(tank, tank[2], FREE, weight=0.01)
+    before = np.sqrt(np.diag(final.covariance))
+    found = next_experiment(outcome(tank, "nothing_missing", final), effort=FEW)
+    place = [p.label for p in ENTRIES].index(found["parameter"])
+    assert found["error_before"] == pytest.approx(before[place])
+    assert found["error_after"] < 0.9 * found["error_before"]
+    assert found["said"].count(found["parameter"]) == 1
+    assert Trial.model_validate(found["trial"]).frequency == found["trial"]["frequency"]
+
+
+def test_no_trial_is_proposed_where_none_would_narrow_an_interval(tank):
+    final = fitted(tank, tank[2], FREE, weight=1e6)
+    done = outcome(tank, "nothing_missing", final)
+    found = next_experiment(done)
+    assert found["trial"] is None and "would not narrow" in found["said"]
+    told = report(done, 1.0, {}, found)
+    assert told["next_experiment"] is found
+    assert "<h2>Next experiment</h2>" in page(done, told | {"candidates": []})
+
+
+def test_recorded_drives_alone_propose_nothing_and_say_why(tank):
+    experiment, problem, theta = tank
+    drive = Trial(file="a.csv", waveform="recorded", drive_file="b.csv", duration=1.0)
+    recorded = experiment.model_copy(update={"trials": (drive,)})
+    found = next_experiment(
+        outcome((recorded, problem, theta), "nothing_missing", fitted(tank, theta, FREE))
+    )
+    assert found["trial"] is None and "recorded drives only" in found["said"]
+
+
+def test_the_information_of_the_fit_is_that_of_the_foresight(tank):
+    """So that a trial's may be added to it."""
+    experiment, _, theta = tank
+    f = Foresight(experiment, EFFECTS, theta, FREE, Sensing.of(experiment), {}, MESH)
+    A = information(f.trials(experiment.trials))
+    final = fitted(tank, theta, FREE)
+    # The pressures' quantum is read off data alone, and these have none.
+    np.testing.assert_allclose(np.sum([x.A for x in final.blocks], axis=0), A, rtol=1e-6)
