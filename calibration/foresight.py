@@ -214,7 +214,7 @@ def secant(p: TrialPlan, theta: np.ndarray, y: np.ndarray, entry: int, step: flo
 def finite_starts(f: Foresight) -> dict[int, float]:
     """Entries whose tangent at the null says little of a tenth of the prior range, and that step.
 
-    Judged on the experiment's shortest trial. One that cannot be simulated there keeps its tangent.
+    Those with a start are taken at it. Judged on the experiment's shortest trial. One that cannot be simulated there keeps its tangent.
     """
     p = min((f.plan(t) for t in f.experiment.trials), key=lambda p: p.steps)
     y = predict(p, f.theta)
@@ -227,6 +227,8 @@ def finite_starts(f: Foresight) -> dict[int, float]:
 
     def one(item) -> tuple[int, float] | None:
         (i, x), tangent = item
+        if x.prior.start is not None:
+            return int(i), x.prior.start - x.prior.null
         step = FINITE_START * (typical(x.prior) - x.prior.null)
         finite = (secant(p, f.theta, y, int(i), step) / scale).ravel()
         return (int(i), step) if _tells_little((tangent / scale).ravel(), finite) else None

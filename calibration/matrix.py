@@ -23,7 +23,7 @@ from calibration.foresight import Foresight, Seen, as_block, foresight, informat
 from calibration.forward import COARSE, Resolution
 from calibration.noise import DISCREPANCY
 from calibration.plant import Parameter, candidates
-from calibration.search import ALIKE, CHANCE, LEAST_GAIN, groups
+from calibration.search import ALIKE, CHANCE, LEAST_GAIN, scored
 from calibration.trace import alikeness
 from slider_jax.effects import Prior
 from slider_jax.experiment import Experiment
@@ -104,13 +104,13 @@ def matrix(
     f = foresight(experiment, names, progress, coarse)
     seen = f.trials(experiment.trials, progress)
     entries, many = f.entries, len(candidates())
-    members, free = groups(entries), np.flatnonzero([not p.effect for p in entries])
+    members, free = scored(entries), np.flatnonzero([not p.effect for p in entries])
     limits = [
         Limit(
             p, *_limit(seen, i, free, required_gain(len(members[p.effect]), many)), i in f.secants
         )
         for i, p in enumerate(entries)
-        if p.effect
+        if p.effect and i in members[p.effect]
     ]
     A = information(seen)
     alike, opposed = _pairs(A, names, members, free, entries)
@@ -201,7 +201,7 @@ def at_limits(m: Matrix, names: Sequence[str]) -> AtLimits:
 
     A parameter that the experiment could not find is taken at the end of its prior range.
     """
-    members, entries = groups(m.foresight.entries), m.foresight.entries
+    members, entries = scored(m.foresight.entries), m.foresight.entries
     free = np.flatnonzero([not p.effect for p in entries])
     chosen = np.concatenate([free, *(members[n] for n in names)])
     f = replace(m.foresight, chosen=m.foresight.chosen[chosen])
@@ -211,4 +211,4 @@ def at_limits(m: Matrix, names: Sequence[str]) -> AtLimits:
         ends = [typical(x.parameter.prior) - x.parameter.prior.null for x in m.limit[name]]
         found = [x.size for x in m.limit[name]]
         sizes[name] = np.sign(ends) * np.minimum(np.abs(ends), found)
-    return AtLimits(f, before, groups(f.entries), sizes)
+    return AtLimits(f, before, scored(f.entries), sizes)
