@@ -214,7 +214,8 @@ def secant(p: TrialPlan, theta: np.ndarray, y: np.ndarray, entry: int, step: flo
 def finite_starts(f: Foresight) -> dict[int, float]:
     """Entries whose tangent at the null says little of a tenth of the prior range, and that step.
 
-    Those with a start are taken at it. Judged on the experiment's shortest trial. One that cannot be simulated there keeps its tangent.
+    Those with a start are taken at it. Judged on the experiment's shortest trial. One that cannot
+    be simulated there keeps its tangent.
     """
     p = min((f.plan(t) for t in f.experiment.trials), key=lambda p: p.steps)
     y = predict(p, f.theta)

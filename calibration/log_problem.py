@@ -84,7 +84,7 @@ class LogDrive(eqx.Module):
     start: Float[Array, " logs"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LogProblem(Problem):
     """A `Problem` of logs. The library's effects that are at their null are left out of a run."""
 
@@ -113,7 +113,7 @@ class LogProblem(Problem):
         trial = experiments[0].trials[0]
         taken = {n: jnp.asarray(x) for n, x in conditions(experiments[0], trial).items()}
         base = Extended(to_model(experiments[0], trial), taken, tuple(names))
-        return cls(found, [], [], (CHANNEL,), noise, list(logs), base, drive)
+        return cls(found, [], [], (CHANNEL,), noise, logs=list(logs), base=base, drive=drive)
 
     def predict(self, theta: np.ndarray) -> list[np.ndarray]:
         """Readings (5, samples) of every log; NaN but for `CHANNEL`."""
