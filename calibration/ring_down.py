@@ -1,9 +1,9 @@
 """The damping time alpha from a ring-down: the full beam, released from a bent shape, in air.
 
-The small oscillation of a Kelvin-Voigt beam decays as exp(-alpha omega^2 t/2), which gives the start. The
-fit then takes the whole record with alpha, a factor on both stiffnesses (the frequency), the load that
-held the tip, the moment of release, the ruler's zero, and the drag of the air, which is quadratic and
-known to `AIR_DRAG` only.
+The small oscillation of a Kelvin-Voigt beam decays as exp(-alpha omega^2 t/2), which gives the
+start. The fit then takes the whole record with alpha, a factor on both stiffnesses (the frequency),
+the load that held the tip, the moment of release, the ruler's zero, and the drag of the air, which
+is quadratic and known to `AIR_DRAG` only.
 """
 
 from collections.abc import Callable
@@ -14,7 +14,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 from scipy.optimize import curve_fit
 
 from calibration.intervals import correlation_time
@@ -155,10 +154,10 @@ def _with_tangents(function: Callable, arguments, directions):
         return eqx.filter(out, eqx.is_inexact_array), out
 
     def along(d):
-        _, tangent, _ = jax.jvp(value, (dynamic,), (d,), has_aux=True)
-        return tangent
+        _, tangent, out = jax.jvp(value, (dynamic,), (d,), has_aux=True)
+        return out, tangent
 
-    return function(*arguments), jax.vmap(along)(directions)
+    return jax.vmap(along, out_axes=(None, 0))(directions)
 
 
 def _series(theta: np.ndarray, robot, density: float, clock: _Clock, numerics: Numerics):
@@ -168,9 +167,7 @@ def _series(theta: np.ndarray, robot, density: float, clock: _Clock, numerics: N
     values, slopes, h = [np.asarray(tip)[None]], [np.asarray(d_tip)[:, None]], jnp.asarray(clock.h)
     for i in range(clock.blocks):
         t0 = jnp.asarray(clock.h * BLOCK * i)
-        (carry, tip), (d_carry, d_tip) = _advance(
-            x, carry, d, d_carry, robot, rho, h, t0, numerics
-        )
+        (carry, tip), (d_carry, d_tip) = _advance(x, carry, d, d_carry, robot, rho, h, t0, numerics)
         values.append(np.asarray(tip))
         slopes.append(np.asarray(d_tip))
     return np.concatenate(values), np.concatenate(slopes, axis=1)

@@ -98,9 +98,7 @@ def _shapes(logs: Float[Array, "3"], robot: Robot, rows, numerics: Numerics):
         whole = replace(robot, EI_body=EI_body, EI_tail=EI_tail, K_Q=K_Q)
 
         def one(on_tail, force, pressure):
-            chosen = jax.tree.map(
-                lambda a, b: jnp.where(on_tail, a, b), tail_alone(whole), whole
-            )
+            chosen = jax.tree.map(lambda a, b: jnp.where(on_tail, a, b), tail_alone(whole), whole)
             loads = Loads(jnp.stack([jnp.zeros_like(force), force]), pressure)
             found = at_rest_under(passive(chosen), loads, numerics)
             both = jnp.stack([found.shape[1, 0], found.shape[1, numerics.tail_cells]])
@@ -169,10 +167,7 @@ def fit_shapes(bench: Bench, numerics: Numerics = Numerics()) -> ShapeFit:
     def linearised(noise):
         def function(x):
             found = tables(x)
-            r = [
-                (y - _measured(s)) / n
-                for (y, _), s, n in zip(found, shapes, noise, strict=True)
-            ]
+            r = [(y - _measured(s)) / n for (y, _), s, n in zip(found, shapes, noise, strict=True)]
             J = [d / n for (_, d), n in zip(found, noise, strict=True)]
             return np.concatenate(r), np.concatenate(J)
 

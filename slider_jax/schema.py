@@ -69,16 +69,30 @@ class RobotTable(Table):
         return self
 
 
+Drag = Annotated[float, Quantity(0.0, 20.0)]
+AddedMass = Annotated[float, Quantity(0.0, 5.0)]
+
+
+class CoefficientsAt(Table):
+    """[[parameters.coefficients]]: C_d and m_a of trials at one drive frequency."""
+
+    frequency: Annotated[float, Quantity(0.05, 20.0, "Hz")]
+    C_d: Drag
+    m_a: AddedMass
+
+
 class ParametersTable(Table):
     """[parameters]: what calibration identifies.
 
-    `force_coefficients` says where C_d and m_a come from: "fixed", the numbers here, or "ramp", the
-    paper's ramp at each trial's own frequency.
+    `force_coefficients` says where C_d and m_a come from: "fixed", the numbers here, "ramp", the
+    paper's ramp at each trial's own frequency, or "table", `coefficients`, linear in the frequency
+    between them and constant beyond.
     """
 
-    force_coefficients: Literal["fixed", "ramp"] = "fixed"
-    C_d: Annotated[float, Quantity(0.0, 20.0)] | None = None
-    m_a: Annotated[float, Quantity(0.0, 5.0)] | None = None
+    force_coefficients: Literal["fixed", "ramp", "table"] = "fixed"
+    C_d: Drag | None = None
+    m_a: AddedMass | None = None
+    coefficients: Annotated[tuple[CoefficientsAt, ...], _FROM_LIST] = ()
     k: Annotated[float, Quantity(0.001, 2.0, "s")]
     K_Q: Annotated[float, Quantity(1e-9, 1e-4, "m^3")]
 
@@ -87,9 +101,15 @@ class ParametersTable(Table):
         for name in ("C_d", "m_a"):
             given = getattr(self, name)
             if self.force_coefficients == "fixed" and given is None:
-                _fail(name, "nothing", 'a number, unless force_coefficients is "ramp"')
-            if self.force_coefficients == "ramp" and given is not None:
+                _fail(name, "nothing", 'a number, unless force_coefficients is "ramp" or "table"')
+            if self.force_coefficients != "fixed" and given is not None:
                 _fail(name, given, 'only with force_coefficients = "fixed"; leave it out')
+        given_at = [x.frequency for x in self.coefficients]
+        if (self.force_coefficients == "table") != bool(given_at):
+            allowed = 'one table or more with force_coefficients = "table", none without'
+            _fail("coefficients", f"{len(given_at)} tables", allowed)
+        if any(b <= a for a, b in zip(given_at, given_at[1:], strict=False)):
+            _fail("coefficients", given_at, "frequencies that rise from table to table")
         return self
 
 
@@ -189,9 +209,10 @@ class ExperimentTable(Table):
                 where = f"a name of its own; trials.{seen[trial.file]} has it already"
                 _fail(f"trials.{index}.file", repr(trial.file), where)
             seen[trial.file] = index
-            if self.parameters.force_coefficients == "ramp" and trial.frequency is None:
-                ramp = 'a number, as parameters.force_coefficients is "ramp"'
-                _fail(f"trials.{index}.frequency", "nothing", ramp)
+            source = self.parameters.force_coefficients
+            if source != "fixed" and trial.frequency is None:
+                needed = f'a number, as parameters.force_coefficients is "{source}"'
+                _fail(f"trials.{index}.frequency", "nothing", needed)
             fastest = max(trial.frequency or 0.0, trial.clamp_frequency or 0.0)
             if trial.clamp_moves and not fastest:
                 _fail(f"trials.{index}.clamp_frequency", "nothing", "a number, as the clamp moves")
