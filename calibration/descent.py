@@ -27,12 +27,14 @@ MEMORY = 20
 CLOSE = 0.003
 """The descent ends where the linearised model promises a smaller gain, in units of the residual's
 mean square: every parameter is then within 0.06 standard errors of its optimum."""
+STALE = 2.0
+"""Factor by which a variable's curvature may change, as its root, before the memory is dropped."""
 SUFFICIENT = 1e-4
 """Share of the gain promised by the slope that a step must bring."""
 SHARES = (1.0, 0.3, 0.1, 0.03, 0.01)
 """Of a direction, tried in this order."""
 LONGEST = 2.0
-"""Of a step in the bounded variables: from 0.5 of a range to 0.88 of it."""
+"""Of a step in each bounded variable: from 0.5 of a range to 0.88 of it."""
 
 
 def descend(
@@ -50,7 +52,7 @@ def descend(
     white = problem.whiteners(predicted) if white is None else white
     residuals = problem.residuals(predicted, white)
     square, converged = total(residuals), False
-    optimiser = optax.scale_by_lbfgs(memory_size=MEMORY)
+    optimiser = optax.scale_by_lbfgs(memory_size=MEMORY, scale_init_precond=False)
     z = np.asarray(bounds.outside(jnp.asarray(theta[free])))
     scale, state = np.ones_like(z), None
     blocks: list[Block] = []
@@ -65,16 +67,19 @@ def descend(
         if promised < CLOSE * unit:
             converged = True
             break
-        if state is None:
-            scale = np.sqrt(np.maximum(2.0 * np.diag(A_z), 1e-12))
-            state = optimiser.init(jnp.asarray(z * scale))
+        now = np.sqrt(np.maximum(2.0 * np.diag(A_z), 1e-12))
+        fresh = state is None or bool(np.any(np.abs(np.log(now / scale)) > np.log(STALE)))
+        if fresh:
+            scale, state = now, optimiser.init(jnp.asarray(z * now))
         with jax.numpy_dtype_promotion("standard"):  # optax mixes widths of integers
             updates, state = optimiser.update(
                 jnp.asarray(gradient / scale), state, jnp.asarray(z * scale)
             )
-        step = -np.asarray(updates) / scale
-        step *= min(1.0, LONGEST / max(float(np.abs(step).max()), 1e-300))
+        step = np.clip(-np.asarray(updates) / scale, -LONGEST, LONGEST)
         slope = float(gradient @ step)
+        if slope >= 0.0:  # clipping turned it uphill
+            step = np.clip(-gradient / scale**2, -LONGEST, LONGEST)
+            slope = float(gradient @ step)
         for share in SHARES:
             tried = theta.copy()
             tried[free] = np.asarray(bounds.inside(jnp.asarray(z + share * step)))
@@ -83,8 +88,10 @@ def descend(
             if total(found) < square + SUFFICIENT * share * slope:
                 break
         else:
-            converged = promised < unit
-            break
+            if fresh:
+                break
+            state = None
+            continue
         z, theta, predicted, residuals, square = z + share * step, tried, y, found, total(found)
     samples = sum(x.n for x in blocks)
     return Fit(theta, np.asarray(free), square, samples, blocks, predicted, converged)

@@ -10,7 +10,7 @@ from slider_jax.csv_file import read_csv
 from slider_jax.errors import InputError
 from slider_jax.parameters import Robot
 from slider_jax.quantity import Quantity
-from slider_jax.schema import _FROM_LIST, FileName, RobotTable, Table
+from slider_jax.schema import FROM_LIST, FileName, RobotTable, Table
 from slider_jax.toml_file import read_toml, validate
 
 LEAST_ROWS = 5
@@ -61,9 +61,9 @@ class StaticsTable(Table):
     name: str
     robot: RobotTable
     parameters: StaticParameters = StaticParameters()
-    tip_load: Annotated[tuple[TipLoadTable, ...], _FROM_LIST] = ()
-    pressure: Annotated[tuple[PressureTable, ...], _FROM_LIST] = ()
-    ring_down: Annotated[tuple[RingDownTable, ...], _FROM_LIST, Field(max_length=1)] = ()
+    tip_load: Annotated[tuple[TipLoadTable, ...], FROM_LIST] = ()
+    pressure: Annotated[tuple[PressureTable, ...], FROM_LIST] = ()
+    ring_down: Annotated[tuple[RingDownTable, ...], FROM_LIST, Field(max_length=1)] = ()
 
 
 class Shapes(NamedTuple):

@@ -12,7 +12,7 @@ Length = Annotated[float, Quantity(0.0, 3.0, "m")]
 Stiffness = Annotated[float, Quantity(1.0, 1e7, "N")]
 Speed = Annotated[float, Quantity(-3.0, 3.0, "m/s")]
 Force = Annotated[float, Quantity(0.0, 10.0, "N")]
-_FROM_LIST = BeforeValidator(lambda x: tuple(x) if isinstance(x, list) else x)
+FROM_LIST = BeforeValidator(lambda x: tuple(x) if isinstance(x, list) else x)
 
 
 def _plain_name(name: str) -> str:
@@ -48,8 +48,8 @@ class RobotTable(Table):
     EA_tail: Stiffness = 1.0e5
     damping_time: Annotated[float, Quantity(0.0, 0.1, "s")]
     height: Annotated[float, Quantity(0.002, 0.5, "m")]
-    front_chamber: Annotated[tuple[Length, Length], _FROM_LIST]
-    rear_chamber: Annotated[tuple[Length, Length], _FROM_LIST]
+    front_chamber: Annotated[tuple[Length, Length], FROM_LIST]
+    rear_chamber: Annotated[tuple[Length, Length], FROM_LIST]
     water_density: Annotated[float, Quantity(900.0, 1300.0, "kg/m^3")] = 1000.0
 
     @model_validator(mode="after")
@@ -92,7 +92,7 @@ class ParametersTable(Table):
     force_coefficients: Literal["fixed", "ramp", "table"] = "fixed"
     C_d: Drag | None = None
     m_a: AddedMass | None = None
-    coefficients: Annotated[tuple[CoefficientsAt, ...], _FROM_LIST] = ()
+    coefficients: Annotated[tuple[CoefficientsAt, ...], FROM_LIST] = ()
     k: Annotated[float, Quantity(0.001, 2.0, "s")]
     K_Q: Annotated[float, Quantity(1e-9, 1e-4, "m^3")]
 
@@ -128,7 +128,7 @@ class SensorsTable(Table):
 class WaterTable(Table):
     """[water]: a steady uniform stream (x along the straight robot, y to its left)."""
 
-    velocity: Annotated[tuple[Speed, Speed], _FROM_LIST] = (0.0, 0.0)
+    velocity: Annotated[tuple[Speed, Speed], FROM_LIST] = (0.0, 0.0)
 
 
 class NumericsTable(Table):
@@ -198,8 +198,8 @@ class ExperimentTable(Table):
     sensors: SensorsTable = SensorsTable()
     water: WaterTable = WaterTable()
     numerics: NumericsTable = NumericsTable()
-    effects: Annotated[tuple[EffectTable, ...], _FROM_LIST] = ()
-    trials: Annotated[tuple[Trial, ...], _FROM_LIST, Field(min_length=1)]
+    effects: Annotated[tuple[EffectTable, ...], FROM_LIST] = ()
+    trials: Annotated[tuple[Trial, ...], FROM_LIST, Field(min_length=1)]
 
     @model_validator(mode="after")
     def _trials_agree(self) -> "ExperimentTable":

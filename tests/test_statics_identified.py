@@ -22,6 +22,8 @@ from calibration.statics import fit_shapes, identified
 from slider_jax.cli.main import main
 from slider_jax.errors import InputError
 from slider_jax.parameters import Numerics, Robot
+from slider_jax.toml_file import read_toml, validate
+from tests.conftest import ROOT
 
 ROBOT = {
     "body_length": 0.3, "tail_length": 0.07, "linear_density": 0.7, "EI_body": 0.038,
@@ -307,6 +309,12 @@ def test_a_bad_table_is_refused_in_one_line(exact, tmp_path, file, rows, said):
     with pytest.raises(InputError) as refusal:
         load_bench(path)
     assert said in str(refusal.value) and "\n" not in str(refusal.value)
+
+
+def test_the_documented_bench_file_is_one():
+    path = ROOT / "docs" / "bench.toml"
+    table = validate(StaticsTable, read_toml(path), str(path))
+    assert len(table.tip_load) == 2 and table.ring_down[0].air_density == 1.2
 
 
 def test_a_bench_without_tables_is_refused(tmp_path):
