@@ -6,7 +6,7 @@ import tomllib
 import numpy as np
 import pytest
 
-from calibration import design, evidence, identify, layouts
+from calibration import design, evidence, identify, layouts, per_frequency
 from calibration.fit import fit
 from calibration.forward import Resolution
 from calibration.per_frequency import compare, sentence, values
@@ -206,6 +206,51 @@ def test_the_proposed_trial_does_what_was_promised(monkeypatch):
     assert said.startswith(
         "a trial of 1 s at 5 Hz, 250 kPa, phase 0, towed at 0.2 m/s, would give m_a to ±"
     )
+
+
+def test_a_proposed_trial_adds_to_the_data_at_hand(monkeypatch):
+    """Another trial like the first: together they say more than either."""
+    closed.replace_the_beam(monkeypatch)
+    experiment = closed.experiment_of((0.6, 0.8), phase=0.0, tow_speed=0.0)
+    entries, free, theta = parameters(()), np.arange(4), np.array([3.0, 0.8, 0.075, 4.5e-7])
+    seen = closed.measured(experiment, [theta] * 2, 0)
+    few = closed.problem_of(experiment, seen[:1])
+    one = fit(few, entries, theta, free)
+    known = design.Known.of(few, one)
+    found = design.best_trial(experiment, entries, one.theta, [1], [seen[1].trial], known)
+    after = fit(closed.problem_of(experiment, seen), entries, one.theta, free)
+    second = fit(closed.problem_of(experiment, seen[1:]), entries, one.theta, free)
+
+    def width(x):
+        return 1.96 * np.hypot(np.sqrt(x.covariance[1, 1]), 0.015 * x.theta[1])
+
+    assert found[1].half_width == pytest.approx(width(after), rel=0.05)
+    assert width(after) < 0.9 * min(width(one), width(second))
+
+
+def test_a_frequency_that_is_left_out_has_no_say(monkeypatch):
+    """The vector without it is that of a fit to the other trials; its own values lie between."""
+    closed.replace_the_beam(monkeypatch)
+    experiment, entries = closed.experiment_of((1.0, 2.0, 4.0, 5.0)), parameters(())
+    thetas = [np.array([C_d, m_a, 0.075, 4.5e-7]) for C_d, m_a in
+              [(3.0, 0.6), (3.0, 0.6), (3.3, 0.7), (3.0, 0.6)]]  # fmt: skip
+    records = closed.measured(experiment, thetas, 2)
+    problem = closed.problem_of(experiment, records)
+    every, free = fit(problem, entries, start(entries, START), np.arange(4)), np.arange(4)
+    rest = closed.problem_of(experiment, [r for i, r in enumerate(records) if i != 2])
+    alone = fit(rest, entries, start(entries, START), free)
+    at, place = layouts.frequencies(experiment.trials)
+    plan = layouts.constant(entries, every.theta, 4)
+    without = per_frequency._without(plan, every, at, 2, place)
+    error = np.sqrt(np.diag(alone.covariance))
+    assert np.all(np.abs(without - alone.theta) < 0.3 * error)
+    assert np.abs(every.theta - alone.theta)[1] > error[1]
+
+    found = compare(experiment, entries, problem, every)
+    way = found.ways["per_frequency"]
+    x = per_frequency._without(way.layout, way.fit, at, 2, place)
+    C_d = [v for v, p in zip(x, way.layout.entries, strict=True) if p.label == "C_d"]
+    assert C_d[2] == pytest.approx(C_d[1] + (C_d[3] - C_d[1]) * 2.0 / 3.0)
 
 
 def test_what_is_not_determined_gets_the_trial_that_would(monkeypatch):
