@@ -208,7 +208,8 @@ def sentence(found: ByFrequency) -> str:
         if n != found.chosen
     )
     return (
-        f"Frequencies that were left out are predicted best by {_WORDS[found.chosen]}: mean square "
+        "The simplest way that predicts left-out frequencies as well as the best is "
+        f"{_WORDS[found.chosen]}: mean square "
         f"over the noise {_mean_square(found.used):.3g}, against {rest}."
     )
 
