@@ -49,9 +49,25 @@ def summed(blocks: Sequence[Block]) -> tuple[np.ndarray, np.ndarray]:
     return np.sum([x.A for x in blocks], axis=0), np.sum([x.b for x in blocks], axis=0)
 
 
+class Affine(NamedTuple):
+    """How a vector x makes the parameters of one trial: offset + matrix x."""
+
+    offset: np.ndarray
+    """(parameters,)"""
+    matrix: np.ndarray
+    """(parameters, entries of x)"""
+
+    def at(self, x: np.ndarray) -> np.ndarray:
+        return self.offset + self.matrix @ x
+
+
 @dataclass(frozen=True)
 class Problem:
-    """Measured trials and the plans to predict them."""
+    """Measured trials and the plans to predict them.
+
+    With `maps`, one a trial, the vector that is fitted makes every trial's own parameters; without,
+    it is all trials' alike.
+    """
 
     records: list[Record]
     fine: list[TrialPlan]
@@ -60,6 +76,7 @@ class Problem:
     noise: dict[tuple[int, str], Noise]
     mesh: Resolution = COARSE
     """Of the tangents."""
+    maps: tuple[Affine, ...] | None = None
 
     @classmethod
     def of(
@@ -86,20 +103,43 @@ class Problem:
 
     def predict(self, theta: np.ndarray) -> list[np.ndarray]:
         """Readings (5, samples) of every trial."""
-        return on_all_cores(lambda p: predict(p, theta), self.fine)
+        return self.predict_each(self._own(theta))
+
+    def predict_each(self, thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Readings (5, samples) of every trial at its own parameters."""
+        pairs = list(zip(self.fine, thetas, strict=True))
+        return on_all_cores(lambda pair: predict(*pair), pairs)
 
     def secants(self, theta: np.ndarray, others: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Changes (k, 5, samples) of every trial from `theta` to each of k `others`."""
 
-        def of(plan):
-            here = predict(plan, theta)
-            return np.stack([predict(plan, other) - here for other in others])
+        def one(job):
+            laid, here, there = job
+            begin = predict(laid, here)
+            return np.stack([predict(laid, other) - begin for other in there])
 
-        return on_all_cores(of, self.coarse)
+        each = zip(*(self._own(other) for other in others), strict=True)
+        return on_all_cores(one, list(zip(self.coarse, self._own(theta), each, strict=True)))
 
     def tangents(self, theta: np.ndarray, directions: np.ndarray) -> list[np.ndarray]:
         """Derivatives (k, 5, samples) of every trial."""
-        return on_all_cores(lambda p: tangents(p, theta, directions), self.coarse)
+        if self.maps is None:
+            return on_all_cores(lambda p: tangents(p, theta, directions), self.coarse)
+
+        def one(job):
+            laid, own, along = job
+            moved = np.flatnonzero(np.any(along != 0.0, axis=1))
+            found = np.zeros((len(along), len(CHANNELS), len(laid.at)))
+            if moved.size:
+                found[moved] = tangents(laid, own, along[moved])
+            return found
+
+        along = [directions @ m.matrix.T for m in self.maps]
+        return on_all_cores(one, list(zip(self.coarse, self._own(theta), along, strict=True)))
+
+    def _own(self, theta: np.ndarray) -> list[np.ndarray]:
+        """Every trial's own parameters."""
+        return [theta] * len(self.fine) if self.maps is None else [m.at(theta) for m in self.maps]
 
     def whiteners(self, predicted: list[np.ndarray]) -> dict[tuple[int, str], Whitener]:
         """Of every trial and channel; what is a share of the signal is of the `predicted` one."""

@@ -5,6 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from calibration.descent import descend
+from calibration.design import Proposal, advise, described, said
 from calibration.evidence import Problem
 from calibration.fit import Fit, fit
 from calibration.forward import CHANNELS, COARSE, FINE, Resolution
@@ -15,8 +17,12 @@ from calibration.systematic import correlations, determined, interval
 from calibration.verdict import floors, rms_errors
 from slider_jax.effects.library import LIBRARY
 from slider_jax.errors import InputError
-from slider_jax.experiment import Experiment
+from slider_jax.experiment import Experiment, drag_and_added_mass
 from slider_jax.provenance import versions
+
+METHODS = {"lm": fit, "lbfgs": descend}
+MANY = 12
+"""Free parameters from which on L-BFGS is taken where no method is named."""
 
 
 class Identified(NamedTuple):
@@ -28,6 +34,9 @@ class Identified(NamedTuple):
     before: list[np.ndarray]
     """Readings (5, samples) of every trial with the experiment's own numbers."""
     fit: Fit
+    method: str
+    advice: dict[int, Proposal]
+    """A trial for every entry that the data do not determine."""
 
 
 def identify(
@@ -37,11 +46,15 @@ def identify(
     progress: Callable[[str], None] = lambda text: None,
     fine: Resolution = FINE,
     coarse: Resolution = COARSE,
+    method: str = "auto",
 ) -> Identified:
     """Fit C_d, m_a, k, K_Q and the parameters of `effects` to all measured trials.
 
-    Raises `InputError` for an unknown effect or channel, and where nothing is measured.
+    `method` is "lm", "lbfgs", or "auto": L-BFGS from `MANY` parameters on. Raises `InputError` for
+    an unknown effect, channel or method, and where nothing is measured.
     """
+    if method not in (*METHODS, "auto"):
+        raise InputError(f"--method {method}: unknown; allowed auto, {', '.join(METHODS)}")
     for name in effects:
         if name not in LIBRARY:
             raise InputError(f"--also {name}: unknown effect; allowed what slider effects lists")
@@ -51,16 +64,24 @@ def identify(
     entries = parameters(tuple(effects))
     found = records(experiment)
     problem = Problem.of(experiment, found, tuple(effects), tuple(channels), fine, coarse)
-    base = start(entries, {n: getattr(experiment.parameters, n) for n in BASE})
+    base = start(entries, begin(experiment))
     begun = base.copy()
     for i, p in enumerate(entries):
         if p.effect:  # off its null, where a bound would hold it
             begun[i] += 0.02 * (p.prior.high - p.prior.low)
     before = problem.predict(base)
-    return Identified(
-        experiment, entries, problem, before,
-        fit(problem, entries, begun, np.arange(len(entries)), progress),
-    )  # fmt: skip
+    if method == "auto":
+        method = "lbfgs" if len(entries) >= MANY else "lm"
+    best = METHODS[method](problem, entries, begun, np.arange(len(entries)), progress)
+    advice = advise(experiment, entries, problem, best, coarse, progress)
+    return Identified(experiment, entries, problem, before, best, method, advice)
+
+
+def begin(experiment: Experiment) -> dict[str, float]:
+    """The base parameters of an experiment; C_d and m_a that differ by trial as their mean."""
+    C_d, m_a = np.mean([drag_and_added_mass(experiment, t) for t in experiment.trials], axis=0)
+    fixed = {"C_d": float(C_d), "m_a": float(m_a)}
+    return {n: fixed[n] if n in fixed else getattr(experiment.parameters, n) for n in BASE}
 
 
 def content(found: Identified, source: dict[str, Any]) -> dict[str, Any]:
@@ -71,11 +92,13 @@ def content(found: Identified, source: dict[str, Any]) -> dict[str, Any]:
     return {
         "parameters": {
             p.label: told(p, *interval(found.fit, found.entries, i))
+            | ({"determined_by": described(found.advice[i])} if i in found.advice else {})
             for i, p in enumerate(found.entries)
         },
         "correlations": {"order": labels, "matrix": correlations(found.fit)},
         "errors": {c: {"before": before[c], "after": after[c], "floor": floor[c]} for c in after},
         "converged": found.fit.converged,
+        "method": found.method,
         "mean_square_over_noise": found.fit.square / found.fit.samples,
         "trials": [r.trial.file for r in found.problem.records],
         "units": UNITS,
@@ -94,6 +117,8 @@ def table(found: Identified) -> str:
             lines.append(f"{p.label:<28} {value:.4g}  ({low:.4g} to {high:.4g}) {p.prior.unit}")
         else:
             lines.append(f"{p.label:<28} not determined by these data")
+            if i in found.advice:
+                lines.append(f"{'':<28} {said(p, found.advice[i])}")
     return "\n".join(lines)
 
 

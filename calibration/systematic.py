@@ -14,12 +14,16 @@ EFFECT = 0.02
 """The same of an effect's parameter."""
 
 
+def share_of(p: Parameter) -> float:
+    """The share of an entry's value by which two correct programs differ."""
+    return EFFECT if p.effect else SYSTEMATIC[p.name]
+
+
 def interval(fit: Fit, entries: Sequence[Parameter], index: int) -> tuple[float, float, float]:
     """Value and 95 % interval of the entry `index`, which was fitted."""
     place = int(np.flatnonzero(fit.free == index)[0])
     value, p = float(fit.theta[index]), entries[index]
-    share = EFFECT if p.effect else SYSTEMATIC[p.name]
-    error = float(np.hypot(np.sqrt(fit.covariance[place, place]), share * value))
+    error = float(np.hypot(np.sqrt(fit.covariance[place, place]), share_of(p) * value))
     return value, value - 1.96 * error, value + 1.96 * error
 
 

@@ -11,11 +11,12 @@ from slider_jax.toml_file import read_bytes
 
 
 def read_csv(
-    path: Path, required: Sequence[str], blank: Sequence[str] = ()
+    path: Path, required: Sequence[str], blank: Sequence[str] = (), increasing: str = "time"
 ) -> dict[str, np.ndarray]:
     """Columns of a CSV file by name. Cells of the columns in `blank` may be empty: NaN.
 
-    The first of `required` is the time: it must increase. Raises `InputError` naming file and line.
+    The first of `required` is what `increasing` calls it, and must increase; with "" it need not.
+    Raises `InputError` naming file and line.
     """
     try:
         text = read_bytes(path).decode("utf-8-sig")
@@ -44,11 +45,11 @@ def read_csv(
             columns[name] = _numbers(path, name, cells, blank=name in blank)
     times = columns[required[0]]
     late = np.flatnonzero(np.diff(times) <= 0.0)
-    if late.size:
+    if increasing and late.size:
         line = numbered[late[0] + 1][0]
         raise InputError(
             f"{path}, line {line}: {required[0]} = {times[late[0] + 1]:g} after "
-            f"{times[late[0]]:g}; time must increase from row to row"
+            f"{times[late[0]]:g}; {increasing} must increase from row to row"
         )
     return columns
 

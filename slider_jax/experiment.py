@@ -78,7 +78,8 @@ def load(path: Path | str, model: Path | str | None = None) -> Experiment:
     """Read and check an experiment file, with the overrides of a model file if one is given.
 
     A model file may hold `[robot]` and `[parameters]`, any of their keys, and `[[effects]]`, which
-    are added. C_d and m_a there take the place of `force_coefficients = "ramp"`, and it of them.
+    are added. C_d and m_a there take the place of `force_coefficients = "ramp"` or `"table"`, and
+    these of them.
     Raises `InputError` naming file and key.
     """
     path = Path(path)
@@ -101,10 +102,10 @@ def assemble(
             raise InputError(f"{model}: {key}: given {value!r}; allowed a TOML {key} table")
     changed = changes.get("parameters", {})
     replaced: set[str] = set()
-    if changed.get("force_coefficients") == "ramp":
-        replaced = {"C_d", "m_a"}
+    if changed.get("force_coefficients") in ("ramp", "table"):
+        replaced = {"C_d", "m_a", "coefficients"}
     elif not changed.keys().isdisjoint(("C_d", "m_a")):
-        replaced = {"force_coefficients"}
+        replaced = {"force_coefficients", "coefficients"}
     kept = {key: x for key, x in content["parameters"].items() if key not in replaced}
     merged = content | {
         "robot": content["robot"] | changes.get("robot", {}),
@@ -220,8 +221,14 @@ def to_numerics(experiment: Experiment) -> tuple[Numerics, Scheme]:
 
 
 def drag_and_added_mass(experiment: Experiment, trial: Trial) -> tuple[float, float]:
-    """(C_d, m_a) of a trial: the file's, or the paper's ramp at the trial's frequency."""
+    """(C_d, m_a) of a trial: the file's, fixed or by frequency, or the paper's ramp."""
     parameters = experiment.parameters
+    if parameters.force_coefficients == "table":
+        assert trial.frequency is not None
+        table = parameters.coefficients
+        at = [x.frequency for x in table]
+        drag = np.interp(trial.frequency, at, [x.C_d for x in table])
+        return float(drag), float(np.interp(trial.frequency, at, [x.m_a for x in table]))
     if parameters.force_coefficients == "ramp":
         assert trial.frequency is not None
         C_d, m_a = force_coefficients(trial.frequency)

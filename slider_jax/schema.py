@@ -12,7 +12,7 @@ Length = Annotated[float, Quantity(0.0, 3.0, "m")]
 Stiffness = Annotated[float, Quantity(1.0, 1e7, "N")]
 Speed = Annotated[float, Quantity(-3.0, 3.0, "m/s")]
 Force = Annotated[float, Quantity(0.0, 10.0, "N")]
-_FROM_LIST = BeforeValidator(lambda x: tuple(x) if isinstance(x, list) else x)
+FROM_LIST = BeforeValidator(lambda x: tuple(x) if isinstance(x, list) else x)
 
 
 def _plain_name(name: str) -> str:
@@ -48,8 +48,8 @@ class RobotTable(Table):
     EA_tail: Stiffness = 1.0e5
     damping_time: Annotated[float, Quantity(0.0, 0.1, "s")]
     height: Annotated[float, Quantity(0.002, 0.5, "m")]
-    front_chamber: Annotated[tuple[Length, Length], _FROM_LIST]
-    rear_chamber: Annotated[tuple[Length, Length], _FROM_LIST]
+    front_chamber: Annotated[tuple[Length, Length], FROM_LIST]
+    rear_chamber: Annotated[tuple[Length, Length], FROM_LIST]
     water_density: Annotated[float, Quantity(900.0, 1300.0, "kg/m^3")] = 1000.0
 
     @model_validator(mode="after")
@@ -69,16 +69,30 @@ class RobotTable(Table):
         return self
 
 
+Drag = Annotated[float, Quantity(0.0, 20.0)]
+AddedMass = Annotated[float, Quantity(0.0, 5.0)]
+
+
+class CoefficientsAt(Table):
+    """[[parameters.coefficients]]: C_d and m_a of trials at one drive frequency."""
+
+    frequency: Annotated[float, Quantity(0.05, 20.0, "Hz")]
+    C_d: Drag
+    m_a: AddedMass
+
+
 class ParametersTable(Table):
     """[parameters]: what calibration identifies.
 
-    `force_coefficients` says where C_d and m_a come from: "fixed", the numbers here, or "ramp", the
-    paper's ramp at each trial's own frequency.
+    `force_coefficients` says where C_d and m_a come from: "fixed", the numbers here, "ramp", the
+    paper's ramp at each trial's own frequency, or "table", `coefficients`, linear in the frequency
+    between them and constant beyond.
     """
 
-    force_coefficients: Literal["fixed", "ramp"] = "fixed"
-    C_d: Annotated[float, Quantity(0.0, 20.0)] | None = None
-    m_a: Annotated[float, Quantity(0.0, 5.0)] | None = None
+    force_coefficients: Literal["fixed", "ramp", "table"] = "fixed"
+    C_d: Drag | None = None
+    m_a: AddedMass | None = None
+    coefficients: Annotated[tuple[CoefficientsAt, ...], FROM_LIST] = ()
     k: Annotated[float, Quantity(0.001, 2.0, "s")]
     K_Q: Annotated[float, Quantity(1e-9, 1e-4, "m^3")]
 
@@ -87,9 +101,15 @@ class ParametersTable(Table):
         for name in ("C_d", "m_a"):
             given = getattr(self, name)
             if self.force_coefficients == "fixed" and given is None:
-                _fail(name, "nothing", 'a number, unless force_coefficients is "ramp"')
-            if self.force_coefficients == "ramp" and given is not None:
+                _fail(name, "nothing", 'a number, unless force_coefficients is "ramp" or "table"')
+            if self.force_coefficients != "fixed" and given is not None:
                 _fail(name, given, 'only with force_coefficients = "fixed"; leave it out')
+        given_at = [x.frequency for x in self.coefficients]
+        if (self.force_coefficients == "table") != bool(given_at):
+            allowed = 'one table or more with force_coefficients = "table", none without'
+            _fail("coefficients", f"{len(given_at)} tables", allowed)
+        if any(b <= a for a, b in zip(given_at, given_at[1:], strict=False)):
+            _fail("coefficients", given_at, "frequencies that rise from table to table")
         return self
 
 
@@ -108,7 +128,7 @@ class SensorsTable(Table):
 class WaterTable(Table):
     """[water]: a steady uniform stream (x along the straight robot, y to its left)."""
 
-    velocity: Annotated[tuple[Speed, Speed], _FROM_LIST] = (0.0, 0.0)
+    velocity: Annotated[tuple[Speed, Speed], FROM_LIST] = (0.0, 0.0)
 
 
 class NumericsTable(Table):
@@ -178,8 +198,8 @@ class ExperimentTable(Table):
     sensors: SensorsTable = SensorsTable()
     water: WaterTable = WaterTable()
     numerics: NumericsTable = NumericsTable()
-    effects: Annotated[tuple[EffectTable, ...], _FROM_LIST] = ()
-    trials: Annotated[tuple[Trial, ...], _FROM_LIST, Field(min_length=1)]
+    effects: Annotated[tuple[EffectTable, ...], FROM_LIST] = ()
+    trials: Annotated[tuple[Trial, ...], FROM_LIST, Field(min_length=1)]
 
     @model_validator(mode="after")
     def _trials_agree(self) -> "ExperimentTable":
@@ -189,9 +209,10 @@ class ExperimentTable(Table):
                 where = f"a name of its own; trials.{seen[trial.file]} has it already"
                 _fail(f"trials.{index}.file", repr(trial.file), where)
             seen[trial.file] = index
-            if self.parameters.force_coefficients == "ramp" and trial.frequency is None:
-                ramp = 'a number, as parameters.force_coefficients is "ramp"'
-                _fail(f"trials.{index}.frequency", "nothing", ramp)
+            source = self.parameters.force_coefficients
+            if source != "fixed" and trial.frequency is None:
+                needed = f'a number, as parameters.force_coefficients is "{source}"'
+                _fail(f"trials.{index}.frequency", "nothing", needed)
             fastest = max(trial.frequency or 0.0, trial.clamp_frequency or 0.0)
             if trial.clamp_moves and not fastest:
                 _fail(f"trials.{index}.clamp_frequency", "nothing", "a number, as the clamp moves")

@@ -29,7 +29,7 @@ TOML_CASES = {
     ),
     "unknown coefficients": (
         ("m_a = 1.0", 'm_a = 1.0\nforce_coefficients = "paper"'),
-        ("parameters.force_coefficients: given 'paper'; allowed 'fixed' or 'ramp'",),
+        ("parameters.force_coefficients: given 'paper'; allowed 'fixed', 'ramp' or 'table'",),
     ),
     "text for a number": (("C_d = 3.0", 'C_d = "3"'), ("parameters.C_d", "allowed a number")),
     "boolean for a number": (("C_d = 3.0", "C_d = true"), ("parameters.C_d", "allowed a number")),

@@ -47,6 +47,9 @@ COMMANDS = {
     "calibrate manifold": Command(
         "slider_jax.cli.calibrate:manifold", "the pressure lag from the rig's own logs"
     ),
+    "calibrate statics": Command(
+        "slider_jax.cli.calibrate_statics:statics", "EI, damping and K_Q from a bench, in air"
+    ),
     "calibrate": Command(
         "slider_jax.cli.calibrate_tank:tank", "C_d, m_a, k and K_Q from measured trials"
     ),
