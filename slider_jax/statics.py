@@ -53,7 +53,7 @@ def at_rest_under(model: Model, loads: Loads, numerics: Numerics = Numerics()) -
     Differentiable with respect to every number, by the implicit function theorem.
     """
     mesh = make_mesh(model.body, numerics)
-    stage = _stage(model, mesh, loads.pressure @ mesh.chambers)
+    stage = _stage(model, mesh, loads.pressure)
     y, error = _equilibrium((stage, loads.force, scales_of(model.body)))
     eps = mesh.grid.mid(y[0]) / mesh.structure.EA
     shape = midline(y[5], eps, jnp.zeros(2), mesh.grid)
@@ -70,7 +70,7 @@ def release(model: Model, begin: AtRest, numerics: Numerics = Numerics()) -> Car
     return start(y, memory, start_chambers(model))
 
 
-def _stage(model: Model, mesh: Mesh, active_moment: Array) -> Stage:
+def _stage(model: Model, mesh: Mesh, pressure: Float[Array, "2"]) -> Stage:
     zero = jnp.zeros_like(mesh.grid.ds)
     internal = tuple(zero for _ in of_place(model.effects, BendingMoment))
     reference = Reference(zero, zero, zero, zero, zero, internal, jnp.asarray(LONG))
@@ -81,7 +81,8 @@ def _stage(model: Model, mesh: Mesh, active_moment: Array) -> Stage:
         reference=reference,
         phi_head=jnp.asarray(0.0),
         load_head=jnp.zeros(3),
-        active_moment=active_moment,
+        pressure=pressure @ mesh.windows,
+        active_moment=pressure @ mesh.chambers,
         water=jnp.zeros((2, 2)),
         t=jnp.asarray(0.0),
     )
