@@ -1,7 +1,7 @@
 """Close the loop on an experiment: from measured trials to a verdict and a better model."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from calibration.forward import COARSE, FINE, Resolution
 from calibration.log_problem import FREE, LogProblem, built_in, log_candidates, log_record
 from calibration.logs import ManifoldLog
 from calibration.measured import Record, records
+from calibration.memo import Memo
 from calibration.plant import BASE, Parameter, candidates, parameters, start
 from calibration.search import Search, search
 from calibration.systematic import interval
@@ -68,6 +69,7 @@ def close_loop(
     progress: Callable[[str], None] = lambda text: None,
     fine: Resolution = FINE,
     coarse: Resolution = COARSE,
+    memo: Memo | None = None,
 ) -> Outcome:
     """Search what the model of `experiment` lacks on its measured trials.
 
@@ -76,7 +78,8 @@ def close_loop(
     """
 
     def problem_of(chosen: Sequence[Record]) -> Problem:
-        return Problem.of(experiment, list(chosen), names, fine=fine, coarse=coarse)
+        problem = Problem.of(experiment, list(chosen), names, fine=fine, coarse=coarse)
+        return replace(problem, memo=memo)
 
     names = tuple(candidates() if effects is None else effects)
     found = records(experiment)
@@ -94,6 +97,7 @@ def close_loop_on_logs(
     logs: Sequence[ManifoldLog],
     effects: Sequence[str] | None = None,
     progress: Callable[[str], None] = lambda text: None,
+    memo: Memo | None = None,
 ) -> Outcome:
     """Search what the pressure lag lacks on the rig's logs.
 
@@ -113,7 +117,7 @@ def close_loop_on_logs(
     def problem_of(chosen: Sequence[Record]) -> Problem:
         used = {id(r) for r in chosen}
         picked = [log for log, r in zip(logs, found, strict=True) if id(r) in used]
-        return LogProblem.of_logs(picked, names)
+        return replace(LogProblem.of_logs(picked, names), memo=memo)
 
     base = start_values(experiment)
     held = list(range(1, len(logs), 2))

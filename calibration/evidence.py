@@ -26,6 +26,7 @@ from calibration.forward import (
     tangents,
 )
 from calibration.measured import Record
+from calibration.memo import Memo
 from calibration.noise import Noise, Whitener, declared
 from slider_jax.experiment import Experiment
 
@@ -77,6 +78,8 @@ class Problem:
     mesh: Resolution = COARSE
     """Of the tangents."""
     maps: tuple[Affine, ...] | None = None
+    memo: Memo | None = None
+    """Keeps what was simulated."""
 
     @classmethod
     def of(
@@ -103,6 +106,24 @@ class Problem:
 
     def predict(self, theta: np.ndarray) -> list[np.ndarray]:
         """Readings (5, samples) of every trial."""
+        return self._kept("predict", [theta], lambda: self._predict(theta))
+
+    def tangents(self, theta: np.ndarray, directions: np.ndarray) -> list[np.ndarray]:
+        """Derivatives (k, 5, samples) of every trial."""
+        return self._kept(
+            "tangents", [theta, directions], lambda: self._tangents(theta, directions)
+        )
+
+    def secants(self, theta: np.ndarray, others: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Changes (k, 5, samples) of every trial from `theta` to each of k `others`."""
+        return self._kept("secants", [theta, *others], lambda: self._secants(theta, others))
+
+    def _kept(self, what: str, arrays: Sequence[np.ndarray], make) -> list[np.ndarray]:
+        if self.memo is None:
+            return make()
+        return self.memo.kept(f"{what} {[r.trial.file for r in self.records]}", arrays, make)
+
+    def _predict(self, theta: np.ndarray) -> list[np.ndarray]:
         return self.predict_each(self._own(theta))
 
     def predict_each(self, thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -110,9 +131,7 @@ class Problem:
         pairs = list(zip(self.fine, thetas, strict=True))
         return on_all_cores(lambda pair: predict(*pair), pairs)
 
-    def secants(self, theta: np.ndarray, others: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Changes (k, 5, samples) of every trial from `theta` to each of k `others`."""
-
+    def _secants(self, theta: np.ndarray, others: Sequence[np.ndarray]) -> list[np.ndarray]:
         def one(job):
             laid, here, there = job
             begin = predict(laid, here)
@@ -121,8 +140,7 @@ class Problem:
         each = zip(*(self._own(other) for other in others), strict=True)
         return on_all_cores(one, list(zip(self.coarse, self._own(theta), each, strict=True)))
 
-    def tangents(self, theta: np.ndarray, directions: np.ndarray) -> list[np.ndarray]:
-        """Derivatives (k, 5, samples) of every trial."""
+    def _tangents(self, theta: np.ndarray, directions: np.ndarray) -> list[np.ndarray]:
         if self.maps is None:
             return on_all_cores(lambda p: tangents(p, theta, directions), self.coarse)
 

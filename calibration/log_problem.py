@@ -115,15 +115,13 @@ class LogProblem(Problem):
         base = Extended(to_model(experiments[0], trial), taken, tuple(names))
         return cls(found, [], [], (CHANNEL,), noise, logs=list(logs), base=base, drive=drive)
 
-    def predict(self, theta: np.ndarray) -> list[np.ndarray]:
-        """Readings (5, samples) of every log; NaN but for `CHANNEL`."""
+    def _predict(self, theta: np.ndarray) -> list[np.ndarray]:
         moved = self._moved(theta)
         return self._cut(
             np.asarray(_readings(self._with(moved), self._of(theta, moved), self.drive))
         )
 
-    def tangents(self, theta: np.ndarray, directions: np.ndarray) -> list[np.ndarray]:
-        """Derivatives (k, 5, samples) of every log."""
+    def _tangents(self, theta: np.ndarray, directions: np.ndarray) -> list[np.ndarray]:
         along = np.any(np.asarray(directions) != 0.0, axis=0)
         moved = self._moved(theta, along)
         extended, at = self._with(moved), self._of(theta, moved)
@@ -138,8 +136,7 @@ class LogProblem(Problem):
         each = [self._cut(x) for x in series]
         return [np.stack(x) for x in zip(*each, strict=True)]
 
-    def secants(self, theta: np.ndarray, others: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Changes (k, 5, samples) of every log from `theta` to each of k `others`."""
+    def _secants(self, theta: np.ndarray, others: Sequence[np.ndarray]) -> list[np.ndarray]:
         here = self.predict(theta)
         there = [self.predict(other) for other in others]
         return [np.stack([x[i] - here[i] for x in there]) for i in range(len(here))]

@@ -203,16 +203,16 @@ def _tried(problem, entries, current: Fit, group, s: Score, white, progress) -> 
 
 def _begun(entries, theta: np.ndarray, group: np.ndarray, s: Score) -> np.ndarray:
     """Where the refit of a candidate begins: at its starts, or where the score says it is."""
-    theta = theta.copy()
     begun = [i for i in group if entries[i].prior.start is not None]
     if begun:
+        theta = theta.copy()
         theta[begun] = [entries[i].prior.start for i in begun]
         return theta
-    low = np.array([entries[i].prior.low for i in group])
-    high = np.array([entries[i].prior.high for i in group])
-    estimate = np.clip(theta[group] + s.estimate, low, high)
-    theta[group] = np.where(estimate == theta[group], estimate + 0.02 * (high - low), estimate)
-    return theta
+    low, high = np.array([[p.prior.low, p.prior.high] for p in entries]).T
+    moved = np.where(s.step == 0.0, theta, np.clip(theta + s.step, low, high))
+    still = group[moved[group] == theta[group]]
+    moved[still] += 0.02 * (high - low)[still]
+    return moved
 
 
 def _share(before: list[np.ndarray], after: list[np.ndarray], row: int) -> float:

@@ -22,7 +22,8 @@ def close_loop(
     """Calibrate, find the residual, trace it to an effect the model lacks, add it, report.
 
     Writes DIR/report.html (to read), DIR/report.json (to process) and DIR/model.toml (the
-    calibrated model with what was found, for `slider simulate --model`).
+    calibrated model with what was found, for `slider simulate --model`). A run that was stopped
+    goes on where it was when it is started again.
 
     Args:
         inputs: an experiment file (.toml), its measured trials beside it; or five or more pressure
@@ -30,9 +31,11 @@ def close_loop(
         out: folder for the results; made if missing, files of the same name are replaced.
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
     """
+    from calibration.memo import resumable
     from calibration.report import model_toml
     from calibration.report_html import page
     from slider_jax.files import staged, write_json, write_text
+    from slider_jax.provenance import input_file
 
     begun = time.monotonic()
 
@@ -42,11 +45,12 @@ def close_loop(
     def seconds() -> float:
         return time.monotonic() - begun
 
-    with staged(out) as stage:
-        if _are_logs(inputs, model):
-            outcome, told = _of_logs(inputs, say, seconds)
-        else:
-            outcome, told = _of_experiment(inputs[0], model, say, seconds)
+    of = _of_logs if _are_logs(inputs, model) else _of_experiment
+    settings = {"inputs": [input_file(p) for p in (*inputs, *([model] if model else []))]}
+    if of is _of_experiment:
+        settings["trials"] = [input_file(p) for p in sorted(inputs[0].parent.glob("*.csv"))]
+    with resumable(out, settings) as memo, staged(out) as stage:
+        outcome, told = of(inputs, model, memo, say, seconds)
         write_json(stage / "report.json", told)
         write_text(stage / "model.toml", model_toml(outcome))
         write_text(stage / "report.html", page(outcome, told))
@@ -72,26 +76,26 @@ def _are_logs(inputs: tuple[Path, ...], model: Path | None) -> bool:
     return False
 
 
-def _of_experiment(path: Path, model: Path | None, say, seconds) -> tuple[Any, dict[str, Any]]:
+def _of_experiment(inputs, model, memo, say, seconds) -> tuple[Any, dict[str, Any]]:
     from calibration.closing import close_loop as close
     from calibration.next_experiment import next_experiment
     from calibration.report import report
     from slider_jax.experiment import load
     from slider_jax.provenance import input_file
 
-    outcome = close(load(path, model), progress=say)
+    outcome = close(load(inputs[0], model), progress=say, memo=memo)
     following = next_experiment(outcome, say)
-    return outcome, report(outcome, seconds(), input_file(path), following)
+    return outcome, report(outcome, seconds(), input_file(inputs[0]), following)
 
 
-def _of_logs(paths: tuple[Path, ...], say, seconds) -> tuple[Any, dict[str, Any]]:
+def _of_logs(inputs, model, memo, say, seconds) -> tuple[Any, dict[str, Any]]:
     from calibration.closing import close_loop_on_logs
     from calibration.log_report import log_report
     from calibration.logs import read_log
     from slider_jax.cli.calibrate import refuse_twins
 
-    refuse_twins(paths)
-    logs = [read_log(path) for path in paths]
-    outcome = close_loop_on_logs(logs, progress=say)
+    refuse_twins(inputs)
+    logs = [read_log(path) for path in inputs]
+    outcome = close_loop_on_logs(logs, progress=say, memo=memo)
     say("simulating what this changes for thrust")
     return outcome, log_report(outcome, logs, seconds)
