@@ -91,14 +91,14 @@ def body(shape: Shape, s: np.ndarray) -> Body:
         EI=one,
         EA=one,
         damping_time=0.0 * one,
-        height=depth,
-        height_s=slope,
+        height=jnp.asarray(depth),
+        height_s=jnp.asarray(slope),
         s=0.5 * (s[1:] + s[:-1]),
-        ds=ds,
+        ds=jnp.asarray(ds),
         in_tail=0.0 * one,
         joint=0.0 * one,
     )
-    return jax.tree.map(jnp.asarray, Body(structure, width))
+    return jax.tree.map(jnp.asarray, Body(structure, jnp.asarray(width)))
 
 
 class Prescribed(eqx.Module):
@@ -141,9 +141,7 @@ def _section(structure: Structure, t, y, y_t) -> Section:
     )
     no_load = jnp.zeros((3, *mid[0].shape))
     still = jnp.zeros((2, 2))
-    return section(
-        Fields(*no_load, *mid), Fields(*no_load, *slope), structure, reference, still, t
-    )
+    return section(Fields(*no_load, *mid), Fields(*no_load, *slope), structure, reference, still, t)
 
 
 @jax.jit

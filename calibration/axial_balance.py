@@ -166,7 +166,7 @@ def draw(
 
     `motions[0]` is the motion as it was read; `coefficients` is (C_d, m_a).
     """
-    strides = course.strides.count
+    strides = course.strides.number
     same = np.full((count, strides), 1.0 / strides)
     weights = stride_weights(strides, count, rng) if "strides" in vary else same
     C_d, m_a = (np.full(count, x) for x in coefficients)

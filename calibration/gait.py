@@ -9,9 +9,10 @@ so that it does not stretch, whatever was measured. Distances along it are taken
 tracked head hardly jitters, and what a tracked length does is where the tail was seen to end.
 
 Both smoothings are cubic smoothing splines applied to a series and once more to what they left
-(twicing), which keeps a share 1 - (1 - g)^2 of an amplitude, g = 1/(1 + (f/f_1)^4) at frequency or
-wavenumber f. Settings say where half an amplitude is kept. Source: Reinsch, C. H. (1967), Smoothing
-by spline functions, Numer. Math. 10, 177-183; Tukey, J. W. (1977), Exploratory Data Analysis, ch. 16.
+(twicing), which keeps a share 1 - (1 - g)^2 of an amplitude, g = 1/(1 + (f/f_1)^4) at frequency
+or wavenumber f. Settings say where half an amplitude is kept. Source: Reinsch, C. H. (1967),
+Smoothing by spline functions, Numer. Math. 10, 177-183; Tukey, J. W. (1977), Exploratory Data
+Analysis, ch. 16.
 """
 
 import math
@@ -29,6 +30,8 @@ WAVELENGTHS = (0.6, 0.5, 0.4, 0.35, 0.3, 0.25, 0.2, 0.15)
 """Smoothing along the body that is tried: wavelengths of which half is kept, in body lengths."""
 ABOVE_NOISE = 1.5
 """Smoothing is fine enough where the angles are off it by at most so many times their noise."""
+EVERY = 4
+"""Of the frames, one in so many is used to choose the wavelength."""
 QUIET = 0.7
 """Above this share of the highest frequency the angles are taken to be noise alone."""
 CLEAR = 2.0
@@ -95,7 +98,7 @@ def white_noise(series: np.ndarray) -> np.ndarray:
 
 
 def along_body(measured: Angles, s: np.ndarray, wavelength: float) -> tuple[np.ndarray, float]:
-    """phi (frames, nodes) [rad] at `s` [m] from the tail, and the rms [rad] that is smoothed out."""
+    """phi (frames, nodes) [rad] at `s` [m] from the tail, and the rms [rad] of what is left out."""
     L, rows, left = s[-1], [], []
     for phi, behind in zip(measured.phi, measured.behind, strict=True):
         fit = twiced(behind / L, phi, 1.0 / wavelength)
@@ -114,10 +117,11 @@ def choose_smoothing(midlines: Midlines) -> Smoothing:
     measured, length = angles(midlines), float(np.median(midlines.lengths))
     noise = float(np.median(white_noise(measured.phi)))
     s = np.linspace(0.0, length, NODES)
+    some = Angles(*(x[::EVERY] for x in measured))
     for wavelength in WAVELENGTHS:
-        phi, left = along_body(measured, s, wavelength)
-        if left <= ABOVE_NOISE * noise:
+        if along_body(some, s, wavelength)[1] <= ABOVE_NOISE * noise:
             break
+    phi, _ = along_body(measured, s, wavelength)
     return Smoothing(wavelength, cutoff(phi, midlines.interval))
 
 
@@ -157,7 +161,7 @@ def motion(midlines: Midlines, smoothing: Smoothing, length: float | None = None
 
 
 def lay_out(t: np.ndarray, s: np.ndarray, phi: list[np.ndarray], head: list[np.ndarray]) -> Motion:
-    """The body laid out from its head by its angles; `phi` and `head` with their two derivatives."""
+    """The body laid out from its head by its angles; `phi`, `head` with their two derivatives."""
     ds = np.diff(s)
     angle, omega, turn = (0.5 * (x[:, 1:] + x[:, :-1]) for x in phi)
     tau = np.stack([np.cos(angle), np.sin(angle)], axis=-1)

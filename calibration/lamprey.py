@@ -15,7 +15,9 @@ import numpy as np
 from calibration.animal import VISCOSITY, Prescribed, Shape, force, inertia, prescribe
 from calibration.axial_balance import (
     CANDIDATES,
+    DRAWS,
     EFFECTS,
+    MOTIONS,
     Course,
     Draws,
     Ledger,
@@ -84,18 +86,18 @@ def _within_prior(name: str, values: np.ndarray) -> float:
     return float(np.mean((values >= prior.low) & (values <= prior.high)))
 
 
-def weigh(folder: Path, seed: int = 0) -> Weighed:
+def weigh(folder: Path, seed: int = 0, draws: int = DRAWS) -> Weighed:
     """Weigh the animal of a folder with lampreydata.csv and fishwidth.csv.
 
-    `seed` of the draws that make the intervals. Raises `InputError` on data that cannot be used.
+    `draws` from `seed` make the intervals. Raises `InputError` on data that cannot be used.
     """
     midlines = read_midlines(folder / "lampreydata.csv")
     places, given = read_width(folder / "fishwidth.csv", WIDTH_COLUMN)
-    return weigh_midlines(midlines, Shape(places, FULL_OVER_GIVEN * given), seed)
+    return weigh_midlines(midlines, Shape(places, FULL_OVER_GIVEN * given), seed, draws)
 
 
-def weigh_midlines(midlines: Midlines, shape: Shape, seed: int = 0, draws: int = 400) -> Weighed:
-    """Weigh an animal of `shape` that swims as `midlines` say."""
+def weigh_midlines(midlines: Midlines, shape: Shape, seed: int = 0, draws: int = DRAWS) -> Weighed:
+    """Weigh an animal of `shape` that swims as `midlines` say; `draws` make the intervals."""
     rng = np.random.default_rng(seed)
     smoothing = choose_smoothing(midlines)
     moved = motion(midlines, smoothing)
@@ -104,7 +106,7 @@ def weigh_midlines(midlines: Midlines, shape: Shape, seed: int = 0, draws: int =
     course = Course(strides, how.direction)
     C_d, m_a = (float(x) for x in paper.force_coefficients(how.frequency))
     base = ledger(moved, shape, course)
-    others = readings(midlines, smoothing, rng)
+    others = readings(midlines, smoothing, rng, min(MOTIONS, max(2, draws // 10)))
     pool = [moved, *others]
 
     def vary(*sources: str) -> Draws:
@@ -212,7 +214,7 @@ def skin(x: Weighed) -> dict[str, Any]:
 
 
 def frontal_coefficient(x: Weighed) -> tuple[float, float, float]:
-    """Drag coefficient of the head on the largest section that would close the balance, and 95 %."""
+    """Drag coefficient on the largest section by which the head closes the balance, and 95 %."""
     laid = x.held.body
     section = float(np.max(math.pi / 4.0 * laid.width * laid.structure.height))
     area = x.draws.closing("head_drag") / section

@@ -67,7 +67,7 @@ def read_midlines(path: Path) -> Midlines:
     if np.ptp(t, axis=1).max() > 0.0 or np.any(np.diff(t[:, 0]) <= 0.0):
         raise InputError(f"{path}, column t: time must be one in a frame and increase from frame "
                          "to frame; sort the rows by frame and point")  # fmt: skip
-    run = _longest_run(np.isfinite(points).all(axis=(1, 2)))
+    run = _longest_run(np.asarray(np.isfinite(points).all(axis=(1, 2))))
     if run.stop - run.start < FEWEST_FRAMES:
         raise InputError(
             f"{path}: the longest run of complete frames has {run.stop - run.start}; at least "

@@ -25,13 +25,13 @@ class Strides(NamedTuple):
     """(times,) [turns], increasing by 1 from mark to mark."""
 
     @property
-    def count(self) -> int:
+    def number(self) -> int:
         return len(self.marks) - 1
 
     @property
     def frequency(self) -> float:
         """Mean [Hz] over the strides."""
-        return self.count / float(self.marks[-1] - self.marks[0])
+        return self.number / float(self.marks[-1] - self.marks[0])
 
     def means(self, t: np.ndarray, series: np.ndarray) -> np.ndarray:
         """(strides, ...): the mean of a series (times, ...) over each stride."""
@@ -116,7 +116,7 @@ def gait(motion: Motion, strides: Strides, viscosity: float) -> Gait:
 
 
 def fundamental(t: np.ndarray, series: np.ndarray, strides: Strides) -> np.ndarray:
-    """Complex amplitude (nodes,) of a series (times, nodes) at the strides' phase, trend taken out."""
+    """Complex amplitude (nodes,) at the strides' phase of a series (times, nodes), detrended."""
     here = (t >= strides.marks[0]) & (t <= strides.marks[-1])
     turn, at = 2.0 * math.pi * strides.phase[here], t[here] - t[here].mean()
     basis = np.stack([np.ones_like(at), at, at**2, np.cos(turn), np.sin(turn)], axis=1)

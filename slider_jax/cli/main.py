@@ -33,6 +33,9 @@ COMMANDS = {
     "close-loop": Command(
         "slider_jax.cli.close_loop:close_loop", "what a model lacks, from measured trials"
     ),
+    "lamprey": Command(
+        "slider_jax.cli.lamprey:lamprey", "a swimming animal's midlines, weighed by the model"
+    ),
     "effects": Command(
         "slider_jax.cli.effects:effects", "what a model may lack, and what it does to the sensors"
     ),
