@@ -36,6 +36,9 @@ COMMANDS = {
     "lamprey": Command(
         "slider_jax.cli.lamprey:lamprey", "a swimming animal's midlines, weighed by the model"
     ),
+    "published": Command(
+        "slider_jax.cli.published:published", "the paper's swimming speeds against its equations"
+    ),
     "effects": Command(
         "slider_jax.cli.effects:effects", "what a model may lack, and what it does to the sensors"
     ),
