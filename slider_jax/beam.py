@@ -30,6 +30,8 @@ class Structure(eqx.Module):
     EA: Array
     damping_time: Array
     height: Array
+    height_s: Array
+    """dH/ds, where the height varies along the body."""
     s: Array
     ds: Array
     in_tail: Array
@@ -63,6 +65,7 @@ class Section(eqx.Module):
     in_tail: Array
     joint: Array
     height: Array
+    height_s: Array
     linear_density: Array
     phi: Array
     pressure: Array
@@ -109,6 +112,7 @@ def section(
         in_tail=structure.in_tail,
         joint=structure.joint,
         height=structure.height,
+        height_s=structure.height_s,
         linear_density=structure.linear_density,
         phi=mid.phi,
         pressure=pressure,

@@ -13,11 +13,35 @@ from slider_jax.toml_file import read_bytes
 def read_csv(
     path: Path, required: Sequence[str], blank: Sequence[str] = (), increasing: str = "time"
 ) -> dict[str, np.ndarray]:
+    """`read_table` of a series: the first of `required` must increase.
+
+    It is what `increasing` calls it; with "" it need not. Raises `InputError` naming file and line.
+    """
+    columns, lines = _read(path, required, blank)
+    times = columns[required[0]]
+    late = np.flatnonzero(np.diff(times) <= 0.0)
+    if increasing and late.size:
+        line = lines[late[0] + 1]
+        raise InputError(
+            f"{path}, line {line}: {required[0]} = {times[late[0] + 1]:g} after "
+            f"{times[late[0]]:g}; {increasing} must increase from row to row"
+        )
+    return columns
+
+
+def read_table(
+    path: Path, required: Sequence[str], blank: Sequence[str] = ()
+) -> dict[str, np.ndarray]:
     """Columns of a CSV file by name. Cells of the columns in `blank` may be empty: NaN.
 
-    The first of `required` is what `increasing` calls it, and must increase; with "" it need not.
     Raises `InputError` naming file and line.
     """
+    return _read(path, required, blank)[0]
+
+
+def _read(
+    path: Path, required: Sequence[str], blank: Sequence[str]
+) -> tuple[dict[str, np.ndarray], list[int]]:
     try:
         text = read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -43,15 +67,7 @@ def read_csv(
         if name in required or name in blank:
             cells = [(line, row[index]) for line, row in numbered]
             columns[name] = _numbers(path, name, cells, blank=name in blank)
-    times = columns[required[0]]
-    late = np.flatnonzero(np.diff(times) <= 0.0)
-    if increasing and late.size:
-        line = numbered[late[0] + 1][0]
-        raise InputError(
-            f"{path}, line {line}: {required[0]} = {times[late[0] + 1]:g} after "
-            f"{times[late[0]]:g}; {increasing} must increase from row to row"
-        )
-    return columns
+    return columns, [line for line, _ in numbered]
 
 
 def _numbers(path: Path, name: str, cells: list[tuple[int, str]], blank: bool) -> np.ndarray:

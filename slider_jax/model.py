@@ -72,6 +72,7 @@ def make_mesh(robot: Robot, numerics: Numerics) -> Mesh:
         EA=grid.per_cell(robot.EA_tail, robot.EA_body),
         damping_time=robot.damping_time * one,
         height=robot.height * one,
+        height_s=0.0 * one,
         s=grid.mid(grid.s),
         ds=grid.ds,
         in_tail=grid.per_cell(one, 0.0 * one),

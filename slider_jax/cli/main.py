@@ -35,6 +35,12 @@ COMMANDS = {
     "close-loop": Command(
         "slider_jax.cli.close_loop:close_loop", "what a model lacks, from measured trials"
     ),
+    "lamprey": Command(
+        "slider_jax.cli.lamprey:lamprey", "a swimming animal's midlines, weighed by the model"
+    ),
+    "published": Command(
+        "slider_jax.cli.published:published", "the paper's swimming speeds against its equations"
+    ),
     "effects matrix": Command(
         "slider_jax.cli.effects_matrix:matrix",
         "which of them an experiment could find and separate",

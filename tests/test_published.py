@@ -1,0 +1,158 @@
+"""Free swimming: speeds that closed forms or long rollouts know, and the published ones."""
+
+import json
+import math
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from calibration import published
+from calibration.animal import force, prescribe
+from calibration.published import FIRST, OPTIMUM, After, Before, coefficient_at, swimmer
+from calibration.published_report import Outcome, decide
+from slider_jax.cli.main import main
+from slider_jax.effects import ReactiveForce
+from slider_jax.effects.head_added_mass import HeadAddedMass
+from slider_jax.parameters import Numerics
+from slider_jax.supports import Clamped
+from slider_jax.swimming import Plan, steady_speed, swim_from, watch, watched
+from tests.test_lamprey import SHAPE, one_stride, wave
+
+QUICK = Plan(settling=3, watched=2, steps_per_stride=60, numerics=Numerics(4, 8))
+GAIT = OPTIMUM.gaits["as the paper gives it"]
+SWIMS = jnp.asarray(GAIT.frequency)
+
+
+def test_an_unpowered_body_coasts_as_its_friction_says():
+    """m dv/dt = -rho C_t H v^2/2 per length: 1/v grows linearly."""
+    C_t, begin = 0.1, 0.3
+    model = swimmer(GAIT._replace(front=0.0, rear=0.0), "tangential_friction", C_t)
+    found = watched(model, SWIMS, jnp.asarray(begin), QUICK)
+    rate = 0.5 * 1000.0 * C_t * float(model.robot.height / model.robot.linear_density)
+    middle = (QUICK.settling + 0.5 * QUICK.watched) / GAIT.frequency
+    v = 1.0 / (1.0 / begin + rate * middle)
+    print(f"{float(found.speed):.4f} m/s, {v:.4f} known")
+    assert float(found.speed) == pytest.approx(v, rel=3e-3)
+    assert float(found.acceleration) == pytest.approx(-rate * v**2, rel=0.01)
+
+
+def test_a_long_swim_from_rest_ends_at_the_steady_speed():
+    model = swimmer(GAIT, "tangential_friction", 0.3)
+    steady = steady_speed(model, GAIT.frequency, QUICK)
+    swim = jax.jit(lambda m: swim_from(m, SWIMS, 0.0, 60, QUICK))
+    by_stride, ok = swim(model)
+    assert bool(ok)
+    last = np.hypot(*np.asarray(by_stride[-10:]).mean(axis=0))
+    print(f"steady {steady.speed:.4f} m/s, after 60 strides {last:.4f}")
+    assert steady.speed == pytest.approx(last, rel=0.03)
+
+
+def test_the_papers_equations_are_not_steady_below_five_times_the_published_speed():
+    model = swimmer(GAIT)
+    found = steady_speed(model, GAIT.frequency, QUICK, fastest=1.2)
+    assert found.speed is None and float(found.at_fastest.acceleration) > 0.0
+    assert float(found.at_fastest.speed) > 1.1
+
+
+def test_a_clamped_model_does_not_swim():
+    model = replace(swimmer(GAIT), support=Clamped())
+    with pytest.raises(ValueError, match="allowed Free"):
+        steady_speed(model, GAIT.frequency, QUICK)
+
+
+def test_watching_is_differentiable():
+    def acceleration(C_t):
+        return watch(swimmer(GAIT, "tangential_friction", C_t), SWIMS, 0.2, QUICK).acceleration
+
+    value, slope = jax.jit(lambda c: jax.jvp(acceleration, (c,), (1.0,)))(0.2)
+    h, above, below = (
+        1e-4,
+        *(
+            watched(swimmer(GAIT, "tangential_friction", c), SWIMS, jnp.asarray(0.2), QUICK)
+            for c in (0.2 + 1e-4, 0.2 - 1e-4)
+        ),
+    )
+    numeric = float(above.acceleration - below.acceleration) / (2.0 * h)
+    assert float(slope) < 0.0
+    np.testing.assert_allclose(slope, numeric, rtol=1e-4)
+    assert np.isfinite(float(value))
+
+
+@pytest.mark.parametrize("resisting", ["tangential_friction", "head_drag"])
+def test_a_calibrated_coefficient_swims_at_the_published_speed(resisting):
+    found = coefficient_at(OPTIMUM, GAIT, resisting, plan=QUICK)
+    steady = steady_speed(swimmer(GAIT, resisting, found), GAIT.frequency, QUICK)
+    print(f"{resisting} = {found:.4g}: {steady.speed:.4f} m/s")
+    assert steady.speed == pytest.approx(OPTIMUM.speed, abs=1e-3)
+
+
+def test_with_the_heads_added_mass_only_the_tails_flux_is_left():
+    """Of a blunt body of uniform height, over a stride; without it the head's is missing."""
+    moved = wave(0.01, one_stride(96))
+    held = prescribe(moved, SHAPE)
+    H = 0.006
+    x = replace(held.x, height=H + 0.0 * held.x.height, height_s=0.0 * held.x.height)
+    held = replace(held, x=x)
+    m_A = math.pi * 1000.0 * H**2 / 4.0
+
+    def flux(node):
+        phi, V = moved.phi[:, node], moved.V[:, node]
+        tau, n = np.stack([np.cos(phi), np.sin(phi)], 1), np.stack([-np.sin(phi), np.cos(phi)], 1)
+        u_tau, u_n = ((V * e).sum(axis=1)[:, None] for e in (tau, n))
+        return (m_A * (u_tau * u_n * n - 0.5 * u_n**2 * tau)).mean(axis=0)
+
+    local, at_head = (
+        np.asarray(force(e, held)).mean(axis=0) for e in (ReactiveForce(1.0), HeadAddedMass(1.0))
+    )
+    print(local, at_head, -flux(0), flux(-1))
+    size = np.abs(flux(0)).max()
+    np.testing.assert_allclose(local, flux(-1) - flux(0), atol=0.01 * size)
+    np.testing.assert_allclose(local + at_head, -flux(0), atol=0.05 * size)
+
+
+def predicted(speed, resisting="tangential_friction", coefficient=0.2):
+    return After(resisting, "h", FIRST.name, "g", coefficient, OPTIMUM.name, "o", speed,
+                 OPTIMUM.speed)  # fmt: skip
+
+
+def alone():
+    return [Before(OPTIMUM.name, "g", "h", np.linspace(0.0, 1.3, 60), 2.4)]
+
+
+@pytest.mark.parametrize(
+    ("predictions", "verdict"),
+    [
+        ([predicted(0.213), predicted(0.19, "head_drag", 2e-3)], "class"),
+        ([predicted(0.213), predicted(0.9, "head_drag", 2e-3)], "identified"),
+        (
+            [predicted(0.213), *3 * [predicted(0.15)], predicted(0.2, "head_drag", 2e-3)],
+            "inconclusive",
+        ),
+        ([predicted(0.15), predicted(0.14, "head_drag", 2e-3)], "unexplained"),
+        # Right, but with more friction than is believed.
+        ([predicted(0.217, coefficient=0.9), predicted(0.15, "head_drag", 2e-3)], "unexplained"),
+    ],
+)
+def test_the_verdict_on_the_published_speeds(predictions, verdict):
+    assert decide(Outcome(alone(), predictions, []))[0] == verdict
+
+
+def test_the_command_writes_its_report(tmp_path, capsys, monkeypatch):
+    def after(calibrated, checked, done):
+        found = [predicted(0.213), predicted(0.19, "head_drag", 2e-3)]
+        for x in found:
+            done(x)
+        return found
+
+    monkeypatch.setattr(published, "before", alone)
+    monkeypatch.setattr(published, "after", after)
+    assert main(["published", "--out", str(tmp_path / "out")]) == 0
+    told = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert told["verdict"] == "class" and told["effects"][0]["class"] == ["head_drag"]
+    row = told["errors"]["speed_at_optimum"]
+    assert row["before"] > 1.0 and row["after"] == pytest.approx(0.004)
+    assert told["said"] in capsys.readouterr().out
+    assert "data:image/png;base64" in (tmp_path / "out" / "report.html").read_text()
