@@ -25,8 +25,8 @@ BASE = {
 }
 """Parameters of the base model that are identified, with the range that is searched."""
 
-NOT_CANDIDATES = ("gravity",)
-"""Effects that a horizontal tank experiment cannot have."""
+NOT_CANDIDATES = ("gravity", "head_added_mass")
+"""Effects that a horizontal tank with a clamped head cannot have."""
 
 
 class Parameter(NamedTuple):

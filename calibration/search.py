@@ -24,6 +24,8 @@ LEAST_GAIN = 20.0
 """Smallest gain of a refitted candidate that counts, in units of the residual's mean square."""
 SHORT_LIST = 5
 """Candidates of each kind that are refitted in a round."""
+NEARLY = 0.7
+"""A candidate is refitted if its score promises so much of what is worth naming."""
 HALVED = 4
 """Sizes that are tried of a start that cannot be simulated."""
 MOST = 3
@@ -152,6 +154,17 @@ def search(
     return found
 
 
+def _could_be_named(problem: Problem, current: Fit, everything, step: np.ndarray) -> bool:
+    """Whether a score's step changes some channel by nearly what is worth naming."""
+    there = [
+        y + np.tensordot(step, x, 1) for y, x in zip(current.predicted, everything, strict=True)
+    ]
+    return any(
+        _share(current.predicted, there, CHANNELS.index(c)) > NEARLY * DISCREPANCY[c]
+        for c in problem.channels
+    )
+
+
 def _can_join(name: str, effects: list[str]) -> bool:
     taken = {LIBRARY[n].instead for n in effects} - {""}
     return name not in effects and LIBRARY[name].instead not in taken
@@ -166,6 +179,8 @@ def _round(problem, entries, current: Fit, members, rest, white, progress) -> Ro
     scores.sort(key=lambda s: -s.gain)
     this = Round(scores)
     for s in _likely(scores, entries, judged):
+        if not _could_be_named(problem, current, everything, s.step):
+            continue
         progress(f"refitting with {s.name}")
         this.tried.append(_tried(problem, entries, current, members[s.name], s, white, progress))
     accepted = [t for t in this.tried if t.worth_naming and t.agree > 1.0]

@@ -18,7 +18,6 @@ from slider_jax.effects.choked_flow import ChokedFlow
 from slider_jax.effects.clamp_compliance import ClampCompliance
 from slider_jax.effects.fill_vent_asymmetry import FillVentAsymmetry
 from slider_jax.effects.firmware_valves import FirmwareValves
-from slider_jax.effects.fixture_drag import FixtureDrag
 from slider_jax.effects.flow_exponent import FlowExponent
 from slider_jax.effects.force_clock_offset import ForceClockOffset
 from slider_jax.effects.force_crosstalk import ForceCrosstalk
@@ -26,6 +25,8 @@ from slider_jax.effects.force_gain import ForceGain
 from slider_jax.effects.force_resonance import ForceResonance
 from slider_jax.effects.force_sensor_lag import ForceSensorLag
 from slider_jax.effects.gravity import Gravity
+from slider_jax.effects.head_added_mass import HeadAddedMass
+from slider_jax.effects.head_drag import HeadDrag
 from slider_jax.effects.hose_load import HoseLoad
 from slider_jax.effects.internal_friction import InternalFriction
 from slider_jax.effects.keulegan_carpenter_drag import KeuleganCarpenterDrag
@@ -58,6 +59,7 @@ from slider_jax.effects.tail_stiffness import TailStiffness
 from slider_jax.effects.tangential_friction import TangentialFriction
 from slider_jax.effects.tank_current import TankCurrent
 from slider_jax.effects.tank_seiche import TankSeiche
+from slider_jax.effects.thinned_friction import ThinnedFriction
 from slider_jax.effects.tip_mass import TipMass
 from slider_jax.effects.tow_speed_error import TowSpeedError
 from slider_jax.effects.valve_deadband import ValveDeadband
@@ -110,6 +112,9 @@ LIBRARY: dict[str, type[Effect]] = {
         # water
         Gravity,
         TangentialFriction,
+        ThinnedFriction,
+        HeadDrag,
+        HeadAddedMass,
         LinearDrag,
         TailDrag,
         TailAddedMass,
@@ -125,7 +130,6 @@ LIBRARY: dict[str, type[Effect]] = {
         PressureRipple,
         PressureSensorLag,
         ForceGain,
-        FixtureDrag,
         HoseLoad,
         ForceCrosstalk,
         ForceSensorLag,
