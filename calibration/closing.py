@@ -147,7 +147,7 @@ def conclude(
     problem = problem_of(seen) if held else everything
     result = search(problem, entries, start(entries, base), progress, base_names)
     before, after = excess(problem, result.base), excess(problem, result.final)
-    verdict = decide(result, before, after)
+    verdict = decide(result, entries, before, after)
     hidden = None
     if held:
         progress("predicting the trials that were held out")

@@ -9,7 +9,6 @@ from calibration.closing import Errors, Outcome
 from calibration.plant import Parameter
 from calibration.systematic import determined
 from calibration.verdict import FLOOR
-from slider_jax.effects import Effect
 from slider_jax.effects.library import LIBRARY
 from slider_jax.provenance import versions
 
@@ -63,17 +62,12 @@ def effects(outcome: Outcome) -> list[dict[str, Any]]:
                 "title": kind.title,
                 "class": this.alike,
                 "parameters": {p: _interval(outcome, this.chosen, p) for p in kind.priors()},
-                "where": place(kind),
+                "where": kind.place(),
                 "channels": {c: share for c, share in tried.sizes.items() if share > 1e-4},
                 "gain": tried.gain,
             }
         )
     return found
-
-
-def place(kind: type[Effect]) -> str:
-    """Where an effect enters: the name of its place."""
-    return next(base.__name__ for base in kind.__mro__[1:] if base.__module__.endswith(".base"))
 
 
 def _interval(outcome: Outcome, effect: str, name: str) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """What a search amounts to, in one of five words, and how far the residual is from its floor."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -8,13 +9,18 @@ from calibration.evidence import Problem
 from calibration.fit import Fit
 from calibration.forward import CHANNELS
 from calibration.noise import DISCREPANCY
+from calibration.plant import Parameter
 from calibration.search import Search
+from slider_jax.effects.library import LIBRARY
 
 FLOOR = 1.5
 """Mean square of a channel's white residual up to which it is at the floor: programs that agree
 leave up to 1.3."""
 EXPLAINED = 0.8
 """Share of what stood above the floor that the effects must remove to be named."""
+
+EDGE = 0.01
+"""Share of the prior range from its end within which a parameter is at the edge."""
 
 NOTHING, IDENTIFIED, CLASS = "nothing_missing", "identified", "class"
 UNEXPLAINED, INCONCLUSIVE = "unexplained", "inconclusive"
@@ -40,8 +46,36 @@ def excess(problem: Problem, fit: Fit) -> dict[str, Excess]:
     return found
 
 
-def decide(search: Search, before: dict[str, Excess], after: dict[str, Excess]) -> str:
-    """The verdict on a search from the excess of the base model's and of the last fit."""
+def at_bounds(search: Search, entries: Sequence[Parameter]) -> list[str]:
+    """Effects that were added at the edge of what is believed of them."""
+    found = []
+    for i, p in enumerate(entries):
+        if p.effect not in search.effects:
+            continue
+        x, span = search.final.theta[i], p.prior.high - p.prior.low
+        edges = [e for e in (p.prior.low, p.prior.high) if e != p.prior.null]
+        if any(abs(x - e) < EDGE * span for e in edges):
+            found.append(p.effect)
+    return list(dict.fromkeys(found))
+
+
+def split(search: Search) -> bool:
+    """Whether two of the effects enter at one place: one cause may be spread over both."""
+    places = [LIBRARY[name].place() for name in search.effects]
+    return len(set(places)) < len(places)
+
+
+def decide(
+    search: Search,
+    entries: Sequence[Parameter],
+    before: dict[str, Excess],
+    after: dict[str, Excess],
+) -> str:
+    """The verdict on a search from the excess of the base model's and of the last fit.
+
+    Effects at the edge of what is believed of them, and two of one place that together leave more
+    than noise, are not named: they stand in for a cause that is not among the candidates.
+    """
     left = {c: x.all for c, x in after.items() if x.all > FLOOR}
     if not search.final.converged:
         return INCONCLUSIVE
@@ -50,6 +84,8 @@ def decide(search: Search, before: dict[str, Excess], after: dict[str, Excess]) 
             return UNEXPLAINED
         doubtful = [t for r in search.rounds for t in r.tried if t.worth_naming]
         return INCONCLUSIVE if doubtful else NOTHING
+    if at_bounds(search, entries) or (left and split(search)):
+        return UNEXPLAINED
     for channel in left:
         stood, stands = before[channel].all - 1.0, after[channel].all - 1.0
         if stands > (1.0 - EXPLAINED) * stood:

@@ -59,6 +59,11 @@ class Effect(eqx.Module):
         return re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
 
     @classmethod
+    def place(cls) -> str:
+        """Where it enters: the name of its place among the classes below."""
+        return next(kind.__name__ for kind in cls.__mro__[1:] if kind.__module__ == __name__)
+
+    @classmethod
     def priors(cls) -> dict[str, Prior]:
         """The parameters that may be identified, by name."""
         return {f.name: f.metadata["prior"] for f in fields(cls) if "prior" in f.metadata}
