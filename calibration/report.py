@@ -7,8 +7,9 @@ import numpy as np
 
 from calibration.closing import Errors, Outcome
 from calibration.plant import Parameter
+from calibration.search import Round
 from calibration.systematic import determined
-from calibration.verdict import FLOOR
+from calibration.verdict import FLOOR, at_bounds, split
 from slider_jax.effects.library import LIBRARY
 from slider_jax.provenance import versions
 
@@ -60,7 +61,7 @@ def effects(outcome: Outcome) -> list[dict[str, Any]]:
             {
                 "name": this.chosen,
                 "title": kind.title,
-                "class": this.alike,
+                "class": _class(outcome, this),
                 "parameters": {p: _interval(outcome, this.chosen, p) for p in kind.priors()},
                 "where": kind.place(),
                 "channels": {c: share for c, share in tried.sizes.items() if share > 1e-4},
@@ -68,6 +69,13 @@ def effects(outcome: Outcome) -> list[dict[str, Any]]:
             }
         )
     return found
+
+
+def _class(outcome: Outcome, this: Round) -> list[str]:
+    """What an added effect cannot be told from: rivals, and what it may share its cause with."""
+    left = any(x.all > FLOOR for x in outcome.excess_after.values())
+    parts = split(outcome.search) if left else []
+    return this.alike + [n for n in parts if this.chosen in parts and n != this.chosen]
 
 
 def _interval(outcome: Outcome, effect: str, name: str) -> dict[str, Any]:
@@ -143,25 +151,43 @@ def sentence(outcome: Outcome) -> str:
             )
         case "unexplained":
             channels = ", ".join(x["channel"] for x in where(outcome))
-            best = f" The nearest, {titles}, leaves too much of it." if names else ""
-            return (
-                f"Something is missing in {channels}, and none of the candidates explains it."
-                + best
-            )
+            said = "Something is missing"
+            said += f" in {channels}" if channels else ""
+            said += ", and none of the candidates explains it."
+            edge = at_bounds(outcome.search, outcome.entries)
+            if edge:
+                said += f" At the edge of what is believed of it: {', '.join(edge)}."
+            elif names:
+                said += f" The nearest, {titles}, leaves too much of it."
+            return said
     return "Inconclusive: a candidate explains more than chance, but the trials do not agree on it."
 
 
 def model_toml(outcome: Outcome) -> str:
     """The calibrated model with its effects, for `slider simulate --model`."""
     effects = outcome.search.effects
-    return toml(sentence(outcome), outcome.entries, outcome.final.theta, effects)
+    final = outcome.final
+    return toml(sentence(outcome), outcome.entries, final.theta, effects, final.free)
 
 
-def toml(said: str, entries: Sequence[Parameter], theta: np.ndarray, effects: Sequence[str]) -> str:
-    """A model file with the base parameters and `effects`, under the comment `said`."""
+def toml(
+    said: str,
+    entries: Sequence[Parameter],
+    theta: np.ndarray,
+    effects: Sequence[str],
+    free: np.ndarray | None = None,
+) -> str:
+    """A model file with the base parameters and `effects`, under the comment `said`.
+
+    Of the base parameters those in `free`, by default all.
+    """
     lines = [f"# {said}", "[parameters]"]
     pairs = list(zip(entries, theta, strict=True))
-    lines += [f"{p.name} = {x:.9g}" for p, x in pairs if not p.effect]
+    lines += [
+        f"{p.name} = {x:.9g}"
+        for i, (p, x) in enumerate(pairs)
+        if not p.effect and (free is None or i in free)
+    ]
     for name in effects:
         lines += ["", "[[effects]]", f'name = "{name}"']
         lines += [f"{p.name} = {x:.9g}" for p, x in pairs if p.effect == name]

@@ -10,7 +10,7 @@ from calibration.fit import Fit
 from calibration.forward import CHANNELS
 from calibration.noise import DISCREPANCY
 from calibration.plant import Parameter
-from calibration.search import Search
+from calibration.search import Search, scored
 from slider_jax.effects.library import LIBRARY
 
 FLOOR = 1.5
@@ -48,9 +48,9 @@ def excess(problem: Problem, fit: Fit) -> dict[str, Excess]:
 
 def at_bounds(search: Search, entries: Sequence[Parameter]) -> list[str]:
     """Effects that were added at the edge of what is believed of them."""
-    found = []
+    found, judged = [], scored(entries)
     for i, p in enumerate(entries):
-        if p.effect not in search.effects:
+        if p.effect not in search.effects or i not in judged[p.effect]:
             continue
         x, span = search.final.theta[i], p.prior.high - p.prior.low
         edges = [e for e in (p.prior.low, p.prior.high) if e != p.prior.null]
@@ -59,10 +59,14 @@ def at_bounds(search: Search, entries: Sequence[Parameter]) -> list[str]:
     return list(dict.fromkeys(found))
 
 
-def split(search: Search) -> bool:
-    """Whether two of the effects enter at one place: one cause may be spread over both."""
-    places = [LIBRARY[name].place() for name in search.effects]
-    return len(set(places)) < len(places)
+def split(search: Search) -> list[str]:
+    """Effects that enter at one place: one cause may be spread over them.
+
+    One that takes the place of a law is not such a part of a cause.
+    """
+    kinds = {name: LIBRARY[name] for name in search.effects if not LIBRARY[name].instead}
+    places = [kind.place() for kind in kinds.values()]
+    return [name for name, kind in kinds.items() if places.count(kind.place()) > 1]
 
 
 def decide(
@@ -73,8 +77,8 @@ def decide(
 ) -> str:
     """The verdict on a search from the excess of the base model's and of the last fit.
 
-    Effects at the edge of what is believed of them, and two of one place that together leave more
-    than noise, are not named: they stand in for a cause that is not among the candidates.
+    Effects at the edge of what is believed of them stand in for a cause that is not among the
+    candidates. Two of one place that together leave more than noise are a class: of that place.
     """
     left = {c: x.all for c, x in after.items() if x.all > FLOOR}
     if not search.final.converged:
@@ -84,13 +88,14 @@ def decide(
             return UNEXPLAINED
         doubtful = [t for r in search.rounds for t in r.tried if t.worth_naming]
         return INCONCLUSIVE if doubtful else NOTHING
-    if at_bounds(search, entries) or (left and split(search)):
+    if at_bounds(search, entries):
         return UNEXPLAINED
     for channel in left:
         stood, stands = before[channel].all - 1.0, after[channel].all - 1.0
         if stands > (1.0 - EXPLAINED) * stood:
             return UNEXPLAINED
-    return CLASS if any(r.alike for r in search.rounds if r.chosen) else IDENTIFIED
+    alike = any(r.alike for r in search.rounds if r.chosen)
+    return CLASS if alike or (left and split(search)) else IDENTIFIED
 
 
 def rms_errors(problem: Problem, predicted: list[np.ndarray]) -> dict[str, float]:
