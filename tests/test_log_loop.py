@@ -1,64 +1,25 @@
-"""The loop on pressure logs whose valves the tests know, written by their own integration."""
-
-import math
+"""The loop on pressure logs whose valves the tests know."""
 
 import numpy as np
 import pytest
 
 from calibration.closing import close_loop_on_logs
-from calibration.logs import PA_PER_PSI, PSI_AT_ZERO, PSI_PER_COUNT, read_log
+from calibration.logs import read_log
+from calibration.made_logs import Valves, write_logs
 from calibration.memo import Memo
 from calibration.report import model_toml
 from slider_jax.errors import InputError
-from tests.synthetic_log import COLUMNS, PERIOD, log_lines, rows, write
+from tests.synthetic_log import log_lines, write
 
-COUNT = PSI_PER_COUNT * PA_PER_PSI
-ROOM = 101325.0
-TRUTH = {"fill": 2.4, "vent": 1.9, "supply": 420e3, "critical": 0.35, "dead": 0.1}
-NAMES = ("firmware_valves", "pulsed_valves", "choked_flow", "valve_delay", "pressure_offset")
+TRUTH = Valves(fill=2.4, vent=1.9, supply=420e3, critical=0.35, dead=0.1)
+NAMES = ("firmware_valves", "pulsed_valves", "choked_flow", "pressure_offset")
 FREQUENCIES = (0.8, 1.1, 1.5, 2.0, 2.6)
-
-
-def psi_(r, b):
-    return 1.0 if r <= b else math.sqrt(max(0.0, 1.0 - ((r - b) / (1.0 - b)) ** 2))
-
-
-def valves(command, start, substeps=8):
-    """Pressure [Pa] under the firmware's law, by explicit steps of an eighth of a sample."""
-    p, found = start, [start]
-    supply = ROOM + TRUTH["supply"]
-    for before, after in zip(command[:-1], command[1:], strict=True):
-        for i in range(substeps):
-            e = before + (after - before) * (i + 0.5) / substeps - p
-            u = (min(250.0, 10.0 * abs(e) / COUNT) / 255.0 - TRUTH["dead"]) / (1.0 - TRUTH["dead"])
-            b = TRUTH["critical"]
-            if e > 0.0:
-                rate = TRUTH["fill"] * supply * psi_((ROOM + p) / supply, b)
-            else:
-                rate = -TRUTH["vent"] * (ROOM + p) * psi_(ROOM / (ROOM + p), b)
-            p += PERIOD / substeps * max(u, 0.0) * rate
-        found.append(p)
-    return np.array(found)
-
-
-def valve_log(folder, frequency, seed):
-    """A log of the rig with these valves and its sensor's noise."""
-    cycles = 3.0
-    t = PERIOD * np.arange(round(cycles / frequency / PERIOD))
-    command = np.round(290.0 + 190.0 * np.sin(2 * math.pi * frequency * t + 0.3), 2)
-    offset = PSI_AT_ZERO * PA_PER_PSI
-    p = valves(COUNT * command + offset, COUNT * 300.0 + offset)
-    noise = np.where(t > 0.0, 1.7, 0.0) * np.random.default_rng(seed).normal(size=len(t))
-    lines = log_lines(0.1, frequency, cycles)
-    at = lines.index(COLUMNS) + 1
-    body = rows(command, np.round((p - offset) / COUNT + noise))
-    return read_log(write(folder / f"{frequency:g}.txt", [*lines[:at], *body, lines[-1]]))
 
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("valves")
-    return [valve_log(folder, f, i) for i, f in enumerate(FREQUENCIES)]
+    paths = write_logs(tmp_path_factory.mktemp("valves"), TRUTH, FREQUENCIES, cycles=2.0)
+    return [read_log(path) for path in paths]
 
 
 class Stopped(Exception):
@@ -93,7 +54,7 @@ def test_the_valves_are_named_with_their_size(outcome):
     assert outcome.verdict == "identified"
     assert outcome.search.effects == ["firmware_valves"]
     labels = [p.label for p in outcome.entries]
-    for name, value in TRUTH.items():
+    for name, value in TRUTH._asdict().items():
         _, low, high = outcome.interval(labels.index(f"firmware_valves.{name}"))
         assert low < value < high, name
 
