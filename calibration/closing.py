@@ -5,15 +5,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.audit import audit
 from calibration.evidence import Problem
+from calibration.findings import Finding
 from calibration.fit import Fit, fit
 from calibration.forward import COARSE, FINE, Resolution
-from calibration.measured import Record, records
+from calibration.measured import Record
 from calibration.plant import BASE, Parameter, candidates, parameters, start
 from calibration.search import Search, search
 from calibration.systematic import interval
 from calibration.verdict import Excess, decide, excess, floors, rms_errors
-from slider_jax.errors import InputError
 from slider_jax.experiment import Experiment
 
 LEAST_TRIALS = 3
@@ -46,6 +47,8 @@ class Outcome:
     excess_after: dict[str, Excess]
     held: list[int]
     """Trials that the search did not see, by their place in `problem.records`."""
+    audit: list[Finding]
+    """What is wrong with the data, and what was done about it."""
 
     def interval(self, index: int) -> tuple[float, float, float]:
         """Value and 95 % interval of an entry that was fitted."""
@@ -70,26 +73,26 @@ def close_loop(
     """Search what the model of `experiment` lacks on its measured trials.
 
     `effects` are the candidates' names, all of the library by default. Residuals are computed at
-    the resolution `fine`, tangents at `coarse`. Raises `InputError` where there are too few trials.
+    the resolution `fine`, tangents at `coarse`. Raises `InputError` where fewer than
+    `LEAST_TRIALS` trials can be used.
     """
 
     def problem_of(chosen: Sequence[Record]) -> Problem:
         return Problem.of(experiment, list(chosen), names, fine=fine, coarse=coarse)
 
     names = tuple(candidates() if effects is None else effects)
-    found = records(experiment)
-    if len(found) < LEAST_TRIALS:
-        raise InputError(
-            f"{experiment.folder}: holds {len(found)} measured trials; tracing an effect needs "
-            f"{LEAST_TRIALS} or more, so that each can be left out"
-        )
     entries = parameters(names)
+    begun = start(entries, {n: getattr(experiment.parameters, n) for n in BASE})
+    progress("auditing the data")
+    audited = audit(experiment, LEAST_TRIALS, lambda few: problem_of(few).predict(begun))
+    for finding in audited.findings:
+        progress(str(finding))
+    found = audited.records
     held = choose_held_out(found)
     seen = [r for i, r in enumerate(found) if i not in held]
     everything = problem_of(found)
     problem = problem_of(seen) if held else everything
-    base = {n: getattr(experiment.parameters, n) for n in BASE}
-    result = search(problem, entries, start(entries, base), progress)
+    result = search(problem, entries, begun, progress)
     before, after = excess(problem, result.base), excess(problem, result.final)
     verdict = decide(result, before, after)
     hidden = None
@@ -101,8 +104,9 @@ def close_loop(
     final = fit(everything, entries, result.final.theta, result.final.free, progress)
     used = _errors(problem, result.base.predicted, result.final.predicted)
     return Outcome(
-        experiment, entries, verdict, result, final, everything, used, hidden, before, after, held
-    )
+        experiment, entries, verdict, result, final, everything, used, hidden, before, after, held,
+        audited.findings,
+    )  # fmt: skip
 
 
 def _errors(problem: Problem, before: list[np.ndarray], after: list[np.ndarray]) -> Errors:

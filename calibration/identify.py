@@ -5,10 +5,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from calibration.audit import audit
 from calibration.evidence import Problem
+from calibration.findings import Finding
 from calibration.fit import Fit, fit
 from calibration.forward import CHANNELS, COARSE, FINE, Resolution
-from calibration.measured import records
+from calibration.measured import Record
 from calibration.plant import BASE, Parameter, parameters, start
 from calibration.report import UNITS, told, toml
 from calibration.systematic import correlations, determined, interval
@@ -28,6 +30,8 @@ class Identified(NamedTuple):
     before: list[np.ndarray]
     """Readings (5, samples) of every trial with the experiment's own numbers."""
     fit: Fit
+    audit: list[Finding]
+    """What is wrong with the data, and what was done about it."""
 
 
 def identify(
@@ -40,7 +44,7 @@ def identify(
 ) -> Identified:
     """Fit C_d, m_a, k, K_Q and the parameters of `effects` to all measured trials.
 
-    Raises `InputError` for an unknown effect or channel, and where nothing is measured.
+    Raises `InputError` for an unknown effect or channel, and where no measured trial can be used.
     """
     for name in effects:
         if name not in LIBRARY:
@@ -49,17 +53,25 @@ def identify(
         if name not in CHANNELS:
             raise InputError(f"--channels {name}: unknown; allowed {', '.join(CHANNELS)}")
     entries = parameters(tuple(effects))
-    found = records(experiment)
-    problem = Problem.of(experiment, found, tuple(effects), tuple(channels), fine, coarse)
+
+    def problem_of(chosen: Sequence[Record]) -> Problem:
+        names, seen = tuple(effects), tuple(channels)
+        return Problem.of(experiment, list(chosen), names, seen, fine, coarse)
+
     base = start(entries, {n: getattr(experiment.parameters, n) for n in BASE})
     begun = base.copy()
     for i, p in enumerate(entries):
         if p.effect:  # off its null, where a bound would hold it
             begun[i] += 0.02 * (p.prior.high - p.prior.low)
+    progress("auditing the data")
+    audited = audit(experiment, 1, lambda few: problem_of(few).predict(base))
+    for finding in audited.findings:
+        progress(str(finding))
+    problem = problem_of(audited.records)
     before = problem.predict(base)
     return Identified(
         experiment, entries, problem, before,
-        fit(problem, entries, begun, np.arange(len(entries)), progress),
+        fit(problem, entries, begun, np.arange(len(entries)), progress), audited.findings,
     )  # fmt: skip
 
 
@@ -78,6 +90,7 @@ def content(found: Identified, source: dict[str, Any]) -> dict[str, Any]:
         "converged": found.fit.converged,
         "mean_square_over_noise": found.fit.square / found.fit.samples,
         "trials": [r.trial.file for r in found.problem.records],
+        "audit": [x.told() for x in found.audit],
         "units": UNITS,
         "input": source,
         "versions": versions(),

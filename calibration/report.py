@@ -30,7 +30,7 @@ def report(outcome: Outcome, seconds: float, source: dict[str, Any]) -> dict[str
         "held_out_trials": [trials[i].trial.file for i in outcome.held],
         "candidates": ranking(outcome),
         "unexplained": where(outcome),
-        "audit": [],
+        "audit": [x.told() for x in outcome.audit],
         "next_experiment": None,
         "units": UNITS,
         "seconds": seconds,

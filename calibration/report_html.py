@@ -41,6 +41,7 @@ def page(outcome: Outcome, told: dict[str, Any]) -> str:
         "of the noise-free residual, in units of its mean square, by one linearisation.</p>",
         _picture(score_figure(told), "scores of the candidates"),
     ]
+    parts += ["<h2>Audit of the data</h2>", _audit(told["audit"])]
     if told["unexplained"]:
         parts += ["<h2>What is left</h2>", _left(told["unexplained"])]
     body = "\n".join(parts)
@@ -78,6 +79,15 @@ def _interval(x: dict[str, Any]) -> list[str]:
     if x["value"] is None:
         return ["not determined by these data", f"{x['low']:.3g} to {x['high']:.3g}", x["unit"]]
     return [f"{x['value']:.4g}", f"{x['low']:.4g} to {x['high']:.4g}", x["unit"]]
+
+
+def _audit(rows: list[dict[str, Any]]) -> str:
+    if not rows:
+        return "<p>No fault was found in the data.</p>"
+    return _rows(
+        ["trial", "what", "channel", "found", "so it was"],
+        [[x["trial"], x["kind"], x["channel"] or "", x["detail"], x["action"]] for x in rows],
+    )
 
 
 def _left(rows: list[dict[str, Any]]) -> str:
