@@ -151,8 +151,21 @@ def spikes(values: np.ndarray, g: Grain) -> np.ndarray:
         over = (block > (high + margin)[:, None]).all(axis=1)
         under = (block < (low - margin)[:, None]).all(axis=1)
         for i in np.flatnonzero(over | under):
-            bad[i : i + width] = True
+            at_end = i == 0 or i + width == len(values)
+            if not at_end or _leaves_range(values, i, i + width):
+                bad[i : i + width] = True
     return bad
+
+
+def _leaves_range(values: np.ndarray, a: int, b: int) -> bool:
+    """Whether values[a:b] leave the range of all others by half of it.
+
+    The first and the last reading have neighbours on one side only, and a start from rest leaps.
+    """
+    rest = np.r_[values[:a], values[b:]]
+    low, high = float(rest.min()), float(rest.max())
+    half = 0.5 * (high - low)
+    return bool((values[a:b] > high + half).all() or (values[a:b] < low - half).all())
 
 
 def check(
