@@ -11,6 +11,7 @@ import numpy as np
 
 from calibration.audit_signal import (
     DELAYS,
+    TIME_CONSTANTS,
     Drive,
     Fits,
     Pace,
@@ -289,7 +290,7 @@ def _declared(records: Sequence[Record], answers: Answers) -> tuple[list[Record]
     """Trials whose pressures are those of another drive, or of another time, than declared."""
     own = np.array([answers.own(i) for i in range(len(records))])
     usual = float(np.median(own))
-    wrong: dict[int, Finding] = {}
+    wrong = _late(records, answers, range(len(records)))
     for i, r in enumerate(records):
         bad = [c for c in (0, 1) if np.isfinite(r.values[c]).mean() > 0.3]
         bad = [
@@ -297,10 +298,10 @@ def _declared(records: Sequence[Record], answers: Answers) -> tuple[list[Record]
             for c in bad
             if own[i, c] > max(WRONG_DRIVE, 2.0 * usual) or own[i, c] > max(STRANGE, TIMES * usual)
         ]
-        if bad:
+        if bad and i not in wrong:
             wrong[i] = _another_drive(records, i, bad)
     good = [i for i in range(len(records)) if i not in wrong]
-    for check_ in (_late, _off_phase, _amplitude):
+    for check_ in (_off_phase, _amplitude):
         for i, finding in check_([records[i] for i in good], answers, good).items():
             wrong.setdefault(i, finding)
     kept = [r for i, r in enumerate(records) if i not in wrong]
@@ -333,9 +334,10 @@ def _late(records: Sequence[Record], answers: Answers, index: Sequence[int]) -> 
     if len(records) < 4:
         return {}
     around = DELAYS[answers.at[1]] + np.arange(-0.3, 0.3, 0.005)
+    lag = TIME_CONSTANTS[[answers.at[0]]]
     delays, least = [], []
     for r, chambers in zip(records, _chambers(records), strict=True):
-        left = fits(r.t, r.values[:2], chambers, around).left[[0, 1], [0, 1], answers.at[0]]
+        left = fits(r.t, r.values[:2], chambers, around, lag).left[[0, 1], [0, 1], 0]
         together = np.sqrt(np.mean(left**2, axis=0))
         delays.append(around[together.argmin()])
         least.append(float(together.min()))

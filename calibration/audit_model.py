@@ -10,7 +10,7 @@ from itertools import permutations
 
 import numpy as np
 
-from calibration.audit_signal import surprise
+from calibration.audit_signal import MOST_SAMPLES, surprise
 from calibration.findings import Finding
 from calibration.forward import CHANNELS
 from calibration.measured import COLUMNS, Record
@@ -40,9 +40,14 @@ BEYOND = 4.0
 class _Likeness:
     """Correlations and sizes of measured channels against predicted ones, all trials."""
 
-    def __init__(self, records: Sequence[Record], predicted: Sequence[np.ndarray]):
+    def __init__(
+        self,
+        records: Sequence[Record],
+        predicted: Sequence[np.ndarray],
+        lags: Sequence[float] | None = None,
+    ):
         self.pairs = list(zip(records, predicted, strict=True))
-        self.lags = [self._common_lag(row) for row in BODY]
+        self.lags = [self._common_lag(row) for row in BODY] if lags is None else list(lags)
 
     def _common_lag(self, row: int) -> float:
         """The delay [s] behind a channel's prediction that suits most trials, in any column."""
@@ -67,14 +72,15 @@ class _Likeness:
 
 
 def _correlation(r: Record, p: np.ndarray, column: int, row: int, lag: float) -> float:
-    late = np.interp(r.t - lag, r.t, p[row])
-    there = np.isfinite(r.values[column]) & np.isfinite(late)
-    if there.sum() < 20:
+    there = np.flatnonzero(np.isfinite(r.values[column]))
+    there = there[:: max(1, len(there) // MOST_SAMPLES)]
+    y, x = r.values[column, there], np.interp(r.t[there] - lag, r.t, p[row])
+    known = np.isfinite(x)
+    if known.sum() < 20:
         return 0.0
-    y, x = r.values[column, there], late[there]
-    if not np.std(y) or not np.std(x):
-        return 0.0
-    return float(np.corrcoef(y, x)[0, 1])
+    y, x = y[known] - y[known].mean(), x[known] - x[known].mean()
+    size = float((y @ y) * (x @ x))
+    return float(y @ x) / np.sqrt(size) if size > 0.0 else 0.0
 
 
 def against_model(
@@ -86,8 +92,9 @@ def against_model(
     resembles nothing, while it does in the other trials, is masked.
     """
     found, findings = list(records), []
+    lags = _Likeness(found, predicted).lags
     for step in (_columns, _signs, _units, _strangers):
-        found, more = step(_Likeness(found, predicted))
+        found, more = step(_Likeness(found, predicted, lags))
         findings += more
     return found, findings
 
@@ -101,6 +108,8 @@ def _columns(like: _Likeness) -> tuple[list[Record], list[Finding]]:
     kept, findings = [], []
     for (r, _), C in zip(like.pairs, tables, strict=True):
         best = _order(C)
+        if usual != (0, 1, 2) and _total(C, usual) > _total(C, (0, 1, 2)):
+            best = usual
         moved = [x for x, c in enumerate(best) if c != x]
         clear = all(C[best[x], x] > CLEAR and C[x, x] < 0.7 * C[best[x], x] for x in moved)
         if not moved or not (clear or best == usual):
@@ -121,11 +130,12 @@ def _order(C: np.ndarray) -> tuple[int, ...]:
     That of the file, unless another is better by far.
     """
 
-    def total(order):
-        return sum(C[c, x] for x, c in enumerate(order))
+    best = max(permutations(range(3)), key=lambda order: _total(C, order))
+    return best if _total(C, best) > _total(C, (0, 1, 2)) + MARGIN else (0, 1, 2)
 
-    best = max(permutations(range(3)), key=total)
-    return best if total(best) > total((0, 1, 2)) + MARGIN else (0, 1, 2)
+
+def _total(C: np.ndarray, order: Sequence[int]) -> float:
+    return float(sum(C[c, x] for x, c in enumerate(order)))
 
 
 def _signs(like: _Likeness) -> tuple[list[Record], list[Finding]]:

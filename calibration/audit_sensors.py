@@ -48,11 +48,13 @@ def grain(values: np.ndarray, declared: float) -> Grain:
     where it never changes. 0 where there is none.
     """
     step = lattice(values)
-    apart = np.diff(values, 4) / math.sqrt(math.comb(8, 4))
-    windows = np.array_split(np.abs(apart), max(len(apart) // 40, 1))
-    quiet = [float(np.median(w)) / 0.6745 for w in windows if w.size and w.max() > 0.0]
-    quiet = [x for x in quiet if x > 0.0]
-    measured = float(np.quantile(quiet, 0.3)) if quiet else 0.0
+    apart = np.abs(np.diff(values, 4)) / math.sqrt(math.comb(8, 4))
+    same = np.lib.stride_tricks.sliding_window_view(np.diff(values) == 0.0, 4).sum(axis=1)
+    free = apart[same < 3]  # where a sensor stands still it shows no noise
+    measured = 0.0
+    if len(free) >= 10:
+        windows = np.array_split(free, max(len(free) // 40, 1))
+        measured = float(np.quantile([np.median(w) for w in windows], 0.3)) / 0.6745
     measured = math.sqrt(max(measured**2 - step**2 / 12.0, 0.0))
     if measured < 1e-6 * float(np.std(values)):
         return Grain(0.0, step, declared)
@@ -61,14 +63,17 @@ def grain(values: np.ndarray, declared: float) -> Grain:
 
 
 def lattice(values: np.ndarray) -> float:
-    """The quantisation step of readings (n,): the commonest distance of neighbouring ones."""
+    """The quantisation step of readings (n,): what nearly all their distances are multiples of."""
     steps = np.diff(np.unique(values))
     steps = steps[steps > 1e-12 * max(float(np.ptp(values)), 1e-300)]
     if not steps.size:
         return 0.0
-    least = float(np.quantile(steps, 0.25, method="lower"))
-    near = steps[np.abs(steps - least) < 0.1 * least]
-    return float(np.median(near))
+    for share in (0.25, 0.1, 0.05):
+        step = float(np.quantile(steps, share, method="lower"))
+        ratio = steps / step
+        if np.mean(np.abs(ratio - np.round(ratio)) < 0.1) > 0.9:
+            return step
+    return float(steps.min())
 
 
 def stuck(values: np.ndarray, g: Grain) -> np.ndarray:
@@ -78,6 +83,8 @@ def stuck(values: np.ndarray, g: Grain) -> np.ndarray:
     bad = np.zeros(n, bool)
     longest = _longest_repeat(n, g)
     for a, b in zip(edges[:-1], edges[1:], strict=True):
+        if a == 0 and values[0] == 0.0:  # at rest before the start, without noise
+            continue
         if b - a >= longest or (b - a >= FEWEST and _jumps_out(values, a, b, g)):
             bad[a + 1 : b] = True
     return bad
@@ -114,6 +121,7 @@ def clipped(values: np.ndarray, g: Grain) -> np.ndarray:
     bad = np.zeros(len(values), bool)
     if g.noise <= 0.0 or g.repeat > 0.9999:
         return bad
+    ends = []
     for sign in (1.0, -1.0):
         y = sign * values
         top = float(y.max())
@@ -125,6 +133,9 @@ def clipped(values: np.ndarray, g: Grain) -> np.ndarray:
         chance = min((inside / (inside + beyond)) ** at.sum(), len(y) * g.repeat**pairs)
         if at.sum() >= FEWEST and at.sum() > beside and chance < IMPOSSIBLE:
             bad |= _bridged(at)
+            ends.append(top)
+    if len(ends) == 1:  # a range that ends at one side at x may end at the other at -x
+        bad |= np.abs(values) == ends[0]
     return bad
 
 
@@ -150,7 +161,7 @@ def spikes(values: np.ndarray, g: Grain) -> np.ndarray:
         block = windows[:, 4 : 4 + width]
         over = (block > (high + margin)[:, None]).all(axis=1)
         under = (block < (low - margin)[:, None]).all(axis=1)
-        for i in np.flatnonzero(over | under):
+        for i in map(int, np.flatnonzero(over | under)):
             at_end = i == 0 or i + width == len(values)
             if not at_end or _leaves_range(values, i, i + width):
                 bad[i : i + width] = True

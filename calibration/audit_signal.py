@@ -63,14 +63,14 @@ def drives(trial: Trial) -> tuple[Drive, Drive] | None:
 
 
 class Response:
-    """What lags of all `TIME_CONSTANTS` make of a drive of amplitude 1, from rest."""
+    """What lags make of a drive of amplitude 1, from rest."""
 
-    def __init__(self, drive: Drive, duration: float):
+    def __init__(self, drive: Drive, duration: float, time_constants: np.ndarray):
         spacing = min(1e-3, 1.0 / (200.0 * drive.frequency))
         self.t = spacing * np.arange(int(np.ceil(duration / spacing)) + 2)
         set_point = drive.unit(self.t + 0.5 * spacing)
         self._series = []
-        for k in TIME_CONSTANTS:
+        for k in time_constants:
             keep = np.exp(-spacing / k)
             after = lfilter([1.0 - keep], [1.0, -keep], set_point)
             self._series.append(np.r_[0.0, after[:-1]])
@@ -99,14 +99,18 @@ def without_drift(t: np.ndarray, series: np.ndarray) -> np.ndarray:
 
 
 def fits(
-    t: np.ndarray, values: np.ndarray, chambers: tuple[Drive, Drive], delays: np.ndarray = DELAYS
+    t: np.ndarray,
+    values: np.ndarray,
+    chambers: tuple[Drive, Drive],
+    delays: np.ndarray = DELAYS,
+    time_constants: np.ndarray = TIME_CONSTANTS,
 ) -> Fits:
     """Fit `values` (m, n), NaN where missing, at `t` (n,) [s], each beside a parabola."""
-    shape = (len(values), 2, len(TIME_CONSTANTS), len(delays))
+    shape = (len(values), 2, len(time_constants), len(delays))
     gain, left = np.zeros(shape), np.ones(shape)
     every = max(1, len(t) // MOST_SAMPLES)
     for j, drive in enumerate(chambers):
-        response = Response(drive, float(t[-1]) + 0.02)
+        response = Response(drive, float(t[-1]) + 0.02, time_constants)
         for i, y in enumerate(values):
             there = np.flatnonzero(np.isfinite(y))
             there = there[:: max(1, min(every, len(there) // 60))]

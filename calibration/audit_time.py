@@ -14,6 +14,8 @@ MOST_AT_ODDS = 0.02
 """Share of the rows that may have another row at the same time, and other values."""
 MANY_GAPS = 20
 """Gaps in a file from which on they are told together."""
+OFTEN = 0.4
+"""Share of readings that repeat the one before, from which on that is no sign of a doubled row."""
 FROZEN = 5
 """Rows in a row that repeat their readings: the logger stood still."""
 
@@ -68,8 +70,10 @@ def _doubled(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
 
 def _stale(rows: Rows, trial: Trial, findings: list[Finding]) -> tuple[Rows, list[Finding]]:
     """Rows whose readings are those of the row before, which noise makes impossible."""
-    same = (np.diff(rows.values, axis=1) == 0.0) & (rows.values[:, 1:] != 0.0)
-    stale = np.r_[False, same[2] & same[3] & (same.sum(axis=0) >= 3)]
+    same = np.diff(rows.values, axis=1) == 0.0
+    # A sensor that hardly ever changes, stuck or at the end of its range, says nothing of the row.
+    telling = same & (same.mean(axis=1) < OFTEN)[:, None]
+    stale = np.r_[False, telling[2] & telling[3] & (telling.sum(axis=0) >= 3)]
     if not stale.any():
         return rows, findings
     at, values = rows.t[stale], rows.values.copy()
@@ -161,7 +165,7 @@ def _gap_findings(trial: Trial, t: np.ndarray, there: np.ndarray, dt: float) -> 
         return [Finding(trial.file, kind, None, *span, detail, "used")]
     spans = [(float(t[a - 1]), float(t[b + 1]), b - a + 1) for a, b in runs]
     # A clock that runs fast by a percent is no missing row: that much is left to its own check.
-    margin = max(5.0 * dt, 0.02 * trial.duration)
+    margin = max(5.0 * dt, 0.035 * trial.duration)
     if t[0] > margin:
         spans.insert(0, (0.0, float(t[0]), int(t[0] / dt)))
     if trial.duration - t[-1] > margin:
