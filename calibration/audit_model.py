@@ -18,7 +18,7 @@ from slider_jax.schema import Trial
 
 BODY = (2, 3, 4)
 """Rows of thrust, recoil and tip."""
-LAGS = np.arange(-0.03, 0.1, 0.005)
+LAGS = np.arange(-0.03, 0.1, 0.01)
 """By which a sensor's clock or a camera may be late [s]: physics, common to all trials."""
 CLEAR = 0.8
 """Correlation with the prediction from which on a channel is known by it."""

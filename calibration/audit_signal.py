@@ -23,7 +23,7 @@ LEAST_DRIFT_ERROR = 2e-3
 """Error [rad a cycle] of a drift that two cycles alone tell."""
 
 
-MOST_SAMPLES = 500
+MOST_SAMPLES = 300
 """Of a series that are fitted; of longer ones every so many."""
 
 

@@ -4,7 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
+from calibration.audit import audit
 from calibration.synthetic import ROBOT, START, slow_noise
+from slider_jax import experiment
 from slider_jax.experiment import SAMPLES
 from slider_jax.files import write_csv, write_text
 
@@ -22,6 +24,7 @@ RUNS = [  # frequency, amplitude, phase, tow speed, duration
     (6.0, 150e3, 0.3, 0.22, 1.5),
 ]
 CAMERA_EVERY = 8
+ROW = {"p_front": 0, "p_rear": 1, "thrust": 2, "recoil": 3, "tip": 4}
 
 
 def lagged_square(t, frequency, phase, k=K, delay=0.0):
@@ -101,3 +104,55 @@ def read(path: Path):
     rows = [line.split(",") for line in path.read_text().splitlines()[1:]]
     table = np.array([[float(cell or "nan") for cell in row] for row in rows])
     return table[:, 0], table[:, 1:].T.copy()
+
+
+_QUIET: dict[str, tuple] = {}
+
+
+def predict(records):
+    """What a model with parameters that are a little off predicts."""
+    found = []
+    for r in records:
+        if r.trial.file not in _QUIET:
+            run = RUNS[int(r.trial.file[6:8])]
+            _QUIET[r.trial.file] = quiet(run, gain=0.9, k=0.07)
+        t, values = _QUIET[r.trial.file]
+        found.append(np.stack([np.interp(r.t, t, y) for y in values]))
+    return found
+
+
+def audited(folder, least=3):
+    return audit(experiment.load(folder / "experiment.toml"), least, predict)
+
+
+def alter(folder, number, change):
+    """Replace a trial's times and values by those that `change(t, values)` returns."""
+    path = folder / f"trial_{number:02d}.csv"
+    save(path, *change(*read(path)))
+
+
+def lines_of(folder, number, change):
+    path = folder / f"trial_{number:02d}.csv"
+    path.write_text("\n".join(change(path.read_text().splitlines())) + "\n")
+
+
+def kinds(found, number=None):
+    name = None if number is None else f"trial_{number:02d}.csv"
+    return [(x.kind, x.channel, x.action) for x in found.findings if name in (None, x.trial)]
+
+
+def only(found, number, *expected):
+    """Nothing but the expected findings, all on one trial."""
+    assert kinds(found, number) == list(expected)
+    assert len(found.findings) == len(expected), [str(x) for x in found.findings]
+
+
+def record(found, number):
+    return next(r for r in found.records if r.trial.file == f"trial_{number:02d}.csv")
+
+
+def same_as_whole(found, whole, number, row=slice(None)):
+    t, values = read(whole / f"trial_{number:02d}.csv")
+    r = record(found, number)
+    np.testing.assert_allclose(r.t, t, atol=1e-5)
+    np.testing.assert_allclose(r.values[row], values[row], rtol=1e-5)
