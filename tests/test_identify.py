@@ -60,9 +60,8 @@ def test_damaged_trials_are_mended_and_told(tank, tmp_path):
     for row in rows[1:]:
         row[3] = f"{1e3 * float(row[3]):.6g}"
     second.write_text("\n".join(map(",".join, rows)))
-    assert (
-        main(["calibrate", str(tmp_path / "experiment.toml"), "--out", str(tmp_path / "out")]) == 0
-    )
+    words = ["calibrate", str(tmp_path / "experiment.toml"), "--out", str(tmp_path / "out")]
+    assert main([*words, "--also", "tangential_friction"]) == 0
     found = json.loads((tmp_path / "out" / "calibration.json").read_text())
     assert [(x["trial"], x["kind"], x["action"]) for x in found["audit"]] == [
         (names[0], "torn_line", "masked"), (names[0], "gap", "used"), (names[1], "units", "mended")
