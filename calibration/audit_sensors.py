@@ -81,9 +81,9 @@ def stuck(values: np.ndarray, g: Grain) -> np.ndarray:
     n = len(values)
     edges = np.r_[0, np.flatnonzero(np.diff(values)) + 1, n]
     bad = np.zeros(n, bool)
-    longest = _longest_repeat(n, g)
+    longest, rest = _longest_repeat(n, g), 1e-9 * float(np.abs(values).max())
     for a, b in zip(edges[:-1], edges[1:], strict=True):
-        if a == 0 and values[0] == 0.0:  # at rest before the start, without noise
+        if abs(values[a]) < rest:  # at rest before the start, without noise
             continue
         if b - a >= longest or (b - a >= FEWEST and _jumps_out(values, a, b, g)):
             bad[a + 1 : b] = True

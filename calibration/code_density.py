@@ -140,8 +140,10 @@ def _over_phase(
     phase = ((codes % period) / period * bins).astype(int)
     noise, many = np.zeros(len(codes)), np.zeros(len(codes))
     for x in logs:
-        at = (x[1:-1] - codes[0]).astype(int)
-        np.add.at(noise, at, np.abs(np.diff(x, 2)))
+        # The code is told by other samples than the noise: a reading that its own noise carried
+        # to a rare code would make noise and rareness go together.
+        at = np.round(0.5 * (x[:-4] + x[4:]) - codes[0]).astype(int)
+        np.add.at(noise, at, np.abs(np.diff(x[1:-1], 2)))
         np.add.at(many, at, 1.0)
     looked = (expected > LEAST_COUNT) & (many > 0)
     density, loud = np.ones(bins), np.ones(bins)

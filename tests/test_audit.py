@@ -7,7 +7,7 @@ import pytest
 
 from calibration.audit import audit
 from calibration.audit_model import outliers
-from calibration.audit_sensors import clipped, grain, spikes, stuck
+from calibration.audit_sensors import Grain, clipped, grain, spikes, stuck
 from slider_jax import experiment
 from slider_jax.errors import InputError
 from tests import damage
@@ -278,6 +278,14 @@ def test_a_pressure_that_saturates_is_no_clipped_sensor():
             assert not clipped(read, g).any() and not stuck(read, g).any(), (level, noise)
 
 
+def test_an_end_that_is_read_less_often_than_what_lies_beside_is_no_end_of_range():
+    """Bounded noise has a largest reading too."""
+    codes = np.repeat([-2.0, -1.0, 0.0, 1.0], [100, 300, 300, 100])
+    shuffled = np.random.default_rng(0).permutation(codes)
+    assert not clipped(shuffled, Grain(0.75, 1.0)).any()
+    assert clipped(np.minimum(shuffled, 0.0), Grain(0.75, 1.0)).sum() >= 400
+
+
 @pytest.mark.parametrize("width", [1, 2, 3])
 def test_spikes_are_masked_and_nothing_else(width):
     rng = np.random.default_rng(width)
@@ -331,6 +339,6 @@ def test_a_trial_that_no_fit_explains_is_an_outlier(whole, seed):
 def test_what_grows_with_a_setting_is_no_outlier(whole):
     trials = experiment.load(whole / "experiment.toml").trials
     found = squares(trials, 0)
-    found["recoil"] = np.array([1.0 + 40.0 * t.frequency**2 for t in trials])
+    found["recoil"] = np.array([t.frequency**7 for t in trials])
     found["thrust"] = np.array([200.0 if t.tow_speed else 1.0 for t in trials])
     assert outliers(trials, found) == []

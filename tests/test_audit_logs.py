@@ -56,15 +56,13 @@ def test_an_uneven_converter_is_found_with_its_period_and_error(period, error):
     assert found.opposed < -0.8
 
 
-def test_a_signal_that_lingers_is_no_uneven_converter():
-    """Its density waves, but the noise does not."""
-    t = 0.002 * np.arange(20000)
-    steps = 290.0 + 150.0 * np.sin(2 * np.pi * 0.1 * t)
-    steps = steps + 3.0 * np.sin(2 * np.pi * steps / 31.0)
-    read = np.round(steps + 2.5 * np.random.default_rng(0).normal(size=len(t)))
-    found = code_density([read], nulls=10)
-    assert found.amplitude > 0.2
-    assert not found.uneven
+def test_a_signal_that_hops_is_no_uneven_converter():
+    """Its density waves as no smooth signal's does, but its noise does not."""
+    rng = np.random.default_rng(0)
+    levels = np.repeat(140.0 + 31.0 * rng.integers(0, 10, size=7000), 3)
+    found = code_density([np.round(levels + 6.0 * rng.normal(size=len(levels)))], nulls=10)
+    assert found.amplitude > 1.5 * found.null.max()
+    assert found.opposed > -0.8 and not found.uneven
 
 
 def test_codes_that_are_never_read_are_listed():
