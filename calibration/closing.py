@@ -5,12 +5,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calibration.audit import audit
+from calibration.audit_logs import audit_logs
+from calibration.audit_model import outliers
 from calibration.evidence import Problem
+from calibration.findings import Finding
 from calibration.fit import Fit, fit
 from calibration.forward import COARSE, FINE, Resolution
 from calibration.log_problem import FREE, LogProblem, built_in, log_candidates, log_record
 from calibration.logs import ManifoldLog
-from calibration.measured import Record, records
+from calibration.measured import Record
 from calibration.memo import Memo
 from calibration.plant import BASE, Parameter, candidates, parameters, start
 from calibration.search import Search, search
@@ -49,6 +53,8 @@ class Outcome:
     excess_after: dict[str, Excess]
     held: list[int]
     """Trials that the search did not see, by their place in `problem.records`."""
+    audit: list[Finding]
+    """What is wrong with the data, and what was done about it."""
 
     def interval(self, index: int) -> tuple[float, float, float]:
         """Value and 95 % interval of an entry that was fitted."""
@@ -74,7 +80,8 @@ def close_loop(
     """Search what the model of `experiment` lacks on its measured trials.
 
     `effects` are the candidates' names, all of the library by default. Residuals are computed at
-    the resolution `fine`, tangents at `coarse`. Raises `InputError` where there are too few trials.
+    the resolution `fine`, tangents at `coarse`. Raises `InputError` where fewer than
+    `LEAST_TRIALS` trials can be used.
     """
 
     def problem_of(chosen: Sequence[Record]) -> Problem:
@@ -82,15 +89,32 @@ def close_loop(
         return replace(problem, memo=memo)
 
     names = tuple(candidates() if effects is None else effects)
-    found = records(experiment)
-    if len(found) < LEAST_TRIALS:
-        raise InputError(
-            f"{experiment.folder}: holds {len(found)} measured trials; tracing an effect needs "
-            f"{LEAST_TRIALS} or more, so that each can be left out"
-        )
-    base = {n: getattr(experiment.parameters, n) for n in BASE}
+    entries = parameters(names)
+    base = start_values(experiment)
+    begun = start(entries, base)
+    progress("auditing the data")
+    audited = audit(experiment, LEAST_TRIALS, lambda few: problem_of(few).predict(begun))
+    for finding in audited.findings:
+        progress(str(finding))
+    found = audited.records
     held = choose_held_out(found)
-    return conclude(experiment, names, found, held, problem_of, base, tuple(BASE), progress)
+    outcome = conclude(experiment, names, found, held, problem_of, base, tuple(BASE), progress)
+    strange = strangers(outcome)
+    named = {x.trial for x in strange}
+    rest = [r for r in found if r.trial.file not in named]
+    if strange and len(rest) >= LEAST_TRIALS:
+        for finding in strange:
+            progress(str(finding))
+        held = choose_held_out(rest)
+        outcome = conclude(experiment, names, rest, held, problem_of, base, tuple(BASE), progress)
+    return replace(outcome, audit=[*audited.findings, *strange])
+
+
+def strangers(outcome: Outcome) -> list[Finding]:
+    """Trials whose residual no effect explains and no other trial shares."""
+    each = excess(outcome.problem, outcome.final)
+    trials = [r.trial for r in outcome.problem.records]
+    return outliers(trials, {c: x.trials for c, x in each.items()})
 
 
 def close_loop_on_logs(
@@ -121,7 +145,12 @@ def close_loop_on_logs(
 
     base = start_values(experiment)
     held = list(range(1, len(logs), 2))
-    return conclude(experiment, names, found, held, problem_of, base, FREE, progress)
+    progress("auditing the logs")
+    findings = audit_logs(logs)
+    for finding in findings:
+        progress(str(finding))
+    outcome = conclude(experiment, names, found, held, problem_of, base, FREE, progress)
+    return replace(outcome, audit=findings)
 
 
 def start_values(experiment: Experiment) -> dict[str, float]:
@@ -157,8 +186,9 @@ def conclude(
     final = fit(everything, entries, result.final.theta, result.final.free, progress)
     used = _errors(problem, result.base.predicted, result.final.predicted)
     return Outcome(
-        experiment, entries, verdict, result, final, everything, used, hidden, before, after, held
-    )
+        experiment, entries, verdict, result, final, everything, used, hidden, before, after, held,
+        [],
+    )  # fmt: skip
 
 
 def _errors(problem: Problem, before: list[np.ndarray], after: list[np.ndarray]) -> Errors:

@@ -93,7 +93,7 @@ class Problem:
     ) -> "Problem":
         """Lay out `records` of an experiment for the extended model with `effects`."""
         plans = [
-            [plan(experiment, r.trial, effects, resolution) for r in records]
+            [plan(experiment, r.trial, effects, resolution, r.t) for r in records]
             for resolution in (fine, coarse)
         ]
         noise = {

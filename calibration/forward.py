@@ -71,10 +71,19 @@ class TrialPlan:
 
 
 def plan(
-    experiment: Experiment, trial: Trial, effects: tuple[str, ...], resolution: Resolution
+    experiment: Experiment,
+    trial: Trial,
+    effects: tuple[str, ...],
+    resolution: Resolution,
+    at: np.ndarray | None = None,
 ) -> TrialPlan:
-    """Lay a trial out in time and space. Raises `InputError` for a trial that cannot be used."""
-    model, at = to_model(experiment, trial), sample_times(experiment, trial)
+    """Lay a trial out in time and space, sampled at `at` (n,) [s], by default as its file is.
+
+    Raises `InputError` for a trial that cannot be used.
+    """
+    model = to_model(experiment, trial)
+    if at is None:
+        at = sample_times(experiment, trial)
     robot = experiment.robot
     cells = split_cells(resolution.nodes, robot.tail_length, robot.body_length)
     numerics = replace(to_numerics(experiment)[0], tail_cells=cells[0], body_cells=cells[1])

@@ -5,12 +5,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from calibration.audit import audit
 from calibration.descent import descend
 from calibration.design import Proposal, advise, described, said
 from calibration.evidence import Problem
+from calibration.findings import Finding
 from calibration.fit import Fit, fit
 from calibration.forward import CHANNELS, COARSE, FINE, Resolution
-from calibration.measured import records
+from calibration.measured import Record
 from calibration.plant import BASE, Parameter, parameters, start
 from calibration.report import UNITS, told, toml
 from calibration.systematic import correlations, determined, interval
@@ -37,6 +39,8 @@ class Identified(NamedTuple):
     method: str
     advice: dict[int, Proposal]
     """A trial for every entry that the data do not determine."""
+    audit: list[Finding]
+    """What is wrong with the data, and what was done about it."""
 
 
 def identify(
@@ -51,7 +55,7 @@ def identify(
     """Fit C_d, m_a, k, K_Q and the parameters of `effects` to all measured trials.
 
     `method` is "lm", "lbfgs", or "auto": L-BFGS from `MANY` parameters on. Raises `InputError` for
-    an unknown effect, channel or method, and where nothing is measured.
+    an unknown effect, channel or method, and where no measured trial can be used.
     """
     if method not in (*METHODS, "auto"):
         raise InputError(f"--method {method}: unknown; allowed auto, {', '.join(METHODS)}")
@@ -62,19 +66,28 @@ def identify(
         if name not in CHANNELS:
             raise InputError(f"--channels {name}: unknown; allowed {', '.join(CHANNELS)}")
     entries = parameters(tuple(effects))
-    found = records(experiment)
-    problem = Problem.of(experiment, found, tuple(effects), tuple(channels), fine, coarse)
+
+    def problem_of(chosen: Sequence[Record]) -> Problem:
+        names, seen = tuple(effects), tuple(channels)
+        return Problem.of(experiment, list(chosen), names, seen, fine, coarse)
+
     base = start(entries, begin(experiment))
     begun = base.copy()
     for i, p in enumerate(entries):
         if p.effect:  # off its null, where a bound would hold it
             begun[i] += 0.02 * (p.prior.high - p.prior.low)
+    progress("auditing the data")
+    audited = audit(experiment, 1, lambda few: problem_of(few).predict(base))
+    for finding in audited.findings:
+        progress(str(finding))
+    problem = problem_of(audited.records)
     before = problem.predict(base)
     if method == "auto":
         method = "lbfgs" if len(entries) >= MANY else "lm"
     best = METHODS[method](problem, entries, begun, np.arange(len(entries)), progress)
     advice = advise(experiment, entries, problem, best, coarse, progress)
-    return Identified(experiment, entries, problem, before, best, method, advice)
+    findings = audited.findings
+    return Identified(experiment, entries, problem, before, best, method, advice, findings)
 
 
 def begin(experiment: Experiment) -> dict[str, float]:
@@ -101,6 +114,7 @@ def content(found: Identified, source: dict[str, Any]) -> dict[str, Any]:
         "method": found.method,
         "mean_square_over_noise": found.fit.square / found.fit.samples,
         "trials": [r.trial.file for r in found.problem.records],
+        "audit": [x.told() for x in found.audit],
         "units": UNITS,
         "input": source,
         "versions": versions(),

@@ -17,11 +17,6 @@ def log_report(
     """The content of report.json; `seconds()` since the loop began."""
     inputs = [input_file(log.path) for log in logs]
     told = report(outcome, 0.0, {"logs": inputs})
-    told["audit"] = [
-        {"trial": log.path.name, "kind": "reading", "detail": str(x), "action": "mended"}
-        for log in logs
-        for x in log.findings
-    ] + told["audit"]
     told["errors_psi"] = {
         part: {c: {k: v / PA_PER_PSI for k, v in row.items()} for c, row in told[part].items()}
         for part in ("errors", "held_out")

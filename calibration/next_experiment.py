@@ -66,7 +66,7 @@ def _again(outcome: Outcome) -> dict[str, Any]:
     """The trial whose residual stands highest above its noise, once more."""
     seen = [r for i, r in enumerate(outcome.problem.records) if i not in outcome.held]
     channel, x = max(outcome.excess_after.items(), key=lambda item: np.max(item[1].trials))
-    worst = int(np.argmax(x.trials))
+    worst = int(np.nanargmax(x.trials))
     trial = seen[worst].trial
     again = trial.model_copy(update={"file": free_name(outcome.experiment)})
     said = (

@@ -39,7 +39,7 @@ def report(
         "held_out_trials": [trials[i].trial.file for i in outcome.held],
         "candidates": ranking(outcome),
         "unexplained": where(outcome),
-        "audit": [],
+        "audit": [x.told() for x in outcome.audit],
         "next_experiment": following,
         "units": UNITS,
         "seconds": seconds,
@@ -119,7 +119,7 @@ def where(outcome: Outcome) -> list[dict[str, Any]]:
     for channel, x in outcome.excess_after.items():
         if x.all <= FLOOR:
             continue
-        worst = int(np.argmax(x.trials))
+        worst = int(np.nanargmax(x.trials))
         trial = seen[worst].trial
         found.append(
             {

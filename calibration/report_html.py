@@ -43,6 +43,7 @@ def page(outcome: Outcome, told: dict[str, Any]) -> str:
     ]
     if "consequence" in told:
         parts += ["<h2>What it changes for thrust</h2>", _consequence(told["consequence"])]
+    parts += ["<h2>Audit of the data</h2>", _audit(told["audit"])]
     if told["unexplained"]:
         parts += ["<h2>What is left</h2>", _left(told["unexplained"])]
     if following := told["next_experiment"]:
@@ -104,6 +105,15 @@ def _consequence(told: dict[str, Any]) -> str:
         for name, x in models.items()
     ]
     return said + _rows(head, rows)
+
+
+def _audit(rows: list[dict[str, Any]]) -> str:
+    if not rows:
+        return "<p>No fault was found in the data.</p>"
+    return _rows(
+        ["trial", "what", "channel", "found", "so it was"],
+        [[x["trial"], x["kind"], x["channel"] or "", x["detail"], x["action"]] for x in rows],
+    )
 
 
 def _left(rows: list[dict[str, Any]]) -> str:

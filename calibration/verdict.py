@@ -27,7 +27,8 @@ UNEXPLAINED, INCONCLUSIVE = "unexplained", "inconclusive"
 
 
 class Excess(NamedTuple):
-    """Mean squares of a channel's white residuals, trial by trial and all together."""
+    """Mean squares of a channel's white residuals, all together and of every trial; NaN where it
+    lacks the channel."""
 
     trials: np.ndarray
     all: float
@@ -39,10 +40,12 @@ def excess(problem: Problem, fit: Fit) -> dict[str, Excess]:
     residuals = problem.residuals(fit.predicted, white)
     found = {}
     for channel in problem.channels:
-        each = [r for (_, name), r in residuals.items() if name == channel]
+        each = {i: r for (i, name), r in residuals.items() if name == channel}
         if each:
-            squares = np.array([float(np.mean(r**2)) for r in each])
-            found[channel] = Excess(squares, float(np.mean(np.concatenate(each) ** 2)))
+            squares = np.full(len(problem.records), np.nan)
+            for i, r in each.items():
+                squares[i] = np.mean(r**2)
+            found[channel] = Excess(squares, float(np.mean(np.concatenate([*each.values()]) ** 2)))
     return found
 
 

@@ -74,6 +74,7 @@ def test_the_report_is_whole_and_the_model_runs(delayed, tmp_path):
     assert {row["name"] for row in told["candidates"]} == set(CANDIDATES)
     html = page(delayed, told)
     assert html.count("data:image/png") == 2 and "valve_delay" in html
+    assert told["audit"] == [] and "No fault was found in the data" in html
     (tmp_path / "model.toml").write_text(model_toml(delayed))
     file = delayed.experiment.folder / "experiment.toml"
     again = experiment.load(file, tmp_path / "model.toml")

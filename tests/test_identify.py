@@ -48,6 +48,29 @@ def test_the_intervals_hold_the_truth_and_an_effect_can_be_added(tank, tmp_path,
     assert "C_d" in capsys.readouterr().out
 
 
+def test_damaged_trials_are_mended_and_told(tank, tmp_path):
+    for file in tank.parent.iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    names = sorted(x.name for x in tmp_path.glob("trial_*.csv"))
+    first = tmp_path / names[0]
+    lines = first.read_text().splitlines()
+    first.write_text("\n".join([*lines[:100], *lines[160:-1], lines[-1][:9]]))
+    second = tmp_path / names[1]
+    rows = [x.split(",") for x in second.read_text().splitlines()]
+    for row in rows[1:]:
+        row[3] = f"{1e3 * float(row[3]):.6g}"
+    second.write_text("\n".join(map(",".join, rows)))
+    words = ["calibrate", str(tmp_path / "experiment.toml"), "--out", str(tmp_path / "out")]
+    assert main([*words, "--also", "tangential_friction"]) == 0
+    found = json.loads((tmp_path / "out" / "calibration.json").read_text())
+    assert [(x["trial"], x["kind"], x["action"]) for x in found["audit"]] == [
+        (names[0], "torn_line", "masked"), (names[0], "gap", "used"), (names[1], "units", "mended")
+    ]  # fmt: skip
+    assert found["trials"] == names
+    for channel in found["errors"].values():
+        assert channel["after"] < 1.3 * channel["floor"]
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
