@@ -67,6 +67,7 @@ class Section(eqx.Module):
     height: Array
     height_s: Array
     linear_density: Array
+    EI: Array
     phi: Array
     pressure: Array
     """Of the chamber at the cell, what bends the body [Pa]."""
@@ -114,6 +115,7 @@ def section(
         height=structure.height,
         height_s=structure.height_s,
         linear_density=structure.linear_density,
+        EI=structure.EI,
         phi=mid.phi,
         pressure=pressure,
         kappa=slope.phi,

@@ -16,6 +16,7 @@ from slider_jax.effects.chamber_expansion import ChamberExpansion
 from slider_jax.effects.chamber_mismatch import ChamberMismatch
 from slider_jax.effects.choked_flow import ChokedFlow
 from slider_jax.effects.clamp_compliance import ClampCompliance
+from slider_jax.effects.cubic_elasticity import CubicElasticity
 from slider_jax.effects.fill_vent_asymmetry import FillVentAsymmetry
 from slider_jax.effects.firmware_valves import FirmwareValves
 from slider_jax.effects.flow_exponent import FlowExponent
@@ -102,6 +103,7 @@ LIBRARY: dict[str, type[Effect]] = {
         CarriedMass,
         AxialFlexibility,
         Stiffening,
+        CubicElasticity,
         PressureStiffening,
         StressRelaxation,
         InternalFriction,
