@@ -51,6 +51,7 @@ def test_notebook_runs_and_draws(notebook, monkeypatch, tmp_path):
         plt.close("all")
 
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("SLIDER_DATA", str(tmp_path / "none"))
     monkeypatch.setattr(plt, "show", show)
     found = runpy.run_path(str(notebook), run_name="__main__")
     assert drawn
