@@ -42,7 +42,7 @@ paths = sorted((home / "manifold").glob("*.txt"))
 real = bool(paths)
 if not real:
     print(f"no logs in {home / 'manifold'}: made ones take their place")
-    paths = write_logs(Path("made_logs"))
+    paths = write_logs(Path("made_logs"), cycles=2.0)
 logs = sorted((read_log(path) for path in paths), key=lambda log: log.frequency)
 print(", ".join(f"{log.frequency:.3g} Hz ({len(log.t)} samples)" for log in logs))
 
@@ -92,7 +92,7 @@ plt.show()
 
 # %%
 candidates = (
-    "firmware_valves", "pulsed_valves", "choked_flow", "flow_exponent", "pressure_ripple",
+    "firmware_valves", "pulsed_valves", "choked_flow", "pressure_ripple",
 )  # fmt: skip
 outcome = close_loop_on_logs(logs, candidates, progress=print)
 print(outcome.verdict, outcome.search.effects)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from calibration import descent, identify
+from calibration.audit import Audited
 from calibration.descent import descend
 from calibration.evidence import Problem
 from calibration.fit import fit
@@ -81,7 +82,7 @@ def test_many_parameters_take_the_descent(monkeypatch, effects, given, taken):
     experiment = closed.experiment_of((0.8, 1.5, 3.0, 5.0))
     truth = start(parameters(effects), TRUTH)
     found = closed.measured(experiment, [truth] * 4, 1)
-    monkeypatch.setattr(identify, "records", lambda experiment: found)
+    monkeypatch.setattr(identify, "audit", lambda *_: Audited(found, []))
     result = identify.identify(experiment, effects, method=given)
     assert result.method == taken and result.fit.converged
 

@@ -273,7 +273,7 @@ def test_a_plates_drag_in_strokes_is_grahams():
     """Mean power 4/(3 pi) of the largest; the coefficient 8 KC^(-1/3) holds over the stride."""
     f, cells = 4.0, FINE.tail_cells + FINE.body_cells
     phase = 2.0 * jnp.pi * jnp.arange(float(cells)) / cells
-    effect = arrays(KeuleganCarpenterDrag(8.0, frequency=f))
+    effect = arrays(KeuleganCarpenterDrag(8.0, stride_frequency=f))
     for KC in (2.0, 8.0):
         U = KC * f * H
         u_n, u_n_t = U * jnp.cos(phase), -2.0 * jnp.pi * f * U * jnp.sin(phase)

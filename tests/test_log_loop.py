@@ -12,13 +12,13 @@ from slider_jax.errors import InputError
 from tests.synthetic_log import log_lines, write
 
 TRUTH = Valves(fill=2.4, vent=1.9, supply=420e3, critical=0.35, dead=0.1)
-NAMES = ("firmware_valves", "pulsed_valves", "choked_flow", "pressure_offset")
+NAMES = ("firmware_valves", "pulsed_valves", "pressure_offset")
 FREQUENCIES = (0.8, 1.1, 1.5, 2.0, 2.6)
 
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory):
-    paths = write_logs(tmp_path_factory.mktemp("valves"), TRUTH, FREQUENCIES, cycles=2.0)
+    paths = write_logs(tmp_path_factory.mktemp("valves"), TRUTH, FREQUENCIES, cycles=1.5)
     return [read_log(path) for path in paths]
 
 

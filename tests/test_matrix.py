@@ -81,6 +81,7 @@ def gain(still, effect, size, seed):
     return score(effect, group, np.arange(len(BASE)), blocks, 1.0, len(candidates())).gain
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", ["axial_added_mass", "pressure_gain"])
 def test_three_times_the_limit_is_found_in_noise_and_nothing_is_not(still, effect):
     size = limit_of(still, effect).significant

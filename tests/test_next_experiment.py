@@ -60,7 +60,7 @@ def outcome(tank, verdict, final, rounds=(), after=None):
     search = Search(final, final, effects, list(rounds))
     used = Errors(none, none, none)
     return Outcome(
-        experiment, ENTRIES, verdict, search, final, problem, used, None, excess, excess, []
+        experiment, ENTRIES, verdict, search, final, problem, used, None, excess, excess, [], []
     )
 
 

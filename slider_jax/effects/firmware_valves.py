@@ -23,7 +23,7 @@ class FirmwareValves(Flow):
     flow-rate characteristics of components; firmware: bvanstratum/SoftSnakePressureControl.
     """
 
-    title = "pulsed valves with choked and unchoked flow, by the firmware's law"
+    title = "pulsed valves of the firmware, choked or not"
     sensors = ("pressure", "thrust", "recoil", "tip")
     instead = "lag"
 

@@ -17,7 +17,7 @@ class PulsedValves(Flow):
     systems, Wiley; firmware: bvanstratum/SoftSnakePressureControl.
     """
 
-    title = "pulsed valves with laminar flow, by the firmware's law"
+    title = "pulsed valves of the firmware, laminar"
     sensors = ("pressure", "thrust", "recoil", "tip")
     instead = "lag"
 
