@@ -12,7 +12,7 @@ from slider_jax.errors import InputError
 from tests.synthetic_log import log_lines, write
 
 TRUTH = Valves(fill=2.4, vent=1.9, supply=420e3, critical=0.35, dead=0.1)
-NAMES = ("firmware_valves", "pulsed_valves", "pressure_offset")
+NAMES = ("firmware_valves", "pulsed_valves")
 FREQUENCIES = (0.8, 1.1, 1.5, 2.0, 2.6)
 
 
@@ -42,7 +42,7 @@ def outcome(logs, tmp_path_factory):
     """Stopped in the middle, and gone on with."""
     memo = Memo(tmp_path_factory.mktemp("memo"))
     with pytest.raises(Stopped):
-        close_loop_on_logs(logs, NAMES, stop_at(8), memo)
+        close_loop_on_logs(logs, NAMES, stop_at(16), memo)
     before = {path: path.stat().st_mtime_ns for path in memo.folder.iterdir()}
     assert len(before) > 5
     found = close_loop_on_logs(logs, NAMES, memo=memo)
