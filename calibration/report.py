@@ -160,6 +160,8 @@ def sentence(outcome: Outcome) -> str:
             elif names:
                 said += f" The nearest, {titles}, leaves too much of it."
             return said
+    if not outcome.search.final.converged:
+        return "Inconclusive: the last fit did not converge."
     return "Inconclusive: a candidate explains more than chance, but the trials do not agree on it."
 
 
