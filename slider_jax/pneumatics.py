@@ -6,6 +6,8 @@
 The body does not act on the pressure, so whole histories are known before the rollout.
 """
 
+import functools as ft
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -92,7 +94,8 @@ def advance(
         jnp.stack([x.t_break - x.t0, x.t1 - x.t_break]),
     )
     changed, plain = jax.lax.scan(part, (p, p), parts)[0]
-    return exact + (changed - plain)
+    replaced = ft.reduce(jnp.logical_or, [flow.replaces() for flow in flows])
+    return jnp.where(replaced, changed, exact + (changed - plain))
 
 
 def _rate(k, flows, side):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from slider_jax.actuation import FirstOrderLag
 from slider_jax.effects.chamber_expansion import ATMOSPHERE
 from slider_jax.effects.fill_vent_asymmetry import FillVentAsymmetry
 from slider_jax.effects.firmware_valves import FirmwareValves
@@ -107,6 +108,14 @@ def test_firmware_opens_in_proportion_up_to_its_widest():
     small = relaxation(valves, 100e3, 100e3 + 0.2 * FULL, np.array([0.0, 1e-5]))
     flow = (0.2 * WIDEST - 0.05) / 0.95 * 1.5 * (600e3 + ATMOSPHERE)
     assert (small[1] - small[0]) / 1e-5 == pytest.approx(flow, rel=1e-3)
+
+
+@pytest.mark.parametrize("valves", [FirmwareValves(fill=1.5), PulsedValves(fill=1.5)])
+def test_the_lag_has_no_say_beside_valves_that_replace_it(valves):
+    """Also where its time constant is a fraction of the step."""
+    t = strides(57)
+    slow, quick = (square([valves], t, law=FirstOrderLag(k)).p for k in (0.2, 0.002))
+    np.testing.assert_array_equal(slow, quick)
 
 
 def test_laminar_valves_approach_the_supply_and_the_room():

@@ -161,6 +161,10 @@ class Flow(Effect):
         It may differ between filling and venting; steps are split where p passes through zero.
         """
 
+    def replaces(self) -> Array | bool:
+        """Whether the lag has no say in the rate."""
+        return False
+
 
 class ActingPressure(Effect):
     """Between the pressure at the sensor and the pressure that bends the body; may remember."""

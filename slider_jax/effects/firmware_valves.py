@@ -56,4 +56,7 @@ class FirmwareValves(Flow):
         e = x.p_set - x.p
         flow = jnp.where(x.filling, fill, vent)
         valves = jnp.sign(e) * opening(e, self.dead) * flow
-        return jnp.where(self.fill > 0.0, valves, rate)
+        return jnp.where(self.replaces(), valves, rate)
+
+    def replaces(self):
+        return self.fill > 0.0

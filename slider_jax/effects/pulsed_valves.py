@@ -46,4 +46,7 @@ class PulsedValves(Flow):
         fill = self.fill * jnp.maximum(self.supply - p, 0.0)
         flow = jnp.where(x.filling, fill, self.vent * p)
         valves = jnp.sign(e) * opening(e, self.dead) * flow
-        return jnp.where(self.fill > 0.0, valves, rate)
+        return jnp.where(self.replaces(), valves, rate)
+
+    def replaces(self):
+        return self.fill > 0.0
