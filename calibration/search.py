@@ -146,6 +146,8 @@ def search(
     found = Search(base, base, [], [])
     for number in range(MOST):
         rest = [n for n in members if _can_join(n, found.effects)]
+        if not rest:
+            break
         progress(f"round {number + 1}: scoring {len(rest)} candidates")
         this = _round(problem, entries, current, members, rest, white, progress)
         found.rounds.append(this)

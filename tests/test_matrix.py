@@ -89,6 +89,7 @@ def test_three_times_the_limit_is_found_in_noise_and_nothing_is_not(still, effec
     assert gain(still, effect, 0.0, seed=2) < LEAST_GAIN
 
 
+@pytest.mark.slow
 def test_the_expected_gain_at_the_limit_is_what_the_search_asks_for(still, entries):
     A = information(still.seen)
     i = groups(entries)["force_gain"]
