@@ -1,7 +1,7 @@
 """Close the loop on an experiment: from measured trials to a verdict and a better model."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,12 +16,12 @@ from calibration.log_problem import FREE, LogProblem, built_in, log_candidates, 
 from calibration.logs import ManifoldLog
 from calibration.measured import Record
 from calibration.memo import Memo
-from calibration.plant import BASE, Parameter, candidates, parameters, start
+from calibration.plant import BASE, Parameter, base_values, candidates, parameters, start
 from calibration.search import Search, search
 from calibration.systematic import interval
 from calibration.verdict import Excess, decide, excess, floors, rms_errors
 from slider_jax.errors import InputError
-from slider_jax.experiment import Experiment, drag_and_added_mass
+from slider_jax.experiment import Experiment
 
 LEAST_TRIALS = 3
 
@@ -53,7 +53,7 @@ class Outcome:
     excess_after: dict[str, Excess]
     held: list[int]
     """Trials that the search did not see, by their place in `problem.records`."""
-    audit: list[Finding]
+    audit: list[Finding] = field(default_factory=list)
     """What is wrong with the data, and what was done about it."""
 
     def interval(self, index: int) -> tuple[float, float, float]:
@@ -90,7 +90,7 @@ def close_loop(
 
     names = tuple(candidates() if effects is None else effects)
     entries = parameters(names)
-    base = start_values(experiment)
+    base = base_values(experiment)
     begun = start(entries, base)
     progress("auditing the data")
     audited = audit(experiment, LEAST_TRIALS, lambda few: problem_of(few).predict(begun))
@@ -143,7 +143,7 @@ def close_loop_on_logs(
         picked = [log for log, r in zip(logs, found, strict=True) if id(r) in used]
         return replace(LogProblem.of_logs(picked, names), memo=memo)
 
-    base = start_values(experiment)
+    base = base_values(experiment)
     held = list(range(1, len(logs), 2))
     progress("auditing the logs")
     findings = audit_logs(logs)
@@ -151,12 +151,6 @@ def close_loop_on_logs(
         progress(str(finding))
     outcome = conclude(experiment, names, found, held, problem_of, base, FREE, progress)
     return replace(outcome, audit=findings)
-
-
-def start_values(experiment: Experiment) -> dict[str, float]:
-    """The base model's numbers of an experiment, by name; C_d and m_a of its first trial."""
-    C_d, m_a = drag_and_added_mass(experiment, experiment.trials[0])
-    return {"C_d": C_d, "m_a": m_a, "k": experiment.parameters.k, "K_Q": experiment.parameters.K_Q}
 
 
 def conclude(
@@ -186,9 +180,8 @@ def conclude(
     final = fit(everything, entries, result.final.theta, result.final.free, progress)
     used = _errors(problem, result.base.predicted, result.final.predicted)
     return Outcome(
-        experiment, entries, verdict, result, final, everything, used, hidden, before, after, held,
-        [],
-    )  # fmt: skip
+        experiment, entries, verdict, result, final, everything, used, hidden, before, after, held
+    )
 
 
 def _errors(problem: Problem, before: list[np.ndarray], after: list[np.ndarray]) -> Errors:

@@ -13,13 +13,13 @@ from calibration.findings import Finding
 from calibration.fit import Fit, fit
 from calibration.forward import CHANNELS, COARSE, FINE, Resolution
 from calibration.measured import Record
-from calibration.plant import BASE, Parameter, parameters, start
+from calibration.plant import Parameter, base_values, parameters, start
 from calibration.report import UNITS, told, toml
 from calibration.systematic import correlations, determined, interval
 from calibration.verdict import floors, rms_errors
 from slider_jax.effects.library import LIBRARY
 from slider_jax.errors import InputError
-from slider_jax.experiment import Experiment, drag_and_added_mass
+from slider_jax.experiment import Experiment
 from slider_jax.provenance import versions
 
 METHODS = {"lm": fit, "lbfgs": descend}
@@ -71,7 +71,7 @@ def identify(
         names, seen = tuple(effects), tuple(channels)
         return Problem.of(experiment, list(chosen), names, seen, fine, coarse)
 
-    base = start(entries, begin(experiment))
+    base = start(entries, base_values(experiment))
     begun = base.copy()
     for i, p in enumerate(entries):
         if p.effect:  # off its null, where a bound would hold it
@@ -88,13 +88,6 @@ def identify(
     advice = advise(experiment, entries, problem, best, coarse, progress)
     findings = audited.findings
     return Identified(experiment, entries, problem, before, best, method, advice, findings)
-
-
-def begin(experiment: Experiment) -> dict[str, float]:
-    """The base parameters of an experiment; C_d and m_a that differ by trial as their mean."""
-    C_d, m_a = np.mean([drag_and_added_mass(experiment, t) for t in experiment.trials], axis=0)
-    fixed = {"C_d": float(C_d), "m_a": float(m_a)}
-    return {n: fixed[n] if n in fixed else getattr(experiment.parameters, n) for n in BASE}
 
 
 def content(found: Identified, source: dict[str, Any]) -> dict[str, Any]:

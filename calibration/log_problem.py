@@ -18,7 +18,7 @@ from calibration.forward import CHANNELS, DIRECTIONS
 from calibration.logs import ManifoldLog
 from calibration.measured import Record
 from calibration.noise import declared
-from calibration.plant import BASE, Extended, candidates, parameters
+from calibration.plant import Extended, candidates, parameters
 from slider_jax.actuation import Recorded
 from slider_jax.effects import Command, Flow, Instrument, Readings
 from slider_jax.effects.library import LIBRARY
@@ -32,6 +32,8 @@ from slider_jax.schema import SensorsTable
 
 CHANNEL = "p_front"
 """Channel that a log's one pressure is taken for."""
+FREE = ("k",)
+"""Parameters of the base model that a pressure log can show."""
 OF_THE_REAR = ("rear_valve_delay", "lag_mismatch")
 """Effects on a chamber that a log does not hold."""
 
@@ -196,7 +198,3 @@ def _along(extended: Extended, theta, drive: LogDrive, directions):
         return _read(extended, theta, drive)
 
     return jax.vmap(lambda d: jax.jvp(value, (theta,), (d,))[1])(directions)
-
-
-FREE = tuple(name for name in BASE if name == "k")
-"""Parameters of the base model that a pressure log can show."""

@@ -21,12 +21,12 @@ def log_report(
         part: {c: {k: v / PA_PER_PSI for k, v in row.items()} for c, row in told[part].items()}
         for part in ("errors", "held_out")
     }
-    told["consequence"] = _consequence(outcome)
+    told["consequence"] = consequence_of(outcome)
     told["seconds"] = seconds()
     return told
 
 
-def _consequence(outcome: Outcome) -> dict[str, Any]:
+def consequence_of(outcome: Outcome) -> dict[str, Any]:
     """Thrust at 4.8 Hz with the paper's lag, with the lag that fits best, and with the effects."""
     labels = [p.label for p in outcome.entries]
     k = labels.index("k")

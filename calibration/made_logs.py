@@ -66,14 +66,20 @@ def series(
     return command, np.round((np.array(p) - ZERO) / COUNT + white)
 
 
-def lines(command: np.ndarray, pressure: np.ndarray, frequency: float) -> list[str]:
-    """A whole log: the firmware's duty is ten times the error in codes, at most 250."""
-    rows = []
-    for number, (c, p) in enumerate(zip(command, pressure, strict=True), start=1):
+def rows(command: np.ndarray, pressure: np.ndarray, first: int = 1) -> list[str]:
+    """The rows as the firmware writes them: the duty is ten times the error, at most 250."""
+    found = []
+    for number, (c, p) in enumerate(zip(command, pressure, strict=True), start=first):
         error = c - p
         duty = int(min(250, 10 * abs(error)))
         fill, vent = (duty, 0) if error > 0 else (0, duty)
-        rows.append(f"{number},{fill},{vent},{c:.2f},{error:.2f},{p:.0f}")
+        found.append(f"{number},{fill},{vent},{c:.2f},{error:.2f},{p:.0f}")
+    return found
+
+
+def lines(command: np.ndarray, pressure: np.ndarray, frequency: float) -> list[str]:
+    """A whole log."""
+    body = rows(command, pressure)
     cycles = len(command) * PERIOD * frequency
     head = [
         "-----NEW TEST-------",
@@ -84,7 +90,7 @@ def lines(command: np.ndarray, pressure: np.ndarray, frequency: float) -> list[s
         f"Number Cylces {cycles:g} ",
         ",".join(COLUMNS),
     ]
-    return [*head, *rows, f"done{len(head) + len(rows)}"]
+    return [*head, *body, f"done{len(head) + len(body)}"]
 
 
 def write_logs(

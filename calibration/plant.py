@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from slider_jax.actuation import FirstOrderLag
 from slider_jax.effects import Effect, NormalDrag, Prior, ReactiveForce
 from slider_jax.effects.library import LIBRARY
+from slider_jax.experiment import Experiment, drag_and_added_mass
 from slider_jax.model import Model
 
 BASE = {
@@ -96,3 +97,10 @@ class Extended(eqx.Module):
 def start(entries: Sequence[Parameter], base: dict[str, float]) -> np.ndarray:
     """The vector with the base model's `base` values and every effect at its null."""
     return np.array([p.prior.null if p.effect else base[p.name] for p in entries])
+
+
+def base_values(experiment: Experiment) -> dict[str, float]:
+    """The base parameters of an experiment; C_d and m_a that differ by trial as their mean."""
+    C_d, m_a = np.mean([drag_and_added_mass(experiment, t) for t in experiment.trials], axis=0)
+    fixed = {"C_d": float(C_d), "m_a": float(m_a)}
+    return {n: fixed[n] if n in fixed else getattr(experiment.parameters, n) for n in BASE}

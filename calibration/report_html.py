@@ -1,28 +1,21 @@
 """report.html: one file with its pictures inside, for someone who was not there."""
 
-import base64
-import html
-import io
 from typing import Any
 
 import numpy as np
 
 from calibration.closing import Outcome
 from calibration.forward import CHANNELS
+from calibration.page import document, paragraph, picture, table, text
 
 SHOWN = {"p_front": (1e-3, "kPa"), "p_rear": (1e-3, "kPa"), "thrust": (1e3, "mN"),
          "recoil": (1e3, "mN"), "tip": (1e3, "mm")}  # fmt: skip
-STYLE = """body{font:16px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}
-table{border-collapse:collapse;margin:1em 0}td,th{padding:.2em .8em;text-align:right;
-border-bottom:1px solid #ddd}td:first-child,th:first-child{text-align:left}
-img{max-width:100%}.verdict{font-size:1.3em;border-left:.3em solid #357;padding-left:.8em}"""
 
 
 def page(outcome: Outcome, told: dict[str, Any]) -> str:
     """The whole page."""
     parts = [
-        f"<h1>{_text(outcome.experiment.name)}</h1>",
-        f"<p class=verdict>{_text(told['said'])}</p>",
+        paragraph(told["said"], "verdict"),
         "<h2>Error before and after</h2>",
         "<p>Root mean square of measured less predicted. The floor is what noise, tare and the "
         "difference of correct programs leave.</p>",
@@ -33,13 +26,13 @@ def page(outcome: Outcome, told: dict[str, Any]) -> str:
         parts.append(_errors(f"Trials held out of it ({names})", told["held_out"]))
     parts += [
         "<h2>Measured, before and after</h2>",
-        _picture(residual_figure(outcome), "measured less predicted of one trial"),
+        picture(residual_figure(outcome), "measured less predicted of one trial"),
         "<h2>Parameters</h2>",
         _parameters(told),
         "<h2>Candidates</h2>",
         "<p>Score: by how much a candidate and the parameters together lower the sum of squares "
         "of the noise-free residual, in units of its mean square, by one linearisation.</p>",
-        _picture(score_figure(told), "scores of the candidates"),
+        picture(score_figure(told), "scores of the candidates"),
     ]
     if "consequence" in told:
         parts += ["<h2>What it changes for thrust</h2>", _consequence(told["consequence"])]
@@ -47,38 +40,25 @@ def page(outcome: Outcome, told: dict[str, Any]) -> str:
     if told["unexplained"]:
         parts += ["<h2>What is left</h2>", _left(told["unexplained"])]
     if following := told["next_experiment"]:
-        parts += ["<h2>Next experiment</h2>", f"<p>{_text(following['said'])}</p>"]
+        parts += ["<h2>Next experiment</h2>", paragraph(following["said"])]
         if following["toml"]:
-            parts.append(f"<pre>{_text(following['toml'])}</pre>")
-    body = "\n".join(parts)
-    return f"<!doctype html><meta charset=utf-8><title>{_text(outcome.experiment.name)}</title>" + (
-        f"<style>{STYLE}</style>{body}\n"
-    )
+            parts.append(f"<pre>{text(following['toml'])}</pre>")
+    return document(outcome.experiment.name, parts)
 
 
-def _text(value: Any) -> str:
-    return html.escape(str(value))
-
-
-def _rows(head: list[str], rows: list[list[str]]) -> str:
-    line = "".join(f"<th>{_text(x)}</th>" for x in head)
-    body = "".join("<tr>" + "".join(f"<td>{_text(x)}</td>" for x in row) + "</tr>" for row in rows)
-    return f"<table><tr>{line}</tr>{body}</table>"
-
-
-def _errors(title: str, table: dict[str, dict[str, float]]) -> str:
+def _errors(title: str, errors: dict[str, dict[str, float]]) -> str:
     rows = []
-    for channel, row in table.items():
+    for channel, row in errors.items():
         factor, unit = SHOWN[channel]
         rows.append([f"{channel} ({unit})", *(f"{factor * row[x]:.3g}" for x in row)])
-    return f"<h3>{_text(title)}</h3>" + _rows(["channel", "before", "after", "floor"], rows)
+    return f"<h3>{text(title)}</h3>" + table(["channel", "before", "after", "floor"], rows)
 
 
 def _parameters(told: dict[str, Any]) -> str:
     rows = [[name, *_interval(x)] for name, x in told["parameters"].items()]
     for effect in told["effects"]:
         rows += [[f"{effect['name']}.{n}", *_interval(x)] for n, x in effect["parameters"].items()]
-    return _rows(["parameter", "value", "95 % interval", "unit"], rows)
+    return table(["parameter", "value", "95 % interval", "unit"], rows)
 
 
 def _interval(x: dict[str, Any]) -> list[str]:
@@ -90,7 +70,7 @@ def _interval(x: dict[str, Any]) -> list[str]:
 def _consequence(told: dict[str, Any]) -> str:
     models = {name: x for name, x in told.items() if isinstance(x, dict)}
     said = (
-        f"<p>The built-in robot under a {_text(told['waveform'])} wave of "
+        f"<p>The built-in robot under a {text(told['waveform'])} wave of "
         f"{1e-3 * told['amplitude_Pa']:.0f} kPa at {told['frequency_Hz']:g} Hz, last stride.</p>"
     )
     head = ["pressure model", "mean thrust (mN)", "recoil rms (mN)", "tip (mm)", "pressure (kPa)"]
@@ -104,20 +84,20 @@ def _consequence(told: dict[str, Any]) -> str:
         ]
         for name, x in models.items()
     ]
-    return said + _rows(head, rows)
+    return said + table(head, rows)
 
 
 def _audit(rows: list[dict[str, Any]]) -> str:
     if not rows:
         return "<p>No fault was found in the data.</p>"
-    return _rows(
+    return table(
         ["trial", "what", "channel", "found", "so it was"],
         [[x["trial"], x["kind"], x["channel"] or "", x["detail"], x["action"]] for x in rows],
     )
 
 
 def _left(rows: list[dict[str, Any]]) -> str:
-    return _rows(
+    return table(
         ["channel", "mean square over noise", "most in", "at (Hz)"],
         [
             [
@@ -129,16 +109,6 @@ def _left(rows: list[dict[str, Any]]) -> str:
             for x in rows
         ],  # fmt: skip
     )
-
-
-def _picture(figure, says: str) -> str:
-    import matplotlib.pyplot as plt
-
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110)
-    plt.close(figure)
-    content = base64.b64encode(buffer.getvalue()).decode()
-    return f'<img alt="{_text(says)}" src="data:image/png;base64,{content}">'
 
 
 def residual_figure(outcome: Outcome):

@@ -31,7 +31,7 @@ import numpy as np
 
 import slider_jax as sj
 from calibration.closing import close_loop_on_logs
-from calibration.consequence import compared
+from calibration.log_report import consequence_of
 from calibration.logs import PA_PER_PSI, psi, read_log
 from calibration.made_logs import write_logs
 
@@ -189,23 +189,10 @@ print(f"strongest period {period[inside][np.argmax(power[1:][inside])]:.1f} code
 # The same robot, driven by a square wave at 4.8 Hz, with each pressure model.
 
 # %%
-labels = [p.label for p in outcome.entries]
-effects = [
-    {"name": name}
-    | {
-        p.name: float(x)
-        for p, x in zip(outcome.entries, outcome.final.theta, strict=True)
-        if p.effect == name
-    }
-    for name in outcome.search.effects
-]
-k = float(outcome.search.base.theta[labels.index("k")])
-table = compared(
-    {"paper's lag": ({"k": 0.087}, []), "best lag": ({"k": k}, []), "found": ({"k": k}, effects)}
-)
-for name in ("paper's lag", "best lag", "found"):
+table = consequence_of(outcome)
+for name in ("lag of the paper", "lag that fits the logs best", "with what was found"):
     x = table[name]
     print(
-        f"{name:<12} {1e-3 * x['pressure_half_range_Pa']:4.0f} kPa reached, "
+        f"{name:<28} {1e-3 * x['pressure_half_range_Pa']:4.0f} kPa reached, "
         f"mean thrust {1e3 * x['mean_thrust_N']:6.1f} mN"
     )

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
+from calibration.made_logs import rows
+
 COLUMNS = "N_sample,fluidInVoltage,fluidOutVoltage,pressureCommanded,pressureError,pressure"
 PERIOD = 0.002
 
@@ -30,17 +32,6 @@ def series(k=0.1, frequency=1.0, cycles=3.0, noise=1.7, seed=0, middle=290.0, am
     quiet = lagged(k, command, command[0] - 0.3 * amplitude)
     white = noise * np.random.default_rng(seed).normal(size=samples)
     return command, np.round(quiet + np.where(t > 0.0, white, 0.0))
-
-
-def rows(command, pressure, first=1):
-    """The rows as the firmware writes them: the duty is ten times the error, at most 250."""
-    lines = []
-    for number, (c, p) in enumerate(zip(command, pressure, strict=True), start=first):
-        error = c - p
-        duty = int(min(250, 10 * abs(error)))
-        fill, vent = (duty, 0) if error > 0 else (0, duty)
-        lines.append(f"{number},{fill},{vent},{c:.2f},{error:.2f},{p:.0f}")
-    return lines
 
 
 def log_lines(k=0.1, frequency=1.0, cycles=3.0, **keywords):

@@ -1,15 +1,13 @@
 """The rig's own valves: pulsed by its firmware, choked when the pressures ask for it."""
 
-import jax.numpy as jnp
-
-from slider_jax.effects.base import Flow, parameter
+from slider_jax.effects.base import parameter
 from slider_jax.effects.chamber_expansion import ATMOSPHERE
 from slider_jax.effects.orifice_flow import characteristic
-from slider_jax.effects.pwm import opening
+from slider_jax.effects.pwm import ValvePair
 from slider_jax.parameters import Scalar
 
 
-class FirmwareValves(Flow):
+class FirmwareValves(ValvePair):
     """Two pulsed valves, one to the supply and one to the room, take the place of the lag.
 
         dp/dt =  c_f u P_s psi((p_a + |p|)/P_s)            filling, of the sign of p_set - p
@@ -24,8 +22,6 @@ class FirmwareValves(Flow):
     """
 
     title = "pulsed valves of the firmware, choked or not"
-    sensors = ("pressure", "thrust", "recoil", "tip")
-    instead = "lag"
 
     fill: Scalar = parameter(
         0.0,
@@ -49,14 +45,8 @@ class FirmwareValves(Flow):
     dead: Scalar = parameter(0.05, 0.0, 0.5, "-", "pulses too short to lift the armature")
     """Duty below which a valve stays shut."""
 
-    def rate(self, rate, x):
-        inside, supply = ATMOSPHERE + jnp.abs(x.p), ATMOSPHERE + self.supply
+    def flows(self, p):
+        inside, supply = ATMOSPHERE + p, ATMOSPHERE + self.supply
         fill = self.fill * supply * characteristic(inside / supply, self.critical)
         vent = self.vent * inside * characteristic(ATMOSPHERE / inside, self.critical)
-        e = x.p_set - x.p
-        flow = jnp.where(x.filling, fill, vent)
-        valves = jnp.sign(e) * opening(e, self.dead) * flow
-        return jnp.where(self.replaces(), valves, rate)
-
-    def replaces(self):
-        return self.fill > 0.0
+        return fill, vent

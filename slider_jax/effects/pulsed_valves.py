@@ -2,12 +2,12 @@
 
 import jax.numpy as jnp
 
-from slider_jax.effects.base import Flow, parameter
-from slider_jax.effects.pwm import opening
+from slider_jax.effects.base import parameter
+from slider_jax.effects.pwm import ValvePair
 from slider_jax.parameters import Scalar
 
 
-class PulsedValves(Flow):
+class PulsedValves(ValvePair):
     """As `FirmwareValves`, with laminar flow in place of the orifice's.
 
         dp/dt = c_f u (p_s - |p|)    filling, of the sign of p_set - p
@@ -18,8 +18,6 @@ class PulsedValves(Flow):
     """
 
     title = "pulsed valves of the firmware, laminar"
-    sensors = ("pressure", "thrust", "recoil", "tip")
-    instead = "lag"
 
     fill: Scalar = parameter(
         0.0,
@@ -41,12 +39,5 @@ class PulsedValves(Flow):
     dead: Scalar = parameter(0.05, 0.0, 0.5, "-", "pulses too short to lift the armature")
     """Duty below which a valve stays shut."""
 
-    def rate(self, rate, x):
-        p, e = jnp.abs(x.p), x.p_set - x.p
-        fill = self.fill * jnp.maximum(self.supply - p, 0.0)
-        flow = jnp.where(x.filling, fill, self.vent * p)
-        valves = jnp.sign(e) * opening(e, self.dead) * flow
-        return jnp.where(self.replaces(), valves, rate)
-
-    def replaces(self):
-        return self.fill > 0.0
+    def flows(self, p):
+        return self.fill * jnp.maximum(self.supply - p, 0.0), self.vent * p
