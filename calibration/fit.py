@@ -20,9 +20,12 @@ from calibration.transforms import Bounds
 
 ITERATIONS = 24
 """Outer iterations at most; most fits take 3 to 6, those of another law more."""
-CLOSE = 0.02
-"""A step of less than so many standard errors in every parameter ends the fit, the errors being
-those that the residual leaves as it is."""
+NOISE = 0.01
+"""A fit ends where the next step would lower the sum of squares by less than so many times the
+residual's mean square: it lies within a tenth of a standard error."""
+STILL = 2e-5
+"""Or by less than this share of the sum of squares: where the model is far off, the last digits are
+not worth another simulation."""
 
 
 class Fit(NamedTuple):
@@ -83,10 +86,10 @@ def fit(
         A, b = summed(blocks)
         wanted = _linear_optimum(A, b, theta[free], bounds)
         unit = max(1.0, square / max(sum(x.n for x in blocks), 1))
-        error = np.sqrt(unit * np.diag(inverse(A)))
         step = wanted - theta[free]
+        enough = max(NOISE * unit, STILL * square)
         progress(f"iteration {iteration + 1}: sum of squares {square:.6g}")
-        if np.all(np.abs(step) < CLOSE * error):
+        if 2.0 * step @ b - step @ A @ step < enough:
             converged = True
             break
         for share in (1.0, 0.5, 0.25, 0.1, 0.03):
@@ -97,11 +100,12 @@ def fit(
             if total(found) < square:
                 break
         else:
+            error = np.sqrt(unit * np.diag(inverse(A)))
             converged = bool(np.all(np.abs(step) < error))
             break
         gained = square - total(found)
         theta, predicted, residuals, square = trial, tried, found, total(found)
-        if gained < 0.05 * unit:
+        if share == 1.0 and gained < enough:
             converged = True
             blocks = problem.blocks(residuals, problem.tangents(theta, directions), white)
             break

@@ -10,6 +10,7 @@ from calibration.plant import Parameter
 from calibration.search import Round
 from calibration.systematic import determined
 from calibration.verdict import FLOOR, at_bounds, split
+from calibration.whereabouts import where
 from slider_jax.effects.library import LIBRARY
 from slider_jax.provenance import versions
 
@@ -38,7 +39,7 @@ def report(
         "held_out": _table(held) if held else {},
         "held_out_trials": [trials[i].trial.file for i in outcome.held],
         "candidates": ranking(outcome),
-        "unexplained": where(outcome),
+        "unexplained": unexplained(outcome),
         "audit": [x.told() for x in outcome.audit],
         "next_experiment": following,
         "units": UNITS,
@@ -112,26 +113,10 @@ def ranking(outcome: Outcome) -> list[dict[str, Any]]:
     return rows
 
 
-def where(outcome: Outcome) -> list[dict[str, Any]]:
-    """Channels and trials whose residual stands above the floor after the last fit."""
+def unexplained(outcome: Outcome) -> list[dict[str, Any]]:
+    """Where the residual of the last fit stands above the floor on the trials it was fitted to."""
     seen = [r for i, r in enumerate(outcome.problem.records) if i not in outcome.held]
-    found = []
-    for channel, x in outcome.excess_after.items():
-        if x.all <= FLOOR:
-            continue
-        worst = int(np.nanargmax(x.trials))
-        trial = seen[worst].trial
-        found.append(
-            {
-                "channel": channel,
-                "mean_square_over_noise": x.all,
-                "worst_trial": trial.file,
-                "frequency_Hz": trial.frequency,
-                "amplitude_Pa": trial.amplitude,
-                "tow_speed_m_per_s": trial.tow_speed,
-            }
-        )
-    return found
+    return where(seen, outcome.search.final.predicted, outcome.excess_after)
 
 
 def sentence(outcome: Outcome) -> str:
@@ -150,7 +135,7 @@ def sentence(outcome: Outcome) -> str:
                 f"{'it' if len(names) == 1 else 'these'} from {rivals}."
             )
         case "unexplained":
-            channels = ", ".join(x["channel"] for x in where(outcome))
+            channels = ", ".join(x["channel"] for x in unexplained(outcome))
             said = "Something is missing"
             said += f" in {channels}" if channels else ""
             said += ", and none of the candidates explains it."

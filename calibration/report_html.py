@@ -7,6 +7,7 @@ import numpy as np
 from calibration.closing import Outcome
 from calibration.forward import CHANNELS
 from calibration.page import document, paragraph, picture, table, text
+from calibration.whereabouts import said
 
 SHOWN = {"p_front": (1e-3, "kPa"), "p_rear": (1e-3, "kPa"), "thrust": (1e3, "mN"),
          "recoil": (1e3, "mN"), "tip": (1e3, "mm")}  # fmt: skip
@@ -97,18 +98,7 @@ def _audit(rows: list[dict[str, Any]]) -> str:
 
 
 def _left(rows: list[dict[str, Any]]) -> str:
-    return table(
-        ["channel", "mean square over noise", "most in", "at (Hz)"],
-        [
-            [
-                x["channel"],
-                f"{x['mean_square_over_noise']:.1f}",
-                x["worst_trial"],
-                f"{x['frequency_Hz'] or float('nan'):g}",
-            ]
-            for x in rows
-        ],  # fmt: skip
-    )
+    return "".join(paragraph(said(x)) for x in rows)
 
 
 def residual_figure(outcome: Outcome):

@@ -27,8 +27,8 @@ SHORT_LIST = 5
 NEARLY = 0.7
 """A candidate is refitted if its score promises so much of what is worth naming."""
 AGREE = 1.5
-"""Mean of the gains of left-out trials over its standard error, from which on they agree. At 1, two
-corrections of the valves' law on the rig's logs passed that made the logs held out worse."""
+"""Mean over the left-out trials of what `Score.left_out` says, over its standard error, from which
+on they agree. Factors are averaged, not drops: a trial that is far off has no greater say."""
 HALVED = 4
 """Sizes that are tried of a start that cannot be simulated."""
 MOST = 3
@@ -52,7 +52,7 @@ class Tried:
     sizes: dict[str, float]
     """rms of what it changes in each channel, as a share of the channel's rms."""
     agree: float
-    """Mean of the gains of left-out trials over their standard error."""
+    """Mean of the left-out trials' logarithms (`Score.left_out`) over its standard error."""
 
     @property
     def worth_naming(self) -> bool:

@@ -6,8 +6,8 @@ J_F is projected out:
 
     G' = G - P_F G,    gain = b' A'^-1 b',    A' = G'.G',    b' = G'.r
 
-the drop of the sum of squares when candidate and free parameters move together, and by the same
-drop on trials that were left out of both.
+the drop of the sum of squares when candidate and free parameters move together, and by how much it
+drops on trials that were left out of both.
 """
 
 from collections.abc import Sequence
@@ -36,7 +36,8 @@ class Score(NamedTuple):
     step: np.ndarray
     """Change of all entries (parameters,)."""
     left_out: np.ndarray
-    """Drop on every trial when it alone was left out, same unit as `gain`."""
+    """(trials,) by what factor the candidate lowers the sum of squares of every trial when it alone
+    was left out of the fit, as a logarithm: above 0 where the others foresaw it."""
 
 
 def solve(A: np.ndarray, b: np.ndarray, index: np.ndarray) -> np.ndarray:
@@ -49,6 +50,11 @@ def solve(A: np.ndarray, b: np.ndarray, index: np.ndarray) -> np.ndarray:
 def drop(blocks: Sequence[Block], step: np.ndarray) -> float:
     """By how much a step lowers the sum of squares of `blocks`."""
     return sum(2.0 * step @ x.b - step @ x.A @ step for x in blocks)
+
+
+def remaining(blocks: Sequence[Block], step: np.ndarray) -> float:
+    """Sum of squares of `blocks` after a step."""
+    return max(sum(x.c for x in blocks) - drop(blocks, step), 1e-300)
 
 
 def score(
@@ -70,7 +76,7 @@ def score(
         held = [x for x in blocks if x.trial == trial]
         A_, b_ = summed(others) if others else (A, b)
         with_it, without = solve(A_, b_, both), solve(A_, b_, free)
-        left_out.append((drop(held, with_it) - drop(held, without)) / unit)
+        left_out.append(np.log(remaining(held, without) / remaining(held, with_it)))
     p = min(1.0, many * float(chi2.sf(max(gain, 0.0), len(group))))
     return Score(name, float(gain), len(group), p, step[group], errors, step, np.asarray(left_out))
 

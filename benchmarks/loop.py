@@ -1,0 +1,302 @@
+"""How well the loop says what a model lacks: tanks with a known answer, and other ways beside it.
+
+    python benchmarks/loop.py null single double outside --out DIR
+    python benchmarks/loop.py table --out DIR
+
+Every case is a file under DIR, written when it is done: a run that was stopped goes on, and several
+kinds may be asked for at once. `table` sums up what is there. Needs scikit-learn for the rivals.
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from slider_jax.precision import enable_float64
+
+enable_float64()
+
+import rivals  # noqa: E402
+from strangers import STRANGERS  # noqa: E402
+from summary import summed_up  # noqa: E402
+from tanks import HELD, closed, draw, limits, noisy, problem_of, simulated  # noqa: E402
+
+from calibration import report  # noqa: E402
+from calibration.closing import Outcome, conclude  # noqa: E402
+from calibration.evidence import Problem  # noqa: E402
+from calibration.fit import fit  # noqa: E402
+from calibration.measured import Record  # noqa: E402
+from calibration.plant import BASE, base_values, candidates, parameters, start  # noqa: E402
+from calibration.search import directions  # noqa: E402
+from calibration.verdict import floors, rms_errors  # noqa: E402
+from slider_jax.effects.library import LIBRARY  # noqa: E402
+from slider_jax.files import write_json  # noqa: E402
+from slider_jax.provenance import versions  # noqa: E402
+
+SINGLE = (
+    ("valve_delay", "delay"), ("fill_vent_asymmetry", "ratio"), ("leakage", "leak"),
+    ("choked_flow", "inverse"), ("flow_exponent", "exponent"), ("line_lag", "tau"),
+    ("actuator_hysteresis", "amplitude"), ("chamber_mismatch", "difference"),
+    ("body_stiffness", "x"), ("cubic_elasticity", "b"), ("stress_relaxation", "E_1"),
+    ("clamp_compliance", "compliance"), ("tangential_friction", "C_t"), ("tip_mass", "mass"),
+    ("tank_current", "U_x"), ("force_crosstalk", "angle"), ("force_gain", "gain"),
+    ("camera_delay", "delay"),
+)  # fmt: skip
+"""Effects, with the parameter that sets their size."""
+SIZES = (1, 3, 10)
+"""Times the detection limit."""
+PAIRS = (
+    ("valve_delay", "tangential_friction"), ("fill_vent_asymmetry", "camera_delay"),
+    ("leakage", "clamp_compliance"), ("line_lag", "tank_current"),
+    ("actuator_hysteresis", "force_crosstalk"), ("cubic_elasticity", "valve_delay"),
+    ("tip_mass", "choked_flow"), ("tank_current", "body_stiffness"),
+    ("force_crosstalk", "flow_exponent"), ("camera_delay", "chamber_mismatch"),
+    ("clamp_compliance", "tank_current"), ("tangential_friction", "fill_vent_asymmetry"),
+)  # fmt: skip
+PAIR_SIZE = 5.0
+TANKS = 3
+"""Tanks that the cases with an effect share."""
+NULL_TANKS, REPLICATES = 12, 10
+NULL_SEED = 100
+
+
+class Case(NamedTuple):
+    """A tank with effects in it."""
+
+    kind: str
+    name: str
+    seed: int
+    """Of the tank."""
+    effects: Mapping[str, Mapping[str, float]]
+    size: float = 0.0
+    stranger: str = ""
+
+
+def sizes_of(seed: int, out: Path) -> dict[tuple[str, str], float]:
+    """Detection limits in a tank, kept on file."""
+    path = out / f"limits_{seed}.json"
+    if not path.exists():
+        print(f"detection limits of tank {seed}", flush=True)
+        write_json(path, {f"{e}.{p}": x for (e, p), x in limits(seed).items()})
+    found = json.loads(path.read_text())
+    return {tuple(k.split(".")): np.inf if x is None else x for k, x in found.items()}
+
+
+def _sized(effect: str, parameter: str, times: float, seed: int, out: Path) -> dict[str, float]:
+    """An effect's parameter at so many times its limit, of drawn sign; empty outside its range."""
+    prior = LIBRARY[effect].priors()[parameter]
+    distance = times * sizes_of(seed, out)[effect, parameter]
+    rng = np.random.default_rng([seed, sorted(LIBRARY).index(effect)])
+    signs = [-1.0, 1.0] if rng.random() < 0.5 else [1.0, -1.0]
+    for sign in signs:
+        if prior.low <= prior.null + sign * distance <= prior.high:
+            return {parameter: prior.null + sign * distance}
+    return {}
+
+
+def cases(kind: str, out: Path) -> Iterator[Case]:
+    """The cases of a kind; one whose size lies outside what is believed of it is left out."""
+    if kind == "single":
+        for times in reversed(SIZES):
+            for i, (effect, parameter) in enumerate(SINGLE):
+                sized = _sized(effect, parameter, times, i % TANKS, out)
+                if sized:
+                    yield Case(kind, f"{effect}_{times}", i % TANKS, {effect: sized}, times)
+    if kind == "double":
+        named = dict(SINGLE)
+        for i, pair in enumerate(PAIRS):
+            both = {e: _sized(e, named[e], PAIR_SIZE, i % TANKS, out) for e in pair}
+            if all(both.values()):
+                yield Case(kind, "+".join(pair), i % TANKS, both, PAIR_SIZE)
+    if kind == "outside":
+        for i, name in enumerate(STRANGERS):
+            yield Case(kind, name, i % TANKS, {}, stranger=name)
+
+
+@dataclass
+class Kept:
+    """What was simulated, in memory: the rivals ask again for what the loop asked."""
+
+    found: dict[bytes, list[np.ndarray]] = field(default_factory=dict)
+
+    def kept(self, name, arrays, make):
+        key = name.encode() + b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)
+        if key not in self.found:
+            self.found[key] = make()
+        return self.found[key]
+
+
+def ratio(problem: Problem, predicted: list[np.ndarray]) -> float:
+    """rms over the channels of each channel's rms error over its floor."""
+    error, floor = rms_errors(problem, predicted), floors(problem, predicted)
+    return float(np.sqrt(np.mean([(error[c] / floor[c]) ** 2 for c in error])))
+
+
+def run(case: Case, progress) -> dict[str, Any]:
+    """Close the loop on a case, and let the rivals speak."""
+    tank = draw(case.seed)
+    own = [STRANGERS[case.stranger].effect()] if case.stranger else []
+    begun = time.perf_counter()
+    true = simulated(tank, case.effects, own)
+    if not all(np.isfinite(y).all() for y in true):
+        return {"left_out": "the tank cannot be simulated with this effect"}
+    found = noisy(tank, true, hash_of(case))
+    made, memo = time.perf_counter() - begun, Kept()
+    begun = time.perf_counter()
+    outcome = closed(tank, found, memo, progress)
+    seconds = time.perf_counter() - begun
+    told = summary(outcome, tank.truth) | {"seconds": seconds, "seconds_made": made}
+    names = tuple(candidates())
+    laid = problem_of(tank, names, memo)
+    seen = laid([r for i, r in enumerate(found) if i not in HELD])
+    rest = laid([found[i] for i in HELD])
+    told["held_out_over_floor"] = {
+        "refit only": ratio(rest, rest.predict(outcome.search.base.theta)),
+        "loop": ratio(rest, rest.predict(outcome.search.final.theta)),
+    }
+    told["named_by"] = {}
+    if case.kind == "double" or case.size == 3 or case.stranger:
+        s = rivals.begin(seen, rest, outcome.entries, outcome.search.base)
+        ways = {"sparse": rivals.sparse, "stepwise": rivals.stepwise, "gp": rivals.gp}
+        for name, way in ways.items():
+            progress(f"rival: {name}")
+            said = way(s)
+            told["named_by"][name] = said.effects
+            told["held_out_over_floor"][name] = ratio(rest, said.predicted)
+        if case.effects:
+            said = rivals.oracle(s, list(case.effects))
+            told["held_out_over_floor"]["oracle"] = ratio(rest, said.predicted)
+    if case.effects:
+        told["effects_cover"] = _cover(outcome, case.effects)
+    return told
+
+
+def hash_of(case: Case) -> int:
+    """A seed of the noise that is a case's own."""
+    return int.from_bytes(case.name.encode()[-7:], "little")
+
+
+def summary(outcome: Outcome, truth: Mapping[str, float]) -> dict[str, Any]:
+    """What was said, and whether the base parameters' intervals hold the truth."""
+    cover = {}
+    for i, p in enumerate(outcome.entries):
+        if p.name in truth and not p.effect:
+            value, low, high = outcome.interval(i)
+            cover[p.name] = {"value": value, "low": low, "high": high, "truth": truth[p.name]}
+    return {
+        "verdict": outcome.verdict,
+        "effects": report.effects(outcome),
+        "where": report.unexplained(outcome),
+        "candidates": [row for row in report.ranking(outcome) if "explained" in row],
+        "parameters": cover,
+        "converged": outcome.final.converged,
+    }
+
+
+def _cover(outcome: Outcome, effects: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
+    found = {}
+    for i, p in enumerate(outcome.entries):
+        if p.effect in effects and p.name in effects[p.effect] and i in outcome.final.free:
+            value, low, high = outcome.interval(i)
+            truth = effects[p.effect][p.name]
+            found[p.label] = {"value": value, "low": low, "high": high, "truth": truth}
+    return found
+
+
+@dataclass(frozen=True)
+class Linear(Problem):
+    """Readings that are linear about a vector: thousands of fits for the price of one."""
+
+    about: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    there: tuple[np.ndarray, ...] = ()
+    slopes: tuple[np.ndarray, ...] = ()
+
+    def _predict(self, theta):
+        step = theta - self.about
+        return [y + np.tensordot(step, J, 1) for y, J in zip(self.there, self.slopes, strict=True)]
+
+    def _tangents(self, theta, directions):
+        return [np.tensordot(directions, J, 1) for J in self.slopes]
+
+    def _secants(self, theta, others):
+        return self._tangents(theta, np.stack(others) - theta)
+
+
+def null(seed: int, progress) -> dict[str, Any]:
+    """Replicates of the noise on one tank that lacks nothing.
+
+    The model is linearised about its fit to the tank without noise. All of the search runs on every
+    replicate.
+    """
+    tank, names = draw(seed), tuple(candidates())
+    entries = parameters(names)
+    base, memo = base_values(tank.experiment), Kept()
+    true = simulated(tank, {})
+    progress("calibrating without noise")
+    quiet = [replace(r, values=y) for r, y in zip(noisy(tank, true, 0), true, strict=True)]
+    laid = problem_of(tank, names, memo)(quiet)
+    best = fit(laid, entries, start(entries, base), np.arange(len(BASE)), progress)
+    progress("tangents along everything")
+    slopes = directions(laid, entries, best.theta, best.free)
+    parts = {r.trial.file: i for i, r in enumerate(quiet)}
+    rows = []
+    for replicate in range(REPLICATES):
+        found = noisy(tank, true, 1000 * seed + replicate)
+
+        def linear(chosen: list[Record]) -> Problem:
+            of = Linear.of(tank.experiment, list(chosen), names)
+            index = [parts[r.trial.file] for r in chosen]
+            return replace(
+                of,
+                about=best.theta,
+                there=tuple(best.predicted[i] for i in index),
+                slopes=tuple(slopes[i] for i in index),
+            )
+
+        args = (tank.experiment, names, found, HELD, linear, base, tuple(BASE))
+        outcome = conclude(*args, lambda text: None)
+        rows.append(summary(outcome, tank.truth))
+        progress(f"replicate {replicate}: {rows[-1]['verdict']}")
+    bias = {p.name: float(best.theta[i]) for i, p in enumerate(entries[: len(BASE)])}
+    return {"replicates": rows, "without_noise": bias, "truth": tank.truth}
+
+
+def main() -> None:
+    asked = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    asked.add_argument("what", nargs="+", choices=["null", "single", "double", "outside", "table"])
+    asked.add_argument("--out", type=Path, required=True)
+    asked.add_argument("--only", default="", help="cases whose name holds this")
+    given = asked.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+
+    def work(path: Path, make) -> None:
+        if path.exists() or given.only not in path.name:
+            return
+        path.parent.mkdir(exist_ok=True)
+        begun = time.perf_counter()
+
+        def progress(text: str) -> None:
+            print(f"{path.stem} {time.perf_counter() - begun:5.0f} s  {text}", flush=True)
+
+        write_json(path, make(progress) | {"versions": versions()})
+
+    for what in given.what:
+        if what == "table":
+            print(summed_up(given.out))
+        elif what == "null":
+            for seed in range(NULL_SEED, NULL_SEED + NULL_TANKS):
+                work(given.out / what / f"{seed}.json", lambda p, s=seed: null(s, p))
+        else:
+            for case in cases(what, given.out):
+                about = {"case": case._asdict()}
+                path = given.out / what / f"{case.name}.json"
+                work(path, lambda p, c=case, a=about: a | run(c, p))
+
+
+if __name__ == "__main__":
+    main()

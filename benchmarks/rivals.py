@@ -1,0 +1,207 @@
+"""Other ways to say what a model lacks, on the data that the loop is given.
+
+All start from the same calibrated model, residuals and tangents, whitened by the declared noise:
+
+- sparse: the lasso over all effects' tangents, its penalty by cross-validation over trials with the
+  one-standard-error rule (scikit-learn); what it keeps is refitted.
+- stepwise: the effect that lowers the Bayesian information criterion most is added and refitted
+  until none lowers it, samples counted one by one.
+- gp: a Gaussian process on the residual of each channel over drive, time and trial's settings
+  (scikit-learn); it predicts and names nothing.
+- oracle: the true effects, given; refitted.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+from sklearn.linear_model import lasso_path
+from sklearn.preprocessing import StandardScaler
+
+from calibration.evidence import Problem, summed
+from calibration.fit import Fit, fit
+from calibration.forward import CHANNELS
+from calibration.plant import Parameter
+from calibration.search import directions, groups, scored
+from calibration.trace import solve
+
+PENALTIES = 60
+GP_SAMPLES = 1200
+MOST = 4
+
+
+class Said(NamedTuple):
+    """What a way says: the effects, and its prediction of the trials that were held out."""
+
+    effects: list[str]
+    predicted: list[np.ndarray]
+
+
+class Start(NamedTuple):
+    """What all ways are given."""
+
+    problem: Problem
+    rest: Problem
+    """The trials that were held out."""
+    entries: Sequence[Parameter]
+    base: Fit
+    blocks: list
+    white: dict
+    everything: list[np.ndarray]
+
+
+def begin(problem: Problem, rest: Problem, entries: Sequence[Parameter], base: Fit) -> Start:
+    """The calibrated model's residuals and tangents along everything."""
+    white = problem.whiteners(base.predicted)
+    everything = directions(problem, entries, base.theta, base.free)
+    residuals = problem.residuals(base.predicted, white)
+    blocks = problem.blocks(residuals, everything, white)
+    return Start(problem, rest, entries, base, blocks, white, everything)
+
+
+def refitted(s: Start, names: Sequence[str]) -> Fit:
+    """The model with `names`, from where the linear step or their starts say."""
+    members, judged = groups(s.entries), scored(s.entries)
+    free = np.concatenate([s.base.free, *(members[n] for n in names)]).astype(int)
+    A, b = summed(s.blocks)
+    score = np.concatenate([s.base.free, *(judged[n] for n in names)]).astype(int)
+    step = solve(A, b, score)
+    theta = s.base.theta.copy()
+    for i in free:
+        prior = s.entries[i].prior
+        theta[i] = np.clip(theta[i] + step[i], prior.low, prior.high)
+        if s.entries[i].effect and prior.start is not None:
+            theta[i] = prior.start
+        elif s.entries[i].effect and theta[i] == prior.null:
+            theta[i] += 0.02 * (prior.high - prior.low)
+    return fit(s.problem, s.entries, theta, free, white=s.white)
+
+
+def oracle(s: Start, truth: Sequence[str]) -> Said:
+    """The true effects, given."""
+    best = refitted(s, truth)
+    return Said(list(truth), s.rest.predict(best.theta))
+
+
+def sparse(s: Start) -> Said:
+    """The lasso over all effects' tangents."""
+    judged = scored(s.entries)
+    columns = np.concatenate([*judged.values()])
+    A, b = summed(s.blocks)
+    size = np.sqrt(np.maximum(np.diag(A), 1e-300))
+
+    def left(A, b):
+        """Normal matrix and vector of the columns once the base parameters are projected out."""
+        free = s.base.free
+        inner = np.linalg.pinv(A[np.ix_(free, free)] / np.outer(size[free], size[free]))
+        inner = inner / np.outer(size[free], size[free])
+        cross = A[np.ix_(columns, free)] @ inner
+        M = A[np.ix_(columns, columns)] - cross @ A[np.ix_(free, columns)]
+        v = b[columns] - cross @ b[free]
+        return M / np.outer(size[columns], size[columns]), v / size[columns]
+
+    M, v = left(A, b)
+    penalties = np.geomspace(np.abs(v).max(), 1e-3 * np.abs(v).max(), PENALTIES)
+
+    def path(A, b):
+        M, v = left(A, b)
+        root, vector = _as_rows(M, v)
+        n = len(vector)
+        return lasso_path(root, vector, alphas=penalties / n, max_iter=20000)[1]
+
+    trials = sorted({x.trial for x in s.blocks})
+    missed = []
+    for trial in trials:
+        rest = summed([x for x in s.blocks if x.trial != trial])
+        held = left(*summed([x for x in s.blocks if x.trial == trial]))
+        x = path(*rest)
+        missed.append(np.einsum("ik,ij,jk->k", x, held[0], x) - 2.0 * held[1] @ x)
+    mean, error = np.mean(missed, axis=0), np.std(missed, axis=0, ddof=1) / np.sqrt(len(trials))
+    best = int(np.argmin(mean))
+    chosen = int(np.flatnonzero(mean <= mean[best] + error[best])[0])
+    x = path(A, b)[:, chosen]
+    kept = {s.entries[i].effect: 0.0 for i, value in zip(columns, x, strict=True) if value != 0.0}
+    for i, value in zip(columns, x, strict=True):
+        if value != 0.0:
+            kept[s.entries[i].effect] += abs(value)
+    names = sorted(kept, key=lambda n: -kept[n])
+    predicted = s.rest.predict(refitted(s, names[: 2 * MOST]).theta) if names else None
+    return Said(names, predicted or s.rest.predict(s.base.theta))
+
+
+def _as_rows(M: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and values whose normal equations are M x = v."""
+    values, vectors = np.linalg.eigh(M)
+    kept = values > 1e-10 * values.max()
+    root = np.sqrt(values[kept])
+    return root[:, None] * vectors[:, kept].T, (vectors[:, kept].T @ v) / root
+
+
+def stepwise(s: Start) -> Said:
+    """Effects added while the Bayesian information criterion falls."""
+    names: list[str] = []
+    judged = scored(s.entries)
+    samples = sum(x.n for x in s.blocks)
+    current, blocks = s.base, s.blocks
+
+    def criterion(square: float, parameters: int) -> float:
+        return samples * np.log(square / samples) + parameters * np.log(samples)
+
+    while len(names) < MOST:
+        A, b = summed(blocks)
+        gains = {}
+        for name, group in judged.items():
+            if name not in names:
+                step = solve(A, b, np.concatenate([current.free, group]))
+                gains[name] = 2.0 * step @ b - step @ A @ step
+        name = max(gains, key=lambda n: gains[n])
+        better = refitted(s, [*names, name])
+        if criterion(better.square, len(better.free)) >= criterion(
+            current.square, len(current.free)
+        ):
+            break
+        names.append(name)
+        current = better
+        residuals = s.problem.residuals(current.predicted, s.white)
+        everything = directions(s.problem, s.entries, current.theta, current.free)
+        blocks = s.problem.blocks(residuals, everything, s.white)
+    return Said(names, s.rest.predict(current.theta))
+
+
+def _features(problem: Problem, predicted: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """(samples, 11) of every trial: model's readings and their rates, time in stride, settings."""
+    found = []
+    for r, y in zip(problem.records, predicted, strict=True):
+        phase = 2.0 * np.pi * (r.trial.frequency or 0.0) * r.t
+        rates = np.gradient(y[[0, 3, 4]], axis=1)
+        own = [np.full(len(r.t), x) for x in (r.trial.frequency, r.trial.tow_speed)]
+        found.append(np.stack([*y, *rates, np.sin(phase), np.cos(phase), *own], axis=1))
+    return found
+
+
+def gp(s: Start) -> Said:
+    """A Gaussian process on what the calibrated model leaves of every channel."""
+    rng = np.random.default_rng(0)
+    there = _features(s.problem, s.base.predicted)
+    begin = s.rest.predict(s.base.theta)
+    asked = _features(s.rest, begin)
+    scaler = StandardScaler().fit(np.concatenate(there))
+    predicted = [y.copy() for y in begin]
+    for row, channel in enumerate(CHANNELS):
+        X, y = [], []
+        for r, f, base in zip(s.problem.records, there, s.base.predicted, strict=True):
+            here = r.there(channel)
+            X.append(f[here])
+            y.append((r.values[row] - base[row])[here])
+        X, y = scaler.transform(np.concatenate(X)), np.concatenate(y)
+        pick = rng.permutation(len(y))[:GP_SAMPLES]
+        size = float(np.std(y))
+        kernel = ConstantKernel(1.0) * RBF(np.full(X.shape[1], 3.0), (0.1, 1e3))
+        kernel += WhiteKernel(0.5, (1e-4, 1e2))
+        process = GaussianProcessRegressor(kernel, n_restarts_optimizer=0)
+        process.fit(X[pick], y[pick] / size)
+        for z, f in zip(predicted, asked, strict=True):
+            z[row] += size * process.predict(scaler.transform(f))
+    return Said([], predicted)

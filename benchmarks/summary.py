@@ -1,0 +1,168 @@
+"""The benchmark of the loop as tables."""
+
+import json
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from strangers import STRANGERS
+
+from slider_jax.effects.library import LIBRARY
+
+WAYS = ("refit only", "sparse", "stepwise", "gp", "loop", "oracle")
+SPOKE = ("identified", "class")
+
+
+def read(out: Path, kind: str) -> list[dict[str, Any]]:
+    """The finished cases of a kind."""
+    found = [json.loads(p.read_text()) for p in sorted((out / kind).glob("*.json"))]
+    return [x for x in found if "left_out" not in x]
+
+
+def said(case: dict[str, Any], way: str = "loop") -> list[set[str]]:
+    """What was named: a set of names for every cause."""
+    if way == "loop":
+        if case["verdict"] not in SPOKE:
+            return []
+        return [{e["name"], *e["class"]} for e in case["effects"]]
+    return [{name} for name in case["named_by"].get(way, [])]
+
+
+def hits(causes: Sequence[set[str]], truth: Iterable[str]) -> int:
+    """How many of the true effects are among the causes, each cause counting once."""
+    left, found = list(causes), 0
+    for name in truth:
+        match = next((c for c in left if name in c), None)
+        if match is not None:
+            left.remove(match)
+            found += 1
+    return found
+
+
+def right(case: dict[str, Any], way: str = "loop") -> bool:
+    """Whether the one true effect, and nothing else, was named."""
+    causes = said(case, way)
+    return len(causes) == 1 and hits(causes, case["case"]["effects"]) == 1
+
+
+def f1(found: Sequence[dict[str, Any]], way: str = "loop") -> float:
+    """Of the sets of causes, all cases together."""
+    matched = sum(hits(said(x, way), x["case"]["effects"]) for x in found)
+    named = sum(len(said(x, way)) for x in found)
+    true = sum(len(x["case"]["effects"]) for x in found)
+    return 2.0 * matched / (named + true) if named + true else float("nan")
+
+
+def skill(case: dict[str, Any], way: str = "loop") -> float:
+    """(before - after)/(before - floor) on the trials held out."""
+    error = case["held_out_over_floor"]
+    return (error["refit only"] - error[way]) / (error["refit only"] - 1.0)
+
+
+def place_of_stranger(case: dict[str, Any]) -> str:
+    """What the loop said of an effect that is not in the library, in a word."""
+    truth = STRANGERS[case["case"]["stranger"]]
+    if case["verdict"] == "identified":
+        return "wrong name"
+    if case["verdict"] == "class":
+        places = {LIBRARY[n].place() for cause in said(case) for n in cause}
+        return "right place" if places & set(truth.places) else "wrong place"
+    channels = {x["channel"] for x in case["where"]}
+    if case["verdict"] == "unexplained" and channels & set(truth.channels):
+        return "right place"
+    return case["verdict"] if case["verdict"] != "unexplained" else "wrong place"
+
+
+def _share(flags: Sequence[bool]) -> str:
+    return f"{sum(flags)} of {len(flags)} ({np.mean(flags):.0%})" if flags else "none"
+
+
+def summed_up(out: Path) -> str:
+    """All tables, as Markdown."""
+    parts = []
+    if nulls := [r for x in read(out, "null") for r in x["replicates"]]:
+        alarms = [r["verdict"] != "nothing_missing" for r in nulls]
+        named = [r["verdict"] in SPOKE for r in nulls]
+        lines = [
+            f"Nothing missing, {len(nulls)} replicates: {sum(alarms)} did not end so, "
+            f"{sum(named)} named an effect."
+        ]
+        for p in nulls[0]["parameters"]:
+            inside = [r["parameters"][p]["low"] < r["parameters"][p]["truth"]
+                      < r["parameters"][p]["high"] for r in nulls]  # fmt: skip
+            lines.append(f"- {p}: interval holds the truth in {_share(inside)}")
+        parts.append("\n".join(lines))
+    singles = read(out, "single")
+    if singles:
+        lines = ["| times the limit | right | sizes of classes, mean | median skill | least |"]
+        lines.append("|---|---|---|---|---|")
+        for size in sorted({x["case"]["size"] for x in singles}):
+            of = [x for x in singles if x["case"]["size"] == size]
+            spoke = [x for x in of if x["verdict"] in SPOKE]
+            sizes = [len(c) for x in spoke for c in said(x)]
+            skills = [skill(x) for x in spoke] or [np.nan]
+            lines.append(
+                f"| {size:g} | {_share([right(x) for x in of])} | {np.mean(sizes or [0]):.2f} "
+                f"| {np.median(skills):.3f} | {min(skills):.3f} |"
+            )
+        parts.append("\n".join(lines))
+        wrong = [x for x in singles if not right(x)]
+        parts.append("\n".join(["Not right:", *(_told(x) for x in wrong)]))
+        inside = [
+            v["low"] < v["truth"] < v["high"] for x in singles if right(x)
+            for v in x.get("effects_cover", {}).values()
+        ]  # fmt: skip
+        parts.append(f"Interval of the effect's parameter holds the truth: {_share(inside)}")
+    doubles = read(out, "double")
+    if doubles:
+        parts.append(f"Two effects, {len(doubles)} pairs: F1 {f1(doubles):.3f}")
+        parts.append("\n".join(_told(x) for x in doubles))
+    strangers = read(out, "outside")
+    if strangers:
+        words = [place_of_stranger(x) for x in strangers]
+        lines = [f"Outside the library, {len(words)} kinds:"]
+        lines += [f"- {w}: {words.count(w)}" for w in sorted(set(words))]
+        lines += [f"{w}: {_told(x)}" for w, x in zip(words, strangers, strict=True)]
+        parts.append("\n".join(lines))
+    everything = [*singles, *doubles, *strangers]
+    spoke = [skill(x) for x in everything if x["verdict"] in SPOKE]
+    if spoke:
+        parts.append(
+            f"Held-out skill of all {len(spoke)} that it speaks on: median {np.median(spoke):.3f}, "
+            f"least {min(spoke):.3f}"
+        )
+    parts.append(_rivals(singles, doubles, strangers))
+    return "\n\n".join(parts)
+
+
+def _told(x: dict[str, Any]) -> str:
+    case, effects = x["case"], [(e["name"], e["class"]) for e in x["effects"]]
+    truth = dict(case["effects"]) or case["stranger"]
+    return (
+        f"- {case['name']} (tank {case['seed']}): {x['verdict']} {effects}, truth {truth}, "
+        f"skill {skill(x):.3f}, {x['seconds']:.0f} s"
+    )
+
+
+def _rivals(singles, doubles, strangers) -> str:
+    lines = [
+        "| | one effect named | two effects, F1 | held-out rms over floor, median | largest | "
+        "skill, median | least |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    singles = [x for x in singles if x["named_by"]]
+    for way in WAYS:
+        given = [x for x in [*singles, *doubles, *strangers] if way in x["held_out_over_floor"]]
+        if not given:
+            continue
+        errors = [x["held_out_over_floor"][way] for x in given]
+        skills = [skill(x, way) for x in given if x["held_out_over_floor"]["refit only"] > 1.1]
+        naming = way in ("sparse", "stepwise", "loop")
+        one = f"{np.mean([right(x, way) for x in singles]):.0%}" if naming and singles else ""
+        two = f"{f1(doubles, way):.2f}" if naming and doubles else ""
+        lines.append(
+            f"| {way} | {one} | {two} | {np.median(errors):.2f} | {max(errors):.2f} "
+            f"| {np.median(skills):.2f} | {min(skills):.2f} |"
+        )
+    return "\n".join(lines)

@@ -1,0 +1,141 @@
+"""Tanks with a known answer for the benchmark of the loop.
+
+A tank is simulated on another mesh and with another step than the fitter's, one in three by another
+scheme, read by sensors with tare, slow noise and a gain that drifts from trial to trial, and handed
+over as what an experiment's files would hold.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import equinox as eqx
+import numpy as np
+
+from calibration.closing import Outcome, conclude
+from calibration.evidence import Problem
+from calibration.forward import CHANNELS, COARSE, Resolution, on_all_cores, plan, predict
+from calibration.matrix import matrix
+from calibration.measured import COLUMNS, Record
+from calibration.plant import BASE, base_values, candidates, parameters, start
+from calibration.synthetic import ROBOT, START, Sensors, measured, trials
+from slider_jax.effects import Effect
+from slider_jax.experiment import Experiment, assemble
+
+COUNT, SECONDS = 6, 0.4
+"""Trials of a tank, and the scale of their durations (0.8 s at 6 Hz to 2 s at 0.6 Hz)."""
+HELD = [1, 4]
+"""Trials, in order of frequency, that the search does not see."""
+FINE = Resolution(51, 200, 2.0e-3)
+"""Of the fitter's residuals."""
+MADE = [
+    ("backward_euler", Resolution(65, 200, 2.0e-4)),
+    ("sdirk2", Resolution(61, 150, 1.5e-3)),
+    ("sdirk2", Resolution(71, 300, 1.0e-3)),
+]
+"""Scheme, mesh and step of the tanks, in turn."""
+
+
+@dataclass(frozen=True)
+class Tank:
+    """An experiment, what is true of it, and how it is simulated."""
+
+    experiment: Experiment
+    truth: dict[str, float]
+    """Of the base parameters."""
+    scheme: str
+    resolution: Resolution
+
+
+def draw(seed: int, folder: Path = Path(".")) -> Tank:
+    """A tank: its base parameters and drives drawn, its discretisation in turn."""
+    rng = np.random.default_rng([seed, 1])
+    truth = {
+        "C_d": float(rng.uniform(2.4, 4.2)), "m_a": float(rng.uniform(0.45, 0.95)),
+        "k": float(rng.uniform(0.06, 0.11)), "K_Q": float(rng.uniform(4.2e-7, 5.2e-7)),
+    }  # fmt: skip
+    sensors = {k: v for k, v in Sensors()._asdict().items() if k != "gain_drift"}
+    content = {
+        "name": f"tank_{seed}", "robot": ROBOT, "parameters": START, "sensors": sensors,
+        "trials": trials(seed, COUNT, SECONDS),
+    }  # fmt: skip
+    scheme, resolution = MADE[seed % len(MADE)]
+    return Tank(assemble(content, f"tank_{seed}", folder), truth, scheme, resolution)
+
+
+def true_model(tank: Tank) -> Experiment:
+    """The experiment with the tank's true base parameters and scheme."""
+    e = tank.experiment
+    return e.model_copy(
+        update={
+            "parameters": e.parameters.model_copy(update=tank.truth),
+            "numerics": e.numerics.model_copy(update={"scheme": tank.scheme}),
+        }
+    )
+
+
+def simulated(
+    tank: Tank, effects: Mapping[str, Mapping[str, float]], own: Sequence[Effect] = ()
+) -> list[np.ndarray]:
+    """Readings (5, samples) of every trial, without noise; `effects` as a truth, or `own` ones.
+
+    With `own` the program is made for them alone, else it is the extended model's with all effects.
+    """
+    names = () if own else tuple(candidates())
+    entries = parameters(names)
+    theta = start(entries, tank.truth)
+    for i, p in enumerate(entries):
+        if p.effect in effects:
+            theta[i] = effects[p.effect].get(p.name, p.prior.null)
+    told = true_model(tank)
+    plans = [plan(told, t, names, tank.resolution) for t in told.trials]
+    if own:
+        plans = [
+            replace(
+                p,
+                extended=eqx.tree_at(
+                    lambda x: x.base.effects, p.extended, (*p.extended.base.effects, *own)
+                ),
+            )
+            for p in plans
+        ]
+    return on_all_cores(lambda p: predict(p, theta), plans)
+
+
+def noisy(tank: Tank, true: Sequence[np.ndarray], seed: int) -> list[Record]:
+    """What the sensors of the tank record of `true` readings."""
+    rng, found = np.random.default_rng([seed, 2]), []
+    for trial, y in zip(tank.experiment.trials, true, strict=True):
+        t = np.arange(y.shape[1]) / tank.experiment.sensors.sample_rate
+        named = {"t_s": t} | {COLUMNS[c]: row for c, row in zip(CHANNELS, y, strict=True)}
+        columns = measured(named, Sensors(), rng)
+        found.append(Record(trial, t, np.stack([columns[COLUMNS[c]] for c in CHANNELS])))
+    return found
+
+
+def problem_of(tank: Tank, names: Sequence[str], memo=None):
+    """How `conclude` lays out records of the tank."""
+
+    def made(chosen: Sequence[Record]) -> Problem:
+        laid = Problem.of(tank.experiment, list(chosen), tuple(names), fine=FINE, coarse=COARSE)
+        return replace(laid, memo=memo)
+
+    return made
+
+
+def closed(tank: Tank, found: Sequence[Record], memo=None, progress=lambda text: None) -> Outcome:
+    """The loop closed on records of a tank, all effects of the library being candidates."""
+    names, base = tuple(candidates()), base_values(tank.experiment)
+    laid = problem_of(tank, names, memo)
+    return conclude(tank.experiment, names, found, HELD, laid, base, tuple(BASE), progress)
+
+
+@cache
+def limits(seed: int) -> dict[tuple[str, str], float]:
+    """Detection limit of every parameter in a tank at its true base parameters, SI."""
+    tank = draw(seed)
+    e = tank.experiment
+    at = e.model_copy(update={"parameters": e.parameters.model_copy(update=tank.truth)})
+    found = matrix(at)
+    return {(x.parameter.effect, x.parameter.name): x.size for x in found.limits}

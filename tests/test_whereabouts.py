@@ -1,0 +1,47 @@
+"""Where a residual acts, on residuals whose place is known."""
+
+import numpy as np
+import pytest
+
+from calibration.measured import Record
+from calibration.verdict import Excess
+from calibration.whereabouts import said, trend, when, where
+from slider_jax.schema import Trial
+
+T = np.arange(0.0, 2.0, 0.002)
+MODEL = np.sin(2.0 * np.pi * T)
+
+
+def record(residual, frequency=1.0, amplitude=1e5):
+    values = np.full((5, len(T)), np.nan)
+    values[2] = MODEL + residual
+    told = {"file": f"{frequency:g}.csv", "frequency": frequency, "amplitude": amplitude}
+    return Record(Trial.model_validate(told | {"duration": 2.0}), T, values)
+
+
+def test_the_part_of_the_stride_that_holds_the_residual_is_found():
+    found = when(record(np.where((T % 1.0 > 0.4) & (T % 1.0 < 0.48), 0.3, 0.0)), "thrust", MODEL)
+    assert found["phase"] == [0.375, 0.5] and found["share"] == pytest.approx(1.0)
+    assert found["mean"] == pytest.approx(np.sqrt(0.08), rel=0.05)
+
+
+def test_a_residual_of_the_growing_reading_is_told_from_one_of_the_falling():
+    growing = MODEL * np.gradient(MODEL) > 0.0
+    assert when(record(0.1 * growing), "thrust", MODEL)["growing"] > 0.95
+    assert when(record(0.1 * ~growing), "thrust", MODEL)["growing"] < 0.05
+
+
+def test_what_grows_with_a_setting_is_said():
+    records = [record(0.1 * f, f, a) for f, a in ((1.0, 1e5), (2.0, 3e5), (3.0, 2e5))]
+    left = {"thrust": Excess(np.array([2.0, 5.0, 9.0]), 5.3), "tip": Excess(np.ones(3), 1.1)}
+    (found,) = where(records, [np.tile(MODEL, (5, 1))] * 3, left)
+    assert (found["channel"], found["worst_trial"]) == ("thrust", "3.csv")
+    assert found["grows_with"] == {"frequency": 1.0, "amplitude": 0.5, "tow_speed": None}
+    text = said(found)
+    assert "thrust: 5.3 times its floor, worst in 3.csv (3 Hz, 200 kPa)" in text
+    assert "grows with frequency" in text and "amplitude" not in text.split(";", 1)[1]
+
+
+def test_a_setting_that_does_not_vary_has_no_trend():
+    assert trend([1.0, 1.0, 1.0], np.array([1.0, 2.0, 3.0])) is None
+    assert trend([None, 1.0, 2.0], np.array([1.0, 2.0, 3.0])) is None
