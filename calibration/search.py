@@ -26,9 +26,10 @@ SHORT_LIST = 5
 """Candidates of each kind that are refitted in a round."""
 NEARLY = 0.7
 """A candidate is refitted if its score promises so much of what is worth naming."""
-AGREE = 1.5
+AGREE = 2.0
 """Mean over the left-out trials of what `Score.left_out` says, over its standard error, from which
-on they agree. Factors are averaged, not drops: a trial that is far off has no greater say."""
+on they agree: one in twenty of chance. Factors are averaged, not drops: a trial that is far off has
+no greater say."""
 HALVED = 4
 """Sizes that are tried of a start that cannot be simulated."""
 MOST = 3

@@ -19,6 +19,10 @@ from scipy.stats import chi2
 from calibration.evidence import Block, summed
 from calibration.fit import inverse
 
+UNSEEN = 1e-3
+"""A trial does not see a candidate that changes it by less than so much of what it does to the one
+that it changes most; squares."""
+
 
 class Score(NamedTuple):
     """A candidate's linear score beside the free parameters."""
@@ -36,8 +40,8 @@ class Score(NamedTuple):
     step: np.ndarray
     """Change of all entries (parameters,)."""
     left_out: np.ndarray
-    """(trials,) by what factor the candidate lowers the sum of squares of every trial when it alone
-    was left out of the fit, as a logarithm: above 0 where the others foresaw it."""
+    """By what factor the candidate lowers the sum of squares of a trial when it alone was left out
+    of the fit, as a logarithm: above 0 where the others foresaw it. Of trials that can see it."""
 
 
 def solve(A: np.ndarray, b: np.ndarray, index: np.ndarray) -> np.ndarray:
@@ -69,9 +73,11 @@ def score(
     step = solve(A, b, both)
     gain = (drop(blocks, step) - drop(blocks, solve(A, b, free))) / unit
     errors = np.sqrt(unit * np.diag(inverse(A[np.ix_(both, both)])))[len(free) :]
-    trials = sorted({x.trial for x in blocks})
+    seen = {x.trial: 0.0 for x in blocks}
+    for x in blocks:
+        seen[x.trial] += float(step[group] @ x.A[np.ix_(group, group)] @ step[group])
     left_out = []
-    for trial in trials:
+    for trial in sorted(i for i in seen if seen[i] >= UNSEEN * max(seen.values())):
         others = [x for x in blocks if x.trial != trial]
         held = [x for x in blocks if x.trial == trial]
         A_, b_ = summed(others) if others else (A, b)

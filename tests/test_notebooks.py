@@ -28,7 +28,20 @@ def tracing_the_valve(found):
     assert found["after"] < 0.15 * found["before"]
 
 
-CLAIMS = {"one_stride": one_stride, "tracing_the_valve": tracing_the_valve}
+def calibrating_drag_and_added_mass(found):
+    """The tank's coefficients lie in their intervals; thrust alone says less."""
+    for i, label in enumerate(found["labels"]):
+        _, low, high = found["interval"](found["found"].fit, found["found"].entries, i)
+        assert low < found["truth"][label] < high, label
+    assert all(x > 1.2 for x in found["wider"].values())
+    assert np.abs(found["measured"] - found["predicted"]).max() < 0.05
+
+
+CLAIMS = {
+    "one_stride": one_stride,
+    "tracing_the_valve": tracing_the_valve,
+    "calibrating_drag_and_added_mass": calibrating_drag_and_added_mass,
+}
 
 
 def test_there_are_notebooks():
@@ -52,6 +65,7 @@ def test_notebook_runs_and_draws(notebook, monkeypatch, tmp_path):
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SLIDER_DATA", str(tmp_path / "none"))
+    monkeypatch.delenv("SLIDER_EXPERIMENT", raising=False)
     monkeypatch.setattr(plt, "show", show)
     found = runpy.run_path(str(notebook), run_name="__main__")
     assert drawn

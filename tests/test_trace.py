@@ -111,3 +111,11 @@ def test_bounds_are_invertible():
     bounds = Bounds.of([Parameter("", "k", Prior(np.nan, 0.005, 0.5, "s", ""))])
     theta = np.array([0.087])
     np.testing.assert_allclose(bounds.inside(bounds.outside(theta)), theta, rtol=1e-12)
+
+
+def test_a_trial_that_cannot_see_a_candidate_has_no_say():
+    J, r = rows()
+    J = J.copy()
+    J[2][:, GROUP] = 0.0
+    found = score("x", GROUP, FREE, blocks(J, r), 1.0, 10)
+    assert len(found.left_out) == TRIALS - 1

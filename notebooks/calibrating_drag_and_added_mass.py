@@ -1,0 +1,163 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # Calibrating C_d and m_a from thrust
+#
+# A head-fixed robot in a tank: its force sensor gives thrust and recoil, two sensors the pressures,
+# a camera the tip. From these we want the drag coefficient C_d and the added-mass coefficient m_a,
+# and to know how well the data fix them.
+#
+# Set `SLIDER_EXPERIMENT` to your own experiment.toml, its trials beside it. Without it this
+# notebook makes a tank with known coefficients, reads it with noisy sensors whose gain drifts by a
+# percent from trial to trial, and forgets the answer until the end.
+
+# %%
+import os
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import slider_jax as sj
+from calibration.forward import CHANNELS, Resolution
+from calibration.identify import identify, table
+from calibration.systematic import correlations, determined, interval
+from slider_jax import experiment as experiments
+
+sj.enable_float64()
+
+own = os.environ.get("SLIDER_EXPERIMENT")
+truth = {"C_d": 3.1, "m_a": 0.72, "k": 0.075, "K_Q": 4.6e-7}
+if own:
+    path, mesh = Path(own), Resolution(101, 200, 2.0e-3)
+else:
+    from calibration.synthetic import Truth, trials, write_tank
+
+    runs = [run | {"duration": 1.0} for run in trials(5, count=6)[2:]]
+    made = {"nodes": 41, "step": 1e-3, "scheme": "sdirk2"}
+    path = write_tank(Path("tank"), Truth(truth, {}), runs, seed=1, numerics=made)
+    mesh = Resolution(31, 80, 4.0e-3)
+tank = experiments.load(path)
+for trial in tank.trials:
+    print(
+        f"{trial.file}: {trial.frequency:g} Hz, {1e-3 * trial.amplitude:g} kPa, rear chamber "
+        f"{trial.phase:g} of a stride behind, towed at {trial.tow_speed:g} m/s"
+    )
+
+# %% [markdown]
+# ## All channels together
+#
+# C_d and m_a act on the forces, but the forces also depend on how far the body bends, which K_Q
+# sets, and on the pressure that the chambers reach, which k sets. So all four are fitted to all
+# channels of all trials at once, by forward derivatives through the simulation.
+
+# %%
+found = identify(tank, progress=print, fine=mesh, coarse=mesh)
+print(table(found))
+
+# %%
+shown = int(np.argmax([len(r.t) for r in found.problem.records]))
+record = found.problem.records[shown]
+row = CHANNELS.index("thrust")
+here = record.t < 4.0 / (record.trial.frequency or 1.0)
+figure, axes = plt.subplots(2, 1, figsize=(9, 4.6), sharex=True, layout="constrained")
+axes[0].plot(record.t[here], record.values[row][here], ".", ms=2, color="0.6", label="measured")
+for y, label, colour in (
+    (found.before[shown], "before", "C1"),
+    (found.fit.predicted[shown], "calibrated", "C0"),
+):
+    axes[0].plot(record.t[here], y[row][here], color=colour, lw=1, label=label)
+    axes[1].plot(record.t[here], (record.values[row] - y[row])[here], color=colour, lw=0.8)
+axes[0].set_ylabel("thrust (N)")
+axes[1].set(ylabel="measured - model (N)", xlabel="time (s)")
+axes[0].legend(fontsize="small")
+plt.show()
+
+# %% [markdown]
+# The sensor's tare and gain of each trial are not fitted one by one: they are part of the noise,
+# which is correlated, so what is left may be shifted by a constant and still be noise.
+#
+# ## How well the data fix them
+#
+# C_d and m_a pull on the same forces, a quarter of a stride apart: drag follows the speed of the
+# crossflow, added mass its acceleration. The ellipse holds both with 95 %.
+
+# %%
+labels = [p.label for p in found.entries]
+pair = [labels.index("C_d"), labels.index("m_a")]
+cov = found.fit.covariance[np.ix_(pair, pair)]
+centre = found.fit.theta[pair]
+values, vectors = np.linalg.eigh(cov)
+turn = np.linspace(0.0, 2.0 * np.pi, 200)
+ellipse = np.sqrt(5.99 * values) * np.stack([np.cos(turn), np.sin(turn)], axis=1) @ vectors.T
+figure, ax = plt.subplots(figsize=(4.6, 3.8), layout="constrained")
+ax.plot(*(centre + ellipse).T, label="noise, 95 %")
+ax.plot(*centre, "C0o", ms=4)
+low_high = np.array([interval(found.fit, found.entries, i)[1:] for i in pair])
+ax.errorbar(
+    *centre[:, None],
+    xerr=np.abs(low_high[0] - centre[0])[:, None],
+    yerr=np.abs(low_high[1] - centre[1])[:, None],
+    color="0.5",
+    lw=1,
+    label="with what correct programs differ by",
+)
+if not own:
+    ax.plot(truth["C_d"], truth["m_a"], "k*", label="what the tank was made with")
+ax.set(xlabel="C_d (-)", ylabel="m_a (-)")
+ax.legend(fontsize="small")
+plt.show()
+print(f"correlation of C_d and m_a: {correlations(found.fit)[pair[0], pair[1]]:.2f}")
+
+# %% [markdown]
+# ## From thrust alone
+#
+# What if only the force sensor had been there? A number is worth nothing without knowing that the
+# data fix it: where they do not, none is given.
+
+# %%
+alone = identify(tank, channels=("thrust",), progress=lambda text: None, fine=mesh, coarse=mesh)
+print(table(alone))
+wider = {}
+for i, label in enumerate(labels):
+    _, low, high = interval(alone.fit, alone.entries, i)
+    _, least, most = interval(found.fit, found.entries, i)
+    wider[label] = (high - low) / (most - least)
+    told = "" if determined(alone.entries[i], low, high) else ", not determined"
+    print(f"{label}: interval {wider[label]:.1f} times as wide as with all channels{told}")
+
+# %% [markdown]
+# ## Does it predict?
+#
+# Mean thrust of every trial, after the start-up stride, measured and calibrated.
+
+# %%
+means = []
+for r, y in zip(found.problem.records, found.fit.predicted, strict=True):
+    late = r.t > 1.0 / (r.trial.frequency or 1.0)
+    means.append((r.trial.frequency or 0.0, r.values[row][late].mean(), y[row][late].mean()))
+frequency, measured, predicted = np.array(sorted(means)).T
+figure, ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")
+ax.errorbar(frequency, measured, 2.0 * tank.sensors.force_tare, fmt="ko", ms=4, label="measured")
+ax.plot(frequency, predicted, "C0x-", label="calibrated")
+ax.set(xlabel="drive frequency (Hz)", ylabel="mean thrust (N)")
+ax.legend(fontsize="small")
+plt.show()
+worst = 1e3 * np.abs(measured - predicted).max()
+print(f"largest difference {worst:.0f} mN, tare and gain included")
+
+# %% [markdown]
+# `slider calibrate EXPERIMENT.toml --out DIR` does the same and writes the model for
+# `slider simulate --model`; `--per-frequency` asks whether one C_d and one m_a serve all
+# frequencies. If the residual stands above the noise, something is missing: `slider close-loop`
+# looks for it.
