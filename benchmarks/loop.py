@@ -38,15 +38,13 @@ from slider_jax.effects.library import LIBRARY  # noqa: E402
 from slider_jax.files import write_json  # noqa: E402
 from slider_jax.provenance import versions  # noqa: E402
 
-SINGLE = (
-    ("valve_delay", "delay"), ("fill_vent_asymmetry", "ratio"), ("leakage", "leak"),
-    ("choked_flow", "inverse"), ("flow_exponent", "exponent"), ("line_lag", "tau"),
-    ("actuator_hysteresis", "amplitude"), ("chamber_mismatch", "difference"),
-    ("body_stiffness", "x"), ("cubic_elasticity", "b"), ("stress_relaxation", "E_1"),
-    ("clamp_compliance", "compliance"), ("tangential_friction", "C_t"), ("tip_mass", "mass"),
-    ("tank_current", "U_x"), ("force_crosstalk", "angle"), ("force_gain", "gain"),
-    ("camera_delay", "delay"),
-)  # fmt: skip
+SIZED = {
+    "valve_delay": "delay", "fill_vent_asymmetry": "ratio", "leakage": "leak",
+    "choked_flow": "inverse", "flow_exponent": "exponent", "line_lag": "tau",
+    "actuator_hysteresis": "amplitude", "chamber_mismatch": "difference", "body_stiffness": "x",
+    "cubic_elasticity": "b", "clamp_compliance": "compliance", "tangential_friction": "C_t",
+    "tip_mass": "mass", "tank_current": "U_x", "force_crosstalk": "angle", "camera_delay": "delay",
+}  # fmt: skip
 """Effects, with the parameter that sets their size."""
 SIZES = (1, 3, 10)
 """Times the detection limit."""
@@ -103,14 +101,13 @@ def cases(kind: str, out: Path) -> Iterator[Case]:
     """The cases of a kind; one whose size lies outside what is believed of it is left out."""
     if kind == "single":
         for times in reversed(SIZES):
-            for i, (effect, parameter) in enumerate(SINGLE):
+            for i, (effect, parameter) in enumerate(SIZED.items()):
                 sized = _sized(effect, parameter, times, i % TANKS, out)
                 if sized:
                     yield Case(kind, f"{effect}_{times}", i % TANKS, {effect: sized}, times)
     if kind == "double":
-        named = dict(SINGLE)
         for i, pair in enumerate(PAIRS):
-            both = {e: _sized(e, named[e], PAIR_SIZE, i % TANKS, out) for e in pair}
+            both = {e: _sized(e, SIZED[e], PAIR_SIZE, i % TANKS, out) for e in pair}
             if all(both.values()):
                 yield Case(kind, "+".join(pair), i % TANKS, both, PAIR_SIZE)
     if kind == "outside":

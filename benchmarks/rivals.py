@@ -11,10 +11,12 @@ All start from the same calibrated model, residuals and tangents, whitened by th
 - oracle: the true effects, given; refitted.
 """
 
+import warnings
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from sklearn.linear_model import lasso_path
@@ -28,7 +30,7 @@ from calibration.search import directions, groups, scored
 from calibration.trace import solve
 
 PENALTIES = 60
-GP_SAMPLES = 1200
+GP_SAMPLES = 500
 MOST = 4
 
 
@@ -201,7 +203,9 @@ def gp(s: Start) -> Said:
         kernel = ConstantKernel(1.0) * RBF(np.full(X.shape[1], 3.0), (0.1, 1e3))
         kernel += WhiteKernel(0.5, (1e-4, 1e2))
         process = GaussianProcessRegressor(kernel, n_restarts_optimizer=0)
-        process.fit(X[pick], y[pick] / size)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ConvergenceWarning)  # a feature without a say
+            process.fit(X[pick], y[pick] / size)
         for z, f in zip(predicted, asked, strict=True):
             z[row] += size * process.predict(scaler.transform(f))
     return Said([], predicted)

@@ -23,14 +23,14 @@ from calibration.synthetic import ROBOT, START, Sensors, measured, trials
 from slider_jax.effects import Effect
 from slider_jax.experiment import Experiment, assemble
 
-COUNT, SECONDS = 6, 0.4
-"""Trials of a tank, and the scale of their durations (0.8 s at 6 Hz to 2 s at 0.6 Hz)."""
+COUNT, SECONDS = 6, 0.33
+"""Trials of a tank, and the scale of their durations (0.66 s at 6 Hz to 1.65 s at 0.6 Hz)."""
 HELD = [1, 4]
 """Trials, in order of frequency, that the search does not see."""
-FINE = Resolution(51, 200, 2.0e-3)
+FINE = Resolution(51, 120, 2.0e-3)
 """Of the fitter's residuals."""
 MADE = [
-    ("backward_euler", Resolution(65, 200, 2.0e-4)),
+    ("backward_euler", Resolution(65, 200, 4.0e-4)),
     ("sdirk2", Resolution(61, 150, 1.5e-3)),
     ("sdirk2", Resolution(71, 300, 1.0e-3)),
 ]

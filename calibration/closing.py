@@ -62,11 +62,26 @@ class Outcome:
 
 
 def choose_held_out(found: Sequence[Record]) -> list[int]:
-    """A quarter of the trials, spread over the frequencies but not their ends; none of too few."""
+    """A quarter of the trials, spread over the frequencies but not their ends; none of too few.
+
+    Of towed trials and of those in still water at least two stay, where there are as many: an
+    effect that only they can see needs them.
+    """
     if len(found) < 2 * LEAST_TRIALS:
         return []
     order = sorted(range(len(found)), key=lambda i: (found[i].trial.frequency or 0.0, i))
-    return sorted(order[2:-1:4])
+    towed = [found[i].trial.tow_speed != 0.0 for i in range(len(found))]
+    held: list[int] = []
+    for place in range(2, len(order) - 1, 4):
+        near = [order[j] for j in (place, place - 1, place + 1) if 0 < j < len(order) - 1]
+        for i in near:
+            rest = [towed[j] for j in order if j not in (*held, i)]
+            if i not in held and (rest.count(towed[i]) >= 2 or rest.count(not towed[i]) == 0):
+                held.append(i)
+                break
+        else:
+            held.append(near[0])
+    return sorted(held)
 
 
 def close_loop(

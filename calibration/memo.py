@@ -63,5 +63,10 @@ def resumable(out: Path, settings: dict[str, Any]) -> Iterator[Memo]:
     if folder.exists():
         print(f"going on with what a stopped run left in {folder}", file=sys.stderr)
     folder.mkdir(exist_ok=True)
-    yield Memo(folder)
+    try:
+        yield Memo(folder)
+    except BaseException:
+        if not any(folder.iterdir()):
+            folder.rmdir()
+        raise
     shutil.rmtree(folder, ignore_errors=True)

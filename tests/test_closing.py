@@ -83,6 +83,21 @@ def test_the_report_is_whole_and_the_model_runs(delayed, tmp_path):
 
 
 @pytest.mark.slow
+def test_the_order_of_the_trials_and_the_noise_change_no_verdict(delayed, tmp_path):
+    truth = Truth(BASE, {"valve_delay": {"delay": 0.02}})
+    turned = write_tank(tmp_path / "turned", truth, RUNS, 1, numerics=TANK)
+    text = turned.read_text()
+    head, *trials_told = text.split("[[trials]]")
+    turned.write_text("[[trials]]".join([head, *(x + "\n" for x in reversed(trials_told))]))
+    again = closing.close_loop(experiment.load(turned), CANDIDATES, fine=MESH, coarse=MESH)
+    assert (again.verdict, again.search.effects) == (delayed.verdict, delayed.search.effects)
+    np.testing.assert_allclose(again.final.theta, delayed.final.theta, rtol=1e-5)
+    for seed in (5, 6):
+        other = closed(tmp_path / f"seed_{seed}", truth.effects, seed)
+        assert (other.verdict, other.search.effects) == ("identified", ["valve_delay"])
+
+
+@pytest.mark.slow
 def test_what_none_of_the_candidates_explains_is_said_to_be_unexplained(tmp_path):
     outcome = closed(tmp_path / "odd", {"stiffening": {"beta": 5e-4}}, 2)
     assert outcome.verdict == "unexplained"

@@ -6,7 +6,7 @@ import pytest
 from calibration.closing import close_loop_on_logs
 from calibration.logs import read_log
 from calibration.made_logs import Valves, write_logs
-from calibration.memo import Memo
+from calibration.memo import Memo, resumable
 from calibration.report import model_toml
 from slider_jax.errors import InputError
 from tests.synthetic_log import log_lines, write
@@ -91,3 +91,9 @@ def test_logs_of_a_lag_lack_nothing(tmp_path):
 def test_too_few_logs_are_refused(logs):
     with pytest.raises(InputError, match=r"2 logs given; .* needs 5 or more"):
         close_loop_on_logs(logs[:2], NAMES)
+
+
+def test_a_run_that_fails_before_anything_is_simulated_leaves_nothing(tmp_path):
+    with pytest.raises(InputError), resumable(tmp_path / "out", {}):
+        raise InputError("what was given is wrong")
+    assert not list((tmp_path / "out").iterdir())
