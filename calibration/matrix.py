@@ -6,7 +6,10 @@ calibration cannot absorb of a size s is
     gain = s^2 A'_ee,    A' = A_ee - A_eF A_FF^-1 A_Fe
 
 It is found where the gain is what the search asks for, and named where it changes some channel by
-more than two correct programs differ by. Two effects whose A' are parallel are one class.
+more than two correct programs differ by. The detection limit lies beyond both by so much that noise
+lets nine of ten such effects pass (Currie, L. A. (1968), Limits for qualitative detection and
+quantitative determination, Anal. Chem. 40, 586-593). Two effects whose A' are parallel are one
+class.
 """
 
 from collections.abc import Callable, Sequence
@@ -29,6 +32,8 @@ from slider_jax.effects import Prior
 from slider_jax.experiment import Experiment
 from slider_jax.fingerprint import typical
 
+POWER = 1.2816
+"""Standard errors beyond the decision limit at which nine of ten are detected."""
 ABSORBED = 1e-9
 """Share of a parameter's information below which calibration absorbs all of it."""
 
@@ -42,13 +47,15 @@ class Limit(NamedTuple):
     it, NaN where it cannot be simulated."""
     nameable: float
     """Distance at which it changes a channel by more than correct programs differ by."""
+    error: float
+    """Standard error that the noise would leave of it."""
     finite: bool
     """Whether a finite start took the place of a tangent that tells too little."""
 
     @property
     def size(self) -> float:
-        """The larger of the two: the detection limit."""
-        return float(np.maximum(self.significant, self.nameable))
+        """The detection limit: beyond both by what noise may take away, in nine cases of ten."""
+        return float(np.maximum(self.significant, self.nameable) + POWER * self.error)
 
     @property
     def relative(self) -> float:
@@ -118,14 +125,14 @@ def matrix(
     return Matrix(f, seen, limits, names, alike, opposed, classes(names, alike, opposed, found))
 
 
-def _limit(seen: Sequence[Seen], i: int, free: np.ndarray, gain: float) -> tuple[float, float]:
-    """Sizes at which the entry `i` is beyond chance, and worth naming."""
+def _limit(seen: Sequence[Seen], i: int, free: np.ndarray, gain: float) -> tuple[float, float, float]:
+    """Sizes at which the entry `i` is beyond chance, and worth naming, and its standard error."""
     A = information(seen)
     if not np.isfinite(A[i]).all():
-        return np.nan, np.nan
+        return np.nan, np.nan, np.nan
     kept = float(left(A, np.array([i]), free)[0, 0])
     if kept <= ABSORBED * A[i, i]:
-        return np.inf, np.inf
+        return np.inf, np.inf, np.inf
     step = np.zeros(len(A))
     step[i], step[free] = 1.0, -inverse(A[np.ix_(free, free)]) @ A[free, i]
     known = np.flatnonzero(step)
@@ -136,7 +143,7 @@ def _limit(seen: Sequence[Seen], i: int, free: np.ndarray, gain: float) -> tuple
         square = float(np.sum([x.square for x in parts]))
         share = float(np.sqrt(max(step[known] @ raw @ step[known], 0.0) / max(square, 1e-300)))
         changes.append(share / DISCREPANCY[channel])
-    return float(np.sqrt(gain / kept)), 1.0 / max(max(changes), 1e-300)
+    return float(np.sqrt(gain / kept)), 1.0 / max(max(changes), 1e-300), float(1.0 / np.sqrt(kept))
 
 
 def _pairs(A, names, members, free, entries) -> tuple[np.ndarray, np.ndarray]:

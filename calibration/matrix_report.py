@@ -66,6 +66,7 @@ def _row(x: Limit) -> dict[str, Any]:
         "limit": x.size,
         "significant_from": x.significant,
         "worth_naming_from": x.nameable,
+        "standard_error": x.error,
         "null": p.prior.null,
         "low": p.prior.low,
         "high": p.prior.high,

@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from calibration.evidence import Block, Problem
 from calibration.foresight import Sensing, as_block, foresight, information
@@ -265,7 +266,8 @@ def test_json_holds_what_the_table_says(still):
     assert ["pressure_gain", "regulator_gain"] in told["classes"]
     assert told["told_by_sign"] == [["actuator_saturation", "actuator_quadratic"]]
     (row,) = [x for x in told["limits"] if x["effect"] == "force_gain"]
-    assert row["limit"] == max(row["significant_from"], row["worth_naming_from"])
+    decided = max(row["significant_from"], row["worth_naming_from"])
+    assert row["limit"] == pytest.approx(decided + norm.ppf(0.9) * row["standard_error"], rel=1e-4)
 
 
 def test_names_after_effects_are_effects_and_matrix_is_a_command():
