@@ -125,7 +125,9 @@ def matrix(
     return Matrix(f, seen, limits, names, alike, opposed, classes(names, alike, opposed, found))
 
 
-def _limit(seen: Sequence[Seen], i: int, free: np.ndarray, gain: float) -> tuple[float, float, float]:
+def _limit(
+    seen: Sequence[Seen], i: int, free: np.ndarray, gain: float
+) -> tuple[float, float, float]:
     """Sizes at which the entry `i` is beyond chance, and worth naming, and its standard error."""
     A = information(seen)
     if not np.isfinite(A[i]).all():
