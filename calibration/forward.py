@@ -2,7 +2,6 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from threading import Lock
 
 import equinox as eqx
 import jax
@@ -134,26 +133,6 @@ def _pressures(extended: Extended, theta, t):
     return jnp.stack([read.p_front, read.p_rear])
 
 
-class _Program:
-    """A compiled function that one thread at a time makes for new shapes; the others wait for it.
-
-    `eqx.filter_jit` alone would trace and compile it in every thread that asks at once.
-    """
-
-    def __init__(self, function):
-        self._jitted, self._made, self._making = eqx.filter_jit(function), set(), Lock()
-
-    def __call__(self, *arguments):
-        leaves, tree = jax.tree.flatten(arguments)
-        key = tree, tuple(getattr(x, "shape", x) for x in leaves)
-        if key in self._made:
-            return self._jitted(*arguments)
-        with self._making:
-            out = self._jitted(*arguments)
-            self._made.add(key)
-        return out
-
-
 def _along(function, arguments, directions):
     """Tangents of function(*arguments) along `directions`, each argument's with a leading axis."""
     dynamic, static = eqx.partition(arguments, eqx.is_inexact_array)
@@ -165,22 +144,22 @@ def _along(function, arguments, directions):
     return jax.vmap(lambda d: jax.jvp(value, (dynamic,), (d,))[1])(directions)
 
 
-@_Program
+@eqx.filter_jit
 def _begin(extended: Extended, theta, numerics: Numerics) -> Carry:
     return at_rest(extended.at(theta), numerics)
 
 
-_advance = _Program(_chunk)
-_recorded = _Program(_read)
-_chambers = _Program(_pressures)
+_advance = eqx.filter_jit(_chunk)
+_recorded = eqx.filter_jit(_read)
+_chambers = eqx.filter_jit(_pressures)
 
 
-@_Program
+@eqx.filter_jit
 def _begin_along(extended: Extended, theta, directions, numerics: Numerics):
     return _along(lambda x: at_rest(extended.at(x), numerics), (theta,), (directions,))
 
 
-@_Program
+@eqx.filter_jit
 def _advance_along(extended: Extended, theta, carry, d_theta, d_carry, h, t0, numerics: Numerics):
     def function(theta, carry):
         return _chunk(extended, theta, carry, h, t0, numerics)
@@ -188,12 +167,12 @@ def _advance_along(extended: Extended, theta, carry, d_theta, d_carry, h, t0, nu
     return function(theta, carry)[1], _along(function, (theta, carry), (d_theta, d_carry))
 
 
-@_Program
+@eqx.filter_jit
 def _recorded_along(extended: Extended, theta, t, series, d_theta, d_series):
     return _along(lambda x, s: _read(extended, x, t, s), (theta, series), (d_theta, d_series))
 
 
-@_Program
+@eqx.filter_jit
 def _chambers_along(extended: Extended, theta, t, d_theta):
     return _along(lambda x: _pressures(extended, x, t), (theta,), (d_theta,))
 
