@@ -108,7 +108,8 @@ def ranking(outcome: Outcome) -> list[dict[str, Any]]:
             row = {"round": number, "name": s.name, "score": s.gain, "p": s.p}
             if s.name in tried:
                 t = tried[s.name]
-                row |= {"explained": t.gain, "sizes": t.sizes, "left_out_trials_agree": t.agree}
+                row |= {"explained": t.gain, "sizes": t.sizes}
+                row["left_out_trials_agree"], row["left_out_trials_chance"] = t.agreement
             rows.append(row | {"chosen": s.name == this.chosen})
     return rows
 

@@ -7,8 +7,10 @@ two correct programs of one model differ by, declared in `noise.DISCREPANCY` bef
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import wilcoxon
 
 from calibration.evidence import Problem
 from calibration.fit import Fit, fit
@@ -30,6 +32,9 @@ AGREE = 2.0
 """Mean over the left-out trials of what `Score.left_out` says, over its standard error, from which
 on they agree: one in twenty of chance. Factors are averaged, not drops: a trial that is far off has
 no greater say."""
+UNALIKE = 0.05
+"""They agree as well where Wilcoxon's signed ranks say so, at this probability of chance: where all
+improve, but some by far more than others."""
 HALVED = 4
 """Sizes that are tried of a start that cannot be simulated."""
 MOST = 3
@@ -42,6 +47,27 @@ SHARE_AFAR = 0.2
 """The same of one that is scored at a size of its own (`Prior.start`), where less can be told."""
 
 
+class Agreement(NamedTuple):
+    """Whether trials that were left out foresaw a candidate's gain on each other."""
+
+    mean: float
+    """Mean of `Score.left_out` over its standard error."""
+    chance: float
+    """Probability of their signed ranks by chance."""
+
+    @property
+    def agreed(self) -> bool:
+        return bool(self.mean > AGREE or self.chance < UNALIKE)
+
+
+def agreement(left_out: np.ndarray) -> Agreement:
+    """Of the logarithms `Score.left_out` (trials,)."""
+    n = len(left_out)
+    spread = float(left_out.std(ddof=1)) / np.sqrt(n) if n > 1 else np.inf
+    mean = float(left_out.mean()) / max(spread, 1e-300)
+    return Agreement(mean, float(wilcoxon(left_out, alternative="greater").pvalue))
+
+
 @dataclass(frozen=True)
 class Tried:
     """A candidate that was refitted jointly with everything before it."""
@@ -52,8 +78,7 @@ class Tried:
     """Drop of the sum of squares, in units of its own mean square."""
     sizes: dict[str, float]
     """rms of what it changes in each channel, as a share of the channel's rms."""
-    agree: float
-    """Mean of the left-out trials' logarithms (`Score.left_out`) over its standard error."""
+    agreement: Agreement
 
     @property
     def worth_naming(self) -> bool:
@@ -189,7 +214,7 @@ def _round(problem, entries, current: Fit, members, rest, white, progress) -> Ro
             continue
         progress(f"refitting with {s.name}")
         this.tried.append(_tried(problem, entries, current, members[s.name], s, white, progress))
-    accepted = [t for t in this.tried if t.worth_naming and t.agree > AGREE]
+    accepted = [t for t in this.tried if t.worth_naming and t.agreement.agreed]
     if not accepted:
         return this
     best = min(accepted, key=lambda t: t.fit.square)
@@ -218,8 +243,7 @@ def _tried(problem, entries, current: Fit, group, s: Score, white, progress) -> 
     sizes = {
         c: _share(current.predicted, better.predicted, CHANNELS.index(c)) for c in problem.channels
     }
-    spread = s.left_out.std(ddof=1) / np.sqrt(len(s.left_out)) if len(s.left_out) > 1 else np.inf
-    return Tried(s.name, better, gain, sizes, float(s.left_out.mean() / max(spread, 1e-300)))
+    return Tried(s.name, better, gain, sizes, agreement(s.left_out))
 
 
 def _begun(entries, theta: np.ndarray, group: np.ndarray, s: Score) -> np.ndarray:

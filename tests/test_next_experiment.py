@@ -14,7 +14,7 @@ from calibration.next_trial import Effort, limits_of
 from calibration.plant import BASE, parameters, start
 from calibration.report import report
 from calibration.report_html import page
-from calibration.search import Round, Search, Tried, groups
+from calibration.search import Agreement, Round, Search, Tried, groups
 from calibration.verdict import Excess
 from slider_jax.experiment import load
 from slider_jax.schema import Trial
@@ -84,7 +84,7 @@ def test_a_class_is_to_be_separated_at_the_sizes_that_were_fitted(tank):
     theta[MASS], rival[FLUID] = 0.1, 0.12
     final = fitted(tank, theta, np.concatenate([FREE, MASS]))
     other = final._replace(theta=rival)
-    tried = [Tried(n, f, 99.0, {}, 9.0) for n, f in
+    tried = [Tried(n, f, 99.0, {}, Agreement(9.0, 0.01)) for n, f in
              (("carried_mass", final), ("axial_added_mass", other))]  # fmt: skip
     this = Round([], tried, "carried_mass", ["axial_added_mass"])
     limits = limits_of(experiment, LIMITS | {"tow_speed": (0.0, 0.25)})

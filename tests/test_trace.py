@@ -6,6 +6,7 @@ import pytest
 from calibration.evidence import Block, summed
 from calibration.fit import _linear_optimum, inverse
 from calibration.plant import Parameter
+from calibration.search import agreement
 from calibration.trace import alikeness, score, solve
 from calibration.transforms import Bounds
 from slider_jax.effects import Prior
@@ -119,3 +120,17 @@ def test_a_trial_that_cannot_see_a_candidate_has_no_say():
     J[2][:, GROUP] = 0.0
     found = score("x", GROUP, FREE, blocks(J, r), 1.0, 10)
     assert len(found.left_out) == TRIALS - 1
+
+
+@pytest.mark.parametrize(
+    ("left_out", "agreed"),
+    [
+        ((0.3, 0.2, 0.4, 0.3, 0.2), True),
+        ((5.0, 0.2, 0.1, 0.2, 0.1), True),  # all improve, one by far more
+        ((0.384, 0.662, 0.03, 0.113, -0.085), False),  # on the rig's logs: worse when held out
+        ((5.0, -0.2, 0.1, -0.2, 0.1), False),
+        ((1.7, 1.2, 0.2), True),
+    ],
+)
+def test_trials_agree_on_average_or_one_by_one(left_out, agreed):
+    assert agreement(np.array(left_out)).agreed is agreed
