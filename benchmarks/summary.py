@@ -92,6 +92,10 @@ def summed_up(out: Path) -> str:
             inside = [r["parameters"][p]["low"] < r["parameters"][p]["truth"]
                       < r["parameters"][p]["high"] for r in nulls]  # fmt: skip
             lines.append(f"- {p}: interval holds the truth in {_share(inside)}")
+        asked = [r["named_by"] for r in nulls if "named_by" in r]
+        for way in asked[0] if asked else ():
+            alarm = _share([bool(x[way]) for x in asked])
+            lines.append(f"- false alarms of the rival {way}: {alarm}")
         parts.append("\n".join(lines))
     singles = read(out, "single")
     if singles:

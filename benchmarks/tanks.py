@@ -25,7 +25,7 @@ from slider_jax.experiment import Experiment, assemble
 
 COUNT, SECONDS = 6, 0.33
 """Trials of a tank, and the scale of their durations (0.66 s at 6 Hz to 1.65 s at 0.6 Hz)."""
-HELD = [1, 4]
+HELD = [2]
 """Trials, in order of frequency, that the search does not see."""
 FINE = Resolution(51, 120, 2.0e-3)
 """Of the fitter's residuals."""

@@ -151,7 +151,8 @@ def _information(experiment, trial, effects, theta, known: Known, resolution) ->
     found = np.zeros((size, size))
     for channel, (noise, every) in known.noise.items():
         row, at = CHANNELS.index(channel), slice(None, None, every)
-        white = Whitener(laid.at[at], noise, model[row, at], channel)(J[:, row, at])
+        whiten = Whitener(laid.at[at], noise, model[row, at], channel, trial.frequency)
+        white = whiten(J[:, row, at])
         found += white @ white.T
     return found
 

@@ -166,7 +166,8 @@ class Problem:
             i, channel = key
             there = self.records[i].there(channel)
             model = predicted[i][CHANNELS.index(channel)][there]
-            return key, Whitener(self.records[i].t[there], self.noise[key], model, channel)
+            r = self.records[i]
+            return key, Whitener(r.t[there], self.noise[key], model, channel, r.trial.frequency)
 
         return dict(on_all_cores(one, list(self.noise)))
 

@@ -146,7 +146,7 @@ class Foresight:
             if here.sum() < 20:
                 continue
             raw, signal = J[:, row, here], y[row, here]
-            white = Whitener(p.at[here], noise, signal, channel)(raw)
+            white = Whitener(p.at[here], noise, signal, channel, trial.frequency)(raw)
             gram = raw @ raw.T
             found.append(
                 Seen(number, channel, white @ white.T, gram, float(signal @ signal), here.sum())

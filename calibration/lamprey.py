@@ -200,7 +200,7 @@ def skin(x: Weighed) -> dict[str, Any]:
     C_t = x.draws.closing("tangential_friction")
     Re = x.gait.reynolds
     laminar, turbulent = 1.328 / math.sqrt(Re), 0.074 / Re**0.2
-    C_f = C_t * outline / wetted
+    C_f = 2.0 * C_t * outline / wetted
     low, high = interval(C_f)
     return {
         "wetted_area_m2": wetted,

@@ -87,7 +87,7 @@ RESISTING: dict[str, Callable[[Any], Effect]] = {
     "tangential_friction": TangentialFriction,
     "head_drag": HeadDrag,
 }
-START = {"tangential_friction": 0.2, "head_drag": 2e-3}
+START = {"tangential_friction": 0.1, "head_drag": 2e-3}
 """From where coefficients are sought."""
 HEADS = {"no point force at the head": 0.0, "added mass begins at the head": 1.0}
 """m_a of `HeadAddedMass`; the paper's local form has none."""

@@ -201,7 +201,7 @@ def page(x: Outcome, content: dict[str, Any]) -> str:
             table(HEAD, _rows(x.backward)),
             "<h2>What the figures mean</h2>",
             paragraph(
-                "A smooth plate of the robot's size has a C_t of about 0.02, a blunt head of 30 by "
+                "A smooth plate of the robot's size has a C_t of about 0.01, a blunt head of 30 by "
                 "30 mm a drag area of 0.9e-3 m^2. What is needed is several times either, so tubes "
                 "and fittings that the robot pulls, or less thrust than the model's, are part of "
                 "it. The head's point force, which the paper's local form leaves out, moves the "

@@ -32,9 +32,9 @@ AGREE = 2.0
 """Mean over the left-out trials of what `Score.left_out` says, over its standard error, from which
 on they agree: one in twenty of chance. Factors are averaged, not drops: a trial that is far off has
 no greater say."""
-UNALIKE = 0.05
+UNALIKE = 0.07
 """They agree as well where Wilcoxon's signed ranks say so, at this probability of chance: where all
-improve, but some by far more than others."""
+improve, four of four or more, but some by far more than others."""
 HALVED = 4
 """Sizes that are tried of a start that cannot be simulated."""
 MOST = 3

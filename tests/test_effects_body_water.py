@@ -303,7 +303,7 @@ def test_a_current_pushes_a_rigid_rod():
         (TankCurrent(U_x, U_y), TangentialFriction(C_t), NormalDrag(C_d)), EI_body=1e6, EI_tail=1e6
     )
     thrust, recoil = -y[0, -1], -y[1, -1]
-    np.testing.assert_allclose(thrust, 0.5 * RHO * C_t * H * L * U_x * abs(U_x), rtol=1e-6)
+    np.testing.assert_allclose(thrust, RHO * C_t * H * L * U_x * abs(U_x), rtol=1e-6)
     np.testing.assert_allclose(recoil, 0.5 * RHO * C_d * H * L * U_y * abs(U_y), rtol=1e-6)
 
 

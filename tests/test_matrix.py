@@ -63,7 +63,7 @@ def measured(still, theta, seed):
         for channel, noise in still.foresight.sensing.noise.items():
             # A lower-triangular factor times white noise is noise of the whitener's covariance.
             row = CHANNELS.index(channel)
-            white = Whitener(p.at, noise, y[row], channel)
+            white = Whitener(p.at, noise, y[row], channel, p.trial.frequency)
             y[row] += np.linalg.solve(white(np.eye(len(p.at))).T, rng.normal(size=len(p.at)))
         found.append(Record(trial, p.at, y))
     return found
@@ -108,7 +108,9 @@ def test_what_is_worth_naming_changes_a_channel_by_what_programs_differ_by(still
         p = f.plan(trial)
         y, J = predict(p, f.theta), tangents(p, f.theta, np.eye(len(f.theta))[[0, 1, 2, 3, i]])
         for row, channel in enumerate(CHANNELS):
-            white.append(Whitener(p.at, f.sensing.noise[channel], y[row], channel)(J[:, row]))
+            noise = f.sensing.noise[channel]
+            whiten = Whitener(p.at, noise, y[row], channel, trial.frequency)
+            white.append(whiten(J[:, row]))
             raw[channel].append(J[:, row])
             signal[channel].append(y[row])
     rows = np.concatenate(white, axis=1).T

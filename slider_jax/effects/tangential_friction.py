@@ -8,9 +8,9 @@ from slider_jax.parameters import Scalar
 
 
 class TangentialFriction(ForceDensity):
-    """Quadratic friction of the flow along the body.
+    """Quadratic friction of the flow along both sides of the body.
 
-        F_tau = -rho C_t H |u_tau| u_tau / 2
+        F_tau = -rho C_t (2 H) |u_tau| u_tau / 2
 
     Source: Taylor, G. (1952), Analysis of the swimming of long and narrow animals, Proc. R. Soc. A
     214, 158-183.
@@ -19,12 +19,12 @@ class TangentialFriction(ForceDensity):
     title = "friction along the skin"
 
     C_t: Scalar = parameter(
-        0.0, 0.0, 0.3, "-", "0.01 for two sides of a smooth plate, more with tubes, seams, a clamp"
+        0.0, 0.0, 0.2, "-", "0.005 for a smooth plate, more with tubes, seams, a clamp"
     )
-    """Friction coefficient, referred to the height."""
+    """Friction coefficient on the wetted area, 2 H per length of a flat body."""
     density: Scalar = eqx.field(default=1000.0)
     """rho [kg/m^3]."""
 
     def force(self, x):
-        F_tau = -0.5 * self.density * self.C_t * x.height * jnp.abs(x.u_tau) * x.u_tau
+        F_tau = -self.density * self.C_t * x.height * jnp.abs(x.u_tau) * x.u_tau
         return F_tau, jnp.zeros_like(F_tau)
