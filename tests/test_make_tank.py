@@ -1,0 +1,44 @@
+"""The script that makes a tank with an undeclared effect in it."""
+
+import json
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calibration.measured import records
+from slider_jax.errors import InputError
+from slider_jax.experiment import load
+
+SCRIPT = Path(__file__).resolve().parent.parent / "scripts" / "make_tank.py"
+main = runpy.run_path(str(SCRIPT))["main"]
+
+
+def test_the_effect_is_in_the_data_and_not_in_the_file(tmp_path):
+    few = ["--trials", "1", "--seconds", "0.1"]
+    assert main([str(tmp_path / "with"), "--effect", "valve_delay.delay=0.02", *few]) == 0
+    assert main([str(tmp_path / "without"), *few]) == 0
+    late, prompt = (records(load(tmp_path / n / "experiment.toml")) for n in ("with", "without"))
+    assert not load(tmp_path / "with" / "experiment.toml").effects
+    early = (late[0].t > 0.005) & (late[0].t < 0.018)
+    assert np.abs(late[0].values[0][early]).max() < 4000.0
+    assert np.abs(prompt[0].values[0][early]).max() > 10000.0
+    truth = json.loads((tmp_path / "with" / "truth.json").read_text())
+    assert truth["effects"] == {"valve_delay": {"delay": 0.02}}
+    assert set(truth["parameters"]) == {"C_d", "m_a", "k", "K_Q"}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("no_such.x=1", "unknown effect no_such"),
+        ("valve_delay.x=1", "valve_delay has delay"),
+        ("valve_delay.delay=soon", "EFFECT.PARAMETER=NUMBER"),
+        ("valve_delay.delay=20", "allowed 0 to 0.06 s"),
+    ],
+)
+def test_what_cannot_be_put_in_is_refused(tmp_path, text, message):
+    with pytest.raises(InputError, match=message):
+        main([str(tmp_path / "x"), "--effect", text])
+    assert not (tmp_path / "x").exists()
