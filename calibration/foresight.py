@@ -52,14 +52,15 @@ class Sensing:
     """By file; their own samples count."""
 
     @classmethod
-    def of(cls, experiment: Experiment) -> "Sensing":
-        """From the measured trials that are there, else from what the experiment declares.
+    def of(cls, experiment: Experiment, found: Sequence[Record] | None = None) -> "Sensing":
+        """From the measured trials `found`, else from what the experiment declares.
 
-        A channel without either is taken for a sensor that the tank lacks. Raises `InputError`
-        where none is left.
+        By default the trials' files are read. A channel without either is taken for a sensor that
+        the tank lacks. Raises `InputError` where none is left.
         """
-        there = any((experiment.folder / t.file).exists() for t in experiment.trials)
-        found = records(experiment) if there else []
+        if found is None:
+            there = any((experiment.folder / t.file).exists() for t in experiment.trials)
+            found = records(experiment) if there else []
         noise, every = {}, {}
         for channel in CHANNELS:
             seen = [r for r in found if r.has(channel)]

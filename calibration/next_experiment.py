@@ -47,7 +47,8 @@ def next_experiment(
 
     `limits` are those of the experiment's own trials by default.
     """
-    if outcome.verdict in (UNEXPLAINED, INCONCLUSIVE):
+    alike = any(r.alike for r in outcome.search.rounds if r.chosen)
+    if outcome.verdict in (UNEXPLAINED, INCONCLUSIVE) or (outcome.verdict == CLASS and not alike):
         return _again(outcome)
     try:
         within = limits_of(outcome.experiment) if limits is None else limits
@@ -65,7 +66,7 @@ def _none(said: str) -> dict[str, Any]:
 def _again(outcome: Outcome) -> dict[str, Any]:
     """The trial whose residual stands highest above its noise, once more."""
     seen = [r for i, r in enumerate(outcome.problem.records) if i not in outcome.held]
-    channel, x = max(outcome.excess_after.items(), key=lambda item: np.max(item[1].trials))
+    channel, x = max(outcome.excess_after.items(), key=lambda item: np.nanmax(item[1].trials))
     worst = int(np.nanargmax(x.trials))
     trial = seen[worst].trial
     again = trial.model_copy(update={"file": free_name(outcome.experiment)})
@@ -80,7 +81,8 @@ def _again(outcome: Outcome) -> dict[str, Any]:
 def _foresight(outcome: Outcome, chosen: np.ndarray, secants: dict[int, float]) -> Foresight:
     names = tuple(groups(outcome.entries))
     experiment, theta = outcome.experiment, outcome.final.theta
-    sensing, coarse = Sensing.of(experiment), outcome.problem.mesh
+    sensing = Sensing.of(experiment, outcome.problem.records)
+    coarse = outcome.problem.mesh
     return Foresight(experiment, names, theta, chosen, sensing, secants, coarse)
 
 

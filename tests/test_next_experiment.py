@@ -64,10 +64,10 @@ def outcome(tank, verdict, final, rounds=(), after=None):
     )
 
 
-@pytest.mark.parametrize("verdict", ["unexplained", "inconclusive"])
+@pytest.mark.parametrize("verdict", ["unexplained", "inconclusive", "class"])
 def test_what_is_not_explained_is_to_be_measured_again_where_it_is_largest(tank, verdict):
     after = {
-        "thrust": Excess(np.array([2.0, 3.0]), 2.5),
+        "thrust": Excess(np.array([2.0, np.nan]), 2.5),
         "recoil": Excess(np.array([1.0, 9.0]), 5.0),
     }
     final = fitted(tank, tank[2], FREE)
