@@ -8,35 +8,28 @@ kinds may be asked for at once. `table` sums up what is there. Needs scikit-lear
 """
 
 import argparse
+import hashlib
 import json
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import null
 import numpy as np
+import rivals
+from strangers import STRANGERS
+from summary import summed_up
+from tanks import closed, draw, limits, noisy, problem_of, simulated
 
+from calibration.closing import Outcome, choose_held_out
+from calibration.evidence import Problem
+from calibration.plant import candidates
+from calibration.verdict import floors, rms_errors
+from slider_jax.effects.library import LIBRARY
+from slider_jax.files import write_json
 from slider_jax.precision import enable_float64
-
-enable_float64()
-
-import rivals  # noqa: E402
-from strangers import STRANGERS  # noqa: E402
-from summary import summed_up  # noqa: E402
-from tanks import HELD, closed, draw, limits, noisy, problem_of, simulated  # noqa: E402
-
-from calibration import report  # noqa: E402
-from calibration.closing import Outcome, conclude  # noqa: E402
-from calibration.evidence import Problem  # noqa: E402
-from calibration.fit import fit  # noqa: E402
-from calibration.measured import Record  # noqa: E402
-from calibration.plant import BASE, base_values, candidates, parameters, start  # noqa: E402
-from calibration.search import directions  # noqa: E402
-from calibration.verdict import floors, rms_errors  # noqa: E402
-from slider_jax.effects.library import LIBRARY  # noqa: E402
-from slider_jax.files import write_json  # noqa: E402
-from slider_jax.provenance import versions  # noqa: E402
+from slider_jax.provenance import versions
 
 SIZED = {
     "valve_delay": "delay", "fill_vent_asymmetry": "ratio", "leakage": "leak",
@@ -57,14 +50,10 @@ PAIRS = (
     ("clamp_compliance", "tank_current"), ("tangential_friction", "fill_vent_asymmetry"),
 )  # fmt: skip
 PAIR_SIZE = 5.0
-WITH_RIVALS = 3
-"""Size of the single effects of which the other ways speak too."""
+WITH_RIVALS = (3, PAIR_SIZE)
+"""Sizes of the effects of which the other ways speak too."""
 TANKS = 3
 """Tanks that the cases with an effect share."""
-NULL_TANKS, REPLICATES = 12, 10
-NULL_SEED = 100
-NULL_RIVALS = 3
-"""Replicates of each tank on which the other ways speak too."""
 
 
 class Case(NamedTuple):
@@ -119,22 +108,9 @@ def cases(kind: str, out: Path) -> Iterator[Case]:
             yield Case(kind, name, i % TANKS, {}, stranger=name)
 
 
-@dataclass
-class Kept:
-    """What was simulated, in memory: the rivals ask again for what the loop asked."""
-
-    found: dict[bytes, list[np.ndarray]] = field(default_factory=dict)
-
-    def kept(self, name, arrays, make):
-        key = name.encode() + b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)
-        if key not in self.found:
-            self.found[key] = make()
-        return self.found[key]
-
-
-def ratio(problem: Problem, predicted: list[np.ndarray]) -> float:
+def ratio(problem: Problem, predicted: list[np.ndarray], floor: dict[str, float]) -> float:
     """rms over the channels of each channel's rms error over its floor."""
-    error, floor = rms_errors(problem, predicted), floors(problem, predicted)
+    error = rms_errors(problem, predicted)
     return float(np.sqrt(np.mean([(error[c] / floor[c]) ** 2 for c in error])))
 
 
@@ -146,56 +122,42 @@ def run(case: Case, progress) -> dict[str, Any]:
     true = simulated(tank, case.effects, own)
     if not all(np.isfinite(y).all() for y in true):
         return {"left_out": "the tank cannot be simulated with this effect"}
-    found = noisy(tank, true, hash_of(case))
-    made, memo = time.perf_counter() - begun, Kept()
+    found = noisy(tank, true, noise_seed(case))
+    held = choose_held_out(found)
+    made, memo = time.perf_counter() - begun, null.Kept()
     begun = time.perf_counter()
     outcome = closed(tank, found, memo, progress)
     seconds = time.perf_counter() - begun
-    told = summary(outcome, tank.truth) | {"seconds": seconds, "seconds_made": made}
+    told = null.summary(outcome, tank.truth) | {"seconds": seconds, "seconds_made": made}
     names = tuple(candidates())
     laid = problem_of(tank, names, memo)
-    seen = laid([r for i, r in enumerate(found) if i not in HELD])
-    rest = laid([found[i] for i in HELD])
+    seen = laid([r for i, r in enumerate(found) if i not in held])
+    rest = laid([found[i] for i in held])
+    floor = floors(rest, [true[i] for i in held])
     told["held_out_over_floor"] = {
-        "refit only": ratio(rest, rest.predict(outcome.search.base.theta)),
-        "loop": ratio(rest, rest.predict(outcome.search.final.theta)),
+        "refit only": ratio(rest, rest.predict(outcome.search.base.theta), floor),
+        "loop": ratio(rest, rest.predict(outcome.search.final.theta), floor),
     }
     told["named_by"] = {}
-    if case.size == WITH_RIVALS:
+    if case.size in WITH_RIVALS:
         s = rivals.begin(seen, rest, outcome.entries, outcome.search.base)
         ways = {"sparse": rivals.sparse, "stepwise": rivals.stepwise, "gp": rivals.gp}
         for name, way in ways.items():
             progress(f"rival: {name}")
             said = way(s)
             told["named_by"][name] = said.effects
-            told["held_out_over_floor"][name] = ratio(rest, said.predicted)
+            told["held_out_over_floor"][name] = ratio(rest, said.predicted, floor)
         said = rivals.oracle(s, list(case.effects))
-        told["held_out_over_floor"]["oracle"] = ratio(rest, said.predicted)
+        told["held_out_over_floor"]["oracle"] = ratio(rest, said.predicted, floor)
     if case.effects:
         told["effects_cover"] = _cover(outcome, case.effects)
     return told
 
 
-def hash_of(case: Case) -> int:
-    """A seed of the noise that is a case's own."""
-    return int.from_bytes(case.name.encode()[-7:], "little")
-
-
-def summary(outcome: Outcome, truth: Mapping[str, float]) -> dict[str, Any]:
-    """What was said, and whether the base parameters' intervals hold the truth."""
-    cover = {}
-    for i, p in enumerate(outcome.entries):
-        if p.name in truth and not p.effect:
-            value, low, high = outcome.interval(i)
-            cover[p.name] = {"value": value, "low": low, "high": high, "truth": truth[p.name]}
-    return {
-        "verdict": outcome.verdict,
-        "effects": report.effects(outcome),
-        "where": report.unexplained(outcome),
-        "candidates": [row for row in report.ranking(outcome) if "explained" in row],
-        "parameters": cover,
-        "converged": outcome.final.converged,
-    }
+def noise_seed(case: Case) -> int:
+    """A seed that is a case's own."""
+    digest = hashlib.sha256(f"{case.seed} {case.kind} {case.name}".encode()).digest()
+    return int.from_bytes(digest[:7])
 
 
 def _cover(outcome: Outcome, effects: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
@@ -208,70 +170,6 @@ def _cover(outcome: Outcome, effects: Mapping[str, Mapping[str, float]]) -> dict
     return found
 
 
-@dataclass(frozen=True)
-class Linear(Problem):
-    """Readings that are linear about a vector: thousands of fits for the price of one."""
-
-    about: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    there: tuple[np.ndarray, ...] = ()
-    slopes: tuple[np.ndarray, ...] = ()
-
-    def _predict(self, theta):
-        step = theta - self.about
-        return [y + np.tensordot(step, J, 1) for y, J in zip(self.there, self.slopes, strict=True)]
-
-    def _tangents(self, theta, directions):
-        return [np.tensordot(directions, J, 1) for J in self.slopes]
-
-    def _secants(self, theta, others):
-        return self._tangents(theta, np.stack(others) - theta)
-
-
-def null(seed: int, progress) -> dict[str, Any]:
-    """Replicates of the noise on one tank that lacks nothing.
-
-    The model is linearised about its fit to the tank without noise. All of the search runs on every
-    replicate.
-    """
-    tank, names = draw(seed), tuple(candidates())
-    entries = parameters(names)
-    base, memo = base_values(tank.experiment), Kept()
-    true = simulated(tank, {})
-    progress("calibrating without noise")
-    quiet = [replace(r, values=y) for r, y in zip(noisy(tank, true, 0), true, strict=True)]
-    laid = problem_of(tank, names, memo)(quiet)
-    best = fit(laid, entries, start(entries, base), np.arange(len(BASE)), progress)
-    progress("tangents along everything")
-    slopes = directions(laid, entries, best.theta, best.free)
-    parts = {r.trial.file: i for i, r in enumerate(quiet)}
-    rows = []
-    for replicate in range(REPLICATES):
-        found = noisy(tank, true, 1000 * seed + replicate)
-
-        def linear(chosen: list[Record]) -> Problem:
-            of = Linear.of(tank.experiment, list(chosen), names)
-            index = [parts[r.trial.file] for r in chosen]
-            return replace(
-                of,
-                about=best.theta,
-                there=tuple(best.predicted[i] for i in index),
-                slopes=tuple(slopes[i] for i in index),
-            )
-
-        args = (tank.experiment, names, found, HELD, linear, base, tuple(BASE))
-        outcome = conclude(*args, lambda text: None)
-        rows.append(summary(outcome, tank.truth))
-        if replicate < NULL_RIVALS:
-            seen = linear([r for i, r in enumerate(found) if i not in HELD])
-            s = rivals.begin(seen, seen, entries, outcome.search.base)
-            rows[-1]["named_by"] = {
-                "sparse": rivals.sparse(s).effects, "stepwise": rivals.stepwise(s).effects,
-            }  # fmt: skip
-        progress(f"replicate {replicate}: {rows[-1]['verdict']}")
-    bias = {p.name: float(best.theta[i]) for i, p in enumerate(entries[: len(BASE)])}
-    return {"replicates": rows, "without_noise": bias, "truth": tank.truth}
-
-
 def main() -> None:
     asked = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     asked.add_argument("what", nargs="+", choices=["null", "single", "double", "outside", "table"])
@@ -279,6 +177,7 @@ def main() -> None:
     asked.add_argument("--only", default="", help="cases whose name holds this")
     given = asked.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
+    enable_float64()
 
     def work(path: Path, make) -> None:
         if path.exists() or given.only not in path.name:
@@ -295,8 +194,8 @@ def main() -> None:
         if what == "table":
             print(summed_up(given.out))
         elif what == "null":
-            for seed in range(NULL_SEED, NULL_SEED + NULL_TANKS):
-                work(given.out / what / f"{seed}.json", lambda p, s=seed: null(s, p))
+            for seed in range(null.SEED, null.SEED + null.TANKS):
+                work(given.out / what / f"{seed}.json", lambda p, s=seed: null.replicates(s, p))
         else:
             for case in cases(what, given.out):
                 about = {"case": case._asdict()}

@@ -3,11 +3,11 @@
 All start from the same calibrated model, residuals and tangents, whitened by the declared noise:
 
 - sparse: the lasso over all effects' tangents, its penalty by cross-validation over trials with the
-  one-standard-error rule (scikit-learn); what it keeps is refitted.
-- stepwise: the effect that lowers the Bayesian information criterion most is added and refitted
-  until none lowers it, samples counted one by one.
-- gp: a Gaussian process on the residual of each channel over drive, time and trial's settings
-  (scikit-learn); it predicts and names nothing.
+  one-standard-error rule (scikit-learn); the largest of what it keeps, eight at most, are refitted.
+- stepwise: the effect with the largest linear gain is added and refitted while that lowers the
+  Bayesian information criterion, samples counted one by one, four at most.
+- gp: a Gaussian process on the residual of each channel over the model's readings, the time in the
+  stride and the trial's settings (scikit-learn); it predicts and names nothing.
 - oracle: the true effects, given; refitted.
 """
 
@@ -23,7 +23,7 @@ from sklearn.linear_model import lasso_path
 from sklearn.preprocessing import StandardScaler
 
 from calibration.evidence import Problem, summed
-from calibration.fit import Fit, fit
+from calibration.fit import Fit, fit, inverse
 from calibration.forward import CHANNELS
 from calibration.plant import Parameter
 from calibration.search import directions, groups, scored
@@ -31,7 +31,7 @@ from calibration.trace import solve
 
 PENALTIES = 60
 GP_SAMPLES = 500
-MOST = 4
+MOST, REFITTED = 4, 8
 
 
 class Said(NamedTuple):
@@ -89,48 +89,48 @@ def oracle(s: Start, truth: Sequence[str]) -> Said:
 
 def sparse(s: Start) -> Said:
     """The lasso over all effects' tangents."""
-    judged = scored(s.entries)
-    columns = np.concatenate([*judged.values()])
+    columns = np.concatenate([*scored(s.entries).values()])
+    free, trials = s.base.free, sorted({x.trial for x in s.blocks})
     A, b = summed(s.blocks)
     size = np.sqrt(np.maximum(np.diag(A), 1e-300))
-
-    def left(A, b):
-        """Normal matrix and vector of the columns once the base parameters are projected out."""
-        free = s.base.free
-        inner = np.linalg.pinv(A[np.ix_(free, free)] / np.outer(size[free], size[free]))
-        inner = inner / np.outer(size[free], size[free])
-        cross = A[np.ix_(columns, free)] @ inner
-        M = A[np.ix_(columns, columns)] - cross @ A[np.ix_(free, columns)]
-        v = b[columns] - cross @ b[free]
-        return M / np.outer(size[columns], size[columns]), v / size[columns]
-
-    M, v = left(A, b)
+    _, v = _projected(A, b, free, columns, size)
     penalties = np.geomspace(np.abs(v).max(), 1e-3 * np.abs(v).max(), PENALTIES)
-
-    def path(A, b):
-        M, v = left(A, b)
-        root, vector = _as_rows(M, v)
-        n = len(vector)
-        return lasso_path(root, vector, alphas=penalties / n, max_iter=20000)[1]
-
-    trials = sorted({x.trial for x in s.blocks})
     missed = []
     for trial in trials:
         rest = summed([x for x in s.blocks if x.trial != trial])
-        held = left(*summed([x for x in s.blocks if x.trial == trial]))
-        x = path(*rest)
-        missed.append(np.einsum("ik,ij,jk->k", x, held[0], x) - 2.0 * held[1] @ x)
+        A_, b_ = summed([x for x in s.blocks if x.trial == trial])
+        steps = _path(*rest, free, columns, size, penalties)
+        missed.append(np.einsum("ik,ij,jk->k", steps, A_, steps) - 2.0 * b_ @ steps)
     mean, error = np.mean(missed, axis=0), np.std(missed, axis=0, ddof=1) / np.sqrt(len(trials))
     best = int(np.argmin(mean))
     chosen = int(np.flatnonzero(mean <= mean[best] + error[best])[0])
-    x = path(A, b)[:, chosen]
-    kept = {s.entries[i].effect: 0.0 for i, value in zip(columns, x, strict=True) if value != 0.0}
-    for i, value in zip(columns, x, strict=True):
-        if value != 0.0:
-            kept[s.entries[i].effect] += abs(value)
+    step = _path(A, b, free, columns, size, penalties)[:, chosen]
+    kept: dict[str, float] = {}
+    for i in columns[step[columns] != 0.0]:
+        name = s.entries[i].effect
+        kept[name] = kept.get(name, 0.0) + abs(step[i]) * size[i]
     names = sorted(kept, key=lambda n: -kept[n])
-    predicted = s.rest.predict(refitted(s, names[: 2 * MOST]).theta) if names else None
-    return Said(names, predicted or s.rest.predict(s.base.theta))
+    theta = refitted(s, names[:REFITTED]).theta if names else s.base.theta
+    return Said(names, s.rest.predict(theta))
+
+
+def _projected(A, b, free, columns, size) -> tuple[np.ndarray, np.ndarray]:
+    """Normal matrix and vector of the columns at unit size, the free entries projected out."""
+    cross = A[np.ix_(columns, free)] @ inverse(A[np.ix_(free, free)])
+    M = A[np.ix_(columns, columns)] - cross @ A[np.ix_(free, columns)]
+    v = b[columns] - cross @ b[free]
+    return M / np.outer(size[columns], size[columns]), v / size[columns]
+
+
+def _path(A, b, free, columns, size, penalties) -> np.ndarray:
+    """Steps (parameters, penalties) of the lasso over the columns, the free entries unpenalised."""
+    root, values = _as_rows(*_projected(A, b, free, columns, size))
+    x = lasso_path(root, values, alphas=penalties / len(values), max_iter=20000)[1]
+    steps = np.zeros((len(b), len(penalties)))
+    steps[columns] = x / size[columns, None]
+    left = b[free, None] - A[np.ix_(free, columns)] @ steps[columns]
+    steps[free] = inverse(A[np.ix_(free, free)]) @ left
+    return steps
 
 
 def _as_rows(M: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -173,7 +173,7 @@ def stepwise(s: Start) -> Said:
 
 
 def _features(problem: Problem, predicted: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """(samples, 11) of every trial: model's readings and their rates, time in stride, settings."""
+    """(samples, 12) of every trial: model's readings and their rates, time in stride, settings."""
     found = []
     for r, y in zip(problem.records, predicted, strict=True):
         phase = 2.0 * np.pi * (r.trial.frequency or 0.0) * r.t

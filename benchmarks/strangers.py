@@ -25,7 +25,7 @@ MOMENT = ("ActingPressure", "BendingMoment", "BodyChange")
 
 
 class ReliefValve(Flow):
-    """Opens at 60 % of the largest set pressure and vents in proportion to what is above."""
+    """Opens at a pressure and vents in proportion to what is above."""
 
     opening: float = 1.2e5
     rate_above: float = 25.0

@@ -6,12 +6,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 from strangers import STRANGERS
 
 from slider_jax.effects.library import LIBRARY
 
 WAYS = ("refit only", "sparse", "stepwise", "gp", "loop", "oracle")
 SPOKE = ("identified", "class")
+ABOVE = 1.1
+"""Held-out rms over its floor from which on there is something to explain."""
 
 
 def read(out: Path, kind: str) -> list[dict[str, Any]]:
@@ -31,19 +34,18 @@ def said(case: dict[str, Any], way: str = "loop") -> list[set[str]]:
 
 def hits(causes: Sequence[set[str]], truth: Iterable[str]) -> int:
     """How many of the true effects are among the causes, each cause counting once."""
-    left, found = list(causes), 0
-    for name in truth:
-        match = next((c for c in left if name in c), None)
-        if match is not None:
-            left.remove(match)
-            found += 1
-    return found
+    match = np.array([[name in cause for name in truth] for cause in causes], float)
+    if not match.size:
+        return 0
+    rows, columns = linear_sum_assignment(match, maximize=True)
+    return int(match[rows, columns].sum())
 
 
-def right(case: dict[str, Any], way: str = "loop") -> bool:
-    """Whether the one true effect, and nothing else, was named."""
+def right(case: dict[str, Any], way: str = "loop", most: int = 99) -> bool:
+    """Whether the true effect and nothing else was named, in a class of at most so many."""
     causes = said(case, way)
-    return len(causes) == 1 and hits(causes, case["case"]["effects"]) == 1
+    named = len(causes) == 1 and hits(causes, case["case"]["effects"]) == 1
+    return named and len(causes[0]) <= most
 
 
 def f1(found: Sequence[dict[str, Any]], way: str = "loop") -> float:
@@ -54,10 +56,14 @@ def f1(found: Sequence[dict[str, Any]], way: str = "loop") -> float:
     return 2.0 * matched / (named + true) if named + true else float("nan")
 
 
-def skill(case: dict[str, Any], way: str = "loop") -> float:
-    """(before - after)/(before - floor) on the trials held out."""
-    error = case["held_out_over_floor"]
-    return (error["refit only"] - error[way]) / (error["refit only"] - 1.0)
+def skills(found: Iterable[dict[str, Any]], way: str = "loop") -> list[float]:
+    """(before - after)/(before - floor) on the trials held out, where before stands above it."""
+    errors = [x["held_out_over_floor"] for x in found]
+    return [
+        (e["refit only"] - e[way]) / (e["refit only"] - 1.0)
+        for e in errors
+        if e["refit only"] > ABOVE and way in e
+    ]
 
 
 def place_of_stranger(case: dict[str, Any]) -> str:
@@ -68,10 +74,12 @@ def place_of_stranger(case: dict[str, Any]) -> str:
     if case["verdict"] == "class":
         places = {LIBRARY[n].place() for cause in said(case) for n in cause}
         return "right place" if places & set(truth.places) else "wrong place"
-    channels = {x["channel"] for x in case["where"]}
-    if case["verdict"] == "unexplained" and channels & set(truth.channels):
-        return "right place"
-    return case["verdict"] if case["verdict"] != "unexplained" else "wrong place"
+    if case["verdict"] != "unexplained":
+        return case["verdict"]
+    if not case["where"]:
+        return "nowhere"
+    worst = max(case["where"], key=lambda x: x["mean_square_over_noise"])
+    return "right place" if worst["channel"] in truth.channels else "wrong place"
 
 
 def _share(flags: Sequence[bool]) -> str:
@@ -99,16 +107,20 @@ def summed_up(out: Path) -> str:
         parts.append("\n".join(lines))
     singles = read(out, "single")
     if singles:
-        lines = ["| times the limit | right | sizes of classes, mean | median skill | least |"]
-        lines.append("|---|---|---|---|---|")
+        lines = [
+            "| times the limit | right | right, alone | size of a class, mean | skill, median "
+            "| least | of |",
+            "|---|---|---|---|---|---|---|",
+        ]
         for size in sorted({x["case"]["size"] for x in singles}):
             of = [x for x in singles if x["case"]["size"] == size]
             spoke = [x for x in of if x["verdict"] in SPOKE]
             sizes = [len(c) for x in spoke for c in said(x)]
-            skills = [skill(x) for x in spoke] or [np.nan]
+            skill = skills(spoke) or [np.nan]
             lines.append(
-                f"| {size:g} | {_share([right(x) for x in of])} | {np.mean(sizes or [0]):.2f} "
-                f"| {np.median(skills):.3f} | {min(skills):.3f} |"
+                f"| {size:g} | {_share([right(x) for x in of])} "
+                f"| {_share([right(x, most=1) for x in of])} | {np.mean(sizes or [0]):.2f} "
+                f"| {np.median(skill):.3f} | {min(skill):.3f} | {len(skills(spoke))} |"
             )
         parts.append("\n".join(lines))
         wrong = [x for x in singles if not right(x)]
@@ -130,13 +142,13 @@ def summed_up(out: Path) -> str:
         lines += [f"{w}: {_told(x)}" for w, x in zip(words, strangers, strict=True)]
         parts.append("\n".join(lines))
     everything = [*singles, *doubles, *strangers]
-    spoke = [skill(x) for x in everything if x["verdict"] in SPOKE]
+    spoke = skills(x for x in everything if x["verdict"] in SPOKE)
     if spoke:
         parts.append(
             f"Held-out skill of all {len(spoke)} that it speaks on: median {np.median(spoke):.3f}, "
             f"least {min(spoke):.3f}"
         )
-    parts.append(_rivals(singles, doubles, strangers))
+    parts.append(_rivals([*singles, *doubles]))
     return "\n\n".join(parts)
 
 
@@ -145,28 +157,32 @@ def _told(x: dict[str, Any]) -> str:
     truth = dict(case["effects"]) or case["stranger"]
     return (
         f"- {case['name']} (tank {case['seed']}): {x['verdict']} {effects}, truth {truth}, "
-        f"skill {skill(x):.3f}, {x['seconds']:.0f} s"
+        f"held out {x['held_out_over_floor']}, {x['seconds']:.0f} s"
     )
 
 
-def _rivals(singles, doubles, strangers) -> str:
+def _rivals(found: Sequence[dict[str, Any]]) -> str:
+    """All ways on the cases in which all of them spoke."""
+    found = [x for x in found if x["named_by"]]
+    if not found:
+        return ""
+    singles = [x for x in found if x["case"]["kind"] == "single"]
+    doubles = [x for x in found if x["case"]["kind"] == "double"]
     lines = [
-        "| | one effect named | two effects, F1 | held-out rms over floor, median | largest | "
+        f"{len(singles)} single effects and {len(doubles)} pairs:",
+        "",
+        "| | the one effect named | two effects, F1 | held-out rms over floor, median | largest | "
         "skill, median | least |",
         "|---|---|---|---|---|---|---|",
     ]
-    singles = [x for x in singles if x["named_by"]]
     for way in WAYS:
-        given = [x for x in [*singles, *doubles, *strangers] if way in x["held_out_over_floor"]]
-        if not given:
-            continue
-        errors = [x["held_out_over_floor"][way] for x in given]
-        skills = [skill(x, way) for x in given if x["held_out_over_floor"]["refit only"] > 1.1]
+        errors = [x["held_out_over_floor"][way] for x in found]
+        skill = skills(found, way) or [np.nan]
         naming = way in ("sparse", "stepwise", "loop")
         one = f"{np.mean([right(x, way) for x in singles]):.0%}" if naming and singles else ""
         two = f"{f1(doubles, way):.2f}" if naming and doubles else ""
         lines.append(
             f"| {way} | {one} | {two} | {np.median(errors):.2f} | {max(errors):.2f} "
-            f"| {np.median(skills):.2f} | {min(skills):.2f} |"
+            f"| {np.median(skill):.2f} | {min(skill):.2f} |"
         )
     return "\n".join(lines)

@@ -7,13 +7,12 @@ over as what an experiment's files would hold.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 
 import equinox as eqx
 import numpy as np
 
-from calibration.closing import Outcome, conclude
+from calibration.closing import Outcome, choose_held_out, conclude
 from calibration.evidence import Problem
 from calibration.forward import CHANNELS, COARSE, Resolution, on_all_cores, plan, predict
 from calibration.matrix import matrix
@@ -25,8 +24,6 @@ from slider_jax.experiment import Experiment, assemble
 
 COUNT, SECONDS = 6, 0.33
 """Trials of a tank, and the scale of their durations (0.66 s at 6 Hz to 1.65 s at 0.6 Hz)."""
-HELD = [2]
-"""Trials, in order of frequency, that the search does not see."""
 FINE = Resolution(51, 120, 2.0e-3)
 """Of the fitter's residuals."""
 MADE = [
@@ -128,10 +125,10 @@ def closed(tank: Tank, found: Sequence[Record], memo=None, progress=lambda text:
     """The loop closed on records of a tank, all effects of the library being candidates."""
     names, base = tuple(candidates()), base_values(tank.experiment)
     laid = problem_of(tank, names, memo)
-    return conclude(tank.experiment, names, found, HELD, laid, base, tuple(BASE), progress)
+    held = choose_held_out(found)
+    return conclude(tank.experiment, names, found, held, laid, base, tuple(BASE), progress)
 
 
-@cache
 def limits(seed: int) -> dict[tuple[str, str], float]:
     """Detection limit of every parameter in a tank at its true base parameters, SI."""
     tank = draw(seed)

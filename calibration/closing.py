@@ -79,8 +79,6 @@ def choose_held_out(found: Sequence[Record]) -> list[int]:
             if i not in held and (rest.count(towed[i]) >= 2 or rest.count(not towed[i]) == 0):
                 held.append(i)
                 break
-        else:
-            held.append(near[0])
     return sorted(held)
 
 

@@ -20,12 +20,9 @@ from calibration.transforms import Bounds
 
 ITERATIONS = 24
 """Outer iterations at most; most fits take 3 to 6, those of another law more."""
-NOISE = 0.01
+STILL = 0.02
 """A fit ends where the next step would lower the sum of squares by less than so many times the
-residual's mean square: it lies within a tenth of a standard error."""
-STILL = 2e-5
-"""Or by less than this share of the sum of squares: where the model is far off, the last digits are
-not worth another simulation."""
+residual's mean square: it lies within a seventh of a standard error."""
 
 
 class Fit(NamedTuple):
@@ -85,11 +82,12 @@ def fit(
         blocks = problem.blocks(residuals, problem.tangents(theta, directions), white)
         A, b = summed(blocks)
         wanted = _linear_optimum(A, b, theta[free], bounds)
-        unit = max(1.0, square / max(sum(x.n for x in blocks), 1))
+        samples = sum(x.n for x in blocks)
+        unit = max(1.0, square / max(samples, 1))
         step = wanted - theta[free]
-        enough = max(NOISE * unit, STILL * square)
+        enough = STILL * unit
         progress(f"iteration {iteration + 1}: sum of squares {square:.6g}")
-        if 2.0 * step @ b - step @ A @ step < enough:
+        if 0.0 <= 2.0 * step @ b - step @ A @ step < enough:
             converged = True
             break
         for share in (1.0, 0.5, 0.25, 0.1, 0.03):

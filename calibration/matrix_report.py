@@ -16,9 +16,10 @@ from slider_jax.figures import new_figure, save_figure
 from slider_jax.provenance import versions
 
 NOTES = {
-    "limit": "distance from the null at which about half of such experiments would find the effect "
-    "and all larger ones more often: beyond chance beside C_d, m_a, k and K_Q, and a change of "
-    "some channel by more than two correct programs differ by",
+    "limit": "distance from the null from which on nine of ten such experiments would find the "
+    "effect: beyond chance beside C_d, m_a, k and K_Q, and a change of some channel by more than "
+    "two correct programs differ by; half would from significant_from and worth_naming_from on. "
+    "To be named, two trials or more must see it",
     "share_of_range": "share of the prior range that lies beyond the limit",
     "limit_over_range": "limit over the distance from the null to the far end of the prior range",
     "alike": "|cos| of what two effects leave once C_d, m_a, k and K_Q are projected out",

@@ -20,8 +20,9 @@ from calibration.evidence import Block, summed
 from calibration.fit import inverse
 
 UNSEEN = 1e-3
-"""A trial does not see a candidate that changes it by less than so much of what it does to the one
-that it changes most; squares."""
+"""A trial sees a candidate that changes it by so much of what it does to the one that it changes
+most, in squares, or by `FAINT` times the residual's mean square."""
+FAINT = 4.0
 
 
 class Score(NamedTuple):
@@ -77,7 +78,8 @@ def score(
     for x in blocks:
         seen[x.trial] += float(step[group] @ x.A[np.ix_(group, group)] @ step[group])
     left_out = []
-    for trial in sorted(i for i in seen if seen[i] >= UNSEEN * max(seen.values())):
+    least = min(UNSEEN * max(seen.values()), FAINT * unit)
+    for trial in sorted(i for i in seen if seen[i] >= least):
         others = [x for x in blocks if x.trial != trial]
         held = [x for x in blocks if x.trial == trial]
         A_, b_ = summed(others) if others else (A, b)

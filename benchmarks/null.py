@@ -1,0 +1,117 @@
+"""Tanks that lack nothing: what the loop says of many draws of their noise."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import rivals
+from tanks import draw, noisy, problem_of, simulated
+
+from calibration import report
+from calibration.closing import Outcome, choose_held_out, conclude
+from calibration.evidence import Problem
+from calibration.fit import fit
+from calibration.measured import Record
+from calibration.plant import BASE, base_values, candidates, parameters, start
+from calibration.search import directions
+
+TANKS, REPLICATES = 12, 10
+SEED = 100
+RIVALS = 3
+"""Replicates of each tank on which the other ways speak too."""
+
+
+@dataclass
+class Kept:
+    """What was simulated, in memory: the rivals ask again for what the loop asked."""
+
+    found: dict[bytes, list[np.ndarray]] = field(default_factory=dict)
+
+    def kept(self, name, arrays, make):
+        key = name.encode() + b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)
+        if key not in self.found:
+            self.found[key] = make()
+        return self.found[key]
+
+
+def summary(outcome: Outcome, truth: Mapping[str, float]) -> dict[str, Any]:
+    """What was said, and whether the base parameters' intervals hold the truth."""
+    cover = {}
+    for i, p in enumerate(outcome.entries):
+        if p.name in truth and not p.effect:
+            value, low, high = outcome.interval(i)
+            cover[p.name] = {"value": value, "low": low, "high": high, "truth": truth[p.name]}
+    return {
+        "verdict": outcome.verdict,
+        "effects": report.effects(outcome),
+        "where": report.unexplained(outcome),
+        "candidates": [row for row in report.ranking(outcome) if "explained" in row],
+        "parameters": cover,
+        "converged": outcome.final.converged,
+    }
+
+
+@dataclass(frozen=True)
+class Linear(Problem):
+    """Readings that are linear about a vector: thousands of fits for the price of one."""
+
+    about: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    there: tuple[np.ndarray, ...] = ()
+    slopes: tuple[np.ndarray, ...] = ()
+
+    def _predict(self, theta):
+        step = theta - self.about
+        return [y + np.tensordot(step, J, 1) for y, J in zip(self.there, self.slopes, strict=True)]
+
+    def _tangents(self, theta, directions):
+        return [np.tensordot(directions, J, 1) for J in self.slopes]
+
+    def _secants(self, theta, others):
+        return self._tangents(theta, np.stack(others) - theta)
+
+
+def replicates(seed: int, progress) -> dict[str, Any]:
+    """Replicates of the noise on one tank that lacks nothing.
+
+    The model is linearised about its fit to the tank without noise. All of the search runs on every
+    replicate.
+    """
+    tank, names = draw(seed), tuple(candidates())
+    entries = parameters(names)
+    base, memo = base_values(tank.experiment), Kept()
+    true = simulated(tank, {})
+    progress("calibrating without noise")
+    quiet = [replace(r, values=y) for r, y in zip(noisy(tank, true, 0), true, strict=True)]
+    laid = problem_of(tank, names, memo)(quiet)
+    best = fit(laid, entries, start(entries, base), np.arange(len(BASE)), progress)
+    progress("tangents along everything")
+    slopes = directions(laid, entries, best.theta, best.free)
+    parts = {r.trial.file: i for i, r in enumerate(quiet)}
+    rows = []
+    for replicate in range(REPLICATES):
+        found = noisy(tank, true, 1000 * seed + replicate)
+
+        def linear(chosen: list[Record]) -> Problem:
+            of = Linear.of(tank.experiment, list(chosen), names)
+            index = [parts[r.trial.file] for r in chosen]
+            return replace(
+                of,
+                about=best.theta,
+                there=tuple(best.predicted[i] for i in index),
+                slopes=tuple(slopes[i] for i in index),
+            )
+
+        held = choose_held_out(found)
+        args = (tank.experiment, names, found, held, linear, base, tuple(BASE))
+        outcome = conclude(*args, lambda text: None)
+        rows.append(summary(outcome, tank.truth))
+        if replicate < RIVALS:
+            seen = linear([r for i, r in enumerate(found) if i not in held])
+            s = rivals.begin(seen, seen, entries, outcome.search.base)
+            rows[-1]["named_by"] = {
+                "sparse": rivals.sparse(s).effects, "stepwise": rivals.stepwise(s).effects,
+            }  # fmt: skip
+        progress(f"replicate {replicate}: {rows[-1]['verdict']}")
+    bias = {p.name: float(best.theta[i]) for i, p in enumerate(entries[: len(BASE)])}
+    return {"replicates": rows, "without_noise": bias, "truth": tank.truth}
