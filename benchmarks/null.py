@@ -42,6 +42,8 @@ def summary(outcome: Outcome, truth: Mapping[str, float]) -> dict[str, Any]:
         if p.name in truth and not p.effect:
             value, low, high = outcome.interval(i)
             cover[p.name] = {"value": value, "low": low, "high": high, "truth": truth[p.name]}
+            place = int(np.flatnonzero(outcome.final.free == i)[0])
+            cover[p.name]["noise_error"] = float(np.sqrt(outcome.final.covariance[place, place]))
     return {
         "verdict": outcome.verdict,
         "effects": report.effects(outcome),

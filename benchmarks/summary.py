@@ -89,22 +89,8 @@ def _share(flags: Sequence[bool]) -> str:
 def summed_up(out: Path) -> str:
     """All tables, as Markdown."""
     parts = []
-    if nulls := [r for x in read(out, "null") for r in x["replicates"]]:
-        alarms = [r["verdict"] != "nothing_missing" for r in nulls]
-        named = [r["verdict"] in SPOKE for r in nulls]
-        lines = [
-            f"Nothing missing, {len(nulls)} replicates: {sum(alarms)} did not end so, "
-            f"{sum(named)} named an effect."
-        ]
-        for p in nulls[0]["parameters"]:
-            inside = [r["parameters"][p]["low"] < r["parameters"][p]["truth"]
-                      < r["parameters"][p]["high"] for r in nulls]  # fmt: skip
-            lines.append(f"- {p}: interval holds the truth in {_share(inside)}")
-        asked = [r["named_by"] for r in nulls if "named_by" in r]
-        for way in asked[0] if asked else ():
-            alarm = _share([bool(x[way]) for x in asked])
-            lines.append(f"- false alarms of the rival {way}: {alarm}")
-        parts.append("\n".join(lines))
+    if tanks := read(out, "null"):
+        parts.append(_nothing(tanks))
     singles = read(out, "single")
     if singles:
         lines = [
@@ -150,6 +136,34 @@ def summed_up(out: Path) -> str:
         )
     parts.append(_rivals([*singles, *doubles]))
     return "\n\n".join(parts)
+
+
+def _nothing(tanks: Sequence[dict[str, Any]]) -> str:
+    """False alarms and coverage. Noise alone is held against the fit of the tank without noise."""
+    nulls = [r for x in tanks for r in x["replicates"]]
+    lines = [
+        f"Nothing missing, {len(nulls)} replicates of {len(tanks)} tanks: "
+        f"{sum(r['verdict'] != 'nothing_missing' for r in nulls)} did not end so, "
+        f"{sum(r['verdict'] in SPOKE for r in nulls)} named an effect.",
+        "",
+        "| | interval holds the truth | noise's own holds the fit without noise |",
+        "|---|---|---|",
+    ]
+    for p in nulls[0]["parameters"]:
+        inside, noise = [], []
+        for x in tanks:
+            for r in x["replicates"]:
+                v = r["parameters"][p]
+                inside.append(v["low"] < v["truth"] < v["high"])
+                noise.append(abs(v["value"] - x["without_noise"][p]) < 1.96 * v["noise_error"])
+        lines.append(f"| {p} | {_share(inside)} | {_share(noise)} |")
+    asked = [r["named_by"] for r in nulls if "named_by" in r]
+    for way in asked[0] if asked else ():
+        lines += [
+            "",
+            f"The rival {way} names an effect in {_share([bool(x[way]) for x in asked])}.",
+        ]
+    return "\n".join(lines)
 
 
 def _told(x: dict[str, Any]) -> str:

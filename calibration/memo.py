@@ -66,7 +66,7 @@ def resumable(out: Path, settings: dict[str, Any]) -> Iterator[Memo]:
     try:
         yield Memo(folder)
     except BaseException:
-        if not any(folder.iterdir()):
+        if folder.exists() and not any(folder.iterdir()):
             folder.rmdir()
         raise
     shutil.rmtree(folder, ignore_errors=True)

@@ -201,11 +201,11 @@ def page(x: Outcome, content: dict[str, Any]) -> str:
             table(HEAD, _rows(x.backward)),
             "<h2>What the figures mean</h2>",
             paragraph(
-                "A smooth plate of the robot's size has a C_t of about 0.01, a blunt head of 30 by "
-                "30 mm a drag area of 0.9e-3 m^2. What is needed is several times either, so tubes "
-                "and fittings that the robot pulls, or less thrust than the model's, are part of "
-                "it. The head's point force, which the paper's local form leaves out, moves the "
-                "prediction by some cm/s."
+                "A smooth plate of the robot's size has a C_t of 0.005 to 0.01, a blunt head of "
+                "30 by 30 mm a drag area of 0.9e-3 m^2. What is needed is several times either, so "
+                "tubes and fittings that the robot pulls, or less thrust than the model's, are "
+                "part of it. The head's point force, which the paper's local form leaves out, "
+                "moves the prediction by some cm/s."
             ),
             *(paragraph(line) for line in content["audit"]),
             paragraph("Next: " + NEXT),

@@ -9,7 +9,8 @@ from calibration.plant import Parameter
 
 SYSTEMATIC = {"C_d": 0.01, "m_a": 0.015, "k": 0.001, "K_Q": 0.005}
 """Share by which the base model's parameters differ between two correct programs, one standard
-deviation; in every interval beside what the noise leaves."""
+deviation; in every interval beside what the noise leaves. The noise holds their difference too, as
+if it were another in every trial; this is what all trials share of it."""
 EFFECT = 0.02
 """The same of an effect's parameter."""
 

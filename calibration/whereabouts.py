@@ -1,4 +1,4 @@
-"""Where a residual acts: channel, frequency, amplitude, phase of the stride, sign of the rate."""
+"""Where a residual acts: channel, trials and their settings, part of the stride, frequency."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -49,11 +49,12 @@ def where(
 
 
 def when(record: Record, channel: str, model: np.ndarray) -> dict[str, Any]:
-    """When in a trial's stride the residual of a channel is largest, and on which side.
+    """When in a trial the residual of a channel is largest.
 
-    `phase` is the eighth of the stride, from the front chamber's switch on, that holds `share` of
-    the residual's square (an eighth would be even); `growing` the share of it while the model's
-    reading moves away from its mean; `mean` the residual's mean over its rms.
+    `phase` is the eighth of the drive's period, counted from t = 0, that holds `share` of the
+    residual's square (an eighth would be even); `growing` the share of it while the model's reading
+    moves away from its mean; `mean` the residual's mean over its rms; `peak_Hz` the frequency of
+    the sine that takes most of the rest, `peak_share` of its square.
     """
     there = record.there(channel)
     r = (record.values[CHANNELS.index(channel)] - model)[there]
@@ -62,7 +63,7 @@ def when(record: Record, channel: str, model: np.ndarray) -> dict[str, Any]:
     told = {
         "growing": float(square[away[there]].sum()),
         "mean": float(r.mean() / np.sqrt(max(float(np.mean(r**2)), 1e-300))),
-    }
+    } | _strongest(record.t[there], r)
     if record.trial.frequency is None:
         return told
     part = np.floor(PHASES * ((record.t[there] * record.trial.frequency) % 1.0)).astype(int)
@@ -74,13 +75,28 @@ def when(record: Record, channel: str, model: np.ndarray) -> dict[str, Any]:
     return told | {"phase": span, "share": float(even[peak] / max(even.sum(), 1e-300))}
 
 
+def _strongest(t: np.ndarray, r: np.ndarray) -> dict[str, float]:
+    """The sine that takes most of a residual's square; missing samples are interpolated."""
+    even = np.arange(t[0], t[-1], float(np.median(np.diff(t))))
+    y = np.interp(even, t, r - r.mean())
+    power = np.abs(np.fft.rfft(y, 4 * len(y)))[1:] ** 2
+    peak = int(np.argmax(power))
+    hertz = np.fft.rfftfreq(4 * len(y), even[1] - even[0])[1:]
+    share = 2.0 * power[peak] / max(len(y) * float(y @ y), 1e-300)
+    return {"peak_Hz": float(hertz[peak]), "peak_share": min(float(share), 1.0)}
+
+
 def trend(settings: Sequence[float | None], squares: np.ndarray) -> float | None:
-    """Rank correlation of the trials' mean squares with a setting; None where it does not vary."""
+    """Rank correlation of the trials' mean squares with a setting.
+
+    None of fewer than five trials, or where chance would give it in one of twenty.
+    """
     x = np.array([np.nan if s is None else s for s in settings], float)
     there = np.isfinite(x) & np.isfinite(squares)
-    if there.sum() < 3 or np.ptp(x[there]) == 0.0 or np.ptp(squares[there]) == 0.0:
+    if there.sum() < 5 or np.ptp(x[there]) == 0.0 or np.ptp(squares[there]) == 0.0:
         return None
-    return float(spearmanr(x[there], squares[there]).statistic)
+    found = spearmanr(x[there], squares[there])
+    return float(found.statistic) if found.pvalue < 0.05 else None
 
 
 def said(x: dict[str, Any]) -> str:
@@ -99,9 +115,10 @@ def said(x: dict[str, Any]) -> str:
     if "phase" in here:
         low, high = here["phase"]
         text += f", most at {low:.3g} to {high:.3g} of the stride"
+    text += f", {here['peak_share']:.0%} of it at {here['peak_Hz']:.3g} Hz"
     text += f"; {here['growing']:.0%} of it while the reading moves away from its mean"
     for name, rank in x["grows_with"].items():
-        if rank is not None and abs(rank) > 0.8:
+        if rank is not None:
             word = "grows" if rank > 0 else "falls"
             text += f"; {word} with {name.replace('_', ' ')}"
     return text + "."

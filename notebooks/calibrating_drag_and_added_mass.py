@@ -144,7 +144,7 @@ for i, label in enumerate(labels):
 # %%
 means = []
 for r, y in zip(found.problem.records, found.fit.predicted, strict=True):
-    late = r.t > 1.0 / (r.trial.frequency or 1.0)
+    late = r.there("thrust") & (r.t > 1.0 / (r.trial.frequency or 1.0))
     means.append((r.trial.frequency or 0.0, r.values[row][late].mean(), y[row][late].mean()))
 frequency, measured, predicted = np.array(sorted(means)).T
 figure, ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")

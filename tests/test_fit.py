@@ -19,7 +19,7 @@ def curve(theta):
 
 
 class Curve:
-    """What `fit` asks of a problem, with noise of unit variance and `lack` that no curve explains."""
+    """What `fit` asks of a problem: noise of unit variance, and `lack` that no curve explains."""
 
     def __init__(self, lack=0.0):
         rng = np.random.default_rng(0)

@@ -11,7 +11,7 @@ from scipy.stats import norm
 from calibration.evidence import Block, Problem
 from calibration.foresight import Sensing, as_block, foresight, information
 from calibration.forward import CHANNELS, Resolution, predict, tangents
-from calibration.matrix import at_limits, matrix, required_gain
+from calibration.matrix import POWER, at_limits, matrix, required_gain
 from calibration.matrix_report import content, table
 from calibration.measured import Record
 from calibration.next_trial import Effort, limits_of, toml
@@ -98,6 +98,23 @@ def test_the_expected_gain_at_the_limit_is_what_the_search_asks_for(still, entri
     block = [Block(0, "", A, size * A[:, i[0]], 0.0, 1)]
     found = score("force_gain", i, np.arange(4), block, 1.0, len(candidates()))
     assert found.gain == pytest.approx(required_gain(1, len(candidates())), rel=1e-6)
+
+
+def test_nine_of_ten_are_found_at_the_detection_limit(still, entries):
+    A, i = information(still.seen), groups(entries)["force_gain"]
+    found = limit_of(still, "force_gain")
+    # Beyond chance is the harder of the two here or is made so: the noise is the same.
+    size = found.significant + POWER * found.error
+    rng = np.random.default_rng(0)
+    values, vectors = np.linalg.eigh(A)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    passed = 0
+    for _ in range(600):
+        b = size * A[:, i[0]] + root @ rng.normal(size=len(A))
+        block = [Block(0, "", A, b, 0.0, 1)]
+        gain = score("force_gain", i, np.arange(4), block, 1.0, len(candidates())).gain
+        passed += gain > required_gain(1, len(candidates()))
+    assert passed / 600 == pytest.approx(0.9, abs=0.03)
 
 
 def test_what_is_worth_naming_changes_a_channel_by_what_programs_differ_by(still, entries):

@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from calibration.noise import Noise, Whitener, declared, quantum
+from calibration.noise import (
+    DISCREPANCY_TIME,
+    STRIDES,
+    Noise,
+    Whitener,
+    _difference,
+    declared,
+    quantum,
+)
 from slider_jax.schema import SensorsTable
 
 T = np.arange(1000) / 500.0
@@ -62,3 +70,24 @@ def test_quantisation_is_read_off_the_data():
 def test_white_noise_that_is_not_declared_is_measured():
     tip = np.sin(2 * np.pi * T) + 5e-4 * np.random.default_rng(3).normal(size=len(T))
     assert declared(SensorsTable(), "tip", tip).white == pytest.approx(5e-4, rel=0.1)
+
+
+@pytest.mark.parametrize("frequency", [0.6, 2.0, 6.0])
+def test_the_difference_of_programs_comes_back_each_stride(frequency):
+    t = np.arange(600) / 500.0
+    apart = np.abs(t[:, None] - t[None])
+    cov = _difference(apart, frequency)
+    assert np.linalg.eigvalsh(cov).min() > -1e-9
+    stride = _difference(np.array([0.0, 0.5, 1.0, 2.0]) / frequency, frequency)
+    half = np.exp(-1.0 / (np.pi * frequency * DISCREPANCY_TIME) - 0.5 / STRIDES)
+    np.testing.assert_allclose(stride, [1.0, half, np.exp(-0.1), np.exp(-0.2)], rtol=1e-9)
+    np.testing.assert_allclose(_difference(apart, None), np.exp(-apart / DISCREPANCY_TIME))
+
+
+def test_strides_do_not_average_out_what_comes_back_with_them():
+    signal = 3.0 * np.sin(2 * np.pi * 5 * T)
+    series = 0.05 * np.cos(2 * np.pi * 5 * T)
+    steady, fresh = (
+        np.sum(Whitener(T, NOISE, signal, "thrust", f)(series) ** 2) for f in (5.0, None)
+    )
+    assert fresh > 3.0 * steady

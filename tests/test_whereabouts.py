@@ -32,16 +32,28 @@ def test_a_residual_of_the_growing_reading_is_told_from_one_of_the_falling():
 
 
 def test_what_grows_with_a_setting_is_said():
-    records = [record(0.1 * f, f, a) for f, a in ((1.0, 1e5), (2.0, 3e5), (3.0, 2e5))]
-    left = {"thrust": Excess(np.array([2.0, 5.0, 9.0]), 5.3), "tip": Excess(np.ones(3), 1.1)}
-    (found,) = where(records, [np.tile(MODEL, (5, 1))] * 3, left)
-    assert (found["channel"], found["worst_trial"]) == ("thrust", "3.csv")
-    assert found["grows_with"] == {"frequency": 1.0, "amplitude": 0.5, "tow_speed": None}
+    amplitudes = (1e5, 3e5, 2e5, 3e5, 1e5)
+    records = [record(0.1 * f, f, a) for f, a in enumerate(amplitudes, start=1)]
+    squares = np.array([2.0, 5.0, 9.0, 20.0, 30.0])
+    left = {"thrust": Excess(squares, 13.2), "tip": Excess(np.ones(5), 1.1)}
+    (found,) = where(records, [np.tile(MODEL, (5, 1))] * 5, left)
+    assert (found["channel"], found["worst_trial"]) == ("thrust", "5.csv")
+    grows = found["grows_with"]
+    assert grows["frequency"] == pytest.approx(1.0)
+    assert grows["amplitude"] is None and grows["tow_speed"] is None
     text = said(found)
-    assert "thrust: 5.3 times its floor, worst in 3.csv (3 Hz, 200 kPa)" in text
+    assert "thrust: 13.2 times its floor, worst in 5.csv (5 Hz, 100 kPa)" in text
     assert "grows with frequency" in text and "amplitude" not in text.split(";", 1)[1]
 
 
+def test_the_frequency_of_a_hum_is_found_between_missing_samples():
+    r = record(0.1 * np.sin(2.0 * np.pi * 13.0 * T + 0.3))
+    r.values[2, np.arange(len(T)) % 7 == 0] = np.nan
+    found = when(r, "thrust", MODEL)
+    assert found["peak_Hz"] == pytest.approx(13.0, abs=0.2) and found["peak_share"] > 0.95
+
+
 def test_a_setting_that_does_not_vary_has_no_trend():
-    assert trend([1.0, 1.0, 1.0], np.array([1.0, 2.0, 3.0])) is None
-    assert trend([None, 1.0, 2.0], np.array([1.0, 2.0, 3.0])) is None
+    assert trend([1.0] * 5, np.arange(5.0)) is None
+    assert trend([None, 1.0, 2.0, 3.0, 4.0], np.arange(5.0)) is None
+    assert trend([1.0, 2.0, 3.0, 4.0, 5.0], np.array([1.0, 3.0, 2.0, 5.0, 1.5])) is None

@@ -28,7 +28,7 @@ def opening(error: Array, dead: Scalar) -> Array:
 class ValvePair(Flow):
     """A valve to the supply and one to the room, opened by the duty, take the place of the lag.
 
-    Where the flow of the fill valve is zero the lag is left as it is.
+    With `fill` = 0, its null, the lag is left as it is.
     """
 
     sensors = ("pressure", "thrust", "recoil", "tip")
@@ -47,5 +47,5 @@ class ValvePair(Flow):
         valves = jnp.sign(e) * opening(e, self.dead) * jnp.where(x.filling, fill, vent)
         return jnp.where(self.replaces(), valves, rate)
 
-    def replaces(self):
+    def replaces(self) -> Array | bool:
         return self.fill > 0.0
