@@ -16,9 +16,9 @@ from calibration.measured import Record
 from calibration.plant import BASE, base_values, candidates, parameters, start
 from calibration.search import directions
 
-TANKS, REPLICATES = 12, 10
+TANKS, REPLICATES = 6, 18
 SEED = 100
-RIVALS = 3
+RIVALS = 6
 """Replicates of each tank on which the other ways speak too."""
 
 
