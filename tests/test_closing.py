@@ -12,6 +12,7 @@ from calibration.report_html import page
 from calibration.synthetic import Truth, trials, write_tank
 from slider_jax import experiment
 from slider_jax.errors import InputError
+from tests.damage import RUNS as MADE_UP, write_experiment
 
 CANDIDATES = ("valve_delay", "clamp_compliance", "tangential_friction", "force_gain")
 BASE = {"C_d": 3.2, "m_a": 0.6, "k": 0.08, "K_Q": 4.6e-7}
@@ -104,6 +105,6 @@ def test_what_none_of_the_candidates_explains_is_said_to_be_unexplained(tmp_path
 
 
 def test_too_few_trials_are_refused(tmp_path):
-    path = write_tank(tmp_path / "two", Truth(BASE, {}), RUNS[:2], 0, numerics=TANK)
+    path = write_experiment(tmp_path / "two", runs=MADE_UP[:2])
     with pytest.raises(InputError, match="holds 2 measured trials"):
         closing.close_loop(experiment.load(path), CANDIDATES)

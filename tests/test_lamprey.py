@@ -110,7 +110,7 @@ def test_a_straight_body_at_rest_feels_nothing_and_a_gliding_one_its_friction():
     H, ds = gliding.body.structure.height, gliding.body.structure.ds
     area = float((H * ds).sum())
     along = np.asarray(force(TangentialFriction(0.02), gliding))[:, 0]
-    np.testing.assert_allclose(along, -0.5 * 1000.0 * 0.02 * area * U**2)
+    np.testing.assert_allclose(along, -0.5 * 1000.0 * 0.02 * (2.0 * area) * U**2)
     np.testing.assert_allclose(
         np.asarray(force(HeadDrag(3e-5), gliding))[:, 0], -0.5 * 1000.0 * 3e-5 * U**2
     )

@@ -113,6 +113,7 @@ def test_interrupted_sweep_goes_on_and_ends_as_an_uninterrupted_one(
         run_sweep(task._replace(strides=4), tmp_path / "a")
 
 
+@pytest.mark.slow
 def test_nodes_are_swept_like_any_number(experiment, tmp_path, one_core_chunks_of_two):
     """Each number of nodes is a program of its own; rows are those of sweeps at fixed nodes."""
     drag = Axis("parameters.C_d", (2.0, 4.0))
