@@ -47,7 +47,7 @@ class Fit(NamedTuple):
     def covariance(self) -> np.ndarray:
         """Of the free entries (k, k), by the least squares' normal matrix and `inflation`."""
         A, _ = summed(self.blocks)
-        return self.inflation * inverse(A)
+        return self.inflation * inverse(A) if np.isfinite(A).all() else np.full(A.shape, np.inf)
 
 
 def inverse(A: np.ndarray) -> np.ndarray:
@@ -70,6 +70,7 @@ def fit(
 ) -> Fit:
     """Fit the entries `free` (indices) of the vector, from `theta` on; the others stay.
 
+    A step that cannot be simulated is shortened; without finite tangents the fit has not converged.
     Sums of squares of two fits compare only if they share `white`, by default that of the start.
     """
     bounds = Bounds.of([entries[i] for i in free])
@@ -81,6 +82,8 @@ def fit(
     for iteration in range(ITERATIONS):
         blocks = problem.blocks(residuals, problem.tangents(theta, directions), white)
         A, b = summed(blocks)
+        if not np.isfinite(A).all():
+            break
         wanted = _linear_optimum(A, b, theta[free], bounds)
         samples = sum(x.n for x in blocks)
         unit = max(1.0, square / max(samples, 1))

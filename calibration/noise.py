@@ -102,9 +102,9 @@ class Whitener:
         return series[:, : self._n].reshape(len(series), -1, self._group).mean(axis=2)
 
     def __call__(self, series: np.ndarray) -> np.ndarray:
-        """White series (k, m) of `series` (k, n)."""
+        """White series (k, m) of `series` (k, n); what is not finite stays so."""
         averaged = self._averaged(np.atleast_2d(series))
-        return solve_triangular(self._factor, averaged.T, lower=True).T
+        return solve_triangular(self._factor, averaged.T, lower=True, check_finite=False).T
 
 
 def _difference(apart: np.ndarray, frequency: float | None) -> np.ndarray:

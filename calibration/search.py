@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import wilcoxon
 
-from calibration.evidence import Problem
+from calibration.evidence import FAILED, Problem, total
 from calibration.fit import Fit, fit
 from calibration.forward import CHANNELS
 from calibration.noise import DISCREPANCY
@@ -126,16 +126,19 @@ def directions(problem: Problem, entries: Sequence[Parameter], theta: np.ndarray
     """What each parameter does to each trial (parameters, 5, samples), per unit.
 
     Tangents at `theta`; of a parameter with a start that is at its null, the change up to there,
-    halved while it cannot be simulated. Zero for the other parameters of such an effect.
+    halved while it cannot be simulated. Zero for the other parameters of such an effect, and along
+    what has no finite tangent.
     """
     judged = np.unique(np.concatenate([free, *scored(entries).values()]))
     afar = [i for i in judged if entries[i].prior.start is not None and i not in free]
     near = [i for i in judged if i not in afar]
     found = [np.zeros((len(theta), *r.values.shape)) for r in problem.records]
     unit = np.eye(len(theta))
-    for x, tangents in zip(found, problem.tangents(theta, unit[near]), strict=True):
-        x[near] = tangents
     channels = [CHANNELS.index(c) for c in problem.channels]
+    along = problem.tangents(theta, unit[near])
+    lost = ~np.all([np.isfinite(x[:, channels]).all(axis=(1, 2)) for x in along], axis=0)
+    for x, tangents in zip(found, along, strict=True):
+        x[near] = np.where(lost[:, None, None], 0.0, tangents)
     size = {i: entries[i].prior.start - entries[i].prior.null for i in afar}
     for _ in range(HALVED):
         if not size:
@@ -213,7 +216,11 @@ def _round(problem, entries, current: Fit, members, rest, white, progress) -> Ro
         if not _could_be_named(problem, current, everything, s.step):
             continue
         progress(f"refitting with {s.name}")
-        this.tried.append(_tried(problem, entries, current, members[s.name], s, white, progress))
+        tried = _tried(problem, entries, current, members[s.name], s, white, progress)
+        if tried is None:
+            progress(f"{s.name} cannot be simulated from where its refit would begin: left out")
+        else:
+            this.tried.append(tried)
     accepted = [t for t in this.tried if t.worth_naming and t.agreement.agreed]
     if not accepted:
         return this
@@ -235,8 +242,14 @@ def _likely(scores: list[Score], entries, judged) -> list[Score]:
     return sorted([*of(SHARE, False), *of(SHARE_AFAR, True)], key=lambda s: -s.gain)
 
 
-def _tried(problem, entries, current: Fit, group, s: Score, white, progress) -> Tried:
+def _tried(problem, entries, current: Fit, group, s: Score, white, progress) -> Tried | None:
     start = _begun(entries, current.theta, group, s)
+    for _ in range(HALVED):
+        if total(problem.residuals(problem.predict(start), white)) < FAILED:
+            break
+        start = 0.5 * (start + current.theta)
+    else:
+        return None
     free = np.concatenate([current.free, group])
     better = fit(problem, entries, start, free, progress, white)
     gain = (current.square - better.square) / better.inflation

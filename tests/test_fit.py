@@ -56,6 +56,31 @@ def test_a_fit_ends_within_a_seventh_of_a_standard_error(lack):
     assert problem.simulated < 12
 
 
+class Wall(Curve):
+    """Beyond k = 1 nothing can be simulated."""
+
+    beyond = 0
+
+    def predict(self, theta):
+        (y,) = super().predict(theta)
+        self.beyond += theta[1] > 1.0
+        return [np.full_like(y, np.nan) if theta[1] > 1.0 else y]
+
+
+def test_a_step_that_cannot_be_simulated_is_shortened():
+    problem = Wall()
+    found = fit(problem, ENTRIES, np.array([0.3, 0.3]), np.arange(2))
+    assert problem.beyond and found.converged
+    np.testing.assert_allclose(found.theta, TRUTH, rtol=0.1)
+
+
+def test_without_finite_tangents_nothing_has_converged():
+    problem = Curve()
+    problem.tangents = lambda theta, directions: [np.full((2, len(T)), np.nan)]
+    found = fit(problem, ENTRIES, TRUTH, np.arange(2))
+    assert not found.converged and np.isinf(found.covariance).all()
+
+
 def test_a_step_that_only_makes_it_worse_is_not_the_end(monkeypatch):
     monkeypatch.setattr("calibration.fit._linear_optimum", lambda A, b, start, bounds: start - 0.5)
     assert not fit(Curve(), ENTRIES, np.array([1.0, 0.9]), np.arange(2)).converged

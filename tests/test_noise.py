@@ -91,3 +91,8 @@ def test_strides_do_not_average_out_what_comes_back_with_them():
         np.sum(Whitener(T, NOISE, signal, "thrust", f)(series) ** 2) for f in (5.0, None)
     )
     assert fresh > 3.0 * steady
+
+
+def test_what_could_not_be_simulated_stays_so():
+    white = Whitener(T, NOISE, SIGNAL, "thrust")(np.stack([np.full_like(T, np.nan), T]))
+    assert np.isnan(white[0]).any() and np.isfinite(white[1]).all()
