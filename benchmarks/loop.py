@@ -136,7 +136,7 @@ def run(case: Case, progress) -> dict[str, Any]:
     floor = floors(rest, [true[i] for i in held])
     told["held_out_over_floor"] = {
         "refit only": ratio(rest, rest.predict(outcome.search.base.theta), floor),
-        "loop": ratio(rest, rest.predict(outcome.search.final.theta), floor),
+        "loop": ratio(rest, rest.predict(outcome.chosen.theta), floor),
     }
     told["named_by"] = {}
     if case.size in WITH_RIVALS:

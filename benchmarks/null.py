@@ -47,6 +47,7 @@ def summary(outcome: Outcome, truth: Mapping[str, float]) -> dict[str, Any]:
     return {
         "verdict": outcome.verdict,
         "effects": report.effects(outcome),
+        "nearest": report.nearest(outcome),
         "where": report.unexplained(outcome),
         "candidates": [row for row in report.ranking(outcome) if "explained" in row],
         "parameters": cover,

@@ -77,7 +77,7 @@ def place_of_stranger(case: dict[str, Any]) -> str:
     if case["verdict"] != "unexplained":
         return case["verdict"]
     if not case["where"]:  # an effect at the edge of what is believed stands in for the cause
-        near = {e["where"] for e in case["effects"]}
+        near = {e["where"] for e in case["nearest"]}
         return "right place" if near & set(truth.places) else "wrong place"
     worst = max(case["where"], key=lambda x: x["mean_square_over_noise"])
     return "right place" if worst["channel"] in truth.channels else "wrong place"

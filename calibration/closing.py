@@ -19,7 +19,7 @@ from calibration.memo import Memo
 from calibration.plant import BASE, Parameter, base_values, candidates, parameters, start
 from calibration.search import Search, search
 from calibration.systematic import interval
-from calibration.verdict import Excess, decide, excess, floors, rms_errors
+from calibration.verdict import NAMED, Excess, decide, excess, floors, rms_errors
 from slider_jax.errors import InputError
 from slider_jax.experiment import Experiment
 
@@ -55,6 +55,18 @@ class Outcome:
     """Trials that the search did not see, by their place in `problem.records`."""
     audit: list[Finding] = field(default_factory=list)
     """What is wrong with the data, and what was done about it."""
+    nearest: Fit | None = None
+    """Where the search found effects that are not named: the model with them, on all trials."""
+
+    @property
+    def effects(self) -> list[str]:
+        """Effects that were added to the model: those found, if the verdict names them."""
+        return self.search.effects if self.verdict in NAMED else []
+
+    @property
+    def chosen(self) -> Fit:
+        """The chosen model on the trials that the search saw."""
+        return self.search.final if self.effects else self.search.base
 
     def interval(self, index: int) -> tuple[float, float, float]:
         """Value and 95 % interval of an entry that was fitted."""
@@ -125,7 +137,7 @@ def close_loop(
 
 def strangers(outcome: Outcome) -> list[Finding]:
     """Trials whose residual no effect explains and no other trial shares."""
-    each = excess(outcome.problem, outcome.final)
+    each = excess(outcome.problem, outcome.nearest or outcome.final)
     trials = [r.trial for r in outcome.problem.records]
     return outliers(trials, {c: x.trials for c, x in each.items()})
 
@@ -184,16 +196,30 @@ def conclude(
     result = search(problem, entries, start(entries, base), progress, base_names)
     before, after = excess(problem, result.base), excess(problem, result.final)
     verdict = decide(result, entries, before, after)
+    named = verdict in NAMED or not result.effects
+    best = result.final if named else result.base
     hidden = None
     if held:
         progress("predicting the trials that were held out")
         rest = problem_of([found[i] for i in held])
-        hidden = _errors(rest, *(rest.predict(f.theta) for f in (result.base, result.final)))
+        hidden = _errors(rest, *(rest.predict(f.theta) for f in (result.base, best)))
     progress("refitting to all trials")
-    final = fit(everything, entries, result.final.theta, result.final.free, progress)
-    used = _errors(problem, result.base.predicted, result.final.predicted)
+    full = fit(everything, entries, result.final.theta, result.final.free, progress)
+    final = full if named else fit(everything, entries, best.theta, best.free, progress)
+    used = _errors(problem, result.base.predicted, best.predicted)
     return Outcome(
-        experiment, entries, verdict, result, final, everything, used, hidden, before, after, held
+        experiment,
+        entries,
+        verdict,
+        result,
+        final,
+        everything,
+        used,
+        hidden,
+        before,
+        after if named else before,
+        held,
+        nearest=None if named else full,
     )
 
 

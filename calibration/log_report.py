@@ -31,7 +31,7 @@ def consequence_of(outcome: Outcome) -> dict[str, Any]:
     labels = [p.label for p in outcome.entries]
     k = labels.index("k")
     effects = []
-    for name in outcome.search.effects:
+    for name in outcome.effects:
         values = {
             p.name: float(x)
             for p, x in zip(outcome.entries, outcome.final.theta, strict=True)

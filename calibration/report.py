@@ -30,6 +30,7 @@ def report(
         "verdict": outcome.verdict,
         "said": sentence(outcome),
         "effects": effects(outcome),
+        "nearest": nearest(outcome),
         "parameters": {
             p.name: _interval(outcome, "", p.name)
             for i, p in enumerate(outcome.entries)
@@ -54,7 +55,7 @@ def effects(outcome: Outcome) -> list[dict[str, Any]]:
     """Every effect that was added, with the names it cannot be told from and its parameters."""
     found = []
     for this in outcome.search.rounds:
-        if this.chosen is None:
+        if this.chosen is None or this.chosen not in outcome.effects:
             continue
         kind = LIBRARY[this.chosen]
         tried = next(t for t in this.tried if t.name == this.chosen)
@@ -70,6 +71,12 @@ def effects(outcome: Outcome) -> list[dict[str, Any]]:
             }
         )
     return found
+
+
+def nearest(outcome: Outcome) -> list[dict[str, Any]]:
+    """Effects that came nearest to a residual that none explains; they are not in the model."""
+    names = [] if outcome.effects else outcome.search.effects
+    return [{"name": n, "title": LIBRARY[n].title, "where": LIBRARY[n].place()} for n in names]
 
 
 def _class(outcome: Outcome, this: Round) -> list[str]:
@@ -117,12 +124,12 @@ def ranking(outcome: Outcome) -> list[dict[str, Any]]:
 def unexplained(outcome: Outcome) -> list[dict[str, Any]]:
     """Where the residual of the last fit stands above the floor on the trials it was fitted to."""
     seen = [r for i, r in enumerate(outcome.problem.records) if i not in outcome.held]
-    return where(seen, outcome.search.final.predicted, outcome.excess_after)
+    return where(seen, outcome.chosen.predicted, outcome.excess_after)
 
 
 def sentence(outcome: Outcome) -> str:
     """The verdict in a sentence."""
-    names = [e["name"] for e in effects(outcome)]
+    names = outcome.search.effects
     titles = ", ".join(f"{LIBRARY[n].title} ({n})" for n in names)
     match outcome.verdict:
         case "nothing_missing":
@@ -153,9 +160,8 @@ def sentence(outcome: Outcome) -> str:
 
 def model_toml(outcome: Outcome) -> str:
     """The calibrated model with its effects, for `slider simulate --model`."""
-    effects = outcome.search.effects
     final = outcome.final
-    return toml(sentence(outcome), outcome.entries, final.theta, effects, final.free)
+    return toml(sentence(outcome), outcome.entries, final.theta, outcome.effects, final.free)
 
 
 def toml(

@@ -127,7 +127,7 @@ def residual_figure(outcome: Outcome):
 def _shown_trial(outcome: Outcome):
     """The seen trial on which the fits differ most: its record, and both predictions."""
     seen = [i for i in range(len(outcome.problem.records)) if i not in outcome.held]
-    pairs = list(zip(outcome.search.base.predicted, outcome.search.final.predicted, strict=True))
+    pairs = list(zip(outcome.search.base.predicted, outcome.chosen.predicted, strict=True))
     rows = [CHANNELS.index(c) for c in outcome.problem.channels]
     apart = [
         sum(float(np.mean((a[c] - b[c]) ** 2) / max(np.var(a[c]), 1e-300)) for c in rows)

@@ -24,6 +24,8 @@ EDGE = 0.01
 
 NOTHING, IDENTIFIED, CLASS = "nothing_missing", "identified", "class"
 UNEXPLAINED, INCONCLUSIVE = "unexplained", "inconclusive"
+NAMED = (IDENTIFIED, CLASS)
+"""Verdicts after which effects are added to the model."""
 
 
 class Excess(NamedTuple):

@@ -48,6 +48,7 @@ def covers(outcome, name, truth):
     return low < truth < high
 
 
+@pytest.mark.slow
 def test_it_stays_silent_on_data_that_lack_nothing(null):
     assert (null.verdict, null.search.effects) == ("nothing_missing", [])
     for name, value in BASE.items():
@@ -102,6 +103,10 @@ def test_the_order_of_the_trials_and_the_noise_change_no_verdict(delayed, tmp_pa
 def test_what_none_of_the_candidates_explains_is_said_to_be_unexplained(tmp_path):
     outcome = closed(tmp_path / "odd", {"stiffening": {"beta": 5e-4}}, 2)
     assert outcome.verdict == "unexplained"
+    told = report(outcome, 1.0, {})
+    assert told["effects"] == [] and "[[effects]]" not in model_toml(outcome)
+    assert told["unexplained"] and outcome.used.after == outcome.used.before
+    assert [x["name"] for x in told["nearest"]] == outcome.search.effects
 
 
 def test_too_few_trials_are_refused(tmp_path):
