@@ -164,9 +164,7 @@ def _cover(outcome: Outcome, effects: Mapping[str, Mapping[str, float]]) -> dict
     found = {}
     for i, p in enumerate(outcome.entries):
         if p.effect in effects and p.name in effects[p.effect] and i in outcome.final.free:
-            value, low, high = outcome.interval(i)
-            truth = effects[p.effect][p.name]
-            found[p.label] = {"value": value, "low": low, "high": high, "truth": truth}
+            found[p.label] = null.told(outcome, i, effects[p.effect][p.name])
     return found
 
 

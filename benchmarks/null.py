@@ -35,13 +35,18 @@ class Kept:
         return self.found[key]
 
 
+def told(outcome: Outcome, index: int, truth: float) -> dict[str, float]:
+    """A fitted parameter's interval beside the truth."""
+    value, low, high = outcome.interval(index)
+    return {"value": value, "low": low, "high": high, "truth": truth}
+
+
 def summary(outcome: Outcome, truth: Mapping[str, float]) -> dict[str, Any]:
     """What was said, and whether the base parameters' intervals hold the truth."""
     cover = {}
     for i, p in enumerate(outcome.entries):
         if p.name in truth and not p.effect:
-            value, low, high = outcome.interval(i)
-            cover[p.name] = {"value": value, "low": low, "high": high, "truth": truth[p.name]}
+            cover[p.name] = told(outcome, i, truth[p.name])
             place = int(np.flatnonzero(outcome.final.free == i)[0])
             cover[p.name]["noise_error"] = float(np.sqrt(outcome.final.covariance[place, place]))
     return {

@@ -27,7 +27,7 @@ from calibration.fit import Fit, fit, inverse
 from calibration.forward import CHANNELS
 from calibration.plant import Parameter
 from calibration.search import directions, groups, scored
-from calibration.trace import solve
+from calibration.trace import drop, solve
 
 PENALTIES = 60
 GP_SAMPLES = 500
@@ -157,7 +157,7 @@ def stepwise(s: Start) -> Said:
         for name, group in judged.items():
             if name not in names:
                 step = solve(A, b, np.concatenate([current.free, group]))
-                gains[name] = 2.0 * step @ b - step @ A @ step
+                gains[name] = drop(blocks, step)
         name = max(gains, key=lambda n: gains[n])
         better = refitted(s, [*names, name])
         if criterion(better.square, len(better.free)) >= criterion(

@@ -9,10 +9,10 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from strangers import STRANGERS
 
+from calibration.verdict import CLASS, IDENTIFIED, NAMED, NOTHING, UNEXPLAINED
 from slider_jax.effects.library import LIBRARY
 
 WAYS = ("refit only", "sparse", "stepwise", "gp", "loop", "oracle")
-SPOKE = ("identified", "class")
 ABOVE = 1.1
 """Held-out rms over its floor from which on there is something to explain."""
 
@@ -26,7 +26,7 @@ def read(out: Path, kind: str) -> list[dict[str, Any]]:
 def said(case: dict[str, Any], way: str = "loop") -> list[set[str]]:
     """What was named: a set of names for every cause."""
     if way == "loop":
-        if case["verdict"] not in SPOKE:
+        if case["verdict"] not in NAMED:
             return []
         return [{e["name"], *e["class"]} for e in case["effects"]]
     return [{name} for name in case["named_by"].get(way, [])]
@@ -69,12 +69,12 @@ def skills(found: Iterable[dict[str, Any]], way: str = "loop") -> list[float]:
 def place_of_stranger(case: dict[str, Any]) -> str:
     """What the loop said of an effect that is not in the library, in a word."""
     truth = STRANGERS[case["case"]["stranger"]]
-    if case["verdict"] == "identified":
+    if case["verdict"] == IDENTIFIED:
         return "wrong name"
-    if case["verdict"] == "class":
+    if case["verdict"] == CLASS:
         places = {LIBRARY[n].place() for cause in said(case) for n in cause}
         return "right place" if places & set(truth.places) else "wrong place"
-    if case["verdict"] != "unexplained":
+    if case["verdict"] != UNEXPLAINED:
         return case["verdict"]
     if not case["where"]:  # an effect at the edge of what is believed stands in for the cause
         near = {e["where"] for e in case["nearest"]}
@@ -101,7 +101,7 @@ def summed_up(out: Path) -> str:
         ]
         for size in sorted({x["case"]["size"] for x in singles}):
             of = [x for x in singles if x["case"]["size"] == size]
-            spoke = [x for x in of if x["verdict"] in SPOKE]
+            spoke = [x for x in of if x["verdict"] in NAMED]
             sizes = [len(c) for x in spoke for c in said(x)]
             skill = skills(spoke) or [np.nan]
             lines.append(
@@ -129,7 +129,7 @@ def summed_up(out: Path) -> str:
         lines += [f"{w}: {_told(x)}" for w, x in zip(words, strangers, strict=True)]
         parts.append("\n".join(lines))
     everything = [*singles, *doubles, *strangers]
-    spoke = skills(x for x in everything if x["verdict"] in SPOKE)
+    spoke = skills(x for x in everything if x["verdict"] in NAMED)
     if spoke:
         parts.append(
             f"Held-out skill of all {len(spoke)} that it speaks on: median {np.median(spoke):.3f}, "
@@ -144,8 +144,8 @@ def _nothing(tanks: Sequence[dict[str, Any]]) -> str:
     nulls = [r for x in tanks for r in x["replicates"]]
     lines = [
         f"Nothing missing, {len(nulls)} replicates of {len(tanks)} tanks: "
-        f"{sum(r['verdict'] != 'nothing_missing' for r in nulls)} did not end so, "
-        f"{sum(r['verdict'] in SPOKE for r in nulls)} named an effect.",
+        f"{sum(r['verdict'] != NOTHING for r in nulls)} did not end so, "
+        f"{sum(r['verdict'] in NAMED for r in nulls)} named an effect.",
         "",
         "| | interval holds the truth | noise's own holds the fit without noise |",
         "|---|---|---|",
@@ -160,10 +160,8 @@ def _nothing(tanks: Sequence[dict[str, Any]]) -> str:
         lines.append(f"| {p} | {_share(inside)} | {_share(noise)} |")
     asked = [r["named_by"] for r in nulls if "named_by" in r]
     for way in asked[0] if asked else ():
-        lines += [
-            "",
-            f"The rival {way} names an effect in {_share([bool(x[way]) for x in asked])}.",
-        ]
+        named = _share([bool(x[way]) for x in asked])
+        lines += ["", f"The rival {way} names an effect in {named}."]
     return "\n".join(lines)
 
 

@@ -18,7 +18,7 @@ from calibration.forward import CHANNELS, COARSE, Resolution, on_all_cores, plan
 from calibration.matrix import matrix
 from calibration.measured import COLUMNS, Record
 from calibration.plant import BASE, base_values, candidates, parameters, start
-from calibration.synthetic import ROBOT, START, Sensors, measured, trials
+from calibration.synthetic import ROBOT, START, Sensors, base_parameters, measured, trials
 from slider_jax.effects import Effect
 from slider_jax.experiment import Experiment, assemble
 
@@ -47,14 +47,10 @@ class Tank:
 
 def draw(seed: int, folder: Path = Path(".")) -> Tank:
     """A tank: its base parameters and drives drawn, its discretisation in turn."""
-    rng = np.random.default_rng([seed, 1])
-    truth = {
-        "C_d": float(rng.uniform(2.4, 4.2)), "m_a": float(rng.uniform(0.45, 0.95)),
-        "k": float(rng.uniform(0.06, 0.11)), "K_Q": float(rng.uniform(4.2e-7, 5.2e-7)),
-    }  # fmt: skip
-    sensors = {k: v for k, v in Sensors()._asdict().items() if k != "gain_drift"}
+    truth = base_parameters(np.random.default_rng([seed, 1]))
     content = {
-        "name": f"tank_{seed}", "robot": ROBOT, "parameters": START, "sensors": sensors,
+        "name": f"tank_{seed}", "robot": ROBOT, "parameters": START,
+        "sensors": Sensors().declared(),
         "trials": trials(seed, COUNT, SECONDS),
     }  # fmt: skip
     scheme, resolution = MADE[seed % len(MADE)]

@@ -194,9 +194,10 @@ def conclude(
     everything = problem_of(found)
     problem = problem_of(seen) if held else everything
     result = search(problem, entries, start(entries, base), progress, base_names)
-    before, after = excess(problem, result.base), excess(problem, result.final)
+    before = excess(problem, result.base)
+    after = excess(problem, result.final) if result.effects else before
     verdict = decide(result, entries, before, after)
-    named = verdict in NAMED or not result.effects
+    named = verdict in NAMED
     best = result.final if named else result.base
     hidden = None
     if held:
@@ -204,8 +205,10 @@ def conclude(
         rest = problem_of([found[i] for i in held])
         hidden = _errors(rest, *(rest.predict(f.theta) for f in (result.base, best)))
     progress("refitting to all trials")
-    full = fit(everything, entries, result.final.theta, result.final.free, progress)
-    final = full if named else fit(everything, entries, best.theta, best.free, progress)
+    final = fit(everything, entries, best.theta, best.free, progress)
+    nearest = None
+    if result.effects and not named:
+        nearest = fit(everything, entries, result.final.theta, result.final.free, progress)
     used = _errors(problem, result.base.predicted, best.predicted)
     return Outcome(
         experiment,
@@ -219,7 +222,7 @@ def conclude(
         before,
         after if named else before,
         held,
-        nearest=None if named else full,
+        nearest=nearest,
     )
 
 

@@ -164,9 +164,9 @@ class Problem:
 
         def one(key):
             i, channel = key
-            there = self.records[i].there(channel)
-            model = predicted[i][CHANNELS.index(channel)][there]
             r = self.records[i]
+            there = r.there(channel)
+            model = predicted[i][CHANNELS.index(channel)][there]
             return key, Whitener(r.t[there], self.noise[key], model, channel, r.trial.frequency)
 
         return dict(on_all_cores(one, list(self.noise)))

@@ -70,7 +70,8 @@ def fit(
 ) -> Fit:
     """Fit the entries `free` (indices) of the vector, from `theta` on; the others stay.
 
-    A step that cannot be simulated is shortened; without finite tangents the fit has not converged.
+    A step that cannot be simulated is shortened; from a start that cannot be, or without finite
+    tangents, the fit has not converged.
     Sums of squares of two fits compare only if they share `white`, by default that of the start.
     """
     bounds = Bounds.of([entries[i] for i in free])
@@ -79,13 +80,13 @@ def fit(
     white = problem.whiteners(predicted) if white is None else white
     residuals = problem.residuals(predicted, white)
     square, converged = total(residuals), False
+    samples = sum(len(r) for r in residuals.values())
     for iteration in range(ITERATIONS):
         blocks = problem.blocks(residuals, problem.tangents(theta, directions), white)
         A, b = summed(blocks)
-        if not np.isfinite(A).all():
+        if not (np.isfinite(A).all() and np.isfinite(b).all()):
             break
         wanted = _linear_optimum(A, b, theta[free], bounds)
-        samples = sum(x.n for x in blocks)
         unit = max(1.0, square / max(samples, 1))
         step = wanted - theta[free]
         enough = STILL * unit
@@ -110,7 +111,6 @@ def fit(
             converged = True
             blocks = problem.blocks(residuals, problem.tangents(theta, directions), white)
             break
-    samples = sum(x.n for x in blocks)
     return Fit(theta, np.asarray(free), square, samples, blocks, predicted, converged)
 
 

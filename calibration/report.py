@@ -143,7 +143,7 @@ def sentence(outcome: Outcome) -> str:
                 f"{'it' if len(names) == 1 else 'these'} from {rivals}."
             )
         case "unexplained":
-            channels = ", ".join(x["channel"] for x in unexplained(outcome))
+            channels = ", ".join(c for c, x in outcome.excess_after.items() if x.all > FLOOR)
             said = "Something is missing"
             said += f" in {channels}" if channels else ""
             said += ", and none of the candidates explains it."

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import wilcoxon
 
-from calibration.evidence import FAILED, Problem, total
+from calibration.evidence import FAILED, Problem
 from calibration.fit import Fit, fit
 from calibration.forward import CHANNELS
 from calibration.noise import DISCREPANCY
@@ -244,14 +244,14 @@ def _likely(scores: list[Score], entries, judged) -> list[Score]:
 
 def _tried(problem, entries, current: Fit, group, s: Score, white, progress) -> Tried | None:
     start = _begun(entries, current.theta, group, s)
+    free = np.concatenate([current.free, group])
     for _ in range(HALVED):
-        if total(problem.residuals(problem.predict(start), white)) < FAILED:
+        better = fit(problem, entries, start, free, progress, white)
+        if better.square < FAILED:
             break
         start = 0.5 * (start + current.theta)
     else:
         return None
-    free = np.concatenate([current.free, group])
-    better = fit(problem, entries, start, free, progress, white)
     gain = (current.square - better.square) / better.inflation
     sizes = {
         c: _share(current.predicted, better.predicted, CHANNELS.index(c)) for c in problem.channels

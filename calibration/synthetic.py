@@ -38,6 +38,10 @@ class Sensors(NamedTuple):
     gain_drift: float = 0.01
     """Share by which a force channel's gain differs from trial to trial; not declared."""
 
+    def declared(self) -> dict[str, float]:
+        """What an experiment file says of them."""
+        return {k: v for k, v in self._asdict().items() if k != "gain_drift"}
+
 
 class Truth(NamedTuple):
     """What is put in."""
@@ -45,6 +49,14 @@ class Truth(NamedTuple):
     parameters: Mapping[str, float]
     effects: Mapping[str, Mapping[str, float]]
     """Parameters of every effect, by its name."""
+
+
+def base_parameters(rng: np.random.Generator) -> dict[str, float]:
+    """C_d, m_a, k and K_Q, drawn."""
+    return {
+        "C_d": float(rng.uniform(2.4, 4.2)), "m_a": float(rng.uniform(0.45, 0.95)),
+        "k": float(rng.uniform(0.06, 0.11)), "K_Q": float(rng.uniform(4.2e-7, 5.2e-7)),
+    }  # fmt: skip
 
 
 def trials(seed: int, count: int = 8, seconds: float = 1.0) -> list[dict[str, Any]]:
@@ -82,8 +94,9 @@ def write_tank(
     The file says nothing of the effects, and starts from `START`.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    declared = {k: v for k, v in sensors._asdict().items() if k != "gain_drift"}
-    told = {"name": folder.name, "robot": ROBOT, "parameters": START, "sensors": declared}
+    told = {
+        "name": folder.name, "robot": ROBOT, "parameters": START, "sensors": sensors.declared(),
+    }  # fmt: skip
     inside = told | {
         "parameters": dict(truth.parameters),
         "effects": [{"name": name, **values} for name, values in truth.effects.items()],

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.synthetic import Truth, trials, write_tank
+from calibration.synthetic import Truth, base_parameters, trials, write_tank
 from slider_jax.effects.library import LIBRARY
 from slider_jax.errors import InputError, SolverError
 from slider_jax.files import write_json
@@ -51,12 +51,8 @@ def main(argv: list[str] | None = None) -> int:
     asked.add_argument("--seconds", type=float, default=1.0, help="scale of the durations")
     given = asked.parse_args(argv)
     enable_float64()
-    rng = np.random.default_rng(given.seed)
-    base = {
-        "C_d": rng.uniform(2.4, 4.2), "m_a": rng.uniform(0.4, 1.0),
-        "k": rng.uniform(0.06, 0.11), "K_Q": rng.uniform(4.2e-7, 5.2e-7),
-    }  # fmt: skip
-    truth = Truth({n: float(x) for n, x in base.items()}, effects_of(given.effect))
+    base = base_parameters(np.random.default_rng(given.seed))
+    truth = Truth(base, effects_of(given.effect))
     runs = trials(given.seed, given.trials, given.seconds)
     path = write_tank(given.folder, truth, runs, given.seed)
     write_json(given.folder / "truth.json", truth._asdict())

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from calibration.evidence import Block
+from calibration.evidence import FAILED, Block
 from calibration.fit import fit
 from calibration.plant import Parameter
 from slider_jax.effects import Prior
@@ -72,6 +72,11 @@ def test_a_step_that_cannot_be_simulated_is_shortened():
     found = fit(problem, ENTRIES, np.array([0.3, 0.3]), np.arange(2))
     assert problem.beyond and found.converged
     np.testing.assert_allclose(found.theta, TRUTH, rtol=0.1)
+
+
+def test_a_start_that_cannot_be_simulated_is_told_and_not_raised():
+    found = fit(Wall(), ENTRIES, np.array([1.0, 1.2]), np.arange(2))
+    assert not found.converged and found.square >= FAILED
 
 
 def test_without_finite_tangents_nothing_has_converged():

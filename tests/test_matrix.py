@@ -103,7 +103,7 @@ def test_the_expected_gain_at_the_limit_is_what_the_search_asks_for(still, entri
 def test_nine_of_ten_are_found_at_the_detection_limit(still, entries):
     A, i = information(still.seen), groups(entries)["force_gain"]
     found = limit_of(still, "force_gain")
-    # Beyond chance is the harder of the two here or is made so: the noise is the same.
+    # Of the two bounds the one by chance; the other is a size, passed by as much.
     size = found.significant + POWER * found.error
     rng = np.random.default_rng(0)
     values, vectors = np.linalg.eigh(A)
