@@ -1,6 +1,6 @@
 """How well the loop says what a model lacks: tanks with a known answer, and other ways beside it.
 
-    python benchmarks/loop.py null single double outside --out DIR
+    python benchmarks/loop.py null coverage single double outside --out DIR
     python benchmarks/loop.py table --out DIR
 
 Every case is a file under DIR, written when it is done: a run that was stopped goes on, and several
@@ -50,6 +50,7 @@ PAIRS = (
     ("clamp_compliance", "tank_current"), ("tangential_friction", "fill_vent_asymmetry"),
 )  # fmt: skip
 PAIR_SIZE = 5.0
+KINDS = ("null", "coverage", "single", "double", "outside", "table")
 WITH_RIVALS = (3, PAIR_SIZE)
 """Sizes of the effects of which the other ways speak too."""
 TANKS = 3
@@ -170,7 +171,7 @@ def _cover(outcome: Outcome, effects: Mapping[str, Mapping[str, float]]) -> dict
 
 def main() -> None:
     asked = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    asked.add_argument("what", nargs="+", choices=["null", "single", "double", "outside", "table"])
+    asked.add_argument("what", nargs="+", choices=KINDS)
     asked.add_argument("--out", type=Path, required=True)
     asked.add_argument("--only", default="", help="cases whose name holds this")
     given = asked.parse_args()
@@ -194,6 +195,9 @@ def main() -> None:
         elif what == "null":
             for seed in range(null.SEED, null.SEED + null.TANKS):
                 work(given.out / what / f"{seed}.json", lambda p, s=seed: null.replicates(s, p))
+        elif what == "coverage":
+            for seed in range(null.FIRST, null.FIRST + null.COVERED):
+                work(given.out / what / f"{seed}.json", lambda p, s=seed: null.covered(s, p))
         else:
             for case in cases(what, given.out):
                 about = {"case": case._asdict()}

@@ -1,4 +1,4 @@
-"""Tanks that lack nothing: what the loop says of many draws of their noise."""
+"""Tanks that lack nothing: what the loop says of many draws of noise; how wide intervals are."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -15,9 +15,12 @@ from calibration.fit import fit
 from calibration.measured import Record
 from calibration.plant import BASE, base_values, candidates, parameters, start
 from calibration.search import directions
+from calibration.systematic import interval
 
 TANKS, REPLICATES = 6, 18
 SEED = 100
+COVERED, FIRST = 104, 1000
+"""Tanks whose intervals are held against the truth, and the first one's seed."""
 RIVALS = 6
 """Replicates of each tank on which the other ways speak too."""
 
@@ -80,7 +83,7 @@ class Linear(Problem):
 
 
 def replicates(seed: int, progress) -> dict[str, Any]:
-    """Replicates of the noise on one tank that lacks nothing.
+    """Verdicts on replicates of the noise on one tank that lacks nothing.
 
     The model is linearised about its fit to the tank without noise. All of the search runs on every
     replicate.
@@ -123,3 +126,20 @@ def replicates(seed: int, progress) -> dict[str, Any]:
         progress(f"replicate {replicate}: {rows[-1]['verdict']}")
     bias = {p.name: float(best.theta[i]) for i, p in enumerate(entries[: len(BASE)])}
     return {"replicates": rows, "without_noise": bias, "truth": tank.truth}
+
+
+def covered(seed: int, progress) -> dict[str, Any]:
+    """Intervals of the base parameters from a tank, its noise and its discretisation drawn."""
+    tank = draw(seed)
+    entries = parameters(())
+    found = noisy(tank, simulated(tank, {}, names=()), seed)
+    laid = problem_of(tank, ())(found)
+    best = fit(laid, entries, start(entries, base_values(tank.experiment)), np.arange(len(BASE)))
+    told = {p.name: interval(best, entries, i) for i, p in enumerate(entries)}
+    progress("calibrated")
+    return {
+        "parameters": {
+            n: {"value": v, "low": low, "high": high, "truth": tank.truth[n]}
+            for n, (v, low, high) in told.items()
+        }
+    }

@@ -92,6 +92,8 @@ def summed_up(out: Path) -> str:
     parts = []
     if tanks := read(out, "null"):
         parts.append(_nothing(tanks))
+    if fits := read(out, "coverage"):
+        parts.append(_covered(fits))
     singles = read(out, "single")
     if singles:
         lines = [
@@ -163,6 +165,16 @@ def _nothing(tanks: Sequence[dict[str, Any]]) -> str:
         named = _share([bool(x[way]) for x in asked])
         lines += ["", f"The rival {way} names an effect in {named}."]
     return "\n".join(lines)
+
+
+def _covered(fits: Sequence[dict[str, Any]]) -> str:
+    """How many intervals hold the truth, every fit being to another tank."""
+    lines, all_of = [f"{len(fits)} tanks, calibrated; intervals that hold the truth:", ""], []
+    for p in fits[0]["parameters"]:
+        inside = [v["low"] < v["truth"] < v["high"] for v in (x["parameters"][p] for x in fits)]
+        lines.append(f"- {p}: {_share(inside)}")
+        all_of += inside
+    return "\n".join([*lines, f"- all: {_share(all_of)}"])
 
 
 def _told(x: dict[str, Any]) -> str:

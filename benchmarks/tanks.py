@@ -30,8 +30,12 @@ MADE = [
     ("backward_euler", Resolution(65, 200, 4.0e-4)),
     ("sdirk2", Resolution(61, 150, 1.5e-3)),
     ("sdirk2", Resolution(71, 300, 1.0e-3)),
+    ("backward_euler", Resolution(41, 200, 1.0e-3)),
+    ("sdirk2", Resolution(151, 200, 1.0e-3)),
+    ("sdirk2", Resolution(35, 120, 2.0e-3)),
 ]
-"""Scheme, mesh and step of the tanks, in turn."""
+"""Scheme, mesh and step of the tanks, in turn. Fitted without noise they move C_d by -1 to 0.8 %,
+m_a by -1.6 to 1 % and K_Q by -0.6 to 0.4 %; an independent program moves m_a by 1.2 %."""
 
 
 @dataclass(frozen=True)
@@ -69,13 +73,17 @@ def true_model(tank: Tank) -> Experiment:
 
 
 def simulated(
-    tank: Tank, effects: Mapping[str, Mapping[str, float]], own: Sequence[Effect] = ()
+    tank: Tank,
+    effects: Mapping[str, Mapping[str, float]],
+    own: Sequence[Effect] = (),
+    names: Sequence[str] | None = None,
 ) -> list[np.ndarray]:
     """Readings (5, samples) of every trial, without noise; `effects` as a truth, or `own` ones.
 
-    With `own` the program is made for them alone, else it is the extended model's with all effects.
+    With `own` the program is made for them alone, else it is the extended model's with the effects
+    `names`, all by default.
     """
-    names = () if own else tuple(candidates())
+    names = () if own else tuple(candidates() if names is None else names)
     entries = parameters(names)
     theta = start(entries, tank.truth)
     for i, p in enumerate(entries):

@@ -16,9 +16,11 @@ from calibration.published import (
     After,
     Before,
 )
-from calibration.verdict import CLASS, EXPLAINED, IDENTIFIED, INCONCLUSIVE, UNEXPLAINED
+from calibration.verdict import CLASS, IDENTIFIED, INCONCLUSIVE, UNEXPLAINED
 from slider_jax.provenance import versions
 
+AS_WELL = 0.8
+"""Share of the miss from which on another resistance removes it as well."""
 NEXT = (
     "The set pressures and the tail of the 5 Hz test. Towing the unpowered robot, straight, at 0.1 "
     "to 0.4 m/s measures its resistance without any model; with the tubes off, that of its skin."
@@ -61,7 +63,7 @@ def decide(x: Outcome) -> tuple[str, After]:
         return UNEXPLAINED, best
     if 2 * len(passing) < sum(a.resisting == best.resisting for a in x.forward):
         return INCONCLUSIVE, best
-    rivals = [n for n in RESISTING if n != best.resisting and removes[n] > EXPLAINED]
+    rivals = [n for n in RESISTING if n != best.resisting and removes[n] > AS_WELL]
     return (CLASS if rivals else IDENTIFIED), best
 
 

@@ -7,10 +7,12 @@ import numpy as np
 from calibration.fit import Fit
 from calibration.plant import Parameter
 
-SYSTEMATIC = {"C_d": 0.01, "m_a": 0.015, "k": 0.001, "K_Q": 0.005}
+SYSTEMATIC = {"C_d": 0.005, "m_a": 0.012, "k": 0.0007, "K_Q": 0.003}
 """Share by which the base model's parameters differ between two correct programs, one standard
 deviation; in every interval beside what the noise leaves. The noise holds their difference too, as
-if it were another in every trial; this is what all trials share of it."""
+if it were another in every trial; this is what all trials share of it. Measured as the rms over
+fits without noise to seven meshes and steps of three tanks (0.4, 0.8, 0.02 and 0.3 %) and over
+those to an independent program's four (0.35, 1.2, 0.07 and 0.12 %)."""
 EFFECT = 0.02
 """The same of an effect's parameter."""
 

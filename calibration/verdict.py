@@ -16,8 +16,9 @@ from slider_jax.effects.library import LIBRARY
 FLOOR = 1.5
 """Mean square of a channel's white residual up to which it is at the floor: programs that agree
 leave up to 1.3."""
-EXPLAINED = 0.8
-"""Share of what stood above the floor that the effects must remove to be named."""
+EXPLAINED = 0.9
+"""Share of what stood above the floor, in rms, that the effects must remove to be named where they
+leave more than the floor."""
 
 EDGE = 0.01
 """Share of the prior range from its end within which a parameter is at the edge."""
@@ -74,6 +75,12 @@ def split(search: Search) -> list[str]:
     return [name for name, kind in kinds.items() if places.count(kind.place()) > 1]
 
 
+def explained(before: float, after: float) -> float:
+    """Share of a channel's rms above the floor that is gone, of mean squares in units of noise."""
+    stood, stands = (np.sqrt(max(x, 1.0)) - 1.0 for x in (before, after))
+    return float((stood - stands) / stood) if stood > 0.0 else 0.0
+
+
 def decide(
     search: Search,
     entries: Sequence[Parameter],
@@ -95,10 +102,8 @@ def decide(
         return INCONCLUSIVE if doubtful else NOTHING
     if at_bounds(search, entries):
         return UNEXPLAINED
-    for channel in left:
-        stood, stands = before[channel].all - 1.0, after[channel].all - 1.0
-        if stands > (1.0 - EXPLAINED) * stood:
-            return UNEXPLAINED
+    if any(explained(before[c].all, after[c].all) < EXPLAINED for c in left):
+        return UNEXPLAINED
     alike = any(r.alike for r in search.rounds if r.chosen)
     return CLASS if alike or (left and split(search)) else IDENTIFIED
 
