@@ -27,6 +27,7 @@ from slider_jax.pneumatics import chamber_history, start_chambers
 from slider_jax.rollout import TimeGrid, rollout
 from slider_jax.sampling import edge_steps, half_period_steps, sample
 from slider_jax.schema import Trial
+from slider_jax.scheme import SDIRK2, Scheme
 from slider_jax.step import Carry, Snapshot, at_rest
 
 CHANNELS = ("p_front", "p_rear", "thrust", "recoil", "tip")
@@ -39,11 +40,15 @@ DIRECTIONS = 8
 
 @dataclass(frozen=True)
 class Resolution:
-    """Mesh and step: `nodes`, at least `per_stride` steps a stride, none longer than `step` [s]."""
+    """Mesh, step and scheme: `nodes`, at least `per_stride` steps a stride, none over `step` [s].
+
+    An experiment's own [numerics] do not matter here, where errors are compared with noise.
+    """
 
     nodes: int
     per_stride: int
     step: float
+    scheme: Scheme = SDIRK2
 
 
 FINE = Resolution(101, 200, 2.0e-3)
@@ -59,6 +64,7 @@ class TrialPlan:
     trial: Trial
     extended: Extended
     numerics: Numerics
+    scheme: Scheme
     h: float
     steps: int
     edges: np.ndarray
@@ -96,7 +102,8 @@ def plan(
     steps = int(np.ceil(at[-1] / h * (1.0 - 1e-9)))
     ends = np.array([0, steps]) if edges is None else edge_steps(steps, edges, trial.phase)
     taken = {name: jnp.asarray(x, float) for name, x in conditions(experiment, trial).items()}
-    return TrialPlan(trial, Extended(model, taken, effects), numerics, h, steps, ends, at)
+    extended = Extended(model, taken, effects)
+    return TrialPlan(trial, extended, numerics, resolution.scheme, h, steps, ends, at)
 
 
 def _even(at: np.ndarray, longest: float) -> float:
@@ -108,10 +115,10 @@ def _save(x: Snapshot):
     return jnp.stack([*x.chambers.p, obs.thrust(x), obs.recoil(x), obs.tip(x)])
 
 
-def _chunk(extended: Extended, theta, carry: Carry, h, t0, numerics: Numerics):
+def _chunk(extended: Extended, theta, carry: Carry, h, t0, numerics: Numerics, scheme: Scheme):
     """`BLOCK` more steps: p_front, p_rear, thrust, recoil, tip (BLOCK, 5), and what carries on."""
     times = TimeGrid(h, BLOCK, t0)
-    out = rollout(extended.at(theta), times, _save, numerics, begin=carry, checkpoint=False)
+    out = rollout(extended.at(theta), times, _save, numerics, scheme, begin=carry, checkpoint=False)
     return out.saved, out.final
 
 
@@ -160,9 +167,9 @@ def _begin_along(extended: Extended, theta, directions, numerics: Numerics):
 
 
 @eqx.filter_jit
-def _advance_along(extended: Extended, theta, carry, d_theta, d_carry, h, t0, numerics: Numerics):
+def _advance_along(extended: Extended, theta, carry, d_theta, d_carry, h, t0, numerics, scheme):
     def function(theta, carry):
-        return _chunk(extended, theta, carry, h, t0, numerics)
+        return _chunk(extended, theta, carry, h, t0, numerics, scheme)
 
     return function(theta, carry)[1], _along(function, (theta, carry), (d_theta, d_carry))
 
@@ -214,7 +221,7 @@ def _series(p: TrialPlan, theta) -> tuple[Array, float]:
     h = jnp.asarray(p.h)
     for done in range(0, p.steps, BLOCK):
         t0 = jnp.asarray(p.h * done)
-        saved, carry = _advance(p.extended, theta, carry, h, t0, p.numerics)
+        saved, carry = _advance(p.extended, theta, carry, h, t0, p.numerics, p.scheme)
         parts.append(saved)
     return jnp.concatenate(parts), float(carry.failed_at)
 
@@ -245,7 +252,7 @@ def _series_along(p: TrialPlan, theta, d_theta) -> Array:
     for done in range(0, p.steps, BLOCK):
         t0 = jnp.asarray(p.h * done)
         carry, (d_saved, d_carry) = _advance_along(
-            p.extended, theta, carry, d_theta, d_carry, h, t0, p.numerics
+            p.extended, theta, carry, d_theta, d_carry, h, t0, p.numerics, p.scheme
         )
         parts.append(d_saved)
     return jnp.concatenate(parts, axis=1)
