@@ -18,7 +18,7 @@ from calibration.measured import Record
 from calibration.memo import Memo
 from calibration.plant import BASE, Parameter, base_values, candidates, parameters, start
 from calibration.search import Search, search
-from calibration.systematic import interval
+from calibration.systematic import halves, interval
 from calibration.verdict import NAMED, Excess, decide, excess, floors, rms_errors
 from slider_jax.errors import InputError
 from slider_jax.experiment import Experiment
@@ -205,7 +205,7 @@ def conclude(
         rest = problem_of([found[i] for i in held])
         hidden = _errors(rest, *(rest.predict(f.theta) for f in (result.base, best)))
     progress("refitting to all trials")
-    final = fit(everything, entries, best.theta, best.free, progress)
+    final = halves(everything, fit(everything, entries, best.theta, best.free, progress))
     nearest = None
     if result.effects and not named:
         nearest = fit(everything, entries, result.final.theta, result.final.free, progress)

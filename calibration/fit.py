@@ -37,6 +37,10 @@ class Fit(NamedTuple):
     """Linearised at `theta`, along the `free` entries only."""
     predicted: list[np.ndarray]
     converged: bool
+    apart: np.ndarray | None = None
+    """By how much what varies of the forces asks for other values (k,), where beyond chance."""
+    widening: np.ndarray | float = 1.0
+    """Factor (k,) on the standard errors, which the two halves' difference asks for."""
 
     @property
     def inflation(self) -> float:

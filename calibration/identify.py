@@ -15,7 +15,7 @@ from calibration.forward import CHANNELS, COARSE, FINE, Resolution
 from calibration.measured import Record
 from calibration.plant import Parameter, base_values, parameters, start
 from calibration.report import UNITS, told, toml
-from calibration.systematic import correlations, determined, interval
+from calibration.systematic import correlations, determined, halves, interval
 from calibration.verdict import floors, rms_errors
 from slider_jax.effects.library import LIBRARY
 from slider_jax.errors import InputError
@@ -85,6 +85,7 @@ def identify(
     if method == "auto":
         method = "lbfgs" if len(entries) >= MANY else "lm"
     best = METHODS[method](problem, entries, begun, np.arange(len(entries)), progress)
+    best = halves(problem, best)
     advice = advise(experiment, entries, problem, best, coarse, progress)
     findings = audited.findings
     return Identified(experiment, entries, problem, before, best, method, advice, findings)

@@ -88,7 +88,9 @@ def _class(outcome: Outcome, this: Round) -> list[str]:
 
 def _interval(outcome: Outcome, effect: str, name: str) -> dict[str, Any]:
     index = next(i for i, p in enumerate(outcome.entries) if (p.effect, p.name) == (effect, name))
-    return told(outcome.entries[index], *outcome.interval(index))
+    said, final = told(outcome.entries[index], *outcome.interval(index)), outcome.final
+    apart = 0.0 if final.apart is None else float(final.apart[list(final.free).index(index)])
+    return said | ({"by_variation_alone": final.theta[index] + apart} if apart else {})
 
 
 def told(p: Parameter, value: float, low: float, high: float) -> dict[str, Any]:

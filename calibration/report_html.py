@@ -56,10 +56,19 @@ def _errors(title: str, errors: dict[str, dict[str, float]]) -> str:
 
 
 def _parameters(told: dict[str, Any]) -> str:
-    rows = [[name, *_interval(x)] for name, x in told["parameters"].items()]
+    found = dict(told["parameters"])
     for effect in told["effects"]:
-        rows += [[f"{effect['name']}.{n}", *_interval(x)] for n, x in effect["parameters"].items()]
-    return table(["parameter", "value", "95 % interval", "unit"], rows)
+        found |= {f"{effect['name']}.{n}": x for n, x in effect["parameters"].items()}
+    rows = [[name, *_interval(x)] for name, x in found.items()]
+    said = [
+        paragraph(
+            f"{name}: by what varies of the forces alone {x['by_variation_alone']:.4g}, which is "
+            "farther off than chance; the interval is widened for it."
+        )
+        for name, x in found.items()
+        if "by_variation_alone" in x
+    ]
+    return table(["parameter", "value", "95 % interval", "unit"], rows) + "".join(said)
 
 
 def _interval(x: dict[str, Any]) -> list[str]:

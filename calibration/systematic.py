@@ -1,10 +1,13 @@
-"""Intervals of fitted parameters: what the noise leaves, and what correct programs differ by."""
+"""Intervals of fitted parameters: what the noise leaves, what correct programs differ by, and what
+two halves of the data disagree by."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from calibration.fit import Fit
+from calibration.evidence import Problem, summed
+from calibration.fit import Fit, inverse
 from calibration.plant import Parameter
 
 SYSTEMATIC = {"C_d": 0.005, "m_a": 0.012, "k": 0.0007, "K_Q": 0.003}
@@ -17,6 +20,11 @@ EFFECT = 0.02
 """The same of an effect's parameter."""
 
 
+FORCES, FREE = ("thrust", "recoil"), 1e3
+HALVES = 2.0
+"""Standard errors of their difference from which on two halves of the data disagree."""
+
+
 def share_of(p: Parameter) -> float:
     """The share of an entry's value by which two correct programs differ."""
     return EFFECT if p.effect else SYSTEMATIC[p.name]
@@ -26,8 +34,39 @@ def interval(fit: Fit, entries: Sequence[Parameter], index: int) -> tuple[float,
     """Value and 95 % interval of the entry `index`, which was fitted."""
     place = int(np.flatnonzero(fit.free == index)[0])
     value, p = float(fit.theta[index]), entries[index]
-    error = float(np.hypot(np.sqrt(fit.covariance[place, place]), share_of(p) * value))
+    noise = (np.sqrt(np.diag(fit.covariance)) * fit.widening)[place]
+    error = float(np.hypot(noise, share_of(p) * value))
     return value, value - 1.96 * error, value + 1.96 * error
+
+
+def halves(problem: Problem, fit: Fit) -> Fit:
+    """The fit with `apart` and `widening`: halves are the forces' means over a trial, and the rest.
+
+    The tares are freed, and one linear step is taken. By Hausman's test the step has the variance
+    by which the estimate's grows; one below a standard error of the estimate does not count. Where
+    it is beyond chance, the error is widened by Birge's ratio, which is the step over its own.
+    Source: Hausman, J. A. (1978), Econometrica 46, 1251-1271; Birge, R. T. (1932), Phys. Rev. 40,
+    207-227.
+    """
+    if not any(channel in FORCES for _, channel in problem.noise):
+        return fit
+    noise = {
+        key: x._replace(tare=FREE * max(x.white, x.tare)) if key[1] in FORCES else x
+        for key, x in problem.noise.items()
+    }
+    loose = replace(problem, noise=noise)
+    white = loose.whiteners(fit.predicted)
+    along = problem.tangents(fit.theta, np.eye(len(fit.theta))[fit.free])
+    A, b = summed(loose.blocks(loose.residuals(fit.predicted, white), along, white))
+    own_A, own_b = summed(fit.blocks)
+    if not (np.isfinite(A).all() and np.isfinite(own_A).all()):
+        return fit
+    step = inverse(A) @ b - inverse(own_A) @ own_b
+    variance = np.diag(fit.covariance)
+    more = np.diag(fit.inflation * inverse(A)) - variance
+    beyond = step**2 > np.maximum(HALVES**2 * more, variance)
+    ratio = np.abs(step) / np.sqrt(np.where(beyond & (more > 0.0), more, step**2))
+    return fit._replace(apart=np.where(beyond, step, 0.0), widening=np.maximum(ratio, 1.0))
 
 
 def determined(p: Parameter, low: float, high: float) -> bool:

@@ -14,6 +14,7 @@ from calibration.per_frequency import compare, sentence, values
 from calibration.per_frequency_report import model_file
 from calibration.plant import parameters, start
 from calibration.synthetic import ROBOT, START, Truth, trials, write_tank
+from calibration.systematic import SYSTEMATIC
 from slider_jax.cli.main import main
 from slider_jax.errors import InputError
 from slider_jax.experiment import drag_and_added_mass, load
@@ -199,7 +200,7 @@ def test_the_proposed_trial_does_what_was_promised(monkeypatch):
     found = design.best_trial(experiment, entries, one.theta, [0, 1], candidates, known)
     assert found[1].trial.frequency == 5.0
     after = fit(closed.problem_of(experiment, seen[:2]), entries, one.theta, free)
-    width = 1.96 * np.hypot(np.sqrt(after.covariance[1, 1]), 0.015 * after.theta[1])
+    width = 1.96 * np.hypot(np.sqrt(after.covariance[1, 1]), SYSTEMATIC["m_a"] * after.theta[1])
     print("promised", found[1].half_width, "found", width)
     assert found[1].half_width == pytest.approx(width, rel=0.1)
     assert found[1].half_width < 0.7 * 1.96 * np.sqrt(one.covariance[1, 1])
@@ -223,7 +224,7 @@ def test_a_proposed_trial_adds_to_the_data_at_hand(monkeypatch):
     second = fit(closed.problem_of(experiment, seen[1:]), entries, one.theta, free)
 
     def width(x):
-        return 1.96 * np.hypot(np.sqrt(x.covariance[1, 1]), 0.015 * x.theta[1])
+        return 1.96 * np.hypot(np.sqrt(x.covariance[1, 1]), SYSTEMATIC["m_a"] * x.theta[1])
 
     assert found[1].half_width == pytest.approx(width(after), rel=0.05)
     assert width(after) < 0.9 * min(width(one), width(second))
