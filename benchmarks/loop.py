@@ -115,8 +115,8 @@ def ratio(problem: Problem, predicted: list[np.ndarray], floor: dict[str, float]
     return float(np.sqrt(np.mean([(error[c] / floor[c]) ** 2 for c in error])))
 
 
-def run(case: Case, progress) -> dict[str, Any]:
-    """Close the loop on a case, and let the rivals speak."""
+def run(case: Case, compared: bool, progress) -> dict[str, Any]:
+    """Close the loop on a case, and let the rivals speak where it is `compared`."""
     tank = draw(case.seed)
     own = [STRANGERS[case.stranger].effect()] if case.stranger else []
     begun = time.perf_counter()
@@ -140,7 +140,7 @@ def run(case: Case, progress) -> dict[str, Any]:
         "loop": ratio(rest, rest.predict(outcome.chosen.theta), floor),
     }
     told["named_by"] = {}
-    if case.size in WITH_RIVALS:
+    if compared and case.size in WITH_RIVALS:
         s = rivals.begin(seen, rest, outcome.entries, outcome.search.base)
         ways = {"sparse": rivals.sparse, "stepwise": rivals.stepwise, "gp": rivals.gp}
         for name, way in ways.items():
@@ -174,6 +174,7 @@ def main() -> None:
     asked.add_argument("what", nargs="+", choices=KINDS)
     asked.add_argument("--out", type=Path, required=True)
     asked.add_argument("--only", default="", help="cases whose name holds this")
+    asked.add_argument("--alone", action="store_true", help="without the other ways: half the time")
     given = asked.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     enable_float64()
@@ -202,7 +203,7 @@ def main() -> None:
             for case in cases(what, given.out):
                 about = {"case": case._asdict()}
                 path = given.out / what / f"{case.name}.json"
-                work(path, lambda p, c=case, a=about: a | run(c, p))
+                work(path, lambda p, c=case, a=about: a | run(c, not given.alone, p))
 
 
 if __name__ == "__main__":
