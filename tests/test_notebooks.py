@@ -48,7 +48,13 @@ def test_there_are_notebooks():
     assert NOTEBOOKS
 
 
-@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+LONG = ("tracing_the_valve",)
+
+
+@pytest.mark.parametrize(
+    "notebook",
+    [pytest.param(n, marks=[pytest.mark.slow] * (n.stem in LONG), id=n.stem) for n in NOTEBOOKS],
+)
 def test_notebook_runs_and_draws(notebook, monkeypatch, tmp_path):
     drawn = []
 

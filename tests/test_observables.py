@@ -140,6 +140,7 @@ def everything(x):
     )
 
 
+@pytest.mark.slow
 def test_every_observable_of_a_snapshot_is_differentiable():
     """To C_d, after 20 steps from rest, forward and by central differences."""
 

@@ -40,6 +40,7 @@ def test_order_in_time_is_the_schemes_own(scheme):
     assert np.allclose(slopes, scheme.order, atol=0.2)
 
 
+@pytest.mark.slow
 def test_order_in_space_is_two():
     cells = [10, 20, 40, 80]
     meshes = [Numerics(tail_cells=n // 5, body_cells=n - n // 5) for n in cells]
