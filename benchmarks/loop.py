@@ -37,6 +37,7 @@ SIZED = {
     "body_stiffness": "x", "cubic_elasticity": "b", "clamp_compliance": "compliance",
     "tangential_friction": "C_t", "tip_mass": "mass", "tank_current": "U_x",
     "force_crosstalk": "angle", "camera_delay": "delay",
+    "chamber_mismatch": "difference", "pressure_sensor_lag": "tau",
 }  # fmt: skip
 """Effects, with the parameter that sets their size."""
 SIZES = (1, 3, 10)
@@ -44,10 +45,10 @@ SIZES = (1, 3, 10)
 PAIRS = (
     ("valve_delay", "tangential_friction"), ("fill_vent_asymmetry", "camera_delay"),
     ("leakage", "clamp_compliance"), ("line_lag", "tank_current"),
-    ("actuator_hysteresis", "force_crosstalk"), ("cubic_elasticity", "valve_delay"),
-    ("tip_mass", "choked_flow"), ("tank_current", "body_stiffness"),
-    ("force_crosstalk", "leakage"), ("camera_delay", "body_stiffness"),
-    ("clamp_compliance", "tank_current"), ("tangential_friction", "fill_vent_asymmetry"),
+    ("actuator_hysteresis", "tank_current"), ("cubic_elasticity", "valve_delay"),
+    ("clamp_compliance", "choked_flow"), ("tank_current", "body_stiffness"),
+    ("cubic_elasticity", "leakage"), ("camera_delay", "body_stiffness"),
+    ("clamp_compliance", "tank_current"), ("actuator_hysteresis", "camera_delay"),
 )  # fmt: skip
 PAIR_SIZE = 5.0
 KINDS = ("null", "coverage", "single", "double", "outside", "table")
