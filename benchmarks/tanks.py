@@ -21,7 +21,6 @@ from calibration.plant import BASE, base_values, candidates, parameters, start
 from calibration.synthetic import ROBOT, START, Sensors, base_parameters, measured, trials
 from slider_jax.effects import Effect
 from slider_jax.experiment import Experiment, assemble
-from slider_jax.scheme import BACKWARD_EULER
 
 COUNT, SECONDS = 6, 0.33
 """Trials of a tank, and the scale of their durations (0.66 s at 6 Hz to 1.65 s at 0.6 Hz)."""
@@ -31,7 +30,7 @@ MADE = [
     Resolution(65, 200, 4.0e-4),
     Resolution(61, 150, 1.5e-3),
     Resolution(71, 300, 1.0e-3),
-    Resolution(41, 200, 5.0e-5, BACKWARD_EULER),
+    Resolution(41, 200, 5.0e-5, "backward_euler"),
     Resolution(151, 200, 1.0e-3),
     Resolution(35, 120, 2.0e-3),
 ]

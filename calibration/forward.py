@@ -27,7 +27,7 @@ from slider_jax.pneumatics import chamber_history, start_chambers
 from slider_jax.rollout import TimeGrid, rollout
 from slider_jax.sampling import edge_steps, half_period_steps, sample
 from slider_jax.schema import Trial
-from slider_jax.scheme import SDIRK2, Scheme
+from slider_jax.scheme import SCHEMES, SDIRK2, Scheme
 from slider_jax.step import Carry, Snapshot, at_rest
 
 CHANNELS = ("p_front", "p_rear", "thrust", "recoil", "tip")
@@ -48,7 +48,7 @@ class Resolution:
     nodes: int
     per_stride: int
     step: float
-    scheme: Scheme = SDIRK2
+    scheme: str = SDIRK2.name
 
 
 FINE = Resolution(101, 200, 2.0e-3)
@@ -102,8 +102,8 @@ def plan(
     steps = int(np.ceil(at[-1] / h * (1.0 - 1e-9)))
     ends = np.array([0, steps]) if edges is None else edge_steps(steps, edges, trial.phase)
     taken = {name: jnp.asarray(x, float) for name, x in conditions(experiment, trial).items()}
-    extended = Extended(model, taken, effects)
-    return TrialPlan(trial, extended, numerics, resolution.scheme, h, steps, ends, at)
+    extended, scheme = Extended(model, taken, effects), SCHEMES[resolution.scheme]
+    return TrialPlan(trial, extended, numerics, scheme, h, steps, ends, at)
 
 
 def _even(at: np.ndarray, longest: float) -> float:

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from slider_jax.parameters import Numerics
 from slider_jax.rollout import TimeGrid, rollout
@@ -32,6 +33,7 @@ def mean_thrust(factors):
     return jnp.mean(out.saved[-PER_STRIDE:]), out.ok
 
 
+@pytest.mark.slow
 def test_forward_reverse_and_central_differences_agree():
     one = jnp.ones(6)
     value = jax.jit(mean_thrust)

@@ -48,7 +48,7 @@ def test_there_are_notebooks():
     assert NOTEBOOKS
 
 
-LONG = ("tracing_the_valve",)
+LONG = ("calibrating_drag_and_added_mass", "tracing_the_valve")
 
 
 @pytest.mark.parametrize(

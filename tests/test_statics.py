@@ -81,6 +81,7 @@ def test_end_load_bends_the_tip_by_the_elastica():
     assert tip == pytest.approx(0.30172, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_end_load_is_second_order_in_space():
     exact = elastica_tip()
     cells = [10, 20, 40]
