@@ -95,7 +95,7 @@ def _check_header(name: str, header: list[str]) -> list[Finding]:
         if column not in header:
             other = [x for x in header if x not in SAMPLES]
             beside = f"; unknown to this program: {', '.join(other)[:80]}" if other else ""
-            detail = f"the file has no column {column}{beside}"
+            detail = f"the file has no column {column}{beside}; the others are used"
             findings.append(Finding(name, "missing_column", column, None, None, detail, "used"))
     return findings
 

@@ -16,7 +16,7 @@ from calibration.measured import Record
 from calibration.plant import Parameter, base_values, parameters, start
 from calibration.report import UNITS, told, toml
 from calibration.systematic import correlations, determined, halves, interval
-from calibration.verdict import floors, rms_errors
+from calibration.verdict import FLOOR, excess, floors, rms_errors
 from slider_jax.effects.library import LIBRARY
 from slider_jax.errors import InputError
 from slider_jax.experiment import Experiment
@@ -104,6 +104,7 @@ def content(found: Identified, source: dict[str, Any]) -> dict[str, Any]:
         },
         "correlations": {"order": labels, "matrix": correlations(found.fit)},
         "errors": {c: {"before": before[c], "after": after[c], "floor": floor[c]} for c in after},
+        "doubt": doubt(found),
         "converged": found.fit.converged,
         "method": found.method,
         "mean_square_over_noise": found.fit.square / found.fit.samples,
@@ -127,11 +128,31 @@ def table(found: Identified) -> str:
             lines.append(f"{p.label:<28} not determined by these data")
             if i in found.advice:
                 lines.append(f"{'':<28} {said(p, found.advice[i])}")
+    before, after = (rms_errors(found.problem, y) for y in (found.before, found.fit.predicted))
+    floor = floors(found.problem, found.fit.predicted)
+    lines += [
+        f"{c:<28} rms {before[c]:.3g} before, {after[c]:.3g} after, floor {floor[c]:.3g} {UNITS[c]}"
+        for c in after
+    ]
+    lines += [doubt(found)] if doubt(found) else []
     return "\n".join(lines)
+
+
+def doubt(found: Identified) -> str:
+    """What to know of a fit that does not explain its data; nothing of one that does."""
+    left = {c: x.all for c, x in excess(found.problem, found.fit).items() if x.all > FLOOR}
+    if not left:
+        return ""
+    channels = ", ".join(f"{c} at {np.sqrt(x):.2g} times its noise" for c, x in left.items())
+    return (
+        f"The model does not explain these data: it leaves {channels}. Something is missing, the "
+        "values make up for it, and the intervals do not hold; slider close-loop traces it."
+    )
 
 
 def model_file(found: Identified) -> str:
     """The calibrated model, for `slider simulate --model`."""
     effects = list(dict.fromkeys(p.effect for p in found.entries if p.effect))
     said = f"Identified from {len(found.problem.records)} trials of {found.experiment.name}."
+    said = f"{said} {doubt(found)}".strip()
     return toml(said, found.entries, found.fit.theta, effects)

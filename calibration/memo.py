@@ -62,6 +62,9 @@ def resumable(out: Path, settings: dict[str, Any]) -> Iterator[Memo]:
     folder = output_folder(out) / f".unfinished-{hashlib.sha256(told.encode()).hexdigest()[:16]}"
     if folder.exists():
         print(f"going on with what a stopped run left in {folder}", file=sys.stderr)
+    for other in sorted(folder.parent.glob(".unfinished-*")):
+        if other != folder:
+            print(f"{other}: left by a stopped run on other data; may be deleted", file=sys.stderr)
     folder.mkdir(exist_ok=True)
     try:
         yield Memo(folder)

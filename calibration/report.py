@@ -160,6 +160,27 @@ def sentence(outcome: Outcome) -> str:
     return "Inconclusive: a candidate explains more than chance, but the trials do not agree on it."
 
 
+def sizes(told: dict[str, Any]) -> list[str]:
+    """A line for each parameter of what was added."""
+    lines = []
+    for effect in told["effects"]:
+        for name, x in effect["parameters"].items():
+            value = "not determined" if x["value"] is None else f"{x['value']:.4g}"
+            within = f"({x['low']:.4g} to {x['high']:.4g}) {x['unit']}"
+            lines.append(f"{effect['name']}.{name} = {value} {within}")
+    return lines
+
+
+def skill(told: dict[str, Any]) -> list[str]:
+    """A line for each channel's error on the trials held out, or where none was, on all."""
+    errors, of = told["held_out"] or told["errors"], "held out" if told["held_out"] else "all"
+    return [
+        f"{c}, trials {of}: rms {x['before']:.3g} before, {x['after']:.3g} after, "
+        f"floor {x['floor']:.3g} {told['units'][c]}"
+        for c, x in errors.items()
+    ]
+
+
 def model_toml(outcome: Outcome) -> str:
     """The calibrated model with its effects, for `slider simulate --model`."""
     final = outcome.final

@@ -17,6 +17,7 @@ def page(outcome: Outcome, told: dict[str, Any]) -> str:
     """The whole page."""
     parts = [
         paragraph(told["said"], "verdict"),
+        paragraph(f"Verdict: {told['verdict']}. " + _made_from(told)),
         "<h2>Error before and after</h2>",
         "<p>Root mean square of measured less predicted. The floor is what noise, tare and the "
         "difference of correct programs leave.</p>",
@@ -33,7 +34,8 @@ def page(outcome: Outcome, told: dict[str, Any]) -> str:
         "<h2>Candidates</h2>",
         "<p>Score: by how much a candidate and the parameters together lower the sum of squares "
         "of the noise-free residual, in units of its mean square, by one linearisation.</p>",
-        picture(score_figure(told), "scores of the candidates"),
+        picture(score_figure(told), "scores of the candidates; the chosen one is blue"),
+        _refitted(told),
     ]
     if "consequence" in told:
         parts += ["<h2>What it changes for thrust</h2>", _consequence(told["consequence"])]
@@ -75,6 +77,43 @@ def _interval(x: dict[str, Any]) -> list[str]:
     if x["value"] is None:
         return ["not determined by these data", f"{x['low']:.3g} to {x['high']:.3g}", x["unit"]]
     return [f"{x['value']:.4g}", f"{x['low']:.4g} to {x['high']:.4g}", x["unit"]]
+
+
+def _made_from(told: dict[str, Any]) -> str:
+    of = told["input"]
+    files = [of] if "path" in of else of["logs"]
+    names = ", ".join(f"{x['path']} (sha256 {x['sha256'][:12]})" for x in files)
+    by = told["versions"]
+    return (
+        f"From {names}, by slider_jax {by['slider_jax']} with jax {by['jax']} in "
+        f"{told['seconds']:.0f} s. Those held out, a quarter spread over the frequencies, were not "
+        "seen by the search; the parameters are refitted to all."
+    )
+
+
+def _refitted(told: dict[str, Any]) -> str:
+    """Of each round the candidates that were refitted, the best first: why one was chosen."""
+    rows = sorted(
+        (x for x in told["candidates"] if "explained" in x),
+        key=lambda x: (x["round"], -x["explained"]),
+    )
+    if not rows:
+        return "<p>None scored beyond chance and so was refitted.</p>"
+    said = (
+        "<p>Those that scored best were refitted together with all parameters. Chosen is, of those "
+        "on which the trials left out agree (factor over its standard error above 2, or chance "
+        "below 0.07), the one that lowers the sum of squares most.</p>"
+    )
+    cells = [
+        [
+            f"{x['round']}: {x['name']}", f"{x['score']:.4g}", f"{x['explained']:.4g}",
+            f"{x['left_out_trials_agree']:.2g}", f"{x['left_out_trials_chance']:.2g}",
+            "chosen" if x["chosen"] else "",
+        ]
+        for x in rows
+    ]  # fmt: skip
+    head = ["round: candidate", "score", "refitted", "trials agree", "chance", ""]
+    return said + table(head, cells)
 
 
 def _consequence(told: dict[str, Any]) -> str:

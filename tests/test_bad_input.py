@@ -315,3 +315,17 @@ def test_a_step_that_does_not_converge_is_named(tmp_path, capsys):
     message = capsys.readouterr().err.strip().splitlines()[-1]
     assert all(fragment in message for fragment in ("slider: error: ", *said))
     assert list(out.iterdir()) == []
+
+
+@pytest.mark.parametrize("command", ["calibrate", "close-loop"])
+def test_what_is_not_there_is_refused_before_anything_is_made(command, tmp_path, capsys):
+    out, there = tmp_path / "out", write(tmp_path)
+    for words in (
+        [tmp_path / "none.toml"],
+        [tmp_path],
+        [there, "--model", tmp_path / "none.toml"],
+    ):
+        assert main([command, *map(str, words), "--out", str(out)]) == 2
+        said = capsys.readouterr().err
+        assert str(words[-1]) in said and "Traceback" not in said
+        assert not out.exists()

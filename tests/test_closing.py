@@ -7,7 +7,7 @@ import pytest
 
 from calibration import closing
 from calibration.forward import Resolution
-from calibration.report import model_toml, report
+from calibration.report import model_toml, report, sizes, skill
 from calibration.report_html import page
 from calibration.synthetic import Truth, trials, write_tank
 from slider_jax import experiment
@@ -30,6 +30,9 @@ MESH = Resolution(21, 60, 3.0e-3)
 def closed(folder, effects, seed=0):
     path = write_tank(folder, Truth(BASE, effects), RUNS, seed, numerics=TANK)
     return closing.close_loop(experiment.load(path), CANDIDATES, fine=MESH, coarse=MESH)
+
+
+SOURCE = {"path": "tank.toml", "sha256": 4 * "abcdef"}
 
 
 @pytest.fixture(scope="module")
@@ -69,13 +72,19 @@ def test_trials_it_never_saw_are_predicted_at_the_floor(delayed):
 
 
 def test_the_report_is_whole_and_the_model_runs(delayed, tmp_path):
-    told = json.loads(json.dumps(report(delayed, 1.0, {"path": "x"}), default=float))
+    told = json.loads(json.dumps(report(delayed, 1.0, SOURCE), default=float))
     assert told["verdict"] == "identified" and told["effects"][0]["name"] == "valve_delay"
     assert set(told["parameters"]) == {"C_d", "m_a", "k", "K_Q"}
     assert told["errors"]["p_front"]["after"] < 0.2 * told["errors"]["p_front"]["before"]
     assert {row["name"] for row in told["candidates"]} == set(CANDIDATES)
     html = page(delayed, told)
     assert html.count("data:image/png") == 2 and "valve_delay" in html
+    assert "Verdict: identified. From tank.toml (sha256 abcdefabcdef)" in html
+    (line,) = sizes(told)
+    assert line.startswith("valve_delay.delay = 0.0") and line.endswith(") s")
+    assert skill(told)[0].startswith("p_front, trials held out: rms ")
+    tried = [x for x in told["candidates"] if "explained" in x]
+    assert html.count(">chosen<") == 1 and html.count("<td>1: ") == len(tried) > 0
     assert told["audit"] == [] and "No fault was found in the data" in html
     (tmp_path / "model.toml").write_text(model_toml(delayed))
     file = delayed.experiment.folder / "experiment.toml"

@@ -1,11 +1,14 @@
 """`slider calibrate`: parameters of a tank with a known answer, from the command line."""
 
 import json
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from calibration import evidence, forward, identify
 from calibration.synthetic import Truth, trials, write_tank
+from calibration.verdict import Excess
 from slider_jax.cli.main import main
 
 TRUTH = {"C_d": 3.0, "m_a": 0.8, "k": 0.075, "K_Q": 4.5e-7}
@@ -69,6 +72,17 @@ def test_damaged_trials_are_mended_and_told(tank, tmp_path):
     assert found["trials"] == names
     for channel in found["errors"].values():
         assert channel["after"] < 1.3 * channel["floor"]
+
+
+@pytest.mark.parametrize(("square", "doubted"), [(1.2, False), (9.0, True)])
+def test_a_fit_that_leaves_more_than_noise_is_doubted(monkeypatch, square, doubted):
+    found = SimpleNamespace(problem=None, fit=None)
+    left = {"thrust": Excess(np.ones(2), 1.0), "tip": Excess(np.full(2, square), square)}
+    monkeypatch.setattr(identify, "excess", lambda problem, fit: left)
+    said = identify.doubt(found)
+    assert bool(said) == doubted
+    if doubted:
+        assert "does not explain these data: it leaves tip at 3 times its noise." in said
 
 
 @pytest.mark.parametrize(

@@ -114,7 +114,7 @@ def test_no_trial_is_proposed_where_none_would_narrow_an_interval(tank):
     done = outcome(tank, "nothing_missing", final)
     found = next_experiment(done)
     assert found["trial"] is None and "would not narrow" in found["said"]
-    told = report(done, 1.0, {}, found)
+    told = report(done, 1.0, {"path": "tank.toml", "sha256": "0"}, found)
     assert told["next_experiment"] is found
     assert "<h2>Next experiment</h2>" in page(done, told | {"candidates": []})
 

@@ -51,8 +51,8 @@ def tank(
     def say(text: str) -> None:
         print(f"{time.monotonic() - begun:5.0f} s  {text}", file=sys.stderr, flush=True)
 
+    found = single.identify(load(experiment, model), also, channels, say, method=method)
     with staged(out) as stage:
-        found = single.identify(load(experiment, model), also, channels, say, method=method)
         content, text = single.content(found, input_file(experiment)), single.model_file(found)
         told = [single.table(found)]
         if per_frequency:

@@ -1,5 +1,6 @@
 """`slider close-loop`: what a model lacks, from measured trials or from the rig's logs."""
 
+import json
 import sys
 import time
 from pathlib import Path
@@ -32,8 +33,9 @@ def close_loop(
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
     """
     from calibration.memo import resumable
-    from calibration.report import model_toml
+    from calibration.report import model_toml, sizes, skill
     from calibration.report_html import page
+    from slider_jax.experiment import Experiment
     from slider_jax.files import staged, write_json, write_text
     from slider_jax.provenance import input_file
 
@@ -45,16 +47,19 @@ def close_loop(
     def seconds() -> float:
         return time.monotonic() - begun
 
-    of = _of_logs if _are_logs(inputs, model) else _of_experiment
+    given = _logs(inputs) if _are_logs(inputs, model) else _experiment(inputs[0], model)
     settings = {"inputs": [input_file(p) for p in (*inputs, *([model] if model else []))]}
-    if of is _of_experiment:
-        settings["trials"] = [input_file(p) for p in sorted(inputs[0].parent.glob("*.csv"))]
-    with resumable(out, settings) as memo, staged(out) as stage:
-        outcome, told = of(inputs, model, memo, say, seconds)
-        write_json(stage / "report.json", told)
-        write_text(stage / "model.toml", model_toml(outcome))
-        write_text(stage / "report.html", page(outcome, told))
-    print(told["said"])
+    if isinstance(given, Experiment):
+        settings["trials"] = [input_file(p) for p in sorted(given.folder.glob("*.csv"))]
+    with resumable(out, settings) as memo:
+        _tell_what_is_replaced(out)
+        of = _of_experiment if isinstance(given, Experiment) else _of_logs
+        outcome, told = of(given, inputs, memo, say, seconds)
+        with staged(out) as stage:
+            write_json(stage / "report.json", told)
+            write_text(stage / "model.toml", model_toml(outcome))
+            write_text(stage / "report.html", page(outcome, told))
+    print("\n".join([told["said"], *sizes(told), *skill(told)]))
     if told["next_experiment"]:
         print(f"Next: {told['next_experiment']['said']}")
     print(f"report.html, report.json and model.toml are in {out}", file=sys.stderr)
@@ -76,26 +81,44 @@ def _are_logs(inputs: tuple[Path, ...], model: Path | None) -> bool:
     return False
 
 
-def _of_experiment(inputs, model, memo, say, seconds) -> tuple[Any, dict[str, Any]]:
+def _tell_what_is_replaced(out: Path) -> None:
+    try:
+        told = json.loads((out / "report.json").read_text())["input"]
+        of = told["path"] if "path" in told else f"{len(told['logs'])} logs"
+    except (OSError, ValueError, KeyError, TypeError):
+        return
+    print(f"{out} holds the report on {of}: replaced when this run ends", file=sys.stderr)
+
+
+def _experiment(path: Path, model: Path | None):
+    from slider_jax.experiment import load
+
+    return load(path, model)
+
+
+def _logs(paths: tuple[Path, ...]):
+    from calibration.logs import read_log
+    from slider_jax.cli.calibrate import refuse_twins
+
+    refuse_twins(paths)
+    return [read_log(path) for path in paths]
+
+
+def _of_experiment(experiment, inputs, memo, say, seconds) -> tuple[Any, dict[str, Any]]:
     from calibration.closing import close_loop as close
     from calibration.next_experiment import next_experiment
     from calibration.report import report
-    from slider_jax.experiment import load
     from slider_jax.provenance import input_file
 
-    outcome = close(load(inputs[0], model), progress=say, memo=memo)
+    outcome = close(experiment, progress=say, memo=memo)
     following = next_experiment(outcome, say)
     return outcome, report(outcome, seconds(), input_file(inputs[0]), following)
 
 
-def _of_logs(inputs, model, memo, say, seconds) -> tuple[Any, dict[str, Any]]:
+def _of_logs(logs, inputs, memo, say, seconds) -> tuple[Any, dict[str, Any]]:
     from calibration.closing import close_loop_on_logs
     from calibration.log_report import log_report
-    from calibration.logs import read_log
-    from slider_jax.cli.calibrate import refuse_twins
 
-    refuse_twins(inputs)
-    logs = [read_log(path) for path in inputs]
     outcome = close_loop_on_logs(logs, progress=say, memo=memo)
     say("simulating what this changes for thrust")
     return outcome, log_report(outcome, logs, seconds)

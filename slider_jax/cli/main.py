@@ -80,6 +80,8 @@ def prepare_jax() -> None:
 
     `JAX_COMPILATION_CACHE_DIR` chooses another folder; `SLIDER_CACHE=off` keeps none.
     """
+    # XLA's alarm at a compilation of over two minutes reads as a fault.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     from slider_jax.precision import enable_float64
 
     enable_float64()
