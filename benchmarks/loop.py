@@ -166,7 +166,7 @@ def _cover(outcome: Outcome, effects: Mapping[str, Mapping[str, float]]) -> dict
     found = {}
     for i, p in enumerate(outcome.entries):
         if p.effect in effects and p.name in effects[p.effect] and i in outcome.final.free:
-            found[p.label] = null.told(outcome, i, effects[p.effect][p.name])
+            found[p.label] = null.told(outcome.interval(i), effects[p.effect][p.name])
     return found
 
 

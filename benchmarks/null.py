@@ -38,9 +38,9 @@ class Kept:
         return self.found[key]
 
 
-def told(outcome: Outcome, index: int, truth: float) -> dict[str, float]:
+def told(interval: tuple[float, float, float], truth: float) -> dict[str, float]:
     """A fitted parameter's interval beside the truth."""
-    value, low, high = outcome.interval(index)
+    value, low, high = interval
     return {"value": value, "low": low, "high": high, "truth": truth}
 
 
@@ -49,7 +49,7 @@ def summary(outcome: Outcome, truth: Mapping[str, float]) -> dict[str, Any]:
     cover = {}
     for i, p in enumerate(outcome.entries):
         if p.name in truth and not p.effect:
-            cover[p.name] = told(outcome, i, truth[p.name])
+            cover[p.name] = told(outcome.interval(i), truth[p.name])
             place = int(np.flatnonzero(outcome.final.free == i)[0])
             cover[p.name]["noise_error"] = float(np.sqrt(outcome.final.covariance[place, place]))
     return {
@@ -135,11 +135,6 @@ def covered(seed: int, progress) -> dict[str, Any]:
     found = noisy(tank, simulated(tank, {}, names=()), seed)
     laid = problem_of(tank, ())(found)
     best = fit(laid, entries, start(entries, base_values(tank.experiment)), np.arange(len(BASE)))
-    told = {p.name: interval(best, entries, i) for i, p in enumerate(entries)}
     progress("calibrated")
-    return {
-        "parameters": {
-            n: {"value": v, "low": low, "high": high, "truth": tank.truth[n]}
-            for n, (v, low, high) in told.items()
-        }
-    }
+    found = enumerate(p.name for p in entries)
+    return {"parameters": {n: told(interval(best, entries, i), tank.truth[n]) for i, n in found}}

@@ -166,7 +166,7 @@ class Problem:
             i, channel = key
             r = self.records[i]
             there = r.there(channel)
-            model = predicted[i][CHANNELS.index(channel)][there]
+            model = np.nan_to_num(predicted[i][CHANNELS.index(channel)][there])
             return key, Whitener(r.t[there], self.noise[key], model, channel, r.trial.frequency)
 
         return dict(on_all_cores(one, list(self.noise)))

@@ -53,6 +53,11 @@ class Fit(NamedTuple):
         A, _ = summed(self.blocks)
         return self.inflation * inverse(A) if np.isfinite(A).all() else np.full(A.shape, np.inf)
 
+    @property
+    def errors(self) -> np.ndarray:
+        """Standard errors of the free entries (k,), widened."""
+        return np.sqrt(np.diag(self.covariance)) * self.widening
+
 
 def inverse(A: np.ndarray) -> np.ndarray:
     """Inverse of a normal matrix after scaling to a unit diagonal.

@@ -41,6 +41,8 @@ class Identified(NamedTuple):
     """A trial for every entry that the data do not determine."""
     audit: list[Finding]
     """What is wrong with the data, and what was done about it."""
+    doubt: str
+    """What to know of a fit that does not explain its data, or nothing."""
 
 
 def identify(
@@ -87,8 +89,20 @@ def identify(
     best = METHODS[method](problem, entries, begun, np.arange(len(entries)), progress)
     best = halves(problem, best)
     advice = advise(experiment, entries, problem, best, coarse, progress)
-    findings = audited.findings
-    return Identified(experiment, entries, problem, before, best, method, advice, findings)
+    found = experiment, entries, problem, before, best, method, advice, audited.findings
+    return Identified(*found, doubt(problem, best))
+
+
+def doubt(problem: Problem, fit: Fit) -> str:
+    """What to know of a fit that does not explain its data; nothing of one that does."""
+    left = {c: x.all for c, x in excess(problem, fit).items() if x.all > FLOOR}
+    if not left:
+        return ""
+    channels = ", ".join(f"{c} at {np.sqrt(x):.2g} times its noise" for c, x in left.items())
+    return (
+        f"The model does not explain these data: it leaves {channels}. Something is missing, the "
+        "values make up for it, and the intervals do not hold; slider close-loop traces it."
+    )
 
 
 def content(found: Identified, source: dict[str, Any]) -> dict[str, Any]:
@@ -104,7 +118,7 @@ def content(found: Identified, source: dict[str, Any]) -> dict[str, Any]:
         },
         "correlations": {"order": labels, "matrix": correlations(found.fit)},
         "errors": {c: {"before": before[c], "after": after[c], "floor": floor[c]} for c in after},
-        "doubt": doubt(found),
+        "doubt": found.doubt,
         "converged": found.fit.converged,
         "method": found.method,
         "mean_square_over_noise": found.fit.square / found.fit.samples,
@@ -134,25 +148,13 @@ def table(found: Identified) -> str:
         f"{c:<28} rms {before[c]:.3g} before, {after[c]:.3g} after, floor {floor[c]:.3g} {UNITS[c]}"
         for c in after
     ]
-    lines += [doubt(found)] if doubt(found) else []
+    lines += [found.doubt] if found.doubt else []
     return "\n".join(lines)
-
-
-def doubt(found: Identified) -> str:
-    """What to know of a fit that does not explain its data; nothing of one that does."""
-    left = {c: x.all for c, x in excess(found.problem, found.fit).items() if x.all > FLOOR}
-    if not left:
-        return ""
-    channels = ", ".join(f"{c} at {np.sqrt(x):.2g} times its noise" for c, x in left.items())
-    return (
-        f"The model does not explain these data: it leaves {channels}. Something is missing, the "
-        "values make up for it, and the intervals do not hold; slider close-loop traces it."
-    )
 
 
 def model_file(found: Identified) -> str:
     """The calibrated model, for `slider simulate --model`."""
     effects = list(dict.fromkeys(p.effect for p in found.entries if p.effect))
     said = f"Identified from {len(found.problem.records)} trials of {found.experiment.name}."
-    said = f"{said} {doubt(found)}".strip()
+    said = f"{said} {found.doubt}".strip()
     return toml(said, found.entries, found.fit.theta, effects)

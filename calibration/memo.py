@@ -64,7 +64,8 @@ def resumable(out: Path, settings: dict[str, Any]) -> Iterator[Memo]:
         print(f"going on with what a stopped run left in {folder}", file=sys.stderr)
     for other in sorted(folder.parent.glob(".unfinished-*")):
         if other != folder:
-            print(f"{other}: left by a stopped run on other data; may be deleted", file=sys.stderr)
+            said = "left by a run on other data or by another program; may be deleted if none runs"
+            print(f"{other}: {said}", file=sys.stderr)
     folder.mkdir(exist_ok=True)
     try:
         yield Memo(folder)

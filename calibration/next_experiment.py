@@ -125,7 +125,7 @@ def _size(outcome: Outcome, this: Round, name: str) -> np.ndarray:
 
 def _narrowed(outcome: Outcome, limits: Limits, effort: Effort, progress: Say) -> dict[str, Any]:
     final, entries = outcome.final, outcome.entries
-    errors = np.sqrt(np.diag(final.covariance))
+    errors = final.errors
     own = [entries[i] for i in final.free]
     floor = np.array(
         [

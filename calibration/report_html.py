@@ -7,6 +7,7 @@ import numpy as np
 from calibration.closing import Outcome
 from calibration.forward import CHANNELS
 from calibration.page import document, paragraph, picture, table, text
+from calibration.search import AGREE, UNALIKE
 from calibration.whereabouts import said
 
 SHOWN = {"p_front": (1e-3, "kPa"), "p_rear": (1e-3, "kPa"), "thrust": (1e3, "mN"),
@@ -83,12 +84,12 @@ def _made_from(told: dict[str, Any]) -> str:
     of = told["input"]
     files = [of] if "path" in of else of["logs"]
     names = ", ".join(f"{x['path']} (sha256 {x['sha256'][:12]})" for x in files)
-    by = told["versions"]
-    return (
-        f"From {names}, by slider_jax {by['slider_jax']} with jax {by['jax']} in "
-        f"{told['seconds']:.0f} s. Those held out, a quarter spread over the frequencies, were not "
-        "seen by the search; the parameters are refitted to all."
-    )
+    by, held = told["versions"], ", ".join(told["held_out_trials"])
+    said = f"From {names}, by slider_jax {by['slider_jax']} with jax {by['jax']} in "
+    said += f"{told['seconds']:.0f} s."
+    if held:
+        said += f" The search did not see {held}; the parameters are refitted to all."
+    return said
 
 
 def _refitted(told: dict[str, Any]) -> str:
@@ -101,8 +102,9 @@ def _refitted(told: dict[str, Any]) -> str:
         return "<p>None scored beyond chance and so was refitted.</p>"
     said = (
         "<p>Those that scored best were refitted together with all parameters. Chosen is, of those "
-        "on which the trials left out agree (factor over its standard error above 2, or chance "
-        "below 0.07), the one that lowers the sum of squares most.</p>"
+        "that change a channel by enough to be worth a name and on which the trials left out agree "
+        f"(factor over its standard error above {AGREE:g}, or chance below {UNALIKE:g}), the one "
+        "that lowers the sum of squares most.</p>"
     )
     cells = [
         [

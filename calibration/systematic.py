@@ -20,7 +20,9 @@ EFFECT = 0.02
 """The same of an effect's parameter."""
 
 
-FORCES, FREE = ("thrust", "recoil"), 1e3
+FORCES = ("thrust", "recoil")
+FREED_TARE = 1e3
+"""A tare that says nothing of the mean, times the larger of the sensor's noise and tare."""
 HALVES = 2.0
 """Standard errors of their difference from which on two halves of the data disagree."""
 
@@ -34,8 +36,7 @@ def interval(fit: Fit, entries: Sequence[Parameter], index: int) -> tuple[float,
     """Value and 95 % interval of the entry `index`, which was fitted."""
     place = int(np.flatnonzero(fit.free == index)[0])
     value, p = float(fit.theta[index]), entries[index]
-    noise = (np.sqrt(np.diag(fit.covariance)) * fit.widening)[place]
-    error = float(np.hypot(noise, share_of(p) * value))
+    error = float(np.hypot(fit.errors[place], share_of(p) * value))
     return value, value - 1.96 * error, value + 1.96 * error
 
 
@@ -51,22 +52,25 @@ def halves(problem: Problem, fit: Fit) -> Fit:
     if not any(channel in FORCES for _, channel in problem.noise):
         return fit
     noise = {
-        key: x._replace(tare=FREE * max(x.white, x.tare)) if key[1] in FORCES else x
+        key: x._replace(tare=FREED_TARE * max(x.white, x.tare)) if key[1] in FORCES else x
         for key, x in problem.noise.items()
     }
     loose = replace(problem, noise=noise)
-    white = loose.whiteners(fit.predicted)
     along = problem.tangents(fit.theta, np.eye(len(fit.theta))[fit.free])
-    A, b = summed(loose.blocks(loose.residuals(fit.predicted, white), along, white))
-    own_A, own_b = summed(fit.blocks)
+    (A, b), (own_A, own_b) = (_normal(x, fit, along) for x in (loose, problem))
     if not (np.isfinite(A).all() and np.isfinite(own_A).all()):
         return fit
     step = inverse(A) @ b - inverse(own_A) @ own_b
-    variance = np.diag(fit.covariance)
-    more = np.diag(fit.inflation * inverse(A)) - variance
-    beyond = step**2 > np.maximum(HALVES**2 * more, variance)
-    ratio = np.abs(step) / np.sqrt(np.where(beyond & (more > 0.0), more, step**2))
-    return fit._replace(apart=np.where(beyond, step, 0.0), widening=np.maximum(ratio, 1.0))
+    variance, own = (fit.inflation * np.diag(inverse(x)) for x in (A, own_A))
+    more = variance - own
+    beyond = (more > 0.0) & (step**2 > np.maximum(HALVES**2 * more, own))
+    ratio = np.abs(step) / np.sqrt(np.where(beyond, more, 1.0))
+    return fit._replace(apart=np.where(beyond, step, 0.0), widening=np.where(beyond, ratio, 1.0))
+
+
+def _normal(problem: Problem, fit: Fit, along: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    white = problem.whiteners(fit.predicted)
+    return summed(problem.blocks(problem.residuals(fit.predicted, white), along, white))
 
 
 def determined(p: Parameter, low: float, high: float) -> bool:

@@ -76,7 +76,7 @@ def split(search: Search) -> list[str]:
 
 
 def explained(before: float, after: float) -> float:
-    """Share of a channel's rms above the floor that is gone, of mean squares in units of noise."""
+    """Share that is gone of a channel's rms less its floor, 1; given mean squares in noise's units."""
     stood, stands = (np.sqrt(max(x, 1.0)) - 1.0 for x in (before, after))
     return float((stood - stands) / stood) if stood > 0.0 else 0.0
 
@@ -102,7 +102,7 @@ def decide(
         return INCONCLUSIVE if doubtful else NOTHING
     if at_bounds(search, entries):
         return UNEXPLAINED
-    if any(explained(before[c].all, after[c].all) < EXPLAINED for c in left):
+    if not all(explained(before[c].all, after[c].all) >= EXPLAINED for c in left):
         return UNEXPLAINED
     alike = any(r.alike for r in search.rounds if r.chosen)
     return CLASS if alike or (left and split(search)) else IDENTIFIED

@@ -55,6 +55,7 @@ def fitted(seed: int, varying: float):
 def test_halves_that_agree_leave_the_interval_alone():
     found = [fitted(seed, 1.0) for seed in range(20)]
     widened = [float(f.widening[0]) for f in found if f.apart[0] != 0.0]
+    assert all((f.widening[0] > 1.0) == (f.apart[0] != 0.0) for f in found)
     assert len(widened) <= 3 and all(x < 3.5 for x in widened)
 
 

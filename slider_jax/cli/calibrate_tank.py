@@ -43,7 +43,7 @@ def tank(
     """
     from calibration import identify as single
     from slider_jax.experiment import load
-    from slider_jax.files import staged, write_json, write_text
+    from slider_jax.files import output_folder, staged, write_json, write_text
     from slider_jax.provenance import input_file
 
     begun = time.monotonic()
@@ -51,12 +51,15 @@ def tank(
     def say(text: str) -> None:
         print(f"{time.monotonic() - begun:5.0f} s  {text}", file=sys.stderr, flush=True)
 
-    found = single.identify(load(experiment, model), also, channels, say, method=method)
+    loaded = load(experiment, model)
+    output_folder(out)
+    found = single.identify(loaded, also, channels, say, method=method)
     with staged(out) as stage:
         content, text = single.content(found, input_file(experiment)), single.model_file(found)
         told = [single.table(found)]
         if per_frequency:
             more, text, table = _by_frequency(found, each, say, stage)
+            text = f"# {found.doubt}\n{text}" if found.doubt else text
             content |= {"per_frequency": more}
             told += ["", table]
         write_json(stage / "calibration.json", content)

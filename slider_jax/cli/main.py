@@ -80,7 +80,7 @@ def prepare_jax() -> None:
 
     `JAX_COMPILATION_CACHE_DIR` chooses another folder; `SLIDER_CACHE=off` keeps none.
     """
-    # XLA's alarm at a compilation of over two minutes reads as a fault.
+    # No log of XLA's: its alarm at a long compilation reads as a fault. Errors are raised.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     from slider_jax.precision import enable_float64
 
