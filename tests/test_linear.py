@@ -82,7 +82,7 @@ def test_jacobian_solve_and_transposed_solve_match_the_dense_twin(support, size)
 @pytest.mark.parametrize(
     "support",
     [
-        "pinned",
+        pytest.param("pinned", marks=pytest.mark.slow),
         pytest.param("clamped", marks=pytest.mark.slow),
         pytest.param("free", marks=pytest.mark.slow),
     ],

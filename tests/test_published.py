@@ -63,6 +63,7 @@ def test_a_clamped_model_does_not_swim():
         steady_speed(model, GAIT.frequency, QUICK)
 
 
+@pytest.mark.slow
 def test_watching_is_differentiable():
     def acceleration(C_t):
         return watch(swimmer(GAIT, "tangential_friction", C_t), SWIMS, 0.2, QUICK).acceleration

@@ -120,6 +120,7 @@ def model_tips(robot, on_tail, force, pressure):
     return np.asarray(value)[0, :8], np.asarray(slope)[0, :8]
 
 
+@pytest.mark.slow
 def test_the_tip_goes_where_elastica_and_arcs_go():
     """The elastica at P L^2/EI = 1, a weak load's P L^3/(3 EI), and two chambers' exact arcs."""
     L, EI = 0.37, 0.038
