@@ -76,7 +76,7 @@ def split(search: Search) -> list[str]:
 
 
 def explained(before: float, after: float) -> float:
-    """Share that is gone of a channel's rms less the floor's, 1; of mean squares over the noise's."""
+    """Share of a channel's rms, less 1 for the floor, that is gone; of mean squares over noise."""
     stood, stands = (np.sqrt(max(x, 1.0)) - 1.0 for x in (before, after))
     return float((stood - stands) / stood) if stood > 0.0 else 0.0
 
