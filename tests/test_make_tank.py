@@ -15,6 +15,7 @@ SCRIPT = Path(__file__).resolve().parent.parent / "scripts" / "make_tank.py"
 main = runpy.run_path(str(SCRIPT))["main"]
 
 
+@pytest.mark.slow
 def test_the_effect_is_in_the_data_and_not_in_the_file(tmp_path):
     words = ["--effect", "valve_delay.delay=0.02", "--trials", "1", "--seconds", "0.1"]
     assert main([str(tmp_path), *words]) == 0
