@@ -15,7 +15,7 @@ from calibration.fit import fit
 from calibration.measured import Record
 from calibration.plant import BASE, base_values, candidates, parameters, start
 from calibration.search import directions
-from calibration.systematic import interval
+from calibration.systematic import halves, interval
 
 TANKS, REPLICATES = 6, 18
 SEED = 100
@@ -129,12 +129,13 @@ def replicates(seed: int, progress) -> dict[str, Any]:
 
 
 def covered(seed: int, progress) -> dict[str, Any]:
-    """Intervals of the base parameters from a tank, its noise and its discretisation drawn."""
+    """Intervals of the base parameters from a tank of its own, as `slider calibrate` gives them."""
     tank = draw(seed)
     entries = parameters(())
     found = noisy(tank, simulated(tank, {}, names=()), seed)
     laid = problem_of(tank, ())(found)
-    best = fit(laid, entries, start(entries, base_values(tank.experiment)), np.arange(len(BASE)))
+    begun = start(entries, base_values(tank.experiment))
+    best = halves(laid, fit(laid, entries, begun, np.arange(len(BASE))))
     progress("calibrated")
-    found = enumerate(p.name for p in entries)
-    return {"parameters": {n: told(interval(best, entries, i), tank.truth[n]) for i, n in found}}
+    names = enumerate(p.name for p in entries)
+    return {"parameters": {n: told(interval(best, entries, i), tank.truth[n]) for i, n in names}}

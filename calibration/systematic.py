@@ -18,8 +18,6 @@ fits without noise to seven meshes and steps of three tanks (0.4, 0.8, 0.02 and 
 those to an independent program's four (0.35, 1.2, 0.07 and 0.12 %)."""
 EFFECT = 0.02
 """The same of an effect's parameter."""
-
-
 FORCES = ("thrust", "recoil")
 FREED_TARE = 1e3
 """A tare that says nothing of the mean, times the larger of the sensor's noise and tare."""
