@@ -9,7 +9,7 @@ A is what least squares needs, `raw` and `square` say how large a change is besi
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +27,7 @@ from calibration.forward import (
     tangents,
 )
 from calibration.measured import Record, records
+from calibration.memo import Memo
 from calibration.noise import Noise, Whitener, declared
 from calibration.plant import BASE, Parameter, parameters, start
 from slider_jax.errors import InputError, SolverError
@@ -121,6 +122,8 @@ class Foresight:
     secants: dict[int, float]
     """Step of the entries whose tangent tells too little."""
     coarse: Resolution = COARSE
+    memo: Memo | None = None
+    """Keeps what was simulated."""
 
     @property
     def entries(self) -> list[Parameter]:
@@ -135,13 +138,13 @@ class Foresight:
     def trial(self, trial: Trial, number: int = 0) -> list[Seen]:
         """What a trial would say. Raises `SolverError` where it cannot be simulated."""
         p = self.plan(trial)
-        y = predict(p, self.theta)
+        y, J = self._kept(trial, p)
         if not np.isfinite(y).all():
             raise SolverError(
                 f"{trial.file}: cannot be simulated with these parameters; check K_Q, stiffness "
                 "and amplitude: the chambers may bend the body further than it can go"
             )
-        J, found = self._along(p, y), []
+        found = []
         for channel, noise in self.sensing.noise.items():
             row, here = CHANNELS.index(channel), self.sensing.samples(trial, channel, len(p.at))
             if here.sum() < 20:
@@ -153,6 +156,20 @@ class Foresight:
                 Seen(number, channel, white @ white.T, gram, float(signal @ signal), here.sum())
             )
         return found
+
+    def _kept(self, trial: Trial, p: TrialPlan) -> list[np.ndarray]:
+        """Readings (5, n) of a trial and their tangents (k, 5, n); none of what did not end."""
+
+        def make() -> list[np.ndarray]:
+            y = predict(p, self.theta)
+            fine = np.isfinite(y).all()
+            return [y, self._along(p, y) if fine else np.zeros((0, *y.shape))]
+
+        if self.memo is None:
+            return make()
+        steps = np.array(sorted(self.secants.items()), float)
+        name = f"foresee {trial.model_dump_json()} {self.effects} {self.coarse}"
+        return self.memo.kept(name, [self.theta, self.chosen, steps], make)
 
     def _along(self, p: TrialPlan, y: np.ndarray) -> np.ndarray:
         """(k, 5, n); NaN along what cannot be simulated."""
@@ -186,6 +203,7 @@ def foresight(
     effects: Sequence[str],
     progress: Callable[[str], None] = lambda text: None,
     coarse: Resolution = COARSE,
+    memo: Memo | None = None,
 ) -> Foresight:
     """At the experiment's own parameters, along the base model's and those of `effects`.
 
@@ -200,9 +218,9 @@ def foresight(
     entries = parameters(names)
     theta = start(entries, {n: getattr(experiment.parameters, n) for n in BASE})
     chosen, sensing = np.arange(len(entries)), Sensing.of(experiment)
-    bare = Foresight(experiment, names, theta, chosen, sensing, {}, coarse)
+    bare = Foresight(experiment, names, theta, chosen, sensing, {}, coarse, memo)
     progress("comparing tangents with finite steps")
-    return Foresight(experiment, names, theta, chosen, sensing, finite_starts(bare), coarse)
+    return replace(bare, secants=finite_starts(bare))
 
 
 def secant(p: TrialPlan, theta: np.ndarray, y: np.ndarray, entry: int, step: float) -> np.ndarray:

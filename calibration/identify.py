@@ -14,11 +14,11 @@ from calibration.fit import Fit, fit
 from calibration.forward import CHANNELS, COARSE, FINE, Resolution
 from calibration.measured import Record
 from calibration.plant import Parameter, base_values, parameters, start
-from calibration.report import UNITS, told, toml
-from calibration.systematic import correlations, determined, halves, interval
+from calibration.report import UNITS, told, toml, words
+from calibration.systematic import correlations, halves
 from calibration.verdict import FLOOR, excess, floors, rms_errors
 from slider_jax.effects.library import LIBRARY
-from slider_jax.errors import InputError
+from slider_jax.errors import InputError, nearest
 from slider_jax.experiment import Experiment
 from slider_jax.provenance import versions
 
@@ -63,7 +63,10 @@ def identify(
         raise InputError(f"--method {method}: unknown; allowed auto, {', '.join(METHODS)}")
     for name in effects:
         if name not in LIBRARY:
-            raise InputError(f"--also {name}: unknown effect; allowed what slider effects lists")
+            near = nearest(name, LIBRARY)
+            raise InputError(
+                f"--also {name}: unknown effect; allowed what slider effects lists{near}"
+            )
     for name in channels:
         if name not in CHANNELS:
             raise InputError(f"--channels {name}: unknown; allowed {', '.join(CHANNELS)}")
@@ -112,7 +115,7 @@ def content(found: Identified, source: dict[str, Any]) -> dict[str, Any]:
     labels = [p.label for p in found.entries]
     return {
         "parameters": {
-            p.label: told(p, *interval(found.fit, found.entries, i))
+            p.label: told(found.fit, found.entries, i)
             | ({"determined_by": described(found.advice[i])} if i in found.advice else {})
             for i, p in enumerate(found.entries)
         },
@@ -135,13 +138,9 @@ def table(found: Identified) -> str:
     """What was identified, a line a parameter."""
     lines = []
     for i, p in enumerate(found.entries):
-        value, low, high = interval(found.fit, found.entries, i)
-        if determined(p, low, high):
-            lines.append(f"{p.label:<28} {value:.4g}  ({low:.4g} to {high:.4g}) {p.prior.unit}")
-        else:
-            lines.append(f"{p.label:<28} not determined by these data")
-            if i in found.advice:
-                lines.append(f"{'':<28} {said(p, found.advice[i])}")
+        lines.append(f"{p.label:<28} {words(told(found.fit, found.entries, i))}")
+        if i in found.advice:
+            lines.append(f"{'':<28} {said(p, found.advice[i])}")
     before, after = (rms_errors(found.problem, y) for y in (found.before, found.fit.predicted))
     floor = floors(found.problem, found.fit.predicted)
     lines += [

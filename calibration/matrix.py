@@ -24,6 +24,7 @@ from scipy.stats import chi2
 from calibration.fit import inverse
 from calibration.foresight import Foresight, Seen, as_block, foresight, information, left
 from calibration.forward import COARSE, Resolution
+from calibration.memo import Memo
 from calibration.noise import DISCREPANCY
 from calibration.plant import Parameter, candidates
 from calibration.search import ALIKE, CHANCE, LEAST_GAIN, scored
@@ -101,6 +102,7 @@ def matrix(
     effects: Sequence[str] | None = None,
     progress: Callable[[str], None] = lambda text: None,
     coarse: Resolution = COARSE,
+    memo: Memo | None = None,
 ) -> Matrix:
     """What the trials of `experiment` could detect of `effects`, by default of all candidates.
 
@@ -108,7 +110,7 @@ def matrix(
     where a trial cannot be simulated.
     """
     names = list(dict.fromkeys(candidates() if effects is None else effects))
-    f = foresight(experiment, names, progress, coarse)
+    f = foresight(experiment, names, progress, coarse, memo)
     seen = f.trials(experiment.trials, progress)
     entries, many = f.entries, len(candidates())
     members, free = scored(entries), np.flatnonzero([not p.effect for p in entries])

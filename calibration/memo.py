@@ -5,7 +5,7 @@ import json
 import shutil
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import numpy as np
 
 import calibration
 import slider_jax
-from slider_jax.files import output_folder, replacing
+from slider_jax.files import replacing, tentative_folder
 from slider_jax.provenance import versions
 
 
@@ -59,18 +59,20 @@ def resumable(out: Path, settings: dict[str, Any]) -> Iterator[Memo]:
     A run of the same settings and program finds what a stopped one left; others begin anew.
     """
     told = json.dumps(settings | {"versions": versions(), "code": code()}, sort_keys=True)
-    folder = output_folder(out) / f".unfinished-{hashlib.sha256(told.encode()).hexdigest()[:16]}"
-    if folder.exists():
-        print(f"going on with what a stopped run left in {folder}", file=sys.stderr)
-    for other in sorted(folder.parent.glob(".unfinished-*")):
-        if other != folder:
-            said = "left by a run on other data or by another program; may be deleted if none runs"
-            print(f"{other}: {said}", file=sys.stderr)
-    folder.mkdir(exist_ok=True)
-    try:
-        yield Memo(folder)
-    except BaseException:
-        if folder.exists() and not any(folder.iterdir()):
-            folder.rmdir()
-        raise
-    shutil.rmtree(folder, ignore_errors=True)
+    name = f".unfinished-{hashlib.sha256(told.encode()).hexdigest()[:16]}"
+    with tentative_folder(out) as parent:
+        folder = parent / name
+        if folder.exists():
+            print(f"going on with what a stopped run left in {folder}", file=sys.stderr)
+        for other in sorted(parent.glob(".unfinished-*")):
+            if other != folder:
+                said = "left by a run on other data or by another program; may be deleted if none"
+                print(f"{other}: {said} runs", file=sys.stderr)
+        folder.mkdir(exist_ok=True)
+        try:
+            yield Memo(folder)
+        except BaseException:
+            with suppress(OSError):  # not empty
+                folder.rmdir()
+            raise
+        shutil.rmtree(folder, ignore_errors=True)

@@ -83,7 +83,8 @@ def _foresight(outcome: Outcome, chosen: np.ndarray, secants: dict[int, float]) 
     experiment, theta = outcome.experiment, outcome.final.theta
     sensing = Sensing.of(experiment, outcome.problem.records)
     coarse = outcome.problem.mesh
-    return Foresight(experiment, names, theta, chosen, sensing, secants, coarse)
+    memo = outcome.problem.memo
+    return Foresight(experiment, names, theta, chosen, sensing, secants, coarse, memo)
 
 
 def _separated(outcome: Outcome, limits: Limits, effort: Effort, progress: Say) -> dict[str, Any]:

@@ -150,7 +150,7 @@ class Search:
         """The best trial. Raises `SolverError` where none within the limits can be simulated."""
         wide = np.array([high > low for low, high in self.limits])
         places = [np.where(wide, u, 0.0) for u in _spread(effort.spread)]
-        best, place = self._best(places)
+        best, place = self._best(places, progress)
         progress(f"{effort.spread} trials tried; the best is {words(best.trial)}")
         step = 0.25
         for _ in range(effort.rounds):
@@ -158,7 +158,7 @@ class Search:
             around = {tuple(np.clip(place + move, 0.0, 1.0)) for move in moves} - {tuple(place)}
             if not around:
                 break
-            better, there = self._best([np.array(x) for x in sorted(around)])
+            better, there = self._best([np.array(x) for x in sorted(around)], progress)
             if better.value > best.value:
                 best, place = better, there
                 progress(f"better: {words(best.trial)}")
@@ -171,8 +171,18 @@ class Search:
             )
         return best
 
-    def _best(self, places: list[np.ndarray]) -> tuple[Found, np.ndarray]:
-        pairs = list(zip(on_all_cores(self.at, places), places, strict=True))
+    def _best(
+        self, places: list[np.ndarray], progress: Callable[[str], None]
+    ) -> tuple[Found, np.ndarray]:
+        done: list[Found] = []
+
+        def one(place: np.ndarray) -> Found:
+            found = self.at(place)
+            done.append(found)
+            progress(f"trial {len(done)} of {len(places)}: {words(found.trial)}")
+            return found
+
+        pairs = list(zip(on_all_cores(one, places), places, strict=True))
         return max(pairs, key=lambda pair: pair[0].value)
 
 

@@ -19,9 +19,9 @@ from calibration.fit import Fit, fit, inverse
 from calibration.forward import COARSE, Resolution
 from calibration.layouts import CONSTANT, EACH, PAPER, RAMP, Layout
 from calibration.plant import Parameter
-from calibration.systematic import determined, interval
+from calibration.systematic import determined, halves, interval
 from calibration.trace import solve
-from slider_jax.errors import InputError
+from slider_jax.errors import InputError, nearest
 from slider_jax.experiment import Experiment
 
 LEAST_FREQUENCIES = 4
@@ -75,10 +75,7 @@ def compare(
     `each` are labels of the parameters that may differ from frequency to frequency. Raises
     `InputError` for an unknown one, for a trial without a frequency, or for one frequency only.
     """
-    known = [p.label for p in entries]
-    for label in each:
-        if label not in known:
-            raise InputError(f"--each {label}: not identified; allowed {', '.join(known)}")
+    refuse_unknown(each, entries)
     at, place = layouts.frequencies([r.trial for r in problem.records])
     if len(at) < 2:
         raise InputError(
@@ -97,13 +94,22 @@ def compare(
         progress(f"fitting {plan.name.replace('_', ' ')} values")
         laid = replace(problem, maps=plan.maps)
         free = np.arange(len(plan.entries))
-        found = fit(laid, plan.entries, plan.start, free, progress, white)
+        found = halves(laid, fit(laid, plan.entries, plan.start, free, progress, white))
         missed = None
         if len(at) >= LEAST_FREQUENCIES:
             missed = _left_out(laid, plan, found, at, place, white)
         ways[plan.name] = Way(plan, found, missed)
     outcome = ByFrequency(experiment, entries, problem, at, place, ways, choose(ways), {})
     return outcome._replace(advice=_advice(outcome, coarse))
+
+
+def refuse_unknown(each: Sequence[str], entries: Sequence[Parameter]) -> None:
+    """Raises `InputError` for a label of `each` that is not identified."""
+    known = [p.label for p in entries]
+    for label in each:
+        if label not in known:
+            near = nearest(label, known)
+            raise InputError(f"--each {label}: not identified; allowed {', '.join(known)}{near}")
 
 
 def _advice(found: ByFrequency, coarse: Resolution) -> dict[int, Proposal]:

@@ -9,8 +9,8 @@ import numpy as np
 from calibration.design import described, said
 from calibration.layouts import CONSTANT, EACH, FOLLOWS, PAPER, RAMP
 from calibration.per_frequency import ByFrequency, Way, sentence, values
-from calibration.report import told, toml
-from calibration.systematic import correlations, interval
+from calibration.report import told, toml, words
+from calibration.systematic import correlations
 from slider_jax.figures import new_figure, save_figure
 from slider_jax.paper import RAMP_END, RAMP_START, force_coefficients
 
@@ -46,8 +46,7 @@ def _way(way: Way) -> dict[str, Any]:
     entries = way.layout.entries
     return {
         "parameters": {
-            label: told(p, *interval(way.fit, entries, i))
-            for i, (p, label) in enumerate(zip(entries, way.layout.labels, strict=True))
+            label: told(way.fit, entries, i) for i, label in enumerate(way.layout.labels)
         },
         "correlations": {"order": way.layout.labels, "matrix": correlations(way.fit)},
         "converged": way.fit.converged,
@@ -76,16 +75,9 @@ def table(found: ByFrequency) -> str:
     """The comparison in words: a line an entry of the values by frequency, then what is best."""
     way, lines = found.ways[EACH], []
     for i, (p, label) in enumerate(zip(way.layout.entries, way.layout.labels, strict=True)):
-        shown = told(p, *interval(way.fit, way.layout.entries, i))
-        if shown["value"] is None:
-            lines.append(f"{label:<28} not determined by these data")
-            if i in found.advice:
-                lines.append(f"{'':<28} {said(p, found.advice[i])}")
-        else:
-            low, high = shown["low"], shown["high"]
-            lines.append(
-                f"{label:<28} {shown['value']:.4g}  ({low:.4g} to {high:.4g}) {p.prior.unit}"
-            )
+        lines.append(f"{label:<28} {words(told(way.fit, way.layout.entries, i))}")
+        if i in found.advice:
+            lines.append(f"{'':<28} {said(p, found.advice[i])}")
     return "\n".join([*lines, "", sentence(found)])
 
 

@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 
 from calibration.closing import Errors, Outcome
-from calibration.plant import Parameter
+from calibration.fit import Fit
+from calibration.plant import Parameter, base_values
 from calibration.search import Round
-from calibration.systematic import determined
+from calibration.systematic import by_variation, determined, interval
 from calibration.verdict import FLOOR, at_bounds, split
 from calibration.whereabouts import where
 from slider_jax.effects.library import LIBRARY
@@ -25,7 +26,7 @@ def report(
 ) -> dict[str, Any]:
     """The content of report.json; `source` names the input, `following` the next experiment."""
     held = outcome.held_out
-    trials = outcome.problem.records
+    trials, given = outcome.problem.records, base_values(outcome.experiment)
     return {
         "verdict": outcome.verdict,
         "said": sentence(outcome),
@@ -33,6 +34,7 @@ def report(
         "nearest": nearest(outcome),
         "parameters": {
             p.name: _interval(outcome, "", p.name)
+            | {"given": given[p.name], "without_effects": outcome.search.base.theta[i]}
             for i, p in enumerate(outcome.entries)
             if not p.effect and i in outcome.final.free
         },
@@ -44,6 +46,7 @@ def report(
         "audit": [x.told() for x in outcome.audit],
         "next_experiment": following,
         "units": UNITS,
+        "left_over_noise": {c: np.sqrt(x.all) for c, x in outcome.excess_after.items()},
         "seconds": seconds,
         "input": source,
         "versions": versions(),
@@ -88,17 +91,34 @@ def _class(outcome: Outcome, this: Round) -> list[str]:
 
 def _interval(outcome: Outcome, effect: str, name: str) -> dict[str, Any]:
     index = next(i for i, p in enumerate(outcome.entries) if (p.effect, p.name) == (effect, name))
-    said, final = told(outcome.entries[index], *outcome.interval(index)), outcome.final
-    apart = 0.0 if final.apart is None else float(final.apart[list(final.free).index(index)])
-    return said | ({"by_variation_alone": final.theta[index] + apart} if apart else {})
+    return told(outcome.final, outcome.entries, index)
 
 
-def told(p: Parameter, value: float, low: float, high: float) -> dict[str, Any]:
-    """A parameter as reports say it: no value where the data do not fix one."""
+def told(fit: Fit, entries: Sequence[Parameter], index: int) -> dict[str, Any]:
+    """A fitted parameter as reports say it: no value where the data do not fix one."""
+    p, (value, low, high) = entries[index], interval(fit, entries, index)
     said = {"value": value, "low": low, "high": high, "unit": p.prior.unit}
-    if determined(p, low, high):
-        return said
-    return said | {"value": None, "not_determined_by_these_data": True}
+    if not determined(p, low, high):
+        said |= {"value": None, "not_determined_by_these_data": True}
+    alone = by_variation(fit, index)
+    return said | ({} if alone is None else {"by_variation_alone": alone})
+
+
+def words(told: dict[str, Any]) -> str:
+    """A parameter as `told`: value and interval, or that there is none."""
+    if told["value"] is None:
+        said = "not determined by these data"
+    else:
+        said = f"{told['value']:.4g}  ({told['low']:.4g} to {told['high']:.4g}) {told['unit']}"
+    return said + (f"; {widened(told)}" if "by_variation_alone" in told else "")
+
+
+def widened(told: dict[str, Any]) -> str:
+    """Why the interval is wider than the noise asks for."""
+    return (
+        f"by what varies of the forces alone {told['by_variation_alone']:.4g}, which is farther "
+        "off than chance: the interval is widened for it"
+    )
 
 
 def _table(errors: Errors) -> dict[str, dict[str, float]]:
@@ -117,7 +137,7 @@ def ranking(outcome: Outcome) -> list[dict[str, Any]]:
             row = {"round": number, "name": s.name, "score": s.gain, "p": s.p}
             if s.name in tried:
                 t = tried[s.name]
-                row |= {"explained": t.gain, "sizes": t.sizes}
+                row |= {"explained": t.gain, "sizes": t.sizes, "worth_naming": t.worth_naming}
                 row["left_out_trials_agree"], row["left_out_trials_chance"] = t.agreement
             rows.append(row | {"chosen": s.name == this.chosen})
     return rows
@@ -165,9 +185,7 @@ def sizes(told: dict[str, Any]) -> list[str]:
     lines = []
     for effect in told["effects"]:
         for name, x in effect["parameters"].items():
-            value = "not determined" if x["value"] is None else f"{x['value']:.4g}"
-            within = f"({x['low']:.4g} to {x['high']:.4g}) {x['unit']}"
-            lines.append(f"{effect['name']}.{name} = {value} {within}")
+            lines.append(f"{effect['name']}.{name} = {words(x)}")
     return lines
 
 

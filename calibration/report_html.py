@@ -7,11 +7,14 @@ import numpy as np
 from calibration.closing import Outcome
 from calibration.forward import CHANNELS
 from calibration.page import document, paragraph, picture, table, text
+from calibration.report import widened
 from calibration.search import AGREE, UNALIKE
+from calibration.verdict import FLOOR
 from calibration.whereabouts import said
 
 SHOWN = {"p_front": (1e-3, "kPa"), "p_rear": (1e-3, "kPa"), "thrust": (1e3, "mN"),
          "recoil": (1e3, "mN"), "tip": (1e3, "mm")}  # fmt: skip
+SHOWN_STRIDES = 3.0
 
 
 def page(outcome: Outcome, told: dict[str, Any]) -> str:
@@ -23,13 +26,14 @@ def page(outcome: Outcome, told: dict[str, Any]) -> str:
         "<p>Root mean square of measured less predicted. The floor is what noise, tare and the "
         "difference of correct programs leave.</p>",
         _errors("Trials that the search used", told["errors"]),
+        _left_over(told["left_over_noise"]),
     ]
     if told["held_out"]:
         names = ", ".join(told["held_out_trials"])
         parts.append(_errors(f"Trials held out of it ({names})", told["held_out"]))
     parts += [
         "<h2>Measured, before and after</h2>",
-        picture(residual_figure(outcome), "measured less predicted of one trial"),
+        picture(readings_figure(outcome), "readings and residuals of one trial"),
         "<h2>Parameters</h2>",
         _parameters(told),
         "<h2>Candidates</h2>",
@@ -58,20 +62,35 @@ def _errors(title: str, errors: dict[str, dict[str, float]]) -> str:
     return f"<h3>{text(title)}</h3>" + table(["channel", "before", "after", "floor"], rows)
 
 
+def _left_over(times: dict[str, float]) -> str:
+    """How far from the floor, as the verdict sees it."""
+    above = [c for c, x in times.items() if x**2 > FLOOR]
+    said = "At the floor is what leaves up to "
+    said += f"{np.sqrt(FLOOR):.2f} times the noise, each channel weighed by how its own noise is "
+    said += "correlated, tares and drift included: after, "
+    said += ", ".join(f"{c} {x:.2f}" for c, x in times.items()) + "."
+    return paragraph(said + (f" Above it: {', '.join(above)}." if above else ""))
+
+
 def _parameters(told: dict[str, Any]) -> str:
     found = dict(told["parameters"])
     for effect in told["effects"]:
         found |= {f"{effect['name']}.{n}": x for n, x in effect["parameters"].items()}
-    rows = [[name, *_interval(x)] for name, x in found.items()]
+    added = bool(told["effects"])
+    head = ["parameter", "value", "95 % interval", "unit", "in the input", "without the effects"]
+    rows = [[name, *_interval(x), *_before(x)] for name, x in found.items()]
+    rows, head = [row[: 5 + added] for row in rows], head[: 5 + added]
     said = [
-        paragraph(
-            f"{name}: by what varies of the forces alone {x['by_variation_alone']:.4g}, which is "
-            "farther off than chance; the interval is widened for it."
-        )
+        paragraph(f"{name}: {widened(x)}.")
         for name, x in found.items()
         if "by_variation_alone" in x
     ]
-    return table(["parameter", "value", "95 % interval", "unit"], rows) + "".join(said)
+    return table(head, rows) + "".join(said)
+
+
+def _before(x: dict[str, Any]) -> list[str]:
+    """What the input says of a base parameter, and what it is fitted to where nothing is added."""
+    return [f"{x[key]:.4g}" if key in x else "" for key in ("given", "without_effects")]
 
 
 def _interval(x: dict[str, Any]) -> list[str]:
@@ -109,12 +128,13 @@ def _refitted(told: dict[str, Any]) -> str:
     cells = [
         [
             f"{x['round']}: {x['name']}", f"{x['score']:.4g}", f"{x['explained']:.4g}",
+            "yes" if x["worth_naming"] else "no",
             f"{x['left_out_trials_agree']:.2g}", f"{x['left_out_trials_chance']:.2g}",
             "chosen" if x["chosen"] else "",
         ]
         for x in rows
     ]  # fmt: skip
-    head = ["round: candidate", "score", "refitted", "trials agree", "chance", ""]
+    head = ["round: candidate", "score", "refitted", "large enough", "trials agree", "chance", ""]
     return said + table(head, cells)
 
 
@@ -151,26 +171,34 @@ def _left(rows: list[dict[str, Any]]) -> str:
     return "".join(paragraph(said(x)) for x in rows)
 
 
-def residual_figure(outcome: Outcome):
-    """Residuals of the base model and of the last one, every channel of one trial."""
+def readings_figure(outcome: Outcome):
+    """Readings of the last strides of one trial, and its residuals, of both models."""
     import matplotlib.pyplot as plt
 
     record, before, after = _shown_trial(outcome)
     channels = [c for c in CHANNELS if record.has(c)]
     figure, axes = plt.subplots(
-        len(channels), 1, figsize=(9, 1.7 * len(channels)), sharex=True, layout="constrained",
+        len(channels), 2, figsize=(12, 1.8 * len(channels)), sharex="col", layout="constrained",
         squeeze=False,
     )  # fmt: skip
-    for axis, channel in zip(axes[:, 0], channels, strict=True):
+    late = record.t >= record.t[-1] - SHOWN_STRIDES / (record.trial.frequency or 1.0)
+    models = ((before, "before", "tab:orange"), (after, "after", "tab:blue"))
+    for (left, right), channel in zip(axes, channels, strict=True):
         row, (factor, unit) = CHANNELS.index(channel), SHOWN[channel]
         there = record.there(channel)
-        for series, label, colour in ((before, "before", "0.6"), (after, "after", "C0")):
-            apart = factor * (record.values[row] - series[row])[there]
-            axis.plot(record.t[there], apart, color=colour, lw=0.7, label=label)
-        axis.set_ylabel(f"{channel}\n({unit})")
-    axes[0, 0].set_title(f"measured less predicted, {record.trial.file}", loc="left")
-    axes[0, 0].legend(loc="upper right", ncols=2, fontsize="small")
-    axes[-1, 0].set_xlabel("time (s)")
+        here, t, y = there & late, record.t, factor * record.values[row]
+        left.plot(t[here], y[here], ".", color="0.6", ms=2, label="measured")
+        for series, label, colour in models:
+            left.plot(t[here], factor * series[row][here], color=colour, lw=1.0, label=label)
+            apart = (y - factor * series[row])[there]
+            right.plot(t[there], apart, color=colour, lw=0.7, label=label)
+        left.set_ylabel(f"{channel}\n({unit})")
+    axes[0, 0].set_title(f"{record.trial.file}, its end", loc="left", fontsize=10)
+    axes[0, 1].set_title("measured less predicted, all of it", loc="left", fontsize=10)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper right", ncols=3, fontsize=9)
+    for axis in axes[-1]:
+        axis.set_xlabel("time (s)")
     return figure
 
 

@@ -71,6 +71,13 @@ def _normal(problem: Problem, fit: Fit, along: list[np.ndarray]) -> tuple[np.nda
     return summed(problem.blocks(problem.residuals(fit.predicted, white), along, white))
 
 
+def by_variation(fit: Fit, index: int) -> float | None:
+    """What the forces' variation alone asks the entry `index` to be, where that is beyond chance
+    farther off than the other half of the data: then its interval is widened."""
+    apart = 0.0 if fit.apart is None else float(fit.apart[list(fit.free).index(index)])
+    return float(fit.theta[index]) + apart if apart else None
+
+
 def determined(p: Parameter, low: float, high: float) -> bool:
     """Whether an interval says anything: narrower than half of what was believed before."""
     return high - low < 0.5 * (p.prior.high - p.prior.low)

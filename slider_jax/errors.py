@@ -1,5 +1,14 @@
 """The two errors that a user can meet, each one message that says what to do next."""
 
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+def nearest(given: str, allowed: Iterable[str]) -> str:
+    """The end of a message: the allowed name that a mistyped one is nearest to, if any is near."""
+    close = get_close_matches(given, list(allowed), 1)
+    return f"; did you mean {close[0]}?" if close else ""
+
 
 class InputError(Exception):
     """What was given cannot be used. The command line prints the message and exits with 2."""

@@ -1,7 +1,6 @@
 """Experiments: a TOML file with its measured CSV files, and the models of its trials."""
 
 from dataclasses import fields
-from difflib import get_close_matches
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ from slider_jax.actuation import (
 from slider_jax.csv_file import read_csv
 from slider_jax.effects import Effect, NormalDrag, ReactiveForce
 from slider_jax.effects.library import LIBRARY
-from slider_jax.errors import InputError
+from slider_jax.errors import InputError, nearest
 from slider_jax.grid import split_cells
 from slider_jax.model import Drive, Model
 from slider_jax.paper import force_coefficients
@@ -127,9 +126,8 @@ def conditions(experiment: Experiment, trial: Trial) -> dict[str, float]:
 def _effect(table: EffectTable, where: str, taken: dict[str, float] | None = None) -> Effect:
     """The effect that a table names, with its parameters, and `taken` from the trial."""
     if table.name not in LIBRARY:
-        near = get_close_matches(table.name, LIBRARY, 1)
         raise InputError(
-            f"{where}.name: given {table.name!r}{f', did you mean {near[0]!r}?' if near else ''}; "
+            f"{where}.name: given {table.name!r}{nearest(table.name, LIBRARY)}; "
             f"allowed {', '.join(LIBRARY)}; drag and added mass are always on, by parameters.C_d "
             "and parameters.m_a"
         )

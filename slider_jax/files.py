@@ -5,7 +5,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,21 @@ def output_folder(path: Path | str) -> Path:
 
 
 @contextmanager
+def tentative_folder(path: Path | str) -> Iterator[Path]:
+    """The output folder `path`; if the block fails, folders that were made for it and are empty
+    go again."""
+    path = Path(path)
+    made = [p for p in (path, *path.parents) if not p.exists()]
+    try:
+        yield output_folder(path)
+    except BaseException:
+        with suppress(OSError):  # not empty
+            for folder in made:
+                folder.rmdir()
+        raise
+
+
+@contextmanager
 def replacing(path: Path | str) -> Iterator[Path]:
     """A temporary name beside `path`, with its suffix; renamed to `path` if the block succeeds."""
     path = Path(path)
@@ -48,18 +63,18 @@ def replacing(path: Path | str) -> Iterator[Path]:
 @contextmanager
 def staged(folder: Path | str) -> Iterator[Path]:
     """A temporary folder; its files move into `folder` if the block succeeds, else none does."""
-    folder = output_folder(folder)
-    stage = Path(tempfile.mkdtemp(dir=folder, prefix=".tmp-"))
-    try:
-        yield stage
-        for item in sorted(stage.rglob("*")):
-            target = folder / item.relative_to(stage)
-            if item.is_dir():
-                target.mkdir(exist_ok=True)
-            else:
-                os.replace(item, target)
-    finally:
-        shutil.rmtree(stage, ignore_errors=True)
+    with tentative_folder(folder) as out:
+        stage = Path(tempfile.mkdtemp(dir=out, prefix=".tmp-"))
+        try:
+            yield stage
+            for item in sorted(stage.rglob("*")):
+                target = out / item.relative_to(stage)
+                if item.is_dir():
+                    target.mkdir(exist_ok=True)
+                else:
+                    os.replace(item, target)
+        finally:
+            shutil.rmtree(stage, ignore_errors=True)
 
 
 def write_bytes(path: Path | str, content: bytes) -> None:

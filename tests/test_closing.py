@@ -75,6 +75,10 @@ def test_the_report_is_whole_and_the_model_runs(delayed, tmp_path):
     told = json.loads(json.dumps(report(delayed, 1.0, SOURCE), default=float))
     assert told["verdict"] == "identified" and told["effects"][0]["name"] == "valve_delay"
     assert set(told["parameters"]) == {"C_d", "m_a", "k", "K_Q"}
+    k = told["parameters"]["k"]
+    assert k["given"] == delayed.experiment.parameters.k
+    assert k["without_effects"] > k["high"]  # the lag alone has to stand for the delay
+    assert max(told["left_over_noise"].values()) < 1.1
     assert told["errors"]["p_front"]["after"] < 0.2 * told["errors"]["p_front"]["before"]
     assert {row["name"] for row in told["candidates"]} == set(CANDIDATES)
     html = page(delayed, told)
@@ -85,6 +89,7 @@ def test_the_report_is_whole_and_the_model_runs(delayed, tmp_path):
     assert skill(told)[0].startswith("p_front, trials held out: rms ")
     tried = [x for x in told["candidates"] if "explained" in x]
     assert html.count(">chosen<") == 1 and html.count("<td>1: ") == len(tried) > 0
+    assert "without the effects" in html and "Above it" not in html
     assert told["audit"] == [] and "No fault was found in the data" in html
     (tmp_path / "model.toml").write_text(model_toml(delayed))
     file = delayed.experiment.folder / "experiment.toml"

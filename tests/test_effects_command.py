@@ -49,7 +49,7 @@ def test_one_effect_is_explained_with_equation_source_priors_and_table(capsys):
         "Source: ",
         "0 to 0.06 s",
         LIBRARY["valve_delay"].priors()["delay"].why,
-        '[[effects]]\n  name = "valve_delay"\n  delay = 0.06',
+        '[[effects]]\n  name = "valve_delay"\n  delay = 0.03',
     ):
         assert part in text
 

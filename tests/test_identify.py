@@ -86,10 +86,12 @@ def test_a_fit_that_leaves_more_than_noise_is_doubted(monkeypatch, square, doubt
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--also", "tangential_frition"], "--also tangential_frition: unknown effect"),
+        (["--also", "tangential_frition"], "did you mean tangential_friction?"),
+        (["--per-frequency", "--each", "C_x"], "--each C_x: not identified; allowed C_d, m_a, k"),
         (["--channels", "torque"], "--channels torque: unknown; allowed p_front"),
     ],
 )
 def test_what_cannot_be_identified_is_refused(tank, tmp_path, capsys, words, said):
     assert main(["calibrate", str(tank), "--out", str(tmp_path / "out"), *words]) == 2
     assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

@@ -14,6 +14,7 @@ from calibration.forward import CHANNELS, Resolution, predict, tangents
 from calibration.matrix import POWER, at_limits, matrix, required_gain
 from calibration.matrix_report import content, table
 from calibration.measured import Record
+from calibration.memo import Memo
 from calibration.next_trial import Effort, limits_of, toml
 from calibration.noise import DISCREPANCY, Whitener
 from calibration.plant import BASE, candidates
@@ -224,6 +225,17 @@ def test_the_trial_that_is_proposed_does_what_it_says(still, towed, tmp_path):
     assert cos == pytest.approx(towed["pairs"][0]["cos_after"], rel=1e-9)
 
 
+def test_a_trial_that_was_foreseen_is_not_simulated_again(still, tmp_path, monkeypatch):
+    f = replace(still.foresight, memo=Memo(tmp_path))
+    trial = f.experiment.trials[0]
+    first = f.trial(trial)
+    monkeypatch.setattr("calibration.foresight.predict", None)
+    for one, other in zip(first, f.trial(trial), strict=True):
+        np.testing.assert_array_equal(one.A, other.A)
+    with pytest.raises(TypeError):
+        f.trial(trial.model_copy(update={"amplitude": 1.01 * trial.amplitude}))
+
+
 def test_what_no_trial_separates_is_said_so(still):
     limits = limits_of(still.foresight.experiment, LIMITS)
     names = ("pressure_gain", "regulator_gain")
@@ -264,7 +276,9 @@ def test_bad_options_are_refused_by_name(options, said, tmp_path, capsys):
 
 def test_the_command_writes_json_picture_and_a_trial(still, tmp_path, monkeypatch, capsys):
     asked = []
-    monkeypatch.setattr("calibration.matrix.matrix", lambda *given: asked.append(given) or still)
+    monkeypatch.setattr(
+        "calibration.matrix.matrix", lambda *given, **kept: asked.append(given) or still
+    )
     monkeypatch.setattr("calibration.separation.separate", partial(separate, effort=Effort(2, 0)))
     path, out = write(tmp_path, *STILL), tmp_path / "out"
     arguments = ["--out", str(out), "--separate", "force_gain", "carried_mass"]

@@ -286,12 +286,15 @@ def test_sampling_keeps_further_axes():
 
 
 def test_staged_files_appear_together_or_not_at_all(tmp_path):
-    out = tmp_path / "out"
+    out = tmp_path / "deep" / "out"
     with pytest.raises(RuntimeError), staged(out) as stage:
         write_json(stage / "a.json", {"x": float("nan")})
         raise RuntimeError
-    assert list(out.iterdir()) == []
+    assert list(tmp_path.iterdir()) == []
+    out.mkdir(parents=True)
     (out / "a.json").write_text("old")
+    with pytest.raises(RuntimeError), staged(out):
+        raise RuntimeError
     with staged(out) as stage:
         write_json(stage / "a.json", {"x": float("nan"), "y": np.arange(2)})
         assert (out / "a.json").read_text() == "old"

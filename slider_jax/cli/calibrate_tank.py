@@ -42,8 +42,10 @@ def tank(
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
     """
     from calibration import identify as single
+    from calibration.per_frequency import refuse_unknown
+    from calibration.plant import parameters
     from slider_jax.experiment import load
-    from slider_jax.files import output_folder, staged, write_json, write_text
+    from slider_jax.files import staged, tentative_folder, write_json, write_text
     from slider_jax.provenance import input_file
 
     begun = time.monotonic()
@@ -52,8 +54,10 @@ def tank(
         print(f"{time.monotonic() - begun:5.0f} s  {text}", file=sys.stderr, flush=True)
 
     loaded = load(experiment, model)
-    output_folder(out)
-    found = single.identify(loaded, also, channels, say, method=method)
+    if per_frequency:
+        refuse_unknown(each, parameters(also))
+    with tentative_folder(out):
+        found = single.identify(loaded, also, channels, say, method=method)
     with staged(out) as stage:
         content, text = single.content(found, input_file(experiment)), single.model_file(found)
         told = [single.table(found)]

@@ -1,7 +1,6 @@
 """`slider effects`: what the library can add to a model, and what each leaves on the sensors."""
 
 import inspect
-from difflib import get_close_matches
 from pathlib import Path
 from textwrap import indent
 from typing import Annotated
@@ -23,7 +22,7 @@ from slider_jax.effects import (
     WaterMotion,
 )
 from slider_jax.effects.library import LIBRARY
-from slider_jax.errors import InputError
+from slider_jax.errors import InputError, nearest
 
 PLACES = (
     Command,
@@ -65,11 +64,8 @@ def effects(
         print(listing())
         return
     if name not in LIBRARY:
-        near = get_close_matches(name, LIBRARY, 1)
-        raise InputError(
-            f"NAME: given {name!r}; allowed the names that slider effects lists"
-            f"{f'; did you mean {near[0]}?' if near else ''}"
-        )
+        near = nearest(name, (*LIBRARY, "matrix"))  # which is a command of its own
+        raise InputError(f"NAME: given {name!r}; allowed the names that slider effects lists{near}")
     if experiment is not None and out is None:
         raise InputError("--experiment: is for the picture; give --out DIR too")
     if out is None:
@@ -100,8 +96,6 @@ def listing() -> str:
 
 def explanation(name: str) -> str:
     """Docstring and priors of one effect."""
-    from slider_jax.fingerprint import typical
-
     kind = LIBRARY[name]
     lines = [
         f"{name}: {kind.title}",
@@ -118,7 +112,7 @@ def explanation(name: str) -> str:
     widths = [max(len(row[i]) for row in rows) for i in (0, 1)]
     for parameter, span, why in rows:
         lines.append(f"  {parameter:<{widths[0]}}  {span:<{widths[1]}}  {why}")
-    given = "".join(f"\n  {key} = {typical(prior):g}" for key, prior in priors.items())
+    given = "".join(f"\n  {key} = {_example(prior):.3g}" for key, prior in priors.items())
     lines += ["", "in an experiment or model file", f'  [[effects]]\n  name = "{name}"{given}']
     return "\n".join(lines)
 
@@ -131,6 +125,13 @@ def _range(prior: Prior) -> str:
     unit = "" if prior.unit == "-" else f" {prior.unit}"
     null = "" if prior.null == 0.0 else f", none at {prior.null:g}"
     return f"{prior.low:g} to {prior.high:g}{unit}{null}"
+
+
+def _example(prior: Prior) -> float:
+    """A size to try: half of what is believed possible."""
+    from slider_jax.fingerprint import typical
+
+    return 0.5 * (prior.null + typical(prior))
 
 
 def _draw(name: str, out: Path, path: Path | None) -> None:

@@ -3,7 +3,6 @@
 import sys
 import time
 from collections.abc import Callable
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,7 +10,7 @@ import numpy as np
 import tyro
 
 from slider_jax.cli.options import Folder, ModelFile
-from slider_jax.errors import InputError
+from slider_jax.errors import InputError, nearest
 
 Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")]
 Range = Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="LOW HIGH")]
@@ -30,7 +29,8 @@ def matrix(
 ) -> None:
     """Say which effects an experiment could detect, from what size on, and which look alike.
 
-    Nothing needs to be measured. Writes DIR/matrix.json and DIR/matrix.png. With --separate, also
+    Nothing needs to be measured. A run that was stopped goes on where it was when it is started
+    again. Writes DIR/matrix.json and DIR/matrix.png. With --separate, also
     which trial to run next to tell the effects named apart: in DIR/matrix.json, and as
     DIR/next_trial.toml to add to the experiment. The limits of that trial are those of the
     experiment's own trials, slightly widened, unless given.
@@ -48,6 +48,7 @@ def matrix(
     """
     from calibration.matrix import matrix as matrix_of
     from calibration.matrix_report import content, plot, table
+    from calibration.memo import resumable
     from calibration.next_trial import Limits, limits_of
     from slider_jax.experiment import load
     from slider_jax.files import staged, write_json, write_text
@@ -69,15 +70,19 @@ def matrix(
     def say(text: str) -> None:
         print(f"{time.monotonic() - begun:5.0f} s  {text}", file=sys.stderr, flush=True)
 
-    with staged(out) as stage:
+    settings = {"inputs": [input_file(p) for p in (experiment, *([model] if model else []))]}
+    with resumable(out, settings) as memo:
         say("compiling")
-        found = matrix_of(loaded, tuple(dict.fromkeys((*effects, *separate))) or None, say)
+        names = tuple(dict.fromkeys((*effects, *separate))) or None
+        found = matrix_of(loaded, names, say, memo=memo)
         told = content(found, input_file(experiment))
         if within is not None:
             told["next_trial"] = _next(found, tuple(dict.fromkeys(separate)), within, say)
-            write_text(stage / "next_trial.toml", told["next_trial"]["toml"])
-        write_json(stage / "matrix.json", told)
-        plot(found, stage / "matrix.png")
+        with staged(out) as stage:
+            if within is not None:
+                write_text(stage / "next_trial.toml", told["next_trial"]["toml"])
+            write_json(stage / "matrix.json", told)
+            plot(found, stage / "matrix.png")
     print(table(found))
     files = "matrix.json and matrix.png"
     if within is not None:
@@ -92,10 +97,9 @@ def _check(option: str, names: tuple[str, ...]) -> None:
     allowed = candidates()
     for name in names:
         if name not in allowed:
-            near = get_close_matches(name, allowed, 1)
             raise InputError(
                 f"{option}: given {name!r}; allowed the names that slider effects lists, without "
-                f"gravity{f'; did you mean {near[0]}?' if near else ''}"
+                f"gravity{nearest(name, allowed)}"
             )
 
 

@@ -1,15 +1,14 @@
 """The `slider` command: finds the subcommand, prepares JAX, and turns errors into messages."""
 
-import difflib
 import inspect
 import os
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from slider_jax.errors import InputError, SolverError
+from slider_jax.errors import InputError, SolverError, nearest
 
 
 class Command(NamedTuple):
@@ -108,13 +107,8 @@ def find(arguments: Sequence[str]) -> tuple[str, list[str]]:
     given = " ".join(words[: 2 if words[0] in _GROUPS else 1])
     raise InputError(
         f"command: given {given!r}; allowed {', '.join(COMMANDS)}"
-        f"{_nearest(given, COMMANDS)}; see slider --help"
+        f"{nearest(given, COMMANDS)}; see slider --help"
     )
-
-
-def _nearest(given: str, allowed: Iterable[str]) -> str:
-    close = difflib.get_close_matches(given, list(allowed), 1)
-    return f"; did you mean {close[0]}?" if close else ""
 
 
 def _refuse_unknown_options(function: Callable[..., Any], words: Sequence[str]) -> None:
@@ -132,7 +126,7 @@ def _refuse_unknown_options(function: Callable[..., Any], words: Sequence[str]) 
         option = word.split("=")[0].replace("_", "-")
         if option.startswith("--") and option not in allowed:
             raise InputError(
-                f"{option}: unknown option; allowed {', '.join(allowed)}{_nearest(option, allowed)}"
+                f"{option}: unknown option; allowed {', '.join(allowed)}{nearest(option, allowed)}"
             )
 
 
