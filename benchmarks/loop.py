@@ -45,9 +45,9 @@ SIZES = (1, 3, 10)
 PAIRS = (
     ("valve_delay", "tangential_friction"), ("fill_vent_asymmetry", "camera_delay"),
     ("leakage", "clamp_compliance"), ("line_lag", "tank_current"),
-    ("actuator_hysteresis", "tank_current"), ("cubic_elasticity", "valve_delay"),
+    ("actuator_hysteresis", "tank_current"), ("line_lag", "camera_delay"),
     ("clamp_compliance", "choked_flow"), ("tank_current", "body_stiffness"),
-    ("cubic_elasticity", "leakage"), ("camera_delay", "body_stiffness"),
+    ("valve_delay", "body_stiffness"), ("camera_delay", "body_stiffness"),
     ("clamp_compliance", "tank_current"), ("actuator_hysteresis", "camera_delay"),
 )  # fmt: skip
 PAIR_SIZE = 5.0
