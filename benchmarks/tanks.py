@@ -1,6 +1,6 @@
 """Tanks with a known answer for the benchmark of the loop.
 
-A tank is simulated on another mesh and with another step than the fitter's, one in three by another
+A tank is simulated on another mesh and with another step than the fitter's, one in six by another
 scheme, read by sensors with tare, slow noise and a gain that drifts from trial to trial, and handed
 over as what an experiment's files would hold.
 """

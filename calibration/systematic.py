@@ -10,12 +10,12 @@ from calibration.evidence import Problem, summed
 from calibration.fit import Fit, inverse
 from calibration.plant import Parameter
 
-SYSTEMATIC = {"C_d": 0.005, "m_a": 0.012, "k": 0.0007, "K_Q": 0.003}
+SYSTEMATIC = {"C_d": 0.004, "m_a": 0.010, "k": 0.0005, "K_Q": 0.0023}
 """Share by which the base model's parameters differ between two correct programs, one standard
 deviation; in every interval beside what the noise leaves. The noise holds their difference too, as
-if it were another in every trial; this is what all trials share of it. Measured as the rms over
-fits without noise to seven meshes and steps of three tanks (0.4, 0.8, 0.02 and 0.3 %) and over
-those to an independent program's four (0.35, 1.2, 0.07 and 0.12 %)."""
+if it were another in every trial; this is what all trials share of it. The root of the mean of two
+squares: the rms over fits without noise to seven meshes and steps of three tanks (0.4, 0.8, 0.02
+and 0.3 %), and over those to an independent program's four (0.35, 1.2, 0.07 and 0.12 %)."""
 EFFECT = 0.02
 """The same of an effect's parameter."""
 FORCES = ("thrust", "recoil")
