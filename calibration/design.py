@@ -16,7 +16,7 @@ from calibration.fit import Fit, inverse
 from calibration.forward import CHANNELS, COARSE, Resolution, on_all_cores, plan, predict, tangents
 from calibration.noise import Noise, Whitener
 from calibration.plant import Parameter
-from calibration.systematic import determined, interval, share_of
+from calibration.systematic import by_variation, determined, interval, share_of
 from slider_jax.experiment import Experiment
 from slider_jax.schema import Trial
 
@@ -167,7 +167,10 @@ def advise(
 ) -> dict[int, Proposal]:
     """A proposal for every fitted entry that the data do not determine."""
     open_ones = [
-        int(i) for i in fit.free if not determined(entries[i], *interval(fit, entries, int(i))[1:])
+        int(i)
+        for i in fit.free
+        if not determined(entries[i], *interval(fit, entries, int(i))[1:])
+        and by_variation(fit, int(i)) is None  # else more of the same data would not agree
     ]
     candidates = feasible(experiment) if open_ones else []
     if not candidates:

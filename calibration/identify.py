@@ -45,6 +45,21 @@ class Identified(NamedTuple):
     """What to know of a fit that does not explain its data, or nothing."""
 
 
+def refuse_unknown(effects: Sequence[str], channels: Sequence[str], method: str) -> None:
+    """Raises `InputError` for a name that `identify` does not know."""
+    if method not in (*METHODS, "auto"):
+        raise InputError(f"--method {method}: unknown; allowed auto, {', '.join(METHODS)}")
+    for name in effects:
+        if name not in LIBRARY:
+            near = nearest(name, LIBRARY)
+            raise InputError(
+                f"--also {name}: unknown effect; allowed what slider effects lists{near}"
+            )
+    for name in channels:
+        if name not in CHANNELS:
+            raise InputError(f"--channels {name}: unknown; allowed {', '.join(CHANNELS)}")
+
+
 def identify(
     experiment: Experiment,
     effects: Sequence[str] = (),
@@ -59,17 +74,7 @@ def identify(
     `method` is "lm", "lbfgs", or "auto": L-BFGS from `MANY` parameters on. Raises `InputError` for
     an unknown effect, channel or method, and where no measured trial can be used.
     """
-    if method not in (*METHODS, "auto"):
-        raise InputError(f"--method {method}: unknown; allowed auto, {', '.join(METHODS)}")
-    for name in effects:
-        if name not in LIBRARY:
-            near = nearest(name, LIBRARY)
-            raise InputError(
-                f"--also {name}: unknown effect; allowed what slider effects lists{near}"
-            )
-    for name in channels:
-        if name not in CHANNELS:
-            raise InputError(f"--channels {name}: unknown; allowed {', '.join(CHANNELS)}")
+    refuse_unknown(effects, channels, method)
     entries = parameters(tuple(effects))
 
     def problem_of(chosen: Sequence[Record]) -> Problem:

@@ -9,13 +9,14 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
 import calibration
 import slider_jax
 from slider_jax.files import replacing, tentative_folder
-from slider_jax.provenance import versions
+from slider_jax.provenance import input_file, versions
 
 
 @dataclass(frozen=True)
@@ -33,9 +34,9 @@ class Memo:
             digest.update(np.ascontiguousarray(array).tobytes())
         path = self.folder / f"{digest.hexdigest()}.npz"
         try:
-            with np.load(path) as found:
+            with path.open("rb") as file, np.load(file) as found:
                 return [found[f"arr_{i}"] for i in range(len(found.files))]
-        except (OSError, ValueError, KeyError, EOFError):
+        except (OSError, ValueError, KeyError, EOFError, BadZipFile):
             pass
         made = make()
         with replacing(path) as temporary:
@@ -52,6 +53,12 @@ def code() -> str:
     return digest.hexdigest()
 
 
+def inputs(paths: Sequence[Path], folder: Path | None = None) -> dict[str, Any]:
+    """Settings of a run on the files `paths`, and on the tables of an experiment's `folder`."""
+    tables = sorted(folder.glob("*.csv")) if folder else []
+    return {"inputs": [input_file(p) for p in (*paths, *tables)]}
+
+
 @contextmanager
 def resumable(out: Path, settings: dict[str, Any]) -> Iterator[Memo]:
     """A memo under `out` for a run with these settings, taken away when the run succeeds.
@@ -66,8 +73,8 @@ def resumable(out: Path, settings: dict[str, Any]) -> Iterator[Memo]:
             print(f"going on with what a stopped run left in {folder}", file=sys.stderr)
         for other in sorted(parent.glob(".unfinished-*")):
             if other != folder:
-                said = "left by a run on other data or by another program; may be deleted if none"
-                print(f"{other}: {said} runs", file=sys.stderr)
+                said = "left by a run on other data or by another program"
+                print(f"{other}: {said}; may be deleted if none runs", file=sys.stderr)
         folder.mkdir(exist_ok=True)
         try:
             yield Memo(folder)

@@ -19,7 +19,7 @@ from calibration.fit import Fit, fit, inverse
 from calibration.forward import COARSE, Resolution
 from calibration.layouts import CONSTANT, EACH, PAPER, RAMP, Layout
 from calibration.plant import Parameter
-from calibration.systematic import determined, halves, interval
+from calibration.systematic import by_variation, determined, halves, interval
 from calibration.trace import solve
 from slider_jax.errors import InputError, nearest
 from slider_jax.experiment import Experiment
@@ -120,6 +120,8 @@ def _advice(found: ByFrequency, coarse: Resolution) -> dict[int, Proposal]:
     for i, p in enumerate(plan.entries):
         g = int(plan.group[i])
         if g < 0 or determined(p, *interval(best, plan.entries, i)[1:]):
+            continue
+        if by_variation(best, i) is not None:  # more of the same data would not agree
             continue
         here = np.flatnonzero((plan.group < 0) | (plan.group == g))
         other = np.flatnonzero((plan.group >= 0) & (plan.group != g))

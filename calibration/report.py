@@ -104,19 +104,18 @@ def told(fit: Fit, entries: Sequence[Parameter], index: int) -> dict[str, Any]:
     return said | ({} if alone is None else {"by_variation_alone": alone})
 
 
-def words(told: dict[str, Any]) -> str:
+def words(x: dict[str, Any]) -> str:
     """A parameter as `told`: value and interval, or that there is none."""
-    if told["value"] is None:
-        said = "not determined by these data"
-    else:
-        said = f"{told['value']:.4g}  ({told['low']:.4g} to {told['high']:.4g}) {told['unit']}"
-    return said + (f"; {widened(told)}" if "by_variation_alone" in told else "")
+    within = f"({x['low']:.4g} to {x['high']:.4g}) {x['unit']}"
+    value = "not determined by these data" if x["value"] is None else f"{x['value']:.4g}"
+    said = f"{value}  {within}"
+    return said + (f"; {widened(x)}" if "by_variation_alone" in x else "")
 
 
-def widened(told: dict[str, Any]) -> str:
+def widened(x: dict[str, Any]) -> str:
     """Why the interval is wider than the noise asks for."""
     return (
-        f"by what varies of the forces alone {told['by_variation_alone']:.4g}, which is farther "
+        f"by what varies of the forces alone {x['by_variation_alone']:.4g}, which is farther "
         "off than chance: the interval is widened for it"
     )
 

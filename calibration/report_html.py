@@ -15,6 +15,7 @@ from calibration.whereabouts import said
 SHOWN = {"p_front": (1e-3, "kPa"), "p_rear": (1e-3, "kPa"), "thrust": (1e3, "mN"),
          "recoil": (1e3, "mN"), "tip": (1e3, "mm")}  # fmt: skip
 SHOWN_STRIDES = 3.0
+"""Of a trial's end; seconds where it has no frequency."""
 
 
 def page(outcome: Outcome, told: dict[str, Any]) -> str:
@@ -63,34 +64,33 @@ def _errors(title: str, errors: dict[str, dict[str, float]]) -> str:
 
 
 def _left_over(times: dict[str, float]) -> str:
-    """How far from the floor, as the verdict sees it."""
+    """How far from the floor a fit is: an rms can lie above it by the tares of a few trials."""
     above = [c for c, x in times.items() if x**2 > FLOOR]
-    said = "At the floor is what leaves up to "
-    said += f"{np.sqrt(FLOOR):.2f} times the noise, each channel weighed by how its own noise is "
-    said += "correlated, tares and drift included: after, "
-    said += ", ".join(f"{c} {x:.2f}" for c, x in times.items()) + "."
-    return paragraph(said + (f" Above it: {', '.join(above)}." if above else ""))
+    said = (
+        "Each weighed by how its own noise is correlated, tares and drift included, after leaves "
+    )
+    said += ", ".join(f"{c} {x:.2f}" for c, x in times.items()) + " times the noise. Up to "
+    said += f"{np.sqrt(FLOOR):.2f} is at the floor"
+    return paragraph(said + (f"; above it: {', '.join(above)}." if above else "."))
 
 
 def _parameters(told: dict[str, Any]) -> str:
     found = dict(told["parameters"])
     for effect in told["effects"]:
         found |= {f"{effect['name']}.{n}": x for n, x in effect["parameters"].items()}
-    added = bool(told["effects"])
-    head = ["parameter", "value", "95 % interval", "unit", "in the input", "without the effects"]
-    rows = [[name, *_interval(x), *_before(x)] for name, x in found.items()]
-    rows, head = [row[: 5 + added] for row in rows], head[: 5 + added]
+    head, before = ["parameter", "value", "95 % interval", "unit", "started from"], ["given"]
+    if told["effects"]:
+        head, before = [*head, "without the effects"], [*before, "without_effects"]
+    rows = [
+        [name, *_interval(x), *(f"{x[key]:.4g}" if key in x else "" for key in before)]
+        for name, x in found.items()
+    ]
     said = [
         paragraph(f"{name}: {widened(x)}.")
         for name, x in found.items()
         if "by_variation_alone" in x
     ]
     return table(head, rows) + "".join(said)
-
-
-def _before(x: dict[str, Any]) -> list[str]:
-    """What the input says of a base parameter, and what it is fitted to where nothing is added."""
-    return [f"{x[key]:.4g}" if key in x else "" for key in ("given", "without_effects")]
 
 
 def _interval(x: dict[str, Any]) -> list[str]:

@@ -74,7 +74,8 @@ def _normal(problem: Problem, fit: Fit, along: list[np.ndarray]) -> tuple[np.nda
 def by_variation(fit: Fit, index: int) -> float | None:
     """What the forces' variation alone asks the entry `index` to be, where that is beyond chance
     farther off than the other half of the data: then its interval is widened."""
-    apart = 0.0 if fit.apart is None else float(fit.apart[list(fit.free).index(index)])
+    place = int(np.flatnonzero(fit.free == index)[0])
+    apart = 0.0 if fit.apart is None else float(fit.apart[place])
     return float(fit.theta[index]) + apart if apart else None
 
 

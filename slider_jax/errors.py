@@ -4,12 +4,6 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 
 
-def nearest(given: str, allowed: Iterable[str]) -> str:
-    """The end of a message: the allowed name that a mistyped one is nearest to, if any is near."""
-    close = get_close_matches(given, list(allowed), 1)
-    return f"; did you mean {close[0]}?" if close else ""
-
-
 class InputError(Exception):
     """What was given cannot be used. The command line prints the message and exits with 2."""
 
@@ -22,3 +16,9 @@ class InputError(Exception):
 
 class SolverError(Exception):
     """A single run's time step did not converge. Batches carry this as a value instead."""
+
+
+def nearest(given: str, allowed: Iterable[str]) -> str:
+    """What a message adds of the allowed name that a mistyped one is nearest to, if any is near."""
+    close = get_close_matches(given, list(allowed), 1)
+    return f"; did you mean {close[0]}?" if close else ""

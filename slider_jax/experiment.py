@@ -127,9 +127,9 @@ def _effect(table: EffectTable, where: str, taken: dict[str, float] | None = Non
     """The effect that a table names, with its parameters, and `taken` from the trial."""
     if table.name not in LIBRARY:
         raise InputError(
-            f"{where}.name: given {table.name!r}{nearest(table.name, LIBRARY)}; "
-            f"allowed {', '.join(LIBRARY)}; drag and added mass are always on, by parameters.C_d "
-            "and parameters.m_a"
+            f"{where}.name: given {table.name!r}; allowed {', '.join(LIBRARY)}; drag and added "
+            "mass are always on, by parameters.C_d and parameters.m_a"
+            f"{nearest(table.name, LIBRARY)}"
         )
     kind, given = LIBRARY[table.name], dict(table.model_extra or {})
     known = [field.name for field in fields(kind)]

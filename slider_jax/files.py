@@ -35,7 +35,7 @@ def tentative_folder(path: Path | str) -> Iterator[Path]:
     """The output folder `path`; if the block fails, folders that were made for it and are empty
     go again."""
     path = Path(path)
-    made = [p for p in (path, *path.parents) if not p.exists()]
+    made = [p for p in (path, *path.parents) if not os.path.exists(p)]
     try:
         yield output_folder(path)
     except BaseException:

@@ -89,7 +89,7 @@ def test_the_report_is_whole_and_the_model_runs(delayed, tmp_path):
     assert skill(told)[0].startswith("p_front, trials held out: rms ")
     tried = [x for x in told["candidates"] if "explained" in x]
     assert html.count(">chosen<") == 1 and html.count("<td>1: ") == len(tried) > 0
-    assert "without the effects" in html and "Above it" not in html
+    assert "without the effects" in html and "above it" not in html
     assert told["audit"] == [] and "No fault was found in the data" in html
     (tmp_path / "model.toml").write_text(model_toml(delayed))
     file = delayed.experiment.folder / "experiment.toml"

@@ -10,6 +10,7 @@ from calibration.fit import fit
 from calibration.measured import Record
 from calibration.noise import Noise
 from calibration.plant import Parameter
+from calibration.report import told, words
 from calibration.systematic import halves, interval
 from slider_jax.effects import Prior
 from slider_jax.schema import Trial
@@ -66,4 +67,8 @@ def test_halves_that_disagree_are_told_and_widen_it(varying):
     assert found.apart[0] + value == pytest.approx(varying, abs=0.06)
     assert found.widening[0] > 3.0 and low < 1.0 < high
     narrow = found._replace(apart=None, widening=1.0)
+    said = told(found, ENTRIES, 0)
+    assert said["by_variation_alone"] == pytest.approx(varying, abs=0.06)
+    assert "what varies of the forces alone" in words(said)
+    assert "forces" not in words(told(narrow, ENTRIES, 0))
     assert high - low > 2.0 * np.diff(interval(narrow, ENTRIES, 0)[1:])[0]

@@ -87,6 +87,7 @@ def test_a_fit_that_leaves_more_than_noise_is_doubted(monkeypatch, square, doubt
     ("words", "said"),
     [
         (["--also", "tangential_frition"], "did you mean tangential_friction?"),
+        (["--per-frequency", "--also", "tangential_frition"], "did you mean tangential_friction?"),
         (["--per-frequency", "--each", "C_x"], "--each C_x: not identified; allowed C_d, m_a, k"),
         (["--channels", "torque"], "--channels torque: unknown; allowed p_front"),
     ],

@@ -93,6 +93,15 @@ def test_too_few_logs_are_refused(logs):
         close_loop_on_logs(logs[:2], NAMES)
 
 
+def test_what_was_torn_is_made_anew(tmp_path):
+    memo = Memo(tmp_path)
+    memo.kept("a", [], lambda: [np.arange(1000.0)])
+    (file,) = tmp_path.iterdir()
+    file.write_bytes(file.read_bytes()[:-100])
+    (found,) = memo.kept("a", [], lambda: [np.arange(1000.0)])
+    np.testing.assert_array_equal(found, np.arange(1000.0))
+
+
 def test_a_run_that_fails_before_anything_is_simulated_leaves_nothing(tmp_path):
     with pytest.raises(InputError), resumable(tmp_path / "out", {}):
         raise InputError("what was given is wrong")

@@ -232,8 +232,16 @@ def test_a_trial_that_was_foreseen_is_not_simulated_again(still, tmp_path, monke
     monkeypatch.setattr("calibration.foresight.predict", None)
     for one, other in zip(first, f.trial(trial), strict=True):
         np.testing.assert_array_equal(one.A, other.A)
-    with pytest.raises(TypeError):
-        f.trial(trial.model_copy(update={"amplitude": 1.01 * trial.amplitude}))
+    others = (
+        f,
+        replace(f, chosen=f.chosen[:-1]),
+        replace(f, secants={int(f.chosen[-1]): 0.02}),
+        replace(f, coarse=Resolution(15, 40, 6.0e-3)),
+    )
+    louder = trial.model_copy(update={"amplitude": 1.01 * trial.amplitude})
+    for other, x in zip(others, (louder, trial, trial, trial), strict=True):
+        with pytest.raises(TypeError):
+            other.trial(x)
 
 
 def test_what_no_trial_separates_is_said_so(still):
@@ -276,9 +284,13 @@ def test_bad_options_are_refused_by_name(options, said, tmp_path, capsys):
 
 def test_the_command_writes_json_picture_and_a_trial(still, tmp_path, monkeypatch, capsys):
     asked = []
-    monkeypatch.setattr(
-        "calibration.matrix.matrix", lambda *given, **kept: asked.append(given) or still
-    )
+
+    def asked_for(*given, memo):
+        assert memo.folder.parent == out
+        asked.append(given)
+        return still
+
+    monkeypatch.setattr("calibration.matrix.matrix", asked_for)
     monkeypatch.setattr("calibration.separation.separate", partial(separate, effort=Effort(2, 0)))
     path, out = write(tmp_path, *STILL), tmp_path / "out"
     arguments = ["--out", str(out), "--separate", "force_gain", "carried_mass"]

@@ -116,7 +116,10 @@ def test_no_trial_is_proposed_where_none_would_narrow_an_interval(tank):
     assert found["trial"] is None and "would not narrow" in found["said"]
     told = report(done, 1.0, {"path": "tank.toml", "sha256": "0"}, found)
     assert told["next_experiment"] is found
-    assert "<h2>Next experiment</h2>" in page(done, told | {"candidates": []})
+    html = page(done, told | {"candidates": []})
+    assert "<h2>Next experiment</h2>" in html and "above it" not in html
+    loud = told | {"candidates": [], "left_over_noise": {"tip": 2.0}}
+    assert "above it: tip." in page(done, loud)
 
 
 def test_recorded_drives_alone_propose_nothing_and_say_why(tank):

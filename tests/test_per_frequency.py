@@ -104,6 +104,7 @@ def test_values_by_frequency_fit_what_no_ramp_fits(monkeypatch):
     found = compared(experiment, entries, closed.measured(experiment, thetas, 0))
     fits = {n: w.fit.square / w.fit.samples for n, w in found.ways.items()}
     assert fits["per_frequency"] < 1.3 < 2.0 < fits["constant"]
+    assert all(w.fit.apart is not None for w in found.ways.values())  # halves were compared
 
 
 def test_too_few_frequencies_decide_nothing(monkeypatch):

@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 from slider_jax.cli.main import main
+from slider_jax.errors import InputError
 from slider_jax.experiment import SAMPLES, load
 from slider_jax.files import staged, write_csv, write_json
 from slider_jax.results import settled, trial_summary, window
@@ -291,6 +292,8 @@ def test_staged_files_appear_together_or_not_at_all(tmp_path):
         write_json(stage / "a.json", {"x": float("nan")})
         raise RuntimeError
     assert list(tmp_path.iterdir()) == []
+    with pytest.raises(InputError, match="cannot be made"), staged(tmp_path / (300 * "x")):
+        pass
     out.mkdir(parents=True)
     (out / "a.json").write_text("old")
     with pytest.raises(RuntimeError), staged(out):

@@ -54,20 +54,21 @@ def tank(
         print(f"{time.monotonic() - begun:5.0f} s  {text}", file=sys.stderr, flush=True)
 
     loaded = load(experiment, model)
+    single.refuse_unknown(also, channels, method)
     if per_frequency:
         refuse_unknown(each, parameters(also))
     with tentative_folder(out):
         found = single.identify(loaded, also, channels, say, method=method)
-    with staged(out) as stage:
-        content, text = single.content(found, input_file(experiment)), single.model_file(found)
-        told = [single.table(found)]
-        if per_frequency:
-            more, text, table = _by_frequency(found, each, say, stage)
-            text = f"# {found.doubt}\n{text}" if found.doubt else text
-            content |= {"per_frequency": more}
-            told += ["", table]
-        write_json(stage / "calibration.json", content)
-        write_text(stage / "model.toml", text)
+        with staged(out) as stage:
+            content, text = single.content(found, input_file(experiment)), single.model_file(found)
+            told = [single.table(found)]
+            if per_frequency:
+                more, text, table = _by_frequency(found, each, say, stage)
+                text = f"# {found.doubt}\n{text}" if found.doubt else text
+                content |= {"per_frequency": more}
+                told += ["", table]
+            write_json(stage / "calibration.json", content)
+            write_text(stage / "model.toml", text)
     print("\n".join(told))
     print(f"calibration.json and model.toml are in {out}", file=sys.stderr)
 

@@ -32,12 +32,11 @@ def close_loop(
         out: folder for the results; made if missing, files of the same name are replaced.
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
     """
-    from calibration.memo import resumable
+    from calibration.memo import inputs as made_from, resumable
     from calibration.report import model_toml, sizes, skill
     from calibration.report_html import page
     from slider_jax.experiment import Experiment
     from slider_jax.files import staged, write_json, write_text
-    from slider_jax.provenance import input_file
 
     begun = time.monotonic()
 
@@ -48,10 +47,9 @@ def close_loop(
         return time.monotonic() - begun
 
     given = _logs(inputs) if _are_logs(inputs, model) else _experiment(inputs[0], model)
-    settings = {"inputs": [input_file(p) for p in (*inputs, *([model] if model else []))]}
-    if isinstance(given, Experiment):
-        settings["trials"] = [input_file(p) for p in sorted(given.folder.glob("*.csv"))]
-    with resumable(out, settings) as memo:
+    folder = given.folder if isinstance(given, Experiment) else None
+    files = (*inputs, *([model] if model else []))
+    with resumable(out, made_from(files, folder)) as memo:
         _tell_what_is_replaced(out)
         of = _of_experiment if isinstance(given, Experiment) else _of_logs
         outcome, told = of(given, inputs, memo, say, seconds)

@@ -48,7 +48,7 @@ def matrix(
     """
     from calibration.matrix import matrix as matrix_of
     from calibration.matrix_report import content, plot, table
-    from calibration.memo import resumable
+    from calibration.memo import inputs, resumable
     from calibration.next_trial import Limits, limits_of
     from slider_jax.experiment import load
     from slider_jax.files import staged, write_json, write_text
@@ -70,8 +70,8 @@ def matrix(
     def say(text: str) -> None:
         print(f"{time.monotonic() - begun:5.0f} s  {text}", file=sys.stderr, flush=True)
 
-    settings = {"inputs": [input_file(p) for p in (experiment, *([model] if model else []))]}
-    with resumable(out, settings) as memo:
+    files = (experiment, *([model] if model else []))
+    with resumable(out, inputs(files, loaded.folder)) as memo:
         say("compiling")
         names = tuple(dict.fromkeys((*effects, *separate))) or None
         found = matrix_of(loaded, names, say, memo=memo)
@@ -84,11 +84,11 @@ def matrix(
             write_json(stage / "matrix.json", told)
             plot(found, stage / "matrix.png")
     print(table(found))
-    files = "matrix.json and matrix.png"
+    written = "matrix.json and matrix.png"
     if within is not None:
         print("\n" + _said(told["next_trial"]))
-        files = "matrix.json, matrix.png and next_trial.toml"
-    print(f"{files} are in {out}", file=sys.stderr)
+        written = "matrix.json, matrix.png and next_trial.toml"
+    print(f"{written} are in {out}", file=sys.stderr)
 
 
 def _check(option: str, names: tuple[str, ...]) -> None:
