@@ -95,11 +95,13 @@ def _interval(outcome: Outcome, effect: str, name: str) -> dict[str, Any]:
 
 
 def told(fit: Fit, entries: Sequence[Parameter], index: int) -> dict[str, Any]:
-    """A fitted parameter as reports say it: no value where the data do not fix one."""
+    """A fitted parameter as reports say it: no value where the data do not fix one, and of the
+    interval what lies in the prior range."""
     p, (value, low, high) = entries[index], interval(fit, entries, index)
     said = {"value": value, "low": low, "high": high, "unit": p.prior.unit}
     if not determined(p, low, high):
-        said |= {"value": None, "not_determined_by_these_data": True}
+        low, high = (float(np.clip(x, p.prior.low, p.prior.high)) for x in (low, high))
+        said |= {"value": None, "low": low, "high": high, "not_determined_by_these_data": True}
     alone = by_variation(fit, index)
     return said | ({} if alone is None else {"by_variation_alone": alone})
 
