@@ -178,8 +178,8 @@ def readings_figure(outcome: Outcome):
     record, before, after = _shown_trial(outcome)
     channels = [c for c in CHANNELS if record.has(c)]
     figure, axes = plt.subplots(
-        len(channels), 2, figsize=(12, 1.8 * len(channels)), sharex="col", layout="constrained",
-        squeeze=False,
+        len(channels), 2, figsize=(12, 1.2 + 1.6 * len(channels)), sharex="col", squeeze=False,
+        layout="constrained",
     )  # fmt: skip
     late = record.t >= record.t[-1] - SHOWN_STRIDES / (record.trial.frequency or 1.0)
     models = ((before, "before", "tab:orange"), (after, "after", "tab:blue"))
