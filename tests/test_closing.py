@@ -126,4 +126,4 @@ def test_what_none_of_the_candidates_explains_is_said_to_be_unexplained(tmp_path
 def test_too_few_trials_are_refused(tmp_path):
     path = write_experiment(tmp_path / "two", runs=MADE_UP[:2])
     with pytest.raises(InputError, match="holds 2 measured trials"):
-        closing.close_loop(experiment.load(path), CANDIDATES)
+        closing.close_loop(experiment.load(path), ())

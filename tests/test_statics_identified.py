@@ -145,7 +145,7 @@ def test_the_tip_goes_where_elastica_and_arcs_go():
         assert elastica(0.0, (p, 0.9 * p), spans=spans)[0] == pytest.approx(y, rel=1e-6)
 
 
-@pytest.mark.parametrize("declared", [NOISE, None])
+@pytest.mark.parametrize("declared", [pytest.param(NOISE, marks=pytest.mark.slow), None])
 def test_intervals_hold_the_truth(exact, declared):
     """15 benches a case, 3 parameters each, from an elastica with noise and a shifted ruler."""
     held = 0
