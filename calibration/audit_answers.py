@@ -4,13 +4,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration.audit_signal import Drive, Fits, drives, fits, tone
+from calibration.audit_signal import Drive, Fits, drives, fits, settled, tone
 from calibration.findings import Action, Finding
 from calibration.measured import COLUMNS, Record
 
 NAMES = tuple(COLUMNS.values())
 ANSWERS = 0.6
 """Share of its rms that a pressure leaves of the drive's response, above which it is no answer."""
+STRIDES = 1.2
+"""Settled strides from which on a tone can be told."""
 
 
 class Answers:
@@ -57,11 +59,16 @@ def chambers_of(records: Sequence[Record]) -> list[tuple[Drive, Drive]]:
 
 
 def pair(r: Record) -> tuple[float, float] | None:
-    """The rear column's lag behind the front's (fraction of a period), and front over rear."""
+    """The rear column's lag behind the front's (fraction of a period), and front over rear.
+
+    None of a trial without `STRIDES` settled strides: of less a parabola passes for a tone.
+    """
+    if not r.trial.frequency or (r.t[-1] - settled(r.t)) * r.trial.frequency < STRIDES:
+        return None
     tones = []
     for row in (0, 1):
         there = np.isfinite(r.values[row])
-        if there.mean() < 0.5 or not r.trial.frequency:
+        if there.mean() < 0.5:
             return None
         tones.append(tone(r.t[there], r.values[row, there], r.trial.frequency))
     front, rear = tones
