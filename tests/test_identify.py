@@ -83,11 +83,17 @@ def test_a_fit_that_leaves_more_than_noise_is_doubted(monkeypatch, square, doubt
         assert "does not explain these data: it leaves tip at 3 times its noise." in said
 
 
+MISTYPED = (
+    "--also tangential_frition: unknown effect; allowed what slider effects lists; "
+    "did you mean tangential_friction?"
+)
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--also", "tangential_frition"], "did you mean tangential_friction?"),
-        (["--per-frequency", "--also", "tangential_frition"], "did you mean tangential_friction?"),
+        (["--also", "tangential_frition"], MISTYPED),
+        (["--per-frequency", "--also", "tangential_frition"], MISTYPED),
         (["--per-frequency", "--each", "C_x"], "--each C_x: not identified; allowed C_d, m_a, k"),
         (["--channels", "torque"], "--channels torque: unknown; allowed p_front"),
     ],
