@@ -55,7 +55,7 @@ def audit(
     findings += more
     records, more = _same_twice(records)
     findings += more
-    if predict is not None and records:
+    if predict is not None and len(records) >= least:
         records, more = against_model(records, predict(records))
         findings += more
     order = {trial.file: i for i, trial in enumerate(experiment.trials)}

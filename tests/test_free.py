@@ -69,7 +69,7 @@ def dry():
 
 
 def test_no_forces_drift_at_constant_velocity():
-    model = eqx.tree_at(lambda m: m.robot.K_Q, dry(), jnp.asarray(0.0))
+    model = eqx.tree_at(lambda m: m.robot.K_Q, dry(), jnp.zeros(()))
     out = swim(model, jnp.asarray(H), *straight(nodes_of(model, FINE), 0.5, -0.2))
     P = np.asarray(out.saved[0])
     mass = float(model.robot.linear_density * model.robot.length)
@@ -78,7 +78,7 @@ def test_no_forces_drift_at_constant_velocity():
 
 
 def test_a_spinning_body_keeps_its_velocity():
-    model = eqx.tree_at(lambda m: m.robot.K_Q, dry(), jnp.asarray(0.0))
+    model = eqx.tree_at(lambda m: m.robot.K_Q, dry(), jnp.zeros(()))
     out = swim(model, jnp.asarray(H), *spinning(model))
     P, _, size, _, phi = map(np.asarray, out.saved)
     off = np.abs(P - P[0]).max() / size.max()
