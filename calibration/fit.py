@@ -23,6 +23,10 @@ ITERATIONS = 24
 STILL = 0.02
 """A fit ends where the next step would lower the sum of squares by less than so many times the
 residual's mean square: it lies within a seventh of a standard error."""
+FAR, ROUGH = 20.0, 0.5
+"""Of a model that leaves more than `FAR` times its noise's variance something is missing, and it is
+fitted to within `ROUGH` of the mean square, two thirds of a standard error: it converges slowly,
+and what is found missing is fitted with it again."""
 
 
 class Fit(NamedTuple):
@@ -98,7 +102,7 @@ def fit(
         wanted = _linear_optimum(A, b, theta[free], bounds)
         unit = max(1.0, square / max(samples, 1))
         step = wanted - theta[free]
-        enough = STILL * unit
+        enough = unit * (STILL if unit < FAR else ROUGH)
         progress(f"iteration {iteration + 1}: sum of squares {square:.6g}")
         if 0.0 <= 2.0 * step @ b - step @ A @ step < enough:
             converged = True

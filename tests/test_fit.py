@@ -45,14 +45,15 @@ class Curve:
         return [Block(0, "y", J @ J.T, J @ r, float(r @ r), len(r))]
 
 
-@pytest.mark.parametrize("lack", [0.0, 5.0])
-def test_a_fit_ends_within_a_seventh_of_a_standard_error(lack):
+@pytest.mark.parametrize(("lack", "share"), [(0.0, 0.15), (5.0, 0.15), (8.0, 0.72)])
+def test_a_fit_ends_within_a_share_of_a_standard_error(lack, share):
+    """A seventh; two thirds where the model leaves many times the noise."""
     problem = Curve(lack)
     found = fit(problem, ENTRIES, np.array([3.5, 2.0]), np.arange(2))
     best = least_squares(lambda x: curve(x) - problem.y, TRUTH, xtol=1e-14, gtol=1e-14)
     error = np.sqrt(np.diag(found.covariance))
     assert found.converged
-    assert np.all(np.abs(found.theta - best.x) < 0.15 * error)
+    assert np.all(np.abs(found.theta - best.x) < share * error)
     assert problem.simulated < 12
 
 
