@@ -24,6 +24,7 @@ from slider_jax.effects.head_added_mass import HeadAddedMass
 from slider_jax.effects.head_drag import HeadDrag
 from slider_jax.effects.tangential_friction import TangentialFriction
 from slider_jax.errors import SolverError
+from slider_jax.gait import Gait
 from slider_jax.model import Drive, Model
 from slider_jax.parameters import Numerics, Robot
 from slider_jax.supports import Free
@@ -36,18 +37,6 @@ FASTEST_WITHOUT = 4.0
 """Fastest start [m/s] of one without."""
 LONG = 60
 """Strides from rest that show whether a speed settles."""
-
-
-class Gait(NamedTuple):
-    """A drive and a tail, SI units."""
-
-    frequency: float
-    front: float
-    """Amplitude of the set pressure [Pa]."""
-    rear: float
-    phase: float
-    tail_length: float
-    EI_tail: float
 
 
 class Point(NamedTuple):
@@ -198,7 +187,7 @@ def before(plan: Plan = PLAN, strides: int = LONG) -> list[Before]:
             if not bool(ok):
                 raise SolverError(f"{point.name}, {name}: a step failed on the way from rest")
             speeds = np.hypot(*np.asarray(by_stride).T)
-            steady = steady_speed(model, gait.frequency, plan, FASTEST_WITHOUT, 1e-2).speed
+            steady = steady_speed(model, float(gait.frequency), plan, FASTEST_WITHOUT, 1e-2).speed
             fast = float("inf") if steady is None else steady
             found.append(Before(point.name, name, head, speeds, fast))
     return found
@@ -223,7 +212,7 @@ def after(
             )
         gait = checked.gaits[other]
         model = swimmer(gait, resisting, coefficients[key], HEADS[head])
-        steady = steady_speed(model, gait.frequency, plan, FASTEST, 1e-3)
+        steady = steady_speed(model, float(gait.frequency), plan, FASTEST, 1e-3)
         speed = float("inf") if steady.speed is None else steady.speed
         found.append(
             After(resisting, head, calibrated.name, name, coefficients[key], checked.name, other,

@@ -8,7 +8,17 @@ from typing import Any
 
 import slider_jax
 
-_PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy")
+_PACKAGES = (
+    "jax",
+    "jaxlib",
+    "equinox",
+    "optimistix",
+    "lineax",
+    "numpy",
+    "scipy",
+    "optax",
+    "evosax",
+)
 
 
 def versions() -> dict[str, str]:

@@ -148,7 +148,7 @@ class Trial(Table):
     waveform: Literal["square", "sine", "trapezoid", "recorded"] = "square"
     frequency: Annotated[float, Quantity(0.05, 20.0, "Hz")] | None = None
     amplitude: Annotated[float, Quantity(1e3, 2e6, "Pa", or_zero=True)] | None = None
-    rear_ratio: Annotated[float, Quantity(-2.0, 2.0)] = 1.0
+    rear_ratio: Annotated[float, Quantity(-20.0, 20.0)] = 1.0
     phase: Annotated[float, Quantity(-1.0, 1.0, "fraction of a period")] = 0.0
     rise: Annotated[float, Quantity(0.001, 0.5, "fraction of a period")] = 0.1
     drive_file: FileName | None = None

@@ -15,8 +15,10 @@ from slider_jax.batch import available_cores, chunks_of, in_threads, stack, take
 from slider_jax.errors import InputError
 from slider_jax.experiment import Experiment, to_model, to_numerics
 from slider_jax.files import write_json
+from slider_jax.gait import swimmer
 from slider_jax.provenance import versions
 from slider_jax.striding import POSES, Member, Plan, Programs, compile_programs, march, steady
+from slider_jax.swim_steadily import swim_steadily
 from slider_jax.toml_file import field_at, quantity_of
 
 LARGEST_CHUNK = 8
@@ -62,6 +64,8 @@ class Sweep(NamedTuple):
     strides: int = 8
     transient: int = 3
     steps_per_stride: int = 300
+    swim: bool = False
+    """Whether the robot is set free, and what is found is of its steady stride."""
 
     @property
     def points(self) -> list[tuple[float, ...]]:
@@ -78,6 +82,7 @@ class Sweep(NamedTuple):
             "strides": self.strides,
             "transient": self.transient,
             "steps_per_stride": self.steps_per_stride,
+            "swim": self.swim,
             "versions": versions(),
         }
         return json.loads(json.dumps(content))
@@ -160,7 +165,8 @@ def _case(sweep: Sweep, point: tuple[float, ...]) -> tuple[Plan, Member]:
     if "numerics.step" in values:
         steps = POSES * max(2, int(np.ceil(1.0 / (f * values["numerics.step"] * POSES) - 1e-9)))
     plan = Plan(steps, sweep.strides, *to_numerics(experiment))
-    return plan, Member(to_model(experiment, sweep.trial), jnp.asarray(f, float))
+    model = to_model(experiment, sweep.trial)
+    return plan, Member(swimmer(model) if sweep.swim else model, jnp.asarray(f, float))
 
 
 def _whole(field: str, value: float) -> float | int:
@@ -212,20 +218,26 @@ def run_sweep(
     groups, partial = groups_of(sweep), folder / "partial"
     chunks = _chunks(groups, _take_up(sweep, partial), partial)
     left = [i for i, chunk in enumerate(chunks) if not chunk.file.exists()]
-    on_begin(len(chunks) * sweep.strides, (len(chunks) - len(left)) * sweep.strides)
+    strides = 1 if sweep.swim else sweep.strides
+    on_begin(len(chunks) * strides, (len(chunks) - len(left)) * strides)
     compiled: dict[int, Programs] = {}
     locks = [threading.Lock() for _ in groups]
+
+    def keep(chunk, rows):
+        write_json(chunk.file, {name: x[: len(chunk.points)] for name, x in rows.items()})
 
     def work(number, stopped):
         chunk = chunks[number]
         plan, members, _ = groups[chunk.group]
         batch = take(members, chunk.members)
+        if sweep.swim:
+            keep(chunk, swim_steadily(plan, batch))
+            return on_stride()
         with locks[chunk.group]:
             if chunk.group not in compiled:
                 compiled[chunk.group] = compile_programs(plan, batch)
         runs = march(plan, compiled[chunk.group], batch, on_stride, stopped)
-        rows = steady(plan, batch, runs, sweep.transient)
-        write_json(chunk.file, {name: x[: len(chunk.points)] for name, x in rows.items()})
+        keep(chunk, steady(plan, batch, runs, sweep.transient))
 
     for _ in in_threads(work, left, min(available_cores(), max(1, len(left)))):
         pass

@@ -17,6 +17,17 @@ DRAWN = (
     ("chamber_power_W", "power of the chambers (mW)", 1e3),
 )
 """Column, label with unit, factor from SI."""
+DRAWN_OF_SWIMMERS = (
+    ("speed_m_per_s", "speed (cm/s)", 1e2),
+    ("cost_of_transport", "cost of transport", 1.0),
+    ("tail_amplitude_m", "tail amplitude (mm)", 1e3),
+    ("power_W", "power of the chambers (mW)", 1e3),
+)
+
+
+def drawn(sweep: Sweep) -> tuple[tuple[str, str, float], ...]:
+    """What is drawn of a sweep."""
+    return DRAWN_OF_SWIMMERS if sweep.swim else DRAWN
 
 
 FILES = ("sweep.csv", "sweep.json", "sweep.png")
@@ -36,7 +47,7 @@ def is_written(sweep: Sweep, folder: Path) -> bool:
 def write_results(sweep: Sweep, table: dict[str, np.ndarray], folder: Path, source: Path) -> None:
     """Write sweep.csv, sweep.json and sweep.png, all or none of them."""
     settings = sweep.settings()
-    failed = np.flatnonzero(np.isnan(table["thrust_mean_N"]))
+    failed = np.flatnonzero(np.isnan(table[drawn(sweep)[0][0]]))
     record = {
         "settings": settings,
         "sha256": digest(settings),
@@ -66,7 +77,7 @@ def draw(sweep: Sweep, table: dict[str, np.ndarray], path: Path) -> None:
     """Lines over one field, or filled contours over two; a member that failed is left out."""
     figure, axes = new_figure(2, 2, figsize=(10, 7), sharex=True)
     x, along = _axis(sweep.axes[0])
-    for ax, (name, label, factor) in zip(axes.flat, DRAWN, strict=True):
+    for ax, (name, label, factor) in zip(axes.flat, drawn(sweep), strict=True):
         values = factor * table[name]
         if len(sweep.axes) == 1:
             ax.plot(x, values, "o-", ms=4)

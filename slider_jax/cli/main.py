@@ -31,6 +31,10 @@ COMMANDS = {
     "sweep": Command(
         "slider_jax.cli.sweep:sweep", "one or two fields of an experiment over ranges"
     ),
+    "swim": Command("slider_jax.cli.swim:swim", "the robot set free, and its steady speed"),
+    "optimize swim": Command(
+        "slider_jax.cli.optimize:swim", "tail and gait for the fastest swimming"
+    ),
     "close-loop": Command(
         "slider_jax.cli.close_loop:close_loop", "what a model lacks, from measured trials"
     ),

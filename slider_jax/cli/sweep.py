@@ -29,6 +29,7 @@ def sweep(
     strides: Whole = 8,
     transient: Whole = 3,
     steps_per_stride: Whole = 300,
+    swim: bool = False,
 ) -> None:
     """Simulate one trial over one or two ranges and write a table and a plot.
 
@@ -52,6 +53,8 @@ def sweep(
         strides: strides run.
         transient: strides left out of the means.
         steps_per_stride: time steps of a stride, a multiple of 20; follows a swept numerics.step.
+        swim: set the robot free, and tell what its steady stride comes to; --strides and
+            --transient have no say.
     """
     from slider_jax.cli.progress import Progress
     from slider_jax.experiment import load
@@ -72,6 +75,7 @@ def sweep(
         strides,
         transient,
         steps_per_stride,
+        swim,
     )
     output_folder(out)
     if is_written(task, out):

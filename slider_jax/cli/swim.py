@@ -1,0 +1,77 @@
+"""`slider swim`: the robot set free."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from slider_jax.cli.options import Folder, MaybeWhole, ModelFile
+from slider_jax.errors import InputError
+
+
+def swim(
+    experiment: Annotated[
+        tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="EXPERIMENT.toml")
+    ] = None,
+    *,
+    out: Folder,
+    model: ModelFile = None,
+    trial: MaybeWhole = None,
+) -> None:
+    """Swim freely with each trial's drive: from rest until the stride repeats, and as a root.
+
+    Without a file: the paper's optimum, with form drag at the head that was calibrated on its
+    measured speed. DIR gets swim.json (all figures, settings, versions) and, of every trial,
+    <its name>_swim.png and <its name>_swim.csv, one steady stride.
+
+    Args:
+        experiment: experiment file (.toml); its trials' towing and heaving have no say.
+        out: folder for the results; made if missing, files of the same name are replaced.
+        model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
+        trial: this trial alone, from 0.
+    """
+    from slider_jax.experiment import load
+    from slider_jax.files import staged, write_csv, write_json
+    from slider_jax.paper_swimmer import PUBLISHED, optimum
+    from slider_jax.provenance import input_file, versions
+    from slider_jax.swim import check, row, swim as swim_freely
+    from slider_jax.swim_report import plot, stride_columns, table, words
+
+    if experiment is None and model is not None:
+        raise InputError("--model: overrides an experiment; give EXPERIMENT.toml before it")
+    given = optimum() if experiment is None else load(experiment, model)
+    trials = given.trials
+    if trial is not None:
+        if not 0 <= trial < len(trials):
+            raise InputError.value("--trial", trial, f"0 to {len(trials) - 1}")
+        trials = trials[trial : trial + 1]
+    published = PUBLISHED if experiment is None else {}
+    if experiment is not None and out.resolve() == given.folder.resolve():
+        raise InputError(f"--out {out}: is the experiment's own folder; give another")
+    for x in trials:  # all that cannot be swum is told before anything is computed
+        check(given, x)
+    rows = []
+    with staged(out) as stage:
+        for x in trials:
+            name = Path(x.file).stem
+
+            def say(text: str, name: str = name) -> None:
+                print(f"{name}: {text} ...", file=sys.stderr, flush=True)
+
+            found = swim_freely(given, x, say)
+            rows.append(row(found))
+            write_csv(stage / f"{name}_swim.csv", stride_columns(found))
+            plot(found, stage / f"{name}_swim.png")
+            print(f"{name}: {x.waveform} {x.frequency:g} Hz")
+            print(table(rows[-1], published))
+            print("\n".join(words(found)))
+        content = {
+            "swims": rows,
+            "published": {name: x._asdict() for name, x in published.items()},
+            "experiment": given.model_dump(),
+            "inputs": [input_file(p) for p in (experiment, model) if p is not None],
+            "versions": versions(),
+        }
+        write_json(stage / "swim.json", content)
+    print(f"swim.json, a picture and a stride of each trial are in {out}", file=sys.stderr)

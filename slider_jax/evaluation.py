@@ -1,0 +1,79 @@
+"""A population's scores, computed on all devices of all processes.
+
+Members are cut into chunks of one size, whatever the number of devices, so that every member's
+score is the same to the last bit on one device and on many.
+"""
+
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import jax
+import numpy as np
+from jax.experimental import multihost_utils
+from jax.sharding import Mesh, PartitionSpec
+
+CHUNK = 8
+"""Members that are computed together: as many as a core's cache holds."""
+
+
+class Evaluation:
+    """`objective` of every row of a population. All processes must call it alike.
+
+    Devices share nothing while they compute: one that is late, as others use its core, makes the
+    rest wait, and a collective in the midst of it would give up after some seconds.
+    """
+
+    def __init__(self, objective: Callable[[jax.Array], Any], chunk: int = CHUNK):
+        devices = np.array(jax.devices())
+        self._unit = len(devices) * chunk
+        mesh = Mesh(devices, ("devices",))
+        rows = PartitionSpec("devices")
+
+        def share(members):
+            chunks = members.reshape(-1, chunk, members.shape[-1])
+            scores = jax.lax.map(jax.vmap(objective), chunks)
+            return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), scores)
+
+        self._compiled = jax.jit(
+            jax.shard_map(share, mesh=mesh, in_specs=rows, out_specs=rows, check_vma=False)
+        )
+        self._sharding = jax.NamedSharding(mesh, rows)
+
+    def __call__(self, members: np.ndarray) -> Any:
+        """Scores (n, ...) of `members` (n, d), as NumPy's."""
+        n = len(members)
+        filled = members[np.minimum(np.arange(-(-n // self._unit) * self._unit), n - 1)]
+        given = jax.make_array_from_callback(filled.shape, self._sharding, lambda i: filled[i])
+        scores = jax.block_until_ready(self._compiled(given))
+        if jax.process_count() > 1:
+            scores = multihost_utils.process_allgather(scores, tiled=True)
+        return jax.tree.map(lambda x: np.asarray(x)[:n], scores)
+
+
+def begin(cores: int, coordinator: str = "", processes: int = 1, process: int = 0) -> None:
+    """Make JAX see a device for each of `cores` of a CPU, of all processes. Call it first of all.
+
+    `coordinator` is the host:port of process 0 where there are several; under srun they find each
+    other, and the arguments are left out. Where JAX has begun to compute, its devices stay.
+    """
+    # Of a job step: the batch script itself, which is one process, has no such variable above 1.
+    slurm = int(os.environ.get("SLURM_STEP_NUM_TASKS", "1")) > 1
+    with suppress(RuntimeError):
+        jax.config.update("jax_num_cpu_devices", cores)
+    if coordinator or slurm:
+        jax.config.update("jax_cpu_collectives_implementation", "gloo")
+        found = (coordinator, processes, process) if coordinator else ()
+        jax.distributed.initialize(*found)
+
+
+def is_first() -> bool:
+    """Whether this is the process that speaks and writes."""
+    return jax.process_index() == 0
+
+
+def together(place: str) -> None:
+    """Wait for all processes, so that none ends while another still works."""
+    if jax.process_count() > 1:
+        multihost_utils.sync_global_devices(place)

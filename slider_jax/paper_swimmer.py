@@ -1,0 +1,51 @@
+"""The paper's swimmer at its optimum, as an experiment, and the paper's figures of it."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from slider_jax import paper
+from slider_jax.experiment import Experiment, assemble
+from slider_jax.gait import Gait
+from slider_jax.parameters import Robot
+
+HEAD_DRAG = 1.79e-3
+"""Area [m^2] with which the paper's optimum swims at its measured speed in this model."""
+
+PAPER_GAIT = Gait(6.3, 448e3, 414e3, 0.14, 0.053, 0.017)
+"""The paper's optimum."""
+
+
+class Published(NamedTuple):
+    """Of a quantity, in the paper: its model's, and the measured one."""
+
+    model: float | None
+    experiment: float | None
+
+
+PUBLISHED = {
+    "speed_m_per_s": Published(0.232, 0.217),
+    "tail_slope": Published(0.57, None),
+}
+"""By names of `swim.row`. The model's tail slope is 0.51 from its own amplitude and wavelength."""
+
+
+def swimmer_content(**trial: Any) -> dict[str, Any]:
+    """The tables of an experiment with the built-in robot, form drag at its head, and one trial."""
+    robot = Robot()
+    fields = ("body_length", "tail_length", "linear_density", "EI_body", "EI_tail", "EA_body",
+              "EA_tail", "damping_time", "height", "front_chamber", "rear_chamber")  # fmt: skip
+    return {
+        "name": "swimmer",
+        "robot": {name: getattr(robot, name) for name in fields},
+        "parameters": {"force_coefficients": "ramp", "k": paper.PRESSURE_LAG, "K_Q": robot.K_Q},
+        "effects": [{"name": "head_drag", "area": HEAD_DRAG}],
+        "trials": [{"file": "swim.csv", "duration": 10.0, **trial}],
+    }
+
+
+def optimum() -> Experiment:
+    """`PAPER_GAIT` in the built-in robot, with form drag at its head."""
+    f, front, rear, phase, tail_length, EI_tail = PAPER_GAIT
+    content = swimmer_content(frequency=f, amplitude=front, rear_ratio=rear / front, phase=phase)
+    content["robot"] |= {"tail_length": tail_length, "EI_tail": EI_tail}
+    return assemble(content, "the paper's optimum", Path("."))

@@ -1,0 +1,72 @@
+"""A population on one device, on two, and in two processes: the same scores to the last bit."""
+
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from slider_jax.evaluation import CHUNK, Evaluation
+from tests.conftest import ROOT
+
+CODE = """
+import sys
+from slider_jax.precision import enable_float64
+from slider_jax.evaluation import Evaluation, begin
+enable_float64()
+cores, coordinator, processes, process, out = sys.argv[1:]
+begin(int(cores), coordinator, int(processes), int(process))
+import jax, numpy as np
+import jax.numpy as jnp
+from tests.test_evaluation import MEMBERS, waves
+assert len(jax.devices()) == int(cores) * int(processes), jax.devices()
+np.save(out, Evaluation(waves)(MEMBERS))
+"""
+MEMBERS = np.random.default_rng(0).uniform(size=(37, 6))
+
+
+def waves(x):
+    """A number that takes a loop whose length is the member's own."""
+
+    def on(state):
+        return state[1] > 1e-3
+
+    def step(state):
+        return state[0] + jnp.sin(7.0 * state[0]) * state[1], state[1] * (0.5 + 0.4 * x[0])
+
+    return jax.lax.while_loop(on, step, (jnp.sum(jnp.cos(3.0 * x)), jnp.ones(())))[0]
+
+
+def test_scores_are_the_objectives_in_the_order_of_the_members():
+    found = Evaluation(waves)(MEMBERS)
+    np.testing.assert_allclose(found, [waves(jnp.asarray(x)) for x in MEMBERS], rtol=1e-12)
+    few = Evaluation(waves)(MEMBERS[: CHUNK - 3])
+    np.testing.assert_array_equal(few, found[: CHUNK - 3])
+
+
+def started(cores, out, coordinator="", processes=1, process=0):
+    words = [str(x) for x in (cores, coordinator, processes, process, out)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu"}
+    return subprocess.Popen([sys.executable, "-c", CODE, *words], env=environment, cwd=ROOT)
+
+
+def free_port():
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return s.getsockname()[1]
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_two_devices_give_what_one_gives(tmp_path: Path, processes):
+    cores = 2 // processes
+    where = f"127.0.0.1:{free_port()}" if processes > 1 else ""
+    outs = [tmp_path / f"{i}.npy" for i in range(processes)]
+    runs = [started(cores, out, where, processes, i) for i, out in enumerate(outs)]
+    assert [run.wait(timeout=120) for run in runs] == [0] * processes
+    for out in outs:
+        np.testing.assert_array_equal(np.load(out), Evaluation(waves)(MEMBERS))
