@@ -91,9 +91,10 @@ def draw(sweep: Sweep, table: dict[str, np.ndarray], path: Path) -> None:
         if ax in axes[-1]:
             ax.set_xlabel(along)
     trial = sweep.experiment.trials[sweep.trial]
-    averaged = sweep.strides - sweep.transient
+    averaged = f"last {sweep.strides - sweep.transient} of {sweep.strides} strides"
     figure.suptitle(
-        f"{sweep.experiment.name}, {trial.file}: last {averaged} of {sweep.strides} strides",
+        f"{sweep.experiment.name}, {trial.file}: "
+        f"{'set free, one steady stride' if sweep.swim else averaged}",
         fontsize="medium",
     )
     save_figure(figure, path)
