@@ -108,13 +108,13 @@ def plot(swim: Swim, path: Path) -> None:
     x, y = x - x.mean(), y - y.mean()
     for i in range(0, steps, max(1, steps // 12)):
         above.plot(1e3 * x[i], 1e3 * y[i], color=f"{0.75 * (1.0 - i / steps):.3f}", lw=1.2)
-    above.plot(1e3 * x[:, -1], 1e3 * y[:, -1], "C3", lw=1.0, label="head")
-    above.plot(1e3 * x[:, 0], 1e3 * y[:, 0], "C0", lw=1.0, label="tip of the tail")
+    above.plot(1e3 * x[:, -1], 1e3 * y[:, -1], "C3", lw=1.0)
+    above.plot(1e3 * x[:, 0], 1e3 * y[:, 0], "C0", lw=1.0)
     above.set_aspect("equal")
     above.set_xlabel("along the course (mm)")
     above.set_ylabel("across (mm)")
-    above.set_title("one stride, late midlines darker", fontsize="medium")
-    above.legend(fontsize="small", loc="upper center", ncols=2)
+    said = "one stride, late midlines darker; red: head, blue: tip of the tail"
+    above.set_title(said, fontsize="medium")
 
     def swum(speeds: np.ndarray, **look: Any) -> None:
         at = AT_ONCE * np.arange(len(speeds) + 1) / swim.frequency
