@@ -26,6 +26,7 @@ from slider_jax.effects.tangential_friction import TangentialFriction
 from slider_jax.errors import SolverError
 from slider_jax.gait import Gait
 from slider_jax.model import Drive, Model
+from slider_jax.paper_swimmer import MEASURED_SPEED, PAPER_GAIT, PUBLISHED
 from slider_jax.parameters import Numerics, Robot
 from slider_jax.supports import Free
 from slider_jax.swimming import Plan, steady_speed, swim_from, watched
@@ -65,11 +66,11 @@ FIRST = Point(
 """Pressures and tail are not given; all of `gaits` are assumed."""
 OPTIMUM = Point(
     "optimum: 6.3 Hz, phase 0.14",
-    0.217,
+    MEASURED_SPEED,
     0.004,
-    {"as the paper gives it": Gait(6.3, 448e3, 414e3, 0.14, 0.053, 0.017)},
+    {"as the paper gives it": PAPER_GAIT},
 )
-PAPER_MODEL_AT_OPTIMUM = 0.232
+PAPER_MODEL_AT_OPTIMUM = PUBLISHED["speed_m_per_s"].model
 """[m/s], of the paper's own model."""
 
 RESISTING: dict[str, Callable[[Any], Effect]] = {

@@ -10,9 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from slider_jax import paper
 from slider_jax.errors import InputError
-from slider_jax.experiment import Experiment, to_model
+from slider_jax.experiment import Experiment, coefficients_at, to_model
 from slider_jax.gait import Gait, swimmer
 from slider_jax.model import Model
 from slider_jax.schema import RobotTable, Trial
@@ -92,18 +91,10 @@ def models(experiment: Experiment) -> Callable[[Gait], Model]:
     base = to_model(experiment, 0)
     parameters, tables = experiment.parameters, experiment.effects
 
-    def coefficients(f):
-        if parameters.force_coefficients == "ramp":
-            return paper.force_coefficients(f)
-        at = jnp.asarray([x.frequency for x in parameters.coefficients])
-        C_d = jnp.asarray([x.C_d for x in parameters.coefficients])
-        m_a = jnp.asarray([x.m_a for x in parameters.coefficients])
-        return jnp.interp(f, at, C_d), jnp.interp(f, at, m_a)
-
     def model(gait: Gait) -> Model:
         found: dict[int, dict[str, Any]] = {}
         if parameters.force_coefficients != "fixed":
-            C_d, m_a = coefficients(gait.frequency)
+            C_d, m_a = coefficients_at(parameters, gait.frequency)
             found = {0: {"C_d": C_d}, 1: {"m_a": m_a}}
         for i, (effect, table) in enumerate(zip(base.effects[2:], tables, strict=True), start=2):
             names = {field.name for field in fields(effect)} - set(table.model_extra or {})

@@ -26,8 +26,8 @@ from slider_jax.errors import InputError, nearest
 from slider_jax.grid import split_cells
 from slider_jax.model import Drive, Model
 from slider_jax.paper import force_coefficients
-from slider_jax.parameters import Numerics, Robot
-from slider_jax.schema import EffectTable, ExperimentTable, Trial
+from slider_jax.parameters import Numerics, Robot, Scalar
+from slider_jax.schema import EffectTable, ExperimentTable, ParametersTable, Trial
 from slider_jax.scheme import SCHEMES, Scheme
 from slider_jax.supports import Clamped
 from slider_jax.toml_file import read_toml, validate
@@ -218,21 +218,23 @@ def to_numerics(experiment: Experiment) -> tuple[Numerics, Scheme]:
     return Numerics(*cells, tolerance=numerics.tolerance), SCHEMES[numerics.scheme]
 
 
+def coefficients_at(parameters: ParametersTable, frequency: Scalar | None):
+    """(C_d, m_a) at a stride frequency [Hz], differentiable: the file's, or the paper's ramp."""
+    if parameters.force_coefficients == "fixed":
+        return parameters.C_d, parameters.m_a
+    assert frequency is not None
+    if parameters.force_coefficients == "ramp":
+        return force_coefficients(frequency)
+    table = parameters.coefficients
+    at = jnp.asarray([x.frequency for x in table])
+    C_d, m_a = ([getattr(x, name) for x in table] for name in ("C_d", "m_a"))
+    return jnp.interp(frequency, at, jnp.asarray(C_d)), jnp.interp(frequency, at, jnp.asarray(m_a))
+
+
 def drag_and_added_mass(experiment: Experiment, trial: Trial) -> tuple[float, float]:
     """(C_d, m_a) of a trial: the file's, fixed or by frequency, or the paper's ramp."""
-    parameters = experiment.parameters
-    if parameters.force_coefficients == "table":
-        assert trial.frequency is not None
-        table = parameters.coefficients
-        at = [x.frequency for x in table]
-        drag = np.interp(trial.frequency, at, [x.C_d for x in table])
-        return float(drag), float(np.interp(trial.frequency, at, [x.m_a for x in table]))
-    if parameters.force_coefficients == "ramp":
-        assert trial.frequency is not None
-        C_d, m_a = force_coefficients(trial.frequency)
-        return float(C_d), float(m_a)
-    assert parameters.C_d is not None and parameters.m_a is not None
-    return parameters.C_d, parameters.m_a
+    C_d, m_a = coefficients_at(experiment.parameters, trial.frequency)
+    return float(C_d), float(m_a)
 
 
 def to_model(experiment: Experiment, trial: Trial | int = 0) -> Model:

@@ -4,7 +4,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from slider_jax import paper
-from slider_jax.experiment import Experiment, assemble
+from slider_jax.errors import InputError
+from slider_jax.experiment import Experiment, assemble, load
 from slider_jax.gait import Gait
 from slider_jax.parameters import Robot
 
@@ -18,14 +19,13 @@ PAPER_GAIT = Gait(6.3, 448e3, 414e3, 0.14, 0.053, 0.017)
 class Published(NamedTuple):
     """Of a quantity, in the paper: its model's, and the measured one."""
 
-    model: float | None
+    model: float
     experiment: float | None
 
 
-PUBLISHED = {
-    "speed_m_per_s": Published(0.232, 0.217),
-    "tail_slope": Published(0.57, None),
-}
+MEASURED_SPEED = 0.217
+"""[m/s], at `PAPER_GAIT`."""
+PUBLISHED = {"speed_m_per_s": Published(0.232, MEASURED_SPEED), "tail_slope": Published(0.57, None)}
 """By names of `swim.row`. The model's tail slope is 0.51 from its own amplitude and wavelength."""
 
 
@@ -49,3 +49,15 @@ def optimum() -> Experiment:
     content = swimmer_content(frequency=f, amplitude=front, rear_ratio=rear / front, phase=phase)
     content["robot"] |= {"tail_length": tail_length, "EI_tail": EI_tail}
     return assemble(content, "the paper's optimum", Path("."))
+
+
+def given_or_optimum(path: Path | None, model: Path | None) -> Experiment:
+    """The experiment at `path` with the overrides of `model`, or without a path `optimum`.
+
+    Raises `InputError` as `load` does, and for a model without an experiment.
+    """
+    if path is not None:
+        return load(path, model)
+    if model is not None:
+        raise InputError("--model: overrides an experiment; give EXPERIMENT.toml before it")
+    return optimum()

@@ -6,20 +6,15 @@ from jaxtyping import Array, Bool, Float
 
 from slider_jax import observables as obs
 from slider_jax.effects import total_force
-from slider_jax.effects.head_drag import HeadDrag
-from slider_jax.effects.tangential_friction import TangentialFriction
-from slider_jax.effects.thinned_friction import ThinnedFriction
 from slider_jax.frame import to_plane
 from slider_jax.model import Model, make_mesh
 from slider_jax.parameters import Scalar
 from slider_jax.rollout import rollout
-from slider_jax.steady import Search, motion, pace_of, stride_times
+from slider_jax.steady import Search, find_steady, motion, pace_of, stride_times
 from slider_jax.step import Carry, Snapshot
 
 G = 9.81
 """[m/s^2], of the cost of transport."""
-RESISTING = (HeadDrag, TangentialFriction, ThinnedFriction)
-"""Effects that resist motion along the body."""
 
 
 class Stride(eqx.Module):
@@ -32,7 +27,7 @@ class Stride(eqx.Module):
     velocity: Float[Array, "steps 2"]
     """Of the centre of mass [m/s]."""
     resistance: Float[Array, "steps 2"]
-    """Force of the effects that resist motion along the body, `RESISTING` [N]."""
+    """Force of the effects that resist motion along the body [N]."""
     power: Float[Array, " steps"]
     """Of the chambers on the body [W]."""
     velocity_before: Float[Array, "2"]
@@ -57,7 +52,7 @@ class Performance(eqx.Module):
     power: Scalar
     """P [W], mean of the chambers on the body."""
     thrust: Scalar
-    """T [N], mean along the course of what takes up the force of `RESISTING` effects."""
+    """T [N], mean along the course of what takes up the force of the effects that resist."""
     froude_efficiency: Scalar
     """T U / P [-]"""
     slender_efficiency: Scalar
@@ -83,7 +78,7 @@ def next_stride(model: Model, frequency, carry: Carry, search: Search) -> Stride
 
     def saved(x: Snapshot):
         cell, grid = x.section(), x.mesh.grid
-        resisting = tuple(e for e in x.stage.effects if isinstance(e, RESISTING))
+        resisting = tuple(e for e in x.stage.effects if e.resists)
         F = jnp.stack(to_plane(*total_force(resisting, cell), cell.phi))
         resistance = grid.integral((1.0 + cell.strain) * F)
         return obs.midline(x), motion(x), resistance, jnp.sum(obs.chamber_power(x))
@@ -129,3 +124,12 @@ def performance(model: Model, frequency, stride: Stride, search: Search) -> Perf
         tail_slope=obs.tail_slope(half[0], wave.wavelength),
         turning=jnp.arctan2(before[0] * mean[1] - before[1] * mean[0], before @ mean),
     )
+
+
+def steadily(
+    model: Model, frequency, search: Search
+) -> tuple[Stride, Performance, Bool[Array, ""]]:
+    """A steady stride, what it amounts to, and whether it was found and every step converged."""
+    found = find_steady(model, frequency, search)
+    stride = next_stride(model, frequency, found.carry, search)
+    return stride, performance(model, frequency, stride, search), found.ok & stride.ok

@@ -2,7 +2,7 @@
 
 What shakes out of a gait within a few strides, shape and recoil and turning, is left to time
 stepping; the speed, which takes many, is sought as a root. After some strides the whole body is
-given the speed that a secant through the last two strides asks for, and goes on:
+given the speed that a secant through the last two paces asks for, and goes on:
 
     a(U) = (v_2 - v_1) . ahead / T,    a(U*) = 0
 
@@ -39,7 +39,7 @@ class Search(NamedTuple):
     settling: int = 6
     """Strides from the straight start until the gait has settled; also before derivatives."""
     between: int = 2
-    """Strides from a change of speed to the one over which the acceleration is taken again."""
+    """Strides from a change of speed to the last of those over which the next pace is taken."""
     corrections: int = 7
     second: float = 0.15
     """The speed [m/s] that is tried after the first."""
@@ -74,24 +74,17 @@ class Steady(eqx.Module):
     """What the secant would still add to the speed [m/s]: small if the speed is steady."""
     carry: Carry
     """The state after the last stride."""
-    frequency: Float[Array, ""]
-    """[Hz]"""
+    ok: Bool[Array, ""]
+    """Whether every step converged, and the search with them.
+
+    Steady is a speed that changes by less than 0.2 % in a stride, and that the secant would change
+    by less than 2 % more.
+    """
 
     @property
     def speed(self) -> Float[Array, ""]:
         """[m/s]"""
         return self.pace.speed
-
-    @property
-    def ok(self) -> Bool[Array, ""]:
-        """Whether every step converged, and the search with them.
-
-        Steady is a speed that changes by less than 0.2 % in a stride, and that the secant would
-        change by less than 2 % more.
-        """
-        size = jnp.abs(self.speed) + 1e-6
-        in_a_stride = jnp.abs(self.pace.acceleration) / self.frequency
-        return self.carry.ok & (jnp.abs(self.missing) < 0.02 * size) & (in_a_stride < 2e-3 * size)
 
 
 def hastened(carry: Carry, change: Float[Array, "2"]) -> Carry:
@@ -168,7 +161,9 @@ def find_steady(model: Model, frequency, search: Search = Search()) -> Steady:
     )
     begin = (carry, pace, jnp.asarray(-1.0), search.second - pace.speed)
     (carry, pace, _, change), _ = jax.lax.scan(correct, begin, None, length=search.corrections)
-    return Steady(pace, change, carry, jnp.asarray(frequency, float))
+    size = jnp.abs(pace.speed) + 1e-6
+    steady = jnp.abs(pace.acceleration) / frequency < 2e-3 * size
+    return Steady(pace, change, carry, carry.ok & steady & (jnp.abs(change) < 0.02 * size))
 
 
 def steady_speed(model: Model, frequency, search: Search = Search()) -> Float[Array, ""]:

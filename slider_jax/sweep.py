@@ -17,8 +17,8 @@ from slider_jax.experiment import Experiment, to_model, to_numerics
 from slider_jax.files import write_json
 from slider_jax.gait import swimmer
 from slider_jax.provenance import versions
-from slider_jax.striding import POSES, Member, Plan, Programs, compile_programs, march, steady
-from slider_jax.swim_steadily import swim_steadily
+from slider_jax.striding import POSES, Member, Plan, compile_programs, march, steady
+from slider_jax.swim_steadily import compile_swim, table_of
 from slider_jax.toml_file import field_at, quantity_of
 
 LARGEST_CHUNK = 8
@@ -220,24 +220,24 @@ def run_sweep(
     left = [i for i, chunk in enumerate(chunks) if not chunk.file.exists()]
     strides = 1 if sweep.swim else sweep.strides
     on_begin(len(chunks) * strides, (len(chunks) - len(left)) * strides)
-    compiled: dict[int, Programs] = {}
+    compiled: dict[int, Any] = {}
     locks = [threading.Lock() for _ in groups]
-
-    def keep(chunk, rows):
-        write_json(chunk.file, {name: x[: len(chunk.points)] for name, x in rows.items()})
 
     def work(number, stopped):
         chunk = chunks[number]
         plan, members, _ = groups[chunk.group]
         batch = take(members, chunk.members)
-        if sweep.swim:
-            keep(chunk, swim_steadily(plan, batch))
-            return on_stride()
         with locks[chunk.group]:
             if chunk.group not in compiled:
-                compiled[chunk.group] = compile_programs(plan, batch)
-        runs = march(plan, compiled[chunk.group], batch, on_stride, stopped)
-        keep(chunk, steady(plan, batch, runs, sweep.transient))
+                make = compile_swim if sweep.swim else compile_programs
+                compiled[chunk.group] = make(plan, batch)
+        if sweep.swim:
+            rows = table_of(*compiled[chunk.group](batch))
+            on_stride()
+        else:
+            runs = march(plan, compiled[chunk.group], batch, on_stride, stopped)
+            rows = steady(plan, batch, runs, sweep.transient)
+        write_json(chunk.file, {name: x[: len(chunk.points)] for name, x in rows.items()})
 
     for _ in in_threads(work, left, min(available_cores(), max(1, len(left)))):
         pass

@@ -14,9 +14,10 @@ from slider_jax.errors import InputError, SolverError
 from slider_jax.experiment import Experiment, to_model, to_numerics
 from slider_jax.gait import swimmer
 from slider_jax.model import Model
-from slider_jax.performance import RESISTING, Performance, Stride, next_stride, performance
+from slider_jax.performance import Performance, Stride, next_stride, performance, steadily
+from slider_jax.sampling import half_period_steps
 from slider_jax.schema import Trial
-from slider_jax.steady import Pace, Search, find_steady, strides
+from slider_jax.steady import Pace, Search, strides
 from slider_jax.step import Carry, at_rest
 from slider_jax.swim_steadily import columns
 
@@ -62,11 +63,7 @@ class Swim:
         return float(self.performance.speed) / self.from_rest[-1] - 1.0
 
 
-@eqx.filter_jit
-def _found(model: Model, frequency, search: Search):
-    steady = find_steady(model, frequency, search)
-    stride = next_stride(model, frequency, steady.carry, search)
-    return steady, stride, performance(model, frequency, stride, search)
+_steadily = eqx.filter_jit(steadily)
 
 
 @eqx.filter_jit
@@ -97,7 +94,7 @@ def _from_rest(
 
 def resisting(model: Model) -> str:
     """Names of the effects that resist motion along the body."""
-    return ", ".join(e.name() for e in model.effects if isinstance(e, RESISTING))
+    return ", ".join(e.name() for e in model.effects if e.resists)
 
 
 def _check(carry: Carry) -> None:
@@ -121,7 +118,7 @@ def check(experiment: Experiment, trial: Trial) -> tuple[float, Model]:
 def plan_of(experiment: Experiment, frequency: float) -> Search:
     """Mesh of the experiment, and an even number of steps to a stride, none longer than its."""
     numerics, scheme = to_numerics(experiment)
-    steps = 2 * ceil(0.5 / (frequency * experiment.numerics.step) * (1.0 - 1e-9))
+    steps = 2 * half_period_steps(frequency, experiment.numerics.step)
     return Search(steps_per_stride=steps, numerics=numerics, scheme=scheme)
 
 
@@ -141,14 +138,14 @@ def swim(
     frequency, model = check(experiment, trial)
     f, search = jnp.asarray(frequency, float), plan_of(experiment, frequency)
     progress("the steady speed as a root")
-    steady, stride, seen = _found(model, f, search)
-    found = bool(steady.ok & stride.ok)
+    stride, seen, ok = _steadily(model, f, search)
+    found = bool(ok)
     progress("from rest")
     most = longest if found else min(longest, AT_ONCE * ceil(12.0 * frequency / AT_ONCE))
     speeds, pace, carry, repeats = _from_rest(model, f, search, 2 * AT_ONCE, most)
     if not found:
         stride, seen = _seen(model, f, carry, search)
-    own = tuple(e for e in model.effects if not isinstance(e, RESISTING))
+    own = tuple(e for e in model.effects if not e.resists)
     unresisted, gaining = None, np.nan
     if len(own) < len(model.effects):
         progress(f"from rest without {resisting(model)}")

@@ -1,13 +1,14 @@
 """A batch of free swimmers, each at its steady speed."""
 
-import functools as ft
+from collections.abc import Callable
 
 import jax
 import numpy as np
+from jaxtyping import Array
 
 from slider_jax.parameters import Scalar
-from slider_jax.performance import Performance, next_stride, performance
-from slider_jax.steady import Search, find_steady
+from slider_jax.performance import Performance, steadily
+from slider_jax.steady import Search
 from slider_jax.striding import Member, Plan
 
 UNITS = {
@@ -32,22 +33,20 @@ def columns(found: Performance) -> dict[str, Scalar]:
     }
 
 
-@ft.partial(jax.jit, static_argnums=0)
-def _seen(search: Search, members: Member):
+def compile_swim(plan: Plan, chunk: Member) -> Callable[[Member], tuple[Performance, Array]]:
+    """Compile for members stacked as in `chunk`: what their steady strides amount to, and ok."""
+    search = Search(
+        steps_per_stride=plan.steps_per_stride, numerics=plan.numerics, scheme=plan.scheme
+    )
+
     def one(member):
-        found = find_steady(member.model, member.frequency, search)
-        stride = next_stride(member.model, member.frequency, found.carry, search)
-        return performance(member.model, member.frequency, stride, search), found.ok
+        _, found, ok = steadily(member.model, member.frequency, search)
+        return found, ok
 
-    return jax.vmap(one)(members)
+    return jax.jit(jax.vmap(one)).lower(chunk).compile()
 
 
-def swim_steadily(plan: Plan, members: Member) -> dict[str, np.ndarray]:
-    """Quantities (members,) of steady strides, named with their units.
-
-    NaN for a member that failed or has no steady speed.
-    """
-    search = Search(steps_per_stride=plan.steps_per_stride, numerics=plan.numerics)
-    found, ok = _seen(search, members)
+def table_of(found: Performance, ok: Array) -> dict[str, np.ndarray]:
+    """Quantities (members,) of steady strides, named with their units; NaN where not `ok`."""
     table = {name: np.asarray(values) for name, values in columns(found).items()}
     return {name: np.where(ok, values, np.nan) for name, values in table.items()}

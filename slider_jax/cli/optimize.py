@@ -2,21 +2,18 @@
 
 import sys
 import time
-from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
-from slider_jax.cli.options import Folder, ModelFile, Whole
+from slider_jax.cli.options import Folder, MaybeExperiment, ModelFile, Whole
 from slider_jax.errors import InputError
 
 Pair = Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="LOW HIGH")]
 
 
 def swim(
-    experiment: Annotated[
-        tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="EXPERIMENT.toml")
-    ] = None,
+    experiment: MaybeExperiment = None,
     *,
     out: Folder,
     model: ModelFile = None,
@@ -76,14 +73,11 @@ def swim(
         )
     evaluation.begin(available_cores(), coordinator, processes, process)
     from slider_jax import swim_search
-    from slider_jax.experiment import load
     from slider_jax.files import output_folder
-    from slider_jax.paper_swimmer import optimum
+    from slider_jax.paper_swimmer import given_or_optimum
     from slider_jax.provenance import input_file
     from slider_jax.searchers import searcher
 
-    if experiment is None and model is not None:
-        raise InputError("--model: overrides an experiment; give EXPERIMENT.toml before it")
     if generations < 1:
         raise InputError.value("--generations", generations, "1 or more")
     if steps_per_stride < 20 or steps_per_stride % 2:
@@ -92,9 +86,7 @@ def swim(
         raise InputError.value("--seed", seed, "0 to 4294967295")
     bounds = {"frequency": frequency, "front": front, "rear": rear, "phase": phase,
               "tail_length": tail_length, "EI_tail": EI_tail}  # fmt: skip
-    task = swim_search.Task.of(
-        optimum() if experiment is None else load(experiment, model), bounds, steps_per_stride
-    )
+    task = swim_search.Task.of(given_or_optimum(experiment, model), bounds, steps_per_stride)
     algorithm_of = searcher(algorithm, population, 6)
     output_folder(out)
     begun = time.monotonic()

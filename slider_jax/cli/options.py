@@ -26,6 +26,9 @@ def _read_by(read: Callable[[str], Any], metavar: str, allowed: str) -> Primitiv
 
 Folder = Annotated[Path, tyro.conf.arg(metavar="DIR")]
 MaybeFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
+MaybeExperiment = Annotated[
+    tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="EXPERIMENT.toml")
+]
 ModelFile = Annotated[Path | None, tyro.conf.arg(metavar="MODEL.toml")]
 Seconds = Annotated[float | None, _read_by(float, "S", "a number of seconds")]
 _VALUE, _WHOLE = _read_by(float, "X", "a number"), _read_by(int, "N", "a whole number")

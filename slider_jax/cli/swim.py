@@ -2,18 +2,13 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated
 
-import tyro
-
-from slider_jax.cli.options import Folder, MaybeWhole, ModelFile
+from slider_jax.cli.options import Folder, MaybeExperiment, MaybeWhole, ModelFile
 from slider_jax.errors import InputError
 
 
 def swim(
-    experiment: Annotated[
-        tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="EXPERIMENT.toml")
-    ] = None,
+    experiment: MaybeExperiment = None,
     *,
     out: Folder,
     model: ModelFile = None,
@@ -31,16 +26,13 @@ def swim(
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
         trial: this trial alone, from 0.
     """
-    from slider_jax.experiment import load
     from slider_jax.files import staged, write_csv, write_json
-    from slider_jax.paper_swimmer import PUBLISHED, optimum
+    from slider_jax.paper_swimmer import PUBLISHED, given_or_optimum
     from slider_jax.provenance import input_file, versions
     from slider_jax.swim import check, row, swim as swim_freely
     from slider_jax.swim_report import plot, stride_columns, table, words
 
-    if experiment is None and model is not None:
-        raise InputError("--model: overrides an experiment; give EXPERIMENT.toml before it")
-    given = optimum() if experiment is None else load(experiment, model)
+    given = given_or_optimum(experiment, model)
     trials = given.trials
     if trial is not None:
         if not 0 <= trial < len(trials):

@@ -50,6 +50,9 @@ class Effect(eqx.Module):
     """What it is, in the words of a report."""
     sensors: ClassVar[tuple[str, ...]] = ("thrust", "recoil", "tip")
     """Channels that can see it, of pressure, thrust, recoil, tip."""
+    resists: ClassVar[bool] = False
+    """Whether it is a force density that resists motion along the body, which drag across it and
+    added mass do not."""
     instead: ClassVar[str] = ""
     """What of the model it takes the place of, if it does; one effect at most can."""
 

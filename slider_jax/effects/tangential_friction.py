@@ -17,6 +17,7 @@ class TangentialFriction(ForceDensity):
     """
 
     title = "friction along the skin"
+    resists = True
 
     C_t: Scalar = parameter(
         0.0, 0.0, 0.2, "-", "0.005 for a smooth plate, more with tubes, seams, a clamp"

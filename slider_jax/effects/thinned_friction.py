@@ -22,6 +22,7 @@ class ThinnedFriction(ForceDensity):
     """
 
     title = "friction under a thinned boundary layer"
+    resists = True
 
     c: Scalar = parameter(
         0.0, 0.0, 3.0, "-", "1 for a smooth round cylinder; a flat section has more skin"
