@@ -4,6 +4,7 @@ Members are cut into chunks of one size, whatever the number of devices, so that
 score is the same to the last bit on one device and on many.
 """
 
+import itertools
 import os
 from collections.abc import Callable
 from contextlib import suppress
@@ -11,11 +12,15 @@ from typing import Any
 
 import jax
 import numpy as np
+from jax._src import distributed  # its barrier waits as long as it is told; a collective does not
 from jax.experimental import multihost_utils
 from jax.sharding import Mesh, PartitionSpec
 
 CHUNK = 8
 """Members that are computed together: as many as a core's cache holds."""
+PATIENCE = 3600
+"""For how long a process waits for one that is late [s]; for one that ended it does not."""
+_meetings = itertools.count()
 
 
 class Evaluation:
@@ -48,6 +53,7 @@ class Evaluation:
         given = jax.make_array_from_callback(filled.shape, self._sharding, lambda i: filled[i])
         scores = jax.block_until_ready(self._compiled(given))
         if jax.process_count() > 1:
+            together("scores")
             scores = multihost_utils.process_allgather(scores, tiled=True)
         return jax.tree.map(lambda x: np.asarray(x)[:n], scores)
 
@@ -74,6 +80,8 @@ def is_first() -> bool:
 
 
 def together(place: str) -> None:
-    """Wait for all processes, so that none ends while another still works."""
+    """Wait for all processes to come here, the same number of times each."""
     if jax.process_count() > 1:
-        multihost_utils.sync_global_devices(place)
+        client = distributed.global_state.client
+        assert client is not None
+        client.wait_at_barrier(f"{place} {next(_meetings)}", 1000 * PATIENCE)

@@ -15,7 +15,7 @@ from slider_jax.evaluation import CHUNK, Evaluation
 from tests.conftest import ROOT
 
 CODE = """
-import sys
+import os, sys, time
 from slider_jax.precision import enable_float64
 from slider_jax.evaluation import Evaluation, begin
 enable_float64()
@@ -25,6 +25,7 @@ import jax, numpy as np
 import jax.numpy as jnp
 from tests.test_evaluation import MEMBERS, waves
 assert len(jax.devices()) == int(cores) * int(processes), jax.devices()
+time.sleep(float(os.environ.get("LATE", "0")))
 np.save(out, Evaluation(waves)(MEMBERS))
 """
 MEMBERS = np.random.default_rng(0).uniform(size=(37, 6))
@@ -49,9 +50,9 @@ def test_scores_are_the_objectives_in_the_order_of_the_members():
     np.testing.assert_array_equal(few, found[: CHUNK - 3])
 
 
-def started(cores, out, coordinator="", processes=1, process=0):
+def started(cores, out, coordinator="", processes=1, process=0, late=0.0):
     words = [str(x) for x in (cores, coordinator, processes, process, out)]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu"}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu", "LATE": str(late)}
     return subprocess.Popen([sys.executable, "-c", CODE, *words], env=environment, cwd=ROOT)
 
 
@@ -70,3 +71,13 @@ def test_two_devices_give_what_one_gives(tmp_path: Path, processes):
     assert [run.wait(timeout=120) for run in runs] == [0] * processes
     for out in outs:
         np.testing.assert_array_equal(np.load(out), Evaluation(waves)(MEMBERS))
+
+
+@pytest.mark.slow
+def test_a_process_waits_for_one_that_is_late(tmp_path: Path):
+    """By more than the 30 s that a collective waits."""
+    where = f"127.0.0.1:{free_port()}"
+    outs = [tmp_path / f"{i}.npy" for i in range(2)]
+    runs = [started(1, out, where, 2, i, late=45.0 * i) for i, out in enumerate(outs)]
+    assert [run.wait(timeout=200) for run in runs] == [0, 0]
+    np.testing.assert_array_equal(np.load(outs[0]), np.load(outs[1]))
