@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 from slider_jax import paper
 from slider_jax.errors import InputError
 from slider_jax.experiment import Experiment, assemble, load
-from slider_jax.gait import Gait
+from slider_jax.gait import CAP, Gait
 from slider_jax.parameters import Robot
 
 HEAD_DRAG = 1.79e-3
@@ -39,7 +39,7 @@ def swimmer_content(**trial: Any) -> dict[str, Any]:
         "robot": {name: getattr(robot, name) for name in fields},
         "parameters": {"force_coefficients": "ramp", "k": paper.PRESSURE_LAG, "K_Q": robot.K_Q},
         "effects": [{"name": "head_drag", "area": HEAD_DRAG}],
-        "trials": [{"file": "swim.csv", "duration": 10.0, **trial}],
+        "trials": [{"file": "swim.csv", "duration": 10.0} | trial],
     }
 
 
@@ -49,6 +49,12 @@ def optimum() -> Experiment:
     content = swimmer_content(frequency=f, amplitude=front, rear_ratio=rear / front, phase=phase)
     content["robot"] |= {"tail_length": tail_length, "EI_tail": EI_tail}
     return assemble(content, "the paper's optimum", Path("."))
+
+
+def climbing() -> Experiment:
+    """The built-in robot with a drive that climbs; the paper's is not known."""
+    content = swimmer_content(file="climb.csv", frequency=2.0, amplitude=CAP)
+    return assemble(content | {"effects": []}, "the built-in climber", Path("."))
 
 
 def given_or_optimum(path: Path | None, model: Path | None) -> Experiment:

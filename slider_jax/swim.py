@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from slider_jax.errors import InputError, SolverError
+from slider_jax.errors import SolverError
 from slider_jax.experiment import Experiment, to_model, to_numerics
-from slider_jax.gait import swimmer
+from slider_jax.gait import stride_frequency, swimmer
 from slider_jax.model import Model
 from slider_jax.performance import Performance, Stride, next_stride, performance, steadily
 from slider_jax.sampling import half_period_steps
@@ -107,12 +107,7 @@ def _check(carry: Carry) -> None:
 
 def check(experiment: Experiment, trial: Trial) -> tuple[float, Model]:
     """Frequency [Hz] and free robot of a trial. Raises `InputError` where it cannot be swum."""
-    if trial.waveform == "recorded" or trial.frequency is None:
-        raise InputError(
-            f"{trial.file}: is driven by a recording, which has no strides; allowed are square, "
-            "sine and trapezoid waves"
-        )
-    return trial.frequency, swimmer(to_model(experiment, trial))
+    return stride_frequency(trial), swimmer(to_model(experiment, trial))
 
 
 def plan_of(experiment: Experiment, frequency: float) -> Search:

@@ -32,6 +32,7 @@ COMMANDS = {
         "slider_jax.cli.sweep:sweep", "one or two fields of an experiment over ranges"
     ),
     "swim": Command("slider_jax.cli.swim:swim", "the robot set free, and its steady speed"),
+    "climb": Command("slider_jax.cli.climb:climb", "the robot pinned to a wall, in air"),
     "optimize swim": Command(
         "slider_jax.cli.optimize:swim", "tail and gait for the fastest swimming"
     ),

@@ -75,6 +75,9 @@ class Effect(eqx.Module):
 class ForceDensity(Effect):
     """A force per length on the body."""
 
+    in_air: ClassVar[bool] = False
+    """Whether it is there without water."""
+
     @abstractmethod
     def force(self, x: Section) -> tuple[Array, Array]:
         """(F_tau, F_n) [N/m] on a section of the body."""

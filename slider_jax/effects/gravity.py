@@ -18,6 +18,7 @@ class Gravity(ForceDensity):
     """
 
     title = "weight"
+    in_air = True
 
     g: Scalar = parameter(0.0, 0.0, 9.81, "m/s^2", "9.81 in air; nearly neutral in water")
     """Acceleration."""

@@ -1,0 +1,89 @@
+"""`slider climb`: the robot pinned to a wall, in air."""
+
+import sys
+from pathlib import Path
+
+from slider_jax.cli.options import Folder, MaybeExperiment, MaybeValue, MaybeWhole, ModelFile, Value
+from slider_jax.errors import InputError
+
+
+def climb(
+    experiment: MaybeExperiment = None,
+    *,
+    out: Folder,
+    model: ModelFile = None,
+    trial: MaybeWhole = None,
+    pin_phase: MaybeValue = None,
+    link: Value = 0.03,
+    cap: Value = 172.3e3,
+) -> None:
+    """Climb a wall with each trial's drive, pinned through a cross-link at alternating sides.
+
+    In air, with weight; of the water's forces there are none. It goes on until strides repeat, and
+    tells of the last 15. Without a file: the built-in robot at 2 Hz. DIR gets climb.json (all
+    figures, settings, versions) and, of every trial, <its name>_climb.png, <its name>_climb.csv
+    and a film, <its name>_climb.gif.
+
+    Args:
+        experiment: experiment file (.toml); its trials' towing, heaving and water have no say.
+        out: folder for the results; made if missing, files of the same name are replaced.
+        model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
+        trial: this trial alone, from 0.
+        pin_phase: when the left end is pinned, fraction of a period after the front chamber's
+            pressure is set positive; the right one is half a period later. By default the fastest
+            of 16.
+        link: length of the cross-link [m].
+        cap: highest set pressure [Pa]; amplitudes beyond it are cut.
+    """
+    from slider_jax.cli.progress import Progress
+    from slider_jax.climb import climb as climb_wall, row
+    from slider_jax.climb_report import film, plot, series_columns, table, words
+    from slider_jax.experiment import load
+    from slider_jax.files import staged, write_csv, write_json
+    from slider_jax.gait import stride_frequency
+    from slider_jax.paper_swimmer import climbing
+    from slider_jax.provenance import input_file, versions
+
+    if pin_phase is not None and not 0.0 <= pin_phase <= 1.0:
+        raise InputError.value("--pin-phase", f"{pin_phase:g}", "0 to 1, of a period")
+    if not 0.005 <= link <= 0.2:
+        raise InputError.value("--link", f"{link:g}", "0.005 to 0.2 m")
+    if not 1e3 <= cap <= 2e6:
+        raise InputError.value("--cap", f"{cap:g}", "1e3 to 2e6 Pa", "pascal, not kPa or psi")
+    if experiment is None and model is not None:
+        raise InputError("--model: overrides an experiment; give EXPERIMENT.toml before it")
+    given = climbing() if experiment is None else load(experiment, model)
+    trials = given.trials
+    if trial is not None:
+        if not 0 <= trial < len(trials):
+            raise InputError.value("--trial", trial, f"0 to {len(trials) - 1}")
+        trials = trials[trial : trial + 1]
+    if experiment is not None and out.resolve() == given.folder.resolve():
+        raise InputError(f"--out {out}: is the experiment's own folder; give another")
+    for x in trials:
+        stride_frequency(x)
+    rows = []
+    with staged(out) as stage:
+        for x in trials:
+            name = Path(x.file).stem
+
+            def say(text: str, name: str = name) -> None:
+                print(f"{name}: {text} ...", file=sys.stderr, flush=True)
+
+            run = climb_wall(given, x, pin_phase, link, cap, say)
+            rows.append(row(run))
+            write_csv(stage / f"{name}_climb.csv", series_columns(run))
+            plot(run, stage / f"{name}_climb.png")
+            with Progress(name, "frame", "film of the last strides") as progress:
+                film(run, stage / f"{name}_climb.gif", progress.to)
+            print(f"{name}: {x.waveform} {x.frequency:g} Hz")
+            print(table(rows[-1]))
+            print("\n".join(words(run)))
+        content = {
+            "climbs": rows,
+            "experiment": given.model_dump(),
+            "inputs": [input_file(p) for p in (experiment, model) if p is not None],
+            "versions": versions(),
+        }
+        write_json(stage / "climb.json", content)
+    print(f"climb.json, picture, film and strides of each trial are in {out}", file=sys.stderr)

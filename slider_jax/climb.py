@@ -1,0 +1,185 @@
+"""The climbing test: from a straight hang until strides repeat, and what they amount to."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from slider_jax.climbing import (
+    Climb,
+    ClimbPlan,
+    ClimbSeries,
+    climb_from_rest,
+    climb_of,
+    climb_on,
+    join,
+)
+from slider_jax.errors import SolverError
+from slider_jax.experiment import Experiment, to_model, to_numerics
+from slider_jax.gait import CAP, LINK, climber, stride_frequency
+from slider_jax.model import Model
+from slider_jax.sampling import half_period_steps
+from slider_jax.schema import Trial
+from slider_jax.step import Carry, at_rest
+
+PHASES = 16
+"""Phases of the pin that are tried where none is given."""
+PERIODS = 5
+"""Most strides after which a climb may repeat: lightly damped swings skip strides."""
+REPEATS = 1e-2
+"""Largest difference between rises of strides that repeat, of the link's length."""
+
+
+@dataclass(frozen=True)
+class ClimbRun:
+    """A trial's drive, climbed. Arrays are NumPy's."""
+
+    trial: Trial
+    plan: ClimbPlan
+    pin_phase: float
+    link: float
+    """[m]"""
+    cap: float
+    """[Pa]"""
+    tried: dict[float, float]
+    """Speed [m/s] by pin phase, where the phase was sought; NaN where a step failed."""
+    found: Climb
+    """Over the last `plan.strides`."""
+    series: Any
+    """`ClimbSeries` of these, from the end of the step before them."""
+    rises: np.ndarray
+    """Of the head at every stride from the 16th on [m]."""
+    period: int
+    """Strides after which the last ones repeat; 0 where they do not."""
+
+    @property
+    def frequency(self) -> float:
+        """Of the strides [Hz]."""
+        return stride_frequency(self.trial)
+
+
+@eqx.filter_jit
+def _more(model: Model, frequency, carry: Carry, plan: ClimbPlan):
+    return climb_on(model, frequency, carry, plan.strides, plan)
+
+
+@eqx.filter_jit
+def _amounts(model: Model, frequency, series: ClimbSeries, plan: ClimbPlan):
+    return climb_of(model, frequency, series, plan)
+
+
+def period_of(rises: np.ndarray, link: float, least: int = 10) -> int:
+    """Strides after which the last `least` rises [m] repeat, up to `PERIODS`; 0 if they do not."""
+    last = rises[-least - PERIODS :]
+    for n in range(1, PERIODS + 1):
+        if len(last) > n and np.abs(last[n:] - last[:-n]).max() < REPEATS * link:
+            return n
+    return 0
+
+
+def plan_of(experiment: Experiment, frequency: float) -> ClimbPlan:
+    """Mesh of the experiment, and an even number of steps to a stride, none longer than its."""
+    numerics, scheme = to_numerics(experiment)
+    steps = 2 * half_period_steps(frequency, experiment.numerics.step)
+    return ClimbPlan(steps_per_stride=steps, numerics=numerics, scheme=scheme)
+
+
+def speeds_by_phase(base: Model, frequency: float, link: float, cap: float) -> dict[float, float]:
+    """Speed [m/s] with the pin at each of `PHASES` phases, on a coarse mesh; NaN where it fails."""
+
+    @jax.jit
+    def speeds(phases):
+        def one(phase):
+            found, ok = climb_from_rest(climber(base, frequency, phase, None, link, cap), frequency)
+            return jnp.where(ok, found.speed, jnp.nan)
+
+        return jax.vmap(one)(phases)
+
+    phases = np.arange(PHASES) / PHASES
+    return dict(zip(phases.tolist(), np.asarray(speeds(phases)).tolist(), strict=True))
+
+
+def climb(
+    experiment: Experiment,
+    trial: Trial | int = 0,
+    pin_phase: float | None = None,
+    link: float = LINK,
+    cap: float = CAP,
+    progress: Callable[[str], None] = lambda text: None,
+    longest: int = 150,
+) -> ClimbRun:
+    """Pin the robot to a wall in air, with the drive of a trial.
+
+    It starts straight below the pin, and goes on by 15 strides until they repeat or are more than
+    `longest`. Without a `pin_phase` the one of `PHASES` is taken with which it climbs fastest.
+    Raises `InputError` for a recorded drive, and `SolverError` where a step does not converge.
+    """
+    if isinstance(trial, int):
+        trial = experiment.trials[trial]
+    frequency, base = stride_frequency(trial), to_model(experiment, trial)
+    plan = plan_of(experiment, frequency)
+    tried: dict[float, float] = {}
+    if pin_phase is None:
+        progress(f"{PHASES} phases of the pin")
+        tried = speeds_by_phase(base, frequency, link, cap)
+        best = max(tried, key=lambda x: -np.inf if np.isnan(tried[x]) else tried[x])
+        pin_phase = best
+    model, f = climber(base, frequency, pin_phase, None, link, cap), jnp.asarray(frequency, float)
+    progress("climbing")
+    carry, before = _more(model, f, at_rest(model, plan.numerics), plan)
+    rises = np.empty(0)
+    while True:
+        carry, after = _more(model, f, carry, plan)
+        if not bool(carry.ok):
+            raise SolverError(
+                f"{trial.file}: climbing: a step did not converge at {float(carry.failed_at):.4g} "
+                "s of the drive; a shorter numerics.step may help, or weaker pressures"
+            )
+        series = join(before, after)
+        found = _amounts(model, f, series, plan)
+        rises, before = np.concatenate([rises, np.asarray(found.rises)]), after
+        period = period_of(rises, link)
+        if period or len(rises) >= longest:
+            break
+        progress(f"{len(rises) + plan.strides} strides")
+    found, series = jax.device_get((found, series))
+    return ClimbRun(trial, plan, pin_phase, link, cap, tried, found, series, rises, period)
+
+
+UNITS = {
+    "speed": "m_per_s",
+    "drift": "m_per_s",
+    "power": "W",
+    "dissipated": "of_power",
+    "stored": "of_power",
+    "unaccounted": "of_power",
+    "swing": "rad",
+    "tail_swing": "m",
+    "slip": "m_per_s",
+}
+"""Of quantities of `Climb`; the others have none."""
+
+
+def row(run: ClimbRun) -> dict[str, Any]:
+    """What was found, in SI, by names with units."""
+    table = {
+        f"{name}_{UNITS[name]}" if name in UNITS else name: float(getattr(run.found, name))
+        for name in (*UNITS, "efficiency")
+    }
+    return {
+        "file": run.trial.file,
+        "frequency_Hz": run.frequency,
+        "pin_phase": run.pin_phase,
+        "link_m": run.link,
+        "cap_Pa": run.cap,
+        **table,
+        "strides": run.plan.strides,
+        "repeats_after_strides": run.period or None,
+        "rise_of_strides_m": run.rises,
+        "speed_by_pin_phase_m_per_s": {f"{x:g}": u for x, u in run.tried.items()} or None,
+        "steps_per_stride": run.plan.steps_per_stride,
+    }
