@@ -32,30 +32,38 @@ class Evaluation:
 
     def __init__(self, objective: Callable[[jax.Array], Any], chunk: int = CHUNK):
         devices = np.array(jax.devices())
-        self._unit = len(devices) * chunk
+        self._rows = len(devices) * chunk
         mesh = Mesh(devices, ("devices",))
         rows = PartitionSpec("devices")
-
-        def share(members):
-            chunks = members.reshape(-1, chunk, members.shape[-1])
-            scores = jax.lax.map(jax.vmap(objective), chunks)
-            return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), scores)
-
         self._compiled = jax.jit(
-            jax.shard_map(share, mesh=mesh, in_specs=rows, out_specs=rows, check_vma=False)
+            jax.shard_map(
+                jax.vmap(objective), mesh=mesh, in_specs=rows, out_specs=rows, check_vma=False
+            )
         )
         self._sharding = jax.NamedSharding(mesh, rows)
 
     def __call__(self, members: np.ndarray) -> Any:
-        """Scores (n, ...) of `members` (n, d), as NumPy's."""
+        """Scores (n, ...) of `members` (n, d), as NumPy's. One program serves every n."""
         n = len(members)
-        filled = members[np.minimum(np.arange(-(-n // self._unit) * self._unit), n - 1)]
-        given = jax.make_array_from_callback(filled.shape, self._sharding, lambda i: filled[i])
-        scores = jax.block_until_ready(self._compiled(given))
+        filled = members[np.minimum(np.arange(-(-n // self._rows) * self._rows), n - 1)]
+        parts = filled.reshape(-1, self._rows, filled.shape[-1])
+        found = [self._compiled(self._given(part)) for part in parts]  # all are begun at once
+        scores = jax.tree.map(lambda *x: np.stack([_local(part) for part in x]), *found)
         if jax.process_count() > 1:
             together("scores")
-            scores = multihost_utils.process_allgather(scores, tiled=True)
-        return jax.tree.map(lambda x: np.asarray(x)[:n], scores)
+            gathered = multihost_utils.process_allgather(scores)  # (processes, parts, rows, ...)
+            scores = jax.tree.map(lambda x: np.swapaxes(x, 0, 1), gathered)
+            scores = jax.tree.map(lambda x: x.reshape(len(parts), -1, *x.shape[3:]), scores)
+        return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:n], scores)
+
+    def _given(self, part: np.ndarray) -> jax.Array:
+        return jax.make_array_from_callback(part.shape, self._sharding, lambda i: part[i])
+
+
+def _local(part: jax.Array) -> np.ndarray:
+    """The rows that this process has."""
+    shards = sorted(part.addressable_shards, key=lambda x: x.index[0].start or 0)
+    return np.concatenate([np.asarray(x.data) for x in shards])
 
 
 def begin(cores: int, coordinator: str = "", processes: int = 1, process: int = 0) -> None:

@@ -87,13 +87,19 @@ def genetic(members: int, dimensions: int) -> Searcher:
     return Searcher("genetic", standard(begin), standard(ask), standard(tell))
 
 
-def cma_es(members: int, dimensions: int) -> Searcher:
-    """Covariance matrix adaptation; members beyond the box are put on its faces."""
+def cma_es(
+    members: int, dimensions: int, around: np.ndarray | None = None, spread: float = SPREAD
+) -> Searcher:
+    """Covariance matrix adaptation; members beyond the box are put on its faces.
+
+    It starts `around` a point (the middle), with `spread` as its standard deviation.
+    """
+    middle = np.full(dimensions, 0.5) if around is None else around
     es = CMA_ES(members, jnp.zeros(dimensions))
 
     def begin(seed):
-        params = es.default_params.replace(std_init=SPREAD)
-        return es.init(_key(seed, 0, 0), jnp.full(dimensions, 0.5), params)
+        params = es.default_params.replace(std_init=spread)
+        return es.init(_key(seed, 0, 0), jnp.asarray(middle), params)
 
     def ask(state, seed, generation):
         found, state = es.ask(_key(seed, generation, 0), state, es.default_params)

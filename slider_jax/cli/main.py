@@ -36,6 +36,9 @@ COMMANDS = {
     "optimize swim": Command(
         "slider_jax.cli.optimize:swim", "tail and gait for the fastest swimming"
     ),
+    "optimize multimodal": Command(
+        "slider_jax.cli.optimize:multimodal", "one tail to swim and to climb with"
+    ),
     "close-loop": Command(
         "slider_jax.cli.close_loop:close_loop", "what a model lacks, from measured trials"
     ),
