@@ -37,7 +37,16 @@ def calibrating_drag_and_added_mass(found):
     assert np.abs(found["measured"] - found["predicted"]).max() < 0.05
 
 
+def designing_a_tail(found):
+    """Map, gradient and genetic algorithm agree on the fastest tail."""
+    on_map, climbed = 100 * np.nanmax(found["on_grid"]), 100 * np.nanmax(found["heights"])
+    assert climbed > 0.97 * on_map and 100 * found["bred"].score > 0.97 * on_map
+    assert climbed > 1.5 * 100 * found["heights"][0]
+    assert 100 * found["finer"] == pytest.approx(climbed, rel=0.15)
+
+
 CLAIMS = {
+    "designing_a_tail": designing_a_tail,
     "one_stride": one_stride,
     "tracing_the_valve": tracing_the_valve,
     "calibrating_drag_and_added_mass": calibrating_drag_and_added_mass,
@@ -48,7 +57,7 @@ def test_there_are_notebooks():
     assert NOTEBOOKS
 
 
-LONG = ("calibrating_drag_and_added_mass", "tracing_the_valve")
+LONG = ("calibrating_drag_and_added_mass", "designing_a_tail", "tracing_the_valve")
 
 
 @pytest.mark.parametrize(
