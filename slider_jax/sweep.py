@@ -164,7 +164,9 @@ def _case(sweep: Sweep, point: tuple[float, ...]) -> tuple[Plan, Member]:
     assert f is not None
     if "numerics.step" in values:
         steps = POSES * max(2, int(np.ceil(1.0 / (f * values["numerics.step"] * POSES) - 1e-9)))
-    plan = Plan(steps, sweep.strides, *to_numerics(experiment))
+    # A swept length keeps the cells that the given one has, so that members share a program.
+    meshed = experiment.model_copy(update={"robot": sweep.experiment.robot})
+    plan = Plan(steps, sweep.strides, *to_numerics(meshed))
     model = to_model(experiment, sweep.trial)
     return plan, Member(swimmer(model) if sweep.swim else model, jnp.asarray(f, float))
 

@@ -86,7 +86,7 @@ def draw(sweep: Sweep, table: dict[str, np.ndarray], path: Path) -> None:
             ax.set_ylabel(label)
         else:
             y, across = _axis(sweep.axes[1])
-            _contours(figure, ax, x, y, values.reshape(len(x), len(y)).T, label)
+            contours(figure, ax, x, y, values.reshape(len(x), len(y)).T, label)
             ax.set_ylabel(across)
         if ax in axes[-1]:
             ax.set_xlabel(along)
@@ -100,7 +100,7 @@ def draw(sweep: Sweep, table: dict[str, np.ndarray], path: Path) -> None:
     save_figure(figure, path)
 
 
-def _contours(figure, ax, x: np.ndarray, y: np.ndarray, values: np.ndarray, label: str) -> None:
+def contours(figure, ax, x: np.ndarray, y: np.ndarray, values: np.ndarray, label: str) -> None:
     """Round, labelled levels in black, and three colours from each to the next."""
     from matplotlib.ticker import MaxNLocator
 

@@ -141,6 +141,15 @@ def test_a_swept_step_sets_the_steps_per_stride(experiment):
     assert [list(group.points) for group in groups] == [[0], [1], [2]]
 
 
+def test_a_swept_tail_keeps_its_cells(experiment):
+    tails = Axis("robot.tail_length", (0.03, 0.07, 0.11))
+    task = tiny(experiment, axes=(tails, Axis("numerics.nodes", (11.0, 21.0))))
+    # 0.07 of 0.37 m, as in the file: 2 of 10 cells, 4 of 20.
+    cells = [(g.plan.numerics.tail_cells, g.plan.numerics.body_cells) for g in groups_of(task)]
+    assert cells == [(2, 8), (4, 16)]
+    np.testing.assert_array_equal(groups_of(task)[0].members.model.robot.tail_length, tails.values)
+
+
 def test_the_ramp_follows_a_swept_frequency(experiment):
     ramp = EXPERIMENT.replace("C_d = 3.0\nm_a = 1.0", 'force_coefficients = "ramp"')
     experiment.write_text(ramp.split('[[trials]]\nfile = "trial_01')[0])

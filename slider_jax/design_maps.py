@@ -1,0 +1,72 @@
+"""Maps of speed over a tail's length and one thing more, and the best of every length.
+
+Speeds are head first [m/s], so that a swimmer that goes tail first counts as slower than one that
+stands still; NaN is where no steady speed was found.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+BEST_PHASE, TOLERANCE = 0.15, 0.05
+"""The paper's best phase of short tails [of a period], and how far off still counts as near."""
+MARKED = (0.0, 0.2, 0.5)
+"""Phases of the points that the paper compares."""
+MARKED_LENGTH = 0.06
+"""Of the tail [m] in the slice that has them."""
+
+
+class Map(NamedTuple):
+    """Speed over the tail's length and one thing more."""
+
+    lengths: np.ndarray
+    """(n,) [m], rising"""
+    across: np.ndarray
+    """(m,), rising: the tail's stiffness [N m^2], or the phase of the rear chamber."""
+    speed: np.ndarray
+    """(n, m) [m/s]"""
+
+    def at(self, value: float) -> np.ndarray:
+        """Speeds (n,) where `across` is nearest to `value`."""
+        return self.speed[:, int(np.argmin(np.abs(self.across - value)))]
+
+    def slice_at(self, length: float) -> "Map":
+        """The one length nearest to `length` [m]."""
+        i = int(np.argmin(np.abs(self.lengths - length)))
+        return Map(self.lengths[i : i + 1], self.across, self.speed[i : i + 1])
+
+
+class Peak(NamedTuple):
+    """Where a curve is highest."""
+
+    x: float
+    y: float
+    inside: bool | None
+    """Whether it falls off to both sides; None where a point that would tell is missing."""
+
+
+def peak(x: np.ndarray, y: np.ndarray) -> Peak:
+    """The top of the parabola through a curve's best point and the two beside it."""
+    if not np.isfinite(y).any():
+        return Peak(np.nan, np.nan, None)
+    i = int(np.nanargmax(y))
+    best = Peak(float(x[i]), float(y[i]), False)
+    if i in (0, len(y) - 1):
+        return best
+    if np.isnan(y[i - 1 : i + 2]).any():
+        return best._replace(inside=None)
+    a, b, c = np.polyfit(x[i - 1 : i + 2] - x[i], y[i - 1 : i + 2], 2)
+    if not a < 0.0:  # all three alike
+        return best
+    return Peak(float(x[i] - 0.5 * b / a), float(c - 0.25 * b**2 / a), True)
+
+
+def best_stiffness(over_stiffness: Map) -> list[Peak]:
+    """Of every length, the fastest stiffness [N m^2]; the parabola is over its logarithm."""
+    found = [peak(np.log(over_stiffness.across), row) for row in over_stiffness.speed]
+    return [p._replace(x=float(np.exp(p.x))) for p in found]
+
+
+def best_phase(over_phase: Map) -> list[Peak]:
+    """Of every length, the fastest phase."""
+    return [peak(over_phase.across, row) for row in over_phase.speed]
