@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.optimize import root
+from scipy.optimize import root_scalar
 
 from slider_jax import paper
 from slider_jax.actuation import FirstOrderLag, SquareWave
@@ -27,15 +27,16 @@ from slider_jax.errors import SolverError
 from slider_jax.gait import Gait
 from slider_jax.model import Drive, Model
 from slider_jax.paper_swimmer import MEASURED_SPEED, PAPER_GAIT, PUBLISHED
-from slider_jax.parameters import Numerics, Robot
+from slider_jax.parameters import Robot
+from slider_jax.rollout import rollout
+from slider_jax.steady import Search, Steady, find_steady, stride_times, velocity
+from slider_jax.step import at_rest
 from slider_jax.supports import Free
-from slider_jax.swimming import Plan, steady_speed, swim_from, watched
 
-PLAN = Plan(numerics=Numerics(tail_cells=6, body_cells=24))
-FASTEST = 1.0
-"""Fastest start [m/s] of a swimmer with an effect that resists."""
-FASTEST_WITHOUT = 4.0
-"""Fastest start [m/s] of one without."""
+PLAN = Search(steps_per_stride=160)
+FARTHER = 3
+"""Times as many corrections of the speed for a swimmer that nothing resists: it ends ten times as
+fast."""
 LONG = 60
 """Strides from rest that show whether a speed settles."""
 
@@ -108,34 +109,42 @@ def swimmer(
 
 
 @eqx.filter_jit
-def _from_rest(model: Model, frequency, strides: int, plan: Plan):
-    return swim_from(model, frequency, 0.0, strides, plan)
+def _from_rest(model: Model, frequency, strides: int, plan: Search):
+    times = stride_times(frequency, strides, plan)
+    begin = at_rest(model, plan.numerics)
+    run = rollout(model, times, velocity, plan.numerics, plan.scheme, begin=begin, checkpoint=False)
+    return run.saved.reshape(strides, plan.steps_per_stride, 2).mean(axis=1), run.ok
+
+
+_find_steady = eqx.filter_jit(find_steady)
+
+
+def steady(model: Model, gait: Gait, plan: Search = PLAN) -> Steady:
+    """The steady swim, by one program for all models of one structure."""
+    return _find_steady(model, jnp.asarray(float(gait.frequency)), plan)
 
 
 def coefficient_at(
-    point: Point, gait: Gait, resisting: str, head: float = 0.0, plan: Plan = PLAN
+    point: Point, gait: Gait, resisting: str, head: float = 0.0, plan: Search = PLAN
 ) -> float:
     """The coefficient with which the robot swims steadily at a point's speed.
 
-    Start and coefficient are sought together: speed as published, no acceleration. Raises
-    `SolverError` where there is none.
+    Raises `SolverError` where there is none.
     """
-    frequency = jnp.asarray(gait.frequency)
 
-    def off(unknown: np.ndarray) -> np.ndarray:
-        begin, coefficient = unknown[0] * point.speed, START[resisting] * np.exp(unknown[1])
-        model = swimmer(gait, resisting, float(coefficient), head)
-        found = watched(model, frequency, jnp.asarray(begin), plan)
-        # A speed is gained or lost over about one second.
-        return np.array([float(found.speed) - point.speed, float(found.acceleration)]) / point.speed
+    def coefficient(x: float) -> float:
+        return START[resisting] * float(np.exp(x))
 
-    found = root(off, np.array([0.8, 0.0]), options={"eps": 1e-4, "xtol": 1e-5})
-    if not found.success or np.abs(found.fun).max() > 1e-3:
+    def off(x: float) -> float:
+        found = steady(swimmer(gait, resisting, coefficient(x), head), gait, plan)
+        return float(found.speed) / point.speed - 1.0 if bool(found.ok) else np.nan
+
+    found = root_scalar(off, method="secant", x0=0.0, x1=0.3, xtol=1e-4, maxiter=20)
+    if not found.converged or not abs(off(found.root)) < 1e-3:
         raise SolverError(
-            f"{resisting} at {point.name}: no coefficient gives {point.speed:g} m/s "
-            f"({found.message.strip()})"
+            f"{resisting} at {point.name}: no coefficient gives {point.speed:g} m/s ({found.flag})"
         )
-    return float(START[resisting] * np.exp(found.x[1]))
+    return coefficient(found.root)
 
 
 @dataclass(frozen=True)
@@ -148,7 +157,7 @@ class Before:
     by_stride: np.ndarray
     """Speeds [m/s] of `LONG` strides from rest."""
     steady: float
-    """[m/s]; infinite where it still gains speed from `FASTEST_WITHOUT`."""
+    """[m/s]; infinite where none was found."""
 
 
 @dataclass(frozen=True)
@@ -178,7 +187,7 @@ class After:
         return self.predicted - self.published
 
 
-def before(plan: Plan = PLAN, strides: int = LONG) -> list[Before]:
+def before(plan: Search = PLAN, strides: int = LONG) -> list[Before]:
     """The paper's equations at every point and gait, without and with the head's point force."""
     found = []
     for point, head in itertools.product((FIRST, OPTIMUM), HEADS):
@@ -188,16 +197,21 @@ def before(plan: Plan = PLAN, strides: int = LONG) -> list[Before]:
             if not bool(ok):
                 raise SolverError(f"{point.name}, {name}: a step failed on the way from rest")
             speeds = np.hypot(*np.asarray(by_stride).T)
-            steady = steady_speed(model, float(gait.frequency), plan, FASTEST_WITHOUT, 1e-2).speed
-            fast = float("inf") if steady is None else steady
-            found.append(Before(point.name, name, head, speeds, fast))
+            farther = plan._replace(corrections=FARTHER * plan.corrections)
+            found.append(
+                Before(point.name, name, head, speeds, _speed(steady(model, gait, farther)))
+            )
     return found
+
+
+def _speed(found: Steady) -> float:
+    return float(found.speed) if bool(found.ok) else float("inf")
 
 
 def after(
     calibrated: Point,
     checked: Point,
-    plan: Plan = PLAN,
+    plan: Search = PLAN,
     heads: Sequence[str] = tuple(HEADS),
     done: Callable[[After], None] = lambda x: None,
 ) -> list[After]:
@@ -213,8 +227,7 @@ def after(
             )
         gait = checked.gaits[other]
         model = swimmer(gait, resisting, coefficients[key], HEADS[head])
-        steady = steady_speed(model, float(gait.frequency), plan, FASTEST, 1e-3)
-        speed = float("inf") if steady.speed is None else steady.speed
+        speed = _speed(steady(model, gait, plan))
         found.append(
             After(resisting, head, calibrated.name, name, coefficients[key], checked.name, other,
                   speed, checked.speed)

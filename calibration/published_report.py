@@ -7,7 +7,6 @@ import numpy as np
 
 from calibration.page import document, paragraph, picture, table
 from calibration.published import (
-    FASTEST_WITHOUT,
     FIRST,
     OPTIMUM,
     PAPER_MODEL_AT_OPTIMUM,
@@ -134,9 +133,8 @@ def report(x: Outcome, seconds: float) -> dict[str, Any]:
         ],
         "next_experiment": NEXT,
         "settings": {
-            "settling_strides": PLAN.settling, "watched_strides": PLAN.watched,
+            "settling_strides": PLAN.settling, "corrections": PLAN.corrections,
             "steps_per_stride": PLAN.steps_per_stride, "nodes": PLAN.numerics.nodes,
-            "fastest_start_m_per_s": FASTEST_WITHOUT,
         },
         "seconds": seconds,
         "versions": versions(),

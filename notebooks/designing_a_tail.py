@@ -175,4 +175,4 @@ print(f"{100 * np.nanmax(heights):.2f} cm/s on 17 nodes, {100 * finer:.2f} cm/s 
 # %% [markdown]
 # With all six variables, checkpoints, and all cores: `slider optimize swim --out
 # results/optimum`, and `--algorithm gradient` for the climb. The paper's maps: `python
-# scripts/fig7_design_maps.py results/maps`.
+# scripts/fig7_design_maps.py results/fig7`.

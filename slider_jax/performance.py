@@ -69,6 +69,10 @@ class Performance(eqx.Module):
     """2 A_t f / U [-]"""
     tail_slope: Scalar
     """A_t / (lambda/4) [-]"""
+    shape_wavelength: Scalar
+    """[m], of the body's shape: also of a standing wave."""
+    shape_tail_slope: Scalar
+    """A_t over a quarter of it [-]."""
     turning: Scalar
     """Of the course [rad] per stride, to the left."""
 
@@ -104,6 +108,7 @@ def performance(model: Model, frequency, stride: Stride, search: Search) -> Perf
     s = make_mesh(model.body, search.numerics).grid.s
     mode = obs.fundamental_mode(across, stride.t, frequency)
     wave = obs.body_wave(mode, s, frequency)
+    shape_wavelength = obs.shape_wavelength(mode, s)
     half = 0.5 * (jnp.max(across, axis=0) - jnp.min(across, axis=0))
     power, thrust = jnp.mean(stride.power), -jnp.mean(stride.resistance, axis=0) @ along
     weight = G * model.body.linear_density * model.body.length
@@ -122,6 +127,8 @@ def performance(model: Model, frequency, stride: Stride, search: Search) -> Perf
         head_amplitude=half[-1],
         strouhal=obs.strouhal_number(frequency, 2.0 * half[0], jnp.abs(speed)),
         tail_slope=obs.tail_slope(half[0], wave.wavelength),
+        shape_wavelength=shape_wavelength,
+        shape_tail_slope=obs.tail_slope(half[0], shape_wavelength),
         turning=jnp.arctan2(before[0] * mean[1] - before[1] * mean[0], before @ mean),
     )
 

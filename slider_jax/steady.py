@@ -30,7 +30,6 @@ from slider_jax.parameters import Numerics
 from slider_jax.rollout import TimeGrid, rollout
 from slider_jax.scheme import SDIRK2, Scheme
 from slider_jax.step import Carry, Snapshot, at_rest
-from slider_jax.swimming import velocity
 
 
 class Search(NamedTuple):
@@ -103,6 +102,13 @@ def stride_times(frequency, count: int, search: Search) -> TimeGrid:
     """`count` strides, as if the drive had long begun: every stride has a whole period of it."""
     h = 1.0 / (frequency * search.steps_per_stride)
     return TimeGrid(h, count * search.steps_per_stride, BEGUN / frequency)
+
+
+def velocity(x: Snapshot) -> Float[Array, "2"]:
+    """(x, y) [m/s] of the centre of mass."""
+    cell, grid = x.section(), x.mesh.grid
+    P = cell.linear_density * jnp.stack(to_plane(cell.V_tau, cell.V_n, cell.phi))
+    return grid.integral(P) / grid.integral(cell.linear_density)
 
 
 def motion(x: Snapshot) -> Float[Array, "2 2"]:

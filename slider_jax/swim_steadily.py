@@ -20,6 +20,7 @@ UNITS = {
     "force_efficiency": "N_per_W",
     "tail_amplitude": "m",
     "head_amplitude": "m",
+    "shape_wavelength": "m",
     "turning": "rad_per_stride",
 }
 """Of quantities of `Performance`; the others have none."""

@@ -71,6 +71,7 @@ def test_wave_observables_have_finite_derivatives(mode_of, motion):
         speed = obs.body_wave(mode, S, F).speed
         travels = motion.startswith("travelling")
         squares = obs.travelling_index(mode) ** 2 + jnp.abs(mode[0]) ** 2
+        squares = squares + (0.0 if motion == "nothing moves" else obs.shape_wavelength(mode, S))
         return squares + (speed if travels else 0.0)
 
     slope = float(jax.grad(observed)(0.5))
@@ -99,6 +100,30 @@ def test_travelling_index_is_one_for_a_travelling_and_zero_for_a_standing_wave()
     np.testing.assert_allclose(obs.travelling_index(travelling[:-1]), 1.0, atol=1e-6)
     standing = obs.fundamental_mode(wave(0.3) + wave(0.3, direction=-1.0), T, F)
     np.testing.assert_allclose(obs.travelling_index(standing), 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("standing", [0.0, 0.5, 1.0])
+def test_the_wavelength_of_the_shape_is_the_waves_whether_it_travels_or_stands(standing):
+    """On a body of three half waves; one that only stands has no phase to tell it from."""
+    y = wave(2 * L / 3) + standing * wave(2 * L / 3, direction=-1.0)
+    mode = obs.fundamental_mode(y, T, F)
+    assert float(obs.travelling_index(mode)) == pytest.approx(
+        (1 - standing) / (1 + standing), abs=0.03
+    )
+    np.testing.assert_allclose(obs.shape_wavelength(mode, S), 2 * L / 3, rtol=4e-3)
+    np.testing.assert_allclose(obs.shape_wavelength(1e3j * mode, S), 2 * L / 3, rtol=4e-3)
+
+
+@pytest.mark.parametrize("wavelength", [0.2, 0.3, 0.5, 1.5])
+def test_the_wavelength_of_a_travelling_shape_needs_no_whole_waves(wavelength):
+    found = obs.shape_wavelength(obs.fundamental_mode(wave(wavelength), T, F), S)
+    np.testing.assert_allclose(found, wavelength, rtol=4e-3)
+
+
+def test_the_wavelength_of_a_body_that_moves_sideways_is_infinite():
+    mode = jnp.full(41, 0.01 + 0.02j)
+    assert float(obs.shape_wavelength(mode, S)) == np.inf
+    assert np.all(np.isfinite(jax.grad(lambda a: jnp.tanh(obs.shape_wavelength(a * mode, S)))(1.0)))
 
 
 def test_stride_statistics_are_those_of_each_stride():

@@ -37,6 +37,7 @@ from slider_jax.observables.wave import (
     body_wave,
     fundamental_mode,
     orthogonal_mode,
+    shape_wavelength,
     travelling_index,
 )
 
@@ -56,6 +57,7 @@ __all__ = [
     "midline",
     "orthogonal_mode",
     "recoil",
+    "shape_wavelength",
     "stored_energy",
     "stride_means",
     "stride_ranges",

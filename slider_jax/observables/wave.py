@@ -97,6 +97,24 @@ def body_wave(mode: Complex[Array, " points"], s: Float[Array, " points"], frequ
     return BodyWave(wavelength=wavelength, speed=wavelength * frequency)
 
 
+def shape_wavelength(
+    mode: Complex[Array, " points"], s: Float[Array, " points"]
+) -> Float[Array, ""]:
+    """lambda [m] of the shape: how far the body swings for how steep it is, over a stride.
+
+        lambda = 2 pi sqrt( int |c|^2 ds / int |dc/ds|^2 ds ),    `s` [m] from the tail
+
+    That of the wave where it travels with one amplitude, on any length of body; and where it
+    stands, or does both, on a body of whole half waves. Unlike the phase of `body_wave` it means
+    the same for all of these, and tells no direction. Infinite where all points move alike.
+    """
+    ds = s[1:] - s[:-1]
+    size, step = (jnp.real(c * jnp.conj(c)) for c in (mode, mode[1:] - mode[:-1]))
+    swing, slope = jnp.sum(0.5 * (size[1:] + size[:-1]) * ds), jnp.sum(step / ds)
+    wavenumber = _root(_over(slope, swing))
+    return jnp.where(wavenumber == 0.0, jnp.inf, _over(2.0 * math.pi, wavenumber))
+
+
 def travelling_index(mode: Complex[Array, " points"]) -> Float[Array, ""]:
     """1 for a pure travelling wave, 0 for a pure standing one.
 
