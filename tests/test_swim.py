@@ -1,6 +1,10 @@
 """`slider swim` and `slider optimize swim` on a coarse robot."""
 
 import json
+import os
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import jax
@@ -21,6 +25,7 @@ from slider_jax.performance import next_stride, performance
 from slider_jax.rollout import rollout
 from slider_jax.steady import Search, find_steady, stride_times
 from slider_jax.swim_search import Task, speed_at
+from tests.conftest import ROOT
 
 COARSE = {"nodes": 17, "step": 0.004}
 SEARCH = Search(steps_per_stride=48, numerics=Numerics(4, 12))
@@ -141,6 +146,33 @@ def test_the_sensitivity_is_that_of_the_speed(sought):
     way = 2e-3 * gradient / np.abs(gradient).max()
     fast, slow = (speed_at(task, task.box.gait(unit + x)) for x in (way, -way))
     assert fast - slow == pytest.approx(2.0 * gradient @ way, rel=0.02)
+
+
+@pytest.mark.slow
+def test_a_search_killed_at_any_moment_goes_on_as_if_it_had_not_been(tmp_path):
+    """By the system, three times; its history and best design are those of one undisturbed."""
+    file, moments = tmp_path / "tank.toml", np.random.default_rng().uniform(0.0, 1.0, 3)
+    file.write_text(to_toml(coarse()))
+
+    def begun(out, *words):
+        few = ["--population", "16", "--generations", "8", "--steps-per-stride", "48"]
+        command = [sys.executable, "-m", "slider_jax.cli.main", "optimize", "swim", str(file)]
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        return subprocess.Popen([*command, *few, "--out", str(out), *words], env=environment)
+
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    begin = time.monotonic()
+    assert begun(whole).wait() == 0
+    lasted = time.monotonic() - begin
+    for moment in moments:
+        run = begun(broken, "--resume")
+        time.sleep(moment * lasted)
+        run.kill()
+        run.wait()
+    assert begun(broken, "--resume").wait() == 0
+    one, other = (json.loads((x / "optimum.json").read_text()) for x in (whole, broken))
+    for name in ("history", "gait", "speed_m_per_s", "last_population"):
+        assert one[name] == other[name], (name, moments)
 
 
 def test_bad_options_are_refused(tmp_path, capsys):

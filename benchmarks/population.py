@@ -1,0 +1,71 @@
+"""Peak memory and speed of a population of free swimmers, each a design of its own.
+
+    python benchmarks/population.py --members 1000 --seconds 10
+
+Members swim from rest at 5 Hz for whole strides, 96 steps each on 31 nodes, as a search compares
+them. Memory is the whole process's, compiler and libraries with it.
+"""
+
+import argparse
+import json
+import resource
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from slider_jax.batch import available_cores
+from slider_jax.design import box_of, models
+from slider_jax.evaluation import Evaluation, begin
+from slider_jax.paper_swimmer import optimum
+from slider_jax.precision import enable_float64
+from slider_jax.provenance import versions
+from slider_jax.steady import Search, strides
+from slider_jax.step import at_rest
+
+FREQUENCY = 5.0
+
+
+def main() -> None:
+    asked = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    asked.add_argument("--members", type=int, default=1000)
+    asked.add_argument("--seconds", type=float, default=10.0, help="swum by each")
+    asked.add_argument("--seed", type=int, default=0)
+    given = asked.parse_args()
+    enable_float64()
+    begin(available_cores())
+    model, box, search = models(optimum()), box_of({}), Search()
+    count = round(given.seconds * FREQUENCY)
+
+    def speed(unit):
+        swimmer = model(box.gait(unit)._replace(frequency=jnp.asarray(FREQUENCY)))
+        begin = at_rest(swimmer, search.numerics)
+        carry, pace = strides(swimmer, FREQUENCY, begin, count, search)
+        return jnp.where(carry.ok, pace.speed, jnp.nan)
+
+    evaluate = Evaluation(speed)
+    designs = np.random.default_rng(given.seed).uniform(size=(given.members, 6))
+    evaluate(designs[:1])
+    compiled, begun = _peak(), time.perf_counter()
+    speeds = evaluate(designs)
+    wall = time.perf_counter() - begun
+    print(json.dumps({
+        "members": given.members,
+        "simulated_s_each": count / FREQUENCY,
+        "failed": int(np.isnan(speeds).sum()),
+        "peak_GiB": _peak(),
+        "peak_GiB_compiled": compiled,
+        "wall_s": wall,
+        "simulated_s_per_s": given.members * count / FREQUENCY / wall,
+        "devices": len(jax.devices()),
+        "versions": versions(),
+    }, indent=1))  # fmt: skip
+
+
+def _peak() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+
+
+if __name__ == "__main__":
+    main()
