@@ -40,8 +40,8 @@ def main() -> None:
 
     def speed(unit):
         swimmer = model(box.gait(unit)._replace(frequency=jnp.asarray(FREQUENCY)))
-        begin = at_rest(swimmer, search.numerics)
-        carry, pace = strides(swimmer, FREQUENCY, begin, count, search)
+        start = at_rest(swimmer, search.numerics)
+        carry, pace = strides(swimmer, FREQUENCY, start, count, search)
         return jnp.where(carry.ok, pace.speed, jnp.nan)
 
     evaluate = Evaluation(speed)

@@ -205,6 +205,9 @@ def before(plan: Search = PLAN, strides: int = LONG) -> list[Before]:
 
 
 def _speed(found: Steady) -> float:
+    """[m/s]; infinite where no speed is steady."""
+    if not bool(found.carry.ok):
+        raise SolverError("a step failed on the way to a steady speed")
     return float(found.speed) if bool(found.ok) else float("inf")
 
 

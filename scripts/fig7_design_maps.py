@@ -9,6 +9,7 @@ with all numbers. A run that was stopped goes on when its command is given again
 import argparse
 import shutil
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -124,7 +125,9 @@ def main(argv: list[str] | None = None) -> int:
         write_json(stage / "fig7.json", record)
         write_text(stage / "fig7.txt", text)
     for folder in parts.values():
-        shutil.rmtree(folder)
+        shutil.rmtree(folder / "partial", ignore_errors=True)
+        with suppress(OSError):  # something else lies there
+            folder.rmdir()
     print(text, end="")
     return 0
 

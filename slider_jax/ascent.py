@@ -7,7 +7,7 @@ from scipy.stats import qmc
 
 from slider_jax.searcher import Searcher, standard
 
-CLIMBERS = 8
+ASCENDERS = 8
 """Members that go on from the first generation."""
 STEP, STEPS, LAST = 0.08, 30, 0.05
 """First step of a climb, of the bounds' width; the generations over which it falls, and to what
@@ -26,7 +26,7 @@ def gradient(members: int, dimensions: int) -> Searcher:
     def begin(seed):
         sobol = qmc.Sobol(dimensions, rng=np.random.default_rng(seed))
         first = sobol.random_base2(max(1, int(np.ceil(np.log2(members)))))[:members]
-        return {"members": first, "climb": adam.init(jnp.zeros((CLIMBERS, dimensions)))}
+        return {"members": first, "climb": adam.init(jnp.zeros((ASCENDERS, dimensions)))}
 
     def ask(state, seed, generation):
         return np.asarray(state["members"]), state
@@ -34,7 +34,7 @@ def gradient(members: int, dimensions: int) -> Searcher:
     def tell(state, seed, generation, found, scores, slopes):
         good = np.where(np.isfinite(scores), scores, -np.inf)
         if slopes is None:
-            best = np.argsort(-good, kind="stable")[:CLIMBERS]
+            best = np.argsort(-good, kind="stable")[:ASCENDERS]
             return state | {"members": found[best]}
         # A member that failed goes on as its last steps led it.
         slopes = jnp.asarray(np.where(np.isfinite(slopes), slopes, 0.0))

@@ -16,6 +16,7 @@ from slider_jax.climbing import (
     climb_from_rest,
     climb_of,
     climb_on,
+    hanging,
     join,
 )
 from slider_jax.errors import SolverError
@@ -24,14 +25,16 @@ from slider_jax.gait import CAP, LINK, climber, stride_frequency
 from slider_jax.model import Model
 from slider_jax.sampling import half_period_steps
 from slider_jax.schema import Trial
-from slider_jax.step import Carry, at_rest
+from slider_jax.step import Carry
 
 PHASES = 16
 """Phases of the pin that are tried where none is given."""
 PERIODS = 5
 """Most strides after which a climb may repeat: lightly damped swings skip strides."""
-REPEATS = 1e-2
-"""Largest difference between rises of strides that repeat, of the link's length."""
+REPEATS = 3e-2
+"""Largest difference between rises of strides that repeat, of their mean."""
+MESH, STEP = 31, 5e-3
+"""Most nodes, and longest step [s], with which phases of the pin are compared."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,7 @@ class ClimbRun:
     tried: dict[float, float]
     """Speed [m/s] by pin phase, where the phase was sought; NaN where a step failed."""
     found: Climb
-    """Over the last `plan.strides`."""
+    """Over the last `plan.strides`, or as many of them as are whole periods."""
     series: Any
     """`ClimbSeries` of these, from the end of the step before them."""
     rises: np.ndarray
@@ -75,8 +78,9 @@ def _amounts(model: Model, frequency, series: ClimbSeries, plan: ClimbPlan):
 def period_of(rises: np.ndarray, link: float, least: int = 10) -> int:
     """Strides after which the last `least` rises [m] repeat, up to `PERIODS`; 0 if they do not."""
     last = rises[-least - PERIODS :]
+    same = REPEATS * max(np.abs(last).mean(), 0.1 * link)
     for n in range(1, PERIODS + 1):
-        if len(last) > n and np.abs(last[n:] - last[:-n]).max() < REPEATS * link:
+        if len(last) >= least and all(np.ptp(last[i::n]) < same for i in range(n)):
             return n
     return 0
 
@@ -88,19 +92,30 @@ def plan_of(experiment: Experiment, frequency: float) -> ClimbPlan:
     return ClimbPlan(steps_per_stride=steps, numerics=numerics, scheme=scheme)
 
 
-def speeds_by_phase(base: Model, frequency: float, link: float, cap: float) -> dict[float, float]:
-    """Speed [m/s] with the pin at each of `PHASES` phases, on a coarse mesh; NaN where it fails."""
+def speeds_by_phase(
+    base: Model, frequency: float, link: float, cap: float, plan: ClimbPlan
+) -> dict[float, float]:
+    """Speed [m/s] with the pin at each of `PHASES` phases; NaN where a step fails."""
 
     @jax.jit
     def speeds(phases):
         def one(phase):
-            found, ok = climb_from_rest(climber(base, frequency, phase, None, link, cap), frequency)
+            model = climber(base, frequency, phase, None, link, cap)
+            found, ok = climb_from_rest(model, frequency, plan)
             return jnp.where(ok, found.speed, jnp.nan)
 
         return jax.vmap(one)(phases)
 
     phases = np.arange(PHASES) / PHASES
     return dict(zip(phases.tolist(), np.asarray(speeds(phases)).tolist(), strict=True))
+
+
+def _rough(experiment: Experiment, plan: ClimbPlan, frequency: float) -> ClimbPlan:
+    """For comparing phases: up to `MESH` nodes, and steps of up to `STEP`."""
+    nodes = min(MESH, experiment.numerics.nodes)
+    numerics, _ = to_numerics(experiment.with_values({"numerics.nodes": nodes}))
+    steps = min(plan.steps_per_stride, max(96, 2 * half_period_steps(frequency, STEP)))
+    return plan._replace(numerics=numerics, steps_per_stride=steps)
 
 
 def climb(
@@ -114,8 +129,9 @@ def climb(
 ) -> ClimbRun:
     """Pin the robot to a wall in air, with the drive of a trial.
 
-    It starts straight below the pin, and goes on by 15 strides until they repeat or are more than
-    `longest`. Without a `pin_phase` the one of `PHASES` is taken with which it climbs fastest.
+    It starts straight, its centre of mass below the pin, and goes on by 15 strides until they
+    repeat or are more than `longest`. What counts are the last 15, or as many whole periods of them
+    as there are. Without a `pin_phase` the one of `PHASES` is taken with which it climbs fastest.
     Raises `InputError` for a recorded drive, and `SolverError` where a step does not converge.
     """
     if isinstance(trial, int):
@@ -123,21 +139,28 @@ def climb(
     frequency, base = stride_frequency(trial), to_model(experiment, trial)
     plan = plan_of(experiment, frequency)
     tried: dict[float, float] = {}
-    if pin_phase is None:
+    if pin_phase is None and trial.amplitude:
         progress(f"{PHASES} phases of the pin")
-        tried = speeds_by_phase(base, frequency, link, cap)
-        best = max(tried, key=lambda x: -np.inf if np.isnan(tried[x]) else tried[x])
-        pin_phase = best
+        rough = _rough(experiment, plan, frequency)
+        tried = speeds_by_phase(base, frequency, link, cap, rough)
+        if not np.isfinite(list(tried.values())).any():
+            raise SolverError(
+                f"{trial.file}: climbing: a step fails with every phase of the pin; a shorter "
+                "numerics.step may help, or weaker pressures, or a --pin-phase of your own"
+            )
+        pin_phase = max(tried, key=lambda x: np.nan_to_num(tried[x], nan=-np.inf))
+    pin_phase = pin_phase or 0.0
     model, f = climber(base, frequency, pin_phase, None, link, cap), jnp.asarray(frequency, float)
     progress("climbing")
-    carry, before = _more(model, f, at_rest(model, plan.numerics), plan)
+    carry, before = _more(model, f, hanging(model, plan.numerics), plan)
     rises = np.empty(0)
     while True:
         carry, after = _more(model, f, carry, plan)
         if not bool(carry.ok):
+            done = len(rises) + plan.strides
             raise SolverError(
-                f"{trial.file}: climbing: a step did not converge at {float(carry.failed_at):.4g} "
-                "s of the drive; a shorter numerics.step may help, or weaker pressures"
+                f"{trial.file}: climbing: a step did not converge within strides {done + 1} to "
+                f"{done + plan.strides}; a shorter numerics.step may help, or weaker pressures"
             )
         series = join(before, after)
         found = _amounts(model, f, series, plan)
@@ -146,6 +169,10 @@ def climb(
         if period or len(rises) >= longest:
             break
         progress(f"{len(rises) + plan.strides} strides")
+    if period:
+        whole = plan.strides // period * period
+        series = jax.tree.map(lambda x: x[-whole * plan.steps_per_stride - 1 :], series)
+        found = _amounts(model, f, series, plan)
     found, series = jax.device_get((found, series))
     return ClimbRun(trial, plan, pin_phase, link, cap, tried, found, series, rises, period)
 
@@ -177,7 +204,7 @@ def row(run: ClimbRun) -> dict[str, Any]:
         "link_m": run.link,
         "cap_Pa": run.cap,
         **table,
-        "strides": run.plan.strides,
+        "strides": len(run.found.rises),
         "repeats_after_strides": run.period or None,
         "rise_of_strides_m": run.rises,
         "speed_by_pin_phase_m_per_s": {f"{x:g}": u for x, u in run.tried.items()} or None,

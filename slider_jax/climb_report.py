@@ -37,6 +37,8 @@ def table(row: dict[str, Any]) -> str:
 def words(run: ClimbRun) -> list[str]:
     """Pin, cap and how the climb repeats."""
     trial, said = run.trial, []
+    if not trial.amplitude:
+        return ["no pressure is set: the pin stays, and it hangs"]
     asked = {"front": trial.amplitude or 0.0, "rear": (trial.amplitude or 0.0) * trial.rear_ratio}
     cut = [f"{name} {1e-3 * abs(p):g}" for name, p in asked.items() if abs(p) > run.cap]
     if cut:
@@ -45,7 +47,7 @@ def words(run: ClimbRun) -> list[str]:
         f"pin changes sides at {run.pin_phase:g} and {(run.pin_phase + 0.5) % 1.0:g} of a period"
     )
     said.append(phase + (f", the fastest of {len(run.tried)} phases tried" if run.tried else ""))
-    last = 1e3 * run.rises[-run.plan.strides :]
+    last = 1e3 * np.asarray(run.found.rises)
     each = f"{last.mean():.2f} mm a stride"
     if run.period == 1:
         said.append(f"strides repeat: {each}")
@@ -111,11 +113,13 @@ def plot(run: ClimbRun, path: Path) -> None:
     right.set_ylabel("risen (mm)")
     right.legend(fontsize="small", loc="upper left")
     right.margins(x=0.0)
-    right.set_title(f"the last {run.plan.strides} strides", fontsize="medium")
+    right.set_title(f"the last {len(run.found.rises)} strides", fontsize="medium")
     save_figure(figure, path)
 
 
-def film(run: ClimbRun, path: Path, progress: Callable[[int, int], None] = lambda a, b: None):
+def film(
+    run: ClimbRun, path: Path, progress: Callable[[int, int], None] = lambda done, total: None
+) -> None:
     """Write a GIF of the last strides: the body, the cross-link, and the end of it that is pinned.
 
     The moment when a frame is shown is told in it; rungs of 10 mm are drawn on the wall.

@@ -18,22 +18,22 @@ from jaxtyping import Array, Bool, Float
 
 from slider_jax import observables as obs
 from slider_jax.effects import Gravity, total_force
-from slider_jax.gait import WEIGHT
 from slider_jax.model import Model
-from slider_jax.parameters import Numerics, Scalar
+from slider_jax.parameters import G, Numerics, Scalar
 from slider_jax.residual import internal_moments, turning_rate
 from slider_jax.rollout import TimeGrid, rollout
 from slider_jax.scheme import SDIRK2, Scheme
 from slider_jax.state import fields
 from slider_jax.steady import BEGUN
 from slider_jax.step import Carry, Snapshot, at_rest
+from slider_jax.supports import PinnedLink
 
 
 class ClimbPlan(NamedTuple):
     """How a climb is computed."""
 
     settling: int = 15
-    """Strides from the straight start that do not count."""
+    """Strides from rest that do not count."""
     strides: int = 15
     """Strides over which speed and power are taken; the paper's."""
     steps_per_stride: int = 96
@@ -72,8 +72,8 @@ class Climb(eqx.Module):
     power: Scalar
     """P [W], mean of the chambers on the body."""
     efficiency: Scalar
-    """m g U/P [-], where P is less what the swing gains, nothing in a climb that repeats; NaN where
-    no power is spent."""
+    """m g U/P [-], where P is less what the swing gains, nothing over strides that repeat. NaN, as
+    the shares are, where the chambers put nothing in."""
     dissipated: Scalar
     """Share of P."""
     stored: Scalar
@@ -114,6 +114,20 @@ def _saved(x: Snapshot) -> ClimbSeries:
     )
 
 
+def hanging(model: Model, numerics: Numerics) -> Carry:
+    """A straight body at rest on its left pin, turned so that its centre of mass is below that."""
+    assert isinstance(model.support, PinnedLink)
+    angle = -jnp.arctan2(model.support.link_length, model.body.length)
+
+    def turned(motion):
+        """(..., 3, nodes): V_tau, V_n, phi."""
+        return motion.at[..., 2, :].add(angle)
+
+    carry = at_rest(model, numerics)
+    rows = turned(carry.memory.motion), carry.history.at[:, 3:].set(turned(carry.history[:, 3:]))
+    return eqx.tree_at(lambda c: (c.memory.motion, c.history), carry, rows)
+
+
 def climb_on(
     model: Model, frequency: Scalar, carry: Carry, count: int, plan: ClimbPlan
 ) -> tuple[Carry, ClimbSeries]:
@@ -122,9 +136,10 @@ def climb_on(
     The model is a `gait.climber`. Pins change on steps, whatever their phase; pressures have edges
     within them.
     """
+    assert isinstance(model.support, PinnedLink)
     steps = plan.steps_per_stride
-    h = 1.0 / (frequency * steps)
-    times = TimeGrid(h, count * steps, (BEGUN + model.support.phase) / frequency)  # type: ignore[attr-defined]
+    begin = (BEGUN + model.support.phase) / frequency
+    times = TimeGrid(1.0 / (frequency * steps), count * steps, begin)
     run = rollout(model, times, _saved, plan.numerics, plan.scheme, begin=carry, checkpoint=False)
     return run.final, run.saved
 
@@ -135,19 +150,19 @@ def climb_of(model: Model, frequency: Scalar, series: ClimbSeries, plan: ClimbPl
     h = 1.0 / (frequency * steps)
     span = h * (len(series.angle) - 1)
     body = model.body
-    weight = body.linear_density * body.length * WEIGHT
+    weight = body.linear_density * body.length * G
     work, lost = (h * jnp.sum(x[1:]) for x in (series.power, series.dissipated))
     (up, left), kept = (x[-1] - x[0] for x in (series.centre, series.stored))
-    lifted = weight * up
+    lifted, spent = weight * up, jnp.where(work > 0.0, work, jnp.nan)
     head, tip = series.midline[:, :, -1], series.midline[-steps:, 1, 0]
     return Climb(
         speed=up / span,
         drift=left / span,
         power=work / span,
-        efficiency=jnp.where(work - kept > 0.0, lifted / (work - kept), jnp.nan),
-        dissipated=lost / work,
-        stored=kept / work,
-        unaccounted=(work - lifted - lost - kept) / work,
+        efficiency=jnp.where(spent > kept, lifted / (spent - kept), jnp.nan),
+        dissipated=lost / spent,
+        stored=kept / spent,
+        unaccounted=(work - lifted - lost - kept) / spent,
         swing=jnp.max(series.angle) - jnp.min(series.angle),
         tail_swing=jnp.max(tip) - jnp.min(tip),
         slip=jnp.max(series.slip),
@@ -163,11 +178,11 @@ def join(before: ClimbSeries, after: ClimbSeries) -> ClimbSeries:
 def climb_from_rest(
     model: Model, frequency: Scalar, plan: ClimbPlan = ClimbPlan()
 ) -> tuple[Climb, Bool[Array, ""]]:
-    """`plan.strides` strides after `plan.settling` from a straight start, and if steps converged.
+    """`plan.strides` strides after `plan.settling` from `hanging`, and whether all steps converged.
 
     Pure, to be batched by vmap.
     """
-    begin = at_rest(model, plan.numerics)
+    begin = hanging(model, plan.numerics)
     carry, before = climb_on(model, frequency, begin, plan.settling, plan)
     carry, after = climb_on(model, frequency, carry, plan.strides, plan)
     return climb_of(model, frequency, join(before, after), plan), carry.ok

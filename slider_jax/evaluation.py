@@ -16,6 +16,8 @@ from jax._src import distributed  # its barrier waits as long as it is told; a c
 from jax.experimental import multihost_utils
 from jax.sharding import Mesh, PartitionSpec
 
+from slider_jax.errors import InputError
+
 CHUNK = 8
 """Members that are computed together: as many as a core's cache holds."""
 PATIENCE = 3600
@@ -80,6 +82,12 @@ def begin(cores: int, coordinator: str = "", processes: int = 1, process: int = 
         jax.config.update("jax_cpu_collectives_implementation", "gloo")
         found = (coordinator, processes, process) if coordinator else ()
         jax.distributed.initialize(*found)
+        counts = np.bincount([device.process_index for device in jax.devices()])
+        if len(set(counts)) > 1:
+            raise InputError(
+                f"processes: have {', '.join(map(str, counts))} cores; allowed are as many for "
+                "each: give the larger ones fewer, by taskset or --cpus-per-task"
+            )
 
 
 def is_first() -> bool:

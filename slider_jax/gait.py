@@ -12,7 +12,7 @@ from slider_jax.effects.gravity import Gravity
 from slider_jax.effects.tip_mass import TipMass
 from slider_jax.errors import InputError
 from slider_jax.model import Drive, Model
-from slider_jax.parameters import Scalar
+from slider_jax.parameters import G, Scalar
 from slider_jax.schema import Trial
 from slider_jax.supports import Free, PinnedLink
 
@@ -21,8 +21,6 @@ CAP = 172.3e3
 """Highest set pressure [Pa] of the paper's climbing robot."""
 LINK = 0.03
 """Length [m] of its cross-link."""
-WEIGHT = 9.81
-"""[m/s^2]"""
 
 
 class Gait(NamedTuple):
@@ -84,7 +82,7 @@ def climber(
     kept = [e for e in kept if not isinstance(e, ForceDensity) or e.in_air]
     model = replace(
         model,
-        effects=(Gravity(WEIGHT), *kept),
+        effects=(Gravity(G), *kept),
         drive=replace(model.drive, front=front, rear=rear),
         support=PinnedLink(link, jnp.where(is_driven, frequency, 0.0), pin_phase),
         water=(0.0, 0.0),

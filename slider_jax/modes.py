@@ -15,9 +15,10 @@ from jaxtyping import Array, Float
 
 from slider_jax.climbing import ClimbPlan, climb_from_rest
 from slider_jax.design import box_of, models
+from slider_jax.errors import InputError
 from slider_jax.evaluation import Evaluation
 from slider_jax.experiment import Experiment, to_model
-from slider_jax.gait import CAP, Gait, climber
+from slider_jax.gait import CAP, LINK, Gait, climber
 from slider_jax.performance import steadily
 from slider_jax.steady import Search
 from slider_jax.swim_search import Task
@@ -26,7 +27,7 @@ DRIVE = ("frequency", "front", "rear", "phase")
 NAMES = (*DRIVE, *(f"climb_{name}" for name in DRIVE), "pin_phase", "tail_length", "EI_tail")
 """Variables of a design; the first four drive the swimmer."""
 SWIM, CLIMB, TAIL = (0, 1, 2, 3), (4, 5, 6, 7, 8), (9, 10)
-CLIMBING = {
+CLIMBER_BOUNDS = {
     "climb_frequency": (1.0, 4.0),
     "climb_front": (50e3, CAP),
     "climb_rear": (50e3, CAP),
@@ -34,6 +35,10 @@ CLIMBING = {
     "pin_phase": (0.0, 1.0),
 }
 """Bounds of the climber's drive, assumed but for the cap; SI."""
+
+
+UNACCOUNTED = 0.02
+"""Largest share of a climber's power by which its energies may fail to add up."""
 
 
 class Modes(NamedTuple):
@@ -54,20 +59,25 @@ class Modes(NamedTuple):
         EI_tail: tuple[float, float] | None = None,
         steps_per_stride: int = 96,
     ) -> "Modes":
-        """Raises `InputError` as `Task.of` does, and where the robot cannot climb."""
+        """Raises `InputError` as `Task.of` does, and for a robot that cannot swim or climb."""
         bounds = {"tail_length": tail_length, "EI_tail": EI_tail}
         task = Task.of(experiment, bounds, steps_per_stride)
         box = box_of(bounds)
-        climbing = np.array(list(CLIMBING.values())).T
+        climbing = np.array(list(CLIMBER_BOUNDS.values())).T
         low, high = (
             np.concatenate([x[:4], y, x[4:]])
             for x, y in zip((box.low, box.high), climbing, strict=True)
         )
-        # Settled sooner than `ClimbPlan` has it: members are compared, the best is told anew.
+        # Settled sooner than `ClimbPlan` has it: here designs are only compared.
         steps = steps_per_stride + steps_per_stride // 3
         numerics, scheme = task.search.numerics, task.search.scheme
         plan = ClimbPlan(10, 15, steps + steps % 2, numerics, scheme)
         climber(to_model(experiment, 0), 1.0, 0.0)
+        if not any(effect.resists for effect in to_model(experiment, 0).effects):
+            raise InputError(
+                "effects: none resists motion along the body, so that no swimmer is steady; add "
+                "one such as head_drag"
+            )
         return cls(task, plan, low, high)
 
     def values(self, unit: np.ndarray | Float[Array, " n"], part: tuple[int, ...]):
@@ -86,7 +96,7 @@ class Modes(NamedTuple):
                           strict=True))  # fmt: skip
         plan = {"settling": self.plan.settling, "strides": self.plan.strides,
                 "steps_per_stride": self.plan.steps_per_stride}  # fmt: skip
-        return self.task.settings() | {"bounds": bounds, "climb": plan, "cap": CAP}
+        return self.task.settings() | {"bounds": bounds, "climb": plan, "cap": CAP, "link": LINK}
 
 
 def swim_efficiency(experiment: Experiment, search: Search):
@@ -96,19 +106,24 @@ def swim_efficiency(experiment: Experiment, search: Search):
     def one(x: Float[Array, "6"]) -> Float[Array, ""]:
         gait = Gait(*x)
         _, found, ok = steadily(model(gait), gait.frequency, search)
-        return jnp.where(ok & (found.speed > 0.0), found.froude_efficiency, jnp.nan)
+        swims = ok & (found.speed > 0.0) & (found.power > 0.0)
+        return jnp.where(swims, found.froude_efficiency, jnp.nan)
 
     return one
 
 
 def climb_efficiency(experiment: Experiment, plan: ClimbPlan):
-    """m g U/P of (7,) SI values: drive, pin's phase, tail; NaN where a step fails."""
+    """m g U/P of (7,) SI values: drive, pin's phase, tail.
+
+    NaN where a step fails, or energies do not add up to `UNACCOUNTED`.
+    """
     base = to_model(experiment, 0)
 
     def one(x: Float[Array, "7"]) -> Float[Array, ""]:
         gait = Gait(*x[:4], *x[5:])
         found, ok = climb_from_rest(climber(base, gait.frequency, x[4], gait), gait.frequency, plan)
-        return jnp.where(ok, found.efficiency, jnp.nan)
+        true = ok & (jnp.abs(found.unaccounted) < UNACCOUNTED)
+        return jnp.where(true, found.efficiency, jnp.nan)
 
     return one
 

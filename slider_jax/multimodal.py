@@ -1,16 +1,18 @@
 """The front of one tail for two tasks: the best designs from swimming alone to climbing alone."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from slider_jax.errors import SolverError
-from slider_jax.evaluation import is_first
+from slider_jax.errors import InputError, SolverError
+from slider_jax.evaluation import is_first, together
 from slider_jax.evolution import cma_es
+from slider_jax.files import write_json
 from slider_jax.modes import CLIMB, NAMES, SWIM, TAIL, Both, Modes, eta
-from slider_jax.optimise import Generation, run, settings_of
+from slider_jax.optimise import Generation, differences, run, settings_of
 from slider_jax.searchers import searcher
 
 NEAR = 0.06
@@ -66,12 +68,10 @@ class Searches:
         modes: Modes,
         effort: Effort,
         folder: Path,
-        resume: bool,
         said: Callable[[str, Generation, float], None],
     ):
         self.both, self.evaluations = Both(modes), dict[str, int]()
-        self._modes, self._effort, self._folder = modes, effort, folder
-        self._resume, self._said = resume, said
+        self._modes, self._effort, self._folder, self._said = modes, effort, folder, said
 
     def seek(
         self,
@@ -107,11 +107,15 @@ class Searches:
         if is_first():
             place.mkdir(exist_ok=True)
         found = run(
-            algorithm, evaluate, generations, effort.seed, settings, place, self._resume,
+            algorithm, evaluate, generations, effort.seed, settings, place, True,
             is_first(), lambda generation, seconds: self._said(name, generation, seconds),
         )  # fmt: skip
         if not np.isfinite(found.score):
-            raise SolverError(f"{name}: none of the designs that were tried does; widen the bounds")
+            raise SolverError(
+                f"{name}: of {found.history[-1].evaluations} designs each has a step that fails, "
+                "no steady speed, or a climb whose energies do not add up; give more members, or "
+                "other bounds"
+            )
         self.evaluations[name] = found.history[-1].evaluations
         return put(found.best[None])[0], found.score
 
@@ -136,10 +140,19 @@ def front(
     First each task alone. Then at each end the other task's drive for the tail there; then beta by
     beta from swimming to climbing, each from the best that is known for it. In the end each beta
     takes the best of all designs found. With `resume` it goes on with the search that was stopped.
+    Raises `InputError` if `folder` holds a search and there is no `resume`, or one with other
+    settings; all of them count.
     """
-    searches = Searches(modes, effort, folder, resume, said)
+    _begin(folder, {"betas": betas, **effort._asdict(), **modes.settings()}, resume)
+    searches = Searches(modes, effort, folder, said)
     swims, E_swim = searches.alone("swim", SWIM, 1.0)
     climbs, E_climb = searches.alone("climb", CLIMB, 0.0)
+    for name, found in (("swim", E_swim), ("climb", E_climb)):
+        if found <= 0.0:
+            raise SolverError(
+                f"{name}_only: no design gets ahead, the best has an efficiency of {found:.3g}; "
+                "give more members, or other bounds"
+            )
     only, known = np.array([E_swim, E_climb]), list[np.ndarray]()
     alone = only
     for share in np.linspace(0.0, 1.0, BLENDS + 2):  # of the climber's tail, with both best drives
@@ -162,6 +175,29 @@ def front(
         score, i = _best(beta, known, efficiencies, only)
         points.append(Point(beta, score, efficiencies[i], known[i]))
     return Front(points, only, alone, searches.evaluations)
+
+
+def _begin(folder: Path, settings: dict[str, Any], resume: bool) -> None:
+    """Write down what is searched for, or check that it is what was begun."""
+    if is_first():
+        folder.mkdir(parents=True, exist_ok=True)
+    file, settings = folder / "search.json", json.loads(json.dumps(settings))
+    if not file.exists():
+        together("none has begun")
+        if is_first():
+            write_json(file, settings)
+        return
+    if not resume:
+        raise InputError(
+            f"{file}: a search was begun here; add --resume to go on with it, or give another "
+            "folder"
+        )
+    differ = differences(settings, json.loads(file.read_text()))
+    if differ:
+        raise InputError(
+            f"{file}: has other settings: {'; '.join(differ[:3])}; give another folder"
+        )
+    together("all go on")
 
 
 def _best(

@@ -3,12 +3,16 @@
 from pathlib import Path
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
+from slider_jax.climb import climb
 from slider_jax.design import to_toml, with_gait
+from slider_jax.experiment import to_numerics
 from slider_jax.figures import new_figure, save_figure
-from slider_jax.files import write_json, write_text
-from slider_jax.modes import NAMES, Modes
+from slider_jax.files import staged, write_json, write_text
+from slider_jax.modes import NAMES, Modes, swim_efficiency
 from slider_jax.multimodal import Front, dominated
 from slider_jax.provenance import versions
 
@@ -24,7 +28,11 @@ SHOWN = (
 
 def rows(modes: Modes, front: Front) -> list[dict[str, Any]]:
     """What each point of the front is, in SI."""
-    everything = tuple(range(len(NAMES)))
+    everything, again = tuple(range(len(NAMES))), dict[bytes, dict[str, Any]]()
+    for point in front.points:
+        key = point.design.tobytes()
+        if key not in again:
+            again[key] = once_more(modes, point.design)
     return [
         {
             "beta": point.beta,
@@ -32,9 +40,26 @@ def rows(modes: Modes, front: Front) -> list[dict[str, Any]]:
             "E_swim": point.efficiencies[0],
             "E_climb": point.efficiencies[1],
             **dict(zip(NAMES, modes.values(point.design, everything).tolist(), strict=True)),
+            "own_mesh": again[point.design.tobytes()],
         }
         for point in front.points
     ]
+
+
+def once_more(modes: Modes, design: np.ndarray) -> dict[str, Any]:
+    """What `slider swim` and `slider climb` find of a design, on the experiment's own mesh."""
+    swims, climbs, pin = modes.gaits(design)
+    own, search = to_numerics(modes.task.experiment)[0], modes.task.search
+    finer = search._replace(numerics=own)
+    E_swim = swim_efficiency(modes.task.experiment, finer)
+    climbed = climb(with_gait(modes.task.experiment, climbs), 0, pin)
+    return {
+        "nodes": own.nodes,
+        "E_swim": float(jax.jit(E_swim)(jnp.asarray(swims))),
+        "E_climb": float(climbed.found.efficiency),
+        "climb_unaccounted_of_power": float(climbed.found.unaccounted),
+        "climb_repeats_after_strides": climbed.period or None,
+    }
 
 
 def write(
@@ -53,16 +78,18 @@ def write(
         "inputs": inputs,
         "versions": versions(),
     }
-    for row, point in zip(found, front.points, strict=True):
-        swims, climbs, pin = modes.gaits(point.design)
-        for task, gait, said in (
-            ("swim", swims, f"Froude efficiency {row['E_swim']:.4g}."),
-            ("climb", climbs, f"m g U/P {row['E_climb']:.4g} with --pin-phase {pin:.4g}."),
-        ):
-            text = to_toml(with_gait(modes.task.experiment, gait), said)
-            write_text(folder / f"beta_{point.beta:.3f}_{task}.toml", text)
-    write_json(folder / "multimodal.json", content)
-    plot(found, only, folder / "multimodal.png")
+    with staged(folder) as stage:
+        for row, point in zip(found, front.points, strict=True):
+            swims, climbs, pin = modes.gaits(point.design)
+            own = row["own_mesh"]
+            for task, gait, said in (
+                ("swim", swims, f"Froude efficiency {own['E_swim']:.4g}."),
+                ("climb", climbs, f"m g U/P {own['E_climb']:.4g} with --pin-phase {pin:.6g}."),
+            ):
+                text = to_toml(with_gait(modes.task.experiment, gait), said)
+                write_text(stage / f"beta_{point.beta:.3f}_{task}.toml", text)
+        write_json(stage / "multimodal.json", content)
+        plot(found, only, stage / "multimodal.png")
     return content
 
 
@@ -91,9 +118,12 @@ def words(content: dict[str, Any]) -> list[str]:
     for name, found in content["alone"].items():
         if found < 0.99 * only[name]:
             lines.append(
-                f"the search for {name} alone ended at {found:.4f}, below what another found: give "
-                "it more generations"
+                f"the search for {name} alone ended at {found:.4f}, below what another found: more "
+                "generations are needed, in a new folder"
             )
+    for name in ("E_swim", "E_climb"):
+        own = ", ".join(f"{x['own_mesh'][name]:.4f}" for x in content["front"])
+        lines.append(f"{name} on {content['front'][0]['own_mesh']['nodes']} nodes: {own}")
     if content["dominated_by_a_neighbour"]:
         lines.append(f"dominated by a neighbour: {content['dominated_by_a_neighbour']}")
     return lines

@@ -1,5 +1,6 @@
 """The paper's swimmer at its optimum, as an experiment, and the paper's figures of it."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -56,14 +57,16 @@ def optimum() -> Experiment:
     return assemble(content, "the paper's optimum", Path("."))
 
 
-def climbing() -> Experiment:
+def climber() -> Experiment:
     """The built-in robot with a drive that climbs; the paper's is not known."""
     content = swimmer_content(file="climb.csv", frequency=2.0, amplitude=CAP)
     return assemble(content | {"effects": []}, "the built-in climber", Path("."))
 
 
-def given_or_optimum(path: Path | None, model: Path | None) -> Experiment:
-    """The experiment at `path` with the overrides of `model`, or without a path `optimum`.
+def given_or(
+    default: Callable[[], Experiment], path: Path | None, model: Path | None
+) -> Experiment:
+    """The experiment at `path` with the overrides of `model`, or without a path the `default`.
 
     Raises `InputError` as `load` does, and for a model without an experiment.
     """
@@ -71,4 +74,4 @@ def given_or_optimum(path: Path | None, model: Path | None) -> Experiment:
         return load(path, model)
     if model is not None:
         raise InputError("--model: overrides an experiment; give EXPERIMENT.toml before it")
-    return optimum()
+    return default()

@@ -7,6 +7,8 @@ from jaxtyping import Array, Float
 from slider_jax.grid import Grid, make_grid
 
 Scalar = Float[Array, ""] | float
+G = 9.81
+"""[m/s^2]"""
 
 
 class Robot(eqx.Module):

@@ -8,13 +8,10 @@ from slider_jax import observables as obs
 from slider_jax.effects import total_force
 from slider_jax.frame import to_plane
 from slider_jax.model import Model, make_mesh
-from slider_jax.parameters import Scalar
+from slider_jax.parameters import G, Scalar
 from slider_jax.rollout import rollout
 from slider_jax.steady import Search, find_steady, motion, pace_of, stride_times
 from slider_jax.step import Carry, Snapshot
-
-G = 9.81
-"""[m/s^2], of the cost of transport."""
 
 
 class Stride(eqx.Module):

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from slider_jax.ascent import CLIMBERS, gradient
+from slider_jax.ascent import ASCENDERS, gradient
 from slider_jax.errors import InputError
 from slider_jax.evolution import ELITE, cma_es, genetic
 from slider_jax.searcher import Searcher
@@ -12,7 +12,7 @@ SEARCHERS: dict[str, Callable[[int, int], Searcher]] = {
     "gradient": gradient,
     "cma-es": cma_es,
 }
-LEAST = {"genetic": 2 * ELITE, "gradient": CLIMBERS, "cma-es": 4}
+LEAST = {"genetic": 2 * ELITE, "gradient": ASCENDERS, "cma-es": 4}
 """Members that an algorithm needs."""
 
 

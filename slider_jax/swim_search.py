@@ -13,7 +13,7 @@ from slider_jax.errors import InputError, SolverError
 from slider_jax.evaluation import Evaluation, is_first
 from slider_jax.experiment import Experiment, to_model, to_numerics
 from slider_jax.figures import new_figure, save_figure
-from slider_jax.files import write_json, write_text
+from slider_jax.files import staged, write_json, write_text
 from slider_jax.gait import Gait, swimmer
 from slider_jax.optimise import Found, Generation, run, settings_of
 from slider_jax.paper_swimmer import PAPER_GAIT, PUBLISHED
@@ -25,7 +25,7 @@ MESH = 31
 """Most nodes on which members are compared. The speed there is within 0.7 % of that on 51 for tails
 of 6 mN m^2 and more, 6 % above it for one of 1 mN m^2: the best's is told on the experiment's own
 mesh too."""
-CLIMBING = 2
+ASCENDING = 2
 """Members that are scored together with their gradients; few climb, and all cores are to work."""
 
 
@@ -89,10 +89,10 @@ def search(
     Raises `SolverError` where no member of any generation has a steady speed.
     """
     sought = (task.experiment, task.box, task.search)
-    alone, climbing = Evaluation(speed_of(*sought)), Evaluation(slope_of(*sought), chunk=CLIMBING)
+    alone, sloped = Evaluation(speed_of(*sought)), Evaluation(slope_of(*sought), chunk=ASCENDING)
 
     def evaluate(members: np.ndarray, gradients: bool) -> tuple[np.ndarray, np.ndarray | None]:
-        return climbing(members) if gradients else (alone(members), None)
+        return sloped(members) if gradients else (alone(members), None)
 
     settings = settings_of(searcher, members, seed, task.settings())
     found = run(searcher, evaluate, generations, seed, settings, folder, resume, is_first(), said)
@@ -143,7 +143,6 @@ def write(task: Task, found: Found, folder: Path, inputs: list[dict[str, Any]]) 
     """best.toml, optimum.json and optimum.png; returns what optimum.json says."""
     gait = Gait(*(float(x) for x in task.box.gait(found.best)))
     said = f"Steady speed {found.score:.5g} m/s, on {task.search.numerics.nodes} nodes."
-    write_text(folder / "best.toml", to_toml(with_gait(task.experiment, gait), said))
     there = sensitivity(task, found.best)
     own, _ = to_numerics(task.experiment)
     finer = task._replace(search=task.search._replace(numerics=own))
@@ -162,8 +161,11 @@ def write(task: Task, found: Found, folder: Path, inputs: list[dict[str, Any]]) 
         "settings": task.settings(),
         "inputs": inputs,
     }  # fmt: skip
-    write_json(folder / "optimum.json", content)
-    plot(found, folder / "optimum.png")
+    said = f"Steady speed {found.score:.5g} m/s, on {task.search.numerics.nodes} nodes."
+    with staged(folder) as stage:
+        write_text(stage / "best.toml", to_toml(with_gait(task.experiment, gait), said))
+        write_json(stage / "optimum.json", content)
+        plot(found, stage / "optimum.png")
     return content
 
 

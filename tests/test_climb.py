@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from slider_jax.cli.main import main
-from slider_jax.climb import period_of
+from slider_jax.climb import climb as climb_wall, period_of
 from slider_jax.climbing import ClimbPlan, climb_of, climb_on, join
 from slider_jax.csv_file import read_csv
 from slider_jax.design import to_toml
+from slider_jax.effects.internal_friction import InternalFriction
 from slider_jax.experiment import to_model
 from slider_jax.gait import Gait, climber
-from slider_jax.paper_swimmer import climbing
+from slider_jax.paper_swimmer import climber as built_in
 from slider_jax.parameters import Numerics
 from slider_jax.pneumatics import start_chambers
 from slider_jax.state import straight
@@ -28,7 +29,7 @@ PIN = 0.88
 
 
 def wall(gait=GAIT, pin=PIN, **options):
-    return climber(to_model(climbing()), gait.frequency, pin, gait, **options)
+    return climber(to_model(built_in()), gait.frequency, pin, gait, **options)
 
 
 @jax.jit
@@ -70,6 +71,26 @@ def test_the_work_goes_into_height_and_losses(up):
     assert found.unaccounted == pytest.approx(1.0 - (lifted + lost + gained) / work, abs=1e-9)
 
 
+def test_an_effect_in_the_body_takes_its_share():
+    """Friction of the plies, a bending moment, is among what is dissipated."""
+    model = wall()
+    rubbing = replace(model, effects=(*model.effects, InternalFriction(jnp.asarray(4e-3))))
+    (free, _, _), (found, _, ok) = climbed(model), climbed(rubbing)
+    assert ok and found.dissipated > free.dissipated + 0.02
+    assert abs(found.unaccounted) < 0.01
+
+
+def test_other_waves_climb_too():
+    """A trapezoid is nearly a square wave; both are capped."""
+    found = {}
+    for waveform in ("square", "trapezoid"):
+        strong = built_in().with_values({"trials.0.waveform": waveform, "trials.0.rise": 0.01})
+        found[waveform], _, ok = climbed(climber(to_model(strong), jnp.asarray(2.0), PIN))
+        assert ok
+    speeds = [float(x.speed) for x in found.values()]
+    assert speeds[0] == pytest.approx(speeds[1], rel=0.1) and speeds[0] > 0.01
+
+
 def test_mirrored_pins_and_pressures_climb_the_mirrored_path(up):
     mirrored = GAIT._replace(front=-GAIT.front, rear=-GAIT.rear)
     _, series, _ = climbed(wall(mirrored, link=-0.03))
@@ -108,7 +129,14 @@ def test_pressures_are_capped():
 
 @pytest.mark.parametrize(
     ("rises", "period"),
-    [([1.0] * 15, 1), ([1.0, 3.0] * 8, 2), ([1.0, 2.0, 4.0] * 5, 3), (list(range(15)), 0)],
+    [
+        ([1.0] * 15, 1),
+        ([1.0, 3.0] * 8, 2),
+        ([1.0, 2.0, 4.0] * 5, 3),
+        (list(range(15)), 0),
+        (np.linspace(10.0, 10.8, 15), 0),
+        (np.linspace(0.1, 0.3, 15), 0),
+    ],
 )
 def test_after_how_many_strides_a_climb_repeats(rises, period):
     assert period_of(1e-3 * np.array(rises), 0.03) == period
@@ -116,7 +144,11 @@ def test_after_how_many_strides_a_climb_repeats(rises, period):
 
 def coarse(**changes):
     values = {"numerics.nodes": 17, "numerics.step": 0.004} | changes
-    return climbing().with_values(values)
+    return built_in().with_values(values)
+
+
+def wall_of(run):
+    return climber(to_model(coarse()), run.frequency, run.pin_phase)
 
 
 @pytest.fixture(scope="module")
@@ -125,6 +157,27 @@ def ordered(tmp_path_factory):
     (folder / "wall.toml").write_text(to_toml(coarse(**{"trials.0.amplitude": 200e3})))
     assert main(["climb", str(folder / "wall.toml"), "--out", str(folder / "out")]) == 0
     return folder / "out"
+
+
+def test_without_pressure_the_command_says_that_it_hangs(tmp_path, capsys):
+    (tmp_path / "wall.toml").write_text(to_toml(coarse(**{"trials.0.amplitude": 0.0})))
+    assert main(["climb", str(tmp_path / "wall.toml"), "--out", str(tmp_path / "out")]) == 0
+    assert "no pressure is set: the pin stays, and it hangs" in capsys.readouterr().out
+    (row,) = json.loads((tmp_path / "out" / "climb.json").read_text())["climbs"]
+    assert abs(row["speed_m_per_s"]) < 1e-4 and row["power_W"] == 0.0
+    assert row["efficiency"] is None and row["dissipated_of_power"] is None
+    assert row["speed_by_pin_phase_m_per_s"] is None
+
+
+def test_a_climb_counts_whole_periods():
+    """Whatever stride it is looked at from: one that repeats after two gains no energy in them."""
+    run = climb_wall(coarse(), pin_phase=0.875)
+    assert run.period == 2 and len(run.found.rises) == 14
+    assert abs(run.found.stored) < 2e-3
+    steps = run.plan.steps_per_stride
+    earlier = jax.tree.map(lambda x: x[: -2 * steps], run.series)
+    before = climb_of(wall_of(run), jnp.asarray(2.0), earlier, run.plan)
+    assert float(before.speed) == pytest.approx(float(run.found.speed), rel=0.01)
 
 
 def test_the_command_writes_what_it_found(ordered):

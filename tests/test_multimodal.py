@@ -8,14 +8,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from slider_jax import multimodal, optimise
 from slider_jax.cli.main import main
+from slider_jax.climbing import climb_from_rest
 from slider_jax.design import to_toml
+from slider_jax.errors import InputError, SolverError
 from slider_jax.experiment import assemble, load, to_model
-from slider_jax.gait import swimmer
-from slider_jax.modes import Modes, eta
-from slider_jax.multimodal import Point, dominated
+from slider_jax.gait import climber, swimmer
+from slider_jax.modes import CLIMB, SWIM, TAIL, Modes, eta
+from slider_jax.multimodal import Effort, Point, dominated, front
 from slider_jax.paper_swimmer import swimmer_content
-from slider_jax.performance import next_stride, performance
+from slider_jax.performance import next_stride, performance, steadily
 from slider_jax.steady import find_steady, strides
 
 BETAS = ("0.000", "0.500", "1.000")
@@ -42,62 +45,115 @@ def sought(tmp_path_factory):
     return folder / "out"
 
 
-def told(folder):
-    return json.loads((folder / "multimodal.json").read_text())
+class Hills:
+    """Efficiencies with a known front: a best tail for each task, a best drive for each tail."""
+
+    tails = (0.2, 0.7)
+
+    def __init__(self, modes):
+        pass
+
+    def __call__(self, designs, swims, climbs):
+
+        tail, EI = designs[:, TAIL[0]], designs[:, TAIL[1]]
+        found = []
+        for part, best in ((SWIM, self.tails[0]), (CLIMB, self.tails[1])):
+            drive = ((designs[:, part] - 0.3 - 0.4 * tail[:, None]) ** 2).sum(axis=1)
+            found.append(0.5 - (tail - best) ** 2 - 0.3 * (EI - 0.5) ** 2 - 0.2 * drive)
+        return np.where([swims, climbs], np.stack(found, axis=1), np.nan)
 
 
-@pytest.mark.slow
-def test_the_ends_are_the_best_of_each_task(sought):
-    found = told(sought)
-    climbs, _, swims = found["front"]
-    assert [x["beta"] for x in found["front"]] == [0.0, 0.5, 1.0]
-    assert swims["E_swim"] == pytest.approx(found["only"]["E_swim"], rel=0.01)
-    assert climbs["E_climb"] == pytest.approx(found["only"]["E_climb"], rel=0.01)
-    for name, value in found["alone"].items():
-        assert value <= found["only"][name]
-    assert found["dominated_by_a_neighbour"] == []
-    for x in found["front"]:
-        shares = [x[name] / found["only"][name] for name in ("E_swim", "E_climb")]
-        assert x["eta"] == pytest.approx(x["beta"] * shares[0] + (1.0 - x["beta"]) * shares[1])
-        for name, (low, high) in found["settings"]["bounds"].items():
-            assert low <= x[name] <= high
-    assert found["front"][1]["eta"] >= max(
-        0.5 * x["E_swim"] / found["only"]["E_swim"] + 0.5 * x["E_climb"] / found["only"]["E_climb"]
-        for x in (climbs, swims)
-    )
-    assert (sought / "multimodal.png").stat().st_size > 10_000
+EFFORT = Effort("genetic", 64, 24, 1)
 
 
-@pytest.mark.slow
-def test_the_designs_are_written_as_experiments(sought):
-    for name, x in zip(BETAS, told(sought)["front"], strict=True):
-        swims, climbs = (load(sought / f"beta_{name}_{task}.toml") for task in ("swim", "climb"))
-        assert swims.robot == climbs.robot
-        assert swims.robot.tail_length == pytest.approx(x["tail_length"])
-        assert swims.trials[0].frequency == pytest.approx(x["frequency"])
-        rear = climbs.trials[0].amplitude * climbs.trials[0].rear_ratio
-        assert rear == pytest.approx(x["climb_rear"])
+@pytest.fixture
+def hills(monkeypatch):
+    monkeypatch.setattr(multimodal, "Both", Hills)
+    return Modes.of(coarse(), steps_per_stride=48)
 
 
-@pytest.mark.slow
-def test_a_search_that_was_stopped_goes_on(sought, tmp_path, monkeypatch):
-    """Stopped in the middle of its fourth search; the front is the same."""
-    from slider_jax import optimise
+def test_the_front_of_known_hills_is_found(hills, tmp_path):
+    """With eta of quadratics the best tail moves evenly with beta, and drives follow it."""
+    found = front(hills, 5, EFFORT, tmp_path)
+    swims, climbs = Hills.tails
+    for point in found.points:
+        best = climbs + point.beta * (swims - climbs)
+        assert point.design[TAIL[0]] == pytest.approx(best, abs=0.03)
+        known = 0.5 - np.array([best - swims, best - climbs]) ** 2
+        assert point.eta == pytest.approx(eta(point.beta, known[None], found.only)[0], abs=2e-3)
+    np.testing.assert_allclose(found.alone, 0.5, atol=5e-3)
+    ends = np.array([found.points[-1].efficiencies[0], found.points[0].efficiencies[1]])
+    np.testing.assert_allclose(ends, found.alone, rtol=0.01)
+    assert dominated(found.points) == []
 
-    saved, kept = [], optimise._save
+
+@pytest.mark.parametrize("saves", [1, 3, 26, 40, 75])
+def test_a_search_that_was_stopped_goes_on(hills, tmp_path, monkeypatch, saves):
+    """Stopped after any of its generations; the front is the same to the last bit."""
+    whole = front(hills, 3, EFFORT, tmp_path / "whole")
+    kept, count = optimise._save, [0]
 
     def stop(*given):
         kept(*given)
-        saved.append(given[0])
-        if len(saved) == 6:
+        count[0] += 1
+        if count[0] == saves:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(optimise, "_save", stop)
-    assert optimize(tmp_path) == 130
-    assert not (tmp_path / "out" / "multimodal.json").exists()
-    assert optimize(tmp_path) == 2
-    assert optimize(tmp_path, "--resume") == 0
-    assert told(tmp_path / "out")["front"] == told(sought)["front"]
+    with monkeypatch.context() as patch:
+        patch.setattr(optimise, "_save", stop)
+        with pytest.raises(KeyboardInterrupt):
+            front(hills, 3, EFFORT, tmp_path / "broken")
+    with pytest.raises(InputError, match="a search was begun here; add --resume"):
+        front(hills, 3, EFFORT, tmp_path / "broken")
+    with pytest.raises(InputError, match="betas: given 4, begun with 3; give another folder"):
+        front(hills, 4, EFFORT, tmp_path / "broken", resume=True)
+    again = front(hills, 3, EFFORT, tmp_path / "broken", resume=True)
+    for one, other in zip(whole.points, again.points, strict=True):
+        np.testing.assert_array_equal(one.design, other.design)
+    assert whole.evaluations == again.evaluations
+
+
+def test_a_task_that_no_design_can_do_is_told(hills, tmp_path, monkeypatch):
+    class Sinks(Hills):
+        def __call__(self, designs, swims, climbs):
+            return super().__call__(designs, swims, climbs) - np.array([0.0, 1.0])
+
+    monkeypatch.setattr(multimodal, "Both", Sinks)
+    with pytest.raises(SolverError, match="climb_only: no design gets ahead"):
+        front(hills, 3, EFFORT, tmp_path)
+
+
+def test_a_robot_that_nothing_resists_is_refused(tmp_path, capsys):
+    file = tmp_path / "tank.toml"
+    file.write_text(
+        to_toml(coarse()).replace('name = "head_drag"\narea = 0.00179', 'name = "gravity"')
+    )
+    assert main(["optimize", "multimodal", str(file), "--out", str(tmp_path / "out")]) == 2
+    assert "effects: none resists motion along the body" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_what_is_written_swims_and_climbs_as_it_was_found_to(sought):
+    found = json.loads((sought / "multimodal.json").read_text())
+    modes = Modes.of(coarse(), steps_per_stride=48)
+    assert (sought / "multimodal.png").stat().st_size > 10_000
+    assert [x["beta"] for x in found["front"]] == [0.0, 0.5, 1.0]
+    for name, x in zip(BETAS, found["front"], strict=True):
+        swims, climbs = (load(sought / f"beta_{name}_{task}.toml") for task in ("swim", "climb"))
+        assert swims.robot == climbs.robot
+        for task, here in ((swims, ""), (climbs, "climb_")):
+            trial = task.trials[0]
+            drive = (trial.frequency, trial.amplitude, trial.amplitude * trial.rear_ratio)
+            wanted = (x[f"{here}frequency"], x[f"{here}front"], x[f"{here}rear"])
+            assert drive == pytest.approx(wanted)
+        f = swims.trials[0].frequency
+        _, swum, ok = jax.jit(steadily)(swimmer(to_model(swims)), f, modes.task.search)
+        assert ok and swum.froude_efficiency == pytest.approx(x["E_swim"], rel=1e-4)
+        f = climbs.trials[0].frequency
+        pinned = climber(to_model(climbs), f, x["pin_phase"])
+        climbed, ok = jax.jit(climb_from_rest, static_argnums=2)(pinned, f, modes.plan)
+        assert ok and float(climbed.efficiency) == pytest.approx(x["E_climb"], rel=1e-3)
 
 
 def test_a_task_without_weight_may_fail():
@@ -138,7 +194,7 @@ def test_one_steady_stride_stands_for_fifty():
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--betas", "1"], "--betas: given 1; allowed 2 or more"),
+        (["--betas", "1"], "--betas: given 1; allowed 2 to 101"),
         (["--population", "1"], "--population: given 1; allowed 4 or more members"),
         (["--tail-length", "0.1", "0.05"], "--tail-length: given 0.1 0.05; allowed LOW HIGH"),
         (["--EI-tail", "1", "5e6"], "--EI-tail: given 5e+06; allowed 1e-06 to 100 N m^2"),

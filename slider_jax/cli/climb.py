@@ -38,10 +38,9 @@ def climb(
     from slider_jax.cli.progress import Progress
     from slider_jax.climb import climb as climb_wall, row
     from slider_jax.climb_report import film, plot, series_columns, table, words
-    from slider_jax.experiment import load
     from slider_jax.files import staged, write_csv, write_json
     from slider_jax.gait import stride_frequency
-    from slider_jax.paper_swimmer import climbing
+    from slider_jax.paper_swimmer import climber, given_or
     from slider_jax.provenance import input_file, versions
 
     if pin_phase is not None and not 0.0 <= pin_phase <= 1.0:
@@ -50,9 +49,7 @@ def climb(
         raise InputError.value("--link", f"{link:g}", "0.005 to 0.2 m")
     if not 1e3 <= cap <= 2e6:
         raise InputError.value("--cap", f"{cap:g}", "1e3 to 2e6 Pa", "pascal, not kPa or psi")
-    if experiment is None and model is not None:
-        raise InputError("--model: overrides an experiment; give EXPERIMENT.toml before it")
-    given = climbing() if experiment is None else load(experiment, model)
+    given = given_or(climber, experiment, model)
     trials = given.trials
     if trial is not None:
         if not 0 <= trial < len(trials):

@@ -119,14 +119,14 @@ def swim(
     evaluation = _begin(coordinator, processes, process)
     from slider_jax import swim_search
     from slider_jax.files import output_folder
-    from slider_jax.paper_swimmer import given_or_optimum
+    from slider_jax.paper_swimmer import given_or, optimum
     from slider_jax.provenance import input_file
     from slider_jax.searchers import searcher
 
     _check(generations, steps_per_stride, seed)
     bounds = {"frequency": frequency, "front": front, "rear": rear, "phase": phase,
               "tail_length": tail_length, "EI_tail": EI_tail}  # fmt: skip
-    task = swim_search.Task.of(given_or_optimum(experiment, model), bounds, steps_per_stride)
+    task = swim_search.Task.of(given_or(optimum, experiment, model), bounds, steps_per_stride)
     algorithm_of = searcher(algorithm, population, 6)
     output_folder(out)
     report = _Report(generations, evaluation.is_first())
@@ -201,16 +201,16 @@ def multimodal(
     from slider_jax.files import output_folder
     from slider_jax.modes import Modes
     from slider_jax.multimodal import Effort, front
-    from slider_jax.paper_swimmer import given_or_optimum
+    from slider_jax.paper_swimmer import given_or, optimum
     from slider_jax.provenance import input_file
     from slider_jax.searchers import searcher
 
     _check(generations, steps_per_stride, seed)
-    if betas < 2:
-        raise InputError.value("--betas", betas, "2 or more: both ends, and values between")
+    if not 2 <= betas <= 101:
+        raise InputError.value("--betas", betas, "2 to 101: both ends, and values between")
     searcher(algorithm, population, 6)
     effort = Effort(algorithm, population, generations, seed)
-    modes = Modes.of(given_or_optimum(experiment, model), tail_length, EI_tail, steps_per_stride)
+    modes = Modes.of(given_or(optimum, experiment, model), tail_length, EI_tail, steps_per_stride)
     output_folder(out)
     report = _Report(generations, evaluation.is_first())
 
@@ -225,6 +225,7 @@ def multimodal(
         _kept(out)
         raise
     if evaluation.is_first():
+        print("every design once more, on the experiment's own mesh ...", file=sys.stderr)
         inputs = [input_file(p) for p in (experiment, model) if p is not None]
         content = multimodal_report.write(modes, found, effort._asdict(), out, inputs)
         for line in multimodal_report.words(content):

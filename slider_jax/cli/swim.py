@@ -27,12 +27,12 @@ def swim(
         trial: this trial alone, from 0.
     """
     from slider_jax.files import staged, write_csv, write_json
-    from slider_jax.paper_swimmer import PUBLISHED, given_or_optimum
+    from slider_jax.paper_swimmer import PUBLISHED, given_or, optimum
     from slider_jax.provenance import input_file, versions
     from slider_jax.swim import check, row, swim as swim_freely
     from slider_jax.swim_report import plot, stride_columns, table, words
 
-    given = given_or_optimum(experiment, model)
+    given = given_or(optimum, experiment, model)
     trials = given.trials
     if trial is not None:
         if not 0 <= trial < len(trials):

@@ -19,7 +19,6 @@ class TipMass(ForceDensity):
     """
 
     title = "a mass at the tail's tip"
-    in_air = True
 
     mass: Scalar = parameter(
         0.0, 0.0, 5e-3, "kg", "a marker of plastic weighs 1 g, more with glue; the tail 50 g"
