@@ -69,7 +69,7 @@ def _local(part: jax.Array) -> np.ndarray:
 
 
 def begin(cores: int, coordinator: str = "", processes: int = 1, process: int = 0) -> None:
-    """Make JAX see a device for each of `cores` of a CPU, of all processes. Call it first of all.
+    """Make JAX see a device for each of `cores` of a CPU, two at least. Call it first of all.
 
     `coordinator` is the host:port of process 0 where there are several; under srun they find each
     other, and the arguments are left out. Where JAX has begun to compute, its devices stay.
@@ -77,7 +77,8 @@ def begin(cores: int, coordinator: str = "", processes: int = 1, process: int = 
     # Of a job step: the batch script itself, which is one process, has no such variable above 1.
     slurm = int(os.environ.get("SLURM_STEP_NUM_TASKS", "1")) > 1
     with suppress(RuntimeError):
-        jax.config.update("jax_num_cpu_devices", cores)
+        # A program for one device is compiled otherwise, and differs in the last bit.
+        jax.config.update("jax_num_cpu_devices", max(2, cores))
     if coordinator or slurm:
         jax.config.update("jax_cpu_collectives_implementation", "gloo")
         found = (coordinator, processes, process) if coordinator else ()

@@ -11,7 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from slider_jax.design import box_of, models
 from slider_jax.evaluation import CHUNK, Evaluation
+from slider_jax.experiment import assemble
+from slider_jax.paper_swimmer import swimmer_content
+from slider_jax.parameters import Numerics
+from slider_jax.steady import Search, find_steady
 from tests.conftest import ROOT
 
 CODE = """
@@ -23,10 +28,11 @@ cores, coordinator, processes, process, out = sys.argv[1:]
 begin(int(cores), coordinator, int(processes), int(process))
 import jax, numpy as np
 import jax.numpy as jnp
-from tests.test_evaluation import MEMBERS, waves
-assert len(jax.devices()) == int(cores) * int(processes), jax.devices()
+from tests.test_evaluation import MEMBERS, OBJECTIVES
+objective = OBJECTIVES[os.environ["OBJECTIVE"]]()
+assert len(jax.devices()) == max(2, int(cores)) * int(processes), jax.devices()
 time.sleep(float(os.environ.get("LATE", "0")))
-np.save(out, Evaluation(waves)(MEMBERS))
+np.save(out, Evaluation(objective)(MEMBERS))
 """
 MEMBERS = np.random.default_rng(0).uniform(size=(37, 6))
 
@@ -43,6 +49,23 @@ def waves(x):
     return jax.lax.while_loop(on, step, (jnp.sum(jnp.cos(3.0 * x)), jnp.ones(())))[0]
 
 
+def coarse_swimmer():
+    content = swimmer_content(frequency=5.0, amplitude=365e3)
+    numerics = {"nodes": 17, "step": 0.004}
+    experiment = assemble(content | {"numerics": numerics}, "coarse", Path("."))
+    search = Search(settling=2, corrections=2, steps_per_stride=48, numerics=Numerics(4, 12))
+    speed = models(experiment)
+
+    def swum(x):
+        gait = box_of({}).gait(x)
+        return find_steady(speed(gait), gait.frequency, search).speed
+
+    return swum
+
+
+OBJECTIVES = {"waves": lambda: waves, "robot": coarse_swimmer}
+
+
 def test_scores_are_the_objectives_in_the_order_of_the_members():
     found = Evaluation(waves)(MEMBERS)
     np.testing.assert_allclose(found, [waves(jnp.asarray(x)) for x in MEMBERS], rtol=1e-12)
@@ -50,9 +73,10 @@ def test_scores_are_the_objectives_in_the_order_of_the_members():
     np.testing.assert_array_equal(few, found[: CHUNK - 3])
 
 
-def started(cores, out, coordinator="", processes=1, process=0, late=0.0):
+def started(cores, out, coordinator="", processes=1, process=0, late=0.0, objective="waves"):
     words = [str(x) for x in (cores, coordinator, processes, process, out)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu", "LATE": str(late)}
+    environment["OBJECTIVE"] = objective
     return subprocess.Popen([sys.executable, "-c", CODE, *words], env=environment, cwd=ROOT)
 
 
@@ -71,6 +95,22 @@ def test_two_devices_give_what_one_gives(tmp_path: Path, processes):
     assert [run.wait(timeout=120) for run in runs] == [0] * processes
     for out in outs:
         np.testing.assert_array_equal(np.load(out), Evaluation(waves)(MEMBERS))
+
+
+@pytest.mark.slow
+def test_a_swimmer_is_as_fast_on_one_core_as_on_two_and_in_two_processes(tmp_path: Path):
+    """To the last bit, or another number of cores would lead a search elsewhere."""
+    where = f"127.0.0.1:{free_port()}"
+    plans = {"one": (1,), "two": (2,), "first": (1, where, 2, 0), "second": (1, where, 2, 1)}
+    outs = {name: tmp_path / f"{name}.npy" for name in plans}
+    runs = [
+        started(plan[0], outs[name], *plan[1:], objective="robot") for name, plan in plans.items()
+    ]
+    assert [run.wait(timeout=500) for run in runs] == [0] * len(runs)
+    one, *others = (np.load(out) for out in outs.values())
+    assert np.isfinite(one).sum() > 0.5 * len(MEMBERS)
+    for other in others:
+        np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.slow
