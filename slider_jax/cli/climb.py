@@ -3,7 +3,16 @@
 import sys
 from pathlib import Path
 
-from slider_jax.cli.options import Folder, MaybeExperiment, MaybeValue, MaybeWhole, ModelFile, Value
+from slider_jax.cli.options import (
+    Folder,
+    MaybeExperiment,
+    MaybeValue,
+    MaybeWhole,
+    ModelFile,
+    Value,
+    chosen_trials,
+    refuse_own_folder,
+)
 from slider_jax.errors import InputError
 
 
@@ -50,13 +59,9 @@ def climb(
     if not 1e3 <= cap <= 2e6:
         raise InputError.value("--cap", f"{cap:g}", "1e3 to 2e6 Pa", "pascal, not kPa or psi")
     given = given_or(climber, experiment, model)
-    trials = given.trials
-    if trial is not None:
-        if not 0 <= trial < len(trials):
-            raise InputError.value("--trial", trial, f"0 to {len(trials) - 1}")
-        trials = trials[trial : trial + 1]
-    if experiment is not None and out.resolve() == given.folder.resolve():
-        raise InputError(f"--out {out}: is the experiment's own folder; give another")
+    trials = chosen_trials(given.trials, trial)
+    if experiment is not None:
+        refuse_own_folder(out, given.folder)
     for x in trials:
         stride_frequency(x)
     rows = []

@@ -7,6 +7,8 @@ from typing import Annotated, Any
 import tyro
 from tyro.constructors import PrimitiveConstructorSpec
 
+from slider_jax.errors import InputError
+
 
 def _read_by(read: Callable[[str], Any], metavar: str, allowed: str) -> PrimitiveConstructorSpec:
     def instance(words: list[str]) -> Any:
@@ -36,3 +38,18 @@ Value = Annotated[float, _VALUE]
 MaybeValue = Annotated[float | None, _VALUE]
 Whole = Annotated[int, _WHOLE]
 MaybeWhole = Annotated[int | None, _WHOLE]
+
+
+def chosen_trials(trials: tuple, number: int | None) -> tuple:
+    """All trials, or the one of `--trial`. Raises `InputError` if there is none such."""
+    if number is None:
+        return trials
+    if not 0 <= number < len(trials):
+        raise InputError.value("--trial", number, f"0 to {len(trials) - 1}")
+    return trials[number : number + 1]
+
+
+def refuse_own_folder(out: Path, folder: Path) -> None:
+    """Raise `InputError` if results were to go where an experiment's measured files lie."""
+    if out.resolve() == folder.resolve():
+        raise InputError(f"--out {out}: is the experiment's own folder; give another")

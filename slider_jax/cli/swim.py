@@ -3,8 +3,14 @@
 import sys
 from pathlib import Path
 
-from slider_jax.cli.options import Folder, MaybeExperiment, MaybeWhole, ModelFile
-from slider_jax.errors import InputError
+from slider_jax.cli.options import (
+    Folder,
+    MaybeExperiment,
+    MaybeWhole,
+    ModelFile,
+    chosen_trials,
+    refuse_own_folder,
+)
 
 
 def swim(
@@ -33,14 +39,10 @@ def swim(
     from slider_jax.swim_report import plot, stride_columns, table, words
 
     given = given_or(optimum, experiment, model)
-    trials = given.trials
-    if trial is not None:
-        if not 0 <= trial < len(trials):
-            raise InputError.value("--trial", trial, f"0 to {len(trials) - 1}")
-        trials = trials[trial : trial + 1]
+    trials = chosen_trials(given.trials, trial)
     published = PUBLISHED if experiment is None else {}
-    if experiment is not None and out.resolve() == given.folder.resolve():
-        raise InputError(f"--out {out}: is the experiment's own folder; give another")
+    if experiment is not None:
+        refuse_own_folder(out, given.folder)
     for x in trials:  # all that cannot be swum is told before anything is computed
         check(given, x)
     rows = []
