@@ -80,8 +80,9 @@ def period_of(rises: np.ndarray, link: float, least: int = 10) -> int:
     last = rises[-least - PERIODS :]
     same = REPEATS * max(np.abs(last).mean(), 0.1 * link)
     for n in range(1, PERIODS + 1):
-        if len(last) >= least and all(np.ptp(last[i::n]) < same for i in range(n)):
-            return n
+        if len(last) >= least and np.abs(last[n:] - last[:-n]).max() < same:
+            steady = all(np.ptp(last[i::n]) < same for i in range(n))  # nor does it drift
+            return n if steady else 0
     return 0
 
 
@@ -166,7 +167,7 @@ def climb(
         found = _amounts(model, f, series, plan)
         rises, before = np.concatenate([rises, np.asarray(found.rises)]), after
         period = period_of(rises, link)
-        if period or len(rises) >= longest:
+        if period or len(rises) + plan.strides >= longest:
             break
         progress(f"{len(rises) + plan.strides} strides")
     if period:

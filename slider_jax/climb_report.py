@@ -47,6 +47,8 @@ def words(run: ClimbRun) -> list[str]:
         f"pin changes sides at {run.pin_phase:g} and {(run.pin_phase + 0.5) % 1.0:g} of a period"
     )
     said.append(phase + (f", the fastest of {len(run.tried)} phases tried" if run.tried else ""))
+    if float(run.found.power) <= 0.0:
+        said.append("the chambers take up more than they give, so that there is no efficiency")
     last = 1e3 * np.asarray(run.found.rises)
     each = f"{last.mean():.2f} mm a stride"
     if run.period == 1:

@@ -12,7 +12,7 @@ from slider_jax.evaluation import is_first, together
 from slider_jax.evolution import cma_es
 from slider_jax.files import write_json
 from slider_jax.modes import CLIMB, NAMES, SWIM, TAIL, Both, Modes, eta
-from slider_jax.optimise import Generation, differences, run, settings_of
+from slider_jax.optimise import CHECKPOINT, PLAN, Generation, differences, run, settings_of
 from slider_jax.searchers import searcher
 
 NEAR = 0.06
@@ -179,25 +179,31 @@ def front(
 
 def _begin(folder: Path, settings: dict[str, Any], resume: bool) -> None:
     """Write down what is searched for, or check that it is what was begun."""
+    file, settings = folder / PLAN, json.loads(json.dumps(settings))
+    if file.exists():
+        if not resume:
+            raise InputError(
+                f"{file}: a search was begun here; add --resume to go on with it, or give another "
+                "folder"
+            )
+        try:
+            begun = json.loads(file.read_text())
+        except (OSError, ValueError):
+            begun = None
+        if not isinstance(begun, dict) or begun.keys() != settings.keys():
+            raise InputError(
+                f"{file}: is torn or not of this program; put a copy in its place, or give another "
+                "folder"
+            )
+        if differ := differences(settings, begun):
+            told = "; ".join(differ[:3])
+            raise InputError(f"{file}: has other settings: {told}; give these, or another folder")
+    elif any(folder.glob(f"**/{CHECKPOINT}")):
+        raise InputError(f"{folder}: holds another search's checkpoints; give another folder")
+    together("all have looked")
     if is_first():
         folder.mkdir(parents=True, exist_ok=True)
-    file, settings = folder / "search.json", json.loads(json.dumps(settings))
-    if not file.exists():
-        together("none has begun")
-        if is_first():
-            write_json(file, settings)
-        return
-    if not resume:
-        raise InputError(
-            f"{file}: a search was begun here; add --resume to go on with it, or give another "
-            "folder"
-        )
-    differ = differences(settings, json.loads(file.read_text()))
-    if differ:
-        raise InputError(
-            f"{file}: has other settings: {'; '.join(differ[:3])}; give another folder"
-        )
-    together("all go on")
+        write_json(file, settings)
 
 
 def _best(

@@ -17,6 +17,8 @@ from slider_jax.files import write_bytes
 from slider_jax.searcher import Searcher
 
 CHECKPOINT = "checkpoint.npz"
+PLAN = "search.json"
+"""Of a search that is made of several, in folders of their own."""
 
 
 class Generation(NamedTuple):
@@ -123,7 +125,10 @@ def _load(path, state, settings):
         f"{path}: is torn or not a checkpoint of this program; delete it to begin anew, or put a "
         "copy in its place"
     )
-    content = path.read_bytes()
+    try:
+        content = path.read_bytes()
+    except OSError:
+        raise torn from None
     if hashlib.sha256(content[32:]).digest() != content[:32]:
         raise torn
     try:

@@ -15,7 +15,7 @@ from slider_jax.experiment import Experiment, to_model, to_numerics
 from slider_jax.figures import new_figure, save_figure
 from slider_jax.files import staged, write_json, write_text
 from slider_jax.gait import Gait, swimmer
-from slider_jax.optimise import Found, Generation, run, settings_of
+from slider_jax.optimise import PLAN, Found, Generation, run, settings_of
 from slider_jax.paper_swimmer import PAPER_GAIT, PUBLISHED
 from slider_jax.provenance import versions
 from slider_jax.searcher import Searcher
@@ -25,6 +25,8 @@ MESH = 31
 """Most nodes on which members are compared. The speed there is within 0.7 % of that on 51 for tails
 of 6 mN m^2 and more, 6 % above it for one of 1 mN m^2: the best's is told on the experiment's own
 mesh too."""
+STIFFEST = 10
+"""Times the body's EI that a tail's may be sought up to."""
 ASCENDING = 2
 """Members that are scored together with their gradients; few climb, and all cores are to work."""
 
@@ -47,13 +49,21 @@ class Task(NamedTuple):
         trial = experiment.trials[0]
         if trial.waveform != "square":
             raise InputError(
-                f"trials.0.waveform: given {trial.waveform!r}; allowed 'square', as the gait "
-                "that is sought is"
+                f"trials.0.waveform: given {trial.waveform!r}; allowed 'square', as the drive "
+                "that is sought is; of other trials there is no use"
             )
         nodes = min(MESH, experiment.numerics.nodes)
         numerics, scheme = to_numerics(experiment.with_values({"numerics.nodes": nodes}))
         search = Search(steps_per_stride=steps_per_stride, numerics=numerics, scheme=scheme)
         box = box_of(bounds)
+        stiffest = STIFFEST * experiment.robot.EI_body
+        if box.high[-1] > stiffest:
+            raise InputError.value(
+                "--EI-tail",
+                f"{box.high[-1]:g}",
+                f"at most {stiffest:g} N m^2, {STIFFEST} times the body's",
+                "in N m^2, not mN m^2",
+            )
         for corner in (box.low, box.high):  # what is found can be written, and swims
             swimmer(to_model(with_gait(experiment, Gait(*corner))))
         return cls(experiment, box, search)
@@ -88,6 +98,10 @@ def search(
 
     Raises `SolverError` where no member of any generation has a steady speed.
     """
+    if folder is not None and (folder / PLAN).exists():
+        raise InputError(
+            f"{folder / PLAN}: another kind of search was begun here; give another folder"
+        )
     sought = (task.experiment, task.box, task.search)
     alone, sloped = Evaluation(speed_of(*sought)), Evaluation(slope_of(*sought), chunk=ASCENDING)
 

@@ -19,7 +19,9 @@ from slider_jax.modes import CLIMB, SWIM, TAIL, Modes, eta
 from slider_jax.multimodal import Effort, Point, dominated, front
 from slider_jax.paper_swimmer import swimmer_content
 from slider_jax.performance import next_stride, performance, steadily
+from slider_jax.searchers import searcher
 from slider_jax.steady import find_steady, strides
+from slider_jax.swim_search import search
 
 BETAS = ("0.000", "0.500", "1.000")
 
@@ -63,7 +65,7 @@ class Hills:
         return np.where([swims, climbs], np.stack(found, axis=1), np.nan)
 
 
-EFFORT = Effort("genetic", 64, 24, 1)
+EFFORT = Effort("genetic", 96, 40, 1)
 
 
 @pytest.fixture
@@ -87,7 +89,7 @@ def test_the_front_of_known_hills_is_found(hills, tmp_path):
     assert dominated(found.points) == []
 
 
-@pytest.mark.parametrize("saves", [1, 3, 26, 40, 75])
+@pytest.mark.parametrize("saves", [1, 50, 70])
 def test_a_search_that_was_stopped_goes_on(hills, tmp_path, monkeypatch, saves):
     """Stopped after any of its generations; the front is the same to the last bit."""
     whole = front(hills, 3, EFFORT, tmp_path / "whole")
@@ -105,12 +107,35 @@ def test_a_search_that_was_stopped_goes_on(hills, tmp_path, monkeypatch, saves):
             front(hills, 3, EFFORT, tmp_path / "broken")
     with pytest.raises(InputError, match="a search was begun here; add --resume"):
         front(hills, 3, EFFORT, tmp_path / "broken")
-    with pytest.raises(InputError, match="betas: given 4, begun with 3; give another folder"):
+    with pytest.raises(InputError, match="betas: given 4, begun with 3; give these"):
         front(hills, 4, EFFORT, tmp_path / "broken", resume=True)
     again = front(hills, 3, EFFORT, tmp_path / "broken", resume=True)
     for one, other in zip(whole.points, again.points, strict=True):
         np.testing.assert_array_equal(one.design, other.design)
     assert whole.evaluations == again.evaluations
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{}", '{"betas": ', None])
+def test_a_damaged_plan_is_told(hills, tmp_path, content):
+    front(hills, 2, Effort("genetic", 8, 1, 1), tmp_path)
+    (tmp_path / "search.json").unlink()
+    if content is None:
+        (tmp_path / "search.json").mkdir()
+    else:
+        (tmp_path / "search.json").write_text(content)
+    with pytest.raises(InputError, match="search.json: is torn or not of this program"):
+        front(hills, 2, Effort("genetic", 8, 1, 1), tmp_path, resume=True)
+
+
+def test_searches_of_two_kinds_do_not_mix(hills, tmp_path):
+    (tmp_path / "checkpoint.npz").write_bytes(b"of another search")
+    with pytest.raises(InputError, match="holds another search's checkpoints"):
+        front(hills, 2, EFFORT, tmp_path, resume=True)
+    assert not (tmp_path / "search.json").exists()
+    (tmp_path / "checkpoint.npz").unlink()
+    (tmp_path / "search.json").write_text("{}")
+    with pytest.raises(InputError, match="another kind of search was begun here"):
+        search(hills.task, searcher("genetic", 8, 6), 8, 1, 0, tmp_path, resume=True)
 
 
 def test_a_task_that_no_design_can_do_is_told(hills, tmp_path, monkeypatch):
@@ -197,6 +222,7 @@ def test_one_steady_stride_stands_for_fifty():
         (["--betas", "1"], "--betas: given 1; allowed 2 to 101"),
         (["--population", "1"], "--population: given 1; allowed 4 or more members"),
         (["--tail-length", "0.1", "0.05"], "--tail-length: given 0.1 0.05; allowed LOW HIGH"),
+        (["--EI-tail", "1", "38"], "--EI-tail: given 38; allowed at most 0.38 N m^2"),
         (["--EI-tail", "1", "5e6"], "--EI-tail: given 5e+06; allowed 1e-06 to 100 N m^2"),
     ],
 )

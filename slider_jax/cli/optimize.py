@@ -95,8 +95,9 @@ def swim(
     optimum.json (history, settings, versions) and optimum.png.
 
     Args:
-        experiment: file (.toml) that gives the rest of the robot and water; by default the paper's
-            robot, with form drag at the head that was calibrated on its measured speed.
+        experiment: file (.toml) that gives the rest of the robot and water; its first trial is to
+            have a square wave, in whose place the drive that is sought comes. By default the
+            paper's robot, with form drag at the head that was calibrated on its measured speed.
         out: folder for the results; made if missing.
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
         algorithm: the paper's genetic algorithm; the best of spread members that climb along their
@@ -145,6 +146,7 @@ def swim(
         _kept(out)
         raise
     if evaluation.is_first():
+        print("gradient and Hessian at the best ...", file=sys.stderr)
         inputs = [input_file(p) for p in (experiment, model) if p is not None]
         for line in swim_search.words(swim_search.write(task, found, out, inputs)):
             print(line)
@@ -179,8 +181,9 @@ def multimodal(
     `slider climb` take.
 
     Args:
-        experiment: file (.toml) that gives the rest of the robot and water; by default the paper's
-            robot, with form drag at the head that was calibrated on its measured speed.
+        experiment: file (.toml) that gives the rest of the robot and water; its first trial is to
+            have a square wave, in whose place the drive that is sought comes. By default the
+            paper's robot, with form drag at the head that was calibrated on its measured speed.
         out: folder for the results; made if missing.
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
         betas: evenly spread values from 0, climbing alone, to 1, swimming alone.
@@ -216,7 +219,10 @@ def multimodal(
 
     def said(name: str, generation, seconds: float) -> None:
         whole = generations if name.endswith("_only") else effort.between[1]
-        words = f"best {generation.best:.4f}, mean {generation.mean:.4f}"
+        score = (
+            {"swim": "E_swim", "climb": "E_climb"}[name.split("_")[0]] if "only" in name else "eta"
+        )
+        words = f"best {score} {generation.best:.4f}, mean {generation.mean:.4f}"
         report(generation, seconds, words, name, whole)
 
     try:
