@@ -62,6 +62,7 @@ def test_a_delay_of_both_chambers_changes_no_speed():
     assert speeds[0] > 0.1 and speeds[1] == pytest.approx(speeds[0], rel=2e-3)
 
 
+@pytest.mark.slow
 def test_a_bent_body_is_steady_on_a_circle():
     model, f = made(GAITS["5 Hz"]), jnp.asarray(5.0)
     model = replace(model, effects=(*model.effects, RestCurvature(jnp.asarray(0.3))))

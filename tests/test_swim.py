@@ -192,6 +192,7 @@ def test_bad_options_are_refused(tmp_path, capsys):
         assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_a_sweep_of_swimmers_gives_what_each_swims_alone(swum, tmp_path):
     (tmp_path / "tank.toml").write_text(to_toml(coarse()))
     words = ["--field", "trials.0.phase", "--from", "0.0", "--to", "0.2", "--count", "2", "--swim"]

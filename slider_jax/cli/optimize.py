@@ -219,9 +219,7 @@ def multimodal(
 
     def said(name: str, generation, seconds: float) -> None:
         whole = generations if name.endswith("_only") else effort.between[1]
-        score = (
-            {"swim": "E_swim", "climb": "E_climb"}[name.split("_")[0]] if "only" in name else "eta"
-        )
+        score = f"E_{name.split('_')[0]}" if "only" in name else "eta"
         words = f"best {score} {generation.best:.4f}, mean {generation.mean:.4f}"
         report(generation, seconds, words, name, whole)
 
