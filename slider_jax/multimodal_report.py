@@ -1,5 +1,6 @@
 """A front of designs in a table, in files that `slider swim` and `slider climb` take, and drawn."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -29,10 +30,13 @@ SHOWN = (
 def rows(modes: Modes, front: Front) -> list[dict[str, Any]]:
     """What each point of the front is, in SI."""
     everything, again = tuple(range(len(NAMES))), dict[bytes, dict[str, Any]]()
+    own = to_numerics(modes.task.experiment)[0]
+    finer = modes.task.search._replace(numerics=own)
+    E_swim = jax.jit(swim_efficiency(modes.task.experiment, finer))
     for point in front.points:
         key = point.design.tobytes()
         if key not in again:
-            again[key] = once_more(modes, point.design)
+            again[key] = once_more(modes, point.design, E_swim) | {"nodes": own.nodes}
     return [
         {
             "beta": point.beta,
@@ -46,16 +50,14 @@ def rows(modes: Modes, front: Front) -> list[dict[str, Any]]:
     ]
 
 
-def once_more(modes: Modes, design: np.ndarray) -> dict[str, Any]:
+def once_more(
+    modes: Modes, design: np.ndarray, E_swim: Callable[[jax.Array], jax.Array]
+) -> dict[str, Any]:
     """What `slider swim` and `slider climb` find of a design, on the experiment's own mesh."""
     swims, climbs, pin = modes.gaits(design)
-    own, search = to_numerics(modes.task.experiment)[0], modes.task.search
-    finer = search._replace(numerics=own)
-    E_swim = swim_efficiency(modes.task.experiment, finer)
     climbed = climb(with_gait(modes.task.experiment, climbs), 0, pin)
     return {
-        "nodes": own.nodes,
-        "E_swim": float(jax.jit(E_swim)(jnp.asarray(swims))),
+        "E_swim": float(E_swim(jnp.asarray(swims))),
         "E_climb": float(climbed.found.efficiency),
         "climb_unaccounted_of_power": float(climbed.found.unaccounted),
         "climb_repeats_after_strides": climbed.period or None,
