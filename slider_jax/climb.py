@@ -1,4 +1,4 @@
-"""The climbing test: from a straight hang until strides repeat, and what they amount to."""
+"""The climbing test: from hanging straight until strides repeat, and what they amount to."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -131,7 +131,7 @@ def climb(
     """Pin the robot to a wall in air, with the drive of a trial.
 
     It starts straight, its centre of mass below the pin, and goes on by 15 strides until they
-    repeat or are more than `longest`. What counts are the last 15, or as many whole periods of them
+    repeat or `longest` are done. What counts are the last 15, or as many whole periods of them
     as there are. Without a `pin_phase` the one of `PHASES` is taken with which it climbs fastest.
     Raises `InputError` for a recorded drive, and `SolverError` where a step does not converge.
     """

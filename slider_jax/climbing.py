@@ -25,7 +25,7 @@ from slider_jax.rollout import TimeGrid, rollout
 from slider_jax.scheme import SDIRK2, Scheme
 from slider_jax.state import fields
 from slider_jax.steady import BEGUN
-from slider_jax.step import Carry, Snapshot, at_rest
+from slider_jax.step import Carry, Snapshot, at_rest, with_motion
 from slider_jax.supports import PinnedLink
 
 
@@ -123,9 +123,7 @@ def hanging(model: Model, numerics: Numerics) -> Carry:
         """(..., 3, nodes): V_tau, V_n, phi."""
         return motion.at[..., 2, :].add(angle)
 
-    carry = at_rest(model, numerics)
-    rows = turned(carry.memory.motion), carry.history.at[:, 3:].set(turned(carry.history[:, 3:]))
-    return eqx.tree_at(lambda c: (c.memory.motion, c.history), carry, rows)
+    return with_motion(at_rest(model, numerics), turned)
 
 
 def climb_on(

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slider_jax.climbing import ClimbPlan, climb_from_rest
-from slider_jax.design import box_of, models
+from slider_jax.design import models
 from slider_jax.errors import InputError
 from slider_jax.evaluation import Evaluation
 from slider_jax.experiment import Experiment, to_model
@@ -35,8 +35,6 @@ CLIMBER_BOUNDS = {
     "pin_phase": (0.0, 1.0),
 }
 """Bounds of the climber's drive, assumed but for the cap; SI."""
-
-
 UNACCOUNTED = 0.02
 """Largest share of a climber's power by which its energies may fail to add up."""
 
@@ -62,18 +60,18 @@ class Modes(NamedTuple):
         """Raises `InputError` as `Task.of` does, and for a robot that cannot swim or climb."""
         bounds = {"tail_length": tail_length, "EI_tail": EI_tail}
         task = Task.of(experiment, bounds, steps_per_stride)
-        box = box_of(bounds)
         climbing = np.array(list(CLIMBER_BOUNDS.values())).T
         low, high = (
             np.concatenate([x[:4], y, x[4:]])
-            for x, y in zip((box.low, box.high), climbing, strict=True)
+            for x, y in zip((task.box.low, task.box.high), climbing, strict=True)
         )
         # Settled sooner than `ClimbPlan` has it: here designs are only compared.
         steps = steps_per_stride + steps_per_stride // 3
         numerics, scheme = task.search.numerics, task.search.scheme
         plan = ClimbPlan(10, 15, steps + steps % 2, numerics, scheme)
-        climber(to_model(experiment, 0), 1.0, 0.0)
-        if not any(effect.resists for effect in to_model(experiment, 0).effects):
+        model = to_model(experiment, 0)
+        climber(model, 1.0, 0.0)
+        if not any(effect.resists for effect in model.effects):
             raise InputError(
                 "effects: none resists motion along the body, so that no swimmer is steady; add "
                 "one such as head_drag"

@@ -29,7 +29,7 @@ from slider_jax.model import Model
 from slider_jax.parameters import Numerics
 from slider_jax.rollout import TimeGrid, rollout
 from slider_jax.scheme import SDIRK2, Scheme
-from slider_jax.step import Carry, Snapshot, at_rest
+from slider_jax.step import Carry, Snapshot, at_rest, with_motion
 
 
 class Search(NamedTuple):
@@ -94,8 +94,7 @@ def hastened(carry: Carry, change: Float[Array, "2"]) -> Carry:
         along, across = to_body(change, motion[..., 2, :])
         return motion.at[..., 0, :].add(along).at[..., 1, :].add(across)
 
-    rows = add(carry.memory.motion), carry.history.at[:, 3:].set(add(carry.history[:, 3:]))
-    return eqx.tree_at(lambda c: (c.memory.motion, c.history), carry, rows)
+    return with_motion(carry, add)
 
 
 def stride_times(frequency, count: int, search: Search) -> TimeGrid:

@@ -1,6 +1,7 @@
 """One time step: its stages, each a root find."""
 
 import functools as ft
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -177,6 +178,13 @@ def at_rest(model: Model, numerics: Numerics, t0: Scalar = 0.0) -> Carry:
     internal = tuple(jnp.zeros_like(s[1:]) for _ in of_place(model.effects, BendingMoment))
     memory = eqx.tree_at(lambda m: m.internal, memory, internal)
     return start(y, memory, start_chambers(model))
+
+
+def with_motion(carry: Carry, change: Callable[[Array], Array]) -> Carry:
+    """The same with `change` made to V_tau, V_n, phi (..., 3, nodes) of every point."""
+    history = carry.history.at[:, 3:].set(change(carry.history[:, 3:]))
+    rows = change(carry.memory.motion), history
+    return eqx.tree_at(lambda c: (c.memory.motion, c.history), carry, rows)
 
 
 def start(y: Unknowns, memory: Memory, chambers: Chambers) -> Carry:
