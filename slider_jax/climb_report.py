@@ -43,9 +43,8 @@ def words(run: ClimbRun) -> list[str]:
     cut = [f"{name} {1e-3 * abs(p):g}" for name, p in asked.items() if abs(p) > run.cap]
     if cut:
         said.append(f"set pressures are capped at {1e-3 * run.cap:g} kPa: {', '.join(cut)} asked")
-    phase = (
-        f"pin changes sides at {run.pin_phase:g} and {(run.pin_phase + 0.5) % 1.0:g} of a period"
-    )
+    left, right = run.pin_phase % 1.0, (run.pin_phase + 0.5) % 1.0
+    phase = f"pin changes sides at {left:g} and {right:g} of a period"
     said.append(phase + (f", the fastest of {len(run.tried)} phases tried" if run.tried else ""))
     if float(run.found.power) <= 0.0:
         said.append("the chambers take up more than they give, so that there is no efficiency")

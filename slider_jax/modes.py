@@ -32,7 +32,7 @@ CLIMBER_BOUNDS = {
     "climb_front": (50e3, CAP),
     "climb_rear": (50e3, CAP),
     "climb_phase": (-0.5, 0.5),
-    "pin_phase": (0.0, 1.0),
+    "pin_phase": (-0.5, 0.5),
 }
 """Bounds of the climber's drive, assumed but for the cap; SI."""
 UNACCOUNTED = 0.02

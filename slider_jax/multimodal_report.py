@@ -126,9 +126,13 @@ def words(content: dict[str, Any]) -> list[str]:
     for name in ("E_swim", "E_climb"):
         own = ", ".join(f"{x['own_mesh'][name]:.4f}" for x in content["front"])
         lines.append(f"{name} on {content['front'][0]['own_mesh']['nodes']} nodes: {own}")
-    for x in content["front"]:
-        if x["own_mesh"]["climb_repeats_after_strides"] is None:
-            lines.append(f"beta {x['beta']:.3f}: the climb does not repeat there")
+    unrepeated = [
+        f"{x['beta']:.3f}"
+        for x in content["front"]
+        if x["own_mesh"]["climb_repeats_after_strides"] is None
+    ]
+    if unrepeated:
+        lines.append(f"beta {', '.join(unrepeated)}: the climb does not repeat there")
     if content["dominated_by_a_neighbour"]:
         lines.append(f"dominated by a neighbour: {content['dominated_by_a_neighbour']}")
     return lines

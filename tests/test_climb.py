@@ -202,7 +202,7 @@ def test_the_command_writes_what_it_found(ordered):
     ("words", "said"),
     [
         (["--cap", "172.3"], "--cap: given 172.3; allowed 1e3 to 2e6 Pa; pascal, not kPa or psi"),
-        (["--pin-phase", "7"], "--pin-phase: given 7; allowed 0 to 1, of a period"),
+        (["--pin-phase", "7"], "--pin-phase: given 7; allowed -1 to 1, of a period"),
         (["--link", "30"], "--link: given 30; allowed 0.005 to 0.2 m"),
         (["--trial", "3"], "--trial: given 3; allowed 0 to 0"),
         (["--model", "m.toml"], "--model: overrides an experiment; give EXPERIMENT.toml"),

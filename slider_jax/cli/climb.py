@@ -52,8 +52,8 @@ def climb(
     from slider_jax.paper_swimmer import climber, given_or
     from slider_jax.provenance import input_file, versions
 
-    if pin_phase is not None and not 0.0 <= pin_phase <= 1.0:
-        raise InputError.value("--pin-phase", f"{pin_phase:g}", "0 to 1, of a period")
+    if pin_phase is not None and not -1.0 <= pin_phase <= 1.0:
+        raise InputError.value("--pin-phase", f"{pin_phase:g}", "-1 to 1, of a period")
     if not 0.005 <= link <= 0.2:
         raise InputError.value("--link", f"{link:g}", "0.005 to 0.2 m")
     if not 1e3 <= cap <= 2e6:
