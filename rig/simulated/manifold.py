@@ -1,0 +1,207 @@
+"""What a manifold does with the bytes it gets: the twin of `rig/firmware`, in virtual time."""
+
+from collections.abc import Sequence
+
+from rig.frames import Decoder, encode
+from rig.messages import (
+    PROTOCOL,
+    WATCHDOG,
+    Ack,
+    Answer,
+    Arm,
+    Cause,
+    Event,
+    Heartbeat,
+    Hello,
+    Ident,
+    Message,
+    Reading,
+    SetLimits,
+    SetPressures,
+    State,
+    Stop,
+    WaveBegin,
+    WavePiece,
+    WavePlay,
+    code_of,
+)
+
+HARD_LIMITS = (500_000, 500_000, 500_000, 500_000)
+"""Gauge pressures [Pa] that no command can raise."""
+FROM_HOST = (
+    Hello, SetLimits, Arm, SetPressures, Heartbeat, Stop, WaveBegin, WavePiece, WavePlay
+)  # fmt: skip
+Pressures = tuple[int, ...]
+
+
+class ManifoldCore:
+    """The state machine of docs/rig_protocol.md. Times are the device's microseconds."""
+
+    def __init__(
+        self,
+        hard_limits: Pressures = HARD_LIMITS,
+        version: tuple[int, int, int] = (1, 0, 0),
+        longest: int = 2000,
+        rate: int = 500,
+        protocol: int = PROTOCOL,
+    ):
+        self.state = State.BOOT
+        self._ident = Ident(protocol, *version, longest, rate, *hard_limits)
+        self._hard, self._longest, self._period = hard_limits, longest, 1_000_000 // rate
+        self._decoder, self._foreign = Decoder(), 0
+        self._limits: Pressures = (0, 0, 0, 0)
+        self._set: Pressures = (0, 0, 0, 0)
+        self._command = self._readings = self._heard = 0
+        self._due: int | None = None
+        self._wave: list[Pressures | None] = []
+        self._wave_period = self._wave_begun = self._repeats = 0
+
+    @property
+    def set_pressures(self) -> Pressures | None:
+        """(4,) that the valves follow [Pa]; None while all vent."""
+        return self._set if self.state in (State.ARMED, State.PLAYING) else None
+
+    @property
+    def damaged(self) -> int:
+        """Frames that were no command."""
+        return self._decoder.damaged + self._foreign
+
+    def feed(self, piece: bytes, now_us: int) -> bytes:
+        """Takes bytes from the host; returns what is said to them."""
+        said = self._watch(now_us)
+        for message in self._decoder.feed(piece):
+            if isinstance(message, FROM_HOST):
+                self._heard = now_us
+                said += self._obey(message, now_us)
+            else:
+                self._foreign += 1
+        return b"".join(map(encode, said))
+
+    def tick(self, now_us: int, channels: Sequence[int]) -> bytes:
+        """One pass of the main loop, with (8,) channels as just read; returns what is said."""
+        said: list[Message] = []
+        if self._due is None:
+            self._due = now_us + self._period
+            said.append(Event(now_us, Cause.RESET, 0))
+        said += self._watch(now_us) + self._play(now_us)
+        if self.set_pressures is not None:
+            for chamber, limit in enumerate(self._limits):
+                if 10 * channels[chamber] > 11 * limit + 50_000:
+                    said.append(self._fault(now_us, Cause.OVER_PRESSURE, chamber))
+                    break
+        while self._due <= now_us:
+            said.append(
+                Reading(self._readings, self._due, self.state, self._command, tuple(channels))
+            )
+            self._readings = (self._readings + 1) % 2**32
+            self._due += self._period
+        return b"".join(map(encode, said))
+
+    def _watch(self, now_us: int) -> list[Message]:
+        silence = now_us - self._heard
+        if self.set_pressures is None or silence < WATCHDOG * 1e6:
+            return []
+        return [self._fault(now_us, Cause.WATCHDOG, silence // 1000)]
+
+    def _fault(self, now_us: int, cause: Cause, detail: int) -> Event:
+        self.state = State.FAULT
+        return Event(now_us, cause, detail)
+
+    def _play(self, now_us: int) -> list[Message]:
+        if self.state != State.PLAYING:
+            return []
+        sample = (now_us - self._wave_begun) // self._wave_period
+        ends = self._repeats and sample >= self._repeats * len(self._wave)
+        now = self._wave[-1 if ends else sample % len(self._wave)]
+        assert now is not None
+        self._set = now
+        if not ends:
+            return []
+        self.state = State.ARMED
+        return [Event(now_us, Cause.PLAYED, 0)]
+
+    def _obey(self, message: Message, now_us: int) -> list[Message]:
+        match message:
+            case Hello():
+                return [self._ident]
+            case Heartbeat():
+                return []
+            case Stop():
+                if self.set_pressures is not None:
+                    self.state = State.READY
+                return [self._ack(message), Event(now_us, Cause.STOPPED, 0)]
+            case SetLimits():
+                return self._limit(message, now_us)
+            case SetPressures():
+                return self._follow(message, now_us)
+            case Arm():
+                if self.state != State.READY:
+                    return [self._ack(message, Answer.WRONG_STATE)]
+                self.state, self._set = State.ARMED, (0, 0, 0, 0)
+                return [self._ack(message)]
+            case WaveBegin() | WavePiece():
+                if self.state not in (State.READY, State.ARMED):
+                    return [self._ack(message, Answer.WRONG_STATE)]
+                take = self._begin if isinstance(message, WaveBegin) else self._take
+                return [self._ack(message, *take(message))]
+            case WavePlay():
+                if self.state != State.ARMED:
+                    return [self._ack(message, Answer.WRONG_STATE)]
+                if not self._wave or None in self._wave:
+                    return [self._ack(message, Answer.WRONG_PLACE)]
+                self.state, self._wave_begun = State.PLAYING, now_us
+                self._repeats = message.repeats
+                return [self._ack(message), *self._play(now_us)]
+        raise AssertionError(message)
+
+    def _limit(self, message: SetLimits, now_us: int) -> list[Message]:
+        wrong = _outside(message[1:], self._hard)
+        if wrong is None:
+            self.state, self._limits, self._wave = State.READY, message[1:], []
+            return [self._ack(message)]
+        refused = [self._ack(message, *wrong)]
+        if self.state in (State.BOOT, State.FAULT):
+            return refused
+        return [*refused, self._fault(now_us, Cause.REFUSED, wrong[1])]
+
+    def _follow(self, message: SetPressures, now_us: int) -> list[Message]:
+        if self.state != State.ARMED:
+            return [self._ack(message, Answer.WRONG_STATE)]
+        wrong = _outside(message[1:], self._limits)
+        if wrong is None:
+            self._set, self._command = message[1:], message.seq
+            return []
+        return [self._ack(message, *wrong), self._fault(now_us, Cause.REFUSED, wrong[1])]
+
+    def _begin(self, message: WaveBegin) -> tuple[Answer, int]:
+        if not 2 <= message.samples <= self._longest or not 500 <= message.period_us <= 1_000_000:
+            return Answer.WRONG_PLACE, 0
+        self._wave, self._wave_period = [None] * message.samples, message.period_us
+        return Answer.DONE, 0
+
+    def _take(self, message: WavePiece) -> tuple[Answer, int]:
+        flat = message.pressures
+        samples = [flat[i : i + 4] for i in range(0, len(flat), 4)]
+        if message.first + len(samples) > len(self._wave):
+            return Answer.WRONG_PLACE, 0
+        for sample in samples:
+            wrong = _outside(sample, self._limits)
+            if wrong is not None:
+                self._wave = []
+                return wrong
+        self._wave[message.first : message.first + len(samples)] = samples
+        return Answer.DONE, 0
+
+    @staticmethod
+    def _ack(message: Message, answer: Answer = Answer.DONE, detail: int = 0) -> Ack:
+        return Ack(message[0], code_of(type(message)), answer, detail)
+
+
+def _outside(pressures: Pressures, limits: Pressures) -> tuple[Answer, int] | None:
+    """Why these are refused, and the first chamber at fault."""
+    for chamber, (pressure, limit) in enumerate(zip(pressures, limits, strict=True)):
+        if pressure < 0:
+            return Answer.BELOW_ZERO, chamber
+        if pressure > limit:
+            return Answer.ABOVE_LIMIT, chamber
+    return None
