@@ -229,10 +229,12 @@ def unpack(body: bytes) -> Message | None:
         if rest or not 1 <= samples <= SAMPLES_A_PIECE:
             return None
         pressures = struct.unpack_from(f"<{4 * samples}i", fields, layout.size)
-        return WavePiece(*layout.unpack_from(fields), pressures)
+        seq, first = layout.unpack_from(fields)
+        return WavePiece(seq, first, pressures)
     if len(fields) != layout.size:
         return None
     values = layout.unpack(fields)
     if kind is Reading:
-        return Reading(*values[:4], values[4:])
+        seq, device_us, state, command, *channels = values
+        return Reading(seq, device_us, state, command, tuple(channels))
     return kind(*values)

@@ -139,11 +139,12 @@ class ManifoldCore:
                     return [self._ack(message, Answer.WRONG_STATE)]
                 self.state, self._set = State.ARMED, (0, 0, 0, 0)
                 return [self._ack(message)]
-            case WaveBegin() | WavePiece():
-                if self.state not in (State.READY, State.ARMED):
-                    return [self._ack(message, Answer.WRONG_STATE)]
-                take = self._begin if isinstance(message, WaveBegin) else self._take
-                return [self._ack(message, *take(message))]
+            case WaveBegin() | WavePiece() if self.state not in (State.READY, State.ARMED):
+                return [self._ack(message, Answer.WRONG_STATE)]
+            case WaveBegin():
+                return [self._ack(message, *self._begin(message))]
+            case WavePiece():
+                return [self._ack(message, *self._take(message))]
             case WavePlay():
                 if self.state != State.ARMED:
                     return [self._ack(message, Answer.WRONG_STATE)]
@@ -159,7 +160,7 @@ class ManifoldCore:
         if wrong is None:
             self.state, self._limits, self._wave = State.READY, message[1:], []
             return [self._ack(message)]
-        refused = [self._ack(message, *wrong)]
+        refused: list[Message] = [self._ack(message, *wrong)]
         if self.state in (State.BOOT, State.FAULT):
             return refused
         return [*refused, self._fault(now_us, Cause.REFUSED, wrong[1])]
