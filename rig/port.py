@@ -1,0 +1,64 @@
+"""Serial ports: found, opened, and what is said when that fails."""
+
+import errno
+import os
+from typing import NamedTuple
+
+import serial
+from serial.tools import list_ports
+
+from rig.errors import RigError
+
+BAUD = 2_000_000
+
+
+class PortLost(RigError):
+    """The port was there, and is not any more."""
+
+
+class Found(NamedTuple):
+    """A port of this computer."""
+
+    name: str
+    description: str
+    serial_number: str
+
+
+def ports() -> list[Found]:
+    """All serial ports, by name."""
+    return [
+        Found(port.device, port.description or "", port.serial_number or "")
+        for port in sorted(list_ports.comports(), key=lambda port: port.device)
+    ]
+
+
+def open_port(name: str, baud: int = BAUD) -> serial.Serial:
+    """The port, for this process alone. Reads wait 50 ms at most, writes half a second.
+
+    Raises `RigError` for a port that is missing, busy, forbidden, or no serial port.
+    """
+    try:
+        port = serial.Serial(name, baud, timeout=0.05, write_timeout=0.5, exclusive=True)
+    except (serial.SerialException, OSError, ValueError) as error:
+        raise RigError(_why(name, error)) from None
+    port.reset_input_buffer()
+    return port
+
+
+def _why(name: str, error: Exception) -> str:
+    number = getattr(error, "errno", None)
+    if number is None and error.__context__ is not None:
+        number = getattr(error.__context__, "errno", None)
+    if number == errno.ENOENT or (os.name == "posix" and not os.path.exists(name)):
+        there = ", ".join(port.name for port in ports()) or "none"
+        return f"--port {name}: no such port; there are: {there}; is it plugged in?"
+    if number in (errno.EACCES, errno.EPERM):
+        return (
+            f"--port {name}: no permission; on Linux add yourself to its group "
+            f"(sudo usermod -aG dialout $USER) and log in again"
+        )
+    if number in (errno.EAGAIN, errno.EBUSY) or "lock" in str(error):
+        return f"--port {name}: busy; another program has it open: close that one"
+    if number == errno.ENOTTY:
+        return f"--port {name}: is no serial port"
+    return f"--port {name}: cannot be opened ({error})"

@@ -1,0 +1,94 @@
+"""A simulated manifold with what it drives, in the device's time."""
+
+from collections import deque
+from collections.abc import Callable
+from random import Random
+
+from rig.simulated.manifold import ManifoldCore
+from rig.simulated.mischief import Line, Mischief
+from rig.simulated.tank import Measured, Tank
+
+STEP = 2_000
+"""Of the tank, and between readings [us]."""
+STALL = 99_000
+"""A program that was not run for a while does not take that for its host's silence [us]."""
+
+
+class SimulatedRig:
+    """Bytes in and out of a manifold whose chambers are those of a tank.
+
+    The tank is one step ahead of the clock, so that what a sensor asks for lies between two states.
+    """
+
+    def __init__(
+        self,
+        tank: Tank,
+        core: ManifoldCore | None = None,
+        mischief: Mischief = Mischief(),
+        new_core: Callable[[], ManifoldCore] = ManifoldCore,
+    ):
+        self.core, self.tank, self.mischief = core or new_core(), tank, mischief
+        self._new_core = new_core
+        self._in, self._out, self._random = Line(mischief), Line(mischief), Random(mischief.seed)
+        self._begun: int | None = None
+        self._at, self._reset, self._held = 0, False, b""
+        self._stuck: int | None = None
+        self._states: deque[tuple[int, Measured]] = deque(maxlen=500)
+
+    def feed(self, piece: bytes, now_us: int) -> bytes:
+        """Takes bytes from the host; returns what is said to them."""
+        said = self.core.feed(self._in.damage(piece), min(now_us, self._at + STALL))
+        return self._late(self._out.damage(said), now_us)
+
+    def tick(self, now_us: int) -> bytes:
+        """Goes on to `now_us`; returns what is said meanwhile."""
+        if self._begun is None:
+            self._begun = self._at = now_us
+            self._states.append((now_us, self.tank.advance(None, STEP * 1e-6)))
+        said = b""
+        while self._at <= now_us:
+            since = (self._at - self._begun) * 1e-6
+            if self.mischief.reset_at is not None and since >= self.mischief.reset_at:
+                if not self._reset:
+                    self.core, self._reset = self._new_core(), True
+            said += self.core.tick(self._at, self._channels(self._states[-1][1], since))
+            ahead = self.tank.advance(self.core.set_pressures, STEP * 1e-6)
+            self._at += STEP
+            self._states.append((self._at, ahead))
+        return self._late(self._out.damage(said), now_us)
+
+    def measured(self, now_us: int) -> Measured:
+        """The tank's true values at a time within the last second, linear between its steps."""
+        states = list(self._states)
+        if not states:
+            return Measured((0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
+        after = next((i for i in range(len(states) - 1, 0, -1) if states[i - 1][0] <= now_us), 0)
+        if after == 0:
+            return states[0][1]
+        (t0, a), (t1, b) = states[after - 1], states[after]
+        share = min((now_us - t0) / (t1 - t0), 1.0)
+
+        def between(x: float, y: float) -> float:
+            return x + share * (y - x)
+
+        p = [between(x, y) for x, y in zip(a.chambers, b.chambers, strict=True)]
+        rest = (between(x, y) for x, y in zip(a[1:], b[1:], strict=True))
+        return Measured((p[0], p[1], p[2], p[3]), *rest)
+
+    def _channels(self, state: Measured, since: float) -> tuple[int, ...]:
+        noise = self.mischief.noise
+        chambers = [p + self._random.gauss(0.0, noise) if noise else p for p in state.chambers]
+        channels = [*(round(p) for p in chambers), round(state.supply), 0, 0, 0]
+        stuck = self.mischief.stuck
+        if stuck is not None and since >= stuck[1]:
+            self._stuck = channels[stuck[0]] if self._stuck is None else self._stuck
+            channels[stuck[0]] = self._stuck
+        return tuple(channels)
+
+    def _late(self, said: bytes, now_us: int) -> bytes:
+        silent, begun = self.mischief.silent, self._begun or now_us
+        if silent is not None and silent[0] <= (now_us - begun) * 1e-6 < silent[1]:
+            self._held += said
+            return b""
+        said, self._held = self._held + said, b""
+        return said
