@@ -90,9 +90,9 @@ class Manifold:
             self._close()
             version = ".".join(map(str, self.ident[1:4]))
             raise RigError(
-                f"{self._port.name}: firmware {version} speaks protocol {self.ident.protocol}; this "
-                f"program speaks {PROTOCOL}: flash the firmware in rig/firmware, or install the "
-                "program that goes with it"
+                f"{self._port.name}: firmware {version} speaks protocol {self.ident.protocol}; "
+                f"this program speaks {PROTOCOL}: flash the firmware in rig/firmware, or install "
+                "the program that goes with it"
             )
         return self
 
@@ -193,17 +193,20 @@ class Manifold:
             if isinstance(self._failure, PortLost):
                 raise self._failure
             seq = self._tell(make)
-            with self._news:
-                self._news.wait_for(
-                    lambda: seq in self._acks or isinstance(self._failure, PortLost), PATIENCE
-                )
-                ack = self._acks.pop(seq, None)
+            ack = self._answer(seq)
             if ack is not None:
                 self._judge(make(seq), ack)
                 return
         self.check()
         name = type(make(0)).__name__
         raise RigError(f"{self._port.name}: no answer to {name}, asked three times; {VENTS}")
+
+    def _answer(self, seq: int) -> Ack | None:
+        with self._news:
+            self._news.wait_for(
+                lambda: seq in self._acks or isinstance(self._failure, PortLost), PATIENCE
+            )
+            return self._acks.pop(seq, None)
 
     def _judge(self, message: Message, ack: Ack) -> None:
         if ack.answer == Answer.DONE:

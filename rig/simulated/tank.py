@@ -1,4 +1,4 @@
-"""What a simulated rig controls and measures; the simulator's robot can take the place of this one."""
+"""What a simulated rig controls and measures; the simulator's robot can take its place."""
 
 from math import exp
 from typing import NamedTuple, Protocol
@@ -31,27 +31,24 @@ class BenchTank:
     """Chambers with a first-order lag, and a tail without water that follows them.
 
     Enough to try every command of the rig, and to see in thrust and tip what was set; it is no
-    model of swimming. `leak` [1/s] is the rate at which a chamber's pressure is lost, `gain` [m/Pa]
-    how far the tip goes.
+    model of swimming. `lag` [s]; `leak` [1/s] is the rate at which a chamber's pressure is lost,
+    `gain` [m/Pa] how far the tip goes.
     """
 
     def __init__(self, lag: float = 0.05, supply: float = 600e3, gain: float = 2e-7):
         self.lag, self.supply, self.gain = lag, supply, gain
         self.leak = [0.0, 0.0, 0.0, 0.0]
         self._p = [0.0, 0.0, 0.0, 0.0]
-        self._tip = self._speed = 0.0
 
     def advance(self, set_pressures: tuple[int, ...] | None, seconds: float) -> Measured:
-        """Exact for pressures held over the step; the tail by the trapezoidal rule."""
+        """Exact for pressures that are held over the step."""
         wanted = set_pressures or (0, 0, 0, 0)
         before = self.gain * (self._p[0] - self._p[1] + self._p[2] - self._p[3])
         for i, target in enumerate(wanted):
             rate = 1.0 / self.lag + self.leak[i]
             steady = target / (self.lag * rate)
             self._p[i] = steady + (self._p[i] - steady) * exp(-rate * seconds)
-        self._tip = self.gain * (self._p[0] - self._p[1] + self._p[2] - self._p[3])
-        speed = (self._tip - before) / seconds
-        acceleration, self._speed = (speed - self._speed) / seconds, speed
         a, b, c, d = self._p
-        thrust, recoil = 2.0 * speed**2, -0.05 * acceleration
-        return Measured((a, b, c, d), self.supply, thrust, recoil, self._tip)
+        tip = self.gain * (a - b + c - d)
+        speed = (tip - before) / seconds
+        return Measured((a, b, c, d), self.supply, 2.0 * speed**2, -1e-6 * (a - b), tip)
