@@ -129,7 +129,7 @@ def test_any_sound_frame_keeps_it_going_and_noise_does_not():
     for _ in range(3):
         bench.wait(0.04)
         bench.core.feed(b"\x07noise\0" + encode(Event(1, 2, 3)), bench.now)
-    assert bench.core.state == State.FAULT and bench.core.damaged == 5
+    assert bench.core.state == State.FAULT and bench.core.damaged == 6
 
 
 def test_stop_vents_in_every_state():
