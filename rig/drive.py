@@ -71,6 +71,16 @@ class Drive:
         sign = 1.0 if half_turns % 2 == 0 else -1.0
         return sign * min(max((turns - half_turns / 2.0) / (0.5 * self.rise), -1.0), 1.0)
 
+    def edges(self, duration: float) -> np.ndarray:
+        """Times [s] within the trial at which a set pressure jumps."""
+        if self.waveform != "square" or not self.amplitude:
+            return np.empty(0)
+        # Each segment jumps at (n/2 + its phase) periods.
+        shifts = np.array([0.0, self.phase % 0.5])
+        halves = np.arange(int(2.0 * self.frequency * duration) + 1) / 2.0
+        times = np.unique((halves[:, None] + shifts).ravel() / self.frequency)
+        return times[times < duration]
+
     def check(self, limits: Limits, duration: float) -> None:
         """Raises `RigError` if a chamber is ever asked for more than its limit."""
         if self.waveform == "recorded":

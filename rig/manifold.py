@@ -1,7 +1,6 @@
 """The manifold over its line: commands out, readings in, and a stop on every way out."""
 
 import threading
-import time
 from collections.abc import Callable, Sequence
 from types import TracebackType
 
@@ -285,11 +284,3 @@ class Manifold:
         self._ends.set()
         self._reader.join(0.5)
         self._port.close()
-
-
-def wait_until(deadline: float) -> float:
-    """Sleeps until `deadline` of `time.monotonic`; returns how late it is [s]."""
-    left = deadline - time.monotonic()
-    if left > 0.0:
-        time.sleep(left)
-    return time.monotonic() - deadline

@@ -1,0 +1,141 @@
+"""One trial: quiet, the drive, quiet again; all streams in one recording, and a vent at the end."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from rig.drive import Drive
+from rig.manifold import Manifold
+from rig.playing import RATE, Played, play, wait_until
+from rig.recorder import Load, Recorder
+from rig.safety import Limits
+
+Sink = Callable[[int, bytes], None]
+
+
+class Instrument(Protocol):
+    """What is recorded beside the manifold: a force sensor, a camera."""
+
+    def start(self, sink: Sink) -> None:
+        """Hands (host time [ns], bytes) to `sink` from now on."""
+        ...
+
+    def stop(self) -> None:
+        """Ends that."""
+        ...
+
+    def check(self) -> None:
+        """Raises `RigError` where it fell silent or fails."""
+        ...
+
+
+class Timing(NamedTuple):
+    """Of a trial [s], and its commands a second."""
+
+    quiet: float = 1.0
+    """At rest before the drive, from which tares and noise are taken."""
+    after: float = 0.3
+    rate: float = RATE
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What is played: `name` is that of its files, without a suffix."""
+
+    name: str
+    drive: Drive
+    duration: float
+    """[s]"""
+
+
+class Captured(NamedTuple):
+    """A trial that is on disk."""
+
+    played: Played
+    load: Load
+
+
+class Switch:
+    """A sink that can be connected to another one, and drops what comes while it is not."""
+
+    def __init__(self) -> None:
+        self.to: Sink | None = None
+
+    def __call__(self, host_ns: int, piece: bytes) -> None:
+        to = self.to
+        if to is not None:
+            to(host_ns, piece)
+
+
+class Switches(NamedTuple):
+    """Where the manifold's bytes go, in and out."""
+
+    came: Switch
+    went: Switch
+
+
+def capture(
+    trial: Trial,
+    manifold: Manifold,
+    switches: Switches,
+    instruments: dict[str, Instrument],
+    path: Path,
+    limits: Limits,
+    settings: dict[str, Any],
+    timing: Timing = Timing(),
+    watch: Callable[[str, float], None] = lambda phase, t: None,
+) -> Captured:
+    """Records a trial to `path`; `instruments` are by the name of their stream.
+
+    Its end, whichever it is, vents the manifold before anything else. `watch` hears, a hundred
+    times a second or so, what is done and its time [s]. Raises `RigError`.
+    """
+    trial.drive.check(limits, trial.duration)
+    streams = ("manifold", "commands", *instruments)
+
+    def check() -> None:
+        manifold.check()
+        recorder.check()
+        for instrument in instruments.values():
+            instrument.check()
+
+    def wait(phase: str, seconds: float) -> None:
+        ticks = np.arange(1, max(int(100 * seconds), 1) + 1) / 100
+        start = time.monotonic()
+        for t in ticks:
+            wait_until(start + t)
+            check()
+            watch(phase, float(t))
+
+    def on_tick(t: float) -> None:
+        check()
+        watch("drive", t)
+
+    manifold.configure(limits)
+    recorder = Recorder(path, streams, settings)
+    with recorder:
+        started: list[Instrument] = []
+        try:
+            switches.came.to, switches.went.to = (
+                recorder.sink("manifold"),
+                recorder.sink("commands"),
+            )
+            for name, instrument in instruments.items():
+                instrument.start(recorder.sink(name))
+                started.append(instrument)
+            wait("quiet", timing.quiet)
+            manifold.arm()
+            try:
+                played = play(manifold, trial.drive, trial.duration, timing.rate, on_tick)
+            finally:
+                manifold.stop()
+            wait("after", timing.after)
+        finally:
+            for instrument in started:
+                instrument.stop()
+            switches.came.to = switches.went.to = None
+    return Captured(played, recorder.load())

@@ -1,0 +1,71 @@
+"""A drive is played: set pressures at an even rate, and at every edge at its own time."""
+
+import time
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from rig.clock import host_ns
+from rig.drive import Drive, chambers
+
+RATE = 200.0
+"""Commands a second."""
+SPIN = 0.0003
+"""A thread that sleeps wakes late; the last of the wait is spent awake [s]."""
+
+
+class Settable(Protocol):
+    """What set pressures are sent to."""
+
+    def set(self, pressures: tuple[float, float, float, float], /) -> int: ...
+
+
+class Played(NamedTuple):
+    """How a drive was played."""
+
+    begun_ns: int
+    """Host time of its t = 0 [ns]."""
+    lateness: np.ndarray
+    """(commands,) [s] from when each was due until it was on the wire."""
+
+
+def schedule(drive: Drive, duration: float, rate: float = RATE) -> np.ndarray:
+    """Times [s] of all commands, from 0 and before `duration`."""
+    even = np.arange(int(np.ceil(duration * rate))) / rate
+    edges = drive.edges(duration)
+    times = np.union1d(even, edges)
+    # An edge that rounding put beside an even one is that one.
+    return times[np.concatenate([[True], np.diff(times) > 1e-6])]
+
+
+def play(
+    manifold: Settable,
+    drive: Drive,
+    duration: float,
+    rate: float = RATE,
+    watch: Callable[[float], None] = lambda t: None,
+) -> Played:
+    """Plays it, now. `watch` hears of every command's time [s]; what it raises ends the trial."""
+    times = schedule(drive, duration, rate)
+    lateness = np.empty(len(times))
+    start = time.monotonic() + 0.002
+    begun = host_ns() + round((start - time.monotonic()) * 1e9)
+    for i, t in enumerate(times):
+        pressures = chambers(*drive.segments(t))
+        wait_until(start + t)
+        manifold.set(pressures)
+        lateness[i] = time.monotonic() - (start + t)
+        watch(float(t))
+    wait_until(start + duration)
+    return Played(begun, lateness)
+
+
+def wait_until(deadline: float) -> None:
+    """Until `deadline` of `time.monotonic`."""
+    while True:
+        left = deadline - time.monotonic()
+        if left <= 0.0:
+            return
+        if left > SPIN:
+            time.sleep(left - SPIN)
