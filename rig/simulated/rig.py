@@ -10,6 +10,8 @@ from rig.simulated.tank import Measured, Tank
 
 STEP = 2_000
 """Of the tank, and between readings [us]."""
+TIP_PER_VOLT = 0.1
+"""Of the sensor of the tip, on the first analogue input [m/V]."""
 STALL = 99_000
 """A program that was not run for a while does not take that for its host's silence [us]."""
 
@@ -78,7 +80,8 @@ class SimulatedRig:
     def _channels(self, state: Measured, since: float) -> tuple[int, ...]:
         noise = self.mischief.noise
         chambers = [p + self._random.gauss(0.0, noise) if noise else p for p in state.chambers]
-        channels = [*(round(p) for p in chambers), round(state.supply), 0, 0, 0]
+        tip = round(1e6 * state.tip / TIP_PER_VOLT)
+        channels = [*(round(p) for p in chambers), round(state.supply), tip, 0, 0]
         stuck = self.mischief.stuck
         if stuck is not None and since >= stuck[1]:
             self._stuck = channels[stuck[0]] if self._stuck is None else self._stuck

@@ -8,6 +8,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from rig.errors import RigError
 from slider_jax.errors import InputError, SolverError, nearest
 
 
@@ -21,6 +22,8 @@ class Command(NamedTuple):
     help: str
     alone: bool = False
     """Of a group's own command: whether it runs without arguments, and takes bare words."""
+    jax: bool = True
+    """Whether it needs JAX, which the computer beside a tank may lack."""
 
 
 COMMANDS = {
@@ -65,6 +68,23 @@ COMMANDS = {
     ),
     "calibrate": Command(
         "slider_jax.cli.calibrate_tank:tank", "C_d, m_a, k and K_Q from measured trials"
+    ),
+    "rig ports": Command("slider_jax.cli.rig:ports", "this computer's serial ports", jax=False),
+    "rig check": Command(
+        "slider_jax.cli.rig_check:check", "line, noise and leaks of a rig, in a minute", jax=False
+    ),
+    "rig run": Command(
+        "slider_jax.cli.rig_run:run", "an experiment's trials on the rig, recorded", jax=False
+    ),
+    "rig replay": Command(
+        "slider_jax.cli.rig_replay:replay",
+        "a recording's columns anew, or at its own pace",
+        jax=False,
+    ),
+    "rig simulate": Command(
+        "slider_jax.cli.rig_simulate:simulate",
+        "a rig that is not there, to try all this on",
+        jax=False,
     ),
 }
 
@@ -141,6 +161,8 @@ def _refuse_unknown_options(function: Callable[..., Any], words: Sequence[str]) 
 def run(arguments: Sequence[str]) -> int:
     """Run one command and return its exit code; input and solver errors are raised."""
     name, rest = find(arguments)
+    if COMMANDS[name].jax:
+        prepare_jax()
     module, function = COMMANDS[name].target.split(":")
     import tyro
 
@@ -167,9 +189,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"slider {__version__}")
         return 0
     try:
-        prepare_jax()
         return run(arguments)
-    except (InputError, SolverError) as error:
+    except (InputError, SolverError, RigError) as error:
         print(f"slider: error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

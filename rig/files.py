@@ -1,0 +1,36 @@
+"""Files beside the recordings, written under a temporary name and renamed."""
+
+import json
+import math
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+def write_text(path: Path, text: str) -> None:
+    """`text` to `path`, all of it or nothing."""
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=".tmp-", suffix=path.suffix)
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+        os.chmod(name, 0o644)
+        os.replace(name, path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Raises `ValueError` for a number that is not finite."""
+    write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
+
+
+def write_csv(path: Path, columns: Mapping[str, np.ndarray]) -> None:
+    """Columns (n,) by name with unit; a NaN is a blank cell."""
+    cells = [["" if math.isnan(x) else f"{x:.9g}" for x in v.tolist()] for v in columns.values()]
+    rows = [",".join(columns), *(",".join(row) for row in zip(*cells, strict=True))]
+    write_text(path, "\n".join(rows) + "\n")

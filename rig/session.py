@@ -1,0 +1,155 @@
+"""An experiment on the rig, trial after trial into a folder; stopped, it can go on."""
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.capture import Captured, Instrument, Switches, Timing, Trial, capture
+from rig.columns import Analogue, Columns, Reader, columns
+from rig.errors import RigError
+from rig.files import write_csv, write_json
+from rig.manifold import Manifold
+from rig.recording import read_recording
+from rig.safety import Limits
+
+RECORDINGS = "recordings"
+"""In an experiment's folder: all that came of a trial, NAME.h5, and what is told, NAME.json."""
+
+
+@dataclass(frozen=True)
+class Rig:
+    """What trials are run with. Instruments and their readers are by the name of their stream."""
+
+    manifold: Manifold
+    switches: Switches
+    limits: Limits
+    instruments: dict[str, Instrument]
+    readers: dict[str, Reader]
+    analogue: tuple[Analogue, ...] = ()
+    timing: Timing = Timing()
+    pause: float = 2.0
+    """Between trials, for the water to come to rest [s]."""
+
+
+def run(
+    trials: Sequence[Trial],
+    rig: Rig,
+    folder: Path,
+    settings: dict[str, Any],
+    watch: Callable[[str, str, float], None] = lambda trial, phase, t: None,
+    done: Callable[[Trial, dict[str, Any]], None] = lambda trial, told: None,
+) -> list[dict[str, Any]]:
+    """Each trial's CSV in `folder`, and what is to be known of it, in order.
+
+    Trials that an earlier run with the same `settings` finished are not run again. A recording that
+    one left behind unfinished is kept under another name. Raises `RigError`.
+    """
+    for trial in trials:
+        trial.drive.check(rig.limits, trial.duration)
+    recordings = folder / RECORDINGS
+    recordings.mkdir(parents=True, exist_ok=True)
+    found, begun = [], False
+    for trial in trials:
+        told = finished(folder, trial.name, settings)
+        if told is None:
+            if begun:
+                rest(rig, rig.pause, lambda t, name=trial.name: watch(name, "pause", t))
+            begun = True
+            told = one(trial, rig, folder, settings, watch)
+            done(trial, told)
+        found.append(told)
+    return found
+
+
+def one(
+    trial: Trial,
+    rig: Rig,
+    folder: Path,
+    settings: dict[str, Any],
+    watch: Callable[[str, str, float], None],
+) -> dict[str, Any]:
+    """Runs a trial, and writes its files."""
+    path = folder / RECORDINGS / f"{trial.name}.h5"
+    _keep(path)
+    captured = capture(
+        trial, rig.manifold, rig.switches, rig.instruments, path, rig.limits, settings, rig.timing,
+        lambda phase, t: watch(trial.name, phase, t),
+    )  # fmt: skip
+    read = columns(
+        read_recording(path), captured.played.begun_ns, trial.duration, rig.readers, rig.analogue
+    )
+    told = _told(trial, captured, read) | {"settings": settings, "versions": _versions()}
+    write_csv(folder / f"{trial.name}.csv", read.values)
+    write_json(path.with_suffix(".json"), told)
+    return told
+
+
+def rest(rig: Rig, seconds: float, watch: Callable[[float], None]) -> None:
+    """Waits, vented, and raises what happens meanwhile."""
+    end = time.monotonic() + seconds
+    while (left := end - time.monotonic()) > 0.0:
+        time.sleep(min(left, 0.05))
+        rig.manifold.check()
+        watch(left)
+
+
+def finished(folder: Path, name: str, settings: dict[str, Any]) -> dict[str, Any] | None:
+    """What an earlier run told of a trial that it finished; None if there is none.
+
+    Raises `RigError` if that run had other settings.
+    """
+    path = folder / RECORDINGS / f"{name}.json"
+    try:
+        told = json.loads(path.read_text())
+        before = told["settings"]
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, TypeError):
+        raise RigError(
+            f"{path}: cannot be read; move it away to run the trial again, or give another --out"
+        ) from None
+    # As JSON, in which tuples are lists.
+    now = json.loads(json.dumps(settings))
+    differ = [key for key in {*before, *now} if before.get(key) != now.get(key)]
+    if differ:
+        raise RigError(
+            f"{path}: trial {name} is there already, run with another {', '.join(sorted(differ))}; "
+            "give another --out, or the same settings to go on"
+        )
+    return told if (folder / f"{name}.csv").exists() else None
+
+
+def _keep(path: Path) -> None:
+    """What an unfinished trial recorded is not written over."""
+    count = 1
+    while path.exists():
+        kept = path.with_name(f"{path.stem}.unfinished-{count}.h5")
+        if not kept.exists():
+            path.rename(kept)
+        count += 1
+
+
+def _told(trial: Trial, captured: Captured, read: Columns) -> dict[str, Any]:
+    late = captured.played.lateness
+    drive = {key: x for key, x in asdict(trial.drive).items() if not isinstance(x, np.ndarray)}
+    return {
+        "trial": trial.name,
+        "duration_s": trial.duration,
+        "drive": drive,
+        "begun_host_ns": captured.played.begun_ns,
+        "commands": len(late),
+        "command_late_99_s": float(np.percentile(late, 99)),
+        "command_late_most_s": float(late.max()),
+        "recorder_slowest_flush_s": captured.load.slowest_flush,
+        **read.told,
+    }
+
+
+def _versions() -> dict[str, str]:
+    return {name: version(name) for name in ("slider-jax", "pyserial", "numpy", "h5py", "cobs")}

@@ -1,0 +1,81 @@
+"""A simulated rig as a whole: a manifold on a pseudo-terminal, a force sensor on the network."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import NamedTuple
+
+import numpy as np
+
+from rig.simulated.force_sensor import Box, SimulatedForceSensor
+from rig.simulated.rig import TIP_PER_VOLT, SimulatedRig
+from rig.simulated.terminal import Terminal
+
+
+class OnHost:
+    """A rig whose device time is known on the host's clock, once it runs."""
+
+    def __init__(self, rig: SimulatedRig, at: Callable[[float], None] = lambda seconds: None):
+        self.rig, self._at = rig, at
+        self._zero_ns: int | None = None
+
+    def feed(self, piece: bytes, now_us: int) -> bytes:
+        """As `Device.feed`."""
+        return self.rig.feed(piece, now_us)
+
+    def tick(self, now_us: int) -> bytes:
+        """As `Device.tick`; `at` hears of the seconds since the start."""
+        zero = time.monotonic_ns() - 1000 * now_us
+        self._zero_ns = zero if self._zero_ns is None else min(zero, self._zero_ns)
+        self._at(1e-6 * now_us)
+        return self.rig.tick(now_us)
+
+    def wrench(self, host_s: float) -> np.ndarray:
+        """(6,) forces [N] and torques [N m] at a time of the host: thrust along x, recoil y."""
+        zero = self._zero_ns or time.monotonic_ns()
+        now = self.rig.measured(round((1e9 * host_s - zero) / 1000))
+        return np.array([now.thrust, now.recoil, 0.0, 0.0, 0.0, 0.0])
+
+
+class Running(NamedTuple):
+    """Where a simulated rig is found."""
+
+    port: str
+    force: SimulatedForceSensor
+    page_port: int
+
+    def settings(self) -> str:
+        """A rig file that suits it."""
+        return (
+            "# The rig that `slider rig simulate` made up.\n"
+            "[force]\n"
+            f'host = "{self.force.host}"\n'
+            f"port = {self.force.port}\n"
+            f"page_port = {self.page_port}\n\n"
+            "[[analogue]]\n"
+            'column = "tip_m"\n'
+            "input = 1\n"
+            f"scale = {TIP_PER_VOLT}  # m/V\n"
+        )
+
+
+@contextmanager
+def running(
+    rig: SimulatedRig,
+    force_noise: float = 2e-3,
+    at: Callable[[float], None] = lambda seconds: None,
+    seed: int = 0,
+) -> Iterator[Running]:
+    """The rig in threads of this process, until the block ends. `force_noise` [N]."""
+    device, ends = OnHost(rig, at), threading.Event()
+    terminal = Terminal(device)
+    sensor = SimulatedForceSensor(Box(device.wrench, noise=force_noise, seed=seed))
+    thread = threading.Thread(target=terminal.serve, args=(ends.is_set,), daemon=True)
+    thread.start()
+    try:
+        yield Running(terminal.path, sensor, sensor.serve_page())
+    finally:
+        ends.set()
+        thread.join()
+        sensor.close()

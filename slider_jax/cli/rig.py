@@ -1,0 +1,157 @@
+"""`slider rig`: what its commands share, and the list of ports."""
+
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from rig.capture import Instrument, Switch, Switches, Timing, Trial
+from rig.columns import Analogue, Reader
+from rig.drive import Drive
+from rig.manifold import Manifold
+from rig.safety import Limits
+from rig.session import Rig
+from slider_jax.cli.rig_settings import ForceTable, RigTable
+from slider_jax.csv_file import read_csv
+from slider_jax.errors import InputError
+from slider_jax.schema import ExperimentTable, Trial as TrialTable
+from slider_jax.toml_file import read_toml, validate
+
+Port = Annotated[str, tyro.conf.arg(metavar="PORT")]
+RigFile = Annotated[Path | None, tyro.conf.arg(metavar="RIG.toml")]
+
+
+def ports() -> None:
+    """List this computer's serial ports: name, description, serial number."""
+    from rig.port import ports as found
+
+    there = found()
+    for port in there:
+        print(f"{port.name}  {port.description}  {port.serial_number}".rstrip())
+    if not there:
+        print("no serial ports; plug the manifold in, or start `slider rig simulate`")
+
+
+def trials_of(path: Path) -> tuple[ExperimentTable, list[Trial]]:
+    """An experiment file, and its trials as they are played. Raises `InputError`."""
+    experiment = validate(ExperimentTable, read_toml(path), str(path))
+    return experiment, [to_play(x, path) for x in experiment.trials]
+
+
+def to_play(trial: TrialTable, path: Path) -> Trial:
+    """A trial as it is played. Raises `InputError` for one that a rig cannot play."""
+    name = Path(trial.file).stem
+    if trial.waveform != "recorded":
+        return Trial(
+            name,
+            Drive(
+                trial.waveform, trial.frequency or 0.0, trial.amplitude or 0.0, trial.rear_ratio,
+                trial.phase, trial.rise,
+            ),
+            trial.duration,
+        )  # fmt: skip
+    if trial.drive_is == "measured":
+        raise InputError(
+            f'{path}: trial {trial.file}: drive_is = "measured"; allowed "set", for measured '
+            "pressures cannot be set"
+        )
+    columns = read_csv(path.parent / str(trial.drive_file), ("t_s", "p_front_Pa", "p_rear_Pa"))
+    recorded = np.stack([columns["p_front_Pa"], columns["p_rear_Pa"]], axis=1)
+    drive = Drive("recorded", times=columns["t_s"], recorded=recorded)
+    return Trial(name, drive, trial.duration)
+
+
+def force_of(table: ForceTable) -> tuple[Instrument, Reader]:
+    """A force sensor, opened, and how its stream is read."""
+    from rig.force import Mounting
+    from rig.force_net import NetCalibration, NetForce
+    from rig.sources import force_reader
+
+    if table.counts_per_N is not None and table.counts_per_Nm is not None:
+        calibration = NetCalibration(table.counts_per_N, table.counts_per_Nm)
+    else:
+        calibration = NetCalibration.fetch(table.host, table.page_port)
+    source = NetForce(table.host, calibration, table.port)
+    return source, force_reader(calibration, Mounting(table.thrust, table.recoil))
+
+
+@contextmanager
+def opened(port: str, table: RigTable) -> Iterator[Rig]:
+    """The rig of a table, from the port's opening to its stop, whichever way the block ends.
+
+    SIGTERM and SIGHUP end the block as Ctrl-C does, so that they vent too.
+    """
+    from rig.port import open_port
+
+    settings = table.manifold
+    switches = Switches(Switch(), Switch())
+    with ExitStack() as stack:
+        stack.enter_context(signals_as_ctrl_c())
+        instruments, readers = {}, {}
+        if table.force is not None:
+            source, readers["force"] = force_of(table.force)
+            instruments["force"] = source
+            stack.callback(source.close)  # type: ignore[attr-defined]
+        manifold = stack.enter_context(Manifold(open_port(port), *switches))
+        analogue = tuple(Analogue(x.column, x.input, x.scale, x.zero) for x in table.analogue)
+        timing = Timing(settings.quiet, settings.after, settings.commands_per_second)
+        yield Rig(
+            manifold, switches, Limits.of(settings.limits), instruments, readers, analogue, timing,
+            settings.pause,
+        )  # fmt: skip
+
+
+@contextmanager
+def signals_as_ctrl_c() -> Iterator[None]:
+    def interrupt(number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    names = [x for x in ("SIGTERM", "SIGHUP") if hasattr(signal, x)]
+    before = {x: signal.signal(getattr(signal, x), interrupt) for x in names}
+    try:
+        yield
+    finally:
+        for name, handler in before.items():
+            signal.signal(getattr(signal, name), handler)
+
+
+class Live:
+    """What goes on, in one line of a terminal; on any other stderr a line every two seconds."""
+
+    def __init__(self, rig: Rig, total: int):
+        self._rig, self._total, self._next = rig, total, 0.0
+        self._terminal = sys.stderr.isatty()
+        self._count, self._name = 0, ""
+
+    def __call__(self, trial: str, phase: str, t: float) -> None:
+        """Called often; says something now and then."""
+        now = time.monotonic()
+        if trial != self._name:
+            self._name, self._count = trial, self._count + 1
+        if now < self._next:
+            return
+        self._next = now + (0.1 if self._terminal else 2.0)
+        manifold = self._rig.manifold
+        said = f"{trial} ({self._count} of {self._total}), {phase} {t:5.1f} s"
+        if manifold.latest is not None:
+            p = [1e-3 * x for x in manifold.latest.channels[:4]]
+            said += f"  front {p[0] - p[1]:6.1f} rear {p[2] - p[3]:6.1f} kPa"
+        source = self._rig.instruments.get("force")
+        if source is not None:
+            found = source.latest()  # type: ignore[attr-defined]
+            said += f"  Fx {found[1][0]:6.3f} N" if found is not None else ""
+            said += f"  force lost {source.health().missing}"  # type: ignore[attr-defined]
+        said += f"  lost {manifold.lost} damaged {manifold.damaged}"
+        print(f"\r{said:<100}" if self._terminal else said, end="" if self._terminal else "\n",
+              file=sys.stderr, flush=True)  # fmt: skip
+
+    def end(self) -> None:
+        """Leaves the line."""
+        if self._terminal:
+            print(file=sys.stderr)

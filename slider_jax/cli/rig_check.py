@@ -1,0 +1,59 @@
+"""`slider rig check`: is a rig fit for a trial."""
+
+import sys
+from pathlib import Path
+
+from slider_jax.cli.options import Value
+from slider_jax.cli.rig import Port, RigFile
+
+
+def check(port: Port, rig: RigFile = None, pressure: Value = 50e3, out: Path | None = None) -> int:
+    """Check rate and line, answer times, noise at rest, and how each chamber fills and holds.
+
+    Each chamber is set to the pressure by itself for 1.5 s, and all vent at the end. Exit code 1 if
+    something is found.
+
+    Args:
+        port: serial port of the manifold.
+        rig: TOML file of the rig.
+        pressure: set pressure of the test [Pa].
+        out: JSON file for what was found.
+    """
+    from rig.checking import Collector, check as check_rig
+    from rig.manifold import Manifold
+    from rig.messages import CHANNELS
+    from rig.port import open_port
+    from rig.safety import Limits, checked
+    from slider_jax.cli.rig import signals_as_ctrl_c
+    from slider_jax.cli.rig_settings import rig_of
+    from slider_jax.files import write_json
+
+    limits = Limits.of(rig_of(rig).manifold.limits)
+    checked((pressure,) * 4, limits)
+    collector = Collector()
+    with signals_as_ctrl_c(), Manifold(open_port(port), on_reading=collector) as manifold:
+        manifold.configure(limits)
+        ident = manifold.ident
+        found = check_rig(
+            manifold, collector, pressure, lambda text: print(f"{text} ...", file=sys.stderr)
+        )
+    assert ident is not None
+    trip = 1e3 * found.round_trip
+    print(f"firmware {ident.major}.{ident.minor}.{ident.patch}, protocol {ident.protocol}")
+    print(f"{found.rate:.0f} readings a second, {found.lost} lost, {found.damaged} frames damaged")
+    if len(trip):
+        print(
+            f"a command is told of after {sorted(trip)[len(trip) // 2]:.1f} ms, {trip.max():.1f} at most"
+        )
+    for name, offset, noise in zip(CHANNELS, found.offset, found.noise, strict=True):
+        print(f"{name:<20} at rest {offset:10.1f}, noise {noise:8.2f}")
+    for x in found.held:
+        print(
+            f"{x.name:<12} {1e-3 * x.reached:7.2f} of {1e-3 * x.asked:g} kPa, 63 % after "
+            f"{1e3 * x.rise:.0f} ms"
+        )
+    print("\n".join(found.findings) or "nothing is wrong")
+    if out is not None:
+        content = found._asdict() | {"held": [x._asdict() for x in found.held]}
+        write_json(out, content)
+    return 1 if found.findings else 0

@@ -1,0 +1,82 @@
+"""`slider rig run`: an experiment's trials on the rig."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from slider_jax.cli.options import Folder
+from slider_jax.cli.rig import Live, Port, RigFile, opened, trials_of
+from slider_jax.errors import InputError
+
+
+def run(
+    experiment: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="EXPERIMENT.toml")],
+    port: Port,
+    out: Folder,
+    rig: RigFile = None,
+    limit: Annotated[tuple[float, ...] | None, tyro.conf.arg(metavar="PA")] = None,
+    force: Annotated[str | None, tyro.conf.arg(metavar="HOST")] = None,
+) -> None:
+    """Run every trial of an experiment, and record it.
+
+    All chambers vent at the end, on Ctrl-C, on an error, when the port is lost, and, by the
+    manifold's own watchdog, when this program or the computer dies. DIR becomes the experiment's
+    folder as `slider calibrate` and `slider close-loop` take it: experiment.toml and a CSV a trial;
+    in DIR/recordings is all that came, as it came. A run that was stopped goes on with the trials
+    that are missing when it is started again.
+
+    Args:
+        experiment: experiment file; its [robot] and [parameters] have no say here.
+        port: serial port of the manifold; `slider rig ports` lists them.
+        out: folder for the measured experiment; made if missing.
+        rig: TOML file of the rig: limits, pace, force sensor, analogue inputs.
+        limit: highest set pressure [Pa] of all chambers, or of the four; 250e3 by default.
+        force: address of an ATI Net F/T box; its other settings are the rig file's.
+    """
+    from rig.session import run as run_trials
+    from slider_jax.cli.rig_settings import rig_of
+    from slider_jax.files import output_folder, write_bytes
+    from slider_jax.provenance import input_file
+
+    if out.resolve() == experiment.resolve().parent:
+        raise InputError(f"--out {out}: is the experiment's own folder; give another")
+    table, trials = trials_of(experiment)
+    changes: dict[str, dict[str, Any]] = {}
+    if limit is not None:
+        changes["manifold"] = {"limits": list(limit)}
+    if force is not None:
+        changes["force"] = {"host": force}
+    settings = rig_of(rig, changes)
+    for trial in table.trials:
+        if trial.tow_speed or trial.clamp_moves:
+            moves = "is towed" if trial.tow_speed else "moves"
+            print(f"{trial.file}: its clamp {moves}: see to that", file=sys.stderr)
+    source = input_file(experiment)
+    told = {"experiment_sha256": source["sha256"], "rig": settings.model_dump(mode="json")}
+    with opened(port, settings) as machine:
+        ident = machine.manifold.ident
+        assert ident is not None
+        rate = table.sensors.sample_rate
+        if "sensors" in table.model_fields_set and abs(rate - ident.rate) > 0.05 * ident.rate:
+            raise InputError.value(
+                f"{experiment}: sensors.sample_rate",
+                f"{rate:g}",
+                f"{ident.rate} Hz, the manifold's",
+            )
+        for trial in trials:
+            trial.drive.check(machine.limits.within(ident), trial.duration)
+        folder = output_folder(out)
+        write_bytes(folder / "experiment.toml", experiment.read_bytes())
+        for name in {x.drive_file for x in table.trials if x.drive_file}:
+            write_bytes(folder / name, (experiment.parent / name).read_bytes())
+        live = Live(machine, len(trials))
+        found = run_trials(trials, machine, folder, told, live)
+        live.end()
+    for trial in found:
+        said = "; ".join(trial["findings"]) or "no findings"
+        print(f"{trial['trial']}.csv  {trial['readings']} readings, commands within "
+              f"{1e3 * trial['command_late_99_s']:.1f} ms: {said}")  # fmt: skip
+    print(f"experiment.toml and the trials are in {folder}: slider close-loop "
+          f"{folder / 'experiment.toml'} --out ...", file=sys.stderr)  # fmt: skip

@@ -1,0 +1,84 @@
+"""RIG.toml: what a lab's rig consists of, and what a file may say of it."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from slider_jax.errors import InputError
+from slider_jax.quantity import Quantity
+from slider_jax.schema import FROM_LIST, Table, _fail
+from slider_jax.toml_file import read_toml, validate
+
+Pressure = Annotated[float, Quantity(1e3, 2e6, "Pa")]
+Axis = Literal["+Fx", "-Fx", "+Fy", "-Fy", "+Fz", "-Fz"]
+
+
+class ManifoldTable(Table):
+    """[manifold]: highest set pressure of all chambers, or of each, and the pace of a trial."""
+
+    limits: Annotated[tuple[Pressure, ...], FROM_LIST, Field(min_length=1, max_length=4)] = (250e3,)
+    commands_per_second: Annotated[float, Quantity(50.0, 1000.0, "Hz")] = 200.0
+    quiet: Annotated[float, Quantity(0.2, 60.0, "s")] = 1.0
+    after: Annotated[float, Quantity(0.1, 60.0, "s")] = 0.3
+    pause: Annotated[float, Quantity(0.0, 3600.0, "s")] = 2.0
+
+    @model_validator(mode="after")
+    def _one_or_four(self) -> "ManifoldTable":
+        if len(self.limits) not in (1, 4):
+            _fail("limits", f"{len(self.limits)} pressures", "one for all chambers, or four")
+        return self
+
+
+class ForceTable(Table):
+    """[force]: an ATI Net F/T box, and which of its axes are thrust and recoil.
+
+    Without counts they are read from the box's own page.
+    """
+
+    host: str
+    port: Annotated[int, Field(ge=1, le=65535)] = 49152
+    page_port: Annotated[int, Field(ge=1, le=65535)] = 80
+    thrust: Axis = "+Fx"
+    recoil: Axis = "+Fy"
+    counts_per_N: Annotated[float, Quantity(1.0, 1e9)] | None = None
+    counts_per_Nm: Annotated[float, Quantity(1.0, 1e9)] | None = None
+
+    @model_validator(mode="after")
+    def _both_counts(self) -> "ForceTable":
+        if (self.counts_per_N is None) != (self.counts_per_Nm is None):
+            _fail(
+                "counts_per_N", "one of the two counts", "counts_per_N and counts_per_Nm, or none"
+            )
+        return self
+
+
+class AnalogueTable(Table):
+    """[[analogue]]: a sensor on one of the manifold's inputs; column = scale (voltage - zero)."""
+
+    column: Literal["thrust_N", "recoil_N", "tip_m"]
+    input: Annotated[int, Field(ge=1, le=3)]
+    scale: float
+    zero: float | None = None
+
+
+class RigTable(Table):
+    """The whole file."""
+
+    manifold: ManifoldTable = ManifoldTable()
+    force: ForceTable | None = None
+    analogue: Annotated[tuple[AnalogueTable, ...], FROM_LIST] = ()
+
+
+def rig_of(path: Path | None, changes: dict[str, Any] | None = None) -> RigTable:
+    """The rig of a file, or the defaults; `changes` are tables of the command line's own.
+
+    Raises `InputError`, naming file and key.
+    """
+    content = read_toml(path) if path is not None else {}
+    for table, values in (changes or {}).items():
+        given = content.get(table, {})
+        if not isinstance(given, dict):
+            raise InputError(f"{path}: {table}: given {given!r}; allowed a TOML table")
+        content[table] = given | values
+    return validate(RigTable, content, str(path) if path is not None else "command line")

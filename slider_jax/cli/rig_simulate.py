@@ -1,0 +1,110 @@
+"""`slider rig simulate`: a rig that is not there."""
+
+import sys
+import time
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from slider_jax.cli.options import MaybeExperiment, ModelFile, Value, Whole
+from slider_jax.errors import InputError
+
+
+def simulate(
+    experiment: MaybeExperiment = None,
+    rig_file: Annotated[Path, tyro.conf.arg(metavar="RIG.toml")] = Path("simulated_rig.toml"),
+    model: ModelFile = None,
+    flipped: Value = 0.0,
+    dropped: Value = 0.0,
+    noise: Value = 200.0,
+    force_noise: Value = 2e-3,
+    inject: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FAULT=VALUE@SECONDS")] = (),
+    seed: Whole = 0,
+) -> None:
+    """Start a manifold on a pseudo-terminal and a force sensor on the network, until Ctrl-C.
+
+    No program can tell it from a rig. The port is printed, and a rig file that suits it written.
+    With an experiment the chambers and sensors are those of the simulated robot in real time, with
+    all of the file's effects; without, of a tail in air that only follows.
+
+    Args:
+        experiment: experiment file whose robot, water and effects are simulated.
+        rig_file: file to write, for `slider rig run --rig`.
+        model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
+        flipped: share of the bytes on the line of which a bit is flipped.
+        dropped: share of the bytes on the line that are lost.
+        noise: standard deviation of the pressures that are read [Pa].
+        force_noise: standard deviation of the forces [N].
+        inject: faults and when they begin, as leak_front_left=5@20: after 20 s, at 5 1/s.
+        seed: of all chance.
+    """
+    from rig.simulated.bench import running
+    from rig.simulated.mischief import Mischief
+    from rig.simulated.rig import SimulatedRig
+    from slider_jax.files import write_text
+
+    faults = sorted((_fault(text) for text in inject), key=lambda fault: fault[2])
+    tank, put = _tank(experiment, model)
+
+    def at(seconds: float) -> None:
+        while faults and seconds >= faults[0][2]:
+            name, value, _ = faults.pop(0)
+            put(name, value)
+            print(f"{seconds:.1f} s: {name} is {value:g}", file=sys.stderr, flush=True)
+
+    mischief = Mischief(flipped=flipped, dropped=dropped, noise=noise, seed=seed)
+    with running(SimulatedRig(tank, mischief=mischief), force_noise, at, seed) as rig:
+        write_text(rig_file, rig.settings())
+        print(f"port {rig.port}", flush=True)
+        print(
+            f"its rig file is {rig_file}; from another terminal, for example:\n"
+            f"  slider rig check --port {rig.port} --rig {rig_file}\n"
+            f"  slider rig run {experiment or 'docs/experiment.toml'} --port {rig.port} "
+            f"--rig {rig_file} --out measured\n"
+            "Ctrl-C ends it",
+            file=sys.stderr,
+            flush=True,
+        )
+        while True:
+            time.sleep(0.2)
+
+
+def _fault(text: str) -> tuple[str, float, float]:
+    try:
+        name, rest = text.split("=")
+        value, when = rest.split("@")
+        return name, float(value), float(when)
+    except ValueError:
+        raise InputError.value(
+            "--inject", repr(text), "FAULT=VALUE@SECONDS, as leak_front_left=5@20"
+        ) from None
+
+
+def _tank(experiment: Path | None, model: Path | None):
+    """What is controlled and measured, and what puts a fault into it."""
+    from rig.messages import CHAMBERS
+    from rig.simulated.tank import BenchTank
+
+    if experiment is not None:
+        from slider_jax.cli.main import prepare_jax
+        from slider_jax.cli.simulated_tank import RobotTank
+        from slider_jax.experiment import load
+
+        prepare_jax()
+        print("compiling the simulated robot ...", file=sys.stderr, flush=True)
+        robot = RobotTank(load(experiment, model))
+        return robot, robot.plant.inject
+    if model is not None:
+        raise InputError(f"--model {model}: given without an experiment; give both")
+    bench = BenchTank()
+
+    def leak(name: str, value: float) -> None:
+        allowed = {f"leak_{chamber}": i for i, chamber in enumerate(CHAMBERS)}
+        if name not in allowed:
+            raise InputError.value(
+                "--inject", name, ", ".join(allowed), "the others need an experiment file"
+            )
+        bench.leak[allowed[name]] = value
+
+    return bench, leak

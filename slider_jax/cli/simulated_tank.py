@@ -1,0 +1,21 @@
+"""The simulated robot as what a simulated rig drives and measures."""
+
+from rig.simulated.tank import Measured
+from slider_jax.experiment import Experiment
+from slider_jax.realtime import Plant
+
+SUPPLY = 600e3
+"""Gauge pressure of the made-up supply [Pa]."""
+
+
+class RobotTank:
+    """A `rig.simulated.tank.Tank` of an experiment's robot, water and effects."""
+
+    def __init__(self, experiment: Experiment):
+        self.plant = Plant(experiment)
+
+    def advance(self, set_pressures: tuple[int, ...] | None, seconds: float) -> Measured:
+        """As `Tank.advance`."""
+        found = self.plant.advance(set_pressures or [None] * 4, seconds)
+        a, b, c, d = (float(p) for p in found.pressures)
+        return Measured((a, b, c, d), SUPPLY, found.thrust_N, found.recoil_N, found.tip_m)
