@@ -233,6 +233,7 @@ class Manifold:
         )
 
     def _read(self) -> None:
+        begun = False
         while not self._ends.is_set():
             try:
                 piece = self._port.read(max(1, self._port.in_waiting))
@@ -246,6 +247,12 @@ class Manifold:
             now = host_ns()
             if self._sink is not None:
                 self._sink(now, piece)
+            if not begun:
+                # The port was opened within a frame: what is left of that is no damage.
+                _, end, piece = piece.partition(b"\0")
+                begun = bool(end)
+                if not begun:
+                    continue
             for message in self._decoder.feed(piece):
                 self._take(now, message)
 
@@ -262,6 +269,10 @@ class Manifold:
                         self._acks.pop(next(iter(self._acks)))
                     self._news.notify_all()
             case Ident():
+                if self.ident is None:
+                    # What was left in buffers from before tells nothing of this line.
+                    self.latest, self.lost, self.duplicated = None, 0, 0
+                    self._decoder.damaged = 0
                 with self._news:
                     self.ident = message
                     self._news.notify_all()

@@ -137,7 +137,8 @@ def _keep(path: Path) -> None:
 
 def _told(trial: Trial, captured: Captured, read: Columns) -> dict[str, Any]:
     late = captured.played.lateness
-    drive = {key: x for key, x in asdict(trial.drive).items() if not isinstance(x, np.ndarray)}
+    plain = (str, float, int)
+    drive = {key: x for key, x in asdict(trial.drive).items() if isinstance(x, plain)}
     return {
         "trial": trial.name,
         "duration_s": trial.duration,

@@ -15,6 +15,7 @@ from rig.capture import Instrument, Switch, Switches, Timing, Trial
 from rig.columns import Analogue, Reader
 from rig.drive import Drive
 from rig.manifold import Manifold
+from rig.priority import real_time
 from rig.safety import Limits
 from rig.session import Rig
 from slider_jax.cli.rig_settings import ForceTable, RigTable
@@ -90,6 +91,7 @@ def opened(port: str, table: RigTable) -> Iterator[Rig]:
     from rig.port import open_port
 
     settings = table.manifold
+    real_time()
     switches = Switches(Switch(), Switch())
     with ExitStack() as stack:
         stack.enter_context(signals_as_ctrl_c())

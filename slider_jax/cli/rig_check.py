@@ -23,6 +23,7 @@ def check(port: Port, rig: RigFile = None, pressure: Value = 50e3, out: Path | N
     from rig.manifold import Manifold
     from rig.messages import CHANNELS
     from rig.port import open_port
+    from rig.priority import real_time
     from rig.safety import Limits, checked
     from slider_jax.cli.rig import signals_as_ctrl_c
     from slider_jax.cli.rig_settings import rig_of
@@ -31,6 +32,7 @@ def check(port: Port, rig: RigFile = None, pressure: Value = 50e3, out: Path | N
     limits = Limits.of(rig_of(rig).manifold.limits)
     checked((pressure,) * 4, limits)
     collector = Collector()
+    real_time()
     with signals_as_ctrl_c(), Manifold(open_port(port), on_reading=collector) as manifold:
         manifold.configure(limits)
         ident = manifold.ident
@@ -42,9 +44,8 @@ def check(port: Port, rig: RigFile = None, pressure: Value = 50e3, out: Path | N
     print(f"firmware {ident.major}.{ident.minor}.{ident.patch}, protocol {ident.protocol}")
     print(f"{found.rate:.0f} readings a second, {found.lost} lost, {found.damaged} frames damaged")
     if len(trip):
-        print(
-            f"a command is told of after {sorted(trip)[len(trip) // 2]:.1f} ms, {trip.max():.1f} at most"
-        )
+        middle = sorted(trip)[len(trip) // 2]
+        print(f"a command is told of after {middle:.1f} ms, {trip.max():.1f} at most")
     for name, offset, noise in zip(CHANNELS, found.offset, found.noise, strict=True):
         print(f"{name:<20} at rest {offset:10.1f}, noise {noise:8.2f}")
     for x in found.held:

@@ -39,6 +39,7 @@ def simulate(
         inject: faults and when they begin, as leak_front_left=5@20: after 20 s, at 5 1/s.
         seed: of all chance.
     """
+    from rig.priority import real_time
     from rig.simulated.bench import running
     from rig.simulated.mischief import Mischief
     from rig.simulated.rig import SimulatedRig
@@ -53,6 +54,7 @@ def simulate(
             put(name, value)
             print(f"{seconds:.1f} s: {name} is {value:g}", file=sys.stderr, flush=True)
 
+    real_time()
     mischief = Mischief(flipped=flipped, dropped=dropped, noise=noise, seed=seed)
     with running(SimulatedRig(tank, mischief=mischief), force_noise, at, seed) as rig:
         write_text(rig_file, rig.settings())
