@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable, Sequence
+from functools import partial
 from types import TracebackType
 
 import serial
@@ -153,7 +154,7 @@ class Manifold:
         self._ask(lambda seq: WaveBegin(seq, len(values), round(period * 1e6)))
         for first in range(0, len(values), SAMPLES_A_PIECE):
             flat = tuple(p for row in values[first : first + SAMPLES_A_PIECE] for p in row)
-            self._ask(lambda seq, at=first, flat=flat: WavePiece(seq, at, flat))
+            self._ask(partial(_piece, first, flat))
 
     def play(self, repeats: int = 1) -> None:
         """Starts the waveform; 0 repeats it until the stop. Heartbeats have to keep it alive."""
@@ -211,7 +212,8 @@ class Manifold:
         if ack.answer == Answer.DONE:
             return
         self.check()
-        answer = Answer(ack.answer).name if ack.answer in Answer else f"answer {ack.answer}"
+        names = {answer.value: answer.name for answer in Answer}
+        answer = names.get(ack.answer, f"answer {ack.answer}")
         raise RigError(
             f"{self._port.name}: {type(message).__name__} was refused: {answer}, {ack.detail}"
         )
@@ -295,3 +297,7 @@ class Manifold:
         self._ends.set()
         self._reader.join(0.5)
         self._port.close()
+
+
+def _piece(first: int, pressures: tuple[int, ...], seq: int) -> WavePiece:
+    return WavePiece(seq, first, pressures)

@@ -38,8 +38,9 @@ class Readings(NamedTuple):
 def readings(pieces: Iterable[tuple[int, bytes]]) -> Readings:
     """From (host time [ns], bytes) as they came. What is before the first end of a frame is not
     counted as damage, for a recording may begin within one."""
-    decoder, found, events = Decoder(), [], []
-    begun = False
+    decoder, begun = Decoder(), False
+    found: list[tuple[float, Reading]] = []
+    events: list[tuple[float, Event]] = []
     for host_ns, piece in pieces:
         if not begun:
             _, end, piece = piece.partition(b"\0")
@@ -51,7 +52,8 @@ def readings(pieces: Iterable[tuple[int, bytes]]) -> Readings:
                 found.append((host_ns * 1e-9, message))
             elif isinstance(message, Event):
                 events.append((host_ns * 1e-9, message))
-    number, last, kept = 0, None, {}
+    number, last = 0, None
+    kept: dict[int, tuple[float, Reading]] = {}
     for host_s, reading in found:
         if last is not None:
             step = (reading.seq - last) % 2**32

@@ -4,6 +4,7 @@ import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -59,7 +60,7 @@ def run(
         told = finished(folder, trial.name, settings)
         if told is None:
             if begun:
-                rest(rig, rig.pause, lambda t, name=trial.name: watch(name, "pause", t))
+                rest(rig, rig.pause, partial(watch, trial.name, "pause"))
             begun = True
             told = one(trial, rig, folder, settings, watch)
             done(trial, told)

@@ -65,8 +65,8 @@ def run(
                 f"{rate:g}",
                 f"{ident.rate} Hz, the manifold's",
             )
-        for trial in trials:
-            trial.drive.check(machine.limits.within(ident), trial.duration)
+        for shot in trials:
+            shot.drive.check(machine.limits.within(ident), shot.duration)
         folder = output_folder(out)
         write_bytes(folder / "experiment.toml", experiment.read_bytes())
         for name in {x.drive_file for x in table.trials if x.drive_file}:
@@ -74,9 +74,9 @@ def run(
         live = Live(machine, len(trials))
         found = run_trials(trials, machine, folder, told, live)
         live.end()
-    for trial in found:
-        said = "; ".join(trial["findings"]) or "no findings"
-        print(f"{trial['trial']}.csv  {trial['readings']} readings, commands within "
-              f"{1e3 * trial['command_late_99_s']:.1f} ms: {said}")  # fmt: skip
+    for told_of in found:
+        said = "; ".join(told_of["findings"]) or "no findings"
+        print(f"{told_of['trial']}.csv  {told_of['readings']} readings, commands within "
+              f"{1e3 * told_of['command_late_99_s']:.1f} ms: {said}")  # fmt: skip
     print(f"experiment.toml and the trials are in {folder}: slider close-loop "
           f"{folder / 'experiment.toml'} --out ...", file=sys.stderr)  # fmt: skip
