@@ -223,7 +223,9 @@ class Manifold:
             with self._writing:
                 self._write(encode(Hello(PROTOCOL)))
             with self._news:
-                self._news.wait_for(lambda: self.ident or self._failure, PATIENCE)
+                self._news.wait_for(
+                    lambda: self.ident or isinstance(self._failure, PortLost), PATIENCE
+                )
             if isinstance(self._failure, PortLost):
                 raise self._failure
             if self.ident is not None:

@@ -91,10 +91,10 @@ def opened(port: str, table: RigTable) -> Iterator[Rig]:
     from rig.port import open_port
 
     settings = table.manifold
-    real_time()
     switches = Switches(Switch(), Switch())
     with ExitStack() as stack:
         stack.enter_context(signals_as_ctrl_c())
+        stack.enter_context(real_time())
         instruments, readers = {}, {}
         if table.force is not None:
             source, readers["force"] = force_of(table.force)

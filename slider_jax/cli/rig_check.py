@@ -32,8 +32,11 @@ def check(port: Port, rig: RigFile = None, pressure: Value = 50e3, out: Path | N
     limits = Limits.of(rig_of(rig).manifold.limits)
     checked((pressure,) * 4, limits)
     collector = Collector()
-    real_time()
-    with signals_as_ctrl_c(), Manifold(open_port(port), on_reading=collector) as manifold:
+    with (
+        signals_as_ctrl_c(),
+        real_time(),
+        Manifold(open_port(port), on_reading=collector) as manifold,
+    ):
         manifold.configure(limits)
         ident = manifold.ident
         found = check_rig(

@@ -54,9 +54,9 @@ def simulate(
             put(name, value)
             print(f"{seconds:.1f} s: {name} is {value:g}", file=sys.stderr, flush=True)
 
-    real_time()
     mischief = Mischief(flipped=flipped, dropped=dropped, noise=noise, seed=seed)
-    with running(SimulatedRig(tank, mischief=mischief), force_noise, at, seed) as rig:
+    simulated = SimulatedRig(tank, mischief=mischief)
+    with real_time(), running(simulated, force_noise, at, seed) as rig:
         write_text(rig_file, rig.settings())
         print(f"port {rig.port}", flush=True)
         print(
