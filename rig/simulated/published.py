@@ -1,0 +1,129 @@
+"""The published firmware, simulated: its dialogue about a test that is replayed or made."""
+
+import re
+from collections.abc import Callable, Iterator
+from math import pi, sin
+
+from rig.dialogue import COLUMNS, PA_PER_PSI, PSI_AT_ZERO, PSI_PER_COUNT
+
+PERIOD_US = 2_000
+MIDDLE, AMPLITUDE = 291.0, 200.0
+"""Of the commanded sine [counts], in all the published logs."""
+ASK_US = 1_000_000
+"""It asks again so long after the last time: a port that is opened throws away what came before."""
+PAUSE_US = 200_000
+"""From a test's end to the next question."""
+TYPED_US = 1_000_000
+"""So long after the last byte a number without a line end counts, as in Arduino's `parseFloat`."""
+
+Script = Iterator[tuple[int, bytes]]
+"""Pieces of text, and when they are due after the answer [us]."""
+Plant = Callable[[int, int, float], float]
+"""(duty of fill and vent valve, 0 to 255; seconds) to the gauge pressure after these [Pa]."""
+
+
+class PublishedFirmware:
+    """Asks for a frequency, runs a test, and asks again; deaf while a test runs.
+
+    `test` gets the frequency [Hz] and the device's time [us] and returns the test's text. What is
+    sent in mid-test waits in the buffer and is the next question's answer, as in the original.
+    """
+
+    def __init__(
+        self,
+        test: Callable[[float, int], Script],
+        question: bytes = b"Enter frequency in Hz: ",
+    ):
+        self._test, self._question = test, question
+        self._typed, self._typed_at, self._ask_at = b"", 0, 0
+        self._script: Script | None = None
+        self._next: tuple[int, bytes] | None = None
+        self._begun = 0
+
+    def feed(self, piece: bytes, now_us: int) -> bytes:
+        """Takes bytes from the host; it says nothing to them before the next tick."""
+        self._typed += piece
+        self._typed_at = now_us
+        return b""
+
+    def tick(self, now_us: int) -> bytes:
+        """What is said up to `now_us`."""
+        if self._script is None:
+            frequency = self._answer(now_us)
+            if frequency is None:
+                if now_us < self._ask_at:
+                    return b""
+                self._ask_at = now_us + ASK_US
+                return self._question
+            self._script, self._begun = self._test(frequency, now_us), now_us
+            self._next = next(self._script, None)
+        said = []
+        while self._next is not None and self._begun + self._next[0] <= now_us:
+            said.append(self._next[1])
+            self._next = next(self._script, None)
+        if self._next is None:
+            self._script, self._ask_at = None, now_us + PAUSE_US
+        return b"".join(said)
+
+    def _answer(self, now_us: int) -> float | None:
+        line, end, rest = self._typed.replace(b"\r", b"\n").partition(b"\n")
+        if not end and (not line or now_us - self._typed_at < TYPED_US):
+            return None
+        self._typed = rest
+        number = re.search(rb"\d+(\.\d*)?", line)
+        return float(number[0]) if number else None
+
+
+def replay(log: bytes, period_us: int = PERIOD_US) -> Callable[[float, int], Script]:
+    """A log's own text, byte for byte, a row every `period_us` (0: all at once).
+
+    Whatever frequency is asked for: give its own.
+    """
+
+    def test(frequency: float, now_us: int) -> Script:
+        due = 0
+        for line in re.findall(rb"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+", log):
+            if line[:1].isdigit():
+                due += period_us
+            yield due, line
+
+    return test
+
+
+def generate(plant: Plant, cycles: int = 10) -> Callable[[float, int], Script]:
+    """A test of `plant` under the firmware's sine and its valve law, a row every `PERIOD_US`.
+
+    The duty is min(250, 10 |error|), error in counts, of the fill valve if the error is positive,
+    else of the vent valve; it acts until the next row.
+    """
+
+    def test(frequency: float, now_us: int) -> Script:
+        samples = round(cycles * 1e6 / (frequency * PERIOD_US))
+        start = now_us // 1000
+        head = (
+            "-----NEW TEST-------",
+            f"frequency:    {frequency:.6f} Hz",
+            f"start time    {start} ms",
+            f"stop time     {start + samples * PERIOD_US // 1000} ms",
+            f"Sample Prd    {PERIOD_US // 1000} ms",
+            f"Number Cylces {cycles} ",
+            COLUMNS,
+        )
+        for line in head:
+            yield 0, f"{line}\r".encode()
+        fill = vent = 0
+        for number in range(1, samples + 1):
+            t = number * PERIOD_US * 1e-6
+            measured = (plant(fill, vent, PERIOD_US * 1e-6) / PA_PER_PSI - PSI_AT_ZERO) / (
+                PSI_PER_COUNT
+            )
+            pressure = min(max(round(measured), 0), 4095)
+            command = round(MIDDLE + AMPLITUDE * sin(2.0 * pi * frequency * t), 2)
+            error = command - pressure
+            duty = int(min(250.0, 10.0 * abs(error)))
+            fill, vent = (duty, 0) if error > 0.0 else (0, duty)
+            row = f"{number},{fill},{vent},{command:.2f},{error:.2f},{pressure}\r"
+            yield number * PERIOD_US, row.encode()
+        yield samples * PERIOD_US, f"done{len(head) + samples}\r".encode()
+
+    return test
