@@ -233,7 +233,7 @@ class Manifold:
         heard = f"{self.damaged} damaged frames" if self.damaged else "nothing"
         raise RigError(
             f"{self._port.name}: no manifold answers, {heard} came; is it switched on, does it run "
-            "the firmware in rig/firmware? The published firmware needs --published"
+            "the firmware in rig/firmware? The published firmware needs `slider rig log`"
         )
 
     def _read(self) -> None:

@@ -76,6 +76,9 @@ COMMANDS = {
     "rig run": Command(
         "slider_jax.cli.rig_run:run", "an experiment's trials on the rig, recorded", jax=False
     ),
+    "rig log": Command(
+        "slider_jax.cli.rig_log:log", "pressure logs of the published firmware", jax=False
+    ),
     "rig replay": Command(
         "slider_jax.cli.rig_replay:replay",
         "a recording's columns anew, or at its own pace",

@@ -1,0 +1,210 @@
+"""The manifold's driver on a pseudo-terminal, and what a recorded trial comes to."""
+
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig.capture import Switch, Switches, Timing, Trial
+from rig.columns import Analogue
+from rig.drive import Drive, chambers
+from rig.errors import RigError
+from rig.manifold import Manifold
+from rig.playing import schedule
+from rig.port import open_port
+from rig.priority import real_time
+from rig.safety import Limits, chamber
+from rig.session import RECORDINGS, Rig, run
+from rig.simulated.manifold import ManifoldCore
+from rig.simulated.mischief import Mischief
+from rig.simulated.rig import TIP_PER_VOLT, SimulatedRig
+from rig.simulated.tank import BenchTank
+from rig.simulated.terminal import in_thread
+
+LIMITS = Limits.of([250e3])
+QUICK = Timing(quiet=0.3, after=0.1)
+TIP = Analogue("tip_m", 1, TIP_PER_VOLT)
+
+
+@pytest.fixture(autouse=True)
+def first_of_all():
+    """Other tests beside these must not be taken for a host that fell silent."""
+    with real_time():
+        yield
+
+
+def rig_on(port, **changes):
+    """A manifold and what trials need; use it within the manifold's context."""
+    switches = Switches(Switch(), Switch())
+    manifold = Manifold(open_port(port), *switches)
+    return Rig(manifold, switches, LIMITS, {}, {}, (TIP,), QUICK, pause=0.05, **changes)
+
+
+def recorded(tmp_path, trials, mischief=Mischief(noise=100.0), settings=None):
+    with in_thread(SimulatedRig(BenchTank(), mischief=mischief)) as served:
+        rig = rig_on(served.path)
+        with rig.manifold:
+            return run(trials, rig, tmp_path, settings or {})
+
+
+def columns_of(path):
+    return np.genfromtxt(path, delimiter=",", names=True)
+
+
+def test_a_trial_is_recorded_as_the_chambers_went(tmp_path):
+    """Against the lag's own solution under the set pressures."""
+    drive = Drive("square", 2.0, 100e3, rear_ratio=0.5, phase=0.25)
+    (told,) = recorded(tmp_path, [Trial("a", drive, 1.5)])
+    found = columns_of(tmp_path / "a.csv")
+    assert told["readings_lost"] == told["frames_damaged"] == 0 and told["findings"] == []
+    assert np.diff(found["t_s"]) == pytest.approx(2e-3, abs=2e-5)
+    fine = np.arange(0.0, 1.5, 1e-4)
+    for name, index in (("p_front_Pa", 0), ("p_rear_Pa", 1)):
+        p, expected = 0.0, []
+        for t in fine:
+            expected.append(p)
+            p += 1e-4 / 0.05 * (drive.segments(t)[index] - p)
+        error = found[name] - np.interp(found["t_s"], fine, expected)
+        # Each command waits for the tank's next step, 2 ms at most, of 50 ms to follow.
+        assert np.abs(error).max() < 0.1 * 100e3 and error.std() < 0.03 * 100e3
+    tip = 2e-7 * (found["p_front_Pa"] + found["p_rear_Pa"])
+    assert found["tip_m"] == pytest.approx(tip, abs=2e-7 * 1200)
+
+
+def test_a_run_that_was_stopped_goes_on_with_what_is_missing(tmp_path):
+    trials = [Trial(name, Drive("sine", 2.0, 50e3), 0.3) for name in "ab"]
+    recorded(tmp_path, trials[:1], settings={"x": (1, 2)})
+    before = (tmp_path / RECORDINGS / "a.h5").stat().st_mtime_ns
+    (tmp_path / RECORDINGS / "b.h5").write_bytes(b"half")
+    told = recorded(tmp_path, trials, settings={"x": (1, 2)})
+    assert [x["trial"] for x in told] == ["a", "b"]
+    assert (tmp_path / RECORDINGS / "a.h5").stat().st_mtime_ns == before
+    assert (tmp_path / RECORDINGS / "b.unfinished-1.h5").read_bytes() == b"half"
+    with pytest.raises(RigError, match="run with another x"):
+        recorded(tmp_path, trials, settings={"x": (1, 3)})
+
+
+def test_a_bad_line_loses_readings_and_says_so(tmp_path):
+    mischief = Mischief(flipped=1e-4, dropped=1e-4, inserted=1e-4)
+    (told,) = recorded(tmp_path, [Trial("a", Drive("sine", 2.0, 50e3), 1.0)], mischief)
+    assert told["readings_lost"] > 0 and told["frames_damaged"] > 0
+    assert any("lost" in x for x in told["findings"])
+    found = columns_of(tmp_path / "a.csv")
+    gaps = np.round(np.diff(found["t_s"]) / 2e-3).astype(int)
+    assert gaps.min() == 1 and gaps.sum() - len(gaps) <= told["readings_lost"]
+    assert np.abs(found["p_front_Pa"]).max() < 51e3
+
+
+def test_edges_of_a_square_wave_are_commanded_at_their_own_times():
+    drive = Drive("square", 4.8, 1e5, phase=0.15)
+    times = schedule(drive, 1.0)
+    for t in drive.edges(1.0):
+        before, after = drive.segments(t - 1e-7), drive.segments(t)
+        assert t == 0.0 or before != after or t == pytest.approx(0.15 / 4.8)
+        assert np.abs(times - t).min() < 1e-9
+    changes = [t for t in np.arange(1e-4, 1.0, 1e-4)
+               if drive.segments(t) != drive.segments(t - 1e-4)]  # fmt: skip
+    edges = drive.edges(1.0)
+    assert all(np.abs(edges - t).min() < 1.01e-4 for t in changes) and len(changes) >= 18
+    assert np.all(np.diff(times) > 0.0) and np.diff(times).max() <= 5e-3 + 1e-9
+
+
+@pytest.mark.parametrize("waveform", ["square", "sine", "trapezoid"])
+def test_waveforms_are_the_simulators(waveform):
+    import jax.numpy as jnp
+
+    from slider_jax.actuation import SineWave, SquareWave, Trapezoid
+
+    drive = Drive(waveform, 3.0, 2e5, rear_ratio=-0.6, phase=0.3, rise=0.2)
+    kind = {"square": SquareWave, "sine": SineWave, "trapezoid": Trapezoid}[waveform]
+    more = (0.2,) if waveform == "trapezoid" else ()
+    front, rear = kind(3.0, 2e5, 0.0, *more), kind(3.0, -1.2e5, 0.3, *more)
+    for t in np.random.default_rng(0).uniform(0.0, 2.0, 200):
+        asked = [float(w.segment(jnp.asarray(t), jnp.asarray(t + 1e-7)).a0) for w in (front, rear)]
+        assert drive.segments(float(t)) == pytest.approx(asked, abs=1e-6 * 2e5)
+
+
+def test_a_recorded_drive_is_linear_between_its_samples():
+    drive = Drive("recorded", times=np.array([0.0, 1.0]), recorded=np.array([[0, 10], [4, -10.0]]))
+    assert drive.segments(0.25) == (1.0, 5.0)
+    assert chambers(*drive.segments(1.0)) == (4.0, 0.0, 0.0, 10.0)
+    with pytest.raises(RigError, match="has a NaN"):
+        Drive("recorded", times=np.array([0.0, 1.0]), recorded=np.full((2, 2), np.nan))
+
+
+def test_a_waveform_is_uploaded_and_played_by_the_manifold():
+    device = SimulatedRig(BenchTank(lag=1e-3))
+    samples = [(1000.0 * i, 0.0, 0.0, 500.0 * i) for i in range(21)]
+    with in_thread(device) as served, Manifold(open_port(served.path)) as manifold:
+        manifold.configure(LIMITS)
+        with pytest.raises(RigError, match="samples; allowed 2 to 2000"):
+            manifold.upload(samples[:1], 0.01)
+        manifold.upload(samples, 0.01)
+        manifold.arm()
+        manifold.play(1)
+        highest, end = 0, time.monotonic() + 0.4
+        while time.monotonic() < end:
+            manifold.heartbeat()
+            highest = max(highest, manifold.latest.channels[0])
+            time.sleep(0.02)
+        assert highest == pytest.approx(20_000, rel=0.01)
+        assert device.core.set_pressures == (20_000, 0, 0, 10_000)
+
+
+def test_another_protocol_is_refused():
+    device = SimulatedRig(BenchTank(), ManifoldCore(protocol=7, version=(2, 3, 4)))
+    with in_thread(device) as served, pytest.raises(RigError, match="2.3.4 speaks protocol 7"):
+        Manifold(open_port(served.path)).__enter__()
+
+
+def test_a_limit_above_the_firmwares_is_refused():
+    with in_thread(SimulatedRig(BenchTank())) as served:
+        with Manifold(open_port(served.path)) as manifold:
+            with pytest.raises(RigError, match="front_left: given 600000 Pa; allowed at most"):
+                manifold.configure(Limits.of([600e3]))
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ([1.0], "limit of front_left: given 1; allowed 1e3 to 2e\\+06 Pa; not kPa or psi"),
+        ([2e5, 2e5], "given 2 pressures; allowed one for all chambers, or four"),
+        ([float("nan")] * 4, "given nan"),
+    ],
+)
+def test_limits_that_cannot_be_are_refused(given, message):
+    with pytest.raises(RigError, match=message):
+        Limits.of(given)
+
+
+def test_a_wrong_chamber_is_told_which_there_are():
+    assert chamber("rear_left") == 2
+    with pytest.raises(RigError, match="given 'tail'; allowed front_left, front_right"):
+        chamber("tail")
+
+
+def test_a_port_that_is_missing_busy_or_no_port_is_told(tmp_path):
+    with pytest.raises(RigError, match="no such port; there are: "):
+        open_port("/dev/ttyNOTHING")
+    plain = tmp_path / "file"
+    plain.write_text("")
+    with pytest.raises(RigError, match="is no serial port|cannot be opened"):
+        open_port(str(plain))
+    with in_thread(SimulatedRig(BenchTank())) as served:
+        with open_port(served.path):
+            with pytest.raises(RigError, match="busy; another program has it open"):
+                open_port(served.path)
+
+
+@pytest.mark.skipif(not Path("/dev/tty").exists() or os.name != "posix", reason="POSIX ports only")
+def test_a_forbidden_port_says_which_group_to_join(monkeypatch):
+    import serial
+
+    def refuse(*arguments, **options):
+        raise serial.SerialException(13, "could not open port: Permission denied")
+
+    monkeypatch.setattr(serial, "Serial", refuse)
+    with pytest.raises(RigError, match="no permission; .*dialout"):
+        open_port("/dev/tty")
