@@ -11,8 +11,6 @@ from rig.drive import Drive, chambers
 
 RATE = 200.0
 """Commands a second."""
-SPIN = 0.0003
-"""A thread that sleeps wakes late; the last of the wait is spent awake [s]."""
 
 
 class Settable(Protocol):
@@ -63,9 +61,5 @@ def play(
 
 def wait_until(deadline: float) -> None:
     """Until `deadline` of `time.monotonic`."""
-    while True:
-        left = deadline - time.monotonic()
-        if left <= 0.0:
-            return
-        if left > SPIN:
-            time.sleep(left - SPIN)
+    while (left := deadline - time.monotonic()) > 0.0:
+        time.sleep(left)
