@@ -1,0 +1,174 @@
+"""`slider rig` as a newcomer meets it: a simulated rig, a check, a run, a replay."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.test_rig_vents import EXPERIMENT
+
+ROOT = Path(__file__).resolve().parent.parent
+WITHOUT_JAX = "import sys; sys.modules['jax'] = None; "
+MAIN = "from slider_jax.cli.main import main; sys.exit(main(sys.argv[1:]))"
+
+
+def slider(*words, timeout=120.0, code=WITHOUT_JAX):
+    """The command in a process that has no JAX, as on a lab's small computer."""
+    return subprocess.run(
+        [sys.executable, "-c", code + MAIN, *map(str, words)], capture_output=True, text=True,
+        timeout=timeout, env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+
+
+@contextmanager
+def served(*words, cwd):
+    """A command that prints a port and runs until Ctrl-C."""
+    child = subprocess.Popen(
+        [sys.executable, "-u", "-c", WITHOUT_JAX + MAIN, *map(str, words)],
+        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=cwd,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    try:
+        line = child.stdout.readline().split()
+        assert line and line[0] == "port", line
+        yield line[1]
+    finally:
+        child.send_signal(signal.SIGINT)
+        assert child.wait(20.0) in (0, 130)
+        child.stdout.close()
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("rig")
+    with served("rig", "simulate", cwd=folder) as port:
+        yield port, folder
+
+
+@pytest.fixture(scope="module")
+def measured(rig):
+    port, folder = rig
+    experiment = folder / "given"
+    experiment.mkdir()
+    (experiment / "experiment.toml").write_text(EXPERIMENT.format(duration=1.0))
+    rig_file, out = folder / "simulated_rig.toml", folder / "measured"
+    done = slider("rig", "run", experiment / "experiment.toml", "--port", port, "--rig", rig_file,
+                  "--out", out)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done, out
+
+
+def test_a_check_names_the_firmware_and_finds_nothing(rig):
+    port, folder = rig
+    done = slider("rig", "check", "--port", port, "--out", folder / "check.json")
+    assert done.returncode == 0, done.stderr
+    assert "firmware 1.0.0, protocol 1" in done.stdout and "nothing is wrong" in done.stdout
+    found = json.loads((folder / "check.json").read_text())
+    assert [x["name"] for x in found["held"]][0] == "front_left"
+    assert all(abs(x["reached"] - 50e3) < 1e3 for x in found["held"])
+    # The lag of the simulated chambers is 50 ms.
+    assert all(0.03 < x["rise"] < 0.09 for x in found["held"])
+
+
+def test_a_check_finds_a_leak(tmp_path):
+    leak = "leak_rear_left=3@0"
+    with served("rig", "simulate", "--inject", leak, "--noise", "0", cwd=tmp_path) as port:
+        done = slider("rig", "check", "--port", port)
+    assert done.returncode == 1
+    assert "rear_left reads 43.5 kPa where 50.0 are set: a leak" in done.stdout
+    assert done.stdout.count("a leak") == 1
+
+
+def test_a_run_leaves_an_experiments_folder(measured):
+    done, out = measured
+    assert "no findings" in done.stdout
+    found = np.genfromtxt(out / "a.csv", delimiter=",", names=True)
+    assert found.dtype.names == ("t_s", "p_front_Pa", "p_rear_Pa", "tip_m", "thrust_N", "recoil_N")
+    assert len(found) == pytest.approx(500, abs=1) and np.isfinite(found.tolist()).all()
+    assert np.abs(found["p_front_Pa"]).max() == pytest.approx(190e3, rel=0.1)
+    # As the bench's tail has it: thrust is twice the square of its tip's speed.
+    speed = np.gradient(found["tip_m"], found["t_s"])
+    assert np.corrcoef(found["thrust_N"], speed**2)[0, 1] > 0.97
+    told = json.loads((out / "recordings" / "a.json").read_text())
+    assert told["readings_lost"] == 0 and abs(told["clock_rate"] - 1.0) < 1e-3
+    assert told["settings"]["rig"]["force"]["thrust"] == "+Fx" and "h5py" in told["versions"]
+
+
+def test_the_simulator_reads_the_folder(measured):
+    from slider_jax.experiment import load, measured as columns_of
+
+    experiment = load(measured[1] / "experiment.toml")
+    columns = columns_of(experiment, experiment.trials[0])
+    assert set(columns) == {"t_s", "p_front_Pa", "p_rear_Pa", "thrust_N", "recoil_N", "tip_m"}
+
+
+def test_a_recording_is_read_anew_with_other_axes(measured, tmp_path):
+    rig_file = tmp_path / "rig.toml"
+    rig_file.write_text(
+        '[force]\nhost = "none"\nthrust = "-Fx"\ncounts_per_N = 1e6\ncounts_per_Nm = 1e6\n'
+    )
+    out = tmp_path / "anew"
+    done = slider("rig", "replay", measured[1], "--out", out, "--rig", rig_file)
+    assert done.returncode == 0, done.stderr
+    before, after = (
+        np.genfromtxt(folder / "a.csv", delimiter=",", names=True) for folder in (measured[1], out)
+    )
+    assert np.allclose(after["thrust_N"], -before["thrust_N"], atol=1e-12)
+    assert np.array_equal(after["t_s"], before["t_s"]) and "tip_m" not in after.dtype.names
+
+
+def test_what_a_manifold_said_is_said_again(measured, tmp_path):
+    from rig.manifold import Decoder
+    from rig.messages import Reading
+    from rig.port import open_port
+
+    recording = measured[1] / "recordings" / "a.h5"
+    with served("rig", "replay", recording, "--speed", "0.5", cwd=tmp_path) as port:
+        line, decoder, found = open_port(port), Decoder(), []
+        end = time.monotonic() + 3.0
+        while time.monotonic() < end:
+            found += [m for m in decoder.feed(line.read(4096)) if isinstance(m, Reading)]
+        line.close()
+    assert len(found) > 200 and np.all(np.diff([m.seq for m in found]) == 1)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("run", "{exp}", "--port", "/dev/ttyNONE", "--out", "{out}"), "no such port"),
+        (("run", "none.toml", "--port", "x", "--out", "{out}"), "none.toml: no such file"),
+        (("run", "{exp}", "--port", "x", "--out", "{here}"), "is the experiment's own folder"),
+        (
+            ("run", "{exp}", "--port", "x", "--out", "{out}", "--limit", "250"),
+            "manifold.limits.0: given 250.0; allowed 1000 to 2e+06 Pa",
+        ),
+        (("check", "--port", "x", "--pressure", "9e5"), "front_left: given 900000 Pa; allowed 0"),
+        (("simulate", "--inject", "leak"), "--inject: given 'leak'; allowed FAULT=VALUE@SECONDS"),
+        (("replay", "{here}"), "--out: given nothing"),
+        (("replay", "{exp}"), "is torn, or no recording"),
+        (("log", "9", "--port", "x", "--out", "{out}"), "frequencies: given 9; allowed 0.1 to 5"),
+    ],
+)
+def test_bad_input_is_told_in_one_message(words, message, tmp_path):
+    path = tmp_path / "experiment.toml"
+    path.write_text(EXPERIMENT.format(duration=1.0))
+    names = {"exp": path, "out": tmp_path / "out", "here": tmp_path}
+    done = slider("rig", *(word.format(**names) for word in words))
+    assert done.returncode == 2 and message in done.stderr, done.stderr
+    assert done.stderr.startswith("slider: error: ") and not (tmp_path / "out").exists()
+
+
+def test_a_limit_is_checked_before_anything_moves(rig, tmp_path):
+    path = tmp_path / "experiment.toml"
+    path.write_text(EXPERIMENT.format(duration=1.0).replace("200e3", "260e3"))
+    out = tmp_path / "out"
+    done = slider("rig", "run", path, "--port", rig[0], "--out", out)
+    assert done.returncode == 2 and not out.exists()
+    assert "set pressure of front_left: given 260000 Pa; allowed 0 to its limit" in done.stderr
