@@ -84,6 +84,9 @@ COMMANDS = {
         "a recording's columns anew, or at its own pace",
         jax=False,
     ),
+    "rig loop": Command(
+        "slider_jax.cli.rig_loop:loop", "measure and close the loop until it is settled"
+    ),
     "rig simulate": Command(
         "slider_jax.cli.rig_simulate:simulate",
         "a rig that is not there, to try all this on",

@@ -1,0 +1,86 @@
+"""`slider rig loop`: measure, find what the model lacks, choose the next trial, measure again."""
+
+import sys
+import time
+from contextlib import ExitStack
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from slider_jax.cli.options import Folder, Whole
+from slider_jax.cli.rig import Live, Port, RigFile, opened, to_play
+from slider_jax.errors import InputError
+
+
+def loop(
+    experiment: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="EXPERIMENT.toml")],
+    port: Port,
+    out: Folder,
+    rig: RigFile = None,
+    budget: Whole = 12,
+) -> None:
+    """Measure, find what the model lacks, add the trial that tells most, until it is settled.
+
+    DIR/measured becomes the experiment's folder with all trials, DIR/round_NN.json what was found
+    with each number of trials, DIR/report.html, report.json and model.toml the last word. A loop
+    that was stopped goes on when it is started again. Nothing of the rig moves while the model
+    computes; the manifold is vented.
+
+    Args:
+        experiment: experiment file; its trials, four or more, are run first.
+        port: serial port of the manifold.
+        out: folder for all of it; made if missing.
+        rig: TOML file of the rig: limits, pace, force sensor, analogue inputs.
+        budget: most trials, with those of the file.
+    """
+    from calibration.campaign import campaign
+    from calibration.next_trial import Limits, limits_of
+    from calibration.report import model_toml
+    from calibration.report_html import page
+    from rig.session import run as run_trials
+    from slider_jax.cli.rig_settings import rig_of
+    from slider_jax.experiment import Experiment, load
+    from slider_jax.files import output_folder, write_bytes, write_json, write_text
+    from slider_jax.schema import Trial
+
+    settings = rig_of(rig)
+    given = load(experiment)
+    if any(trial.clamp_moves or trial.tow_speed for trial in given.trials):
+        raise InputError(f"{experiment}: a clamp moves; allowed trials whose clamp rests")
+    folder = output_folder(out) / "measured"
+    folder.mkdir(exist_ok=True)
+    path = folder / "experiment.toml"
+    if not path.exists():
+        write_bytes(path, experiment.read_bytes())
+    begun = time.monotonic()
+
+    def say(text: str) -> None:
+        print(f"{time.monotonic() - begun:6.0f} s  {text}", file=sys.stderr, flush=True)
+
+    def within(now: Experiment) -> Limits:
+        highest = min(settings.manifold.limits)
+        behind = max([1.0, *(abs(t.rear_ratio) for t in now.trials)])
+        own = limits_of(now, {"tow_speed": (0.0, 0.0)})
+        low, high = own.amplitude
+        return own._replace(amplitude=(min(low, highest / behind), min(high, highest / behind)))
+
+    def capture(trials: tuple[Trial, ...]) -> None:
+        # Opened anew for each round: between them the manifold is vented and its port free.
+        with ExitStack() as stack:
+            machine = stack.enter_context(opened(port, settings))
+            played = [to_play(trial, path) for trial in trials]
+            live = Live(machine, len(played))
+            told = {"rig": settings.model_dump(mode="json")}
+            run_trials(played, machine, folder, told, live)
+            live.end()
+
+    found = campaign(path, capture, out, budget, within, say)
+    rounds = {"rounds": [asdict(x) for x in found.rounds], "settled": found.settled}
+    write_json(out / "report.json", found.report | rounds)
+    write_text(out / "model.toml", model_toml(found.outcome))
+    write_text(out / "report.html", page(found.outcome, found.report))
+    for x in found.rounds:
+        print(f"{x.trials:2} trials: {x.said}")
+    print("settled" if found.settled else f"not settled within {budget} trials")

@@ -1,0 +1,118 @@
+"""Measuring until it is settled: what is captured, what is added, and when it ends."""
+
+import json
+import shutil
+from dataclasses import replace
+from functools import partial
+
+import pytest
+
+from calibration import campaign as module
+from calibration.campaign import campaign
+from calibration.closing import close_loop
+from calibration.next_trial import limits_of
+from calibration.synthetic import Truth, write_tank
+from slider_jax import experiment
+from slider_jax.errors import InputError
+from tests.test_closing import BASE, MESH, RUNS, TANK
+
+CANDIDATES = ("valve_delay", "clamp_compliance", "tangential_friction")
+
+
+def tank(folder, effects, count, seed=0):
+    """An experiment of a hidden tank whose trials are not measured; and what measures them."""
+    whole = folder / "hidden"
+    path = write_tank(whole, Truth(BASE, effects), RUNS[:count], seed, numerics=TANK)
+    measured = folder / "measured"
+    measured.mkdir()
+    shutil.copy(path, measured / "experiment.toml")
+    captured = []
+
+    def capture(trials):
+        for trial in trials:
+            captured.append(trial.file)
+            one = folder / f"one_{trial.file}"
+            run = trial.model_dump(exclude_defaults=True)
+            write_tank(one, Truth(BASE, effects), [run], seed + len(captured), numerics=TANK)
+            shutil.copy(one / trial.file, measured / trial.file)
+
+    return measured / "experiment.toml", capture, captured
+
+
+class Answers:
+    """A `close` that answers with given verdicts, on a real outcome's ground."""
+
+    def __init__(self, ground, *verdicts):
+        self.ground, self.verdicts, self.counts = ground, list(verdicts), []
+
+    def __call__(self, given, progress, memo):
+        self.counts.append(len(given.trials))
+        return replace(self.ground, experiment=given, verdict=self.verdicts.pop(0))
+
+
+@pytest.fixture(scope="module")
+def ground(tmp_path_factory):
+    path, capture, _ = tank(tmp_path_factory.mktemp("ground"), {}, 5)
+    capture(experiment.load(path).trials)
+    return close_loop(experiment.load(path), (), fine=MESH, coarse=MESH)
+
+
+def following(trial_file):
+    table = f'[[trials]]\nfile = "{trial_file}"\nfrequency = 3.0\namplitude = 1e5\nduration = 0.8\n'
+    return {"purpose": "repeat", "said": "once more", "trial": {"file": trial_file}, "toml": table}
+
+
+def test_it_measures_until_the_verdict_is_settled(ground, tmp_path, monkeypatch):
+    path, capture, captured = tank(tmp_path, {}, 5)
+    files = iter(["x.csv", "y.csv", "z.csv"])
+    monkeypatch.setattr(module, "next_experiment", lambda *a: following(next(files)))
+    close = Answers(ground, "inconclusive", "unexplained", "nothing_missing")
+    found = campaign(path, capture, tmp_path / "out", close=close)
+    assert close.counts == [5, 6, 7] and found.settled
+    assert captured == [t["file"] for t in RUNS[:5]] + ["x.csv", "y.csv"]
+    assert [x.verdict for x in found.rounds] == ["inconclusive", "unexplained", "nothing_missing"]
+    assert json.loads((tmp_path / "out" / "round_06.json").read_text())["verdict"] == "unexplained"
+
+
+def test_it_ends_with_its_budget_unsettled(ground, tmp_path, monkeypatch):
+    path, capture, captured = tank(tmp_path, {}, 4)
+    files = iter("abcdef")
+    monkeypatch.setattr(module, "next_experiment", lambda *a: following(f"{next(files)}.csv"))
+    close = Answers(ground, *["inconclusive"] * 9)
+    found = campaign(path, capture, tmp_path / "out", budget=6, close=close)
+    assert not found.settled and len(captured) == 6
+    with pytest.raises(InputError, match="budget: given 3; allowed 6 trials"):
+        campaign(path, capture, tmp_path / "out", budget=3, close=close)
+
+
+def test_a_class_is_settled_only_when_no_trial_tells_it_apart(ground, tmp_path, monkeypatch):
+    path, capture, captured = tank(tmp_path, {}, 4)
+    none = {"purpose": None, "said": "none", "trial": None, "toml": ""}
+    answers = iter([following("x.csv"), none])
+    monkeypatch.setattr(module, "next_experiment", lambda *a: next(answers))
+    found = campaign(path, capture, tmp_path / "out", close=Answers(ground, "class", "class"))
+    assert found.settled and len(captured) == 5
+
+
+def test_what_is_measured_is_not_measured_again(ground, tmp_path, monkeypatch):
+    path, capture, captured = tank(tmp_path, {}, 4)
+    capture(experiment.load(path).trials[:3])
+    captured.clear()
+    close = Answers(ground, "identified")
+    none = {"purpose": None, "said": "none", "trial": None, "toml": ""}
+    monkeypatch.setattr(module, "next_experiment", lambda *a: none)
+    campaign(path, capture, tmp_path / "out", close=close)
+    assert captured == [RUNS[3]["file"]]
+
+
+@pytest.mark.slow
+def test_a_hidden_delay_is_named_within_the_budget(tmp_path):
+    path, capture, captured = tank(tmp_path, {"valve_delay": {"delay": 0.02}}, 4, seed=3)
+    close = partial(close_loop, effects=CANDIDATES, fine=MESH, coarse=MESH)
+
+    def still(given):
+        return limits_of(given, {"tow_speed": (0.0, 0.0)})
+
+    found = campaign(path, capture, tmp_path / "out", budget=8, limits=still, close=close)
+    assert found.settled and found.outcome.effects == ["valve_delay"]
+    assert len(captured) <= 8
