@@ -11,7 +11,8 @@ import numpy as np
 from rig.drive import Drive
 from rig.manifold import Manifold
 from rig.playing import RATE, Played, play, wait_until
-from rig.recorder import Load, Recorder
+from rig.recorder import Load
+from rig.recorder_process import ProcessRecorder
 from rig.safety import Limits
 
 Sink = Callable[[int, bytes], None]
@@ -116,7 +117,7 @@ def capture(
         watch("drive", t)
 
     manifold.configure(limits)
-    recorder = Recorder(path, streams, settings)
+    recorder = ProcessRecorder(path, streams, settings)
     with recorder:
         started: list[Instrument] = []
         try:

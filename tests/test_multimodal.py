@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -181,7 +182,7 @@ def test_what_is_written_swims_and_climbs_as_it_was_found_to(sought):
             wanted = (x[f"{here}frequency"], x[f"{here}front"], x[f"{here}rear"])
             assert drive == pytest.approx(wanted)
         f = swims.trials[0].frequency
-        _, swum, ok = jax.jit(steadily)(swimmer(to_model(swims)), f, modes.task.search)
+        _, swum, ok = eqx.filter_jit(steadily)(swimmer(to_model(swims)), f, modes.task.search)
         assert ok and swum.froude_efficiency == pytest.approx(x["E_swim"], rel=1e-4)
         f = climbs.trials[0].frequency
         pinned = climber(to_model(climbs), f, x["pin_phase"])

@@ -3,6 +3,7 @@
 import runpy
 from pathlib import Path
 
+import jax
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -82,7 +83,9 @@ def test_notebook_runs_and_draws(notebook, monkeypatch, tmp_path):
     monkeypatch.setenv("SLIDER_DATA", str(tmp_path / "none"))
     monkeypatch.delenv("SLIDER_EXPERIMENT", raising=False)
     monkeypatch.setattr(plt, "show", show)
-    found = runpy.run_path(str(notebook), run_name="__main__")
+    # A newcomer's JAX mixes types; the tests' does not, and optax's schedules need it to.
+    with jax.numpy_dtype_promotion("standard"):
+        found = runpy.run_path(str(notebook), run_name="__main__")
     assert drawn
     assert not plt.get_fignums(), "a figure is never shown"
     CLAIMS[notebook.stem](found)
