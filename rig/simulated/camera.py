@@ -1,0 +1,208 @@
+"""A simulated camera above a tank: what it would see of blue markers on a moving body.
+
+Every disturbance is its own field and is 0 by default: motion blur, glare that saturates part of a
+marker, noise of the sensor, frames that were dropped. A frame hangs on seed and number alone.
+"""
+
+import os
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rig.camera import Shot
+from rig.errors import RigError
+from rig.opencv import opencv
+
+FINE = 5
+"""Samples along a pixel's side."""
+AVI_FRAMES, AVI_LENGTH = 48, 140
+"""Where an AVI of one stream says how many frames it has: dwTotalFrames and dwLength."""
+MARKER, BODY = (196.0, 78.0, 26.0), (66.0, 62.0, 58.0)
+"""BGR."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What is in front of the camera, and how it sees it.
+
+    `path` gives the markers' places [px] at times [s]: (k,) -> (k, markers, 2), in order along the
+    body. `hidden` are (frame, marker) that something covers.
+    """
+
+    path: Callable[[np.ndarray], np.ndarray]
+    frames: int
+    size: tuple[int, int] = (360, 640)
+    """Height and width [px]."""
+    fps: float = 100.0
+    radius: float = 7.0
+    """Of a marker [px]."""
+    exposure: float = 0.0
+    """How long the shutter is open [s]."""
+    glare: float = 0.0
+    """Chance that a marker has glare on it in a frame."""
+    noise: float = 0.0
+    """Rms of a channel [counts], to which the light's own noise comes."""
+    hidden: frozenset[tuple[int, int]] = frozenset()
+    dropped: frozenset[int] = frozenset()
+    seed: int = 0
+
+    def truth(self, number: int) -> np.ndarray:
+        """The markers' places (markers, 2) [px] in the middle of a frame's exposure."""
+        return self.path(np.array([number / self.fps]))[0]
+
+    def image(self, number: int) -> np.ndarray:
+        """The frame, BGR uint8 (height, width, 3)."""
+        cv2 = opencv()
+        rng = np.random.default_rng([self.seed, number])
+        light = _water(self.size, number / self.fps, self.seed)
+        open_for = self.exposure * np.linspace(-0.5, 0.5, 17 if self.exposure else 1)
+        places = self.path(number / self.fps + open_for)
+        _draw_body(light, places[len(places) // 2], self.radius)
+        for marker in range(places.shape[1]):
+            if (number, marker) in self.hidden:
+                continue
+            _draw_marker(light, places[:, marker], self.radius)
+            if rng.random() < self.glare:
+                _draw_glare(light, places[len(places) // 2, marker], self.radius, rng)
+        light = cv2.GaussianBlur(light, (0, 0), 0.7)
+        if self.noise:
+            spread = np.sqrt(self.noise**2 + 0.02 * light)
+            light = light + spread * rng.standard_normal(light.shape, dtype=np.float32)
+        return np.clip(np.rint(light), 0, 255).astype(np.uint8)
+
+
+class SimulatedCamera:
+    """A `rig.camera.Source` of a scene, as fast as it is read."""
+
+    live = False
+
+    def __init__(self, scene: Scene, name: str = "simulated camera"):
+        self.name, self.fps, self._scene = name, scene.fps, scene
+        self._left = iter(n for n in range(scene.frames) if n not in scene.dropped)
+
+    def read(self) -> Shot | None:
+        """The next frame that was not dropped; its time counts from the scene's begin."""
+        number = next(self._left, None)
+        if number is None:
+            return None
+        time_ns = round(number / self.fps * 1e9)
+        return Shot(time_ns, time_ns, self._scene.image(number))
+
+    def close(self) -> None:
+        """Nothing to give back."""
+
+
+def write_video(path: Path | str, scene: Scene) -> None:
+    """The scene as an AVI without loss (FFV1); a dropped frame is an empty chunk, as in recorders'
+    files, so that the others keep their times.
+    """
+    cv2 = opencv()
+    path = Path(path)
+    temporary = path.with_name(f".tmp-{path.name}")
+    height, width = scene.size
+    code = cv2.VideoWriter_fourcc(*"FFV1")
+    writer = cv2.VideoWriter(str(temporary), cv2.CAP_FFMPEG, code, scene.fps, (width, height))
+    if not writer.isOpened():
+        raise RigError(f"{path}: cannot be written as FFV1 video; give another folder")
+    for number in range(scene.frames):
+        if number not in scene.dropped:
+            writer.write(scene.image(number))
+    writer.release()
+    if scene.dropped:
+        temporary.write_bytes(_with_gaps(temporary.read_bytes(), scene))
+    os.replace(temporary, path)
+
+
+def _with_gaps(avi: bytes, scene: Scene) -> bytes:
+    """An AVI with an empty chunk for each dropped frame, and without its index."""
+    start = avi.index(b"movi") + 4
+    chunks, at = [], start
+    for number in range(scene.frames):
+        if number in scene.dropped:
+            chunks.append(b"00dc" + bytes(4))
+            continue
+        size = struct.unpack_from("<I", avi, at + 4)[0]
+        chunks.append(avi[at : at + 8 + size + size % 2])
+        at += len(chunks[-1])
+    body = b"".join(chunks)
+    whole = bytearray(avi[:start] + body)
+    for place, count in (
+        (4, len(whole) - 8),
+        (start - 8, len(body) + 4),
+        (AVI_FRAMES, scene.frames),
+        (AVI_LENGTH, scene.frames),
+    ):
+        struct.pack_into("<I", whole, place, count)
+    return bytes(whole)
+
+
+def _water(size: tuple[int, int], t: float, seed: int) -> np.ndarray:
+    """Light on and in water, uneven, with moving caustics: (height, width, 3)."""
+    rng = np.random.default_rng([seed, 10**6])
+    y, x = np.mgrid[0 : size[0] : 4, 0 : size[1] : 4].astype(np.float32)
+    swell, warp = np.zeros_like(x), np.zeros_like(x)
+    for _ in range(6):
+        heading, length = rng.uniform(0, 2 * np.pi), rng.uniform(60, 200)
+        phase = 2 * np.pi * ((x * np.cos(heading) + y * np.sin(heading)) / length)
+        wave = np.sin(phase + rng.uniform(0, 2 * np.pi) + rng.uniform(3, 9) * t)
+        swell += wave / 6
+        warp += 2 * np.sin(1.7 * phase + 3 * wave)
+    caustics = np.exp(-((warp / 1.2) ** 2))
+    bright = 1 + 0.12 * swell + 0.25 * caustics
+    colour = np.array([138.0, 120.0, 72.0], np.float32)
+    field = bright[..., None] * colour
+    return opencv().resize(field, size[::-1], interpolation=opencv().INTER_CUBIC)
+
+
+def _draw_body(light: np.ndarray, places: np.ndarray, radius: float) -> None:
+    """A dark band along the markers, narrower than a marker at the tip."""
+    points = np.rint(places * 16).astype(int).tolist()
+    cover = np.zeros(light.shape[:2], np.uint8)
+    cv2 = opencv()
+    widths = np.linspace(1.6, 3.4, len(points))[1:] * radius
+    for start, end, width in zip(points, points[1:], widths, strict=False):
+        cv2.line(cover, start, end, 255, round(width), cv2.LINE_AA, 4)
+    share = cover[..., None].astype(np.float32) / 255
+    light *= 1 - share
+    light += share * np.array(BODY, np.float32)
+
+
+def _patch(light: np.ndarray, places: np.ndarray, reach: float) -> tuple[int, int, int, int]:
+    """Left, top, right, bottom of the image within `reach` of places (k, 2)."""
+    low = np.maximum(np.floor(places.min(axis=0) - reach), 0).astype(int)
+    high = np.ceil(places.max(axis=0) + reach + 1).astype(int)
+    return low[0], low[1], min(high[0], light.shape[1]), min(high[1], light.shape[0])
+
+
+def _draw_marker(light: np.ndarray, places: np.ndarray, radius: float) -> None:
+    """A disc at places (k, 2) in turn; a pixel takes the mean of its finer samples."""
+    left, top, right, bottom = _patch(light, places, radius)
+    if left >= right or top >= bottom:
+        return
+    x = left - 0.5 + (np.arange((right - left) * FINE, dtype=np.float32) + 0.5) / FINE
+    y = top - 0.5 + (np.arange((bottom - top) * FINE, dtype=np.float32) + 0.5) / FINE
+    cover = np.zeros((len(y), len(x)), np.float32)
+    for px, py in places:
+        cover += (x[None] - px) ** 2 + (y[:, None] - py) ** 2 < radius**2
+    cover /= len(places)
+    share = cover.reshape(bottom - top, FINE, right - left, FINE).mean(axis=(1, 3))[..., None]
+    here = light[top:bottom, left:right]
+    here += share * (np.array(MARKER, np.float32) - here)
+
+
+def _draw_glare(
+    light: np.ndarray, center: np.ndarray, radius: float, rng: np.random.Generator
+) -> None:
+    """White light, far above what the sensor can hold, on a part of a marker and beside it."""
+    angle, turn = rng.uniform(0, 2 * np.pi, 2)
+    away = radius * rng.uniform(0.2, 1.1)
+    x0, y0 = center[0] + away * np.cos(angle), center[1] + away * np.sin(angle)
+    long, short = radius * rng.uniform(0.35, 0.6), radius * rng.uniform(0.25, 0.4)
+    left, top, right, bottom = _patch(light, np.array([[x0, y0]]), 3 * radius)
+    y, x = np.mgrid[top:bottom, left:right].astype(np.float32)
+    u = ((x - x0) * np.cos(turn) + (y - y0) * np.sin(turn)) / long
+    v = ((y - y0) * np.cos(turn) - (x - x0) * np.sin(turn)) / short
+    light[top:bottom, left:right] += (600 * np.exp(-(u**2 + v**2)))[..., None]

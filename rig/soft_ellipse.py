@@ -1,0 +1,94 @@
+"""A blurred disc of which a part is covered: its centre by least squares over what is seen."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+STEPS = 40
+SOFTEST, SHARPEST = 1.5, 60.0
+
+
+class SoftEllipse(NamedTuple):
+    """m(p) = b + A / (1 + exp(k (|u| - 1))), u = S (p - c), S upper triangular [1/px]."""
+
+    x: float
+    y: float
+    s_xx: float
+    s_xy: float
+    s_yy: float
+    k: float
+    amplitude: float
+    background: float
+
+    @property
+    def mass(self) -> float:
+        """Integral of m - b over the plane; motion blur leaves it as it is."""
+        return self.amplitude * np.pi * (1 + np.pi**2 / (3 * self.k**2)) / (self.s_xx * self.s_yy)
+
+    def inside(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Where |u| < 1."""
+        dx, dy = x - self.x, y - self.y
+        return np.hypot(self.s_xx * dx + self.s_xy * dy, self.s_yy * dy) < 1
+
+
+def start_at(center: np.ndarray, covariance: np.ndarray, mass: float) -> SoftEllipse:
+    """The ellipse of these moments, where to begin a fit."""
+    inverse = np.linalg.inv(4 * covariance)  # a uniform ellipse ends where p' C^-1 p = 4
+    s_xx = np.sqrt(inverse[0, 0])
+    s_xy = inverse[0, 1] / s_xx
+    s_yy = np.sqrt(inverse[1, 1] - s_xy**2)
+    amplitude = mass * s_xx * s_yy / np.pi
+    return SoftEllipse(center[0], center[1], s_xx, s_xy, s_yy, 8.0, amplitude, 0.0)
+
+
+def model(q: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """m (n,) and its derivatives by the parameters (n, 8)."""
+    cx, cy, s_xx, s_xy, s_yy, k, amplitude, background = q
+    dx, dy = x - cx, y - cy
+    u, v = s_xx * dx + s_xy * dy, s_yy * dy
+    rho = np.sqrt(u * u + v * v + 1e-12)
+    level = 1 / (1 + np.exp(np.clip(k * (rho - 1), -50, 50)))
+    by_edge = amplitude * level * (level - 1)
+    by_u, by_v = by_edge * k * u / rho, by_edge * k * v / rho
+    slopes = (
+        -s_xx * by_u, -s_xy * by_u - s_yy * by_v,
+        dx * by_u, dy * by_u, dy * by_v,
+        by_edge * (rho - 1), level, np.ones_like(level),
+    )  # fmt: skip
+    return background + amplitude * level, np.stack(slopes, axis=1)
+
+
+def fit(
+    x: np.ndarray, y: np.ndarray, values: np.ndarray, start: SoftEllipse
+) -> tuple[SoftEllipse, float] | None:
+    """The ellipse nearest to `values` (n,) at the pixels seen, by Levenberg and Marquardt's steps,
+    and the standard error of its centre [px]. None where they do not settle.
+    """
+    q, damping = np.array(start), 1e-3
+    found, slopes = model(q, x, y)
+    cost = np.sum((values - found) ** 2)
+    for _ in range(STEPS):
+        normal = slopes.T @ slopes
+        size = np.sqrt(np.diag(normal)) + 1e-9
+        damped = normal / np.outer(size, size) + damping * np.eye(len(q))
+        step = np.linalg.solve(damped, slopes.T @ (values - found) / size) / size
+        trial = q + step
+        trial[5] = np.clip(trial[5], SOFTEST, SHARPEST)
+        if trial[2] > 0 and trial[4] > 0:
+            new, new_slopes = model(trial, x, y)
+            new_cost = np.sum((values - new) ** 2)
+            if new_cost <= cost:
+                settled = np.hypot(step[0], step[1]) < 1e-3 and cost - new_cost < 1e-4 * cost
+                q, found, slopes, cost = trial, new, new_slopes, new_cost
+                damping = max(damping / 10, 1e-9)
+                if settled:
+                    break
+                continue
+        damping *= 10
+        if damping > 1e9:
+            return None
+    else:
+        return None
+    normal = slopes.T @ slopes
+    variance = np.diag(np.linalg.pinv(normal))[:2] * cost / max(len(values) - 8, 1)
+    return SoftEllipse._make(q.tolist()), float(np.sqrt(variance.sum()))
