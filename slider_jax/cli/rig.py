@@ -18,7 +18,7 @@ from rig.manifold import Manifold
 from rig.priority import real_time
 from rig.safety import Limits
 from rig.session import Rig
-from slider_jax.cli.rig_settings import ForceTable, RigTable
+from slider_jax.cli.rig_settings import CameraTable, ForceTable, RigTable
 from slider_jax.csv_file import read_csv
 from slider_jax.errors import InputError
 from slider_jax.schema import ExperimentTable, Trial as TrialTable
@@ -82,6 +82,18 @@ def force_of(table: ForceTable) -> tuple[Instrument, Reader]:
     return source, force_reader(calibration, Mounting(table.thrust, table.recoil))
 
 
+def camera_of(table: CameraTable) -> tuple[Instrument, Reader]:
+    """A camera, and how its stream is read."""
+    from rig.camera import OpenCvSource
+    from rig.camera_stream import MarkerCamera, Sight, camera_reader
+    from rig.image_scale import Scale
+
+    source = Path(table.source) if isinstance(table.source, str) else table.source
+    sight = Sight(table.markers, table.head, table.gate)
+    scale = Scale(table.px_per_metre, from_below=table.from_below)
+    return MarkerCamera(lambda: OpenCvSource(source, table.fps), sight), camera_reader(scale)
+
+
 @contextmanager
 def opened(port: str, table: RigTable) -> Iterator[Rig]:
     """The rig of a table, from the port's opening to its stop, whichever way the block ends.
@@ -100,6 +112,8 @@ def opened(port: str, table: RigTable) -> Iterator[Rig]:
             source, readers["force"] = force_of(table.force)
             instruments["force"] = source
             stack.callback(source.close)  # type: ignore[attr-defined]
+        if table.camera is not None:
+            instruments["camera"], readers["camera"] = camera_of(table.camera)
         manifold = stack.enter_context(Manifold(open_port(port), *switches))
         analogue = tuple(Analogue(x.column, x.input, x.scale, x.zero) for x in table.analogue)
         timing = Timing(settings.quiet, settings.after, settings.commands_per_second)

@@ -53,6 +53,18 @@ class ForceTable(Table):
         return self
 
 
+class CameraTable(Table):
+    """[camera]: a device (its number) or a video, blue markers tip first, and the image's scale."""
+
+    source: int | str
+    markers: Annotated[int, Field(ge=2, le=50)]
+    head: Annotated[tuple[float, float], FROM_LIST]
+    px_per_metre: Annotated[float, Quantity(10.0, 1e6, "px/m")]
+    from_below: bool = False
+    fps: Annotated[float, Quantity(1.0, 10e3, "Hz")] | None = None
+    gate: Annotated[float, Quantity(1.0, 1e4, "px")] | None = None
+
+
 class AnalogueTable(Table):
     """[[analogue]]: a sensor on one of the manifold's inputs; column = scale (voltage - zero)."""
 
@@ -67,7 +79,18 @@ class RigTable(Table):
 
     manifold: ManifoldTable = ManifoldTable()
     force: ForceTable | None = None
+    camera: CameraTable | None = None
     analogue: Annotated[tuple[AnalogueTable, ...], FROM_LIST] = ()
+
+    @model_validator(mode="after")
+    def _one_sensor_a_column(self) -> "RigTable":
+        given = ["thrust_N", "recoil_N"] if self.force else []
+        given += ["tip_m"] if self.camera else []
+        for index, sensor in enumerate(self.analogue):
+            if sensor.column in given:
+                _fail(f"analogue.{index}.column", sensor.column, "one that no other sensor gives")
+            given.append(sensor.column)
+        return self
 
 
 def rig_of(path: Path | None, changes: dict[str, Any] | None = None) -> RigTable:
