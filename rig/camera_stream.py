@@ -111,12 +111,16 @@ def camera_reader(scale: Scale) -> Reader:
 
     def read(stream: Stream) -> Samples:
         tracks = read_records(stream.pieces())
+        if not len(tracks.number):
+            raise RigError("camera: its recording has no frame; see that it runs, and record again")
         rest = np.nanmedian(tracks.xy[: max(LOOKS, 1)], axis=0)
         tip = tip_excursion(tracks.xy, scale.along(rest))
         seen = float(np.isfinite(tip).mean()) if len(tip) else 0.0
         findings = []
-        if tracks.dropped.size:
-            findings.append(f"{tracks.dropped.size} frames of the camera were dropped")
+        # The first frames went to finding the markers.
+        dropped = int(tracks.number[-1] - tracks.number[0] + 1 - len(tracks.number))
+        if dropped:
+            findings.append(f"{dropped} frames of the camera were dropped")
         if seen < LEAST_SEEN:
             findings.append(f"the tip was seen in {100 * seen:.0f} % of the frames only")
         return Samples(stream.host_ns * 1e-9, {"tip_m": tip}, tuple(findings), continuous=False)
