@@ -1,8 +1,8 @@
 """The recorder in a process of its own.
 
-HDF5 keeps Python's lock while it waits for a disk, for 0.06 s and more on one that is busy with
-something else; in the program's own process its commands would be late by as much. Here the program
-only hands its pieces on, and even when it is killed they are written to the last.
+Beside a program that fills the disk, one command in a hundred was 30 to 43 ms late with the
+recorder in the commands' own process, 14 ms with this, 7 to 19 ms without any. And the pieces of a
+program that is killed are written to the last.
 """
 
 import multiprocessing
