@@ -10,7 +10,7 @@ from rig.recording import Stream
 
 pytest.importorskip("cv2", reason="opencv is not installed")
 
-from rig.camera_stream import LOOKS, MarkerCamera, Sight, camera_reader  # noqa: E402
+from rig.camera_stream import MarkerCamera, Sight, camera_reader  # noqa: E402
 from rig.image_scale import Scale, tip_excursion  # noqa: E402
 from rig.simulated.camera import Scene, SimulatedCamera  # noqa: E402
 
@@ -34,7 +34,7 @@ def recorded(scene, sight):
     pieces, camera = [], MarkerCamera(lambda: SimulatedCamera(scene), sight)
     camera.start(lambda at, piece: pieces.append((at, piece)))
     end = time.monotonic() + 20.0
-    while len(pieces) < scene.frames - LOOKS and time.monotonic() < end:
+    while len(pieces) < scene.frames - 1 and time.monotonic() < end:
         camera.check()
         time.sleep(0.01)
     time.sleep(0.1)
