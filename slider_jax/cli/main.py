@@ -84,6 +84,9 @@ COMMANDS = {
         "a recording's columns anew, or at its own pace",
         jax=False,
     ),
+    "rig watch": Command(
+        "slider_jax.cli.rig_watch:watch", "the calibrated model beside a running rig, with alarm"
+    ),
     "rig loop": Command(
         "slider_jax.cli.rig_loop:loop", "measure and close the loop until it is settled"
     ),

@@ -1,0 +1,173 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # From a trial on the rig to a fit
+#
+# The pneumatics are driven, every byte that comes back is recorded, and from the recordings come
+# the numbers of the model. Set `SLIDER_PORT` to your manifold's port, `SLIDER_RIG` to your rig file
+# and `SLIDER_EXPERIMENT` to the trials to run. Without them a simulated rig runs in this notebook:
+# a manifold on a pseudo-terminal, a force sensor on the network, and behind them the robot in its
+# tank with coefficients that the experiment file does not know.
+
+# %%
+import os
+from contextlib import ExitStack
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import slider_jax as sj
+from calibration.forward import Resolution
+from calibration.identify import identify, table
+from calibration.systematic import interval
+from rig.clock import align
+from rig.readings import readings
+from rig.recording import read_recording
+from rig.session import run
+from slider_jax import experiment as experiments
+from slider_jax.cli.rig import opened, trials_of
+from slider_jax.cli.rig_settings import rig_of
+
+sj.enable_float64()
+
+TRIALS = """
+name = "three trials"
+[robot]
+body_length = 0.298
+tail_length = 0.07
+linear_density = 0.7
+EI_body = 0.038
+EI_tail = 0.0058
+damping_time = 0.002
+height = 0.03
+front_chamber = [0.02, 0.145]
+rear_chamber = [0.155, 0.28]
+[parameters]
+C_d = 2.0
+m_a = 0.5
+k = 0.06
+K_Q = 4.2e-7
+[numerics]
+nodes = 21
+step = 0.002
+""" + "".join(
+    f"""
+[[trials]]
+file = "{name}.csv"
+frequency = {frequency}
+amplitude = {amplitude}
+phase = 0.15
+duration = 1.2
+"""
+    for name, frequency, amplitude in (
+        ("slow", 2.0, 220e3),
+        ("middle", 3.3, 240e3),
+        ("fast", 4.8, 200e3),
+    )
+)
+truth = {"C_d": 2.7, "m_a": 0.6, "k": 0.075, "K_Q": 4.6e-7}
+own = os.environ.get("SLIDER_PORT")
+if own:
+    path, rig_file = Path(os.environ["SLIDER_EXPERIMENT"]), Path(os.environ["SLIDER_RIG"])
+else:
+    path, rig_file = Path("three_trials.toml"), Path("simulated_rig.toml")
+    path.write_text(TRIALS)
+
+# %% [markdown]
+# ## On the rig
+#
+# Each trial is quiet for a second, which gives tares and noise, then plays its drive. Whatever ends
+# it, the chambers vent.
+
+# %%
+measured = Path("measured")
+measured.mkdir(exist_ok=True)
+with ExitStack() as stack:
+    port = own
+    if not own:
+        from rig.simulated.bench import running
+        from rig.simulated.mischief import Mischief
+        from rig.simulated.rig import SimulatedRig
+        from slider_jax.cli.simulated_tank import RobotTank
+
+        hidden = {f"parameters.{name}": value for name, value in truth.items()}
+        tank = RobotTank(experiments.load(path).with_values(hidden))
+        simulated = SimulatedRig(tank, mischief=Mischief(noise=300.0))
+        bench = stack.enter_context(running(simulated, force_noise=5e-3))
+        rig_file.write_text(bench.settings())
+        port = bench.port
+    settings = rig_of(rig_file)
+    machine = stack.enter_context(opened(port, settings))
+    table_of_trials, trials = trials_of(path)
+    told = run(trials, machine, measured, {"rig": settings.model_dump(mode="json")})
+(measured / "experiment.toml").write_bytes(path.read_bytes())
+for trial in told:
+    print(
+        f"{trial['trial']}: {trial['readings']} readings, {trial['readings_lost']} lost; commands "
+        f"within {1e3 * trial['command_late_99_s']:.1f} ms; "
+        f"{'; '.join(trial['findings']) or 'no findings'}"
+    )
+
+# %% [markdown]
+# ## What was recorded
+#
+# The recording has every byte as it came. Messages are read from it again here: the manifold's
+# clock against the computer's. What comes late lies above the line; the line is the clock.
+
+# %%
+stream = read_recording(measured / "recordings" / f"{trials[0].name}.h5").streams["manifold"]
+found = readings(zip(stream.host_ns.tolist(), stream.pieces(), strict=True))
+clock = align(found.device_s, found.host_s)
+late = 1e3 * (found.host_s - clock.to_host(found.device_s))
+figure, axes = plt.subplots(2, 1, figsize=(9, 5), layout="constrained")
+axes[0].plot(found.device_s - found.device_s[0], late, ".", ms=2)
+axes[0].set(xlabel="the manifold's time (s)", ylabel="arrived late by (ms)")
+columns = np.genfromtxt(measured / f"{trials[0].name}.csv", delimiter=",", names=True)
+axes[1].plot(columns["t_s"], 1e-3 * columns["p_front_Pa"], label="front")
+axes[1].plot(columns["t_s"], 1e-3 * columns["p_rear_Pa"], label="rear")
+axes[1].set(xlabel="time (s)", ylabel="pressure (kPa)")
+axes[1].legend()
+plt.show()
+print(f"the manifold's clock runs at {clock.rate:.6f} of the computer's")
+
+# %% [markdown]
+# ## The fit
+#
+# The folder is an experiment like any other: `slider calibrate measured/experiment.toml` does the
+# same.
+
+# %%
+mesh = Resolution(21, 60, 4.0e-3)
+fitted = identify(
+    experiments.load(measured / "experiment.toml"), progress=print, fine=mesh, coarse=mesh
+)
+print(table(fitted))
+if not own:
+    for i, entry in enumerate(fitted.entries):
+        value, low, high = interval(fitted.fit, fitted.entries, i)
+        print(f"{entry.label}: the tank has {truth[entry.label]:g}, found {value:.4g}")
+
+# %%
+names = ("p_front", "p_rear", "thrust", "recoil", "tip")
+figure, axes = plt.subplots(2, 1, figsize=(9, 5), sharex=True, layout="constrained")
+record = fitted.problem.records[0]
+for ax, name, unit in ((axes[0], "thrust", "N"), (axes[1], "tip", "m")):
+    row = names.index(name)
+    ax.plot(record.t, record.values[row], ".", ms=2, color="0.6", label="measured")
+    ax.plot(record.t, fitted.before[0][row], "C1", lw=1, label="as the file has it")
+    ax.plot(record.t, fitted.fit.predicted[0][row], "C0", lw=1, label="fitted")
+    ax.set_ylabel(f"{name} ({unit})")
+    ax.set_xlabel("time (s)")
+axes[0].legend(fontsize="small")
+plt.show()
