@@ -40,8 +40,8 @@ def served(*words, cwd):
         assert line and line[0] == "port", line
         yield line[1]
     finally:
-        child.send_signal(signal.SIGINT)
-        assert child.wait(20.0) in (0, 130)
+        child.send_signal(signal.SIGTERM)
+        assert child.wait(20.0) in (0, -signal.SIGTERM)
         child.stdout.close()
 
 
