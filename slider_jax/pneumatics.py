@@ -43,18 +43,12 @@ def start_chambers(model: Model) -> Chambers:
 
 def chamber_history(model: Model, begin: Chambers, times: Float[Array, " n"]) -> Chambers:
     """The chambers (n - 1, ...) at each of the increasing `times` [s] after the first."""
-    commands = of_place(model.effects, Command)
     flows = of_place(model.effects, Flow)
     acts = of_place(model.effects, ActingPressure)
 
-    def segments(wave, chamber):
-        for effect in commands:
-            wave = effect.command(wave, chamber)
-        return jax.vmap(wave.segment)(times[:-1], times[1:])
-
     def body(before, inputs):
-        dt, set_points = inputs
-        p = advance(model.pressure_law, flows, before.p, set_points)
+        dt, segment = inputs
+        p = advance(model.pressure_law, flows, before.p, segment)
         acting, memories = p, []
         for effect, memory in zip(acts, before.memories, strict=True):
             acting, memory = effect.act(acting, memory, dt)
@@ -62,9 +56,20 @@ def chamber_history(model: Model, begin: Chambers, times: Float[Array, " n"]) ->
         after = Chambers(p, acting, tuple(memories))
         return after, after
 
+    return jax.lax.scan(body, begin, (jnp.diff(times), set_pressures(model, times)))[1]
+
+
+def set_pressures(model: Model, times: Float[Array, " n"]) -> Segment:
+    """What the valves of front and rear follow between the `times` [s]: entries (n - 1, 2)."""
+    commands = of_place(model.effects, Command)
+
+    def segments(wave, chamber):
+        for effect in commands:
+            wave = effect.command(wave, chamber)
+        return jax.vmap(wave.segment)(times[:-1], times[1:])
+
     both = (segments(model.drive.front, 0), segments(model.drive.rear, 1))
-    inputs = (jnp.diff(times), jax.tree.map(lambda *x: jnp.stack(x, 1), *both))
-    return jax.lax.scan(body, begin, inputs)[1]
+    return jax.tree.map(lambda *x: jnp.stack(x, 1), *both)
 
 
 def advance(

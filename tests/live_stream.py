@@ -1,0 +1,105 @@
+"""A robot that streams: the model on a finer grid than a twin's, with faults on demand."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from calibration.synthetic import Sensors, slow_noise
+from calibration.twin_stream import Stretch
+from slider_jax import observables as obs
+from slider_jax.actuation import FirstOrderLag
+from slider_jax.effects import Flow
+from slider_jax.experiment import to_model
+from slider_jax.grid import split_cells
+from slider_jax.parameters import Numerics, Scalar
+from slider_jax.rollout import TimeGrid, rollout
+from slider_jax.step import at_rest
+
+RATE = 500.0
+CHUNK = 250
+"""Samples a call."""
+SENSORS = Sensors(gain_drift=0.0)
+
+
+class FrontFault(Flow):
+    """On the positive side of the front chamber: a leak, and a valve that is partly shut."""
+
+    leak: Scalar = 0.0
+    shut: Scalar = 0.0
+
+    def rate(self, rate, x):
+        here = (x.rear == 0.0) & (x.side > 0.0)
+        rate = jnp.where(here & x.filling, (1.0 - self.shut) * rate, rate)
+        return jnp.where(here, rate - self.leak * x.p / x.k, rate)
+
+
+def _save(x):
+    return jnp.stack([*x.chambers.p, obs.thrust(x), obs.recoil(x), obs.tip(x)])
+
+
+@eqx.filter_jit
+def _advance(model, carry, t0, numerics):
+    times = TimeGrid(jnp.asarray(1.0 / RATE), CHUNK, t0)
+    out = rollout(model, times, _save, numerics, begin=carry, checkpoint=False)
+    t = t0 + jnp.arange(1.0, CHUNK + 1.0) / RATE
+    waves = (model.drive.front, model.drive.rear)
+    set_pressure = jnp.stack([jax.vmap(w.segment)(t - 1e-4, t).b1 for w in waves])
+    return out.final, t, set_pressure, out.saved.T
+
+
+class Streaming:
+    """Streams the first trial of an experiment.
+
+    `drive` (of its amplitude), `leak`, `shut`, `k`, `K_Q`, `EI_tail`, `tail_length` may be changed
+    while it does; `tare` [N] is added to the forces.
+    """
+
+    def __init__(self, experiment, k, K_Q, nodes=41, seed=0):
+        model = to_model(experiment, 0)
+        self.k, self.K_Q = k, K_Q
+        self.drive, self.leak, self.shut, self.tare = 1.0, 0.0, 0.0, 0.0
+        robot = model.robot
+        self.EI_tail, self.tail_length = float(robot.EI_tail), float(robot.tail_length)
+        self.numerics = Numerics(*split_cells(nodes, self.tail_length, float(robot.body_length)))
+        self._model, self._rng, self.t = model, np.random.default_rng(seed), 0.0
+        self._carry = at_rest(self.model, self.numerics)
+
+    @property
+    def model(self):
+        changed = {n: getattr(self, n) for n in ("K_Q", "EI_tail", "tail_length")}
+        waves = (self._model.drive.front, self._model.drive.rear)
+        waves = [replace(w, amplitude=self.drive * w.amplitude) for w in waves]
+        model = replace(
+            self._model,
+            drive=replace(self._model.drive, front=waves[0], rear=waves[1]),
+            robot=replace(self._model.robot, **changed),
+            pressure_law=FirstOrderLag(self.k),
+            effects=(*self._model.effects, FrontFault(self.leak, self.shut)),
+        )
+        return jax.tree.map(lambda x: jnp.asarray(x, float), model)
+
+    def readings(self) -> Stretch:
+        """The next `CHUNK`."""
+        self._carry, t, set_pressure, true = _advance(
+            self.model, self._carry, jnp.asarray(self.t), self.numerics
+        )
+        assert bool(self._carry.ok)
+        self.t = float(t[-1])
+        t, true, rng = np.asarray(t), np.array(true), self._rng
+        true[:2] += SENSORS.pressure_noise * rng.normal(size=(2, CHUNK))
+        for row in (2, 3):
+            slow = slow_noise(t, SENSORS.force_slow_time, rng)
+            true[row] += self.tare + SENSORS.force_slow_noise * slow
+            true[row] += SENSORS.force_noise * rng.normal(size=CHUNK)
+        true[4] += SENSORS.tip_noise * rng.normal(size=CHUNK)
+        true[4, np.arange(CHUNK) % 5 != 0] = np.nan
+        return Stretch(t, np.asarray(set_pressure), true)
+
+    def run(self, seconds: float) -> Iterator[Stretch]:
+        """Readings of `seconds` in all."""
+        for _ in range(round(seconds * RATE / CHUNK)):
+            yield self.readings()
