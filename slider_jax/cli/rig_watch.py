@@ -15,6 +15,12 @@ from slider_jax.errors import InputError
 
 PAUSE = 0.01
 """Between looks at what has come [s]."""
+SHOWN = (
+    (0, "front", 1e-3, "5.1f", "kPa"),
+    (2, "thrust", 1.0, "6.3f", "N"),
+    (4, "tip", 1e3, "5.1f", "mm"),
+)
+"""Channels of the line: mean sizes, measured and by the model."""
 SAYS = 2.0
 """Between lines, where there is no terminal [s]."""
 
@@ -129,11 +135,18 @@ def _row(block, lag: float) -> dict[str, float]:
 
 
 def _say(block, lag: float, playing: "_Playing", new: bool) -> None:
-    model, measured = (np.nanmean(np.abs(x), axis=1) for x in (block.model, block.measured))
+    there = np.isfinite(block.measured)
+    count = np.maximum(there.sum(axis=1), 1)
+    model, measured = (
+        np.where(there, np.abs(x), 0.0).sum(axis=1) / count for x in (block.model, block.measured)
+    )
+    shown = [
+        f"{name} {factor * measured[i]:{form}} (model {factor * model[i]:{form}}) {unit}"
+        for i, name, factor, form, unit in SHOWN
+        if there[i].any()
+    ]
     line = (
-        f"{playing.seconds:6.1f} s  front {1e-3 * measured[0]:5.1f} (model {1e-3 * model[0]:5.1f}) "
-        f"kPa, thrust {measured[2]:.3f} ({model[2]:.3f}) N, tip {1e3 * measured[4]:.1f} "
-        f"({1e3 * model[4]:.1f}) mm, k {block.k.value:.4f} s, K_Q {block.K_Q.value:.3g} m^3, "
+        f"{playing.seconds:6.1f} s  {', '.join(shown)}, k {block.k.value:.4f} s, K_Q {block.K_Q.value:.3g} m^3, "
         f"{1e3 * lag:.0f} ms late, lost {playing.lost}"
         f"{'' if block.watching else ', learning its bands'}"
     )
