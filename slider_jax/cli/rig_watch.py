@@ -4,7 +4,7 @@ import sys
 import threading
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import numpy as np
 import tyro
@@ -97,13 +97,13 @@ def watch(
                     _say(block, lag, playing, new)
             if alarms and not sys.stderr.isatty():
                 break
-    lag = np.array([row["lag_s"] for row in rows])
-    if len(lag):
+    late = np.array([row["lag_s"] for row in rows])
+    if len(late):
         last = rows[-1]
         print(
             f"k {last['k_s']:.4g} +- {last['k_deviation_s']:.2g} s, K_Q {last['K_Q_m3']:.4g} +- "
             f"{last['K_Q_deviation_m3']:.2g} m^3; the model was "
-            f"{1e3 * np.median(lag):.0f} ms late, {1e3 * np.percentile(lag, 99):.0f} of 99 in 100"
+            f"{1e3 * np.median(late):.0f} ms late, {1e3 * np.percentile(late, 99):.0f} of 99 in 100"
         )
     for alarm in alarms:
         print(f"ALARM at {alarm['t_s']:.2f} s: {alarm['said']}")
@@ -146,8 +146,8 @@ def _say(block, lag: float, playing: "_Playing", new: bool) -> None:
         if there[i].any()
     ]
     line = (
-        f"{playing.seconds:6.1f} s  {', '.join(shown)}, k {block.k.value:.4f} s, K_Q {block.K_Q.value:.3g} m^3, "
-        f"{1e3 * lag:.0f} ms late, lost {playing.lost}"
+        f"{playing.seconds:6.1f} s  {', '.join(shown)}, k {block.k.value:.4f} s, "
+        f"K_Q {block.K_Q.value:.3g} m^3, {1e3 * lag:.0f} ms late, lost {playing.lost}"
         f"{'' if block.watching else ', learning its bands'}"
     )
     if sys.stderr.isatty() and not new:
@@ -165,7 +165,7 @@ class _Playing:
         from rig.live import LiveStream
 
         self._port, self._settings, self._trial = port, settings, trial
-        self._duration, self._failure = duration, None
+        self._duration, self._failure = duration, cast(BaseException | None, None)
         analogue = tuple(_sensor(x) for x in settings.analogue)
         self.stream = LiveStream(analogue, settings.force is not None)
         self._stop = threading.Event()
