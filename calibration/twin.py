@@ -10,7 +10,7 @@ k and K_Q follow the stream all the time, except where the residual leaves its b
 
 import time
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,7 +21,6 @@ from calibration.twin_block import (
     PAST,
     VALUES,
     Layout,
-    Predicted,
     begin,
     compiled,
     live_model,
@@ -176,11 +175,10 @@ class Twin:
 
     def _block(self, even: Even) -> Block:
         began = time.perf_counter()
-        predicted = self._predict(even)
+        model, along, faulty = self._predict(even)
         judged = self._judged(even)
-        model = predicted.channels
         residual = np.where(judged, even.measured - model, np.nan)
-        self._parts.append(Window(residual, even.measured, *predicted))
+        self._parts.append(Window(residual, even.measured, model, along, faulty))
         if len(self._parts) == self._in_window:
             self._close_window(float(even.t[-1]))
         alarm = self._watch.alarm if self._watch else NO_ALARM
@@ -199,14 +197,15 @@ class Twin:
         """Moment per pressure [m^3] now."""
         return self._K_Q.estimate.with_share(SYSTEMATIC_K_Q)
 
-    def _predict(self, even: Even) -> Predicted:
-        """The model over a block; it begins anew at what is measured where the block does."""
+    def _predict(self, even: Even) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """`Predicted` over a block; it begins anew at what is measured where the block does."""
         state = self._state
         if even.anew:
             self._past = np.repeat(even.set_pressure[:, :1], PAST + 1, axis=1)
             p = np.nan_to_num(even.measured[:2, 0])
             faulty = np.broadcast_to(p, state.faulty.shape).copy()
-            state = replace(state, p=p, dp=np.zeros(2), seen=p, faulty=faulty)
+            begun: dict[str, Any] = {"p": p, "dp": np.zeros(2), "seen": p, "faulty": faulty}
+            state = replace(state, **begun)
         set_pressure = np.concatenate([self._past, even.set_pressure], axis=1)
         self._past = set_pressure[:, -PAST - 1 :]
         values = np.array([self._k.value, self._K_Q.value, *self._values[2:]])
@@ -221,7 +220,8 @@ class Twin:
             )
             self._settle(SETTLE_ANEW)
         self._state = state
-        return Predicted(*map(np.asarray, predicted))
+        channels, along, faulty = map(np.asarray, predicted)
+        return channels, along, faulty
 
     def _settle(self, duration: float) -> None:
         self._settling = max(self._settling, round(duration / self.layout.period))

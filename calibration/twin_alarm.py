@@ -213,7 +213,7 @@ class Watch:
 
     def _hint(self, on: np.ndarray) -> str:
         if on[:2].any():
-            return "; ".join(self._chamber(i) for i in np.flatnonzero(on[:2]))
+            return "; ".join(self._chamber(int(i)) for i in np.flatnonzero(on[:2]))
         off = ", ".join(c for c, x in zip(CHANNELS, on, strict=True) if x)
         # The tail's stiffness and length do together what neither does alone.
         tail, K_Q = self._explained([1, 2]), self._explained([0])

@@ -152,13 +152,13 @@ def _block(layout: Layout, model: Model, state: State, values, t0, set_pressure,
     state = _moved(state, values)
     at = t0 + layout.period * jnp.arange(layout.samples + 1.0)
     before = layout.period * jnp.arange(-float(PAST), layout.samples + 1.0)
-    drive = Drive(*(Recorded(t0 + before, x) for x in set_pressure))
+    front, rear = (Recorded(t0 + before, x) for x in set_pressure)
     lag = FirstOrderLag(values[0])
     state, p, dp, seen, faulty = _pressures(
-        layout, replace(model, drive=drive, pressure_law=lag), state, at, measured
+        layout, replace(model, drive=Drive(front, rear), pressure_law=lag), state, at, measured
     )
-    waves = Drive(*(Recorded(at, x) for x in seen.T))
-    state, body, d_body = _body(layout, replace(model, drive=waves), state, t0)
+    front, rear = (Recorded(at, x) for x in seen.T)
+    state, body, d_body = _body(layout, replace(model, drive=Drive(front, rear)), state, t0)
     true = jnp.concatenate([p, body], axis=1)
     d_true = jnp.concatenate(
         [
