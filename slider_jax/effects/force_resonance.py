@@ -3,6 +3,7 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from slider_jax.effects.base import Instrument, parameter
 from slider_jax.parameters import Scalar
@@ -33,20 +34,24 @@ class ForceResonance(Instrument):
     damping_rate: Scalar = eqx.field(default=20.0)
     """b [1/s]; 0.1 of critical at 16 Hz."""
 
-    def read(self, true):
-        dt = true.t[1] - true.t[0]
+    def follow(self, before: tuple[Array, Array, Array], F: Array, dt: Array) -> Array:
+        """The reading for the force F [N], from those one, two and three samples `dt` [s] ago."""
         inertia = self.mass_over_stiffness / dt**2
         damping = self.mass_over_stiffness * self.damping_rate / (6.0 * dt)
+        x1, x2, x3 = before
+        held = inertia * (5.0 * x1 - 4.0 * x2 + x3)
+        held = held + damping * (18.0 * x1 - 9.0 * x2 + 2.0 * x3)
+        return (F + held) / (1.0 + 2.0 * inertia + 11.0 * damping)
 
-        def follow(force):
+    def read(self, true):
+        dt = true.t[1] - true.t[0]
+
+        def series(force):
             def body(before, F):
-                x1, x2, x3 = before
-                held = inertia * (5.0 * x1 - 4.0 * x2 + x3)
-                held = held + damping * (18.0 * x1 - 9.0 * x2 + 2.0 * x3)
-                x = (F + held) / (1.0 + 2.0 * inertia + 11.0 * damping)
-                return (x, x1, x2), x
+                x = self.follow(before, F, dt)
+                return (x, *before[:2]), x
 
             return jax.lax.scan(body, (force[0],) * 3, force)[1]
 
-        both = jax.vmap(follow)(jnp.stack([true.thrust, true.recoil]))
+        both = jax.vmap(series)(jnp.stack([true.thrust, true.recoil]))
         return true._replace(thrust=both[0], recoil=both[1])

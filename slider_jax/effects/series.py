@@ -24,8 +24,10 @@ def delayed(x: Float[Array, " n"], t: Float[Array, " n"], delay: Scalar) -> Floa
     return x1 + u * (slope1 + u * (curve + u * twist))
 
 
-def lagged(x: Float[Array, " n"], t: Float[Array, " n"], tau: Scalar) -> Float[Array, " n"]:
-    """y of tau dy/dt = x - y, from y = x at the start; exact for x linear between samples.
+def lagged(
+    x: Float[Array, " n"], t: Float[Array, " n"], tau: Scalar, start: Array | None = None
+) -> Float[Array, " n"]:
+    """y of tau dy/dt = x - y, from y = `start`, or x, at first; exact for x linear between samples.
 
     Over a step dt, with e = exp(-dt/tau) and the mean m = (1 - e) tau/dt of the decay,
 
@@ -46,5 +48,6 @@ def lagged(x: Float[Array, " n"], t: Float[Array, " n"], tau: Scalar) -> Float[A
         y = x_1 + e * (y - x_0) - m * (x_1 - x_0)
         return y, y
 
-    _, rest = jax.lax.scan(body, x[0], (x[:-1], x[1:]))
-    return jnp.concatenate([x[:1], rest])
+    first = x[0] if start is None else start
+    _, rest = jax.lax.scan(body, first, (x[:-1], x[1:]))
+    return jnp.concatenate([first[None], rest])
