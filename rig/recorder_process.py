@@ -5,14 +5,15 @@ recorder in the commands' own process, 14 ms with this, 7 to 19 ms without any. 
 program that is killed are written to the last.
 """
 
-import multiprocessing
+import json
 import os
 import signal
 import struct
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -43,23 +44,32 @@ class ProcessRecorder:
         self._lock, self._waiting, self._size = threading.Lock(), list[bytes](), 0
         self._failure: RigError | None = None
         self._load: Load | None = None
-        self._told = False
-        context = multiprocessing.get_context("spawn")
-        self._line, theirs = context.Pipe()
-        self._process = context.Process(
-            target=_record, name="recorder", daemon=True,
-            args=(theirs, self.path, self._names, dict(settings or {})),
-        )  # fmt: skip
-        self._process.start()
-        theirs.close()
-        self._await("started")
-        if self._failure is not None:
-            self._line.close()
-            self._process.join()
-            raise self._failure
+        self._told, self._closed = False, False
+        self._started, self._ended = threading.Event(), threading.Event()
         self._ending = threading.Event()
-        self._feeder = threading.Thread(target=self._feed, name="to the recorder", daemon=True)
-        self._feeder.start()
+        asked = {"path": str(self.path), "streams": self._names, "settings": dict(settings or {})}
+        try:
+            text = json.dumps(asked, allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise RigError(f"recording {path}: settings are not JSON ({error})") from None
+        # A program of its own, not a fork or a spawn: those run the caller's main module again.
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "rig.recorder_process"],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
+        )  # fmt: skip
+        self._threads = [
+            threading.Thread(target=work, name="recorder", daemon=True)
+            for work in (self._listen, self._feed)
+        ]
+        self._threads[0].start()
+        self._write(text.encode() + b"\n")
+        if not self._started.wait(PATIENCE):
+            self._fail(f"{self.path}: the recorder has not started in {PATIENCE:g} s")
+        if self._failure is not None:
+            self._end_process()
+            raise self._failure
+        self._threads[1].start()
 
     @property
     def pid(self) -> int | None:
@@ -91,21 +101,19 @@ class ProcessRecorder:
                 f"{self.path}: the disk is too slow, {self._size >> 20} MiB wait for it; record to "
                 "another one"
             )
-        with suppress(EOFError, OSError):
-            while self._line.poll():
-                self._hear(self._line.recv())
         if self._failure is not None and not self._told:
             self._told = True
             raise self._failure
 
     def close(self) -> None:
         """Everything to disk, and the process's end. Raises as `check`."""
-        if not self._ending.is_set():
+        if not self._closed:
+            self._closed = True
             self._ending.set()
-            self._feeder.join()
-            self._await("ended")
-            self._line.close()
-            self._process.join()
+            self._threads[1].join()
+            if not self._ended.wait(PATIENCE):
+                self._fail(f"{self.path}: the recorder has not ended in {PATIENCE:g} s")
+            self._end_process()
         if self._failure is not None and not self._told:
             self._told = True
             raise self._failure
@@ -127,43 +135,53 @@ class ProcessRecorder:
             ends = self._ending.wait(HAND_OVER)
             with self._lock:
                 pieces, self._waiting, self._size = self._waiting, [], 0
-            try:
-                if pieces:
-                    self._line.send_bytes(b"".join(pieces))
-                if ends:
-                    self._line.send_bytes(b"")
-            except OSError:
-                self._lost()
-                return
+            self._write(b"".join(pieces))
+        with suppress(OSError):
+            assert self._process.stdin is not None
+            self._process.stdin.close()
 
-    def _await(self, word: str) -> None:
-        """Until the process says so, or fails."""
-        try:
-            while self._line.poll(PATIENCE):
-                said = self._line.recv()
-                self._hear(said)
-                if said[0] in (word, "refused"):
-                    return
-            self._failure = RigError(f"{self.path}: the recorder has not {word} in {PATIENCE:g} s")
-        except (EOFError, OSError):
-            self._lost()
+    def _write(self, content: bytes) -> None:
+        """Nothing is raised: that the process has ended is heard by `_listen`."""
+        assert self._process.stdin is not None
+        with suppress(OSError, ValueError):
+            self._process.stdin.write(content)
+            self._process.stdin.flush()
 
-    def _hear(self, said: tuple[str, Any]) -> None:
-        word, content = said
-        if word == "ended":
-            self._load = content
-        elif word in ("failed", "refused"):
-            self._failure = RigError(content)
-
-    def _lost(self) -> None:
-        if self._failure is None:
-            self._failure = RigError(
+    def _listen(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            said = json.loads(line)
+            if said["word"] == "started":
+                self._started.set()
+            elif said["word"] == "ended":
+                self._load = Load(**said["content"])
+                self._ended.set()
+            else:
+                self._fail(said["content"])
+        if not self._ended.is_set():
+            self._fail(
                 f"{self.path}: the recorder's process has ended by itself; what it wrote is kept"
             )
+        self._started.set()
+        self._ended.set()
+
+    def _fail(self, text: str) -> None:
+        if self._failure is None:
+            self._failure = RigError(text)
+
+    def _end_process(self) -> None:
+        assert self._process.stdin is not None and self._process.stdout is not None
+        with suppress(OSError):
+            self._process.stdin.close()
+        if not self._ended.is_set():
+            self._process.kill()
+        self._process.wait()
+        self._threads[0].join()
+        self._process.stdout.close()
 
 
-def _record(line: Connection, path: Path, streams: tuple[str, ...], settings: Any) -> None:
-    """What the process does."""
+def main() -> None:
+    """What the process does: a line of JSON, then pieces until the end of the standard input."""
     # Ctrl-C and a closed terminal are for the program: it tells when to end.
     for name in ("SIGINT", "SIGHUP"):
         if hasattr(signal, name):
@@ -175,27 +193,29 @@ def _record(line: Connection, path: Path, streams: tuple[str, ...], settings: An
 
     def say(word: str, content: Any = None) -> None:
         with lock, suppress(OSError):
-            line.send((word, content))
+            print(json.dumps({"word": word, "content": content}), flush=True)
 
+    source = sys.stdin.buffer
+    asked = json.loads(source.readline())
     try:
-        recorder = Recorder(path, streams, settings, lambda failure: say("failed", str(failure)))
+        recorder = Recorder(
+            asked["path"], asked["streams"], asked["settings"],
+            lambda failure: say("failed", str(failure)),
+        )  # fmt: skip
     except RigError as refusal:
         say("refused", str(refusal))
         return
     say("started")
-    sinks = [recorder.sink(name) for name in streams]
-    with suppress(EOFError, OSError):
-        while batch := line.recv_bytes():
-            _sort(batch, sinks)
+    sinks = [recorder.sink(name) for name in asked["streams"]]
+    while len(head := source.read(_HEAD.size)) == _HEAD.size:
+        number, host_ns, size = _HEAD.unpack(head)
+        piece = source.read(size)
+        if len(piece) == size:
+            sinks[number](host_ns, piece)
     with suppress(RigError):  # said when it came
         recorder.close()
-    say("ended", recorder.load())
+    say("ended", recorder.load()._asdict())
 
 
-def _sort(batch: bytes, sinks: list[Callable[[int, bytes], None]]) -> None:
-    at = 0
-    while at < len(batch):
-        number, host_ns, size = _HEAD.unpack_from(batch, at)
-        at += _HEAD.size
-        sinks[number](host_ns, batch[at : at + size])
-        at += size
+if __name__ == "__main__":
+    main()

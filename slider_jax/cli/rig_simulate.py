@@ -1,5 +1,6 @@
 """`slider rig simulate`: a rig that is not there."""
 
+import os
 import sys
 import time
 from pathlib import Path
@@ -89,6 +90,9 @@ def _tank(experiment: Path | None, model: Path | None):
     from rig.simulated.tank import BenchTank
 
     if experiment is not None:
+        if hasattr(os, "sched_setaffinity"):
+            # XLA hands so small a step to its threads, which takes twice the time.
+            os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
         from slider_jax.cli.main import prepare_jax
         from slider_jax.cli.simulated_tank import RobotTank
         from slider_jax.experiment import load
