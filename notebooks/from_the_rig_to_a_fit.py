@@ -15,12 +15,14 @@
 #
 # The pneumatics are driven, every byte that comes back is recorded, and from the recordings come
 # the numbers of the model. Set `SLIDER_PORT` to your manifold's port, `SLIDER_RIG` to your rig file
-# and `SLIDER_EXPERIMENT` to the trials to run. Without them a simulated rig runs in this notebook:
+# and `SLIDER_EXPERIMENT` to the trials to run. Without them a simulated rig is started:
 # a manifold on a pseudo-terminal, a force sensor on the network, and behind them the robot in its
 # tank with coefficients that the experiment file does not know.
 
 # %%
 import os
+import subprocess
+import sys
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -38,6 +40,7 @@ from rig.session import run
 from slider_jax import experiment as experiments
 from slider_jax.cli.rig import opened, trials_of
 from slider_jax.cli.rig_settings import rig_of
+from slider_jax.design import to_toml
 
 sj.enable_float64()
 
@@ -96,17 +99,17 @@ measured.mkdir(exist_ok=True)
 with ExitStack() as stack:
     port = own
     if not own:
-        from rig.simulated.bench import running
-        from rig.simulated.mischief import Mischief
-        from rig.simulated.rig import SimulatedRig
-        from slider_jax.cli.simulated_tank import RobotTank
-
         hidden = {f"parameters.{name}": value for name, value in truth.items()}
-        tank = RobotTank(experiments.load(path).with_values(hidden))
-        simulated = SimulatedRig(tank, mischief=Mischief(noise=300.0))
-        bench = stack.enter_context(running(simulated, force_noise=5e-3))
-        rig_file.write_text(bench.settings())
-        port = bench.port
+        tank = Path("tank.toml")
+        tank.write_text(to_toml(experiments.load(path).with_values(hidden), "The tank."))
+        command = [sys.executable, "-m", "slider_jax.cli.main", "rig", "simulate", str(tank)]
+        simulated = stack.enter_context(
+            subprocess.Popen(
+                [*command, "--rig-file", str(rig_file)], stdout=subprocess.PIPE, text=True
+            )
+        )
+        stack.callback(simulated.terminate)
+        port = simulated.stdout.readline().split()[1]
     settings = rig_of(rig_file)
     machine = stack.enter_context(opened(port, settings))
     table_of_trials, trials = trials_of(path)

@@ -46,7 +46,18 @@ def designing_a_tail(found):
     assert 100 * found["finer"] == pytest.approx(climbed, rel=0.15)
 
 
+def from_the_rig_to_a_fit(found):
+    """Nothing is lost on the way, and the tank's coefficients lie in their intervals."""
+    assert all(x["readings_lost"] == 0 and not x["findings"] for x in found["told"])
+    assert abs(found["clock"].rate - 1.0) < 2e-4
+    for i, entry in enumerate(found["fitted"].entries):
+        value, low, high = found["interval"](found["fitted"].fit, found["fitted"].entries, i)
+        truth = found["truth"][entry.label]
+        assert low < truth < high and abs(value / truth - 1.0) < 0.1, entry.label
+
+
 CLAIMS = {
+    "from_the_rig_to_a_fit": from_the_rig_to_a_fit,
     "designing_a_tail": designing_a_tail,
     "one_stride": one_stride,
     "tracing_the_valve": tracing_the_valve,
@@ -58,7 +69,12 @@ def test_there_are_notebooks():
     assert NOTEBOOKS
 
 
-LONG = ("calibrating_drag_and_added_mass", "designing_a_tail", "tracing_the_valve")
+LONG = (
+    "calibrating_drag_and_added_mass",
+    "designing_a_tail",
+    "from_the_rig_to_a_fit",
+    "tracing_the_valve",
+)
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,7 @@ def simulate(
         inject: faults and when they begin, as leak_front_left=5@20: after 20 s, at 5 1/s.
         seed: of all chance.
     """
-    from rig.priority import real_time
+    from rig.priority import others_too, real_time
     from rig.simulated.bench import running
     from rig.simulated.mischief import Mischief
     from rig.simulated.rig import SimulatedRig
@@ -58,6 +58,7 @@ def simulate(
     mischief = Mischief(flipped=flipped, dropped=dropped, noise=noise, seed=seed)
     simulated = SimulatedRig(tank, mischief=mischief)
     with real_time(), running(simulated, force_noise, at, seed) as rig:
+        others_too()
         write_text(rig_file, rig.settings())
         print(f"port {rig.port}", flush=True)
         print(
