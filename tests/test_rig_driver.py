@@ -67,8 +67,8 @@ def test_a_trial_is_recorded_as_the_chambers_went(tmp_path):
             expected.append(p)
             p += 1e-4 / 0.05 * (drive.segments(t)[index] - p)
         error = found[name] - np.interp(found["t_s"], fine, expected)
-        # Each command waits for the tank's next step, 2 ms at most, of 50 ms to follow.
-        assert np.abs(error).max() < 0.1 * 100e3 and error.std() < 0.03 * 100e3
+        # A command on its way for 1 ms is 2 % of the lag late.
+        assert np.abs(error).max() < 0.06 * 100e3 and error.std() < 0.015 * 100e3
     tip = 2e-7 * (found["p_front_Pa"] + found["p_rear_Pa"])
     assert found["tip_m"] == pytest.approx(tip, abs=2e-7 * 1200)
 

@@ -8,6 +8,7 @@ from rig.simulated.manifold import ManifoldCore
 from rig.simulated.mischief import Line, Mischief
 from rig.simulated.tank import Measured, Tank
 
+Set = tuple[int, ...] | None
 STEP = 2_000
 """Of the tank, and between readings [us]."""
 TIP_PER_VOLT = 0.1
@@ -19,7 +20,7 @@ STALL = 99_000
 class SimulatedRig:
     """Bytes in and out of a manifold whose chambers are those of a tank.
 
-    The tank is one step ahead of the clock, so that what a sensor asks for lies between two states.
+    Set pressures act from when they come: a step has their mean over it.
     """
 
     def __init__(
@@ -36,10 +37,13 @@ class SimulatedRig:
         self._at, self._reset, self._held = 0, False, b""
         self._stuck: int | None = None
         self._states: deque[tuple[int, Measured]] = deque(maxlen=500)
+        self._followed: list[tuple[int, Set]] = []
 
     def feed(self, piece: bytes, now_us: int) -> bytes:
         """Takes bytes from the host; returns what is said to them."""
-        said = self.core.feed(self._in.damage(piece), min(now_us, self._at + STALL))
+        at = min(now_us, self._at + STALL)
+        said = self.core.feed(self._in.damage(piece), at)
+        self._followed.append((at, self.core.set_pressures))
         return self._late(self._out.damage(said), now_us)
 
     def tick(self, now_us: int) -> bytes:
@@ -53,14 +57,19 @@ class SimulatedRig:
             if self.mischief.reset_at is not None and since >= self.mischief.reset_at:
                 if not self._reset:
                     self.core, self._reset = self._new_core(), True
+            if self._at > self._begun:
+                now = self.tank.advance(self._mean_set(), STEP * 1e-6)
+                self._states.append((self._at, now))
             said += self.core.tick(self._at, self._channels(self._states[-1][1], since))
-            ahead = self.tank.advance(self.core.set_pressures, STEP * 1e-6)
+            self._followed.insert(0, (self._at, self.core.set_pressures))
             self._at += STEP
-            self._states.append((self._at, ahead))
         return self._late(self._out.damage(said), now_us)
 
     def measured(self, now_us: int) -> Measured:
-        """The tank's true values at a time within the last second, linear between its steps."""
+        """The tank's true values at a time within the last second.
+
+        Linear between its steps, and beyond the last one for no longer than one.
+        """
         states = list(self._states)
         if not states:
             return Measured((0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
@@ -68,7 +77,7 @@ class SimulatedRig:
         if after == 0:
             return states[0][1]
         (t0, a), (t1, b) = states[after - 1], states[after]
-        share = min((now_us - t0) / (t1 - t0), 1.0)
+        share = min((now_us - t0) / (t1 - t0), 2.0)
 
         def between(x: float, y: float) -> float:
             return x + share * (y - x)
@@ -76,6 +85,24 @@ class SimulatedRig:
         p = [between(x, y) for x, y in zip(a.chambers, b.chambers, strict=True)]
         rest = (between(x, y) for x, y in zip(a[1:], b[1:], strict=True))
         return Measured((p[0], p[1], p[2], p[3]), *rest)
+
+    def _mean_set(self) -> Set:
+        """Over the step that ends at the tank's time; what comes later is kept."""
+        start, end = self._at - STEP, self._at
+        times = [max(at, start) for at, _ in self._followed if at < end]
+        sets = [x for at, x in self._followed if at < end]
+        last = sets[-1]
+        self._followed = [(at, x) for at, x in self._followed if at >= end]
+        if all(x is None for x in sets):
+            return None
+        if all(x == last for x in sets):
+            return last
+        held = [b - a for a, b in zip(times, [*times[1:], end], strict=True)]
+        total = [0.0] * 4
+        for seconds, x in zip(held, sets, strict=True):
+            total = [p + seconds / STEP * q for p, q in zip(total, x or (0, 0, 0, 0), strict=True)]
+        a, b, c, d = (round(p) for p in total)
+        return a, b, c, d
 
     def _channels(self, state: Measured, since: float) -> tuple[int, ...]:
         noise = self.mischief.noise
