@@ -33,6 +33,10 @@ class Instrument(Protocol):
         """Raises `RigError` where it fell silent or fails."""
         ...
 
+    def close(self) -> None:
+        """Ends it for good."""
+        ...
+
 
 class Timing(NamedTuple):
     """Of a trial [s], and its commands a second."""

@@ -15,10 +15,13 @@ from rig.capture import Captured, Instrument, Switches, Timing, Trial, capture
 from rig.columns import Analogue, Columns, Reader, columns
 from rig.errors import RigError
 from rig.files import write_csv, write_json
+from rig.force import ForceSource
 from rig.manifold import Manifold
 from rig.recording import read_recording
 from rig.safety import Limits
 
+LATE = 3e-3
+"""Commands that are later than this, one in a hundred, are told of [s]."""
 RECORDINGS = "recordings"
 """In an experiment's folder: all that came of a trial, NAME.h5, and what is told, NAME.json."""
 
@@ -32,6 +35,8 @@ class Rig:
     limits: Limits
     instruments: dict[str, Instrument]
     readers: dict[str, Reader]
+    force: ForceSource | None = None
+    """That of the instruments, for who wants to show its latest sample."""
     analogue: tuple[Analogue, ...] = ()
     timing: Timing = Timing()
     pause: float = 2.0
@@ -138,6 +143,12 @@ def _keep(path: Path) -> None:
 
 def _told(trial: Trial, captured: Captured, read: Columns) -> dict[str, Any]:
     late = captured.played.lateness
+    late_99 = float(np.percentile(late, 99))
+    findings = list(read.told["findings"])
+    if late_99 > LATE:
+        findings.append(
+            f"one command in a hundred was {1e3 * late_99:.1f} ms late: the computer is too busy"
+        )
     plain = (str, float, int)
     drive = {key: x for key, x in asdict(trial.drive).items() if isinstance(x, plain)}
     return {
@@ -146,10 +157,11 @@ def _told(trial: Trial, captured: Captured, read: Columns) -> dict[str, Any]:
         "drive": drive,
         "begun_host_ns": captured.played.begun_ns,
         "commands": len(late),
-        "command_late_99_s": float(np.percentile(late, 99)),
+        "command_late_99_s": late_99,
         "command_late_most_s": float(late.max()),
         "recorder_slowest_flush_s": captured.load.slowest_flush,
         **read.told,
+        "findings": findings,
     }
 
 

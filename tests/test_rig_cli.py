@@ -28,10 +28,10 @@ def slider(*words, timeout=120.0, code=WITHOUT_JAX):
 
 
 @contextmanager
-def served(*words, cwd):
+def served(*words, cwd, code=WITHOUT_JAX):
     """A command that prints a port and runs until Ctrl-C."""
     child = subprocess.Popen(
-        [sys.executable, "-u", "-c", WITHOUT_JAX + MAIN, *map(str, words)],
+        [sys.executable, "-u", "-c", code + MAIN, *map(str, words)],
         stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=cwd,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip

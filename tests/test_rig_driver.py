@@ -39,7 +39,9 @@ def rig_on(port, **changes):
     """A manifold and what trials need; use it within the manifold's context."""
     switches = Switches(Switch(), Switch())
     manifold = Manifold(open_port(port), *switches)
-    return Rig(manifold, switches, LIMITS, {}, {}, (TIP,), QUICK, pause=0.05, **changes)
+    return Rig(
+        manifold, switches, LIMITS, {}, {}, analogue=(TIP,), timing=QUICK, pause=0.05, **changes
+    )
 
 
 def recorded(tmp_path, trials, mischief=Mischief(noise=100.0), settings=None):

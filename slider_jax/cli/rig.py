@@ -14,6 +14,7 @@ import tyro
 from rig.capture import Instrument, Switch, Switches, Timing, Trial
 from rig.columns import Analogue, Reader
 from rig.drive import Drive
+from rig.force import ForceSource
 from rig.manifold import Manifold
 from rig.priority import real_time
 from rig.safety import Limits
@@ -68,7 +69,7 @@ def to_play(trial: TrialTable, path: Path) -> Trial:
     return Trial(name, drive, trial.duration)
 
 
-def force_of(table: ForceTable) -> tuple[Instrument, Reader]:
+def force_of(table: ForceTable) -> tuple[ForceSource, Reader]:
     """A force sensor, opened, and how its stream is read."""
     from rig.force import Mounting
     from rig.force_net import NetCalibration, NetForce
@@ -107,19 +108,22 @@ def opened(port: str, table: RigTable) -> Iterator[Rig]:
     with ExitStack() as stack:
         stack.enter_context(signals_as_ctrl_c())
         stack.enter_context(real_time())
-        instruments, readers = {}, {}
+        instruments: dict[str, Instrument] = {}
+        readers: dict[str, Reader] = {}
+        force = None
         if table.force is not None:
-            source, readers["force"] = force_of(table.force)
-            instruments["force"] = source
-            stack.callback(source.close)  # type: ignore[attr-defined]
+            force, readers["force"] = force_of(table.force)
+            instruments["force"] = force
         if table.camera is not None:
             instruments["camera"], readers["camera"] = camera_of(table.camera)
+        for instrument in instruments.values():
+            stack.callback(instrument.close)
         manifold = stack.enter_context(Manifold(open_port(port), *switches))
         analogue = tuple(Analogue(x.column, x.input, x.scale, x.zero) for x in table.analogue)
         timing = Timing(settings.quiet, settings.after, settings.commands_per_second)
         yield Rig(
-            manifold, switches, Limits.of(settings.limits), instruments, readers, analogue, timing,
-            settings.pause,
+            manifold, switches, Limits.of(settings.limits), instruments, readers, force, analogue,
+            timing, settings.pause,
         )  # fmt: skip
 
 
@@ -158,11 +162,11 @@ class Live:
         if manifold.latest is not None:
             p = [1e-3 * x for x in manifold.latest.channels[:4]]
             said += f"  front {p[0] - p[1]:6.1f} rear {p[2] - p[3]:6.1f} kPa"
-        source = self._rig.instruments.get("force")
-        if source is not None:
-            found = source.latest()  # type: ignore[attr-defined]
+        force = self._rig.force
+        if force is not None:
+            found = force.latest()
             said += f"  Fx {found[1][0]:6.3f} N" if found is not None else ""
-            said += f"  force lost {source.health().missing}"  # type: ignore[attr-defined]
+            said += f"  force lost {force.health().missing}"
         said += f"  lost {manifold.lost} damaged {manifold.damaged}"
         print(f"\r{said:<100}" if self._terminal else said, end="" if self._terminal else "\n",
               file=sys.stderr, flush=True)  # fmt: skip
