@@ -199,7 +199,9 @@ def _sampled(p: TrialPlan, body: np.ndarray, pressures: np.ndarray, t: np.ndarra
     lead = body.shape[:-2]
     flat = body.reshape(-1, body.shape[-1])[:, : p.steps + 1].T
     at_samples = sample(p.step_times, flat, p.at, p.edges).T.reshape(*lead, 3, len(p.at))
-    index = np.clip(np.round((p.at - t[0]) / (t[1] - t[0])).astype(int), 0, len(t) - 1)
+    # Not from t[0], which is 0 and may be nearer to t[1] than the others to each other.
+    index = 1 + np.round((p.at - t[1]) / (t[2] - t[1])).astype(int)
+    index = np.clip(index, 0, len(t) - 1)
     return np.concatenate([pressures[..., index], at_samples], axis=-2)
 
 
