@@ -60,6 +60,10 @@ class LiveStream:
         """A force sample [N] and when it arrived [ns]."""
         self._forces.append((host_ns, thrust, recoil))
 
+    def clear(self) -> None:
+        """Forgets what has come so far."""
+        self._readings.clear()
+
     def take(self) -> Live:
         """What is complete: readings up to the latest force sample, if forces are measured."""
         forces = list(self._forces)

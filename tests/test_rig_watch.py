@@ -44,7 +44,7 @@ def test_a_leak_raises_an_alarm_that_names_it(watched):
 def test_the_model_keeps_up_with_the_rig(watched):
     rows = np.genfromtxt(watched[1] / "watch.csv", delimiter=",", names=True)
     assert len(rows) > 300
-    assert np.median(rows["lag_s"]) < 0.05
+    assert np.percentile(rows["lag_s"], 95) < 0.05
     late = rows["t_s"] > rows["t_s"][0] + 5.0
     assert rows["k_s"][late][-1] == pytest.approx(0.05, rel=0.05)
     assert rows["residual_thrust_N"][late].mean() < 0.05

@@ -211,8 +211,9 @@ class _Playing:
             self.stream.manifold = m
             m.configure(limits)
             with _forces(self._settings, self.stream):
-                self._begun.set()
                 m.arm()
+                self.stream.clear()  # of what came before, the first block would be late
+                self._begun.set()
                 rate = self._settings.manifold.commands_per_second
                 play(self.stream, self._trial.drive, self._duration, rate, self._tick)
 
