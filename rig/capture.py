@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -82,6 +83,10 @@ class Switches(NamedTuple):
     came: Switch
     went: Switch
 
+    def disconnect(self) -> None:
+        """What comes from now on is dropped."""
+        self.came.to = self.went.to = None
+
 
 def capture(
     trial: Trial,
@@ -123,24 +128,22 @@ def capture(
     manifold.configure(limits)
     recorder = ProcessRecorder(path, streams, settings)
     with recorder:
-        started: list[Instrument] = []
-        try:
+        with ExitStack() as stack:
+            stack.callback(switches.disconnect)
             switches.came.to, switches.went.to = (
                 recorder.sink("manifold"),
                 recorder.sink("commands"),
             )
             for name, instrument in instruments.items():
                 instrument.start(recorder.sink(name))
-                started.append(instrument)
+                stack.callback(instrument.stop)
             wait("quiet", timing.quiet)
-            manifold.arm()
             try:
+                manifold.arm()
                 played = play(manifold, trial.drive, trial.duration, timing.rate, on_tick)
-            finally:
-                manifold.stop()
+            except BaseException as error:
+                manifold.stop_after(error)
+                raise
+            manifold.stop()
             wait("after", timing.after)
-        finally:
-            for instrument in started:
-                instrument.stop()
-            switches.came.to = switches.went.to = None
     return Captured(played, recorder.load())

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rig.errors import RigError
 from rig.manifold import Manifold
 from rig.messages import CHAMBERS, Reading
 
@@ -59,7 +60,8 @@ class Collector:
 
     def take(self) -> list[tuple[int, Reading]]:
         """What has come since the last time."""
-        rows, self.rows = self.rows, []
+        rows = self.rows[: len(self.rows)]
+        del self.rows[: len(rows)]
         return rows
 
 
@@ -79,6 +81,8 @@ def check(
     begun = time.monotonic()
     _hold(manifold, 2.0, lambda: None)
     seconds, quiet = time.monotonic() - begun, collector.take()
+    if len(quiet) < 2:
+        raise RigError("no readings come; check the line from the manifold to the computer")
     channels = np.array([r.channels for _, r in quiet], float)
     rate = len(quiet) / seconds
     manifold.arm()
@@ -140,6 +144,8 @@ def _held(manifold: Manifold, collector: Collector, chamber: int, pressure: floa
     rows = collector.take()
     t = np.array([1e-9 * (host_ns - begun) for host_ns, _ in rows])
     p = np.array([r.channels[:4] for _, r in rows], float)
+    if not (t > 0.8 * HOLD).any():
+        raise RigError(f"no readings came while {CHAMBERS[chamber]} was held; check the line")
     reached = float(p[t > 0.8 * HOLD, chamber].mean())
     above = np.flatnonzero(p[:, chamber] >= 0.632 * reached)
     rise = float(t[above[0]]) if len(above) else float("nan")

@@ -46,6 +46,11 @@ class Analogue:
         if not np.isfinite(self.scale) or self.scale == 0.0:
             raise RigError.value("analogue scale", self.scale, "a finite number that is not 0")
 
+    def signal(self, channels: np.ndarray) -> np.ndarray:
+        """(...) of readings' channels (..., 8), in the column's unit; from 0 V without a `zero`."""
+        volts = 1e-6 * channels[..., CHANNELS.index(f"in_{self.input}_uV")]
+        return self.scale * (volts - (self.zero or 0.0))
+
 
 Reader = Callable[[Stream], Samples]
 
@@ -89,8 +94,7 @@ def columns(
         name: _rest(p[quiet]) for name, p in (("p_front_Pa", front), ("p_rear_Pa", rear))
     }
     for sensor in analogue:
-        volts = 1e-6 * found.channels[:, CHANNELS.index(f"in_{sensor.input}_uV")]
-        signal = sensor.scale * (volts - (sensor.zero or 0.0))
+        signal = sensor.signal(found.channels)
         rest[sensor.column] = _rest(signal[quiet])
         tare = rest[sensor.column][0] if sensor.zero is None else 0.0
         values[sensor.column] = (signal - tare)[rows]

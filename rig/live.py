@@ -9,7 +9,7 @@ import numpy as np
 from rig.clock import RunningClock
 from rig.columns import Analogue
 from rig.manifold import Manifold
-from rig.messages import CHANNELS, Reading
+from rig.messages import Reading
 
 CHANNELS_OUT = ("p_front_Pa", "p_rear_Pa", "thrust_N", "recoil_N", "tip_m")
 LATEST = 0.05
@@ -78,18 +78,17 @@ class LiveStream:
         n = len(rows)
         set_pressure, measured = np.zeros((2, n)), np.full((5, n), np.nan)
         device, arrived = np.zeros(n), np.zeros(n, np.int64)
-        with self._lock:
-            for i, (host_ns, reading) in enumerate(rows):
-                device[i], arrived[i] = 1e-6 * reading.device_us, host_ns
-                self._clock.add(device[i], 1e-9 * host_ns)
-                a, b, c, d = self._commands.get(reading.command, (0.0, 0.0, 0.0, 0.0))
-                set_pressure[:, i] = a - b, c - d
-                p = reading.channels
-                measured[:2, i] = p[0] - p[1], p[2] - p[3]
-                for sensor in self._analogue:
-                    volts = 1e-6 * p[CHANNELS.index(f"in_{sensor.input}_uV")]
-                    value = sensor.scale * (volts - (sensor.zero or 0.0))
-                    measured[CHANNELS_OUT.index(sensor.column), i] = value
+        with self._lock:  # not for longer: the player waits for it
+            commands = dict(self._commands)
+        for i, (host_ns, reading) in enumerate(rows):
+            device[i], arrived[i] = 1e-6 * reading.device_us, host_ns
+            self._clock.add(device[i], 1e-9 * host_ns)
+            a, b, c, d = commands.get(reading.command, (0.0, 0.0, 0.0, 0.0))
+            set_pressure[:, i] = a - b, c - d
+            p = reading.channels
+            measured[:2, i] = p[0] - p[1], p[2] - p[3]
+            for sensor in self._analogue:
+                measured[CHANNELS_OUT.index(sensor.column), i] = sensor.signal(np.array(p))
         if forces and n:
             t, thrust, recoil = np.array(forces, float).T
             at = np.array([float(self._clock.to_host(x)) for x in device])

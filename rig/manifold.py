@@ -1,7 +1,9 @@
 """The manifold over its line: commands out, readings in, and a stop on every way out."""
 
 import threading
+import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from types import TracebackType
 
@@ -26,6 +28,7 @@ from rig.messages import (
     Reading,
     SetLimits,
     SetPressures,
+    State,
     Stop,
     WaveBegin,
     WavePiece,
@@ -34,8 +37,10 @@ from rig.messages import (
 from rig.port import PortLost
 from rig.safety import Limits, checked
 
-PATIENCE = 0.25
-"""For an answer [s]; a command that is not answered is sent once more, twice at most."""
+PATIENCE, TRIES = 0.08, 8
+"""For an answer [s], shorter than the watchdog's; then a command is sent once more."""
+SILENCE = 0.5
+"""Without a reading while armed [s]: who does not see what it drives has to stop."""
 Sink = Callable[[int, bytes], None]
 VENTS = "the manifold vents by itself 0.1 s after the last command"
 _WHY = {
@@ -71,6 +76,7 @@ class Manifold:
         self._news, self._writing = threading.Condition(), threading.Lock()
         self._acks: dict[int, Ack] = {}
         self._failure: RigError | None = None
+        self._armed, self._heard = False, 0.0
         self._ends = threading.Event()
         self._reader = threading.Thread(target=self._read, name="manifold", daemon=True)
 
@@ -103,17 +109,28 @@ class Manifold:
         trace: TracebackType | None,
     ) -> None:
         try:
-            self.stop()
-        except RigError:
-            if error is None:
-                raise
+            self.stop_after(error)
         finally:
             self._close()
 
+    def stop_after(self, error: BaseException | None) -> None:
+        """Stops; what goes wrong with that is noted on the `error` that led here, if any."""
+        try:
+            self.stop()
+        except RigError as failure:
+            if error is None:
+                raise
+            error.add_note(f"and the stop was not confirmed: {failure}")
+
     def check(self) -> None:
-        """Raises what has happened since: a lost port, or that the manifold vented by itself."""
+        """Raises what has happened: a lost port, a vent of the manifold's own, no readings."""
         if self._failure is not None:
             raise self._failure
+        silent = time.monotonic() - self._heard
+        if self._armed and silent > SILENCE:
+            raise RigError(
+                f"{self._port.name}: no reading for {silent:.1f} s; check its line to the computer"
+            )
 
     def configure(self, limits: Limits) -> None:
         """Sets the limits, which vents, and clears a fault."""
@@ -121,11 +138,13 @@ class Manifold:
         self.limits = limits.within(self.ident)
         # What was there before, such as a reset, is done with.
         self._failure = self._failure if isinstance(self._failure, PortLost) else None
+        self._armed = False
         self._ask(lambda seq: SetLimits(seq, *(int(p) for p in limits)))
 
     def arm(self) -> None:
         """From now on set pressures are followed, and the watchdog watches."""
         self._ask(Arm)
+        self._armed, self._heard = True, time.monotonic()
 
     def set(self, pressures: Sequence[float]) -> int:
         """Set gauge pressures (4,) [Pa]; returns the command's number. Raises `RigError`."""
@@ -140,6 +159,7 @@ class Manifold:
 
     def stop(self) -> None:
         """Vents all chambers, and waits until the manifold says so. Raises `RigError` if not."""
+        self._armed = False
         self._ask(Stop)
 
     def upload(self, samples: Sequence[Sequence[float]], period: float) -> None:
@@ -189,17 +209,20 @@ class Manifold:
 
     def _ask(self, make: Callable[[int], Message]) -> None:
         """A command whose answer is waited for, and which may be repeated."""
-        for _ in range(3):
+        for tried in range(TRIES):
             if isinstance(self._failure, PortLost):
                 raise self._failure
             seq = self._tell(make)
             ack = self._answer(seq)
             if ack is not None:
-                self._judge(make(seq), ack)
+                # The one before was obeyed, and its answer lost.
+                obeyed = tried and make is Arm and ack.answer == Answer.WRONG_STATE
+                if not (obeyed and self.latest and self.latest.state == State.ARMED):
+                    self._judge(make(seq), ack)
                 return
         self.check()
         name = type(make(0)).__name__
-        raise RigError(f"{self._port.name}: no answer to {name}, asked three times; {VENTS}")
+        raise RigError(f"{self._port.name}: no answer to {name}, asked {TRIES} times; {VENTS}")
 
     def _answer(self, seq: int) -> Ack | None:
         with self._news:
@@ -219,7 +242,7 @@ class Manifold:
         )
 
     def _hello(self) -> Ident:
-        for _ in range(8):
+        for _ in range(3 * TRIES):
             with self._writing:
                 self._write(encode(Hello(PROTOCOL)))
             with self._news:
@@ -237,6 +260,12 @@ class Manifold:
         )
 
     def _read(self) -> None:
+        try:
+            self._listen()
+        except Exception as error:
+            self._failure = RigError(f"{self._port.name}: stopped reading: {error!r}")
+
+    def _listen(self) -> None:
         begun = False
         while not self._ends.is_set():
             try:
@@ -262,8 +291,11 @@ class Manifold:
 
     def _take(self, now: int, message: Message) -> None:
         match message:
-            case Reading():
+            case Reading() if self.ident is not None:
+                self._heard = time.monotonic()
                 self._count(message)
+                if self._armed and message.state not in (State.ARMED, State.PLAYING):
+                    self._vented("its readings say so; why was lost on the line")
                 if self._on_reading is not None:
                     self._on_reading(now, message)
             case Ack():
@@ -282,8 +314,13 @@ class Manifold:
                     self._news.notify_all()
             case Event() if message.cause in _WHY:
                 place = CHAMBERS[message.detail] if 0 <= message.detail < 4 else "a chamber"
-                why = _WHY[Cause(message.cause)].format(detail=message.detail, chamber=place)
-                self._failure = RigError(f"{self._port.name}: the manifold vented: {why}")
+                self._vented(
+                    _WHY[Cause(message.cause)].format(detail=message.detail, chamber=place)
+                )
+
+    def _vented(self, why: str) -> None:
+        if self._failure is None:
+            self._failure = RigError(f"{self._port.name}: the manifold vented: {why}")
 
     def _count(self, reading: Reading) -> None:
         if self.latest is not None:
@@ -298,6 +335,9 @@ class Manifold:
     def _close(self) -> None:
         self._ends.set()
         self._reader.join(0.5)
+        # A real port may wait long for bytes that nobody takes. One that is gone: termios.error.
+        with suppress(Exception):
+            self._port.reset_output_buffer()
         self._port.close()
 
 

@@ -33,8 +33,8 @@ def schedule(drive: Drive, duration: float, rate: float = RATE) -> np.ndarray:
     even = np.arange(int(np.ceil(duration * rate))) / rate
     edges = drive.edges(duration)
     times = np.union1d(even, edges)
-    # An edge that rounding put beside an even one is that one.
-    return times[np.concatenate([[True], np.diff(times) > 1e-6])]
+    # Of an edge and an even time that rounding put beside each other the later one is behind both.
+    return times[np.append(np.diff(times) > 1e-6, True)]
 
 
 def play(

@@ -39,9 +39,9 @@ def open_port(name: str, baud: int = BAUD) -> serial.Serial:
     """
     try:
         port = serial.Serial(name, baud, timeout=0.05, write_timeout=0.5, exclusive=True)
-    except (serial.SerialException, OSError, ValueError) as error:
+        port.reset_input_buffer()
+    except Exception as error:  # also termios.error, which not every system has
         raise RigError(_why(name, error)) from None
-    port.reset_input_buffer()
     return port
 
 

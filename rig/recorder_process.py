@@ -110,7 +110,7 @@ class ProcessRecorder:
         if not self._closed:
             self._closed = True
             self._ending.set()
-            self._threads[1].join()
+            self._threads[1].join(PATIENCE)
             if not self._ended.wait(PATIENCE):
                 self._fail(f"{self.path}: the recorder has not ended in {PATIENCE:g} s")
             self._end_process()
@@ -171,10 +171,10 @@ class ProcessRecorder:
 
     def _end_process(self) -> None:
         assert self._process.stdin is not None and self._process.stdout is not None
-        with suppress(OSError):
-            self._process.stdin.close()
         if not self._ended.is_set():
             self._process.kill()
+        with suppress(OSError):
+            self._process.stdin.close()
         self._process.wait()
         self._threads[0].join()
         self._process.stdout.close()
@@ -182,8 +182,8 @@ class ProcessRecorder:
 
 def main() -> None:
     """What the process does: a line of JSON, then pieces until the end of the standard input."""
-    # Ctrl-C and a closed terminal are for the program: it tells when to end.
-    for name in ("SIGINT", "SIGHUP"):
+    # These are for the program: it tells when to end.
+    for name in ("SIGINT", "SIGHUP", "SIGTERM"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     if hasattr(os, "sched_setscheduler"):

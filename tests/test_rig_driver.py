@@ -101,6 +101,14 @@ def test_a_bad_line_loses_readings_and_says_so(tmp_path):
     assert np.abs(found["p_front_Pa"]).max() < 51e3
 
 
+def test_an_edge_beside_an_even_time_is_not_missed():
+    """At 1.50000015 s, where an even command is due at 1.5 s."""
+    drive = Drive("square", 0.3333333, 1e5)
+    times = schedule(drive, 2.0)
+    switched = next(t for t in times if drive.segments(t)[0] < 0.0)
+    assert switched - 0.5 / 0.3333333 < 1e-9 and np.diff(times).min() > 1e-6
+
+
 def test_edges_of_a_square_wave_are_commanded_at_their_own_times():
     drive = Drive("square", 4.8, 1e5, phase=0.15)
     times = schedule(drive, 1.0)

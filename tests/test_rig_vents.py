@@ -13,8 +13,9 @@ import pytest
 from rig.capture import Switch, Switches, Timing, Trial, capture
 from rig.drive import Drive
 from rig.errors import RigError
+from rig.frames import decode
 from rig.manifold import Manifold
-from rig.messages import State
+from rig.messages import Event, State
 from rig.port import PortLost, open_port
 from rig.priority import real_time
 from rig.safety import Limits
@@ -202,6 +203,36 @@ def test_a_manifold_that_resets_ends_the_trial(tmp_path):
     with in_thread(watched) as served, pytest.raises(RigError, match="it has reset"):
         recorded(served.path, tmp_path)
     assert watched.rig.core.state == State.BOOT
+
+
+def test_who_does_not_see_what_it_drives_stops(tmp_path):
+    """The manifold hears, but nothing comes back: not even that it has stopped."""
+    watched = Watched(Mischief(silent=(1.0, 1e9)))
+    with in_thread(watched) as served:
+        with pytest.raises(RigError, match="no reading for 0.5 s") as told:
+            recorded(served.path, tmp_path)
+        assert watched.rig.core.state == State.READY
+    assert any("stop was not confirmed" in note for note in told.value.__notes__)
+
+
+def test_a_vent_whose_reason_is_lost_on_the_line_is_noticed(tmp_path):
+    class Mute(Watched):
+        """Its events never arrive."""
+
+        def _look(self, said):
+            wire = b"".join(frame + b"\0" for frame in super()._look(said).split(b"\0")[:-1]
+                            if not isinstance(decode(frame), Event))  # fmt: skip
+            return wire
+
+    watched = Mute()
+
+    def leak_out(phase, t):
+        if phase == "drive" and t > 0.3:
+            watched.rig.tank._p[0] = 400e3
+
+    with in_thread(watched) as served, pytest.raises(RigError, match="its readings say so"):
+        recorded(served.path, tmp_path, watch=leak_out)
+    assert watched.rig.core.state == State.FAULT
 
 
 def test_a_line_that_is_dead_vents(tmp_path):

@@ -181,6 +181,11 @@ def run(arguments: Sequence[str]) -> int:
     return int(tyro.cli(style(command), args=rest, prog=f"slider {name}") or 0)
 
 
+def _notes(error: BaseException) -> list[str]:
+    """What else went wrong on the way out."""
+    return list(getattr(error, "__notes__", ()))
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point: exit code 0, 2 for a bad input or a failed solve, 130 when interrupted."""
     arguments = sys.argv[1:] if arguments is None else arguments
@@ -200,10 +205,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return run(arguments)
     except (InputError, SolverError, RigError) as error:
-        print(f"slider: error: {error}", file=sys.stderr)
+        print("\n".join([f"slider: error: {error}", *_notes(error)]), file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print("slider: interrupted", file=sys.stderr)
+    except KeyboardInterrupt as interrupt:
+        print("\n".join(["slider: interrupted", *_notes(interrupt)]), file=sys.stderr)
         return 130
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import tyro
 
 from rig.capture import Instrument, Switch, Switches, Timing, Trial
-from rig.columns import Analogue, Reader
+from rig.columns import Reader
 from rig.drive import Drive
 from rig.force import ForceSource
 from rig.manifold import Manifold
@@ -22,6 +22,7 @@ from rig.session import Rig
 from slider_jax.cli.rig_settings import CameraTable, ForceTable, RigTable
 from slider_jax.csv_file import read_csv
 from slider_jax.errors import InputError
+from slider_jax.files import write_bytes
 from slider_jax.schema import ExperimentTable, Trial as TrialTable
 from slider_jax.toml_file import read_toml, validate
 
@@ -44,6 +45,14 @@ def trials_of(path: Path) -> tuple[ExperimentTable, list[Trial]]:
     """An experiment file, and its trials as they are played. Raises `InputError`."""
     experiment = validate(ExperimentTable, read_toml(path), str(path))
     return experiment, [to_play(x, path) for x in experiment.trials]
+
+
+def copy_experiment(path: Path, folder: Path) -> None:
+    """An experiment file, as experiment.toml, and the drives that it names, into a folder."""
+    table, _ = trials_of(path)
+    write_bytes(folder / "experiment.toml", path.read_bytes())
+    for name in {x.drive_file for x in table.trials if x.drive_file}:
+        write_bytes(folder / name, (path.parent / name).read_bytes())
 
 
 def to_play(trial: TrialTable, path: Path) -> Trial:
@@ -114,12 +123,12 @@ def opened(port: str, table: RigTable) -> Iterator[Rig]:
         if table.force is not None:
             force, readers["force"] = force_of(table.force)
             instruments["force"] = force
+            stack.callback(force.close)
         if table.camera is not None:
             instruments["camera"], readers["camera"] = camera_of(table.camera)
-        for instrument in instruments.values():
-            stack.callback(instrument.close)
+            stack.callback(instruments["camera"].close)
         manifold = stack.enter_context(Manifold(open_port(port), *switches))
-        analogue = tuple(Analogue(x.column, x.input, x.scale, x.zero) for x in table.analogue)
+        analogue = tuple(x.sensor() for x in table.analogue)
         timing = Timing(settings.quiet, settings.after, settings.commands_per_second)
         yield Rig(
             manifold, switches, Limits.of(settings.limits), instruments, readers, force, analogue,

@@ -10,7 +10,7 @@ from typing import Annotated
 import tyro
 
 from slider_jax.cli.options import Folder, Whole
-from slider_jax.cli.rig import Live, Port, RigFile, opened, to_play
+from slider_jax.cli.rig import Live, Port, RigFile, copy_experiment, opened, to_play
 from slider_jax.errors import InputError
 
 
@@ -42,7 +42,7 @@ def loop(
     from rig.session import run as run_trials
     from slider_jax.cli.rig_settings import rig_of
     from slider_jax.experiment import Experiment, load
-    from slider_jax.files import output_folder, write_bytes, write_json, write_text
+    from slider_jax.files import output_folder, write_json, write_text
     from slider_jax.schema import Trial
 
     settings = rig_of(rig)
@@ -53,7 +53,12 @@ def loop(
     folder.mkdir(exist_ok=True)
     path = folder / "experiment.toml"
     if not path.exists():
-        write_bytes(path, experiment.read_bytes())
+        copy_experiment(experiment, folder)
+    elif not path.read_bytes().startswith(experiment.read_bytes().rstrip()):
+        raise InputError(
+            f"--out {out}: has a loop on another experiment; give another folder, or the same "
+            "experiment to go on"
+        )
     begun = time.monotonic()
 
     def say(text: str) -> None:

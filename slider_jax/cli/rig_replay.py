@@ -43,28 +43,31 @@ def replay(
 
 
 def _anew(folder: Path, out: Path, rig: Path | None) -> None:
-    from rig.columns import Analogue, columns
+    from rig.columns import columns
     from rig.force import Mounting
     from rig.force_net import NetCalibration
     from rig.recording import read_recording
     from rig.session import RECORDINGS
     from rig.sources import force_reader
     from slider_jax.cli.options import refuse_own_folder
+    from slider_jax.cli.rig import camera_of, copy_experiment
     from slider_jax.cli.rig_settings import rig_of
-    from slider_jax.files import staged, write_bytes, write_csv
+    from slider_jax.files import staged, write_csv
 
     refuse_own_folder(out, folder)
     told = sorted((folder / RECORDINGS).glob("*.json"))
     if not told:
         raise InputError(f"{folder}: holds no {RECORDINGS}/*.json; give a folder of slider rig run")
     settings = rig_of(rig)
-    analogue = tuple(Analogue(x.column, x.input, x.scale, x.zero) for x in settings.analogue)
+    analogue = tuple(x.sensor() for x in settings.analogue)
     force, readers = settings.force, {}
     if force is not None:
         if force.counts_per_N is None or force.counts_per_Nm is None:
             raise InputError(f"{rig}: force.counts_per_N: missing; no box is asked in a replay")
         calibration = NetCalibration(force.counts_per_N, force.counts_per_Nm)
         readers["force"] = force_reader(calibration, Mounting(force.thrust, force.recoil))
+    if settings.camera is not None:
+        _, readers["camera"] = camera_of(settings.camera)
     with staged(out) as stage:
         for path in told:
             trial = json.loads(path.read_text())
@@ -75,7 +78,7 @@ def _anew(folder: Path, out: Path, rig: Path | None) -> None:
             print(f"{path.stem}.csv  {'; '.join(read.told['findings']) or 'no findings'}")
         experiment = folder / "experiment.toml"
         if experiment.exists():
-            write_bytes(stage / "experiment.toml", experiment.read_bytes())
+            copy_experiment(experiment, stage)
 
 
 def _again(path: Path, speed: float) -> None:

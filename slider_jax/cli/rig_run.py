@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import tyro
 
 from slider_jax.cli.options import Folder
-from slider_jax.cli.rig import Live, Port, RigFile, opened, trials_of
+from slider_jax.cli.rig import Live, Port, RigFile, copy_experiment, opened, trials_of
 from slider_jax.errors import InputError
 
 
@@ -37,7 +37,7 @@ def run(
     """
     from rig.session import run as run_trials
     from slider_jax.cli.rig_settings import rig_of
-    from slider_jax.files import output_folder, write_bytes
+    from slider_jax.files import output_folder
     from slider_jax.provenance import input_file
 
     if out.resolve() == experiment.resolve().parent:
@@ -68,9 +68,7 @@ def run(
         for shot in trials:
             shot.drive.check(machine.limits.within(ident), shot.duration)
         folder = output_folder(out)
-        write_bytes(folder / "experiment.toml", experiment.read_bytes())
-        for name in {x.drive_file for x in table.trials if x.drive_file}:
-            write_bytes(folder / name, (experiment.parent / name).read_bytes())
+        copy_experiment(experiment, folder)
         live = Live(machine, len(trials))
         found = run_trials(trials, machine, folder, told, live)
         live.end()

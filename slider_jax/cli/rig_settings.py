@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
+from rig.columns import Analogue
 from slider_jax.errors import InputError
 from slider_jax.quantity import Quantity
 from slider_jax.schema import FROM_LIST, Table, _fail
@@ -72,6 +73,10 @@ class AnalogueTable(Table):
     input: Annotated[int, Field(ge=1, le=3)]
     scale: float
     zero: float | None = None
+
+    def sensor(self) -> Analogue:
+        """As the rig has it."""
+        return Analogue(self.column, self.input, self.scale, self.zero)
 
 
 class RigTable(Table):

@@ -47,7 +47,7 @@ def simulate(
     from slider_jax.files import write_text
 
     faults = sorted((_fault(text) for text in inject), key=lambda fault: fault[2])
-    tank, put = _tank(experiment, model)
+    tank, put = _tank(experiment, model, [name for name, _, _ in faults])
 
     def at(seconds: float) -> None:
         while faults and seconds >= faults[0][2]:
@@ -85,8 +85,8 @@ def _fault(text: str) -> tuple[str, float, float]:
         ) from None
 
 
-def _tank(experiment: Path | None, model: Path | None):
-    """What is controlled and measured, and what puts a fault into it."""
+def _tank(experiment: Path | None, model: Path | None, faults: list[str]):
+    """What is controlled and measured, and what puts a fault into it. `faults` are to come."""
     from rig.messages import CHAMBERS
     from rig.simulated.tank import BenchTank
 
@@ -97,21 +97,25 @@ def _tank(experiment: Path | None, model: Path | None):
         from slider_jax.cli.main import prepare_jax
         from slider_jax.cli.simulated_tank import RobotTank
         from slider_jax.experiment import load
+        from slider_jax.faults import with_fault
 
         prepare_jax()
         print("compiling the simulated robot ...", file=sys.stderr, flush=True)
         robot = RobotTank(load(experiment, model))
+        for name in faults:
+            with_fault(robot.plant.faults, name, 0.1)
         return robot, robot.plant.inject
     if model is not None:
         raise InputError(f"--model {model}: given without an experiment; give both")
     bench = BenchTank()
-
-    def leak(name: str, value: float) -> None:
-        allowed = {f"leak_{chamber}": i for i, chamber in enumerate(CHAMBERS)}
+    allowed = {f"leak_{chamber}": i for i, chamber in enumerate(CHAMBERS)}
+    for name in faults:
         if name not in allowed:
             raise InputError.value(
                 "--inject", name, ", ".join(allowed), "the others need an experiment file"
             )
+
+    def leak(name: str, value: float) -> None:
         bench.leak[allowed[name]] = value
 
     return bench, leak

@@ -63,6 +63,8 @@ def watch(
     if chosen.tow_speed or chosen.clamp_moves:
         print(f"{chosen.file}: its clamp moves: see to that", file=sys.stderr)
     settings = rig_of(rig)
+    if settings.camera is not None:
+        print("the camera is not watched: its tip is told after a trial only", file=sys.stderr)
     played = to_play(chosen, experiment)
     duration = played.duration if seconds is None else seconds
     if not duration > 0.0:
@@ -166,11 +168,11 @@ class _Playing:
 
         self._port, self._settings, self._trial = port, settings, trial
         self._duration, self._failure = duration, cast(BaseException | None, None)
-        analogue = tuple(_sensor(x) for x in settings.analogue)
+        analogue = tuple(x.sensor() for x in settings.analogue)
         self.stream = LiveStream(analogue, settings.force is not None)
         self._stop = threading.Event()
         self.seconds, self.lost = 0.0, 0
-        self._begun = threading.Event()
+        self._begun, self._force = threading.Event(), cast(Any, None)
         self._thread = threading.Thread(target=self._play, name="player", daemon=True)
 
     @property
@@ -182,11 +184,23 @@ class _Playing:
 
     def __enter__(self) -> "_Playing":
         self._thread.start()
-        while not self._begun.wait(0.05) and self._thread.is_alive():
-            pass
+        try:
+            while not self._begun.wait(0.05) and self._thread.is_alive():
+                pass
+        except BaseException:
+            self._end()
+            raise
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        self._end()
+        if self._failure is None or error is self._failure:
+            return
+        if error is None:
+            raise self._failure
+        error.add_note(str(self._failure))
+
+    def _end(self) -> None:
         self._stop.set()
         self._thread.join()
 
@@ -210,28 +224,29 @@ class _Playing:
         with real_time(), Manifold(open_port(self._port), on_reading=self.stream.reading) as m:
             self.stream.manifold = m
             m.configure(limits)
-            with _forces(self._settings, self.stream):
+            with _forces(self._settings, self.stream) as self._force:
                 m.arm()
                 self.stream.clear()  # of what came before, the first block would be late
                 self._begun.set()
                 rate = self._settings.manifold.commands_per_second
-                play(self.stream, self._trial.drive, self._duration, rate, self._tick)
+                try:
+                    play(self.stream, self._trial.drive, self._duration, rate, self._tick)
+                except BaseException as error:
+                    m.stop_after(error)
+                    raise
+                m.stop()  # before the force sensor takes its time to end
 
     def _tick(self, t: float) -> None:
         assert self.stream.manifold is not None
         self.seconds, self.lost = t, self.stream.manifold.lost
+        if self._force is not None:
+            self._force.check()
         if self._stop.is_set():
             raise _Ended
 
 
 class _Ended(Exception):
     """The drive is not to go on."""
-
-
-def _sensor(table: Any):
-    from rig.columns import Analogue
-
-    return Analogue(table.column, table.input, table.scale, table.zero)
 
 
 def _forces(settings: Any, stream: Any):
@@ -257,6 +272,6 @@ def _forces(settings: Any, stream: Any):
 
         with source:
             source.start(sink)
-            yield
+            yield source
 
     return running()
