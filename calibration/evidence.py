@@ -10,6 +10,7 @@ simulation is done once for each vector and never again for a question asked of 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +29,19 @@ from calibration.forward import (
 from calibration.measured import Record
 from calibration.memo import Memo
 from calibration.noise import Noise, Whitener, declared
+from calibration.plant import base_values, parameters, start
+from calibration.start_swing import spans
 from slider_jax.experiment import Experiment
+
+
+class Swing(NamedTuple):
+    """The swing with which trials begin."""
+
+    size: float
+    """Standard deviation at the tip [m]."""
+    theta: np.ndarray
+    """Where what it does to the channels is taken."""
+
 
 FAILED = 1e12
 """Sum of squares of a channel whose simulation failed: worse than any that did not."""
@@ -80,6 +93,7 @@ class Problem:
     maps: tuple[Affine, ...] | None = None
     memo: Memo | None = None
     """Keeps what was simulated."""
+    swing: Swing | None = None
 
     @classmethod
     def of(
@@ -102,7 +116,22 @@ class Problem:
             for channel in channels
             if r.has(channel)
         }
-        return cls(records, plans[0], plans[1], channels, noise, coarse)
+        swing, size = None, experiment.sensors.start_swing
+        if size > 0.0:
+            swing = Swing(size, start(parameters(effects), base_values(experiment)))
+        return cls(records, plans[0], plans[1], channels, noise, coarse, swing=swing)
+
+    @cached_property
+    def spans(self) -> list[np.ndarray] | None:
+        """What the swing at the start does to the readings, (2, 5, samples) of every trial."""
+        swing = self.swing
+        if swing is None:
+            return None
+        return self._kept(
+            f"swing {swing.size}",
+            [swing.theta],
+            lambda: on_all_cores(lambda p: spans(p, swing.theta, swing.size), self.coarse),
+        )
 
     def predict(self, theta: np.ndarray) -> list[np.ndarray]:
         """Readings (5, samples) of every trial."""
@@ -166,8 +195,12 @@ class Problem:
             i, channel = key
             r = self.records[i]
             there = r.there(channel)
-            model = np.nan_to_num(predicted[i][CHANNELS.index(channel)][there])
-            return key, Whitener(r.t[there], self.noise[key], model, channel, r.trial.frequency)
+            row = CHANNELS.index(channel)
+            model = np.nan_to_num(predicted[i][row][there])
+            swings = None if self.spans is None else self.spans[i][:, row, there]
+            return key, Whitener(
+                r.t[there], self.noise[key], model, channel, r.trial.frequency, swings
+            )
 
         return dict(on_all_cores(one, list(self.noise)))
 

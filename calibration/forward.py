@@ -23,9 +23,10 @@ from slider_jax.experiment import (
 from slider_jax.grid import split_cells
 from slider_jax.instruments import recorded
 from slider_jax.parameters import Numerics
+from slider_jax.played import as_played, switches
 from slider_jax.pneumatics import chamber_history, start_chambers
 from slider_jax.rollout import TimeGrid, rollout
-from slider_jax.sampling import edge_steps, half_period_steps, sample
+from slider_jax.sampling import edge_steps, half_period_steps, nearest_steps, sample
 from slider_jax.schema import Trial
 from slider_jax.scheme import SCHEMES, SDIRK2, Scheme
 from slider_jax.step import Carry, Snapshot, at_rest
@@ -87,7 +88,7 @@ def plan(
 
     Raises `InputError` for a trial that cannot be used.
     """
-    model = to_model(experiment, trial)
+    model = as_played(to_model(experiment, trial), experiment, trial)
     if at is None:
         at = sample_times(experiment, trial)
     robot = experiment.robot
@@ -100,7 +101,11 @@ def plan(
         half = half_period_steps(trial.frequency, longest, trial.phase)
         h, edges = 0.5 / (trial.frequency * half), half
     steps = int(np.ceil(at[-1] / h * (1.0 - 1e-9)))
-    ends = np.array([0, steps]) if edges is None else edge_steps(steps, edges, trial.phase)
+    jumps = switches(experiment, trial)
+    if jumps is not None:
+        ends = nearest_steps(steps, h, jumps)
+    else:
+        ends = np.array([0, steps]) if edges is None else edge_steps(steps, edges, trial.phase)
     taken = {name: jnp.asarray(x, float) for name, x in conditions(experiment, trial).items()}
     extended, scheme = Extended(model, taken, effects), SCHEMES[resolution.scheme]
     return TrialPlan(trial, extended, numerics, scheme, h, steps, ends, at)
@@ -245,10 +250,28 @@ def tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) -> np.ndar
     return np.concatenate(parts)[:k]
 
 
+def perturbed(p: TrialPlan, theta: np.ndarray, d_carry: Carry, begun: np.ndarray) -> np.ndarray:
+    """Derivatives (`DIRECTIONS`, 5, samples) of the readings by the state that a trial begins with.
+
+    `d_carry` are its tangents, with a leading axis; `begun` (`DIRECTIONS`, 5) what they are of the
+    readings at t = 0. Pressures do not start otherwise.
+    """
+    at = jnp.asarray(theta)
+    series, _ = _series(p, at)
+    t, none = jnp.asarray(p.h * np.arange(len(series))), jnp.zeros((DIRECTIONS, len(theta)))
+    d_series = _carried_along(p, at, none, d_carry).at[:, 0].set(begun)
+    read = np.asarray(_recorded_along(p.extended, at, t, series, none, d_series))
+    grid = _sample_grid(p.at)
+    return _sampled(p, read, np.zeros((DIRECTIONS, 2, len(grid))), grid)
+
+
 def _series_along(p: TrialPlan, theta, d_theta) -> Array:
     """Tangents (directions, n, 5) of `_series`."""
+    return _carried_along(p, theta, d_theta, _begin_along(p.extended, theta, d_theta, p.numerics))
+
+
+def _carried_along(p: TrialPlan, theta, d_theta, d_carry) -> Array:
     carry = _begin(p.extended, theta, p.numerics)
-    d_carry = _begin_along(p.extended, theta, d_theta, p.numerics)
     parts = [jnp.pad(d_carry.chambers.p, ((0, 0), (0, 3)))[:, None]]
     h = jnp.asarray(p.h)
     for done in range(0, p.steps, BLOCK):

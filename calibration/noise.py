@@ -54,6 +54,9 @@ def declared(sensors: SensorsTable, channel: str, values: np.ndarray) -> Noise:
         white = max(noise_floor(there), 1e-9 * max(float(np.ptp(there)), 1e-12))
     elif pressure:
         white = float(np.hypot(white, quantum(there) / np.sqrt(12.0)))
+    if channel == "tip":
+        # Where the robot still swings, its place at rest is not that of the moment.
+        return Noise(white, tare=sensors.start_swing)
     if not force:
         return Noise(white)
     return Noise(white, sensors.force_slow_noise, sensors.force_slow_time, sensors.force_tare)
@@ -75,7 +78,8 @@ class Whitener:
 
     `t` (n,) [s] are the times of the samples that are there; `model` (n,) the model's series, which
     scales what is a share of the signal; `frequency` [Hz] the drive's, with which the difference of
-    correct programs comes back. Tare and gain are marginalised.
+    correct programs comes back. Tare and gain are marginalised, and so are `spans` (k, n): series
+    of unknown size, each as its standard deviation.
     """
 
     def __init__(
@@ -85,6 +89,7 @@ class Whitener:
         model: np.ndarray,
         channel: str,
         frequency: float | None = None,
+        spans: np.ndarray | None = None,
     ):
         self._group = max(1, int(np.ceil(len(t) / LONGEST)))
         n = len(t) // self._group * self._group
@@ -95,6 +100,9 @@ class Whitener:
         cov = noise.slow**2 * np.exp(-apart / noise.slow_time)
         cov += (DISCREPANCY[channel] * rms) ** 2 * _difference(apart, frequency)
         cov += noise.tare**2 + GAIN[channel] ** 2 * np.outer(y, y)
+        if spans is not None:
+            unknown = self._averaged(spans)
+            cov += unknown.T @ unknown
         cov[np.diag_indices_from(cov)] += noise.white**2 / self._group
         self._factor = cholesky(cov, lower=True)
 

@@ -46,6 +46,8 @@ class Timing(NamedTuple):
     """At rest before the drive, from which tares and noise are taken."""
     after: float = 0.3
     rate: float = RATE
+    fade: float = 2.0
+    """After the trial, over which the drive dies away."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +142,9 @@ def capture(
             wait("quiet", timing.quiet)
             try:
                 manifold.arm()
-                played = play(manifold, trial.drive, trial.duration, timing.rate, on_tick)
+                played = play(
+                    manifold, trial.drive, trial.duration, timing.rate, on_tick, timing.fade
+                )
             except BaseException as error:
                 manifold.stop_after(error)
                 raise

@@ -12,6 +12,10 @@ from rig.messages import CHANNELS
 from rig.readings import Readings, readings
 from rig.recording import Recording, Stream
 
+AVERAGED = 25
+"""Readings of the quiet that are averaged before it is asked whether they move."""
+NOT_STILL = 0.02
+"""A sensor that moves in the quiet by more of its range in the drive is told of."""
 FURTHEST = 0.006
 """A gap in an instrument's samples that is longer is a gap in its column [s]."""
 
@@ -60,6 +64,9 @@ class Columns(NamedTuple):
 
     values: dict[str, np.ndarray]
     """t_s, p_front_Pa, p_rear_Pa and what instruments give, (n,) each."""
+    played: dict[str, np.ndarray] | None
+    """t_s, set_front_Pa, set_rear_Pa: the signed set pressures that were followed from t_s on, the
+    last row the trial's end. None where they are not known."""
     told: dict[str, Any]
 
 
@@ -93,12 +100,20 @@ def columns(
     rest: dict[str, tuple[float, float]] = {
         name: _rest(p[quiet]) for name, p in (("p_front_Pa", front), ("p_rear_Pa", rear))
     }
+    moves: tuple[str, ...] = ()
     for sensor in analogue:
         signal = sensor.signal(found.channels)
         rest[sensor.column] = _rest(signal[quiet])
+        moves += _moves(sensor.column, signal[quiet], signal[rows])
         tare = rest[sensor.column][0] if sensor.zero is None else 0.0
         values[sensor.column] = (signal - tare)[rows]
-    findings = _of_line(found, clock)
+    played = _played(found, clock, begun_ns, duration)
+    findings = _of_line(found, clock) + moves
+    if played is None:
+        findings += (
+            f"of the set pressures that the manifold followed {found.follows_lost or 'all'} were "
+            "not told; the drive counts as it was meant",
+        )
     for name, read in instruments.items():
         samples = read(recording.streams[name])
         at = samples.t - begun_ns * 1e-9
@@ -106,13 +121,44 @@ def columns(
             rest[column] = _rest(signal[at < 0.0])
             values[column] = _at_rows(t[rows], at, signal - rest[column][0], samples.continuous)
         findings += samples.findings
-    return Columns(values, _told(recording, found, clock, rest, findings))
+    return Columns(values, played, _told(recording, found, clock, values, rest, findings))
+
+
+def _played(
+    found: Readings, clock: ClockFit, begun_ns: int, duration: float
+) -> dict[str, np.ndarray] | None:
+    if not found.follows or found.follows_lost:
+        return None
+    sets = np.array([x[2:] for x in found.follows], float)
+    t = clock.to_host(np.array([1e-6 * x.device_us for x in found.follows])) - begun_ns * 1e-9
+    if t[0] > 0.0:
+        return None
+    # What holds at the start and at the end are rows there; of changes at one time the last holds.
+    before, within = np.flatnonzero(t <= 0.0)[-1], np.flatnonzero((t > 0.0) & (t < duration))
+    within = within[np.append(np.diff(t[within]) > 0.0, True)[: len(within)]]
+    rows = np.concatenate([[before], within, [within[-1] if len(within) else before]])
+    front, rear = sets[rows, 0] - sets[rows, 1], sets[rows, 2] - sets[rows, 3]
+    at = np.concatenate([[0.0], t[within], [duration]])
+    return {"t_s": at, "set_front_Pa": front, "set_rear_Pa": rear}
 
 
 def _rest(signal: np.ndarray) -> tuple[float, float]:
     """Mean and standard deviation at rest; a mean of 0 where there is no rest."""
     there = signal[np.isfinite(signal)]
     return (float(there.mean()), float(there.std())) if len(there) > 1 else (0.0, 0.0)
+
+
+def _moves(column: str, quiet: np.ndarray, drive: np.ndarray) -> tuple[str, ...]:
+    """What is to be told of a sensor that should have been at rest in the quiet."""
+    pieces = np.array_split(quiet, max(1, len(quiet) // AVERAGED))
+    before = float(np.ptp([x.mean() for x in pieces if x.size] or [0.0]))
+    over = float(np.ptp(drive))
+    if before <= NOT_STILL * over:
+        return ()
+    return (
+        f"{column} was not at rest before the drive: it went over {before:.3g}, in the drive over "
+        f"{over:.3g}; give a longer pause or fade",
+    )
 
 
 def _at_rows(rows: np.ndarray, at: np.ndarray, signal: np.ndarray, continuous: bool) -> np.ndarray:
@@ -152,6 +198,7 @@ def _told(
     recording: Recording,
     found: Readings,
     clock: ClockFit,
+    values: dict[str, np.ndarray],
     rest: dict[str, tuple[float, float]],
     findings: tuple[str, ...],
 ) -> dict[str, Any]:
@@ -166,6 +213,11 @@ def _told(
         "clock_rate": clock.rate,
         "late_median_s": clock.late_median,
         "late_99_s": clock.late_99,
+        "range": {
+            name: float(np.nanmax(x) - np.nanmin(x))
+            for name, x in values.items()
+            if name != "t_s" and np.isfinite(x).any()
+        },
         "at_rest_mean": {name: mean for name, (mean, _) in rest.items()},
         "at_rest_deviation": {name: deviation for name, (_, deviation) in rest.items()},
         "findings": list(findings),

@@ -176,9 +176,24 @@ class Event(NamedTuple):
     detail: int
 
 
+class Follows(NamedTuple):
+    """The valves follow these set pressures [Pa] from now on: said when armed, and at each change.
+
+    A command is late on its way, and a drive is what the valves were told, not what was meant.
+    """
+
+    number: int
+    """Of the changes; a gap tells that some are lost."""
+    device_us: int
+    front_left: int
+    front_right: int
+    rear_left: int
+    rear_right: int
+
+
 Message = (
     Hello | SetLimits | Arm | SetPressures | Heartbeat | Stop | WaveBegin | WavePiece | WavePlay
-    | Ident | Reading | Ack | Event
+    | Ident | Reading | Ack | Event | Follows
 )  # fmt: skip
 
 _TABLE: dict[int, tuple[type, str]] = {
@@ -195,6 +210,7 @@ _TABLE: dict[int, tuple[type, str]] = {
     0x82: (Reading, "<IQBH8i"),
     0x83: (Ack, "<HBBi"),
     0x84: (Event, "<QBi"),
+    0x85: (Follows, "<HQ4i"),
 }
 _LAYOUTS = {code: (kind, struct.Struct(layout)) for code, (kind, layout) in _TABLE.items()}
 _CODES = {kind: code for code, (kind, _) in _TABLE.items()}

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from math import cos, pi
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -43,19 +44,27 @@ def play(
     duration: float,
     rate: float = RATE,
     watch: Callable[[float], None] = lambda t: None,
+    fade: float = 0.0,
 ) -> Played:
-    """Plays it, now. `watch` hears of every command's time [s]; what it raises ends the trial."""
-    times = schedule(drive, duration, rate)
+    """Plays it, now. `watch` hears of every command's time [s]; what it raises ends the trial.
+
+    After `duration` it dies away over `fade` [s], as the square of a cosine: a body that is let go
+    of at once swings for a minute, where only drag that grows with the square of speed damps it.
+    """
+    end = duration + fade
+    times = schedule(drive, end, rate)
     lateness = np.empty(len(times))
     start = time.monotonic() + 0.002
     begun = host_ns() + round((start - time.monotonic()) * 1e9)
     for i, t in enumerate(times):
-        pressures = chambers(*drive.segments(t))
+        left = 1.0 if t < duration else cos(0.5 * pi * (t - duration) / fade) ** 2
+        front, rear = drive.segments(t)
+        pressures = chambers(left * front, left * rear)
         wait_until(start + t)
         manifold.set(pressures)
         lateness[i] = time.monotonic() - (start + t)
         watch(float(t))
-    wait_until(start + duration)
+    wait_until(start + end)
     return Played(begun, lateness)
 
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.frames import Decoder
-from rig.messages import CHANNELS, Event, Reading
+from rig.messages import CHANNELS, Event, Follows, Reading
 
 
 class Readings(NamedTuple):
@@ -28,6 +28,14 @@ class Readings(NamedTuple):
     damaged: int
     events: list[tuple[float, Event]]
     """With the host's time of arrival [s]."""
+    follows: list[Follows]
+    """The set pressures that were followed, one after the other."""
+
+    @property
+    def follows_lost(self) -> int:
+        """How many changes of the set pressures came not."""
+        pairs = zip(self.follows, self.follows[1:], strict=False)
+        return sum((after.number - before.number - 1) % 2**16 for before, after in pairs)
 
     def pressures(self) -> tuple[np.ndarray, np.ndarray]:
         """Signed pressures (n,) of the front and the rear segment [Pa]: left less right."""
@@ -41,6 +49,7 @@ def readings(pieces: Iterable[tuple[int, bytes]]) -> Readings:
     decoder, begun = Decoder(), False
     found: list[tuple[float, Reading]] = []
     events: list[tuple[float, Event]] = []
+    follows: list[Follows] = []
     for host_ns, piece in pieces:
         if not begun:
             _, end, piece = piece.partition(b"\0")
@@ -52,6 +61,8 @@ def readings(pieces: Iterable[tuple[int, bytes]]) -> Readings:
                 found.append((host_ns * 1e-9, message))
             elif isinstance(message, Event):
                 events.append((host_ns * 1e-9, message))
+            elif isinstance(message, Follows):
+                follows.append(message)
     number, last = 0, None
     kept: dict[int, tuple[float, Reading]] = {}
     for host_s, reading in found:
@@ -74,4 +85,5 @@ def readings(pieces: Iterable[tuple[int, bytes]]) -> Readings:
         duplicated=len(found) - len(rows),
         damaged=decoder.damaged,
         events=events,
+        follows=follows,
     )

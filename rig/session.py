@@ -19,6 +19,7 @@ from rig.force import ForceSource
 from rig.manifold import Manifold
 from rig.recording import read_recording
 from rig.safety import Limits
+from rig.stillness import Stillness
 
 LATE = 3e-3
 """Commands that are later than this, one in a hundred, are told of [s]."""
@@ -40,7 +41,9 @@ class Rig:
     analogue: tuple[Analogue, ...] = ()
     timing: Timing = Timing()
     pause: float = 2.0
-    """Between trials, for the water to come to rest [s]."""
+    """Between trials, for the water to come to rest [s]: so long at least."""
+    longest_pause: float = 60.0
+    """So long at most, for what the analogue sensors measure to come to rest [s]."""
 
 
 def run(
@@ -60,14 +63,15 @@ def run(
         trial.drive.check(rig.limits, trial.duration)
     recordings = folder / RECORDINGS
     recordings.mkdir(parents=True, exist_ok=True)
-    found, begun = [], False
+    found: list[dict[str, Any]] = []
+    ranges: dict[str, float] | None = None
     for trial in trials:
         told = finished(folder, trial.name, settings)
         if told is None:
-            if begun:
-                rest(rig, rig.pause, partial(watch, trial.name, "pause"))
-            begun = True
+            if ranges is not None:
+                rest(rig, ranges, partial(watch, trial.name, "pause"))
             told = one(trial, rig, folder, settings, watch)
+            ranges = told["range"]
             done(trial, told)
         found.append(told)
     return found
@@ -91,18 +95,36 @@ def one(
         read_recording(path), captured.played.begun_ns, trial.duration, rig.readers, rig.analogue
     )
     told = _told(trial, captured, read) | {"settings": settings, "versions": _versions()}
-    write_csv(folder / f"{trial.name}.csv", read.values)
+    write_trial(folder, trial.name, read)
     write_json(path.with_suffix(".json"), told)
     return told
 
 
-def rest(rig: Rig, seconds: float, watch: Callable[[float], None]) -> None:
-    """Waits, vented, and raises what happens meanwhile."""
-    end = time.monotonic() + seconds
-    while (left := end - time.monotonic()) > 0.0:
-        time.sleep(min(left, 0.05))
+def write_trial(folder: Path, name: str, read: Columns) -> None:
+    """NAME.csv, and NAME.played.csv with the drive as it was played, where that is known."""
+    played = folder / f"{name}.played.csv"
+    if read.played is None:
+        played.unlink(missing_ok=True)
+    else:
+        write_csv(played, read.played)
+    write_csv(folder / f"{name}.csv", read.values)
+
+
+def rest(rig: Rig, ranges: dict[str, float], watch: Callable[[float], None]) -> None:
+    """Waits, vented, for the robot to come to rest, and raises what happens meanwhile.
+
+    `ranges` are those of the trial before, by column.
+    """
+    begun = time.monotonic()
+    still = Stillness(rig.analogue, ranges)
+    while (waited := time.monotonic() - begun) < rig.longest_pause or waited < rig.pause:
+        if waited >= rig.pause and still.reached:
+            return
+        time.sleep(0.05)
         rig.manifold.check()
-        watch(left)
+        if rig.manifold.latest is not None:
+            still.add(waited, rig.manifold.latest)
+        watch(waited)
 
 
 def finished(folder: Path, name: str, settings: dict[str, Any]) -> dict[str, Any] | None:

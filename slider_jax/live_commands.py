@@ -1,37 +1,14 @@
-"""Set pressures that become known as time goes on, and the command effects that act on them."""
+"""Command effects on set pressures that become known as time goes on."""
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
-from slider_jax.actuation import Waveform
-from slider_jax.actuation.waveform import Segment
+from slider_jax.actuation import Held, Waveform
 from slider_jax.effects import Command
 from slider_jax.errors import InputError
-
-
-class Held(Waveform):
-    """Set pressures [Pa] from the times [s] on at which they were given, each until the next.
-
-    Exact for steps no longer than their spacing. Where two neighbours are equal there is no break,
-    as in a wave that does not change; derivatives to single values are therefore not to be had.
-    """
-
-    times: Float[Array, " samples"]
-    values: Float[Array, " samples"]
-
-    def segment(self, t0, t1):
-        last = self.times.shape[0] - 1
-        here = jnp.searchsorted(self.times, t0, side="right") - 1
-        here = jnp.clip(here, 0, last)
-        coming = jnp.minimum(here + 1, last)
-        before, after = self.values[here], self.values[coming]
-        breaks = (before != after) & (self.times[coming] < t1)
-        t_break = jnp.where(breaks, self.times[coming], t1)
-        after = jnp.where(breaks, after, before)
-        return Segment(t0, t_break, t1, before, before, after, after)
 
 
 def check_commands(commands: tuple[Command, ...], h: float, samples: int) -> None:

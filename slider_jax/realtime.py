@@ -13,13 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from slider_jax.actuation import FirstOrderLag
+from slider_jax.actuation import FirstOrderLag, Held
 from slider_jax.effects import Command, Instrument, Readings, of_place
 from slider_jax.errors import InputError
 from slider_jax.experiment import Experiment, to_model, to_numerics
 from slider_jax.faults import CHAMBERS, ChamberFaults, Faults, sound, with_fault
 from slider_jax.frame import midline
-from slider_jax.live_commands import Held, check_commands
+from slider_jax.live_commands import check_commands
 from slider_jax.live_instruments import Past, check_instrument, constant, read_now
 from slider_jax.model import Drive, Model
 from slider_jax.parameters import grid_of

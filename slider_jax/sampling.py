@@ -26,6 +26,12 @@ def edge_steps(steps: int, half_period: int, phase: float = 0.0) -> np.ndarray:
     return np.unique(edges)
 
 
+def nearest_steps(steps: int, h: float, times: np.ndarray) -> np.ndarray:
+    """As `edge_steps`, for edges at any `times` [s]: each is put on the nearest step of `h`."""
+    near = np.round(np.asarray(times) / h).astype(int)
+    return np.unique(np.concatenate([near[(near > 0) & (near < steps)], [0, steps]]))
+
+
 def sample(t: np.ndarray, values: np.ndarray, at: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Cubic interpolation of `values` (n, ...) at evenly spaced `t` (n,) to the times `at`.
 

@@ -122,6 +122,7 @@ class SensorsTable(Table):
     force_slow_noise: Force = 0.0
     force_slow_time: Annotated[float, Quantity(1e-3, 100.0, "s")] = 0.1
     tip_noise: Annotated[float, Quantity(0.0, 0.1, "m")] = 0.0
+    start_swing: Annotated[float, Quantity(0.0, 0.1, "m")] = 0.0
     sample_rate: Annotated[float, Quantity(1.0, 1e5, "Hz")] = 500.0
 
 

@@ -18,8 +18,9 @@ from slider_jax.frame import midline, to_plane
 from slider_jax.instruments import recorded
 from slider_jax.model import Model
 from slider_jax.parameters import Numerics, grid_of
+from slider_jax.played import as_played, switches
 from slider_jax.rollout import TimeGrid, rollout
-from slider_jax.sampling import edge_steps, half_period_steps, sample
+from slider_jax.sampling import edge_steps, half_period_steps, nearest_steps, sample
 from slider_jax.schema import Trial
 from slider_jax.scheme import Scheme
 from slider_jax.step import Carry, Snapshot, at_rest
@@ -58,10 +59,14 @@ class Clock:
     steps: int
     half_period: int | None = None
     phase: float = 0.0
+    switches: np.ndarray | None = None
+    """Of a square wave as it was played [s]."""
 
     @property
     def edges(self) -> np.ndarray:
         """Step indices between which the drive is smooth."""
+        if self.switches is not None:
+            return nearest_steps(self.steps, self.h, self.switches)
         if self.half_period is None:
             return np.array([0, self.steps])
         return edge_steps(self.steps, self.half_period, self.phase)
@@ -75,10 +80,12 @@ def clock(experiment: Experiment, trial: Trial, model: Model) -> Clock:
         spacing = (times[-1] - times[0]) / (len(times) - 1)
         h = spacing / np.ceil(spacing / longest * (1.0 - 1e-9))
         return Clock(h, _whole(trial.duration / h))
-    assert trial.frequency is not None
+    if trial.frequency is None:
+        return Clock(longest, _whole(trial.duration / longest))
     half = half_period_steps(trial.frequency, longest, trial.phase)
     h = 0.5 / (trial.frequency * half)
-    return Clock(h, _whole(trial.duration / h), half, trial.phase)
+    jumps = switches(experiment, trial)
+    return Clock(h, _whole(trial.duration / h), half, trial.phase, jumps)
 
 
 def _whole(steps: float) -> int:
@@ -135,7 +142,8 @@ def simulate(
 ) -> Run:
     """Simulate one trial and sample it at the trial's own times.
 
-    The robot starts straight and at rest relative to the clamp, no force on it. With `shape`,
+    Where it is known how the drive was played, it is driven so (`slider_jax.played`). The robot
+    starts straight and at rest relative to the clamp, no force on it. With `shape`,
     midlines, moments and forces are kept too. `progress(steps done, steps in all)` is called now
     and then. Trials of one waveform and mesh share one compiled program. Raises `SolverError`
     naming trial, time and step if a step does not converge, `InputError` if the trial's files
@@ -143,7 +151,8 @@ def simulate(
     """
     if isinstance(trial, int):
         trial = experiment.trials[trial]
-    model, at = to_model(experiment, trial), sample_times(experiment, trial)
+    at = sample_times(experiment, trial)
+    model = as_played(to_model(experiment, trial), experiment, trial)
     numerics, scheme = to_numerics(experiment)
     grid = clock(experiment, trial, model)
     save = readings_and_shape if shape else readings

@@ -7,6 +7,7 @@ from rig.messages import (
     Ack,
     Arm,
     Event,
+    Follows,
     Heartbeat,
     Hello,
     Ident,
@@ -58,4 +59,8 @@ VECTORS: list[tuple[Message, str]] = [
     ),
     (Ack(11, 0x04, 3, 2), "03830b040403020101053fc4839200"),
     (Event(123_456_789, 2, 100), "068415cd5b0701010103026401010524a7805b00"),
+    (
+        Follows(65_535, 2**33 + 1, 0, 300_000, 7, 0),
+        "0585ffff010101020201010101010104e0930402070101010101010539e233e900",
+    ),
 ]

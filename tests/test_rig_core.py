@@ -9,6 +9,7 @@ from rig.messages import (
     Arm,
     Cause,
     Event,
+    Follows,
     Heartbeat,
     Hello,
     Ident,
@@ -69,12 +70,14 @@ def test_nothing_is_set_before_limits_and_arming():
     bench.say(LIMITS)
     (ack,) = bench.say(SetPressures(1, 1, 1, 1, 1))
     assert ack.answer == Answer.WRONG_STATE and bench.core.set_pressures is None
-    assert bench.say(Arm(2)) == [Ack(2, 3, Answer.DONE, 0)]
+    assert bench.say(Arm(2)) == [Ack(2, 3, Answer.DONE, 0), Follows(0, 0, 0, 0, 0, 0)]
     assert bench.core.set_pressures == (0, 0, 0, 0)
 
 
 def test_set_pressures_are_followed_up_to_their_limits():
     bench = Bench(LIMITS, Arm(2))
+    assert bench.say(SetPressures(77, 1000, 0, 3000, 4000)) == [Follows(1, 0, 1000, 0, 3000, 4000)]
+    # The same ones again are no change.
     assert bench.say(SetPressures(77, 1000, 0, 3000, 4000)) == []
     assert bench.core.set_pressures == (1000, 0, 3000, 4000)
     bench.wait(0.004)

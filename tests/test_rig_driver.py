@@ -12,7 +12,7 @@ from rig.columns import Analogue
 from rig.drive import Drive, chambers
 from rig.errors import RigError
 from rig.manifold import Manifold
-from rig.playing import schedule
+from rig.playing import play, schedule
 from rig.port import open_port
 from rig.priority import real_time
 from rig.safety import Limits, chamber
@@ -24,7 +24,7 @@ from rig.simulated.tank import BenchTank
 from rig.simulated.terminal import in_thread
 
 LIMITS = Limits.of([250e3])
-QUICK = Timing(quiet=0.3, after=0.1)
+QUICK = Timing(quiet=0.3, after=0.1, fade=0.0)
 TIP = Analogue("tip_m", 1, TIP_PER_VOLT)
 
 
@@ -75,6 +75,64 @@ def test_a_trial_is_recorded_as_the_chambers_went(tmp_path):
     for aim in 2e-7 * (found["p_front_Pa"] + found["p_rear_Pa"])[1:]:
         tip.append(tip[-1] + follows * (aim - tip[-1]))
     assert found["tip_m"] == pytest.approx(np.array(tip), abs=3e-4)
+
+
+def test_the_drive_as_it_was_played_is_told_to_a_fraction_of_a_millisecond(tmp_path):
+    """The chambers followed what the file says, where what was meant is up to 1 ms early."""
+    drive = Drive("square", 2.0, 100e3, rear_ratio=0.5, phase=0.25)
+    recorded(tmp_path, [Trial("a", drive, 1.5)], Mischief())
+    found, played = columns_of(tmp_path / "a.csv"), columns_of(tmp_path / "a.played.csv")
+    assert played["t_s"][0] == 0.0 and played["t_s"][-1] == 1.5
+    edges = drive.edges(1.5)
+    assert played["t_s"][1:-1] == pytest.approx(edges, abs=0.02)
+    assert np.all(played["t_s"][1:-1] > edges)
+    for name, sets in (("p_front_Pa", "set_front_Pa"), ("p_rear_Pa", "set_rear_Pa")):
+        p, now, expected = 0.0, 0.0, []
+        changes = [*zip(played["t_s"][1:], played[sets], strict=False), (np.inf, 0.0)]
+        for t in found["t_s"]:
+            while changes[0][0] < t:
+                until, a = changes.pop(0)
+                p, now = a + (p - a) * np.exp(-(until - now) / 0.05), until
+            a = changes[0][1]
+            p, now = a + (p - a) * np.exp(-(t - now) / 0.05), t
+            expected.append(p)
+        # A tenth of a millisecond at an edge of 200 kPa.
+        assert np.abs(found[name] - expected).max() < 2.0 * 100e3 * 1e-4 / 0.05
+
+
+def test_a_drive_of_which_a_change_was_lost_counts_as_it_was_meant(tmp_path, monkeypatch):
+    drive = Trial("a", Drive("square", 4.0, 100e3), 0.6)
+    (tmp_path / "a.played.csv").write_text("left by an earlier run")
+    tell, lost = ManifoldCore._follows, []
+
+    def forgetful(core, now_us):
+        said = tell(core, now_us)
+        if said.number == 3:
+            lost.append(said)
+            core._changes += 1
+            return said._replace(number=4)
+        return said
+
+    monkeypatch.setattr(ManifoldCore, "_follows", forgetful)
+    (told,) = recorded(tmp_path, [drive])
+    assert lost and not (tmp_path / "a.played.csv").exists()
+    assert any("1 were not told; the drive counts as it was meant" in x for x in told["findings"])
+
+
+def test_a_drive_dies_away_after_its_trial():
+    sent = []
+
+    class Valves:
+        def set(self, pressures):
+            sent.append(pressures)
+            return 0
+
+    play(Valves(), Drive("square", 5.0, 100e3), 0.2, 200.0, fade=0.2)
+    size = [max(p) for p in sent]
+    assert len(sent) == 80 and size[:40] == [100e3] * 40
+    after = np.array(size[40:])
+    assert np.all(np.diff(after) < 0.0) and after[0] == 100e3 and after[-1] < 0.01 * 100e3
+    assert after[20] == pytest.approx(50e3, rel=1e-6)
 
 
 def test_a_run_that_was_stopped_goes_on_with_what_is_missing(tmp_path):

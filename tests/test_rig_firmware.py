@@ -17,6 +17,7 @@ from rig.messages import (
     Arm,
     Cause,
     Event,
+    Follows,
     Heartbeat,
     Hello,
     Ident,
@@ -46,7 +47,7 @@ from tests.rig_dialogues import (
 from tests.rig_vectors import VECTORS
 
 PA_PER_COUNT = 932.8
-FROM_MANIFOLD = (Ident, Reading, Ack, Event)
+FROM_MANIFOLD = (Ident, Reading, Ack, Event, Follows)
 
 
 @pytest.fixture(scope="module", params=["plain", "sanitized"])

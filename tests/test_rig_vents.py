@@ -27,7 +27,7 @@ from rig.simulated.terminal import in_thread
 WITHIN = 0.15
 ROOT = Path(__file__).resolve().parent.parent
 LIMITS = Limits.of([250e3])
-QUICK = Timing(quiet=0.2, after=0.1)
+QUICK = Timing(quiet=0.2, after=0.1, fade=0.0)
 DRIVE = Drive("square", 5.0, 200e3)
 HEARS_CTRL_C = """
 import signal, sys

@@ -13,6 +13,10 @@ from rig.simulated.rig import TIP_PER_VOLT, SimulatedRig
 from rig.simulated.terminal import Terminal
 
 
+PATIENCE = 0.2
+"""Longest that a force waits for its tank [s]."""
+
+
 class OnHost:
     """A rig whose device time is known on the host's clock, once it runs."""
 
@@ -34,7 +38,13 @@ class OnHost:
     def wrench(self, host_s: float) -> np.ndarray:
         """(6,) forces [N] and torques [N m] at a time of the host: thrust along x, recoil y."""
         zero = self._zero_ns or time.monotonic_ns()
-        now = self.rig.measured(round((1e9 * host_s - zero) / 1000))
+        at = round((1e9 * host_s - zero) / 1000)
+        # A tank that is behind its time has no force of now yet: a record that waits is late, and
+        # that can be seen; one that guesses is wrong.
+        patience = time.monotonic() + PATIENCE
+        while self.rig.reached_us < at and time.monotonic() < patience:
+            time.sleep(2e-4)
+        now = self.rig.measured(at)
         return np.array([now.thrust, now.recoil, 0.0, 0.0, 0.0, 0.0])
 
 

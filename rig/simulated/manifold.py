@@ -11,6 +11,7 @@ from rig.messages import (
     Arm,
     Cause,
     Event,
+    Follows,
     Heartbeat,
     Hello,
     Ident,
@@ -51,7 +52,7 @@ class ManifoldCore:
         self._decoder, self._foreign = Decoder(), 0
         self._limits: Pressures = (0, 0, 0, 0)
         self._set: Pressures = (0, 0, 0, 0)
-        self._command = self._readings = self._heard = 0
+        self._command = self._readings = self._heard = self._changes = 0
         self._due: int | None = None
         self._wave: list[Pressures | None] = []
         self._wave_period = self._wave_begun = self._repeats = 0
@@ -114,11 +115,20 @@ class ManifoldCore:
         ends = self._repeats and sample >= self._repeats * len(self._wave)
         now = self._wave[-1 if ends else sample % len(self._wave)]
         assert now is not None
-        self._set = now
+        said = self._change(now, now_us)
         if not ends:
-            return []
+            return said
         self.state = State.ARMED
-        return [Event(now_us, Cause.PLAYED, 0)]
+        return [*said, Event(now_us, Cause.PLAYED, 0)]
+
+    def _change(self, pressures: Pressures, now_us: int) -> list[Message]:
+        changes, self._set = pressures != self._set, pressures
+        return [self._follows(now_us)] if changes else []
+
+    def _follows(self, now_us: int) -> Follows:
+        said = Follows(self._changes, now_us, *self._set)
+        self._changes = (self._changes + 1) % 2**16
+        return said
 
     def _obey(self, message: Message, now_us: int) -> list[Message]:
         match message:
@@ -138,7 +148,7 @@ class ManifoldCore:
                 if self.state != State.READY:
                     return [self._ack(message, Answer.WRONG_STATE)]
                 self.state, self._set = State.ARMED, (0, 0, 0, 0)
-                return [self._ack(message)]
+                return [self._ack(message), self._follows(now_us)]
             case WaveBegin() | WavePiece() if self.state not in (State.READY, State.ARMED):
                 return [self._ack(message, Answer.WRONG_STATE)]
             case WaveBegin():
@@ -170,8 +180,8 @@ class ManifoldCore:
             return [self._ack(message, Answer.WRONG_STATE)]
         wrong = _outside(message[1:], self._limits)
         if wrong is None:
-            self._set, self._command = message[1:], message.seq
-            return []
+            self._command = message.seq
+            return self._change(message[1:], now_us)
         return [self._ack(message, *wrong), self._fault(now_us, Cause.REFUSED, wrong[1])]
 
     def _begin(self, message: WaveBegin) -> tuple[Answer, int]:

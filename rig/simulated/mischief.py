@@ -19,6 +19,8 @@ class Mischief:
     """A channel, and from when it reads the same."""
     noise: float = 0.0
     """Standard deviation of the chambers' pressures [Pa]."""
+    tip_noise: float = 0.0
+    """Of the tip's place [m]."""
     seed: int = 0
 
 

@@ -9,8 +9,8 @@ from rig.simulated.mischief import Line, Mischief
 from rig.simulated.tank import Measured, Tank
 
 Set = tuple[int, ...] | None
-STEP = 2_000
-"""Of the tank, and between readings [us]."""
+STEP = 1_000
+"""Of the tank, and of the main loop [us]."""
 TIP_PER_VOLT = 0.1
 """Of the sensor of the tip, on the first analogue input [m/V]."""
 STALL = 99_000
@@ -36,7 +36,7 @@ class SimulatedRig:
         self._begun: int | None = None
         self._at, self._reset, self._held = 0, False, b""
         self._stuck: int | None = None
-        self._states: deque[tuple[int, Measured]] = deque(maxlen=500)
+        self._states: deque[tuple[int, Measured]] = deque(maxlen=1000)
         self._followed: list[tuple[int, Set]] = []
 
     def feed(self, piece: bytes, now_us: int) -> bytes:
@@ -50,6 +50,7 @@ class SimulatedRig:
         """Goes on to `now_us`; returns what is said meanwhile."""
         if self._begun is None:
             self._begun = self._at = now_us
+            self._followed.insert(0, (now_us, None))
             self._states.append((now_us, self.tank.advance(None, STEP * 1e-6)))
         said = b""
         while self._at <= now_us:
@@ -60,10 +61,17 @@ class SimulatedRig:
             if self._at > self._begun:
                 now = self.tank.advance(self._mean_set(), STEP * 1e-6)
                 self._states.append((self._at, now))
+            before = self.core.set_pressures
             said += self.core.tick(self._at, self._channels(self._states[-1][1], since))
-            self._followed.insert(0, (self._at, self.core.set_pressures))
+            if self.core.set_pressures != before:
+                self._followed = [(self._at, self.core.set_pressures)]
             self._at += STEP
         return self._late(self._out.damage(said), now_us)
+
+    @property
+    def reached_us(self) -> int:
+        """Up to when the tank's state is known."""
+        return self._states[-1][0] if self._states else 0
 
     def measured(self, now_us: int) -> Measured:
         """The tank's true values at a time within the last second.
@@ -87,12 +95,12 @@ class SimulatedRig:
         return Measured((p[0], p[1], p[2], p[3]), *rest)
 
     def _mean_set(self) -> Set:
-        """Over the step that ends at the tank's time; what comes later is kept."""
+        """Over the step that ends at the tank's time; what holds then and comes later is kept."""
         start, end = self._at - STEP, self._at
         times = [max(at, start) for at, _ in self._followed if at < end]
         sets = [x for at, x in self._followed if at < end]
         last = sets[-1]
-        self._followed = [(at, x) for at, x in self._followed if at >= end]
+        self._followed = [(end, last), *(x for x in self._followed if x[0] >= end)]
         if all(x is None for x in sets):
             return None
         if all(x == last for x in sets):
@@ -107,7 +115,9 @@ class SimulatedRig:
     def _channels(self, state: Measured, since: float) -> tuple[int, ...]:
         noise = self.mischief.noise
         chambers = [p + self._random.gauss(0.0, noise) if noise else p for p in state.chambers]
-        tip = round(1e6 * state.tip / TIP_PER_VOLT)
+        shaken = self.mischief.tip_noise
+        place = state.tip + (self._random.gauss(0.0, shaken) if shaken else 0.0)
+        tip = round(1e6 * place / TIP_PER_VOLT)
         channels = [*(round(p) for p in chambers), round(state.supply), tip, 0, 0]
         stuck = self.mischief.stuck
         if stuck is not None and since >= stuck[1]:

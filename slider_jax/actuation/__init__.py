@@ -2,10 +2,11 @@
 
 from slider_jax.actuation.moment import chamber_windows
 from slider_jax.actuation.pressure import FirstOrderLag, Ideal, PressureLaw, pressure_history
-from slider_jax.actuation.waveform import Recorded, SineWave, SquareWave, Trapezoid, Waveform
+from slider_jax.actuation.waveform import Held, Recorded, SineWave, SquareWave, Trapezoid, Waveform
 
 __all__ = [
     "FirstOrderLag",
+    "Held",
     "Ideal",
     "PressureLaw",
     "Recorded",

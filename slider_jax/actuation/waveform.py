@@ -118,3 +118,26 @@ class Recorded(Waveform):
         after = jnp.searchsorted(self.times, t0 + 1e-12, side="right")
         t_break = self.times[jnp.minimum(after, self.times.shape[0] - 1)]
         return _continuous(lambda t: jnp.interp(t, self.times, self.values), t0, t_break, t1)
+
+
+class Held(Waveform):
+    """Set pressures [Pa] from the times [s] on at which they were given, each until the next.
+
+    Exact for steps no longer than the time between changes. Where two neighbours are equal there
+    is no break, as in a wave that does not change; derivatives to single values are therefore not
+    to be had.
+    """
+
+    times: Float[Array, " samples"]
+    values: Float[Array, " samples"]
+
+    def segment(self, t0, t1):
+        last = self.times.shape[0] - 1
+        here = jnp.searchsorted(self.times, t0, side="right") - 1
+        here = jnp.clip(here, 0, last)
+        coming = jnp.minimum(here + 1, last)
+        before, after = self.values[here], self.values[coming]
+        breaks = (before != after) & (self.times[coming] < t1)
+        t_break = jnp.where(breaks, self.times[coming], t1)
+        after = jnp.where(breaks, after, before)
+        return Segment(t0, t_break, t1, before, before, after, after)

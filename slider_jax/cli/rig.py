@@ -129,10 +129,10 @@ def opened(port: str, table: RigTable) -> Iterator[Rig]:
             stack.callback(instruments["camera"].close)
         manifold = stack.enter_context(Manifold(open_port(port), *switches))
         analogue = tuple(x.sensor() for x in table.analogue)
-        timing = Timing(settings.quiet, settings.after, settings.commands_per_second)
+        timing = Timing(settings.quiet, settings.after, settings.commands_per_second, settings.fade)
         yield Rig(
             manifold, switches, Limits.of(settings.limits), instruments, readers, force, analogue,
-            timing, settings.pause,
+            timing, settings.pause, settings.longest_pause,
         )  # fmt: skip
 
 

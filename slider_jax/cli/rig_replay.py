@@ -47,12 +47,12 @@ def _anew(folder: Path, out: Path, rig: Path | None) -> None:
     from rig.force import Mounting
     from rig.force_net import NetCalibration
     from rig.recording import read_recording
-    from rig.session import RECORDINGS
+    from rig.session import RECORDINGS, write_trial
     from rig.sources import force_reader
     from slider_jax.cli.options import refuse_own_folder
     from slider_jax.cli.rig import camera_of, copy_experiment
     from slider_jax.cli.rig_settings import rig_of
-    from slider_jax.files import staged, write_csv
+    from slider_jax.files import staged
 
     refuse_own_folder(out, folder)
     told = sorted((folder / RECORDINGS).glob("*.json"))
@@ -74,7 +74,7 @@ def _anew(folder: Path, out: Path, rig: Path | None) -> None:
             found = read_recording(path.with_suffix(".h5"))
             there = {name: x for name, x in readers.items() if name in found.streams}
             read = columns(found, trial["begun_host_ns"], trial["duration_s"], there, analogue)
-            write_csv(stage / f"{path.stem}.csv", read.values)
+            write_trial(stage, path.stem, read)
             print(f"{path.stem}.csv  {'; '.join(read.told['findings']) or 'no findings'}")
         experiment = folder / "experiment.toml"
         if experiment.exists():

@@ -20,6 +20,7 @@ def simulate(
     dropped: Value = 0.0,
     noise: Value = 200.0,
     force_noise: Value = 2e-3,
+    tip_noise: Value = 2e-5,
     inject: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FAULT=VALUE@SECONDS")] = (),
     seed: Whole = 0,
 ) -> None:
@@ -37,6 +38,7 @@ def simulate(
         dropped: share of the bytes on the line that are lost.
         noise: standard deviation of the pressures that are read [Pa].
         force_noise: standard deviation of the forces [N].
+        tip_noise: standard deviation of the tip's place [m].
         inject: faults and when they begin, as leak_front_left=5@20: after 20 s, at 5 1/s.
         seed: of all chance.
     """
@@ -55,7 +57,9 @@ def simulate(
             put(name, value)
             print(f"{seconds:.1f} s: {name} is {value:g}", file=sys.stderr, flush=True)
 
-    mischief = Mischief(flipped=flipped, dropped=dropped, noise=noise, seed=seed)
+    mischief = Mischief(
+        flipped=flipped, dropped=dropped, noise=noise, tip_noise=tip_noise, seed=seed
+    )
     simulated = SimulatedRig(tank, mischief=mischief)
     with real_time(), running(simulated, force_noise, at, seed) as rig:
         others_too()

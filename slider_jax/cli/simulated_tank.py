@@ -6,13 +6,15 @@ from slider_jax.realtime import Plant
 
 SUPPLY = 600e3
 """Gauge pressure of the made-up supply [Pa]."""
+STEP = 1e-3
+"""Of the plant [s]: of 2 ms each edge would leave a spike of a tenth of a newton in the recoil."""
 
 
 class RobotTank:
     """A `rig.simulated.tank.Tank` of an experiment's robot, water and effects."""
 
     def __init__(self, experiment: Experiment):
-        self.plant = Plant(experiment)
+        self.plant = Plant(experiment, step=STEP)
 
     def advance(self, set_pressures: tuple[int, ...] | None, seconds: float) -> Measured:
         """As `Tank.advance`."""

@@ -42,7 +42,7 @@ void ManifoldCore::play(uint64_t now_us) {
     const uint64_t sample = (now_us - begun_) / period_;
     const bool ends = repeats_ != 0 && sample >= static_cast<uint64_t>(repeats_) * samples_;
     const Sample& now = wave_[ends ? samples_ - 1u : sample % samples_];
-    for (size_t i = 0; i < CHAMBERS; ++i) set_[i] = now.pressure[i];
+    set(now.pressure, now_us);
     if (!ends) return;
     state_ = State::ARMED;
     event(now_us, Cause::PLAYED, 0);
@@ -85,10 +85,12 @@ void ManifoldCore::obey(const uint8_t* body, size_t size, uint64_t now_us) {
                 fault(now_us, Cause::REFUSED, verdict.detail);
             return;
         case ARM:
-            ack(body, arm());
+            verdict = arm();
+            ack(body, verdict);
+            if (verdict.answer == Answer::DONE) follows(now_us);
             return;
         case SET_PRESSURES:
-            verdict = follow(get_u16(body + 1), fields);
+            verdict = follow(get_u16(body + 1), fields, now_us);
             if (verdict.answer == Answer::DONE) return;
             ack(body, verdict);
             if (verdict.answer != Answer::WRONG_STATE) fault(now_us, Cause::REFUSED, verdict.detail);
@@ -123,11 +125,13 @@ ManifoldCore::Verdict ManifoldCore::arm() {
     return {};
 }
 
-ManifoldCore::Verdict ManifoldCore::follow(uint16_t seq, const uint8_t* pressures) {
+ManifoldCore::Verdict ManifoldCore::follow(uint16_t seq, const uint8_t* pressures, uint64_t now_us) {
     if (state_ != State::ARMED) return {Answer::WRONG_STATE, 0};
     const Verdict verdict = outside(pressures, limits_);
     if (verdict.answer != Answer::DONE) return verdict;
-    for (size_t i = 0; i < CHAMBERS; ++i) set_[i] = get_i32(pressures + 4 * i);
+    int32_t wanted[CHAMBERS];
+    for (size_t i = 0; i < CHAMBERS; ++i) wanted[i] = get_i32(pressures + 4 * i);
+    set(wanted, now_us);
     command_ = seq;
     return {};
 }
@@ -198,6 +202,22 @@ void ManifoldCore::ack(const uint8_t* body, Verdict verdict) {
 
 void ManifoldCore::event(uint64_t now_us, Cause cause, int32_t detail) {
     say(Body(EVENT).u64(now_us).u8(static_cast<uint8_t>(cause)).i32(detail));
+}
+
+void ManifoldCore::set(const int32_t (&pressures)[CHAMBERS], uint64_t now_us) {
+    bool changes = false;
+    for (size_t i = 0; i < CHAMBERS; ++i) {
+        changes = changes || set_[i] != pressures[i];
+        set_[i] = pressures[i];
+    }
+    if (changes) follows(now_us);
+}
+
+void ManifoldCore::follows(uint64_t now_us) {
+    Body body(FOLLOWS);
+    body.u16(changes_++).u64(now_us);
+    for (int32_t pressure : set_) body.i32(pressure);
+    say(body);
 }
 
 void ManifoldCore::reading(const int32_t (&channels)[CHANNELS]) {

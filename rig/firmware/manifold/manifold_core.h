@@ -50,7 +50,7 @@ private:
 
     void obey(const uint8_t* body, size_t size, uint64_t now_us);
     Verdict limit(const uint8_t* pressures);
-    Verdict follow(uint16_t seq, const uint8_t* pressures);
+    Verdict follow(uint16_t seq, const uint8_t* pressures, uint64_t now_us);
     Verdict arm();
     Verdict begin(uint16_t samples, uint32_t period_us);
     Verdict take(uint16_t first, const uint8_t* pressures, size_t samples);
@@ -63,6 +63,8 @@ private:
     void ident();
     void ack(const uint8_t* body, Verdict verdict);
     void event(uint64_t now_us, Cause cause, int32_t detail);
+    void set(const int32_t (&pressures)[CHAMBERS], uint64_t now_us);
+    void follows(uint64_t now_us);
     void reading(const int32_t (&channels)[CHANNELS]);
     static Verdict outside(const uint8_t* pressures, const int32_t (&limits)[CHAMBERS]);
 
@@ -76,6 +78,7 @@ private:
     int32_t limits_[CHAMBERS] = {};
     int32_t set_[CHAMBERS] = {};
     uint16_t command_ = 0;    // seq of the last SetPressures accepted
+    uint16_t changes_ = 0;    // of the set pressures that were told
     uint32_t readings_ = 0;
     uint64_t heard_ = 0;
     bool running_ = false;    // a first pass was made

@@ -29,6 +29,7 @@ enum Type : uint8_t {
     READING = 0x82,
     ACK = 0x83,
     EVENT = 0x84,
+    FOLLOWS = 0x85,
 };
 
 // Whether a body (type byte and fields) of this size is in the table of what a host says.
