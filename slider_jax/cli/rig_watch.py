@@ -9,6 +9,7 @@ from typing import Annotated, Any, cast
 import numpy as np
 import tyro
 
+from rig.live import CHANNELS_OUT, LiveStream
 from slider_jax.cli.options import MaybeFolder, ModelFile, Seconds, Whole
 from slider_jax.cli.rig import Port, RigFile, signals_as_ctrl_c, to_play
 from slider_jax.errors import InputError
@@ -122,10 +123,9 @@ def _row(block, lag: float) -> dict[str, float]:
     there = np.isfinite(block.residual)
     squares = np.where(there, block.residual, 0.0) ** 2
     rms = np.sqrt(squares.sum(axis=1) / np.maximum(there.sum(axis=1), 1))
-    names = ("p_front_Pa", "p_rear_Pa", "thrust_N", "recoil_N", "tip_m")
     return {
         "t_s": float(block.t[-1]),
-        **{f"residual_{name}": float(x) for name, x in zip(names, rms, strict=True)},
+        **{f"residual_{name}": float(x) for name, x in zip(CHANNELS_OUT, rms, strict=True)},
         "k_s": block.k.value,
         "k_deviation_s": block.k.deviation,
         "K_Q_m3": block.K_Q.value,
@@ -164,8 +164,6 @@ class _Playing:
     """A drive played in a thread of its own, before all others; vented at the end of the block."""
 
     def __init__(self, port: str, settings: Any, trial: Any, duration: float):
-        from rig.live import LiveStream
-
         self._port, self._settings, self._trial = port, settings, trial
         self._duration, self._failure = duration, cast(BaseException | None, None)
         analogue = tuple(x.sensor() for x in settings.analogue)

@@ -1,0 +1,164 @@
+"""`slider rig loop` against a fixed sweep, on a simulated rig with two hidden causes.
+
+    python benchmarks/rig_loop.py --out DIR
+
+Filling takes another time than venting, and the tank's water drifts. Neither is in the file that
+the loop is given, and all four base parameters are wrong in it. Both begin with the first four of
+twelve trials over frequency; the loop chooses what follows, the sweep goes on, and is closed on
+after 4, 6, 8 and 12 trials. Everything goes through the command line, a pseudo-terminal and UDP in
+real time. What is there is not measured again.
+"""
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+BUDGET = 12
+FREQUENCIES = (1.0, 2.0, 3.0, 4.0, 1.5, 2.5, 3.5, 4.5, 5.0, 0.75, 1.25, 5.5)
+"""Of the sweep [Hz], in its order."""
+BEGIN = 4
+HIDDEN = {"fill_vent_asymmetry": {"ratio": 1.15}, "tank_current": {"U_x": -0.05}}
+TRUE = {"C_d": 3.0, "m_a": 0.62, "k": 0.075, "K_Q": 4.6e-7}
+GIVEN = {"C_d": 2.5, "m_a": 0.5, "k": 0.06, "K_Q": 4.2e-7}
+ROBOT = """name = "hidden"
+
+[robot]
+body_length = 0.298
+tail_length = 0.07
+linear_density = 0.7
+EI_body = 0.038
+EI_tail = 0.0058
+damping_time = 0.002
+height = 0.03
+front_chamber = [0.02, 0.145]
+rear_chamber = [0.155, 0.28]
+
+[sensors]
+start_swing = 2e-4
+
+"""
+
+
+def table(name: str, values: dict[str, Any]) -> str:
+    """A table of TOML."""
+    lines = [f"{key} = {json.dumps(x)}" for key, x in values.items()]
+    return "\n".join([name, *lines, "", ""])
+
+
+def experiment(parameters: dict[str, float], effects: dict[str, dict], trials: int) -> str:
+    """An experiment file with the first trials of the sweep."""
+    text = ROBOT + table("[parameters]", parameters)
+    for name, values in effects.items():
+        text += table("[[effects]]", {"name": name} | values)
+    for i, frequency in enumerate(FREQUENCIES[:trials]):
+        drive = {"frequency": frequency, "amplitude": 150e3, "phase": 0.1, "duration": 2.0}
+        text += table("[[trials]]", {"file": f"s{i:02d}.csv"} | drive)
+    return text
+
+
+def command(*words: object) -> list[str]:
+    """A command of slider, in this Python."""
+    code = "import sys; from slider_jax.cli.main import main; sys.exit(main(sys.argv[1:]))"
+    return [sys.executable, "-c", code, *map(str, words)]
+
+
+def slider(*words: object) -> None:
+    """Runs one to its end; what it says goes to the terminal."""
+    print("slider", *words, flush=True)
+    subprocess.run(command(*words), check=True)
+
+
+@contextmanager
+def simulated(folder: Path) -> Iterator[tuple[str, Path]]:
+    """The rig with the hidden causes: its port and its rig file."""
+    truth, rig = folder / "truth.toml", folder / "rig.toml"
+    truth.write_text(experiment(TRUE, HIDDEN, BEGIN))
+    child = subprocess.Popen(
+        command("rig", "simulate", truth, "--rig-file", rig, "--noise", 300, "--force-noise", 3e-3),
+        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    )  # fmt: skip
+    assert child.stdout is not None
+    try:
+        yield child.stdout.readline().split()[1], rig
+    finally:
+        child.send_signal(signal.SIGTERM)
+        child.wait(20.0)
+
+
+def said(path: Path) -> dict[str, Any]:
+    """What a report says, and whether its intervals hold what is true."""
+    report = json.loads(path.read_text())
+    found = {effect["name"]: effect for effect in report["effects"]}
+    intervals = dict(report["parameters"])
+    truth = dict(TRUE)
+    for name, values in HIDDEN.items():
+        if name in found:
+            intervals |= found[name]["parameters"]
+            truth |= values
+    return {
+        "verdict": report["verdict"],
+        "effects": {name: effect["class"] for name, effect in found.items()},
+        "hold": {
+            key: intervals[key]["low"] <= x <= intervals[key]["high"] for key, x in truth.items()
+        },
+        "values": {key: intervals[key]["value"] for key in truth},
+    }
+
+
+def first_of(sweep: Path, count: int, folder: Path) -> Path:
+    """The sweep's first trials, as an experiment of their own."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "experiment.toml"
+    path.write_text(experiment(GIVEN, {}, count))
+    for i in range(count):
+        for name in (f"s{i:02d}.csv", f"s{i:02d}.played.csv"):
+            (folder / name).write_bytes((sweep / name).read_bytes())
+    return path
+
+
+def main() -> None:
+    asked = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    asked.add_argument("--out", type=Path, required=True)
+    asked.add_argument("--counts", type=int, nargs="*", default=[4, 6, 8, 12])
+    given = asked.parse_args()
+    out = given.out
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "given.toml").write_text(experiment(GIVEN, {}, BEGIN))
+    (out / "sweep.toml").write_text(experiment(GIVEN, {}, BUDGET))
+    results: dict[str, Any] = {}
+    if not (out / "loop" / "report.json").exists():
+        with simulated(out) as (port, rig):
+            begun = time.monotonic()
+            slider("rig", "loop", out / "given.toml", "--port", port, "--rig", rig,
+                   "--out", out / "loop", "--budget", BUDGET)  # fmt: skip
+            results["loop_seconds"] = time.monotonic() - begun
+    if not (out / "sweep" / f"s{BUDGET - 1:02d}.csv").exists():
+        with simulated(out) as (port, rig):
+            slider("rig", "run", out / "sweep.toml", "--port", port, "--rig", rig,
+                   "--out", out / "sweep")  # fmt: skip
+    report = json.loads((out / "loop" / "report.json").read_text())
+    results["loop"] = said(out / "loop" / "report.json") | {
+        "trials": [x["trials"] for x in report["rounds"]][-1],
+        "rounds": [x["said"] for x in report["rounds"]],
+        "settled": report["settled"],
+    }
+    for count in given.counts:
+        folder = out / f"first_{count:02d}"
+        if not (folder / "out" / "report.json").exists():
+            slider("close-loop", first_of(out / "sweep", count, folder), "--out", folder / "out")
+        results[f"sweep of {count}"] = said(folder / "out" / "report.json")
+    print(json.dumps(results, indent=2))
+    (out / "results.json").write_text(json.dumps(results, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()
