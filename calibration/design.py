@@ -16,6 +16,7 @@ from calibration.fit import Fit, inverse
 from calibration.forward import CHANNELS, COARSE, Resolution, on_all_cores, plan, predict, tangents
 from calibration.noise import Noise, Whitener
 from calibration.plant import Parameter
+from calibration.start_swing import declared_spans
 from calibration.systematic import by_variation, determined, interval, share_of
 from slider_jax.experiment import Experiment
 from slider_jax.schema import Trial
@@ -148,10 +149,11 @@ def _information(experiment, trial, effects, theta, known: Known, resolution) ->
     if not np.isfinite(model).all():
         return np.full((size, size), np.nan)
     J = tangents(laid, theta, np.eye(len(theta))[known.free])
-    found = np.zeros((size, size))
+    found, swing = np.zeros((size, size)), declared_spans(experiment, laid, theta)
     for channel, (noise, every) in known.noise.items():
         row, at = CHANNELS.index(channel), slice(None, None, every)
-        whiten = Whitener(laid.at[at], noise, model[row, at], channel, trial.frequency)
+        swings = None if swing is None else swing[:, row, at]
+        whiten = Whitener(laid.at[at], noise, model[row, at], channel, trial.frequency, swings)
         white = whiten(J[:, row, at])
         found += white @ white.T
     return found

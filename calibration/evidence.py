@@ -191,13 +191,15 @@ class Problem:
     def whiteners(self, predicted: list[np.ndarray]) -> dict[tuple[int, str], Whitener]:
         """Of every trial and channel; what is a share of the signal is of the `predicted` one."""
 
+        swing = self.spans
+
         def one(key):
             i, channel = key
             r = self.records[i]
             there = r.there(channel)
             row = CHANNELS.index(channel)
             model = np.nan_to_num(predicted[i][row][there])
-            swings = None if self.spans is None else self.spans[i][:, row, there]
+            swings = None if swing is None else swing[i][:, row, there]
             return key, Whitener(
                 r.t[there], self.noise[key], model, channel, r.trial.frequency, swings
             )

@@ -30,6 +30,7 @@ from calibration.measured import Record, records
 from calibration.memo import Memo
 from calibration.noise import Noise, Whitener, declared
 from calibration.plant import BASE, Parameter, parameters, start
+from calibration.start_swing import declared_spans
 from slider_jax.errors import InputError, SolverError
 from slider_jax.experiment import Experiment
 from slider_jax.fingerprint import typical
@@ -144,13 +145,15 @@ class Foresight:
                 f"{trial.file}: cannot be simulated with these parameters; check K_Q, stiffness "
                 "and amplitude: the chambers may bend the body further than it can go"
             )
+        swing = declared_spans(self.experiment, p, self.theta)
         found = []
         for channel, noise in self.sensing.noise.items():
             row, here = CHANNELS.index(channel), self.sensing.samples(trial, channel, len(p.at))
             if here.sum() < 20:
                 continue
             raw, signal = J[:, row, here], y[row, here]
-            white = Whitener(p.at[here], noise, signal, channel, trial.frequency)(raw)
+            swings = None if swing is None else swing[:, row, here]
+            white = Whitener(p.at[here], noise, signal, channel, trial.frequency, swings)(raw)
             gram = raw @ raw.T
             found.append(
                 Seen(number, channel, white @ white.T, gram, float(signal @ signal), here.sum())

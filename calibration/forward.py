@@ -23,10 +23,10 @@ from slider_jax.experiment import (
 from slider_jax.grid import split_cells
 from slider_jax.instruments import recorded
 from slider_jax.parameters import Numerics
-from slider_jax.played import as_played, switches
+from slider_jax.played import LONGEST_STEP, played
 from slider_jax.pneumatics import chamber_history, start_chambers
 from slider_jax.rollout import TimeGrid, rollout
-from slider_jax.sampling import edge_steps, half_period_steps, nearest_steps, sample
+from slider_jax.sampling import edge_steps, half_period_steps, sample, steps_around
 from slider_jax.schema import Trial
 from slider_jax.scheme import SCHEMES, SDIRK2, Scheme
 from slider_jax.step import Carry, Snapshot, at_rest
@@ -88,7 +88,9 @@ def plan(
 
     Raises `InputError` for a trial that cannot be used.
     """
-    model = as_played(to_model(experiment, trial), experiment, trial)
+    model, was = to_model(experiment, trial), played(experiment, trial)
+    if was is not None:
+        model = replace(model, drive=was.drive)
     if at is None:
         at = sample_times(experiment, trial)
     robot = experiment.robot
@@ -101,9 +103,8 @@ def plan(
         half = half_period_steps(trial.frequency, longest, trial.phase)
         h, edges = 0.5 / (trial.frequency * half), half
     steps = int(np.ceil(at[-1] / h * (1.0 - 1e-9)))
-    jumps = switches(experiment, trial)
-    if jumps is not None:
-        ends = nearest_steps(steps, h, jumps)
+    if was is not None and was.edges is not None:
+        ends = steps_around(steps, h, was.edges)
     else:
         ends = np.array([0, steps]) if edges is None else edge_steps(steps, edges, trial.phase)
     taken = {name: jnp.asarray(x, float) for name, x in conditions(experiment, trial).items()}
@@ -191,9 +192,9 @@ def _chambers_along(extended: Extended, theta, t, d_theta):
 
 def _sample_grid(at: np.ndarray) -> np.ndarray:
     """Even times from 0 on that hold the sample times `at`, padded to a whole number of blocks."""
-    spacing = float(np.median(np.diff(at)))
+    spacing = _even(at, LONGEST_STEP)
     before = np.ceil(at[0] / spacing - 1e-9)
-    n = -(-(len(at) + int(before) + 1) // BLOCK) * BLOCK
+    n = -(-(round((at[-1] - at[0]) / spacing) + int(before) + 2) // BLOCK) * BLOCK
     t = at[0] + spacing * (np.arange(n) - before)
     t[0] = 0.0
     return t

@@ -16,12 +16,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from calibration.forward import DIRECTIONS, TrialPlan, perturbed
+from slider_jax.effects import ReactiveForce
+from slider_jax.experiment import Experiment
 from slider_jax.model import Model, make_mesh
 from slider_jax.parameters import Numerics
 from slider_jax.step import at_rest, with_motion
-
-WATER = 1000.0 * np.pi / 4.0
-"""Added mass of a plate per length over the square of its height [kg/m^3]."""
 
 
 class Mode(NamedTuple):
@@ -48,7 +47,10 @@ def first_mode(model: Model, numerics: Numerics) -> Mode:
     angle = from_head(curvature)
     place = from_head(grid.mid(angle))
     stiffness = grid.integral(structure.EI * curvature**2)
-    mass = structure.linear_density + WATER * structure.height**2
+    mass = structure.linear_density
+    for effect in model.effects:
+        if isinstance(effect, ReactiveForce):
+            mass = mass + effect.m_a * effect.density * jnp.pi / 4.0 * structure.height**2
     inertia = grid.integral(mass * grid.mid(place) ** 2)
     size = place[0]
     return Mode(angle / size, place / size, jnp.sqrt(stiffness / inertia))
@@ -73,7 +75,8 @@ def _along(model: Model, numerics: Numerics):
 def spans(p: TrialPlan, theta: np.ndarray, size: float) -> np.ndarray:
     """Readings (2, 5, samples) of a swing of `size` [m] of the tip, by its place and its speed.
 
-    About the trial at `theta`, both as standard deviations; 0 from where a step failed.
+    About the trial at `theta`, both as standard deviations; 0 where they are not finite, as from a
+    step on that failed.
     """
     d_carry, frequency = _along(p.extended.at(jnp.asarray(theta)), p.numerics)
     begun = np.zeros((DIRECTIONS, 5))
@@ -81,3 +84,9 @@ def spans(p: TrialPlan, theta: np.ndarray, size: float) -> np.ndarray:
     found = perturbed(p, theta, d_carry, begun)[:2]
     scale = np.array([size, size * float(frequency)])
     return np.nan_to_num(found * scale[:, None, None], posinf=0.0, neginf=0.0)
+
+
+def declared_spans(experiment: Experiment, p: TrialPlan, theta: np.ndarray) -> np.ndarray | None:
+    """`spans` of the swing that an experiment declares; None where it declares none."""
+    size = experiment.sensors.start_swing
+    return spans(p, theta, size) if size > 0.0 else None

@@ -14,6 +14,8 @@ from rig.recording import Recording, Stream
 
 AVERAGED = 25
 """Readings of the quiet that are averaged before it is asked whether they move."""
+NOISES = 5.0
+"""Standard deviations of such a mean that noise may make of a range."""
 NOT_STILL = 0.02
 """A sensor that moves in the quiet by more of its range in the drive is told of."""
 FURTHEST = 0.006
@@ -97,29 +99,29 @@ def columns(
         raise RigError("recording: no readings of the manifold during the drive; record it again")
     front, rear = found.pressures()
     values = {"t_s": t[rows], "p_front_Pa": front[rows], "p_rear_Pa": rear[rows]}
-    rest: dict[str, tuple[float, float]] = {
+    rest: dict[str, Rest] = {
         name: _rest(p[quiet]) for name, p in (("p_front_Pa", front), ("p_rear_Pa", rear))
     }
     moves: tuple[str, ...] = ()
     for sensor in analogue:
         signal = sensor.signal(found.channels)
         rest[sensor.column] = _rest(signal[quiet])
-        moves += _moves(sensor.column, signal[quiet], signal[rows])
-        tare = rest[sensor.column][0] if sensor.zero is None else 0.0
+        moves += _moves(sensor.column, signal[quiet], signal[rows], rest[sensor.column].noise)
+        tare = rest[sensor.column].mean if sensor.zero is None else 0.0
         values[sensor.column] = (signal - tare)[rows]
     played = _played(found, clock, begun_ns, duration)
     findings = _of_line(found, clock) + moves
     if played is None:
         findings += (
-            f"of the set pressures that the manifold followed {found.follows_lost or 'all'} were "
-            "not told; the drive counts as it was meant",
+            "not all set pressures that the manifold followed were told; the drive counts as it "
+            "was meant; where none ever are, flash the firmware in rig/firmware",
         )
     for name, read in instruments.items():
         samples = read(recording.streams[name])
         at = samples.t - begun_ns * 1e-9
         for column, signal in samples.columns.items():
             rest[column] = _rest(signal[at < 0.0])
-            values[column] = _at_rows(t[rows], at, signal - rest[column][0], samples.continuous)
+            values[column] = _at_rows(t[rows], at, signal - rest[column].mean, samples.continuous)
         findings += samples.findings
     return Columns(values, played, _told(recording, found, clock, values, rest, findings))
 
@@ -127,11 +129,14 @@ def columns(
 def _played(
     found: Readings, clock: ClockFit, begun_ns: int, duration: float
 ) -> dict[str, np.ndarray] | None:
-    if not found.follows or found.follows_lost:
+    if not found.follows:
         return None
     sets = np.array([x[2:] for x in found.follows], float)
     t = clock.to_host(np.array([1e-6 * x.device_us for x in found.follows])) - begun_ns * 1e-9
-    if t[0] > 0.0:
+    # Up to the first change behind the trial: what is lost of its fade does not matter.
+    needed = int(np.searchsorted(t, duration)) + 1
+    steps = np.diff([x.number for x in found.follows[:needed]]) % 2**16
+    if t[0] > 0.0 or (steps != 1).any():
         return None
     # What holds at the start and at the end are rows there; of changes at one time the last holds.
     before, within = np.flatnonzero(t <= 0.0)[-1], np.flatnonzero((t > 0.0) & (t < duration))
@@ -142,18 +147,29 @@ def _played(
     return {"t_s": at, "set_front_Pa": front, "set_rear_Pa": rear}
 
 
-def _rest(signal: np.ndarray) -> tuple[float, float]:
-    """Mean and standard deviation at rest; a mean of 0 where there is no rest."""
+class Rest(NamedTuple):
+    """What a sensor read in the quiet; 0 where there is none."""
+
+    mean: float = 0.0
+    deviation: float = 0.0
+    noise: float = 0.0
+    """Standard deviation of what one reading does not share with the next."""
+
+
+def _rest(signal: np.ndarray) -> Rest:
     there = signal[np.isfinite(signal)]
-    return (float(there.mean()), float(there.std())) if len(there) > 1 else (0.0, 0.0)
+    if len(there) < 3:
+        return Rest()
+    noise = float(np.diff(there).std() / np.sqrt(2.0))
+    return Rest(float(there.mean()), float(there.std()), noise)
 
 
-def _moves(column: str, quiet: np.ndarray, drive: np.ndarray) -> tuple[str, ...]:
+def _moves(column: str, quiet: np.ndarray, drive: np.ndarray, noise: float) -> tuple[str, ...]:
     """What is to be told of a sensor that should have been at rest in the quiet."""
     pieces = np.array_split(quiet, max(1, len(quiet) // AVERAGED))
     before = float(np.ptp([x.mean() for x in pieces if x.size] or [0.0]))
     over = float(np.ptp(drive))
-    if before <= NOT_STILL * over:
+    if before <= max(NOT_STILL * over, NOISES * noise / np.sqrt(AVERAGED)):
         return ()
     return (
         f"{column} was not at rest before the drive: it went over {before:.3g}, in the drive over "
@@ -199,7 +215,7 @@ def _told(
     found: Readings,
     clock: ClockFit,
     values: dict[str, np.ndarray],
-    rest: dict[str, tuple[float, float]],
+    rest: dict[str, Rest],
     findings: tuple[str, ...],
 ) -> dict[str, Any]:
     unkept = {name: stream.lost[0] for name, stream in recording.streams.items() if stream.lost[0]}
@@ -218,7 +234,8 @@ def _told(
             for name, x in values.items()
             if name != "t_s" and np.isfinite(x).any()
         },
-        "at_rest_mean": {name: mean for name, (mean, _) in rest.items()},
-        "at_rest_deviation": {name: deviation for name, (_, deviation) in rest.items()},
+        "at_rest_mean": {name: x.mean for name, x in rest.items()},
+        "at_rest_deviation": {name: x.deviation for name, x in rest.items()},
+        "at_rest_noise": {name: x.noise for name, x in rest.items()},
         "findings": list(findings),
     }

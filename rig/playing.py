@@ -32,6 +32,7 @@ class Played(NamedTuple):
 def schedule(drive: Drive, duration: float, rate: float = RATE) -> np.ndarray:
     """Times [s] of all commands, from 0 and before `duration`."""
     even = np.arange(int(np.ceil(duration * rate))) / rate
+    even = even[even < duration]
     edges = drive.edges(duration)
     times = np.union1d(even, edges)
     # Of an edge and an even time that rounding put beside each other the later one is behind both.

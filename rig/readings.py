@@ -31,12 +31,6 @@ class Readings(NamedTuple):
     follows: list[Follows]
     """The set pressures that were followed, one after the other."""
 
-    @property
-    def follows_lost(self) -> int:
-        """How many changes of the set pressures came not."""
-        pairs = zip(self.follows, self.follows[1:], strict=False)
-        return sum((after.number - before.number - 1) % 2**16 for before, after in pairs)
-
     def pressures(self) -> tuple[np.ndarray, np.ndarray]:
         """Signed pressures (n,) of the front and the rear segment [Pa]: left less right."""
         p = self.channels

@@ -64,14 +64,12 @@ def run(
     recordings = folder / RECORDINGS
     recordings.mkdir(parents=True, exist_ok=True)
     found: list[dict[str, Any]] = []
-    ranges: dict[str, float] | None = None
     for trial in trials:
         told = finished(folder, trial.name, settings)
         if told is None:
-            if ranges is not None:
-                rest(rig, ranges, partial(watch, trial.name, "pause"))
+            if found:
+                rest(rig, found[-1], partial(watch, trial.name, "pause"))
             told = one(trial, rig, folder, settings, watch)
-            ranges = told["range"]
             done(trial, told)
         found.append(told)
     return found
@@ -110,13 +108,25 @@ def write_trial(folder: Path, name: str, read: Columns) -> None:
     write_csv(folder / f"{name}.csv", read.values)
 
 
-def rest(rig: Rig, ranges: dict[str, float], watch: Callable[[float], None]) -> None:
+def start_swing(told: Sequence[dict[str, Any]]) -> float:
+    """What the tip swung by before the trials began, at most: a standard deviation [m]."""
+    squares = [
+        x["at_rest_deviation"]["tip_m"] ** 2 - x["at_rest_noise"]["tip_m"] ** 2
+        for x in told
+        if "tip_m" in x["at_rest_deviation"]
+    ]
+    return float(np.sqrt(max([0.0, *squares])))
+
+
+def rest(rig: Rig, before: dict[str, Any], watch: Callable[[float], None]) -> None:
     """Waits, vented, for the robot to come to rest, and raises what happens meanwhile.
 
-    `ranges` are those of the trial before, by column.
+    `before` is what is told of the trial before.
     """
+    # What the manifold did before this session, such as a reset, is done with.
+    rig.manifold.configure(rig.limits)
     begun = time.monotonic()
-    still = Stillness(rig.analogue, ranges)
+    still = Stillness(rig.analogue, before["range"], before["at_rest_noise"])
     while (waited := time.monotonic() - begun) < rig.longest_pause or waited < rig.pause:
         if waited >= rig.pause and still.reached:
             return

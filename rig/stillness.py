@@ -10,39 +10,38 @@ from rig.messages import Reading
 
 WINDOW = 2.5
 """A slow swing shows itself within so long [s]."""
-AVERAGED = 5
-"""Readings that are averaged, against noise."""
-NOISES = 5.0
-"""Standard deviations of such a mean, by successive readings, that noise may make of a range."""
+NOISES = 6.0
+"""Standard deviations of a reading's noise that some fifty of them may range over."""
 STILL = 0.005
 """Of a sensor's range in the trial before: what moves less counts as at rest."""
 
 
 class Stillness:
-    """Watches readings of a pause. Sensors are judged by their `ranges` in the trial before."""
+    """Watches readings of a pause. Sensors are judged by their `ranges` in the trial before, and
+    the `noise` of a reading, by column."""
 
-    def __init__(self, sensors: Sequence[Analogue], ranges: dict[str, float]):
-        self._judged = [
-            (x, STILL * ranges[x.column]) for x in sensors if ranges.get(x.column, 0.0) > 0.0
+    def __init__(
+        self, sensors: Sequence[Analogue], ranges: dict[str, float], noise: dict[str, float]
+    ):
+        self._sensors = [x for x in sensors if ranges.get(x.column, 0.0) > 0.0]
+        self._allowed = [
+            max(STILL * ranges[x.column], NOISES * noise.get(x.column, 0.0)) for x in self._sensors
         ]
         self._seen: deque[tuple[float, np.ndarray]] = deque()
 
     def add(self, t: float, reading: Reading) -> None:
         """What was read `t` [s] after the pause began."""
         channels = np.array(reading.channels, float)
-        self._seen.append((t, np.array([x.signal(channels) for x, _ in self._judged])))
+        self._seen.append((t, np.array([x.signal(channels) for x in self._sensors])))
         while self._seen and self._seen[0][0] < t - WINDOW:
             self._seen.popleft()
 
     @property
     def reached(self) -> bool:
         """At rest; also where no sensor can tell."""
-        if not self._judged:
+        if not self._sensors:
             return True
         if not self._seen or self._seen[-1][0] - self._seen[0][0] < 0.9 * WINDOW:
             return False
         seen = np.array([x for _, x in self._seen])
-        means = [x.mean(axis=0) for x in np.array_split(seen, len(seen) // AVERAGED)]
-        noise = np.std(np.diff(seen, axis=0), axis=0) / np.sqrt(2.0 * AVERAGED)
-        allowed = np.maximum([x for _, x in self._judged], NOISES * noise)
-        return bool((np.ptp(means, axis=0) <= allowed).all())
+        return bool((np.ptp(seen, axis=0) <= self._allowed).all())

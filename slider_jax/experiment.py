@@ -145,6 +145,18 @@ LONGEST_RECORD = 20.0
 """A recorded drive may last so many times as long as its trial; a longer one is not in seconds."""
 
 
+def check_pascal(path: Path, columns: dict[str, np.ndarray], names: tuple[str, ...]) -> None:
+    """Raise `InputError` where the largest pressure of these columns together cannot be one."""
+    largest = max(float(np.abs(columns[name]).max()) for name in names)
+    if largest > 2e6 or 0.0 < largest < 1e3:
+        raise InputError.value(
+            f"{path}, column {' and '.join(names)}",
+            f"at most {largest:g}",
+            "0, or peaks of 1e3 to 2e6 Pa",
+            "pressures are in pascal, not kPa or psi",
+        )
+
+
 def _recorded(experiment: Experiment, trial: Trial) -> tuple[Recorded, Recorded]:
     """Both chambers' recorded pressures; checked for length, spacing and size."""
     path = experiment.folder / str(trial.drive_file)
@@ -169,14 +181,7 @@ def _recorded(experiment: Experiment, trial: Trial) -> tuple[Recorded, Recorded]
             f"{trial.duration:g} s"
         )
     for name in ("p_front_Pa", "p_rear_Pa"):
-        largest = np.abs(columns[name]).max()
-        if largest > 2e6 or 0.0 < largest < 1e3:
-            raise InputError.value(
-                f"{path}, column {name}",
-                f"at most {largest:g}",
-                "0, or peaks of 1e3 to 2e6 Pa",
-                "pressures are in pascal, not kPa or psi",
-            )
+        check_pascal(path, columns, (name,))
     front, rear = (
         Recorded(jnp.asarray(times), jnp.asarray(columns[name]))
         for name in ("p_front_Pa", "p_rear_Pa")

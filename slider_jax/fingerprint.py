@@ -112,7 +112,8 @@ def fingerprint(
         at = {name: prior.null for name, prior in priors.items()} | values
         content = experiment.model_dump()
         content["effects"] = [*content["effects"], {"name": effect, **at}]
-        return simulate(assemble(content, effect, experiment.folder), progress=told)
+        prolonged = assemble(content, effect, experiment.folder)
+        return simulate(prolonged, progress=told, as_meant=True)
 
     without = run(0)
     shown = _last_stride(without)

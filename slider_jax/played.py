@@ -6,8 +6,8 @@ as the chamber fills, many times the sensors' noise, and to be had for nothing w
 says what it followed.
 """
 
-from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,65 +15,69 @@ import numpy as np
 from slider_jax.actuation import Held
 from slider_jax.csv_file import read_csv
 from slider_jax.errors import InputError
-from slider_jax.experiment import Experiment
-from slider_jax.model import Drive, Model
+from slider_jax.experiment import Experiment, check_pascal
+from slider_jax.model import Drive
 from slider_jax.schema import Trial
 
 COLUMNS = ("t_s", "set_front_Pa", "set_rear_Pa")
 """Each row's signed set pressures hold from its time on; the last row is the trial's end."""
 LEAST_ROWS = 64
 """Changes are padded to a power of two from here on: trials share compiled programs."""
+LONGEST_STEP = 2.5e-3
+"""Of a simulation that is driven so [s]."""
+CELL = 5e-3
+"""Changes of a smooth wave are seen so far apart [s], which a chamber's lag cannot tell."""
 
 
-def played_file(experiment: Experiment, trial: Trial) -> Path:
-    """Where a trial's drive as it was played lies, if it was recorded: NAME.played.csv."""
-    return experiment.folder / f"{Path(trial.file).stem}.played.csv"
+class Played(NamedTuple):
+    """How a trial was driven."""
+
+    drive: Drive
+    edges: np.ndarray | None
+    """Times [s] at which a square wave jumped; None of another wave."""
 
 
-def changes(experiment: Experiment, trial: Trial) -> dict[str, np.ndarray] | None:
-    """`COLUMNS`, (n,) each, or None where nothing tells how the trial was played.
+def played(experiment: Experiment, trial: Trial) -> Played | None:
+    """What NAME.played.csv beside a trial's file says; None where there is none.
 
-    Raises `InputError` for a file that does not cover the trial, or is not in pascal.
+    Raises `InputError` for one that does not cover the trial, is not in pascal, or is of a drive
+    with another amplitude than the trial's.
     """
-    path = played_file(experiment, trial)
+    path = experiment.folder / f"{Path(trial.file).stem}.played.csv"
     if not path.exists() or trial.drive_is == "measured":
         return None
     columns = read_csv(path, COLUMNS)
-    t = columns["t_s"]
+    t, sets = columns["t_s"], [columns[name] for name in COLUMNS[1:]]
+    otherwise = "delete it to take the drive as it was meant"
     if t[0] > 1e-9 or t[-1] < trial.duration * (1.0 - 1e-6):
         raise InputError(
             f"{path}: covers {t[0]:g} to {t[-1]:g} s; the trial {trial.file} needs 0 to "
-            f"{trial.duration:g} s; delete it to take the drive as it was meant"
+            f"{trial.duration:g} s; {otherwise}"
         )
-    for name in COLUMNS[1:]:
-        largest = float(np.abs(columns[name]).max())
-        if largest > 2e6 or 0.0 < largest < 1e3:
-            raise InputError.value(
-                f"{path}, column {name}",
-                f"at most {largest:g}",
-                "0, or peaks of 1e3 to 2e6 Pa",
-                "pressures are in pascal, not kPa or psi",
-            )
-    return columns
-
-
-def as_played(model: Model, experiment: Experiment, trial: Trial) -> Model:
-    """The trial's model with the drive that was played, where that is known; else as it is."""
-    rows = changes(experiment, trial)
-    if rows is None:
-        return model
-    front, rear = (_held(rows["t_s"], rows[name]) for name in COLUMNS[1:])
+    check_pascal(path, columns, COLUMNS[1:])
+    front, meant = float(np.abs(sets[0]).max()), trial.amplitude
+    if trial.waveform == "square" and meant is not None and abs(front - meant) > 1e-3 * meant + 1.0:
+        raise InputError(
+            f"{path}: the front chamber was played at {front:g} Pa; the trial {trial.file} says "
+            f"{meant:g} Pa; give the amplitude that was played, or {otherwise}"
+        )
     zero = jnp.zeros(())
-    return replace(model, drive=Drive(front, rear, zero, zero))
+    if trial.waveform != "square":
+        smooth = [_held(*_evened(t, x)) for x in sets]
+        return Played(Drive(smooth[0], smooth[1], zero, zero), None)
+    jumps = [np.flatnonzero(np.diff(x)) + 1 for x in sets]
+    drive = Drive(_held(t, sets[0]), _held(t, sets[1]), zero, zero)
+    return Played(drive, t[np.union1d(*jumps)])
 
 
-def switches(experiment: Experiment, trial: Trial) -> np.ndarray | None:
-    """Times [s] at which a square wave as it was played jumps; None where that is not known."""
-    rows = changes(experiment, trial) if trial.waveform == "square" else None
-    if rows is None:
-        return None
-    jumps = [np.flatnonzero(np.diff(rows[name])) + 1 for name in COLUMNS[1:]]
-    return rows["t_s"][np.union1d(*jumps)]
+def _evened(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The mean over each `CELL`, where changes come closer: those of a smooth wave may do so."""
+    if np.diff(t[:-1]).min(initial=np.inf) >= 0.9 * CELL:
+        return t, values
+    area = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(t))])
+    cells = np.append(np.arange(0.0, t[-1] - 0.5 * CELL, CELL), t[-1])
+    means = np.diff(np.interp(cells, t, area)) / np.diff(cells)
+    return cells, np.append(means, means[-1])
 
 
 def _held(t: np.ndarray, values: np.ndarray) -> Held:

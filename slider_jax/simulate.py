@@ -1,7 +1,7 @@
 """One trial of an experiment, from its drive to what its sensors would read."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import equinox as eqx
@@ -18,9 +18,9 @@ from slider_jax.frame import midline, to_plane
 from slider_jax.instruments import recorded
 from slider_jax.model import Model
 from slider_jax.parameters import Numerics, grid_of
-from slider_jax.played import as_played, switches
+from slider_jax.played import LONGEST_STEP, Played, played
 from slider_jax.rollout import TimeGrid, rollout
-from slider_jax.sampling import edge_steps, half_period_steps, nearest_steps, sample
+from slider_jax.sampling import edge_steps, half_period_steps, sample, steps_around
 from slider_jax.schema import Trial
 from slider_jax.scheme import Scheme
 from slider_jax.step import Carry, Snapshot, at_rest
@@ -59,22 +59,24 @@ class Clock:
     steps: int
     half_period: int | None = None
     phase: float = 0.0
-    switches: np.ndarray | None = None
-    """Of a square wave as it was played [s]."""
+    played: np.ndarray | None = None
+    """Edges of a square wave as it was played [s]."""
 
     @property
     def edges(self) -> np.ndarray:
         """Step indices between which the drive is smooth."""
-        if self.switches is not None:
-            return nearest_steps(self.steps, self.h, self.switches)
+        if self.played is not None:
+            return steps_around(self.steps, self.h, self.played)
         if self.half_period is None:
             return np.array([0, self.steps])
         return edge_steps(self.steps, self.half_period, self.phase)
 
 
-def clock(experiment: Experiment, trial: Trial, model: Model) -> Clock:
+def clock(experiment: Experiment, trial: Trial, model: Model, was: Played | None = None) -> Clock:
     """Steps locked to the stride, or to the samples of a recorded drive."""
     longest = experiment.numerics.step
+    if was is not None:
+        longest = min(longest, LONGEST_STEP)
     if isinstance(model.drive.front, Recorded):
         times = np.asarray(model.drive.front.times)
         spacing = (times[-1] - times[0]) / (len(times) - 1)
@@ -84,8 +86,8 @@ def clock(experiment: Experiment, trial: Trial, model: Model) -> Clock:
         return Clock(longest, _whole(trial.duration / longest))
     half = half_period_steps(trial.frequency, longest, trial.phase)
     h = 0.5 / (trial.frequency * half)
-    jumps = switches(experiment, trial)
-    return Clock(h, _whole(trial.duration / h), half, trial.phase, jumps)
+    edges = None if was is None else was.edges
+    return Clock(h, _whole(trial.duration / h), half, trial.phase, edges)
 
 
 def _whole(steps: float) -> int:
@@ -139,22 +141,25 @@ def simulate(
     shape: bool = False,
     progress: Callable[[int, int], None] | None = None,
     chunk: int = CHUNK,
+    as_meant: bool = False,
 ) -> Run:
     """Simulate one trial and sample it at the trial's own times.
 
-    Where it is known how the drive was played, it is driven so (`slider_jax.played`). The robot
-    starts straight and at rest relative to the clamp, no force on it. With `shape`,
-    midlines, moments and forces are kept too. `progress(steps done, steps in all)` is called now
-    and then. Trials of one waveform and mesh share one compiled program. Raises `SolverError`
-    naming trial, time and step if a step does not converge, `InputError` if the trial's files
-    cannot be used.
+    Where it is known how the drive was played, it is driven so (`slider_jax.played`), unless
+    `as_meant`. The robot starts straight and at rest relative to the clamp, no force on it. With
+    `shape`, midlines, moments and forces are kept too. `progress(steps done, steps in all)` is
+    called now and then. Trials of one waveform and mesh share one compiled program. Raises
+    `SolverError` naming trial, time and step if a step does not converge, `InputError` if the
+    trial's files cannot be used.
     """
     if isinstance(trial, int):
         trial = experiment.trials[trial]
-    at = sample_times(experiment, trial)
-    model = as_played(to_model(experiment, trial), experiment, trial)
+    model, at = to_model(experiment, trial), sample_times(experiment, trial)
+    was = None if as_meant else played(experiment, trial)
+    if was is not None:
+        model = replace(model, drive=was.drive)
     numerics, scheme = to_numerics(experiment)
-    grid = clock(experiment, trial, model)
+    grid = clock(experiment, trial, model, was)
     save = readings_and_shape if shape else readings
     carry, line = _begin(model, numerics)
     initial = _initial(model, np.asarray(line), shape)

@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 
 from calibration.forward import Resolution, plan, predict
-from slider_jax.actuation import FirstOrderLag, pressure_history
+from slider_jax.actuation import FirstOrderLag, Held, pressure_history
+from slider_jax.effects.valve_delay import ValveDelay
 from slider_jax.errors import InputError
-from slider_jax.experiment import load, to_model
+from slider_jax.experiment import load
 from slider_jax.files import write_csv
-from slider_jax.played import as_played, switches
+from slider_jax.played import played as read_played
 from slider_jax.simulate import simulate
 from tests.experiments import write
 
@@ -57,7 +58,7 @@ def lagged(at, t, sets, k=K):
 
 
 def test_one_that_was_played_as_meant_changes_nothing(tmp_path):
-    experiment = load(write(tmp_path))
+    experiment = load(write(tmp_path)).with_values({"numerics.step": 2e-3})
     before = simulate(experiment, 0).columns
     played(tmp_path, *meant(experiment.trials[0]))
     after = simulate(experiment, 0).columns
@@ -80,8 +81,7 @@ def test_edges_are_where_they_were_played_between_steps_too(tmp_path):
         # Between its steps the simulation is interpolated, an edge taken for on the nearest one.
         assert np.abs(found[name] - exact).max() < 2.0 * np.abs(sets).max() * 0.5 * STEP / K
         assert np.median(np.abs(found[name] - exact)) < 1.0
-    np.testing.assert_allclose(switches(experiment, trial), t[1:-1], rtol=1e-8)
-    assert simulate(experiment, 0).clock.switches is not None
+    np.testing.assert_allclose(read_played(experiment, trial).edges, t[1:-1], rtol=1e-8)
 
 
 def test_the_chambers_follow_changes_that_are_closer_than_a_step(tmp_path):
@@ -89,19 +89,54 @@ def test_the_chambers_follow_changes_that_are_closer_than_a_step(tmp_path):
     experiment = load(write(tmp_path))
     t, front, rear = [0.0, 0.101, 0.1015, 0.75], [1e5, 1e5, -1e5, -1e5], [2e5, -2e5, -2e5, -2e5]
     played(tmp_path, t, front, rear)
-    drive = as_played(to_model(experiment, 0), experiment, experiment.trials[0]).drive
+    told = experiment.trials[0].model_copy(update={"amplitude": 1e5})
+    drive = read_played(experiment, told).drive
     at = 0.005 * np.arange(140)
     for wave, sets in ((drive.front, front), (drive.rear, rear)):
         history = pressure_history(FirstOrderLag(jnp.asarray(K)), wave, 0.0, jnp.asarray(at))
         np.testing.assert_allclose(history, lagged(at, t, sets), atol=1e-6)
 
 
+@pytest.mark.parametrize("delay", [0.0, 5e-3, 9.5e-3, 1.05e-2, 2.01e-2, 2.05e-2])
+def test_a_dead_time_moves_a_first_edge_that_was_played_late(delay):
+    """It falls into the same step as the dead time's own end, or not."""
+    t, sets, at = np.array([0.0, 0.9e-3, 0.2]), np.array([0.0, 2e5, -2e5]), 2e-3 * np.arange(200)
+    wave = ValveDelay(jnp.asarray(delay)).command(Held(jnp.asarray(t), jnp.asarray(sets)), 0)
+    history = pressure_history(FirstOrderLag(jnp.asarray(K)), wave, 0.0, jnp.asarray(at))
+    np.testing.assert_allclose(history, lagged(at, np.append(0.0, t[1:] + delay), sets), atol=1e-6)
+
+
+@pytest.mark.parametrize("rate", [200.0, 500.0, 1000.0])
+def test_a_smooth_drive_is_followed_at_any_rate_of_commands(tmp_path, rate):
+    experiment = load(write(tmp_path)).with_values({"trials.0.waveform": "sine"})
+    t = np.append(np.arange(0.0, 0.7499, 1.0 / rate), 0.75)
+    sets = 1.5e5 * np.sin(2 * np.pi * 4.0 * t)
+    played(tmp_path, t, sets, sets)
+    drive = read_played(experiment, experiment.trials[0]).drive
+    at = 2e-3 * np.arange(370)
+    history = pressure_history(FirstOrderLag(jnp.asarray(K)), drive.front, 0.0, jnp.asarray(at))
+    assert np.abs(history - lagged(at, t, sets)).max() < (1e-3 if rate == 200.0 else 250.0)
+    assert read_played(experiment, experiment.trials[0]).edges is None
+
+
+def test_forces_do_not_mind_where_between_steps_an_edge_falls(tmp_path):
+    experiment = load(write(tmp_path)).with_values({"numerics.nodes": 21, "numerics.step": 2e-3})
+    fine = experiment.with_values({"numerics.step": 2.5e-4})
+    sizes, errors = [], []
+    for late in (2e-3, 0.75e-3, 1.25e-3):
+        played(tmp_path, *meant(experiment.trials[0], late))
+        rough, exact = (simulate(x, 0).columns["recoil_N"] for x in (experiment, fine))
+        sizes.append(float(exact.std()))
+        errors.append(float(np.abs(rough - exact).max()))
+    assert max(errors) < 0.05 * min(sizes), errors
+
+
 def test_a_trial_of_which_nothing_is_told_is_driven_as_meant(tmp_path):
     experiment = load(write(tmp_path))
     played(tmp_path, *meant(experiment.trials[0], late=2e-3))
-    model = to_model(experiment, 1)
-    assert as_played(model, experiment, experiment.trials[1]) is model
-    assert switches(experiment, experiment.trials[1]) is None
+    assert read_played(experiment, experiment.trials[1]) is None
+    late, as_meant = (simulate(experiment, 0, as_meant=x).columns for x in (False, True))
+    assert np.abs(late["p_front_Pa"] - as_meant["p_front_Pa"]).max() > 1e3
 
 
 @pytest.mark.parametrize(
@@ -109,7 +144,12 @@ def test_a_trial_of_which_nothing_is_told_is_driven_as_meant(tmp_path):
     [
         ([0.0, 0.1, 0.7], [1e5] * 3, "covers 0 to 0.7 s; the trial trial_00.csv needs 0 to 0.75 s"),
         ([0.1, 0.2, 0.75], [1e5] * 3, "covers 0.1 to 0.75 s"),
-        ([0.0, 0.1, 0.75], [100.0] * 3, "set_front_Pa: given at most 100; allowed 0, or peaks of"),
+        ([0.0, 0.1, 0.75], [100.0] * 3, "given at most 100; allowed 0, or peaks of"),
+        (
+            [0.0, 0.1, 0.75],
+            [1e5] * 3,
+            "played at 100000 Pa; the trial trial_00.csv says 150000",
+        ),
         ([0.0, 0.0, 0.75], [1e5] * 3, "time must increase from row to row"),
     ],
 )

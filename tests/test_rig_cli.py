@@ -69,7 +69,7 @@ def test_a_check_names_the_firmware_and_finds_nothing(rig):
     port, folder = rig
     done = slider("rig", "check", "--port", port, "--out", folder / "check.json")
     assert done.returncode == 0, done.stderr
-    assert "firmware 1.0.0, protocol 1" in done.stdout and "nothing is wrong" in done.stdout
+    assert "firmware 1.1.0, protocol 1" in done.stdout and "nothing is wrong" in done.stdout
     found = json.loads((folder / "check.json").read_text())
     assert [x["name"] for x in found["held"]][0] == "front_left"
     assert all(abs(x["reached"] - 50e3) < 1e3 for x in found["held"])

@@ -59,7 +59,7 @@ class Bench:
 def test_it_says_that_it_was_reset_and_who_it_is():
     bench = Bench()
     assert bench.said == [Event(0, Cause.RESET, 0)] and bench.core.state == State.BOOT
-    assert bench.say(Hello(9)) == [Ident(1, 1, 0, 0, 2000, 500, *[500_000] * 4)]
+    assert bench.say(Hello(9)) == [Ident(1, 1, 1, 0, 2000, 500, *[500_000] * 4)]
 
 
 def test_nothing_is_set_before_limits_and_arming():

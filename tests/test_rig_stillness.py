@@ -6,6 +6,7 @@ import pytest
 from rig.columns import Analogue, _moves
 from rig.messages import Reading
 from rig.simulated.manifold import ManifoldCore
+from rig.simulated.mischief import Mischief
 from rig.simulated.rig import SimulatedRig
 from rig.simulated.tank import Measured
 from rig.stillness import STILL, WINDOW, Stillness
@@ -19,7 +20,7 @@ def reading(tip):
 
 def waited(swing, noise=0.0, most=200.0, sensors=(TIP,), ranges=None):
     """How long [s] until it counts as still; `swing(t)` [m]."""
-    still = Stillness(sensors, {"tip_m": RANGE} if ranges is None else ranges)
+    still = Stillness(sensors, {"tip_m": RANGE} if ranges is None else ranges, {"tip_m": noise})
     rng = np.random.default_rng(0)
     for t in np.arange(0.0, most, 0.05):
         if still.reached:
@@ -39,7 +40,16 @@ def test_it_waits_until_a_swing_has_died_away():
 
 def test_noise_alone_is_rest_and_a_swing_within_it_is_not():
     assert waited(lambda t: 0.0, noise=2e-3) < 10.0
-    assert waited(lambda t: 0.01 * np.cos(3.0 * t), noise=2e-3) == np.inf
+    for frequency in (0.5, 2.0, 3.0, 6.0):
+        turning = 2 * np.pi * frequency
+        assert waited(lambda t, w=turning: 0.01 * np.cos(w * t), noise=2e-3) == np.inf
+
+
+def test_a_stall_of_the_program_is_no_rest():
+    still = Stillness((TIP,), {"tip_m": RANGE}, {})
+    for t, tip in ((0.0, 0.01), (0.05, 0.01), (2.45, -0.01)):
+        still.add(t, reading(tip))
+    assert not still.reached
 
 
 def test_where_nothing_can_tell_nothing_is_waited_for():
@@ -51,8 +61,8 @@ def test_a_trial_that_did_not_begin_from_rest_says_so():
     t = np.arange(500) / 500.0
     drive = 0.04 * np.sin(20 * t)
     noise = 1e-3 * np.random.default_rng(0).normal(size=500)
-    assert _moves("tip_m", noise, drive) == ()
-    (said,) = _moves("tip_m", 2e-3 * np.sin(6 * t) + noise, drive)
+    assert _moves("tip_m", noise, drive, 1e-3) == _moves("tip_m", noise, noise, 1e-3) == ()
+    (said,) = _moves("tip_m", 2e-3 * np.sin(6 * t) + noise, drive, 1e-3)
     assert "tip_m was not at rest before the drive" in said and "longer pause" in said
 
 
@@ -95,3 +105,13 @@ def test_a_simulated_tank_that_is_late_follows_each_command_from_its_own_time():
     assert first[1:4] == [(1000,) * 4] * 3
     assert first[4] == (1700,) * 4  # 0.3 ms of 1000, 0.7 ms of 2000
     assert first[5] == (2000,) * 4 and first[6:] == [(3000,) * 4] * 2
+
+
+def test_a_reset_vents_the_simulated_tank():
+    tank = Followed()
+    rig = SimulatedRig(tank, Told(), Mischief(reset_at=0.005), Told)
+    rig.tick(0)
+    rig.feed(b"1000", 200)
+    for now in range(0, 10_000, 500):
+        rig.tick(now)
+    assert tank.sets[3] == (1000,) * 4 and tank.sets[-1] is None and len(tank.sets) == 10

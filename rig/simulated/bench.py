@@ -4,14 +4,14 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from math import ceil
 from typing import NamedTuple
 
 import numpy as np
 
 from rig.simulated.force_sensor import Box, SimulatedForceSensor
-from rig.simulated.rig import TIP_PER_VOLT, SimulatedRig
+from rig.simulated.rig import STEP, TIP_PER_VOLT, SimulatedRig
 from rig.simulated.terminal import Terminal
-
 
 PATIENCE = 0.2
 """Longest that a force waits for its tank [s]."""
@@ -47,6 +47,15 @@ class OnHost:
         now = self.rig.measured(at)
         return np.array([now.thrust, now.recoil, 0.0, 0.0, 0.0, 0.0])
 
+    def on_step(self, host_s: float) -> float:
+        """The next time of the host [s] at which the tank makes a step.
+
+        Records between steps would all wait for the next one, and be late by the same.
+        """
+        zero = self._zero_ns or time.monotonic_ns()
+        steps = ceil((1e9 * host_s - zero) / (1000 * STEP))
+        return 1e-9 * (zero + 1000 * STEP * steps)
+
 
 class Running(NamedTuple):
     """Where a simulated rig is found."""
@@ -81,6 +90,7 @@ def running(
     device, ends = OnHost(rig, at), threading.Event()
     terminal = Terminal(device)
     sensor = SimulatedForceSensor(Box(device.wrench, noise=force_noise, seed=seed))
+    sensor.begins = device.on_step
     thread = threading.Thread(target=terminal.serve, args=(ends.is_set,), daemon=True)
     thread.start()
     try:

@@ -133,6 +133,8 @@ class SimulatedForceSensor:
     ) -> None:
         self.box, self.line, self.drift = box, line or Line(), drift
         self.silent = False
+        self.begins: Callable[[float], float] = lambda t: t
+        """When the first record is sampled, of a stream that is asked for at `t` [s]."""
         self.page = PAGE
         """What its web page says."""
         self.requests: list[int] = []
@@ -199,7 +201,7 @@ class SimulatedForceSensor:
                 return
             self.requests.append(command)
             if command == rdt.START:
-                self._client, self._start = sender, time.monotonic()
+                self._client, self._start = sender, self.begins(time.monotonic())
                 self._sent, self._count = 0, count
             elif command == rdt.STOP:
                 self._client = None

@@ -41,7 +41,7 @@ class ManifoldCore:
     def __init__(
         self,
         hard_limits: Pressures = HARD_LIMITS,
-        version: tuple[int, int, int] = (1, 0, 0),
+        version: tuple[int, int, int] = (1, 1, 0),
         longest: int = 2000,
         rate: int = 500,
         protocol: int = PROTOCOL,

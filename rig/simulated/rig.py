@@ -36,7 +36,7 @@ class SimulatedRig:
         self._begun: int | None = None
         self._at, self._reset, self._held = 0, False, b""
         self._stuck: int | None = None
-        self._states: deque[tuple[int, Measured]] = deque(maxlen=1000)
+        self._states: deque[tuple[int, Measured]] = deque(maxlen=256)
         self._followed: list[tuple[int, Set]] = []
 
     def feed(self, piece: bytes, now_us: int) -> bytes:
@@ -55,13 +55,13 @@ class SimulatedRig:
         said = b""
         while self._at <= now_us:
             since = (self._at - self._begun) * 1e-6
+            before = self.core.set_pressures
             if self.mischief.reset_at is not None and since >= self.mischief.reset_at:
                 if not self._reset:
                     self.core, self._reset = self._new_core(), True
             if self._at > self._begun:
                 now = self.tank.advance(self._mean_set(), STEP * 1e-6)
                 self._states.append((self._at, now))
-            before = self.core.set_pressures
             said += self.core.tick(self._at, self._channels(self._states[-1][1], since))
             if self.core.set_pressures != before:
                 self._followed = [(self._at, self.core.set_pressures)]
@@ -74,7 +74,7 @@ class SimulatedRig:
         return self._states[-1][0] if self._states else 0
 
     def measured(self, now_us: int) -> Measured:
-        """The tank's true values at a time within the last second.
+        """The tank's true values at a time within the last quarter of a second.
 
         Linear between its steps, and beyond the last one for no longer than one.
         """

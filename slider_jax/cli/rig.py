@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
@@ -18,11 +18,11 @@ from rig.force import ForceSource
 from rig.manifold import Manifold
 from rig.priority import real_time
 from rig.safety import Limits
-from rig.session import Rig
+from rig.session import Rig, start_swing
 from slider_jax.cli.rig_settings import CameraTable, ForceTable, RigTable
 from slider_jax.csv_file import read_csv
 from slider_jax.errors import InputError
-from slider_jax.files import write_bytes
+from slider_jax.files import write_bytes, write_text
 from slider_jax.schema import ExperimentTable, Trial as TrialTable
 from slider_jax.toml_file import read_toml, validate
 
@@ -53,6 +53,15 @@ def copy_experiment(path: Path, folder: Path) -> None:
     write_bytes(folder / "experiment.toml", path.read_bytes())
     for name in {x.drive_file for x in table.trials if x.drive_file}:
         write_bytes(folder / name, (path.parent / name).read_bytes())
+
+
+def declare_swing(path: Path, told: list[dict[str, Any]]) -> None:
+    """Adds what the tip swung by before the trials to an experiment file without [sensors]."""
+    swing = start_swing(told)
+    table = validate(ExperimentTable, read_toml(path), str(path))
+    if swing > 0.0 and "sensors" not in table.model_fields_set:
+        added = f"[sensors]\nstart_swing = {swing:.2g}  # m, measured at rest\n"
+        write_text(path, f"{path.read_text().rstrip()}\n\n{added}")
 
 
 def to_play(trial: TrialTable, path: Path) -> Trial:

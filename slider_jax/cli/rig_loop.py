@@ -10,7 +10,7 @@ from typing import Annotated
 import tyro
 
 from slider_jax.cli.options import Folder, Whole
-from slider_jax.cli.rig import Live, Port, RigFile, copy_experiment, opened, to_play
+from slider_jax.cli.rig import Live, Port, RigFile, copy_experiment, declare_swing, opened, to_play
 from slider_jax.errors import InputError
 
 
@@ -78,8 +78,9 @@ def loop(
             played = [to_play(trial, path) for trial in trials]
             live = Live(machine, len(played))
             told = {"rig": settings.model_dump(mode="json")}
-            run_trials(played, machine, folder, told, live)
+            found = run_trials(played, machine, folder, told, live)
             live.end()
+        declare_swing(path, found)
 
     found = campaign(path, capture, out, budget, within, say)
     rounds = {"rounds": [asdict(x) for x in found.rounds], "settled": found.settled}

@@ -7,7 +7,15 @@ from typing import Annotated, Any
 import tyro
 
 from slider_jax.cli.options import Folder
-from slider_jax.cli.rig import Live, Port, RigFile, copy_experiment, opened, trials_of
+from slider_jax.cli.rig import (
+    Live,
+    Port,
+    RigFile,
+    copy_experiment,
+    declare_swing,
+    opened,
+    trials_of,
+)
 from slider_jax.errors import InputError
 
 
@@ -23,8 +31,9 @@ def run(
 
     All chambers vent at the end, on Ctrl-C, on an error, when the port is lost, and, by the
     manifold's own watchdog, when this program or the computer dies. DIR becomes the experiment's
-    folder as `slider calibrate` and `slider close-loop` take it: experiment.toml and a CSV a trial;
-    in DIR/recordings is all that came, as it came. A run that was stopped goes on with the trials
+    folder as `slider calibrate` and `slider close-loop` take it: experiment.toml, to which what the
+    tip swung by at rest is added where it has no [sensors], and the trials' CSVs; in
+    DIR/recordings is all that came, as it came. A run that was stopped goes on with the trials
     that are missing when it is started again.
 
     Args:
@@ -72,6 +81,7 @@ def run(
         live = Live(machine, len(trials))
         found = run_trials(trials, machine, folder, told, live)
         live.end()
+    declare_swing(folder / "experiment.toml", found)
     for told_of in found:
         said = "; ".join(told_of["findings"]) or "no findings"
         print(f"{told_of['trial']}.csv  {told_of['readings']} readings, commands within "

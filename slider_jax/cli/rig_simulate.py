@@ -57,6 +57,8 @@ def simulate(
             put(name, value)
             print(f"{seconds:.1f} s: {name} is {value:g}", file=sys.stderr, flush=True)
 
+    # Manifold and force sensor are threads: by default one may keep the other waiting for 5 ms.
+    sys.setswitchinterval(2e-4)
     mischief = Mischief(
         flipped=flipped, dropped=dropped, noise=noise, tip_noise=tip_noise, seed=seed
     )

@@ -62,6 +62,7 @@ def _simulate_experiment(experiment, path, model, out, plot, animate) -> None:
     from slider_jax.cli.progress import Progress
     from slider_jax.experiment import SAMPLES, measured, to_model
     from slider_jax.files import staged, write_csv, write_json
+    from slider_jax.played import played
     from slider_jax.plots import plot_run
     from slider_jax.results import summary, trial_summary
     from slider_jax.simulate import simulate as simulate_trial
@@ -74,6 +75,7 @@ def _simulate_experiment(experiment, path, model, out, plot, animate) -> None:
     for trial in experiment.trials:  # every file is checked before anything is computed
         measured(experiment, trial)
         to_model(experiment, trial)
+        played(experiment, trial)
     formats = dict(zip(SAMPLES, (".9g", ".1f", ".1f", ".6f", ".6f", ".7f"), strict=True))
     results, shape = [], plot or animate
     with staged(out) as stage:

@@ -23,8 +23,10 @@ class Delayed(Waveform):
         def choose(inside, beginning):
             return jnp.where(before, 0.0, jnp.where(starts, beginning, inside))
 
-        # Where it starts within the step, the break is the start: no edge falls so soon after.
-        break_at = jnp.where(starts, self.delay, early.t_break + self.delay)
+        # Where it starts within the step, the break is the start: no edge falls so soon after. A
+        # wave that is zero at its start has its first edge for a start.
+        late = ~smooth & (early.a0 == 0.0)
+        break_at = jnp.where(starts & ~late, self.delay, early.t_break + self.delay)
         return Segment(
             t0,
             jnp.where(before, t1, break_at),

@@ -38,7 +38,7 @@ constexpr int32_t BROKEN_Pa = 10000000;
 // ---- What Ident tells ---------------------------------------------------------------------------------------
 // Set the hard limits to what your chambers bear. The published sweep went to 372 kPa.
 constexpr uint16_t LONGEST = 2000;
-constexpr Settings SETTINGS = {PROTOCOL, {1, 0, 0}, LONGEST, 500, {400000, 400000, 400000, 400000}};
+constexpr Settings SETTINGS = {PROTOCOL, {1, 1, 0}, LONGEST, 500, {400000, 400000, 400000, 400000}};
 
 // A loop that hangs for so long, or a crash, resets the board, which vents.
 constexpr double HUNG_MS = 50;
