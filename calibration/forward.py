@@ -26,7 +26,7 @@ from slider_jax.parameters import Numerics
 from slider_jax.played import LONGEST_STEP, played
 from slider_jax.pneumatics import chamber_history, start_chambers
 from slider_jax.rollout import TimeGrid, rollout
-from slider_jax.sampling import edge_steps, half_period_steps, sample, steps_around
+from slider_jax.sampling import edge_steps, half_period_steps, nearest_steps, sample
 from slider_jax.schema import Trial
 from slider_jax.scheme import SCHEMES, SDIRK2, Scheme
 from slider_jax.step import Carry, Snapshot, at_rest
@@ -104,7 +104,7 @@ def plan(
         h, edges = 0.5 / (trial.frequency * half), half
     steps = int(np.ceil(at[-1] / h * (1.0 - 1e-9)))
     if was is not None and was.edges is not None:
-        ends = steps_around(steps, h, was.edges)
+        ends = nearest_steps(steps, h, was.edges)
     else:
         ends = np.array([0, steps]) if edges is None else edge_steps(steps, edges, trial.phase)
     taken = {name: jnp.asarray(x, float) for name, x in conditions(experiment, trial).items()}

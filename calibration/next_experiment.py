@@ -99,10 +99,12 @@ def _separated(outcome: Outcome, limits: Limits, effort: Effort, progress: Say) 
             names.append(rival)
     full = {name: _size(outcome, this, name) for name in names}
     rivals = np.concatenate([members[n] for n in names[1:]])
-    chosen = np.concatenate([free, rivals])
     steps = np.concatenate([full[n] for n in names[1:]])
+    # A rival may have been added in a later round: it is in the fit then, at its size.
+    new = ~np.isin(rivals, free)
+    chosen = np.concatenate([free, rivals[new]])
     # At the sizes that were fitted, as the tangent at the null can say little of them.
-    secants = {int(i): float(x) for i, x in zip(rivals, steps, strict=True) if x != 0.0}
+    secants = {int(i): float(x) for i, x in zip(rivals[new], steps[new], strict=True) if x != 0.0}
     f = _foresight(outcome, chosen, secants)
     progress(f"what the next trial could say of {', '.join(names)}")
     before = information(f.trials([r.trial for r in outcome.problem.records]))
@@ -114,7 +116,7 @@ def _size(outcome: Outcome, this: Round, name: str) -> np.ndarray:
     """How far the parameters of an effect are from their null as far as the round knows."""
     group = groups(outcome.entries)[name]
     null = np.array([outcome.entries[i].prior.null for i in group])
-    if name == this.chosen:
+    if name == this.chosen or name in outcome.search.effects:
         return outcome.final.theta[group] - null
     tried = next((t for t in this.tried if t.name == name), None)
     if tried is not None:

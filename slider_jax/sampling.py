@@ -26,14 +26,10 @@ def edge_steps(steps: int, half_period: int, phase: float = 0.0) -> np.ndarray:
     return np.unique(edges)
 
 
-def steps_around(steps: int, h: float, times: np.ndarray) -> np.ndarray:
-    """As `edge_steps`, for edges at any `times` [s]: the steps of `h` before and behind each.
-
-    Within the step that holds an edge nothing but its two ends is known.
-    """
-    place = np.asarray(times) / h
-    near = np.concatenate([np.floor(place + 1e-6), np.ceil(place - 1e-6), [0, steps]]).astype(int)
-    return np.unique(near[(near >= 0) & (near <= steps)])
+def nearest_steps(steps: int, h: float, times: np.ndarray) -> np.ndarray:
+    """As `edge_steps`, for edges at any `times` [s]: each is put on the nearest step of `h`."""
+    near = np.round(np.asarray(times) / h).astype(int)
+    return np.unique(np.concatenate([near[(near > 0) & (near < steps)], [0, steps]]))
 
 
 def sample(t: np.ndarray, values: np.ndarray, at: np.ndarray, edges: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ from slider_jax.model import Model
 from slider_jax.parameters import Numerics, grid_of
 from slider_jax.played import LONGEST_STEP, Played, played
 from slider_jax.rollout import TimeGrid, rollout
-from slider_jax.sampling import edge_steps, half_period_steps, sample, steps_around
+from slider_jax.sampling import edge_steps, half_period_steps, nearest_steps, sample
 from slider_jax.schema import Trial
 from slider_jax.scheme import Scheme
 from slider_jax.step import Carry, Snapshot, at_rest
@@ -66,7 +66,7 @@ class Clock:
     def edges(self) -> np.ndarray:
         """Step indices between which the drive is smooth."""
         if self.played is not None:
-            return steps_around(self.steps, self.h, self.played)
+            return nearest_steps(self.steps, self.h, self.played)
         if self.half_period is None:
             return np.array([0, self.steps])
         return edge_steps(self.steps, self.half_period, self.phase)

@@ -98,6 +98,22 @@ def test_a_class_is_to_be_separated_at_the_sizes_that_were_fitted(tank):
     assert pair["sigmas_after"] > 2.0 * pair["sigmas_before"]
 
 
+def test_a_rival_that_was_added_later_is_separated_at_its_size_in_the_fit(tank):
+    experiment, _, null = tank
+    theta = null.copy()
+    theta[MASS], theta[FLUID] = 0.1, 0.05
+    final = fitted(tank, theta, np.concatenate([FREE, MASS, FLUID]))
+    rounds = [
+        Round([], [], "carried_mass", ["axial_added_mass"]),
+        Round([], [], "axial_added_mass", []),
+    ]
+    limits = limits_of(experiment, LIMITS | {"tow_speed": (0.0, 0.25)})
+    found = next_experiment(outcome(tank, "class", final, rounds), limits=limits, effort=FEW)
+    sizes = {name: x.tolist() for name, x in found["sizes"].items()}
+    assert sizes == {"carried_mass": [0.1], "axial_added_mass": [0.05]}
+    assert found["pairs"][0]["sigmas_after"] > found["pairs"][0]["sigmas_before"] > 0.0
+
+
 def test_a_complete_model_asks_for_what_narrows_the_widest_interval(tank):
     final = fitted(tank, tank[2], FREE, weight=0.01)
     before = np.sqrt(np.diag(final.covariance))
