@@ -3,6 +3,11 @@
 A candidate is kept where its gain is beyond chance for the number of candidates tried, the trials
 that were left out agree, and what it changes is large enough to be worth a name: larger than what
 two correct programs of one model differ by, declared in `noise.DISCREPANCY` before any data.
+
+One that was kept is taken out again where a later one leaves it nothing that is worth a name: while
+two causes are missing, a wrong one that resembles one of them and has something of the other can
+explain more than either. Source: Zhang, T. (2011), Adaptive forward-backward greedy algorithm for
+learning sparse representations, IEEE Trans. Inf. Theory 57, 4689-4708.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import wilcoxon
 
-from calibration.evidence import FAILED, Problem
-from calibration.fit import Fit, fit
+from calibration.evidence import FAILED, Problem, summed
+from calibration.fit import Fit, fit, inverse
 from calibration.forward import CHANNELS
 from calibration.noise import DISCREPANCY
 from calibration.plant import BASE, Parameter
@@ -39,6 +44,11 @@ HALVED = 4
 """Sizes that are tried of a start that cannot be simulated."""
 MOST = 3
 """Effects that are added at most."""
+ROUNDS = 5
+"""Rounds at most, with those whose effect was taken out again."""
+SURE = 10.0
+"""An effect is not taken out on trial whose loss would be so many times the least gain, as the
+linearised model has it."""
 ALIKE = 0.95
 """|cos| of two tangents from which on the effects are one class."""
 SHARE = 0.5
@@ -82,8 +92,12 @@ class Tried:
 
     @property
     def worth_naming(self) -> bool:
-        large = any(self.sizes[c] > DISCREPANCY[c] for c in self.sizes)
-        return large and self.gain > LEAST_GAIN
+        return worth_naming(self.gain, self.sizes)
+
+
+def worth_naming(gain: float, sizes: dict[str, float]) -> bool:
+    """Whether an effect of so much gain changes some channel by so much that it is to be named."""
+    return gain > LEAST_GAIN and any(sizes[c] > DISCREPANCY[c] for c in sizes)
 
 
 @dataclass
@@ -95,6 +109,8 @@ class Round:
     chosen: str | None = None
     alike: list[str] = field(default_factory=list)
     """Names that cannot be told from the chosen one."""
+    taken_out: str | None = None
+    """What was chosen, until a later round left it nothing to explain."""
 
 
 @dataclass
@@ -173,19 +189,53 @@ def search(
     white = problem.whiteners(begun.predicted)
     base = current = fit(problem, entries, begun.theta, free, progress, white)
     found = Search(base, base, [], [])
-    for number in range(MOST):
+    while len(found.effects) < MOST and len(found.rounds) < ROUNDS:
         rest = [n for n in members if _can_join(n, found.effects)]
         if not rest:
             break
-        progress(f"round {number + 1}: scoring {len(rest)} candidates")
+        progress(f"round {len(found.rounds) + 1}: scoring {len(rest)} candidates")
         this = _round(problem, entries, current, members, rest, white, progress)
         found.rounds.append(this)
         if this.chosen is None:
             break
         current = next(t.fit for t in this.tried if t.name == this.chosen)
+        for name in found.effects.copy():
+            less = _without(problem, entries, current, members[name], name, white, progress)
+            if less is not None:
+                current = less
+                _take_out(found, name, this)
         found.effects.append(this.chosen)
         found.final = current
     return found
+
+
+def _without(problem, entries, current: Fit, group, name: str, white, progress) -> Fit | None:
+    """The fit without an effect, if it lacks nothing that is worth a name; else None."""
+    null = np.array([entries[i].prior.null for i in group])
+    own = np.isin(current.free, group)
+    away = (current.theta[group] - null)[np.isin(group, current.free)]
+    A = summed(current.blocks)[0]
+    loss = away @ np.linalg.pinv(inverse(A)[np.ix_(own, own)]) @ away / current.inflation
+    if not loss < SURE * LEAST_GAIN:
+        return None
+    progress(f"refitting without {name}")
+    theta = current.theta.copy()
+    theta[group] = null
+    less = fit(problem, entries, theta, current.free[~own], progress, white)
+    gain = (less.square - current.square) / current.inflation
+    sizes = {
+        c: _share(less.predicted, current.predicted, CHANNELS.index(c)) for c in problem.channels
+    }
+    needed = worth_naming(gain, sizes)
+    return less if less.converged and not needed else None
+
+
+def _take_out(found: Search, name: str, by: Round) -> None:
+    """`name` is no longer needed beside what the round `by` chose, which takes over its rivals."""
+    found.effects.remove(name)
+    this = next(r for r in found.rounds if r.chosen == name)
+    by.alike += [n for n in this.alike if n not in (by.chosen, *by.alike)]
+    this.chosen, this.alike, this.taken_out = None, [], name
 
 
 def _could_be_named(problem: Problem, current: Fit, everything, step: np.ndarray) -> bool:
