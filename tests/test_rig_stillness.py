@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from rig.columns import Analogue, _moves
-from rig.messages import Reading
+from rig.frames import encode
+from rig.messages import Arm, Reading, SetLimits, SetPressures, State
 from rig.simulated.manifold import ManifoldCore
 from rig.simulated.mischief import Mischief
 from rig.simulated.rig import SimulatedRig
@@ -115,3 +116,21 @@ def test_a_reset_vents_the_simulated_tank():
     for now in range(0, 10_000, 500):
         rig.tick(now)
     assert tank.sets[3] == (1000,) * 4 and tank.sets[-1] is None and len(tank.sets) == 10
+
+
+def test_a_simulated_manifold_that_was_not_run_does_not_blame_its_host():
+    """A command waited while the program stood still for 200 ms."""
+    rig = SimulatedRig(Followed())
+    for message in (SetLimits(1, *[100_000] * 4), Arm(2), SetPressures(3, 1, 1, 1, 1)):
+        rig.feed(encode(message), 0)
+    for now in range(0, 39_000, 1000):
+        rig.tick(now)
+    rig.feed(encode(SetPressures(4, 2, 2, 2, 2)), 238_000)
+    for now in range(238_000, 290_000, 1000):
+        rig.tick(now)
+        if now == 250_000:
+            rig.feed(encode(SetPressures(5, 3, 3, 3, 3)), now)
+    assert rig.core.state == State.ARMED and rig.core.set_pressures == (3, 3, 3, 3)
+    # A host that is silent is still found out, by the time that the program makes up for.
+    rig.tick(600_000)
+    assert rig.core.state == State.FAULT

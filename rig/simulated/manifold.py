@@ -78,6 +78,11 @@ class ManifoldCore:
                 self._foreign += 1
         return b"".join(map(encode, said))
 
+    def came_until(self, now_us: int, fed_us: int) -> None:
+        """What was fed at `fed_us`, if it was sound, may have come as late as this."""
+        if self._heard == fed_us:
+            self._heard = now_us
+
     def tick(self, now_us: int, channels: Sequence[int]) -> bytes:
         """One pass of the main loop, with (8,) channels as just read; returns what is said."""
         said: list[Message] = []

@@ -13,8 +13,9 @@ STEP = 1_000
 """Of the tank, and of the main loop [us]."""
 TIP_PER_VOLT = 0.1
 """Of the sensor of the tip, on the first analogue input [m/V]."""
-STALL = 99_000
-"""A program that was not run for a while does not take that for its host's silence [us]."""
+STALL = 20_000
+"""Of a program that was not run for longer, what came meanwhile acts so soon after it stood still
+[us]. For the watchdog it came last of all, for it may have."""
 
 
 class SimulatedRig:
@@ -43,6 +44,8 @@ class SimulatedRig:
         """Takes bytes from the host; returns what is said to them."""
         at = min(now_us, self._at + STALL)
         said = self.core.feed(self._in.damage(piece), at)
+        if at < now_us:
+            self.core.came_until(now_us, at)
         self._followed.append((at, self.core.set_pressures))
         return self._late(self._out.damage(said), now_us)
 
