@@ -3,10 +3,10 @@
     python benchmarks/rig_loop.py --out DIR
 
 Filling takes another time than venting, and the tank's water drifts. Neither is in the file that
-the loop is given, and all four base parameters are wrong in it. Both begin with the first four of
-twelve trials over frequency; the loop chooses what follows, the sweep goes on, and is closed on
-after 4, 6, 8 and 12 trials. Everything goes through the command line, a pseudo-terminal and UDP in
-real time. What is there is not measured again.
+the loop is given, and all four base parameters are wrong in it. The loop begins with four trials
+that differ in frequency, amplitude and phase, and chooses what follows; the sweep is of twelve over
+frequency, and is closed on after 4 and 12. Everything goes through the command line, a
+pseudo-terminal and UDP in real time. What is there is not measured again.
 """
 
 import argparse
@@ -16,15 +16,25 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 BUDGET = 12
-FREQUENCIES = (1.0, 2.0, 3.0, 4.0, 1.5, 2.5, 3.5, 4.5, 5.0, 0.75, 1.25, 5.5)
-"""Of the sweep [Hz], in its order."""
-BEGIN = 4
+SWEEP = [
+    {"frequency": f, "amplitude": 150e3, "phase": 0.1, "duration": 2.0}
+    for f in (1.0, 2.0, 3.0, 4.0, 1.5, 2.5, 3.5, 4.5, 5.0, 0.75, 1.25, 5.5)
+]
+BEGIN = [
+    {"frequency": f, "amplitude": p, "phase": phase, "duration": duration}
+    for f, p, phase, duration in (
+        (1.5, 200e3, 0.15, 2.0),
+        (3.0, 150e3, 0.0, 2.0),
+        (4.5, 230e3, 0.25, 1.5),
+        (2.2, 100e3, -0.2, 2.0),
+    )
+]
 HIDDEN = {"fill_vent_asymmetry": {"ratio": 1.15}, "tank_current": {"U_x": -0.05}}
 TRUE = {"C_d": 3.0, "m_a": 0.62, "k": 0.075, "K_Q": 4.6e-7}
 GIVEN = {"C_d": 2.5, "m_a": 0.5, "k": 0.06, "K_Q": 4.2e-7}
@@ -53,13 +63,14 @@ def table(name: str, values: dict[str, Any]) -> str:
     return "\n".join([name, *lines, "", ""])
 
 
-def experiment(parameters: dict[str, float], effects: dict[str, dict], trials: int) -> str:
-    """An experiment file with the first trials of the sweep."""
+def experiment(
+    parameters: dict[str, float], effects: dict[str, dict], trials: Sequence[dict[str, float]]
+) -> str:
+    """An experiment file with these trials."""
     text = ROBOT + table("[parameters]", parameters)
     for name, values in effects.items():
         text += table("[[effects]]", {"name": name} | values)
-    for i, frequency in enumerate(FREQUENCIES[:trials]):
-        drive = {"frequency": frequency, "amplitude": 150e3, "phase": 0.1, "duration": 2.0}
+    for i, drive in enumerate(trials):
         text += table("[[trials]]", {"file": f"s{i:02d}.csv"} | drive)
     return text
 
@@ -118,7 +129,7 @@ def first_of(sweep: Path, count: int, folder: Path) -> Path:
     """The sweep's first trials, as an experiment of their own."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "experiment.toml"
-    path.write_text(experiment(GIVEN, {}, count))
+    path.write_text(experiment(GIVEN, {}, SWEEP[:count]))
     for i in range(count):
         for name in (f"s{i:02d}.csv", f"s{i:02d}.played.csv"):
             (folder / name).write_bytes((sweep / name).read_bytes())
@@ -128,12 +139,12 @@ def first_of(sweep: Path, count: int, folder: Path) -> Path:
 def main() -> None:
     asked = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     asked.add_argument("--out", type=Path, required=True)
-    asked.add_argument("--counts", type=int, nargs="*", default=[4, 6, 8, 12])
+    asked.add_argument("--counts", type=int, nargs="*", default=[4, 12])
     given = asked.parse_args()
     out = given.out
     out.mkdir(parents=True, exist_ok=True)
     (out / "given.toml").write_text(experiment(GIVEN, {}, BEGIN))
-    (out / "sweep.toml").write_text(experiment(GIVEN, {}, BUDGET))
+    (out / "sweep.toml").write_text(experiment(GIVEN, {}, SWEEP))
     results: dict[str, Any] = {}
     if not (out / "loop" / "report.json").exists():
         with simulated(out) as (port, rig):
@@ -141,7 +152,7 @@ def main() -> None:
             slider("rig", "loop", out / "given.toml", "--port", port, "--rig", rig,
                    "--out", out / "loop", "--budget", BUDGET)  # fmt: skip
             results["loop_seconds"] = time.monotonic() - begun
-    if not (out / "sweep" / f"s{BUDGET - 1:02d}.csv").exists():
+    if not (out / "sweep" / f"s{len(SWEEP) - 1:02d}.csv").exists():
         with simulated(out) as (port, rig):
             slider("rig", "run", out / "sweep.toml", "--port", port, "--rig", rig,
                    "--out", out / "sweep")  # fmt: skip
