@@ -55,6 +55,22 @@ def copy_experiment(path: Path, folder: Path) -> None:
         write_bytes(folder / name, (path.parent / name).read_bytes())
 
 
+def is_of(folder: Path, path: Path) -> bool:
+    """Whether a folder holds this experiment already, and what was added to it.
+
+    Raises `InputError` where it holds another one.
+    """
+    there = folder / "experiment.toml"
+    if not there.exists():
+        return False
+    if not there.read_bytes().startswith(path.read_bytes().rstrip()):
+        raise InputError(
+            f"{folder}: holds another experiment than {path}; give another --out, or that file "
+            "as it was to go on"
+        )
+    return True
+
+
 def declare_swing(path: Path, told: list[dict[str, Any]]) -> None:
     """Adds what the tip swung by before the trials to an experiment file without [sensors]."""
     swing = start_swing(told)

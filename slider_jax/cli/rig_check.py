@@ -5,6 +5,7 @@ from pathlib import Path
 
 from slider_jax.cli.options import Value
 from slider_jax.cli.rig import Port, RigFile
+from slider_jax.errors import InputError
 
 
 def check(port: Port, rig: RigFile = None, pressure: Value = 50e3, out: Path | None = None) -> int:
@@ -17,7 +18,7 @@ def check(port: Port, rig: RigFile = None, pressure: Value = 50e3, out: Path | N
         port: serial port of the manifold.
         rig: TOML file of the rig.
         pressure: set pressure of the test [Pa].
-        out: JSON file for what was found.
+        out: JSON file for what was found; its folder is made if missing.
     """
     from rig.checking import Collector, check as check_rig
     from rig.manifold import Manifold
@@ -27,8 +28,14 @@ def check(port: Port, rig: RigFile = None, pressure: Value = 50e3, out: Path | N
     from rig.safety import Limits, checked
     from slider_jax.cli.rig import signals_as_ctrl_c
     from slider_jax.cli.rig_settings import rig_of
-    from slider_jax.files import write_json
+    from slider_jax.files import output_folder, write_json
 
+    if not pressure >= 1e3:
+        raise InputError.value("--pressure", f"{pressure:g}", "1000 Pa or more", "not kPa or psi")
+    if out is not None:
+        if out.is_dir():
+            raise InputError(f"--out {out}: is a folder; give a file, as {out / 'check.json'}")
+        output_folder(out.parent)
     limits = Limits.of(rig_of(rig).manifold.limits)
     checked((pressure,) * 4, limits)
     collector = Collector()

@@ -10,7 +10,16 @@ from typing import Annotated
 import tyro
 
 from slider_jax.cli.options import Folder, Whole
-from slider_jax.cli.rig import Live, Port, RigFile, copy_experiment, declare_swing, opened, to_play
+from slider_jax.cli.rig import (
+    Live,
+    Port,
+    RigFile,
+    copy_experiment,
+    declare_swing,
+    is_of,
+    opened,
+    to_play,
+)
 from slider_jax.errors import InputError
 
 
@@ -29,13 +38,14 @@ def loop(
     computes; the manifold is vented.
 
     Args:
-        experiment: experiment file; its trials, four or more, are run first.
+        experiment: experiment file; its trials, three or more, are run first.
         port: serial port of the manifold.
         out: folder for all of it; made if missing.
         rig: TOML file of the rig: limits, pace, force sensor, analogue inputs.
         budget: most trials, with those of the file.
     """
     from calibration.campaign import campaign
+    from calibration.closing import LEAST_TRIALS
     from calibration.next_trial import Limits, limits_of
     from calibration.report import model_toml
     from calibration.report_html import page
@@ -47,18 +57,17 @@ def loop(
 
     settings = rig_of(rig)
     given = load(experiment)
+    if len(given.trials) < LEAST_TRIALS:
+        raise InputError.value(
+            f"{experiment}: trials", len(given.trials), f"{LEAST_TRIALS} or more to begin with"
+        )
     if any(trial.clamp_moves or trial.tow_speed for trial in given.trials):
         raise InputError(f"{experiment}: a clamp moves; allowed trials whose clamp rests")
     folder = output_folder(out) / "measured"
     folder.mkdir(exist_ok=True)
     path = folder / "experiment.toml"
-    if not path.exists():
+    if not is_of(folder, experiment):
         copy_experiment(experiment, folder)
-    elif not path.read_bytes().startswith(experiment.read_bytes().rstrip()):
-        raise InputError(
-            f"--out {out}: has a loop on another experiment; give another folder, or the same "
-            "experiment to go on"
-        )
     begun = time.monotonic()
 
     def say(text: str) -> None:

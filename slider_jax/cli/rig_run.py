@@ -13,6 +13,7 @@ from slider_jax.cli.rig import (
     RigFile,
     copy_experiment,
     declare_swing,
+    is_of,
     opened,
     trials_of,
 )
@@ -44,7 +45,7 @@ def run(
         limit: highest set pressure [Pa] of all chambers, or of the four; 250e3 by default.
         force: address of an ATI Net F/T box; its other settings are the rig file's.
     """
-    from rig.session import run as run_trials
+    from rig.session import finished, run as run_trials
     from slider_jax.cli.rig_settings import rig_of
     from slider_jax.files import output_folder
     from slider_jax.provenance import input_file
@@ -77,7 +78,11 @@ def run(
         for shot in trials:
             shot.drive.check(machine.limits.within(ident), shot.duration)
         folder = output_folder(out)
-        copy_experiment(experiment, folder)
+        # Nothing is written where a trial is refused; what was added at rest stays.
+        for shot in trials:
+            finished(folder, shot.name, told)
+        if not is_of(folder, experiment):
+            copy_experiment(experiment, folder)
         live = Live(machine, len(trials))
         found = run_trials(trials, machine, folder, told, live)
         live.end()

@@ -106,7 +106,8 @@ def watch(
         print(
             f"k {last['k_s']:.4g} +- {last['k_deviation_s']:.2g} s, K_Q {last['K_Q_m3']:.4g} +- "
             f"{last['K_Q_deviation_m3']:.2g} m^3; the model was "
-            f"{1e3 * np.median(late):.0f} ms late, {1e3 * np.percentile(late, 99):.0f} of 99 in 100"
+            f"{1e3 * np.median(late):.0f} ms late, 99 in 100 of its blocks at most "
+            f"{1e3 * np.percentile(late, 99):.0f}"
         )
     for alarm in alarms:
         print(f"ALARM at {alarm['t_s']:.2f} s: {alarm['said']}")
