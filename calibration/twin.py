@@ -188,6 +188,11 @@ class Twin:
         )  # fmt: skip
 
     @property
+    def judges_after(self) -> float:
+        """[s] of a stream that is driven, until the bands are learned."""
+        return sum(self._learned_by) * self.settings.window
+
+    @property
     def k(self) -> Estimate:
         """The pressure lag [s] now."""
         return self._k.estimate.with_share(SYSTEMATIC_K)

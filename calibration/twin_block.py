@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 from calibration.forward import CHANNELS
 from calibration.twin_faults import SUSPECTS
 from slider_jax import observables as obs
-from slider_jax.actuation import FirstOrderLag, Ideal, Recorded
+from slider_jax.actuation import FirstOrderLag, Held, Ideal, Recorded
 from slider_jax.effects import Command, Flow, Instrument, Readings, of_place
 from slider_jax.experiment import Experiment, to_model
 from slider_jax.instruments import recorded
@@ -124,8 +124,9 @@ def compiled(model: Model, layout: Layout, state: State) -> Callable[..., tuple[
     """The program of a block, compiled for models of this structure.
 
     It takes (model, state, values (4,), t0, set_pressure (2, PAST + 1 + samples), measured pressure
-    (2, samples)): `t0` [s] is the last sample before the block, set pressures [Pa] end with the
-    block's last sample, NaN stands for a pressure that was not read.
+    (2, samples)): `t0` [s] is the last sample before the block, set pressures [Pa] are means since
+    the sample before and end with the block's last one, NaN stands for a pressure that was not
+    read.
     """
 
     def run(model, state, values, t0, set_pressure, measured):
@@ -151,14 +152,15 @@ def _of_body(model: Model, values: Array) -> Model:
 def _block(layout: Layout, model: Model, state: State, values, t0, set_pressure, measured):
     state = _moved(state, values)
     at = t0 + layout.period * jnp.arange(layout.samples + 1.0)
-    before = layout.period * jnp.arange(-float(PAST), layout.samples + 1.0)
-    front, rear = (Recorded(t0 + before, x) for x in set_pressure)
+    # A chamber takes several periods: what it makes of an edge is told by the mean over a period.
+    since = t0 + layout.period * jnp.arange(-PAST - 1.0, float(layout.samples))
+    front, rear = (Held(since, x) for x in set_pressure)
     lag = FirstOrderLag(values[0])
     state, p, dp, seen, faulty = _pressures(
         layout, replace(model, drive=Drive(front, rear), pressure_law=lag), state, at, measured
     )
-    front, rear = (Recorded(at, x) for x in seen.T)
-    state, body, d_body = _body(layout, replace(model, drive=Drive(front, rear)), state, t0)
+    as_read = Drive(Recorded(at, seen[:, 0]), Recorded(at, seen[:, 1]))
+    state, body, d_body = _body(layout, replace(model, drive=as_read), state, t0)
     true = jnp.concatenate([p, body], axis=1)
     d_true = jnp.concatenate(
         [

@@ -18,7 +18,8 @@ class Stretch(NamedTuple):
     t: np.ndarray
     """(n,) [s], of the device's clock."""
     set_pressure: np.ndarray
-    """(2, n) [Pa], front and rear; signed."""
+    """(2, n) [Pa], front and rear, signed: the mean since the reading before. An edge between two
+    readings shows in it, and at the reading alone would not."""
     measured: np.ndarray
     """(5, n) in the order of `calibration.forward.CHANNELS`: Pa, Pa, N, N, m."""
 
@@ -41,7 +42,7 @@ class Even(NamedTuple):
     t: np.ndarray
     """(samples,) [s]"""
     set_pressure: np.ndarray
-    """(2, samples), linear over what was lost."""
+    """(2, samples), over what was lost the mean of all of it."""
     measured: np.ndarray
     """(5, samples), NaN where lost."""
     lost: np.ndarray
@@ -92,8 +93,7 @@ class Bridge:
             return
         now = np.where(np.isfinite(set_pressure), set_pressure, self._last)
         for j in range(1, missing + 1):
-            between = self._last + j / (missing + 1) * (now - self._last)
-            self._rows.append((self._time(self._slot + j), between, np.full(5, np.nan), True))
+            self._rows.append((self._time(self._slot + j), now, np.full(5, np.nan), True))
         self.lost += missing
         read = np.where(np.isfinite(measured), measured, np.nan)
         self._rows.append((self._time(slot), now, read, False))

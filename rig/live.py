@@ -1,6 +1,8 @@
 """A rig's streams as they come: set and measured values at the manifold's readings."""
 
+from bisect import bisect_right
 from collections import deque
+from collections.abc import Sequence
 from threading import Lock
 from typing import NamedTuple
 
@@ -9,13 +11,15 @@ import numpy as np
 from rig.clock import RunningClock
 from rig.columns import Analogue
 from rig.manifold import Manifold
-from rig.messages import Reading
+from rig.messages import Follows, Reading
 
 CHANNELS_OUT = ("p_front_Pa", "p_rear_Pa", "thrust_N", "recoil_N", "tip_m")
 LATEST = 0.05
 """A force sample that is so late is not waited for [s]."""
 KEPT = 4096
 Pressures = tuple[float, float, float, float]
+Signed = tuple[float, float]
+"""Of front and rear [Pa]."""
 
 
 class Live(NamedTuple):
@@ -23,7 +27,8 @@ class Live(NamedTuple):
 
     device_s: np.ndarray
     set_pressure: np.ndarray
-    """(2, n) signed, front and rear [Pa], as the manifold followed them."""
+    """(2, n) signed, front and rear [Pa]: the mean of what the manifold followed since the reading
+    before."""
     measured: np.ndarray
     """(5, n) as `CHANNELS_OUT`; NaN where no sensor gave a value."""
     arrived_ns: np.ndarray
@@ -31,15 +36,20 @@ class Live(NamedTuple):
 
 
 class LiveStream:
-    """Puts together what threads hand in. Give `reading` to the manifold, `set` to the player."""
+    """Puts together what threads hand in.
+
+    Give `reading` and `follows` to the manifold, and itself to what plays, in the manifold's place.
+    """
 
     def __init__(self, analogue: tuple[Analogue, ...] = (), has_force: bool = False):
         self._analogue, self._has_force = analogue, has_force
         self._lock = Lock()
-        self._clock = RunningClock()
+        self._clock, self._force_clock = RunningClock(), RunningClock()
         self._commands: dict[int, Pressures] = {}
-        self._readings: deque[tuple[int, Reading]] = deque(maxlen=KEPT)
-        self._forces: deque[tuple[int, float, float]] = deque(maxlen=KEPT)
+        self._came: deque[tuple[int, Reading] | Follows] = deque(maxlen=KEPT)
+        self._rows: deque[tuple[int, Reading, Signed]] = deque(maxlen=KEPT)
+        self._forces: deque[tuple[float, float, float]] = deque(maxlen=KEPT)
+        self._followed = _Followed()
         self.manifold: Manifold | None = None
 
     def set(self, pressures: Pressures) -> int:
@@ -54,44 +64,105 @@ class LiveStream:
 
     def reading(self, host_ns: int, reading: Reading) -> None:
         """A reading and when it arrived."""
-        self._readings.append((host_ns, reading))
+        self._came.append((host_ns, reading))
 
-    def force(self, host_ns: int, thrust: float, recoil: float) -> None:
-        """A force sample [N] and when it arrived [ns]."""
-        self._forces.append((host_ns, thrust, recoil))
+    def follows(self, change: Follows) -> None:
+        """What the valves follow from now on."""
+        self._came.append(change)
+
+    def force(self, host_ns: int, sensor_s: float, thrust: float, recoil: float) -> None:
+        """A force sample [N], by the sensor's own clock [s], and when it arrived [ns]."""
+        self._force_clock.add(sensor_s, 1e-9 * host_ns)
+        self._forces.append((sensor_s, thrust, recoil))
 
     def clear(self) -> None:
-        """Forgets what has come so far."""
-        self._readings.clear()
+        """Forgets the readings that have come so far."""
+        self._order()
+        self._rows.clear()
 
     def take(self) -> Live:
         """What is complete: readings up to the latest force sample, if forces are measured."""
-        forces = list(self._forces)
-        rows = []
-        while self._readings:
-            host_ns, _ = self._readings[0]
-            newest = forces[-1][0] if forces else 0
-            waits = self._has_force and newest < host_ns
-            if waits and self._readings[-1][0] - host_ns < LATEST * 1e9:
+        self._order()
+        forces = np.array(list(self._forces)).reshape(-1, 3).T
+        if len(forces[0]):
+            forces[0] = self._force_clock.to_host(forces[0])
+        rows, at = [], []
+        while self._rows:
+            host_ns, reading, _ = self._rows[0]
+            t = float(self._clock.to_host(1e-6 * reading.device_us))
+            waits = self._has_force and not (len(forces[0]) and t <= forces[0, -1])
+            if waits and self._rows[-1][0] - host_ns < LATEST * 1e9:
                 break
-            rows.append(self._readings.popleft())
+            rows.append(self._rows.popleft())
+            at.append(t)
         n = len(rows)
         set_pressure, measured = np.zeros((2, n)), np.full((5, n), np.nan)
         device, arrived = np.zeros(n), np.zeros(n, np.int64)
-        with self._lock:  # not for longer: the player waits for it
-            commands = dict(self._commands)
-        for i, (host_ns, reading) in enumerate(rows):
+        for i, (host_ns, reading, mean) in enumerate(rows):
             device[i], arrived[i] = 1e-6 * reading.device_us, host_ns
-            self._clock.add(device[i], 1e-9 * host_ns)
-            a, b, c, d = commands.get(reading.command, (0.0, 0.0, 0.0, 0.0))
-            set_pressure[:, i] = a - b, c - d
+            set_pressure[:, i] = mean
             p = reading.channels
             measured[:2, i] = p[0] - p[1], p[2] - p[3]
             for sensor in self._analogue:
                 measured[CHANNELS_OUT.index(sensor.column), i] = sensor.signal(np.array(p))
-        if forces and n:
-            t, thrust, recoil = np.array(forces, float).T
-            at = np.array([float(self._clock.to_host(x)) for x in device])
-            measured[2] = np.interp(at, 1e-9 * t, thrust, left=np.nan, right=np.nan)
-            measured[3] = np.interp(at, 1e-9 * t, recoil, left=np.nan, right=np.nan)
+        if n and len(forces[0]):
+            for i in (1, 2):
+                measured[1 + i] = np.interp(at, forces[0], forces[i], left=np.nan, right=np.nan)
+            # Of those before the latest reading one is still needed.
+            for _ in range(int(np.searchsorted(forces[0], at[-1])) - 1):
+                self._forces.popleft()
         return Live(device, set_pressure, measured, arrived)
+
+    def _order(self) -> None:
+        """To each reading that has come the mean of what was followed since the one before."""
+        with self._lock:  # not for longer: the player waits for it
+            commands = dict(self._commands)
+        while self._came:
+            item = self._came.popleft()
+            if isinstance(item, Follows):
+                self._followed.change(1e-6 * item.device_us, _signed(item[2:]))
+                continue
+            host_ns, reading = item
+            t, told = 1e-6 * reading.device_us, commands.get(reading.command)
+            self._clock.add(t, 1e-9 * host_ns)
+            if told is not None:
+                self._followed.at_reading(t, _signed(told))
+            self._rows.append((host_ns, reading, self._followed.mean_until(t)))
+
+
+class _Followed:
+    """Signed set pressures as they changed, in the device's time [s]."""
+
+    def __init__(self) -> None:
+        self._at: list[float] = [-np.inf]
+        self._sets: list[Signed] = [(0.0, 0.0)]
+        self._since: float | None = None
+
+    def change(self, t: float, pressures: Signed) -> None:
+        self._at.append(max(t, self._at[-1]))
+        self._sets.append(pressures)
+
+    def at_reading(self, t: float, pressures: Signed) -> None:
+        """What a reading says is followed. If no change told of that, it was lost on the line: it
+        came somewhere between this reading and the one before."""
+        if self._sets[-1] != pressures:
+            self.change(t if self._since is None else 0.5 * (self._since + t), pressures)
+
+    def mean_until(self, t: float) -> Signed:
+        """The mean since the last call's time; of the first call, what holds."""
+        last = bisect_right(self._at, t) - 1
+        since, self._since = self._since, t
+        if since is None or not since < t:
+            front, rear = self._sets[last]
+        else:
+            ends = np.array([since, *(x for x in self._at if since < x <= t), t])
+            held = np.array(self._sets[last + 2 - len(ends) : last + 1])
+            front, rear = (np.diff(ends) @ held / (t - since)).tolist()
+        # Only what holds now, and what came early, is still needed.
+        del self._at[:last], self._sets[:last]
+        return front, rear
+
+
+def _signed(pressures: Sequence[float]) -> Signed:
+    a, b, c, d = (int(p) for p in pressures)
+    return a - b, c - d

@@ -21,6 +21,7 @@ from rig.messages import (
     Arm,
     Cause,
     Event,
+    Follows,
     Heartbeat,
     Hello,
     Ident,
@@ -55,8 +56,8 @@ class Manifold:
     """A context: at its end, however that comes, the manifold is told to vent.
 
     `sink` gets (host time [ns], bytes) of all that comes in, `sent` of all that goes out,
-    `on_reading` (host time, `Reading`). They are called by the reader's thread, `sent` by that of
-    the command.
+    `on_reading` (host time, `Reading`), `on_follows` what the valves follow. They are called by the
+    reader's thread, in the order of the line, `sent` by that of the command.
     """
 
     def __init__(
@@ -65,13 +66,15 @@ class Manifold:
         sink: Sink | None = None,
         sent: Sink | None = None,
         on_reading: Callable[[int, Reading], None] | None = None,
+        on_follows: Callable[[Follows], None] | None = None,
     ):
         self.ident: Ident | None = None
         self.latest: Reading | None = None
         self.lost = self.duplicated = 0
         """Readings that their sequence numbers miss, or have twice."""
         self.limits = Limits(0.0, 0.0, 0.0, 0.0)
-        self._port, self._sink, self._sent, self._on_reading = port, sink, sent, on_reading
+        self._port, self._sink, self._sent = port, sink, sent
+        self._on_reading, self._on_follows = on_reading, on_follows
         self._decoder, self._seq = Decoder(), 0
         self._news, self._writing = threading.Condition(), threading.Lock()
         self._acks: dict[int, Ack] = {}
@@ -298,6 +301,8 @@ class Manifold:
                     self._vented("its readings say so; why was lost on the line")
                 if self._on_reading is not None:
                     self._on_reading(now, message)
+            case Follows() if self._on_follows is not None:
+                self._on_follows(message)
             case Ack():
                 with self._news:
                     self._acks[message.seq] = message

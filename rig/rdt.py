@@ -55,6 +55,24 @@ def status_text(status: int) -> str:
     return f"status {status:#010x}: {', '.join(told)}" if told else ""
 
 
+class BoxTime:
+    """The box's own time, record by record: its samples are even, their arrivals are not."""
+
+    def __init__(self) -> None:
+        self._last: int | None = None
+        self._counts = 0
+
+    def seconds(self, ft_seq: int) -> float | None:
+        """Since the first record [s]; None for one that comes again, or after a later one."""
+        if self._last is not None:
+            step = (ft_seq - self._last + 2**31) % 2**32 - 2**31
+            if step <= 0:
+                return None
+            self._counts += step
+        self._last = ft_seq
+        return self._counts / INTERNAL_RATE
+
+
 class Tally:
     """Counts of a stream while it runs, record by record."""
 

@@ -5,7 +5,7 @@ import pytest
 
 from rig.columns import Analogue
 from rig.live import LiveStream
-from rig.messages import Reading
+from rig.messages import Follows, Reading
 
 ZERO_NS = 10**12
 
@@ -34,17 +34,39 @@ def arrives(live, i, late_ms=0.2, **content):
     live.reading(ZERO_NS + int(2e6 * i + 1e6 * late_ms), reading(i, **content))
 
 
-def test_each_reading_has_the_pressures_that_the_manifold_followed_then():
+def follows(live, number, ms, p):
+    live.follows(Follows(number, round(1000 * ms), *p))
+
+
+def test_each_reading_has_the_mean_of_what_the_manifold_followed_since_the_one_before():
     live = stream()
     first, second = live.set((100.0, 0.0, 0.0, 30.0)), live.set((0.0, 50.0, 20.0, 0.0))
-    for i, command in enumerate((0, first, first, second)):
-        arrives(live, i, command=command, p=(10 * i, 1, 0, 5))
+    arrives(live, 0, p=(0, 1, 0, 5))
+    follows(live, 1, 1.5, (100, 0, 0, 30))
+    arrives(live, 1, command=first, p=(10, 1, 0, 5))
+    follows(live, 2, 2.5, (0, 50, 20, 0))
+    follows(live, 3, 3.0, (100, 0, 0, 30))
+    assert live.take().set_pressure.tolist() == [[0.0, 25.0], [0.0, -7.5]]
+    arrives(live, 2, command=first, p=(20, 1, 0, 5))
+    follows(live, 4, 4.2, (0, 50, 20, 0))
+    arrives(live, 4, command=second, p=(30, 1, 0, 5))  # one reading is lost
     found = live.take()
-    assert found.device_s == pytest.approx(2e-3 * np.arange(4))
-    assert found.set_pressure.tolist() == [[0.0, 100.0, 100.0, -50.0], [0.0, -30.0, -30.0, 20.0]]
-    assert found.measured[0].tolist() == [-1.0, 9.0, 19.0, 29.0]
-    assert found.measured[1].tolist() == [-5.0] * 4 and np.isnan(found.measured[2:]).all()
+    assert found.device_s == pytest.approx([4e-3, 8e-3])
+    assert found.set_pressure[0] == pytest.approx([(75 - 0.25 * 50), 5 - 0.95 * 50])
+    assert found.set_pressure[1] == pytest.approx([-0.75 * 30 + 0.25 * 20, -1.5 + 0.95 * 20])
+    assert found.measured[0].tolist() == [19.0, 29.0]
+    assert found.measured[1].tolist() == [-5.0] * 2 and np.isnan(found.measured[2:]).all()
     assert len(live.take().device_s) == 0
+
+
+def test_a_change_that_was_lost_on_the_line_is_known_by_the_readings_commands():
+    live = stream()
+    first, second = live.set((100.0, 0.0, 0.0, 30.0)), live.set((0.0, 50.0, 20.0, 0.0))
+    for i, command in enumerate((0, first, first, second, second)):
+        arrives(live, i, command=command)
+    found = live.take()
+    assert found.set_pressure[0] == pytest.approx([0.0, 50.0, 100.0, 25.0, -50.0])
+    assert found.set_pressure[1] == pytest.approx([0.0, -15.0, -30.0, -5.0, 20.0])
 
 
 def test_a_voltage_is_a_tip():
@@ -54,23 +76,37 @@ def test_a_voltage_is_a_tip():
 
 
 def test_forces_are_those_of_the_readings_time_and_are_waited_for():
-    """Readings arrive with delays of their own; the clock tells when they were due."""
+    """Both arrive with delays of their own; their clocks tell when they were due."""
     live = stream(has_force=True)
-    late = np.random.default_rng(0).uniform(0.0, 5.0, 100)
-    late[::7] = 0.0
+    late, force_late = np.random.default_rng(0).uniform(0.0, 5.0, (2, 100))
+    late[::7] = force_late[::9] = 0.0
     for i in range(100):
         arrives(live, i, late_ms=late[i])
-        live.force(ZERO_NS + int(2e6 * i + 1e6), 3.0 * (i + 0.5), -1.0 * (i + 0.5))
+        live.force(ZERO_NS + int(2e6 * i + 1e6 * force_late[i]), 2e-3 * i + 7.0, 3.0 * i, -1.0 * i)
     found = live.take()
     n = len(found.device_s)
-    assert 95 <= n < 100  # the last ones arrived after the latest force sample
+    assert 98 <= n <= 100
     assert found.measured[2, 1:] == pytest.approx(3.0 * np.arange(1, n), abs=0.05)
     assert found.measured[3, 1:] == pytest.approx(-1.0 * np.arange(1, n), abs=0.05)
 
 
+def test_a_reading_waits_for_the_force_of_its_time():
+    live = stream(has_force=True)
+    for i in range(5):
+        live.force(ZERO_NS + int(2e6 * i), 2e-3 * i, 3.0 * i, 0.0)
+        arrives(live, i, late_ms=0.0)
+    assert len(live.take().device_s) == 5
+    arrives(live, 5, late_ms=0.0)
+    arrives(live, 6, late_ms=0.0)
+    assert len(live.take().device_s) == 0
+    live.force(ZERO_NS + 13_000_000, 11e-3, 16.5, 0.0)
+    found = live.take()
+    assert found.device_s == pytest.approx([10e-3]) and found.measured[2] == pytest.approx([15.0])
+
+
 def test_a_force_sensor_that_falls_silent_is_not_waited_for():
     live = stream(has_force=True)
-    live.force(ZERO_NS, 1.0, 1.0)
+    live.force(ZERO_NS, 0.0, 1.0, 1.0)
     for i in range(60):
         arrives(live, i)
     found = live.take()

@@ -281,7 +281,7 @@ tau = 0.01
     t = run.columns["t_s"][1:]
     drive = to_model(experiment, 0).drive
     set_pressure = np.stack(
-        [jax.vmap(wave.segment)(t - 1e-3, t).b1 for wave in (drive.front, drive.rear)]
+        [jax.vmap(wave.segment)(t - 1e-3, t).a0 for wave in (drive.front, drive.rear)]
     )
     true = np.stack([run.columns[name][1:] for name in COLUMNS.values()])
     blocks = Twin.of(experiment).feed(Stretch(t, set_pressure, true))

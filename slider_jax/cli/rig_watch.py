@@ -1,17 +1,19 @@
 """`slider rig watch`: the calibrated model beside the rig while it runs."""
 
 import sys
-import threading
 import time
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, cast
 
 import numpy as np
 import tyro
 
-from rig.live import CHANNELS_OUT, LiveStream
+from rig.errors import RigError
+from rig.live import CHANNELS_OUT
 from slider_jax.cli.options import MaybeFolder, ModelFile, Seconds, Whole
 from slider_jax.cli.rig import Port, RigFile, signals_as_ctrl_c, to_play
+from slider_jax.cli.rig_playing import Playing
 from slider_jax.errors import InputError
 
 PAUSE = 0.01
@@ -49,7 +51,8 @@ def watch(
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
         trial: whose drive is played, from 0.
         seconds: how long; by default as the trial says.
-        out: folder for watch.json and watch.csv, a row a block; made if missing.
+        out: folder for watch.json and watch.csv, a row a block; made if missing. Written also
+            where it was stopped, or a port was lost.
     """
     from calibration.twin import Twin
     from calibration.twin_stream import Stretch
@@ -72,60 +75,90 @@ def watch(
         raise InputError.value("--seconds", f"{duration:g}", "more than 0")
     print("compiling the model ...", file=sys.stderr, flush=True)
     twin = Twin.of(loaded, chosen)
-    rows: list[dict[str, float]] = []
-    alarms: list[dict[str, Any]] = []
-    with signals_as_ctrl_c(), _Playing(port, settings, played, duration) as playing:
-        said = 0.0
-        while not playing.ended:
-            time.sleep(PAUSE)
-            live = playing.stream.take()
-            if not len(live.device_s):
-                continue
-            stretch = Stretch(live.device_s, live.set_pressure, live.measured)
-            for block in twin.feed(stretch):
-                lag = 1e-9 * (time.monotonic_ns() - int(live.arrived_ns[-1]))
-                rows.append(_row(block, lag))
-                new = block.alarm.on and not alarms
-                if new:
-                    alarms.append(
-                        {
-                            "t_s": float(block.t[-1]),
-                            "channels": block.alarm.channels,
-                            "said": block.alarm.hint,
-                        }
-                    )
-                now = time.monotonic()
-                if new or now > said + (0.2 if sys.stderr.isatty() else SAYS):
-                    said = now
-                    _say(block, lag, playing, new)
-            if alarms and not sys.stderr.isatty():
-                break
-    late = np.array([row["lag_s"] for row in rows])
-    if len(late):
-        last = rows[-1]
+    if duration < twin.judges_after:
         print(
-            f"k {last['k_s']:.4g} +- {last['k_deviation_s']:.2g} s, K_Q {last['K_Q_m3']:.4g} +- "
-            f"{last['K_Q_deviation_m3']:.2g} m^3; the model was "
-            f"{1e3 * np.median(late):.0f} ms late, 99 in 100 of its blocks at most "
-            f"{1e3 * np.percentile(late, 99):.0f}"
+            f"the trial ends after {duration:g} s, before the bands are learned: nothing will be "
+            f"judged; give --seconds {10.0 * twin.judges_after:.0f}",
+            file=sys.stderr,
         )
-    for alarm in alarms:
-        print(f"ALARM at {alarm['t_s']:.2f} s: {alarm['said']}")
-    if out is not None and rows:
+    told, ended = _Told(), cast(BaseException | None, None)
+    playing = Playing(port, settings, played, duration)
+    try:
+        with signals_as_ctrl_c(), playing:
+            while not playing.ended:
+                time.sleep(PAUSE)
+                live = playing.stream.take()
+                if not len(live.device_s):
+                    continue
+                stretch = Stretch(live.device_s, live.set_pressure, live.measured)
+                for block in twin.feed(stretch):
+                    told.take(block, int(live.arrived_ns[-1]), playing.lost)
+                if told.alarms and not sys.stderr.isatty():
+                    break
+    except (KeyboardInterrupt, RigError) as error:
+        ended = error  # after what there is has been told and written
+    told.sum_up()
+    if out is not None and told.rows:
         with staged(out) as stage:
-            write_csv(stage / "watch.csv", {k: np.array([r[k] for r in rows]) for k in rows[0]})
-            content = {"alarms": alarms, "lost": playing.lost, "input": input_file(experiment),
-                       "rig": settings.model_dump(mode="json"), "versions": versions()}  # fmt: skip
+            columns = {k: np.array([r[k] for r in told.rows]) for k in told.rows[0]}
+            write_csv(stage / "watch.csv", columns)
+            content = {
+                "alarms": told.alarms, "t_0_device_s": told.begun, "lost": playing.lost,
+                "ended": "whole" if ended is None else str(ended) or "stopped",
+                "input": input_file(experiment), "rig": settings.model_dump(mode="json"),
+                "versions": versions(),
+            }  # fmt: skip
             write_json(stage / "watch.json", content)
-    return 1 if alarms else 0
+    if ended is not None:
+        raise ended
+    return 1 if told.alarms else 0
 
 
-def _row(block, lag: float) -> dict[str, float]:
+@dataclass
+class _Told:
+    """What is told of the blocks, at once and at the end. Times are since the first reading [s]."""
+
+    rows: list[dict[str, float]] = field(default_factory=list)
+    alarms: list[dict[str, Any]] = field(default_factory=list)
+    begun: float = np.nan
+    """The manifold's time of the first reading [s]."""
+    _said: float = 0.0
+    _on: bool = False
+
+    def take(self, block: Any, arrived_ns: int, lost: int) -> None:
+        if not self.rows:
+            self.begun = float(block.t[0])
+        lag = 1e-9 * (time.monotonic_ns() - arrived_ns)
+        self.rows.append(_row(block, self.begun, lag))
+        new, self._on = block.alarm.on and not self._on, block.alarm.on
+        if new:
+            at, channels = self.rows[-1]["t_s"], block.alarm.channels
+            self.alarms.append({"t_s": at, "channels": channels, "said": block.alarm.hint})
+        now = time.monotonic()
+        if new or now > self._said + (0.2 if sys.stderr.isatty() else SAYS):
+            self._said = now
+            _say(block, self.rows[-1], lost, new)
+
+    def sum_up(self) -> None:
+        """Prints how it ended."""
+        if self.rows:
+            last, late = self.rows[-1], np.array([row["lag_s"] for row in self.rows])
+            print(
+                f"k {last['k_s']:.4g} +- {last['k_deviation_s']:.2g} s, K_Q {last['K_Q_m3']:.4g} "
+                f"+- {last['K_Q_deviation_m3']:.2g} m^3; the model was "
+                f"{1e3 * np.median(late):.0f} ms late, 99 in 100 of its blocks at most "
+                f"{1e3 * np.percentile(late, 99):.0f}"
+            )
+        for alarm in self.alarms:
+            print(f"ALARM at {alarm['t_s']:.2f} s: {alarm['said']}")
+
+
+def _row(block: Any, begun: float, lag: float) -> dict[str, float]:
     there = np.isfinite(block.residual)
     squares = np.where(there, block.residual, 0.0) ** 2
     rms = np.sqrt(squares.sum(axis=1) / np.maximum(there.sum(axis=1), 1))
     return {
-        "t_s": float(block.t[-1]),
+        "t_s": float(block.t[-1]) - begun,
         **{f"residual_{name}": float(x) for name, x in zip(CHANNELS_OUT, rms, strict=True)},
         "k_s": block.k.value,
         "k_deviation_s": block.k.deviation,
@@ -137,7 +170,7 @@ def _row(block, lag: float) -> dict[str, float]:
     }
 
 
-def _say(block, lag: float, playing: "_Playing", new: bool) -> None:
+def _say(block: Any, row: dict[str, float], lost: int, new: bool) -> None:
     there = np.isfinite(block.measured)
     count = np.maximum(there.sum(axis=1), 1)
     model, measured = (
@@ -149,8 +182,8 @@ def _say(block, lag: float, playing: "_Playing", new: bool) -> None:
         if there[i].any()
     ]
     line = (
-        f"{playing.seconds:6.1f} s  {', '.join(shown)}, k {block.k.value:.4f} s, "
-        f"K_Q {block.K_Q.value:.3g} m^3, {1e3 * lag:.0f} ms late, lost {playing.lost}"
+        f"{row['t_s']:6.1f} s  {', '.join(shown)}, k {block.k.value:.4f} s, "
+        f"K_Q {block.K_Q.value:.3g} m^3, {1e3 * row['lag_s']:.0f} ms late, lost {lost}"
         f"{'' if block.watching else ', learning its bands'}"
     )
     if sys.stderr.isatty() and not new:
@@ -159,118 +192,3 @@ def _say(block, lag: float, playing: "_Playing", new: bool) -> None:
         print(f"\n{line}" if sys.stderr.isatty() else line, file=sys.stderr, flush=True)
     if new:
         print(f"ALARM: {block.alarm.hint}", file=sys.stderr, flush=True)
-
-
-class _Playing:
-    """A drive played in a thread of its own, before all others; vented at the end of the block."""
-
-    def __init__(self, port: str, settings: Any, trial: Any, duration: float):
-        self._port, self._settings, self._trial = port, settings, trial
-        self._duration, self._failure = duration, cast(BaseException | None, None)
-        analogue = tuple(x.sensor() for x in settings.analogue)
-        self.stream = LiveStream(analogue, settings.force is not None)
-        self._stop = threading.Event()
-        self.seconds, self.lost = 0.0, 0
-        self._begun, self._force = threading.Event(), cast(Any, None)
-        self._thread = threading.Thread(target=self._play, name="player", daemon=True)
-
-    @property
-    def ended(self) -> bool:
-        """Whether the drive is at its end. Raises what ended it otherwise."""
-        if not self._thread.is_alive() and self._failure is not None:
-            raise self._failure
-        return not self._thread.is_alive()
-
-    def __enter__(self) -> "_Playing":
-        self._thread.start()
-        try:
-            while not self._begun.wait(0.05) and self._thread.is_alive():
-                pass
-        except BaseException:
-            self._end()
-            raise
-        return self
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        self._end()
-        if self._failure is None or error is self._failure:
-            return
-        if error is None:
-            raise self._failure
-        error.add_note(str(self._failure))
-
-    def _end(self) -> None:
-        self._stop.set()
-        self._thread.join()
-
-    def _play(self) -> None:
-        try:
-            self._run()
-        except _Ended:
-            pass
-        except BaseException as error:
-            self._failure = error
-
-    def _run(self) -> None:
-        from rig.manifold import Manifold
-        from rig.playing import play
-        from rig.port import open_port
-        from rig.priority import real_time
-        from rig.safety import Limits
-
-        limits = Limits.of(self._settings.manifold.limits)
-        self._trial.drive.check(limits, self._duration)
-        with real_time(), Manifold(open_port(self._port), on_reading=self.stream.reading) as m:
-            self.stream.manifold = m
-            m.configure(limits)
-            with _forces(self._settings, self.stream) as self._force:
-                m.arm()
-                self.stream.clear()  # of what came before, the first block would be late
-                self._begun.set()
-                rate = self._settings.manifold.commands_per_second
-                try:
-                    play(self.stream, self._trial.drive, self._duration, rate, self._tick)
-                except BaseException as error:
-                    m.stop_after(error)
-                    raise
-                m.stop()  # before the force sensor takes its time to end
-
-    def _tick(self, t: float) -> None:
-        assert self.stream.manifold is not None
-        self.seconds, self.lost = t, self.stream.manifold.lost
-        if self._force is not None:
-            self._force.check()
-        if self._stop.is_set():
-            raise _Ended
-
-
-class _Ended(Exception):
-    """The drive is not to go on."""
-
-
-def _forces(settings: Any, stream: Any):
-    """A context in which the force sensor's samples go to the stream."""
-    from contextlib import contextmanager, nullcontext
-
-    from rig import rdt
-    from rig.force import Mounting
-    from slider_jax.cli.rig import force_of
-
-    if settings.force is None:
-        return nullcontext()
-
-    @contextmanager
-    def running():
-        source, _ = force_of(settings.force)
-        mounting = Mounting(settings.force.thrust, settings.force.recoil)
-
-        def sink(host_ns: int, datagram: bytes) -> None:
-            counts = np.array(rdt.RECORD.unpack(datagram)[3:])
-            thrust, recoil = mounting.thrust_and_recoil(source.calibration.wrench(counts))
-            stream.force(host_ns, float(thrust), float(recoil))
-
-        with source:
-            source.start(sink)
-            yield source
-
-    return running()

@@ -1,0 +1,131 @@
+"""A drive that is played while something else looks at what comes."""
+
+import threading
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from typing import Any, cast
+
+import numpy as np
+
+from rig import rdt
+from rig.force import ForceSource, Mounting
+from rig.live import LiveStream
+from rig.manifold import Manifold
+from rig.playing import play
+from rig.port import open_port
+from rig.priority import real_time
+from rig.safety import Limits
+from slider_jax.cli.rig import force_of
+
+
+class Playing:
+    """A drive played in a thread of its own, before all others; vented at the end of the block.
+
+    `stream` has what comes meanwhile.
+    """
+
+    def __init__(self, port: str, settings: Any, trial: Any, duration: float):
+        self._port, self._settings, self._trial = port, settings, trial
+        self._duration, self._failure = duration, cast(BaseException | None, None)
+        analogue = tuple(x.sensor() for x in settings.analogue)
+        self.stream = LiveStream(analogue, settings.force is not None)
+        self._stop = threading.Event()
+        self.lost = 0
+        self._begun, self._force = threading.Event(), cast(Any, None)
+        self._thread = threading.Thread(target=self._play, name="player", daemon=True)
+
+    @property
+    def ended(self) -> bool:
+        """Whether the drive is at its end. Raises what ended it otherwise."""
+        if not self._thread.is_alive() and self._failure is not None:
+            raise self._failure
+        return not self._thread.is_alive()
+
+    def __enter__(self) -> "Playing":
+        self._thread.start()
+        try:
+            while not self._begun.wait(0.05) and self._thread.is_alive():
+                pass
+        except BaseException:
+            self._end()
+            raise
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        self._end()
+        if self._failure is None or error is self._failure:
+            return
+        if error is None:
+            raise self._failure
+        error.add_note(str(self._failure))
+
+    def _end(self) -> None:
+        self._stop.set()
+        self._thread.join()
+
+    def _play(self) -> None:
+        try:
+            self._run()
+        except _Ended:
+            pass
+        except BaseException as error:
+            self._failure = error
+
+    def _run(self) -> None:
+        limits = Limits.of(self._settings.manifold.limits)
+        self._trial.drive.check(limits, self._duration)
+        stream = self.stream
+        manifold = Manifold(
+            open_port(self._port), on_reading=stream.reading, on_follows=stream.follows
+        )
+        with real_time(), manifold as m:
+            stream.manifold = m
+            m.configure(limits)
+            with _forces(self._settings, stream) as self._force:
+                m.arm()
+                stream.clear()  # of what came before, the first block would be late
+                self._begun.set()
+                rate = self._settings.manifold.commands_per_second
+                try:
+                    play(stream, self._trial.drive, self._duration, rate, self._tick)
+                except BaseException as error:
+                    m.stop_after(error)
+                    raise
+                m.stop()  # before the force sensor takes its time to end
+
+    def _tick(self, t: float) -> None:
+        assert self.stream.manifold is not None
+        self.lost = self.stream.manifold.lost
+        if self._force is not None:
+            self._force.check()
+        if self._stop.is_set():
+            raise _Ended
+
+
+class _Ended(Exception):
+    """The drive is not to go on."""
+
+
+def _forces(settings: Any, stream: LiveStream) -> AbstractContextManager[ForceSource | None]:
+    """A context in which the force sensor's samples go to the stream."""
+    return nullcontext() if settings.force is None else _forces_of(settings.force, stream)
+
+
+@contextmanager
+def _forces_of(table: Any, stream: LiveStream) -> Iterator[ForceSource]:
+    source, _ = force_of(table)
+    mounting, box = Mounting(table.thrust, table.recoil), rdt.BoxTime()
+
+    def sink(host_ns: int, datagram: bytes) -> None:
+        _, ft_seq, status, *counts = rdt.RECORD.unpack(datagram)
+        at = box.seconds(ft_seq)
+        if at is None:
+            return
+        wrench = source.calibration.wrench(np.array(counts))
+        sound = np.nan if rdt.status_text(status) else 1.0
+        thrust, recoil = mounting.thrust_and_recoil(sound * wrench)
+        stream.force(host_ns, at, float(thrust), float(recoil))
+
+    with source:
+        source.start(sink)
+        yield source
