@@ -38,7 +38,7 @@ from rig.readings import readings
 from rig.recording import read_recording
 from rig.session import run
 from slider_jax import experiment as experiments
-from slider_jax.cli.rig import opened, trials_of
+from slider_jax.cli.rig import opened, trials_of, with_counts
 from slider_jax.cli.rig_settings import rig_of
 from slider_jax.design import to_toml
 
@@ -110,7 +110,7 @@ with ExitStack() as stack:
         )
         stack.callback(simulated.terminate)
         port = simulated.stdout.readline().split()[1]
-    settings = rig_of(rig_file)
+    settings = with_counts(rig_of(rig_file))
     machine = stack.enter_context(opened(port, settings))
     table_of_trials, trials = trials_of(path)
     told = run(trials, machine, measured, {"rig": settings.model_dump(mode="json")})

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from rig.drive import Drive
+from rig.errors import RigError
 from rig.manifold import Manifold
 from rig.playing import RATE, Played, play, wait_until
 from rig.recorder import Load
@@ -59,6 +60,13 @@ class Trial:
     duration: float
     """[s]"""
 
+    def check(self, limits: Limits) -> None:
+        """Raises `RigError`, naming the trial, if a chamber is ever asked for too much."""
+        try:
+            self.drive.check(limits, self.duration)
+        except RigError as error:
+            raise RigError(f"trial {self.name}: {error}") from None
+
 
 class Captured(NamedTuple):
     """A trial that is on disk."""
@@ -106,7 +114,7 @@ def capture(
     Its end, whichever it is, vents the manifold before anything else. `watch` hears, a hundred
     times a second or so, what is done and its time [s]. Raises `RigError`.
     """
-    trial.drive.check(limits, trial.duration)
+    trial.check(limits)
     streams = ("manifold", "commands", *instruments)
 
     def check() -> None:

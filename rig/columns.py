@@ -12,6 +12,8 @@ from rig.messages import CHANNELS
 from rig.readings import Readings, readings
 from rig.recording import Recording, Stream
 
+ORDER = ("t_s", "p_front_Pa", "p_rear_Pa", "thrust_N", "recoil_N", "tip_m")
+"""Of the columns in a trial's file."""
 AVERAGED = 25
 """Readings of the quiet that are averaged before it is asked whether they move."""
 NOISES = 5.0
@@ -123,6 +125,7 @@ def columns(
             rest[column] = _rest(signal[at < 0.0])
             values[column] = _at_rows(t[rows], at, signal - rest[column].mean, samples.continuous)
         findings += samples.findings
+    values = {name: values[name] for name in (*ORDER, *values) if name in values}
     return Columns(values, played, _told(recording, found, clock, values, rest, findings))
 
 

@@ -115,6 +115,11 @@ class Manifold:
             self.stop_after(error)
         finally:
             self._close()
+            if isinstance(error, RigError) and self.damaged:
+                error.add_note(
+                    f"until then {self.damaged} frames came damaged, and {self.lost} readings were "
+                    "lost: see to the line, its cable and plugs"
+                )
 
     def stop_after(self, error: BaseException | None) -> None:
         """Stops; what goes wrong with that is noted on the `error` that led here, if any."""
@@ -123,7 +128,9 @@ class Manifold:
         except RigError as failure:
             if error is None:
                 raise
-            error.add_note(f"and the stop was not confirmed: {failure}")
+            note = f"and the stop was not confirmed: {failure}"
+            if str(failure) != str(error) and note not in getattr(error, "__notes__", ()):
+                error.add_note(note)
 
     def check(self) -> None:
         """Raises what has happened: a lost port, a vent of the manifold's own, no readings."""

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import re
 from typing import NamedTuple
 
 import serial
@@ -49,6 +50,8 @@ def _why(name: str, error: Exception) -> str:
     number = getattr(error, "errno", None)
     if number is None and error.__context__ is not None:
         number = getattr(error.__context__, "errno", None)
+    if number is None and (told := re.search(r"\((\d+), ", str(error))):
+        number = int(told[1])
     if number == errno.ENOENT or (os.name == "posix" and not os.path.exists(name)):
         there = ", ".join(port.name for port in ports()) or "none"
         return f"--port {name}: no such port; there are: {there}; is it plugged in?"
@@ -60,5 +63,5 @@ def _why(name: str, error: Exception) -> str:
     if number in (errno.EAGAIN, errno.EBUSY) or "lock" in str(error):
         return f"--port {name}: busy; another program has it open: close that one"
     if number == errno.ENOTTY:
-        return f"--port {name}: is no serial port"
+        return f"--port {name}: is no serial port; `slider rig ports` lists them"
     return f"--port {name}: cannot be opened ({error})"

@@ -4,6 +4,11 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
+STREAMS, RECORDER = 2, 1
+"""Who commands and listens goes before who writes it down, and both before ordinary programs. A
+disk that others fill keeps ordinary programs waiting for up to a second, but these not (on Linux
+they may have a quarter more of its memory)."""
+
 
 @contextmanager
 def real_time() -> Iterator[str]:
@@ -18,7 +23,7 @@ def real_time() -> Iterator[str]:
         return
     policy, param = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(STREAMS))
     except OSError:
         yield "ordinary"
         return
@@ -36,3 +41,11 @@ def others_too() -> None:
     for thread in os.listdir("/proc/self/task"):
         with suppress(OSError):
             os.sched_setscheduler(int(thread), policy, param)
+
+
+def behind_its_program() -> None:
+    """This process, which one that is `real_time` has started, runs behind that and still before
+    all ordinary ones."""
+    if hasattr(os, "sched_setscheduler") and os.sched_getscheduler(0) == os.SCHED_RR:
+        with suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(RECORDER))

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.errors import RigError
+from rig.priority import behind_its_program
 from rig.recorder import MOST_WAITING, STREAMS, Load, Recorder
 
 HAND_OVER = 0.02
@@ -186,9 +187,7 @@ def main() -> None:
     for name in ("SIGINT", "SIGHUP", "SIGTERM"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
-    if hasattr(os, "sched_setscheduler"):
-        with suppress(OSError):
-            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    behind_its_program()
     lock = threading.Lock()
 
     def say(word: str, content: Any = None) -> None:

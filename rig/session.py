@@ -23,6 +23,8 @@ from rig.stillness import Stillness
 
 LATE = 3e-3
 """Commands that are later than this, one in a hundred, are told of [s]."""
+SLOW = 0.15
+"""Flushes of the recording that are further apart are told of [s]."""
 RECORDINGS = "recordings"
 """In an experiment's folder: all that came of a trial, NAME.h5, and what is told, NAME.json."""
 
@@ -60,7 +62,7 @@ def run(
     one left behind unfinished is kept under another name. Raises `RigError`.
     """
     for trial in trials:
-        trial.drive.check(rig.limits, trial.duration)
+        trial.check(rig.limits)
     recordings = folder / RECORDINGS
     recordings.mkdir(parents=True, exist_ok=True)
     found: list[dict[str, Any]] = []
@@ -68,7 +70,7 @@ def run(
         told = finished(folder, trial.name, settings)
         if told is None:
             if found:
-                rest(rig, found[-1], partial(watch, trial.name, "pause"))
+                rest(rig, found[-1], partial(watch, trial.name))
             told = one(trial, rig, folder, settings, watch)
             done(trial, told)
         found.append(told)
@@ -118,10 +120,10 @@ def start_swing(told: Sequence[dict[str, Any]]) -> float:
     return float(np.sqrt(max([0.0, *squares])))
 
 
-def rest(rig: Rig, before: dict[str, Any], watch: Callable[[float], None]) -> None:
+def rest(rig: Rig, before: dict[str, Any], watch: Callable[[str, float], None]) -> None:
     """Waits, vented, for the robot to come to rest, and raises what happens meanwhile.
 
-    `before` is what is told of the trial before.
+    `before` is what is told of the trial before; `watch` hears what is waited for, and since when.
     """
     # What the manifold did before this session, such as a reset, is done with.
     rig.manifold.configure(rig.limits)
@@ -134,7 +136,7 @@ def rest(rig: Rig, before: dict[str, Any], watch: Callable[[float], None]) -> No
         rig.manifold.check()
         if rig.manifold.latest is not None:
             still.add(waited, rig.manifold.latest)
-        watch(waited)
+        watch(f"pause{still.waits_for}", waited)
 
 
 def finished(folder: Path, name: str, settings: dict[str, Any]) -> dict[str, Any] | None:
@@ -180,6 +182,11 @@ def _told(trial: Trial, captured: Captured, read: Columns) -> dict[str, Any]:
     if late_99 > LATE:
         findings.append(
             f"one command in a hundred was {1e3 * late_99:.1f} ms late: the computer is too busy"
+        )
+    if captured.load.slowest_flush > SLOW:
+        findings.append(
+            f"the disk was slow: {captured.load.slowest_flush:.2f} s between two flushes, which a "
+            "kill would have lost"
         )
     plain = (str, float, int)
     drive = {key: x for key, x in asdict(trial.drive).items() if isinstance(x, plain)}

@@ -43,5 +43,18 @@ class Stillness:
             return True
         if not self._seen or self._seen[-1][0] - self._seen[0][0] < 0.9 * WINDOW:
             return False
-        seen = np.array([x for _, x in self._seen])
-        return bool((np.ptp(seen, axis=0) <= self._allowed).all())
+        return bool((self._moved() <= self._allowed).all())
+
+    @property
+    def waits_for(self) -> str:
+        """Of which sensor it is waited that it is still, in words; nothing once all are."""
+        moved = self._moved() if self._seen else np.zeros(len(self._sensors))
+        return "".join(
+            f" until {sensor.column} moves by {allowed:.1e} (now {x:.1e})"
+            for sensor, x, allowed in zip(self._sensors, moved, self._allowed, strict=True)
+            if x > allowed
+        )
+
+    def _moved(self) -> np.ndarray:
+        """(sensors,) the range of each over the last `WINDOW`."""
+        return np.ptp(np.array([x for _, x in self._seen]), axis=0)

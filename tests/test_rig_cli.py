@@ -2,6 +2,8 @@
 
 import json
 import os
+import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,6 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calibration.logs import read_log
+from rig.columns import Analogue
+from rig.messages import Reading
+from rig.stillness import Stillness
 from tests.test_rig_vents import EXPERIMENT
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -90,7 +96,7 @@ def test_a_run_leaves_an_experiments_folder(measured):
     done, out = measured
     assert "a.csv" in done.stdout and "slider close-loop" in done.stderr
     found = np.genfromtxt(out / "a.csv", delimiter=",", names=True)
-    assert found.dtype.names == ("t_s", "p_front_Pa", "p_rear_Pa", "tip_m", "thrust_N", "recoil_N")
+    assert found.dtype.names == ("t_s", "p_front_Pa", "p_rear_Pa", "thrust_N", "recoil_N", "tip_m")
     assert len(found) == pytest.approx(500, abs=1) and np.isfinite(found.tolist()).all()
     assert np.abs(found["p_front_Pa"]).max() == pytest.approx(190e3, rel=0.1)
     # As the bench's tail has it: thrust is twice the square of its tip's speed.
@@ -111,6 +117,37 @@ def test_the_simulator_reads_the_folder(measured):
     assert set(columns) == {"t_s", "p_front_Pa", "p_rear_Pa", "thrust_N", "recoil_N", "tip_m"}
 
 
+def test_a_recording_is_read_anew_as_it_was(measured, tmp_path):
+    """The box's counts are in it: no box is asked, and no rig file needed."""
+    out = tmp_path / "anew"
+    done = slider("rig", "replay", measured[1], "--out", out)
+    assert done.returncode == 0, done.stderr
+    assert sorted(x.name for x in out.iterdir()) == ["a.csv", "a.played.csv", "experiment.toml"]
+    for name in ("a.csv", "a.played.csv"):
+        assert (out / name).read_bytes() == (measured[1] / name).read_bytes()
+
+
+def test_what_a_killed_run_recorded_is_read_anew(measured, tmp_path):
+    """The drive's first command tells when it began."""
+    folder, out = tmp_path / "folder", tmp_path / "anew"
+    shutil.copytree(measured[1], folder)
+    recordings = folder / "recordings"
+    (recordings / "a.h5").rename(recordings / "a.unfinished-1.h5")
+    (recordings / "a.json").unlink()
+    (recordings / "b.h5").write_bytes(b"torn")
+    done = slider("rig", "replay", folder, "--out", out)
+    assert done.returncode == 0, done.stderr
+    assert "unfinished: 1.00 s of its drive were recorded" in done.stdout
+    assert "b.h5: left out: recording" in done.stderr and "is torn" in done.stderr
+    before, after = (
+        np.genfromtxt(path, delimiter=",", names=True)
+        for path in (measured[1] / "a.csv", out / "a.unfinished-1.csv")
+    )
+    assert len(after) == pytest.approx(len(before), abs=2)
+    assert after["t_s"][0] == pytest.approx(before["t_s"][0], abs=2.5e-3)
+    assert (out / "a.unfinished-1.played.csv").exists()
+
+
 def test_a_recording_is_read_anew_with_other_axes(measured, tmp_path):
     rig_file = tmp_path / "rig.toml"
     rig_file.write_text(
@@ -124,20 +161,27 @@ def test_a_recording_is_read_anew_with_other_axes(measured, tmp_path):
     )
     assert np.allclose(after["thrust_N"], -before["thrust_N"], atol=1e-12)
     assert np.array_equal(after["t_s"], before["t_s"]) and "tip_m" not in after.dtype.names
+    assert "tip_m left out: no sensor of it is named" in done.stdout
 
 
 def test_what_a_manifold_said_is_said_again(measured, tmp_path):
     from rig.manifold import Decoder
     from rig.messages import Reading
     from rig.port import open_port
+    from rig.recording import read_recording
 
     recording = measured[1] / "recordings" / "a.h5"
     with served("rig", "replay", recording, "--speed", "0.5", cwd=tmp_path) as port:
+        time.sleep(0.5)
         line, decoder, found = open_port(port), Decoder(), []
         end = time.monotonic() + 3.0
         while time.monotonic() < end:
             found += [m for m in decoder.feed(line.read(4096)) if isinstance(m, Reading)]
         line.close()
+    # From the first on, however late the program opens the port.
+    first = read_recording(recording).streams["manifold"].pieces()
+    begun = next(m for m in Decoder().feed(b"".join(first)) if isinstance(m, Reading))
+    assert found[0].seq - begun.seq <= 5
     assert len(found) > 200 and np.all(np.diff([m.seq for m in found]) == 1)
 
 
@@ -149,11 +193,18 @@ def test_what_a_manifold_said_is_said_again(measured, tmp_path):
         (("run", "{exp}", "--port", "x", "--out", "{here}"), "is the experiment's own folder"),
         (
             ("run", "{exp}", "--port", "x", "--out", "{out}", "--limit", "250"),
-            "manifold.limits.0: given 250.0; allowed 1000 to 2e+06 Pa",
+            "--limit: given 250; allowed 1000 to 2e+06 Pa",
         ),
         (("check", "--port", "x", "--pressure", "9e5"), "front_left: given 900000 Pa; allowed 0"),
         (("simulate", "--inject", "leak"), "--inject: given 'leak'; allowed FAULT=VALUE@SECONDS"),
+        (("simulate", "--flipped", "2"), "--flipped: given 2; allowed 0 to 0.5, a share"),
+        (("simulate", "--noise", "-1"), "--noise: given -1; allowed 0 or more"),
+        (("simulate", "--rig-file", "{exp}"), "is there, and not one of a simulated rig"),
+        (("simulate", "{exp}", "--published"), "--published: given with what it has not"),
+        (("run", "{exp}", "--port", "x", "--out", "{out}", "--rig", "{exp}"), "is an experiment"),
+        (("check", "--port", "{exp}"), "experiment.toml: is no serial port"),
         (("replay", "{here}"), "--out: given nothing"),
+        (("replay", "{here}", "--out", "{out}"), "holds no recordings/*.h5"),
         (("replay", "{exp}"), "is torn, or no recording"),
         (("log", "9", "--port", "x", "--out", "{out}"), "frequencies: given 9; allowed 0.1 to 5"),
     ],
@@ -173,4 +224,32 @@ def test_a_limit_is_checked_before_anything_moves(rig, tmp_path):
     out = tmp_path / "out"
     done = slider("rig", "run", path, "--port", rig[0], "--out", out)
     assert done.returncode == 2 and not out.exists()
-    assert "set pressure of front_left: given 260000 Pa; allowed 0 to its limit" in done.stderr
+    assert "trial a: set pressure of front_left: given 260000 Pa; allowed 0 to" in done.stderr
+
+
+def test_a_check_of_a_bad_line_tells_of_its_damage(tmp_path):
+    """Also where so few commands arrive that the manifold vents in mid-check."""
+    with served("rig", "simulate", "--flipped", "0.04", cwd=tmp_path) as port:
+        done = slider("rig", "check", "--port", port)
+    assert done.returncode in (1, 2)
+    assert re.search(r"[1-9]\d* frames (came )?damaged", done.stdout + done.stderr), done.stderr
+
+
+def test_a_log_is_taken_of_the_simulated_published_firmware(tmp_path):
+    with served("rig", "simulate", "--published", cwd=tmp_path) as port:
+        done = slider("rig", "log", "5", "--port", port, "--out", tmp_path / "logs")
+    assert done.returncode == 0, done.stderr
+    assert "5.txt  1000 rows: no findings" in done.stdout
+    assert not (tmp_path / "simulated_rig.toml").exists()
+    log = read_log(tmp_path / "logs" / "5.txt")
+    assert np.ptp(log.pressure) > 200
+
+
+def test_a_pause_says_what_it_waits_for():
+    sensor = Analogue("tip_m", 1, 0.1)
+    still = Stillness((sensor,), {"tip_m": 0.08}, {"tip_m": 0.0})
+    for i in range(200):
+        volts = 1e6 * (0.02 * np.sin(i))
+        still.add(0.02 * i, Reading(i, 0, 2, 0, (0, 0, 0, 0, 0, volts, 0, 0)))
+    assert not still.reached
+    assert still.waits_for == " until tip_m moves by 4.0e-04 (now 4.0e-03)"

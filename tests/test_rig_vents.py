@@ -188,9 +188,10 @@ def test_an_unplugged_manifold_vents_and_the_port_is_said_to_be_gone(tmp_path):
 
         hand = threading.Thread(target=unplug)
         hand.start()
-        with pytest.raises(PortLost, match="the port is gone"):
+        with pytest.raises(PortLost, match="the port is gone") as told:
             recorded(served.path, tmp_path)
         hand.join()
+    assert getattr(told.value, "__notes__", []) == []  # said once
     # It still has its power: its loop goes on, without a line.
     while not watched.vented and time.monotonic_ns() - begun < 20e9:
         watched.tick((time.monotonic_ns() - begun) // 1000)

@@ -13,6 +13,7 @@ from rig.simulated.force_sensor import Box, SimulatedForceSensor
 from rig.simulated.rig import STEP, TIP_PER_VOLT, SimulatedRig
 from rig.simulated.terminal import Terminal
 
+MADE_UP = "The rig that `slider rig simulate` made up"
 PATIENCE = 0.2
 """Longest that a force waits for its tank [s]."""
 
@@ -67,7 +68,7 @@ class Running(NamedTuple):
     def settings(self) -> str:
         """A rig file that suits it."""
         return (
-            "# The rig that `slider rig simulate` made up.\n"
+            f"# {MADE_UP}.\n"
             "[force]\n"
             f'host = "{self.force.host}"\n'
             f"port = {self.force.port}\n"

@@ -1,6 +1,7 @@
 """What a simulated rig controls and measures; the simulator's robot can take its place."""
 
 from math import exp
+from random import Random
 from typing import NamedTuple, Protocol
 
 
@@ -55,3 +56,23 @@ class BenchTank:
         self._tip = aim + (self._tip - aim) * exp(-seconds / self.tail)
         speed = (aim - self._tip) / self.tail
         return Measured((a, b, c, d), self.supply, 2.0 * speed**2, -1e-6 * (a - b), self._tip)
+
+
+class BenchChamber:
+    """One chamber behind a fill and a vent valve, as the published firmware drives them.
+
+    Flow is in proportion to a valve's duty and to the pressure across it: open all the time the
+    fill valve takes `lag` [s] to close the gap to the supply to 37 %, the vent valve to the room.
+    """
+
+    def __init__(self, lag: float = 0.12, supply: float = 550e3, noise: float = 0.0, seed: int = 0):
+        self.lag, self.supply, self.noise = lag, supply, noise
+        self._random, self._p = Random(seed), 0.0
+
+    def __call__(self, fill: int, vent: int, seconds: float) -> float:
+        """The gauge pressure that is read [Pa] after `seconds` at duties of 0 to 255."""
+        into, out = fill / 255.0 / self.lag, vent / 255.0 / self.lag
+        if into + out > 0.0:
+            steady = into * self.supply / (into + out)
+            self._p = steady + (self._p - steady) * exp(-(into + out) * seconds)
+        return self._p + (self._random.gauss(0.0, self.noise) if self.noise else 0.0)

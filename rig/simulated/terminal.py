@@ -56,6 +56,16 @@ class Terminal:
         os.set_blocking(self._ours, False)
         self.path = os.ttyname(self._theirs)
 
+    def wait_for_host(self) -> None:
+        """Until a program has opened the port."""
+        os.close(self._theirs)
+        listener = select.poll()
+        listener.register(self._ours, select.POLLHUP)
+        # A terminal whose other end nobody holds is hung up.
+        while any(event & select.POLLHUP for _, event in listener.poll(0)):
+            time.sleep(0.01)
+        self._theirs = os.open(self.path, os.O_RDWR | os.O_NOCTTY)
+
     def serve(self, ended: Callable[[], bool]) -> None:
         """The device's main loop, in real time, until `ended`; then the cable is pulled."""
         begun = time.monotonic_ns()

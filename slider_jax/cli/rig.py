@@ -14,11 +14,13 @@ import tyro
 from rig.capture import Instrument, Switch, Switches, Timing, Trial
 from rig.columns import Reader
 from rig.drive import Drive
-from rig.force import ForceSource
+from rig.force import ForceSource, Mounting
+from rig.force_net import NetCalibration, NetForce
 from rig.manifold import Manifold
 from rig.priority import real_time
 from rig.safety import Limits
 from rig.session import Rig, start_swing
+from rig.sources import force_reader
 from slider_jax.cli.rig_settings import CameraTable, ForceTable, RigTable
 from slider_jax.csv_file import read_csv
 from slider_jax.errors import InputError
@@ -28,6 +30,8 @@ from slider_jax.toml_file import read_toml, validate
 
 Port = Annotated[str, tyro.conf.arg(metavar="PORT")]
 RigFile = Annotated[Path | None, tyro.conf.arg(metavar="RIG.toml")]
+LEAST_SWING = 1e-4
+"""Of the tip before a trial [m]: what is less is not told of."""
 
 
 def ports() -> None:
@@ -72,12 +76,22 @@ def is_of(folder: Path, path: Path) -> bool:
 
 
 def declare_swing(path: Path, told: list[dict[str, Any]]) -> None:
-    """Adds what the tip swung by before the trials to an experiment file without [sensors]."""
+    """Adds what the tip swung by before the trials to an experiment file without [sensors].
+
+    Says so where a file declares less in its own.
+    """
     swing = start_swing(told)
     table = validate(ExperimentTable, read_toml(path), str(path))
-    if swing > 0.0 and "sensors" not in table.model_fields_set:
+    if "sensors" not in table.model_fields_set and swing > 0.0:
         added = f"[sensors]\nstart_swing = {swing:.2g}  # m, measured at rest\n"
         write_text(path, f"{path.read_text().rstrip()}\n\n{added}")
+    elif swing > max(2.0 * table.sensors.start_swing, LEAST_SWING):
+        print(
+            f"{path}: sensors.start_swing is {table.sensors.start_swing:g} m; before the trials "
+            f"the tip swung by {swing:.2g} m, which the loop will look for a cause of: write "
+            f"start_swing = {swing:.2g} there",
+            file=sys.stderr,
+        )
 
 
 def to_play(trial: TrialTable, path: Path) -> Trial:
@@ -103,16 +117,28 @@ def to_play(trial: TrialTable, path: Path) -> Trial:
     return Trial(name, drive, trial.duration)
 
 
+def with_counts(settings: RigTable) -> RigTable:
+    """The same with its force sensor's counts, from the box's own page where the file has none.
+
+    They are recorded with the rest, so that a recording can be read anew without the box.
+    """
+    if settings.force is None:
+        return settings
+    found = calibration_of(settings.force)
+    counts = {"counts_per_N": found.counts_per_N, "counts_per_Nm": found.counts_per_Nm}
+    return settings.model_copy(update={"force": settings.force.model_copy(update=counts)})
+
+
+def calibration_of(table: ForceTable) -> NetCalibration:
+    """As the table says, or else the box's own page."""
+    if table.counts_per_N is not None and table.counts_per_Nm is not None:
+        return NetCalibration(table.counts_per_N, table.counts_per_Nm)
+    return NetCalibration.fetch(table.host, table.page_port)
+
+
 def force_of(table: ForceTable) -> tuple[ForceSource, Reader]:
     """A force sensor, opened, and how its stream is read."""
-    from rig.force import Mounting
-    from rig.force_net import NetCalibration, NetForce
-    from rig.sources import force_reader
-
-    if table.counts_per_N is not None and table.counts_per_Nm is not None:
-        calibration = NetCalibration(table.counts_per_N, table.counts_per_Nm)
-    else:
-        calibration = NetCalibration.fetch(table.host, table.page_port)
+    calibration = calibration_of(table)
     source = NetForce(table.host, calibration, table.port)
     return source, force_reader(calibration, Mounting(table.thrust, table.recoil))
 

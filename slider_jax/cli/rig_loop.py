@@ -19,6 +19,7 @@ from slider_jax.cli.rig import (
     is_of,
     opened,
     to_play,
+    with_counts,
 )
 from slider_jax.errors import InputError
 
@@ -63,6 +64,7 @@ def loop(
         )
     if any(trial.clamp_moves or trial.tow_speed for trial in given.trials):
         raise InputError(f"{experiment}: a clamp moves; allowed trials whose clamp rests")
+    settings = with_counts(settings)
     folder = output_folder(out) / "measured"
     folder.mkdir(exist_ok=True)
     path = folder / "experiment.toml"

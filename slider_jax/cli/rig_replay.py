@@ -3,13 +3,21 @@
 import json
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import tyro
 
+from rig.columns import Columns, columns
+from rig.errors import RigError
+from rig.force import Mounting
+from rig.recording import Recording, read_recording
+from rig.sources import force_reader
+from rig.unfinished import extent
 from slider_jax.cli.options import MaybeFolder, Value
-from slider_jax.cli.rig import RigFile
+from slider_jax.cli.rig import RigFile, calibration_of, camera_of, trials_of
+from slider_jax.cli.rig_settings import RigTable
 from slider_jax.errors import InputError
+from slider_jax.toml_file import validate
 
 
 def replay(
@@ -20,14 +28,16 @@ def replay(
 ) -> None:
     """Read recordings anew into the trials' CSVs, or say one again on a port.
 
-    Of an experiment's folder that `slider rig run` wrote, every trial is read anew into --out, with
-    the rig file's settings of today: other axes, other analogue sensors. Of one recording, what the
-    manifold said is said again on a pseudo-terminal at its own pace, for any program to listen to.
+    Of an experiment's folder that `slider rig run` wrote, every trial is read anew into --out, also
+    one in which the run was killed: with the rig as it was, or as the rig file has it now, with
+    other axes or analogue sensors. Of one recording, what the manifold said is said again on a
+    pseudo-terminal at its own pace, from when a program opens that.
 
     Args:
         recording: an experiment's folder, or one recording.
         out: folder for the trials read anew; made if missing, files of the same name are replaced.
-        rig: TOML file of the rig; its force sensor needs its counts, as no box is asked.
+        rig: TOML file of the rig, all of whose sensors count, and no others; by default the rig as
+            it was recorded. A force sensor needs its counts there, as no box is asked.
         speed: of what is said again; 2 is twice as fast.
     """
     if recording.is_dir():
@@ -43,46 +53,84 @@ def replay(
 
 
 def _anew(folder: Path, out: Path, rig: Path | None) -> None:
-    from rig.columns import columns
-    from rig.force import Mounting
-    from rig.force_net import NetCalibration
-    from rig.recording import read_recording
     from rig.session import RECORDINGS, write_trial
-    from rig.sources import force_reader
     from slider_jax.cli.options import refuse_own_folder
-    from slider_jax.cli.rig import camera_of, copy_experiment
+    from slider_jax.cli.rig import copy_experiment
     from slider_jax.cli.rig_settings import rig_of
     from slider_jax.files import staged
 
     refuse_own_folder(out, folder)
-    told = sorted((folder / RECORDINGS).glob("*.json"))
-    if not told:
-        raise InputError(f"{folder}: holds no {RECORDINGS}/*.json; give a folder of slider rig run")
-    settings = rig_of(rig)
-    analogue = tuple(x.sensor() for x in settings.analogue)
-    force, readers = settings.force, {}
-    if force is not None:
-        if force.counts_per_N is None or force.counts_per_Nm is None:
-            raise InputError(f"{rig}: force.counts_per_N: missing; no box is asked in a replay")
-        calibration = NetCalibration(force.counts_per_N, force.counts_per_Nm)
-        readers["force"] = force_reader(calibration, Mounting(force.thrust, force.recoil))
-    if settings.camera is not None:
-        _, readers["camera"] = camera_of(settings.camera)
+    paths = sorted((folder / RECORDINGS).glob("*.h5"))
+    if not paths:
+        raise InputError(f"{folder}: holds no {RECORDINGS}/*.h5; give a folder of slider rig run")
+    given = rig_of(rig) if rig is not None else None
+    experiment = folder / "experiment.toml"
     with staged(out) as stage:
-        for path in told:
-            trial = json.loads(path.read_text())
-            found = read_recording(path.with_suffix(".h5"))
-            there = {name: x for name, x in readers.items() if name in found.streams}
-            read = columns(found, trial["begun_host_ns"], trial["duration_s"], there, analogue)
+        for path in paths:
+            try:
+                trial = _trial(path, experiment)
+                read, left_out = _read(trial, given, path)
+            except RigError as error:
+                print(f"{path.name}: left out: {error}", file=sys.stderr)
+                continue
             write_trial(stage, path.stem, read)
-            print(f"{path.stem}.csv  {'; '.join(read.told['findings']) or 'no findings'}")
-        experiment = folder / "experiment.toml"
+            said = [*trial.findings, *left_out, *read.told["findings"]]
+            print(f"{path.stem}.csv  {'; '.join(said) or 'no findings'}")
         if experiment.exists():
             copy_experiment(experiment, stage)
 
 
+class _Trial(NamedTuple):
+    """A recording, and when the drive was in it."""
+
+    recording: Recording
+    begun_ns: int
+    seconds: float
+    columns: tuple[str, ...]
+    """That were read from it by the run itself."""
+    findings: tuple[str, ...]
+
+
+def _trial(path: Path, experiment: Path) -> _Trial:
+    """Also of a run that was killed in it, of which nothing else tells."""
+    recording = read_recording(path)
+    beside = path.with_suffix(".json")
+    if beside.exists():
+        told = json.loads(beside.read_text())
+        columns = tuple(told["range"])
+        return _Trial(recording, told["begun_host_ns"], told["duration_s"], columns, ())
+    found = extent(recording)
+    meant = {x.name: x.duration for x in trials_of(experiment)[1]} if experiment.exists() else {}
+    seconds = min(found.seconds, meant.get(path.stem.split(".unfinished-")[0], found.seconds))
+    cut = f"unfinished: {seconds:.2f} s of its drive were recorded"
+    return _Trial(recording, found.begun_ns, seconds, (), (cut,))
+
+
+def _read(trial: _Trial, given: RigTable | None, path: Path) -> tuple[Columns, list[str]]:
+    """Columns as the `given` rig has them, or else as the rig was when it was recorded; and what
+    is not among them any more."""
+    settings = given
+    if settings is None:
+        there = trial.recording.settings.get("rig", {})
+        settings = validate(RigTable, there, f"{path}: its settings")
+    force, readers = settings.force, {}
+    if force is not None and "force" in trial.recording.streams:
+        if force.counts_per_N is None:
+            raise InputError(
+                f"{path}: force.counts_per_N: not known, and no box is asked in a replay; give "
+                "--rig with counts_per_N and counts_per_Nm"
+            )
+        mounting = Mounting(force.thrust, force.recoil)
+        readers["force"] = force_reader(calibration_of(force), mounting)
+    if settings.camera is not None and "camera" in trial.recording.streams:
+        _, readers["camera"] = camera_of(settings.camera)
+    analogue = tuple(x.sensor() for x in settings.analogue)
+    read = columns(trial.recording, trial.begun_ns, trial.seconds, readers, analogue)
+    missing = [name for name in trial.columns if name not in read.values]
+    return read, [f"{', '.join(missing)} left out: no sensor of it is named"] if missing else []
+
+
 def _again(path: Path, speed: float) -> None:
-    from rig.recording import read_recording
     from rig.simulated.replay import Replay
     from rig.simulated.terminal import Terminal
 
@@ -91,5 +139,10 @@ def _again(path: Path, speed: float) -> None:
     terminal = Terminal(device)
     print(f"port {terminal.path}", flush=True)
     seconds = (stream.host_ns[-1] - stream.host_ns[0]) * 1e-9 / speed if len(stream.ends) else 0.0
-    print(f"{len(stream.data)} bytes in {seconds:.1f} s; Ctrl-C ends it", file=sys.stderr)
+    print(
+        f"{len(stream.data)} bytes in {seconds:.1f} s, from when a program opens the port; "
+        "Ctrl-C ends it",
+        file=sys.stderr,
+    )
+    terminal.wait_for_host()
     terminal.serve(lambda: device.ended)

@@ -16,6 +16,7 @@ from slider_jax.cli.rig import (
     is_of,
     opened,
     trials_of,
+    with_counts,
 )
 from slider_jax.errors import InputError
 
@@ -55,6 +56,7 @@ def run(
     table, trials = trials_of(experiment)
     changes: dict[str, dict[str, Any]] = {}
     if limit is not None:
+        _check_limit(limit)
         changes["manifold"] = {"limits": list(limit)}
     if force is not None:
         changes["force"] = {"host": force}
@@ -63,6 +65,7 @@ def run(
         if trial.tow_speed or trial.clamp_moves:
             moves = "is towed" if trial.tow_speed else "moves"
             print(f"{trial.file}: its clamp {moves}: see to that", file=sys.stderr)
+    settings = with_counts(settings)
     source = input_file(experiment)
     told = {"experiment_sha256": source["sha256"], "rig": settings.model_dump(mode="json")}
     with opened(port, settings) as machine:
@@ -76,7 +79,7 @@ def run(
                 f"{ident.rate} Hz, the manifold's",
             )
         for shot in trials:
-            shot.drive.check(machine.limits.within(ident), shot.duration)
+            shot.check(machine.limits.within(ident))
         folder = output_folder(out)
         # Nothing is written where a trial is refused; what was added at rest stays.
         for shot in trials:
@@ -93,3 +96,12 @@ def run(
               f"{1e3 * told_of['command_late_99_s']:.1f} ms: {said}")  # fmt: skip
     print(f"experiment.toml and the trials are in {folder}: slider close-loop "
           f"{folder / 'experiment.toml'} --out ...", file=sys.stderr)  # fmt: skip
+
+
+def _check_limit(limit: tuple[float, ...]) -> None:
+    if len(limit) not in (1, 4):
+        given = f"{len(limit)} pressures"
+        raise InputError.value("--limit", given, "one for all chambers, or four")
+    for pressure in limit:
+        if not 1e3 <= pressure <= 2e6:
+            raise InputError.value("--limit", f"{pressure:g}", "1000 to 2e+06 Pa", "not kPa or psi")

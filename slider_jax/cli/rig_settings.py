@@ -106,6 +106,11 @@ def rig_of(path: Path | None, changes: dict[str, Any] | None = None) -> RigTable
     Raises `InputError`, naming file and key.
     """
     content = read_toml(path) if path is not None else {}
+    if "robot" in content or "trials" in content:
+        raise InputError(
+            f"--rig {path}: is an experiment file; give one of the rig, with [manifold], [force], "
+            "[[analogue]]"
+        )
     for table, values in (changes or {}).items():
         given = content.get(table, {})
         if not isinstance(given, dict):

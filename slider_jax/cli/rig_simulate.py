@@ -6,8 +6,10 @@ import time
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import tyro
 
+from rig.simulated.bench import MADE_UP
 from slider_jax.cli.options import MaybeExperiment, ModelFile, Value, Whole
 from slider_jax.errors import InputError
 
@@ -23,6 +25,7 @@ def simulate(
     tip_noise: Value = 2e-5,
     inject: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FAULT=VALUE@SECONDS")] = (),
     seed: Whole = 0,
+    published: bool = False,
 ) -> None:
     """Start a manifold on a pseudo-terminal and a force sensor on the network, until Ctrl-C.
 
@@ -41,6 +44,7 @@ def simulate(
         tip_noise: standard deviation of the tip's place [m].
         inject: faults and when they begin, as leak_front_left=5@20: after 20 s, at 5 1/s.
         seed: of all chance.
+        published: the authors' published firmware instead, with one chamber, for `slider rig log`.
     """
     from rig.priority import others_too, real_time
     from rig.simulated.bench import running
@@ -48,6 +52,20 @@ def simulate(
     from rig.simulated.rig import SimulatedRig
     from slider_jax.files import write_text
 
+    for name, share in (("--flipped", flipped), ("--dropped", dropped)):
+        if not 0.0 <= share <= 0.5:
+            raise InputError.value(name, f"{share:g}", "0 to 0.5, a share of the bytes")
+    for name, deviation in (
+        ("--noise", noise), ("--force-noise", force_noise), ("--tip-noise", tip_noise),
+    ):  # fmt: skip
+        if not 0.0 <= deviation < np.inf:
+            raise InputError.value(name, f"{deviation:g}", "0 or more")
+    if published:
+        if experiment or model or inject or flipped or dropped:
+            raise InputError("--published: given with what it has not; allowed --noise and --seed")
+        _serve_published(noise, seed)
+        return
+    _refuse_other(rig_file)
     faults = sorted((_fault(text) for text in inject), key=lambda fault: fault[2])
     tank, put = _tank(experiment, model, [name for name, _, _ in faults])
 
@@ -78,6 +96,33 @@ def simulate(
         )
         while True:
             time.sleep(0.2)
+
+
+def _serve_published(noise: float, seed: int) -> None:
+    from rig.priority import real_time
+    from rig.simulated.published import PublishedFirmware, generate
+    from rig.simulated.tank import BenchChamber
+    from rig.simulated.terminal import Terminal
+
+    terminal = Terminal(PublishedFirmware(generate(BenchChamber(noise=noise, seed=seed))))
+    print(f"port {terminal.path}", flush=True)
+    print(
+        f"from another terminal, for example:\n"
+        f"  slider rig log 1 2 --port {terminal.path} --out logs\n"
+        "Ctrl-C ends it",
+        file=sys.stderr,
+        flush=True,
+    )
+    with real_time():
+        terminal.serve(lambda: False)
+
+
+def _refuse_other(rig_file: Path) -> None:
+    """A rig file that somebody wrote is not written over."""
+    if rig_file.exists() and MADE_UP not in rig_file.read_text(errors="replace"):
+        raise InputError(
+            f"--rig-file {rig_file}: is there, and not one of a simulated rig; give another name"
+        )
 
 
 def _fault(text: str) -> tuple[str, float, float]:

@@ -12,7 +12,7 @@ import tyro
 from rig.errors import RigError
 from rig.live import CHANNELS_OUT
 from slider_jax.cli.options import MaybeFolder, ModelFile, Seconds, Whole
-from slider_jax.cli.rig import Port, RigFile, signals_as_ctrl_c, to_play
+from slider_jax.cli.rig import Port, RigFile, signals_as_ctrl_c, to_play, with_counts
 from slider_jax.cli.rig_playing import Playing
 from slider_jax.errors import InputError
 
@@ -66,7 +66,7 @@ def watch(
     (chosen,) = chosen_trials(loaded.trials, trial)
     if chosen.tow_speed or chosen.clamp_moves:
         print(f"{chosen.file}: its clamp moves: see to that", file=sys.stderr)
-    settings = rig_of(rig)
+    settings = with_counts(rig_of(rig))
     if settings.camera is not None:
         print("the camera is not watched: its tip is told after a trial only", file=sys.stderr)
     played = to_play(chosen, experiment)
