@@ -41,14 +41,31 @@ def _save(x):
     return jnp.stack([*x.chambers.p, obs.thrust(x), obs.recoil(x), obs.tip(x)])
 
 
+def set_pressures(drive, t):
+    """(2, n) front and rear: means since the reading before."""
+
+    def mean(wave):
+        x = jax.vmap(wave.segment)(t - 1.0 / RATE, t)
+        first, second = 0.5 * (x.a0 + x.a1), 0.5 * (x.b0 + x.b1)
+        return RATE * (first * (x.t_break - x.t0) + second * (x.t1 - x.t_break))
+
+    return jnp.stack([mean(wave) for wave in (drive.front, drive.rear)])
+
+
+def only(readings, keep):
+    """Those that are kept; what was set meanwhile counts for the next one."""
+    runs = np.concatenate([[0], np.cumsum(keep)[:-1]])
+    means = [np.bincount(runs, x) / np.bincount(runs) for x in readings.set_pressure]
+    kept = int(keep.sum())
+    return Stretch(readings.t[keep], np.stack(means)[:, :kept], readings.measured[:, keep])
+
+
 @eqx.filter_jit
 def _advance(model, carry, t0, numerics):
     times = TimeGrid(jnp.asarray(1.0 / RATE), CHUNK, t0)
     out = rollout(model, times, _save, numerics, begin=carry, checkpoint=False)
     t = t0 + jnp.arange(1.0, CHUNK + 1.0) / RATE
-    waves = (model.drive.front, model.drive.rear)
-    set_pressure = jnp.stack([jax.vmap(w.segment)(t - 1e-4, t).b1 for w in waves])
-    return out.final, t, set_pressure, out.saved.T
+    return out.final, t, set_pressures(model.drive, t), out.saved.T
 
 
 class Streaming:
