@@ -30,7 +30,7 @@ def check_commands(commands: tuple[Command, ...], h: float, samples: int) -> Non
     def both(commands, chamber):
         def at(now):
             known = now + jnp.arange(1 - samples, 1)
-            t = times[now] + h * jnp.array([0.0, 0.3, 1.0])
+            t = times[now] + h * jnp.array([0.0, 0.3, 0.9])  # before the next one
             waves = Held(times, values), Held(times[known], values[known])
             return [followed(commands, chamber, wave, t) for wave in waves]
 

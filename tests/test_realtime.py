@@ -7,9 +7,10 @@ import pytest
 
 from slider_jax.actuation import FirstOrderLag, SquareWave, pressure_history
 from slider_jax.effects.library import LIBRARY
+from slider_jax.effects.regulator_gain import RegulatorGain
 from slider_jax.errors import InputError
 from slider_jax.experiment import load
-from slider_jax.live_commands import Held
+from slider_jax.live_commands import Held, check_commands
 from slider_jax.realtime import Plant
 from slider_jax.schema import SensorsTable
 from slider_jax.sensor_noise import SensorNoise
@@ -324,3 +325,9 @@ def test_held_samples_fill_a_chamber_as_the_square_wave_does_that_they_are_of():
         times = jnp.arange(0.0, 0.99, stretch)
         expected = pressure_history(law, wave, 0.0, times)
         np.testing.assert_allclose(pressure_history(law, held, 0.0, times), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("step", [1e-3, 2e-3, 2.5e-3])
+def test_a_command_that_needs_nothing_to_come_is_allowed_at_every_step(step):
+    """Also where rounding puts the next set pressure a hair before the step's end."""
+    check_commands((RegulatorGain(0.1),), step, 104)
