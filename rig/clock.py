@@ -8,7 +8,7 @@ The least delay of all cannot be known, and counts as none.
 """
 
 import time
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -128,13 +128,13 @@ class RunningClock:
             while (oldest := next(iter(self._blocks))) <= block - PIECE / _BLOCK:
                 del self._blocks[oldest]
 
-    def to_host(self, device_s: float) -> float:
-        """Host time [s] of a device time [s]. Raises `RigError` before the first `add`."""
+    def to_host(self, device_s: np.ndarray | float) -> np.ndarray:
+        """Host times [s] of device times [s]. Raises `RigError` before the first `add`."""
         if not self._blocks:
             raise RigError("clock: nothing has arrived yet; add a pair of times first")
         if self._line is None:
             self._line = _line_below(*np.array(list(self._blocks.values())).T)
-        return self._line.at(device_s)
+        return np.asarray(self._line.at(np.asarray(device_s, float)))
 
 
 def segments(device_s: np.ndarray) -> list[slice]:
@@ -163,7 +163,7 @@ class _Line(NamedTuple):
     drift: float
     """Its slope less 1."""
 
-    def at(self, device_s: float) -> float:
+    def at(self, device_s: Any) -> Any:
         return self.host + (1.0 + self.drift) * (device_s - self.middle)
 
 

@@ -123,7 +123,7 @@ def columns(
         at = samples.t - begun_ns * 1e-9
         for column, signal in samples.columns.items():
             rest[column] = _rest(signal[at < 0.0])
-            values[column] = _at_rows(t[rows], at, signal - rest[column].mean, samples.continuous)
+            values[column] = at_rows(t[rows], at, signal - rest[column].mean, samples.continuous)
         findings += samples.findings
     values = {name: values[name] for name in (*ORDER, *values) if name in values}
     return Columns(values, played, _told(recording, found, clock, values, rest, findings))
@@ -180,8 +180,13 @@ def _moves(column: str, quiet: np.ndarray, drive: np.ndarray, noise: float) -> t
     )
 
 
-def _at_rows(rows: np.ndarray, at: np.ndarray, signal: np.ndarray, continuous: bool) -> np.ndarray:
-    """(n,) the signal at the rows' times; NaN where it has no sample near enough."""
+def at_rows(
+    rows: np.ndarray, at: np.ndarray, signal: np.ndarray, continuous: bool = True
+) -> np.ndarray:
+    """(n,) a signal (m,), sampled at times `at` (m,), at the times of `rows` (n,), all [s].
+
+    NaN where it has no sample near enough; see `Samples.continuous`.
+    """
     there = np.isfinite(signal)
     if there.sum() < 2:
         return np.full(len(rows), np.nan)

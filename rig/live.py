@@ -2,22 +2,25 @@
 
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from threading import Lock
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from rig.clock import RunningClock
-from rig.columns import Analogue
+from rig.columns import ORDER, Analogue, at_rows
 from rig.manifold import Manifold
-from rig.messages import Follows, Reading
+from rig.messages import Follows, Reading, State
 
-CHANNELS_OUT = ("p_front_Pa", "p_rear_Pa", "thrust_N", "recoil_N", "tip_m")
+CHANNELS_OUT = ORDER[1:]
 LATEST = 0.05
 """A force sample that is so late is not waited for [s]."""
 KEPT = 4096
+BEHIND = 0.2
+"""Force samples that are so much older than the latest reading [s] are not needed any more."""
 Pressures = tuple[float, float, float, float]
+Item = TypeVar("Item")
 Signed = tuple[float, float]
 """Of front and rear [Pa]."""
 
@@ -36,19 +39,21 @@ class Live(NamedTuple):
 
 
 class LiveStream:
-    """Puts together what threads hand in.
+    """Puts together what threads hand in, each in its own deque; all else is `take`'s own.
 
     Give `reading` and `follows` to the manifold, and itself to what plays, in the manifold's place.
+    Readings count while the valves follow set pressures.
     """
 
     def __init__(self, analogue: tuple[Analogue, ...] = (), has_force: bool = False):
         self._analogue, self._has_force = analogue, has_force
         self._lock = Lock()
-        self._clock, self._force_clock = RunningClock(), RunningClock()
         self._commands: dict[int, Pressures] = {}
         self._came: deque[tuple[int, Reading] | Follows] = deque(maxlen=KEPT)
+        self._forces_came: deque[tuple[int, float, float, float]] = deque(maxlen=KEPT)
+        self._clock, self._force_clock = RunningClock(), RunningClock()
         self._rows: deque[tuple[int, Reading, Signed]] = deque(maxlen=KEPT)
-        self._forces: deque[tuple[float, float, float]] = deque(maxlen=KEPT)
+        self._forces: list[tuple[float, float, float]] = []
         self._followed = _Followed()
         self.manifold: Manifold | None = None
 
@@ -72,18 +77,12 @@ class LiveStream:
 
     def force(self, host_ns: int, sensor_s: float, thrust: float, recoil: float) -> None:
         """A force sample [N], by the sensor's own clock [s], and when it arrived [ns]."""
-        self._force_clock.add(sensor_s, 1e-9 * host_ns)
-        self._forces.append((sensor_s, thrust, recoil))
-
-    def clear(self) -> None:
-        """Forgets the readings that have come so far."""
-        self._order()
-        self._rows.clear()
+        self._forces_came.append((host_ns, sensor_s, thrust, recoil))
 
     def take(self) -> Live:
         """What is complete: readings up to the latest force sample, if forces are measured."""
         self._order()
-        forces = np.array(list(self._forces)).reshape(-1, 3).T
+        forces = np.array(self._forces).reshape(-1, 3).T
         if len(forces[0]):
             forces[0] = self._force_clock.to_host(forces[0])
         rows, at = [], []
@@ -105,41 +104,61 @@ class LiveStream:
             measured[:2, i] = p[0] - p[1], p[2] - p[3]
             for sensor in self._analogue:
                 measured[CHANNELS_OUT.index(sensor.column), i] = sensor.signal(np.array(p))
-        if n and len(forces[0]):
+        if n and self._has_force:
             for i in (1, 2):
-                measured[1 + i] = np.interp(at, forces[0], forces[i], left=np.nan, right=np.nan)
-            # Of those before the latest reading one is still needed.
-            for _ in range(int(np.searchsorted(forces[0], at[-1])) - 1):
-                self._forces.popleft()
+                measured[1 + i] = at_rows(np.array(at), forces[0], forces[i])
+            del self._forces[: int(np.searchsorted(forces[0], at[-1] - BEHIND))]
         return Live(device, set_pressure, measured, arrived)
 
     def _order(self) -> None:
         """To each reading that has come the mean of what was followed since the one before."""
+        for host_ns, sensor_s, *forces in _all_of(self._forces_came):
+            self._force_clock.add(sensor_s, 1e-9 * host_ns)
+            self._forces.append((sensor_s, forces[0], forces[1]))
+        del self._forces[:-KEPT]
+        came = list(_all_of(self._came))
         with self._lock:  # not for longer: the player waits for it
             commands = dict(self._commands)
-        while self._came:
-            item = self._came.popleft()
+        for item in came:
             if isinstance(item, Follows):
                 self._followed.change(1e-6 * item.device_us, _signed(item[2:]))
                 continue
             host_ns, reading = item
-            t, told = 1e-6 * reading.device_us, commands.get(reading.command)
+            t, resets = 1e-6 * reading.device_us, self._clock.resets
             self._clock.add(t, 1e-9 * host_ns)
+            if self._clock.resets > resets:  # nothing from before is of this clock
+                self._rows.clear()
+                self._followed.forget()
+            if reading.state not in (State.ARMED, State.PLAYING):
+                continue
+            told = commands.get(reading.command)
             if told is not None:
                 self._followed.at_reading(t, _signed(told))
             self._rows.append((host_ns, reading, self._followed.mean_until(t)))
+
+
+def _all_of(came: deque[Item]) -> Iterator[Item]:
+    """What is there now, taken away; more may come meanwhile."""
+    for _ in range(len(came)):
+        yield came.popleft()
 
 
 class _Followed:
     """Signed set pressures as they changed, in the device's time [s]."""
 
     def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """As at the beginning: nothing is set."""
         self._at: list[float] = [-np.inf]
         self._sets: list[Signed] = [(0.0, 0.0)]
         self._since: float | None = None
 
     def change(self, t: float, pressures: Signed) -> None:
-        self._at.append(max(t, self._at[-1]))
+        if t < self._at[-1]:  # the manifold has started anew
+            self.forget()
+        self._at.append(t)
         self._sets.append(pressures)
 
     def at_reading(self, t: float, pressures: Signed) -> None:

@@ -3,15 +3,13 @@
 import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from functools import partial
 from types import TracebackType
 
 import serial
 
-from rig.clock import host_ns
 from rig.errors import RigError
-from rig.frames import Decoder, encode
+from rig.line import VENTS, Line, Sink
 from rig.messages import (
     CHAMBERS,
     PROTOCOL,
@@ -42,8 +40,6 @@ PATIENCE, TRIES = 0.08, 8
 """For an answer [s], shorter than the watchdog's; then a command is sent once more."""
 SILENCE = 0.5
 """Without a reading while armed [s]: who does not see what it drives has to stop."""
-Sink = Callable[[int, bytes], None]
-VENTS = "the manifold vents by itself 0.1 s after the last command"
 _WHY = {
     Cause.RESET: "it has reset (power, or its hardware watchdog)",
     Cause.WATCHDOG: "it heard no command for {detail} ms",
@@ -73,33 +69,30 @@ class Manifold:
         self.lost = self.duplicated = 0
         """Readings that their sequence numbers miss, or have twice."""
         self.limits = Limits(0.0, 0.0, 0.0, 0.0)
-        self._port, self._sink, self._sent = port, sink, sent
+        self._line = Line(port, self._take, self._tell_news, sink, sent)
         self._on_reading, self._on_follows = on_reading, on_follows
-        self._decoder, self._seq = Decoder(), 0
-        self._news, self._writing = threading.Condition(), threading.Lock()
+        self._news, self._writing, self._seq = threading.Condition(), threading.Lock(), 0
         self._acks: dict[int, Ack] = {}
-        self._failure: RigError | None = None
+        self._own_vent: RigError | None = None
         self._armed, self._heard = False, 0.0
-        self._ends = threading.Event()
-        self._reader = threading.Thread(target=self._read, name="manifold", daemon=True)
 
     @property
     def damaged(self) -> int:
         """Frames that came in damaged, and were dropped."""
-        return self._decoder.damaged
+        return self._line.damaged
 
     def __enter__(self) -> "Manifold":
-        self._reader.start()
+        self._line.start()
         try:
             self.ident = self._hello()
         except BaseException:
-            self._close()
+            self._line.close()
             raise
         if self.ident.protocol != PROTOCOL:
-            self._close()
+            self._line.close()
             version = ".".join(map(str, self.ident[1:4]))
             raise RigError(
-                f"{self._port.name}: firmware {version} speaks protocol {self.ident.protocol}; "
+                f"{self._line.name}: firmware {version} speaks protocol {self.ident.protocol}; "
                 f"this program speaks {PROTOCOL}: flash the firmware in rig/firmware, or install "
                 "the program that goes with it"
             )
@@ -113,13 +106,20 @@ class Manifold:
     ) -> None:
         try:
             self.stop_after(error)
+        except RigError as failure:
+            self._blame_line(failure)
+            raise
         finally:
-            self._close()
-            if isinstance(error, RigError) and self.damaged:
-                error.add_note(
-                    f"until then {self.damaged} frames came damaged, and {self.lost} readings were "
-                    "lost: see to the line, its cable and plugs"
-                )
+            self._line.close()
+        if isinstance(error, RigError):
+            self._blame_line(error)
+
+    def _blame_line(self, error: RigError) -> None:
+        if self._line.is_bad:
+            error.add_note(
+                f"until then {self.damaged} frames came damaged and {self.lost} readings were "
+                "lost: see to the line, its cable and plugs"
+            )
 
     def stop_after(self, error: BaseException | None) -> None:
         """Stops; what goes wrong with that is noted on the `error` that led here, if any."""
@@ -134,12 +134,13 @@ class Manifold:
 
     def check(self) -> None:
         """Raises what has happened: a lost port, a vent of the manifold's own, no readings."""
-        if self._failure is not None:
-            raise self._failure
+        failure = self._line.failure or self._own_vent
+        if failure is not None:
+            raise failure
         silent = time.monotonic() - self._heard
         if self._armed and silent > SILENCE:
             raise RigError(
-                f"{self._port.name}: no reading for {silent:.1f} s; check its line to the computer"
+                f"{self._line.name}: no reading for {silent:.1f} s; check its line to the computer"
             )
 
     def configure(self, limits: Limits) -> None:
@@ -147,7 +148,7 @@ class Manifold:
         assert self.ident is not None
         self.limits = limits.within(self.ident)
         # What was there before, such as a reset, is done with.
-        self._failure = self._failure if isinstance(self._failure, PortLost) else None
+        self._own_vent = None
         self._armed = False
         self._ask(lambda seq: SetLimits(seq, *(int(p) for p in limits)))
 
@@ -197,31 +198,22 @@ class Manifold:
     def _tell(self, make: Callable[[int], Message]) -> int:
         with self._writing:
             seq = self._number()
-            self._write(encode(make(seq)))
+            self._line.write(make(seq))
         return seq
 
-    def _write(self, frame: bytes) -> None:
-        try:
-            self._port.write(frame)
-        except (serial.SerialException, OSError) as error:
-            raise self._gone(error) from None
-        if self._sent is not None:
-            self._sent(host_ns(), frame)
-
-    def _gone(self, error: Exception) -> PortLost:
-        failure = PortLost(
-            f"{self._port.name}: the port is gone ({error}); {VENTS}; check its plug and cable"
-        )
-        self._failure = failure
+    def _tell_news(self) -> None:
         with self._news:
             self._news.notify_all()
-        return failure
+
+    @property
+    def _is_gone(self) -> bool:
+        return isinstance(self._line.failure, PortLost)
 
     def _ask(self, make: Callable[[int], Message]) -> None:
         """A command whose answer is waited for, and which may be repeated."""
         for tried in range(TRIES):
-            if isinstance(self._failure, PortLost):
-                raise self._failure
+            if self._is_gone:
+                self.check()
             seq = self._tell(make)
             ack = self._answer(seq)
             if ack is not None:
@@ -232,13 +224,11 @@ class Manifold:
                 return
         self.check()
         name = type(make(0)).__name__
-        raise RigError(f"{self._port.name}: no answer to {name}, asked {TRIES} times; {VENTS}")
+        raise RigError(f"{self._line.name}: no answer to {name}, asked {TRIES} times; {VENTS}")
 
     def _answer(self, seq: int) -> Ack | None:
         with self._news:
-            self._news.wait_for(
-                lambda: seq in self._acks or isinstance(self._failure, PortLost), PATIENCE
-            )
+            self._news.wait_for(lambda: seq in self._acks or self._is_gone, PATIENCE)
             return self._acks.pop(seq, None)
 
     def _judge(self, message: Message, ack: Ack) -> None:
@@ -248,56 +238,24 @@ class Manifold:
         names = {answer.value: answer.name for answer in Answer}
         answer = names.get(ack.answer, f"answer {ack.answer}")
         raise RigError(
-            f"{self._port.name}: {type(message).__name__} was refused: {answer}, {ack.detail}"
+            f"{self._line.name}: {type(message).__name__} was refused: {answer}, {ack.detail}"
         )
 
     def _hello(self) -> Ident:
         for _ in range(3 * TRIES):
             with self._writing:
-                self._write(encode(Hello(PROTOCOL)))
+                self._line.write(Hello(PROTOCOL))
             with self._news:
-                self._news.wait_for(
-                    lambda: self.ident or isinstance(self._failure, PortLost), PATIENCE
-                )
-            if isinstance(self._failure, PortLost):
-                raise self._failure
+                self._news.wait_for(lambda: self.ident or self._is_gone, PATIENCE)
+            if self._is_gone:
+                self.check()
             if self.ident is not None:
                 return self.ident
         heard = f"{self.damaged} damaged frames" if self.damaged else "nothing"
         raise RigError(
-            f"{self._port.name}: no manifold answers, {heard} came; is it switched on, does it run "
+            f"{self._line.name}: no manifold answers, {heard} came; is it switched on, does it run "
             "the firmware in rig/firmware? The published firmware needs `slider rig log`"
         )
-
-    def _read(self) -> None:
-        try:
-            self._listen()
-        except Exception as error:
-            self._failure = RigError(f"{self._port.name}: stopped reading: {error!r}")
-
-    def _listen(self) -> None:
-        begun = False
-        while not self._ends.is_set():
-            try:
-                piece = self._port.read(max(1, self._port.in_waiting))
-            except (serial.SerialException, OSError, TypeError) as error:
-                # TypeError: pyserial's, where the port is closed meanwhile.
-                if not self._ends.is_set():
-                    self._gone(error)
-                return
-            if not piece:
-                continue
-            now = host_ns()
-            if self._sink is not None:
-                self._sink(now, piece)
-            if not begun:
-                # The port was opened within a frame: what is left of that is no damage.
-                _, end, piece = piece.partition(b"\0")
-                begun = bool(end)
-                if not begun:
-                    continue
-            for message in self._decoder.feed(piece):
-                self._take(now, message)
 
     def _take(self, now: int, message: Message) -> None:
         match message:
@@ -308,7 +266,7 @@ class Manifold:
                     self._vented("its readings say so; why was lost on the line")
                 if self._on_reading is not None:
                     self._on_reading(now, message)
-            case Follows() if self._on_follows is not None:
+            case Follows() if self.ident is not None and self._on_follows is not None:
                 self._on_follows(message)
             case Ack():
                 with self._news:
@@ -320,7 +278,7 @@ class Manifold:
                 if self.ident is None:
                     # What was left in buffers from before tells nothing of this line.
                     self.latest, self.lost, self.duplicated = None, 0, 0
-                    self._decoder.damaged = 0
+                    self._line.forget()
                 with self._news:
                     self.ident = message
                     self._news.notify_all()
@@ -331,8 +289,8 @@ class Manifold:
                 )
 
     def _vented(self, why: str) -> None:
-        if self._failure is None:
-            self._failure = RigError(f"{self._port.name}: the manifold vented: {why}")
+        if self._own_vent is None:
+            self._own_vent = RigError(f"{self._line.name}: the manifold vented: {why}")
 
     def _count(self, reading: Reading) -> None:
         if self.latest is not None:
@@ -343,14 +301,6 @@ class Manifold:
             # A reset starts over from 0.
             self.lost += ahead - 1 if ahead < 2**31 else 0
         self.latest = reading
-
-    def _close(self) -> None:
-        self._ends.set()
-        self._reader.join(0.5)
-        # A real port may wait long for bytes that nobody takes. One that is gone: termios.error.
-        with suppress(Exception):
-            self._port.reset_output_buffer()
-        self._port.close()
 
 
 def _piece(first: int, pressures: tuple[int, ...], seq: int) -> WavePiece:

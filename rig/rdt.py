@@ -47,6 +47,11 @@ def faulty(status):
     return (status & ~(ERROR | SATURATED | LATCHED) != 0) | (status == ERROR)
 
 
+def unsound(status):
+    """True where a record is no measurement: saturated, or the box tells an error."""
+    return (status & SATURATED != 0) | faulty(status)
+
+
 def status_text(status: int) -> str:
     """What a status says; empty if it says no error."""
     told = ["saturated"] if status & SATURATED else []
@@ -170,7 +175,7 @@ class Records:
     @property
     def doubtful(self) -> np.ndarray:
         """(n,) True where saturated, stuck, or the box told an error."""
-        return self.stuck | (self.status & SATURATED != 0) | faulty(self.status)
+        return self.stuck | unsound(self.status)
 
     def findings(self) -> tuple[str, ...]:
         """What a user should know of, a sentence each."""

@@ -20,18 +20,18 @@ class Limits(NamedTuple):
     rear_right: float
 
     @classmethod
-    def of(cls, pressures: Sequence[float]) -> "Limits":
-        """One for all chambers, or one for each. Raises `RigError`."""
+    def of(cls, pressures: Sequence[float], where: str = "limits") -> "Limits":
+        """One for all chambers, or one for each. Raises `RigError`, naming `where` they are."""
         if len(pressures) not in (1, 4):
             raise RigError.value(
-                "limits", f"{len(pressures)} pressures", "one for all chambers, or four",
+                where, f"{len(pressures)} pressures", "one for all chambers, or four",
                 f"their order is {', '.join(CHAMBERS)}",
             )  # fmt: skip
         limits = cls(*(list(pressures) * 4)[:4])
         for name, limit in zip(CHAMBERS, limits, strict=True):
             if not 1e3 <= limit <= HIGHEST:
                 raise RigError.value(
-                    f"limit of {name}", f"{limit:g}", f"1e3 to {HIGHEST:g} Pa", "not kPa or psi"
+                    f"{where}, {name}", f"{limit:g}", f"1e3 to {HIGHEST:g} Pa", "not kPa or psi"
                 )
         return limits
 

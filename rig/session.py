@@ -3,6 +3,7 @@
 import json
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import partial
 from importlib.metadata import version
@@ -145,17 +146,11 @@ def finished(folder: Path, name: str, settings: dict[str, Any]) -> dict[str, Any
     Raises `RigError` if that run had other settings.
     """
     path = folder / RECORDINGS / f"{name}.json"
-    try:
-        told = json.loads(path.read_text())
-        before = told["settings"]
-    except FileNotFoundError:
+    told = told_beside(path.with_suffix(".h5"))
+    if told is None:
         return None
-    except (OSError, ValueError, KeyError, TypeError):
-        raise RigError(
-            f"{path}: cannot be read; move it away to run the trial again, or give another --out"
-        ) from None
     # As JSON, in which tuples are lists.
-    now = json.loads(json.dumps(settings))
+    before, now = told["settings"], json.loads(json.dumps(settings))
     differ = [key for key in {*before, *now} if before.get(key) != now.get(key)]
     if differ:
         raise RigError(
@@ -165,13 +160,31 @@ def finished(folder: Path, name: str, settings: dict[str, Any]) -> dict[str, Any
     return told if (folder / f"{name}.csv").exists() else None
 
 
+def told_beside(recording: Path) -> dict[str, Any] | None:
+    """What the run told of a recording; None of one that it did not end. Raises `RigError`."""
+    path = recording.with_suffix(".json")
+    try:
+        told = json.loads(path.read_text())
+        if {"settings", "begun_host_ns", "duration_s", "range"} <= told.keys():
+            return told
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, AttributeError):
+        pass
+    raise RigError(
+        f"{path}: cannot be read; move it away to run the trial again, or give another --out"
+    )
+
+
 def _keep(path: Path) -> None:
-    """What an unfinished trial recorded is not written over."""
+    """What a trial recorded before is not written over, nor what was told of it."""
     count = 1
     while path.exists():
         kept = path.with_name(f"{path.stem}.unfinished-{count}.h5")
         if not kept.exists():
             path.rename(kept)
+            with suppress(FileNotFoundError):
+                path.with_suffix(".json").rename(kept.with_suffix(".json"))
         count += 1
 
 

@@ -50,7 +50,7 @@ class Stillness:
         """Of which sensor it is waited that it is still, in words; nothing once all are."""
         moved = self._moved() if self._seen else np.zeros(len(self._sensors))
         return "".join(
-            f" until {sensor.column} moves by {allowed:.1e} (now {x:.1e})"
+            f", until {sensor.column} moves by less than {allowed:.1e} (now {x:.1e}),"
             for sensor, x, allowed in zip(self._sensors, moved, self._allowed, strict=True)
             if x > allowed
         )

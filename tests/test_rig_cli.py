@@ -16,8 +16,15 @@ import pytest
 
 from calibration.logs import read_log
 from rig.columns import Analogue
-from rig.messages import Reading
+from rig.errors import RigError
+from rig.frames import encode
+from rig.messages import Reading, SetPressures
+from rig.recorder import Recorder
+from rig.recording import read_recording
 from rig.stillness import Stillness
+from rig.unfinished import extent
+from slider_jax.cli.rig import declare_swing, is_of
+from slider_jax.errors import InputError
 from tests.test_rig_vents import EXPERIMENT
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -136,7 +143,7 @@ def test_what_a_killed_run_recorded_is_read_anew(measured, tmp_path):
     (recordings / "a.json").unlink()
     (recordings / "b.h5").write_bytes(b"torn")
     done = slider("rig", "replay", folder, "--out", out)
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == 1, done.stderr
     assert "unfinished: 1.00 s of its drive were recorded" in done.stdout
     assert "b.h5: left out: recording" in done.stderr and "is torn" in done.stderr
     before, after = (
@@ -146,6 +153,50 @@ def test_what_a_killed_run_recorded_is_read_anew(measured, tmp_path):
     assert len(after) == pytest.approx(len(before), abs=2)
     assert after["t_s"][0] == pytest.approx(before["t_s"][0], abs=2.5e-3)
     assert (out / "a.unfinished-1.played.csv").exists()
+    (recordings / "a.unfinished-1.h5").unlink()
+    done = slider("rig", "replay", folder, "--out", tmp_path / "nothing")
+    assert done.returncode == 2 and "no recording could be read" in done.stderr
+    assert not (tmp_path / "nothing").exists()
+
+
+def test_a_run_killed_before_its_drive_has_none(tmp_path):
+    path = tmp_path / "a.h5"
+    with Recorder(path, ("manifold", "commands")) as recorder:
+        recorder.sink("commands")(1, encode(SetPressures(1, 0, 0, 0, 0)))
+    with pytest.raises(RigError, match="its drive had not begun when the run ended"):
+        extent(read_recording(path))
+
+
+SENSORS = "[sensors]  # of the lab\npressure_noise = 10.0\n"
+
+
+@pytest.mark.parametrize(
+    ("sensors", "after"),
+    [
+        ("", "0.0004"),
+        (SENSORS, "0.0004"),
+        (SENSORS + "start_swing = 0.0\n", "0.0004"),
+        (SENSORS + "start_swing = 3e-4\n", "3e-4"),
+    ],
+)
+def test_what_the_tip_swung_by_is_declared_and_the_folder_stays_the_experiments(
+    sensors, after, tmp_path
+):
+    given, path = tmp_path / "given.toml", tmp_path / "out" / "experiment.toml"
+    given.write_text(EXPERIMENT.format(duration=1.0).replace("[[trials]]", f"{sensors}[[trials]]"))
+    path.parent.mkdir()
+    assert not is_of(path.parent, given)
+    path.write_text(given.read_text())
+    told = {"at_rest_deviation": {"tip_m": 5e-4}, "at_rest_noise": {"tip_m": 3e-4}}
+    declare_swing(path, [told])
+    assert re.findall(r"start_swing = (\S+)", path.read_text()) == [after]
+    assert "noise = 10.0" in path.read_text() or not sensors
+    added = path.read_text() + '\n[[trials]]\nfile = "b.csv"\nfrequency = 1.0\namplitude = 1e4\n'
+    path.write_text(added + "duration = 1.0\n")
+    assert is_of(path.parent, given)
+    given.write_text(given.read_text().replace("C_d = 2.0", "C_d = 2.1"))
+    with pytest.raises(InputError, match="holds another experiment"):
+        is_of(path.parent, given)
 
 
 def test_a_recording_is_read_anew_with_other_axes(measured, tmp_path):
@@ -165,10 +216,8 @@ def test_a_recording_is_read_anew_with_other_axes(measured, tmp_path):
 
 
 def test_what_a_manifold_said_is_said_again(measured, tmp_path):
-    from rig.manifold import Decoder
-    from rig.messages import Reading
+    from rig.frames import Decoder
     from rig.port import open_port
-    from rig.recording import read_recording
 
     recording = measured[1] / "recordings" / "a.h5"
     with served("rig", "replay", recording, "--speed", "0.5", cwd=tmp_path) as port:
@@ -193,14 +242,17 @@ def test_what_a_manifold_said_is_said_again(measured, tmp_path):
         (("run", "{exp}", "--port", "x", "--out", "{here}"), "is the experiment's own folder"),
         (
             ("run", "{exp}", "--port", "x", "--out", "{out}", "--limit", "250"),
-            "--limit: given 250; allowed 1000 to 2e+06 Pa",
+            "--limit, front_left: given 250; allowed 1e3 to 2e+06 Pa; not kPa or psi",
         ),
         (("check", "--port", "x", "--pressure", "9e5"), "front_left: given 900000 Pa; allowed 0"),
         (("simulate", "--inject", "leak"), "--inject: given 'leak'; allowed FAULT=VALUE@SECONDS"),
         (("simulate", "--flipped", "2"), "--flipped: given 2; allowed 0 to 0.5, a share"),
         (("simulate", "--noise", "-1"), "--noise: given -1; allowed 0 or more"),
         (("simulate", "--rig-file", "{exp}"), "is there, and not one of a simulated rig"),
-        (("simulate", "{exp}", "--published"), "--published: given with what it has not"),
+        (
+            ("simulate", "{exp}", "--published"),
+            "--published: given with an experiment; allowed --noise",
+        ),
         (("run", "{exp}", "--port", "x", "--out", "{out}", "--rig", "{exp}"), "is an experiment"),
         (("check", "--port", "{exp}"), "experiment.toml: is no serial port"),
         (("replay", "{here}"), "--out: given nothing"),
@@ -252,4 +304,4 @@ def test_a_pause_says_what_it_waits_for():
         volts = 1e6 * (0.02 * np.sin(i))
         still.add(0.02 * i, Reading(i, 0, 2, 0, (0, 0, 0, 0, 0, volts, 0, 0)))
     assert not still.reached
-    assert still.waits_for == " until tip_m moves by 4.0e-04 (now 4.0e-03)"
+    assert still.waits_for == ", until tip_m moves by less than 4.0e-04 (now 4.0e-03),"

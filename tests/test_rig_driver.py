@@ -1,5 +1,6 @@
 """The manifold's driver on a pseudo-terminal, and what a recorded trial comes to."""
 
+import json
 import os
 import time
 from pathlib import Path
@@ -148,6 +149,11 @@ def test_a_run_that_was_stopped_goes_on_with_what_is_missing(tmp_path):
     assert (tmp_path / RECORDINGS / "b.unfinished-1.h5").read_bytes() == b"half"
     with pytest.raises(RigError, match="run with another x"):
         recorded(tmp_path, trials, settings={"x": (1, 3)})
+    # What is measured again leaves what was measured before, and what was told of it.
+    (tmp_path / "a.csv").unlink()
+    recorded(tmp_path, trials, settings={"x": (1, 2)})
+    told = json.loads((tmp_path / RECORDINGS / "a.unfinished-1.json").read_text())
+    assert told["trial"] == "a" and (tmp_path / RECORDINGS / "a.unfinished-1.h5").exists()
 
 
 def test_a_bad_line_loses_readings_and_says_so(tmp_path):
@@ -241,7 +247,7 @@ def test_a_limit_above_the_firmwares_is_refused():
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ([1.0], "limit of front_left: given 1; allowed 1e3 to 2e\\+06 Pa; not kPa or psi"),
+        ([1.0], "limits, front_left: given 1; allowed 1e3 to 2e\\+06 Pa; not kPa or psi"),
         ([2e5, 2e5], "given 2 pressures; allowed one for all chambers, or four"),
         ([float("nan")] * 4, "given nan"),
     ],

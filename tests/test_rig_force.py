@@ -130,6 +130,19 @@ def test_numbers_roll_over_at_32_bits():
     assert records.rate == RATE
 
 
+def test_the_box_s_own_time_goes_on_over_the_roll_and_leaves_out_what_comes_late():
+    box, start = rdt.BoxTime(), 2**32 - 10
+    came = [start, start + 7, start + 21, start + 14, start + 21, start + 28]
+    found = [box.seconds(x % 2**32) for x in came]
+    assert found == [0.0, pytest.approx(0.001), pytest.approx(0.003), None, None,
+                     pytest.approx(0.004)]  # fmt: skip
+
+
+def test_a_record_without_a_measurement_is_unsound():
+    assert not rdt.unsound(0) and not rdt.unsound(rdt.LATCHED)
+    assert rdt.unsound(rdt.SATURATED) and rdt.unsound(rdt.ERROR)
+
+
 def test_a_new_stream_within_a_recording_is_refused():
     one = virtual_stream(0.1, Line())
     two = virtual_stream(0.1, Line(), start=51.0, seed=2)

@@ -34,6 +34,28 @@ def arrives(live, i, late_ms=0.2, **content):
     live.reading(ZERO_NS + int(2e6 * i + 1e6 * late_ms), reading(i, **content))
 
 
+def test_a_manifold_that_starts_anew_is_followed_anew():
+    live = stream()
+    command = live.set((100.0, 0.0, 0.0, 0.0))
+    follows(live, 1, 900e3, (100, 0, 0, 0))
+    live.reading(ZERO_NS, Reading(7, 900_001_000, 2, command, (0,) * 8))
+    live.reading(ZERO_NS, Reading(0, 0, 0, 0, (0,) * 8))  # booted: its valves follow nothing
+    for i in range(1, 4):
+        arrives(live, i)
+    follows(live, 0, 7.0, (100, 0, 0, 0))
+    arrives(live, 4, command=command)
+    found = live.take()
+    assert found.device_s == pytest.approx([2e-3, 4e-3, 6e-3, 8e-3])
+    assert found.set_pressure[0] == pytest.approx([0.0, 0.0, 0.0, 50.0])
+
+
+def test_readings_count_while_the_valves_follow():
+    live = stream()
+    arrives(live, 0, p=(50, 0, 0, 0))
+    live.reading(ZERO_NS, Reading(1, 2000, 1, 0, (40,) + (0,) * 7))  # vented
+    assert live.take().measured[0].tolist() == [50.0]
+
+
 def follows(live, number, ms, p):
     live.follows(Follows(number, round(1000 * ms), *p))
 
@@ -102,6 +124,28 @@ def test_a_reading_waits_for_the_force_of_its_time():
     live.force(ZERO_NS + 13_000_000, 11e-3, 16.5, 0.0)
     found = live.take()
     assert found.device_s == pytest.approx([10e-3]) and found.measured[2] == pytest.approx([15.0])
+
+
+def test_no_line_is_drawn_over_lost_forces():
+    live = stream(has_force=True)
+    for i in range(40):
+        arrives(live, i, late_ms=0.0)
+        if not 10 <= i < 20:
+            live.force(ZERO_NS + int(2e6 * i), 2e-3 * i, 1.0 * i, 0.0)
+    thrust = live.take().measured[2]
+    assert np.isnan(thrust[10:20]).all() and np.isfinite(thrust[:10]).all()
+    assert np.isfinite(thrust[21:39]).all()
+
+
+def test_forces_are_there_when_a_prompter_reading_moves_the_clock():
+    live = stream(has_force=True)
+    read = 0
+    for i in range(200):
+        arrives(live, i, late_ms=20.0 if i < 100 else 0.0)
+        live.force(ZERO_NS + int(2e6 * i), 2e-3 * i, 1.0 * i, 0.0)
+        found = live.take()
+        read += int(np.isfinite(found.measured[2]).sum())
+    assert read >= 180
 
 
 def test_a_force_sensor_that_falls_silent_is_not_waited_for():

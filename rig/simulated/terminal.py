@@ -9,7 +9,7 @@ import threading
 import time
 import tty
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from typing import NamedTuple, Protocol
 
@@ -59,12 +59,14 @@ class Terminal:
     def wait_for_host(self) -> None:
         """Until a program has opened the port."""
         os.close(self._theirs)
+        self._theirs = -1
         listener = select.poll()
         listener.register(self._ours, select.POLLHUP)
         # A terminal whose other end nobody holds is hung up.
         while any(event & select.POLLHUP for _, event in listener.poll(0)):
             time.sleep(0.01)
-        self._theirs = os.open(self.path, os.O_RDWR | os.O_NOCTTY)
+        with suppress(OSError):  # of a host that wants it for itself; the port ends with that one
+            self._theirs = os.open(self.path, os.O_RDWR | os.O_NOCTTY)
 
     def serve(self, ended: Callable[[], bool]) -> None:
         """The device's main loop, in real time, until `ended`; then the cable is pulled."""
@@ -77,14 +79,15 @@ class Terminal:
                 said = self._device.feed(heard, now_us) if heard else b""
                 self._write(said + self._device.tick(now_us))
         finally:
-            # `_theirs` was open all the while, else `_ours` could not be read before a host comes.
             os.close(self._ours)
-            os.close(self._theirs)
+            # Open all the while, where it can be, else `_ours` could not be read without a host.
+            if self._theirs >= 0:
+                os.close(self._theirs)
 
     def _read(self) -> bytes:
         try:
             return os.read(self._ours, 65_536)
-        except BlockingIOError:
+        except OSError:  # nothing has come, or nobody holds the other end
             return b""
 
     def _write(self, said: bytes) -> None:

@@ -1,5 +1,7 @@
 """`slider rig`: what its commands share, and the list of ports."""
 
+import re
+import shutil
 import signal
 import sys
 import time
@@ -31,7 +33,7 @@ from slider_jax.toml_file import read_toml, validate
 Port = Annotated[str, tyro.conf.arg(metavar="PORT")]
 RigFile = Annotated[Path | None, tyro.conf.arg(metavar="RIG.toml")]
 LEAST_SWING = 1e-4
-"""Of the tip before a trial [m]: what is less is not told of."""
+"""Of the tip before a trial [m]: what is less is not declared."""
 
 
 def ports() -> None:
@@ -60,14 +62,17 @@ def copy_experiment(path: Path, folder: Path) -> None:
 
 
 def is_of(folder: Path, path: Path) -> bool:
-    """Whether a folder holds this experiment already, and what was added to it.
+    """Whether a folder holds this experiment already, with what was added to it: trials, and what
+    the tip swung by.
 
     Raises `InputError` where it holds another one.
     """
     there = folder / "experiment.toml"
     if not there.exists():
         return False
-    if not there.read_bytes().startswith(path.read_bytes().rstrip()):
+    holds, given = (_without_swing(read_toml(x)) for x in (there, path))
+    trials = given.get("trials", [])
+    if (holds | {"trials": holds.get("trials", [])[: len(trials)]}) != given | {"trials": trials}:
         raise InputError(
             f"{folder}: holds another experiment than {path}; give another --out, or that file "
             "as it was to go on"
@@ -75,23 +80,27 @@ def is_of(folder: Path, path: Path) -> bool:
     return True
 
 
-def declare_swing(path: Path, told: list[dict[str, Any]]) -> None:
-    """Adds what the tip swung by before the trials to an experiment file without [sensors].
+def _without_swing(tables: dict[str, Any]) -> dict[str, Any]:
+    sensors = {k: v for k, v in tables.pop("sensors", {}).items() if k != "start_swing"}
+    return tables | ({"sensors": sensors} if sensors else {})
 
-    Says so where a file declares less in its own.
-    """
+
+def declare_swing(path: Path, told: list[dict[str, Any]]) -> None:
+    """Writes what the tip swung by before the trials into an experiment file that declares less."""
     swing = start_swing(told)
-    table = validate(ExperimentTable, read_toml(path), str(path))
-    if "sensors" not in table.model_fields_set and swing > 0.0:
-        added = f"[sensors]\nstart_swing = {swing:.2g}  # m, measured at rest\n"
-        write_text(path, f"{path.read_text().rstrip()}\n\n{added}")
-    elif swing > max(2.0 * table.sensors.start_swing, LEAST_SWING):
-        print(
-            f"{path}: sensors.start_swing is {table.sensors.start_swing:g} m; before the trials "
-            f"the tip swung by {swing:.2g} m, which the loop will look for a cause of: write "
-            f"start_swing = {swing:.2g} there",
-            file=sys.stderr,
-        )
+    declared = validate(ExperimentTable, read_toml(path), str(path)).sensors.start_swing
+    if swing <= max(2.0 * declared, LEAST_SWING):
+        return
+    line = f"start_swing = {swing:.2g}  # m, measured at rest"
+    text = path.read_text()
+    if re.search(r"^start_swing\s*=", text, re.M):
+        text = re.sub(r"^start_swing\s*=.*$", line, text, count=1, flags=re.M)
+    elif re.search(r"^\[sensors\]", text, re.M):
+        text = re.sub(r"^\[sensors\].*$", rf"\g<0>\n{line}", text, count=1, flags=re.M)
+    else:
+        text = f"{text.rstrip()}\n\n[sensors]\n{line}\n"
+    write_text(path, text)
+    print(f"{path}: the tip swung by {swing:.2g} m before the trials: declared", file=sys.stderr)
 
 
 def to_play(trial: TrialTable, path: Path) -> Trial:
@@ -228,8 +237,11 @@ class Live:
             said += f"  Fx {found[1][0]:6.3f} N" if found is not None else ""
             said += f"  force lost {force.health().missing}"
         said += f"  lost {manifold.lost} damaged {manifold.damaged}"
-        print(f"\r{said:<100}" if self._terminal else said, end="" if self._terminal else "\n",
-              file=sys.stderr, flush=True)  # fmt: skip
+        if self._terminal:
+            width = shutil.get_terminal_size().columns - 1
+            print(f"\r{said[:width]:<{width}}", end="", file=sys.stderr, flush=True)
+        else:
+            print(said, file=sys.stderr, flush=True)
 
     def end(self) -> None:
         """Leaves the line."""

@@ -3,11 +3,12 @@
 import threading
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from typing import Any, cast
+from dataclasses import replace
 
 import numpy as np
 
 from rig import rdt
+from rig.capture import Trial
 from rig.force import ForceSource, Mounting
 from rig.live import LiveStream
 from rig.manifold import Manifold
@@ -16,22 +17,26 @@ from rig.port import open_port
 from rig.priority import real_time
 from rig.safety import Limits
 from slider_jax.cli.rig import force_of
+from slider_jax.cli.rig_settings import ForceTable, RigTable
 
 
 class Playing:
-    """A drive played in a thread of its own, before all others; vented at the end of the block.
+    """A drive played for `duration` [s] in a thread of its own, before all others.
 
-    `stream` has what comes meanwhile.
+    A context: at its end everything is vented. `stream` has what comes meanwhile. Raises `RigError`
+    at its beginning, in `ended` and at its end.
     """
 
-    def __init__(self, port: str, settings: Any, trial: Any, duration: float):
-        self._port, self._settings, self._trial = port, settings, trial
-        self._duration, self._failure = duration, cast(BaseException | None, None)
+    def __init__(self, port: str, settings: RigTable, trial: Trial, duration: float):
+        self._port, self._settings = port, settings
+        self._trial = replace(trial, duration=duration)
+        self._failure: BaseException | None = None
         analogue = tuple(x.sensor() for x in settings.analogue)
         self.stream = LiveStream(analogue, settings.force is not None)
-        self._stop = threading.Event()
+        self._stop, self._begun = threading.Event(), threading.Event()
         self.lost = 0
-        self._begun, self._force = threading.Event(), cast(Any, None)
+        """Readings of the manifold."""
+        self._force: ForceSource | None = None
         self._thread = threading.Thread(target=self._play, name="player", daemon=True)
 
     @property
@@ -42,26 +47,28 @@ class Playing:
         return not self._thread.is_alive()
 
     def __enter__(self) -> "Playing":
-        self._thread.start()
         try:
+            self._thread.start()
             while not self._begun.wait(0.05) and self._thread.is_alive():
                 pass
-        except BaseException:
-            self._end()
+        except BaseException as error:
+            self._end_after(error)
             raise
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        self._end()
+        self._end_after(error)
+
+    def _end_after(self, error: BaseException | None) -> None:
+        """Vents; what goes wrong with that is noted on the `error` that led here, if any."""
+        self._stop.set()
+        if self._thread.ident is not None:
+            self._thread.join()
         if self._failure is None or error is self._failure:
             return
         if error is None:
             raise self._failure
         error.add_note(str(self._failure))
-
-    def _end(self) -> None:
-        self._stop.set()
-        self._thread.join()
 
     def _play(self) -> None:
         try:
@@ -73,7 +80,7 @@ class Playing:
 
     def _run(self) -> None:
         limits = Limits.of(self._settings.manifold.limits)
-        self._trial.drive.check(limits, self._duration)
+        self._trial.check(limits)
         stream = self.stream
         manifold = Manifold(
             open_port(self._port), on_reading=stream.reading, on_follows=stream.follows
@@ -83,11 +90,10 @@ class Playing:
             m.configure(limits)
             with _forces(self._settings, stream) as self._force:
                 m.arm()
-                stream.clear()  # of what came before, the first block would be late
                 self._begun.set()
                 rate = self._settings.manifold.commands_per_second
                 try:
-                    play(stream, self._trial.drive, self._duration, rate, self._tick)
+                    play(stream, self._trial.drive, self._trial.duration, rate, self._tick)
                 except BaseException as error:
                     m.stop_after(error)
                     raise
@@ -106,13 +112,13 @@ class _Ended(Exception):
     """The drive is not to go on."""
 
 
-def _forces(settings: Any, stream: LiveStream) -> AbstractContextManager[ForceSource | None]:
+def _forces(settings: RigTable, stream: LiveStream) -> AbstractContextManager[ForceSource | None]:
     """A context in which the force sensor's samples go to the stream."""
     return nullcontext() if settings.force is None else _forces_of(settings.force, stream)
 
 
 @contextmanager
-def _forces_of(table: Any, stream: LiveStream) -> Iterator[ForceSource]:
+def _forces_of(table: ForceTable, stream: LiveStream) -> Iterator[ForceSource]:
     source, _ = force_of(table)
     mounting, box = Mounting(table.thrust, table.recoil), rdt.BoxTime()
 
@@ -122,8 +128,9 @@ def _forces_of(table: Any, stream: LiveStream) -> Iterator[ForceSource]:
         if at is None:
             return
         wrench = source.calibration.wrench(np.array(counts))
-        sound = np.nan if rdt.status_text(status) else 1.0
-        thrust, recoil = mounting.thrust_and_recoil(sound * wrench)
+        if rdt.unsound(status):
+            wrench = np.full(6, np.nan)
+        thrust, recoil = mounting.thrust_and_recoil(wrench)
         stream.force(host_ns, at, float(thrust), float(recoil))
 
     with source:

@@ -1,6 +1,5 @@
 """`slider rig replay`: recordings, read anew or said again."""
 
-import json
 import sys
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -11,6 +10,7 @@ from rig.columns import Columns, columns
 from rig.errors import RigError
 from rig.force import Mounting
 from rig.recording import Recording, read_recording
+from rig.session import RECORDINGS, told_beside, write_trial
 from rig.sources import force_reader
 from rig.unfinished import extent
 from slider_jax.cli.options import MaybeFolder, Value
@@ -25,13 +25,14 @@ def replay(
     out: MaybeFolder = None,
     rig: RigFile = None,
     speed: Value = 1.0,
-) -> None:
+) -> int:
     """Read recordings anew into the trials' CSVs, or say one again on a port.
 
     Of an experiment's folder that `slider rig run` wrote, every trial is read anew into --out, also
     one in which the run was killed: with the rig as it was, or as the rig file has it now, with
     other axes or analogue sensors. Of one recording, what the manifold said is said again on a
-    pseudo-terminal at its own pace, from when a program opens that.
+    pseudo-terminal at its own pace, from when a program opens that. Exit code 1 if a recording
+    could not be read.
 
     Args:
         recording: an experiment's folder, or one recording.
@@ -43,17 +44,16 @@ def replay(
     if recording.is_dir():
         if out is None:
             raise InputError("--out: given nothing; allowed a folder for the trials read anew")
-        _anew(recording, out, rig)
-    else:
-        if out is not None:
-            raise InputError(f"--out {out}: is for an experiment's folder; leave it out")
-        if not 0.01 <= speed <= 100.0:
-            raise InputError.value("--speed", f"{speed:g}", "0.01 to 100")
-        _again(recording, speed)
+        return _anew(recording, out, rig)
+    if out is not None:
+        raise InputError(f"--out {out}: is for an experiment's folder; leave it out")
+    if not 0.01 <= speed <= 100.0:
+        raise InputError.value("--speed", f"{speed:g}", "0.01 to 100")
+    _again(recording, speed)
+    return 0
 
 
-def _anew(folder: Path, out: Path, rig: Path | None) -> None:
-    from rig.session import RECORDINGS, write_trial
+def _anew(folder: Path, out: Path, rig: Path | None) -> int:
     from slider_jax.cli.options import refuse_own_folder
     from slider_jax.cli.rig import copy_experiment
     from slider_jax.cli.rig_settings import rig_of
@@ -64,20 +64,27 @@ def _anew(folder: Path, out: Path, rig: Path | None) -> None:
     if not paths:
         raise InputError(f"{folder}: holds no {RECORDINGS}/*.h5; give a folder of slider rig run")
     given = rig_of(rig) if rig is not None else None
-    experiment = folder / "experiment.toml"
+    experiment, meant = folder / "experiment.toml", dict[str, float]()
+    if experiment.exists():
+        meant = {x.name: x.duration for x in trials_of(experiment)[1]}
+    left_out = 0
     with staged(out) as stage:
         for path in paths:
             try:
-                trial = _trial(path, experiment)
-                read, left_out = _read(trial, given, path)
+                trial = _trial(path, meant)
+                read, missing = _read(trial, given, path)
             except RigError as error:
+                left_out += 1
                 print(f"{path.name}: left out: {error}", file=sys.stderr)
                 continue
             write_trial(stage, path.stem, read)
-            said = [*trial.findings, *left_out, *read.told["findings"]]
+            said = [*trial.findings, *missing, *read.told["findings"]]
             print(f"{path.stem}.csv  {'; '.join(said) or 'no findings'}")
-        if experiment.exists():
+        if left_out == len(paths):
+            raise InputError(f"{folder}: no recording could be read; nothing is written")
+        if meant:
             copy_experiment(experiment, stage)
+    return 1 if left_out else 0
 
 
 class _Trial(NamedTuple):
@@ -91,16 +98,15 @@ class _Trial(NamedTuple):
     findings: tuple[str, ...]
 
 
-def _trial(path: Path, experiment: Path) -> _Trial:
-    """Also of a run that was killed in it, of which nothing else tells."""
-    recording = read_recording(path)
-    beside = path.with_suffix(".json")
-    if beside.exists():
-        told = json.loads(beside.read_text())
-        columns = tuple(told["range"])
-        return _Trial(recording, told["begun_host_ns"], told["duration_s"], columns, ())
+def _trial(path: Path, meant: dict[str, float]) -> _Trial:
+    """Also of a run that was killed in it, of which nothing else tells. `meant` [s] is how long the
+    experiment's trials are, by name."""
+    recording, told = read_recording(path), told_beside(path)
+    if told is not None:
+        return _Trial(
+            recording, told["begun_host_ns"], told["duration_s"], tuple(told["range"]), ()
+        )
     found = extent(recording)
-    meant = {x.name: x.duration for x in trials_of(experiment)[1]} if experiment.exists() else {}
     seconds = min(found.seconds, meant.get(path.stem.split(".unfinished-")[0], found.seconds))
     cut = f"unfinished: {seconds:.2f} s of its drive were recorded"
     return _Trial(recording, found.begun_ns, seconds, (), (cut,))

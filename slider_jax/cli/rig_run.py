@@ -46,6 +46,7 @@ def run(
         limit: highest set pressure [Pa] of all chambers, or of the four; 250e3 by default.
         force: address of an ATI Net F/T box; its other settings are the rig file's.
     """
+    from rig.safety import Limits
     from rig.session import finished, run as run_trials
     from slider_jax.cli.rig_settings import rig_of
     from slider_jax.files import output_folder
@@ -56,7 +57,7 @@ def run(
     table, trials = trials_of(experiment)
     changes: dict[str, dict[str, Any]] = {}
     if limit is not None:
-        _check_limit(limit)
+        Limits.of(limit, "--limit")
         changes["manifold"] = {"limits": list(limit)}
     if force is not None:
         changes["force"] = {"host": force}
@@ -96,12 +97,3 @@ def run(
               f"{1e3 * told_of['command_late_99_s']:.1f} ms: {said}")  # fmt: skip
     print(f"experiment.toml and the trials are in {folder}: slider close-loop "
           f"{folder / 'experiment.toml'} --out ...", file=sys.stderr)  # fmt: skip
-
-
-def _check_limit(limit: tuple[float, ...]) -> None:
-    if len(limit) not in (1, 4):
-        given = f"{len(limit)} pressures"
-        raise InputError.value("--limit", given, "one for all chambers, or four")
-    for pressure in limit:
-        if not 1e3 <= pressure <= 2e6:
-            raise InputError.value("--limit", f"{pressure:g}", "1000 to 2e+06 Pa", "not kPa or psi")

@@ -13,16 +13,18 @@ from rig.simulated.bench import MADE_UP
 from slider_jax.cli.options import MaybeExperiment, ModelFile, Value, Whole
 from slider_jax.errors import InputError
 
+RIG_FILE, FORCE_NOISE, TIP_NOISE = Path("simulated_rig.toml"), 2e-3, 2e-5
+
 
 def simulate(
     experiment: MaybeExperiment = None,
-    rig_file: Annotated[Path, tyro.conf.arg(metavar="RIG.toml")] = Path("simulated_rig.toml"),
+    rig_file: Annotated[Path, tyro.conf.arg(metavar="RIG.toml")] = RIG_FILE,
     model: ModelFile = None,
     flipped: Value = 0.0,
     dropped: Value = 0.0,
     noise: Value = 200.0,
-    force_noise: Value = 2e-3,
-    tip_noise: Value = 2e-5,
+    force_noise: Value = FORCE_NOISE,
+    tip_noise: Value = TIP_NOISE,
     inject: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FAULT=VALUE@SECONDS")] = (),
     seed: Whole = 0,
     published: bool = False,
@@ -61,8 +63,14 @@ def simulate(
         if not 0.0 <= deviation < np.inf:
             raise InputError.value(name, f"{deviation:g}", "0 or more")
     if published:
-        if experiment or model or inject or flipped or dropped:
-            raise InputError("--published: given with what it has not; allowed --noise and --seed")
+        given = {
+            "an experiment": experiment, "--model": model, "--inject": inject, "--flipped": flipped,
+            "--dropped": dropped, "--force-noise": force_noise != FORCE_NOISE,
+            "--tip-noise": tip_noise != TIP_NOISE, "--rig-file": rig_file != RIG_FILE,
+        }  # fmt: skip
+        if any(given.values()):
+            found = ", ".join(name for name, x in given.items() if x)
+            raise InputError.value("--published", f"with {found}", "--noise and --seed beside it")
         _serve_published(noise, seed)
         return
     _refuse_other(rig_file)
@@ -119,7 +127,9 @@ def _serve_published(noise: float, seed: int) -> None:
 
 def _refuse_other(rig_file: Path) -> None:
     """A rig file that somebody wrote is not written over."""
-    if rig_file.exists() and MADE_UP not in rig_file.read_text(errors="replace"):
+    if rig_file.is_dir() or (
+        rig_file.exists() and MADE_UP not in rig_file.read_text(errors="replace")
+    ):
         raise InputError(
             f"--rig-file {rig_file}: is there, and not one of a simulated rig; give another name"
         )

@@ -4,17 +4,22 @@ import sys
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
 
-from rig.errors import RigError
-from rig.live import CHANNELS_OUT
-from slider_jax.cli.options import MaybeFolder, ModelFile, Seconds, Whole
+from calibration.twin import Block, Twin
+from calibration.twin_stream import Stretch
+from rig.live import CHANNELS_OUT, Live
+from slider_jax.cli.options import MaybeFolder, ModelFile, Seconds, Whole, chosen_trials
 from slider_jax.cli.rig import Port, RigFile, signals_as_ctrl_c, to_play, with_counts
 from slider_jax.cli.rig_playing import Playing
+from slider_jax.cli.rig_settings import rig_of
 from slider_jax.errors import InputError
+from slider_jax.experiment import load
+from slider_jax.files import staged, write_csv, write_json
+from slider_jax.provenance import input_file, versions
 
 PAUSE = 0.01
 """Between looks at what has come [s]."""
@@ -54,14 +59,6 @@ def watch(
         out: folder for watch.json and watch.csv, a row a block; made if missing. Written also
             where it was stopped, or a port was lost.
     """
-    from calibration.twin import Twin
-    from calibration.twin_stream import Stretch
-    from slider_jax.cli.options import chosen_trials
-    from slider_jax.cli.rig_settings import rig_of
-    from slider_jax.experiment import load
-    from slider_jax.files import staged, write_csv, write_json
-    from slider_jax.provenance import input_file, versions
-
     loaded = load(experiment, model)
     (chosen,) = chosen_trials(loaded.trials, trial)
     if chosen.tow_speed or chosen.clamp_moves:
@@ -81,7 +78,7 @@ def watch(
             f"judged; give --seconds {10.0 * twin.judges_after:.0f}",
             file=sys.stderr,
         )
-    told, ended = _Told(), cast(BaseException | None, None)
+    told = _Told()
     playing = Playing(port, settings, played, duration)
     try:
         with signals_as_ctrl_c(), playing:
@@ -92,25 +89,18 @@ def watch(
                     continue
                 stretch = Stretch(live.device_s, live.set_pressure, live.measured)
                 for block in twin.feed(stretch):
-                    told.take(block, int(live.arrived_ns[-1]), playing.lost)
+                    told.take(block, _arrived(block, live), playing.lost)
                 if told.alarms and not sys.stderr.isatty():
+                    told.ended = "by the alarm"
                     break
-    except (KeyboardInterrupt, RigError) as error:
-        ended = error  # after what there is has been told and written
-    told.sum_up()
-    if out is not None and told.rows:
-        with staged(out) as stage:
-            columns = {k: np.array([r[k] for r in told.rows]) for k in told.rows[0]}
-            write_csv(stage / "watch.csv", columns)
-            content = {
-                "alarms": told.alarms, "t_0_device_s": told.begun, "lost": playing.lost,
-                "ended": "whole" if ended is None else str(ended) or "stopped",
-                "input": input_file(experiment), "rig": settings.model_dump(mode="json"),
-                "versions": versions(),
-            }  # fmt: skip
-            write_json(stage / "watch.json", content)
-    if ended is not None:
-        raise ended
+    except BaseException as error:  # whatever it is: what was watched is told first
+        told.ended = "\n".join([str(error) or "stopped", *getattr(error, "__notes__", ())])
+        raise
+    finally:
+        told.sum_up()
+        if out is not None and told.rows:
+            source = {"input": input_file(experiment), "rig": settings.model_dump(mode="json")}
+            told.write(out, {"lost": playing.lost, **source, "versions": versions()})
     return 1 if told.alarms else 0
 
 
@@ -122,10 +112,12 @@ class _Told:
     alarms: list[dict[str, Any]] = field(default_factory=list)
     begun: float = np.nan
     """The manifold's time of the first reading [s]."""
+    ended: str = "whole"
     _said: float = 0.0
     _on: bool = False
 
-    def take(self, block: Any, arrived_ns: int, lost: int) -> None:
+    def take(self, block: Block, arrived_ns: int, lost: int) -> None:
+        """A block, and when its last reading arrived."""
         if not self.rows:
             self.begun = float(block.t[0])
         lag = 1e-9 * (time.monotonic_ns() - arrived_ns)
@@ -152,8 +144,22 @@ class _Told:
         for alarm in self.alarms:
             print(f"ALARM at {alarm['t_s']:.2f} s: {alarm['said']}")
 
+    def write(self, out: Path, beside: dict[str, Any]) -> None:
+        """watch.csv and watch.json, with what is to be told `beside`."""
+        with staged(out) as stage:
+            columns = {k: np.array([r[k] for r in self.rows]) for k in self.rows[0]}
+            write_csv(stage / "watch.csv", columns)
+            told = {"alarms": self.alarms, "t_0_device_s": self.begun, "ended": self.ended}
+            write_json(stage / "watch.json", told | beside)
 
-def _row(block: Any, begun: float, lag: float) -> dict[str, float]:
+
+def _arrived(block: Block, live: Live) -> int:
+    """When the reading that made a block complete arrived [ns]."""
+    complete = np.searchsorted(live.device_s, block.t[-1] - 1e-3)
+    return int(live.arrived_ns[min(complete, len(live.arrived_ns) - 1)])
+
+
+def _row(block: Block, begun: float, lag: float) -> dict[str, float]:
     there = np.isfinite(block.residual)
     squares = np.where(there, block.residual, 0.0) ** 2
     rms = np.sqrt(squares.sum(axis=1) / np.maximum(there.sum(axis=1), 1))
@@ -170,7 +176,7 @@ def _row(block: Any, begun: float, lag: float) -> dict[str, float]:
     }
 
 
-def _say(block: Any, row: dict[str, float], lost: int, new: bool) -> None:
+def _say(block: Block, row: dict[str, float], lost: int, new: bool) -> None:
     there = np.isfinite(block.measured)
     count = np.maximum(there.sum(axis=1), 1)
     model, measured = (
