@@ -236,7 +236,7 @@ class Watch:
         best = int(np.argmax(gained))
         where = ("front", "rear")[i]
         if gained[best] < FITS:
-            return f"{where} chamber: pressure off, unlike leak, blocked valve or lag"
+            return f"{where} chambers: pressure off, unlike leak, blocked valve or lag"
         suspect = SUSPECTS[best]
-        side = {1: ", positive side", -1: ", negative side", 0: ""}[suspect.side]
-        return f"{suspect.cause}: {where} chamber{side}"
+        side = {1: "_left", -1: "_right", 0: " chambers"}[suspect.side]
+        return f"{suspect.cause}: {where}{side}"

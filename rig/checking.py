@@ -10,8 +10,12 @@ from rig.errors import RigError
 from rig.manifold import Manifold
 from rig.messages import CHAMBERS, Reading
 
+ANSWER = 0.02
+"""Longest that a command's reading is waited for [s]: several may be lost before the watchdog."""
 HOLD = 1.5
 """How long a chamber is held [s]."""
+COMMANDS = 50
+"""Whose answers are timed."""
 LEAST_HELD = 0.95
 """Share of a set pressure that a chamber without a leak comes to."""
 RESOLVED = 0.9
@@ -106,6 +110,11 @@ def check(
     ]
     if rate < RESOLVED * manifold.ident.rate:
         findings.append(f"{rate:.0f} readings a second come, {manifold.ident.rate} are announced")
+    if len(trips) < COMMANDS:
+        findings.append(
+            f"{COMMANDS - len(trips)} of {COMMANDS} commands were not told of within "
+            f"{1e3 * ANSWER:g} ms: lost on the line, or the computer is too busy"
+        )
     if manifold.lost or manifold.damaged:
         findings.append(f"{manifold.lost} readings lost, {manifold.damaged} frames damaged")
     noise, offset = channels.std(axis=0), channels.mean(axis=0)
@@ -120,12 +129,12 @@ def _hold(manifold: Manifold, seconds: float, command: Callable[[], object]) -> 
         time.sleep(0.01)
 
 
-def _round_trips(manifold: Manifold, collector: Collector, count: int = 50) -> np.ndarray:
+def _round_trips(manifold: Manifold, collector: Collector) -> np.ndarray:
     trips = []
-    for _ in range(count):
+    for _ in range(COMMANDS):
         collector.take()
         begun, seq = time.monotonic_ns(), manifold.set((0.0, 0.0, 0.0, 0.0))
-        end = time.monotonic() + 0.1
+        end = time.monotonic() + ANSWER
         while time.monotonic() < end:
             came = next((t for t, r in list(collector.rows) if r.command == seq), None)
             if came is not None:

@@ -115,8 +115,13 @@ def columns(
     findings = _of_line(found, clock) + moves
     if played is None:
         findings += (
-            "not all set pressures that the manifold followed were told; the drive counts as it "
-            "was meant; where none ever are, flash the firmware in rig/firmware",
+            "not all set pressures that the manifold followed were told, so that the drive counts "
+            "as it was meant: "
+            + (
+                "some were lost on the line"
+                if found.follows
+                else "flash the firmware in rig/firmware"
+            ),
         )
     for name, read in instruments.items():
         samples = read(recording.streams[name])
@@ -231,6 +236,7 @@ def _told(
         findings += (f"the disk was too slow for {unkept}",)
     return {
         "readings": len(found.seq),
+        "rows": len(values["t_s"]),
         "readings_lost": found.lost,
         "readings_duplicated": found.duplicated,
         "frames_damaged": found.damaged,

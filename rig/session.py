@@ -20,12 +20,16 @@ from rig.force import ForceSource
 from rig.manifold import Manifold
 from rig.recording import read_recording
 from rig.safety import Limits
-from rig.stillness import Stillness
+from rig.stillness import Stillness, noise_of
 
+RANGES = {"thrust_N": 1.0, "recoil_N": 1.0, "tip_m": 0.08}
+"""What sensors range over in a trial, where none tells yet."""
 LATE = 3e-3
 """Commands that are later than this, one in a hundred, are told of [s]."""
 SLOW = 0.15
 """Flushes of the recording that are further apart are told of [s]."""
+ADDRESSES = {"rig.force.host", "rig.force.port", "rig.force.page_port"}
+"""Settings that may change before a run goes on: where an instrument is, not which."""
 RECORDINGS = "recordings"
 """In an experiment's folder: all that came of a trial, NAME.h5, and what is told, NAME.json."""
 
@@ -70,8 +74,7 @@ def run(
     for trial in trials:
         told = finished(folder, trial.name, settings)
         if told is None:
-            if found:
-                rest(rig, found[-1], partial(watch, trial.name))
+            rest(rig, found[-1] if found else None, partial(watch, trial.name))
             told = one(trial, rig, folder, settings, watch)
             done(trial, told)
         found.append(told)
@@ -121,15 +124,18 @@ def start_swing(told: Sequence[dict[str, Any]]) -> float:
     return float(np.sqrt(max([0.0, *squares])))
 
 
-def rest(rig: Rig, before: dict[str, Any], watch: Callable[[str, float], None]) -> None:
+def rest(rig: Rig, before: dict[str, Any] | None, watch: Callable[[str, float], None]) -> None:
     """Waits, vented, for the robot to come to rest, and raises what happens meanwhile.
 
-    `before` is what is told of the trial before; `watch` hears what is waited for, and since when.
+    `before` is what is told of the trial before, of a first one nothing; `watch` hears what is
+    waited for, and since when.
     """
     # What the manifold did before this session, such as a reset, is done with.
     rig.manifold.configure(rig.limits)
     begun = time.monotonic()
-    still = Stillness(rig.analogue, before["range"], before["at_rest_noise"])
+    ranges = before["range"] if before else RANGES
+    noise = before["at_rest_noise"] if before else noise_of(rig.manifold, rig.analogue)
+    still = Stillness(rig.analogue, ranges, noise)
     while (waited := time.monotonic() - begun) < rig.longest_pause or waited < rig.pause:
         if waited >= rig.pause and still.reached:
             return
@@ -149,15 +155,28 @@ def finished(folder: Path, name: str, settings: dict[str, Any]) -> dict[str, Any
     told = told_beside(path.with_suffix(".h5"))
     if told is None:
         return None
-    # As JSON, in which tuples are lists.
-    before, now = told["settings"], json.loads(json.dumps(settings))
-    differ = [key for key in {*before, *now} if before.get(key) != now.get(key)]
-    if differ:
+    if differ := differing(told["settings"], settings):
         raise RigError(
-            f"{path}: trial {name} is there already, run with another {', '.join(sorted(differ))}; "
+            f"{path}: trial {name} is there already, run with another {', '.join(differ)}; "
             "give another --out, or the same settings to go on"
         )
     return told if (folder / f"{name}.csv").exists() else None
+
+
+def differing(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
+    """Full names of the settings that are not the same any more, `ADDRESSES` left aside."""
+    # As JSON, in which tuples are lists.
+    a, b = _flat(before), _flat(json.loads(json.dumps(now)))
+    return sorted(key for key in {*a, *b} - ADDRESSES if a.get(key) != b.get(key))
+
+
+def _flat(tables: dict[str, Any], name: str = "") -> dict[str, Any]:
+    """Values by their full names."""
+    found: dict[str, Any] = {}
+    for key, value in tables.items():
+        inner = isinstance(value, dict)
+        found |= _flat(value, f"{name}{key}.") if inner else {f"{name}{key}": value}
+    return found
 
 
 def told_beside(recording: Path) -> dict[str, Any] | None:

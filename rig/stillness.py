@@ -1,11 +1,13 @@
 """Whether a robot has come to rest, by the analogue sensors: a trial begins from rest."""
 
+import time
 from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
 
 from rig.columns import Analogue
+from rig.manifold import Manifold
 from rig.messages import Reading
 
 WINDOW = 2.5
@@ -58,3 +60,22 @@ class Stillness:
     def _moved(self) -> np.ndarray:
         """(sensors,) the range of each over the last `WINDOW`."""
         return np.ptp(np.array([x for _, x in self._seen]), axis=0)
+
+
+def noise_of(manifold: Manifold, sensors: Sequence[Analogue], count: int = 50) -> dict[str, float]:
+    """Standard deviation of what one reading of a sensor does not share with the next, by column.
+
+    Of `count` readings, or as many as come in a second; a slow swing does not count.
+    """
+    seen: dict[int, tuple[int, ...]] = {}
+    end = time.monotonic() + 1.0
+    while sensors and len(seen) < count and time.monotonic() < end:
+        latest = manifold.latest
+        if latest is not None:
+            seen[latest.seq] = latest.channels
+        time.sleep(1e-3)
+    if len(seen) < 3:
+        return {}
+    channels = np.array(list(seen.values()), float)
+    # Second differences: of two a swing at 3 Hz and 100 times the noise would still show.
+    return {x.column: float(np.diff(x.signal(channels), 2).std() / np.sqrt(6.0)) for x in sensors}

@@ -21,6 +21,7 @@ from rig.frames import encode
 from rig.messages import Reading, SetPressures
 from rig.recorder import Recorder
 from rig.recording import read_recording
+from rig.session import differing
 from rig.stillness import Stillness
 from rig.unfinished import extent
 from slider_jax.cli.rig import declare_swing, is_of
@@ -255,6 +256,7 @@ def test_what_a_manifold_said_is_said_again(measured, tmp_path):
         ),
         (("run", "{exp}", "--port", "x", "--out", "{out}", "--rig", "{exp}"), "is an experiment"),
         (("check", "--port", "{exp}"), "experiment.toml: is no serial port"),
+        (("simulate", "--inject", "leak_front_left=nan@1"), "0 or more each"),
         (("replay", "{here}"), "--out: given nothing"),
         (("replay", "{here}", "--out", "{out}"), "holds no recordings/*.h5"),
         (("replay", "{exp}"), "is torn, or no recording"),
@@ -285,6 +287,27 @@ def test_a_check_of_a_bad_line_tells_of_its_damage(tmp_path):
         done = slider("rig", "check", "--port", port)
     assert done.returncode in (1, 2)
     assert re.search(r"[1-9]\d* frames (came )?damaged", done.stdout + done.stderr), done.stderr
+
+
+def test_a_check_and_a_run_end_on_a_line_that_loses_a_few_and_tell_of_it(tmp_path):
+    path = tmp_path / "given.toml"
+    path.write_text(EXPERIMENT.format(duration=1.0))
+    with served("rig", "simulate", "--flipped", "0.001", cwd=tmp_path) as port:
+        done = slider("rig", "check", "--port", port)
+        assert done.returncode == 1, done.stderr
+        assert re.search(r"[1-9]\d* of 50 commands were not told of|frames damaged", done.stdout)
+        assert "front_left " in done.stdout
+        done = slider("rig", "run", path, "--port", port, "--out", tmp_path / "out")
+    assert done.returncode == 1
+    assert "1 of 1 trials lost more than one reading in a hundred" in done.stderr
+    assert "some were lost on the line" in done.stdout
+
+
+def test_a_run_goes_on_with_a_rig_at_another_address():
+    told = {"rig": {"force": {"host": "a", "port": 1, "thrust": "+Fx"}}}
+    moved = {"rig": {"force": {"host": "b", "port": 2, "thrust": "+Fx"}}}
+    turned = {"rig": {"force": {"host": "a", "port": 1, "thrust": "-Fx"}}}
+    assert differing(told, moved) == [] and differing(told, turned) == ["rig.force.thrust"]
 
 
 def test_a_log_is_taken_of_the_simulated_published_firmware(tmp_path):

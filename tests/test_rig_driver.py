@@ -57,21 +57,26 @@ def columns_of(path):
 
 
 def test_a_trial_is_recorded_as_the_chambers_went(tmp_path):
-    """Against the lag's own solution under the set pressures."""
+    """Against the lag's own solution under the set pressures as they were followed."""
     drive = Drive("square", 2.0, 100e3, rear_ratio=0.5, phase=0.25)
     (told,) = recorded(tmp_path, [Trial("a", drive, 1.5)])
     found = columns_of(tmp_path / "a.csv")
     assert told["readings_lost"] == told["frames_damaged"] == 0 and told["findings"] == []
     assert np.diff(found["t_s"]) == pytest.approx(2e-3, abs=2e-5)
+    played = columns_of(tmp_path / "a.played.csv")
     fine = np.arange(0.0, 1.5, 1e-4)
-    for name, index in (("p_front_Pa", 0), ("p_rear_Pa", 1)):
+    now = np.searchsorted(played["t_s"], fine, side="right") - 1
+    for name, index in (("front", 0), ("rear", 1)):
+        meant = np.array([drive.segments(t)[index] for t in fine])
+        sets = played[f"set_{name}_Pa"][now]
+        # Edges are late by what commands are on their way, all others are not there.
+        assert np.mean(sets != meant) < 0.02
         p, expected = 0.0, []
-        for t in fine:
+        for p_set in sets:
             expected.append(p)
-            p += 1e-4 / 0.05 * (drive.segments(t)[index] - p)
-        error = found[name] - np.interp(found["t_s"], fine, expected)
-        # A command on its way for 1 ms is 2 % of the lag late.
-        assert np.abs(error).max() < 0.06 * 100e3 and error.std() < 0.015 * 100e3
+            p += 1e-4 / 0.05 * (p_set - p)
+        error = found[f"p_{name}_Pa"] - np.interp(found["t_s"], fine, expected)
+        assert np.abs(error).max() < 0.01 * 100e3 and error.std() < 0.003 * 100e3
     tip, follows = [0.0], 1.0 - np.exp(-2e-3 / 0.02)
     for aim in 2e-7 * (found["p_front_Pa"] + found["p_rear_Pa"])[1:]:
         tip.append(tip[-1] + follows * (aim - tip[-1]))

@@ -10,7 +10,7 @@ from rig.simulated.manifold import ManifoldCore
 from rig.simulated.mischief import Mischief
 from rig.simulated.rig import SimulatedRig
 from rig.simulated.tank import Measured
-from rig.stillness import STILL, WINDOW, Stillness
+from rig.stillness import STILL, WINDOW, Stillness, noise_of
 
 TIP, RANGE = Analogue("tip_m", 1, 0.1), 0.08
 
@@ -134,3 +134,27 @@ def test_a_simulated_manifold_that_was_not_run_does_not_blame_its_host():
     # A host that is silent is still found out, by the time that the program makes up for.
     rig.tick(600_000)
     assert rig.core.state == State.FAULT
+
+
+class Read:
+    """A manifold of which the latest reading is another one each time it is looked at."""
+
+    def __init__(self, tip):
+        self._tip, self._seq = tip, 0
+
+    @property
+    def latest(self):
+        self._seq += 1
+        return reading(self._tip(2e-3 * self._seq))._replace(seq=self._seq)
+
+
+def test_before_the_first_trial_noise_is_told_from_a_swing():
+    rng = np.random.default_rng(0)
+
+    def found(white):
+        swing = Read(lambda t: 0.01 * np.cos(20 * t) + white * rng.normal())
+        return noise_of(swing, (TIP,), 200)["tip_m"]
+
+    assert found(0.0) < 1e-5
+    assert found(3e-4) == pytest.approx(3e-4, rel=0.2)
+    assert noise_of(Read(lambda t: 0.0), ()) == {}

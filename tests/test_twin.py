@@ -108,10 +108,10 @@ PRESSURE, BODY = ("p_front",), ("thrust", "recoil", "tip")
 @pytest.mark.parametrize(
     ("change", "hint", "channels"),
     [
-        ({"leak": 0.1}, "leak: front chamber, positive side", PRESSURE),
-        ({"leak": 0.2}, "leak: front chamber, positive side", PRESSURE),
-        ({"shut": 0.4}, "blocked valve: front chamber, positive side", PRESSURE),
-        ({"shut": 1.0}, "blocked valve: front chamber, positive side", PRESSURE),
+        ({"leak": 0.1}, "leak: front_left", PRESSURE),
+        ({"leak": 0.2}, "leak: front_left", PRESSURE),
+        ({"shut": 0.4}, "blocked valve: front_left", PRESSURE),
+        ({"shut": 1.0}, "blocked valve: front_left", PRESSURE),
         ({"EI_tail": 0.7 * 0.0058}, "changed tail", BODY),
         ({"EI_tail": 1.3 * 0.0058}, "changed tail", BODY),
         ({"tail_length": 0.7 * 0.07}, "changed tail", BODY),
@@ -315,4 +315,4 @@ def test_ten_minutes_of_drift_give_no_alarm_and_a_leak_then_does(experiment, fre
     robot.leak = 0.1
     after, alarm = alarm_after(follow(fresh, robot, 2.0, damage))
     assert after <= 2.0
-    assert alarm.hint == "leak: front chamber, positive side"
+    assert alarm.hint == "leak: front_left"

@@ -20,6 +20,9 @@ from slider_jax.cli.rig import (
 )
 from slider_jax.errors import InputError
 
+MOST_LOST = 0.01
+"""Share of a trial's readings."""
+
 
 def run(
     experiment: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="EXPERIMENT.toml")],
@@ -28,15 +31,16 @@ def run(
     rig: RigFile = None,
     limit: Annotated[tuple[float, ...] | None, tyro.conf.arg(metavar="PA")] = None,
     force: Annotated[str | None, tyro.conf.arg(metavar="HOST")] = None,
-) -> None:
+) -> int:
     """Run every trial of an experiment, and record it.
 
     All chambers vent at the end, on Ctrl-C, on an error, when the port is lost, and, by the
     manifold's own watchdog, when this program or the computer dies. DIR becomes the experiment's
     folder as `slider calibrate` and `slider close-loop` take it: experiment.toml, to which what the
-    tip swung by at rest is added where it has no [sensors], and the trials' CSVs; in
+    tip swung by at rest is written where that declares less, and the trials' CSVs; in
     DIR/recordings is all that came, as it came. A run that was stopped goes on with the trials
-    that are missing when it is started again.
+    that are missing when it is started again. Exit code 1 if more than one reading in a hundred was
+    lost in a trial.
 
     Args:
         experiment: experiment file; its [robot] and [parameters] have no say here.
@@ -88,12 +92,29 @@ def run(
         if not is_of(folder, experiment):
             copy_experiment(experiment, folder)
         live = Live(machine, len(trials))
-        found = run_trials(trials, machine, folder, told, live)
+        try:
+            found = run_trials(trials, machine, folder, told, live)
+        except KeyboardInterrupt as stopped:
+            stopped.add_note(
+                f"all chambers are told to vent; what was recorded is kept in {folder}, and the "
+                "same command goes on"
+            )
+            raise
         live.end()
     declare_swing(folder / "experiment.toml", found)
+    poor = 0
     for told_of in found:
         said = "; ".join(told_of["findings"]) or "no findings"
-        print(f"{told_of['trial']}.csv  {told_of['readings']} readings, commands within "
+        poor += told_of["readings_lost"] > MOST_LOST * told_of["readings"]
+        print(f"{told_of['trial']}.csv  {told_of['rows']} rows, commands within "
               f"{1e3 * told_of['command_late_99_s']:.1f} ms: {said}")  # fmt: skip
+    if poor:
+        print(
+            f"{poor} of {len(found)} trials lost more than one reading in a hundred: see to the "
+            f"line, then measure them again into another --out",
+            file=sys.stderr,
+        )
+        return 1
     print(f"experiment.toml and the trials are in {folder}: slider close-loop "
           f"{folder / 'experiment.toml'} --out ...", file=sys.stderr)  # fmt: skip
+    return 0

@@ -91,6 +91,8 @@ def simulate(
     simulated = SimulatedRig(tank, mischief=mischief)
     with real_time(), running(simulated, force_noise, at, seed) as rig:
         others_too()
+        if rig_file.exists():
+            print(f"{rig_file} is replaced: it was of another simulated rig", file=sys.stderr)
         write_text(rig_file, rig.settings())
         print(f"port {rig.port}", flush=True)
         print(
@@ -138,11 +140,13 @@ def _refuse_other(rig_file: Path) -> None:
 def _fault(text: str) -> tuple[str, float, float]:
     try:
         name, rest = text.split("=")
-        value, when = rest.split("@")
-        return name, float(value), float(when)
+        value, when = (float(x) for x in rest.split("@"))
+        if not (0.0 <= value < np.inf and 0.0 <= when < np.inf):
+            raise ValueError
+        return name, value, when
     except ValueError:
         raise InputError.value(
-            "--inject", repr(text), "FAULT=VALUE@SECONDS, as leak_front_left=5@20"
+            "--inject", repr(text), "FAULT=VALUE@SECONDS, 0 or more each, as leak_front_left=5@20"
         ) from None
 
 
@@ -161,8 +165,9 @@ def _tank(experiment: Path | None, model: Path | None, faults: list[str]):
         from slider_jax.faults import with_fault
 
         prepare_jax()
+        loaded = load(experiment, model)
         print("compiling the simulated robot ...", file=sys.stderr, flush=True)
-        robot = RobotTank(load(experiment, model))
+        robot = RobotTank(loaded)
         for name in faults:
             with_fault(robot.plant.faults, name, 0.1)
         return robot, robot.plant.inject

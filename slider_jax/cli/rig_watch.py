@@ -1,5 +1,6 @@
 """`slider rig watch`: the calibrated model beside the rig while it runs."""
 
+import shutil
 import sys
 import time
 from dataclasses import dataclass, field
@@ -25,6 +26,7 @@ PAUSE = 0.01
 """Between looks at what has come [s]."""
 SHOWN = (
     (0, "front", 1e-3, "5.1f", "kPa"),
+    (1, "rear", 1e-3, "5.1f", "kPa"),
     (2, "thrust", 1.0, "6.3f", "N"),
     (4, "tip", 1e3, "5.1f", "mm"),
 )
@@ -113,6 +115,8 @@ class _Told:
     begun: float = np.nan
     """The manifold's time of the first reading [s]."""
     ended: str = "whole"
+    judged: bool = False
+    """Whether the bands were learned."""
     _said: float = 0.0
     _on: bool = False
 
@@ -122,6 +126,7 @@ class _Told:
             self.begun = float(block.t[0])
         lag = 1e-9 * (time.monotonic_ns() - arrived_ns)
         self.rows.append(_row(block, self.begun, lag))
+        self.judged = block.watching
         new, self._on = block.alarm.on and not self._on, block.alarm.on
         if new:
             at, channels = self.rows[-1]["t_s"], block.alarm.channels
@@ -143,6 +148,8 @@ class _Told:
             )
         for alarm in self.alarms:
             print(f"ALARM at {alarm['t_s']:.2f} s: {alarm['said']}")
+        if self.judged and not self.alarms:
+            print("no alarm")
 
     def write(self, out: Path, beside: dict[str, Any]) -> None:
         """watch.csv and watch.json, with what is to be told `beside`."""
@@ -187,14 +194,16 @@ def _say(block: Block, row: dict[str, float], lost: int, new: bool) -> None:
         for i, name, factor, form, unit in SHOWN
         if there[i].any()
     ]
+    state = "ALARM stands, " if block.alarm.on else "" if block.watching else "learning its bands, "
     line = (
-        f"{row['t_s']:6.1f} s  {', '.join(shown)}, k {block.k.value:.4f} s, "
+        f"{row['t_s']:6.1f} s  {state}{', '.join(shown)}, k {block.k.value:.4f} s, "
         f"K_Q {block.K_Q.value:.3g} m^3, {1e3 * row['lag_s']:.0f} ms late, lost {lost}"
-        f"{'' if block.watching else ', learning its bands'}"
     )
-    if sys.stderr.isatty() and not new:
-        print(f"\r{line}", end="", file=sys.stderr, flush=True)
+    if not sys.stderr.isatty():
+        print(line, file=sys.stderr, flush=True)
     else:
-        print(f"\n{line}" if sys.stderr.isatty() else line, file=sys.stderr, flush=True)
+        width = shutil.get_terminal_size().columns - 1
+        print(f"\r{line[:width]:<{width}}", end="", file=sys.stderr, flush=True)
     if new:
-        print(f"ALARM: {block.alarm.hint}", file=sys.stderr, flush=True)
+        goes_on = "\nit goes on; Ctrl-C vents" if sys.stderr.isatty() else ""
+        print(f"\nALARM: {block.alarm.hint}{goes_on}", file=sys.stderr, flush=True)
