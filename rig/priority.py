@@ -43,9 +43,26 @@ def others_too() -> None:
             os.sched_setscheduler(int(thread), policy, param)
 
 
+@contextmanager
+def ordinary() -> Iterator[bool]:
+    """What is started in the block does not inherit `real_time`; yields whether this thread has it.
+
+    A program that starts computes for some tenths of a second, and of those that run before all
+    others each may keep the rest waiting for 0.1 s.
+    """
+    if not hasattr(os, "sched_setscheduler") or os.sched_getscheduler(0) == os.SCHED_OTHER:
+        yield False
+        return
+    policy, param = os.sched_getscheduler(0), os.sched_getparam(0)
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    try:
+        yield True
+    finally:
+        os.sched_setscheduler(0, policy, param)
+
+
 def behind_its_program() -> None:
-    """This process, which one that is `real_time` has started, runs behind that and still before
-    all ordinary ones."""
-    if hasattr(os, "sched_setscheduler") and os.sched_getscheduler(0) == os.SCHED_RR:
-        with suppress(OSError):
-            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(RECORDER))
+    """This process, which a program that is `real_time` has started, runs behind that one and
+    before all ordinary ones."""
+    with suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(RECORDER))

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.errors import RigError
-from rig.priority import behind_its_program
+from rig.priority import behind_its_program, ordinary
 from rig.recorder import MOST_WAITING, STREAMS, Load, Recorder
 
 HAND_OVER = 0.02
@@ -48,17 +48,19 @@ class ProcessRecorder:
         self._told, self._closed = False, False
         self._started, self._ended = threading.Event(), threading.Event()
         self._ending = threading.Event()
-        asked = {"path": str(self.path), "streams": self._names, "settings": dict(settings or {})}
-        try:
-            text = json.dumps(asked, allow_nan=False)
-        except (TypeError, ValueError) as error:
-            raise RigError(f"recording {path}: settings are not JSON ({error})") from None
+        asked: dict[str, Any] = {
+            "path": str(self.path),
+            "streams": self._names,
+            "settings": dict(settings or {}),
+        }
         # A program of its own, not a fork or a spawn: those run the caller's main module again.
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "rig.recorder_process"],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-            env=os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
-        )  # fmt: skip
+        with ordinary() as asked["real_time"]:
+            text = _as_json(path, asked)
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "rig.recorder_process"],
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                env=os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
+            )  # fmt: skip
         self._threads = [
             threading.Thread(target=work, name="recorder", daemon=True)
             for work in (self._listen, self._feed)
@@ -181,13 +183,19 @@ class ProcessRecorder:
         self._process.stdout.close()
 
 
+def _as_json(path: Path | str, asked: Mapping[str, Any]) -> str:
+    try:
+        return json.dumps(asked, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise RigError(f"recording {path}: settings are not JSON ({error})") from None
+
+
 def main() -> None:
     """What the process does: a line of JSON, then pieces until the end of the standard input."""
     # These are for the program: it tells when to end.
     for name in ("SIGINT", "SIGHUP", "SIGTERM"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
-    behind_its_program()
     lock = threading.Lock()
 
     def say(word: str, content: Any = None) -> None:
@@ -196,6 +204,8 @@ def main() -> None:
 
     source = sys.stdin.buffer
     asked = json.loads(source.readline())
+    if asked["real_time"]:
+        behind_its_program()
     try:
         recorder = Recorder(
             asked["path"], asked["streams"], asked["settings"],
