@@ -6,9 +6,9 @@ A window's residual of a channel is judged by the logarithm of its mean square o
 
 with S the rms of the model in that window or, if larger, in the first ones. Noise and share are
 what is declared, or what the first windows show where that is more. The logarithms, in deviations
-about their mean in those windows, go to a one-sided CUSUM (Page, E. S. (1954), Continuous
-inspection schemes, Biometrika 41, 100-115). A window counts as one value however its samples are
-correlated.
+about their mean in those windows, and above 0 outside the band only, go to a one-sided CUSUM
+(Page, E. S. (1954), Continuous inspection schemes, Biometrika 41, 100-115). A window counts as one
+value however its samples are correlated.
 """
 
 import math
@@ -135,8 +135,14 @@ class Bands:
         return self.noise**2 + (self.share * np.maximum(window.size, self.least)) ** 2
 
     def deviation(self, window: Window) -> np.ndarray:
-        """By how many deviations a window lies above the band (5,); NaN where it is not judged."""
-        return (self.logarithm(window) - self.mean) / self.spread
+        """Deviations by which a window lies above what is usual (5,); NaN where it is not judged.
+
+        At most 0 where it lies in the band: a stream that leaves no more than sensors and model may
+        is sound, also where it has left still less before.
+        """
+        over = self.logarithm(window)
+        usual = (over - self.mean) / self.spread
+        return np.where(over > 0.0, usual, np.minimum(usual, 0.0))
 
     def logarithm(self, window: Window) -> np.ndarray:
         """Of the residual's mean square over band^2 (5,); NaN where a window is not judged."""

@@ -9,7 +9,7 @@ import pytest
 
 from calibration.measured import COLUMNS
 from calibration.twin import Settings, Twin
-from calibration.twin_alarm import REFERENCE, THRESHOLD, run_length
+from calibration.twin_alarm import REFERENCE, THRESHOLD, Bands, Window, run_length
 from calibration.twin_estimate import Recursive
 from calibration.twin_stream import Bridge, Stretch
 from slider_jax.errors import InputError
@@ -231,6 +231,21 @@ def test_an_estimate_follows_a_parameter_that_drifts():
     for true in np.linspace(1.0, 1.5, 500):
         x.update(1e4 * (true - x.value), 1e4)
     assert x.value == pytest.approx(1.5 - 20.0 * 0.001, abs=0.004)
+
+
+def test_what_stays_in_the_declared_band_is_no_deviation():
+    """It was learned from windows that left a tenth of what is declared."""
+    t = np.arange(200)
+    model = np.tile(np.sin(0.1 * t), (5, 1))
+    band = Bands(np.full(5, 0.1), np.zeros(5), np.ones(5), np.full(5, 2.0 * math.log(0.1)))
+
+    def window(size):
+        residual = size * np.tile(np.where(t % 2 == 0, 1.0, -1.0), (5, 1))
+        return Window(residual, model, model, np.zeros((4, 5, 200)), np.zeros((1, 2, 200)))
+
+    assert band.deviation(window(0.09)) == pytest.approx(np.zeros(5))
+    assert band.deviation(window(0.005)) == pytest.approx(np.full(5, -2.0 * math.log(2.0) / 0.25))
+    assert np.all(band.deviation(window(0.11)) > 10.0)
 
 
 def test_the_run_length_is_that_of_simulated_cusums():
