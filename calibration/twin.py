@@ -42,6 +42,9 @@ SHORT = 0.01
 """[s] of lost readings after which there is nothing to settle."""
 DRIFT = 2.0
 """[s] over which the mean residual of forces and tip is followed: tares drift."""
+CLOCK = 2e-3
+"""[s] by which forces may be shifted against the manifold's readings. Both clocks are laid by what
+arrives first, and on a busy computer that is later for one of them."""
 PRIOR = 0.3
 """Standard deviation of k and K_Q before the stream, as a share."""
 SYSTEMATIC_K, SYSTEMATIC_K_Q = 0.002, 0.005
@@ -246,9 +249,8 @@ class Twin:
 
     def _close_window(self, t: float) -> None:
         """Learn from the window that is full, or judge it."""
-        window = self._about_mean(
-            Window(*(np.concatenate(x, axis=-1) for x in zip(*self._parts, strict=True)))
-        )
+        whole = Window(*(np.concatenate(x, axis=-1) for x in zip(*self._parts, strict=True)))
+        window = _of_one_clock(self._about_mean(whole), self.layout.period)
         self._parts = []
         sensors, watch = self.experiment.sensors, self._watch
         bands = watch.bands if watch else Bands.declared(sensors, [*self._windows, window])
@@ -287,3 +289,27 @@ class Twin:
         return window._replace(
             residual=window.residual - tare[:, None], along=window.along - d_tare[:, :, None]
         )
+
+
+def _of_one_clock(window: Window, period: float) -> Window:
+    """The window with its forces shifted by up to `CLOCK`, as fits it best, to the model's time.
+
+    `along` is left what no shift could do as well.
+    """
+    forces = slice(2, 4)
+    model, residual = window.model[forces], window.residual[forces]
+    slope = np.gradient(model, period, axis=1)
+    there = np.isfinite(residual)
+    weighted = np.where(there, slope, 0.0) / np.maximum(np.mean(model**2, axis=1), 1e-300)[:, None]
+    most = float(np.sum(weighted * slope))
+    if not most > 0.0:
+        return window
+    shift = np.sum(weighted * np.where(there, residual, 0.0)) / most
+    if abs(shift) > CLOCK:  # no clock's doing
+        return window
+    along, cleared = window.along.copy(), window.residual.copy()
+    cleared[forces] -= shift * slope
+    along[:, forces] -= (
+        np.sum(weighted * along[:, forces], axis=(1, 2))[:, None, None] / most * slope
+    )
+    return window._replace(residual=cleared, along=along)

@@ -163,6 +163,22 @@ def test_gaps_are_bridged_and_marked_and_give_no_alarm(running):
     assert all(np.isfinite(b.model).all() for b in blocks)
 
 
+def test_a_force_sensor_s_clock_that_jumps_by_a_millisecond_gives_no_alarm(running):
+    """As on a computer that becomes busy; by more than a clock may it is told."""
+    twin, robot = running
+
+    def late(by):
+        def damage(readings):
+            forces = readings.measured[2:4]
+            readings.measured[2:4] = [np.interp(readings.t - by, readings.t, x) for x in forces]
+            return readings
+
+        return damage
+
+    assert not any(b.alarm.on for b in follow(twin, robot, 3.0, late(1e-3)))
+    assert follow(twin, robot, 2.0, late(6e-3))[-1].alarm.on
+
+
 def test_a_drive_that_stops_and_starts_again_gives_no_alarm(running):
     twin, robot = running
     for robot.drive in (0.0, 1.0, 0.5):
