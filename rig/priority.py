@@ -5,9 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 STREAMS, RECORDER = 2, 1
-"""Who commands and listens goes before who writes it down, and both before ordinary programs. A
-disk that others fill keeps ordinary programs waiting for up to a second, but these not (on Linux
-they may have a quarter more of its memory)."""
+"""Who commands and listens goes before who writes it down, and both before ordinary programs."""
 
 
 @contextmanager

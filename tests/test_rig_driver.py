@@ -72,7 +72,7 @@ def test_a_trial_is_recorded_as_the_chambers_went(tmp_path):
         meant = np.array([drive.segments(t)[index] for t in fine])
         sets = played[f"set_{name}_Pa"][now]
         # Edges are late by what commands are on their way, all others are not there.
-        assert np.mean(sets != meant) < 0.05
+        assert np.mean(sets != meant) < 0.02
         p, expected = 0.0, []
         for p_set in sets:
             expected.append(p)
