@@ -100,7 +100,10 @@ class Line:
         begun = False
         while not self._ends.is_set():
             try:
-                piece = self._port.read(max(1, self._port.in_waiting))
+                # One byte, and what came with it: a reading is one piece for all who get it.
+                piece = self._port.read(1)
+                if piece:
+                    piece += self._port.read(self._port.in_waiting)
             except (serial.SerialException, OSError, TypeError) as error:
                 # TypeError: pyserial's, where the port is closed meanwhile.
                 if not self._ends.is_set():

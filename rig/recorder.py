@@ -41,7 +41,7 @@ MOST_WAITING = 64 * 2**20
 """Bytes of one stream that may wait for the disk; what comes on top is counted as lost."""
 CRC_OF_NOTHING = 1
 """Where the CRC begins: from 0 an index of zeros would pass for pieces without bytes."""
-_BYTES_A_CHUNK, _ROWS_A_CHUNK = 4096, 64
+_BYTES_A_CHUNK, _ROWS_A_CHUNK = 16384, 512
 
 
 class Load(NamedTuple):
