@@ -5,14 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from slider_jax.figures import new_figure
+from slider_jax.figures import new_figure, save_film
 from slider_jax.plots import CHANNELS, title
 from slider_jax.simulate import Run
 
 FRAMES_PER_STRIDE = 40
 STRIDES = 2
-FRAME = 50
-"""Time that a frame is shown [ms]."""
 ARROW = 50.0
 """Length of the longest arrow [mm]."""
 
@@ -25,25 +23,10 @@ def animate_run(
     The last two strides (or two seconds) in slow motion: the midline coloured by the net internal
     moment, arrows of the water's force per length, and below them thrust and recoil with a cursor.
     """
-    import matplotlib.pyplot as plt
-    from PIL import Image
-
     steps = _frames(run)
     figure, moving, move = _scene(run, steps)
-    canvas, images = figure.canvas, []
-    canvas.draw()
-    still = canvas.copy_from_bbox(figure.bbox)  # drawn once: its texts take most of a frame's time
-    for number, index in enumerate(steps, start=1):
-        move(index)
-        canvas.restore_region(still)
-        for artist in moving:
-            artist.axes.draw_artist(artist)
-        picture = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
-        images.append(picture.quantize(128, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE))
-        progress(number, len(steps))
-    plt.close(figure)
     path = folder / f"{Path(run.trial.file).stem}.gif"
-    images[0].save(path, save_all=True, append_images=images[1:], duration=FRAME, loop=0)
+    save_film(figure, moving, move, steps, path, progress)
     return path
 
 
@@ -57,13 +40,13 @@ def _scene(run: Run, steps: np.ndarray):
     strongest = np.linalg.norm(force[steps], axis=1).max() or 1.0
 
     figure, (ax, below) = new_figure(2, 1, figsize=(8, 6), dpi=90, height_ratios=(2, 1))
-    body = LineCollection([], cmap="coolwarm", lw=5, capstyle="round", animated=True)
+    body = LineCollection([], cmap="coolwarm", lw=5, capstyle="round")
     body.set_clim(-largest, largest)
     ax.add_collection(body)
     where = _cell_centres(line[steps[0]])[:, ::2]
     arrows = ax.quiver(
         *where, *np.zeros_like(where), angles="xy", scale=strongest / ARROW, scale_units="xy",
-        width=0.003, color="0.25", animated=True,
+        width=0.003, color="0.25",
     )  # fmt: skip
     ax.quiverkey(arrows, 0.12, 0.93, 0.5 * strongest, f"{0.5 * strongest:.2g} N/m", labelpos="E")
     ax.plot(0.0, 0.0, "ks", ms=8)
@@ -77,7 +60,7 @@ def _scene(run: Run, steps: np.ndarray):
     figure.colorbar(
         body, ax=ax, label="internal moment (mN m)", location="top", shrink=0.6, aspect=40
     )
-    clock = ax.text(0.98, 0.05, "", transform=ax.transAxes, ha="right", animated=True)
+    clock = ax.text(0.98, 0.05, "", transform=ax.transAxes, ha="right")
     figure.suptitle(title(run), fontsize="medium")
 
     span = slice(steps[0], steps[-1] + 1)
@@ -87,7 +70,7 @@ def _scene(run: Run, steps: np.ndarray):
         axis.set_ylabel(f"{label} ({unit})", color=colour)
         axis.margins(x=0.0)
     below.set_xlabel("time (s)")
-    cursor = below.axvline(run.t[steps[0]], color="k", lw=1.0, animated=True)
+    cursor = below.axvline(run.t[steps[0]], color="k", lw=1.0)
 
     def move(index: int) -> None:
         points = line[index].T

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from slider_jax.climb import ClimbRun
-from slider_jax.figures import new_figure, save_figure
+from slider_jax.figures import new_figure, save_figure, save_film
 
 ROWS = (
     ("speed_m_per_s", "climbing speed U", "mm/s", 1e3),
@@ -22,8 +22,6 @@ ROWS = (
 )
 """Name in `climb.row`, words, unit shown, factor from SI to it."""
 FILM_STRIDES, FRAMES_PER_STRIDE = 4, 24
-FRAME = 50
-"""Time that a frame is shown [ms]."""
 
 
 def table(row: dict[str, Any]) -> str:
@@ -125,9 +123,6 @@ def film(
 
     The moment when a frame is shown is told in it; rungs of 10 mm are drawn on the wall.
     """
-    import matplotlib.pyplot as plt
-    from PIL import Image
-
     x, steps = run.series, run.plan.steps_per_stride
     shown = np.linspace(
         max(0, len(x.angle) - 1 - FILM_STRIDES * steps), len(x.angle) - 1,
@@ -153,21 +148,19 @@ def film(
     ax.set_title(
         f"{run.frequency:g} Hz, {1e3 * float(run.found.speed):.1f} mm/s", fontsize="medium"
     )
-    images, heads = [], []
-    for number, i in enumerate(shown, start=1):
+    heads = x.midline[shown, :, -1]
+
+    def move(number: int) -> None:
+        i = shown[number]
         # The link's ends lie to the left and to the right of the head.
         n = np.array([-np.sin(x.angle[i]), np.cos(x.angle[i])])
         head = x.midline[i, :, -1]
         ends = np.stack([head + 0.5 * run.link * n, head - 0.5 * run.link * n], axis=1)
-        heads.append(head)
         body.set_data(*_sideways(x.midline[i], origin))
         rod.set_data(*_sideways(ends, origin))
         pin.set_data(*_sideways(x.pin[i][:, None], origin))
-        path_of_head.set_data(*_sideways(np.array(heads).T, origin))
+        path_of_head.set_data(*_sideways(heads[: number + 1].T, origin))
         clock.set_text(f"{(i - shown[0]) / (steps * run.frequency):.2f} s")
-        figure.canvas.draw()
-        picture = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3])
-        images.append(picture.quantize(64, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE))
-        progress(number, len(shown))
-    plt.close(figure)
-    images[0].save(path, save_all=True, append_images=images[1:], duration=FRAME, loop=0)
+
+    moving = (body, rod, pin, path_of_head, clock)
+    save_film(figure, moving, move, range(len(shown)), path, progress)

@@ -1,11 +1,15 @@
 """Pictures of frequency sweeps and of swept fields."""
 
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
 
 from slider_jax import paper
 from slider_jax.demo import FrequencySweep, Series, Settings
+
+FRAME = 50
+"""Time that a picture of a film is shown [ms]."""
 
 
 def new_figure(*args, **kwargs):
@@ -24,6 +28,39 @@ def save_figure(figure, path: Path) -> None:
 
     figure.savefig(path, dpi=150)
     plt.close(figure)
+
+
+def save_film(
+    figure,
+    moving: Iterable,
+    move: Callable[[int], None],
+    shown: Iterable[int],
+    path: Path,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> None:
+    """Write a GIF of a picture for each of `shown`, and let go of the figure.
+
+    `move` takes the artists `moving` to it; what does not move is drawn once, for its texts take
+    most of a picture's time. `progress(pictures done, all)` is called at each.
+    """
+    import matplotlib.pyplot as plt
+    from PIL import Image
+
+    shown, canvas, images = list(shown), figure.canvas, []
+    for artist in moving:
+        artist.set_animated(True)
+    canvas.draw()
+    still = canvas.copy_from_bbox(figure.bbox)
+    for number, index in enumerate(shown, start=1):
+        move(index)
+        canvas.restore_region(still)
+        for artist in moving:
+            artist.axes.draw_artist(artist)
+        picture = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
+        images.append(picture.quantize(128, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE))
+        progress(number, len(shown))
+    plt.close(figure)
+    images[0].save(path, save_all=True, append_images=images[1:], duration=FRAME, loop=0)
 
 
 def thrust_against_frequency(sweep: FrequencySweep, settings: Settings, path: Path) -> None:
