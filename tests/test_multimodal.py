@@ -66,7 +66,7 @@ class Hills:
         return np.where([swims, climbs], np.stack(found, axis=1), np.nan)
 
 
-EFFORT, FEW = Effort("genetic", 96, 40, 1), Effort("genetic", 16, 6, 1)
+EFFORT, FEW = Effort("genetic", 96, 40, 1), Effort("genetic", 96, 6, 1)
 
 
 @pytest.fixture

@@ -289,6 +289,7 @@ def test_a_check_of_a_bad_line_tells_of_its_damage(tmp_path):
     assert re.search(r"[1-9]\d* frames (came )?damaged", done.stdout + done.stderr), done.stderr
 
 
+@pytest.mark.slow
 def test_a_check_and_a_run_end_on_a_line_that_loses_a_few_and_tell_of_it(tmp_path):
     path = tmp_path / "given.toml"
     path.write_text(EXPERIMENT.format(duration=1.0))
