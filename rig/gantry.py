@@ -14,6 +14,7 @@ import numpy as np
 
 from rig.drift import Run, drift
 from rig.errors import RigError
+from rig.port import Readable, piece_from
 from rig.profile import Profile
 
 HOLD, RESET, STATUS = b"!", b"\x18", b"?"
@@ -45,14 +46,11 @@ ERRORS = {
 }
 
 
-class Port(Protocol):
+class Port(Readable, Protocol):
     """What is used of `serial.Serial`; GRBL runs at 115200 baud."""
 
     timeout: float | None
 
-    @property
-    def in_waiting(self) -> int: ...
-    def read(self, size: int, /) -> bytes: ...
     def write(self, data: bytes, /) -> int | None: ...
 
 
@@ -229,7 +227,7 @@ class GantryAxis:
 
     def _receive(self) -> bytes:
         try:
-            return self._port.read(max(1, self._port.in_waiting))
+            return piece_from(self._port)
         except OSError as error:
             raise _gone(error) from None
 

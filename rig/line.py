@@ -10,7 +10,7 @@ from rig.clock import host_ns
 from rig.errors import RigError
 from rig.frames import Decoder, encode
 from rig.messages import Message
-from rig.port import PortLost
+from rig.port import PortLost, piece_from
 
 Sink = Callable[[int, bytes], None]
 VENTS = "the manifold vents by itself 0.1 s after the last command"
@@ -100,10 +100,7 @@ class Line:
         begun = False
         while not self._ends.is_set():
             try:
-                # One byte, and what came with it: a reading is one piece for all who get it.
-                piece = self._port.read(1)
-                if piece:
-                    piece += self._port.read(self._port.in_waiting)
+                piece = piece_from(self._port)
             except (serial.SerialException, OSError, TypeError) as error:
                 # TypeError: pyserial's, where the port is closed meanwhile.
                 if not self._ends.is_set():

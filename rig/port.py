@@ -3,7 +3,7 @@
 import errno
 import os
 import re
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import serial
 from serial.tools import list_ports
@@ -15,6 +15,14 @@ BAUD = 2_000_000
 
 class PortLost(RigError):
     """The port was there, and is not any more."""
+
+
+class Readable(Protocol):
+    """What is read of `serial.Serial`."""
+
+    @property
+    def in_waiting(self) -> int: ...
+    def read(self, size: int, /) -> bytes: ...
 
 
 class Found(NamedTuple):
@@ -44,6 +52,17 @@ def open_port(name: str, baud: int = BAUD) -> serial.Serial:
     except Exception as error:  # also termios.error, which not every system has
         raise RigError(_why(name, error)) from None
     return port
+
+
+def piece_from(port: Readable) -> bytes:
+    """What came, waiting for it as long as the port's reads do; as a rule whole frames or lines.
+
+    Asked for what waits, or else for a byte, a frame would come in two pieces, its first byte
+    alone, and cost its listener and its recorder twice.
+    """
+    piece = port.read(1)
+    waiting = port.in_waiting if piece else 0
+    return piece + port.read(waiting) if waiting else piece
 
 
 def _why(name: str, error: Exception) -> str:

@@ -8,7 +8,7 @@ import serial
 
 from rig.dialogue import Dialogue, Done, Event, Header, Question, Row
 from rig.errors import RigError
-from rig.port import BAUD, PortLost
+from rig.port import BAUD, PortLost, piece_from
 
 FREQUENCIES = (0.1, 5.0)
 """Allowed [Hz]; the published sweep is from 0.25 to 3 Hz."""
@@ -106,7 +106,7 @@ class PublishedManifold:
         while would take that for the firmware's silence.
         """
         try:
-            piece = self._port.read(max(1, self._port.in_waiting))
+            piece = piece_from(self._port)
         except OSError as error:
             raise self._gone(error) from None
         now = self._clock()

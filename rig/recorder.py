@@ -42,6 +42,8 @@ MOST_WAITING = 64 * 2**20
 CRC_OF_NOTHING = 1
 """Where the CRC begins: from 0 an index of zeros would pass for pieces without bytes."""
 _BYTES_A_CHUNK, _ROWS_A_CHUNK = 16384, 512
+"""A quarter of a second of a manifold or more: a flush writes the last chunk anew, which is less
+work than making one, and with 4096 and 64 each made one."""
 
 
 class Load(NamedTuple):

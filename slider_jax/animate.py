@@ -26,12 +26,12 @@ def animate_run(
     steps = _frames(run)
     figure, moving, move = _scene(run, steps)
     path = folder / f"{Path(run.trial.file).stem}.gif"
-    save_film(figure, moving, move, steps, path, progress)
+    save_film(figure, moving, move, steps.tolist(), path, progress)
     return path
 
 
 def _scene(run: Run, steps: np.ndarray):
-    """The figure without what moves, the artists that move, and what moves them to a step."""
+    """The figure, the artists in it that move, and what moves them to a step."""
     from matplotlib.collections import LineCollection
 
     line, moment = 1e3 * run.series["midline"], 1e3 * run.series["moment"]

@@ -154,7 +154,7 @@ def film(
         i = shown[number]
         # The link's ends lie to the left and to the right of the head.
         n = np.array([-np.sin(x.angle[i]), np.cos(x.angle[i])])
-        head = x.midline[i, :, -1]
+        head = heads[number]
         ends = np.stack([head + 0.5 * run.link * n, head - 0.5 * run.link * n], axis=1)
         body.set_data(*_sideways(x.midline[i], origin))
         rod.set_data(*_sideways(ends, origin))

@@ -1,6 +1,6 @@
-"""Pictures of frequency sweeps and of swept fields."""
+"""Pictures and films: what all are made with, and those of frequency sweeps."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -32,9 +32,9 @@ def save_figure(figure, path: Path) -> None:
 
 def save_film(
     figure,
-    moving: Iterable,
+    moving: Sequence,
     move: Callable[[int], None],
-    shown: Iterable[int],
+    shown: Sequence[int],
     path: Path,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> None:
@@ -46,7 +46,7 @@ def save_film(
     import matplotlib.pyplot as plt
     from PIL import Image
 
-    shown, canvas, images = list(shown), figure.canvas, []
+    canvas, images = figure.canvas, []
     for artist in moving:
         artist.set_animated(True)
     canvas.draw()

@@ -75,7 +75,7 @@ class Streaming:
     while it does; `tare` [N] is added to the forces.
     """
 
-    def __init__(self, experiment, k, K_Q, nodes=41, seed=0):
+    def __init__(self, experiment, k, K_Q, nodes=61, seed=0):
         model = to_model(experiment, 0)
         self.k, self.K_Q = k, K_Q
         self.drive, self.leak, self.shut, self.tare = 1.0, 0.0, 0.0, 0.0

@@ -66,7 +66,9 @@ class Hills:
         return np.where([swims, climbs], np.stack(found, axis=1), np.nan)
 
 
-EFFORT, FEW = Effort("genetic", 96, 40, 1), Effort("genetic", 96, 6, 1)
+EFFORT = Effort("genetic", 96, 40, 1)
+FEW = EFFORT._replace(generations=6)
+"""As many members, so that both are one compiled program."""
 
 
 @pytest.fixture

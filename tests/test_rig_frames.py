@@ -24,6 +24,7 @@ from rig.messages import (
     pack,
     unpack,
 )
+from rig.port import piece_from
 
 EACH = (
     Hello(1),
@@ -158,3 +159,26 @@ def test_of_fuzzed_frames_none_that_was_damaged_is_taken():
 def test_of_a_million_fuzzed_frames_none_that_was_damaged_is_taken():
     for seed in range(10):
         check_fuzzed(100_000, seed)
+
+
+class Late:
+    """A port at which nothing waits until it is read; each read in vain waits for a frame."""
+
+    def __init__(self, *frames):
+        self.frames, self.waiting = list(frames), b""
+
+    @property
+    def in_waiting(self):
+        return len(self.waiting)
+
+    def read(self, size):
+        if not self.waiting and self.frames:
+            self.waiting = self.frames.pop(0)
+        piece, self.waiting = self.waiting[:size], self.waiting[size:]
+        return piece
+
+
+def test_a_frame_is_one_piece():
+    frames = [encode(Heartbeat(i)) for i in range(3)]
+    port = Late(*frames)
+    assert [piece_from(port) for _ in range(4)] == [*frames, b""]

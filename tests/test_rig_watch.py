@@ -22,7 +22,7 @@ learns its bands for eight."""
 def robot_in(folder):
     path = folder / "experiment.toml"
     told = EXPERIMENT.format(duration=60.0).replace("frequency = 5.0", "frequency = 2.5")
-    path.write_text(told + "\n[numerics]\nnodes = 21\nstep = 0.002\n")
+    path.write_text(told + "\n[numerics]\nnodes = 51\nstep = 0.002\n")
     return path
 
 
