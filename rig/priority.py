@@ -4,12 +4,13 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-STREAMS, RECORDER = 2, 1
-"""Who commands and listens goes before who writes it down, and both before ordinary programs."""
+STREAMS, BEHIND = 2, 1
+"""Who commands and listens goes before who writes it down or follows it with a model, and both
+before ordinary programs."""
 
 
 @contextmanager
-def real_time() -> Iterator[str]:
+def real_time(level: int = STREAMS) -> Iterator[str]:
     """This thread, and those it starts in the block, run before all ordinary ones, if allowed.
 
     A stream of 500 readings and 200 commands a second needs little time, but needs it at once: a
@@ -19,16 +20,8 @@ def real_time() -> Iterator[str]:
     if not hasattr(os, "sched_setscheduler"):
         yield "ordinary"
         return
-    policy, param = os.sched_getscheduler(0), os.sched_getparam(0)
-    try:
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(STREAMS))
-    except OSError:
-        yield "ordinary"
-        return
-    try:
-        yield "real time"
-    finally:
-        os.sched_setscheduler(0, policy, param)
+    with _under(os.SCHED_RR, level) as allowed:
+        yield "real time" if allowed else "ordinary"
 
 
 def others_too() -> None:
@@ -51,16 +44,20 @@ def ordinary() -> Iterator[bool]:
     if not hasattr(os, "sched_setscheduler") or os.sched_getscheduler(0) == os.SCHED_OTHER:
         yield False
         return
-    policy, param = os.sched_getscheduler(0), os.sched_getparam(0)
-    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    with _under(os.SCHED_OTHER, 0):
+        yield True
+
+
+@contextmanager
+def _under(policy: int, level: int) -> Iterator[bool]:
+    """This thread in the block; yields whether that is allowed."""
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        os.sched_setscheduler(0, policy, os.sched_param(level))
+    except OSError:
+        yield False
+        return
     try:
         yield True
     finally:
-        os.sched_setscheduler(0, policy, param)
-
-
-def behind_its_program() -> None:
-    """This process, which a program that is `real_time` has started, runs behind that one and
-    before all ordinary ones."""
-    with suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(RECORDER))
+        os.sched_setscheduler(0, *before)

@@ -13,12 +13,12 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from rig.errors import RigError
-from rig.priority import behind_its_program, ordinary
+from rig.priority import BEHIND, ordinary, real_time
 from rig.recorder import MOST_WAITING, STREAMS, Load, Recorder
 
 HAND_OVER = 0.02
@@ -204,8 +204,11 @@ def main() -> None:
 
     source = sys.stdin.buffer
     asked = json.loads(source.readline())
-    if asked["real_time"]:
-        behind_its_program()
+    with real_time(BEHIND) if asked["real_time"] else nullcontext():
+        _record(asked, source, say)
+
+
+def _record(asked: Mapping[str, Any], source: BinaryIO, say: Callable[..., None]) -> None:
     try:
         recorder = Recorder(
             asked["path"], asked["streams"], asked["settings"],

@@ -3,6 +3,8 @@
 import shutil
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,6 +15,7 @@ import tyro
 from calibration.twin import Block, Twin
 from calibration.twin_stream import Stretch
 from rig.live import CHANNELS_OUT, Live
+from rig.priority import BEHIND, others_too, real_time
 from slider_jax.cli.options import MaybeFolder, ModelFile, Seconds, Whole, chosen_trials
 from slider_jax.cli.rig import Port, RigFile, signals_as_ctrl_c, to_play, with_counts
 from slider_jax.cli.rig_playing import Playing
@@ -83,7 +86,7 @@ def watch(
     told = _Told()
     playing = Playing(port, settings, played, duration)
     try:
-        with signals_as_ctrl_c(), playing:
+        with signals_as_ctrl_c(), _behind_the_streams(), playing:
             while not playing.ended:
                 time.sleep(PAUSE)
                 live = playing.stream.take()
@@ -104,6 +107,14 @@ def watch(
             source = {"input": input_file(experiment), "rig": settings.model_dump(mode="json")}
             told.write(out, {"lost": playing.lost, **source, "versions": versions()})
     return 1 if told.alarms else 0
+
+
+@contextmanager
+def _behind_the_streams() -> Iterator[None]:
+    """The model in the block runs before ordinary programs, which would hold it up for seconds."""
+    with real_time(BEHIND):
+        others_too()  # threads of the model's own
+        yield
 
 
 @dataclass
