@@ -81,6 +81,7 @@ def test_an_effect_in_the_body_takes_its_share():
     assert abs(found.unaccounted) < 0.01
 
 
+@pytest.mark.slow
 def test_other_waves_climb_too():
     """A trapezoid is nearly a square wave; both are capped."""
     found = {}

@@ -40,6 +40,7 @@ def test_an_unpowered_body_coasts_as_its_friction_says():
     assert float(pace.acceleration) == pytest.approx(-rate * v**2, rel=0.01)
 
 
+@pytest.mark.slow
 def test_the_papers_equations_gain_speed_to_five_times_the_published_one_and_more(monkeypatch):
     monkeypatch.setattr(published, "FIRST", OPTIMUM._replace(gaits={}))
     monkeypatch.setattr(published, "HEADS", {"none": 0.0})

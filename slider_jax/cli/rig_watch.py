@@ -3,8 +3,6 @@
 import shutil
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,7 +13,7 @@ import tyro
 from calibration.twin import Block, Twin
 from calibration.twin_stream import Stretch
 from rig.live import CHANNELS_OUT, Live
-from rig.priority import BEHIND, others_too, real_time
+from rig.priority import prefer
 from slider_jax.cli.options import MaybeFolder, ModelFile, Seconds, Whole, chosen_trials
 from slider_jax.cli.rig import Port, RigFile, signals_as_ctrl_c, to_play, with_counts
 from slider_jax.cli.rig_playing import Playing
@@ -77,6 +75,7 @@ def watch(
         raise InputError.value("--seconds", f"{duration:g}", "more than 0")
     print("compiling the model ...", file=sys.stderr, flush=True)
     twin = Twin.of(loaded, chosen)
+    prefer()
     if duration < twin.judges_after:
         print(
             f"the trial ends after {duration:g} s, before the bands are learned: nothing will be "
@@ -86,7 +85,7 @@ def watch(
     told = _Told()
     playing = Playing(port, settings, played, duration)
     try:
-        with signals_as_ctrl_c(), _behind_the_streams(), playing:
+        with signals_as_ctrl_c(), playing:
             while not playing.ended:
                 time.sleep(PAUSE)
                 live = playing.stream.take()
@@ -107,14 +106,6 @@ def watch(
             source = {"input": input_file(experiment), "rig": settings.model_dump(mode="json")}
             told.write(out, {"lost": playing.lost, **source, "versions": versions()})
     return 1 if told.alarms else 0
-
-
-@contextmanager
-def _behind_the_streams() -> Iterator[None]:
-    """The model in the block runs before ordinary programs, which would hold it up for seconds."""
-    with real_time(BEHIND):
-        others_too()  # threads of the model's own
-        yield
 
 
 @dataclass
