@@ -39,7 +39,8 @@ def prefer() -> None:
     """This program's threads, and those that they start, get more of a busy computer, if allowed.
 
     For what computes much. Run before all others, that has kept the system's own threads waiting,
-    which are ordinary ones and carry a port's bytes: readings stopped.
+    which are ordinary ones and carry a port's bytes: readings stopped. On Linux the right comes
+    with the `nice` limit of /etc/security/limits.conf.
     """
     if not hasattr(os, "setpriority"):
         return
