@@ -72,6 +72,7 @@ def test_the_work_goes_into_height_and_losses(up):
     assert found.unaccounted == pytest.approx(1.0 - (lifted + lost + gained) / work, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_an_effect_in_the_body_takes_its_share():
     """Friction of the plies, a bending moment, is among what is dissipated."""
     model = wall()

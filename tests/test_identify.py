@@ -31,6 +31,7 @@ def quick(monkeypatch):
     )
 
 
+@pytest.mark.slow
 def test_the_intervals_hold_the_truth_and_an_effect_can_be_added(tank, tmp_path, capsys):
     out = tmp_path / "out"
     words = ["calibrate", str(tank), "--out", str(out), "--also", "tangential_friction"]

@@ -52,6 +52,7 @@ def test_a_wave_towards_the_head_swims_tail_first():
     np.testing.assert_allclose(found.pace.course @ jnp.array([1.0, 0.0]), 1.0, atol=0.02)
 
 
+@pytest.mark.slow
 def test_a_delay_of_both_chambers_changes_no_speed():
     """However long it is: the drive has long begun."""
     model, f = made(GAITS["5 Hz"]), jnp.asarray(5.0)

@@ -65,6 +65,7 @@ def test_it_writes_what_it_found(swum):
     assert (swum / "swim_swim.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_over_a_steady_stride_the_thrust_is_what_resists():
     """The force of drag and added mass, summed here from the sections of the same stride."""
     model, f = swimmer(to_model(coarse())), jnp.asarray(5.0)
