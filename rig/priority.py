@@ -16,7 +16,7 @@ def real_time(level: int = STREAMS) -> Iterator[str]:
 
     A stream of 500 readings and 200 commands a second needs little time, but needs it at once: a
     manifold vents after 0.1 s without a command. On Linux the right comes with the `rtprio` limit
-    of /etc/security/limits.conf. Yields what it got.
+    of /etc/security/limits.conf. `level` is `STREAMS` or `BEHIND`. Yields what it got.
     """
     if not hasattr(os, "sched_setscheduler"):
         yield "ordinary"
