@@ -86,6 +86,7 @@ def whole(tmp_path_factory):
         return front(modes, 3, FEW, tmp_path_factory.mktemp("whole"))
 
 
+@pytest.mark.slow
 def test_the_front_of_known_hills_is_found(hills, tmp_path):
     """With eta of quadratics the best tail moves evenly with beta, and drives follow it."""
     found = front(hills, 3, EFFORT, tmp_path)

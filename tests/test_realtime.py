@@ -113,6 +113,7 @@ def test_a_plant_driven_sample_by_sample_equals_the_simulation(plain, trial):
     assert_equals_the_simulation(plant, experiment, trial)
 
 
+@pytest.mark.slow
 def test_effects_of_every_place_act_as_in_the_simulation(tmp_path):
     experiment = load(write(tmp_path, MOVING, tables(MIXED)))
     assert {LIBRARY[name].place() for name in MIXED} == {
