@@ -11,15 +11,14 @@ pseudo-terminal and UDP in real time. What is there is not measured again.
 
 import argparse
 import json
-import os
-import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+from rig_process import command, simulated
 
 BUDGET = 12
 SWEEP = [
@@ -75,12 +74,6 @@ def experiment(
     return text
 
 
-def command(*words: object) -> list[str]:
-    """A command of slider, in this Python."""
-    code = "import sys; from slider_jax.cli.main import main; sys.exit(main(sys.argv[1:]))"
-    return [sys.executable, "-c", code, *map(str, words)]
-
-
 def slider(*words: object) -> None:
     """Runs one to its end; what it says goes to the terminal."""
     print("slider", *words, flush=True)
@@ -88,21 +81,12 @@ def slider(*words: object) -> None:
 
 
 @contextmanager
-def simulated(folder: Path) -> Iterator[tuple[str, Path]]:
+def hidden(folder: Path) -> Iterator[tuple[str, Path]]:
     """The rig with the hidden causes: its port and its rig file."""
-    truth, rig = folder / "truth.toml", folder / "rig.toml"
+    truth = folder / "truth.toml"
     truth.write_text(experiment(TRUE, HIDDEN, BEGIN))
-    child = subprocess.Popen(
-        command("rig", "simulate", truth, "--rig-file", rig, "--noise", 300, "--force-noise", 3e-3),
-        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
-        env=os.environ | {"PYTHONUNBUFFERED": "1"},
-    )  # fmt: skip
-    assert child.stdout is not None
-    try:
-        yield child.stdout.readline().split()[1], rig
-    finally:
-        child.send_signal(signal.SIGTERM)
-        child.wait(20.0)
+    with simulated(truth, folder, "--noise", 300, "--force-noise", 3e-3) as served:
+        yield served
 
 
 def said(path: Path) -> dict[str, Any]:
@@ -147,13 +131,13 @@ def main() -> None:
     (out / "sweep.toml").write_text(experiment(GIVEN, {}, SWEEP))
     results: dict[str, Any] = {}
     if not (out / "loop" / "report.json").exists():
-        with simulated(out) as (port, rig):
+        with hidden(out) as (port, rig):
             begun = time.monotonic()
             slider("rig", "loop", out / "given.toml", "--port", port, "--rig", rig,
                    "--out", out / "loop", "--budget", BUDGET)  # fmt: skip
             results["loop_seconds"] = time.monotonic() - begun
     if not (out / "sweep" / f"s{len(SWEEP) - 1:02d}.csv").exists():
-        with simulated(out) as (port, rig):
+        with hidden(out) as (port, rig):
             slider("rig", "run", out / "sweep.toml", "--port", port, "--rig", rig,
                    "--out", out / "sweep")  # fmt: skip
     report = json.loads((out / "loop" / "report.json").read_text())

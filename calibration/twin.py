@@ -49,6 +49,8 @@ PRIOR = 0.3
 """Standard deviation of k and K_Q before the stream, as a share."""
 SYSTEMATIC_K, SYSTEMATIC_K_Q = 0.002, 0.005
 """Shares of k and K_Q that no stream tells: the sensors' gains (`calibration.noise`), the mesh."""
+FEWEST_NODES = 11
+"""Fewer would not show the body's bend; an experiment's own [numerics] has the same bound."""
 EXCITED = 10.0
 """Windows in which the model's pressures exceed their noise so many times tell of k and K_Q."""
 
@@ -133,6 +135,9 @@ class Twin:
                 f"{settings.samples} and {settings.per_step}",
                 "a block of two readings or more, a whole number of steps",
             )
+        if settings.nodes < FEWEST_NODES:
+            allowed = f"{FEWEST_NODES} or more"
+            raise InputError.value("twin settings, nodes", f"{settings.nodes}", allowed)
         trial = experiment.trials[trial] if isinstance(trial, int) else trial
         twin = cls(experiment, settings, trial)
         n = settings.samples

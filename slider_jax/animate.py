@@ -81,7 +81,6 @@ def _scene(run: Run, steps: np.ndarray):
         clock.set_text(f"t = {run.t[index]:.3f} s")
         cursor.set_xdata([run.t[index]] * 2)
 
-    move(steps[0])
     return figure, (body, arrows, clock, cursor), move
 
 

@@ -1,0 +1,37 @@
+"""slider's commands as processes of their own, and a simulated rig to run them on."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+def command(*words: object) -> list[str]:
+    """A command of slider, in this Python."""
+    code = "import sys; from slider_jax.cli.main import main; sys.exit(main(sys.argv[1:]))"
+    return [sys.executable, "-c", code, *map(str, words)]
+
+
+@contextmanager
+def simulated(truth: Path, folder: Path, *options: object) -> Iterator[tuple[str, Path]]:
+    """`slider rig simulate` of an experiment: its port and its rig file, which goes to `folder`.
+
+    Raises `RuntimeError` where it does not start; why, it says itself.
+    """
+    rig = folder / "rig.toml"
+    child = subprocess.Popen(
+        command("rig", "simulate", truth, "--rig-file", rig, *options),
+        stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    )  # fmt: skip
+    try:
+        assert child.stdout is not None
+        words = child.stdout.readline().split()
+        if words[:1] != ["port"]:
+            raise RuntimeError(f"slider rig simulate {truth} did not start")
+        yield words[1], rig
+    finally:
+        child.send_signal(signal.SIGTERM)
+        child.wait(20.0)
