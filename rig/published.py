@@ -1,5 +1,6 @@
 """The authors' published firmware on a port: one test at a frequency, its rows as they come."""
 
+import string
 import time
 from collections.abc import Callable
 from typing import NamedTuple
@@ -131,7 +132,7 @@ class PublishedManifold:
         said = self._dialogue.said
         raise RigError(
             f"{self._port.name}: no question for a frequency in {PATIENCE:g} s, "
-            f"{f'but {said[:60]!r}' if said else 'and nothing else'}; is this the Teensy's port, "
+            f"{f'but {_quoted(said)}' if said else 'and nothing else'}; is this the Teensy's port, "
             f"at {BAUD} baud, with the published firmware? Reset the board: it asks at its start"
         )
 
@@ -173,7 +174,7 @@ class PublishedManifold:
                 )  # fmt: skip
             if asked - last > patience * 1e9:
                 where = f"after sample {dialogue.number}" if dialogue.rows else "after the answer"
-                said = f"; it said {dialogue.said[:60]!r}" if dialogue.said else ""
+                said = f"; it said {_quoted(dialogue.said)}" if dialogue.said else ""
                 raise RigError(
                     f"{self._port.name}: no row for {patience:g} s {where}, and no `done`{said}; "
                     f"{CANNOT_STOP}, then look at the board's power and cable"
@@ -186,3 +187,11 @@ class PublishedManifold:
                 f"{self._port.name}: asked for {frequency:g} Hz, the test runs at {heard:g} Hz: "
                 f"the answer was not understood; {CANNOT_STOP}"
             )
+
+
+def _quoted(said: str) -> str:
+    """The beginning of what a port said, if it is text."""
+    begin = said[:60]
+    if sum(x in string.printable for x in begin) < 0.9 * len(begin):
+        return "bytes that are no text (frames? `slider rig check` speaks with such a manifold)"
+    return repr(begin)

@@ -269,29 +269,6 @@ def test_unknown_option(tmp_path, capsys):
     _refused(["sweep", path, "--frm", "1", "--out", out], capsys, out, *swept)
 
 
-@pytest.mark.parametrize(
-    "words, said",
-    [
-        (["--step", "abc"], ("--step: given 'abc'; allowed a number of seconds", "--step S")),
-        (["--nodes", "5.5"], ("--nodes: given '5.5'; allowed a whole number", "--nodes N")),
-        (["--out"], ("Missing value for argument '--out'",)),
-    ],
-)
-def test_arguments_of_a_wrong_type_or_none(words, said, tmp_path, capsys):
-    with pytest.raises(SystemExit) as stop:
-        main(["simulate", str(write(tmp_path)), "--out", str(tmp_path / "out"), *words])
-    assert stop.value.code == 2 and not (tmp_path / "out").exists()
-    message = capsys.readouterr().err
-    assert all(fragment in message for fragment in said)
-
-
-def test_nothing_given_says_what_is_needed(capsys):
-    with pytest.raises(SystemExit) as stop:
-        main(["simulate"])
-    message = capsys.readouterr().err
-    assert stop.value.code == 2 and "EXPERIMENT.toml|LOG.txt" in message and "--out DIR" in message
-
-
 def test_an_interrupt_leaves_nothing_behind(tmp_path, capsys, monkeypatch):
     import slider_jax.results
 

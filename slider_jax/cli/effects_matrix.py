@@ -9,11 +9,10 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from slider_jax.cli.options import Folder, ModelFile
+from slider_jax.cli.options import Folder, ModelFile, Range
 from slider_jax.errors import InputError, nearest
 
 Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")]
-Range = Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="LOW HIGH")]
 
 
 def matrix(

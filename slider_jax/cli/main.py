@@ -1,12 +1,11 @@
 """The `slider` command: finds the subcommand, prepares JAX, and turns errors into messages."""
 
-import inspect
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from rig.errors import RigError
 from slider_jax.errors import InputError, SolverError, nearest
@@ -148,37 +147,15 @@ def find(arguments: Sequence[str]) -> tuple[str, list[str]]:
     )
 
 
-def _refuse_unknown_options(function: Callable[..., Any], words: Sequence[str]) -> None:
-    """tyro takes what follows an unknown option for its value, and then misses a file."""
-    import tyro
-
-    allowed = ["--help"]
-    for name, parameter in inspect.signature(function).parameters.items():
-        notes = getattr(parameter.annotation, "__metadata__", ())
-        if tyro.conf.Positional in notes:
-            continue
-        name = next((x.name for x in notes if getattr(x, "name", None)), name)
-        allowed.append(f"--{'no-' if parameter.default is True else ''}{name.replace('_', '-')}")
-    for word in words:
-        option = word.split("=")[0].replace("_", "-")
-        if option.startswith("--") and option not in allowed:
-            raise InputError(
-                f"{option}: unknown option; allowed {', '.join(allowed)}{nearest(option, allowed)}"
-            )
-
-
 def run(arguments: Sequence[str]) -> int:
     """Run one command and return its exit code; input and solver errors are raised."""
     name, rest = find(arguments)
     if COMMANDS[name].jax:
         prepare_jax()
     module, function = COMMANDS[name].target.split(":")
-    import tyro
+    from slider_jax.cli.words import call_of
 
-    command = getattr(import_module(module), function)
-    _refuse_unknown_options(command, rest)
-    style = tyro.conf.configure(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff)
-    return int(tyro.cli(style(command), args=rest, prog=f"slider {name}") or 0)
+    return int(call_of(getattr(import_module(module), function), rest, name)() or 0)
 
 
 def _notes(error: BaseException) -> list[str]:

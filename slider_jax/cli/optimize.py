@@ -7,10 +7,9 @@ from typing import Annotated, Literal
 
 import tyro
 
-from slider_jax.cli.options import Folder, MaybeExperiment, ModelFile, Whole
+from slider_jax.cli.options import Folder, MaybeExperiment, ModelFile, Range, Whole
 from slider_jax.errors import InputError
 
-Pair = Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="LOW HIGH")]
 Address = Annotated[str, tyro.conf.arg(metavar="HOST:PORT")]
 
 
@@ -76,12 +75,12 @@ def swim(
     generations: Whole = 30,
     seed: Whole = 0,
     resume: bool = False,
-    frequency: Pair = None,
-    front: Pair = None,
-    rear: Pair = None,
-    phase: Pair = None,
-    tail_length: Pair = None,
-    EI_tail: Pair = None,
+    frequency: Range = None,
+    front: Range = None,
+    rear: Range = None,
+    phase: Range = None,
+    tail_length: Range = None,
+    EI_tail: Range = None,
     steps_per_stride: Whole = 96,
     coordinator: Address = "",
     processes: Whole = 1,
@@ -165,8 +164,8 @@ def multimodal(
     generations: Whole = 30,
     seed: Whole = 0,
     resume: bool = False,
-    tail_length: Pair = None,
-    EI_tail: Pair = None,
+    tail_length: Range = None,
+    EI_tail: Range = None,
     steps_per_stride: Whole = 96,
     coordinator: Address = "",
     processes: Whole = 1,

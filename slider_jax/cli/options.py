@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 from tyro.constructors import PrimitiveConstructorSpec
@@ -10,20 +10,37 @@ from tyro.constructors import PrimitiveConstructorSpec
 from slider_jax.errors import InputError
 
 
-def _read_by(read: Callable[[str], Any], metavar: str, allowed: str) -> PrimitiveConstructorSpec:
+def _read_by(
+    read: Callable[[list[str]], Any], metavar: str, allowed: str, count: int | Literal["*"] = 1
+) -> PrimitiveConstructorSpec:
+    """Of `count` words; `read` raises `ValueError` for those that are not `allowed`."""
+
     def instance(words: list[str]) -> Any:
         try:
-            return read(words[0])
+            return read(words)
         except ValueError:
-            raise ValueError(f"given {words[0]!r}; allowed {allowed}") from None
+            given = " ".join(words)
+            raise ValueError(f"given {given!r}; allowed {allowed}") from None
 
     return PrimitiveConstructorSpec(
-        nargs=1,
+        nargs=count,
         metavar=metavar,
         instance_from_str=instance,
         is_instance=lambda x: True,
         str_from_instance=lambda x: [str(x)],
     )
+
+
+def _number(words: list[str]) -> float:
+    return float(words[0])
+
+
+def _whole(words: list[str]) -> int:
+    return int(words[0])
+
+
+def _numbers(words: list[str]) -> tuple[float, ...]:
+    return tuple(map(float, words))
 
 
 Folder = Annotated[Path, tyro.conf.arg(metavar="DIR")]
@@ -32,8 +49,12 @@ MaybeExperiment = Annotated[
     tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="EXPERIMENT.toml")
 ]
 ModelFile = Annotated[Path | None, tyro.conf.arg(metavar="MODEL.toml")]
-Seconds = Annotated[float | None, _read_by(float, "S", "a number of seconds")]
-_VALUE, _WHOLE = _read_by(float, "X", "a number"), _read_by(int, "N", "a whole number")
+Seconds = Annotated[float | None, _read_by(_number, "S", "a number of seconds")]
+Range = Annotated[tuple[float, float] | None, _read_by(_numbers, "LOW HIGH", "two numbers", 2)]
+Pressures = Annotated[
+    tuple[float, ...] | None, _read_by(_numbers, "PA", "pressures in Pa, such as 250e3", "*")
+]
+_VALUE, _WHOLE = _read_by(_number, "X", "a number"), _read_by(_whole, "N", "a whole number")
 Value = Annotated[float, _VALUE]
 MaybeValue = Annotated[float | None, _VALUE]
 Whole = Annotated[int, _WHOLE]

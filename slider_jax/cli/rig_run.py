@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from slider_jax.cli.options import Folder
+from slider_jax.cli.options import Folder, Pressures
 from slider_jax.cli.rig import (
     Live,
     Port,
@@ -29,7 +29,7 @@ def run(
     port: Port,
     out: Folder,
     rig: RigFile = None,
-    limit: Annotated[tuple[float, ...] | None, tyro.conf.arg(metavar="PA")] = None,
+    limit: Pressures = None,
     force: Annotated[str | None, tyro.conf.arg(metavar="HOST")] = None,
 ) -> int:
     """Run every trial of an experiment, and record it.
