@@ -19,9 +19,11 @@ def command(*words: object) -> list[str]:
 def simulated(truth: Path, folder: Path, *options: object) -> Iterator[tuple[str, Path]]:
     """`slider rig simulate` of an experiment: its port and its rig file, which goes to `folder`.
 
-    Raises `RuntimeError` where it does not start; why, it says itself.
+    It ends with the block, also where SIGTERM ends that. Raises `RuntimeError` where it does not
+    start; why, it says itself.
     """
     rig = folder / "rig.toml"
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     child = subprocess.Popen(
         command("rig", "simulate", truth, "--rig-file", rig, *options),
         stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONUNBUFFERED": "1"},
@@ -33,5 +35,10 @@ def simulated(truth: Path, folder: Path, *options: object) -> Iterator[tuple[str
             raise RuntimeError(f"slider rig simulate {truth} did not start")
         yield words[1], rig
     finally:
-        child.send_signal(signal.SIGTERM)
-        child.wait(20.0)
+        child.terminate()
+        try:
+            child.wait(20.0)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            child.wait()
+        signal.signal(signal.SIGTERM, before)

@@ -32,7 +32,7 @@ from slider_jax.errors import InputError
 from slider_jax.experiment import Experiment
 from slider_jax.grid import split_cells
 from slider_jax.parameters import Numerics
-from slider_jax.schema import Trial
+from slider_jax.schema import FEWEST_NODES, Trial
 
 WARM_UP = 2.0
 """[s] after which the body has forgotten that it started straight, and k and K_Q are near."""
@@ -49,8 +49,6 @@ PRIOR = 0.3
 """Standard deviation of k and K_Q before the stream, as a share."""
 SYSTEMATIC_K, SYSTEMATIC_K_Q = 0.002, 0.005
 """Shares of k and K_Q that no stream tells: the sensors' gains (`calibration.noise`), the mesh."""
-FEWEST_NODES = 11
-"""Fewer would not show the body's bend; an experiment's own [numerics] has the same bound."""
 EXCITED = 10.0
 """Windows in which the model's pressures exceed their noise so many times tell of k and K_Q."""
 

@@ -60,6 +60,11 @@ class Analogue:
         return self.scale * (volts - (self.zero or 0.0))
 
 
+def in_unit(column: str, x: float) -> str:
+    """A value of a column in words, lengths in mm."""
+    return f"{1e3 * x:.3g} mm" if column.endswith("_m") else f"{x:.3g} {column.split('_')[-1]}"
+
+
 Reader = Callable[[Stream], Samples]
 
 
@@ -180,8 +185,8 @@ def _moves(column: str, quiet: np.ndarray, drive: np.ndarray, noise: float) -> t
     if before <= max(NOT_STILL * over, NOISES * noise / np.sqrt(AVERAGED)):
         return ()
     return (
-        f"{column} was not at rest before the drive: it went over {before:.3g}, in the drive over "
-        f"{over:.3g}; give a longer pause or fade",
+        f"{column} was not at rest before the drive: it went over {in_unit(column, before)}, in "
+        f"the drive over {in_unit(column, over)}; give a longer pause or fade",
     )
 
 

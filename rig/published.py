@@ -13,6 +13,8 @@ from rig.port import BAUD, PortLost, piece_from
 
 FREQUENCIES = (0.1, 5.0)
 """Allowed [Hz]; the published sweep is from 0.25 to 3 Hz."""
+SHOWN, TEXT = 60, 0.9
+"""Characters of what a port said that a message tells, and their share that is text."""
 PATIENCE = 5.0
 """For the question, and after the answer for the first row [s]."""
 SILENCE = 0.5
@@ -132,8 +134,9 @@ class PublishedManifold:
         said = self._dialogue.said
         raise RigError(
             f"{self._port.name}: no question for a frequency in {PATIENCE:g} s, "
-            f"{f'but {_quoted(said)}' if said else 'and nothing else'}; is this the Teensy's port, "
-            f"at {BAUD} baud, with the published firmware? Reset the board: it asks at its start"
+            f"{f'but {_told(said)}' if said else 'and nothing else'}; is this the Teensy's port, "
+            f"at {BAUD} baud, with the published firmware? Reset the board: it asks at its start; "
+            "one of the framed protocol is for `slider rig check`"
         )
 
     def _answer(self, frequency: float) -> None:
@@ -174,7 +177,7 @@ class PublishedManifold:
                 )  # fmt: skip
             if asked - last > patience * 1e9:
                 where = f"after sample {dialogue.number}" if dialogue.rows else "after the answer"
-                said = f"; it said {_quoted(dialogue.said)}" if dialogue.said else ""
+                said = f"; it said {_told(dialogue.said)}" if dialogue.said else ""
                 raise RigError(
                     f"{self._port.name}: no row for {patience:g} s {where}, and no `done`{said}; "
                     f"{CANNOT_STOP}, then look at the board's power and cable"
@@ -189,9 +192,8 @@ class PublishedManifold:
             )
 
 
-def _quoted(said: str) -> str:
-    """The beginning of what a port said, if it is text."""
-    begin = said[:60]
-    if sum(x in string.printable for x in begin) < 0.9 * len(begin):
-        return "bytes that are no text (frames? `slider rig check` speaks with such a manifold)"
-    return repr(begin)
+def _told(said: str) -> str:
+    """How a message tells what a port said: its beginning, or that it is no text."""
+    begin = said[:SHOWN]
+    readable = sum(x in string.printable for x in begin)
+    return repr(begin) if readable >= TEXT * len(begin) else "bytes that are no text"

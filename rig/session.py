@@ -1,5 +1,6 @@
 """An experiment on the rig, trial after trial into a folder; stopped, it can go on."""
 
+import hashlib
 import json
 import time
 from collections.abc import Callable, Sequence
@@ -26,10 +27,13 @@ RANGES = {"thrust_N": 1.0, "recoil_N": 1.0, "tip_m": 0.08}
 """What sensors range over in a trial, where none tells yet."""
 LATE = 3e-3
 """Commands that are later than this, one in a hundred, are told of [s]."""
+LATE_READINGS = 4e-3
+"""Readings that are later than this in the middle are told of [s]: a calm computer has 0.7 ms."""
 SLOW = 0.15
 """Flushes of the recording that are further apart are told of [s]."""
-ADDRESSES = {"rig.force.host", "rig.force.port", "rig.force.page_port"}
-"""Settings that may change before a run goes on: where an instrument is, not which."""
+MAY_CHANGE = {"rig.force.host", "rig.force.port", "rig.force.page_port", "experiment_sha256"}
+"""Settings that may change before a run goes on: where an instrument is, not which; and other
+trials of the experiment."""
 RECORDINGS = "recordings"
 """In an experiment's folder: all that came of a trial, NAME.h5, and what is told, NAME.json."""
 
@@ -72,7 +76,7 @@ def run(
     recordings.mkdir(parents=True, exist_ok=True)
     found: list[dict[str, Any]] = []
     for trial in trials:
-        told = finished(folder, trial.name, settings)
+        told = finished(folder, trial, settings)
         if told is None:
             rest(rig, found[-1] if found else None, partial(watch, trial.name))
             told = one(trial, rig, folder, settings, watch)
@@ -143,31 +147,43 @@ def rest(rig: Rig, before: dict[str, Any] | None, watch: Callable[[str, float], 
         rig.manifold.check()
         if rig.manifold.latest is not None:
             still.add(waited, rig.manifold.latest)
-        watch(f"pause{still.waits_for}", waited)
+        until = still.waits_for
+        watch(f"pause{until}{f' {rig.longest_pause:g} s at most,' if until else ''}", waited)
 
 
-def finished(folder: Path, name: str, settings: dict[str, Any]) -> dict[str, Any] | None:
+def finished(folder: Path, trial: Trial, settings: dict[str, Any]) -> dict[str, Any] | None:
     """What an earlier run told of a trial that it finished; None if there is none.
 
-    Raises `RigError` if that run had other settings.
+    Raises `RigError` if it had another drive or other settings then.
     """
-    path = folder / RECORDINGS / f"{name}.json"
+    path = folder / RECORDINGS / f"{trial.name}.json"
     told = told_beside(path.with_suffix(".h5"))
     if told is None:
         return None
-    if differ := differing(told["settings"], settings):
+    before = {"trial": {key: told[key] for key in ("duration_s", "drive")}}
+    if differ := differing(told["settings"] | before, settings | {"trial": _drive(trial)}):
         raise RigError(
-            f"{path}: trial {name} is there already, run with another {', '.join(differ)}; "
+            f"{path}: trial {trial.name} is there already, run with another {', '.join(differ)}; "
             "give another --out, or the same settings to go on"
         )
-    return told if (folder / f"{name}.csv").exists() else None
+    return told if (folder / f"{trial.name}.csv").exists() else None
+
+
+def _drive(trial: Trial) -> dict[str, Any]:
+    """What a trial is told to be played with; of a recorded drive a checksum."""
+    plain = (str, float, int)
+    drive = {key: x for key, x in asdict(trial.drive).items() if isinstance(x, plain)}
+    for key in ("times", "recorded"):
+        if (array := getattr(trial.drive, key)) is not None:
+            drive[f"{key}_sha256"] = hashlib.sha256(np.asarray(array).tobytes()).hexdigest()
+    return {"duration_s": trial.duration, "drive": drive}
 
 
 def differing(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
-    """Full names of the settings that are not the same any more, `ADDRESSES` left aside."""
+    """Full names of the settings that are not the same any more, `MAY_CHANGE` left aside."""
     # As JSON, in which tuples are lists.
     a, b = _flat(before), _flat(json.loads(json.dumps(now)))
-    return sorted(key for key in {*a, *b} - ADDRESSES if a.get(key) != b.get(key))
+    return sorted(key for key in {*a, *b} - MAY_CHANGE if a.get(key) != b.get(key))
 
 
 def _flat(tables: dict[str, Any], name: str = "") -> dict[str, Any]:
@@ -184,7 +200,7 @@ def told_beside(recording: Path) -> dict[str, Any] | None:
     path = recording.with_suffix(".json")
     try:
         told = json.loads(path.read_text())
-        if {"settings", "begun_host_ns", "duration_s", "range"} <= told.keys():
+        if {"settings", "begun_host_ns", "duration_s", "drive", "range"} <= told.keys():
             return told
     except FileNotFoundError:
         return None
@@ -215,17 +231,19 @@ def _told(trial: Trial, captured: Captured, read: Columns) -> dict[str, Any]:
         findings.append(
             f"one command in a hundred was {1e3 * late_99:.1f} ms late: the computer is too busy"
         )
+    if read.told["late_median_s"] > LATE_READINGS:
+        findings.append(
+            f"readings came {1e3 * read.told['late_median_s']:.0f} ms late in the middle: the "
+            "computer is too busy, and forces may be a millisecond or two off the pressures"
+        )
     if captured.load.slowest_flush > SLOW:
         findings.append(
             f"the disk was slow: {captured.load.slowest_flush:.2f} s between two flushes, which a "
             "kill would have lost"
         )
-    plain = (str, float, int)
-    drive = {key: x for key, x in asdict(trial.drive).items() if isinstance(x, plain)}
     return {
         "trial": trial.name,
-        "duration_s": trial.duration,
-        "drive": drive,
+        **_drive(trial),
         "begun_host_ns": captured.played.begun_ns,
         "commands": len(late),
         "command_late_99_s": late_99,

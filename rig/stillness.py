@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rig.columns import Analogue
+from rig.columns import Analogue, in_unit
 from rig.manifold import Manifold
 from rig.messages import Reading
 
@@ -52,7 +52,8 @@ class Stillness:
         """Of which sensor it is waited that it is still, in words; nothing once all are."""
         moved = self._moved() if self._seen else np.zeros(len(self._sensors))
         return "".join(
-            f", until {sensor.column} moves by less than {allowed:.1e} (now {x:.1e}),"
+            f", until {sensor.column} moves by less than {in_unit(sensor.column, allowed)} "
+            f"(now {in_unit(sensor.column, x)}),"
             for sensor, x, allowed in zip(self._sensors, moved, self._allowed, strict=True)
             if x > allowed
         )

@@ -20,5 +20,5 @@ class SolverError(Exception):
 
 def nearest(given: str, allowed: Iterable[str]) -> str:
     """What a message adds of the allowed name that a mistyped one is nearest to, if any is near."""
-    close = get_close_matches(given, list(allowed), 1, 0.7)
+    close = get_close_matches(given, list(allowed), 1)
     return f"; did you mean {close[0]}?" if close else ""

@@ -12,6 +12,8 @@ Length = Annotated[float, Quantity(0.0, 3.0, "m")]
 Stiffness = Annotated[float, Quantity(1.0, 1e7, "N")]
 Speed = Annotated[float, Quantity(-3.0, 3.0, "m/s")]
 Force = Annotated[float, Quantity(0.0, 10.0, "N")]
+FEWEST_NODES = 11
+"""Along a robot: fewer do not show how it bends."""
 FROM_LIST = BeforeValidator(lambda x: tuple(x) if isinstance(x, list) else x)
 
 
@@ -135,7 +137,7 @@ class WaterTable(Table):
 class NumericsTable(Table):
     """[numerics]: nodes along the robot, the longest time step, the scheme, a step's tolerance."""
 
-    nodes: Annotated[int, Field(strict=True, ge=11, le=1001)] = 51
+    nodes: Annotated[int, Field(strict=True, ge=FEWEST_NODES, le=1001)] = 51
     step: Annotated[float, Quantity(1e-5, 0.02, "s")] = 1e-3
     scheme: Literal["sdirk2", "backward_euler"] = "sdirk2"
     tolerance: Annotated[float, Quantity(1e-10, 1e-3)] = 1e-8

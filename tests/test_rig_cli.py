@@ -24,7 +24,7 @@ from rig.recording import read_recording
 from rig.session import differing
 from rig.stillness import Stillness
 from rig.unfinished import extent
-from slider_jax.cli.rig import declare_swing, is_of
+from slider_jax.cli.rig import declare_swing, take_experiment
 from slider_jax.errors import InputError
 from tests.test_rig_vents import EXPERIMENT
 
@@ -186,18 +186,22 @@ def test_what_the_tip_swung_by_is_declared_and_the_folder_stays_the_experiments(
     given, path = tmp_path / "given.toml", tmp_path / "out" / "experiment.toml"
     given.write_text(EXPERIMENT.format(duration=1.0).replace("[[trials]]", f"{sensors}[[trials]]"))
     path.parent.mkdir()
-    assert not is_of(path.parent, given)
-    path.write_text(given.read_text())
+    take_experiment(given, path.parent)
     told = {"at_rest_deviation": {"tip_m": 5e-4}, "at_rest_noise": {"tip_m": 3e-4}}
     declare_swing(path, [told])
     assert re.findall(r"start_swing = (\S+)", path.read_text()) == [after]
     assert "noise = 10.0" in path.read_text() or not sensors
     added = path.read_text() + '\n[[trials]]\nfile = "b.csv"\nfrequency = 1.0\namplitude = 1e4\n'
     path.write_text(added + "duration = 1.0\n")
-    assert is_of(path.parent, given)
+    take_experiment(given, path.parent)
+    assert path.read_text() == added + "duration = 1.0\n"
     given.write_text(given.read_text().replace("C_d = 2.0", "C_d = 2.1"))
-    with pytest.raises(InputError, match="holds another experiment"):
-        is_of(path.parent, given)
+    (path.parent / "b.csv").touch()
+    with pytest.raises(InputError, match=r"holds b\.csv, which .*given\.toml does not name"):
+        take_experiment(given, path.parent)
+    (path.parent / "b.csv").unlink()
+    take_experiment(given, path.parent)
+    assert path.read_text() == given.read_text()
 
 
 def test_a_recording_is_read_anew_with_other_axes(measured, tmp_path):
@@ -327,4 +331,4 @@ def test_a_pause_says_what_it_waits_for():
         volts = 1e6 * (0.02 * np.sin(i))
         still.add(0.02 * i, Reading(i, 0, 2, 0, (0, 0, 0, 0, 0, volts, 0, 0)))
     assert not still.reached
-    assert still.waits_for == ", until tip_m moves by less than 4.0e-04 (now 4.0e-03),"
+    assert still.waits_for == ", until tip_m moves by less than 0.4 mm (now 4 mm),"

@@ -145,6 +145,22 @@ def test_a_drive_dies_away_after_its_trial():
     assert after[20] == pytest.approx(50e3, rel=1e-6)
 
 
+T = np.array([0.0, 0.1, 0.3])
+
+
+def test_a_recorded_drive_is_known_by_its_samples(tmp_path):
+    """And an experiment's other trials may change."""
+
+    def drive(last):
+        return Drive("recorded", times=T, recorded=np.array([[0.0, 0.0], [5e4, 0.0], [0.0, last]]))
+
+    recorded(tmp_path, [Trial("a", drive(1e4), 0.3)], settings={"experiment_sha256": "1"})
+    recorded(tmp_path, [Trial("a", drive(1e4), 0.3)], settings={"experiment_sha256": "2"})
+    assert not list((tmp_path / RECORDINGS).glob("a.unfinished*"))
+    with pytest.raises(RigError, match=r"another trial\.drive\.recorded_sha256; give"):
+        recorded(tmp_path, [Trial("a", drive(2e4), 0.3)], settings={"experiment_sha256": "1"})
+
+
 def test_a_run_that_was_stopped_goes_on_with_what_is_missing(tmp_path):
     trials = [Trial(name, Drive("sine", 2.0, 50e3), 0.3) for name in "ab"]
     recorded(tmp_path, trials[:1], settings={"x": (1, 2)})
@@ -156,6 +172,9 @@ def test_a_run_that_was_stopped_goes_on_with_what_is_missing(tmp_path):
     assert (tmp_path / RECORDINGS / "b.unfinished-1.h5").read_bytes() == b"half"
     with pytest.raises(RigError, match="run with another x"):
         recorded(tmp_path, trials, settings={"x": (1, 3)})
+    for other in (Drive("sine", 2.0, 51e3), Drive("recorded", times=T, recorded=np.zeros((3, 2)))):
+        with pytest.raises(RigError, match=r"run with another trial\.drive\."):
+            recorded(tmp_path, [Trial("a", other, 0.3)], settings={"x": (1, 2)})
     # What is measured again leaves what was measured before, and what was told of it.
     (tmp_path / "a.csv").unlink()
     recorded(tmp_path, trials, settings={"x": (1, 2)})

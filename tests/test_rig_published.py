@@ -307,9 +307,13 @@ HEAD = made()[: made().index(b"\r1,") + 1]
     [
         (Says(), "no question for a frequency in 5 s, and nothing else; .*Reset the board"),
         (Says((0, b"Hello\r\n")), "but 'Hello'"),
-        (Says((0, bytes(range(130, 250)) + b"\r")), "but bytes that are no text .*rig check"),
+        (Says((0, bytes(range(130, 250)) + b"\r")), "but bytes that are no text; .*rig check"),
         (Says(*[(2000 * i, ROW) for i in range(4000)]), "a test is running, .*supply valve"),
         (Says((0, b"Hz? "), (300_000, HEAD + ROW)), "no row for 0.5 s after sample 7,.*no stop"),
+        (
+            Says((0, b"Hz? "), (300_000, b"\xff" * 9 + b"\r")),
+            "`done`; it said bytes that are no text;",
+        ),
         (Says((0, b"Hz? ")), "no row for 5 s after the answer, and no `done`; .*supply valve"),
         (Says((0, b"Hz? "), (300_000, HEAD + ROW), (310_000, b"Hz?\r")), r"it said 'Hz\?'"),
         (PublishedFirmware(replay(made(frequency=1.0))), "asked for 2 Hz, .* 1 Hz: .*no stop"),

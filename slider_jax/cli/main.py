@@ -140,10 +140,12 @@ def find(arguments: Sequence[str]) -> tuple[str, list[str]]:
         mistyped = name in _GROUPS and rest and rest[0].isalpha() and not Path(rest[0]).exists()
         if words[: len(parts)] == parts and not mistyped:
             return name, rest
-    given = " ".join(words[: 2 if words[0] in _GROUPS else 1])
+    group = words[0] in _GROUPS
+    given = " ".join(words[: 2 if group else 1])
+    allowed = [name for name in COMMANDS if not group or name.split()[0] == words[0]]
     raise InputError(
-        f"command: given {given!r}; allowed {', '.join(COMMANDS)}"
-        f"{nearest(given, COMMANDS)}; see slider --help"
+        f"command: given {given!r}; allowed {', '.join(allowed)}"
+        f"{nearest(given, allowed)}; see slider --help"
     )
 
 

@@ -13,7 +13,10 @@ from slider_jax.errors import InputError
 def _read_by(
     read: Callable[[list[str]], Any], metavar: str, allowed: str, count: int | Literal["*"] = 1
 ) -> PrimitiveConstructorSpec:
-    """Of `count` words; `read` raises `ValueError` for those that are not `allowed`."""
+    """How an argument of `count` words is read, and its `metavar` in the help.
+
+    `read` takes the words and raises `ValueError` where they are not what is `allowed`.
+    """
 
     def instance(words: list[str]) -> Any:
         try:
@@ -27,7 +30,7 @@ def _read_by(
         metavar=metavar,
         instance_from_str=instance,
         is_instance=lambda x: True,
-        str_from_instance=lambda x: [str(x)],
+        str_from_instance=lambda x: list(map(str, x)) if isinstance(x, tuple) else [str(x)],
     )
 
 
@@ -53,6 +56,9 @@ Seconds = Annotated[float | None, _read_by(_number, "S", "a number of seconds")]
 Range = Annotated[tuple[float, float] | None, _read_by(_numbers, "LOW HIGH", "two numbers", 2)]
 Pressures = Annotated[
     tuple[float, ...] | None, _read_by(_numbers, "PA", "pressures in Pa, such as 250e3", "*")
+]
+Frequencies = Annotated[
+    tuple[float, ...], _read_by(_numbers, "HZ ...", "frequencies in Hz, such as 1.5", "*")
 ]
 _VALUE, _WHOLE = _read_by(_number, "X", "a number"), _read_by(_whole, "N", "a whole number")
 Value = Annotated[float, _VALUE]

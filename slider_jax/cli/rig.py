@@ -61,23 +61,26 @@ def copy_experiment(path: Path, folder: Path) -> None:
         write_bytes(folder / name, (path.parent / name).read_bytes())
 
 
-def is_of(folder: Path, path: Path) -> bool:
-    """Whether a folder holds this experiment already, with what was added to it: trials, and what
-    the tip swung by.
+def take_experiment(path: Path, folder: Path) -> None:
+    """An experiment file into a folder, unless it is there already with what was added to it:
+    trials, and what the tip swung by.
 
-    Raises `InputError` where it holds another one.
+    Raises `InputError` where the folder holds trials that the file lacks.
     """
     there = folder / "experiment.toml"
-    if not there.exists():
-        return False
-    holds, given = (_without_swing(read_toml(x)) for x in (there, path))
-    trials = given.get("trials", [])
-    if (holds | {"trials": holds.get("trials", [])[: len(trials)]}) != given | {"trials": trials}:
-        raise InputError(
-            f"{folder}: holds another experiment than {path}; give another --out, or that file "
-            "as it was to go on"
-        )
-    return True
+    if there.exists():
+        holds, given = (_without_swing(read_toml(x)) for x in (there, path))
+        trials, before = given.get("trials", []), holds.get("trials", [])
+        if holds | {"trials": before[: len(trials)]} == given | {"trials": trials}:
+            return
+        names = {x["file"] for x in trials}
+        lacks = [x["file"] for x in before if x["file"] not in names]
+        if lacks := [name for name in lacks if (folder / name).exists()]:
+            raise InputError(
+                f"{folder}: holds {', '.join(lacks)}, which {path} does not name; give another "
+                "--out, or a file with those trials too"
+            )
+    copy_experiment(path, folder)
 
 
 def _without_swing(tables: dict[str, Any]) -> dict[str, Any]:

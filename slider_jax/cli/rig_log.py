@@ -3,19 +3,16 @@
 import sys
 from functools import partial
 from io import RawIOBase
-from typing import Annotated
 
 import tyro
 
-from slider_jax.cli.options import Folder
+from slider_jax.cli.options import Folder, Frequencies
 from slider_jax.cli.rig import Port
 from slider_jax.errors import InputError
 
 
 def log(
-    frequencies: Annotated[
-        tyro.conf.Positional[tuple[float, ...]], tyro.conf.arg(metavar="HZ", name="frequencies")
-    ],
+    frequencies: tyro.conf.Positional[Frequencies],
     port: Port,
     out: Folder,
 ) -> None:

@@ -14,10 +14,9 @@ from slider_jax.cli.rig import (
     Live,
     Port,
     RigFile,
-    copy_experiment,
     declare_swing,
-    is_of,
     opened,
+    take_experiment,
     to_play,
     with_counts,
 )
@@ -68,8 +67,7 @@ def loop(
     folder = output_folder(out) / "measured"
     folder.mkdir(exist_ok=True)
     path = folder / "experiment.toml"
-    if not is_of(folder, experiment):
-        copy_experiment(experiment, folder)
+    take_experiment(experiment, folder)
     begun = time.monotonic()
 
     def say(text: str) -> None:

@@ -38,12 +38,14 @@ def replay(
         recording: an experiment's folder, or one recording.
         out: folder for the trials read anew; made if missing, files of the same name are replaced.
         rig: TOML file of the rig, all of whose sensors count, and no others; by default the rig as
-            it was recorded. A force sensor needs its counts there, as no box is asked.
+            it was recorded. A force sensor's counts are the recorded ones where it has none.
         speed: of what is said again; 2 is twice as fast.
     """
     if recording.is_dir():
         if out is None:
             raise InputError("--out: given nothing; allowed a folder for the trials read anew")
+        if speed != 1.0:
+            raise InputError(f"--speed {speed:g}: is for one recording; leave it out")
         return _anew(recording, out, rig)
     if out is not None:
         raise InputError(f"--out {out}: is for an experiment's folder; leave it out")
@@ -115,12 +117,15 @@ def _trial(path: Path, meant: dict[str, float]) -> _Trial:
 def _read(trial: _Trial, given: RigTable | None, path: Path) -> tuple[Columns, list[str]]:
     """Columns as the `given` rig has them, or else as the rig was when it was recorded; and what
     is not among them any more."""
-    settings = given
-    if settings is None:
-        there = trial.recording.settings.get("rig", {})
-        settings = validate(RigTable, there, f"{path}: its settings")
+    there = trial.recording.settings.get("rig", {})
+    recorded = validate(RigTable, there, f"{path}: its settings")
+    settings = recorded if given is None else given
     force, readers = settings.force, {}
     if force is not None and "force" in trial.recording.streams:
+        if force.counts_per_N is None and recorded.force is not None:
+            names = ("counts_per_N", "counts_per_Nm")
+            counts = {name: getattr(recorded.force, name) for name in names}
+            force = force.model_copy(update=counts)
         if force.counts_per_N is None:
             raise InputError(
                 f"{path}: force.counts_per_N: not known, and no box is asked in a replay; give "

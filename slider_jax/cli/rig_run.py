@@ -11,10 +11,9 @@ from slider_jax.cli.rig import (
     Live,
     Port,
     RigFile,
-    copy_experiment,
     declare_swing,
-    is_of,
     opened,
+    take_experiment,
     trials_of,
     with_counts,
 )
@@ -74,6 +73,8 @@ def run(
     source = input_file(experiment)
     told = {"experiment_sha256": source["sha256"], "rig": settings.model_dump(mode="json")}
     with opened(port, settings) as machine:
+        if not machine.readers and not machine.analogue:
+            print("no --rig with sensors: pressures alone are measured", file=sys.stderr)
         ident = machine.manifold.ident
         assert ident is not None
         rate = table.sensors.sample_rate
@@ -88,9 +89,8 @@ def run(
         folder = output_folder(out)
         # Nothing is written where a trial is refused; what was added at rest stays.
         for shot in trials:
-            finished(folder, shot.name, told)
-        if not is_of(folder, experiment):
-            copy_experiment(experiment, folder)
+            finished(folder, shot, told)
+        take_experiment(experiment, folder)
         live = Live(machine, len(trials))
         try:
             found = run_trials(trials, machine, folder, told, live)
@@ -102,9 +102,15 @@ def run(
             raise
         live.end()
     declare_swing(folder / "experiment.toml", found)
-    poor = 0
+    poor, length = 0, table.robot.body_length + table.robot.tail_length
     for told_of in found:
-        said = "; ".join(told_of["findings"]) or "no findings"
+        findings = list(told_of["findings"])
+        if (over := told_of["range"].get("tip_m", 0.0)) > 2.0 * length:
+            findings.append(
+                f"tip_m goes over {over:.3g} m, of a robot {length:.3g} m long: see to its scale "
+                "in the rig file, then `slider rig replay --rig`"
+            )
+        said = "; ".join(findings) or "no findings"
         poor += told_of["readings_lost"] > MOST_LOST * told_of["readings"]
         print(f"{told_of['trial']}.csv  {told_of['rows']} rows, commands within "
               f"{1e3 * told_of['command_late_99_s']:.1f} ms: {said}")  # fmt: skip

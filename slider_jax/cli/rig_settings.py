@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from rig.columns import Analogue
 from slider_jax.errors import InputError
@@ -12,13 +12,16 @@ from slider_jax.schema import FROM_LIST, Table, _fail
 from slider_jax.toml_file import read_toml, validate
 
 Pressure = Annotated[float, Quantity(1e3, 2e6, "Pa")]
+FROM_NUMBER = BeforeValidator(lambda x: (x,) if isinstance(x, (int, float)) else x)
 Axis = Literal["+Fx", "-Fx", "+Fy", "-Fy", "+Fz", "-Fz"]
 
 
 class ManifoldTable(Table):
     """[manifold]: highest set pressure of all chambers, or of each, and the pace of a trial."""
 
-    limits: Annotated[tuple[Pressure, ...], FROM_LIST, Field(min_length=1, max_length=4)] = (250e3,)
+    limits: Annotated[
+        tuple[Pressure, ...], FROM_LIST, FROM_NUMBER, Field(min_length=1, max_length=4)
+    ] = (250e3,)
     commands_per_second: Annotated[float, Quantity(50.0, 1000.0, "Hz")] = 200.0
     quiet: Annotated[float, Quantity(0.2, 60.0, "s")] = 1.0
     fade: Annotated[float, Quantity(0.0, 60.0, "s")] = 2.0
@@ -72,7 +75,7 @@ class AnalogueTable(Table):
     """[[analogue]]: a sensor on one of the manifold's inputs; column = scale (voltage - zero)."""
 
     column: Literal["thrust_N", "recoil_N", "tip_m"]
-    input: Annotated[int, Field(ge=1, le=3)]
+    input: Literal[1, 2, 3]
     scale: float
     zero: float | None = None
 

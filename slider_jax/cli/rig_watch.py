@@ -79,7 +79,7 @@ def watch(
     if duration < twin.judges_after:
         print(
             f"the trial ends after {duration:g} s, before the bands are learned: nothing will be "
-            f"judged; give --seconds {10.0 * twin.judges_after:.0f}",
+            f"judged; give --seconds {4.0 * twin.judges_after:.0f} or more",
             file=sys.stderr,
         )
     told = _Told()

@@ -2,10 +2,10 @@
 
 import inspect
 import io
+import os
 import re
-import sys
-from collections.abc import Callable, Sequence
-from contextlib import redirect_stderr
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr
 from functools import partial, wraps
 from typing import Any
 
@@ -21,6 +21,7 @@ def call_of(command: Callable[..., Any], words: Sequence[str], name: str) -> Cal
     """
     _refuse_unknown_options(command, words)
 
+    # Built, not run: what the command itself says on stderr is not held back.
     @wraps(command)
     def call(*arguments: Any, **options: Any) -> Callable[[], Any]:
         return partial(command, *arguments, **options)
@@ -28,14 +29,27 @@ def call_of(command: Callable[..., Any], words: Sequence[str], name: str) -> Cal
     style = tyro.conf.configure(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff)
     said = io.StringIO()
     try:
-        with redirect_stderr(said):
-            asked = tyro.cli(style(call), args=words, prog=f"slider {name}")
+        with _unwrapped(words), redirect_stderr(said):
+            return tyro.cli(style(call), args=words, prog=f"slider {name}")
     except SystemExit as end:
         if end.code == 2:
-            raise InputError(f"{_in_one_line(said.getvalue())}; see slider {name} --help") from None
+            raise InputError(f"{in_one_line(said.getvalue())}; see slider {name} --help") from None
         raise
-    print(said.getvalue(), end="", file=sys.stderr)
-    return asked
+
+
+@contextmanager
+def _unwrapped(words: Sequence[str]) -> Iterator[None]:
+    """A line of tyro's is as long as it needs, lest what was given is broken; help is laid out."""
+    before = os.environ.get("COLUMNS")
+    if not {"-h", "--help"} & set(words):
+        os.environ["COLUMNS"] = "99999"
+    try:
+        yield
+    finally:
+        if before is not None:
+            os.environ["COLUMNS"] = before
+        elif "COLUMNS" in os.environ:
+            del os.environ["COLUMNS"]
 
 
 def _refuse_unknown_options(function: Callable[..., Any], words: Sequence[str]) -> None:
@@ -50,26 +64,35 @@ def _refuse_unknown_options(function: Callable[..., Any], words: Sequence[str]) 
     for word in words:
         option = word.split("=")[0].replace("_", "-")
         if option.startswith("--") and option not in allowed:
+            shown = option if option.isprintable() else repr(option)
             raise InputError(
-                f"{option}: unknown option; allowed {', '.join(allowed)}{nearest(option, allowed)}"
+                f"{shown}: unknown option; allowed {', '.join(allowed)}{nearest(option, allowed)}"
             )
 
 
-def _in_one_line(box: str) -> str:
-    """Of what tyro draws between a title and a rule: the sentence, or the names that are missing.
+def in_one_line(box: str) -> str:
+    """What is in a box of tyro's: its sentence, or the names of what is missing.
 
-    Its boxes have borders of their own on a terminal that has no UTF-8.
+    With UTF-8 a box is framed, otherwise ruled:
+
+        ╭─ Value error ─────────────╮         Value error
+        │ Error parsing --step: ... │         -------------------------
+        │ ───────────────────────── │          Error parsing --step: ...
+        │ For full helptext, ...    │         -------------------------
+        ╰───────────────────────────╯          For full helptext, ...
     """
     plain = re.sub(r"\x1b\[[0-9;]*m", "", box)
     rows = [row.strip("│╭╮╰╯").rstrip() for row in plain.splitlines()]
-    ruled = [not row.strip(" ─-") for row in rows]
-    begin = 2 if ruled[1:2] == [True] else 1
-    rows = rows[begin : ruled.index(True, begin)] if True in ruled[begin:] else rows[begin:]
-    if not rows:
+    rules = [i for i, row in enumerate(rows) if re.fullmatch(r" *[─-]{2,}", row)]
+    framed = plain.startswith("╭")
+    begin, end = (1, 0) if framed else (2, 1)  # title, and its rule; which rule ends it
+    if len(rules) <= end or not rows[begin : rules[end]]:
         return plain.strip()
-    depth = [len(row) - len(row.lstrip()) for row in rows]
+    rows = rows[begin : rules[end]]
     if rows[0].strip().startswith("Missing from"):
-        names = [row.strip() for row, x in zip(rows, depth, strict=True) if x == depth[0] + 4]
+        depth = len(rows[0]) - len(rows[0].lstrip()) + 4
+        names = [row.strip() for row in rows if re.match(rf" {{{depth}}}\S", row)]
         return f"{', '.join(names)}: missing"
-    sentence = " ".join(row.strip() for row in rows)
+    sentence = " ".join(row.strip() for row in rows).removesuffix(" Expected 1 values.")
+    sentence = sentence.replace("Unrecognized options:", "not understood:")
     return sentence.removeprefix("Error parsing ").rstrip(".")
