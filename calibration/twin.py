@@ -16,7 +16,7 @@ import numpy as np
 
 from calibration.forward import CHANNELS
 from calibration.plant import BASE
-from calibration.twin_alarm import NO_ALARM, Alarm, Bands, Watch, Window
+from calibration.twin_alarm import NO_ALARM, Alarm, Bands, Watch, Window, misfits
 from calibration.twin_block import (
     PAST,
     VALUES,
@@ -160,6 +160,10 @@ class Twin:
         self._lost_in_a_row, self._settling = 0, 0
         self._parts: list[tuple] = []
         self._windows: list[Window] = []
+        self._as_read: list[Window] = []
+        self.misfits: dict[str, tuple[float, float]] = {}
+        """Channels that did not fit while the bands were learned: rms of what was left, in SI, and
+        its share of the model's. What is wrong by then is not judged."""
         self._means = 0
         self._tare = np.zeros(len(CHANNELS))
         self._d_tare = np.zeros((len(VALUES), len(CHANNELS)))
@@ -273,9 +277,14 @@ class Twin:
             watch.take(window, t)
         elif driven:
             self._windows.append(window)
+            # A leak shows in the mean of a pressure; forces and tip have tares.
+            pressures = whole.residual[:2]
+            residual = np.concatenate([pressures, window.residual[2:]])
+            self._as_read.append(window._replace(residual=residual))
             warm, learn = self._learned_by
             if len(self._windows) == warm + learn:
                 self._watch = Watch(Bands.learned(sensors, self._windows[warm:]))
+                self.misfits = misfits(self._as_read[warm:])
 
     def _about_mean(self, window: Window) -> Window:
         """Residual and derivatives without their means.

@@ -30,6 +30,9 @@ LEAST_SPREAD = 0.25
 """Deviation of a window's logarithm is taken to be at least this: a dozen windows may show less."""
 WORST = (0.1, 0.1, 0.4, 0.4, 0.2)
 """Largest share that the first windows may teach, by channel: a model that leaves more is wrong."""
+MISFIT = (0.04, 0.04, 0.25, 0.12, 0.12)
+"""Share of a channel that the first windows may leave untold. A calibrated model leaves 0.01 of the
+pressures, 0.15 of thrust and 0.05 of recoil and tip; a leak of a fifth of a valve's flow 0.09."""
 FEW = 10
 """A channel with fewer samples in a window is not judged by it."""
 SMALL = 1e-9
@@ -81,6 +84,20 @@ class Window(NamedTuple):
         there = np.isfinite(self.residual)
         total = np.sum(np.where(there, self.residual, 0.0) ** 2, axis=1)
         return np.where(self.enough, total / np.maximum(there.sum(axis=1), 1), np.nan)
+
+
+def misfits(windows: list[Window]) -> dict[str, tuple[float, float]]:
+    """Channels of which windows leave more than `MISFIT`: rms of that, and its share of S."""
+    squares = np.array([w.mean_square for w in windows])
+    sizes = np.array([w.size**2 for w in windows])
+    found = {}
+    for i, channel in enumerate(CHANNELS):
+        if np.isfinite(squares[:, i]).any():
+            rms = math.sqrt(np.nanmean(squares[:, i]))
+            share = rms / max(math.sqrt(sizes[:, i].mean()), 1e-300)
+            if share > MISFIT[i]:
+                found[channel] = (rms, share)
+    return found
 
 
 @dataclass

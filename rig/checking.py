@@ -1,4 +1,4 @@
-"""Is the rig fit for a trial: rate, line, answer times, noise, and how each chamber holds."""
+"""Is the rig fit for a trial: rate, line, answer times, noise, how each chamber holds; forces."""
 
 import time
 from collections.abc import Callable
@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.errors import RigError
+from rig.force import ForceSource, Mounting
 from rig.manifold import Manifold
 from rig.messages import CHAMBERS, Reading
 
@@ -20,6 +21,8 @@ LEAST_HELD = 0.95
 """Share of a set pressure that a chamber without a leak comes to."""
 RESOLVED = 0.9
 """Share of the announced readings that has to come."""
+FORCE_RATE = 1000.0
+"""Records a second of a force sensor, of which `RESOLVED` have to come."""
 
 
 class ChamberHeld(NamedTuple):
@@ -50,6 +53,19 @@ class Check(NamedTuple):
     offset: np.ndarray
     """(8,) means at rest."""
     held: list[ChamberHeld]
+    findings: list[str]
+
+
+class ForceCheck(NamedTuple):
+    """What was found of a force sensor at rest."""
+
+    rate: float
+    """Records a second that came."""
+    lost: int
+    offset: np.ndarray
+    """(2,) means of thrust and recoil [N]."""
+    noise: np.ndarray
+    """(2,) standard deviations [N]."""
     findings: list[str]
 
 
@@ -119,6 +135,34 @@ def check(
         findings.append(f"{manifold.lost} readings lost, {manifold.damaged} frames damaged")
     noise, offset = channels.std(axis=0), channels.mean(axis=0)
     return Check(rate, manifold.lost, manifold.damaged, trips, noise, offset, held, findings)
+
+
+def check_force(source: ForceSource, mounting: Mounting, seconds: float = 1.0) -> ForceCheck:
+    """Listens to a force sensor for so long; nothing moves. Raises `RigError` if it is silent."""
+    came: list[tuple[int, bytes]] = []
+    source.start(lambda host_ns, piece: came.append((host_ns, piece)))
+    try:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            time.sleep(0.05)
+            source.check()
+        lost = source.health().missing
+    finally:
+        source.stop()
+    forces = source.calibration.forces([t for t, _ in came], [piece for _, piece in came])
+    came_through = np.isfinite(forces.wrench).all(axis=1)  # the lost are NaN
+    sound = forces.wrench[came_through & ~forces.doubtful]
+    if len(sound) < 2:
+        raise RigError("the force sensor gives no sound record; see to its cable and its load")
+    span = 1e-9 * float(forces.t_ns[-1] - forces.t_ns[0])
+    rate = (int(came_through.sum()) - 1) / max(span, 1e-9)
+    findings = list(forces.findings)
+    if rate < RESOLVED * FORCE_RATE:
+        findings.append(
+            f"{rate:.0f} records of force a second come; set its RDT rate to {FORCE_RATE:g}"
+        )
+    values = np.stack(mounting.thrust_and_recoil(sound))
+    return ForceCheck(rate, lost, values.mean(axis=1), values.std(axis=1), findings)
 
 
 def _hold(manifold: Manifold, seconds: float, command: Callable[[], object]) -> None:

@@ -61,8 +61,10 @@ class Analogue:
 
 
 def in_unit(column: str, x: float) -> str:
-    """A value of a column in words, lengths in mm."""
-    return f"{1e3 * x:.3g} mm" if column.endswith("_m") else f"{x:.3g} {column.split('_')[-1]}"
+    """A value of a column in words, lengths in mm and pressures in kPa."""
+    unit = column.rsplit("_", 1)[-1]
+    factor, shown = {"m": (1e3, "mm"), "Pa": (1e-3, "kPa")}.get(unit, (1.0, unit))
+    return f"{factor * x:.3g} {shown}"
 
 
 Reader = Callable[[Stream], Samples]

@@ -1,6 +1,7 @@
 """TOML in: read, validate, and say in one message what is wrong and where."""
 
 import difflib
+import re
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -34,7 +35,18 @@ def read_toml(path: Path) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from None
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from None
+        raise InputError(f"{path}: not valid TOML: {error}{_unit_advice(path, error)}") from None
+
+
+def _unit_advice(path: Path, error: tomllib.TOMLDecodeError) -> str:
+    """For a number with a unit behind it, which is how most numbers are mistyped."""
+    at = re.search(r"at line (\d+)", str(error))
+    lines = path.read_text(encoding="utf-8").splitlines()
+    line = lines[int(at[1]) - 1] if at and int(at[1]) <= len(lines) else ""
+    number = re.search(r"=\s*([-+]?\d[\d_.]*(?:[eE][-+]?\d+)?)\s*([^\W\d_][^\s#]*)", line)
+    if not number:
+        return ""
+    return f"; numbers have no unit, but are in SI: {number[1]} without {number[2]}, converted"
 
 
 def field_at(

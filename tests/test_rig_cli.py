@@ -81,12 +81,16 @@ def measured(rig):
 
 def test_a_check_names_the_firmware_and_finds_nothing(rig):
     port, folder = rig
-    done = slider("rig", "check", "--port", port, "--out", folder / "check.json")
+    rig_file = folder / "simulated_rig.toml"
+    words = ("rig", "check", "--port", port, "--rig", rig_file, "--out", folder / "check.json")
+    done = slider(*words)
     assert done.returncode == 0, done.stderr
+    assert re.search(r"force sensor: (99\d|100\d) records a second, 0 lost", done.stdout)
     assert "firmware 1.1.0, protocol 1" in done.stdout and "nothing is wrong" in done.stdout
     found = json.loads((folder / "check.json").read_text())
     assert [x["name"] for x in found["held"]][0] == "front_left"
     assert all(abs(x["reached"] - 50e3) < 1e3 for x in found["held"])
+    assert found["force"]["noise"][0] == pytest.approx(3e-3, rel=0.5)
     # The lag of the simulated chambers is 50 ms.
     assert all(0.03 < x["rise"] < 0.09 for x in found["held"])
 
@@ -206,9 +210,7 @@ def test_what_the_tip_swung_by_is_declared_and_the_folder_stays_the_experiments(
 
 def test_a_recording_is_read_anew_with_other_axes(measured, tmp_path):
     rig_file = tmp_path / "rig.toml"
-    rig_file.write_text(
-        '[force]\nhost = "none"\nthrust = "-Fx"\ncounts_per_N = 1e6\ncounts_per_Nm = 1e6\n'
-    )
+    rig_file.write_text('[force]\nhost = "none"\nthrust = "-Fx"\n')  # the counts are recorded
     out = tmp_path / "anew"
     done = slider("rig", "replay", measured[1], "--out", out, "--rig", rig_file)
     assert done.returncode == 0, done.stderr

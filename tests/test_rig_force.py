@@ -11,6 +11,7 @@ import pytest
 
 from rig import rdt
 from rig.arrivals import sample_times
+from rig.checking import check_force
 from rig.errors import RigError
 from rig.force import Mounting
 from rig.force_net import NetCalibration, NetForce
@@ -381,6 +382,21 @@ def test_bias_makes_the_load_of_the_moment_zero():
         np.testing.assert_allclose(force.latest()[1], box.wrench(0.0), atol=0.02)
         force.bias()
         assert soon(lambda: np.abs(force.latest()[1]).max() < 0.02)
+
+
+def test_a_check_hears_rate_noise_and_losses_of_a_sensor_at_rest():
+    box = Box(lambda t: np.array([1.0, -2.0, 3.0, 0.0, 0.0, 0.0]), rate=500.0, noise=0.01)
+    with (
+        SimulatedForceSensor(box, Line(drop=0.05, seed=1)) as sensor,
+        NetForce(sensor.host, CALIBRATION, sensor.port) as force,
+    ):
+        found = check_force(force, Mounting("-Fy", "+Fx"))
+    # Losses behind the last record that came are not known.
+    assert found.lost == pytest.approx(0.05 * 500.0, abs=15.0)
+    assert found.rate == pytest.approx(0.95 * 500.0, rel=0.1)
+    np.testing.assert_allclose(found.offset, [2.0, 1.0], atol=3e-3)
+    np.testing.assert_allclose(found.noise, 0.01, rtol=0.25)
+    assert "records of force a second come; set its RDT rate to 1000" in found.findings[-1]
 
 
 def test_a_second_start_gets_a_stream_of_its_own():

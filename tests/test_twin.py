@@ -7,9 +7,10 @@ import time
 import numpy as np
 import pytest
 
+from calibration.forward import CHANNELS
 from calibration.measured import COLUMNS
 from calibration.twin import Settings, Twin
-from calibration.twin_alarm import REFERENCE, THRESHOLD, Bands, Window, run_length
+from calibration.twin_alarm import MISFIT, REFERENCE, THRESHOLD, Bands, Window, run_length
 from calibration.twin_estimate import Recursive
 from calibration.twin_stream import Bridge, Stretch
 from rig.drive import Drive, chambers
@@ -134,6 +135,29 @@ def test_a_fault_is_noticed_within_2_s_and_named(running, change, hint, channels
     assert alarm.hint.startswith(hint)
     assert set(alarm.channels) <= set(channels)
     assert blocks[-1].k.value == pytest.approx(TRUE_K, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("change", "channels"),
+    [
+        ({"leak": 0.2}, ["p_front"]),
+        ({"shut": 0.4}, ["p_front", "p_rear"]),
+        ({"EI_tail": 0.7 * 0.0058}, ["thrust", "recoil", "tip"]),
+    ],
+    ids=str,
+)
+def test_a_fault_from_the_start_is_told_of(started, experiment, change, channels):
+    """Bands that were learned beside it hold it, so that it raises no alarm."""
+    twin = copy.deepcopy(started[0], {id(started[0]._program): started[0]._program})
+    assert twin.misfits == {}
+    twin.restart(forget=True)
+    robot = Streaming(experiment, TRUE_K, TRUE_K_Q)
+    vars(robot).update(change)
+    follow(twin, robot, LEARNED)
+    assert list(twin.misfits) == channels
+    for i, channel in enumerate(CHANNELS):
+        rms, share = twin.misfits.get(channel, (0.0, 0.0))
+        assert channel not in channels or rms > 0.0 and MISFIT[i] < share < 0.6
 
 
 def test_an_alarm_ends_when_its_cause_does(running):

@@ -11,8 +11,8 @@ from slider_jax.errors import InputError
 def check(port: Port, rig: RigFile = None, pressure: Value = 50e3, out: Path | None = None) -> int:
     """Check rate and line, answer times, noise at rest, and how each chamber fills and holds.
 
-    Each chamber is set to the pressure by itself for 1.5 s, and all vent at the end. Exit code 1 if
-    something is found.
+    A force sensor that the rig file names is listened to for a second before. Each chamber is set
+    to the pressure by itself for 1.5 s, and all vent at the end. Exit code 1 if something is found.
 
     Args:
         port: serial port of the manifold.
@@ -20,13 +20,14 @@ def check(port: Port, rig: RigFile = None, pressure: Value = 50e3, out: Path | N
         pressure: set pressure of the test [Pa].
         out: JSON file for what was found; its folder is made if missing.
     """
-    from rig.checking import Collector, check as check_rig
+    from rig.checking import Collector, check as check_rig, check_force
+    from rig.force import Mounting
     from rig.manifold import Manifold
     from rig.messages import CHANNELS
     from rig.port import open_port
     from rig.priority import real_time
     from rig.safety import Limits, checked
-    from slider_jax.cli.rig import signals_as_ctrl_c
+    from slider_jax.cli.rig import force_of, signals_as_ctrl_c
     from slider_jax.cli.rig_settings import rig_of
     from slider_jax.files import output_folder, write_json
 
@@ -36,8 +37,15 @@ def check(port: Port, rig: RigFile = None, pressure: Value = 50e3, out: Path | N
         if out.is_dir():
             raise InputError(f"--out {out}: is a folder; give a file, as {out / 'check.json'}")
         output_folder(out.parent)
-    limits = Limits.of(rig_of(rig).manifold.limits)
+    settings = rig_of(rig)
+    limits = Limits.of(settings.manifold.limits)
     checked((pressure,) * 4, limits)
+    forces = None
+    if settings.force is not None:
+        print("force sensor ...", file=sys.stderr)
+        with signals_as_ctrl_c(), real_time(), force_of(settings.force)[0] as source:
+            mounting = Mounting(settings.force.thrust, settings.force.recoil)
+            forces = check_force(source, mounting)
     collector = Collector()
     with (
         signals_as_ctrl_c(),
@@ -63,8 +71,17 @@ def check(port: Port, rig: RigFile = None, pressure: Value = 50e3, out: Path | N
             f"{x.name:<12} {1e-3 * x.reached:7.2f} of {1e-3 * x.asked:g} kPa, 63 % after "
             f"{1e3 * x.rise:.0f} ms"
         )
-    print("\n".join(found.findings) or "nothing is wrong")
+    findings, content = list(found.findings), found._asdict()
+    content["held"] = [x._asdict() for x in found.held]
+    if forces is not None:
+        print(f"force sensor: {forces.rate:.0f} records a second, {forces.lost} lost")
+        for name, offset, noise in zip(
+            ("thrust_N", "recoil_N"), forces.offset, forces.noise, strict=True
+        ):
+            print(f"{name:<20} at rest {offset:10.4f}, noise {noise:8.4f}")
+        findings += forces.findings
+        content["force"] = forces._asdict()
+    print("\n".join(findings) or "nothing is wrong")
     if out is not None:
-        content = found._asdict() | {"held": [x._asdict() for x in found.held]}
-        write_json(out, content)
-    return 1 if found.findings else 0
+        write_json(out, content | {"findings": findings})
+    return 1 if findings else 0

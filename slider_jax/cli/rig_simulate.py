@@ -166,6 +166,12 @@ def _tank(experiment: Path | None, model: Path | None, faults: list[str]):
 
         prepare_jax()
         loaded = load(experiment, model)
+        moving = [t.file for t in loaded.trials if t.tow_speed or t.clamp_moves]
+        if moving:
+            print(
+                f"its clamp stands still: {', '.join(moving)} will not be measured as that says",
+                file=sys.stderr,
+            )
         print("compiling the simulated robot ...", file=sys.stderr, flush=True)
         robot = RobotTank(loaded)
         for name in faults:

@@ -10,8 +10,10 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
+from calibration.forward import CHANNELS
 from calibration.twin import Block, Twin
 from calibration.twin_stream import Stretch
+from rig.columns import in_unit
 from rig.live import CHANNELS_OUT, Live
 from rig.priority import prefer
 from slider_jax.cli.options import MaybeFolder, ModelFile, Seconds, Whole, chosen_trials
@@ -49,8 +51,9 @@ def watch(
 
     Told are k and K_Q as they are followed on line, how far measurement and model are apart on each
     channel, and how late the model is. An alarm says when the residual leaves its band, and what
-    may have happened: a leak, a blocked valve, a changed tail. Everything vents at the end, and on
-    an alarm if there is no terminal to decide. Exit code 1 after an alarm.
+    may have happened: a leak, a blocked valve, a changed tail. What was wrong while the bands were
+    learned is not judged; where the model did not fit then, that is told. Everything vents at the
+    end, and on an alarm if there is no terminal to decide. Exit code 1 after an alarm.
 
     Args:
         experiment: experiment file of the robot; `slider calibrate` gives its model.
@@ -94,6 +97,7 @@ def watch(
                 stretch = Stretch(live.device_s, live.set_pressure, live.measured)
                 for block in twin.feed(stretch):
                     told.take(block, _arrived(block, live), playing.lost)
+                told.take_misfits(twin.misfits)
                 if told.alarms and not sys.stderr.isatty():
                     told.ended = "by the alarm"
                     break
@@ -119,6 +123,8 @@ class _Told:
     ended: str = "whole"
     judged: bool = False
     """Whether the bands were learned."""
+    misfits: dict[str, tuple[float, float]] = field(default_factory=dict)
+    """`Twin.misfits`."""
     _said: float = 0.0
     _on: bool = False
 
@@ -138,6 +144,23 @@ class _Told:
             self._said = now
             _say(block, self.rows[-1], lost, new)
 
+    def take_misfits(self, misfits: dict[str, tuple[float, float]]) -> None:
+        """How the model fitted while the bands were learned; said when it is known."""
+        if misfits and not self.misfits:
+            self.misfits = misfits
+            print(f"\n{self._misfitting()}", file=sys.stderr, flush=True)
+
+    def _misfitting(self) -> str:
+        names = dict(zip(CHANNELS, CHANNELS_OUT, strict=True))
+        found = ", ".join(
+            f"{name} by {in_unit(names[name], rms)} ({100.0 * share:.0f} % of the model's)"
+            for name, (rms, share) in self.misfits.items()
+        )
+        return (
+            f"the model was off while its bands were learned, {found}: what was wrong by then is "
+            "not judged; see `slider rig check`, or calibrate anew"
+        )
+
     def sum_up(self) -> None:
         """Prints how it ended."""
         if self.rows:
@@ -151,7 +174,7 @@ class _Told:
         for alarm in self.alarms:
             print(f"ALARM at {alarm['t_s']:.2f} s: {alarm['said']}")
         if self.judged and not self.alarms:
-            print("no alarm")
+            print(f"no alarm, but {self._misfitting()}" if self.misfits else "no alarm")
 
     def write(self, out: Path, beside: dict[str, Any]) -> None:
         """watch.csv and watch.json, with what is to be told `beside`."""
@@ -159,6 +182,8 @@ class _Told:
             columns = {k: np.array([r[k] for r in self.rows]) for k in self.rows[0]}
             write_csv(stage / "watch.csv", columns)
             told = {"alarms": self.alarms, "t_0_device_s": self.begun, "ended": self.ended}
+            shares = {name: {"rms": rms, "share": x} for name, (rms, x) in self.misfits.items()}
+            told["misfits"] = shares
             write_json(stage / "watch.json", told | beside)
 
 
