@@ -9,7 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from slider_jax.cli.options import Folder, Whole
+from slider_jax.cli.options import Folder, Range, Whole
 from slider_jax.cli.rig import (
     Live,
     Port,
@@ -29,6 +29,9 @@ def loop(
     out: Folder,
     rig: RigFile = None,
     budget: Whole = 12,
+    frequency: Range = None,
+    amplitude: Range = None,
+    phase: Range = None,
 ) -> None:
     """Measure, find what the model lacks, add the trial that tells most, until it is settled.
 
@@ -43,6 +46,10 @@ def loop(
         out: folder for all of it; made if missing.
         rig: TOML file of the rig: limits, pace, force sensor, analogue inputs.
         budget: most trials, with those of the file.
+        frequency: lowest and highest frequency of the trials that are added, Hz; by default those
+            of the file, a tenth wider. So with the next two.
+        amplitude: lowest and highest set pressure of theirs, Pa; never above the rig's limits.
+        phase: lowest and highest phase of the rear chamber of theirs, fraction of a period.
     """
     from calibration.campaign import campaign
     from calibration.closing import LEAST_TRIALS
@@ -63,6 +70,17 @@ def loop(
         )
     if any(trial.clamp_moves or trial.tow_speed for trial in given.trials):
         raise InputError(f"{experiment}: a clamp moves; allowed trials whose clamp rests")
+    allowed = {"frequency": frequency, "amplitude": amplitude, "phase": phase}
+    allowed["tow_speed"] = (0.0, 0.0)
+
+    def within(now: Experiment) -> Limits:
+        highest = min(settings.manifold.limits)
+        behind = max([1.0, *(abs(t.rear_ratio) for t in now.trials)])
+        own = limits_of(now, allowed)
+        low, high = own.amplitude
+        return own._replace(amplitude=(min(low, highest / behind), min(high, highest / behind)))
+
+    within(given)  # ranges that cannot be are told at once
     settings = with_counts(settings)
     folder = output_folder(out) / "measured"
     folder.mkdir(exist_ok=True)
@@ -72,13 +90,6 @@ def loop(
 
     def say(text: str) -> None:
         print(f"{time.monotonic() - begun:6.0f} s  {text}", file=sys.stderr, flush=True)
-
-    def within(now: Experiment) -> Limits:
-        highest = min(settings.manifold.limits)
-        behind = max([1.0, *(abs(t.rear_ratio) for t in now.trials)])
-        own = limits_of(now, {"tow_speed": (0.0, 0.0)})
-        low, high = own.amplitude
-        return own._replace(amplitude=(min(low, highest / behind), min(high, highest / behind)))
 
     def capture(trials: tuple[Trial, ...]) -> None:
         # Opened anew for each round: between them the manifold is vented and its port free.
