@@ -24,6 +24,7 @@ from rig.recording import read_recording
 from rig.session import differing
 from rig.stillness import Stillness
 from rig.unfinished import extent
+from slider_jax.cli.main import main
 from slider_jax.cli.rig import declare_swing, take_experiment
 from slider_jax.errors import InputError
 from tests.test_rig_vents import EXPERIMENT
@@ -334,3 +335,24 @@ def test_a_pause_says_what_it_waits_for():
         still.add(0.02 * i, Reading(i, 0, 2, 0, (0, 0, 0, 0, 0, volts, 0, 0)))
     assert not still.reached
     assert still.waits_for == ", until tip_m moves by less than 0.4 mm (now 4 mm),"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ((), "trials: given 1; allowed 3 or more to begin with"),
+        (("--amplitude", "2e5", "1e5"), "--amplitude: given 200000 100000; allowed LOW HIGH"),
+        (("--amplitude", "100", "200"), "--amplitude: given 100; allowed 0, or 1000 to 2e+06 Pa"),
+        (("--phase", "0.1"), "--phase"),
+    ],
+)
+def test_a_loop_that_cannot_be_is_refused_at_once(words, message, tmp_path, capsys):
+    path, out = tmp_path / "experiment.toml", tmp_path / "out"
+    text = EXPERIMENT.format(duration=1.0)
+    trial = text[text.index("[[trials]]") :]
+    for name in "bc" if words else "":
+        text += "\n" + trial.replace("a.csv", f"{name}.csv")
+    path.write_text(text)
+    assert main(["rig", "loop", str(path), "--port", "x", "--out", str(out), *words]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert message in line and not out.exists()
