@@ -16,7 +16,10 @@ from rig.errors import RigError
 from rig.force import Mounting
 from rig.force_net import NetCalibration, NetForce
 from rig.force_ni import GaugeCalibration, GaugeForce
+from rig.simulated.bench import OnHost
 from rig.simulated.force_sensor import COUNTS, Box, Line, SimulatedForceSensor
+from rig.simulated.rig import STEP, SimulatedRig
+from rig.simulated.tank import BenchTank
 
 CALIBRATION = NetCalibration(COUNTS, COUNTS)
 RATE = 1000.0
@@ -653,3 +656,23 @@ def test_a_card_with_five_inputs_is_refused(monkeypatch):
     with pytest.raises(RigError, match="given 5 inputs; allowed 6"):
         GaugeForce("Dev1/ai0:4", GaugeCalibration(MATRIX.tolist()))
     assert card.closed
+
+
+@pytest.mark.parametrize("late_us", [0, 79, 921])
+def test_a_simulated_record_waits_for_no_step_but_its_own(late_us):
+    """The tank's steps begin whenever the first tick comes."""
+    device, start = OnHost(SimulatedRig(BenchTank())), time.monotonic_ns()
+
+    def tick():
+        device.tick((time.monotonic_ns() - start) // 1000)
+
+    while time.monotonic_ns() - start < 1000 * late_us:
+        pass
+    for _ in range(5):
+        tick()
+        time.sleep(2e-3)
+    due = device.on_step(time.monotonic() + 0.01)
+    while time.monotonic() < due + 1e-4:
+        tick()
+    behind_us = device.rig.reached_us - (1e6 * due - 1e-3 * start)
+    assert 0.0 <= behind_us % STEP < 50.0

@@ -14,6 +14,8 @@ from rig.simulated.rig import STEP, TIP_PER_VOLT, SimulatedRig
 from rig.simulated.terminal import Terminal
 
 MADE_UP = "The rig that `slider rig simulate` made up"
+BEFORE = 5
+"""By which a record is taken before a step, as times are rounded [us]."""
 PATIENCE = 0.2
 """Longest that a force waits for its tank [s]."""
 
@@ -49,13 +51,14 @@ class OnHost:
         return np.array([now.thrust, now.recoil, 0.0, 0.0, 0.0, 0.0])
 
     def on_step(self, host_s: float) -> float:
-        """The next time of the host [s] at which the tank makes a step.
+        """The next time of the host [s] at which the tank makes a step, or just before.
 
-        Records between steps would all wait for the next one, and be late by the same.
+        Records between steps would all wait for the next one, and be late by the same. Steps begin
+        with the first tick, at whatever time of the device that came.
         """
-        zero = self._zero_ns or time.monotonic_ns()
-        steps = ceil((1e9 * host_s - zero) / (1000 * STEP))
-        return 1e-9 * (zero + 1000 * STEP * steps)
+        zero, reached = self._zero_ns or time.monotonic_ns(), self.rig.reached_us
+        steps = ceil((1e-3 * (1e9 * host_s - zero) - reached) / STEP)
+        return 1e-9 * (zero + 1000 * (reached + STEP * steps - BEFORE))
 
 
 class Running(NamedTuple):
