@@ -31,17 +31,18 @@ def read_bytes(path: Path) -> bytes:
 def read_toml(path: Path) -> dict[str, Any]:
     """The tables of a TOML file; an error names line and column."""
     try:
-        return tomllib.loads(read_bytes(path).decode("utf-8"))
+        text = read_bytes(path).decode("utf-8")
+        return tomllib.loads(text)
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from None
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not valid TOML: {error}{_unit_advice(path, error)}") from None
+        raise InputError(f"{path}: not valid TOML: {error}{_unit_advice(text, error)}") from None
 
 
-def _unit_advice(path: Path, error: tomllib.TOMLDecodeError) -> str:
+def _unit_advice(text: str, error: tomllib.TOMLDecodeError) -> str:
     """For a number with a unit behind it, which is how most numbers are mistyped."""
     at = re.search(r"at line (\d+)", str(error))
-    lines = path.read_text(encoding="utf-8").splitlines()
+    lines = text.split("\n")
     line = lines[int(at[1]) - 1] if at and int(at[1]) <= len(lines) else ""
     number = re.search(r"=\s*([-+]?\d[\d_.]*(?:[eE][-+]?\d+)?)\s*([^\W\d_][^\s#]*)", line)
     if not number:
