@@ -26,7 +26,8 @@ from calibration.evidence import Problem, summed
 from calibration.fit import Fit, fit, inverse
 from calibration.forward import CHANNELS
 from calibration.plant import Parameter
-from calibration.search import directions, groups, scored
+from calibration.rounds import groups, scored
+from calibration.search import directions
 from calibration.trace import drop, solve
 
 PENALTIES = 60

@@ -17,7 +17,8 @@ from calibration.logs import ManifoldLog
 from calibration.measured import Record
 from calibration.memo import Memo
 from calibration.plant import BASE, Parameter, base_values, candidates, parameters, start
-from calibration.search import Search, search
+from calibration.rounds import Search
+from calibration.search import search
 from calibration.systematic import halves, interval
 from calibration.verdict import NAMED, Excess, decide, excess, floors, rms_errors
 from slider_jax.errors import InputError

@@ -99,7 +99,7 @@ def _is_declared(experiment: Experiment, channel: str) -> bool:
 
 
 class Seen(NamedTuple):
-    """What one trial and channel would say along k parameters."""
+    """What one trial and channel would say along k parameters, or k - 1 and another model."""
 
     trial: int
     channel: str
@@ -125,6 +125,9 @@ class Foresight:
     coarse: Resolution = COARSE
     memo: Memo | None = None
     """Keeps what was simulated."""
+    other: np.ndarray | None = None
+    """Parameters of another model. What it would read less what this one does is one tangent more
+    then, the last."""
 
     @property
     def entries(self) -> list[Parameter]:
@@ -166,13 +169,17 @@ class Foresight:
         def make() -> list[np.ndarray]:
             y = predict(p, self.theta)
             fine = np.isfinite(y).all()
-            return [y, self._along(p, y) if fine else np.zeros((0, *y.shape))]
+            if not fine:
+                return [y, np.zeros((0, *y.shape))]
+            J = self._along(p, y)
+            return [y, J if self.other is None else np.stack([*J, predict(p, self.other) - y])]
 
         if self.memo is None:
             return make()
         steps = np.array(sorted(self.secants.items()), float)
         name = f"foresee {trial.model_dump_json()} {self.effects} {self.coarse}"
-        return self.memo.kept(name, [self.theta, self.chosen, steps], make)
+        others = [] if self.other is None else [self.other]
+        return self.memo.kept(name, [self.theta, self.chosen, steps, *others], make)
 
     def _along(self, p: TrialPlan, y: np.ndarray) -> np.ndarray:
         """(k, 5, n); NaN along what cannot be simulated."""
@@ -273,6 +280,18 @@ def _tells_little(tangent: np.ndarray, finite: np.ndarray) -> bool:
 def information(seen: Sequence[Seen]) -> np.ndarray:
     """(k, k) normal matrix of all trials and channels."""
     return np.sum([x.A for x in seen], axis=0)
+
+
+def shares(seen: Sequence[Seen], step: np.ndarray) -> dict[str, float]:
+    """By what share of its rms a step (k,) changes each channel, all trials together."""
+    known, found = np.flatnonzero(step), {}
+    for channel in dict.fromkeys(x.channel for x in seen):
+        parts = [x for x in seen if x.channel == channel]
+        raw = np.sum([x.raw[np.ix_(known, known)] for x in parts], axis=0)
+        square = float(np.sum([x.square for x in parts]))
+        change = max(float(step[known] @ raw @ step[known]), 0.0)
+        found[channel] = float(np.sqrt(change / max(square, 1e-300)))
+    return found
 
 
 def as_block(A: np.ndarray) -> list[Block]:

@@ -22,12 +22,22 @@ from scipy.sparse.csgraph import connected_components
 from scipy.stats import chi2
 
 from calibration.fit import inverse
-from calibration.foresight import Foresight, Seen, as_block, foresight, information, left
+from calibration.foresight import (
+    Foresight,
+    Seen,
+    as_block,
+    foresight,
+    information,
+    left,
+    shares,
+)
 from calibration.forward import COARSE, Resolution
 from calibration.memo import Memo
 from calibration.noise import DISCREPANCY
 from calibration.plant import Parameter, candidates
-from calibration.search import ALIKE, CHANCE, LEAST_GAIN, scored
+from calibration.rivals import ALIKE
+from calibration.rounds import LEAST_GAIN, scored
+from calibration.search import CHANCE
 from calibration.trace import alikeness
 from slider_jax.effects import Prior
 from slider_jax.experiment import Experiment
@@ -139,14 +149,7 @@ def _limit(
         return np.inf, np.inf, np.inf
     step = np.zeros(len(A))
     step[i], step[free] = 1.0, -inverse(A[np.ix_(free, free)]) @ A[free, i]
-    known = np.flatnonzero(step)
-    changes = []
-    for channel in dict.fromkeys(x.channel for x in seen):
-        parts = [x for x in seen if x.channel == channel]
-        raw = np.sum([x.raw[np.ix_(known, known)] for x in parts], axis=0)
-        square = float(np.sum([x.square for x in parts]))
-        share = float(np.sqrt(max(step[known] @ raw @ step[known], 0.0) / max(square, 1e-300)))
-        changes.append(share / DISCREPANCY[channel])
+    changes = [share / DISCREPANCY[c] for c, share in shares(seen, step).items()]
     return float(np.sqrt(gain / kept)), 1.0 / max(max(changes), 1e-300), float(1.0 / np.sqrt(kept))
 
 
@@ -199,7 +202,7 @@ def classes(
 
 
 class AtLimits(NamedTuple):
-    """What `next_trial.separate` needs of some effects, each as large as its detection limit."""
+    """What `separation.separate` needs of some effects, each as large as its detection limit."""
 
     foresight: Foresight
     before: np.ndarray

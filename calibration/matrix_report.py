@@ -11,7 +11,9 @@ from calibration.foresight import FINITE_START
 from calibration.matrix import Limit, Matrix, required_gain
 from calibration.noise import DISCREPANCY, GAIN
 from calibration.plant import candidates
-from calibration.search import ALIKE, CHANCE, LEAST_GAIN
+from calibration.rivals import ALIKE
+from calibration.rounds import LEAST_GAIN
+from calibration.search import CHANCE
 from slider_jax.figures import new_figure, save_figure
 from slider_jax.provenance import versions
 

@@ -13,8 +13,7 @@ import numpy as np
 from calibration.closing import Outcome
 from calibration.evidence import summed
 from calibration.fit import inverse
-from calibration.foresight import Foresight, Sensing, information
-from calibration.forward import DIRECTIONS
+from calibration.foresight import Foresight, Seen, Sensing, information
 from calibration.next_trial import (
     Effort,
     Limits,
@@ -25,12 +24,11 @@ from calibration.next_trial import (
     toml,
     words,
 )
-from calibration.search import Round, groups
-from calibration.separation import separate
+from calibration.rounds import groups
+from calibration.splitting import split
 from calibration.systematic import EFFECT, SYSTEMATIC
 from calibration.verdict import CLASS, INCONCLUSIVE, UNEXPLAINED
 from slider_jax.errors import InputError, SolverError
-from slider_jax.fingerprint import typical
 
 LOOP = Effort(spread=12, rounds=1)
 """Trials that are tried at the end of the loop, which has minutes in all."""
@@ -53,7 +51,7 @@ def next_experiment(
     try:
         within = limits_of(outcome.experiment) if limits is None else limits
         if outcome.verdict == CLASS:
-            return _separated(outcome, within, effort, progress)
+            return _split(outcome, within, effort, progress)
         return _narrowed(outcome, within, effort, progress)
     except (InputError, SolverError) as error:
         return _none(f"No trial is proposed: {error}")
@@ -78,52 +76,31 @@ def _again(outcome: Outcome) -> dict[str, Any]:
     return {"purpose": "repeat", "said": said, "trial": as_table(again), "toml": toml(again)}
 
 
-def _foresight(outcome: Outcome, chosen: np.ndarray, secants: dict[int, float]) -> Foresight:
-    names = tuple(groups(outcome.entries))
-    experiment, theta = outcome.experiment, outcome.final.theta
-    sensing = Sensing.of(experiment, outcome.problem.records)
-    coarse = outcome.problem.mesh
-    memo = outcome.problem.memo
-    return Foresight(experiment, names, theta, chosen, sensing, secants, coarse, memo)
+def _foresight(
+    outcome: Outcome, theta: np.ndarray, chosen: np.ndarray, other: np.ndarray | None = None
+) -> Foresight:
+    names, problem = tuple(groups(outcome.entries)), outcome.problem
+    sensing = Sensing.of(outcome.experiment, problem.records)
+    return Foresight(
+        outcome.experiment, names, theta, chosen, sensing, {}, problem.mesh, problem.memo, other
+    )
 
 
-def _separated(outcome: Outcome, limits: Limits, effort: Effort, progress: Say) -> dict[str, Any]:
-    this = next(r for r in outcome.search.rounds if r.chosen and r.alike)
-    assert this.chosen is not None
-    members, free = groups(outcome.entries), outcome.final.free
-    room = DIRECTIONS - len(free)
-    names, used = [this.chosen], 0
-    for rival in this.alike:
-        used += len(members[rival])
-        if used <= max(room, len(members[this.alike[0]])):
-            names.append(rival)
-    full = {name: _size(outcome, this, name) for name in names}
-    rivals = np.concatenate([members[n] for n in names[1:]])
-    steps = np.concatenate([full[n] for n in names[1:]])
-    # A rival may have been added in a later round: it is in the fit then, at its size.
-    new = ~np.isin(rivals, free)
-    chosen = np.concatenate([free, rivals[new]])
-    # At the sizes that were fitted, as the tangent at the null can say little of them.
-    secants = {int(i): float(x) for i, x in zip(rivals[new], steps[new], strict=True) if x != 0.0}
-    f = _foresight(outcome, chosen, secants)
-    progress(f"what the next trial could say of {', '.join(names)}")
-    before = information(f.trials([r.trial for r in outcome.problem.records]))
-    own = {n: np.flatnonzero(np.isin(chosen, members[n])) for n in names}
-    return separate(f, before, own, full, limits, effort, progress)
-
-
-def _size(outcome: Outcome, this: Round, name: str) -> np.ndarray:
-    """How far the parameters of an effect are from their null as far as the round knows."""
-    group = groups(outcome.entries)[name]
-    null = np.array([outcome.entries[i].prior.null for i in group])
-    if name == this.chosen or name in outcome.search.effects:
-        return outcome.final.theta[group] - null
-    tried = next((t for t in this.tried if t.name == name), None)
-    if tried is not None:
-        return tried.fit.theta[group] - null
-    estimate = next(s.estimate for s in this.scores if s.name == name)
-    ends = np.array([typical(outcome.entries[i].prior) for i in group]) - null
-    return np.clip(estimate, -np.abs(ends), np.abs(ends))
+def _split(outcome: Outcome, limits: Limits, effort: Effort, progress: Say) -> dict[str, Any]:
+    """Of the first class that a trial can make smaller."""
+    found = _none("No trial is proposed: none of the rivals can be fitted in the place of another.")
+    last = outcome.search.final.theta
+    for this in outcome.search.rounds:
+        rivals = {n: this.rivals[n] for n in this.alike if n in this.rivals}
+        if not this.chosen or not rivals:
+            continue
+        foresights = {n: _foresight(outcome, x.theta, x.free, last) for n, x in rivals.items()}
+        progress(f"what the next trial could say of {this.chosen} and {', '.join(rivals)}")
+        trials = [r.trial for r in outcome.problem.records]
+        found = split(this.chosen, foresights, trials, limits, effort, progress)
+        if found["times"] is not None:
+            break
+    return found
 
 
 def _narrowed(outcome: Outcome, limits: Limits, effort: Effort, progress: Say) -> dict[str, Any]:
@@ -142,14 +119,14 @@ def _narrowed(outcome: Outcome, limits: Limits, effort: Effort, progress: Say) -
             "No trial is proposed: what two correct programs differ by is the larger part of every "
             "interval, so more of such data would not narrow one."
         )
-    f = _foresight(outcome, final.free, {})
+    f = _foresight(outcome, final.theta, final.free)
     p, before = own[widest], summed(final.blocks)[0]
 
-    def goal(A: np.ndarray) -> float:
-        return -float(inverse(A)[widest, widest])
+    def goal(seen: list[list[Seen]]) -> float:
+        return -float(inverse(before + information(seen[0]))[widest, widest])
 
     progress(f"what the next trial could say of {p.label}")
-    best = Search(f, before, goal, limits).run(effort, progress)
+    best = Search([f], goal, limits).run(effort, progress)
     after = float(np.sqrt(final.inflation * -best.value))
     unit = "" if p.prior.unit == "-" else f" {p.prior.unit}"
     said = (

@@ -4,14 +4,14 @@ First evenly spread trials, then a pattern search from the best of them, over fr
 phase of the rear chamber and tow speed.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import qmc
 
-from calibration.foresight import Foresight, information
+from calibration.foresight import Foresight, Seen, information
 from calibration.forward import on_all_cores
 from slider_jax.errors import InputError, SolverError
 from slider_jax.experiment import Experiment
@@ -47,7 +47,8 @@ class Found(NamedTuple):
     """A trial that was foreseen."""
 
     trial: Trial
-    A: np.ndarray
+    seen: list[list[Seen]]
+    """By each of the foresights."""
     value: float
     """Of the goal, the larger the better; -inf where the trial cannot be simulated."""
 
@@ -126,23 +127,21 @@ def free_name(experiment: Experiment) -> str:
 
 @dataclass(frozen=True)
 class Search:
-    """What a trial is chosen for: `goal` is of the information (k, k) with the trial's added."""
+    """What a trial is chosen for: `goal` is of what it would say by each of the foresights."""
 
-    foresight: Foresight
-    before: np.ndarray
-    """(k, k) information of the trials that there are."""
-    goal: Callable[[np.ndarray], float]
+    foresights: Sequence[Foresight]
+    goal: Callable[[list[list[Seen]]], float]
     limits: Limits
 
     def at(self, place: np.ndarray) -> Found:
         """The trial at a place of the unit cube."""
-        trial = proposed(self.foresight.experiment, self.limits, place)
+        trial = proposed(self.foresights[0].experiment, self.limits, place)
         try:
-            A = information(self.foresight.trial(trial))
+            seen = [f.trial(trial) for f in self.foresights]
         except SolverError:
-            return Found(trial, self.before, -np.inf)
-        value = self.goal(self.before + A) if np.isfinite(A).all() else -np.inf
-        return Found(trial, A, value)
+            return Found(trial, [], -np.inf)
+        fine = all(np.isfinite(information(x)).all() for x in seen)
+        return Found(trial, seen, self.goal(seen) if fine else -np.inf)
 
     def run(
         self, effort: Effort = Effort(), progress: Callable[[str], None] = lambda text: None

@@ -8,7 +8,7 @@ import numpy as np
 from calibration.closing import Errors, Outcome
 from calibration.fit import Fit
 from calibration.plant import Parameter, base_values
-from calibration.search import Round
+from calibration.rounds import Round
 from calibration.systematic import by_variation, determined, interval
 from calibration.verdict import FLOOR, at_bounds, split
 from calibration.whereabouts import where

@@ -8,7 +8,7 @@ from calibration.closing import Outcome
 from calibration.forward import CHANNELS
 from calibration.page import document, paragraph, picture, table, text
 from calibration.report import widened
-from calibration.search import AGREE, UNALIKE
+from calibration.rounds import AGREE, UNALIKE
 from calibration.verdict import FLOOR
 from calibration.whereabouts import said
 

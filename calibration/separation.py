@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from calibration.foresight import Foresight, as_block, left
+from calibration.foresight import Foresight, Seen, as_block, information, left
 from calibration.next_trial import Effort, Limits, Search, as_table, toml, words
 from calibration.trace import alikeness
 
@@ -77,11 +77,12 @@ def separate(
     taken = np.concatenate(list(members.values()))
     free = np.setdiff1d(np.arange(len(f.chosen)), taken)
 
-    def goal(A: np.ndarray) -> float:
-        return apart(pairs_of(A, members, sizes, free))
+    def goal(seen: list[list[Seen]]) -> float:
+        return apart(pairs_of(before + information(seen[0]), members, sizes, free))
 
-    best = Search(f, before, goal, limits).run(effort, progress)
-    now, then = (pairs_of(A, members, sizes, free) for A in (before, before + best.A))
+    best = Search([f], goal, limits).run(effort, progress)
+    after = before + information(best.seen[0])
+    now, then = (pairs_of(A, members, sizes, free) for A in (before, after))
     rows = [
         {
             "first": a.first,

@@ -10,7 +10,7 @@ from calibration.fit import Fit
 from calibration.forward import CHANNELS
 from calibration.noise import DISCREPANCY
 from calibration.plant import Parameter
-from calibration.search import Search, scored
+from calibration.rounds import Search, scored
 from slider_jax.effects.library import LIBRARY
 
 FLOOR = 1.5

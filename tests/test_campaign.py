@@ -95,6 +95,14 @@ def test_a_class_is_settled_only_when_no_trial_tells_it_apart(tmp_path, monkeypa
     assert found.settled and len(captured) == 5
 
 
+def test_a_class_that_no_number_of_trials_makes_smaller_is_settled(tmp_path, monkeypatch):
+    path, capture, captured = tank(tmp_path, {}, 4)
+    answers = iter([following("x.csv") | {"times": 7}, following("y.csv") | {"times": None}])
+    monkeypatch.setattr(module, "next_experiment", lambda *a: next(answers))
+    found = campaign(path, capture, tmp_path / "out", close=Answers("class", "class"))
+    assert found.settled and len(captured) == 5
+
+
 def test_what_is_measured_is_not_measured_again(tmp_path, monkeypatch):
     path, capture, captured = tank(tmp_path, {}, 4)
     capture(experiment.load(path).trials[:3])

@@ -18,7 +18,8 @@ from calibration.memo import Memo
 from calibration.next_trial import Effort, limits_of, toml
 from calibration.noise import DISCREPANCY, Whitener
 from calibration.plant import BASE, candidates
-from calibration.search import ALIKE, LEAST_GAIN, groups
+from calibration.rivals import ALIKE
+from calibration.rounds import LEAST_GAIN, groups
 from calibration.separation import pairs_of, separate
 from calibration.trace import alikeness, score
 from slider_jax.cli.main import COMMANDS, find, main

@@ -6,15 +6,17 @@ import pytest
 from calibration.closing import Errors, Outcome
 from calibration.evidence import Problem
 from calibration.fit import Fit
-from calibration.foresight import Foresight, Sensing, information
+from calibration.foresight import Foresight, Seen, Sensing, information
 from calibration.forward import CHANNELS
 from calibration.measured import Record
 from calibration.next_experiment import next_experiment
 from calibration.next_trial import Effort, limits_of
+from calibration.noise import DISCREPANCY
 from calibration.plant import BASE, parameters, start
 from calibration.report import report
 from calibration.report_html import page
-from calibration.search import Agreement, Round, Search, Tried, groups
+from calibration.rounds import LEAST_GAIN, Round, Search, groups
+from calibration.splitting import apart
 from calibration.verdict import Excess
 from slider_jax.experiment import load
 from slider_jax.schema import Trial
@@ -78,40 +80,60 @@ def test_what_is_not_explained_is_to_be_measured_again_where_it_is_largest(tank,
     assert "9.0 times" in found["said"]
 
 
-def test_a_class_is_to_be_separated_at_the_sizes_that_were_fitted(tank):
-    experiment, _, null = tank
-    theta, rival = null.copy(), null.copy()
-    theta[MASS], rival[FLUID] = 0.1, 0.12
+def classed(tank, rival):
+    """The outcome that found a carried mass, and a class with the `rival` fit."""
+    theta = tank[2].copy()
+    theta[MASS] = 0.1
     final = fitted(tank, theta, np.concatenate([FREE, MASS]))
-    other = final._replace(theta=rival)
-    tried = [Tried(n, f, 99.0, {}, Agreement(9.0, 0.01)) for n, f in
-             (("carried_mass", final), ("axial_added_mass", other))]  # fmt: skip
-    this = Round([], tried, "carried_mass", ["axial_added_mass"])
-    limits = limits_of(experiment, LIMITS | {"tow_speed": (0.0, 0.25)})
-    found = next_experiment(outcome(tank, "class", final, [this]), limits=limits, effort=FEW)
-    assert found["purpose"] == "separate"
-    (pair,) = found["pairs"]
-    assert {pair["first"], pair["second"]} == {"carried_mass", "axial_added_mass"}
-    sizes = {name: x.tolist() for name, x in found["sizes"].items()}
-    assert sizes == {"carried_mass": [0.1], "axial_added_mass": [0.12]}
-    assert found["trial"]["tow_speed"] > 0.1
-    assert pair["sigmas_after"] > 2.0 * pair["sigmas_before"]
+    rivals = {"axial_added_mass": rival}
+    return outcome(tank, "class", final, [Round([], [], "carried_mass", list(rivals), rivals)])
 
 
-def test_a_rival_that_was_added_later_is_separated_at_its_size_in_the_fit(tank):
-    experiment, _, null = tank
-    theta = null.copy()
-    theta[MASS], theta[FLUID] = 0.1, 0.05
-    final = fitted(tank, theta, np.concatenate([FREE, MASS, FLUID]))
-    rounds = [
-        Round([], [], "carried_mass", ["axial_added_mass"]),
-        Round([], [], "axial_added_mass", []),
+def test_a_class_asks_for_the_trial_that_makes_it_smaller(tank):
+    theta = tank[2].copy()
+    theta[FLUID] = 0.12
+    found = classed(tank, fitted(tank, theta, np.concatenate([FREE, FLUID])))
+    limits = limits_of(tank[0], LIMITS | {"tow_speed": (0.0, 0.25)})
+    told = next_experiment(found, limits=limits, effort=FEW)
+    assert told["purpose"] == "separate" and told["times"] == 1
+    (pair,) = told["pairs"]
+    assert (pair["first"], pair["second"]) == ("carried_mass", "axial_added_mass")
+    assert told["trial"]["tow_speed"] > 0.1
+    assert pair["sigmas_after"] > 1.3 * pair["sigmas_before"] > 0.0
+    assert f"{pair['sigmas_after']:.1f} standard deviations" in told["said"]
+
+
+def test_a_class_that_nothing_makes_smaller_says_so(tank):
+    theta = tank[2].copy()
+    theta[MASS] = 0.1  # a rival that reads the same
+    found = classed(tank, fitted(tank, theta, np.concatenate([FREE, FLUID])))
+    told = next_experiment(found, effort=FEW)
+    assert told["times"] is None and "no trial within the limits does" in told["said"]
+
+
+def test_a_class_whose_rivals_were_not_fitted_proposes_nothing(tank):
+    found = classed(tank, None)
+    found.search.rounds[0].rivals.clear()
+    told = next_experiment(found, effort=FEW)
+    assert told["trial"] is None and "none of the rivals can be fitted" in told["said"]
+
+
+def test_a_rival_is_as_far_as_its_model_cannot_follow():
+    J = np.random.default_rng(2).normal(size=(400, 3))
+    J[:, 2] += 2.0 * J[:, 1] + J[:, 0]
+    square = float(J[:, 2] @ J[:, 2])
+    step, rest = np.linalg.lstsq(J[:, :2], J[:, 2], rcond=None)[:2]
+    seen = [
+        Seen(i, "tip", J[half].T @ J[half], J[half].T @ J[half], 0.5 * square, 200)
+        for i, half in enumerate((slice(200), slice(200, None)))
     ]
-    limits = limits_of(experiment, LIMITS | {"tow_speed": (0.0, 0.25)})
-    found = next_experiment(outcome(tank, "class", final, rounds), limits=limits, effort=FEW)
-    sizes = {name: x.tolist() for name, x in found["sizes"].items()}
-    assert sizes == {"carried_mass": [0.1], "axial_added_mass": [0.05]}
-    assert found["pairs"][0]["sigmas_after"] > found["pairs"][0]["sigmas_before"] > 0.0
+    found = apart(seen)
+    assert found.sigmas == pytest.approx(np.sqrt(rest[0]), rel=1e-9)
+    left = J[:, 2] - J[:, :2] @ step
+    assert found.shares["tip"] == pytest.approx(np.sqrt(left @ left / square), rel=1e-9)
+    assert found.certainty == pytest.approx(
+        min(rest[0] / LEAST_GAIN, (found.shares["tip"] / DISCREPANCY["tip"]) ** 2)
+    )
 
 
 def test_a_complete_model_asks_for_what_narrows_the_widest_interval(tank):

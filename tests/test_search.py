@@ -24,13 +24,13 @@ SHAPES[2] = SHAPES[4] + 0.25 * SHAPES[3] + 0.1 * SHAPES[2]
 
 
 class Sums:
-    """Readings are sums of `SHAPES`, and noise."""
+    """Readings are sums of shapes (parameters, trials, samples), and noise."""
 
     channels = ("tip",)
     maps = memo = None
 
-    def __init__(self, truth, noise=0.1, seed=0):
-        self.size = 1.0 / noise
+    def __init__(self, truth, shapes=SHAPES, noise=0.1, seed=0):
+        self.shapes, self.size = shapes, 1.0 / noise
         noise = np.random.default_rng(seed).normal(size=(TRIALS, SAMPLES))
         self.y = self._sum(np.asarray(truth)) + noise
         self.records = [
@@ -39,7 +39,7 @@ class Sums:
         ]
 
     def _sum(self, theta):
-        return self.size * np.tensordot(theta, SHAPES, 1)
+        return self.size * np.tensordot(theta, self.shapes, 1)
 
     def predict(self, theta):
         found = np.zeros((TRIALS, 5, SAMPLES))
@@ -48,7 +48,7 @@ class Sums:
 
     def tangents(self, theta, directions):
         found = np.zeros((TRIALS, len(directions), 5, SAMPLES))
-        found[:, :, 4] = self.size * np.einsum("kp,pts->tks", directions, SHAPES)
+        found[:, :, 4] = self.size * np.einsum("kp,pts->tks", directions, self.shapes)
         return list(found)
 
     def whiteners(self, predicted):

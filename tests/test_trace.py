@@ -6,7 +6,7 @@ import pytest
 from calibration.evidence import Block, summed
 from calibration.fit import _linear_optimum, inverse
 from calibration.plant import Parameter
-from calibration.search import agreement
+from calibration.rounds import agreement
 from calibration.trace import alikeness, score, solve
 from calibration.transforms import Bounds
 from slider_jax.effects import Prior

@@ -5,7 +5,7 @@ import pytest
 
 from calibration.fit import Fit
 from calibration.plant import parameters, start
-from calibration.search import Round, Search
+from calibration.rounds import Round, Search
 from calibration.verdict import Excess, decide, explained
 
 ENTRIES = parameters(("valve_delay", "tank_current"))

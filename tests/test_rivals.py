@@ -1,0 +1,89 @@
+"""Rivals of what a search found, judged with everything in the model, on sums of a few series."""
+
+import numpy as np
+import pytest
+
+from calibration.plant import Parameter
+from calibration.rivals import AS_MUCH, judged_again
+from calibration.search import search
+from slider_jax.effects import Prior
+from tests.test_search import SAMPLES, TRIALS, Sums
+
+NAMES = ("firmware_valves", "pulsed_valves", "tank_current")
+"""The first two take the place of one law: neither can be added beside the other."""
+ENTRIES = [Parameter("", "k", Prior(np.nan, -50.0, 50.0, "-", ""))] + [
+    Parameter(name, "x", Prior(0.0, -50.0, 50.0, "-", "")) for name in NAMES
+]
+across = np.linalg.qr(np.random.default_rng(3).normal(size=(TRIALS * SAMPLES, 4)))[0]
+ONE, CURRENT, OTHER, BASE = across.T.reshape(4, TRIALS, SAMPLES) * np.sqrt(TRIALS * SAMPLES)
+
+WITH_SOMETHING_OF_THE_CURRENT = ONE + 0.028 * CURRENT + 0.034 * OTHER
+
+
+def searched(truth, rival, **more):
+    """With a `rival` (trials, samples) of the first effect, which is `ONE`."""
+    sums = Sums(truth, np.stack([BASE, ONE, rival, CURRENT]), **more)
+    return search(sums, ENTRIES, np.zeros(4), base_names=("k",))
+
+
+def test_a_rival_that_explains_nearly_as_much_is_told_apart_at_the_end():
+    found = searched((1.0, 0.5, 0.0, 0.3), ONE + 0.1 * OTHER)
+    this = found.rounds[0]
+    one, other = (next(t for t in this.tried if t.name == n) for n in NAMES[:2])
+    assert AS_MUCH * one.gain < other.gain < one.gain
+    assert found.effects == ["firmware_valves", "tank_current"] and not this.alike
+    gap = this.rivals["pulsed_valves"].square - found.final.square
+    assert gap == pytest.approx(TRIALS * SAMPLES * (0.5 * 0.1 / 0.1) ** 2 / 1.01, rel=0.2)
+
+
+def test_what_the_readings_cannot_tell_stays_a_class():
+    for difference in (0.0, 0.004):
+        found = searched((1.0, 0.5, 0.0, 0.3), ONE + difference * OTHER)
+        assert len(found.rounds[0].alike) == 1
+        assert {found.rounds[0].chosen, *found.rounds[0].alike} == set(NAMES[:2])
+
+
+def test_a_difference_below_that_of_correct_programs_tells_nothing_apart():
+    quiet = {"noise": 0.001}
+    found = searched((1.0, 0.3, 0.0, 0.3), ONE + 0.015 * OTHER, **quiet)
+    gap = found.rounds[0].rivals["pulsed_valves"].square - found.final.square
+    assert gap > 1000.0 and found.rounds[0].alike == ["pulsed_valves"]
+
+
+@pytest.mark.parametrize("seed", [0, 2, 3, 4, 7])
+def test_the_right_rival_takes_the_place_of_the_wrong_one_that_came_first(seed):
+    truth = (1.0, 0.5, 0.0, 0.032)
+    found = searched(truth, WITH_SOMETHING_OF_THE_CURRENT, seed=seed)
+    first = found.rounds[0]
+    assert min(first.tried, key=lambda t: t.fit.square).name == "pulsed_valves"
+    assert first.chosen == "firmware_valves" and not first.alike
+    assert found.effects == ["firmware_valves", "tank_current"]
+    np.testing.assert_allclose(found.final.theta, truth, atol=0.01)
+
+
+@pytest.mark.parametrize("seed", [1, 6])
+def test_a_contender_that_turns_out_to_fit_as_well_joins_the_class(seed):
+    first = searched((1.0, 0.5, 0.0, 0.032), WITH_SOMETHING_OF_THE_CURRENT, seed=seed).rounds[0]
+    wrong, right = (next(t for t in first.tried if t.name == n) for n in NAMES[1::-1])
+    assert right.gain < AS_MUCH * wrong.gain
+    assert (first.chosen, first.alike) == ("pulsed_valves", ["firmware_valves"])
+
+
+def test_where_more_than_noise_is_left_no_rival_is_judged():
+    sums = Sums((1.0, 0.5, 0.0, 0.3), np.stack([BASE, ONE, ONE + 0.1 * OTHER, CURRENT]))
+    sums.y += 10.0 * np.sin(np.arange(SAMPLES))
+    found = search(sums, ENTRIES, np.zeros(4), base_names=("k",))
+    assert found.rounds[0].alike == ["pulsed_valves"]
+    assert found.rounds[0].rivals["pulsed_valves"].square > found.final.square
+
+
+def test_what_is_needed_beside_a_rival_is_told_from_it():
+    sums = Sums((1.0, 0.5, 0.0, 0.3), np.stack([BASE, ONE, OTHER, CURRENT]))
+    found = search(sums, ENTRIES, np.zeros(4), base_names=("k",))
+    first = found.rounds[0]
+    assert first.chosen == "firmware_valves" and not first.rivals
+    first.alike = ["tank_current"]
+    changed = judged_again(sums, ENTRIES, found, {}, print)
+    assert not changed and not first.alike
+    assert found.effects == ["firmware_valves", "tank_current"]
+    assert set(first.rivals["tank_current"].free) == {0, 3}
