@@ -51,13 +51,12 @@ class Campaign:
 def settled(outcome: Outcome, following: dict[str, Any]) -> bool:
     """Whether no further trial can change the verdict in kind.
 
-    A class is settled once no trial within the limits, however often it is run, makes it smaller.
+    A class is settled once no trial within the limits is foreseen to make it smaller.
     Something that is not explained, or on which trials do not agree, is not settled.
     """
     if outcome.verdict in (NOTHING, IDENTIFIED):
         return True
-    hopeless = following["trial"] is None or following.get("times", 1) is None
-    return outcome.verdict == CLASS and hopeless
+    return outcome.verdict == CLASS and following.get("times", 1) is None
 
 
 def campaign(

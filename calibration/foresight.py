@@ -99,7 +99,7 @@ def _is_declared(experiment: Experiment, channel: str) -> bool:
 
 
 class Seen(NamedTuple):
-    """What one trial and channel would say along k parameters, or k - 1 and another model."""
+    """What one trial and channel would say along k directions: parameters, or another model."""
 
     trial: int
     channel: str
@@ -143,11 +143,14 @@ class Foresight:
         """What a trial would say. Raises `SolverError` where it cannot be simulated."""
         p = self.plan(trial)
         y, J = self._kept(trial, p)
-        if not np.isfinite(y).all():
+        other = self._other(trial, p)
+        if not np.isfinite(y).all() or not (other is None or np.isfinite(other).all()):
             raise SolverError(
                 f"{trial.file}: cannot be simulated with these parameters; check K_Q, stiffness "
                 "and amplitude: the chambers may bend the body further than it can go"
             )
+        if other is not None:
+            J = np.stack([*J, other - y])
         swing = declared_spans(self.experiment, p, self.theta)
         found = []
         for channel, noise in self.sensing.noise.items():
@@ -169,17 +172,23 @@ class Foresight:
         def make() -> list[np.ndarray]:
             y = predict(p, self.theta)
             fine = np.isfinite(y).all()
-            if not fine:
-                return [y, np.zeros((0, *y.shape))]
-            J = self._along(p, y)
-            return [y, J if self.other is None else np.stack([*J, predict(p, self.other) - y])]
+            return [y, self._along(p, y) if fine else np.zeros((0, *y.shape))]
 
         if self.memo is None:
             return make()
         steps = np.array(sorted(self.secants.items()), float)
         name = f"foresee {trial.model_dump_json()} {self.effects} {self.coarse}"
-        others = [] if self.other is None else [self.other]
-        return self.memo.kept(name, [self.theta, self.chosen, steps, *others], make)
+        return self.memo.kept(name, [self.theta, self.chosen, steps], make)
+
+    def _other(self, trial: Trial, p: TrialPlan) -> np.ndarray | None:
+        """Readings (5, n) of the other model."""
+        other = self.other
+        if other is None:
+            return None
+        if self.memo is None:
+            return predict(p, other)
+        name = f"foresee other {trial.model_dump_json()} {self.effects} {self.coarse}"
+        return self.memo.kept(name, [other], lambda: [predict(p, other)])[0]
 
     def _along(self, p: TrialPlan, y: np.ndarray) -> np.ndarray:
         """(k, 5, n); NaN along what cannot be simulated."""

@@ -1,8 +1,8 @@
 """What to measure next, once the loop has said what it found.
 
-A class asks for the trial that tells its members apart; a residual that nobody explains, or trials
-that do not agree, for the worst condition once more; all else for the trial that narrows the widest
-interval.
+A class asks for the trial that makes it smaller; a residual that nobody explains or that is left
+beside a class, or trials that do not agree, for the worst condition once more; all else for the
+trial that narrows the widest interval.
 """
 
 from collections.abc import Callable
@@ -25,9 +25,9 @@ from calibration.next_trial import (
     words,
 )
 from calibration.rounds import groups
-from calibration.splitting import split
+from calibration.splitting import split_class
 from calibration.systematic import EFFECT, SYSTEMATIC
-from calibration.verdict import CLASS, INCONCLUSIVE, UNEXPLAINED
+from calibration.verdict import CLASS, FLOOR, INCONCLUSIVE, UNEXPLAINED
 from slider_jax.errors import InputError, SolverError
 
 LOOP = Effort(spread=12, rounds=1)
@@ -45,8 +45,8 @@ def next_experiment(
 
     `limits` are those of the experiment's own trials by default.
     """
-    alike = any(r.alike for r in outcome.search.rounds if r.chosen)
-    if outcome.verdict in (UNEXPLAINED, INCONCLUSIVE) or (outcome.verdict == CLASS and not alike):
+    left = any(x.all > FLOOR for x in outcome.excess_after.values())
+    if outcome.verdict in (UNEXPLAINED, INCONCLUSIVE) or (outcome.verdict == CLASS and left):
         return _again(outcome)
     try:
         within = limits_of(outcome.experiment) if limits is None else limits
@@ -87,17 +87,23 @@ def _foresight(
 
 
 def _split(outcome: Outcome, limits: Limits, effort: Effort, progress: Say) -> dict[str, Any]:
-    """Of the first class that a trial can make smaller."""
+    """For the first class that a trial can make smaller, or else the last one."""
     found = _none("No trial is proposed: none of the rivals can be fitted in the place of another.")
-    last = outcome.search.final.theta
+    last, records = outcome.search.final, outcome.problem.records
+    seen = [r.trial for i, r in enumerate(records) if i not in outcome.held]
     for this in outcome.search.rounds:
-        rivals = {n: this.rivals[n] for n in this.alike if n in this.rivals}
-        if not this.chosen or not rivals:
+        fits = {n: this.rivals[n].fit for n in this.alike if n in this.rivals}
+        if not this.chosen or not fits:
             continue
-        foresights = {n: _foresight(outcome, x.theta, x.free, last) for n, x in rivals.items()}
-        progress(f"what the next trial could say of {this.chosen} and {', '.join(rivals)}")
-        trials = [r.trial for r in outcome.problem.records]
-        found = split(this.chosen, foresights, trials, limits, effort, progress)
+        ways = {
+            n: (
+                _foresight(outcome, x.theta, x.free, last.theta),
+                _foresight(outcome, last.theta, last.free, x.theta),
+            )
+            for n, x in fits.items()
+        }
+        progress(f"what the next trial could say of {this.chosen} and {', '.join(fits)}")
+        found = split_class(this.chosen, ways, last.inflation, seen, limits, effort, progress)
         if found["times"] is not None:
             break
     return found

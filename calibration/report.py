@@ -55,7 +55,7 @@ def report(
 
 
 def effects(outcome: Outcome) -> list[dict[str, Any]]:
-    """Every effect that was added, with the names it cannot be told from and its parameters."""
+    """Every effect that was added, what it cannot be told from, its rivals and parameters."""
     found = []
     for this in outcome.search.rounds:
         if this.chosen is None or this.chosen not in outcome.effects:
@@ -67,6 +67,10 @@ def effects(outcome: Outcome) -> list[dict[str, Any]]:
                 "name": this.chosen,
                 "title": kind.title,
                 "class": _class(outcome, this),
+                "rivals": [
+                    {"name": n, "loss": x.loss, "channels": x.sizes, "told_apart": x.is_worse}
+                    for n, x in this.rivals.items()
+                ],
                 "parameters": {p: _interval(outcome, this.chosen, p) for p in kind.priors()},
                 "where": kind.place(),
                 "channels": {c: share for c, share in tried.sizes.items() if share > 1e-4},

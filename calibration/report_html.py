@@ -42,6 +42,7 @@ def page(outcome: Outcome, told: dict[str, Any]) -> str:
         "of the noise-free residual, in units of its mean square, by one linearisation.</p>",
         picture(score_figure(told), "scores of the candidates; the chosen one is blue"),
         _refitted(told),
+        _rivals(told["effects"]),
     ]
     if "consequence" in told:
         parts += ["<h2>What it changes for thrust</h2>", _consequence(told["consequence"])]
@@ -136,6 +137,27 @@ def _refitted(told: dict[str, Any]) -> str:
     ]  # fmt: skip
     head = ["round: candidate", "score", "refitted", "large enough", "trials agree", "chance", ""]
     return said + table(head, cells)
+
+
+def _rivals(effects: list[dict[str, Any]]) -> str:
+    """By how much every rival fits worse in the place of what was chosen."""
+    cells = [
+        [
+            f"{x['name']} for {effect['name']}", f"{x['loss']:.4g}",
+            ", ".join(f"{c} {100.0 * size:.2g} %" for c, size in x["channels"].items()),
+            "yes" if x["told_apart"] else "no",
+        ]
+        for effect in effects
+        for x in effect["rivals"]
+    ]  # fmt: skip
+    if not cells:
+        return ""
+    said = (
+        "<p>Rivals that explained nearly as much, each put in the place of what was chosen, and "
+        "everything fitted again: by how much the sum of squares is larger then, and what the two "
+        "fits differ by. One that fits better by enough to be worth a name takes the place.</p>"
+    )
+    return said + table(["rival", "fits worse by", "channels differ by", "told apart"], cells)
 
 
 def _consequence(told: dict[str, Any]) -> str:

@@ -6,17 +6,17 @@ rival differ by. So at the end, where nothing stands above the noise, every riva
 place and all is fitted again: they are told apart by what makes an effect worth a name.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calibration.evidence import Problem
+from calibration.evidence import Block, Problem
 from calibration.fit import Fit
 from calibration.plant import Parameter
 from calibration.refits import Say, White, begun, joined
-from calibration.rounds import SHARE, Round, Search, Tried, groups, sizes_of, worth_naming
+from calibration.rounds import SHARE, Rival, Round, Search, Tried, groups, sizes_of
 from calibration.trace import alikeness
-from calibration.verdict import FLOOR
+from calibration.verdict import FLOOR, excess
 from slider_jax.effects.library import LIBRARY
 
 ALIKE = 0.95
@@ -24,12 +24,21 @@ ALIKE = 0.95
 AS_MUCH = 0.95
 """Share of an effect's gain from which on a rival explains as much."""
 CONTENDS = 0.8
-"""Share of it from which on a rival is judged again: a wrong effect may have explained something of
-another cause as well while that was missing."""
+"""Share of it from which on a rival is judged at the end: a wrong effect may have explained
+something of another cause as well while that was missing."""
 
 
-def alike(best: Tried, this: Round, members, current: Fit, blocks) -> list[str]:
-    """Candidates of a round that explain as much as the best one, or in parallel to it."""
+def alike(
+    best: Tried,
+    this: Round,
+    judged: Mapping[str, np.ndarray],
+    current: Fit,
+    blocks: Sequence[Block],
+) -> list[str]:
+    """Candidates of a round that explain as much as the best one, or in parallel to it.
+
+    `judged` are the entries by which each effect is scored.
+    """
     same = [t.name for t in this.tried if t is not best and t.gain > AS_MUCH * best.gain]
     refitted = {t.name for t in this.tried}
     parallel = [
@@ -37,81 +46,73 @@ def alike(best: Tried, this: Round, members, current: Fit, blocks) -> list[str]:
         for s in this.scores
         if s.name not in refitted
         and s.gain > SHARE * this.scores[0].gain
-        and alikeness(members[best.name], members[s.name], current.free, blocks) > ALIKE
+        and alikeness(judged[best.name], judged[s.name], current.free, blocks) > ALIKE
     ]
     return same + parallel
 
 
-def judged_again(
+def judge_rivals(
     problem: Problem, entries: Sequence[Parameter], found: Search, white: White, progress: Say
-) -> list[Round]:
-    """Judges every round's rivals at the last fit; the rounds whose effect gave way to a rival.
+) -> None:
+    """Fits every round's rivals in the place of what it chose, and makes its class of those fits.
 
-    A rival that cannot be fitted stays one. Where more than noise is left all do.
+    A rival that cannot be fitted stays in the class. Where more than noise is left all do.
     """
-    changed = []
+    if any(x.all > FLOOR for x in excess(problem, found.final).values()):
+        return
     for this in found.rounds:
-        rivals = _contenders(this)
-        if this.chosen is None or not rivals:
+        if this.chosen is None:
             continue
-        fits = {this.chosen: found.final}
-        for rival in rivals:
-            if _fits_in(rival, this.chosen, found.effects):
-                progress(f"refitting with {rival} in the place of {this.chosen}")
-                refit = _instead(problem, entries, found, this, rival, white, progress)
-                if refit is not None and refit.converged:
-                    fits[rival] = refit
-        this.rivals = {n: fits[n] for n in rivals if n in fits}
-        if not _at_floor(problem, found.final, white):
-            continue
-        known = [t.name for t in this.tried if t.name in fits]
-        best = min(known, key=lambda name: fits[name].square)
-        if not _told_apart(problem, fits[best], found.final):
-            best = this.chosen
-        others = [n for n in (this.chosen, *rivals) if n != best]
-        apart = [n for n in others if n in fits and _told_apart(problem, fits[best], fits[n])]
-        unjudged = [n for n in rivals if n not in fits and n not in this.alike]
-        this.alike = [n for n in others if n not in (*apart, *unjudged)]
-        this.rivals = {n: fits[n] for n in others if n in fits}
-        if best != this.chosen:
-            found.effects[found.effects.index(this.chosen)] = best
-            this.chosen, found.final = best, fits[best]
-            changed.append(this)
-    return changed
+        names = _contenders(this, this.chosen)
+        this.rivals = {}
+        for name in names:
+            progress(f"refitting with {name} in the place of {this.chosen}")
+            fit = _instead(problem, entries, found, this, this.chosen, name, white, progress)
+            if fit is not None and fit.converged:
+                loss = (fit.square - found.final.square) / found.final.inflation
+                this.rivals[name] = Rival(fit, loss, sizes_of(problem, fit, found.final))
+        unjudged = [n for n in this.alike if n not in this.rivals]
+        this.alike = [n for n, x in this.rivals.items() if not x.is_worse] + unjudged
 
 
-def _contenders(this: Round) -> list[str]:
-    """Names that are judged again beside what the round chose."""
-    if this.chosen is None:
-        return []
+def better(found: Search) -> tuple[Round, str] | None:
+    """A round and the rival that is to take the place of what it chose.
+
+    It must have been refitted in that round too, and trials that were left out have agreed on it.
+    """
+    for this in found.rounds:
+        agreed = [t.name for t in this.tried if t.agreement.agreed]
+        fits = {n: x.fit.square for n, x in this.rivals.items() if x.is_better and n in agreed}
+        if this.chosen is not None and fits:
+            return this, min(fits, key=lambda name: fits[name])
+    return None
+
+
+def _contenders(this: Round, chosen: str) -> list[str]:
     gains = {t.name: t.gain for t in this.tried}
-    least = CONTENDS * gains.get(this.chosen, np.inf)
-    near = [n for n, gain in gains.items() if gain > least and n != this.chosen]
+    near = [n for n, gain in gains.items() if gain > CONTENDS * gains[chosen] and n != chosen]
     return list(dict.fromkeys([*this.alike, *near]))
 
 
-def _at_floor(problem: Problem, final: Fit, white: White) -> bool:
-    """Whether no channel's mean square stands above the noise's."""
-    residuals = problem.residuals(final.predicted, white)
-    for channel in problem.channels:
-        each = [r for (_, name), r in residuals.items() if name == channel]
-        if each and np.mean(np.concatenate(each) ** 2) > FLOOR:
-            return False
-    return True
-
-
-def _fits_in(rival: str, chosen: str, effects: Sequence[str]) -> bool:
-    """Whether a rival may stand in the place of `chosen` beside the other effects."""
-    laws = {LIBRARY[n].instead for n in effects if n not in (chosen, rival)} - {""}
-    return LIBRARY[rival].instead not in laws
-
-
 def _instead(
-    problem, entries, found: Search, this: Round, rival: str, white: White, progress: Say
+    problem: Problem,
+    entries: Sequence[Parameter],
+    found: Search,
+    this: Round,
+    chosen: str,
+    rival: str,
+    white: White,
+    progress: Say,
 ) -> Fit | None:
-    """The last fit with a rival, which may be in it already, in the place of what a round chose."""
+    """The last fit with a rival, which may be in it already, in the place of what was chosen.
+
+    None where another effect has taken the place of the rival's law, or nothing can be simulated.
+    """
+    laws = {LIBRARY[n].instead for n in found.effects if n not in (chosen, rival)} - {""}
+    if LIBRARY[rival].instead in laws:
+        return None
     members, final = groups(entries), found.final
-    group, place = members[rival], members[str(this.chosen)]
+    group, place = members[rival], members[chosen]
     theta = final.theta.copy()
     theta[place] = [entries[i].prior.null for i in place]
     rest = final.free[~np.isin(final.free, place)]
@@ -128,8 +129,3 @@ def _instead(
         start = begun(entries, theta, group, np.where(own, step, 0.0))
     free = np.concatenate([rest, group])
     return joined(problem, entries, theta, start, free, white, progress)
-
-
-def _told_apart(problem: Problem, better: Fit, worse: Fit) -> bool:
-    gain = (worse.square - better.square) / better.inflation
-    return worth_naming(gain, sizes_of(problem, worse, better))

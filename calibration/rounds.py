@@ -70,6 +70,24 @@ def worth_naming(gain: float, sizes: dict[str, float]) -> bool:
     return gain > LEAST_GAIN and any(sizes[c] > DISCREPANCY[c] for c in sizes)
 
 
+class Rival(NamedTuple):
+    """The last fit of a search with a rival in the place of what was chosen."""
+
+    fit: Fit
+    loss: float
+    """By how much the sum of squares is larger, in units of its mean square."""
+    sizes: dict[str, float]
+    """rms of what the two fits differ by in each channel, as a share of the channel's rms."""
+
+    @property
+    def is_worse(self) -> bool:
+        return worth_naming(self.loss, self.sizes)
+
+    @property
+    def is_better(self) -> bool:
+        return worth_naming(-self.loss, self.sizes)
+
+
 @dataclass
 class Round:
     """One round of the search."""
@@ -79,8 +97,8 @@ class Round:
     chosen: str | None = None
     alike: list[str] = field(default_factory=list)
     """Names that cannot be told from the chosen one."""
-    rivals: dict[str, Fit] = field(default_factory=dict)
-    """The last fit with those in the chosen one's place, where they were judged again."""
+    rivals: dict[str, Rival] = field(default_factory=dict)
+    """Those that were judged at the end, in the class or not."""
     taken_out: str | None = None
     """What was chosen, until a later round left it nothing to explain."""
 

@@ -8,6 +8,8 @@ One that was kept is taken out again where a later one leaves it nothing that is
 two causes are missing, a wrong one that resembles one of them and has something of the other can
 explain more than either. Source: Zhang, T. (2011), Adaptive forward-backward greedy algorithm for
 learning sparse representations, IEEE Trans. Inf. Theory 57, 4689-4708.
+
+At the end rivals are put in its place (`rivals`): one that fits better stays there.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,7 +22,7 @@ from calibration.forward import CHANNELS
 from calibration.noise import DISCREPANCY
 from calibration.plant import BASE, Parameter
 from calibration.refits import HALVINGS, begun, joined, without
-from calibration.rivals import alike, judged_again
+from calibration.rivals import alike, better, judge_rivals
 from calibration.rounds import (
     SHARE,
     Round,
@@ -45,6 +47,8 @@ MOST = 3
 """Effects that are added at most."""
 ROUNDS = 5
 """Rounds at most, with those whose effect was taken out again."""
+SWAPS = 2
+"""Times that a rival takes the place of what was chosen, at most."""
 SHARE_AFAR = 0.2
 """The same of one that is scored at a size of its own (`Prior.start`), where less can be told."""
 
@@ -93,13 +97,31 @@ def search(
 
     Of the base model the parameters `base_names` are fitted.
     """
-    members = groups(entries)
     free = np.array([i for i, p in enumerate(entries) if not p.effect and p.name in base_names])
     progress("calibrating the base model")
     first = fit(problem, entries, theta, free, progress)
     white = problem.whiteners(first.predicted)
     base = fit(problem, entries, first.theta, free, progress, white)
     found = Search(base, base, [], [])
+    for swaps in range(SWAPS + 1):
+        _add(problem, entries, found, white, progress)
+        judge_rivals(problem, entries, found, white, progress)
+        swap = better(found)
+        if swap is None or swaps == SWAPS:
+            break
+        this, rival = swap
+        progress(f"{rival} takes the place of {this.chosen}")
+        found.effects = [rival if n == this.chosen else n for n in found.effects]
+        found.final = this.rivals[rival].fit
+        this.alike = [str(this.chosen), *(n for n in this.alike if n != rival)]
+        this.chosen = rival
+        _take_out_needless(problem, entries, found, this, white, progress)
+    return found
+
+
+def _add(problem, entries, found: Search, white, progress) -> None:
+    """Effects, one a round, until there is none to be named."""
+    members = groups(entries)
     while len(found.effects) < MOST and len(found.rounds) < ROUNDS:
         rest = [n for n in members if _can_join(n, found.effects)]
         if not rest:
@@ -112,9 +134,6 @@ def search(
         found.effects.append(this.chosen)
         found.final = next(t.fit for t in this.tried if t.name == this.chosen)
         _take_out_needless(problem, entries, found, this, white, progress)
-    for this in judged_again(problem, entries, found, white, progress):
-        _take_out_needless(problem, entries, found, this, white, progress)
-    return found
 
 
 def _take_out_needless(problem, entries, found: Search, by: Round, white, progress) -> None:
@@ -128,7 +147,7 @@ def _take_out_needless(problem, entries, found: Search, by: Round, white, progre
         found.effects.remove(name)
         this = next(r for r in found.rounds if r.chosen == name)
         by.alike += [n for n in this.alike if n not in (by.chosen, *by.alike)]
-        this.chosen, this.alike, this.taken_out = None, [], name
+        this.chosen, this.alike, this.rivals, this.taken_out = None, [], {}, name
 
 
 def _could_be_named(problem: Problem, current: Fit, everything, step: np.ndarray) -> bool:

@@ -86,13 +86,13 @@ def test_it_ends_with_its_budget_unsettled(tmp_path, monkeypatch):
         campaign(path, capture, tmp_path / "out", budget=3, close=close)
 
 
-def test_a_class_is_settled_only_when_no_trial_tells_it_apart(tmp_path, monkeypatch):
+def test_a_class_without_a_proposal_ends_unsettled(tmp_path, monkeypatch):
     path, capture, captured = tank(tmp_path, {}, 4)
     none = {"purpose": None, "said": "none", "trial": None, "toml": ""}
     answers = iter([following("x.csv"), none])
     monkeypatch.setattr(module, "next_experiment", lambda *a: next(answers))
     found = campaign(path, capture, tmp_path / "out", close=Answers("class", "class"))
-    assert found.settled and len(captured) == 5
+    assert not found.settled and len(captured) == 5
 
 
 def test_a_class_that_no_number_of_trials_makes_smaller_is_settled(tmp_path, monkeypatch):

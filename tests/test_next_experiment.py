@@ -15,8 +15,8 @@ from calibration.noise import DISCREPANCY
 from calibration.plant import BASE, parameters, start
 from calibration.report import report
 from calibration.report_html import page
-from calibration.rounds import LEAST_GAIN, Round, Search, groups
-from calibration.splitting import apart
+from calibration.rounds import LEAST_GAIN, Rival, Round, Search, groups
+from calibration.splitting import TIMES, distance
 from calibration.verdict import Excess
 from slider_jax.experiment import load
 from slider_jax.schema import Trial
@@ -85,7 +85,7 @@ def classed(tank, rival):
     theta = tank[2].copy()
     theta[MASS] = 0.1
     final = fitted(tank, theta, np.concatenate([FREE, MASS]))
-    rivals = {"axial_added_mass": rival}
+    rivals = {"axial_added_mass": Rival(rival, 0.0, {})}
     return outcome(tank, "class", final, [Round([], [], "carried_mass", list(rivals), rivals)])
 
 
@@ -108,7 +108,7 @@ def test_a_class_that_nothing_makes_smaller_says_so(tank):
     theta[MASS] = 0.1  # a rival that reads the same
     found = classed(tank, fitted(tank, theta, np.concatenate([FREE, FLUID])))
     told = next_experiment(found, effort=FEW)
-    assert told["times"] is None and "no trial within the limits does" in told["said"]
+    assert told["times"] is None and f"run up to {TIMES} times" in told["said"]
 
 
 def test_a_class_whose_rivals_were_not_fitted_proposes_nothing(tank):
@@ -127,11 +127,12 @@ def test_a_rival_is_as_far_as_its_model_cannot_follow():
         Seen(i, "tip", J[half].T @ J[half], J[half].T @ J[half], 0.5 * square, 200)
         for i, half in enumerate((slice(200), slice(200, None)))
     ]
-    found = apart(seen)
+    found = distance(seen, unit=1.0)
     assert found.sigmas == pytest.approx(np.sqrt(rest[0]), rel=1e-9)
+    assert distance(seen, unit=4.0).sigmas == pytest.approx(0.5 * found.sigmas)
     left = J[:, 2] - J[:, :2] @ step
     assert found.shares["tip"] == pytest.approx(np.sqrt(left @ left / square), rel=1e-9)
-    assert found.certainty == pytest.approx(
+    assert found.of_enough == pytest.approx(
         min(rest[0] / LEAST_GAIN, (found.shares["tip"] / DISCREPANCY["tip"]) ** 2)
     )
 
