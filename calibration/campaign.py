@@ -3,6 +3,7 @@
 Where the trials come from is not known here: `capture` may be a rig, a simulated one, or a program.
 """
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -91,7 +92,7 @@ def campaign(
         count = len(experiment.trials)
         say(f"closing the loop on {count} trials")
         with resumable(out, inputs((path,), experiment.folder)) as memo:
-            outcome = close(experiment, progress=say, memo=memo)
+            outcome = close(experiment, progress=say, memo=memo, kept=_chosen(out))
             following = next_experiment(outcome, say, limits(experiment) if limits else None)
             told = report(outcome, 0.0, input_file(path), following)
             write_json(out / f"round_{count:02d}.json", told)
@@ -104,3 +105,10 @@ def campaign(
             return Campaign(rounds, outcome, told, done)
         say(f"next: {following['said']}")
         write_text(path, path.read_text().rstrip() + "\n\n" + following["toml"])
+
+
+def _chosen(out: Path) -> list[str]:
+    """Files of the trials that the rounds before chose: what they are to tell must be searched."""
+    reports = [json.loads(path.read_text()) for path in sorted(out.glob("round_*.json"))]
+    trials = [report["next_experiment"]["trial"] for report in reports]
+    return [trial["file"] for trial in trials if trial is not None]

@@ -1,6 +1,6 @@
 """Close the loop on an experiment: from measured trials to a verdict and a better model."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -74,11 +74,11 @@ class Outcome:
         return interval(self.final, self.entries, index)
 
 
-def choose_held_out(found: Sequence[Record]) -> list[int]:
+def choose_held_out(found: Sequence[Record], kept: Collection[str] = ()) -> list[int]:
     """A quarter of the trials, spread over the frequencies but not their ends; none of too few.
 
     Of towed trials and of those in still water at least two stay, where there are as many: an
-    effect that only they can see needs them.
+    effect that only they can see needs them. Those of the files `kept` stay.
     """
     if len(found) < 2 * LEAST_TRIALS:
         return []
@@ -87,7 +87,7 @@ def choose_held_out(found: Sequence[Record]) -> list[int]:
     held: list[int] = []
     for place in range(2, len(order) - 1, 4):
         near = [order[j] for j in (place, place - 1, place + 1) if 0 < j < len(order) - 1]
-        for i in near:
+        for i in [i for i in near if found[i].trial.file not in kept]:
             rest = [towed[j] for j in order if j not in (*held, i)]
             if i not in held and (rest.count(towed[i]) >= 2 or rest.count(not towed[i]) == 0):
                 held.append(i)
@@ -102,12 +102,13 @@ def close_loop(
     fine: Resolution = FINE,
     coarse: Resolution = COARSE,
     memo: Memo | None = None,
+    kept: Collection[str] = (),
 ) -> Outcome:
     """Search what the model of `experiment` lacks on its measured trials.
 
     `effects` are the candidates' names, all of the library by default. Residuals are computed at
-    the resolution `fine`, tangents at `coarse`. Raises `InputError` where fewer than
-    `LEAST_TRIALS` trials can be used.
+    the resolution `fine`, tangents at `coarse`. Trials of the files `kept` are not held out. Raises
+    `InputError` where fewer than `LEAST_TRIALS` trials can be used.
     """
 
     def problem_of(chosen: Sequence[Record]) -> Problem:
@@ -123,7 +124,7 @@ def close_loop(
     for finding in audited.findings:
         progress(str(finding))
     found = audited.records
-    held = choose_held_out(found)
+    held = choose_held_out(found, kept)
     outcome = conclude(experiment, names, found, held, problem_of, base, tuple(BASE), progress)
     strange = strangers(outcome)
     named = {x.trial for x in strange}
@@ -131,7 +132,7 @@ def close_loop(
     if strange and len(rest) >= LEAST_TRIALS:
         for finding in strange:
             progress(str(finding))
-        held = choose_held_out(rest)
+        held = choose_held_out(rest, kept)
         outcome = conclude(experiment, names, rest, held, problem_of, base, tuple(BASE), progress)
     return replace(outcome, audit=[*audited.findings, *strange])
 

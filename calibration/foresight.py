@@ -136,8 +136,10 @@ class Foresight:
         return [every[i] for i in self.chosen]
 
     def plan(self, trial: Trial) -> TrialPlan:
-        """The trial on its grid."""
-        return plan(self.experiment, trial, self.effects, self.coarse)
+        """The trial on its grid: a measured one's is that of its record."""
+        record = self.sensing.measured.get(trial.file)
+        at = None if record is None else record.t
+        return plan(self.experiment, trial, self.effects, self.coarse, at)
 
     def trial(self, trial: Trial, number: int = 0) -> list[Seen]:
         """What a trial would say. Raises `SolverError` where it cannot be simulated."""

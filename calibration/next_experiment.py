@@ -14,6 +14,7 @@ from calibration.closing import Outcome
 from calibration.evidence import summed
 from calibration.fit import inverse
 from calibration.foresight import Foresight, Seen, Sensing, information
+from calibration.measured import Record
 from calibration.next_trial import (
     Effort,
     Limits,
@@ -63,7 +64,7 @@ def _none(said: str) -> dict[str, Any]:
 
 def _again(outcome: Outcome) -> dict[str, Any]:
     """The trial whose residual stands highest above its noise, once more."""
-    seen = [r for i, r in enumerate(outcome.problem.records) if i not in outcome.held]
+    seen = _searched(outcome)
     channel, x = max(outcome.excess_after.items(), key=lambda item: np.nanmax(item[1].trials))
     worst = int(np.nanargmax(x.trials))
     trial = seen[worst].trial
@@ -76,11 +77,15 @@ def _again(outcome: Outcome) -> dict[str, Any]:
     return {"purpose": "repeat", "said": said, "trial": as_table(again), "toml": toml(again)}
 
 
+def _searched(outcome: Outcome) -> list[Record]:
+    return [r for i, r in enumerate(outcome.problem.records) if i not in outcome.held]
+
+
 def _foresight(
     outcome: Outcome, theta: np.ndarray, chosen: np.ndarray, other: np.ndarray | None = None
 ) -> Foresight:
     names, problem = tuple(groups(outcome.entries)), outcome.problem
-    sensing = Sensing.of(outcome.experiment, problem.records)
+    sensing = Sensing.of(outcome.experiment, _searched(outcome))
     return Foresight(
         outcome.experiment, names, theta, chosen, sensing, {}, problem.mesh, problem.memo, other
     )
@@ -89,8 +94,7 @@ def _foresight(
 def _split(outcome: Outcome, limits: Limits, effort: Effort, progress: Say) -> dict[str, Any]:
     """For the first class that a trial can make smaller, or else the last one."""
     found = _none("No trial is proposed: none of the rivals can be fitted in the place of another.")
-    last, records = outcome.search.final, outcome.problem.records
-    seen = [r.trial for i, r in enumerate(records) if i not in outcome.held]
+    last, seen = outcome.search.final, [r.trial for r in _searched(outcome)]
     for this in outcome.search.rounds:
         fits = {n: this.rivals[n].fit for n in this.alike if n in this.rivals}
         if not this.chosen or not fits:

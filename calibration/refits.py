@@ -1,6 +1,7 @@
-"""Fits of a model with one effect more, or one less, than a model that is fitted already."""
+"""Fits of a model with an effect more, less, or in another's place, than one fitted already."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -8,15 +9,13 @@ from calibration.evidence import FAILED, Problem, summed
 from calibration.fit import Fit, fit, inverse
 from calibration.noise import Whitener
 from calibration.plant import Parameter
-from calibration.rounds import LEAST_GAIN, sizes_of, worth_naming
+from calibration.rounds import LEAST_GAIN, groups, shares, worth_naming
 
 HALVINGS = 4
 """Sizes that are tried of a start that cannot be simulated."""
 SURE = 10.0
 """An effect is not taken out on trial whose loss would be so many times the least gain, as the
 linearised model has it."""
-White = dict[tuple[int, str], Whitener]
-Say = Callable[[str], None]
 
 
 def begun(
@@ -35,48 +34,53 @@ def begun(
     return moved
 
 
-def joined(
-    problem: Problem,
-    entries: Sequence[Parameter],
-    theta: np.ndarray,
-    start: np.ndarray,
-    free: np.ndarray,
-    white: White,
-    progress: Say,
-) -> Fit | None:
-    """The fit of the entries `free` from `start`, nearer to theta where that cannot be simulated.
+@dataclass(frozen=True)
+class Refits:
+    """What all fits of a search share, so that their sums of squares compare."""
 
-    None where it never can.
-    """
-    for _ in range(HALVINGS):
-        found = fit(problem, entries, start, free, progress, white)
-        if found.square < FAILED:
-            return found
-        start = 0.5 * (start + theta)
-    return None
+    problem: Problem
+    entries: Sequence[Parameter]
+    white: dict[tuple[int, str], Whitener]
+    progress: Callable[[str], None]
 
+    def sizes(self, before: Fit, after: Fit) -> dict[str, float]:
+        """By what share of its rms every channel changes from one fit to another."""
+        return shares(self.problem.channels, before.predicted, after.predicted)
 
-def without(
-    problem: Problem,
-    entries: Sequence[Parameter],
-    current: Fit,
-    group: np.ndarray,
-    name: str,
-    white: White,
-    progress: Say,
-) -> Fit | None:
-    """The fit without an effect, if it lacks nothing that is worth a name; else None."""
-    null = np.array([entries[i].prior.null for i in group])
-    own = np.isin(current.free, group)
-    away = (current.theta[group] - null)[np.isin(group, current.free)]
-    A = summed(current.blocks)[0]
-    loss = away @ np.linalg.pinv(inverse(A)[np.ix_(own, own)]) @ away / current.inflation
-    if not loss < SURE * LEAST_GAIN:
+    def fit(self, theta: np.ndarray, free: np.ndarray) -> Fit:
+        """The fit of the entries `free` from theta."""
+        return fit(self.problem, self.entries, theta, free, self.progress, self.white)
+
+    def null(self, theta: np.ndarray, group: np.ndarray) -> np.ndarray:
+        """theta with the entries `group` at their null."""
+        theta = theta.copy()
+        theta[group] = [self.entries[i].prior.null for i in group]
+        return theta
+
+    def joined(self, theta: np.ndarray, start: np.ndarray, free: np.ndarray) -> Fit | None:
+        """The fit of the entries `free` from `start`, nearer to theta while that cannot be.
+
+        None where it never can be simulated.
+        """
+        for _ in range(HALVINGS):
+            found = self.fit(start, free)
+            if found.square < FAILED:
+                return found
+            start = 0.5 * (start + theta)
         return None
-    progress(f"refitting without {name}")
-    theta = current.theta.copy()
-    theta[group] = null
-    less = fit(problem, entries, theta, current.free[~own], progress, white)
-    gain = (less.square - current.square) / current.inflation
-    needed = worth_naming(gain, sizes_of(problem, less, current))
-    return less if less.converged and not needed else None
+
+    def without(self, current: Fit, name: str) -> Fit | None:
+        """The fit without an effect, if it lacks nothing that is worth a name; else None."""
+        group = groups(self.entries)[name]
+        own = np.isin(current.free, group)
+        null = self.null(current.theta, group)
+        away = (current.theta - null)[group][np.isin(group, current.free)]
+        A = summed(current.blocks)[0]
+        loss = away @ np.linalg.pinv(inverse(A)[np.ix_(own, own)]) @ away / current.inflation
+        if not loss < SURE * LEAST_GAIN:
+            return None
+        self.progress(f"refitting without {name}")
+        less = self.fit(null, current.free[~own])
+        gain = (less.square - current.square) / current.inflation
+        needed = worth_naming(gain, self.sizes(less, current))
+        return less if less.converged and not needed else None

@@ -67,6 +67,7 @@ def effects(outcome: Outcome) -> list[dict[str, Any]]:
                 "name": this.chosen,
                 "title": kind.title,
                 "class": _class(outcome, this),
+                "in_place_of": this.replaced,
                 "rivals": [
                     {"name": n, "loss": x.loss, "channels": x.sizes, "told_apart": x.is_worse}
                     for n, x in this.rivals.items()

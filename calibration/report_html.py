@@ -155,7 +155,8 @@ def _rivals(effects: list[dict[str, Any]]) -> str:
     said = (
         "<p>Rivals that explained nearly as much, each put in the place of what was chosen, and "
         "everything fitted again: by how much the sum of squares is larger then, and what the two "
-        "fits differ by. One that fits better by enough to be worth a name takes the place.</p>"
+        "fits differ by, the first in units of its mean square. One that fits better by enough to "
+        "be worth a name takes the place.</p>"
     )
     return said + table(["rival", "fits worse by", "channels differ by", "told apart"], cells)
 

@@ -10,11 +10,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calibration.evidence import Block, Problem
+from calibration.evidence import Block
 from calibration.fit import Fit
-from calibration.plant import Parameter
-from calibration.refits import Say, White, begun, joined
-from calibration.rounds import SHARE, Rival, Round, Search, Tried, groups, sizes_of
+from calibration.refits import Refits, begun
+from calibration.rounds import SHARE, Rival, Round, Search, Tried, groups
 from calibration.trace import alikeness
 from calibration.verdict import FLOOR, excess
 from slider_jax.effects.library import LIBRARY
@@ -51,81 +50,70 @@ def alike(
     return same + parallel
 
 
-def judge_rivals(
-    problem: Problem, entries: Sequence[Parameter], found: Search, white: White, progress: Say
-) -> None:
+def judge_rivals(refits: Refits, found: Search) -> None:
     """Fits every round's rivals in the place of what it chose, and makes its class of those fits.
 
-    A rival that cannot be fitted stays in the class. Where more than noise is left all do.
+    One that cannot be fitted stays what the round had it for. Where more than noise is left all do.
     """
-    if any(x.all > FLOOR for x in excess(problem, found.final).values()):
+    for this in found.rounds:
+        this.rivals = {}
+    if any(x.all > FLOOR for x in excess(refits.problem, found.final).values()):
         return
     for this in found.rounds:
-        if this.chosen is None:
-            continue
-        names = _contenders(this, this.chosen)
-        this.rivals = {}
-        for name in names:
-            progress(f"refitting with {name} in the place of {this.chosen}")
-            fit = _instead(problem, entries, found, this, this.chosen, name, white, progress)
+        for name in _contenders(this):
+            refits.progress(f"refitting with {name} in the place of {this.chosen}")
+            fit = _instead(refits, found, this, name)
             if fit is not None and fit.converged:
                 loss = (fit.square - found.final.square) / found.final.inflation
-                this.rivals[name] = Rival(fit, loss, sizes_of(problem, fit, found.final))
+                this.rivals[name] = Rival(fit, loss, refits.sizes(fit, found.final))
         unjudged = [n for n in this.alike if n not in this.rivals]
         this.alike = [n for n, x in this.rivals.items() if not x.is_worse] + unjudged
 
 
-def better(found: Search) -> tuple[Round, str] | None:
+def better_rival(found: Search) -> tuple[Round, str] | None:
     """A round and the rival that is to take the place of what it chose.
 
     It must have been refitted in that round too, and trials that were left out have agreed on it.
     """
     for this in found.rounds:
-        agreed = [t.name for t in this.tried if t.agreement.agreed]
+        agreed = {t.name for t in this.tried if t.agreement.agreed}.difference(found.effects)
         fits = {n: x.fit.square for n, x in this.rivals.items() if x.is_better and n in agreed}
-        if this.chosen is not None and fits:
+        if fits:
             return this, min(fits, key=lambda name: fits[name])
     return None
 
 
-def _contenders(this: Round, chosen: str) -> list[str]:
+def _contenders(this: Round) -> list[str]:
+    if this.chosen is None:
+        return []
     gains = {t.name: t.gain for t in this.tried}
-    near = [n for n, gain in gains.items() if gain > CONTENDS * gains[chosen] and n != chosen]
+    least = CONTENDS * gains[this.chosen]
+    near = [n for n, gain in gains.items() if gain > least and n != this.chosen]
     return list(dict.fromkeys([*this.alike, *near]))
 
 
-def _instead(
-    problem: Problem,
-    entries: Sequence[Parameter],
-    found: Search,
-    this: Round,
-    chosen: str,
-    rival: str,
-    white: White,
-    progress: Say,
-) -> Fit | None:
-    """The last fit with a rival, which may be in it already, in the place of what was chosen.
+def _instead(refits: Refits, found: Search, this: Round, rival: str) -> Fit | None:
+    """The last fit with a rival, which may be in it already, in the place of what a round chose.
 
     None where another effect has taken the place of the rival's law, or nothing can be simulated.
     """
-    laws = {LIBRARY[n].instead for n in found.effects if n not in (chosen, rival)} - {""}
-    if LIBRARY[rival].instead in laws:
+    assert this.chosen is not None
+    others = [n for n in found.effects if n not in (this.chosen, rival)]
+    if LIBRARY[rival].instead in {LIBRARY[n].instead for n in others} - {""}:
         return None
-    members, final = groups(entries), found.final
-    group, place = members[rival], members[chosen]
-    theta = final.theta.copy()
-    theta[place] = [entries[i].prior.null for i in place]
+    members, final = groups(refits.entries), found.final
+    group, place = members[rival], members[this.chosen]
+    theta = refits.null(final.theta, place)
     rest = final.free[~np.isin(final.free, place)]
     if rival in found.effects:
-        return joined(problem, entries, theta, theta, rest, white, progress)
+        return refits.fit(theta, rest)
     rounds = [this, *found.rounds]
-    refits = [t.fit for r in rounds for t in r.tried if t.name == rival]
+    fits = [t.fit for r in rounds for t in r.tried if t.name == rival]
     start = theta.copy()
-    if refits:
-        start[group] = refits[0].theta[group]
+    if fits:
+        start[group] = fits[0].theta[group]
     else:
         step = next(s.step for r in rounds for s in r.scores if s.name == rival)
         own = np.isin(np.arange(len(theta)), group)
-        start = begun(entries, theta, group, np.where(own, step, 0.0))
-    free = np.concatenate([rest, group])
-    return joined(problem, entries, theta, start, free, white, progress)
+        start = begun(refits.entries, theta, group, np.where(own, step, 0.0))
+    return refits.joined(theta, start, np.concatenate([rest, group]))

@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import wilcoxon
 
-from calibration.evidence import Problem
 from calibration.fit import Fit
 from calibration.forward import CHANNELS
 from calibration.noise import DISCREPANCY
@@ -75,7 +74,7 @@ class Rival(NamedTuple):
 
     fit: Fit
     loss: float
-    """By how much the sum of squares is larger, in units of its mean square."""
+    """By how much the sum of squares is larger, in units of the last fit's mean square."""
     sizes: dict[str, float]
     """rms of what the two fits differ by in each channel, as a share of the channel's rms."""
 
@@ -101,6 +100,8 @@ class Round:
     """Those that were judged at the end, in the class or not."""
     taken_out: str | None = None
     """What was chosen, until a later round left it nothing to explain."""
+    replaced: str | None = None
+    """What was chosen, until a rival took its place."""
 
 
 @dataclass
@@ -128,15 +129,14 @@ def scored(entries: Sequence[Parameter]) -> dict[str, np.ndarray]:
     return found
 
 
-def share(before: list[np.ndarray], after: list[np.ndarray], row: int) -> float:
-    """rms of the change in a channel over its rms, all trials together."""
-    change = np.concatenate([b[row] - a[row] for a, b in zip(before, after, strict=True)])
-    signal = np.concatenate([a[row] for a in before])
-    return float(np.sqrt(np.mean(change**2) / max(np.mean(signal**2), 1e-300)))
-
-
-def sizes_of(problem: Problem, before: Fit, after: Fit) -> dict[str, float]:
-    """By what share of its rms every channel changes from one fit to another."""
-    return {
-        c: share(before.predicted, after.predicted, CHANNELS.index(c)) for c in problem.channels
-    }
+def shares(
+    channels: Sequence[str], before: Sequence[np.ndarray], after: Sequence[np.ndarray]
+) -> dict[str, float]:
+    """rms of the change in every channel over its rms, all trials (5, samples) together."""
+    found = {}
+    for channel in channels:
+        row = CHANNELS.index(channel)
+        change = np.concatenate([b[row] - a[row] for a, b in zip(before, after, strict=True)])
+        signal = np.concatenate([a[row] for a in before])
+        found[channel] = float(np.sqrt(np.mean(change**2) / max(np.mean(signal**2), 1e-300)))
+    return found

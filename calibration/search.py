@@ -21,8 +21,8 @@ from calibration.fit import Fit, fit
 from calibration.forward import CHANNELS
 from calibration.noise import DISCREPANCY
 from calibration.plant import BASE, Parameter
-from calibration.refits import HALVINGS, begun, joined, without
-from calibration.rivals import alike, better, judge_rivals
+from calibration.refits import HALVINGS, Refits, begun
+from calibration.rivals import alike, better_rival, judge_rivals
 from calibration.rounds import (
     SHARE,
     Round,
@@ -31,8 +31,7 @@ from calibration.rounds import (
     agreement,
     groups,
     scored,
-    share,
-    sizes_of,
+    shares,
 )
 from calibration.trace import Score, score
 from slider_jax.effects.library import LIBRARY
@@ -41,6 +40,9 @@ CHANCE = 1e-3
 """Largest probability of a gain by chance, candidates counted."""
 SHORT_LIST = 5
 """Candidates of each kind that are refitted in a round."""
+SHARE_AFAR = 0.2
+"""As `SHARE`, of a candidate that is scored at a size of its own (`Prior.start`), where less can be
+told."""
 NEARLY = 0.7
 """A candidate is refitted if its score promises so much of what is worth naming."""
 MOST = 3
@@ -49,8 +51,6 @@ ROUNDS = 5
 """Rounds at most, with those whose effect was taken out again."""
 SWAPS = 2
 """Times that a rival takes the place of what was chosen, at most."""
-SHARE_AFAR = 0.2
-"""The same of one that is scored at a size of its own (`Prior.start`), where less can be told."""
 
 
 def directions(problem: Problem, entries: Sequence[Parameter], theta: np.ndarray, free: np.ndarray):
@@ -102,52 +102,52 @@ def search(
     first = fit(problem, entries, theta, free, progress)
     white = problem.whiteners(first.predicted)
     base = fit(problem, entries, first.theta, free, progress, white)
+    refits = Refits(problem, entries, white, progress)
     found = Search(base, base, [], [])
     for swaps in range(SWAPS + 1):
-        _add(problem, entries, found, white, progress)
-        judge_rivals(problem, entries, found, white, progress)
-        swap = better(found)
+        _add(refits, found)
+        judge_rivals(refits, found)
+        swap = better_rival(found)
         if swap is None or swaps == SWAPS:
             break
         this, rival = swap
+        assert this.chosen is not None
         progress(f"{rival} takes the place of {this.chosen}")
         found.effects = [rival if n == this.chosen else n for n in found.effects]
         found.final = this.rivals[rival].fit
-        this.alike = [str(this.chosen), *(n for n in this.alike if n != rival)]
-        this.chosen = rival
-        _take_out_needless(problem, entries, found, this, white, progress)
+        this.alike = [this.chosen, *(n for n in this.alike if n != rival)]
+        this.chosen, this.replaced = rival, this.chosen
+        _take_out_needless(refits, found, this)
     return found
 
 
-def _add(problem, entries, found: Search, white, progress) -> None:
+def _add(refits: Refits, found: Search) -> None:
     """Effects, one a round, until there is none to be named."""
-    members = groups(entries)
     while len(found.effects) < MOST and len(found.rounds) < ROUNDS:
-        rest = [n for n in members if _can_join(n, found.effects)]
+        rest = [n for n in groups(refits.entries) if _can_join(n, found.effects)]
         if not rest:
             break
-        progress(f"round {len(found.rounds) + 1}: scoring {len(rest)} candidates")
-        this = _round(problem, entries, found.final, members, rest, white, progress)
+        refits.progress(f"round {len(found.rounds) + 1}: scoring {len(rest)} candidates")
+        this = _round(refits, found.final, rest)
         found.rounds.append(this)
         if this.chosen is None:
             break
         found.effects.append(this.chosen)
         found.final = next(t.fit for t in this.tried if t.name == this.chosen)
-        _take_out_needless(problem, entries, found, this, white, progress)
+        _take_out_needless(refits, found, this)
 
 
-def _take_out_needless(problem, entries, found: Search, by: Round, white, progress) -> None:
+def _take_out_needless(refits: Refits, found: Search, by: Round) -> None:
     """What is no longer needed beside what the round `by` chose, which takes over its rivals."""
-    members = groups(entries)
     for name in [n for n in found.effects if n != by.chosen]:
-        less = without(problem, entries, found.final, members[name], name, white, progress)
+        less = refits.without(found.final, name)
         if less is None:
             continue
         found.final = less
         found.effects.remove(name)
         this = next(r for r in found.rounds if r.chosen == name)
         by.alike += [n for n in this.alike if n not in (by.chosen, *by.alike)]
-        this.chosen, this.alike, this.rivals, this.taken_out = None, [], {}, name
+        this.chosen, this.alike, this.taken_out = None, [], name
 
 
 def _could_be_named(problem: Problem, current: Fit, everything, step: np.ndarray) -> bool:
@@ -155,10 +155,8 @@ def _could_be_named(problem: Problem, current: Fit, everything, step: np.ndarray
     there = [
         y + np.tensordot(step, x, 1) for y, x in zip(current.predicted, everything, strict=True)
     ]
-    return any(
-        share(current.predicted, there, CHANNELS.index(c)) > NEARLY * DISCREPANCY[c]
-        for c in problem.channels
-    )
+    changes = shares(problem.channels, current.predicted, there)
+    return any(change > NEARLY * DISCREPANCY[c] for c, change in changes.items())
 
 
 def _can_join(name: str, effects: list[str]) -> bool:
@@ -166,10 +164,11 @@ def _can_join(name: str, effects: list[str]) -> bool:
     return name not in effects and LIBRARY[name].instead not in taken
 
 
-def _round(problem, entries, current: Fit, members, rest, white, progress) -> Round:
-    residuals = problem.residuals(current.predicted, white)
+def _round(refits: Refits, current: Fit, rest: Sequence[str]) -> Round:
+    problem, entries, progress = refits.problem, refits.entries, refits.progress
+    residuals = problem.residuals(current.predicted, refits.white)
     everything = directions(problem, entries, current.theta, current.free)
-    blocks = problem.blocks(residuals, everything, white)
+    blocks = problem.blocks(residuals, everything, refits.white)
     unit, judged = current.inflation, scored(entries)
     scores = [score(n, judged[n], current.free, blocks, unit, len(rest)) for n in rest]
     scores.sort(key=lambda s: -s.gain)
@@ -178,7 +177,7 @@ def _round(problem, entries, current: Fit, members, rest, white, progress) -> Ro
         if not _could_be_named(problem, current, everything, s.step):
             continue
         progress(f"refitting with {s.name}")
-        tried = _tried(problem, entries, current, members[s.name], s, white, progress)
+        tried = _tried(refits, current, s)
         if tried is None:
             progress(f"{s.name} cannot be simulated from where its refit would begin: left out")
         else:
@@ -196,20 +195,20 @@ def _likely(scores: list[Score], entries, judged) -> list[Score]:
     """Candidates that are worth a refit, the short list of those near and of those afar."""
     best = scores[0].gain
 
-    def of(share: float, afar: bool) -> list[Score]:
-        found = [s for s in scores if s.p < CHANCE and s.gain > share * best]
+    def of(least: float, afar: bool) -> list[Score]:
+        found = [s for s in scores if s.p < CHANCE and s.gain > least * best]
         kind = [s for s in found if (entries[judged[s.name][0]].prior.start is not None) == afar]
         return kind[:SHORT_LIST]
 
     return sorted([*of(SHARE, False), *of(SHARE_AFAR, True)], key=lambda s: -s.gain)
 
 
-def _tried(problem, entries, current: Fit, group, s: Score, white, progress) -> Tried | None:
-    start = begun(entries, current.theta, group, s.step)
-    free = np.concatenate([current.free, group])
-    better = joined(problem, entries, current.theta, start, free, white, progress)
-    if better is None:
+def _tried(refits: Refits, current: Fit, s: Score) -> Tried | None:
+    group = groups(refits.entries)[s.name]
+    start = begun(refits.entries, current.theta, group, s.step)
+    refitted = refits.joined(current.theta, start, np.concatenate([current.free, group]))
+    if refitted is None:
         return None
-    gain = (current.square - better.square) / better.inflation
-    sizes = sizes_of(problem, current, better)
-    return Tried(s.name, better, gain, sizes, agreement(s.left_out))
+    gain = (current.square - refitted.square) / refitted.inflation
+    sizes = refits.sizes(current, refitted)
+    return Tried(s.name, refitted, gain, sizes, agreement(s.left_out))

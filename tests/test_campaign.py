@@ -43,10 +43,11 @@ class Answers:
     """A `close` that answers with given verdicts, without looking at the data."""
 
     def __init__(self, *verdicts):
-        self.verdicts, self.counts = list(verdicts), []
+        self.verdicts, self.counts, self.kept = list(verdicts), [], []
 
-    def __call__(self, given, progress, memo):
+    def __call__(self, given, progress, memo, kept):
         self.counts.append(len(given.trials))
+        self.kept.append(kept)
         return SimpleNamespace(verdict=self.verdicts.pop(0), effects=[])
 
 
@@ -54,7 +55,11 @@ class Answers:
 def short_report(request, monkeypatch):
     """What a report says, where the outcome is an `Answers`' own."""
     if "slow" not in request.keywords:
-        told = lambda outcome, *_: {"verdict": outcome.verdict, "said": outcome.verdict}  # noqa: E731
+
+        def told(outcome, seconds, source, following):
+            found = outcome.verdict
+            return {"verdict": found, "said": found, "next_experiment": following}
+
         monkeypatch.setattr(module, "report", told)
 
 
@@ -70,6 +75,7 @@ def test_it_measures_until_the_verdict_is_settled(tmp_path, monkeypatch):
     close = Answers("inconclusive", "unexplained", "nothing_missing")
     found = campaign(path, capture, tmp_path / "out", close=close)
     assert close.counts == [5, 6, 7] and found.settled
+    assert close.kept == [[], ["x.csv"], ["x.csv", "y.csv"]]
     assert captured == [t["file"] for t in RUNS[:5]] + ["x.csv", "y.csv"]
     assert [x.verdict for x in found.rounds] == ["inconclusive", "unexplained", "nothing_missing"]
     assert json.loads((tmp_path / "out" / "round_06.json").read_text())["verdict"] == "unexplained"

@@ -21,6 +21,8 @@ def test_a_quarter_inside_the_range_of_frequencies():
     assert choose_held_out(records(towed=())) == [2, 6]
     assert choose_held_out(records(towed=range(8))) == [2, 6]
     assert choose_held_out(records(towed=(), count=5)) == []
+    third = records(towed=())[2].trial.file
+    assert choose_held_out(records(towed=()), [third]) == [1, 6]
 
 
 def test_two_towed_trials_stay_where_there_are_two():

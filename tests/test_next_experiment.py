@@ -1,8 +1,11 @@
 """What the loop proposes to measure next, for every verdict, on outcomes made by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from calibration import next_experiment as module
 from calibration.closing import Errors, Outcome
 from calibration.evidence import Problem
 from calibration.fit import Fit
@@ -15,7 +18,7 @@ from calibration.noise import DISCREPANCY
 from calibration.plant import BASE, parameters, start
 from calibration.report import report
 from calibration.report_html import page
-from calibration.rounds import LEAST_GAIN, Rival, Round, Search, groups
+from calibration.rounds import LEAST_GAIN, Agreement, Rival, Round, Search, Tried, groups
 from calibration.splitting import TIMES, distance
 from calibration.verdict import Excess
 from slider_jax.experiment import load
@@ -116,6 +119,64 @@ def test_a_class_whose_rivals_were_not_fitted_proposes_nothing(tank):
     found.search.rounds[0].rivals.clear()
     told = next_experiment(found, effort=FEW)
     assert told["trial"] is None and "none of the rivals can be fitted" in told["said"]
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """What was asked of `split_class`, which makes the second class smaller and not the first."""
+    calls = []
+
+    def answer(name, foresights, unit, trials, *_):
+        calls.append((name, list(foresights), unit, [t.file for t in trials]))
+        return {"name": name, "times": 3 if len(calls) == 2 else None}
+
+    monkeypatch.setattr(module, "split_class", answer)
+    return calls
+
+
+def test_the_first_class_that_a_trial_makes_smaller_is_asked_for(tank, asked):
+    final = fitted(tank, tank[2], FREE)
+    rounds = [
+        Round([], [], name, [rival], {rival: Rival(final, 0.0, {})})
+        for name, rival in (("carried_mass", "axial_added_mass"), ("force_gain", "pressure_gain"))
+    ]
+    assert next_experiment(outcome(tank, "class", final, rounds))["name"] == "force_gain"
+    assert [x[:2] for x in asked] == [
+        ("carried_mass", ["axial_added_mass"]), ("force_gain", ["pressure_gain"])
+    ]  # fmt: skip
+
+
+def test_trials_that_the_search_did_not_see_are_not_counted(tank, asked):
+    whole = classed(tank, fitted(tank, tank[2], FREE))
+    next_experiment(whole)
+    next_experiment(replace(whole, held=[1]))
+    assert [x[3] for x in asked] == [["trial_00.csv", "trial_01.csv"], ["trial_00.csv"]]
+
+
+def test_a_measured_trial_is_foreseen_at_the_times_of_its_record(tank):
+    experiment, problem, theta = tank
+    record = problem.records[0]
+    some = np.delete(np.arange(len(record.t)), slice(30, 50))
+    torn = Record(record.trial, record.t[some], record.values[:, some])
+    sensing = Sensing.of(experiment, [torn, problem.records[1]])
+    seen = Foresight(experiment, EFFECTS, theta, FREE, sensing, {}, MESH).trial(record.trial)
+    assert {x.n for x in seen} == {len(record.t) - 20}
+
+
+def test_rivals_are_reported(tank):
+    final = fitted(tank, tank[2], np.concatenate([FREE, MASS]))
+    worse = Rival(final, 88.0, {"tip": 0.01})
+    tried = [Tried("carried_mass", final, 99.0, {"tip": 0.02}, Agreement(9.0, 0.01))]
+    this = Round([], tried, "carried_mass", [], {"axial_added_mass": worse}, None, "tip_mass")
+    done = outcome(tank, "identified", final, [this])
+    told = report(done, 1.0, {"path": "tank.toml", "sha256": "0"}, {})
+    (effect,) = told["effects"]
+    assert effect["in_place_of"] == "tip_mass"
+    assert effect["rivals"] == [
+        {"name": "axial_added_mass", "loss": 88.0, "channels": {"tip": 0.01}, "told_apart": True}
+    ]
+    html = page(done, told | {"candidates": []})
+    assert "axial_added_mass for carried_mass" in html and "tip 1 %" in html
 
 
 def test_a_rival_is_as_far_as_its_model_cannot_follow():

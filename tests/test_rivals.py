@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from calibration.plant import Parameter
-from calibration.rivals import AS_MUCH, CONTENDS, better, judge_rivals
+from calibration.refits import Refits
+from calibration.rivals import AS_MUCH, CONTENDS, better_rival, judge_rivals
 from calibration.rounds import Agreement
 from calibration.search import search
 from calibration.verdict import FLOOR
@@ -61,8 +62,8 @@ def test_the_right_rival_takes_the_place_of_the_wrong_one_that_came_first(seed):
     first = found.rounds[0]
     right, wrong = (next(t for t in first.tried if t.name == n) for n in NAMES[:2])
     assert CONTENDS * wrong.gain < right.gain < wrong.gain
-    assert first.chosen == "firmware_valves" and not first.alike
-    assert found.effects == ["firmware_valves", "tank_current"]
+    assert (first.chosen, first.replaced) == ("firmware_valves", "pulsed_valves")
+    assert found.effects == ["firmware_valves", "tank_current"] and not first.alike
     np.testing.assert_allclose(found.final.theta, truth, atol=0.01)
 
 
@@ -80,8 +81,8 @@ def test_what_is_needed_beside_a_rival_is_told_from_it():
     first = found.rounds[0]
     assert first.chosen == "firmware_valves" and not first.rivals
     first.alike = ["tank_current"]
-    judge_rivals(sums, ENTRIES, found, {}, print)
-    assert better(found) is None and not first.alike
+    judge_rivals(Refits(sums, ENTRIES, {}, print), found)
+    assert better_rival(found) is None and not first.alike
     assert set(first.rivals["tank_current"].fit.free) == {0, 3}
 
 
@@ -91,7 +92,7 @@ def test_a_rival_whose_law_another_effect_has_taken_stays_one():
     second = found.rounds[1]
     assert second.chosen == "tank_current"
     second.alike = ["pulsed_valves"]
-    judge_rivals(sums, ENTRIES, found, {}, print)
+    judge_rivals(Refits(sums, ENTRIES, {}, print), found)
     assert second.alike == ["pulsed_valves"] and not second.rivals
 
 
@@ -100,6 +101,17 @@ def test_a_better_rival_on_which_the_trials_did_not_agree_stays_where_it_is():
     first = found.rounds[0]
     ((name, x),) = first.rivals.items()
     first.rivals[name] = x._replace(loss=-x.loss)
-    assert better(found) == (first, name)
+    assert better_rival(found) == (first, name)
     first.tried = [replace(t, agreement=Agreement(0.0, 1.0)) for t in first.tried]
-    assert better(found) is None
+    assert better_rival(found) is None
+
+
+def test_what_was_judged_counts_no_more_where_noise_is_left():
+    sums = Sums((1.0, 0.5, 0.0, 0.3), np.stack([BASE, ONE, ONE + 0.1 * OTHER, CURRENT]))
+    found = search(sums, ENTRIES, np.zeros(4), base_names=("k",))
+    first = found.rounds[0]
+    ((name, x),) = first.rivals.items()
+    first.rivals[name] = x._replace(loss=-x.loss)
+    sums.y += 1.2 * np.sin(np.arange(SAMPLES))
+    judge_rivals(Refits(sums, ENTRIES, {}, print), found)
+    assert not first.rivals and better_rival(found) is None

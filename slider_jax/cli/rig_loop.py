@@ -109,4 +109,4 @@ def loop(
     write_text(out / "report.html", page(found.outcome, found.report))
     for x in found.rounds:
         print(f"{x.trials:2} trials: {x.said}")
-    print("settled" if found.settled else f"not settled within {budget} trials")
+    print("settled" if found.settled else f"not settled with {found.rounds[-1].trials} trials")
