@@ -15,11 +15,11 @@ from slider_jax import (
     observables as obs,  # noqa: E402
 )
 from slider_jax.actuation import FirstOrderLag, SquareWave  # noqa: E402
+from slider_jax.beam.grid import split_cells  # noqa: E402
+from slider_jax.beam.parameters import Numerics, Robot  # noqa: E402
+from slider_jax.dynamics.model import Drive, Model  # noqa: E402
+from slider_jax.dynamics.rollout import TimeGrid, rollout  # noqa: E402
 from slider_jax.effects import NormalDrag, ReactiveForce  # noqa: E402
-from slider_jax.grid import split_cells  # noqa: E402
-from slider_jax.model import Drive, Model  # noqa: E402
-from slider_jax.parameters import Numerics, Robot  # noqa: E402
-from slider_jax.rollout import TimeGrid, rollout  # noqa: E402
 from slider_jax.supports import Clamped  # noqa: E402
 
 enable_float64()

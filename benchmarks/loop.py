@@ -22,14 +22,14 @@ from strangers import STRANGERS
 from summary import summed_up
 from tanks import closed, draw, limits, noisy, problem_of, simulated
 
-from calibration.closing import Outcome, choose_held_out
-from calibration.evidence import Problem
-from calibration.plant import candidates
-from calibration.verdict import floors, rms_errors
+from calibration.discrepancy.close_loop import Outcome, choose_held_out
+from calibration.discrepancy.verdict import floors, rms_errors
+from calibration.inference.problem import Problem
+from calibration.model.extended import candidates
 from slider_jax.effects.library import LIBRARY
-from slider_jax.files import write_json
+from slider_jax.io.files import write_json
+from slider_jax.io.provenance import versions
 from slider_jax.precision import enable_float64
-from slider_jax.provenance import versions
 
 SIZED = {
     "valve_delay": "delay", "fill_vent_asymmetry": "ratio", "leakage": "leak",

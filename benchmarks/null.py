@@ -8,14 +8,14 @@ import numpy as np
 import rivals
 from tanks import draw, noisy, problem_of, simulated
 
-from calibration import report
-from calibration.closing import Outcome, choose_held_out, conclude
-from calibration.evidence import Problem
-from calibration.fit import fit
-from calibration.measured import Record
-from calibration.plant import BASE, base_values, candidates, parameters, start
-from calibration.search import directions
-from calibration.systematic import halves, interval
+from calibration.discrepancy import report
+from calibration.discrepancy.close_loop import Outcome, choose_held_out, conclude
+from calibration.discrepancy.selection import directions
+from calibration.inference.gauss_newton import fit
+from calibration.inference.problem import Problem
+from calibration.inference.uncertainty import halves, interval
+from calibration.measurements.records import Record
+from calibration.model.extended import BASE, base_values, candidates, parameters, start
 
 TANKS, REPLICATES = 6, 18
 SEED = 100

@@ -15,14 +15,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from slider_jax.batch import available_cores
-from slider_jax.design import box_of, models
-from slider_jax.evaluation import Evaluation, begin
-from slider_jax.paper_swimmer import optimum
+from slider_jax.batch.chunks import available_cores
+from slider_jax.dynamics.step import at_rest
+from slider_jax.io.provenance import versions
+from slider_jax.optimise.design_space import box_of, models
+from slider_jax.optimise.population import Evaluation, begin
 from slider_jax.precision import enable_float64
-from slider_jax.provenance import versions
-from slider_jax.steady import Search, strides
-from slider_jax.step import at_rest
+from slider_jax.swimming.paper_optimum import optimum
+from slider_jax.swimming.steady_state import Search, strides
 
 FREQUENCY = 5.0
 

@@ -17,17 +17,17 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.capture import Switch, Switches, Timing, Trial, capture
-from rig.drive import Drive
-from rig.manifold import Manifold
-from rig.port import open_port
-from rig.priority import real_time
-from rig.readings import readings
-from rig.recording import read_recording
-from rig.safety import Limits
+from rig.manifold.driver import Manifold
+from rig.manifold.limits import Limits
+from rig.manifold.serial_port import open_port
+from rig.recording.decode import readings
+from rig.recording.reader import read_recording
+from rig.scheduling import real_time
 from rig.simulated.rig import SimulatedRig
 from rig.simulated.tank import BenchTank
 from rig.simulated.terminal import in_process
+from rig.trial.capture import Switch, Switches, Timing, Trial, capture
+from rig.trial.waveform import Drive
 
 
 def device() -> SimulatedRig:

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from rig_process import command, simulated
 
-from calibration.twin import Settings
+from calibration.twin.twin import Settings
 
 START = 25.0
 """[s] of the rig's clock by which a watch has begun, its model compiled."""

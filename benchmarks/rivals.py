@@ -22,13 +22,13 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from sklearn.linear_model import lasso_path
 from sklearn.preprocessing import StandardScaler
 
-from calibration.evidence import Problem, summed
-from calibration.fit import Fit, fit, inverse
-from calibration.forward import CHANNELS
-from calibration.plant import Parameter
-from calibration.rounds import groups, scored
-from calibration.search import directions
-from calibration.trace import drop, solve
+from calibration.discrepancy.rounds import groups, scored
+from calibration.discrepancy.scores import drop, solve
+from calibration.discrepancy.selection import directions
+from calibration.inference.gauss_newton import Fit, fit, inverse
+from calibration.inference.problem import Problem, summed
+from calibration.model.extended import Parameter
+from calibration.model.predict import CHANNELS
 
 PENALTIES = 60
 GP_SAMPLES = 500

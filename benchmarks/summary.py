@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from strangers import STRANGERS
 
-from calibration.verdict import CLASS, IDENTIFIED, NAMED, NOTHING, UNEXPLAINED
+from calibration.discrepancy.verdict import CLASS, IDENTIFIED, NAMED, NOTHING, UNEXPLAINED
 from slider_jax.effects.library import LIBRARY
 
 WAYS = ("refit only", "sparse", "stepwise", "gp", "loop", "oracle")

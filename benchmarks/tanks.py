@@ -12,15 +12,22 @@ from pathlib import Path
 import equinox as eqx
 import numpy as np
 
-from calibration.closing import Outcome, choose_held_out, conclude
-from calibration.evidence import Problem
-from calibration.forward import CHANNELS, COARSE, Resolution, on_all_cores, plan, predict
-from calibration.matrix import matrix
-from calibration.measured import COLUMNS, Record
-from calibration.plant import BASE, base_values, candidates, parameters, start
-from calibration.synthetic import ROBOT, START, Sensors, base_parameters, measured, trials
+from calibration.discrepancy.close_loop import Outcome, choose_held_out, conclude
+from calibration.experiment_design.detectability import matrix
+from calibration.inference.problem import Problem
+from calibration.measurements.records import COLUMNS, Record
+from calibration.measurements.synthetic import (
+    ROBOT,
+    START,
+    Sensors,
+    base_parameters,
+    measured,
+    trials,
+)
+from calibration.model.extended import BASE, base_values, candidates, parameters, start
+from calibration.model.predict import CHANNELS, COARSE, Resolution, on_all_cores, plan, predict
 from slider_jax.effects import Effect
-from slider_jax.experiment import Experiment, assemble
+from slider_jax.experiment.load import Experiment, assemble
 
 COUNT, SECONDS = 6, 0.33
 """Trials of a tank, and the scale of their durations (0.66 s at 6 Hz to 1.65 s at 0.6 Hz)."""

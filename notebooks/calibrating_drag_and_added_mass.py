@@ -29,10 +29,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import slider_jax as sj
-from calibration.forward import CHANNELS, Resolution
-from calibration.identify import identify, table
-from calibration.systematic import correlations, determined, interval
-from slider_jax import experiment as experiments
+from calibration.identification.identify import identify, table
+from calibration.inference.uncertainty import correlations, determined, interval
+from calibration.model.predict import CHANNELS, Resolution
+from slider_jax.experiment import load as experiments
 
 sj.enable_float64()
 
@@ -41,7 +41,7 @@ truth = {"C_d": 3.1, "m_a": 0.72, "k": 0.075, "K_Q": 4.6e-7}
 if own:
     path, mesh = Path(own), Resolution(101, 200, 2.0e-3)
 else:
-    from calibration.synthetic import Truth, trials, write_tank
+    from calibration.measurements.synthetic import Truth, trials, write_tank
 
     runs = [run | {"duration": 1.0} for run in trials(5, count=6)[2:]]
     made = {"nodes": 41, "step": 1e-3, "scheme": "sdirk2"}

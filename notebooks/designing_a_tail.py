@@ -28,14 +28,14 @@ import numpy as np
 import optax
 
 import slider_jax as sj
-from slider_jax.design import models
-from slider_jax.evaluation import Evaluation
-from slider_jax.gait import Gait
-from slider_jax.optimise import run, settings_of
-from slider_jax.paper_swimmer import optimum
-from slider_jax.parameters import Numerics
-from slider_jax.searchers import searcher
-from slider_jax.steady import Search, find_steady, steady_speed
+from slider_jax.beam.parameters import Numerics
+from slider_jax.optimise.design_space import models
+from slider_jax.optimise.loop import run, settings_of
+from slider_jax.optimise.population import Evaluation
+from slider_jax.optimise.registry import searcher
+from slider_jax.swimming.gait import Gait
+from slider_jax.swimming.paper_optimum import optimum
+from slider_jax.swimming.steady_state import Search, find_steady, steady_speed
 
 sj.enable_float64()
 

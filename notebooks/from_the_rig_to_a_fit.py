@@ -30,17 +30,17 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import slider_jax as sj
-from calibration.forward import Resolution
-from calibration.identify import identify, table
-from calibration.systematic import interval
-from rig.clock import align
-from rig.readings import readings
-from rig.recording import read_recording
-from rig.session import run
-from slider_jax import experiment as experiments
-from slider_jax.cli.rig import opened, trials_of, with_counts
-from slider_jax.cli.rig_settings import rig_of
-from slider_jax.design import to_toml
+from calibration.identification.identify import identify, table
+from calibration.inference.uncertainty import interval
+from calibration.model.predict import Resolution
+from rig.cli.settings import rig_of
+from rig.cli.shared import opened, trials_of, with_counts
+from rig.recording.clock import align
+from rig.recording.decode import readings
+from rig.recording.reader import read_recording
+from rig.trial.session import run
+from slider_jax.experiment import load as experiments
+from slider_jax.optimise.design_space import to_toml
 
 sj.enable_float64()
 

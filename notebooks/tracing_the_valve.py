@@ -30,10 +30,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import slider_jax as sj
-from calibration.closing import close_loop_on_logs
-from calibration.log_report import consequence_of
-from calibration.logs import PA_PER_PSI, psi, read_log
-from calibration.made_logs import write_logs
+from calibration.discrepancy.close_loop import close_loop_on_logs
+from calibration.pressure_logs.read import PA_PER_PSI, psi, read_log
+from calibration.pressure_logs.report import consequence_of
+from calibration.pressure_logs.synthetic import write_logs
 
 sj.enable_float64()
 

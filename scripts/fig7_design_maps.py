@@ -14,15 +14,15 @@ from pathlib import Path
 
 import numpy as np
 
-from slider_jax.design_findings import Finding, findings
-from slider_jax.design_maps import MARKED, Map, best_phase, best_stiffness
-from slider_jax.design_maps_report import SHOWN_LENGTHS, draw
 from slider_jax.errors import InputError
-from slider_jax.experiment import Experiment, load
-from slider_jax.files import staged, tentative_folder, write_json, write_text
+from slider_jax.experiment.load import Experiment, load
+from slider_jax.io.files import staged, tentative_folder, write_json, write_text
+from slider_jax.io.provenance import input_file, versions
 from slider_jax.precision import enable_float64
-from slider_jax.provenance import input_file, versions
-from slider_jax.sweep import Axis, Sweep, run_sweep
+from slider_jax.reproduction.design_findings import Finding, findings
+from slider_jax.reproduction.design_maps import MARKED, Map, best_phase, best_stiffness
+from slider_jax.reproduction.design_maps_report import SHOWN_LENGTHS, draw
+from slider_jax.sweep.sweep import Axis, Sweep, run_sweep
 
 SWIMMER = Path(__file__).resolve().parent.parent / "docs" / "swimmer.toml"
 STIFFNESS = (3e-5, 0.038)

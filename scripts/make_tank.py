@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.synthetic import Truth, base_parameters, trials, write_tank
+from calibration.measurements.synthetic import Truth, base_parameters, trials, write_tank
 from slider_jax.effects.library import LIBRARY
 from slider_jax.errors import InputError, SolverError
-from slider_jax.files import write_json
+from slider_jax.io.files import write_json
 from slider_jax.precision import enable_float64
 
 

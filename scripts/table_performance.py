@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from slider_jax.errors import InputError, SolverError
-from slider_jax.figures import new_figure, save_figure
-from slider_jax.files import staged, write_json
-from slider_jax.paper_swimmer import MEASURED_SPEED, PUBLISHED, optimum
-from slider_jax.paper_table import (
+from slider_jax.io.figures import new_figure, save_figure
+from slider_jax.io.files import staged, write_json
+from slider_jax.io.provenance import versions
+from slider_jax.precision import enable_float64
+from slider_jax.reproduction.table_sensitivity import (
     CHANGES,
     RECALIBRATED,
     Row,
@@ -24,12 +25,11 @@ from slider_jax.paper_table import (
     held,
     swim,
 )
-from slider_jax.precision import enable_float64
-from slider_jax.provenance import versions
-from slider_jax.swim import check, plan_of
-from slider_jax.swim_report import table
-from slider_jax.swim_steadily import columns
-from slider_jax.wavelengths import on_course
+from slider_jax.reproduction.wavelengths import on_course
+from slider_jax.swimming.batch import columns
+from slider_jax.swimming.free_swim import check, plan_of
+from slider_jax.swimming.paper_optimum import MEASURED_SPEED, PUBLISHED, optimum
+from slider_jax.swimming.report import table
 
 STATED, OWN = PUBLISHED["tail_slope"].model, PUBLISHED["shape_tail_slope"].model
 LENGTHS_PER_S = 0.59

@@ -2,7 +2,7 @@
 
 Public names are loaded when first used, so that `import slider_jax` costs nothing and changes no
 global setting of JAX. Functions that share their module's name are imported from it, as in
-`from slider_jax.rollout import rollout`.
+`from slider_jax.dynamics.rollout import rollout`.
 """
 
 from importlib import import_module

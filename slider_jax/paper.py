@@ -9,9 +9,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from slider_jax.actuation import FirstOrderLag, SquareWave
+from slider_jax.beam.parameters import Robot, Scalar
+from slider_jax.dynamics.model import Drive, Model
 from slider_jax.effects import NormalDrag, ReactiveForce
-from slider_jax.model import Drive, Model
-from slider_jax.parameters import Robot, Scalar
 from slider_jax.supports import Clamped
 
 RAMP_START, RAMP_END = 2.0, 3.0

@@ -4,7 +4,7 @@ import os
 from importlib.metadata import version
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[1]
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Compiles in half the time, for runs that last a sixth longer: most of a test is compilation. A
@@ -18,7 +18,7 @@ import jax  # noqa: E402
 import pytest  # noqa: E402
 
 from slider_jax.precision import enable_float64  # noqa: E402
-from tests.data import data_dir  # noqa: E402
+from tests.support.data import data_dir  # noqa: E402
 
 enable_float64()
 jax.config.update("jax_numpy_dtype_promotion", "strict")

@@ -9,10 +9,11 @@ from pathlib import Path
 import jax
 import pytest
 
-from slider_jax import experiment, sweep
 from slider_jax.cli.main import COMMANDS, main
+from slider_jax.experiment import load as experiment
+from slider_jax.sweep import sweep
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[1]
 
 
 def blocks(document, language):

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.camera import Shot
+from rig.camera.opencv import opencv
+from rig.camera.source import Shot
 from rig.errors import RigError
-from rig.opencv import opencv
 
 FINE = 5
 """Samples along a pixel's side."""
@@ -75,7 +75,7 @@ class Scene:
 
 
 class SimulatedCamera:
-    """A `rig.camera.Source` of a scene, as fast as it is read."""
+    """A `rig.camera.source.Source` of a scene, as fast as it is read."""
 
     live = False
 

@@ -16,8 +16,8 @@ from threading import Event, Thread
 
 import numpy as np
 
-from rig import rdt
 from rig.errors import RigError
+from rig.force import ati_rdt as rdt
 
 Wrench = Callable[[float], np.ndarray]
 """Forces and torques (6,) [N, N m] at a time of the host's monotonic clock [s]."""

@@ -1,7 +1,8 @@
 """A GRBL axis in virtual time, and a robot that swims under it, seen by the gantry's camera.
 
 The axis takes bytes and microseconds and gives bytes, so that a test or a pseudo-terminal can stand
-before it. It knows what `rig.gantry` needs: `$$`, `$H`, `$X`, `?`, `!`, Ctrl-X, and G1 in G21 G94.
+before it. It knows what `rig.gantry.axis` needs: `$$`, `$H`, `$X`, `?`, `!`, Ctrl-X, and G1 in G21
+G94.
 """
 
 import re
@@ -217,7 +218,8 @@ class Swimmer:
 
 @dataclass
 class SimulatedFilm:
-    """The camera on a `GrblAxis` above a `Swimmer`: what `rig.gantry.passes` wants as its film."""
+    """The camera on a `GrblAxis` above a `Swimmer`: what `rig.gantry.axis.passes` wants as its
+    film."""
 
     axis: GrblAxis
     swimmer: Swimmer

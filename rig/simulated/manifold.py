@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from rig.frames import Decoder, encode
-from rig.messages import (
+from rig.protocol.frames import Decoder, encode
+from rig.protocol.messages import (
     PROTOCOL,
     WATCHDOG,
     Ack,

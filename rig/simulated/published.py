@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable, Iterator
 from math import pi, sin
 
-from rig.dialogue import COLUMNS, PA_PER_PSI, PSI_AT_ZERO, PSI_PER_COUNT
+from rig.protocol.published import COLUMNS, PA_PER_PSI, PSI_AT_ZERO, PSI_PER_COUNT
 
 PERIOD_US = 2_000
 MIDDLE, AMPLITUDE = 291.0, 200.0

@@ -1,6 +1,6 @@
 """What a recorded manifold said, said again at its own pace."""
 
-from rig.recording import Stream
+from rig.recording.reader import Stream
 
 
 class Replay:

@@ -3,8 +3,8 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from slider_jax.grid import Grid
-from slider_jax.parameters import Robot, Scalar
+from slider_jax.beam.grid import Grid
+from slider_jax.beam.parameters import Robot, Scalar
 
 
 def peskin_delta(r):

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from slider_jax.actuation.waveform import Segment, Waveform
-from slider_jax.parameters import Scalar
+from slider_jax.beam.parameters import Scalar
 
 
 class PressureLaw(eqx.Module):

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from slider_jax.parameters import Scalar
+from slider_jax.beam.parameters import Scalar
 
 
 class Segment(eqx.Module):

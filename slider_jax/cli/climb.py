@@ -45,12 +45,12 @@ def climb(
         cap: highest set pressure [Pa]; amplitudes beyond it are cut.
     """
     from slider_jax.cli.progress import Progress
-    from slider_jax.climb import climb as climb_wall, row
-    from slider_jax.climb_report import film, plot, series_columns, table, words
-    from slider_jax.files import staged, write_csv, write_json
-    from slider_jax.gait import stride_frequency
-    from slider_jax.paper_swimmer import climber, given_or
-    from slider_jax.provenance import input_file, versions
+    from slider_jax.climbing.climb import climb as climb_wall, row
+    from slider_jax.climbing.report import film, plot, series_columns, table, words
+    from slider_jax.io.files import staged, write_csv, write_json
+    from slider_jax.io.provenance import input_file, versions
+    from slider_jax.swimming.gait import stride_frequency
+    from slider_jax.swimming.paper_optimum import climber, given_or
 
     if pin_phase is not None and not -1.0 <= pin_phase <= 1.0:
         raise InputError.value("--pin-phase", f"{pin_phase:g}", "-1 to 1, of a period")

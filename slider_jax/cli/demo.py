@@ -18,9 +18,9 @@ def demo(out: Folder = Path("slider_demo")) -> None:
         out: folder for the results; made if missing, files of the same name are replaced.
     """
     from slider_jax.cli.progress import Progress
-    from slider_jax.demo import Settings, run_frequency_sweep
-    from slider_jax.demo_report import comparison, write_results
-    from slider_jax.files import output_folder
+    from slider_jax.io.files import output_folder
+    from slider_jax.reproduction.frequency_sweep import Settings, run_frequency_sweep
+    from slider_jax.reproduction.frequency_sweep_report import comparison, write_results
 
     output_folder(out)
     settings, begun = Settings(), time.perf_counter()

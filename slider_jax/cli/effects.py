@@ -129,17 +129,17 @@ def _range(prior: Prior) -> str:
 
 def _example(prior: Prior) -> float:
     """A size to try: half of what is believed possible."""
-    from slider_jax.fingerprint import typical
+    from slider_jax.simulation.effect_signature import typical
 
     return 0.5 * (prior.null + typical(prior))
 
 
 def _draw(name: str, out: Path, path: Path | None) -> None:
     from slider_jax.cli.progress import Progress
-    from slider_jax.experiment import load
-    from slider_jax.files import staged
-    from slider_jax.fingerprint import built_in, fingerprint, plot_fingerprint
-    from slider_jax.plots import CHANNELS
+    from slider_jax.experiment.load import load
+    from slider_jax.io.files import staged
+    from slider_jax.simulation.effect_signature import built_in, fingerprint, plot_fingerprint
+    from slider_jax.simulation.plots import CHANNELS
 
     experiment = built_in() if path is None else load(path)
     with staged(out) as stage:

@@ -42,16 +42,16 @@ COMMANDS = {
         "slider_jax.cli.optimize:multimodal", "one tail to swim and to climb with"
     ),
     "close-loop": Command(
-        "slider_jax.cli.close_loop:close_loop", "what a model lacks, from measured trials"
+        "calibration.cli.close_loop:close_loop", "what a model lacks, from measured trials"
     ),
     "lamprey": Command(
-        "slider_jax.cli.lamprey:lamprey", "a swimming animal's midlines, weighed by the model"
+        "calibration.cli.lamprey:lamprey", "a swimming animal's midlines, weighed by the model"
     ),
     "published": Command(
-        "slider_jax.cli.published:published", "the paper's swimming speeds against its equations"
+        "calibration.cli.published:published", "the paper's swimming speeds against its equations"
     ),
     "effects matrix": Command(
-        "slider_jax.cli.effects_matrix:matrix",
+        "calibration.cli.effects_matrix:matrix",
         "which of them an experiment could find and separate",
     ),
     "effects": Command(
@@ -60,37 +60,31 @@ COMMANDS = {
         alone=True,
     ),
     "calibrate manifold": Command(
-        "slider_jax.cli.calibrate:manifold", "the pressure lag from the rig's own logs"
+        "calibration.cli.calibrate:manifold", "the pressure lag from the rig's own logs"
     ),
     "calibrate statics": Command(
-        "slider_jax.cli.calibrate_statics:statics", "EI, damping and K_Q from a bench, in air"
+        "calibration.cli.calibrate_statics:statics", "EI, damping and K_Q from a bench, in air"
     ),
     "calibrate": Command(
-        "slider_jax.cli.calibrate_tank:tank", "C_d, m_a, k and K_Q from measured trials"
+        "calibration.cli.calibrate_tank:tank", "C_d, m_a, k and K_Q from measured trials"
     ),
-    "rig ports": Command("slider_jax.cli.rig:ports", "this computer's serial ports", jax=False),
+    "rig ports": Command("rig.cli.shared:ports", "this computer's serial ports", jax=False),
     "rig check": Command(
-        "slider_jax.cli.rig_check:check", "line, noise and leaks of a rig, in a minute", jax=False
+        "rig.cli.check:check", "line, noise and leaks of a rig, in a minute", jax=False
     ),
-    "rig run": Command(
-        "slider_jax.cli.rig_run:run", "an experiment's trials on the rig, recorded", jax=False
-    ),
-    "rig log": Command(
-        "slider_jax.cli.rig_log:log", "pressure logs of the published firmware", jax=False
-    ),
+    "rig run": Command("rig.cli.run:run", "an experiment's trials on the rig, recorded", jax=False),
+    "rig log": Command("rig.cli.log:log", "pressure logs of the published firmware", jax=False),
     "rig replay": Command(
-        "slider_jax.cli.rig_replay:replay",
+        "rig.cli.replay:replay",
         "a recording's columns anew, or at its own pace",
         jax=False,
     ),
     "rig watch": Command(
-        "slider_jax.cli.rig_watch:watch", "the calibrated model beside a running rig, with alarm"
+        "rig.cli.watch:watch", "the calibrated model beside a running rig, with alarm"
     ),
-    "rig loop": Command(
-        "slider_jax.cli.rig_loop:loop", "measure and close the loop until it is settled"
-    ),
+    "rig loop": Command("rig.cli.loop:loop", "measure and close the loop until it is settled"),
     "rig simulate": Command(
-        "slider_jax.cli.rig_simulate:simulate",
+        "rig.cli.simulate:simulate",
         "a rig that is not there, to try all this on",
         jax=False,
     ),
@@ -155,7 +149,7 @@ def run(arguments: Sequence[str]) -> int:
     if COMMANDS[name].jax:
         prepare_jax()
     module, function = COMMANDS[name].target.split(":")
-    from slider_jax.cli.words import call_of
+    from slider_jax.cli.parse import call_of
 
     return int(call_of(getattr(import_module(module), function), rest, name)() or 0)
 

@@ -15,8 +15,8 @@ Address = Annotated[str, tyro.conf.arg(metavar="HOST:PORT")]
 
 def _begin(coordinator: str, processes: int, process: int):
     """Start JAX on all cores of all processes; returns the module that knows them."""
-    from slider_jax import evaluation
-    from slider_jax.batch import available_cores
+    from slider_jax.batch.chunks import available_cores
+    from slider_jax.optimise import population as evaluation
 
     if not 0 <= process < processes:
         raise InputError.value("--process", process, f"0 to {processes - 1}")
@@ -117,11 +117,11 @@ def swim(
         process: which of them this is, from 0.
     """
     evaluation = _begin(coordinator, processes, process)
-    from slider_jax import swim_search
-    from slider_jax.files import output_folder
-    from slider_jax.paper_swimmer import given_or, optimum
-    from slider_jax.provenance import input_file
-    from slider_jax.searchers import searcher
+    from slider_jax.io.files import output_folder
+    from slider_jax.io.provenance import input_file
+    from slider_jax.optimise import fastest_swimmer as swim_search
+    from slider_jax.optimise.registry import searcher
+    from slider_jax.swimming.paper_optimum import given_or, optimum
 
     _check(generations, steps_per_stride, seed)
     bounds = {"frequency": frequency, "front": front, "rear": rear, "phase": phase,
@@ -199,13 +199,13 @@ def multimodal(
         process: which of them this is, from 0.
     """
     evaluation = _begin(coordinator, processes, process)
-    from slider_jax import multimodal_report
-    from slider_jax.files import output_folder
-    from slider_jax.modes import Modes
-    from slider_jax.multimodal import Effort, front
-    from slider_jax.paper_swimmer import given_or, optimum
-    from slider_jax.provenance import input_file
-    from slider_jax.searchers import searcher
+    from slider_jax.io.files import output_folder
+    from slider_jax.io.provenance import input_file
+    from slider_jax.optimise import report as multimodal_report
+    from slider_jax.optimise.pareto_front import Effort, front
+    from slider_jax.optimise.registry import searcher
+    from slider_jax.optimise.two_tasks import Modes
+    from slider_jax.swimming.paper_optimum import given_or, optimum
 
     _check(generations, steps_per_stride, seed)
     if not 2 <= betas <= 101:

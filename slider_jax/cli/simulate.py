@@ -39,14 +39,14 @@ def simulate(
         drive: for a log, send its command (set) or its measured pressure through the model.
     """
     if input.suffix.lower() != ".toml":
-        from slider_jax.cli.simulate_log import simulate_log
+        from calibration.cli.simulate_log import simulate_log
 
         options = {"--animate": animate, "--step": step, "--nodes": nodes, "--scheme": scheme}
         for name, value in options.items():
             if value:
                 raise InputError(f"{name}: is for experiments; leave it out for a log")
         return simulate_log(input, model, out, drive, plot)
-    from slider_jax.experiment import load
+    from slider_jax.experiment.load import load
 
     if drive != "set":
         raise InputError("--drive measured: is for logs; an experiment's trials say drive_is")
@@ -60,12 +60,12 @@ def simulate(
 
 def _simulate_experiment(experiment, path, model, out, plot, animate) -> None:
     from slider_jax.cli.progress import Progress
-    from slider_jax.experiment import SAMPLES, measured, to_model
-    from slider_jax.files import staged, write_csv, write_json
-    from slider_jax.played import played
-    from slider_jax.plots import plot_run
-    from slider_jax.results import summary, trial_summary
-    from slider_jax.simulate import simulate as simulate_trial
+    from slider_jax.experiment.load import SAMPLES, measured, to_model
+    from slider_jax.experiment.playback import played
+    from slider_jax.io.files import staged, write_csv, write_json
+    from slider_jax.simulation.plots import plot_run
+    from slider_jax.simulation.summary import summary, trial_summary
+    from slider_jax.simulation.trial import simulate as simulate_trial
 
     if out.resolve() == experiment.folder.resolve():
         raise InputError(
@@ -89,7 +89,7 @@ def _simulate_experiment(experiment, path, model, out, plot, animate) -> None:
             if plot:
                 plot_run(run, measured(experiment, trial), result["rmse_to_measured"], stage)
             if animate:
-                from slider_jax.animate import animate_run
+                from slider_jax.simulation.animation import animate_run
 
                 with Progress(trial.file, "frame", "film of the last two strides") as progress:
                     animate_run(run, stage, progress.to)
@@ -100,7 +100,7 @@ def _simulate_experiment(experiment, path, model, out, plot, animate) -> None:
 
 
 def _lines(result, seconds: float) -> list[str]:
-    from slider_jax.plots import CHANNELS
+    from slider_jax.simulation.plots import CHANNELS
 
     said = [_line(result, seconds)]
     if off := result["rmse_to_measured"]:

@@ -57,10 +57,10 @@ def sweep(
             --transient have no say.
     """
     from slider_jax.cli.progress import Progress
-    from slider_jax.experiment import load
-    from slider_jax.files import output_folder
-    from slider_jax.sweep import Axis, Sweep, run_sweep
-    from slider_jax.sweep_report import is_written, write_results
+    from slider_jax.experiment.load import load
+    from slider_jax.io.files import output_folder
+    from slider_jax.sweep.report import is_written, write_results
+    from slider_jax.sweep.sweep import Axis, Sweep, run_sweep
 
     axes = [Axis.spaced(field, start, stop, count)]
     second = (field2, start2, stop2, count2)

@@ -32,11 +32,11 @@ def swim(
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
         trial: this trial alone, from 0.
     """
-    from slider_jax.files import staged, write_csv, write_json
-    from slider_jax.paper_swimmer import PUBLISHED, given_or, optimum
-    from slider_jax.provenance import input_file, versions
-    from slider_jax.swim import check, row, swim as swim_freely
-    from slider_jax.swim_report import plot, stride_columns, table, words
+    from slider_jax.io.files import staged, write_csv, write_json
+    from slider_jax.io.provenance import input_file, versions
+    from slider_jax.swimming.free_swim import check, row, swim as swim_freely
+    from slider_jax.swimming.paper_optimum import PUBLISHED, given_or, optimum
+    from slider_jax.swimming.report import plot, stride_columns, table, words
 
     given = given_or(optimum, experiment, model)
     trials = chosen_trials(given.trials, trial)

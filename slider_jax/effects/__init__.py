@@ -20,9 +20,9 @@ from slider_jax.effects.base import (
     parameter,
     total_force,
 )
-from slider_jax.effects.drag import NormalDrag
-from slider_jax.effects.gravity import Gravity
-from slider_jax.effects.reactive import ReactiveForce
+from slider_jax.effects.body.gravity import Gravity
+from slider_jax.effects.water.drag import NormalDrag
+from slider_jax.effects.water.reactive import ReactiveForce
 
 __all__ = [
     "MOUNT_LAG",

@@ -17,8 +17,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slider_jax.actuation.waveform import Waveform
-from slider_jax.beam import Section
-from slider_jax.parameters import Robot
+from slider_jax.beam.equations import Section
+from slider_jax.beam.parameters import Robot
 
 
 class Prior(NamedTuple):

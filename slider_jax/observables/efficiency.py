@@ -1,6 +1,6 @@
 """Dimensionless numbers of swimming, from a steady stride's means."""
 
-from slider_jax.parameters import Scalar
+from slider_jax.beam.parameters import Scalar
 
 
 def strouhal_number(frequency: Scalar, excursion: Scalar, speed: Scalar) -> Scalar:

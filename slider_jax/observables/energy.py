@@ -19,9 +19,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from slider_jax.residual import turning_rate
-from slider_jax.state import fields
-from slider_jax.step import Snapshot
+from slider_jax.beam.state import fields
+from slider_jax.dynamics.residual import turning_rate
+from slider_jax.dynamics.step import Snapshot
 
 
 class StoredEnergy(eqx.Module):

@@ -8,9 +8,9 @@ sits on the carriage: its axes pitch with that, but not with a head that turns i
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from slider_jax.frame import to_plane
-from slider_jax.state import fields
-from slider_jax.step import Snapshot
+from slider_jax.beam.frame import to_plane
+from slider_jax.beam.state import fields
+from slider_jax.dynamics.step import Snapshot
 
 
 def _on_sensor(x: Snapshot) -> tuple[Array, Array]:

@@ -3,8 +3,8 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from slider_jax import frame
-from slider_jax.step import Snapshot
+from slider_jax.beam import frame
+from slider_jax.dynamics.step import Snapshot
 
 
 def midline(x: Snapshot) -> Float[Array, "2 nodes"]:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import equinox as eqx
 from jaxtyping import Array, Float
 
-from slider_jax.state import Fields
+from slider_jax.beam.state import Fields
 
 
 class Start(NamedTuple):

@@ -1,4 +1,4 @@
-// Messages on the wire: a body, its CRC-32, stuffed by COBS, and a zero byte; rig/frames.py is its twin.
+// Messages on the wire: a body, its CRC-32, stuffed by COBS, and a zero byte; rig/protocol/frames.py is its twin.
 #pragma once
 
 #include <cstddef>

@@ -1,5 +1,5 @@
 // What a manifold does with the bytes it gets: the state machine of docs/rig_protocol.md, without a board.
-// rig/simulated/manifold.py is its twin; tests/test_rig_firmware.py holds them together byte for byte.
+// rig/simulated/manifold.py is its twin; tests/rig/firmware/test_core.py holds them together byte for byte.
 #pragma once
 
 #include "frames.h"

@@ -1,0 +1,230 @@
+"""What a lag would make of a trial's declared drive, in numpy, and how a measured pressure fits it.
+
+Only the shape is looked at: amplitude and offset are free, and the time constant and the delay are
+the same for all trials, so that physics that all trials share is no fault.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import lfilter
+
+from slider_jax.experiment.schema import Trial
+
+TIME_CONSTANTS = np.geomspace(0.02, 0.5, 14)
+"""Of the lag [s] that are tried."""
+DELAYS = np.linspace(-0.01, 0.11, 13)
+"""Of the pressure behind the lag of the drive [s] that are tried."""
+SETTLED = 0.5
+"""Time [s] after which a cycle's phase says nothing of the start any more."""
+
+
+LEAST_DRIFT_ERROR = 2e-3
+"""Error [rad a cycle] of a drift that two cycles alone tell."""
+
+
+MOST_SAMPLES = 300
+"""Of a series that are fitted; of longer ones every so many."""
+
+
+class Drive(NamedTuple):
+    """A chamber's set pressure as declared."""
+
+    waveform: str
+    frequency: float
+    amplitude: float
+    phase: float
+    rise: float
+
+    def unit(self, t: np.ndarray) -> np.ndarray:
+        """The set pressure over its amplitude at `t` (n,) [s], 0 before the start."""
+        turn = self.frequency * t - self.phase
+        if self.waveform == "sine":
+            value = np.sin(2.0 * np.pi * turn)
+        else:
+            value = np.where(np.floor(2.0 * turn + 1e-9) % 2 == 0, 1.0, -1.0)
+        if self.waveform == "trapezoid":
+            from_edge = turn - np.round(2.0 * turn) / 2.0
+            sign = np.where(np.round(2.0 * turn) % 2 == 0, 1.0, -1.0)
+            value = sign * np.clip(from_edge / (0.5 * self.rise), -1.0, 1.0)
+        return np.where(t < 0.0, 0.0, value)
+
+
+def drives(trial: Trial) -> tuple[Drive, Drive] | None:
+    """Front and rear of a trial; None where it has no pressure, or a recorded one."""
+    f, amplitude = trial.frequency, trial.amplitude
+    if trial.waveform == "recorded" or not f or not amplitude or not trial.rear_ratio:
+        return None
+    common = (trial.waveform, f)
+    return (
+        Drive(*common, amplitude, 0.0, trial.rise),
+        Drive(*common, amplitude * trial.rear_ratio, trial.phase, trial.rise),
+    )
+
+
+class Response:
+    """What lags make of a drive of amplitude 1, from rest."""
+
+    def __init__(self, drive: Drive, duration: float, time_constants: np.ndarray):
+        spacing = min(1e-3, 1.0 / (200.0 * drive.frequency))
+        self.t = spacing * np.arange(int(np.ceil(duration / spacing)) + 2)
+        set_point = drive.unit(self.t + 0.5 * spacing)
+        self._series = []
+        for k in time_constants:
+            keep = np.exp(-spacing / k)
+            after = lfilter([1.0 - keep], [1.0, -keep], set_point)
+            self._series.append(np.r_[0.0, after[:-1]])
+
+    def __call__(self, lag: int, t: np.ndarray) -> np.ndarray:
+        """The response (n,) at `t` (n,) [s] with the time constant of that index."""
+        return np.interp(t, self.t, self._series[lag])
+
+
+class Fits(NamedTuple):
+    """How each of m series fits the responses of both chambers, all lags and delays.
+
+    `gain` is signed, over the drive's amplitude; `left` is the share of the series' rms that is
+    left: both (m, 2, lags, delays).
+    """
+
+    gain: np.ndarray
+    left: np.ndarray
+
+
+def without_drift(t: np.ndarray, series: np.ndarray) -> np.ndarray:
+    """`series` (..., n) at `t` (n,) without the best parabola: slow drift of a mean is physics."""
+    x = (t - t.mean()) / max(float(np.ptp(t)), 1e-300)
+    Q = np.linalg.qr(np.stack([np.ones_like(x), x, x**2], axis=1))[0]
+    return series - (series @ Q) @ Q.T
+
+
+def fits(
+    t: np.ndarray,
+    values: np.ndarray,
+    chambers: tuple[Drive, Drive],
+    delays: np.ndarray = DELAYS,
+    time_constants: np.ndarray = TIME_CONSTANTS,
+) -> Fits:
+    """Fit `values` (m, n), NaN where missing, at `t` (n,) [s], each beside a parabola."""
+    shape = (len(values), 2, len(time_constants), len(delays))
+    gain, left = np.zeros(shape), np.ones(shape)
+    every = max(1, len(t) // MOST_SAMPLES)
+    for j, drive in enumerate(chambers):
+        response = Response(drive, float(t[-1]) + 0.02, time_constants)
+        for i, y in enumerate(values):
+            there = np.flatnonzero(np.isfinite(y))
+            there = there[:: max(1, min(every, len(there) // 60))]
+            if len(there) < 20 or np.ptp(y[there]) == 0.0:
+                continue
+            at = t[there]
+            R = np.stack([response(k, at - d) for k in range(shape[2]) for d in delays])
+            R, m = without_drift(at, R), without_drift(at, y[there])
+            size, along = np.einsum("ij,ij->i", R, R), R @ m
+            size = np.maximum(size, 1e-12 * len(at))
+            gain[i, j] = (along / size / drive.amplitude).reshape(shape[2:])
+            share = np.clip(1.0 - along**2 / size / max(float(m @ m), 1e-300), 0.0, 1.0)
+            left[i, j] = np.sqrt(share).reshape(shape[2:])
+    return Fits(gain, left)
+
+
+class Pace(NamedTuple):
+    """How much faster a series repeats than declared, as a share, and its standard error."""
+
+    off: float
+    error: float
+
+
+def pace(t: np.ndarray, y: np.ndarray, frequency: float) -> Pace | None:
+    """From the drift of the fundamental's phase, cycle by cycle; None where it cannot be told.
+
+    What distorts every cycle alike, lag, delay or saturation, does not change it. Cycles of the
+    start are not used.
+    """
+    faster, found = 1.0, None
+    for _ in range(3):
+        found = _drift(t * faster, y, frequency)
+        if found is None:
+            return None
+        faster *= 1.0 + found.off
+    assert found is not None
+    return Pace(faster - 1.0, found.error)
+
+
+def _drift(t: np.ndarray, y: np.ndarray, frequency: float) -> Pace | None:
+    last = int(np.floor(2.0 * (t[-1] * frequency + 0.02))) - 1
+    first = min(max(1, int(np.ceil(2.0 * SETTLED * frequency))), max(last - 4, 1))
+    spacing = float(np.median(np.diff(t)))
+    phases, cycles = [], []
+    for j in range(first, last):  # windows of a cycle, half a cycle apart
+        inside = (t >= 0.5 * j / frequency) & (t < (0.5 * j + 1.0) / frequency)
+        if inside.sum() * spacing * frequency < 0.9:
+            continue
+        turn = 2.0 * np.pi * frequency * t[inside]
+        waves = [f(n * turn) for n in (1, 2, 3) for f in (np.cos, np.sin)]
+        columns = np.stack([*waves, np.ones_like(turn), turn - turn.mean()], 1)
+        a, b = np.linalg.lstsq(columns, y[inside])[0][:2]
+        phases.append(np.arctan2(b, a))
+        cycles.append(0.5 * j)
+    if len(cycles) < 2:
+        return None
+    drift = np.unwrap(np.array(phases))
+    x = np.array(cycles) - np.mean(cycles)
+    slope = float(x @ drift) / float(x @ x)
+    rest = drift - drift.mean() - slope * x
+    free = max(len(x) - 2, 1)
+    error = float(np.sqrt(rest @ rest / free / (x @ x))) if len(x) > 2 else LEAST_DRIFT_ERROR
+    return Pace(-slope / (2.0 * np.pi), error / (2.0 * np.pi))
+
+
+class Tone(NamedTuple):
+    """Amplitude and lag (fraction of a period) of a series at the declared frequency."""
+
+    amplitude: float
+    lag: float
+
+
+def settled(t: np.ndarray) -> float:
+    """From when on [s] a pressure repeats: `SETTLED`, but of a short trial less."""
+    return min(SETTLED, 0.3 * float(t[-1]))
+
+
+def tone(t: np.ndarray, y: np.ndarray, frequency: float) -> Tone:
+    """The fundamental of y (n,), by least squares beside two harmonics and a parabola."""
+    late = t >= settled(t)
+    turn = 2.0 * np.pi * frequency * t[late]
+    waves = [f(n * turn) for n in (1, 2, 3) for f in (np.cos, np.sin)]
+    x = turn / turn[-1]
+    columns = np.stack([*waves, np.ones_like(x), x, x**2], axis=1)
+    a, b = np.linalg.lstsq(columns, y[late])[0][:2]
+    return Tone(float(np.hypot(a, b)), float(np.arctan2(b, a) / (2.0 * np.pi)))
+
+
+class Surprise(NamedTuple):
+    """How far a value lies from what the others say of it, and one standard deviation of that."""
+
+    apart: float
+    error: float
+
+
+def surprise(y: np.ndarray, x: np.ndarray, slopes: np.ndarray, floor: float) -> list[Surprise]:
+    """Each value of y (n,) against a plane through the others.
+
+    `x` (n, p) is what y may depend on, `slopes` (p,) how steeply at most (one standard deviation):
+    a value at the end of the range of x surprises less. `floor` is the least scatter.
+    """
+    found = []
+    for i in range(len(y)):
+        rest = np.delete(np.arange(len(y)), i)
+        middle = np.median(y[rest])
+        scatter = max(float(np.median(np.abs(y[rest] - middle))) * 1.5, floor)
+        for _ in range(2):
+            A = np.column_stack([np.ones(len(rest)), x[rest]])
+            prior = np.diag(np.r_[0.0, 1.0 / slopes**2])
+            cov = np.linalg.inv(A.T @ A / scatter**2 + prior)
+            plane = cov @ A.T @ y[rest] / scatter**2
+            off = np.abs(y[rest] - A @ plane)
+            scatter = max(1.5 * float(np.median(off)), floor)
+        here = np.r_[1.0, x[i]]
+        error = float(np.sqrt(here @ cov @ here + scatter**2))
+        found.append(Surprise(float(y[i] - here @ plane), error))
+    return found

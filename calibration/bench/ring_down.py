@@ -1,0 +1,257 @@
+"""The damping time alpha from a ring-down: the full beam, released from a bent shape, in air.
+
+The small oscillation of a Kelvin-Voigt beam decays as exp(-alpha omega^2 t/2), which gives the
+start. The fit then takes the whole record with alpha, a factor on both stiffnesses (the frequency),
+the load that held the tip, the moment of release, the ruler's zero, and the drag of the air, which
+is quadratic and known to `AIR_DRAG` only.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.optimize import curve_fit
+
+from calibration.bench.least_squares import minimise
+from calibration.bench.statics import Estimate, passive
+from calibration.bench.tables import Bench, RingDown
+from calibration.inference.intervals import correlation_time
+from slider_jax import observables as obs
+from slider_jax.beam.parameters import Numerics, Robot
+from slider_jax.dynamics.rollout import TimeGrid, rollout
+from slider_jax.dynamics.statics import Loads, at_rest_under, release
+from slider_jax.effects import NormalDrag
+from slider_jax.errors import InputError
+
+AIR_DRAG = (2.0, 0.7)
+"""C_d of the crossflow in air and its standard deviation: 2 for a plate in steady flow, more at
+small strokes."""
+STEPS = 200
+"""Steps in a period of the first mode."""
+BLOCK = 1000
+"""Steps: records of similar length share a compiled program."""
+LEAST_DAMPING = 1e-6
+"""alpha [s] from which the search starts at least."""
+NAMES = ("damping_time", "stiffness", "load", "C_d_air")
+
+
+class Decay(NamedTuple):
+    """a exp(-rate t) cos(2 pi frequency t + phase) + zero, fitted to a record."""
+
+    frequency: float
+    """[Hz]"""
+    rate: float
+    """[1/s]"""
+
+    @property
+    def damping_time(self) -> float:
+        """alpha [s] of a Kelvin-Voigt mode that decays so: 2 rate/omega^2."""
+        return 2.0 * self.rate / (2.0 * np.pi * self.frequency) ** 2
+
+
+class RingFit(NamedTuple):
+    """What a ring-down says."""
+
+    damping_time: Estimate
+    """alpha [s]."""
+    stiffness: Estimate
+    """Factor on EI_body and EI_tail that the frequency asks for; 1 where they are right."""
+    decay: Decay
+    predicted: np.ndarray
+    """(n,) [m] at the record's times."""
+    noise: float
+    """Standard deviation that was used [m]."""
+    mean_square: float
+    """Of the residual over the noise."""
+    load: float
+    """Force [N] that the release ended."""
+    converged: bool
+
+
+def decay_of(t: np.ndarray, tip: np.ndarray) -> Decay:
+    """Frequency and decay of the slowest mode: a damped cosine fitted past the first period.
+
+    Raises `InputError` where the record does not oscillate.
+    """
+    x = tip - tip.mean()
+    spectrum = np.abs(np.fft.rfft(x * np.hanning(len(x)), 8 * len(x)))
+    frequency = np.fft.rfftfreq(8 * len(x), t[1] - t[0])[int(np.argmax(spectrum[8:])) + 8]
+    late = t > t[0] + 1.0 / frequency
+    size = 0.5 * float(np.ptp(x))
+
+    def cosine(s, a, b, rate, f, zero):
+        turn = 2.0 * np.pi * f * s
+        return np.exp(-rate * s) * (a * np.cos(turn) + b * np.sin(turn)) + zero
+
+    try:
+        found, _ = curve_fit(
+            cosine, t[late], tip[late], (size, 0.0, 0.1 * frequency, frequency, tip.mean())
+        )
+    except RuntimeError:
+        found = np.full(5, np.nan)
+    left = np.std(tip[late] - cosine(t[late], *found))
+    if not left < 0.5 * np.std(tip[late]):
+        raise InputError(
+            f"the ring-down is no decaying oscillation near {frequency:.3g} Hz: a damped cosine "
+            "leaves more than half of it; cut the record to what follows the release"
+        )
+    return Decay(float(found[3]), float(found[2]))
+
+
+class _Clock(NamedTuple):
+    h: float
+    blocks: int
+
+
+def _model(theta, robot: Robot, density):
+    """The robot in air for (log alpha, log stiffness, load, C_d in air)."""
+    alpha, stiffness = jnp.exp(theta[0]), jnp.exp(theta[1])
+    bent = replace(
+        robot,
+        damping_time=alpha,
+        EI_body=robot.EI_body * stiffness,
+        EI_tail=robot.EI_tail * stiffness,
+    )
+    return replace(passive(bent), effects=(NormalDrag(theta[3], density),))
+
+
+@eqx.filter_jit
+def _begin(theta, directions, robot: Robot, density, numerics: Numerics):
+    """The released robot and its tangents along `directions`."""
+
+    def carry(theta):
+        model = _model(theta, robot, density)
+        loads = Loads(jnp.stack([jnp.zeros_like(theta[2]), theta[2]]), jnp.zeros(2))
+        held = at_rest_under(model, loads, numerics)
+        begun = release(model, held, numerics)
+        return begun, held.shape[1, 0]
+
+    return _with_tangents(carry, (theta,), (directions,))
+
+
+@eqx.filter_jit
+def _advance(theta, carry, d_theta, d_carry, robot, density, h, t0, numerics: Numerics):
+    """`BLOCK` more steps: the carry and the tip (BLOCK,) [m], and their tangents."""
+
+    def run(theta, carry):
+        times = TimeGrid(h, BLOCK, t0)
+        model = _model(theta, robot, density)
+        out = rollout(model, times, obs.tip, numerics, begin=carry, checkpoint=False)
+        return out.final, jnp.where(out.final.ok, out.saved, jnp.nan)
+
+    return _with_tangents(run, (theta, carry), (d_theta, d_carry))
+
+
+def _with_tangents(function: Callable, arguments, directions):
+    dynamic, static = eqx.partition(arguments, eqx.is_inexact_array)
+
+    def value(dynamic):
+        out = function(*eqx.combine(dynamic, static))
+        return eqx.filter(out, eqx.is_inexact_array), out
+
+    def along(d):
+        _, tangent, out = jax.jvp(value, (dynamic,), (d,), has_aux=True)
+        return out, tangent
+
+    return jax.vmap(along, out_axes=(None, 0))(directions)
+
+
+def _series(theta: np.ndarray, robot, density: float, clock: _Clock, numerics: Numerics):
+    """Tip (n + 1,) [m] from the release on, and its tangents (4, n + 1)."""
+    x, d, rho = jnp.asarray(theta), jnp.eye(len(theta)), jnp.asarray(density)
+    (carry, tip), (d_carry, d_tip) = _begin(x, d, robot, rho, numerics)
+    values, slopes, h = [np.asarray(tip)[None]], [np.asarray(d_tip)[:, None]], jnp.asarray(clock.h)
+    for i in range(clock.blocks):
+        t0 = jnp.asarray(clock.h * BLOCK * i)
+        (carry, tip), (d_carry, d_tip) = _advance(x, carry, d, d_carry, robot, rho, h, t0, numerics)
+        values.append(np.asarray(tip))
+        slopes.append(np.asarray(d_tip))
+    return np.concatenate(values), np.concatenate(slopes, axis=1)
+
+
+def fit_ring_down(
+    bench: Bench, robot: Robot | None = None, numerics: Numerics = Numerics()
+) -> RingFit:
+    """Fit alpha to the bench's ring-down, from `robot` on, by default the bench's own.
+
+    The tip's noise is the declared one, else what the fit leaves. Samples of a correlated residual
+    count as samples / correlation time.
+    """
+    record = bench.ring_down
+    assert record is not None
+    robot = jax.tree.map(lambda x: jnp.asarray(x, float), robot or bench.robot)
+    decay = decay_of(record.t, record.tip)
+    h = 1.0 / (decay.frequency * STEPS)
+    blocks = int(np.ceil((record.t[-1] + 0.25 / decay.frequency) / (h * BLOCK)))
+    clock = _Clock(h, blocks)
+    density = record.air_density
+    at = clock.h * np.arange(BLOCK * blocks + 1)
+
+    def predicted(x):
+        """Tip at the record's times and its tangents for x = (theta, delay, zero)."""
+        value, slope = _series(x[:4], robot, density, clock, numerics)
+        t = record.t - x[4]
+        rate = np.where(t < 0.0, 0.0, np.interp(t, at, np.gradient(value, clock.h)))
+        columns = [np.interp(t, at, s) for s in slope] + [-rate, np.ones_like(t)]
+        return np.interp(t, at, value) + x[5], np.stack(columns, axis=1)
+
+    def linearised(noise):
+        def function(x):
+            y, J = predicted(x)
+            prior = np.zeros(6)
+            prior[3] = 1.0 / AIR_DRAG[1]
+            r = np.append((y - record.tip) / noise, (x[3] - AIR_DRAG[0]) / AIR_DRAG[1])
+            return r, np.concatenate([J / noise, prior[None]])
+
+        return function
+
+    noise = record.noise or 0.02 * float(np.std(record.tip))
+    start = _start(record, decay, robot, density, clock, numerics)
+    least = minimise(linearised(noise), start)
+    if record.noise is None:
+        noise = max(float(np.std(least.residual[:-1])) * noise, 1e-7)
+        least = minimise(linearised(noise), least.x)
+    left = least.residual[:-1]
+    square = float(left @ left) / (len(left) - 5)
+    widening = max(1.0, square) * max(1.0, correlation_time(left))
+    error = np.sqrt(widening * np.diag(least.inverse))
+    values = np.exp(least.x[:2])
+    alpha, stiffness = (
+        Estimate.of(float(v), float(v * e), 1.96) for v, e in zip(values, error, strict=False)
+    )
+    return RingFit(
+        damping_time=alpha,
+        stiffness=stiffness,
+        decay=decay,
+        predicted=predicted(least.x)[0],
+        noise=noise,
+        mean_square=square,
+        load=float(least.x[2]),
+        converged=least.converged,
+    )
+
+
+def _start(record: RingDown, decay: Decay, robot, density, clock, numerics) -> np.ndarray:
+    """Stiffness, load and alpha whose simulated record has the measured one's first tip and decay.
+
+    The simulation starts from a guess; what is off in its frequency, tip and rate is then mended.
+    """
+    length, EI = float(robot.length), float(robot.EI_body)
+    first = float(np.mean(record.tip[: max(2, len(record.tip) // 200)]) - np.mean(record.tip))
+    alpha = max(decay.damping_time, LEAST_DAMPING)
+    theta = np.array([np.log(alpha), 0.0, 3.0 * EI * first / length**3, AIR_DRAG[0]])
+    for _ in range(2):
+        tip, _ = _series(theta, robot, density, clock, numerics)
+        t = clock.h * np.arange(len(tip))
+        seen = t <= record.t[-1]
+        found = decay_of(t[seen], tip[seen])
+        factor = (decay.frequency / found.frequency) ** 2
+        theta[1] += np.log(factor)
+        theta[2] *= factor * first / tip[0]
+    wanted = np.exp(theta[0]) + decay.damping_time - found.damping_time
+    theta[0] = np.log(max(wanted, LEAST_DAMPING))
+    return np.r_[theta, 0.0, float(np.mean(record.tip))]

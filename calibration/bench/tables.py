@@ -1,0 +1,225 @@
+"""Bench measurements of a robot in air: a TOML file that names tables, and the tables, checked."""
+
+from pathlib import Path
+from typing import Annotated, Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from slider_jax.beam.parameters import Robot
+from slider_jax.errors import InputError
+from slider_jax.experiment.schema import FROM_LIST, FileName, RobotTable, Table
+from slider_jax.io.csv import read_csv
+from slider_jax.io.toml import read_toml, validate
+from slider_jax.io.units import Quantity
+
+LEAST_ROWS = 5
+"""Of a table of static shapes."""
+LEAST_CYCLES, LEAST_SAMPLES = 3.0, 10.0
+"""Periods in a ring-down, and samples in one of them."""
+LARGEST_LOAD = 30.0
+"""P L^2/EI with the file's own stiffness: a larger one is not in newton."""
+
+Clamp = Literal["head", "joint"]
+TipNoise = Annotated[float, Quantity(1e-6, 0.02, "m")] | None
+
+
+class TipLoadTable(Table):
+    """[[tip_load]]: a lateral force on the tail's end, which keeps its direction, and where the
+    end (and the joint) goes. With `clamped = "joint"` the tail alone is held at its root."""
+
+    file: FileName
+    clamped: Clamp = "head"
+    tip_noise: TipNoise = None
+
+
+class PressureTable(Table):
+    """[[pressure]]: steady pressures in the chambers, and where the tail's end goes."""
+
+    file: FileName
+    tip_noise: TipNoise = None
+
+
+class RingDownTable(Table):
+    """[[ring_down]]: the tail's end after a lateral load on it is let go at t_s = 0."""
+
+    file: FileName
+    tip_noise: TipNoise = None
+    air_density: Annotated[float, Quantity(0.0, 2.0, "kg/m^3")] = 1.2
+
+
+class StaticParameters(Table):
+    """[parameters]: where K_Q starts."""
+
+    K_Q: Annotated[float, Quantity(1e-9, 1e-4, "m^3")] = 4.79e-7
+
+
+class StaticsTable(Table):
+    """The whole file. EI_body, EI_tail, damping_time and K_Q in it are what the search starts from;
+    what no table identifies is taken as given."""
+
+    name: str
+    robot: RobotTable
+    parameters: StaticParameters = StaticParameters()
+    tip_load: Annotated[tuple[TipLoadTable, ...], FROM_LIST] = ()
+    pressure: Annotated[tuple[PressureTable, ...], FROM_LIST] = ()
+    ring_down: Annotated[tuple[RingDownTable, ...], FROM_LIST, Field(max_length=1)] = ()
+
+
+class Shapes(NamedTuple):
+    """Static shapes of one table, a row a load."""
+
+    name: str
+    kind: Literal["tip_load", "pressure"]
+    on_tail: bool
+    """Whether the tail alone is held, at the joint."""
+    force: np.ndarray
+    """(rows,) [N], lateral."""
+    pressure: np.ndarray
+    """(rows, 2) [Pa]."""
+    tip: np.ndarray
+    """(rows,) [m]."""
+    joint: np.ndarray | None
+    """(rows,) [m] of the tail's joint, where it was measured."""
+    noise: float | None
+    """Standard deviation [m] of tip and joint; None where it was not declared."""
+
+
+class RingDown(NamedTuple):
+    """One ring-down, evenly sampled."""
+
+    name: str
+    t: np.ndarray
+    """(n,) [s] from the release."""
+    tip: np.ndarray
+    """(n,) [m]."""
+    noise: float | None
+    air_density: float
+
+
+class Bench(NamedTuple):
+    """Everything that was measured on the bench."""
+
+    table: StaticsTable
+    robot: Robot
+    shapes: tuple[Shapes, ...]
+    ring_down: RingDown | None
+
+
+def load_bench(path: Path) -> Bench:
+    """Read and check a bench file and its tables. Raises `InputError` naming file and line."""
+    table = validate(StaticsTable, read_toml(path), str(path))
+    robot = Robot(**table.robot.model_dump(exclude={"water_density"}), K_Q=table.parameters.K_Q)
+    folder = path.parent
+    shapes = [_tip_load(folder, x, table.robot) for x in table.tip_load]
+    shapes += [_pressure(folder, x, table.robot) for x in table.pressure]
+    ring_down = next((_ring_down(folder, x, table.robot) for x in table.ring_down), None)
+    if not shapes and ring_down is None:
+        raise InputError(
+            f"{path}: names no table; add [[tip_load]], [[pressure]] or [[ring_down]] with a file"
+        )
+    return Bench(table, robot, tuple(shapes), ring_down)
+
+
+def _tip_load(folder: Path, x: TipLoadTable, robot: RobotTable) -> Shapes:
+    path = folder / x.file
+    columns = read_csv(path, ("force_N", "tip_m"), blank=("joint_m",), increasing="the load")
+    force, tip, joint = columns["force_N"], columns["tip_m"], columns.get("joint_m")
+    _enough(path, len(force))
+    tail = x.clamped == "joint"
+    if joint is not None:
+        if tail:
+            raise InputError(
+                f'{path}: has joint_m, but clamped = "joint" holds the joint; take the column out'
+            )
+        if not np.isfinite(joint).all():
+            raise InputError(f"{path}: column joint_m has blank cells; fill them or take it out")
+        _displacement(path, "joint_m", joint, robot.body_length)
+    length = robot.tail_length if tail else robot.tail_length + robot.body_length
+    _displacement(path, "tip_m", tip, length)
+    stiffness = robot.EI_tail if tail else robot.EI_body
+    size = float(np.abs(force).max()) * length**2 / stiffness
+    if size > LARGEST_LOAD:
+        raise InputError.value(
+            f"{path}, column force_N",
+            f"up to {np.abs(force).max():g}",
+            f"loads up to {LARGEST_LOAD * stiffness / length**2:.3g} N for the stiffness given",
+            "forces are in newtons: 1 g weighs 0.00981 N",
+        )
+    _same_way(path, force, tip, "force_N")
+    idle = np.zeros((len(force), 2))
+    return Shapes(x.file, "tip_load", tail, force, idle, tip, joint, x.tip_noise)
+
+
+def _pressure(folder: Path, x: PressureTable, robot: RobotTable) -> Shapes:
+    path = folder / x.file
+    columns = read_csv(path, ("p_front_Pa", "p_rear_Pa", "tip_m"), increasing="")
+    p = np.stack([columns["p_front_Pa"], columns["p_rear_Pa"]], axis=1)
+    tip = columns["tip_m"]
+    _enough(path, len(tip))
+    largest = float(np.abs(p).max())
+    if not 1e3 <= largest <= 2e6:
+        raise InputError.value(
+            f"{path}, columns p_front_Pa and p_rear_Pa",
+            f"at most {largest:g}",
+            "peaks of 1e3 to 2e6 Pa",
+            "pressures are in pascal, not kPa or psi",
+        )
+    steps = np.diff(p, axis=0)
+    if not any((steps[:, i] > 0.0).all() or (steps[:, i] < 0.0).all() for i in (0, 1)):
+        raise InputError(
+            f"{path}: neither pressure rises or falls from row to row; give one series of loads in "
+            "order, and loading and unloading as two tables"
+        )
+    _displacement(path, "tip_m", tip, robot.tail_length + robot.body_length)
+    return Shapes(x.file, "pressure", False, np.zeros(len(tip)), p, tip, None, x.tip_noise)
+
+
+def _ring_down(folder: Path, x: RingDownTable, robot: RobotTable) -> RingDown:
+    path = folder / x.file
+    columns = read_csv(path, ("t_s", "tip_m"))
+    t, tip = columns["t_s"], columns["tip_m"]
+    _displacement(path, "tip_m", tip, robot.tail_length + robot.body_length)
+    spacing = np.diff(t)
+    if np.abs(spacing - np.median(spacing)).max() > 0.05 * np.median(spacing):
+        worst = int(np.argmax(np.abs(spacing - np.median(spacing))))
+        raise InputError(
+            f"{path}: uneven samples: {np.median(spacing):.4g} s apart, but {spacing[worst]:.4g} s "
+            f"after t_s = {t[worst]:g}; cut the record there or record again"
+        )
+    if t[0] < 0.0:
+        raise InputError.value(f"{path}, column t_s", f"{t[0]:g}", "0 or more", "0 is the release")
+    length = robot.tail_length + robot.body_length
+    period = 2.0 * np.pi * length**2 / 3.516 * np.sqrt(robot.linear_density / robot.EI_body)
+    if t[-1] - t[0] < LEAST_CYCLES * 0.5 * period or np.median(spacing) > period / LEAST_SAMPLES:
+        raise InputError(
+            f"{path}: {len(t)} samples over {t[-1] - t[0]:.3g} s; the period is about "
+            f"{period:.2g} s: give {LEAST_CYCLES:g} of them or more, {LEAST_SAMPLES:g} samples or "
+            "more in each, times in seconds"
+        )
+    return RingDown(x.file, t, tip, x.tip_noise, x.air_density)
+
+
+def _enough(path: Path, rows: int) -> None:
+    if rows < LEAST_ROWS:
+        raise InputError(f"{path}: {rows} rows under the header; at least {LEAST_ROWS} are needed")
+
+
+def _displacement(path: Path, name: str, values: np.ndarray, length: float) -> None:
+    largest = float(np.abs(values).max())
+    if not 1e-4 * length <= largest <= length:
+        raise InputError.value(
+            f"{path}, column {name}",
+            f"at most {largest:g}",
+            f"peaks of {1e-4 * length:.2g} to {length:g} m, what bends there being {length:g} m "
+            "long",
+            "lengths are in metres",
+        )
+
+
+def _same_way(path: Path, load: np.ndarray, tip: np.ndarray, name: str) -> None:
+    slope = float(np.sum((load - load.mean()) * (tip - tip.mean())))
+    if slope <= 0.0:
+        raise InputError(
+            f"{path}: tip_m falls where {name} rises; both count positive to the same side"
+        )

@@ -1,0 +1,176 @@
+"""`slider calibrate manifold`: the pressure lag from the rig's own logs."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from calibration.pressure_logs.identify import PAPER_K, Identification, identify, rms
+from calibration.pressure_logs.lag import PLAUSIBLE
+from calibration.pressure_logs.read import PSI_AT_ZERO, PSI_PER_COUNT, read_log
+from calibration.pressure_logs.text import describe, verdict
+from slider_jax.cli.options import Folder
+from slider_jax.cli.progress import Progress
+from slider_jax.errors import InputError
+from slider_jax.io.files import staged, write_json, write_text
+from slider_jax.io.provenance import input_file, versions
+
+DEFINITIONS = {
+    "rmse": "root mean square over all samples of measured minus free run; the free run starts at "
+    "the first measured sample and sees only the command after it",
+    "pooled rmse": "root of the mean over logs of their mean squares: every log weighs the same",
+    "settled": "without the first cycle of each log",
+    "over samples": "root mean square over the samples of all logs: long logs weigh more",
+    "k": "least squares by Levenberg-Marquardt in log k, from the lowest dip of a scan of "
+    f"{PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g} s; of all logs: least pooled rmse",
+    "interval": "95 %; the residual is correlated, so its samples count as samples / (1 + 2 sum of "
+    "its autocorrelation up to the first zero); sandwich with the true curvature, in log k; of all "
+    "logs: clustered by log, Student with logs - 1 degrees of freedom (k), and of just these logs "
+    "(k_within)",
+    "widening": "width of the interval over the naive one that takes every sample as independent",
+    "floor": "standard deviation of the white noise in the measured pressure, from its fourth "
+    "differences; drift and slow noise are not in it",
+    "shape": "of the residual at the log's own k over whole cycles after the first; psi, s, rad",
+}
+
+
+def manifold(
+    logs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="LOG.txt ...")],
+    out: Folder,
+    plot: bool = True,
+) -> None:
+    """Identify the lag k of the pressure from logs, for each and for all.
+
+    Writes DIR/manifold.json, DIR/model.toml (k, for `slider simulate --model`) and pictures, and
+    prints whether a lag explains the logs, a table, and what is left unexplained.
+
+    Args:
+        logs: pressure logs as the rig's firmware writes them.
+        out: folder for the results; made if missing, files of the same name are replaced.
+        plot: leave the pictures (PNG) out.
+    """
+    refuse_twins(logs)
+    records = sorted((read_log(path) for path in logs), key=lambda log: log.frequency)
+    for log in records:
+        for finding in log.findings:
+            print(f"{log.path.name}: {finding}", file=sys.stderr)
+    print(f"fitting {len(records)} logs ...", file=sys.stderr)
+    found = identify(records)
+    said = describe(found)
+    with staged(out) as stage:
+        write_json(stage / "manifold.json", report(found, said))
+        write_text(stage / "model.toml", model_toml(found))
+        if plot:
+            _draw(found, stage)
+    print("\n".join([said[0], "", table(found), "", *said[1:]]))
+    print(f"manifold.json, model.toml{' and pictures' if plot else ''} are in {out}")
+
+
+def refuse_twins(logs: tuple[Path, ...]) -> None:
+    if not logs:
+        raise InputError("LOGS: nothing given; give one or more pressure logs")
+    seen: dict[str, Path] = {}
+    for path in logs:
+        if path.stem in seen:
+            raise InputError(
+                f"{path}: has the name of {seen[path.stem]}; give each log once, under its own name"
+            )
+        seen[path.stem] = path
+
+
+def _draw(found: Identification, folder: Path) -> None:
+    from calibration.pressure_logs.plots import plot_k, plot_log, plot_phase, plot_rate
+
+    plot_k(found, PAPER_K, folder / "k_by_frequency.png")
+    plot_phase(found, folder / "residual_by_phase.png")
+    plot_rate(found, folder / "residual_by_rate.png")
+    with Progress("pictures", "log", "drawing") as progress:
+        for number, result in enumerate(found.logs, start=1):
+            plot_log(result, PAPER_K, folder / f"{result.log.path.stem}.png")
+            progress.to(number, len(found.logs))
+
+
+def report(found: Identification, said: list[str]) -> dict[str, Any]:
+    """The content of manifold.json; k in s, pressures in psi."""
+    return {
+        "pooled": {
+            "k": found.k._asdict(),
+            "k_within": found.within._asdict(),
+            "k_is_fixed": found.k.fixed,
+            "rmse_before_psi": found.pooled_rmse("before"),
+            "rmse_after_psi": found.pooled_rmse("pooled"),
+            "rmse_each_its_own_psi": found.pooled_rmse("after"),
+            "rmse_before_settled_psi": found.pooled_rmse("before", settled=True),
+            "rmse_after_settled_psi": found.pooled_rmse("pooled", settled=True),
+            "rmse_each_its_own_settled_psi": found.pooled_rmse("after", settled=True),
+            "rmse_before_over_samples_psi": found.sample_rmse("before"),
+            "rmse_after_over_samples_psi": found.sample_rmse("pooled"),
+            "floor_psi": found.floor,
+        },
+        "logs": [
+            {
+                "input": input_file(x.log.path),
+                "frequency_Hz": x.log.frequency,
+                "samples": len(x.log.t),
+                "duration_s": x.log.t[-1],
+                "k": x.k._asdict(),
+                "k_is_fixed": x.fixed,
+                "rmse_before_psi": rms(x.before),
+                "rmse_after_psi": rms(x.after),
+                "rmse_pooled_k_psi": rms(x.pooled),
+                "rmse_held_psi": x.rms_held,
+                "floor_psi": x.shape.floor,
+                "shape": x.shape._asdict() | {"measured": x.shape.measured._asdict()},
+                "findings": [str(finding) for finding in x.log.findings],
+            }
+            for x in found.logs
+        ],
+        "said": said,
+        "definitions": DEFINITIONS,
+        "settings": {
+            "reference_k_s": PAPER_K,
+            "searched_k_s": PLAUSIBLE,
+            "psi_per_count": PSI_PER_COUNT,
+            "psi_at_zero_counts": PSI_AT_ZERO,
+        },
+        "seed": None,
+        "versions": versions(),
+    }
+
+
+def model_toml(found: Identification) -> str:
+    """A model file with the k of all logs."""
+    k = found.k
+    names = ", ".join(x.log.path.name for x in found.logs)
+    return (
+        f"# {verdict(found)}\n"
+        f"# Pressure lag from {len(found.logs)} logs by slider calibrate manifold: {names}\n"
+        f"# 95 % interval {k.low:.4f} to {k.high:.4f} s; free-run RMSE "
+        f"{found.pooled_rmse('before'):.2f} psi before, {found.pooled_rmse('pooled'):.2f} after, "
+        f"noise {found.floor:.2f}\n"
+        f"[parameters]\nk = {k.value:.6g}   # s\n"
+    )
+
+
+def table(found: Identification) -> str:
+    """The result as text, one log a line."""
+    lines = [
+        f"{'log':<16}{'Hz':>7}{'samples':>9}{'k ms':>7}{'95 % interval':>16}{'widening':>10}"
+        f"{'before':>9}{'after':>8}{'common k':>10}{'noise':>7}   (RMSE in psi)"
+    ]
+    for x in found.logs:
+        own = f"{1e3 * x.k.value:7.0f}" if x.fixed else f"{'-':>7}"
+        lines.append(
+            f"{x.log.path.name[:15]:<16}{x.log.frequency:7.4g}{len(x.log.t):9d}{own}"
+            f"{1e3 * x.k.low:8.0f}-{1e3 * x.k.high:<7.0f}{x.k.widening:10.1f}"
+            f"{rms(x.before):9.2f}{rms(x.after):8.2f}{rms(x.pooled):10.2f}{x.shape.floor:7.2f}"
+        )
+    k = found.k
+    lines.append(
+        f"{'all':<16}{'':>7}{sum(len(x.log.t) for x in found.logs):9d}{1e3 * k.value:7.0f}"
+        f"{1e3 * k.low:8.0f}-{1e3 * k.high:<7.0f}{k.widening:10.1f}"
+        f"{found.pooled_rmse('before'):9.2f}{found.pooled_rmse('after'):8.2f}"
+        f"{found.pooled_rmse('pooled'):10.2f}{found.floor:7.2f}"
+    )
+    return "\n".join(lines)

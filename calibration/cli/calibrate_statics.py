@@ -1,0 +1,57 @@
+"""`slider calibrate statics`: stiffness, damping and K_Q from a bench, without water."""
+
+import sys
+from operator import attrgetter
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from slider_jax.cli.options import Folder
+
+
+def statics(
+    bench: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="BENCH.toml")],
+    out: Folder,
+    plot: bool = True,
+) -> None:
+    """Identify EI, alpha and K_Q from tip loads, a ring-down and static pressures, with intervals.
+
+    Writes DIR/statics.json (values, 95 % intervals, residuals of every table), DIR/model.toml (for
+    `slider simulate --model`) and a picture of every table.
+
+    Args:
+        bench: the bench file (.toml), its tables (.csv) beside it.
+        out: folder for the results; made if missing, files of the same name are replaced.
+        plot: leave the pictures (PNG) out.
+    """
+    import equinox as eqx
+
+    from calibration.bench import report
+    from calibration.bench.ring_down import fit_ring_down
+    from calibration.bench.statics import fit_shapes
+    from calibration.bench.tables import load_bench
+    from slider_jax.io.files import staged, write_json, write_text
+    from slider_jax.io.provenance import input_file
+
+    found = load_bench(bench)
+    shapes = ring = None
+    with staged(out) as stage:
+        if found.shapes:
+            print("fitting the static shapes ...", file=sys.stderr)
+            shapes = fit_shapes(found)
+        if found.ring_down is not None:
+            print("fitting the ring-down ...", file=sys.stderr)
+            known = shapes.parameters if shapes else {}
+            robot = found.robot
+            for name in ("EI_body", "EI_tail"):
+                if name in known and known[name].determined:
+                    robot = eqx.tree_at(attrgetter(name), robot, known[name].value)
+            ring = fit_ring_down(found, robot)
+        result = report.Statics(found, shapes, ring)
+        write_json(stage / "statics.json", report.content(result, input_file(bench)))
+        write_text(stage / "model.toml", report.model_file(result))
+        if plot:
+            report.pictures(result, stage)
+    print(report.table(result))
+    print(f"statics.json, model.toml{' and pictures' if plot else ''} are in {out}")

@@ -1,0 +1,232 @@
+"""Close the loop on an experiment: from measured trials to a verdict and a better model."""
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from calibration.audit.audit import audit
+from calibration.audit.prediction import outliers
+from calibration.discrepancy.rounds import Search
+from calibration.discrepancy.selection import search
+from calibration.discrepancy.verdict import NAMED, Excess, decide, excess, floors, rms_errors
+from calibration.inference.cache import Memo
+from calibration.inference.gauss_newton import Fit, fit
+from calibration.inference.problem import Problem
+from calibration.inference.uncertainty import halves, interval
+from calibration.measurements.findings import Finding
+from calibration.measurements.records import Record
+from calibration.model.extended import BASE, Parameter, base_values, candidates, parameters, start
+from calibration.model.predict import COARSE, FINE, Resolution
+from calibration.pressure_logs.audit import audit_logs
+from calibration.pressure_logs.problem import FREE, LogProblem, built_in, log_candidates, log_record
+from calibration.pressure_logs.read import ManifoldLog
+from slider_jax.errors import InputError
+from slider_jax.experiment.load import Experiment
+
+LEAST_TRIALS = 3
+
+
+@dataclass(frozen=True)
+class Errors:
+    """rms of measured less predicted, and the floor, of every channel in its unit."""
+
+    before: dict[str, float]
+    after: dict[str, float]
+    floor: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Everything that closing the loop found."""
+
+    experiment: Experiment
+    entries: list[Parameter]
+    verdict: str
+    search: Search
+    final: Fit
+    """The chosen model, refitted to all trials."""
+    problem: Problem
+    """All trials."""
+    used: Errors
+    held_out: Errors | None
+    excess_before: dict[str, Excess]
+    excess_after: dict[str, Excess]
+    held: list[int]
+    """Trials that the search did not see, by their place in `problem.records`."""
+    audit: list[Finding] = field(default_factory=list)
+    """What is wrong with the data, and what was done about it."""
+    nearest: Fit | None = None
+    """Where the search found effects that are not named: the model with them, on all trials."""
+
+    @property
+    def effects(self) -> list[str]:
+        """Effects that were added to the model: those found, if the verdict names them."""
+        return self.search.effects if self.verdict in NAMED else []
+
+    @property
+    def chosen(self) -> Fit:
+        """The chosen model on the trials that the search saw."""
+        return self.search.final if self.effects else self.search.base
+
+    def interval(self, index: int) -> tuple[float, float, float]:
+        """Value and 95 % interval of an entry that was fitted."""
+        return interval(self.final, self.entries, index)
+
+
+def choose_held_out(found: Sequence[Record], kept: Collection[str] = ()) -> list[int]:
+    """A quarter of the trials, spread over the frequencies but not their ends; none of too few.
+
+    Of towed trials and of those in still water at least two stay, where there are as many: an
+    effect that only they can see needs them. Those of the files `kept` stay.
+    """
+    if len(found) < 2 * LEAST_TRIALS:
+        return []
+    order = sorted(range(len(found)), key=lambda i: (found[i].trial.frequency or 0.0, i))
+    towed = [found[i].trial.tow_speed != 0.0 for i in range(len(found))]
+    held: list[int] = []
+    for place in range(2, len(order) - 1, 4):
+        near = [order[j] for j in (place, place - 1, place + 1) if 0 < j < len(order) - 1]
+        for i in [i for i in near if found[i].trial.file not in kept]:
+            rest = [towed[j] for j in order if j not in (*held, i)]
+            if i not in held and (rest.count(towed[i]) >= 2 or rest.count(not towed[i]) == 0):
+                held.append(i)
+                break
+    return sorted(held)
+
+
+def close_loop(
+    experiment: Experiment,
+    effects: Sequence[str] | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+    fine: Resolution = FINE,
+    coarse: Resolution = COARSE,
+    memo: Memo | None = None,
+    kept: Collection[str] = (),
+) -> Outcome:
+    """Search what the model of `experiment` lacks on its measured trials.
+
+    `effects` are the candidates' names, all of the library by default. Residuals are computed at
+    the resolution `fine`, tangents at `coarse`. Trials of the files `kept` are not held out. Raises
+    `InputError` where fewer than `LEAST_TRIALS` trials can be used.
+    """
+
+    def problem_of(chosen: Sequence[Record]) -> Problem:
+        problem = Problem.of(experiment, list(chosen), names, fine=fine, coarse=coarse)
+        return replace(problem, memo=memo)
+
+    names = tuple(candidates() if effects is None else effects)
+    entries = parameters(names)
+    base = base_values(experiment)
+    begun = start(entries, base)
+    progress("auditing the data")
+    audited = audit(experiment, LEAST_TRIALS, lambda few: problem_of(few).predict(begun))
+    for finding in audited.findings:
+        progress(str(finding))
+    found = audited.records
+    held = choose_held_out(found, kept)
+    outcome = conclude(experiment, names, found, held, problem_of, base, tuple(BASE), progress)
+    strange = strangers(outcome)
+    named = {x.trial for x in strange}
+    rest = [r for r in found if r.trial.file not in named]
+    if strange and len(rest) >= LEAST_TRIALS:
+        for finding in strange:
+            progress(str(finding))
+        held = choose_held_out(rest, kept)
+        outcome = conclude(experiment, names, rest, held, problem_of, base, tuple(BASE), progress)
+    return replace(outcome, audit=[*audited.findings, *strange])
+
+
+def strangers(outcome: Outcome) -> list[Finding]:
+    """Trials whose residual no effect explains and no other trial shares."""
+    each = excess(outcome.problem, outcome.nearest or outcome.final)
+    trials = [r.trial for r in outcome.problem.records]
+    return outliers(trials, {c: x.trials for c, x in each.items()})
+
+
+def close_loop_on_logs(
+    logs: Sequence[ManifoldLog],
+    effects: Sequence[str] | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+    memo: Memo | None = None,
+) -> Outcome:
+    """Search what the pressure lag lacks on the rig's logs.
+
+    In order of frequency the first, third, fifth log and so on are searched, the others held out.
+    Raises `InputError` where there are fewer than five.
+    """
+    if len(logs) < 2 * LEAST_TRIALS - 1:
+        raise InputError(
+            f"{len(logs)} logs given; tracing an effect needs {2 * LEAST_TRIALS - 1} or more, at "
+            "different frequencies: every other one is held out"
+        )
+    logs = sorted(logs, key=lambda log: log.frequency)
+    names = tuple(log_candidates() if effects is None else effects)
+    experiment = built_in(logs[0], None, {})
+    found = [log_record(log, built_in(log, None, {})) for log in logs]
+
+    def problem_of(chosen: Sequence[Record]) -> Problem:
+        used = {id(r) for r in chosen}
+        picked = [log for log, r in zip(logs, found, strict=True) if id(r) in used]
+        return replace(LogProblem.of_logs(picked, names), memo=memo)
+
+    base = base_values(experiment)
+    held = list(range(1, len(logs), 2))
+    progress("auditing the logs")
+    findings = audit_logs(logs)
+    for finding in findings:
+        progress(str(finding))
+    outcome = conclude(experiment, names, found, held, problem_of, base, FREE, progress)
+    return replace(outcome, audit=findings)
+
+
+def conclude(
+    experiment: Experiment,
+    names: Sequence[str],
+    found: Sequence[Record],
+    held: list[int],
+    problem_of: Callable[[Sequence[Record]], Problem],
+    base: dict[str, float],
+    base_names: Sequence[str],
+    progress: Callable[[str], None],
+) -> Outcome:
+    """Search, decide, predict what was held out, and refit to everything."""
+    entries = parameters(names)
+    seen = [r for i, r in enumerate(found) if i not in held]
+    everything = problem_of(found)
+    problem = problem_of(seen) if held else everything
+    result = search(problem, entries, start(entries, base), progress, base_names)
+    before = excess(problem, result.base)
+    after = excess(problem, result.final) if result.effects else before
+    verdict = decide(result, entries, before, after)
+    named = verdict in NAMED
+    best = result.final if named else result.base
+    hidden = None
+    if held:
+        progress("predicting the trials that were held out")
+        rest = problem_of([found[i] for i in held])
+        hidden = _errors(rest, *(rest.predict(f.theta) for f in (result.base, best)))
+    progress("refitting to all trials")
+    final = halves(everything, fit(everything, entries, best.theta, best.free, progress))
+    nearest = None
+    if result.effects and not named:
+        nearest = fit(everything, entries, result.final.theta, result.final.free, progress)
+    used = _errors(problem, result.base.predicted, best.predicted)
+    return Outcome(
+        experiment,
+        entries,
+        verdict,
+        result,
+        final,
+        everything,
+        used,
+        hidden,
+        before,
+        after if named else before,
+        held,
+        nearest=nearest,
+    )
+
+
+def _errors(problem: Problem, before: list[np.ndarray], after: list[np.ndarray]) -> Errors:
+    return Errors(rms_errors(problem, before), rms_errors(problem, after), floors(problem, after))

@@ -1,0 +1,124 @@
+"""Where a residual acts: channel, trials and their settings, part of the stride, frequency."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.stats import spearmanr
+
+from calibration.discrepancy.verdict import FLOOR, Excess
+from calibration.measurements.records import Record
+from calibration.model.predict import CHANNELS
+
+PHASES = 8
+"""Parts of a stride that are told apart."""
+
+
+def where(
+    records: Sequence[Record], predicted: Sequence[np.ndarray], left: dict[str, Excess]
+) -> list[dict[str, Any]]:
+    """Of every channel that stands above the floor: how far, in which trials, when in the stride.
+
+    `left` is the excess of `predicted`, the readings (5, samples) of every trial of `records`.
+    """
+    found = []
+    for channel, x in left.items():
+        if x.all <= FLOOR:
+            continue
+        row, worst = CHANNELS.index(channel), int(np.nanargmax(x.trials))
+        trials = [r.trial for r in records]
+        seen = records[worst]
+        found.append(
+            {
+                "channel": channel,
+                "mean_square_over_noise": x.all,
+                "worst_trial": trials[worst].file,
+                "frequency_Hz": trials[worst].frequency,
+                "amplitude_Pa": trials[worst].amplitude,
+                "tow_speed_m_per_s": trials[worst].tow_speed,
+                "in_worst_trial": when(seen, channel, predicted[worst][row]),
+                "grows_with": {
+                    "frequency": trend([t.frequency for t in trials], x.trials),
+                    "amplitude": trend([t.amplitude for t in trials], x.trials),
+                    "tow_speed": trend([abs(t.tow_speed) for t in trials], x.trials),
+                },
+                "trials": {t.file: s for t, s in zip(trials, x.trials, strict=True)},
+            }
+        )
+    return found
+
+
+def when(record: Record, channel: str, model: np.ndarray) -> dict[str, Any]:
+    """When in a trial the residual of a channel is largest.
+
+    `phase` is the eighth of the drive's period, counted from t = 0, that holds `share` of the
+    residual's square (an eighth would be even); `growing` the share of it while the model's reading
+    moves away from its mean; `mean` the residual's mean over its rms; `peak_Hz` the frequency of
+    the sine that takes most of the rest, `peak_share` of its square.
+    """
+    there = record.there(channel)
+    r = (record.values[CHANNELS.index(channel)] - model)[there]
+    square = r**2 / max(float(np.sum(r**2)), 1e-300)
+    away = (model - model.mean()) * np.gradient(model) > 0.0
+    told = {
+        "growing": float(square[away[there]].sum()),
+        "mean": float(r.mean() / np.sqrt(max(float(np.mean(r**2)), 1e-300))),
+    } | _strongest(record.t[there], r)
+    if record.trial.frequency is None:
+        return told
+    part = np.floor(PHASES * ((record.t[there] * record.trial.frequency) % 1.0)).astype(int)
+    count = np.bincount(part, minlength=PHASES)
+    shares = np.bincount(part, square, minlength=PHASES)
+    even = np.divide(shares, count, out=np.zeros(PHASES), where=count > 0)
+    peak = int(np.argmax(even))
+    span = [peak / PHASES, (peak + 1) / PHASES]
+    return told | {"phase": span, "share": float(even[peak] / max(even.sum(), 1e-300))}
+
+
+def _strongest(t: np.ndarray, r: np.ndarray) -> dict[str, float]:
+    """The sine that takes most of a residual's square; missing samples are interpolated."""
+    even = np.arange(t[0], t[-1], float(np.median(np.diff(t))))
+    y = np.interp(even, t, r - r.mean())
+    power = np.abs(np.fft.rfft(y, 4 * len(y)))[1:] ** 2
+    peak = int(np.argmax(power))
+    hertz = np.fft.rfftfreq(4 * len(y), even[1] - even[0])[1:]
+    share = 2.0 * power[peak] / max(len(y) * float(y @ y), 1e-300)
+    return {"peak_Hz": float(hertz[peak]), "peak_share": min(float(share), 1.0)}
+
+
+def trend(settings: Sequence[float | None], squares: np.ndarray) -> float | None:
+    """Rank correlation of the trials' mean squares with a setting.
+
+    None of fewer than five trials, or where chance would give it in one of twenty.
+    """
+    x = np.array([np.nan if s is None else s for s in settings], float)
+    there = np.isfinite(x) & np.isfinite(squares)
+    if there.sum() < 5 or np.ptp(x[there]) == 0.0 or np.ptp(squares[there]) == 0.0:
+        return None
+    found = spearmanr(x[there], squares[there])
+    return float(found.statistic) if found.pvalue < 0.05 else None
+
+
+def said(x: dict[str, Any]) -> str:
+    """One entry of `where` in a sentence."""
+    text = f"{x['channel']}: {x['mean_square_over_noise']:.3g} times its floor"
+    here = x["in_worst_trial"]
+    worst = f"worst in {x['worst_trial']}"
+    settings = [
+        f"{x['frequency_Hz']:g} Hz" if x["frequency_Hz"] else "",
+        f"{x['amplitude_Pa'] / 1e3:g} kPa" if x["amplitude_Pa"] else "",
+        f"towed at {x['tow_speed_m_per_s']:g} m/s" if x["tow_speed_m_per_s"] else "",
+    ]
+    if any(settings):
+        worst += f" ({', '.join(s for s in settings if s)})"
+    text += f", {worst}"
+    if "phase" in here:
+        low, high = here["phase"]
+        text += f", most at {low:.3g} to {high:.3g} of the stride"
+    text += f", {here['peak_share']:.0%} of it at {here['peak_Hz']:.3g} Hz"
+    text += f"; {here['growing']:.0%} of it while the reading moves away from its mean"
+    for name, rank in x["grows_with"].items():
+        if rank is not None:
+            word = "grows" if rank > 0 else "falls"
+            text += f"; {word} with {name.replace('_', ' ')}"
+    return text + "."

@@ -1,0 +1,235 @@
+"""The outcome as report.json and model.toml."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from calibration.discrepancy.close_loop import Errors, Outcome
+from calibration.discrepancy.localise import where
+from calibration.discrepancy.rounds import Round
+from calibration.discrepancy.verdict import FLOOR, at_bounds, split
+from calibration.inference.gauss_newton import Fit
+from calibration.inference.uncertainty import by_variation, determined, interval
+from calibration.model.extended import Parameter, base_values
+from slider_jax.effects.library import LIBRARY
+from slider_jax.io.provenance import versions
+
+UNITS = {"p_front": "Pa", "p_rear": "Pa", "thrust": "N", "recoil": "N", "tip": "m"}
+
+
+def report(
+    outcome: Outcome,
+    seconds: float,
+    source: dict[str, Any],
+    following: dict[str, Any] | None = None,
+) -> dict[str, Any]:
+    """The content of report.json; `source` names the input, `following` the next experiment."""
+    held = outcome.held_out
+    trials, given = outcome.problem.records, base_values(outcome.experiment)
+    return {
+        "verdict": outcome.verdict,
+        "said": sentence(outcome),
+        "effects": effects(outcome),
+        "nearest": nearest(outcome),
+        "parameters": {
+            p.name: _interval(outcome, "", p.name)
+            | {"given": given[p.name], "without_effects": outcome.search.base.theta[i]}
+            for i, p in enumerate(outcome.entries)
+            if not p.effect and i in outcome.final.free
+        },
+        "errors": _table(outcome.used),
+        "held_out": _table(held) if held else {},
+        "held_out_trials": [trials[i].trial.file for i in outcome.held],
+        "candidates": ranking(outcome),
+        "unexplained": unexplained(outcome),
+        "audit": [x.told() for x in outcome.audit],
+        "next_experiment": following,
+        "units": UNITS,
+        "left_over_noise": {c: np.sqrt(x.all) for c, x in outcome.excess_after.items()},
+        "seconds": seconds,
+        "input": source,
+        "versions": versions(),
+        "settings": outcome.experiment.model_dump(),
+    }
+
+
+def effects(outcome: Outcome) -> list[dict[str, Any]]:
+    """Every effect that was added, what it cannot be told from, its rivals and parameters."""
+    found = []
+    for this in outcome.search.rounds:
+        if this.chosen is None or this.chosen not in outcome.effects:
+            continue
+        kind = LIBRARY[this.chosen]
+        tried = next(t for t in this.tried if t.name == this.chosen)
+        found.append(
+            {
+                "name": this.chosen,
+                "title": kind.title,
+                "class": _class(outcome, this),
+                "in_place_of": this.replaced,
+                "rivals": [
+                    {"name": n, "loss": x.loss, "channels": x.sizes, "told_apart": x.is_worse}
+                    for n, x in this.rivals.items()
+                ],
+                "parameters": {p: _interval(outcome, this.chosen, p) for p in kind.priors()},
+                "where": kind.place(),
+                "channels": {c: share for c, share in tried.sizes.items() if share > 1e-4},
+                "gain": tried.gain,
+            }
+        )
+    return found
+
+
+def nearest(outcome: Outcome) -> list[dict[str, Any]]:
+    """Effects that came nearest to a residual that none explains; they are not in the model."""
+    names = [] if outcome.effects else outcome.search.effects
+    return [{"name": n, "title": LIBRARY[n].title, "where": LIBRARY[n].place()} for n in names]
+
+
+def _class(outcome: Outcome, this: Round) -> list[str]:
+    """What an added effect cannot be told from: rivals, and what it may share its cause with."""
+    left = any(x.all > FLOOR for x in outcome.excess_after.values())
+    parts = split(outcome.search) if left else []
+    return this.alike + [n for n in parts if this.chosen in parts and n != this.chosen]
+
+
+def _interval(outcome: Outcome, effect: str, name: str) -> dict[str, Any]:
+    index = next(i for i, p in enumerate(outcome.entries) if (p.effect, p.name) == (effect, name))
+    return told(outcome.final, outcome.entries, index)
+
+
+def told(fit: Fit, entries: Sequence[Parameter], index: int) -> dict[str, Any]:
+    """A fitted parameter as reports say it: no value where the data do not fix one, and of the
+    interval what lies in the prior range."""
+    p, (value, low, high) = entries[index], interval(fit, entries, index)
+    said = {"value": value, "low": low, "high": high, "unit": p.prior.unit}
+    if not determined(p, low, high):
+        low, high = (float(np.clip(x, p.prior.low, p.prior.high)) for x in (low, high))
+        said |= {"value": None, "low": low, "high": high, "not_determined_by_these_data": True}
+    alone = by_variation(fit, index)
+    return said | ({} if alone is None else {"by_variation_alone": alone})
+
+
+def words(x: dict[str, Any]) -> str:
+    """A parameter as `told`: value and interval, or that there is none."""
+    within = f"({x['low']:.4g} to {x['high']:.4g}) {x['unit']}"
+    value = "not determined by these data" if x["value"] is None else f"{x['value']:.4g}"
+    said = f"{value}  {within}"
+    return said + (f"; {widened(x)}" if "by_variation_alone" in x else "")
+
+
+def widened(x: dict[str, Any]) -> str:
+    """Why the interval is wider than the noise asks for."""
+    return (
+        f"by what varies of the forces alone {x['by_variation_alone']:.4g}, which is farther "
+        "off than chance: the interval is widened for it"
+    )
+
+
+def _table(errors: Errors) -> dict[str, dict[str, float]]:
+    return {
+        c: {"before": errors.before[c], "after": errors.after[c], "floor": errors.floor[c]}
+        for c in errors.before
+    }
+
+
+def ranking(outcome: Outcome) -> list[dict[str, Any]]:
+    """All candidates of all rounds, best first, and why each was left."""
+    rows = []
+    for number, this in enumerate(outcome.search.rounds, start=1):
+        tried = {t.name: t for t in this.tried}
+        for s in this.scores:
+            row = {"round": number, "name": s.name, "score": s.gain, "p": s.p}
+            if s.name in tried:
+                t = tried[s.name]
+                row |= {"explained": t.gain, "sizes": t.sizes, "worth_naming": t.worth_naming}
+                row["left_out_trials_agree"], row["left_out_trials_chance"] = t.agreement
+            rows.append(row | {"chosen": s.name == this.chosen})
+    return rows
+
+
+def unexplained(outcome: Outcome) -> list[dict[str, Any]]:
+    """Where the residual of the last fit stands above the floor on the trials it was fitted to."""
+    seen = [r for i, r in enumerate(outcome.problem.records) if i not in outcome.held]
+    return where(seen, outcome.chosen.predicted, outcome.excess_after)
+
+
+def sentence(outcome: Outcome) -> str:
+    """The verdict in a sentence."""
+    names = outcome.search.effects
+    titles = ", ".join(f"{LIBRARY[n].title} ({n})" for n in names)
+    match outcome.verdict:
+        case "nothing_missing":
+            return "Nothing is missing at the precision of these data: the residual is noise."
+        case "identified":
+            return f"The model lacked: {titles}."
+        case "class":
+            rivals = ", ".join(n for e in effects(outcome) for n in e["class"])
+            return (
+                f"The model lacked: {titles}; these data cannot tell "
+                f"{'it' if len(names) == 1 else 'these'} from {rivals}."
+            )
+        case "unexplained":
+            channels = ", ".join(c for c, x in outcome.excess_after.items() if x.all > FLOOR)
+            said = "Something is missing"
+            said += f" in {channels}" if channels else ""
+            said += ", and none of the candidates explains it."
+            edge = at_bounds(outcome.search, outcome.entries)
+            if edge:
+                said += f" At the edge of what is believed of it: {', '.join(edge)}."
+            elif names:
+                said += f" The nearest, {titles}, leaves too much of it."
+            return said
+    if not outcome.search.final.converged:
+        return "Inconclusive: the last fit did not converge."
+    return "Inconclusive: a candidate explains more than chance, but the trials do not agree on it."
+
+
+def sizes(told: dict[str, Any]) -> list[str]:
+    """A line for each parameter of what was added."""
+    lines = []
+    for effect in told["effects"]:
+        for name, x in effect["parameters"].items():
+            lines.append(f"{effect['name']}.{name} = {words(x)}")
+    return lines
+
+
+def skill(told: dict[str, Any]) -> list[str]:
+    """A line for each channel's error on the trials held out, or where none was, on all."""
+    errors, of = told["held_out"] or told["errors"], "held out" if told["held_out"] else "all"
+    return [
+        f"{c}, trials {of}: rms {x['before']:.3g} before, {x['after']:.3g} after, "
+        f"floor {x['floor']:.3g} {told['units'][c]}"
+        for c, x in errors.items()
+    ]
+
+
+def model_toml(outcome: Outcome) -> str:
+    """The calibrated model with its effects, for `slider simulate --model`."""
+    final = outcome.final
+    return toml(sentence(outcome), outcome.entries, final.theta, outcome.effects, final.free)
+
+
+def toml(
+    said: str,
+    entries: Sequence[Parameter],
+    theta: np.ndarray,
+    effects: Sequence[str],
+    free: np.ndarray | None = None,
+) -> str:
+    """A model file with the base parameters and `effects`, under the comment `said`.
+
+    Of the base parameters those in `free`, by default all.
+    """
+    lines = [f"# {said}", "[parameters]"]
+    pairs = list(zip(entries, theta, strict=True))
+    lines += [
+        f"{p.name} = {x:.9g}"
+        for i, (p, x) in enumerate(pairs)
+        if not p.effect and (free is None or i in free)
+    ]
+    for name in effects:
+        lines += ["", "[[effects]]", f'name = "{name}"']
+        lines += [f"{p.name} = {x:.9g}" for p, x in pairs if p.effect == name]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,111 @@
+"""Which effects could explain a residual: scores of candidates from one linearisation.
+
+With r the white residual after the fit of the free parameters F, J_F their tangents and G those of
+a candidate, all stacked over trials and channels, the candidate is judged by what is left of G when
+J_F is projected out:
+
+    G' = G - P_F G,    gain = b' A'^-1 b',    A' = G'.G',    b' = G'.r
+
+the drop of the sum of squares when candidate and free parameters move together, and by how much it
+drops on trials that were left out of both.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+
+from calibration.inference.gauss_newton import inverse
+from calibration.inference.problem import Block, summed
+
+UNSEEN = 1e-3
+"""A trial sees a candidate that changes it by so much of what it does to the one that it changes
+most, in squares, or by `FAINT` times the residual's mean square."""
+FAINT = 4.0
+
+
+class Score(NamedTuple):
+    """A candidate's linear score beside the free parameters."""
+
+    name: str
+    gain: float
+    """Drop of the sum of squares, in units of the residual's mean square."""
+    freedom: int
+    p: float
+    """Probability of such a gain by chance, times the number of candidates, at most 1."""
+    estimate: np.ndarray
+    """Change of the candidate's parameters, SI."""
+    error: np.ndarray
+    """Their standard errors."""
+    step: np.ndarray
+    """Change of all entries (parameters,)."""
+    left_out: np.ndarray
+    """By what factor the candidate lowers the sum of squares of a trial when it alone was left out
+    of the fit, as a logarithm: above 0 where the others foresaw it. Of trials that can see it."""
+
+
+def solve(A: np.ndarray, b: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Least-squares step of the entries `index`, zero elsewhere."""
+    step = np.zeros(len(b))
+    step[index] = inverse(A[np.ix_(index, index)]) @ b[index]
+    return step
+
+
+def drop(blocks: Sequence[Block], step: np.ndarray) -> float:
+    """By how much a step lowers the sum of squares of `blocks`."""
+    return sum(2.0 * step @ x.b - step @ x.A @ step for x in blocks)
+
+
+def remaining(blocks: Sequence[Block], step: np.ndarray) -> float:
+    """Sum of squares of `blocks` after a step."""
+    return max(sum(x.c for x in blocks) - drop(blocks, step), 1e-300)
+
+
+def score(
+    name: str, group: np.ndarray, free: np.ndarray, blocks: Sequence[Block], unit: float, many: int
+) -> Score:
+    """Score the candidate whose entries are `group`, beside the free ones.
+
+    `unit` is the residual's mean square; `many` the number of candidates that are tried.
+    """
+    A, b = summed(blocks)
+    both = np.concatenate([free, group])
+    step = solve(A, b, both)
+    gain = (drop(blocks, step) - drop(blocks, solve(A, b, free))) / unit
+    errors = np.sqrt(unit * np.diag(inverse(A[np.ix_(both, both)])))[len(free) :]
+    seen = {x.trial: 0.0 for x in blocks}
+    for x in blocks:
+        seen[x.trial] += float(step[group] @ x.A[np.ix_(group, group)] @ step[group])
+    left_out = []
+    least = min(UNSEEN * max(seen.values()), FAINT * unit)
+    for trial in sorted(i for i in seen if seen[i] >= least):
+        others = [x for x in blocks if x.trial != trial]
+        held = [x for x in blocks if x.trial == trial]
+        A_, b_ = summed(others) if others else (A, b)
+        with_it, without = solve(A_, b_, both), solve(A_, b_, free)
+        left_out.append(np.log(remaining(held, without) / remaining(held, with_it)))
+    p = min(1.0, many * float(chi2.sf(max(gain, 0.0), len(group))))
+    return Score(name, float(gain), len(group), p, step[group], errors, step, np.asarray(left_out))
+
+
+def alikeness(
+    first: np.ndarray, second: np.ndarray, free: np.ndarray, blocks: Sequence[Block]
+) -> float:
+    """Largest |cos| between two candidates' tangents once the free parameters are projected out.
+
+    1 where these data cannot tell the two apart.
+    """
+    A, _ = summed(blocks)
+    inner = inverse(A[np.ix_(free, free)])
+
+    def left(i, j):
+        return A[np.ix_(i, j)] - A[np.ix_(i, free)] @ inner @ A[np.ix_(free, j)]
+
+    def root(M):
+        values, vectors = np.linalg.eigh(M)
+        kept = values > 1e-10 * max(values.max(), 1e-300)
+        return vectors[:, kept] / np.sqrt(values[kept])
+
+    cross = root(left(first, first)).T @ left(first, second) @ root(left(second, second))
+    return float(np.linalg.svd(cross, compute_uv=False)[0]) if cross.size else 0.0

@@ -1,0 +1,164 @@
+"""Identify parameters of a model from measured trials, without asking what it lacks."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from calibration.audit.audit import audit
+from calibration.discrepancy.report import UNITS, told, toml, words
+from calibration.discrepancy.verdict import FLOOR, excess, floors, rms_errors
+from calibration.experiment_design.parameter_trial import Proposal, advise, described, said
+from calibration.inference.gauss_newton import Fit, fit
+from calibration.inference.lbfgs import descend
+from calibration.inference.problem import Problem
+from calibration.inference.uncertainty import correlations, halves
+from calibration.measurements.findings import Finding
+from calibration.measurements.records import Record
+from calibration.model.extended import Parameter, base_values, parameters, start
+from calibration.model.predict import CHANNELS, COARSE, FINE, Resolution
+from slider_jax.effects.library import LIBRARY
+from slider_jax.errors import InputError, nearest
+from slider_jax.experiment.load import Experiment
+from slider_jax.io.provenance import versions
+
+METHODS = {"lm": fit, "lbfgs": descend}
+MANY = 12
+"""Free parameters from which on L-BFGS is taken where no method is named."""
+
+
+class Identified(NamedTuple):
+    """A fit of chosen parameters, and the model before it."""
+
+    experiment: Experiment
+    entries: list[Parameter]
+    problem: Problem
+    before: list[np.ndarray]
+    """Readings (5, samples) of every trial with the experiment's own numbers."""
+    fit: Fit
+    method: str
+    advice: dict[int, Proposal]
+    """A trial for every entry that the data do not determine."""
+    audit: list[Finding]
+    """What is wrong with the data, and what was done about it."""
+    doubt: str
+    """What to know of a fit that does not explain its data, or nothing."""
+
+
+def refuse_unknown(effects: Sequence[str], channels: Sequence[str], method: str) -> None:
+    """Raises `InputError` for a name that `identify` does not know."""
+    if method not in (*METHODS, "auto"):
+        raise InputError(f"--method {method}: unknown; allowed auto, {', '.join(METHODS)}")
+    for name in effects:
+        if name not in LIBRARY:
+            near = nearest(name, LIBRARY)
+            raise InputError(
+                f"--also {name}: unknown effect; allowed what slider effects lists{near}"
+            )
+    for name in channels:
+        if name not in CHANNELS:
+            raise InputError(f"--channels {name}: unknown; allowed {', '.join(CHANNELS)}")
+
+
+def identify(
+    experiment: Experiment,
+    effects: Sequence[str] = (),
+    channels: Sequence[str] = CHANNELS,
+    progress: Callable[[str], None] = lambda text: None,
+    fine: Resolution = FINE,
+    coarse: Resolution = COARSE,
+    method: str = "auto",
+) -> Identified:
+    """Fit C_d, m_a, k, K_Q and the parameters of `effects` to all measured trials.
+
+    `method` is "lm", "lbfgs", or "auto": L-BFGS from `MANY` parameters on. Raises `InputError` for
+    an unknown effect, channel or method, and where no measured trial can be used.
+    """
+    refuse_unknown(effects, channels, method)
+    entries = parameters(tuple(effects))
+
+    def problem_of(chosen: Sequence[Record]) -> Problem:
+        names, seen = tuple(effects), tuple(channels)
+        return Problem.of(experiment, list(chosen), names, seen, fine, coarse)
+
+    base = start(entries, base_values(experiment))
+    begun = base.copy()
+    for i, p in enumerate(entries):
+        if p.effect:  # off its null, where a bound would hold it
+            begun[i] += 0.02 * (p.prior.high - p.prior.low)
+    progress("auditing the data")
+    audited = audit(experiment, 1, lambda few: problem_of(few).predict(base))
+    for finding in audited.findings:
+        progress(str(finding))
+    problem = problem_of(audited.records)
+    before = problem.predict(base)
+    if method == "auto":
+        method = "lbfgs" if len(entries) >= MANY else "lm"
+    best = METHODS[method](problem, entries, begun, np.arange(len(entries)), progress)
+    best = halves(problem, best)
+    advice = advise(experiment, entries, problem, best, coarse, progress)
+    found = experiment, entries, problem, before, best, method, advice, audited.findings
+    return Identified(*found, doubt(problem, best))
+
+
+def doubt(problem: Problem, fit: Fit) -> str:
+    """What to know of a fit that does not explain its data; nothing of one that does."""
+    left = {c: x.all for c, x in excess(problem, fit).items() if x.all > FLOOR}
+    if not left:
+        return ""
+    channels = ", ".join(f"{c} at {np.sqrt(x):.2g} times its noise" for c, x in left.items())
+    return (
+        f"The model does not explain these data: it leaves {channels}. Something is missing, the "
+        "values make up for it, and the intervals do not hold; slider close-loop traces it."
+    )
+
+
+def content(found: Identified, source: dict[str, Any]) -> dict[str, Any]:
+    """The content of calibration.json."""
+    before, after = (rms_errors(found.problem, y) for y in (found.before, found.fit.predicted))
+    floor = floors(found.problem, found.fit.predicted)
+    labels = [p.label for p in found.entries]
+    return {
+        "parameters": {
+            p.label: told(found.fit, found.entries, i)
+            | ({"determined_by": described(found.advice[i])} if i in found.advice else {})
+            for i, p in enumerate(found.entries)
+        },
+        "correlations": {"order": labels, "matrix": correlations(found.fit)},
+        "errors": {c: {"before": before[c], "after": after[c], "floor": floor[c]} for c in after},
+        "doubt": found.doubt,
+        "converged": found.fit.converged,
+        "method": found.method,
+        "mean_square_over_noise": found.fit.square / found.fit.samples,
+        "trials": [r.trial.file for r in found.problem.records],
+        "audit": [x.told() for x in found.audit],
+        "units": UNITS,
+        "input": source,
+        "versions": versions(),
+        "settings": found.experiment.model_dump(),
+    }
+
+
+def table(found: Identified) -> str:
+    """What was identified, a line a parameter."""
+    lines = []
+    for i, p in enumerate(found.entries):
+        lines.append(f"{p.label:<28} {words(told(found.fit, found.entries, i))}")
+        if i in found.advice:
+            lines.append(f"{'':<28} {said(p, found.advice[i])}")
+    before, after = (rms_errors(found.problem, y) for y in (found.before, found.fit.predicted))
+    floor = floors(found.problem, found.fit.predicted)
+    lines += [
+        f"{c:<28} rms {before[c]:.3g} before, {after[c]:.3g} after, floor {floor[c]:.3g} {UNITS[c]}"
+        for c in after
+    ]
+    lines += [found.doubt] if found.doubt else []
+    return "\n".join(lines)
+
+
+def model_file(found: Identified) -> str:
+    """The calibrated model, for `slider simulate --model`."""
+    effects = list(dict.fromkeys(p.effect for p in found.entries if p.effect))
+    said = f"Identified from {len(found.problem.records)} trials of {found.experiment.name}."
+    said = f"{said} {found.doubt}".strip()
+    return toml(said, found.entries, found.fit.theta, effects)

@@ -1,0 +1,239 @@
+"""What the data say of a parameter vector: white residuals and tangents, as small matrices.
+
+Of every trial and channel, with the white residual r and tangents J (parameters, m):
+
+    A = J J^T,    b = J r,    c = r.r,    n samples
+
+Least squares, scores, left-out trials and classes of effects all follow from sums of these, so that
+simulation is done once for each vector and never again for a question asked of it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from calibration.inference.cache import Memo
+from calibration.inference.noise import Noise, Whitener, declared
+from calibration.measurements.records import Record
+from calibration.model.extended import base_values, parameters, start
+from calibration.model.initial_swing import spans
+from calibration.model.predict import (
+    CHANNELS,
+    COARSE,
+    FINE,
+    Resolution,
+    TrialPlan,
+    on_all_cores,
+    plan,
+    predict,
+    tangents,
+)
+from slider_jax.experiment.load import Experiment
+
+
+class Swing(NamedTuple):
+    """The swing with which trials begin."""
+
+    size: float
+    """Standard deviation at the tip [m]."""
+    theta: np.ndarray
+    """Where what it does to the channels is taken."""
+
+
+FAILED = 1e12
+"""Sum of squares of a channel whose simulation failed: worse than any that did not."""
+
+
+class Block(NamedTuple):
+    """One trial and channel at one vector."""
+
+    trial: int
+    channel: str
+    A: np.ndarray
+    b: np.ndarray
+    c: float
+    n: int
+
+
+def summed(blocks: Sequence[Block]) -> tuple[np.ndarray, np.ndarray]:
+    """A and b of all blocks."""
+    return np.sum([x.A for x in blocks], axis=0), np.sum([x.b for x in blocks], axis=0)
+
+
+class Affine(NamedTuple):
+    """How a vector x makes the parameters of one trial: offset + matrix x."""
+
+    offset: np.ndarray
+    """(parameters,)"""
+    matrix: np.ndarray
+    """(parameters, entries of x)"""
+
+    def at(self, x: np.ndarray) -> np.ndarray:
+        return self.offset + self.matrix @ x
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Measured trials and the plans to predict them.
+
+    With `maps`, one a trial, the vector that is fitted makes every trial's own parameters; without,
+    it is all trials' alike.
+    """
+
+    records: list[Record]
+    fine: list[TrialPlan]
+    coarse: list[TrialPlan]
+    channels: tuple[str, ...]
+    noise: dict[tuple[int, str], Noise]
+    mesh: Resolution = COARSE
+    """Of the tangents."""
+    maps: tuple[Affine, ...] | None = None
+    memo: Memo | None = None
+    """Keeps what was simulated."""
+    swing: Swing | None = None
+
+    @classmethod
+    def of(
+        cls,
+        experiment: Experiment,
+        records: list[Record],
+        effects: tuple[str, ...],
+        channels: tuple[str, ...] = CHANNELS,
+        fine: Resolution = FINE,
+        coarse: Resolution = COARSE,
+    ) -> "Problem":
+        """Lay out `records` of an experiment for the extended model with `effects`."""
+        plans = [
+            [plan(experiment, r.trial, effects, resolution, r.t) for r in records]
+            for resolution in (fine, coarse)
+        ]
+        noise = {
+            (i, channel): declared(experiment.sensors, channel, r.values[CHANNELS.index(channel)])
+            for i, r in enumerate(records)
+            for channel in channels
+            if r.has(channel)
+        }
+        swing, size = None, experiment.sensors.start_swing
+        if size > 0.0:
+            swing = Swing(size, start(parameters(effects), base_values(experiment)))
+        return cls(records, plans[0], plans[1], channels, noise, coarse, swing=swing)
+
+    @cached_property
+    def spans(self) -> list[np.ndarray] | None:
+        """What the swing at the start does to the readings, (2, 5, samples) of every trial."""
+        swing = self.swing
+        if swing is None:
+            return None
+        return self._kept(
+            f"swing {swing.size}",
+            [swing.theta],
+            lambda: on_all_cores(lambda p: spans(p, swing.theta, swing.size), self.coarse),
+        )
+
+    def predict(self, theta: np.ndarray) -> list[np.ndarray]:
+        """Readings (5, samples) of every trial."""
+        return self._kept("predict", [theta], lambda: self._predict(theta))
+
+    def tangents(self, theta: np.ndarray, directions: np.ndarray) -> list[np.ndarray]:
+        """Derivatives (k, 5, samples) of every trial."""
+        return self._kept(
+            "tangents", [theta, directions], lambda: self._tangents(theta, directions)
+        )
+
+    def secants(self, theta: np.ndarray, others: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Changes (k, 5, samples) of every trial from `theta` to each of k `others`."""
+        return self._kept("secants", [theta, *others], lambda: self._secants(theta, others))
+
+    def _kept(self, what: str, arrays: Sequence[np.ndarray], make) -> list[np.ndarray]:
+        if self.memo is None:
+            return make()
+        return self.memo.kept(f"{what} {[r.trial.file for r in self.records]}", arrays, make)
+
+    def _predict(self, theta: np.ndarray) -> list[np.ndarray]:
+        return self.predict_each(self._own(theta))
+
+    def predict_each(self, thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Readings (5, samples) of every trial at its own parameters."""
+        pairs = list(zip(self.fine, thetas, strict=True))
+        return on_all_cores(lambda pair: predict(*pair), pairs)
+
+    def _secants(self, theta: np.ndarray, others: Sequence[np.ndarray]) -> list[np.ndarray]:
+        def one(job):
+            laid, here, there = job
+            begin = predict(laid, here)
+            return np.stack([predict(laid, other) - begin for other in there])
+
+        each = zip(*(self._own(other) for other in others), strict=True)
+        return on_all_cores(one, list(zip(self.coarse, self._own(theta), each, strict=True)))
+
+    def _tangents(self, theta: np.ndarray, directions: np.ndarray) -> list[np.ndarray]:
+        if self.maps is None:
+            return on_all_cores(lambda p: tangents(p, theta, directions), self.coarse)
+
+        def one(job):
+            laid, own, along = job
+            moved = np.flatnonzero(np.any(along != 0.0, axis=1))
+            found = np.zeros((len(along), len(CHANNELS), len(laid.at)))
+            if moved.size:
+                found[moved] = tangents(laid, own, along[moved])
+            return found
+
+        along = [directions @ m.matrix.T for m in self.maps]
+        return on_all_cores(one, list(zip(self.coarse, self._own(theta), along, strict=True)))
+
+    def _own(self, theta: np.ndarray) -> list[np.ndarray]:
+        """Every trial's own parameters."""
+        return [theta] * len(self.fine) if self.maps is None else [m.at(theta) for m in self.maps]
+
+    def whiteners(self, predicted: list[np.ndarray]) -> dict[tuple[int, str], Whitener]:
+        """Of every trial and channel; what is a share of the signal is of the `predicted` one."""
+
+        swing = self.spans
+
+        def one(key):
+            i, channel = key
+            r = self.records[i]
+            there = r.there(channel)
+            row = CHANNELS.index(channel)
+            model = np.nan_to_num(predicted[i][row][there])
+            swings = None if swing is None else swing[i][:, row, there]
+            return key, Whitener(
+                r.t[there], self.noise[key], model, channel, r.trial.frequency, swings
+            )
+
+        return dict(on_all_cores(one, list(self.noise)))
+
+    def residuals(
+        self, predicted: list[np.ndarray], white: dict[tuple[int, str], Whitener]
+    ) -> dict[tuple[int, str], np.ndarray]:
+        """White residuals, measured less predicted, of every trial and channel."""
+        found = {}
+        for key, whiten in white.items():
+            i, channel = key
+            row, there = CHANNELS.index(channel), self.records[i].there(channel)
+            found[key] = whiten((self.records[i].values[row] - predicted[i][row])[there])[0]
+        return found
+
+    def blocks(
+        self,
+        residuals: dict[tuple[int, str], np.ndarray],
+        derivatives: list[np.ndarray],
+        white: dict[tuple[int, str], Whitener],
+    ) -> list[Block]:
+        """The matrices of every trial and channel."""
+        found = []
+        for key, r in residuals.items():
+            i, channel = key
+            there = self.records[i].there(channel)
+            J = white[key](derivatives[i][:, CHANNELS.index(channel), there])
+            found.append(Block(i, channel, J @ J.T, J @ r, float(r @ r), len(r)))
+        return found
+
+
+def total(residuals: dict[tuple[int, str], np.ndarray]) -> float:
+    """Sum of squares of all white residuals; failed ones count as `FAILED`."""
+    parts = [float(r @ r) for r in residuals.values()]
+    return sum(x if np.isfinite(x) else FAILED for x in parts)

@@ -1,0 +1,172 @@
+"""An animal's body under a prescribed motion: what the model's own effects say acts on it.
+
+The kinematics of a measured motion are put into the `Section` that the robot's effects see, with
+depth and mass varying along the body, so that the same force densities are evaluated, not copies.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from calibration.lamprey.motion import Motion
+from slider_jax.beam.equations import Reference, Section, Structure, section
+from slider_jax.beam.frame import to_body, to_plane
+from slider_jax.beam.state import Fields
+from slider_jax.effects import ForceDensity
+
+VISCOSITY = 1.0e-6
+"""nu [m^2/s] of water at 20 degrees."""
+SNOUT = 0.04
+"""Share of the length over which the snout is rounded off, as an ellipse."""
+FIN = 0.6
+"""Where, in lengths from the snout, fins take over the outline."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """The cross-sections: ellipses of the measured width and an assumed depth.
+
+    Depth is `aspect` times the width before the fins; from there it runs straight to `tail_depth`
+    (a share of the length) at the tail's end, which is blunt, as a fin is.
+    """
+
+    places: np.ndarray
+    """(n,) from 0 at the snout to 1 at the tail."""
+    width: np.ndarray
+    """(n,) full width, in lengths."""
+    aspect: float = 1.5
+    tail_depth: float = 0.04
+    density: float = 1040.0
+    """Of the animal [kg/m^3]."""
+
+    def with_depth(self, aspect: float, tail_depth: float) -> "Shape":
+        """The same widths, another depth."""
+        return replace(self, aspect=aspect, tail_depth=tail_depth)
+
+    def at(self, from_snout: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
+        """Width and depth [m] at places from 0 (snout) to 1 (tail)."""
+        width = np.interp(from_snout, self.places, self.width)
+        before = np.interp(np.minimum(from_snout, FIN), self.places, self.width) * self.aspect
+        along = np.clip((from_snout - FIN) / (1.0 - FIN), 0.0, 1.0)
+        depth = before + along * (self.tail_depth - before)
+        inside = np.clip(from_snout / SNOUT, 0.0, 1.0)
+        rounded = np.sqrt(inside * (2.0 - inside))
+        return width * rounded * length, depth * rounded * length
+
+
+class Body(eqx.Module):
+    """A shape laid out on the nodes of a motion: what does not change in time."""
+
+    structure: Structure
+    width: Float[Array, " cells"]
+    """[m]"""
+
+    @property
+    def mass(self) -> float:
+        """[kg]"""
+        return float(jnp.sum(self.structure.linear_density * self.structure.ds))
+
+    @property
+    def perimeter(self) -> Float[Array, " cells"]:
+        """Of the elliptic sections [m] (Ramanujan)."""
+        a, b = 0.5 * self.width, 0.5 * self.structure.height
+        return math.pi * (3.0 * (a + b) - jnp.sqrt((3.0 * a + b) * (a + 3.0 * b)))
+
+
+def body(shape: Shape, s: np.ndarray) -> Body:
+    """The shape on nodes `s` [m] from the tail."""
+    ends, middle, ds = 1.0 - s / s[-1], 1.0 - 0.5 * (s[1:] + s[:-1]) / s[-1], np.diff(s)
+    width, depth = shape.at(middle, s[-1])
+    _, at_nodes = shape.at(ends, s[-1])
+    # m_A goes with the depth squared: this slope makes its fluxes telescope exactly.
+    slope = np.diff(at_nodes**2) / (2.0 * depth * ds)
+    one = np.ones_like(middle)
+    structure = Structure(
+        linear_density=shape.density * math.pi / 4.0 * width * depth,
+        EI=one,
+        EA=one,
+        damping_time=0.0 * one,
+        height=jnp.asarray(depth),
+        height_s=jnp.asarray(slope),
+        s=0.5 * (s[1:] + s[:-1]),
+        ds=jnp.asarray(ds),
+        in_tail=0.0 * one,
+        joint=0.0 * one,
+    )
+    return jax.tree.map(jnp.asarray, Body(structure, jnp.asarray(width)))
+
+
+class Prescribed(eqx.Module):
+    """A motion as effects see it: sections with a first axis of times."""
+
+    body: Body
+    x: Section
+
+
+def prescribe(motion: Motion, shape: Shape) -> Prescribed:
+    """The sections of every instant of a motion, in water at rest."""
+    return _prescribe(jax.tree.map(jnp.asarray, motion), body(shape, motion.s))
+
+
+@jax.jit
+def _prescribe(motion: Motion, laid: Body) -> Prescribed:
+    V_tau, V_n = to_body(jnp.moveaxis(motion.V, 2, 0), motion.phi)
+    A_tau, A_n = to_body(jnp.moveaxis(motion.A, 2, 0), motion.phi)
+    # The components' own rates: the frame turns by omega.
+    rates = (A_tau + motion.omega * V_n, A_n - motion.omega * V_tau, motion.omega)
+    at = jax.vmap(_section, (None, 0, 0, 0))
+    values = jnp.stack([V_tau, V_n, motion.phi], axis=1)
+    return Prescribed(laid, at(laid.structure, motion.t, values, jnp.stack(rates, axis=1)))
+
+
+def _section(structure: Structure, t, y, y_t) -> Section:
+    """One instant; `y` (3, nodes) is V_tau, V_n, phi and `y_t` its rate."""
+    mid, mid_t = (0.5 * (v[:, 1:] + v[:, :-1]) for v in (y, y_t))
+    slope, slope_t = ((v[:, 1:] - v[:, :-1]) / structure.ds for v in (y, y_t))
+    dt = jnp.ones_like(t)
+    before = mid - dt * mid_t
+    reference = Reference(
+        V_tau=before[0],
+        V_n=before[1],
+        phi=before[2],
+        kappa=slope[2] - dt * slope_t[2],
+        strain=jnp.zeros_like(mid[0]),
+        internal=(),
+        dt=dt,
+    )
+    no_load = jnp.zeros((3, *mid[0].shape))
+    still, empty = jnp.zeros((2, 2)), jnp.zeros_like(mid[0])
+    at, sloping = Fields(*no_load, *mid), Fields(*no_load, *slope)
+    return section(at, sloping, structure, reference, still, empty, t)
+
+
+@jax.jit
+def force(effect: ForceDensity, p: Prescribed) -> Float[Array, "times 2"]:
+    """Force (x, y) [N] of one effect on the whole body at every instant."""
+    F_tau, F_n = jax.vmap(effect.force)(p.x)
+    per_length = jnp.stack(to_plane(F_tau, F_n, p.x.phi), axis=-1)
+    return jnp.sum(per_length * p.body.structure.ds[:, None], axis=1)
+
+
+@jax.jit
+def momentum(p: Prescribed) -> Float[Array, "times 2"]:
+    """Momentum (x, y) [N s] of the body itself."""
+    return _mass_weighted(p, p.x.V_tau, p.x.V_n)
+
+
+@jax.jit
+def inertia(p: Prescribed) -> Float[Array, "times 2"]:
+    """d(momentum)/dt (x, y) [N]."""
+    x = p.x
+    return _mass_weighted(p, x.V_tau_t - x.omega * x.V_n, x.V_n_t + x.omega * x.V_tau)
+
+
+def _mass_weighted(p: Prescribed, tau, n) -> Float[Array, "times 2"]:
+    vector = jnp.stack(to_plane(tau, n, p.x.phi), axis=-1)
+    weight = p.body.structure.linear_density * p.body.structure.ds
+    return jnp.sum(vector * weight[:, None], axis=1)

@@ -1,0 +1,298 @@
+"""The weighed animal as report.json, in sentences, and as report.html."""
+
+from typing import Any
+
+import numpy as np
+
+from calibration.lamprey.axial_balance import (
+    ASPECT_RANGE,
+    BASE,
+    C_D_RANGE,
+    CANDIDATES,
+    COARSER,
+    EFFECTS,
+    LENGTH_ERROR,
+    M_A_RANGE,
+    TAIL_RANGE,
+    interval,
+)
+from calibration.lamprey.balance import (
+    FULL_OVER_GIVEN,
+    WIDTH_COLUMN,
+    Weighed,
+    decide,
+    errors,
+    frontal_coefficient,
+    skin,
+    small_amplitude_thrust,
+    within_stride,
+)
+from calibration.lamprey.figures import body_figure, imbalance_figure, strides_figure
+from calibration.reporting.html import document, paragraph, picture, table
+from slider_jax.io.provenance import versions
+
+NEXT = (
+    "A gliding animal (straight, no stroke) sees friction and form drag alone; two speeds of it "
+    "separate them. The thinning of the boundary layer then is what swimming adds."
+)
+
+
+def told(value: float, low: float, high: float, unit: str) -> dict[str, Any]:
+    """A number with its interval, as reports say it."""
+    return {"value": value, "low": low, "high": high, "unit": unit}
+
+
+def report(x: Weighed, seconds: float, sources: list[dict[str, Any]]) -> dict[str, Any]:
+    """The content of report.json; `sources` names the inputs."""
+    verdict, able = decide(x)
+    closer = CANDIDATES[0]
+    draws = x.draws.imbalance
+    g = x.gait
+    mean = {n: float(x.ledger.unit[n].mean()) for n in EFFECTS}
+    return {
+        "verdict": verdict,
+        "said": sentence(x),
+        "imbalance": {
+            "paper_coefficients": told(
+                float(x.imbalance.mean()), *x.by_source["strides"], "N"
+            ),
+            "all_ranges": told(float(np.median(draws)), *interval(draws), "N"),
+            "intervals_by_source": {n: list(v) for n, v in x.by_source.items()},
+            "other_smoothing": {n: value for n, (_, value) in x.smoothed.items()},
+            "by_stride": x.imbalance,
+        },
+        "forces": {
+            "reactive_force": x.m_a * mean[BASE[0]],
+            "normal_drag": x.C_d * mean[BASE[1]],
+            "momentum_gained": float(x.ledger.gain.mean()),
+            "reactive_force_at_m_a_1": mean[BASE[0]],
+            "lighthill_small_amplitude": small_amplitude_thrust(x),
+            "unit": "N",
+        },
+        "effects": effects(x, able),
+        "candidates": candidates(x),
+        "parameters": {"C_d": x.C_d, "m_a": x.m_a},
+        "errors": {"mean_axial_force_of_a_stride": errors(x, closer) | {"closed_by": closer}},
+        "skin": skin(x),
+        "head": told(*frontal_coefficient(x), "-"),
+        "within_stride": within_stride(x),
+        "gait": {
+            "speed_m_per_s": g.speed, "frequency_Hz": g.frequency, "strides": x.strides.number,
+            "tail_amplitude_m": g.tail_amplitude, "wavelength_m": g.wavelength,
+            "wave_speed_m_per_s": g.wave_speed, "travelling_index": g.travelling_index,
+            "strouhal": g.strouhal, "reynolds": g.reynolds, "length_m": x.motion.length,
+            "mass_kg": x.held.body.mass,
+        },
+        "settings": settings(x),
+        "audit": audit(x),
+        "next_experiment": NEXT if verdict == "class" else None,
+        "seconds": seconds,
+        "input": sources,
+        "versions": versions(),
+    }  # fmt: skip
+
+
+def effects(x: Weighed, able: list[str]) -> list[dict[str, Any]]:
+    """The effect that is named first, and those it cannot be told from."""
+    if not able:
+        return []
+    first, *others = able
+    return [
+        {
+            "name": first,
+            "title": EFFECTS[first].title,
+            "class": others,
+            "parameters": {_parameter(first): _closing(x, first)},
+            "where": "mean axial force over whole strides",
+        }
+    ]
+
+
+def _parameter(name: str) -> str:
+    (parameter,) = EFFECTS[name].priors()
+    return parameter
+
+
+def _closing(x: Weighed, name: str) -> dict[str, Any]:
+    (prior,) = EFFECTS[name].priors().values()
+    values = x.draws.closing(name)
+    return told(float(np.median(values)), *interval(values), prior.unit)
+
+
+def candidates(x: Weighed) -> list[dict[str, Any]]:
+    """What every effect alone would need to close the balance."""
+    share = x.possible
+    rows = []
+    for name in sorted(EFFECTS, key=lambda n: -share[n]):
+        (prior,) = EFFECTS[name].priors().values()
+        needs = {"parameter": _parameter(name), "needs": _closing(x, name)}
+        rows.append(
+            {"name": name, "title": EFFECTS[name].title, "possible": share[name]}
+            | needs
+            | {"prior": [prior.low, prior.high]}
+        )
+    return rows
+
+
+def settings(x: Weighed) -> dict[str, Any]:
+    """What was chosen and assumed."""
+    return {
+        "smoothing": {"wavelength_L": x.smoothing.wavelength, "cutoff_Hz": x.smoothing.cutoff},
+        "width": f"{WIDTH_COLUMN} times {FULL_OVER_GIVEN:g}: taken for a half width",
+        "aspect": x.shape.aspect,
+        "tail_depth_L": x.shape.tail_depth,
+        "density_kg_per_m3": x.shape.density,
+        "ranges": {
+            "aspect": ASPECT_RANGE, "tail_depth_L": TAIL_RANGE, "C_d": C_D_RANGE,
+            "m_a": M_A_RANGE, "length_relative_sd": LENGTH_ERROR, "smoothing_factors": COARSER,
+        },
+        "draws": len(x.draws.C_d),
+    }  # fmt: skip
+
+
+def audit(x: Weighed) -> list[str]:
+    """What the midlines themselves say of their quality."""
+    lengths, w = 1e3 * x.midlines.lengths, within_stride(x)
+    return [
+        f"{x.midlines.left_out} frames at the ends are blank and left out.",
+        f"The traced length runs from {lengths.min():.0f} to {lengths.max():.0f} mm: where the "
+        "tail was seen to end. Distances are taken from the head, and the length is kept.",
+        f"The smoothed body is {1e3 * w['misfit_of_midlines_m']:.2f} mm rms off the points.",
+    ]
+
+
+def sentence(x: Weighed) -> str:
+    """The verdict in a sentence or three."""
+    verdict, able = decide(x)
+    low, high = (1e3 * v for v in interval(x.draws.imbalance))
+    first = 1e3 * x.imbalance.mean()
+    said = (
+        f"With the paper's coefficients (C_d {x.C_d:g}, m_a {x.m_a:g}) the model pushes this "
+        f"animal forward by {first:.2f} mN more than its momentum gains"
+        f"; with all that one animal leaves open, {low:.2f} to {high:.2f} mN (95 %)."
+    )
+    if verdict == "nothing_missing":
+        return said + " That holds zero: nothing is missing at this precision."
+    if verdict == "unexplained":
+        return said + " None of the candidates closes it with a value that is believed."
+    name, needs = able[0], _closing(x, able[0])
+    closes = (
+        f" {EFFECTS[name].title} ({name}) closes it with {_parameter(name)} = "
+        f"{needs['value']:.3g} ({needs['low']:.2g} to {needs['high']:.2g})"
+    )
+    if verdict == "identified":
+        return said + closes + "."
+    return said + closes + f"; one mean force cannot tell it from {', '.join(able[1:])}."
+
+
+def short_table(x: Weighed) -> str:
+    """The balance in lines, for the terminal."""
+    mean = {n: 1e3 * x.ledger.unit[n].mean() for n in BASE}
+    low, high = (1e3 * v for v in interval(x.draws.imbalance))
+    rows = [
+        ("reactive force", x.m_a * mean[BASE[0]]),
+        ("normal drag", x.C_d * mean[BASE[1]]),
+        ("momentum gained", 1e3 * x.ledger.gain.mean()),
+        ("imbalance", 1e3 * x.imbalance.mean()),
+    ]
+    lines = [f"{name:<24}{value:8.2f} mN" for name, value in rows]
+    lines.append(f"{'all ranges, 95 %':<24}{low:8.2f} to {high:.2f} mN")
+    for row in candidates(x):
+        n = row["needs"]
+        lines.append(
+            f"{row['name']:<24}{row['parameter']} = {n['value']:.3g} ({n['low']:.2g} to "
+            f"{n['high']:.2g} {n['unit']}); believable in {row['possible']:.0%}"
+        )
+    return "\n".join(lines)
+
+
+def page(x: Weighed, content: dict[str, Any]) -> str:
+    """report.html."""
+    g, s, w = x.gait, content["skin"], content["within_stride"]
+    over, rms = s["over_laminar"], content["errors"]["mean_axial_force_of_a_stride"]
+    head = content["head"]
+    return document(
+        "A swimming lamprey, weighed by the model",
+        [
+            paragraph(content["said"], "verdict"),
+            paragraph(
+                f"{x.strides.number} strides at {g.frequency:.2f} Hz, {g.speed:.3f} m/s, "
+                f"{1e3 * x.motion.length:.0f} mm long, {1e3 * x.held.body.mass:.1f} g by shape; "
+                f"tail amplitude {1e3 * g.tail_amplitude:.1f} mm, wave {1e3 * g.wavelength:.0f} mm "
+                f"at {g.wave_speed:.2f} m/s, Strouhal number {g.strouhal:.2f}, Reynolds number "
+                f"{g.reynolds:.0f}."
+            ),
+            picture(body_figure(x), "midlines of one stride, and depth along the body"),
+            "<h2>Forces of every stride</h2>",
+            picture(strides_figure(x), "mean axial forces of every stride"),
+            paragraph(
+                f"Before, strides are off balance by {1e3 * rms['before']:.2f} mN rms; with the "
+                f"coefficient of {rms['closed_by']} from the other strides {1e3 * rms['after']:.2f}"
+                f" mN, and reading the midlines again changes them by {1e3 * rms['floor']:.2f} mN. "
+                "What is left above that is how much strides differ, as the animal speeds up and "
+                "slows down."
+            ),
+            "<h2>What one animal leaves open</h2>",
+            picture(imbalance_figure(x), "imbalance and its intervals by source"),
+            "<h2>What would close it</h2>",
+            _candidates(content["candidates"]),
+            paragraph(
+                f"As friction on the skin this is C_f = {s['C_f']['value']:.4f} "
+                f"({s['C_f']['low']:.4f} to {s['C_f']['high']:.4f}) on the wetted area; a flat "
+                f"plate has {s['plate_laminar']:.4f} laminar and {s['plate_turbulent']:.4f} "
+                f"turbulent at this Reynolds number. That is {over['value']:.1f} "
+                f"({over['low']:.1f} to {over['high']:.1f}) times the laminar plate; Lighthill and "
+                "Bone expected 3 to 5 from thinning of the boundary layer by the stroke."
+            ),
+            paragraph(
+                f"As form drag of the head alone it is a coefficient of {head['value']:.2f} "
+                f"({head['low']:.2f} to {head['high']:.2f}) on the largest section; rounded noses "
+                "have 0.1 to 0.2."
+            ),
+            "<h2>Within the stride</h2>",
+            paragraph(
+                "The candidates differ in when they act, too. But they would move the "
+                f"centre of mass alike to {1e6 * w['motion_between_candidates_m']:.0f} micrometres "
+                "at twice the stride's frequency. Reading the midlines again moves it by "
+                f"{1e6 * w['spread_of_motion_over_readings_m']:.0f}, the smoothed body is "
+                f"{1e6 * w['misfit_of_midlines_m']:.0f} off the points, and the motion that is "
+                f"seen, {1e6 * w['measured_motion_m']:.0f}, is not the model's "
+                f"{1e6 * w['model_motion_m']:.0f} either way. These data cannot separate them by "
+                "phase."
+            ),
+            "<h2>Data and assumptions</h2>",
+            *(paragraph(line) for line in content["audit"]),
+            _assumptions(x),
+        ],
+    )
+
+
+def _candidates(rows: list[dict[str, Any]]) -> str:
+    return table(
+        ["effect alone", "parameter", "needs", "95 %", "unit", "believable in"],
+        [
+            [
+                row["name"], row["parameter"], f"{row['needs']['value']:.3g}",
+                f"{row['needs']['low']:.2g} to {row['needs']['high']:.2g}", row["needs"]["unit"],
+                f"{row['possible']:.0%} of draws",
+            ]
+            for row in rows
+        ],
+    )  # fmt: skip
+
+
+def _assumptions(x: Weighed) -> str:
+    along, in_time, (fine, coarse) = x.smoothing.wavelength, x.smoothing.cutoff, COARSER
+    ranges: list[tuple[str, float, tuple[float, float]]] = [
+        ("depth over width", x.shape.aspect, ASPECT_RANGE),
+        ("depth at the tail's end (lengths)", x.shape.tail_depth, TAIL_RANGE),
+        ("C_d", x.C_d, C_D_RANGE),
+        ("m_a", x.m_a, M_A_RANGE),
+        ("smoothing along the body (lengths)", along, (along * fine, along * coarse)),
+        ("smoothing in time (Hz)", in_time, (in_time / coarse, in_time / fine)),
+    ]
+    rows = [
+        [name, f"{value:.3g}", f"{low:.3g} to {high:.3g}"] for name, value, (low, high) in ranges
+    ]
+    rows.append(["width", f"{FULL_OVER_GIVEN:g} x {WIDTH_COLUMN}", "taken for a half width"])
+    return table(["assumed", "value", "range of the draws"], rows)

@@ -1,0 +1,169 @@
+"""Tank experiments with a known answer: simulated, then measured by imperfect sensors.
+
+The robot is simulated on another grid and with another step than those of
+`calibration.model.predict`, so
+that an answer is never found by repeating the same arithmetic.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from slider_jax.experiment.load import assemble
+from slider_jax.io.files import write_csv, write_text
+from slider_jax.simulation.trial import simulate
+
+NUMERICS = {"nodes": 81, "step": 1e-3, "scheme": "sdirk2", "tolerance": 1e-9}
+"""Of the simulated tank."""
+ROBOT = {
+    "body_length": 0.3, "tail_length": 0.07, "linear_density": 0.7, "EI_body": 0.038,
+    "EI_tail": 0.0058, "damping_time": 0.002, "height": 0.03,
+    "front_chamber": [0.02, 0.145], "rear_chamber": [0.155, 0.28],
+}  # fmt: skip
+START = {"C_d": 3.5, "m_a": 0.7, "k": 0.087, "K_Q": 4.79e-7}
+CAMERA_EVERY = 5
+
+
+class Sensors(NamedTuple):
+    """What the sensors add: standard deviations in SI units, and shares."""
+
+    pressure_noise: float = 700.0
+    force_noise: float = 0.02
+    force_tare: float = 0.01
+    force_slow_noise: float = 0.01
+    force_slow_time: float = 0.1
+    tip_noise: float = 5e-4
+    sample_rate: float = 500.0
+    gain_drift: float = 0.01
+    """Share by which a force channel's gain differs from trial to trial; not declared."""
+
+    def declared(self) -> dict[str, float]:
+        """What an experiment file says of them."""
+        return {k: v for k, v in self._asdict().items() if k != "gain_drift"}
+
+
+class Truth(NamedTuple):
+    """What is put in."""
+
+    parameters: Mapping[str, float]
+    effects: Mapping[str, Mapping[str, float]]
+    """Parameters of every effect, by its name."""
+
+
+def base_parameters(rng: np.random.Generator) -> dict[str, float]:
+    """C_d, m_a, k and K_Q, drawn."""
+    return {
+        "C_d": float(rng.uniform(2.4, 4.2)), "m_a": float(rng.uniform(0.45, 0.95)),
+        "k": float(rng.uniform(0.06, 0.11)), "K_Q": float(rng.uniform(4.2e-7, 5.2e-7)),
+    }  # fmt: skip
+
+
+def trials(seed: int, count: int = 8, seconds: float = 1.0) -> list[dict[str, Any]]:
+    """Square waves of 0.6 to 6 Hz, drawn in amplitude, phase and tow speed.
+
+    `seconds` scales their durations, which are 5 s at 0.6 Hz and 2 s from 3 Hz on.
+    """
+    rng = np.random.default_rng(seed)
+    found = []
+    for i, f in enumerate(np.geomspace(0.6, 6.0, count)):
+        found.append(
+            {
+                "file": f"trial_{i:02d}.csv",
+                "frequency": round(float(f), 2),
+                "amplitude": float(rng.choice([150e3, 250e3, 330e3])),
+                "rear_ratio": 0.9,
+                "phase": float(rng.choice([-0.1, 0.0, 0.15, 0.3])),
+                "tow_speed": float(rng.choice([0.0, 0.22])),
+                "duration": round(seconds * max(2.0, 3.0 / float(f)), 3),
+            }
+        )
+    return found
+
+
+def write_tank(
+    folder: Path,
+    truth: Truth,
+    runs: Sequence[Mapping[str, Any]],
+    seed: int,
+    sensors: Sensors = Sensors(),
+    numerics: Mapping[str, Any] = NUMERICS,
+) -> Path:
+    """Simulate, measure and write an experiment; returns the path of its experiment.toml.
+
+    The file says nothing of the effects, and starts from `START`.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    told = {
+        "name": folder.name, "robot": ROBOT, "parameters": START, "sensors": sensors.declared(),
+    }  # fmt: skip
+    inside = told | {
+        "parameters": dict(truth.parameters),
+        "effects": [{"name": name, **values} for name, values in truth.effects.items()],
+        "numerics": dict(numerics),
+        "trials": [dict(run) for run in runs],
+    }
+    experiment = assemble(inside, folder.name, folder)
+    rng = np.random.default_rng(seed)
+    for trial in experiment.trials:
+        columns = measured(simulate(experiment, trial).columns, sensors, rng)
+        write_csv(folder / trial.file, columns, {"t_s": ".4f", "p_front_Pa": ".0f"})
+    write_text(folder / "experiment.toml", _toml(told | {"trials": list(runs)}))
+    return folder / "experiment.toml"
+
+
+def measured(
+    true: Mapping[str, np.ndarray], sensors: Sensors, rng: np.random.Generator
+) -> dict[str, np.ndarray]:
+    """What the sensors record of one trial."""
+    t = true["t_s"]
+    n = len(t)
+    columns = {"t_s": t}
+    for name in ("p_front_Pa", "p_rear_Pa"):
+        columns[name] = true[name] + sensors.pressure_noise * rng.normal(size=n)
+    for name in ("thrust_N", "recoil_N"):
+        gain = 1.0 + sensors.gain_drift * rng.normal()
+        columns[name] = (
+            gain * true[name]
+            + sensors.force_tare * rng.normal()
+            + sensors.force_slow_noise * slow_noise(t, sensors.force_slow_time, rng)
+            + sensors.force_noise * rng.normal(size=n)
+        )
+    tip = true["tip_m"] + sensors.tip_noise * rng.normal(size=n)
+    columns["tip_m"] = np.where(np.arange(n) % CAMERA_EVERY == 0, tip, np.nan)
+    return columns
+
+
+def slow_noise(t: np.ndarray, time: float, rng: np.random.Generator) -> np.ndarray:
+    """Noise of unit variance correlated over `time` [s]: an Ornstein-Uhlenbeck process."""
+    keep = np.exp(-np.diff(t, prepend=t[0]) / time)
+    fresh = rng.normal(size=len(t))
+    values = np.empty(len(t))
+    values[0] = fresh[0]
+    for i in range(1, len(t)):
+        values[i] = keep[i] * values[i - 1] + np.sqrt(1.0 - keep[i] ** 2) * fresh[i]
+    return values
+
+
+def _toml(content: Mapping[str, Any]) -> str:
+    """Plain values, tables of them, and lists of tables, as TOML."""
+
+    def value(x: Any) -> str:
+        if isinstance(x, str):
+            return f'"{x}"'
+        if isinstance(x, (list, tuple)):
+            return "[" + ", ".join(map(value, x)) + "]"
+        return repr(x)
+
+    def lines(table: Mapping[str, Any]) -> list[str]:
+        return [f"{key} = {value(x)}" for key, x in table.items()]
+
+    out = lines({k: v for k, v in content.items() if not isinstance(v, (dict, list))})
+    for key, x in content.items():
+        if isinstance(x, dict):
+            out += ["", f"[{key}]", *lines(x)]
+        elif isinstance(x, list):
+            for table in x:
+                out += ["", f"[[{key}]]", *lines(table)]
+    return "\n".join(out) + "\n"

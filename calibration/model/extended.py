@@ -1,0 +1,106 @@
+"""The extended model: every effect of the library present at its null, its parameters one vector.
+
+One compiled program then serves every candidate, alone or together: a refit with another set of
+effects moves other entries of the same vector, and a tangent is one JVP along an entry.
+"""
+
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float
+
+from slider_jax.actuation import FirstOrderLag
+from slider_jax.dynamics.model import Model
+from slider_jax.effects import Effect, NormalDrag, Prior, ReactiveForce
+from slider_jax.effects.library import LIBRARY
+from slider_jax.experiment.load import Experiment, drag_and_added_mass
+
+BASE = {
+    "C_d": Prior(np.nan, 0.0, 12.0, "-", "2 for a plate in steady flow, more at small strokes"),
+    "m_a": Prior(np.nan, 0.0, 2.0, "-", "1 for a thin plate in potential flow"),
+    "k": Prior(np.nan, 0.005, 0.5, "s", "valves and hoses of such rigs"),
+    "K_Q": Prior(np.nan, 1e-8, 1e-5, "m^3", "area times lever arm of a chamber of this size"),
+}
+"""Parameters of the base model that are identified, with the range that is searched."""
+
+NOT_CANDIDATES = ("gravity", "head_added_mass")
+"""Effects that a horizontal tank with a clamped head cannot have."""
+
+
+class Parameter(NamedTuple):
+    """An entry of the vector: `effect` is "" for the base model's own."""
+
+    effect: str
+    name: str
+    prior: Prior
+
+    @property
+    def label(self) -> str:
+        return f"{self.effect}.{self.name}" if self.effect else self.name
+
+
+def parameters(effects: Sequence[str]) -> list[Parameter]:
+    """The vector's entries: the base model's, then those of `effects`, in order."""
+    base = [Parameter("", name, prior) for name, prior in BASE.items()]
+    return base + [
+        Parameter(effect, name, prior)
+        for effect in effects
+        for name, prior in LIBRARY[effect].priors().items()
+    ]
+
+
+def candidates() -> list[str]:
+    """Names of the effects that a residual may be traced to."""
+    return [name for name in LIBRARY if name not in NOT_CANDIDATES]
+
+
+class Extended(eqx.Module):
+    """A trial's base model and the effects that may be added to it."""
+
+    base: Model
+    conditions: dict[str, Array]
+    """What effects take from the trial, by the names of their fields."""
+    effects: tuple[str, ...] = eqx.field(static=True)
+
+    def at(self, theta: Float[Array, " parameters"]) -> Model:
+        """The model with its parameters from the vector `theta`, in SI units."""
+        values = dict(
+            zip(((p.effect, p.name) for p in parameters(self.effects)), theta, strict=True)
+        )
+        drag, reactive, *rest = self.base.effects
+        assert isinstance(drag, NormalDrag) and isinstance(reactive, ReactiveForce)
+        law = self.base.pressure_law
+        if isinstance(law, FirstOrderLag):
+            law = FirstOrderLag(values["", "k"])
+        return replace(
+            self.base,
+            robot=replace(self.base.robot, K_Q=values["", "K_Q"]),
+            pressure_law=law,
+            effects=(
+                replace(drag, C_d=values["", "C_d"]),
+                replace(reactive, m_a=values["", "m_a"]),
+                *rest,
+                *(self._effect(name, values) for name in self.effects),
+            ),
+        )
+
+    def _effect(self, name: str, values) -> Effect:
+        kind = LIBRARY[name]
+        given = {p: values[name, p] for p in kind.priors()}
+        known = {f.name for f in fields(kind)}
+        return kind(**{n: x for n, x in self.conditions.items() if n in known} | given)
+
+
+def start(entries: Sequence[Parameter], base: dict[str, float]) -> np.ndarray:
+    """The vector with the base model's `base` values and every effect at its null."""
+    return np.array([p.prior.null if p.effect else base[p.name] for p in entries])
+
+
+def base_values(experiment: Experiment) -> dict[str, float]:
+    """The base parameters of an experiment; C_d and m_a that differ by trial as their mean."""
+    C_d, m_a = np.mean([drag_and_added_mass(experiment, t) for t in experiment.trials], axis=0)
+    fixed = {"C_d": float(C_d), "m_a": float(m_a)}
+    return {n: fixed[n] if n in fixed else getattr(experiment.parameters, n) for n in BASE}

@@ -1,0 +1,290 @@
+"""What the sensors of a trial would read for a parameter vector, and the tangents of it."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from calibration.model.extended import Extended
+from slider_jax import observables as obs
+from slider_jax.batch.chunks import available_cores
+from slider_jax.beam.grid import split_cells
+from slider_jax.beam.parameters import Numerics
+from slider_jax.dynamics.pressures import chamber_history, start_chambers
+from slider_jax.dynamics.rollout import TimeGrid, rollout
+from slider_jax.dynamics.step import Carry, Snapshot, at_rest
+from slider_jax.dynamics.time_schemes import SCHEMES, SDIRK2, Scheme
+from slider_jax.effects import Readings
+from slider_jax.experiment.load import (
+    Experiment,
+    conditions,
+    sample_times,
+    to_model,
+    to_numerics,
+)
+from slider_jax.experiment.playback import LONGEST_STEP, played
+from slider_jax.experiment.schema import Trial
+from slider_jax.simulation.sampling import edge_steps, half_period_steps, nearest_steps, sample
+from slider_jax.simulation.sensors import recorded
+
+CHANNELS = ("p_front", "p_rear", "thrust", "recoil", "tip")
+"""The sensors' channels, in this order in every array; Pa, Pa, N, N, m."""
+BLOCK = 500
+"""Steps and samples a call of a compiled program: trials of all lengths share programs."""
+DIRECTIONS = 8
+"""Tangents a call of the compiled program."""
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """Mesh, step and scheme: `nodes`, at least `per_stride` steps a stride, none over `step` [s].
+
+    An experiment's own [numerics] do not matter here, where errors are compared with noise.
+    """
+
+    nodes: int
+    per_stride: int
+    step: float
+    scheme: str = SDIRK2.name
+
+
+FINE = Resolution(101, 200, 2.0e-3)
+"""For residuals. What 51 nodes leave looks like a tail softer by 2.5 %, and was found as that."""
+COARSE = Resolution(31, 80, 4.0e-3)
+"""For tangents, which need a tenth of the digits."""
+
+
+@dataclass(frozen=True)
+class TrialPlan:
+    """One trial of the extended model on its time grid."""
+
+    trial: Trial
+    extended: Extended
+    numerics: Numerics
+    scheme: Scheme
+    h: float
+    steps: int
+    edges: np.ndarray
+    at: np.ndarray
+    """Sample times (n,) [s]."""
+
+    @property
+    def step_times(self) -> np.ndarray:
+        return self.h * np.arange(self.steps + 1)
+
+
+def plan(
+    experiment: Experiment,
+    trial: Trial,
+    effects: tuple[str, ...],
+    resolution: Resolution,
+    at: np.ndarray | None = None,
+) -> TrialPlan:
+    """Lay a trial out in time and space, sampled at `at` (n,) [s], by default as its file is.
+
+    Raises `InputError` for a trial that cannot be used.
+    """
+    model, was = to_model(experiment, trial), played(experiment, trial)
+    if was is not None:
+        model = replace(model, drive=was.drive)
+    if at is None:
+        at = sample_times(experiment, trial)
+    robot = experiment.robot
+    cells = split_cells(resolution.nodes, robot.tail_length, robot.body_length)
+    numerics = replace(to_numerics(experiment)[0], tail_cells=cells[0], body_cells=cells[1])
+    if trial.frequency is None:
+        h, edges = _even(at, resolution.step), None
+    else:
+        longest = min(resolution.step, 1.0 / (trial.frequency * resolution.per_stride))
+        half = half_period_steps(trial.frequency, longest, trial.phase)
+        h, edges = 0.5 / (trial.frequency * half), half
+    steps = int(np.ceil(at[-1] / h * (1.0 - 1e-9)))
+    if was is not None and was.edges is not None:
+        ends = nearest_steps(steps, h, was.edges)
+    else:
+        ends = np.array([0, steps]) if edges is None else edge_steps(steps, edges, trial.phase)
+    taken = {name: jnp.asarray(x, float) for name, x in conditions(experiment, trial).items()}
+    extended, scheme = Extended(model, taken, effects), SCHEMES[resolution.scheme]
+    return TrialPlan(trial, extended, numerics, scheme, h, steps, ends, at)
+
+
+def _even(at: np.ndarray, longest: float) -> float:
+    spacing = float(np.median(np.diff(at)))
+    return spacing / np.ceil(spacing / longest * (1.0 - 1e-9))
+
+
+def _save(x: Snapshot):
+    return jnp.stack([*x.chambers.p, obs.thrust(x), obs.recoil(x), obs.tip(x)])
+
+
+def _chunk(extended: Extended, theta, carry: Carry, h, t0, numerics: Numerics, scheme: Scheme):
+    """`BLOCK` more steps: p_front, p_rear, thrust, recoil, tip (BLOCK, 5), and what carries on."""
+    times = TimeGrid(h, BLOCK, t0)
+    out = rollout(extended.at(theta), times, _save, numerics, scheme, begin=carry, checkpoint=False)
+    return out.saved, out.final
+
+
+def _read(extended: Extended, theta, t, series):
+    """thrust, recoil, tip (3, n) that the instruments make of `series` (n, 5)."""
+    columns = (t, *series.T)
+    read = recorded(extended.at(theta).effects, Readings(*columns))
+    return jnp.stack([read.thrust, read.recoil, read.tip])
+
+
+def _pressures(extended: Extended, theta, t):
+    """p_front, p_rear (2, n) at the even sample times `t`, exact between them."""
+    model = extended.at(theta)
+    begin = start_chambers(model)
+    p = jnp.concatenate([begin.p[None], chamber_history(model, begin, t).p]).T
+    zero = jnp.zeros_like(t)
+    columns = (t, *p, zero, zero, zero)
+    read = recorded(model.effects, Readings(*columns))
+    return jnp.stack([read.p_front, read.p_rear])
+
+
+def _along(function, arguments, directions):
+    """Tangents of function(*arguments) along `directions`, each argument's with a leading axis."""
+    dynamic, static = eqx.partition(arguments, eqx.is_inexact_array)
+
+    def value(dynamic):
+        out = function(*eqx.combine(dynamic, static))
+        return eqx.filter(out, eqx.is_inexact_array)
+
+    return jax.vmap(lambda d: jax.jvp(value, (dynamic,), (d,))[1])(directions)
+
+
+@eqx.filter_jit
+def _begin(extended: Extended, theta, numerics: Numerics) -> Carry:
+    return at_rest(extended.at(theta), numerics)
+
+
+_advance = eqx.filter_jit(_chunk)
+_recorded = eqx.filter_jit(_read)
+_chambers = eqx.filter_jit(_pressures)
+
+
+@eqx.filter_jit
+def _begin_along(extended: Extended, theta, directions, numerics: Numerics):
+    return _along(lambda x: at_rest(extended.at(x), numerics), (theta,), (directions,))
+
+
+@eqx.filter_jit
+def _advance_along(extended: Extended, theta, carry, d_theta, d_carry, h, t0, numerics, scheme):
+    def function(theta, carry):
+        return _chunk(extended, theta, carry, h, t0, numerics, scheme)
+
+    return function(theta, carry)[1], _along(function, (theta, carry), (d_theta, d_carry))
+
+
+@eqx.filter_jit
+def _recorded_along(extended: Extended, theta, t, series, d_theta, d_series):
+    return _along(lambda x, s: _read(extended, x, t, s), (theta, series), (d_theta, d_series))
+
+
+@eqx.filter_jit
+def _chambers_along(extended: Extended, theta, t, d_theta):
+    return _along(lambda x: _pressures(extended, x, t), (theta,), (d_theta,))
+
+
+def _sample_grid(at: np.ndarray) -> np.ndarray:
+    """Even times from 0 on that hold the sample times `at`, padded to a whole number of blocks."""
+    spacing = _even(at, LONGEST_STEP)
+    before = np.ceil(at[0] / spacing - 1e-9)
+    n = -(-(round((at[-1] - at[0]) / spacing) + int(before) + 2) // BLOCK) * BLOCK
+    t = at[0] + spacing * (np.arange(n) - before)
+    t[0] = 0.0
+    return t
+
+
+def _sampled(p: TrialPlan, body: np.ndarray, pressures: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Series (..., 3, steps) and (..., 2, n) at the trial's sample times: (..., 5, samples)."""
+    lead = body.shape[:-2]
+    flat = body.reshape(-1, body.shape[-1])[:, : p.steps + 1].T
+    at_samples = sample(p.step_times, flat, p.at, p.edges).T.reshape(*lead, 3, len(p.at))
+    # Not from t[0], which is 0 and may be nearer to t[1] than the others to each other.
+    index = 1 + np.round((p.at - t[1]) / (t[2] - t[1])).astype(int)
+    index = np.clip(index, 0, len(t) - 1)
+    return np.concatenate([pressures[..., index], at_samples], axis=-2)
+
+
+def predict(p: TrialPlan, theta: np.ndarray) -> np.ndarray:
+    """Readings (5, samples) of a trial; NaN from the time on at which a step failed."""
+    series, failed_at = _series(p, jnp.asarray(theta))
+    t = p.h * np.arange(len(series))
+    read = np.array(_recorded(p.extended, jnp.asarray(theta), jnp.asarray(t), series))
+    read[:, t >= failed_at - 0.5 * p.h] = np.nan
+    grid = _sample_grid(p.at)
+    pressures = _chambers(p.extended, jnp.asarray(theta), jnp.asarray(grid))
+    return _sampled(p, read, np.asarray(pressures), grid)
+
+
+def _series(p: TrialPlan, theta) -> tuple[Array, float]:
+    """True series (n, 5) with the start, and when a step failed or inf [s]."""
+    carry = _begin(p.extended, theta, p.numerics)
+    parts = [jnp.concatenate([carry.chambers.p, jnp.zeros(3)])[None]]
+    h = jnp.asarray(p.h)
+    for done in range(0, p.steps, BLOCK):
+        t0 = jnp.asarray(p.h * done)
+        saved, carry = _advance(p.extended, theta, carry, h, t0, p.numerics, p.scheme)
+        parts.append(saved)
+    return jnp.concatenate(parts), float(carry.failed_at)
+
+
+def tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Derivatives (k, 5, samples) of the readings along `directions` (k, parameters)."""
+    k = len(directions)
+    padded = np.zeros((-(-k // DIRECTIONS) * DIRECTIONS, len(theta)))
+    padded[:k] = directions
+    at, grid = jnp.asarray(theta), _sample_grid(p.at)
+    series, _ = _series(p, at)
+    t = jnp.asarray(p.h * np.arange(len(series)))
+    parts = []
+    for first in range(0, len(padded), DIRECTIONS):
+        d = jnp.asarray(padded[first : first + DIRECTIONS])
+        read = _recorded_along(p.extended, at, t, series, d, _series_along(p, at, d))
+        pressures = _chambers_along(p.extended, at, jnp.asarray(grid), d)
+        parts.append(_sampled(p, np.asarray(read), np.asarray(pressures), grid))
+    return np.concatenate(parts)[:k]
+
+
+def perturbed(p: TrialPlan, theta: np.ndarray, d_carry: Carry, begun: np.ndarray) -> np.ndarray:
+    """Derivatives (`DIRECTIONS`, 5, samples) of the readings by the state that a trial begins with.
+
+    `d_carry` are its tangents, with a leading axis; `begun` (`DIRECTIONS`, 5) what they are of the
+    readings at t = 0. Pressures do not start otherwise.
+    """
+    at = jnp.asarray(theta)
+    series, _ = _series(p, at)
+    t, none = jnp.asarray(p.h * np.arange(len(series))), jnp.zeros((DIRECTIONS, len(theta)))
+    d_series = _carried_along(p, at, none, d_carry).at[:, 0].set(begun)
+    read = np.asarray(_recorded_along(p.extended, at, t, series, none, d_series))
+    grid = _sample_grid(p.at)
+    return _sampled(p, read, np.zeros((DIRECTIONS, 2, len(grid))), grid)
+
+
+def _series_along(p: TrialPlan, theta, d_theta) -> Array:
+    """Tangents (directions, n, 5) of `_series`."""
+    return _carried_along(p, theta, d_theta, _begin_along(p.extended, theta, d_theta, p.numerics))
+
+
+def _carried_along(p: TrialPlan, theta, d_theta, d_carry) -> Array:
+    carry = _begin(p.extended, theta, p.numerics)
+    parts = [jnp.pad(d_carry.chambers.p, ((0, 0), (0, 3)))[:, None]]
+    h = jnp.asarray(p.h)
+    for done in range(0, p.steps, BLOCK):
+        t0 = jnp.asarray(p.h * done)
+        carry, (d_saved, d_carry) = _advance_along(
+            p.extended, theta, carry, d_theta, d_carry, h, t0, p.numerics, p.scheme
+        )
+        parts.append(d_saved)
+    return jnp.concatenate(parts, axis=1)
+
+
+def on_all_cores(work, items: list) -> list:
+    """`work(item)` for every item, in order, on as many threads as there are cores."""
+    with ThreadPoolExecutor(max_workers=available_cores()) as pool:
+        return list(pool.map(work, items))

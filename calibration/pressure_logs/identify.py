@@ -1,0 +1,126 @@
+"""Identification of the pressure lag from a set of logs, and what is left when it is done."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.inference.intervals import (
+    Evidence,
+    Interval,
+    interval,
+    pooled_interval,
+    within_interval,
+)
+from calibration.pressure_logs.lag import PLAUSIBLE, Batch, fit_each, fit_pooled, residuals_at
+from calibration.pressure_logs.read import ManifoldLog, psi
+from calibration.pressure_logs.residual_shape import Shape, shape_of, whole_cycles
+from slider_jax.errors import InputError
+
+PAPER_K = 0.087
+"""k [s] of the paper's rig."""
+
+
+def rms(values: np.ndarray) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+@dataclass(frozen=True)
+class LogResult:
+    """One log: its own k, and the residuals [psi], measured minus free run, one a sample."""
+
+    log: ManifoldLog
+    k: Interval
+    converged: bool
+    before: np.ndarray
+    """At the paper's k."""
+    after: np.ndarray
+    """At the log's own k."""
+    pooled: np.ndarray
+    """At the k of all logs."""
+    shape: Shape
+    """Of `after`."""
+
+    @property
+    def fixed(self) -> bool:
+        """Whether this log fixes k, inside the range searched."""
+        return self.converged and self.k.fixed and PLAUSIBLE[0] < self.k.value < PLAUSIBLE[1]
+
+    @property
+    def rms_held(self) -> float:
+        """RMSE [psi] of a pressure that never leaves its first sample: what any model must beat."""
+        measured = psi(self.log.pressure)
+        return rms(measured - measured[0])
+
+
+@dataclass(frozen=True)
+class Identification:
+    """All logs and the k common to them."""
+
+    logs: tuple[LogResult, ...]
+    k: Interval
+    """As a sample of logs like these: holds how far the logs disagree."""
+    within: Interval
+    """Of these logs alone."""
+
+    def pooled_rmse(self, which: str, settled: bool = False) -> float:
+        """Root of the mean over logs of each log's mean square [psi]: every log weighs the same.
+
+        `which` is `before`, `after` or `pooled`; `settled` leaves the first cycle out.
+        """
+        return math.sqrt(np.mean([self._square(x, which, settled) for x in self.logs]))
+
+    def sample_rmse(self, which: str) -> float:
+        """Root of the mean square over all samples of all logs [psi]: long logs weigh more."""
+        return rms(np.concatenate([getattr(x, which) for x in self.logs]))
+
+    @property
+    def floor(self) -> float:
+        """White noise of the sensor [psi], pooled as `pooled_rmse` is."""
+        return rms(np.array([x.shape.floor for x in self.logs]))
+
+    @staticmethod
+    def _square(result: LogResult, which: str, settled: bool) -> float:
+        values = getattr(result, which)
+        return rms(values[whole_cycles(result.log)] if settled else values) ** 2
+
+
+def identify(logs: Sequence[ManifoldLog], reference_k: float = PAPER_K) -> Identification:
+    """Fit the lag to every log and to all; `before` is at `reference_k` [s].
+
+    Raises `InputError` where the logs together do not fix k.
+    """
+    batch = Batch.of(logs)
+    each = fit_each(batch)
+    common = fit_pooled(batch) if len(logs) > 1 else each
+    before = np.asarray(residuals_at(reference_k, batch))
+    counts = [len(log.t) for log in logs]
+    own, shared = _evidence(each, counts), _evidence(common, counts)
+    log_k = float(np.ravel(common.log_k)[0])
+    k, within = pooled_interval(log_k, shared), within_interval(log_k, shared)
+    if not (bool(np.all(common.converged)) and within.fixed):
+        raise InputError(
+            f"{', '.join(log.path.name for log in logs)}: these logs do not fix the lag k "
+            f"(interval {within.low:.3g} to {within.high:.3g} s, allowed within a factor of 10); "
+            "give logs in which command and pressure move, over more cycles or frequencies"
+        )
+    results = [
+        LogResult(
+            log=log,
+            k=interval(float(each.log_k[i]), own[i]),
+            converged=bool(each.converged[i]),
+            before=before[i, :n],
+            after=own[i].residual,
+            pooled=shared[i].residual,
+            shape=shape_of(log, own[i].residual),
+        )
+        for i, (log, n) in enumerate(zip(logs, counts, strict=True))
+    ]
+    return Identification(tuple(results), k, within)
+
+
+def _evidence(fit, counts: Sequence[int]) -> list[Evidence]:
+    residual, tangent, H = (np.asarray(x) for x in (fit.residual, fit.tangent, fit.curvature))
+    return [Evidence(residual[i, :n], tangent[i, :n], float(H[i])) for i, n in enumerate(counts)]

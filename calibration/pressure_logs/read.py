@@ -1,0 +1,247 @@
+"""Pressure-control logs of the SLIDER rig, as its firmware writes them, read and audited.
+
+A log is text: a header of one `name value` pair a line, a line of column names, one row a sample,
+and a last line `done<lines>` that counts the lines before it. Lines end in CR, LF or CRLF. Source
+of the format: the public repository bvanstratum/SoftSnakePressureControl.
+"""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calibration.pressure_logs.rows import COLUMNS, Finding, clean_rows
+from slider_jax.errors import InputError
+from slider_jax.io.toml import read_bytes
+
+PSI_PER_COUNT = 0.13529
+PSI_AT_ZERO = -12.4282
+PA_PER_PSI = 6894.757
+FEWEST_ROWS = 20
+
+_NUMBER = r"([-+]?\d+(?:\.\d*)?)"
+_HEADER = {
+    "frequency": (re.compile(rf"frequency:?\s+{_NUMBER}\s*Hz", re.I), 0.01, 50.0, "Hz"),
+    "start": (re.compile(rf"start time:?\s+{_NUMBER}\s*ms", re.I), 0.0, 1e10, "ms"),
+    "stop": (re.compile(rf"stop time:?\s+{_NUMBER}\s*ms", re.I), 0.0, 1e10, "ms"),
+    "period": (re.compile(rf"sample p(?:r|erio)d:?\s+{_NUMBER}\s*ms", re.I), 0.05, 100.0, "ms"),
+    "cycles": (re.compile(rf"number cy(?:lc|cl)es:?\s+{_NUMBER}", re.I), 0.0, 1e6, ""),
+}
+_NEW_TEST = re.compile(r"-+\s*new test\s*-+", re.I)
+_DONE = re.compile(r"done\s*(\d*)", re.I)
+
+
+def psi(counts):
+    """Gauge pressure [psi] of ADC `counts`."""
+    return PSI_PER_COUNT * counts + PSI_AT_ZERO
+
+
+@dataclass(frozen=True)
+class ManifoldLog:
+    """One test: arrays of shape (samples,) at increasing times, and what was found on reading.
+
+    | field | unit | meaning |
+    |---|---|---|
+    | `frequency` | Hz | of the commanded sine, from the header |
+    | `period` | s | between samples, from the header |
+    | `t` | s | from the first sample kept |
+    | `command`, `pressure` | counts | set and measured pressure |
+    | `fill`, `vent` | 0 to 255 | duty of the two valves |
+    """
+
+    path: Path
+    frequency: float
+    period: float
+    t: np.ndarray
+    command: np.ndarray
+    pressure: np.ndarray
+    fill: np.ndarray
+    vent: np.ndarray
+    findings: tuple[Finding, ...]
+
+    @property
+    def command_Pa(self) -> np.ndarray:
+        """Set gauge pressure [Pa]."""
+        return PA_PER_PSI * psi(self.command)
+
+    @property
+    def pressure_Pa(self) -> np.ndarray:
+        """Measured gauge pressure [Pa]."""
+        return PA_PER_PSI * psi(self.pressure)
+
+    @property
+    def cycles(self) -> float:
+        """How many periods of the command the samples span."""
+        return float(self.t[-1] * self.frequency)
+
+
+def read_log(path: Path | str) -> ManifoldLog:
+    """Read a log. What can be mended is mended and told in `findings`.
+
+    Raises `InputError`, naming file and line, where the rows left could mislead: no or unknown
+    columns, header without frequency or period, more than one test, too few or too many bad rows,
+    a counter that falls, a gap of more than a tenth of a cycle.
+    """
+    path = Path(path)
+    lines = _lines(path)
+    columns_at = _find_columns(path, lines)
+    values, findings = _header(path, lines[:columns_at])
+    body, more = _body(path, lines, columns_at)
+    findings += more
+    period = values["period"] / 1000.0
+    longest_gap = 0.1 / (values["frequency"] * period)
+    rows, more = clean_rows(path, body, longest_gap)
+    findings += more
+    if len(rows) < FEWEST_ROWS:
+        raise InputError(
+            f"{path}: {len(rows)} usable rows; at least {FEWEST_ROWS} are needed; record again"
+        )
+    findings += _check_header(values, rows)
+    number, fill, vent, command, _, pressure = rows.T
+    t = (number - number[0]) * period
+    findings += _check_frequency(values["frequency"], t, command)
+    return ManifoldLog(
+        path, values["frequency"], period, t, command, pressure, fill, vent, tuple(findings)
+    )
+
+
+def _lines(path: Path) -> list[tuple[int, str]]:
+    """Numbered lines that are not blank."""
+    try:
+        text = read_bytes(path).decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = "\0"
+    if "\0" in text:
+        raise InputError(f"{path}: is not text; give a log as the rig's firmware writes it")
+    lines = [(i, s.strip()) for i, s in enumerate(re.split(r"\r\n|\r|\n", text), start=1)]
+    lines = [(i, s) for i, s in lines if s]
+    if not lines:
+        raise InputError(f"{path}: is empty; record the log again")
+    return lines
+
+
+def _find_columns(path: Path, lines: list[tuple[int, str]]) -> int:
+    """Index of the line of column names."""
+    named = [i for i, (_, text) in enumerate(lines) if re.match(r"[A-Za-z]\w*\s*,", text)]
+    if not named:
+        raise InputError(f"{path}: no line of column names; expected {','.join(COLUMNS)}")
+    line, text = lines[named[0]]
+    names = tuple(cell.strip() for cell in text.split(","))
+    if names != COLUMNS:
+        raise InputError(
+            f"{path}: line {line}: columns {','.join(names)}; allowed {','.join(COLUMNS)}; "
+            "convert the file or give one of the rig's logs"
+        )
+    if len(named) > 1:
+        again = lines[named[1]]
+        raise InputError(
+            f"{path}: line {again[0]}: second line of column names, {again[1]!r}; "
+            "a log holds one test: split the file there"
+        )
+    return named[0]
+
+
+def _header(path: Path, lines: list[tuple[int, str]]) -> tuple[dict[str, float], list[Finding]]:
+    values: dict[str, float] = {}
+    findings = []
+    for line, text in lines:
+        for name, (pattern, low, high, unit) in _HEADER.items():
+            match = pattern.fullmatch(text)
+            if not match:
+                continue
+            value = float(match[1])
+            if name in values:
+                raise InputError(
+                    f"{path}: line {line}: {name} given twice; a log holds one test: split the file"
+                )
+            if not low <= value <= high:
+                raise InputError.value(
+                    f"{path}: line {line}: {name}", value, f"{low:g} to {high:g} {unit}".strip()
+                )
+            values[name] = value
+            break
+        else:
+            if text.count(",") == len(COLUMNS) - 1:
+                findings.append(Finding(line, f"stale row before the header, dropped: {text}"))
+            elif not _NEW_TEST.fullmatch(text):
+                findings.append(Finding(line, f"header line not understood, ignored: {text!r}"))
+    for name, example in (("frequency", "0.250000 Hz"), ("period", "2 ms")):
+        if name not in values:
+            label = {"frequency": "frequency:", "period": "Sample Prd"}[name]
+            raise InputError(
+                f"{path}: the header has no {name}; add a line such as '{label}    {example}' "
+                "above the column names"
+            )
+    return values, findings
+
+
+def _body(
+    path: Path, lines: list[tuple[int, str]], columns_at: int
+) -> tuple[list[tuple[int, str]], list[Finding]]:
+    """The lines between the column names and `done`, and whether `done` counts them all."""
+    body = lines[columns_at + 1 :]
+    for index, (line, text) in enumerate(body):
+        if _NEW_TEST.fullmatch(text) or _HEADER["frequency"][0].fullmatch(text):
+            raise InputError(
+                f"{path}: line {line}: a second test begins; a log holds one test: split the file"
+            )
+        done = _DONE.fullmatch(text)
+        if not done:
+            continue
+        findings = []
+        before = columns_at + 1 + index
+        if done[1] and int(done[1]) != before:
+            findings.append(
+                Finding(line, f"'{text}' counts {done[1]} lines, the file has {before} before it")
+            )
+        after = [later for later in body[index + 1 :]]
+        if any(_NEW_TEST.fullmatch(later) for _, later in after):
+            raise InputError(
+                f"{path}: line {after[0][0]}: a second test begins; a log holds one test: "
+                "split the file"
+            )
+        if after:
+            findings.append(Finding(after[0][0], f"{len(after)} lines after 'done', ignored"))
+        return body[:index], findings
+    return body, [Finding(lines[-1][0], "the file ends without 'done': it may be cut short")]
+
+
+def _check_header(values: dict[str, float], rows: np.ndarray) -> list[Finding]:
+    """The header's count of samples and of cycles against the rows."""
+    findings = []
+    last = int(rows[-1, 0])
+    missing = {"start", "stop"} - values.keys()
+    if missing:
+        return [Finding(None, f"the header has no {' and no '.join(sorted(missing))} time")]
+    span = values["stop"] - values["start"]
+    expected = span / values["period"]
+    if abs(expected - last) > 2.0:
+        findings.append(
+            Finding(
+                None, f"start, stop and period promise {expected:g} samples; the last is {last}"
+            )
+        )
+    cycles = span * values["frequency"] / 1000.0
+    if "cycles" in values and abs(cycles - values["cycles"]) > 0.05:
+        findings.append(
+            Finding(
+                None, f"start to stop is {cycles:.2f} cycles; the header says {values['cycles']:g}"
+            )
+        )
+    return findings
+
+
+def _check_frequency(frequency: float, t: np.ndarray, command: np.ndarray) -> list[Finding]:
+    """The header's frequency against the upward crossings of the command's mid level."""
+    level = command - 0.5 * (command.max() + command.min())
+    up = np.flatnonzero((level[:-1] < 0) & (level[1:] >= 0))
+    if len(up) < 2:
+        return [Finding(None, "less than two cycles of command: its frequency is not checked")]
+    crossing = t[up] - level[up] * (t[up + 1] - t[up]) / (level[up + 1] - level[up])
+    found = (len(up) - 1) / (crossing[-1] - crossing[0])
+    if abs(found / frequency - 1.0) > 0.02:
+        return [
+            Finding(None, f"the command runs at {found:.4g} Hz; the header says {frequency:g} Hz")
+        ]
+    return []

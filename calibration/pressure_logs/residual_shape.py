@@ -1,0 +1,126 @@
+"""What the residual of a periodic test looks like: where in the cycle, at which harmonics."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from calibration.inference.intervals import noise_floor
+from calibration.pressure_logs.read import ManifoldLog, psi
+
+HARMONICS = 5
+SMOOTH = 12
+"""Harmonics that stand for everything that repeats each cycle."""
+
+
+class Response(NamedTuple):
+    """Gain and phase lag [rad] at the drive frequency, and the k [s] that a lag needs for each."""
+
+    gain: float
+    lag: float
+    k_of_gain: float
+    k_of_phase: float
+
+
+class Shape(NamedTuple):
+    """A residual, measured minus model, over the whole cycles of a log, in psi where not said.
+
+    Shares are fractions of the residual's mean square; with `mean_share` they sum to 1 up to what
+    is beyond `HARMONICS` or does not repeat.
+    """
+
+    rms: float
+    mean: float
+    mean_share: float
+    harmonic_shares: tuple[float, ...]
+    in_phase: float
+    """Amplitude of the fundamental along the command's."""
+    quadrature: float
+    """Amplitude of the fundamental a quarter cycle behind the command's."""
+    not_repeating_rms: float
+    """What is left after everything that repeats each cycle."""
+    mean_filling: float
+    """Mean residual where the command is above the measured pressure (the fill valve works)."""
+    mean_venting: float
+    filling_time_share: float
+    k_filling: float
+    """Apparent time constant [s], error over rate, while the fill valve works."""
+    k_venting: float
+    measured: Response
+    floor: float
+
+
+def whole_cycles(log: ManifoldLog) -> np.ndarray:
+    """Which samples lie in whole cycles, the first left out if two or more others are there."""
+    cycles = math.floor(log.cycles + 0.02)
+    first = 1 if cycles >= 3 else 0
+    turn = log.t * log.frequency
+    return (turn >= first) & (turn < max(cycles, 1))
+
+
+def harmonics(t: np.ndarray, x: np.ndarray, frequency: float, count: int):
+    """Fourier series of `x` by least squares: mean, c_n of Re(c_n e^{i n w t}), and their sum."""
+    turn = 2.0 * math.pi * frequency * t[:, None] * np.arange(1, count + 1)
+    basis = np.concatenate([np.ones((len(t), 1)), np.cos(turn), np.sin(turn)], axis=1)
+    c, *_ = np.linalg.lstsq(basis, x, rcond=None)
+    return c[0], c[1 : count + 1] - 1j * c[count + 1 :], basis @ c
+
+
+def _response(omega: float, command: complex, pressure: complex) -> Response:
+    ratio = pressure / command
+    gain, lag = abs(ratio), -float(np.angle(ratio))
+    k_gain = math.sqrt(1.0 / gain**2 - 1.0) / omega if 0.0 < gain < 1.0 else math.nan
+    k_phase = math.tan(lag) / omega if 0.0 < lag < 0.5 * math.pi else math.nan
+    return Response(gain, lag, k_gain, k_phase)
+
+
+def apparent_time(
+    t: np.ndarray, command: np.ndarray, pressure: np.ndarray, span: int = 10
+) -> tuple[float, float]:
+    """(filling, venting): the k [s] that best turns error into rate, dp/dt = (command - p)/k.
+
+    The rate is a central difference over 2 `span` samples. NaN where the pressure moves against the
+    error on the whole.
+    """
+    rate = (pressure[2 * span :] - pressure[: -2 * span]) / (t[2 * span :] - t[: -2 * span])
+    error = (command - pressure)[span:-span]
+
+    def k(here):
+        e, work = error[here], float(error[here] @ rate[here])
+        return float(e @ e) / work if work > 0.0 else math.nan
+
+    return k(error > 0.0), k(error < 0.0)
+
+
+def shape_of(log: ManifoldLog, residual: np.ndarray) -> Shape:
+    """The shape of `residual` [psi], one value a sample of `log`."""
+    here = whole_cycles(log)
+    t, r = log.t[here], residual[here]
+    command, pressure = psi(log.command)[here], psi(log.pressure)[here]
+    square = max(float(np.mean(r**2)), 1e-300)
+    mean, c, _ = harmonics(t, r, log.frequency, HARMONICS)
+    _, drive, _ = harmonics(t, command, log.frequency, 1)
+    _, answer, _ = harmonics(t, pressure, log.frequency, 1)
+    _, _, repeats = harmonics(t, r, log.frequency, SMOOTH)
+    along = c[0] * drive[0].conjugate() / max(abs(drive[0]), 1e-300)
+    filling = command > pressure
+    return Shape(
+        rms=math.sqrt(square),
+        mean=float(mean),
+        mean_share=float(mean**2 / square),
+        harmonic_shares=tuple(float(abs(a) ** 2 / 2.0 / square) for a in c),
+        in_phase=float(along.real),
+        quadrature=float(-along.imag),
+        not_repeating_rms=float(np.sqrt(np.mean((r - repeats) ** 2))),
+        mean_filling=_mean(r[filling]),
+        mean_venting=_mean(r[~filling]),
+        filling_time_share=float(np.mean(filling)),
+        k_filling=(apart := apparent_time(t, command, pressure))[0],
+        k_venting=apart[1],
+        measured=_response(2.0 * math.pi * log.frequency, drive[0], answer[0]),
+        floor=noise_floor(psi(log.pressure)),
+    )
+
+
+def _mean(values: np.ndarray) -> float:
+    return float(values.mean()) if values.size else math.nan

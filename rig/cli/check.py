@@ -1,0 +1,87 @@
+"""`slider rig check`: is a rig fit for a trial."""
+
+import sys
+from pathlib import Path
+
+from rig.cli.shared import Port, RigFile
+from slider_jax.cli.options import Value
+from slider_jax.errors import InputError
+
+
+def check(port: Port, rig: RigFile = None, pressure: Value = 50e3, out: Path | None = None) -> int:
+    """Check rate and line, answer times, noise at rest, and how each chamber fills and holds.
+
+    A force sensor that the rig file names is listened to for a second before. Each chamber is set
+    to the pressure by itself for 1.5 s, and all vent at the end. Exit code 1 if something is found.
+
+    Args:
+        port: serial port of the manifold.
+        rig: TOML file of the rig.
+        pressure: set pressure of the test [Pa].
+        out: JSON file for what was found; its folder is made if missing.
+    """
+    from rig.cli.settings import rig_of
+    from rig.cli.shared import force_of, signals_as_ctrl_c
+    from rig.force.sensor import Mounting
+    from rig.manifold.driver import Manifold
+    from rig.manifold.limits import Limits, checked
+    from rig.manifold.serial_port import open_port
+    from rig.protocol.messages import CHANNELS
+    from rig.scheduling import real_time
+    from rig.trial.health_check import Collector, check as check_rig, check_force
+    from slider_jax.io.files import output_folder, write_json
+
+    if not pressure >= 1e3:
+        raise InputError.value("--pressure", f"{pressure:g}", "1000 Pa or more", "not kPa or psi")
+    if out is not None:
+        if out.is_dir():
+            raise InputError(f"--out {out}: is a folder; give a file, as {out / 'check.json'}")
+        output_folder(out.parent)
+    settings = rig_of(rig)
+    limits = Limits.of(settings.manifold.limits)
+    checked((pressure,) * 4, limits)
+    forces = None
+    if settings.force is not None:
+        print("force sensor ...", file=sys.stderr)
+        with signals_as_ctrl_c(), real_time(), force_of(settings.force)[0] as source:
+            mounting = Mounting(settings.force.thrust, settings.force.recoil)
+            forces = check_force(source, mounting)
+    collector = Collector()
+    with (
+        signals_as_ctrl_c(),
+        real_time(),
+        Manifold(open_port(port), on_reading=collector) as manifold,
+    ):
+        manifold.configure(limits)
+        ident = manifold.ident
+        found = check_rig(
+            manifold, collector, pressure, lambda text: print(f"{text} ...", file=sys.stderr)
+        )
+    assert ident is not None
+    trip = 1e3 * found.round_trip
+    print(f"firmware {ident.major}.{ident.minor}.{ident.patch}, protocol {ident.protocol}")
+    print(f"{found.rate:.0f} readings a second, {found.lost} lost, {found.damaged} frames damaged")
+    if len(trip):
+        middle = sorted(trip)[len(trip) // 2]
+        print(f"a command is told of after {middle:.1f} ms, {trip.max():.1f} at most")
+    for name, offset, noise in zip(CHANNELS, found.offset, found.noise, strict=True):
+        print(f"{name:<20} at rest {offset:10.1f}, noise {noise:8.2f}")
+    for x in found.held:
+        print(
+            f"{x.name:<12} {1e-3 * x.reached:7.2f} of {1e-3 * x.asked:g} kPa, 63 % after "
+            f"{1e3 * x.rise:.0f} ms"
+        )
+    findings, content = list(found.findings), found._asdict()
+    content["held"] = [x._asdict() for x in found.held]
+    if forces is not None:
+        print(f"force sensor: {forces.rate:.0f} records a second, {forces.lost} lost")
+        for name, offset, noise in zip(
+            ("thrust_N", "recoil_N"), forces.offset, forces.noise, strict=True
+        ):
+            print(f"{name:<20} at rest {offset:10.4f}, noise {noise:8.4f}")
+        findings += forces.findings
+        content["force"] = forces._asdict()
+    print("\n".join(findings) or "nothing is wrong")
+    if out is not None:
+        write_json(out, content | {"findings": findings})
+    return 1 if findings else 0

@@ -1,0 +1,138 @@
+"""A drive that is played while something else looks at what comes."""
+
+import threading
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import replace
+
+import numpy as np
+
+from rig.cli.settings import ForceTable, RigTable
+from rig.cli.shared import force_of
+from rig.force import ati_rdt as rdt
+from rig.force.sensor import ForceSource, Mounting
+from rig.manifold.driver import Manifold
+from rig.manifold.limits import Limits
+from rig.manifold.serial_port import open_port
+from rig.scheduling import real_time
+from rig.trial.capture import Trial
+from rig.trial.live_stream import LiveStream
+from rig.trial.player import play
+
+
+class Playing:
+    """A drive played for `duration` [s] in a thread of its own, before all others.
+
+    A context: at its end everything is vented. `stream` has what comes meanwhile. Raises `RigError`
+    at its beginning, in `ended` and at its end.
+    """
+
+    def __init__(self, port: str, settings: RigTable, trial: Trial, duration: float):
+        self._port, self._settings = port, settings
+        self._trial = replace(trial, duration=duration)
+        self._failure: BaseException | None = None
+        analogue = tuple(x.sensor() for x in settings.analogue)
+        self.stream = LiveStream(analogue, settings.force is not None)
+        self._stop, self._begun = threading.Event(), threading.Event()
+        self.lost = 0
+        """Readings of the manifold."""
+        self._force: ForceSource | None = None
+        self._thread = threading.Thread(target=self._play, name="player", daemon=True)
+
+    @property
+    def ended(self) -> bool:
+        """Whether the drive is at its end. Raises what ended it otherwise."""
+        if not self._thread.is_alive() and self._failure is not None:
+            raise self._failure
+        return not self._thread.is_alive()
+
+    def __enter__(self) -> "Playing":
+        try:
+            self._thread.start()
+            while not self._begun.wait(0.05) and self._thread.is_alive():
+                pass
+        except BaseException as error:
+            self._end_after(error)
+            raise
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        self._end_after(error)
+
+    def _end_after(self, error: BaseException | None) -> None:
+        """Vents; what goes wrong with that is noted on the `error` that led here, if any."""
+        self._stop.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+        if self._failure is None or error is self._failure:
+            return
+        if error is None:
+            raise self._failure
+        error.add_note(str(self._failure))
+
+    def _play(self) -> None:
+        try:
+            self._run()
+        except _Ended:
+            pass
+        except BaseException as error:
+            self._failure = error
+
+    def _run(self) -> None:
+        limits = Limits.of(self._settings.manifold.limits)
+        self._trial.check(limits)
+        stream = self.stream
+        manifold = Manifold(
+            open_port(self._port), on_reading=stream.reading, on_follows=stream.follows
+        )
+        with real_time(), manifold as m:
+            stream.manifold = m
+            m.configure(limits)
+            with _forces(self._settings, stream) as self._force:
+                m.arm()
+                self._begun.set()
+                rate = self._settings.manifold.commands_per_second
+                try:
+                    play(stream, self._trial.drive, self._trial.duration, rate, self._tick)
+                except BaseException as error:
+                    m.stop_after(error)
+                    raise
+                m.stop()  # before the force sensor takes its time to end
+
+    def _tick(self, t: float) -> None:
+        assert self.stream.manifold is not None
+        self.lost = self.stream.manifold.lost
+        if self._force is not None:
+            self._force.check()
+        if self._stop.is_set():
+            raise _Ended
+
+
+class _Ended(Exception):
+    """The drive is not to go on."""
+
+
+def _forces(settings: RigTable, stream: LiveStream) -> AbstractContextManager[ForceSource | None]:
+    """A context in which the force sensor's samples go to the stream."""
+    return nullcontext() if settings.force is None else _forces_of(settings.force, stream)
+
+
+@contextmanager
+def _forces_of(table: ForceTable, stream: LiveStream) -> Iterator[ForceSource]:
+    source, _ = force_of(table)
+    mounting, box = Mounting(table.thrust, table.recoil), rdt.BoxTime()
+
+    def sink(host_ns: int, datagram: bytes) -> None:
+        _, ft_seq, status, *counts = rdt.RECORD.unpack(datagram)
+        at = box.seconds(ft_seq)
+        if at is None:
+            return
+        wrench = source.calibration.wrench(np.array(counts))
+        if rdt.unsound(status):
+            wrench = np.full(6, np.nan)
+        thrust, recoil = mounting.thrust_and_recoil(wrench)
+        stream.force(host_ns, at, float(thrust), float(recoil))
+
+    with source:
+        source.start(sink)
+        yield source

@@ -1,0 +1,122 @@
+"""RIG.toml: what a lab's rig consists of, and what a file may say of it."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from rig.recording.table import Analogue
+from slider_jax.errors import InputError
+from slider_jax.experiment.schema import FROM_LIST, Table, _fail
+from slider_jax.io.toml import read_toml, validate
+from slider_jax.io.units import Quantity
+
+Pressure = Annotated[float, Quantity(1e3, 2e6, "Pa")]
+FROM_NUMBER = BeforeValidator(lambda x: (x,) if isinstance(x, (int, float)) else x)
+Axis = Literal["+Fx", "-Fx", "+Fy", "-Fy", "+Fz", "-Fz"]
+
+
+class ManifoldTable(Table):
+    """[manifold]: highest set pressure of all chambers, or of each, and the pace of a trial."""
+
+    limits: Annotated[
+        tuple[Pressure, ...], FROM_LIST, FROM_NUMBER, Field(min_length=1, max_length=4)
+    ] = (250e3,)
+    commands_per_second: Annotated[float, Quantity(50.0, 1000.0, "Hz")] = 200.0
+    quiet: Annotated[float, Quantity(0.2, 60.0, "s")] = 1.0
+    fade: Annotated[float, Quantity(0.0, 60.0, "s")] = 2.0
+    after: Annotated[float, Quantity(0.1, 60.0, "s")] = 0.3
+    pause: Annotated[float, Quantity(0.0, 3600.0, "s")] = 2.0
+    longest_pause: Annotated[float, Quantity(0.0, 3600.0, "s")] = 60.0
+
+    @model_validator(mode="after")
+    def _one_or_four(self) -> "ManifoldTable":
+        if len(self.limits) not in (1, 4):
+            _fail("limits", f"{len(self.limits)} pressures", "one for all chambers, or four")
+        return self
+
+
+class ForceTable(Table):
+    """[force]: an ATI Net F/T box, and which of its axes are thrust and recoil.
+
+    Without counts they are read from the box's own page.
+    """
+
+    host: str
+    port: Annotated[int, Field(ge=1, le=65535)] = 49152
+    page_port: Annotated[int, Field(ge=1, le=65535)] = 80
+    thrust: Axis = "+Fx"
+    recoil: Axis = "+Fy"
+    counts_per_N: Annotated[float, Quantity(1.0, 1e9)] | None = None
+    counts_per_Nm: Annotated[float, Quantity(1.0, 1e9)] | None = None
+
+    @model_validator(mode="after")
+    def _both_counts(self) -> "ForceTable":
+        if (self.counts_per_N is None) != (self.counts_per_Nm is None):
+            _fail(
+                "counts_per_N", "one of the two counts", "counts_per_N and counts_per_Nm, or none"
+            )
+        return self
+
+
+class CameraTable(Table):
+    """[camera]: a device (its number) or a video, blue markers tip first, and the image's scale."""
+
+    source: int | str
+    markers: Annotated[int, Field(ge=2, le=50)]
+    head: Annotated[tuple[float, float], FROM_LIST]
+    px_per_metre: Annotated[float, Quantity(10.0, 1e6, "px/m")]
+    from_below: bool = False
+    fps: Annotated[float, Quantity(1.0, 10e3, "Hz")] | None = None
+    gate: Annotated[float, Quantity(1.0, 1e4, "px")] | None = None
+
+
+class AnalogueTable(Table):
+    """[[analogue]]: a sensor on one of the manifold's inputs; column = scale (voltage - zero)."""
+
+    column: Literal["thrust_N", "recoil_N", "tip_m"]
+    input: Literal[1, 2, 3]
+    scale: float
+    zero: float | None = None
+
+    def sensor(self) -> Analogue:
+        """As the rig has it."""
+        return Analogue(self.column, self.input, self.scale, self.zero)
+
+
+class RigTable(Table):
+    """The whole file."""
+
+    manifold: ManifoldTable = ManifoldTable()
+    force: ForceTable | None = None
+    camera: CameraTable | None = None
+    analogue: Annotated[tuple[AnalogueTable, ...], FROM_LIST] = ()
+
+    @model_validator(mode="after")
+    def _one_sensor_a_column(self) -> "RigTable":
+        given = ["thrust_N", "recoil_N"] if self.force else []
+        given += ["tip_m"] if self.camera else []
+        for index, sensor in enumerate(self.analogue):
+            if sensor.column in given:
+                _fail(f"analogue.{index}.column", sensor.column, "one that no other sensor gives")
+            given.append(sensor.column)
+        return self
+
+
+def rig_of(path: Path | None, changes: dict[str, Any] | None = None) -> RigTable:
+    """The rig of a file, or the defaults; `changes` are tables of the command line's own.
+
+    Raises `InputError`, naming file and key.
+    """
+    content = read_toml(path) if path is not None else {}
+    if "robot" in content or "trials" in content:
+        raise InputError(
+            f"--rig {path}: is an experiment file; give one of the rig, with [manifold], [force], "
+            "[[analogue]]"
+        )
+    for table, values in (changes or {}).items():
+        given = content.get(table, {})
+        if not isinstance(given, dict):
+            raise InputError(f"{path}: {table}: given {given!r}; allowed a TOML table")
+        content[table] = given | values
+    return validate(RigTable, content, str(path) if path is not None else "command line")

@@ -1,0 +1,252 @@
+"""`slider rig`: what its commands share, and the list of ports."""
+
+import re
+import shutil
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+
+from rig.cli.settings import CameraTable, ForceTable, RigTable
+from rig.force.ati_net import NetCalibration, NetForce
+from rig.force.sensor import ForceSource, Mounting
+from rig.force.stream_reader import force_reader
+from rig.manifold.driver import Manifold
+from rig.manifold.limits import Limits
+from rig.recording.table import Reader
+from rig.scheduling import real_time
+from rig.trial.capture import Instrument, Switch, Switches, Timing, Trial
+from rig.trial.session import Rig, start_swing
+from rig.trial.waveform import Drive
+from slider_jax.errors import InputError
+from slider_jax.experiment.schema import ExperimentTable, Trial as TrialTable
+from slider_jax.io.csv import read_csv
+from slider_jax.io.files import write_bytes, write_text
+from slider_jax.io.toml import read_toml, validate
+
+Port = Annotated[str, tyro.conf.arg(metavar="PORT")]
+RigFile = Annotated[Path | None, tyro.conf.arg(metavar="RIG.toml")]
+LEAST_SWING = 1e-4
+"""Of the tip before a trial [m]: what is less is not declared."""
+
+
+def ports() -> None:
+    """List this computer's serial ports: name, description, serial number."""
+    from rig.manifold.serial_port import ports as found
+
+    there = found()
+    for port in there:
+        print(f"{port.name}  {port.description}  {port.serial_number}".rstrip())
+    if not there:
+        print("no serial ports; plug the manifold in, or start `slider rig simulate`")
+
+
+def trials_of(path: Path) -> tuple[ExperimentTable, list[Trial]]:
+    """An experiment file, and its trials as they are played. Raises `InputError`."""
+    experiment = validate(ExperimentTable, read_toml(path), str(path))
+    return experiment, [to_play(x, path) for x in experiment.trials]
+
+
+def copy_experiment(path: Path, folder: Path) -> None:
+    """An experiment file, as experiment.toml, and the drives that it names, into a folder."""
+    table, _ = trials_of(path)
+    write_bytes(folder / "experiment.toml", path.read_bytes())
+    for name in {x.drive_file for x in table.trials if x.drive_file}:
+        write_bytes(folder / name, (path.parent / name).read_bytes())
+
+
+def take_experiment(path: Path, folder: Path) -> None:
+    """An experiment file into a folder, unless it is there already with what was added to it:
+    trials, and what the tip swung by.
+
+    Raises `InputError` where the folder holds trials that the file lacks.
+    """
+    there = folder / "experiment.toml"
+    if there.exists():
+        holds, given = (_without_swing(read_toml(x)) for x in (there, path))
+        trials, before = given.get("trials", []), holds.get("trials", [])
+        if holds | {"trials": before[: len(trials)]} == given | {"trials": trials}:
+            return
+        names = {x["file"] for x in trials}
+        lacks = [x["file"] for x in before if x["file"] not in names]
+        if lacks := [name for name in lacks if (folder / name).exists()]:
+            raise InputError(
+                f"{folder}: holds {', '.join(lacks)}, which {path} does not name; give another "
+                "--out, or a file with those trials too"
+            )
+    copy_experiment(path, folder)
+
+
+def _without_swing(tables: dict[str, Any]) -> dict[str, Any]:
+    sensors = {k: v for k, v in tables.pop("sensors", {}).items() if k != "start_swing"}
+    return tables | ({"sensors": sensors} if sensors else {})
+
+
+def declare_swing(path: Path, told: list[dict[str, Any]]) -> None:
+    """Writes what the tip swung by before the trials into an experiment file that declares less."""
+    swing = start_swing(told)
+    declared = validate(ExperimentTable, read_toml(path), str(path)).sensors.start_swing
+    if swing <= max(2.0 * declared, LEAST_SWING):
+        return
+    line = f"start_swing = {swing:.2g}  # m, measured at rest"
+    text = path.read_text()
+    if re.search(r"^start_swing\s*=", text, re.M):
+        text = re.sub(r"^start_swing\s*=.*$", line, text, count=1, flags=re.M)
+    elif re.search(r"^\[sensors\]", text, re.M):
+        text = re.sub(r"^\[sensors\].*$", rf"\g<0>\n{line}", text, count=1, flags=re.M)
+    else:
+        text = f"{text.rstrip()}\n\n[sensors]\n{line}\n"
+    write_text(path, text)
+    print(f"{path}: the tip swung by {swing:.2g} m before the trials: declared", file=sys.stderr)
+
+
+def to_play(trial: TrialTable, path: Path) -> Trial:
+    """A trial as it is played. Raises `InputError` for one that a rig cannot play."""
+    name = Path(trial.file).stem
+    if trial.waveform != "recorded":
+        return Trial(
+            name,
+            Drive(
+                trial.waveform, trial.frequency or 0.0, trial.amplitude or 0.0, trial.rear_ratio,
+                trial.phase, trial.rise,
+            ),
+            trial.duration,
+        )  # fmt: skip
+    if trial.drive_is == "measured":
+        raise InputError(
+            f'{path}: trial {trial.file}: drive_is = "measured"; allowed "set", for measured '
+            "pressures cannot be set"
+        )
+    columns = read_csv(path.parent / str(trial.drive_file), ("t_s", "p_front_Pa", "p_rear_Pa"))
+    recorded = np.stack([columns["p_front_Pa"], columns["p_rear_Pa"]], axis=1)
+    drive = Drive("recorded", times=columns["t_s"], recorded=recorded)
+    return Trial(name, drive, trial.duration)
+
+
+def with_counts(settings: RigTable) -> RigTable:
+    """The same with its force sensor's counts, from the box's own page where the file has none.
+
+    They are recorded with the rest, so that a recording can be read anew without the box.
+    """
+    if settings.force is None:
+        return settings
+    found = calibration_of(settings.force)
+    counts = {"counts_per_N": found.counts_per_N, "counts_per_Nm": found.counts_per_Nm}
+    return settings.model_copy(update={"force": settings.force.model_copy(update=counts)})
+
+
+def calibration_of(table: ForceTable) -> NetCalibration:
+    """As the table says, or else the box's own page."""
+    if table.counts_per_N is not None and table.counts_per_Nm is not None:
+        return NetCalibration(table.counts_per_N, table.counts_per_Nm)
+    return NetCalibration.fetch(table.host, table.page_port)
+
+
+def force_of(table: ForceTable) -> tuple[ForceSource, Reader]:
+    """A force sensor, opened, and how its stream is read."""
+    calibration = calibration_of(table)
+    source = NetForce(table.host, calibration, table.port)
+    return source, force_reader(calibration, Mounting(table.thrust, table.recoil))
+
+
+def camera_of(table: CameraTable) -> tuple[Instrument, Reader]:
+    """A camera, and how its stream is read."""
+    from rig.camera.instrument import MarkerCamera, Sight, camera_reader
+    from rig.camera.scale import Scale
+    from rig.camera.source import OpenCvSource
+
+    source = Path(table.source) if isinstance(table.source, str) else table.source
+    sight = Sight(table.markers, table.head, table.gate)
+    scale = Scale(table.px_per_metre, from_below=table.from_below)
+    return MarkerCamera(lambda: OpenCvSource(source, table.fps), sight), camera_reader(scale)
+
+
+@contextmanager
+def opened(port: str, table: RigTable) -> Iterator[Rig]:
+    """The rig of a table, from the port's opening to its stop, whichever way the block ends.
+
+    SIGTERM and SIGHUP end the block as Ctrl-C does, so that they vent too.
+    """
+    from rig.manifold.serial_port import open_port
+
+    settings = table.manifold
+    switches = Switches(Switch(), Switch())
+    with ExitStack() as stack:
+        stack.enter_context(signals_as_ctrl_c())
+        stack.enter_context(real_time())
+        instruments: dict[str, Instrument] = {}
+        readers: dict[str, Reader] = {}
+        force = None
+        if table.force is not None:
+            force, readers["force"] = force_of(table.force)
+            instruments["force"] = force
+            stack.callback(force.close)
+        if table.camera is not None:
+            instruments["camera"], readers["camera"] = camera_of(table.camera)
+            stack.callback(instruments["camera"].close)
+        manifold = stack.enter_context(Manifold(open_port(port), *switches))
+        analogue = tuple(x.sensor() for x in table.analogue)
+        timing = Timing(settings.quiet, settings.after, settings.commands_per_second, settings.fade)
+        yield Rig(
+            manifold, switches, Limits.of(settings.limits), instruments, readers, force, analogue,
+            timing, settings.pause, settings.longest_pause,
+        )  # fmt: skip
+
+
+@contextmanager
+def signals_as_ctrl_c() -> Iterator[None]:
+    def interrupt(number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    names = [x for x in ("SIGTERM", "SIGHUP") if hasattr(signal, x)]
+    before = {x: signal.signal(getattr(signal, x), interrupt) for x in names}
+    try:
+        yield
+    finally:
+        for name, handler in before.items():
+            signal.signal(getattr(signal, name), handler)
+
+
+class Live:
+    """What goes on, in one line of a terminal; on any other stderr a line every two seconds."""
+
+    def __init__(self, rig: Rig, total: int):
+        self._rig, self._total, self._next = rig, total, 0.0
+        self._terminal = sys.stderr.isatty()
+        self._count, self._name = 0, ""
+
+    def __call__(self, trial: str, phase: str, t: float) -> None:
+        """Called often; says something now and then."""
+        now = time.monotonic()
+        if trial != self._name:
+            self._name, self._count = trial, self._count + 1
+        if now < self._next:
+            return
+        self._next = now + (0.1 if self._terminal else 2.0)
+        manifold = self._rig.manifold
+        said = f"{trial} ({self._count} of {self._total}), {phase} {t:5.1f} s"
+        if manifold.latest is not None:
+            p = [1e-3 * x for x in manifold.latest.channels[:4]]
+            said += f"  front {p[0] - p[1]:6.1f} rear {p[2] - p[3]:6.1f} kPa"
+        force = self._rig.force
+        if force is not None:
+            found = force.latest()
+            said += f"  Fx {found[1][0]:6.3f} N" if found is not None else ""
+            said += f"  force lost {force.health().missing}"
+        said += f"  lost {manifold.lost} damaged {manifold.damaged}"
+        if self._terminal:
+            width = shutil.get_terminal_size().columns - 1
+            print(f"\r{said[:width]:<{width}}", end="", file=sys.stderr, flush=True)
+        else:
+            print(said, file=sys.stderr, flush=True)
+
+    def end(self) -> None:
+        """Leaves the line."""
+        if self._terminal:
+            print(file=sys.stderr)

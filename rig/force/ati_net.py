@@ -1,0 +1,231 @@
+"""ATI Net F/T: its calibration from the box's own page, and its stream over UDP."""
+
+import socket
+import time
+import urllib.request
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from dataclasses import dataclass
+from http.client import HTTPException
+
+import numpy as np
+
+from rig.errors import RigError
+from rig.force import ati_rdt as rdt
+from rig.force.sensor import (
+    NEWTON_METRES,
+    NEWTONS,
+    Forces,
+    ForceSource,
+    Health,
+    Reader,
+    Sink,
+    check_positive,
+    unit_in_si,
+)
+
+PAGE = "netftapi2.xml"
+TRIES = 3
+
+
+@dataclass(frozen=True)
+class NetCalibration:
+    """Counts of a Net F/T for one newton and for one newton metre."""
+
+    counts_per_N: float
+    counts_per_Nm: float
+    serial: str = ""
+
+    def __post_init__(self) -> None:
+        check_positive(
+            "force sensor's calibration",
+            counts_per_N=self.counts_per_N,
+            counts_per_Nm=self.counts_per_Nm,
+        )
+
+    @classmethod
+    def from_page(cls, page: bytes, where: str) -> "NetCalibration":
+        """From `netftapi2.xml`: cfgcpf, cfgcpt (counts per unit), scfgfu, scfgtu (the units).
+
+        Raises `RigError`, naming `where` it is from, if it is torn, lacks one, or has other units.
+        """
+        again = "reload it, or give counts_per_N and counts_per_Nm by hand"
+        try:
+            root = ET.fromstring(page)
+        except ET.ParseError as error:
+            raise RigError(f"{where}: is no whole XML ({error}); {again}") from None
+
+        def text(name: str) -> str:
+            found = root.findtext(f".//{name}")
+            if not found or not found.strip():
+                raise RigError(f"{where}: {name} is missing; {again}")
+            return found.strip()
+
+        def per_unit(name: str) -> float:
+            try:
+                return float(text(name))
+            except ValueError:
+                raise RigError.value(
+                    f"{where}, {name}", repr(text(name)), "a number", again
+                ) from None
+
+        return cls(
+            per_unit("cfgcpf") / unit_in_si(text("scfgfu"), NEWTONS, f"{where}, scfgfu"),
+            per_unit("cfgcpt") / unit_in_si(text("scfgtu"), NEWTON_METRES, f"{where}, scfgtu"),
+            (root.findtext(".//cfgcalsn") or "").strip(),
+        )
+
+    @classmethod
+    def fetch(cls, host: str, port: int = 80, timeout: float = 3.0) -> "NetCalibration":
+        """From the box at `host`. Raises `RigError` if it does not answer, or as `from_page`."""
+        where = f"http://{host}:{port}/{PAGE}"
+        direct = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+        try:
+            with direct.open(where, timeout=timeout) as answer:
+                page = answer.read(10**6)
+        except (OSError, HTTPException) as error:
+            raise RigError(
+                f"{where}: could not be read ({getattr(error, 'reason', error)}); see that the "
+                f"box has power and `ping {host}` answers, or give counts_per_N and counts_per_Nm "
+                "by hand"
+            ) from None
+        return cls.from_page(page, where)
+
+    def wrench(self, counts: np.ndarray) -> np.ndarray:
+        """Forces [N] and torques [N m], (..., 6), of counts (..., 6)."""
+        return counts / np.repeat([self.counts_per_N, self.counts_per_Nm], 3)
+
+    def forces(self, host_ns: Sequence[int], datagrams: Sequence[bytes]) -> Forces:
+        """The forces of one stream; raises `RigError` as `rig.force.ati_rdt.table` and
+        `Records.times`."""
+        records = rdt.table(host_ns, datagrams)
+        wrench = self.wrench(records.counts)
+        wrench[~records.present] = np.nan
+        return Forces(records.times(), wrench, records.doubtful, records.findings())
+
+
+class NetForce(ForceSource):
+    """A Net F/T box that streams over UDP.
+
+    Raises `RigError` at once if there is no way to `host`, on `start` if it does not answer.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        calibration: NetCalibration,
+        port: int = rdt.PORT,
+        patience: float = 1.0,
+        buffer: int = 4 << 20,
+    ) -> None:
+        if not 0 < port < 65536:
+            raise RigError.value("force sensor's port", port, "1 to 65535, of a box 49152")
+        self.calibration = calibration
+        self.name = f"force sensor {host}:{port}"
+        self.patience = patience
+        """Longest silence [s] at the start, and in the stream."""
+        self.tally = rdt.Tally()
+        self._last: tuple[int, tuple[int, ...]] | None = None
+        self._reader: Reader | None = None
+        self._sink: Sink
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        # The kernel takes some 0.7 kB a record, and gives what its own limit allows.
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer)
+        try:
+            self._socket.connect((host, port))  # from now on only this box is heard
+        except (OSError, UnicodeError) as error:
+            self._socket.close()
+            raise self._unreachable(getattr(error, "strerror", None) or str(error)) from None
+
+    def _unreachable(self, why: str) -> RigError:
+        host, port = self.name.removeprefix("force sensor ").rsplit(":", 1)
+        return RigError(
+            f"{self.name}: {why}; see that the box has power and a link, that this computer has "
+            f"an address in its subnet (`ping {host}`), that RDT is enabled on http://{host}/, and "
+            f"that no firewall holds back UDP {port}"
+        )
+
+    def _send(self, command: int) -> None:
+        try:
+            self._socket.send(rdt.request(command))
+        except OSError as error:
+            raise self._unreachable(error.strerror or str(error)) from None
+
+    def _receive(self, wait: float = 0.1) -> bytes | None:
+        self._socket.settimeout(wait)
+        try:
+            return self._socket.recv(2048)
+        except TimeoutError:
+            return None
+        except OSError as error:
+            raise self._unreachable(error.strerror or str(error)) from None
+
+    def _take(self, now: int, datagram: bytes) -> None:
+        self._sink(now, datagram)
+        rdt.check_size(datagram, self.name)
+        seq, _, status, *counts = rdt.RECORD.unpack(datagram)
+        self.tally.count(seq, status)
+        self._last = now, tuple(counts)
+
+    def start(self, sink: Sink) -> None:
+        """As `ForceSource.start`; a stream that an earlier run left is ended first."""
+        self.stop()
+        self.tally, self._last, self._sink = rdt.Tally(), None, sink
+        for _ in range(TRIES):
+            self._send(rdt.STOP)
+            quiet_by = time.monotonic() + self.patience
+            while self._receive(0.05) is not None and time.monotonic() < quiet_by:
+                pass
+            self._send(rdt.START)
+            first = self._receive(self.patience / TRIES)
+            if first is not None:
+                break
+        else:
+            raise self._unreachable(f"no answer to {TRIES} requests within {self.patience:g} s")
+        pieces = [first]
+
+        def receive() -> bytes | None:
+            return pieces.pop() if pieces else self._receive()
+
+        self._reader = Reader(self.name, receive, self._take, self.patience)
+
+    def bias(self) -> None:
+        """The box itself subtracts it from then on, until it is switched off."""
+        for _ in range(TRIES):  # nothing answers, and a datagram may be lost
+            self._send(rdt.BIAS)
+
+    def latest(self) -> tuple[int, np.ndarray] | None:
+        if self._last is None:
+            return None
+        now, counts = self._last
+        return now, self.calibration.wrench(np.array(counts))
+
+    def health(self) -> Health:
+        return Health(self.tally.received, len(self.tally.missing), self.tally.saturated)
+
+    def check(self) -> None:
+        """As `ForceSource.check`; saturation is counted in `health`, and is no error here."""
+        if self._reader is not None:
+            self._reader.check()
+        if self.tally.fault:
+            raise RigError(
+                f"{self.name}: {rdt.status_text(self.tally.fault)}; switch the box off and on"
+            )
+
+    def stop(self) -> None:
+        if self._reader is None:
+            return
+        for _ in range(2 * TRIES):
+            try:
+                self._socket.send(rdt.request(rdt.STOP))
+            except OSError:
+                pass  # a box that is gone needs no stopping
+            if self._reader.end(0.25):
+                break
+        else:
+            self._reader.abandon()
+        self._reader = None
+
+    def close(self) -> None:
+        self.stop()
+        self._socket.close()

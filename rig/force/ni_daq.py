@@ -1,0 +1,247 @@
+"""ATI sensor without a box: six gauge voltages read by an NI card, times the sensor's matrix.
+
+The sink gets blocks of samples: the number of the first, u64, then six volts a sample, f64, all
+little endian. Needs NI-DAQmx and the extra `ni`.
+"""
+
+import struct
+import time
+import xml.etree.ElementTree as ET
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.errors import RigError
+from rig.force.sensor import (
+    AXES,
+    NEWTON_METRES,
+    NEWTONS,
+    Forces,
+    ForceSource,
+    Health,
+    Reader,
+    Sink,
+    check_positive,
+    unit_in_si,
+)
+from rig.recording.sample_clock import sample_times
+
+_FIRST = struct.Struct("<Q")
+FULL = 0.995
+"""Part of a gauge's range [V] beyond which it is saturated."""
+BIAS = 0.25
+"""The zero is the mean over so long [s]."""
+BLOCK = 0.02
+"""One block of samples is so long [s]."""
+
+
+@dataclass(frozen=True)
+class GaugeCalibration:
+    """A sensor's matrix (6, 6), rows in the order of `AXES` [N or N m per V], and its zero.
+
+    `volts` is the range to either side, `rate` the samples a second that it is used at, `zero` the
+    gauge voltages (6,) without load.
+    """
+
+    matrix: tuple[tuple[float, ...], ...]
+    volts: float = 10.0
+    rate: float = 1000.0
+    zero: tuple[float, ...] = (0.0,) * 6
+    serial: str = ""
+
+    def __post_init__(self) -> None:
+        if np.shape(self.matrix) != (6, 6) or not np.all(np.isfinite(self.matrix)):
+            raise RigError("force sensor's calibration, matrix: allowed 6 rows of 6 finite numbers")
+        check_positive("force sensor's calibration", volts=self.volts, rate=self.rate)
+
+    @classmethod
+    def read(cls, path: Path | str, rate: float = 1000.0) -> "GaugeCalibration":
+        """From ATI's `FTxxxx.cal`. Raises `RigError`, naming what it lacks."""
+        where = str(path)
+        again = "give the .cal file that came with the sensor, unchanged"
+        try:
+            root = ET.parse(path).getroot()
+        except OSError as error:
+            raise RigError(f"{where}: cannot be read ({error.strerror}); {again}") from None
+        except ET.ParseError as error:
+            raise RigError(f"{where}: is no whole XML ({error}); {again}") from None
+        calibration = root.find(".//Calibration")
+        if calibration is None:
+            raise RigError(f"{where}: has no Calibration; {again}")
+        units = [
+            unit_in_si(calibration.get(name, ""), known, f"{where}, {name}")
+            for name, known in (("ForceUnits", NEWTONS), ("TorqueUnits", NEWTON_METRES))
+        ]
+        rows = {axis.get("Name"): axis.get("values", "") for axis in calibration.iter("UserAxis")}
+        matrix = []
+        for axis in AXES:
+            try:
+                row = [float(cell) for cell in rows.get(axis, "").split()]
+            except ValueError:
+                row = []
+            if len(row) != 6:
+                raise RigError(f"{where}: UserAxis {axis} needs 6 numbers as its values; {again}")
+            unit = units[axis.startswith("T")]
+            matrix.append(tuple(unit * value for value in row))
+        both_sides = calibration.get("OutputBipolar", "True").lower() == "true"
+        try:
+            volts = float(calibration.get("OutputRange", "20")) / (2.0 if both_sides else 1.0)
+        except ValueError:
+            raise RigError(f"{where}: OutputRange is no number; {again}") from None
+        return cls(tuple(matrix), volts, rate, serial=root.get("Serial", ""))
+
+    def wrench(self, volts: np.ndarray) -> np.ndarray:
+        """Forces [N] and torques [N m], (..., 6), of gauge voltages (..., 6)."""
+        return (volts - np.asarray(self.zero)) @ np.asarray(self.matrix).T
+
+    def saturated(self, volts: np.ndarray) -> np.ndarray:
+        """(...) True where a gauge is at the end of its range: then all six axes are wrong."""
+        return np.any(np.abs(volts) >= FULL * self.volts, axis=-1)
+
+    def forces(self, host_ns: Sequence[int], blocks: Sequence[bytes]) -> Forces:
+        """The forces of one recording. Raises `RigError` if there is none, or at a wrong rate."""
+        if not blocks:
+            raise RigError("force sensor: no samples; nothing came while it was recorded")
+        first = np.array([_FIRST.unpack_from(block)[0] for block in blocks], np.int64)
+        pieces = [np.frombuffer(b, "<f8", offset=_FIRST.size).reshape(-1, 6) for b in blocks]
+        last = first + np.array([len(piece) for piece in pieces]) - 1
+        number = np.arange(first[0], last[-1] + 1)
+        volts = np.full((len(number), 6), np.nan)
+        for start, piece in zip(first - first[0], pieces, strict=True):
+            volts[start : start + len(piece)] = piece
+        saturated = self.saturated(volts)
+        told = []
+        if missing := int(np.isnan(volts[:, 0]).sum()):
+            told.append(f"{missing} of {len(number)} samples missing")
+        if saturated.any():
+            told.append(f"{saturated.sum()} samples saturated")
+        arrived = np.asarray(host_ns, np.int64)
+        times = sample_times(last, arrived, self.rate, number)
+        return Forces(times, self.wrench(volts), saturated, tuple(told))
+
+
+class GaugeForce(ForceSource):
+    """Six differential inputs of an NI card, such as "Dev1/ai0:5", at the calibration's rate.
+
+    Raises `RigError` if nidaqmx or its driver is not installed, or the card refuses.
+    """
+
+    def __init__(self, channels: str, calibration: GaugeCalibration, patience: float = 1.0) -> None:
+        try:
+            import nidaqmx
+            from nidaqmx import constants, stream_readers
+        except ImportError:
+            raise RigError(
+                f"force sensor {channels}: needs nidaqmx; "
+                "install the extra ni (pip install 'slider-jax[ni]') and NI-DAQmx"
+            ) from None
+        self.name, self.patience = f"force sensor {channels}", patience
+        self._error: type[Exception] = nidaqmx.errors.Error
+        self._reader: Reader | None = None
+        self._recent: deque[np.ndarray] = deque(maxlen=round(BIAS / BLOCK))
+        self._last: tuple[int, np.ndarray] | None = None
+        self._count = self._saturated = 0
+        self._task: Any = None
+        try:
+            self._task = nidaqmx.Task()
+            self._task.ai_channels.add_ai_voltage_chan(
+                channels,
+                terminal_config=constants.TerminalConfiguration.DIFF,
+                min_val=-calibration.volts,
+                max_val=calibration.volts,
+            )
+            self._task.timing.cfg_samp_clk_timing(
+                calibration.rate,
+                sample_mode=constants.AcquisitionType.CONTINUOUS,
+                samps_per_chan=round(10 * calibration.rate),
+            )
+            # A card divides its clock by whole numbers, and so may take another rate than asked.
+            self.calibration: GaugeCalibration = replace(
+                calibration, rate=float(self._task.timing.samp_clk_rate)
+            )
+            inputs = len(self._task.ai_channels)
+        except self._error as error:
+            self.close()
+            raise self._refused(error) from None
+        if inputs != 6:
+            self.close()
+            raise RigError.value(self.name, f"{inputs} inputs", "6, such as Dev1/ai0:5")
+        self._stream = stream_readers.AnalogMultiChannelReader(self._task.in_stream)
+        self._block = np.empty((6, max(1, round(BLOCK * self.calibration.rate))))
+
+    def _refused(self, error: Exception) -> RigError:
+        return RigError(
+            f"{self.name}: {str(error).splitlines()[0]}; "
+            "see the card, its name and its inputs in NI MAX"
+        )
+
+    def _receive(self) -> bytes:
+        try:
+            self._stream.read_many_sample(self._block, self._block.shape[1], self.patience)
+        except self._error as error:
+            raise self._refused(error) from None
+        return _FIRST.pack(self._count) + self._block.T.astype("<f8").tobytes()
+
+    def _take(self, now: int, block: bytes) -> None:
+        self._sink(now, block)
+        volts = self._block.T.copy()
+        self._count += len(volts)
+        self._saturated += int(self.calibration.saturated(volts).sum())
+        self._recent.append(volts)
+        self._last = now, volts[-1]
+
+    def start(self, sink: Sink) -> None:
+        self.stop()
+        self._sink: Sink = sink
+        self._count = self._saturated = 0
+        self._last = None
+        try:
+            self._task.start()
+        except self._error as error:
+            raise self._refused(error) from None
+        self._reader = Reader(self.name, self._receive, self._take, self.patience)
+        end = time.monotonic() + self.patience
+        while self._last is None and time.monotonic() < end:
+            time.sleep(0.002)
+        self.check()
+
+    def bias(self) -> None:
+        """Takes `BIAS` of samples, and keeps their mean as the calibration's `zero`."""
+        if self._reader is None:
+            raise RigError(f"{self.name}: bias needs samples; start first")
+        self._recent.clear()
+        while len(self._recent) < (self._recent.maxlen or 0):
+            self.check()
+            time.sleep(0.002)
+        zero = np.concatenate(list(self._recent)).mean(axis=0)
+        self.calibration = replace(self.calibration, zero=tuple(zero.tolist()))
+
+    def latest(self) -> tuple[int, np.ndarray] | None:
+        if self._last is None:
+            return None
+        now, volts = self._last
+        return now, self.calibration.wrench(volts)
+
+    def health(self) -> Health:
+        return Health(self._count, 0, self._saturated)
+
+    def check(self) -> None:
+        if self._reader is not None:
+            self._reader.check()
+
+    def stop(self) -> None:
+        if self._reader is None:
+            return
+        self._reader.abandon()
+        self._reader = None
+        self._task.stop()
+
+    def close(self) -> None:
+        self.stop()
+        if self._task is not None:
+            self._task.close()
+            self._task = None

@@ -1,0 +1,187 @@
+"""A rig's streams as they come: set and measured values at the manifold's readings."""
+
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Iterator, Sequence
+from threading import Lock
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+
+from rig.manifold.driver import Manifold
+from rig.protocol.messages import Follows, Reading, State
+from rig.recording.clock import RunningClock
+from rig.recording.table import ORDER, Analogue, at_rows
+
+CHANNELS_OUT = ORDER[1:]
+LATEST = 0.05
+"""A force sample that is so late is not waited for [s]."""
+KEPT = 4096
+BEHIND = 0.2
+"""Force samples that are so much older than the latest reading [s] are not needed any more."""
+Pressures = tuple[float, float, float, float]
+Item = TypeVar("Item")
+Signed = tuple[float, float]
+"""Of front and rear [Pa]."""
+
+
+class Live(NamedTuple):
+    """Readings (n,) that came since the last time."""
+
+    device_s: np.ndarray
+    set_pressure: np.ndarray
+    """(2, n) signed, front and rear [Pa]: the mean of what the manifold followed since the reading
+    before."""
+    measured: np.ndarray
+    """(5, n) as `CHANNELS_OUT`; NaN where no sensor gave a value."""
+    arrived_ns: np.ndarray
+    """Host time of arrival [ns]."""
+
+
+class LiveStream:
+    """Puts together what threads hand in, each in its own deque; all else is `take`'s own.
+
+    Give `reading` and `follows` to the manifold, and itself to what plays, in the manifold's place.
+    Readings count while the valves follow set pressures.
+    """
+
+    def __init__(self, analogue: tuple[Analogue, ...] = (), has_force: bool = False):
+        self._analogue, self._has_force = analogue, has_force
+        self._lock = Lock()
+        self._commands: dict[int, Pressures] = {}
+        self._came: deque[tuple[int, Reading] | Follows] = deque(maxlen=KEPT)
+        self._forces_came: deque[tuple[int, float, float, float]] = deque(maxlen=KEPT)
+        self._clock, self._force_clock = RunningClock(), RunningClock()
+        self._rows: deque[tuple[int, Reading, Signed]] = deque(maxlen=KEPT)
+        self._forces: list[tuple[float, float, float]] = []
+        self._followed = _Followed()
+        self.manifold: Manifold | None = None
+
+    def set(self, pressures: Pressures) -> int:
+        """Sets them on the manifold, and notes which command that was."""
+        assert self.manifold is not None
+        with self._lock:
+            seq = self.manifold.set(pressures)
+            self._commands[seq] = pressures
+            if len(self._commands) > KEPT:
+                self._commands.pop(next(iter(self._commands)))
+        return seq
+
+    def reading(self, host_ns: int, reading: Reading) -> None:
+        """A reading and when it arrived."""
+        self._came.append((host_ns, reading))
+
+    def follows(self, change: Follows) -> None:
+        """What the valves follow from now on."""
+        self._came.append(change)
+
+    def force(self, host_ns: int, sensor_s: float, thrust: float, recoil: float) -> None:
+        """A force sample [N], by the sensor's own clock [s], and when it arrived [ns]."""
+        self._forces_came.append((host_ns, sensor_s, thrust, recoil))
+
+    def take(self) -> Live:
+        """What is complete: readings up to the latest force sample, if forces are measured."""
+        self._order()
+        forces = np.array(self._forces).reshape(-1, 3).T
+        if len(forces[0]):
+            forces[0] = self._force_clock.to_host(forces[0])
+        rows, at = [], []
+        while self._rows:
+            host_ns, reading, _ = self._rows[0]
+            t = float(self._clock.to_host(1e-6 * reading.device_us))
+            waits = self._has_force and not (len(forces[0]) and t <= forces[0, -1])
+            if waits and self._rows[-1][0] - host_ns < LATEST * 1e9:
+                break
+            rows.append(self._rows.popleft())
+            at.append(t)
+        n = len(rows)
+        set_pressure, measured = np.zeros((2, n)), np.full((5, n), np.nan)
+        device, arrived = np.zeros(n), np.zeros(n, np.int64)
+        for i, (host_ns, reading, mean) in enumerate(rows):
+            device[i], arrived[i] = 1e-6 * reading.device_us, host_ns
+            set_pressure[:, i] = mean
+            p = reading.channels
+            measured[:2, i] = p[0] - p[1], p[2] - p[3]
+            for sensor in self._analogue:
+                measured[CHANNELS_OUT.index(sensor.column), i] = sensor.signal(np.array(p))
+        if n and self._has_force:
+            for i in (1, 2):
+                measured[1 + i] = at_rows(np.array(at), forces[0], forces[i])
+            del self._forces[: int(np.searchsorted(forces[0], at[-1] - BEHIND))]
+        return Live(device, set_pressure, measured, arrived)
+
+    def _order(self) -> None:
+        """To each reading that has come the mean of what was followed since the one before."""
+        for host_ns, sensor_s, *forces in _all_of(self._forces_came):
+            self._force_clock.add(sensor_s, 1e-9 * host_ns)
+            self._forces.append((sensor_s, forces[0], forces[1]))
+        del self._forces[:-KEPT]
+        came = list(_all_of(self._came))
+        with self._lock:  # not for longer: the player waits for it
+            commands = dict(self._commands)
+        for item in came:
+            if isinstance(item, Follows):
+                self._followed.change(1e-6 * item.device_us, _signed(item[2:]))
+                continue
+            host_ns, reading = item
+            t, resets = 1e-6 * reading.device_us, self._clock.resets
+            self._clock.add(t, 1e-9 * host_ns)
+            if self._clock.resets > resets:  # nothing from before is of this clock
+                self._rows.clear()
+                self._followed.forget()
+            if reading.state not in (State.ARMED, State.PLAYING):
+                continue
+            told = commands.get(reading.command)
+            if told is not None:
+                self._followed.at_reading(t, _signed(told))
+            self._rows.append((host_ns, reading, self._followed.mean_until(t)))
+
+
+def _all_of(came: deque[Item]) -> Iterator[Item]:
+    """What is there now, taken away; more may come meanwhile."""
+    for _ in range(len(came)):
+        yield came.popleft()
+
+
+class _Followed:
+    """Signed set pressures as they changed, in the device's time [s]."""
+
+    def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """As at the beginning: nothing is set."""
+        self._at: list[float] = [-np.inf]
+        self._sets: list[Signed] = [(0.0, 0.0)]
+        self._since: float | None = None
+
+    def change(self, t: float, pressures: Signed) -> None:
+        if t < self._at[-1]:  # the manifold has started anew
+            self.forget()
+        self._at.append(t)
+        self._sets.append(pressures)
+
+    def at_reading(self, t: float, pressures: Signed) -> None:
+        """What a reading says is followed. If no change told of that, it was lost on the line: it
+        came somewhere between this reading and the one before."""
+        if self._sets[-1] != pressures:
+            self.change(t if self._since is None else 0.5 * (self._since + t), pressures)
+
+    def mean_until(self, t: float) -> Signed:
+        """The mean since the last call's time; of the first call, what holds."""
+        last = bisect_right(self._at, t) - 1
+        since, self._since = self._since, t
+        if since is None or not since < t:
+            front, rear = self._sets[last]
+        else:
+            ends = np.array([since, *(x for x in self._at if since < x <= t), t])
+            held = np.array(self._sets[last + 2 - len(ends) : last + 1])
+            front, rear = (np.diff(ends) @ held / (t - since)).tolist()
+        # Only what holds now, and what came early, is still needed.
+        del self._at[:last], self._sets[:last]
+        return front, rear
+
+
+def _signed(pressures: Sequence[float]) -> Signed:
+    a, b, c, d = (int(p) for p in pressures)
+    return a - b, c - d

@@ -1,0 +1,101 @@
+"""Set pressures of a trial in time, and the chambers that they fill.
+
+The robot's segments have a chamber on either side. A segment's signed pressure, as the simulator
+and the experiment files have it, is the left chamber's less the right one's; the other is vented.
+"""
+
+from dataclasses import dataclass
+from math import floor, pi, sin
+from typing import Literal
+
+import numpy as np
+
+from rig.errors import RigError
+from rig.manifold.limits import Limits, checked
+
+Waveform = Literal["square", "sine", "trapezoid", "recorded"]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Signed set pressures of both segments [Pa]: `amplitude` in front, `rear_ratio` times behind.
+
+    The rear one follows `phase` of a period later. `rise` is a trapezoid's ramp, a fraction of the
+    period. A recorded drive has `times` [s] (n,) and `recorded` [Pa] (n, 2) instead. The same as
+    the simulator's waveforms, which tests hold it against.
+    """
+
+    waveform: Waveform
+    frequency: float = 0.0
+    amplitude: float = 0.0
+    rear_ratio: float = 1.0
+    phase: float = 0.0
+    rise: float = 0.1
+    times: np.ndarray | None = None
+    recorded: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        if self.waveform == "recorded":
+            if self.times is None or self.recorded is None:
+                raise RigError("drive: given nothing; a recorded one needs times and pressures")
+            if not (np.isfinite(self.times).all() and np.isfinite(self.recorded).all()):
+                raise RigError("drive: the recorded one has a NaN; allowed finite pressures [Pa]")
+            return
+        numbers = (self.frequency, self.amplitude, self.rear_ratio, self.phase, self.rise)
+        if not np.isfinite(numbers).all():
+            raise RigError.value("drive", numbers, "finite numbers")
+        if self.amplitude and not 0.01 <= self.frequency <= 50.0:
+            raise RigError.value("drive's frequency", f"{self.frequency:g}", "0.01 to 50 Hz")
+
+    def segments(self, t: float) -> tuple[float, float]:
+        """(front, rear) [Pa] at `t` [s]; 0 before the start."""
+        if t < 0.0:
+            return 0.0, 0.0
+        if self.waveform == "recorded":
+            assert self.times is not None and self.recorded is not None
+            front, rear = (float(np.interp(t, self.times, p)) for p in self.recorded.T)
+            return front, rear
+        turns = self.frequency * t
+        return (
+            self.amplitude * self._shape(turns),
+            self.amplitude * self.rear_ratio * self._shape(turns - self.phase),
+        )
+
+    def _shape(self, turns: float) -> float:
+        """-1 to 1."""
+        if self.waveform == "sine":
+            return sin(2.0 * pi * turns)
+        if self.waveform == "square":
+            return 1.0 if floor(2.0 * turns + 1e-9) % 2 == 0 else -1.0
+        half_turns = round(2.0 * turns)
+        sign = 1.0 if half_turns % 2 == 0 else -1.0
+        return sign * min(max((turns - half_turns / 2.0) / (0.5 * self.rise), -1.0), 1.0)
+
+    def edges(self, duration: float) -> np.ndarray:
+        """Times [s] within the trial at which a set pressure jumps."""
+        if self.waveform != "square" or not self.amplitude:
+            return np.empty(0)
+        # Each segment jumps at (n/2 + its phase) periods.
+        shifts = np.array([0.0, self.phase % 0.5])
+        halves = np.arange(int(2.0 * self.frequency * duration) + 1) / 2.0
+        times = np.unique((halves[:, None] + shifts).ravel() / self.frequency)
+        return times[times < duration]
+
+    def check(self, limits: Limits, duration: float) -> None:
+        """Raises `RigError` if a chamber is ever asked for more than its limit."""
+        if self.waveform == "recorded":
+            assert self.recorded is not None
+            extremes = [self.recorded.max(axis=0), self.recorded.min(axis=0)]
+        else:
+            most = abs(self.amplitude)
+            behind = most * abs(self.rear_ratio)
+            extremes = [np.array([most, behind]), np.array([-most, -behind])]
+        if not duration > 0.0:
+            raise RigError.value("duration", f"{duration:g}", "more than 0 s")
+        for front, rear in extremes:
+            checked(chambers(float(front), float(rear)), limits)
+
+
+def chambers(front: float, rear: float) -> tuple[float, float, float, float]:
+    """Gauge pressures (4,) [Pa] of the chambers for signed ones of the segments."""
+    return max(front, 0.0), max(-front, 0.0), max(rear, 0.0), max(-rear, 0.0)

@@ -1,0 +1,150 @@
+"""A batch of robots, stride by stride: the compiled stride, and what steady strides say.
+
+One stride is compiled once for a chunk of the batch and carried on from stride to stride, so that
+progress can be shown and a run may be stopped between strides.
+"""
+
+import functools as ft
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from slider_jax import observables as obs
+from slider_jax.beam.parameters import Numerics
+from slider_jax.dynamics.model import Model, make_mesh
+from slider_jax.dynamics.rollout import TimeGrid, rollout
+from slider_jax.dynamics.step import Carry, Snapshot, at_rest
+from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
+from slider_jax.simulation.trial import readings
+
+POSES = 20
+"""Midlines kept of the last stride."""
+
+
+class Stopped(Exception):
+    """The run was told to stop between strides."""
+
+
+class Member(eqx.Module):
+    """One robot of a batch, driven at `frequency` [Hz]."""
+
+    model: Model
+    frequency: Float[Array, ""]
+
+
+class Plan(NamedTuple):
+    """How members are run; everything that a compiled program takes as fixed."""
+
+    steps_per_stride: int
+    """A multiple of `POSES`."""
+    strides: int
+    numerics: Numerics
+    scheme: Scheme = SDIRK2
+
+
+class Programs(NamedTuple):
+    """Compiled for chunks of one size."""
+
+    rest: Callable[[Member], Carry]
+    stride: Callable[[Member, Array, Carry], tuple[Carry, dict[str, Array]]]
+
+
+def kept(x: Snapshot) -> dict[str, Array]:
+    """What is kept of every step: `readings`, `power` [W] and `midline` (2, nodes) [m]."""
+    return readings(x) | {
+        "power": jnp.sum(obs.chamber_power(x)),
+        "midline": obs.midline(x) - x.head[:, None],
+    }
+
+
+def one_stride(plan: Plan, member: Member, number, carry: Carry) -> tuple[Carry, dict[str, Array]]:
+    """Stride `number` (from 0) of one member, carried on from `carry`: next carry, series."""
+    steps, f = plan.steps_per_stride, member.frequency
+    times = TimeGrid(h=1.0 / (f * steps), steps=steps, t0=number / f)
+    out = rollout(
+        member.model, times, kept, plan.numerics, plan.scheme, begin=carry, checkpoint=False
+    )
+    return out.final, {"t": out.t} | out.saved
+
+
+def compile_programs(plan: Plan, chunk: Member) -> Programs:
+    """Compile for members stacked as in `chunk`."""
+    rest = jax.jit(jax.vmap(lambda member: at_rest(member.model, plan.numerics)))
+    stride = jax.jit(jax.vmap(ft.partial(one_stride, plan), (0, None, 0)))
+    number = jnp.asarray(0.0)
+    return Programs(rest, stride.lower(chunk, number, jax.eval_shape(rest, chunk)).compile())
+
+
+def march(
+    plan: Plan,
+    programs: Programs,
+    chunk: Member,
+    on_stride: Callable[[], None] = lambda: None,
+    stopped: Callable[[], bool] = lambda: False,
+) -> dict[str, np.ndarray]:
+    """Run a chunk through all strides.
+
+    Returns series of shape (members, strides, steps, ...): t, pressure, thrust, recoil, power, tip;
+    `midline` (members, POSES, 2, nodes) of the last stride; `ok` (members,). Raises `Stopped`.
+    """
+    carry, series = programs.rest(chunk), []
+    for number in range(plan.strides):
+        if stopped():
+            raise Stopped
+        carry, saved = programs.stride(chunk, jnp.asarray(float(number)), carry)
+        midline = np.asarray(saved.pop("midline"))
+        series.append({name: np.asarray(values) for name, values in saved.items()})
+        on_stride()
+    every = plan.steps_per_stride // POSES
+    runs = {name: np.stack([x[name] for x in series], axis=1) for name in series[0]}
+    runs["midline"] = midline[:, every - 1 :: every]
+    runs["ok"] = np.asarray(carry.ok) & np.isfinite(runs["thrust"]).all(axis=(1, 2))
+    return runs
+
+
+def steady(
+    plan: Plan, members: Member, runs: dict[str, np.ndarray], transient: int
+) -> dict[str, np.ndarray]:
+    """Quantities (members,) of the strides after `transient` ones, named with their units.
+
+    Means and roots of mean squares are over all of those strides; `thrust_std_of_strides` is the
+    standard deviation of single strides' means, `thrust_std_within_stride` that of the course of
+    a stride; peaks and ranges are means over the strides. The wave is of the last stride's
+    fundamental. A member that failed has NaN.
+    """
+    thrust, recoil, power, tip = (
+        runs[name][:, transient:] for name in ("thrust", "recoil", "power", "tip")
+    )
+    per_stride = thrust.mean(axis=2)
+    mean, mean_power = per_stride.mean(axis=1), power.mean(axis=(1, 2))
+    waves, index = _waves(plan, members, jnp.asarray(runs["midline"][:, :, 1]))
+    table = {
+        "thrust_mean_N": mean,
+        "thrust_std_of_strides_N": per_stride.std(axis=1, ddof=min(1, per_stride.shape[1] - 1)),
+        "thrust_std_within_stride_N": thrust.std(axis=2).mean(axis=1),
+        "recoil_peak_N": np.abs(recoil).max(axis=2).mean(axis=1),
+        "recoil_rms_N": np.sqrt((recoil**2).mean(axis=(1, 2))),
+        "tip_half_range_m": 0.5 * np.ptp(tip, axis=2).mean(axis=1),
+        "chamber_power_W": mean_power,
+        "force_efficiency_N_per_W": mean / np.where(mean_power == 0.0, np.nan, mean_power),
+        "body_wavelength_m": np.asarray(waves.wavelength),
+        "wave_speed_m_per_s": np.asarray(waves.speed),
+        "travelling_index": np.asarray(index),
+    }
+    return {name: np.where(runs["ok"], values, np.nan) for name, values in table.items()}
+
+
+@ft.partial(jax.jit, static_argnums=0)
+def _waves(plan: Plan, members: Member, lateral):
+    def wave(member, y):
+        t = jnp.arange(1.0, POSES + 1.0) / (POSES * member.frequency)
+        mode = obs.fundamental_mode(y, t, member.frequency)
+        s = make_mesh(member.model.body, plan.numerics).grid.s
+        return obs.body_wave(mode, s, member.frequency), obs.travelling_index(mode)
+
+    return jax.vmap(wave)(members, lateral)

@@ -1,0 +1,81 @@
+"""The robot and the numerical settings, in SI units; every physical number is a pytree leaf."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from slider_jax.beam.grid import Grid, make_grid
+
+Scalar = Float[Array, ""] | float
+G = 9.81
+"""[m/s^2]"""
+
+
+class Robot(eqx.Module):
+    """Geometry and structure of the robot. Distances of chambers are measured from the head.
+
+    | field | unit | meaning |
+    |---|---|---|
+    | `body_length` | m | actuated body, from the head to the tail's joint |
+    | `tail_length` | m | passive tail behind it |
+    | `linear_density` | kg/m | m, mass per length |
+    | `EI_body`, `EI_tail` | N m^2 | bending stiffness |
+    | `EA_body`, `EA_tail` | N | axial stiffness |
+    | `damping_time` | s | alpha, Kelvin-Voigt: E = E_el (1 + alpha d/dt) |
+    | `height` | m | H, out-of-plane height that the water sees |
+    | `front_chamber`, `rear_chamber` | m | span (near, far) from the head |
+    | `K_Q` | m^3 | moment of a chamber per unit pressure |
+    """
+
+    body_length: Scalar = 0.298
+    tail_length: Scalar = 0.07
+    linear_density: Scalar = 0.7
+    EI_body: Scalar = 0.038
+    EI_tail: Scalar = 0.0058
+    EA_body: Scalar = 1.0e5
+    EA_tail: Scalar = 1.0e5
+    damping_time: Scalar = 2.0e-3
+    height: Scalar = 0.03
+    front_chamber: tuple[Scalar, Scalar] = (0.02, 0.145)
+    rear_chamber: tuple[Scalar, Scalar] = (0.155, 0.28)
+    K_Q: Scalar = 4.79e-7
+
+    @property
+    def length(self) -> Scalar:
+        """L [m], body and tail."""
+        return self.body_length + self.tail_length
+
+
+class Numerics(eqx.Module):
+    """Size of the mesh and the tolerance of a step; all static.
+
+    `tail_cells` + `body_cells` + 1 = N_p nodes. `tolerance` bounds the estimated error of each root
+    find relative to the robot's own scales; `max_newton` the factorisations spent on it.
+    """
+
+    tail_cells: int = eqx.field(static=True, default=10)
+    body_cells: int = eqx.field(static=True, default=40)
+    tolerance: float = eqx.field(static=True, default=1e-8)
+    max_newton: int = eqx.field(static=True, default=12)
+
+    @property
+    def nodes(self) -> int:
+        """N_p."""
+        return self.tail_cells + self.body_cells + 1
+
+
+def grid_of(robot: Robot, numerics: Numerics) -> Grid:
+    """The robot's mesh."""
+    return make_grid(robot.tail_length, robot.body_length, numerics.tail_cells, numerics.body_cells)
+
+
+def scales_of(robot: Robot) -> Float[Array, "6 1"]:
+    """Characteristic size of each nodal unknown, used only to judge convergence.
+
+    Force EI/L^2, moment EI/L, speed L/T with T = L^2 sqrt(m/EI), angle 1 rad.
+    """
+    L, EI = robot.length, robot.EI_body
+    force = EI / L**2
+    speed = jnp.sqrt(EI / robot.linear_density) / L
+    values = [jnp.asarray(x, float) for x in (force, force, EI / L, speed, speed, 1.0)]
+    return jnp.stack(values)[:, None]

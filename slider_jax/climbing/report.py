@@ -1,0 +1,166 @@
+"""A climb in a table, in pictures, and on film."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slider_jax.climbing.climb import ClimbRun
+from slider_jax.io.figures import new_figure, save_figure, save_film
+
+ROWS = (
+    ("speed_m_per_s", "climbing speed U", "mm/s", 1e3),
+    ("drift_m_per_s", "drift to the left", "mm/s", 1e3),
+    ("power_W", "power P", "mW", 1e3),
+    ("efficiency", "efficiency m g U/P", "", 1.0),
+    ("dissipated_of_power", "dissipated, of P", "%", 1e2),
+    ("stored_of_power", "gained by the swing, of P", "%", 1e2),
+    ("unaccounted_of_power", "error in time, of P", "%", 1e2),
+    ("swing_rad", "swing of the head, peak to peak", "deg", 180.0 / np.pi),
+    ("tail_swing_m", "swing of the tip, peak to peak", "mm", 1e3),
+)
+"""Name in `climb.row`, words, unit shown, factor from SI to it."""
+FILM_STRIDES, FRAMES_PER_STRIDE = 4, 24
+
+
+def table(row: dict[str, Any]) -> str:
+    """The rows, one a line."""
+    lines = []
+    for name, words, unit, factor in ROWS:
+        lines.append(f"{words + (f' ({unit})' if unit else ''):36}{factor * row[name]:10.4g}")
+    return "\n".join(lines)
+
+
+def words(run: ClimbRun) -> list[str]:
+    """Pin, cap and how the climb repeats."""
+    trial, said = run.trial, []
+    if not trial.amplitude:
+        return ["no pressure is set: the pin stays, and it hangs"]
+    asked = {"front": trial.amplitude or 0.0, "rear": (trial.amplitude or 0.0) * trial.rear_ratio}
+    cut = [f"{name} {1e-3 * abs(p):g}" for name, p in asked.items() if abs(p) > run.cap]
+    if cut:
+        said.append(f"set pressures are capped at {1e-3 * run.cap:g} kPa: {', '.join(cut)} asked")
+    left, right = run.pin_phase % 1.0, (run.pin_phase + 0.5) % 1.0
+    phase = f"pin changes sides at {left:g} and {right:g} of a period"
+    said.append(phase + (f", the fastest of {len(run.tried)} phases tried" if run.tried else ""))
+    if float(run.found.power) <= 0.0:
+        said.append("the chambers take up more than they give, so that there is no efficiency")
+    last = 1e3 * np.asarray(run.found.rises)
+    each = f"{last.mean():.2f} mm a stride"
+    if run.period == 1:
+        said.append(f"strides repeat: {each}")
+    elif run.period:
+        said.append(f"repeats after every {run.period} strides: {each} on average")
+    else:
+        spread = f"{last.min():.1f} to {last.max():.1f}"
+        said.append(
+            f"does not repeat within {len(run.rises) + run.plan.strides} strides: the last "
+            f"{run.plan.strides} rise by {spread} mm, {each} on average"
+        )
+    return said
+
+
+def series_columns(run: ClimbRun) -> dict[str, np.ndarray]:
+    """The last strides, column by column; x points up, and starts at the centre of mass."""
+    x, steps = run.series, run.plan.steps_per_stride
+    start = x.centre[0]
+    places = {"head": x.midline[:, :, -1], "tip": x.midline[:, :, 0], "pin": x.pin,
+              "centre": x.centre}  # fmt: skip
+    return {
+        "t_s": np.arange(len(x.angle)) / (steps * run.frequency),
+        **{f"{k}_{axis}_m": p[:, i] - start[i] for k, p in places.items() for i, axis in
+           enumerate("xy")},
+        "head_angle_rad": x.angle,
+        "power_W": x.power,
+        "dissipated_W": x.dissipated,
+        "stored_J": x.stored,
+    }  # fmt: skip
+
+
+def _sideways(points: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(right, up) [mm] of points (..., 2, n): the picture has the x axis up and y to the left."""
+    return -1e3 * (points[..., 1, :] - origin[1]), 1e3 * (points[..., 0, :] - origin[0])
+
+
+def plot(run: ClimbRun, path: Path) -> None:
+    """One stride on the wall, the rise in time, and where the work goes."""
+    figure, axes = new_figure(1, 2, figsize=(9.5, 6), width_ratios=(2, 3))
+    wall, right = axes
+    x, steps = run.series, run.plan.steps_per_stride
+    origin = x.midline[-steps - 1, :, -1]
+    for i in range(steps + 1):
+        if i % max(1, steps // 12) == 0:
+            shade = f"{0.8 * (1.0 - i / steps):.3f}"
+            wall.plot(*_sideways(x.midline[i - steps - 1], origin), color=shade, lw=1.2)
+    wall.plot(*_sideways(x.midline[-steps - 1 :, :, -1].T, origin), "C3", lw=1.5, label="head")
+    wall.plot(*_sideways(x.midline[-steps - 1 :, :, 0].T, origin), "C0", lw=1.0, label="tip")
+    pins = np.unique(np.round(x.pin[-steps:], 5), axis=0)
+    wall.plot(*_sideways(pins.T, origin), "ks", ms=5, label="pins")
+    wall.set_aspect("equal")
+    wall.set_xlabel("across (mm)")
+    wall.set_ylabel("up (mm)")
+    below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.1), "frameon": False}
+    wall.legend(fontsize="small", ncols=3, handlelength=1.0, columnspacing=1.0, **below)
+    wall.set_title("one stride, late midlines darker", fontsize="medium")
+    t = np.arange(len(x.angle)) / (steps * run.frequency)
+    right.plot(t, 1e3 * (x.midline[:, 0, -1] - x.midline[0, 0, -1]), "C3", lw=1.2, label="head")
+    right.plot(t, 1e3 * (x.centre[:, 0] - x.centre[0, 0]), "C0", lw=1.2, label="centre of mass")
+    right.plot(t, 1e3 * float(run.found.speed) * t, "k--", lw=0.8,
+               label=f"{1e3 * float(run.found.speed):.1f} mm/s")  # fmt: skip
+    right.set_xlabel("time (s)")
+    right.set_ylabel("risen (mm)")
+    right.legend(fontsize="small", loc="upper left")
+    right.margins(x=0.0)
+    right.set_title(f"the last {len(run.found.rises)} strides", fontsize="medium")
+    save_figure(figure, path)
+
+
+def film(
+    run: ClimbRun, path: Path, progress: Callable[[int, int], None] = lambda done, total: None
+) -> None:
+    """Write a GIF of the last strides: the body, the cross-link, and the end of it that is pinned.
+
+    The moment when a frame is shown is told in it; rungs of 10 mm are drawn on the wall.
+    """
+    x, steps = run.series, run.plan.steps_per_stride
+    shown = np.linspace(
+        max(0, len(x.angle) - 1 - FILM_STRIDES * steps), len(x.angle) - 1,
+        FILM_STRIDES * FRAMES_PER_STRIDE + 1,
+    ).round().astype(int)[:-1]  # fmt: skip
+    origin = x.midline[shown[0], :, -1]
+    across, up = _sideways(x.midline[shown], origin)
+    figure, ax = new_figure(figsize=(4.5, 6.5), dpi=80)
+    (body,) = ax.plot([], [], "C0", lw=5, solid_capstyle="round")
+    (rod,) = ax.plot([], [], "0.3", lw=3)
+    (pin,) = ax.plot([], [], "C3o", ms=8)
+    (path_of_head,) = ax.plot([], [], "C3", lw=0.8)
+    clock = ax.text(0.98, 0.02, "", transform=ax.transAxes, ha="right")
+    reach = 1e3 * run.link
+    ax.set_xlim(across.min() - reach, across.max() + reach)
+    low, high = up.min() - 10.0, up.max() + reach
+    ax.set_ylim(low, high)
+    for rung in np.arange(10.0 * np.ceil(low / 10.0), high, 10.0):
+        ax.axhline(rung, color="0.9", lw=0.6, zorder=0)
+    ax.set_aspect("equal")
+    ax.set_xlabel("across (mm)")
+    ax.set_ylabel("up (mm)")
+    ax.set_title(
+        f"{run.frequency:g} Hz, {1e3 * float(run.found.speed):.1f} mm/s", fontsize="medium"
+    )
+    heads = x.midline[shown, :, -1]
+
+    def move(number: int) -> None:
+        i = shown[number]
+        # The link's ends lie to the left and to the right of the head.
+        n = np.array([-np.sin(x.angle[i]), np.cos(x.angle[i])])
+        head = heads[number]
+        ends = np.stack([head + 0.5 * run.link * n, head - 0.5 * run.link * n], axis=1)
+        body.set_data(*_sideways(x.midline[i], origin))
+        rod.set_data(*_sideways(ends, origin))
+        pin.set_data(*_sideways(x.pin[i][:, None], origin))
+        path_of_head.set_data(*_sideways(heads[: number + 1].T, origin))
+        clock.set_text(f"{(i - shown[0]) / (steps * run.frequency):.2f} s")
+
+    moving = (body, rod, pin, path_of_head, clock)
+    save_film(figure, moving, move, range(len(shown)), path, progress)

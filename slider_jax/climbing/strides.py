@@ -1,0 +1,186 @@
+"""Climbing strides: what a robot on alternating pins does over them, as pure functions.
+
+The x axis points up. One end of the cross-link is pinned while the body swings the other up; there
+that is pinned, and the first let go. Over whole strides the chambers' work goes three ways,
+
+    W = m g (x_2 - x_1) + D + (E_2 - E_1) + error in time
+
+into height of the centre of mass x, into dissipation D (also that of the waves which a new pin sets
+off: it stops a moving end), and into the change of kinetic and elastic energy E.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from slider_jax import observables as obs
+from slider_jax.beam.parameters import G, Numerics, Scalar
+from slider_jax.beam.state import fields
+from slider_jax.dynamics.model import Model
+from slider_jax.dynamics.residual import internal_moments, turning_rate
+from slider_jax.dynamics.rollout import TimeGrid, rollout
+from slider_jax.dynamics.step import Carry, Snapshot, at_rest, with_motion
+from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
+from slider_jax.effects import Gravity, total_force
+from slider_jax.supports import PinnedLink
+from slider_jax.swimming.steady_state import BEGUN
+
+
+class ClimbPlan(NamedTuple):
+    """How a climb is computed."""
+
+    settling: int = 15
+    """Strides from rest that do not count."""
+    strides: int = 15
+    """Strides over which speed and power are taken; the paper's."""
+    steps_per_stride: int = 96
+    numerics: Numerics = Numerics(tail_cells=6, body_cells=24)
+    scheme: Scheme = SDIRK2
+
+
+class ClimbSeries(eqx.Module):
+    """A climb at the end of every step; the x axis points up."""
+
+    midline: Float[Array, "steps 2 nodes"]
+    """[m], tail first."""
+    centre: Float[Array, "steps 2"]
+    """Of mass [m]."""
+    pin: Float[Array, "steps 2"]
+    """[m]"""
+    slip: Float[Array, " steps"]
+    """Speed of the pin [m/s]."""
+    angle: Float[Array, " steps"]
+    """Of the head [rad], to the left."""
+    power: Float[Array, " steps"]
+    """Of the chambers on the body [W]."""
+    dissipated: Float[Array, " steps"]
+    """In the body's viscosity, and given to effects other than weight [W]."""
+    stored: Float[Array, " steps"]
+    """Kinetic and elastic [J]."""
+
+
+class Climb(eqx.Module):
+    """Over some strides. Scalars where no shape is given."""
+
+    speed: Scalar
+    """U [m/s], of the centre of mass, upwards."""
+    drift: Scalar
+    """Its speed to the left [m/s]."""
+    power: Scalar
+    """P [W], mean of the chambers on the body."""
+    efficiency: Scalar
+    """m g U/P [-], where P is less what the swing gains, nothing over strides that repeat. NaN, as
+    the shares are, where the chambers put nothing in."""
+    dissipated: Scalar
+    """Share of P."""
+    stored: Scalar
+    """Share of P by which kinetic and elastic energy grow."""
+    unaccounted: Scalar
+    """Share of P that is left: the error in time."""
+    swing: Scalar
+    """Of the head, peak to peak [rad]."""
+    tail_swing: Scalar
+    """Of the tip, sideways, peak to peak [m]; of the last stride."""
+    slip: Scalar
+    """Largest speed of the pin [m/s]."""
+    rises: Float[Array, " strides"]
+    """Of the head, stride by stride [m]."""
+
+
+def _saved(x: Snapshot) -> ClimbSeries:
+    cell, grid, support = x.section(), x.mesh.grid, x.stage.support
+    head = fields(x.y[:, -1])
+    midline = obs.midline(x)
+    rates = support.anchor_velocity(head, turning_rate(head, x.stage), x.t)
+    others = tuple(e for e in x.stage.effects if not isinstance(e, Gravity))
+    F_tau, F_n = total_force(others, cell)
+    moments = sum((m for m, _ in internal_moments(cell, x.stage)), jnp.zeros_like(cell.s))
+    damped = x.mesh.structure.damping_time * (
+        cell.EI * cell.kappa_t**2 + x.mesh.structure.EA * cell.strain_t**2
+    )
+    given = moments * cell.kappa_t - (1.0 + cell.strain) * (F_tau * cell.V_tau + F_n * cell.V_n)
+    return ClimbSeries(
+        midline=midline,
+        centre=grid.integral(grid.mid(midline)) / grid.integral(jnp.ones_like(cell.s)),
+        pin=x.head + support.anchor_offset(head.phi, x.t),
+        slip=jnp.linalg.norm(rates),
+        angle=head.phi,
+        power=jnp.sum(obs.chamber_power(x)),
+        dissipated=grid.integral(damped + given),
+        stored=obs.stored_energy(x).total,
+    )
+
+
+def hanging(model: Model, numerics: Numerics) -> Carry:
+    """A straight body at rest on its left pin, turned so that its centre of mass is below that."""
+    assert isinstance(model.support, PinnedLink)
+    angle = -jnp.arctan2(model.support.link_length, model.body.length)
+
+    def turned(motion):
+        """(..., 3, nodes): V_tau, V_n, phi."""
+        return motion.at[..., 2, :].add(angle)
+
+    return with_motion(at_rest(model, numerics), turned)
+
+
+def climb_on(
+    model: Model, frequency: Scalar, carry: Carry, count: int, plan: ClimbPlan
+) -> tuple[Carry, ClimbSeries]:
+    """`count` strides more of `frequency` [Hz], from the instant when the left end is pinned.
+
+    The model is a `gait.climber`. Pins change on steps, whatever their phase; pressures have edges
+    within them.
+    """
+    assert isinstance(model.support, PinnedLink)
+    steps = plan.steps_per_stride
+    begin = (BEGUN + model.support.phase) / frequency
+    times = TimeGrid(1.0 / (frequency * steps), count * steps, begin)
+    run = rollout(model, times, _saved, plan.numerics, plan.scheme, begin=carry, checkpoint=False)
+    return run.final, run.saved
+
+
+def climb_of(model: Model, frequency: Scalar, series: ClimbSeries, plan: ClimbPlan) -> Climb:
+    """What whole strides amount to; `series` begins with the end of the step before them."""
+    steps = plan.steps_per_stride
+    h = 1.0 / (frequency * steps)
+    span = h * (len(series.angle) - 1)
+    body = model.body
+    weight = body.linear_density * body.length * G
+    work, lost = (h * jnp.sum(x[1:]) for x in (series.power, series.dissipated))
+    (up, left), kept = (x[-1] - x[0] for x in (series.centre, series.stored))
+    lifted, spent = weight * up, jnp.where(work > 0.0, work, jnp.nan)
+    head, tip = series.midline[:, :, -1], series.midline[-steps:, 1, 0]
+    return Climb(
+        speed=up / span,
+        drift=left / span,
+        power=work / span,
+        efficiency=jnp.where(spent > kept, lifted / (spent - kept), jnp.nan),
+        dissipated=lost / spent,
+        stored=kept / spent,
+        unaccounted=(work - lifted - lost - kept) / spent,
+        swing=jnp.max(series.angle) - jnp.min(series.angle),
+        tail_swing=jnp.max(tip) - jnp.min(tip),
+        slip=jnp.max(series.slip),
+        rises=jnp.diff(head[::steps, 0]),
+    )
+
+
+def join(before: ClimbSeries, after: ClimbSeries) -> ClimbSeries:
+    """`after`, with the last step `before` it."""
+    return jax.tree.map(lambda a, b: jnp.concatenate([a[-1:], b]), before, after)
+
+
+def climb_from_rest(
+    model: Model, frequency: Scalar, plan: ClimbPlan = ClimbPlan()
+) -> tuple[Climb, Bool[Array, ""]]:
+    """`plan.strides` strides after `plan.settling` from `hanging`, and whether all steps converged.
+
+    Pure, to be batched by vmap.
+    """
+    begin = hanging(model, plan.numerics)
+    carry, before = climb_on(model, frequency, begin, plan.settling, plan)
+    carry, after = climb_on(model, frequency, carry, plan.strides, plan)
+    return climb_of(model, frequency, join(before, after), plan), carry.ok

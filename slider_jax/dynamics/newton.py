@@ -1,0 +1,114 @@
+"""The root finder of an implicit stage, and its derivative by the implicit function theorem.
+
+`BeamNewton` takes the Jacobian's blocks from `options["jacobian"]`, a function (y, args) ->
+BeamOperator, the unknowns' scales from `options["scale"]`, and gives up at once where
+`options["skip"]` is true, so that a member of a batch that failed costs nothing more.
+`BeamAdjoint` differentiates the root with the same blocks; a failed member spoils its own
+derivative only, and nothing in here calls back to the host, so compiled programs can be cached.
+"""
+
+import functools as ft
+from typing import Any
+
+import equinox as eqx
+import equinox.internal as eqxi
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jaxtyping import Array
+
+from slider_jax.dynamics.block_solver import BeamSolver
+
+
+class _NewtonState(eqx.Module):
+    error: Array
+
+
+class BeamNewton(optx.AbstractRootFinder):
+    """Shamanskii's method: each iteration factorises once and makes `corrections` (at least 2)
+    simplified Newton steps with the same factors.
+
+    The frozen Jacobian is exact at the first of them and nearly so at the rest, so their increments
+    shrink by a steady rate r, and |increment| r/(1 - r) estimates the error left by the last one.
+    The iteration stops when that estimate, over max(`options["scale"]`, |y|), is below `rtol`; an
+    absolute tolerance would be one for six units, so `atol`, which optimistix asks for, must be 0.
+
+    Source: Shamanskii, V. E. (1967), A modification of Newton's method, Ukr. Math. J. 19, 118-122.
+    """
+
+    rtol: float
+    atol: float = 0.0
+    norm: Any = optx.max_norm
+    corrections: int = 3
+    linear_solver: BeamSolver = BeamSolver()
+
+    def __check_init__(self):
+        if self.corrections < 2 or self.atol != 0.0:
+            raise ValueError(
+                f"corrections={self.corrections}, atol={self.atol}: allowed are 2 or more (the "
+                "rate of convergence is that of the last two) and 0"
+            )
+
+    def init(self, fn, y, args, options, f_struct, aux_struct, tags):
+        return _NewtonState(jnp.asarray(jnp.inf, y.dtype))
+
+    def step(self, fn, y, args, options, state, tags):
+        factors = self.linear_solver.init(options["jacobian"](y, args), {})
+
+        def correct(_, carry):
+            y, _, before = carry
+            change, _, _ = self.linear_solver.compute(factors, fn(y, args)[0], {})
+            size = self.norm(change / jnp.maximum(options["scale"], jnp.abs(y)))
+            return y - change, before, size
+
+        infinite = jnp.asarray(jnp.inf, y.dtype)
+        y, before, last = jax.lax.fori_loop(0, self.corrections, correct, (y, infinite, infinite))
+        rate = last / before
+        error = jnp.where(rate < 1.0, last * rate / (1.0 - rate), last)
+        return y, _NewtonState(error), fn(y, args)[1]
+
+    def terminate(self, fn, y, args, options, state, tags):
+        bad = jnp.isnan(state.error)
+        result = optx.RESULTS.where(bad, optx.RESULTS.nonfinite, optx.RESULTS.successful)
+        return bad | (state.error < self.rtol) | options["skip"], result
+
+    def postprocess(self, fn, y, aux, args, options, state, tags, result):
+        return y, aux, {}
+
+
+class BeamAdjoint(optx.AbstractAdjoint):
+    """Derivative of the root y of f(y, args) = 0: dy = -J(y)^-1 df, J factorised once per root.
+
+    Forward tangents share the factorisation; reverse mode transposes the same solve.
+    """
+
+    linear_solver: BeamSolver = BeamSolver()
+
+    def apply(self, primal_fn, rewrite_fn, inputs, tags):
+        inputs = (*inputs, ft.partial(eqxi.while_loop, kind="lax"))
+
+        @eqx.filter_custom_jvp
+        def root(inputs):
+            return primal_fn(inputs)
+
+        @root.def_jvp
+        def root_jvp(primals, tangents):
+            (inputs,), (t_inputs,) = primals, tangents
+            y, rest = root(inputs)
+            _, _, _, args, options, *_ = inputs
+            moving = jax.tree.map(lambda t: t is not None, t_inputs, is_leaf=lambda t: t is None)
+            dynamic, static = eqx.partition(inputs, moving)
+            t_dynamic, _ = eqx.partition(t_inputs, moving)
+
+            def value(dynamic):
+                return rewrite_fn(y, rest, eqx.combine(dynamic, static))
+
+            _, t_value = jax.jvp(value, (dynamic,), (t_dynamic,))
+            factors = self.linear_solver.init(options["jacobian"](y, args), {})
+            t_y, _, _ = self.linear_solver.compute(factors, t_value, {})
+            t_rest = jax.tree.map(
+                lambda x: jnp.zeros_like(x) if eqx.is_inexact_array(x) else None, rest
+            )
+            return (y, rest), (-t_y, t_rest)
+
+        return root(inputs)

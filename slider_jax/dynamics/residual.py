@@ -1,0 +1,128 @@
+"""The equations of one implicit stage, stacked: cells, tail, head. Knows no solver."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from slider_jax.beam.equations import Reference, Section, Structure, equations, section
+from slider_jax.beam.state import Fields, Unknowns, fields
+from slider_jax.dynamics.block_solver import BeamOperator
+from slider_jax.effects import (
+    MOUNT_LAG,
+    BendingMoment,
+    Effect,
+    HeadRates,
+    Mounting,
+    of_place,
+    total_force,
+)
+from slider_jax.supports import Support
+
+
+class Stage(eqx.Module):
+    """Everything that one implicit stage holds fixed while its unknowns are sought.
+
+    `water`: velocity [m/s] and acceleration [m/s^2], each (x, y). `phi_head` and `load_head`
+    (T, N, M, lagging by `MOUNT_LAG`) are references as those of `Reference`, at the head.
+    """
+
+    structure: Structure
+    effects: tuple[Effect, ...]
+    support: Support
+    reference: Reference
+    phi_head: Array
+    load_head: Float[Array, "3"]
+    pressure: Float[Array, " cells"]
+    active_moment: Float[Array, " cells"]
+    water: Float[Array, "2 2"]
+    t: Array
+
+
+def cell_rows(mid: Fields, slope: Fields, stage: Stage) -> tuple[Array, ...]:
+    """The six equations of every cell, from the unknowns' means and slopes in it."""
+    x = section(mid, slope, stage.structure, stage.reference, stage.water, stage.pressure, stage.t)
+    force = total_force(stage.effects, x)
+    extra = sum((m for m, _ in internal_moments(x, stage)), jnp.zeros_like(mid.M))
+    return equations(mid, slope, x, stage.structure, force, extra - stage.active_moment)
+
+
+def internal_moments(x: Section, stage: Stage) -> list[tuple[Array, Array]]:
+    """Moment [N m] in the cells and new memory of every effect that is a bending moment."""
+    effects = of_place(stage.effects, BendingMoment)
+    memories = stage.reference.internal
+    pairs = zip(effects, memories, strict=True)
+    return [effect.moment(x, memory, stage.reference.dt) for effect, memory in pairs]
+
+
+def turning_rate(head: Fields, stage: Stage) -> Array:
+    """omega [rad/s] of the head."""
+    return (head.phi - stage.phi_head) / stage.reference.dt
+
+
+def load_rates(head: Float[Array, "6"], stage: Stage) -> Float[Array, "3"]:
+    """d(load)/dt of the lagging load: load + tau d(load)/dt = (T, N, M) at the head."""
+    return (head[:3] - stage.load_head) / (stage.reference.dt + MOUNT_LAG)
+
+
+def head_rows(head: Float[Array, "6"], stage: Stage) -> Float[Array, "3"]:
+    """The support's three rows, for what is left of the head's motion where the mounting gives."""
+    at_head, omega = fields(head), turning_rate(fields(head), stage)
+    rates = HeadRates(*load_rates(head, stage))
+    for effect in of_place(stage.effects, Mounting):
+        tau, n, turning = effect.give(rates)
+        at_head = at_head._replace(V_tau=at_head.V_tau - tau, V_n=at_head.V_n - n)
+        omega = omega - turning
+    return jnp.stack(stage.support.rows(at_head, omega, stage.t))
+
+
+def tail_rows(tail: Float[Array, "6"]) -> Float[Array, "3"]:
+    """A free end: T = N = M = 0."""
+    return tail[:3]
+
+
+def mid_and_slope(y: Unknowns, ds) -> tuple[Fields, Fields]:
+    """Means and slopes of the six unknowns in each cell."""
+    left, right = y[:, :-1], y[:, 1:]
+    return fields(0.5 * (left + right)), fields((right - left) / ds)
+
+
+def at_cells(y: Unknowns, stage: Stage) -> Section:
+    """The kinematics in the cells."""
+    mid, slope = mid_and_slope(y, stage.structure.ds)
+    return section(
+        mid, slope, stage.structure, stage.reference, stage.water, stage.pressure, stage.t
+    )
+
+
+def residual(y: Unknowns, stage: Stage):
+    """Zero at the solution. Returns ((6, cells), (3,), (3,)): cells, tail, head."""
+    mid, slope = mid_and_slope(y, stage.structure.ds)
+    return jnp.stack(cell_rows(mid, slope, stage)), tail_rows(y[:, 0]), head_rows(y[:, -1], stage)
+
+
+def jacobian(y: Unknowns, stage: Stage) -> BeamOperator:
+    """d(residual)/dy by blocks.
+
+    A cell's rows depend on 12 cell values, the means and slopes of six unknowns, elementwise along
+    the body. Twelve forward tangents, each in one of them alone, give all blocks of all cells.
+    """
+    mid, slope = mid_and_slope(y, stage.structure.ds)
+    values = (*mid, *slope)
+
+    def derivative(i):
+        def rows(v):
+            moved = (*values[:i], v, *values[i + 1 :])
+            return cell_rows(Fields(*moved[:6]), Fields(*moved[6:]), stage)
+
+        _, tangent = jax.jvp(rows, (values[i],), (jnp.ones_like(values[i]),))
+        return jnp.stack(tangent)
+
+    to_mid = 0.5 * jnp.stack([derivative(i) for i in range(6)], axis=1)
+    to_slope = jnp.stack([derivative(i) for i in range(6, 12)], axis=1) / stage.structure.ds
+    return BeamOperator(
+        left=to_mid - to_slope,
+        right=to_mid + to_slope,
+        tail=jax.jacfwd(tail_rows)(y[:, 0]),
+        head=jax.jacfwd(head_rows)(y[:, -1], stage),
+    )

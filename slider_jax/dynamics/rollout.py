@@ -1,0 +1,91 @@
+"""Many steps: the trajectory of one robot, differentiable forward and backward, batched by vmap."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from slider_jax.beam.parameters import Numerics, Scalar
+from slider_jax.dynamics.model import Mesh, Model, make_mesh
+from slider_jax.dynamics.pressures import Chambers, chamber_history
+from slider_jax.dynamics.step import Carry, Snapshot, at_rest, make_step
+from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
+
+
+class TimeGrid(eqx.Module):
+    """`steps` equal steps of `h` [s] from `t0` [s]. Lock it to the stride with `per_stride`."""
+
+    h: Scalar
+    steps: int = eqx.field(static=True)
+    t0: Scalar = 0.0
+
+    @classmethod
+    def per_stride(cls, frequency: Scalar, steps_per_stride: int, strides: int) -> "TimeGrid":
+        """Whole steps per stride of 1/`frequency` [Hz]; an even number keeps the edges on steps."""
+        return cls(1.0 / (frequency * steps_per_stride), steps_per_stride * strides)
+
+    @property
+    def times(self) -> Float[Array, " steps"]:
+        """End of every step [s]."""
+        return self.t0 + self.h * jnp.arange(1.0, self.steps + 1.0)
+
+
+class Rollout(eqx.Module):
+    """What a rollout returns: times (steps,), what was saved at each, and how it went."""
+
+    t: Float[Array, " steps"]
+    saved: Any
+    final: Carry
+    mesh: Mesh
+
+    @property
+    def ok(self):
+        """Whether every step converged."""
+        return self.final.ok
+
+
+def stage_chambers(model: Model, times: TimeGrid, scheme: Scheme, begin: Chambers) -> Chambers:
+    """The chambers (steps, stages, ...) at every stage of every step, from `begin` at the start."""
+    begins = times.t0 + times.h * jnp.arange(float(times.steps))
+    at = begins[:, None] + times.h * jnp.asarray(scheme.nodes)
+    at = jnp.concatenate([jnp.asarray(times.t0, at.dtype)[None], at.ravel()])
+    history = chamber_history(model, begin, at)
+    return jax.tree.map(lambda x: x.reshape(times.steps, scheme.stages, *x.shape[1:]), history)
+
+
+def rollout(
+    model: Model,
+    times: TimeGrid,
+    save: Callable[[Snapshot], Any],
+    numerics: Numerics = Numerics(),
+    scheme: Scheme = SDIRK2,
+    *,
+    begin: Carry | None = None,
+    checkpoint: bool = True,
+) -> Rollout:
+    """Integrate `model` over `times`; `save(snapshot)` is kept at the end of every step.
+
+    Starts straight, at rest relative to its support, unless `begin` carries on from an earlier
+    rollout's `final`. A step that fails freezes the state and clears `ok`; nothing is raised, so
+    that one member of a batch cannot stop the others (`simulate` raises for a single run).
+    With `checkpoint`, reverse mode keeps each step's carry only and recomputes the rest.
+    """
+    mesh = make_mesh(model.body, numerics)
+    if begin is None:
+        begin = at_rest(model, numerics, times.t0)
+    chambers = stage_chambers(model, times, scheme, begin.chambers)
+    step = make_step(model, mesh, numerics, scheme)
+    begins = times.t0 + times.h * jnp.arange(float(times.steps))
+
+    def body(carry, inputs):
+        t, chambers = inputs
+        carry, snapshot = step(carry, (t, jnp.asarray(times.h), chambers))
+        return carry, save(snapshot)
+
+    if checkpoint:
+        body = jax.checkpoint(body, prevent_cse=False)
+    final, saved = jax.lax.scan(body, begin, (begins, chambers))
+    return Rollout(times.times, saved, final, mesh)

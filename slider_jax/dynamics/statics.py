@@ -1,0 +1,146 @@
+"""Shapes at rest: a clamped robot under pressures and a dead load on the tail's end."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from slider_jax.beam.equations import Reference
+from slider_jax.beam.frame import midline, to_body
+from slider_jax.beam.parameters import Numerics, Scalar, scales_of
+from slider_jax.beam.state import Memory, Unknowns
+from slider_jax.dynamics.block_solver import BeamOperator, BeamSolver
+from slider_jax.dynamics.model import Mesh, Model, make_mesh
+from slider_jax.dynamics.pressures import start_chambers
+from slider_jax.dynamics.residual import Stage, jacobian, residual
+from slider_jax.dynamics.step import Carry, start
+from slider_jax.effects import BendingMoment, of_place
+
+LONG = 1e9
+"""Time [s] over which a static state is reached: rates of what is finite vanish."""
+INCREMENTS = 8
+"""Parts in which load and pressure are applied: each shape is the next one's first guess."""
+CORRECTIONS, LAST = 3, 4
+"""Newton steps at each part, and more of them at the whole load."""
+
+
+class Loads(NamedTuple):
+    """What bends a robot at rest."""
+
+    force: Float[Array, "2"]
+    """(x, y) [N] on the tail's end; it keeps its direction."""
+    pressure: Float[Array, "2"]
+    """Front and rear chamber [Pa]."""
+
+
+class AtRest(NamedTuple):
+    """A static state."""
+
+    y: Unknowns
+    """Forces, moment and angle at the nodes; the velocities are zero but for 1/`LONG`."""
+    shape: Float[Array, "2 nodes"]
+    """(x, y) [m] from the head, tail first."""
+    ok: Bool[Array, ""]
+    """Whether the Newton iteration converged."""
+
+
+def at_rest_under(model: Model, loads: Loads, numerics: Numerics = Numerics()) -> AtRest:
+    """The static shape of `model` under `loads`, its head clamped, its water and drive left out.
+
+    Differentiable with respect to every number, by the implicit function theorem.
+    """
+    mesh = make_mesh(model.body, numerics)
+    stage = _stage(model, mesh, loads.pressure)
+    y, error = _equilibrium((stage, loads.force, scales_of(model.body)))
+    eps = mesh.grid.mid(y[0]) / mesh.structure.EA
+    shape = midline(y[5], eps, jnp.zeros(2), mesh.grid)
+    return AtRest(y, shape, error < numerics.tolerance)
+
+
+def release(model: Model, begin: AtRest, numerics: Numerics = Numerics()) -> Carry:
+    """The carry that begins a rollout at a static state, its tip load gone at that instant."""
+    mesh = make_mesh(model.body, numerics)
+    y = begin.y.at[3:5].set(0.0)
+    eps = mesh.grid.mid(y[0]) / mesh.structure.EA
+    internal = tuple(jnp.zeros_like(eps) for _ in of_place(model.effects, BendingMoment))
+    memory = Memory(y[3:], eps, jnp.zeros(2), y[:3, -1], internal)
+    return start(y, memory, start_chambers(model))
+
+
+def _stage(model: Model, mesh: Mesh, pressure: Float[Array, "2"]) -> Stage:
+    zero = jnp.zeros_like(mesh.grid.ds)
+    internal = tuple(zero for _ in of_place(model.effects, BendingMoment))
+    reference = Reference(zero, zero, zero, zero, zero, internal, jnp.asarray(LONG))
+    return Stage(
+        structure=mesh.structure,
+        effects=model.effects,
+        support=model.support,
+        reference=reference,
+        phi_head=jnp.asarray(0.0),
+        load_head=jnp.zeros(3),
+        pressure=pressure @ mesh.windows,
+        active_moment=pressure @ mesh.chambers,
+        water=jnp.zeros((2, 2)),
+        t=jnp.asarray(0.0),
+    )
+
+
+def _tail_load(phi: Scalar, force: Float[Array, "2"]) -> Float[Array, "3"]:
+    """T, N, M that the tail's end carries under a force (x, y) [N]."""
+    T, N = to_body((-force[0], -force[1]), phi)
+    return jnp.stack([T, N, jnp.zeros_like(T)])
+
+
+def _loaded(y: Unknowns, stage: Stage, force: Float[Array, "2"]):
+    """`residual` with a loaded tail's end."""
+    cells, tail, head = residual(y, stage)
+    return cells, tail - _tail_load(y[5, 0], force), head
+
+
+def _loaded_jacobian(y: Unknowns, stage: Stage, force: Float[Array, "2"]) -> BeamOperator:
+    operator = jacobian(y, stage)
+    turning = jax.jacfwd(_tail_load)(y[5, 0], force)
+    return eqx.tree_at(lambda a: a.tail, operator, operator.tail.at[:, 5].add(-turning))
+
+
+def _newton(stage: Stage, force: Float[Array, "2"], scale: Float[Array, "6 1"]):
+    """The state, the last change over its scale, and the last factors of the Jacobian."""
+    solver = BeamSolver()
+
+    def correct(carry, share):
+        y = carry[0]
+        part = eqx.tree_at(lambda s: s.active_moment, stage, share * stage.active_moment)
+        factors = solver.init(_loaded_jacobian(y, part, share * force), {})
+        change, _, _ = solver.compute(factors, _loaded(y, part, share * force), {})
+        error = jnp.max(jnp.abs(change) / jnp.maximum(scale, jnp.abs(y)))
+        return (y - change, error, factors[0]), None
+
+    parts = np.repeat(np.arange(1.0, INCREMENTS + 1.0) / INCREMENTS, CORRECTIONS)
+    shares = jnp.asarray(np.concatenate([parts, np.ones(LAST)]))
+    y, infinite = jnp.zeros((6, stage.structure.ds.shape[-1] + 1)), jnp.asarray(jnp.inf)
+    kinds = jax.eval_shape(lambda y: correct((y, infinite, None), shares[0])[0][2], y)
+    factors = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), kinds)
+    return jax.lax.scan(correct, (y, infinite, factors), shares)[0]
+
+
+@eqx.filter_custom_jvp
+def _equilibrium(inputs):
+    """(y, error) for (stage, force, scale)."""
+    return _newton(*inputs)[:2]
+
+
+@_equilibrium.def_jvp
+def _equilibrium_jvp(primals, tangents):
+    """dy = -J^-1 d(residual), with the factors that the last Newton step left."""
+    ((stage, force, scale),), (t_inputs,) = primals, tangents
+    y, error, factors = _newton(stage, force, scale)
+    inputs = (stage, force)
+    moving = jax.tree.map(lambda t: t is not None, t_inputs[:2], is_leaf=lambda t: t is None)
+    dynamic, static = eqx.partition(inputs, moving)
+    t_dynamic, _ = eqx.partition(t_inputs[:2], moving)
+    _, t_value = jax.jvp(lambda d: _loaded(y, *eqx.combine(d, static)), (dynamic,), (t_dynamic,))
+    t_y, _, _ = BeamSolver().compute((factors, False), t_value, {})
+    return (y, error), (-t_y, jnp.zeros_like(error))

@@ -1,0 +1,199 @@
+"""One time step: its stages, each a root find."""
+
+import functools as ft
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jaxtyping import Array, Bool, Float, PyTree
+
+from slider_jax.beam.equations import Reference, Section, strain
+from slider_jax.beam.frame import to_body
+from slider_jax.beam.parameters import Numerics, Scalar, grid_of, scales_of
+from slider_jax.beam.state import Memory, Unknowns, fields, straight
+from slider_jax.dynamics.model import Mesh, Model
+from slider_jax.dynamics.newton import BeamAdjoint, BeamNewton
+from slider_jax.dynamics.pressures import Chambers, start_chambers
+from slider_jax.dynamics.residual import (
+    Stage,
+    at_cells,
+    internal_moments,
+    jacobian,
+    load_rates,
+    residual,
+    turning_rate,
+)
+from slider_jax.dynamics.time_schemes import Scheme, extrapolation
+from slider_jax.effects import BendingMoment, of_place
+from slider_jax.supports import Support
+
+
+class Carry(eqx.Module):
+    """What one step hands to the next."""
+
+    history: Float[Array, "3 6 nodes"]
+    """The last three solutions, oldest first: they predict the next."""
+    memory: Memory
+    chambers: Chambers
+    ok: Bool[Array, ""]
+    """False from the first stage that did not converge; the state is frozen from there on."""
+    factorisations: Array
+    """Of the Jacobian, spent so far."""
+    failed_at: Array
+    """Time [s] of the stage that failed, or inf."""
+
+
+class Snapshot(eqx.Module):
+    """The system at the end of a step, as observables see it."""
+
+    t: Array
+    y: Unknowns
+    memory: Memory
+    stage: Stage
+    mesh: Mesh
+    chambers: Chambers
+
+    @property
+    def head(self) -> Float[Array, "2"]:
+        """Position of the head [m]."""
+        return self.memory.head
+
+    def section(self) -> Section:
+        """The kinematics in the cells."""
+        return at_cells(self.y, self.stage)
+
+
+def _blend(base: PyTree, last: PyTree, weight) -> PyTree:
+    return jax.tree.map(lambda b, q: b + weight * (q - b), base, last)
+
+
+def _reference(memory: Memory, mesh: Mesh, dt) -> Reference:
+    V_tau, V_n, phi = mesh.grid.mid(memory.motion)
+    kappa = mesh.grid.slope(memory.motion[2])
+    return Reference(V_tau, V_n, phi, kappa, memory.strain, memory.internal, dt)
+
+
+def _anchor(memory: Memory, support: Support, t) -> Float[Array, "2"]:
+    return memory.head + support.anchor_offset(memory.motion[2, -1], t)
+
+
+def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
+    """The function that advances a `Carry` by one step.
+
+    It takes (carry, (t, h, chambers)): the step's start and length [s], and the chambers at each of
+    its stages, stacked. It returns the new carry and a `Snapshot` at the step's end. Raises
+    `ValueError` when traced in float32.
+    """
+    if mesh.grid.s.dtype != jnp.float64:
+        raise ValueError(
+            f"the beam's equations need float64, given {mesh.grid.s.dtype}; call "
+            "slider_jax.enable_float64() before any array is made"
+        )
+    solver = BeamNewton(rtol=numerics.tolerance)
+    scale = scales_of(model.body)
+    predict = jnp.asarray(extrapolation(scheme))
+    nodes, weights = jnp.asarray(scheme.nodes), jnp.asarray(scheme.weights)
+
+    def run_stage(base, support, h, carry, stage_inputs):
+        t, weight, predictor, chambers = stage_inputs
+        reference = _blend(base, carry.memory, weight)
+        dt = scheme.gamma * h
+        stage = Stage(
+            structure=mesh.structure,
+            effects=model.effects,
+            support=support,
+            reference=_reference(reference, mesh, dt),
+            phi_head=reference.motion[2, -1],
+            load_head=reference.load,
+            pressure=chambers.acting @ mesh.windows,
+            active_moment=chambers.acting @ mesh.chambers,
+            water=jnp.stack(jax.jvp(model.water_velocity, (t,), (jnp.ones_like(t),))),
+            t=t,
+        )
+        guess = jnp.tensordot(predictor, carry.history, 1)
+        solution = optx.root_find(
+            residual,
+            solver,
+            guess,
+            args=stage,
+            options={"jacobian": jacobian, "scale": scale, "skip": ~carry.ok},
+            max_steps=numerics.max_newton,
+            adjoint=BeamAdjoint(),
+            throw=False,
+        )
+        converged = solution.result == optx.RESULTS.successful
+        ok = carry.ok & converged
+        y = jnp.where(ok, solution.value, carry.history[-1])
+        head = fields(y[:, -1])
+        omega = turning_rate(head, stage)
+        anchor = _blend(_anchor(base, support, t), _anchor(carry.memory, support, t), weight)
+        anchor = anchor + dt * support.anchor_velocity(head, omega, t)
+        found = Memory(
+            motion=y[3:],
+            strain=strain(mesh.grid.mid(y[0]), mesh.structure, stage.reference),
+            head=anchor - support.anchor_offset(head.phi, t),
+            load=reference.load + dt * load_rates(y[:, -1], stage),
+            internal=tuple(z for _, z in internal_moments(at_cells(y, stage), stage)),
+        )
+        memory = jax.tree.map(lambda a, b: jnp.where(ok, a, b), found, carry.memory)
+        new = Carry(
+            history=jnp.concatenate([carry.history[1:], y[None]]),
+            memory=memory,
+            chambers=chambers,
+            ok=ok,
+            factorisations=carry.factorisations + solution.stats["num_steps"],
+            failed_at=jnp.where(carry.ok & ~converged, t, carry.failed_at),
+        )
+        return new, stage
+
+    def step(carry: Carry, inputs):
+        t_start, h, chambers = inputs
+        times = t_start + nodes * h
+        one_stage = ft.partial(
+            run_stage, carry.memory, model.support.during(t_start, t_start + h), h
+        )
+
+        def body(state, stage_inputs):
+            inner, _ = state
+            return one_stage(inner, stage_inputs), None
+
+        rows = (times, weights, predict, chambers)
+        empty = jax.eval_shape(one_stage, carry, jax.tree.map(lambda x: x[0], rows))[1]
+        placeholder = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), empty)
+        (carry, stage), _ = jax.lax.scan(body, (carry, placeholder), rows)
+        y, memory = carry.history[-1], carry.memory
+        return carry, Snapshot(times[-1], y, memory, stage, mesh, carry.chambers)
+
+    return step
+
+
+def at_rest(model: Model, numerics: Numerics, t0: Scalar = 0.0) -> Carry:
+    """The carry of a straight, unloaded body at rest relative to its support at `t0` [s]."""
+    velocity, angle, rate = model.support.start(jnp.asarray(t0))
+    V_tau, V_n = to_body(velocity, angle)
+    s = grid_of(model.body, numerics).s
+    y, memory = straight(s, V_tau, V_n, angle, rate)
+    internal = tuple(jnp.zeros_like(s[1:]) for _ in of_place(model.effects, BendingMoment))
+    memory = eqx.tree_at(lambda m: m.internal, memory, internal)
+    return start(y, memory, start_chambers(model))
+
+
+def with_motion(carry: Carry, change: Callable[[Array], Array]) -> Carry:
+    """The same with `change` made to V_tau, V_n, phi (..., 3, nodes) of every point."""
+    history = carry.history.at[:, 3:].set(change(carry.history[:, 3:]))
+    rows = change(carry.memory.motion), history
+    return eqx.tree_at(lambda c: (c.memory.motion, c.history), carry, rows)
+
+
+def start(y: Unknowns, memory: Memory, chambers: Chambers) -> Carry:
+    """The carry that begins a rollout at the state (y, memory, chambers)."""
+    return Carry(
+        history=jnp.broadcast_to(y, (3, *y.shape)),
+        memory=memory,
+        chambers=chambers,
+        ok=jnp.asarray(True),
+        factorisations=jnp.asarray(0),
+        failed_at=jnp.asarray(jnp.inf, y.dtype),
+    )

@@ -1,0 +1,27 @@
+"""A body that stretches."""
+
+import dataclasses
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import BodyChange, parameter
+
+
+class AxialFlexibility(BodyChange):
+    """Compliance along the actuated body, in series with its own.
+
+        1/EA_body -> 1/EA_body + c
+
+    Source: springs in series, Gere, J. M. and Timoshenko, S. P. (1997), Mechanics of Materials,
+    4th ed., ch. 2.
+    """
+
+    title = "the body stretches"
+
+    compliance: Scalar = parameter(
+        0.0, 0.0, 4e-3, "1/N", "walls that bend with EI = 0.038 at 8 mm from the middle have 2e-3"
+    )
+    """c, strain per force."""
+
+    def change(self, robot):
+        EA = robot.EA_body / (1.0 + self.compliance * robot.EA_body)
+        return dataclasses.replace(robot, EA_body=EA)

@@ -1,0 +1,25 @@
+"""A body stiffer or softer than it was measured."""
+
+import dataclasses
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import BodyChange, parameter
+
+
+class BodyStiffness(BodyChange):
+    """Bending stiffness of the actuated body.
+
+        EI_body -> EI_body (1 + x)
+
+    Source: Gent, A. N. (2012), Engineering with Rubber, 3rd ed., Hanser, ch. 3.
+    """
+
+    title = "the body is stiffer or softer"
+
+    x: Scalar = parameter(
+        0.0, -0.3, 0.4, "-", "a bend test is good to a tenth; age, tubes and a sleeve stiffen"
+    )
+    """Relative change."""
+
+    def change(self, robot):
+        return dataclasses.replace(robot, EI_body=robot.EI_body * (1.0 + self.x))

@@ -1,0 +1,28 @@
+"""A clamp that turns under the moment of the body."""
+
+import jax.numpy as jnp
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import Mounting, parameter
+
+
+class ClampCompliance(Mounting):
+    """The head turns against the carriage like a spring of stiffness 1/c.
+
+        phi_head - phi_carriage = -c M_head,    M lagging as `MOUNT_LAG` says
+
+    M at the head is what the clamp puts on the body, positive where it bends the body to positive
+    curvature; the body turns the clamp the other way. Source: Euler-Bernoulli beam on an elastic
+    support, e.g. Blevins, R. D. (1979), Formulas for natural frequency and mode shape, ch. 8.
+    """
+
+    title = "the clamp turns under load"
+
+    compliance: Scalar = parameter(
+        0.0, 0.0, 3.0, "rad/(N m)", "rigid to as soft as a third of the body (EI/L = 0.1 N m/rad)"
+    )
+    """c, the inverse of the clamp's stiffness [N m/rad]."""
+
+    def give(self, rates):
+        zero = jnp.zeros_like(rates.M_t)
+        return zero, zero, -self.compliance * rates.M_t

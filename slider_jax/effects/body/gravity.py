@@ -1,0 +1,28 @@
+"""Weight, for climbing in air."""
+
+import jax.numpy as jnp
+
+from slider_jax.beam.frame import to_body
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import ForceDensity, parameter
+
+
+class Gravity(ForceDensity):
+    """Weight per unit length, less buoyancy, along -x: a climbing body has its head up the x axis.
+
+        (F_x, F_y) = (-m g/(1 + eps), 0)
+
+    m is per unstretched length. In water use the reduced g (1 - rho A/m); SLIDER
+    is near neutral there. Source: Archimedes' principle, e.g. Batchelor, G. K. (1967), An
+    Introduction to Fluid Dynamics, Cambridge University Press, section 1.4.
+    """
+
+    title = "weight"
+    in_air = True
+
+    g: Scalar = parameter(0.0, 0.0, 9.81, "m/s^2", "9.81 in air; nearly neutral in water")
+    """Acceleration."""
+
+    def force(self, x):
+        weight = x.linear_density * self.g / (1.0 + x.strain)
+        return to_body((-weight, jnp.zeros_like(weight)), x.phi)

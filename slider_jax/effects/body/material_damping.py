@@ -1,0 +1,26 @@
+"""More or less damping in the material."""
+
+import dataclasses
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import BodyChange, parameter
+
+
+class MaterialDamping(BodyChange):
+    """Kelvin-Voigt damping of body and tail.
+
+        alpha -> alpha (1 + x)
+
+    Nothing changes where the robot's alpha is zero.
+    Source: Christensen, R. M. (1982), Theory of Viscoelasticity, 2nd ed., Academic Press, ch. 1.
+    """
+
+    title = "the material damps more or less"
+
+    x: Scalar = parameter(
+        0.0, -0.9, 4.0, "-", "rubber's damping is known to a factor: batch, temperature, rate"
+    )
+    """Relative change."""
+
+    def change(self, robot):
+        return dataclasses.replace(robot, damping_time=robot.damping_time * (1.0 + self.x))

@@ -1,0 +1,26 @@
+"""A body that pressure makes stiffer."""
+
+import jax.numpy as jnp
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import BendingMoment, parameter
+
+
+class PressureStiffening(BendingMoment):
+    """Chambers under pressure add to the stiffness where they are.
+
+        M = EI kappa + c |p| kappa
+
+    p is the pressure of the chamber at the cell. Source: Comer, R. L. and Levy, S. (1963),
+    Deflections of an inflated circular-cylindrical cantilever beam, AIAA J. 1, 1652-1655.
+    """
+
+    title = "pressure stiffens the body"
+
+    c: Scalar = parameter(
+        0.0, -5e-8, 2e-7, "N m^2/Pa", "from a third less to twice the stiffness at 250 kPa"
+    )
+    """Stiffness per pressure."""
+
+    def moment(self, x, memory, dt):
+        return self.c * jnp.abs(x.pressure) * x.kappa, memory

@@ -1,0 +1,25 @@
+"""A body that stiffens as it bends."""
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import BendingMoment, parameter
+
+
+class Stiffening(BendingMoment):
+    """Cubic elasticity of the actuated body: walls of rubber that are stretched far, or folds.
+
+        M = EI kappa + beta kappa^3
+
+    The first odd term after the linear one. beta below zero softens; the body stays stable where
+    3 |beta| kappa^2 < EI. Source: Nayfeh, A. H. and Mook, D. T. (1979), Nonlinear Oscillations,
+    Wiley, ch. 2.
+    """
+
+    title = "the body stiffens as it bends"
+
+    beta: Scalar = parameter(
+        0.0, -2e-4, 2e-3, "N m^4", "half of EI kappa where kappa = 3 1/m; softens by a twentieth"
+    )
+    """Of the cubic term."""
+
+    def moment(self, x, memory, dt):
+        return (1.0 - x.in_tail) * self.beta * x.kappa**3, memory

@@ -1,0 +1,29 @@
+"""Stress that relaxes while a bend is held."""
+
+import equinox as eqx
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import BendingMoment, parameter
+
+
+class StressRelaxation(BendingMoment):
+    """Standard linear solid: a spring and a dashpot in line, beside the actuated body's EI.
+
+        M = EI kappa + E_1 q,    dq/dt = d(kappa)/dt - q/tau
+
+    q is the curvature that the spring of this arm feels; it is the memory.
+    Source: Christensen, R. M. (1982), Theory of Viscoelasticity, 2nd ed., Academic Press, ch. 1.
+    """
+
+    title = "stress relaxes"
+
+    E_1: Scalar = parameter(
+        0.0, 0.0, 0.02, "N m^2", "silicone and sleeves relax by a tenth to a half of EI = 0.038"
+    )
+    """Stiffness of the arm."""
+    tau: Scalar = eqx.field(default=0.1)
+    """Relaxation time [s]; in a stride of 0.2 s the default neither follows nor stands still."""
+
+    def moment(self, x, memory, dt):
+        q = (memory + dt * x.kappa_t) / (1.0 + dt / self.tau)
+        return (1.0 - x.in_tail) * self.E_1 * q, q

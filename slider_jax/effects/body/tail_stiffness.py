@@ -1,0 +1,26 @@
+"""A tail stiffer or softer than it was measured."""
+
+import dataclasses
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import BodyChange, parameter
+
+
+class TailStiffness(BodyChange):
+    """Bending stiffness of the passive tail.
+
+        EI_tail -> EI_tail (1 + x)
+
+    Source: Euler-Bernoulli beam; EI goes with the cube of a sheet's thickness, Gere, J. M. and
+    Timoshenko, S. P. (1997), Mechanics of Materials, 4th ed., ch. 5.
+    """
+
+    title = "the tail is stiffer or softer"
+
+    x: Scalar = parameter(
+        0.0, -0.5, 0.8, "-", "a sixth in thickness is a half in EI; a joint's overlap stiffens"
+    )
+    """Relative change."""
+
+    def change(self, robot):
+        return dataclasses.replace(robot, EI_tail=robot.EI_tail * (1.0 + self.x))

@@ -1,0 +1,33 @@
+"""A mass at the tail's tip."""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import ForceDensity, parameter
+
+
+class TipMass(ForceDensity):
+    """A camera's marker, or glue, spread over the last `length` l of the tail.
+
+        (1 + eps) F_tau = -(mass/l) (dV_tau/dt - omega V_n)
+        (1 + eps) F_n   = -(mass/l) (dV_n/dt + omega V_tau)      for s < l
+
+    The acceleration is the body's, whatever the water does.
+    Source: balance of momentum; Blevins, R. D. (1979), Formulas for natural frequency and mode
+    shape, ch. 8, on beams that carry masses.
+    """
+
+    title = "a mass at the tail's tip"
+
+    mass: Scalar = parameter(
+        0.0, 0.0, 5e-3, "kg", "a marker of plastic weighs 1 g, more with glue; the tail 50 g"
+    )
+    """Of the marker."""
+    length: Scalar = eqx.field(default=0.01)
+    """l [m]."""
+
+    def force(self, x):
+        covered = jnp.clip((self.length - x.s) / x.ds + 0.5, 0.0, 1.0)
+        m = self.mass / self.length * covered / (1.0 + x.strain)
+        return -m * (x.V_tau_t - x.omega * x.V_n), -m * (x.V_n_t + x.omega * x.V_tau)

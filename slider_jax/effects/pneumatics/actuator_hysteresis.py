@@ -1,0 +1,38 @@
+"""Actuators that remember which way their pressure came."""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import ActingPressure, parameter
+
+
+class ActuatorHysteresis(ActingPressure):
+    """Friction in the walls holds the moment back, on the way up and on the way down.
+
+        p_act = p - A z,    w dz/dt = dp/dt - |dp/dt| z
+
+    z tends to the sign of dp/dt within a few w of pressure, so that a wide loop is 2 A high; it
+    depends on the way that p took, not on time, and is stepped exactly:
+    z_1 = s + (z_0 - s) exp(-|dp|/w) with s the sign of dp. Source: Wen, Y.-K. (1976), Method for
+    random vibration of hysteretic systems, J. Eng. Mech. Div. ASCE 102, 249-263, with exponent 1
+    and one slope.
+    """
+
+    title = "hysteresis of the actuators"
+
+    amplitude: Scalar = parameter(
+        0.0, 0.0, 50e3, "Pa", "loops of elastomer bending actuators are up to a third of the stroke"
+    )
+    """A, half the height of a wide loop."""
+    width: Scalar = eqx.field(default=50e3)
+    """w [Pa], over which a reversal is forgotten."""
+
+    def act(self, p, memory, dt):
+        # The memory is p - w z: at the start it is p, and z is zero.
+        held, before = memory
+        sign = jnp.sign(p - before)
+        z = sign + ((before - held) / self.width - sign) * jnp.exp(
+            -jnp.abs(p - before) / self.width
+        )
+        return p - self.amplitude * z, jnp.stack([p - self.width * z, p])

@@ -1,0 +1,27 @@
+"""An actuator that bends more and more for more pressure."""
+
+import jax.numpy as jnp
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import ActingPressure, parameter
+
+
+class ActuatorQuadratic(ActingPressure):
+    """The moment has a quadratic part: the chambers' cross-section and its lever arm swell.
+
+        p_act = p (1 + q |p|)
+
+    To first order the opposite of `ActuatorSaturation`, told from it by its sign. Source:
+    Polygerinos, P. et al. (2015), Modeling of soft fiber-reinforced bending actuators, IEEE Trans.
+    Robot. 31, 778-789.
+    """
+
+    title = "the actuators' moment grows faster than the pressure"
+
+    quadratic: Scalar = parameter(
+        0.0, 0.0, 3e-6, "1/Pa", "the moment per pressure at most doubles at 330 kPa"
+    )
+    """q, relative growth of the moment per pressure."""
+
+    def act(self, p, memory, dt):
+        return p * (1.0 + self.quadratic * jnp.abs(p)), memory

@@ -1,0 +1,25 @@
+"""An actuator that bends less and less for more pressure."""
+
+import jax.numpy as jnp
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import ActingPressure, parameter
+
+
+class ActuatorSaturation(ActingPressure):
+    """The moment grows less than in proportion to the pressure.
+
+        p_act = p/(1 + c |p|)
+
+    At p = 1/c half is lost. Source: torque of fibre-reinforced bending actuators, whose walls take
+    up a growing share, Polygerinos, P. et al. (2015), Modeling of soft fiber-reinforced bending
+    actuators, IEEE Trans. Robot. 31, 778-789.
+    """
+
+    title = "the actuators' moment saturates"
+
+    inverse: Scalar = parameter(0.0, 0.0, 3e-6, "1/Pa", "half of the moment is lost at 330 kPa")
+    """c, inverse of the pressure at which half is lost."""
+
+    def act(self, p, memory, dt):
+        return p / (1.0 + self.inverse * jnp.abs(p)), memory

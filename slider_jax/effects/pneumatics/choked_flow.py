@@ -1,0 +1,28 @@
+"""Valves that pass no more than their sonic flow."""
+
+import jax.numpy as jnp
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import Flow, parameter
+
+
+class ChokedFlow(Flow):
+    """The faster a chamber should fill, the more the valve falls short of it.
+
+        dp/dt = r/(1 + c |r|),    r = (p_set - p)/k
+
+    |dp/dt| stays below R = 1/c. At sonic speed in the throat the mass flow depends on the pressure
+    upstream alone and no longer grows with the difference. Source: ISO 6358-1 (2013), Pneumatic
+    fluid power: determination of flow-rate characteristics of components.
+    """
+
+    title = "flow through the valves is choked"
+    sensors = ("pressure", "thrust", "recoil", "tip")
+
+    inverse: Scalar = parameter(
+        0.0, 0.0, 1e-6, "s/Pa", "reversing 250 kPa at k = 87 ms asks for 6 MPa/s; down to 1 MPa/s"
+    )
+    """c = 1/R, the inverse of the largest rate."""
+
+    def rate(self, rate, x):
+        return rate / (1.0 + self.inverse * jnp.abs(rate))

@@ -1,0 +1,27 @@
+"""Filling and venting at different time constants."""
+
+import jax.numpy as jnp
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import Flow, parameter
+
+
+class FillVentAsymmetry(Flow):
+    """A chamber vents to the room slower than it fills from the supply, or faster.
+
+        dp/dt = (p_set - p)/k        while |p| grows
+        dp/dt = (p_set - p)/(r k)    while |p| falls
+
+    Source: charge and discharge of a volume, Beater, P. (2007), Pneumatic Drives, Springer.
+    """
+
+    title = "filling and venting take different times"
+    sensors = ("pressure", "thrust", "recoil", "tip")
+
+    ratio: Scalar = parameter(
+        1.0, 0.3, 3.0, "-", "venting up to three times slower than filling, or faster"
+    )
+    """r, time constant of venting over that of filling, k."""
+
+    def rate(self, rate, x):
+        return jnp.where(x.filling, rate, rate / self.ratio)

@@ -1,0 +1,52 @@
+"""The rig's own valves: pulsed by its firmware, choked when the pressures ask for it."""
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import parameter
+from slider_jax.effects.pneumatics.chamber_expansion import ATMOSPHERE
+from slider_jax.effects.pneumatics.orifice_flow import characteristic
+from slider_jax.effects.pneumatics.pwm import ValvePair
+
+
+class FirmwareValves(ValvePair):
+    """Two pulsed valves, one to the supply and one to the room, take the place of the lag.
+
+        dp/dt =  c_f u P_s psi((p_a + |p|)/P_s)            filling, of the sign of p_set - p
+        dp/dt =  c_v u (p_a + |p|) psi(p_a/(p_a + |p|))    venting, of the sign of p_set - p
+        psi(r) = sqrt(1 - ((r - b)/(1 - b))^2),    1 for r < b
+
+    u is the firmware's duty for the error (`pwm.opening`), P_s = p_a + p_s the supply's absolute
+    pressure. Flow is choked, independent of the pressure downstream, below the ratio b: a vent's
+    rate is then proportional to the absolute pressure. At c_f = 0 the lag is left as it is; the lag
+    has no say otherwise. Source: ISO 6358-1 (2013), Pneumatic fluid power: determination of
+    flow-rate characteristics of components; firmware: bvanstratum/SoftSnakePressureControl.
+    """
+
+    title = "pulsed valves of the firmware, choked or not"
+
+    fill: Scalar = parameter(
+        0.0,
+        0.0,
+        8.0,
+        "1/s",
+        "0.1 l by a valve of 1 mm fills in a fraction of a second",
+        1.5,
+    )
+    """c_f, choked flow of the fill valve over volume."""
+    vent: Scalar = parameter(
+        1.5, 0.05, 8.0, "1/s", "0.1 l by a valve of 1 mm empties in a fraction of a second"
+    )
+    """c_v, of the vent valve."""
+    supply: Scalar = parameter(
+        450e3, 200e3, 1.1e6, "Pa", "regulators and compressors of laboratories, gauge"
+    )
+    """p_s, gauge."""
+    critical: Scalar = parameter(0.3, 0.1, 0.6, "-", "0.2 to 0.5 for valves, 0.528 for a nozzle")
+    """b."""
+    dead: Scalar = parameter(0.05, 0.0, 0.5, "-", "pulses too short to lift the armature")
+    """Duty below which a valve stays shut."""
+
+    def flows(self, p):
+        inside, supply = ATMOSPHERE + p, ATMOSPHERE + self.supply
+        fill = self.fill * supply * characteristic(inside / supply, self.critical)
+        vent = self.vent * inside * characteristic(ATMOSPHERE / inside, self.critical)
+        return fill, vent

@@ -1,0 +1,25 @@
+"""Chambers that do not fill alike."""
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import Flow, parameter
+
+
+class LagMismatch(Flow):
+    """The rear chamber follows with another time constant: its hose is longer.
+
+        dp/dt = (p_set - p)/k          front
+        dp/dt = (p_set - p)/(k (1 + x))    rear
+
+    Source: charge of a volume through a line, Beater, P. (2007), Pneumatic Drives, Springer.
+    """
+
+    title = "the rear chamber has another lag"
+    sensors = ("pressure", "thrust", "recoil", "tip")
+
+    x: Scalar = parameter(
+        0.0, -0.5, 1.0, "-", "hoses and volumes of the two chambers differ by up to a factor of two"
+    )
+    """Relative excess of the rear chamber's time constant."""
+
+    def rate(self, rate, x):
+        return rate / (1.0 + self.x * x.rear)

@@ -1,0 +1,25 @@
+"""Chambers that leak."""
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import Flow, parameter
+
+
+class Leakage(Flow):
+    """Air escapes in proportion to the pressure.
+
+        dp/dt = (p_set - p)/k - q p
+
+    The steady pressure is p_set/(1 + q k), reached with the rate 1/k + q. Source: laminar leak of a
+    volume, Andersen, B. W. (1967), The analysis and design of pneumatic systems, Wiley.
+    """
+
+    title = "leakage of the chambers"
+    sensors = ("pressure", "thrust", "recoil", "tip")
+
+    leak: Scalar = parameter(
+        0.0, 0.0, 3.0, "1/s", "sound chambers hold for minutes, a torn seam for a third of a second"
+    )
+    """q = 1/tau, inverse of the time in which a shut chamber empties."""
+
+    def rate(self, rate, x):
+        return rate - self.leak * x.p

@@ -1,0 +1,34 @@
+"""The tube between the sensor and the chamber."""
+
+import jax.numpy as jnp
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import ActingPressure, parameter
+
+
+class LineLag(ActingPressure):
+    """The chamber follows the sensor's end of its tube with a first-order lag.
+
+        tau dy/dt = p - y,    y acts
+
+    Exact for p linear in a step: with e = exp(-dt/tau) and the decay's mean m = (1 - e) tau/dt,
+    y_1 = p_1 + e (y_0 - p_0) - m (p_1 - p_0). Source: pressure transmission in tubes, Holman, J. P.
+    (2012), Experimental Methods for Engineers, 8th ed., McGraw-Hill, ch. 6.
+    """
+
+    title = "lag of the line to the chamber"
+
+    tau: Scalar = parameter(
+        0.0, 0.0, 0.05, "s", "a metre of thin tube into a bladder takes 5 to 50 ms"
+    )
+    """Time constant."""
+
+    def act(self, p, memory, dt):
+        y, before = memory
+        # Of the decay nothing is left in float64 at tau < dt/500; m is then tau/dt.
+        slow = self.tau > dt / 500.0
+        exponent = dt / jnp.where(slow, self.tau, dt)
+        e = jnp.where(slow, jnp.exp(-exponent), 0.0)
+        m = jnp.where(slow, -jnp.expm1(-exponent), 1.0) * self.tau / dt
+        y = p + e * (y - before) - m * (p - before)
+        return y, jnp.stack([y, p])

@@ -1,0 +1,33 @@
+"""A supply that cannot hold the set pressure."""
+
+import jax.numpy as jnp
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import Command, parameter
+from slider_jax.effects.pneumatics.shaped import Shaped
+
+
+class SupplyLimit(Command):
+    """The regulator's pressure droops the more, the nearer it is to that of the supply.
+
+        p_set,valve = p_set/(1 + c |p_set|)
+
+    It never exceeds 1/c, the supply's pressure. A hard limit far away would have no tangent; this
+    one begins with -c |p_set| p_set. Source: regulator droop, Andersen, B. W. (1967), The analysis
+    and design of pneumatic systems, Wiley.
+    """
+
+    title = "the supply cannot reach the set pressure"
+    sensors = ("pressure", "thrust", "recoil", "tip")
+
+    inverse: Scalar = parameter(
+        0.0, 0.0, 3e-6, "1/Pa", "a supply of 330 kPa halves the largest set pressure"
+    )
+    """c = 1/p_supply."""
+
+    def curve(self, p_set):
+        """What reaches the valves [Pa]."""
+        return p_set / (1.0 + self.inverse * jnp.abs(p_set))
+
+    def command(self, wave, chamber):
+        return Shaped(wave, self.curve)

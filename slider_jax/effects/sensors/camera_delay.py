@@ -1,0 +1,26 @@
+"""Dead time of the camera."""
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import Instrument, parameter
+from slider_jax.effects.sensors.series import delayed
+
+
+class CameraDelay(Instrument):
+    """The tip is recorded with time stamps that are late.
+
+        tip_read(t) = tip(t - delay)
+
+    Cubic between samples. Source: dead-time elements, Doebelin, E. O. (2003), Measurement Systems,
+    5th ed., McGraw-Hill, ch. 3.
+    """
+
+    title = "dead time of the camera"
+    sensors = ("tip",)
+
+    delay: Scalar = parameter(
+        0.0, 0.0, 0.1, "s", "exposure and transfer: up to a few frames of a 30 to 60 Hz camera"
+    )
+    """By how much the stamps are late [s]."""
+
+    def read(self, true):
+        return true._replace(tip=delayed(true.tip, true.t, self.delay))

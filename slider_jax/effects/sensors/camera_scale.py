@@ -1,0 +1,25 @@
+"""Scale of the camera's picture."""
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import Instrument, parameter
+
+
+class CameraScale(Instrument):
+    """Metres per pixel are off.
+
+        tip_read = (1 + g) tip
+
+    Source: pinhole camera, Hartley, R. and Zisserman, A. (2004), Multiple View Geometry in Computer
+    Vision, 2nd ed., Cambridge University Press, ch. 6.
+    """
+
+    title = "scale of the camera"
+    sensors = ("tip",)
+
+    gain: Scalar = parameter(
+        0.0, -0.1, 0.1, "-", "a ruler in another plane than the tip, or seen through the surface"
+    )
+    """g, relative error of the scale."""
+
+    def read(self, true):
+        return true._replace(tip=(1.0 + self.gain) * true.tip)

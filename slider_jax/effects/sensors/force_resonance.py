@@ -1,0 +1,57 @@
+"""A force sensor that rings with what is mounted on it."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import Instrument, parameter
+
+
+class ForceResonance(Instrument):
+    """The sensor is a spring under a mass, the robot's head and its bracket.
+
+        c (F_read'' + b F_read') + F_read = F
+
+    c = mass over stiffness = 1/omega^2: the natural frequency is 1/(2 pi sqrt(c)). The damping rate
+    b is fixed, so that the damping ratio is b sqrt(c)/2, and the reading is smooth in c at its
+    null: F - c (F'' + b F'). In time by Houbolt's backward differences, second order and stable for
+    any step: what rings too fast for the samples follows the force.
+
+    Source: second-order instruments, Doebelin, E. O. (2003), Measurement Systems, 5th ed.,
+    McGraw-Hill, ch. 3; Houbolt, J. C. (1950), A recurrence matrix solution for the dynamic response
+    of elastic aircraft, J. Aeronaut. Sci. 17, 540-550.
+    """
+
+    title = "resonance of the force sensor"
+    sensors = ("thrust", "recoil")
+
+    mass_over_stiffness: Scalar = parameter(
+        0.0, 0.0, 1e-4, "s^2", "a sensor stiff to one that rings with the head at 16 Hz"
+    )
+    """c [s^2]."""
+    damping_rate: Scalar = eqx.field(default=20.0)
+    """b [1/s]; 0.1 of critical at 16 Hz."""
+
+    def follow(self, before: tuple[Array, Array, Array], F: Array, dt: Array) -> Array:
+        """The reading for the force F [N], from those one, two and three samples `dt` [s] ago."""
+        inertia = self.mass_over_stiffness / dt**2
+        damping = self.mass_over_stiffness * self.damping_rate / (6.0 * dt)
+        x1, x2, x3 = before
+        held = inertia * (5.0 * x1 - 4.0 * x2 + x3)
+        held = held + damping * (18.0 * x1 - 9.0 * x2 + 2.0 * x3)
+        return (F + held) / (1.0 + 2.0 * inertia + 11.0 * damping)
+
+    def read(self, true):
+        dt = true.t[1] - true.t[0]
+
+        def series(force):
+            def body(before, F):
+                x = self.follow(before, F, dt)
+                return (x, *before[:2]), x
+
+            return jax.lax.scan(body, (force[0],) * 3, force)[1]
+
+        both = jax.vmap(series)(jnp.stack([true.thrust, true.recoil]))
+        return true._replace(thrust=both[0], recoil=both[1])

@@ -1,0 +1,29 @@
+"""A force sensor that follows late: amplifier or filter."""
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import Instrument, parameter
+from slider_jax.effects.sensors.series import lagged
+
+
+class ForceSensorLag(Instrument):
+    """Both forces pass a first-order low-pass filter.
+
+        tau dF_read/dt = F - F_read
+
+    Exact for a force that is linear between samples. Source: first-order instruments, Doebelin,
+    E. O. (2003), Measurement Systems, 5th ed., McGraw-Hill, ch. 3.
+    """
+
+    title = "lag of the force sensor"
+    sensors = ("thrust", "recoil")
+
+    tau: Scalar = parameter(
+        0.0, 0.0, 0.03, "s", "low-pass filters of bridge amplifiers down to 5 Hz"
+    )
+    """Time constant [s]."""
+
+    def read(self, true):
+        return true._replace(
+            thrust=lagged(true.thrust, true.t, self.tau),
+            recoil=lagged(true.recoil, true.t, self.tau),
+        )

@@ -1,0 +1,26 @@
+"""Gain of the pressure sensors."""
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import Instrument, parameter
+
+
+class PressureGain(Instrument):
+    """Both pressures are read too large by the same factor.
+
+        p_read = (1 + g) p
+
+    Source: static sensitivity of a measuring system, Doebelin, E. O. (2003), Measurement Systems,
+    5th ed., McGraw-Hill, ch. 3.
+    """
+
+    title = "gain of the pressure sensors"
+    sensors = ("pressure",)
+
+    gain: Scalar = parameter(
+        0.0, -0.1, 0.1, "-", "sensors of a few percent and their supply voltage"
+    )
+    """g, relative error of the sensitivity."""
+
+    def read(self, true):
+        g = self.gain
+        return true._replace(p_front=(1.0 + g) * true.p_front, p_rear=(1.0 + g) * true.p_rear)

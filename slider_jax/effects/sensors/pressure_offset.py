@@ -1,0 +1,23 @@
+"""Zero of the pressure sensors."""
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import Instrument, parameter
+
+
+class PressureOffset(Instrument):
+    """Both pressures are read too large by the same amount.
+
+        p_read = p + p_0
+
+    Source: zero drift of a measuring system, Doebelin, E. O. (2003), Measurement Systems, 5th ed.,
+    McGraw-Hill, ch. 3.
+    """
+
+    title = "zero of the pressure sensors"
+    sensors = ("pressure",)
+
+    offset: Scalar = parameter(0.0, -20e3, 20e3, "Pa", "zero drift of 2 % of a sensor for 1 MPa")
+    """p_0 [Pa]."""
+
+    def read(self, true):
+        return true._replace(p_front=true.p_front + self.offset, p_rear=true.p_rear + self.offset)

@@ -1,0 +1,35 @@
+"""A converter whose steps are not of one height."""
+
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import Instrument, parameter
+
+
+class PressureRipple(Instrument):
+    """The pressures' converter errs periodically in its code: a weight of one of its bits is off.
+
+        p_read = p + a sin(2 pi p/P) + b cos(2 pi p/P)
+
+    Source: integral nonlinearity of converters, IEEE Std 1241-2010.
+    """
+
+    title = "periodic error of the pressures' converter"
+    sensors = ("pressure",)
+
+    a: Scalar = parameter(0.0, -6e3, 6e3, "Pa", "six codes of 0.93 kPa")
+    """Of the sine."""
+    b: Scalar = parameter(0.0, -6e3, 6e3, "Pa", "six codes of 0.93 kPa")
+    """Of the cosine."""
+    period: Scalar = eqx.field(default=32 * 932.8)
+    """P [Pa]; 32 codes, the fifth bit of the rig's converter."""
+
+    def read(self, true):
+        def off(p):
+            angle = 2.0 * math.pi * p / self.period
+            return p + self.a * jnp.sin(angle) + self.b * jnp.cos(angle)
+
+        return true._replace(p_front=off(true.p_front), p_rear=off(true.p_rear))

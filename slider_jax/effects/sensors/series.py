@@ -1,0 +1,53 @@
+"""What an instrument does to an evenly spaced series: delay it, or follow it with a lag."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from slider_jax.beam.parameters import Scalar
+
+
+def delayed(x: Float[Array, " n"], t: Float[Array, " n"], delay: Scalar) -> Float[Array, " n"]:
+    """x(t - delay) at the times `t` [s], for either sign; x stays as it is beyond its ends.
+
+    Cubic Hermite between samples with central differences for slopes, so that the derivative to
+    the delay is continuous where samples are passed, and at zero.
+    """
+    last = x.shape[0] - 1
+    place = jnp.arange(last + 1.0) - delay / (t[1] - t[0])
+    cell = jnp.floor(place)
+    u = place - cell
+    x0, x1, x2, x3 = (x[jnp.clip(cell + i, 0.0, float(last)).astype(int)] for i in (-1, 0, 1, 2))
+    slope1, slope2 = 0.5 * (x2 - x0), 0.5 * (x3 - x1)
+    curve = 3.0 * (x2 - x1) - 2.0 * slope1 - slope2
+    twist = 2.0 * (x1 - x2) + slope1 + slope2
+    return x1 + u * (slope1 + u * (curve + u * twist))
+
+
+def lagged(
+    x: Float[Array, " n"], t: Float[Array, " n"], tau: Scalar, start: Array | None = None
+) -> Float[Array, " n"]:
+    """y of tau dy/dt = x - y, from y = `start`, or x, at first; exact for x linear between samples.
+
+    Over a step dt, with e = exp(-dt/tau) and the mean m = (1 - e) tau/dt of the decay,
+
+        y_1 = e y_0 + (1 - e) x_0 + (1 - m) (x_1 - x_0)
+
+    Equal to x at tau = 0, with the derivative of a slow x, -dx/dt, there.
+    """
+    dt = t[1] - t[0]
+    # Of the decay nothing is left in float64 at tau < dt/500; m is then tau/dt.
+    slow = tau > dt / 500.0
+    exponent = dt / jnp.where(slow, tau, dt)
+    e = jnp.where(slow, jnp.exp(-exponent), 0.0)
+    m = jnp.where(slow, -jnp.expm1(-exponent), 1.0) * tau / dt
+
+    def body(y, ends):
+        x_0, x_1 = ends
+        # x_1 less what lags behind it: exact at tau = 0.
+        y = x_1 + e * (y - x_0) - m * (x_1 - x_0)
+        return y, y
+
+    first = x[0] if start is None else start
+    _, rest = jax.lax.scan(body, first, (x[:-1], x[1:]))
+    return jnp.concatenate([first[None], rest])

@@ -1,0 +1,27 @@
+"""Water that the body takes along its own axis."""
+
+import jax.numpy as jnp
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import ForceDensity, parameter
+
+
+class AxialAddedMass(ForceDensity):
+    """Inertia of water that follows the body along tau but not across it.
+
+        F_tau = -m_t (du_tau/dt - omega u_n)
+
+    Source: Newman, J. N. (1977), Marine Hydrodynamics, MIT Press, ch. 4: a slender ellipsoid has
+    a few per cent of its displaced mass.
+    """
+
+    title = "water carried along the axis"
+
+    m_t: Scalar = parameter(
+        0.0, 0.0, 0.3, "kg/m", "0.03 for a smooth body of 0.7 kg/m; tubes and seams drag more"
+    )
+    """Added mass per length."""
+
+    def force(self, x):
+        F_tau = -self.m_t * (x.u_tau_t - x.omega * x.u_n)
+        return F_tau, jnp.zeros_like(F_tau)

@@ -1,0 +1,30 @@
+"""Quadratic drag of the crossflow."""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import ForceDensity, parameter
+
+
+class NormalDrag(ForceDensity):
+    """Separated crossflow past the body's height.
+
+        F_n = -rho C_d H |u_n| u_n / 2
+
+    Source: Taylor, G. (1952), Analysis of the swimming of long and narrow animals, Proc. R. Soc. A
+    214, 158-183; the paper's equation for F_d.
+    """
+
+    title = "drag of the crossflow"
+
+    C_d: Scalar = parameter(
+        0.0, 0.0, 6.0, "-", "2 for a plate in steady flow, more at small strokes"
+    )
+    """Drag coefficient."""
+    density: Scalar = eqx.field(default=1000.0)
+    """rho [kg/m^3]."""
+
+    def force(self, x):
+        F_n = -0.5 * self.density * self.C_d * x.height * jnp.abs(x.u_n) * x.u_n
+        return jnp.zeros_like(F_n), F_n

@@ -1,0 +1,44 @@
+"""Drag of small strokes, whose coefficient falls with their amplitude."""
+
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import ForceDensity, parameter
+
+SMALLEST = 0.3
+"""KC below which the coefficient stays; a plate's stroke of a twentieth of its height."""
+
+
+class KeuleganCarpenterDrag(ForceDensity):
+    """Drag of a plate that oscillates at f, beyond that of a constant coefficient.
+
+        F_n = -rho C KC^(-1/3) H |u_n| u_n / 2
+        KC  = U/(f H),    U^2 = u_n^2 + (du_n/dt)^2/(2 pi f)^2
+
+    U is the amplitude of u_n where it is a sine. KC is kept above 0.3, smoothly.
+    Source: Keulegan, G. H. and Carpenter, L. H. (1958), Forces on cylinders and plates in an
+    oscillating fluid, J. Res. Natl. Bur. Stand. 60, 423-440; the power and C = 8 are of Graham, J.
+    M. R. (1980), The forces on sharp-edged cylinders in oscillatory flow at low Keulegan-Carpenter
+    numbers, J. Fluid Mech. 97, 331-346.
+    """
+
+    title = "drag coefficient that falls with amplitude"
+
+    C: Scalar = parameter(
+        0.0, 0.0, 10.0, "-", "8 for a sharp-edged plate; rounded edges and a constant part take off"
+    )
+    """Drag coefficient at KC = 1."""
+    stride_frequency: Scalar = eqx.field(default=5.0)
+    """f [Hz], of the trial."""
+    density: Scalar = eqx.field(default=1000.0)
+    """rho [kg/m^3]."""
+
+    def force(self, x):
+        U_2 = x.u_n**2 + (x.u_n_t / (2.0 * math.pi * self.stride_frequency)) ** 2
+        KC_2 = U_2 / (self.stride_frequency * x.height) ** 2 + SMALLEST**2
+        C_d = self.C * KC_2 ** (-1.0 / 6.0)
+        F_n = -0.5 * self.density * C_d * x.height * jnp.abs(x.u_n) * x.u_n
+        return jnp.zeros_like(F_n), F_n

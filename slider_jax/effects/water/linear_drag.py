@@ -1,0 +1,28 @@
+"""Drag that goes with the speed of the crossflow."""
+
+import jax.numpy as jnp
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import ForceDensity, parameter
+
+
+class LinearDrag(ForceDensity):
+    """Viscous drag of the crossflow, which remains where strokes are too small to separate.
+
+        F_n = -c u_n
+
+    Source: Stokes, G. G. (1851), On the effect of the internal friction of fluids on the motion of
+    pendulums, Trans. Camb. Phil. Soc. 9, 8-106; for a cylinder of diameter D oscillating at f,
+    c = 2 pi^(3/2) mu (D^2 f/nu)^(1/2) at first order.
+    """
+
+    title = "drag linear in the crossflow"
+
+    c: Scalar = parameter(
+        0.0, 0.0, 5.0, "N s/m^2", "0.7 by Stokes at 30 mm and 5 Hz; waves and tubes add to it"
+    )
+    """Drag per length and speed."""
+
+    def force(self, x):
+        F_n = -self.c * x.u_n
+        return jnp.zeros_like(F_n), F_n

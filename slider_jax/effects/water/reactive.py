@@ -1,0 +1,47 @@
+"""Lighthill's reactive force: the water's added mass carried along by the body (LAEBT)."""
+
+import math
+
+import equinox as eqx
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import ForceDensity, parameter
+
+
+class ReactiveForce(ForceDensity):
+    """Large-amplitude elongated-body theory, all three terms, per unit length.
+
+    f = -[ d(m_A u_n n)/dt - d(m_A u_tau u_n n)/ds + d(m_A u_n^2/2 tau)/ds ], with
+    d(tau)/ds = kappa n, d(n)/ds = -kappa tau, d(n)/dt = -omega tau:
+
+        F_n   = -m_A ( du_n/dt - d(u_tau u_n)/ds + u_n^2 kappa/2 ) + dm_A/ds u_tau u_n
+        F_tau = -m_A ( -u_n omega + u_tau u_n kappa + u_n du_n/ds ) - dm_A/ds u_n^2/2
+        m_A   = m_a pi rho H^2/4
+
+    The robot's height is uniform, so dm_A/ds = 0 there; no point force acts at its blunt head: see
+    docs/decisions.md.
+
+    Source: Lighthill, M. J. (1971), Large-amplitude elongated-body theory of fish locomotion, Proc.
+    R. Soc. B 179, 125-138; the paper's equations for F_a.
+    """
+
+    title = "reactive force of the added mass"
+
+    m_a: Scalar = parameter(
+        0.0, 0.0, 1.5, "-", "1 for a thin plate in potential flow, less separated"
+    )
+    """Added-mass coefficient."""
+    density: Scalar = eqx.field(default=1000.0)
+    """rho [kg/m^3]."""
+
+    def added_mass(self, height):
+        """m_A [kg/m] of a section of `height` [m]."""
+        return self.m_a * math.pi * self.density * height**2 / 4.0
+
+    def force(self, x):
+        m_A = self.added_mass(x.height)
+        m_A_s = self.m_a * math.pi * self.density * x.height * x.height_s / 2.0
+        flux_s = x.u_tau_s * x.u_n + x.u_tau * x.u_n_s
+        F_n = -m_A * (x.u_n_t - flux_s + x.u_n**2 * x.kappa / 2.0)
+        F_tau = -m_A * (-x.u_n * x.omega + x.u_tau * x.u_n * x.kappa + x.u_n * x.u_n_s)
+        return F_tau - m_A_s * x.u_n**2 / 2.0, F_n + m_A_s * x.u_tau * x.u_n

@@ -1,0 +1,40 @@
+"""Another added mass on the tail."""
+
+import equinox as eqx
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import ForceDensity, parameter
+from slider_jax.effects.water.reactive import ReactiveForce
+
+
+class TailAddedMass(ForceDensity):
+    """Reactive force of added mass on the tail beyond that of the whole body.
+
+    The terms of `ReactiveForce` along the tail, and what its fluxes leave at the joint, where the
+    added mass begins, as lift does at the leading edge of a slender wing:
+
+        F_n   = -m_A u_tau u_n delta(s - s_joint)
+        F_tau =  m_A u_n^2/2 delta(s - s_joint)
+        m_A   =  m_a pi rho H^2/4
+
+    Source: Lighthill, M. J. (1971), as `ReactiveForce`; Jones, R. T. (1946), Properties of
+    low-aspect-ratio pointed wings at speeds below and above the speed of sound, NACA Report 835.
+    """
+
+    title = "another added mass on the tail"
+
+    m_a: Scalar = parameter(
+        0.0, -0.5, 0.8, "-", "1 for a sheet, less where flow separates; the body's walls are thick"
+    )
+    """Added-mass coefficient of the tail less that of the body."""
+    density: Scalar = eqx.field(default=1000.0)
+    """rho [kg/m^3]."""
+
+    def force(self, x):
+        reactive = ReactiveForce(self.m_a, self.density)
+        F_tau, F_n = reactive.force(x)
+        at_joint = reactive.added_mass(x.height) * x.joint
+        return (
+            x.in_tail * F_tau + at_joint * x.u_n**2 / 2.0,
+            x.in_tail * F_n - at_joint * x.u_tau * x.u_n,
+        )

@@ -1,0 +1,31 @@
+"""Friction of the water along the body."""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import ForceDensity, parameter
+
+
+class TangentialFriction(ForceDensity):
+    """Quadratic friction of the flow along both sides of the body.
+
+        F_tau = -rho C_t (2 H) |u_tau| u_tau / 2
+
+    Source: Taylor, G. (1952), Analysis of the swimming of long and narrow animals, Proc. R. Soc. A
+    214, 158-183.
+    """
+
+    title = "friction along the skin"
+    resists = True
+
+    C_t: Scalar = parameter(
+        0.0, 0.0, 0.2, "-", "0.005 for a smooth plate, more with tubes, seams, a clamp"
+    )
+    """Friction coefficient on the wetted area, 2 H per length of a flat body."""
+    density: Scalar = eqx.field(default=1000.0)
+    """rho [kg/m^3]."""
+
+    def force(self, x):
+        F_tau = -self.density * self.C_t * x.height * jnp.abs(x.u_tau) * x.u_tau
+        return F_tau, jnp.zeros_like(F_tau)

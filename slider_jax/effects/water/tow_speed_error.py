@@ -1,0 +1,30 @@
+"""A gantry that does not run at the speed it was told."""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from slider_jax.beam.parameters import Scalar
+from slider_jax.effects.base import WaterMotion, parameter
+
+
+class TowSpeedError(WaterMotion):
+    """The carriage is faster than declared, which the robot feels as water that comes towards it.
+
+        U_x = -g U_tow
+
+    Source: static sensitivity, Doebelin, E. O. (2003), Measurement Systems, 5th ed., McGraw-Hill,
+    ch. 3.
+    """
+
+    title = "the carriage's speed is off"
+
+    gain: Scalar = parameter(
+        0.0, -0.2, 0.2, "-", "steps lost by a motor, a wheel of another diameter: up to a fifth"
+    )
+    """g, relative error of the speed."""
+    tow_speed: Scalar = eqx.field(default=0.1)
+    """U_tow [m/s], of the trial."""
+
+    def velocity(self, t):
+        zero = jnp.zeros_like(t)
+        return zero - self.gain * self.tow_speed, zero

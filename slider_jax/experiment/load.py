@@ -1,0 +1,311 @@
+"""Experiments: a TOML file with its measured CSV files, and the models of its trials."""
+
+from dataclasses import fields
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from pydantic import PrivateAttr
+
+from slider_jax.actuation import (
+    FirstOrderLag,
+    Ideal,
+    PressureLaw,
+    Recorded,
+    SineWave,
+    SquareWave,
+    Trapezoid,
+)
+from slider_jax.beam.grid import split_cells
+from slider_jax.beam.parameters import Numerics, Robot, Scalar
+from slider_jax.dynamics.model import Drive, Model
+from slider_jax.dynamics.time_schemes import SCHEMES, Scheme
+from slider_jax.effects import Effect, NormalDrag, ReactiveForce
+from slider_jax.effects.library import LIBRARY
+from slider_jax.errors import InputError, nearest
+from slider_jax.experiment.schema import EffectTable, ExperimentTable, ParametersTable, Trial
+from slider_jax.io.csv import read_csv
+from slider_jax.io.toml import read_toml, validate
+from slider_jax.paper import force_coefficients
+from slider_jax.supports import Clamped
+
+SAMPLES = ("t_s", "p_front_Pa", "p_rear_Pa", "thrust_N", "recoil_N", "tip_m")
+"""Columns of a trial, measured or simulated."""
+
+
+class Experiment(ExperimentTable):
+    """A validated experiment; `folder` is where its trials' files lie."""
+
+    _folder: Path = PrivateAttr(default=Path("."))
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the experiment file."""
+        return self._folder
+
+    def with_values(self, values: dict[str, Any], source: str = "change") -> "Experiment":
+        """A copy with some fields replaced, validated anew: {"trials.0.frequency": 2.0, ...}."""
+        content = self.model_dump()
+        for path, value in values.items():
+            *parents, last = path.split(".")
+            table: Any = content
+            try:
+                for part in parents:
+                    table = table[int(part) if isinstance(table, (list, tuple)) else part]
+                table[last]
+            except (KeyError, IndexError, ValueError, TypeError):
+                raise InputError(
+                    f"{source}: {path}: no such field; allowed e.g. robot.EI_tail, parameters.C_d, "
+                    "trials.0.frequency"
+                ) from None
+            table[last] = value
+        return _experiment(content, source, self.folder)
+
+
+def _experiment(content: dict[str, Any], source: str, folder: Path) -> Experiment:
+    experiment = validate(Experiment, content, source)
+    experiment._folder = folder
+    for index, effect in enumerate(experiment.effects):
+        _effect(effect, f"{source}: effects.{index}")
+    return experiment
+
+
+def load(path: Path | str, model: Path | str | None = None) -> Experiment:
+    """Read and check an experiment file, with the overrides of a model file if one is given.
+
+    A model file may hold `[robot]` and `[parameters]`, any of their keys, and `[[effects]]`, which
+    are added. C_d and m_a there take the place of `force_coefficients = "ramp"` or `"table"`, and
+    these of them.
+    Raises `InputError` naming file and key.
+    """
+    path = Path(path)
+    return assemble(read_toml(path), str(path), path.parent, model)
+
+
+def assemble(
+    content: dict[str, Any], source: str, folder: Path, model: Path | str | None = None
+) -> Experiment:
+    """An experiment from its tables; `source` is what errors call them. `model` as in `load`."""
+    experiment = _experiment(content, source, folder)
+    if model is None:
+        return experiment
+    changes = read_toml(Path(model))
+    allowed = {"name": str, "robot": dict, "parameters": dict, "effects": list}
+    for key, value in changes.items():
+        if key not in allowed:
+            raise InputError(f"{model}: {key}: unknown key; allowed {', '.join(allowed)}")
+        if not isinstance(value, allowed[key]):
+            raise InputError(f"{model}: {key}: given {value!r}; allowed a TOML {key} table")
+    changed = changes.get("parameters", {})
+    replaced: set[str] = set()
+    if changed.get("force_coefficients") in ("ramp", "table"):
+        replaced = {"C_d", "m_a", "coefficients"}
+    elif not changed.keys().isdisjoint(("C_d", "m_a")):
+        replaced = {"force_coefficients", "coefficients"}
+    kept = {key: x for key, x in content["parameters"].items() if key not in replaced}
+    merged = content | {
+        "robot": content["robot"] | changes.get("robot", {}),
+        "parameters": kept | changed,
+        "effects": [*content.get("effects", []), *changes.get("effects", [])],
+    }
+    return _experiment(merged, str(model), folder)
+
+
+def conditions(experiment: Experiment, trial: Trial) -> dict[str, float]:
+    """What effects take from a trial: fields of these names are of it where none are given."""
+    return {
+        "density": experiment.robot.water_density,
+        "stride_frequency": trial.frequency or 1.0,
+        "tow_speed": trial.tow_speed,
+    }
+
+
+def _effect(table: EffectTable, where: str, taken: dict[str, float] | None = None) -> Effect:
+    """The effect that a table names, with its parameters, and `taken` from the trial."""
+    if table.name not in LIBRARY:
+        raise InputError(
+            f"{where}.name: given {table.name!r}; allowed {', '.join(LIBRARY)}; drag and added "
+            "mass are always on, by parameters.C_d and parameters.m_a"
+            f"{nearest(table.name, LIBRARY)}"
+        )
+    kind, given = LIBRARY[table.name], dict(table.model_extra or {})
+    known = [field.name for field in fields(kind)]
+    for key, value in given.items():
+        if key not in known:
+            raise InputError(f"{where}.{key}: unknown key; allowed {', '.join(known)}")
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not isfinite(value):
+            raise InputError(f"{where}.{key}: given {value!r}; allowed a finite number")
+    return kind(**{key: x for key, x in (taken or {}).items() if key in known} | given)
+
+
+LONGEST_RECORD = 20.0
+"""A recorded drive may last so many times as long as its trial; a longer one is not in seconds."""
+
+
+def check_pascal(path: Path, columns: dict[str, np.ndarray], names: tuple[str, ...]) -> None:
+    """Raise `InputError` where the largest pressure of these columns together cannot be one."""
+    largest = max(float(np.abs(columns[name]).max()) for name in names)
+    if largest > 2e6 or 0.0 < largest < 1e3:
+        raise InputError.value(
+            f"{path}, column {' and '.join(names)}",
+            f"at most {largest:g}",
+            "0, or peaks of 1e3 to 2e6 Pa",
+            "pressures are in pascal, not kPa or psi",
+        )
+
+
+def _recorded(experiment: Experiment, trial: Trial) -> tuple[Recorded, Recorded]:
+    """Both chambers' recorded pressures; checked for length, spacing and size."""
+    path = experiment.folder / str(trial.drive_file)
+    columns = read_csv(path, ("t_s", "p_front_Pa", "p_rear_Pa"))
+    times = columns["t_s"]
+    spacing = np.diff(times)
+    if np.ptp(spacing) > 0.02 * spacing.mean():
+        worst = int(np.argmax(np.abs(spacing - np.median(spacing))))
+        raise InputError(
+            f"{path}: mixed sample rates: rows are {np.median(spacing):.6g} s apart, but "
+            f"{spacing[worst]:.6g} s after t_s = {times[worst]:g}; resample it evenly"
+        )
+    if times[-1] - times[0] > LONGEST_RECORD * trial.duration:
+        raise InputError(
+            f"{path}: t_s covers {times[0]:g} to {times[-1]:g}, the trial {trial.file} "
+            f"{trial.duration:g} s; t_s is in seconds: divide milliseconds by 1000, or cut the "
+            f"recording to at most {LONGEST_RECORD:g} times the trial's duration"
+        )
+    if times[0] > spacing.mean() or times[-1] < trial.duration - 1.5 * spacing.mean():
+        raise InputError(
+            f"{path}: covers {times[0]:g} to {times[-1]:g} s; the trial {trial.file} needs 0 to "
+            f"{trial.duration:g} s"
+        )
+    for name in ("p_front_Pa", "p_rear_Pa"):
+        check_pascal(path, columns, (name,))
+    front, rear = (
+        Recorded(jnp.asarray(times), jnp.asarray(columns[name]))
+        for name in ("p_front_Pa", "p_rear_Pa")
+    )
+    return front, rear
+
+
+def _drive(experiment: Experiment, trial: Trial) -> Drive:
+    if trial.waveform == "recorded":
+        front, rear = _recorded(experiment, trial)
+        if trial.drive_is == "measured":
+            start_front, start_rear = (jnp.interp(0.0, x.times, x.values) for x in (front, rear))
+            return Drive(front, rear, start_front, start_rear)
+        return Drive(front, rear)
+    f, amplitude = trial.frequency, trial.amplitude
+    assert f is not None and amplitude is not None
+    behind = amplitude * trial.rear_ratio
+    match trial.waveform:
+        case "sine":
+            return Drive(SineWave(f, amplitude), SineWave(f, behind, trial.phase))
+        case "trapezoid":
+            return Drive(
+                Trapezoid(f, amplitude, 0.0, trial.rise),
+                Trapezoid(f, behind, trial.phase, trial.rise),
+            )
+    return Drive(SquareWave(f, amplitude), SquareWave(f, behind, trial.phase))
+
+
+def to_robot(experiment: Experiment) -> Robot:
+    """The robot of an experiment."""
+    table = experiment.robot.model_dump(exclude={"water_density"})
+    return Robot(**table, K_Q=experiment.parameters.K_Q)
+
+
+def to_numerics(experiment: Experiment) -> tuple[Numerics, Scheme]:
+    """Mesh, tolerance and time scheme of an experiment."""
+    robot, numerics = experiment.robot, experiment.numerics
+    cells = split_cells(numerics.nodes, robot.tail_length, robot.body_length)
+    return Numerics(*cells, tolerance=numerics.tolerance), SCHEMES[numerics.scheme]
+
+
+def coefficients_at(parameters: ParametersTable, frequency: Scalar | None):
+    """(C_d, m_a) at a stride frequency [Hz], differentiable: the file's, or the paper's ramp."""
+    if parameters.force_coefficients == "fixed":
+        return parameters.C_d, parameters.m_a
+    assert frequency is not None
+    if parameters.force_coefficients == "ramp":
+        return force_coefficients(frequency)
+    table = parameters.coefficients
+    at = jnp.asarray([x.frequency for x in table])
+    C_d, m_a = ([getattr(x, name) for x in table] for name in ("C_d", "m_a"))
+    return jnp.interp(frequency, at, jnp.asarray(C_d)), jnp.interp(frequency, at, jnp.asarray(m_a))
+
+
+def drag_and_added_mass(experiment: Experiment, trial: Trial) -> tuple[float, float]:
+    """(C_d, m_a) of a trial: the file's, fixed or by frequency, or the paper's ramp."""
+    C_d, m_a = coefficients_at(experiment.parameters, trial.frequency)
+    return float(C_d), float(m_a)
+
+
+def to_model(experiment: Experiment, trial: Trial | int = 0) -> Model:
+    """The model of one trial, every number an array, so that it can be mapped and differentiated.
+
+    Trials that share waveform have the same structure: stack them with `jax.tree.map` and vmap.
+    Raises `InputError` where a recorded drive cannot be used.
+    """
+    if isinstance(trial, int):
+        trial = experiment.trials[trial]
+    parameters, density = experiment.parameters, experiment.robot.water_density
+    taken = conditions(experiment, trial)
+    C_d, m_a = drag_and_added_mass(experiment, trial)
+    measured = trial.waveform == "recorded" and trial.drive_is == "measured"
+    law: PressureLaw = Ideal() if measured else FirstOrderLag(parameters.k)
+    extra = [_effect(table, "effects", taken) for table in experiment.effects]
+    model = Model(
+        robot=to_robot(experiment),
+        effects=(
+            NormalDrag(C_d, density),
+            ReactiveForce(m_a, density),
+            *extra,
+        ),
+        pressure_law=law,
+        drive=_drive(experiment, trial),
+        support=Clamped(
+            tow_speed=trial.tow_speed,
+            heave=trial.heave,
+            pitch=trial.pitch,
+            frequency=trial.clamp_frequency or trial.frequency or 0.0,
+            pitch_phase=trial.pitch_phase,
+        ),
+        water=experiment.water.velocity,
+    )
+    return jax.tree.map(lambda x: jnp.asarray(x, float), model)
+
+
+def measured(experiment: Experiment, trial: Trial) -> dict[str, np.ndarray] | None:
+    """The trial's measured columns, or None if its file is not there. Blank cells are NaN.
+
+    Only `t_s` must be there; the others are returned if they are. Raises `InputError` for a file
+    that is damaged or at odds with the experiment.
+    """
+    path = experiment.folder / trial.file
+    if not path.exists():
+        return None
+    columns = read_csv(path, ("t_s",), blank=SAMPLES[1:])
+    times = columns["t_s"]
+    if times[0] < 0.0 or times[-1] > trial.duration * (1.0 + 1e-6):
+        raise InputError(
+            f"{path}: samples from {times[0]:g} to {times[-1]:g} s; trial {trial.file} runs from 0 "
+            f"to duration = {trial.duration:g} s"
+        )
+    rate, said = 1.0 / float(np.median(np.diff(times))), experiment.sensors.sample_rate
+    if "sensors" in experiment.model_fields_set and abs(rate - said) > 0.05 * said:
+        raise InputError(
+            f"{path}: sampled at {rate:.6g} Hz; sensors.sample_rate says {said:g} Hz; mixed sample "
+            "rates need an experiment file each"
+        )
+    return columns
+
+
+def sample_times(experiment: Experiment, trial: Trial) -> np.ndarray:
+    """Times [s] at which a trial is sampled: its file's own, else the sensors' rate."""
+    columns = measured(experiment, trial)
+    if columns is not None:
+        return columns["t_s"]
+    rate = experiment.sensors.sample_rate
+    return np.arange(int(np.floor(trial.duration * rate + 1e-9)) + 1) / rate

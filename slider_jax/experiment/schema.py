@@ -1,0 +1,234 @@
+"""What an experiment file may say: tables, keys, units and plausible ranges."""
+
+from pathlib import PurePath
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from slider_jax.io.units import Quantity
+
+Length = Annotated[float, Quantity(0.0, 3.0, "m")]
+Stiffness = Annotated[float, Quantity(1.0, 1e7, "N")]
+Speed = Annotated[float, Quantity(-3.0, 3.0, "m/s")]
+Force = Annotated[float, Quantity(0.0, 10.0, "N")]
+FEWEST_NODES = 11
+"""Along a robot: fewer do not show how it bends."""
+FROM_LIST = BeforeValidator(lambda x: tuple(x) if isinstance(x, list) else x)
+
+
+def _plain_name(name: str) -> str:
+    """A file of the experiment's own folder: no path that could leave it."""
+    parts = PurePath(name.replace("\\", "/")).parts
+    if len(parts) != 1 or parts[0] in ("..", ".") or not name.endswith(".csv"):
+        raise PydanticCustomError(
+            "file_name",
+            "given {given}; allowed a plain file name ending in .csv, beside the experiment",
+            {"given": repr(name)},
+        )
+    return name
+
+
+FileName = Annotated[str, AfterValidator(_plain_name)]
+
+
+class Table(BaseModel):
+    """A table of the file: unknown keys are errors, values cannot be changed later."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class RobotTable(Table):
+    """[robot]: geometry and structure, measured beforehand. Chamber spans are from the clamp."""
+
+    body_length: Annotated[float, Quantity(0.05, 3.0, "m")]
+    tail_length: Annotated[float, Quantity(0.005, 2.0, "m")]
+    linear_density: Annotated[float, Quantity(0.01, 20.0, "kg/m")]
+    EI_body: Annotated[float, Quantity(1e-4, 100.0, "N m^2")]
+    EI_tail: Annotated[float, Quantity(1e-6, 100.0, "N m^2")]
+    EA_body: Stiffness = 1.0e5
+    EA_tail: Stiffness = 1.0e5
+    damping_time: Annotated[float, Quantity(0.0, 0.1, "s")]
+    height: Annotated[float, Quantity(0.002, 0.5, "m")]
+    front_chamber: Annotated[tuple[Length, Length], FROM_LIST]
+    rear_chamber: Annotated[tuple[Length, Length], FROM_LIST]
+    water_density: Annotated[float, Quantity(900.0, 1300.0, "kg/m^3")] = 1000.0
+
+    @model_validator(mode="after")
+    def _chambers_lie_apart_on_the_body(self) -> "RobotTable":
+        spans = {"front_chamber": self.front_chamber, "rear_chamber": self.rear_chamber}
+        for name, (near, far) in spans.items():
+            if near >= far:
+                _fail(name, [near, far], "near end < far end, from the clamp")
+            if far > self.body_length:
+                _fail(name, [near, far], f"spans within the body, 0 to {self.body_length:g} m")
+        if self.front_chamber[1] > self.rear_chamber[0]:
+            _fail(
+                "rear_chamber",
+                list(self.rear_chamber),
+                f"a start at or behind the front chamber's end, {self.front_chamber[1]:g} m",
+            )
+        return self
+
+
+Drag = Annotated[float, Quantity(0.0, 20.0)]
+AddedMass = Annotated[float, Quantity(0.0, 5.0)]
+
+
+class CoefficientsAt(Table):
+    """[[parameters.coefficients]]: C_d and m_a of trials at one drive frequency."""
+
+    frequency: Annotated[float, Quantity(0.05, 20.0, "Hz")]
+    C_d: Drag
+    m_a: AddedMass
+
+
+class ParametersTable(Table):
+    """[parameters]: what calibration identifies.
+
+    `force_coefficients` says where C_d and m_a come from: "fixed", the numbers here, "ramp", the
+    paper's ramp at each trial's own frequency, or "table", `coefficients`, linear in the frequency
+    between them and constant beyond.
+    """
+
+    force_coefficients: Literal["fixed", "ramp", "table"] = "fixed"
+    C_d: Drag | None = None
+    m_a: AddedMass | None = None
+    coefficients: Annotated[tuple[CoefficientsAt, ...], FROM_LIST] = ()
+    k: Annotated[float, Quantity(0.001, 2.0, "s")]
+    K_Q: Annotated[float, Quantity(1e-9, 1e-4, "m^3")]
+
+    @model_validator(mode="after")
+    def _coefficients_come_from_one_place(self) -> "ParametersTable":
+        for name in ("C_d", "m_a"):
+            given = getattr(self, name)
+            if self.force_coefficients == "fixed" and given is None:
+                _fail(name, "nothing", 'a number, unless force_coefficients is "ramp" or "table"')
+            if self.force_coefficients != "fixed" and given is not None:
+                _fail(name, given, 'only with force_coefficients = "fixed"; leave it out')
+        given_at = [x.frequency for x in self.coefficients]
+        if (self.force_coefficients == "table") != bool(given_at):
+            allowed = 'one table or more with force_coefficients = "table", none without'
+            _fail("coefficients", f"{len(given_at)} tables", allowed)
+        if any(b <= a for a, b in zip(given_at, given_at[1:], strict=False)):
+            _fail("coefficients", given_at, "frequencies that rise from table to table")
+        return self
+
+
+class SensorsTable(Table):
+    """[sensors]: one standard deviation of each, and the sample rate."""
+
+    pressure_noise: Annotated[float, Quantity(0.0, 1e5, "Pa")] = 0.0
+    force_noise: Force = 0.0
+    force_tare: Force = 0.0
+    force_slow_noise: Force = 0.0
+    force_slow_time: Annotated[float, Quantity(1e-3, 100.0, "s")] = 0.1
+    tip_noise: Annotated[float, Quantity(0.0, 0.1, "m")] = 0.0
+    start_swing: Annotated[float, Quantity(0.0, 0.1, "m")] = 0.0
+    sample_rate: Annotated[float, Quantity(1.0, 1e5, "Hz")] = 500.0
+
+
+class WaterTable(Table):
+    """[water]: a steady uniform stream (x along the straight robot, y to its left)."""
+
+    velocity: Annotated[tuple[Speed, Speed], FROM_LIST] = (0.0, 0.0)
+
+
+class NumericsTable(Table):
+    """[numerics]: nodes along the robot, the longest time step, the scheme, a step's tolerance."""
+
+    nodes: Annotated[int, Field(strict=True, ge=FEWEST_NODES, le=1001)] = 51
+    step: Annotated[float, Quantity(1e-5, 0.02, "s")] = 1e-3
+    scheme: Literal["sdirk2", "backward_euler"] = "sdirk2"
+    tolerance: Annotated[float, Quantity(1e-10, 1e-3)] = 1e-8
+
+
+class Trial(Table):
+    """[[trials]]: one run. The rear chamber gets `rear_ratio` of the front's set pressure, `phase`
+    of a period later. `drive_is` says whether a recorded drive is set or measured pressure."""
+
+    file: FileName
+    waveform: Literal["square", "sine", "trapezoid", "recorded"] = "square"
+    frequency: Annotated[float, Quantity(0.05, 20.0, "Hz")] | None = None
+    amplitude: Annotated[float, Quantity(1e3, 2e6, "Pa", or_zero=True)] | None = None
+    rear_ratio: Annotated[float, Quantity(-20.0, 20.0)] = 1.0
+    phase: Annotated[float, Quantity(-1.0, 1.0, "fraction of a period")] = 0.0
+    rise: Annotated[float, Quantity(0.001, 0.5, "fraction of a period")] = 0.1
+    drive_file: FileName | None = None
+    drive_is: Literal["set", "measured"] = "set"
+    tow_speed: Speed = 0.0
+    heave: Annotated[float, Quantity(0.0, 0.5, "m")] = 0.0
+    pitch: Annotated[float, Quantity(-1.2, 1.2, "rad")] = 0.0
+    pitch_phase: Annotated[float, Quantity(-6.2832, 6.2832, "rad")] = 0.0
+    clamp_frequency: Annotated[float, Quantity(0.05, 20.0, "Hz")] | None = None
+    duration: Annotated[float, Quantity(0.01, 600.0, "s")]
+    initial: Any = None
+
+    @model_validator(mode="after")
+    def _drive_is_complete(self) -> "Trial":
+        if self.waveform == "recorded":
+            if self.drive_file is None:
+                _fail("drive_file", "nothing", 'a CSV name, as waveform is "recorded"')
+            if self.drive_file == self.file:
+                _fail("drive_file", repr(self.file), "a file that is not the trial's own")
+            return self
+        for name in ("frequency", "amplitude"):
+            if getattr(self, name) is None:
+                _fail(name, "nothing", f'a number, as waveform is "{self.waveform}"')
+        if self.drive_file is not None:
+            _fail("drive_file", repr(self.drive_file), 'only with waveform = "recorded"')
+        return self
+
+    @property
+    def clamp_moves(self) -> bool:
+        """Whether the clamp heaves or pitches."""
+        return self.heave != 0.0 or self.pitch != 0.0
+
+
+class EffectTable(BaseModel):
+    """[[effects]]: one more effect by name, with its parameters."""
+
+    model_config = ConfigDict(frozen=True, extra="allow")
+    name: str
+
+
+class ExperimentTable(Table):
+    """The whole file."""
+
+    name: str
+    robot: RobotTable
+    parameters: ParametersTable
+    sensors: SensorsTable = SensorsTable()
+    water: WaterTable = WaterTable()
+    numerics: NumericsTable = NumericsTable()
+    effects: Annotated[tuple[EffectTable, ...], FROM_LIST] = ()
+    trials: Annotated[tuple[Trial, ...], FROM_LIST, Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _trials_agree(self) -> "ExperimentTable":
+        seen: dict[str, int] = {}
+        for index, trial in enumerate(self.trials):
+            if trial.file in seen:
+                where = f"a name of its own; trials.{seen[trial.file]} has it already"
+                _fail(f"trials.{index}.file", repr(trial.file), where)
+            seen[trial.file] = index
+            source = self.parameters.force_coefficients
+            if source != "fixed" and trial.frequency is None:
+                needed = f'a number, as parameters.force_coefficients is "{source}"'
+                _fail(f"trials.{index}.frequency", "nothing", needed)
+            fastest = max(trial.frequency or 0.0, trial.clamp_frequency or 0.0)
+            if trial.clamp_moves and not fastest:
+                _fail(f"trials.{index}.clamp_frequency", "nothing", "a number, as the clamp moves")
+            if fastest and self.numerics.step > 0.05 / fastest:
+                most = f"{0.05 / fastest:.4g} s, a twentieth of the period of trials.{index}"
+                _fail("numerics.step", self.numerics.step, f"at most {most}")
+        return self
+
+
+def _fail(where: str, given: Any, allowed: str) -> None:
+    """Raise a validation error of a table as a whole, naming the key."""
+    raise PydanticCustomError(
+        "table",
+        "{where}: given {given}; allowed {allowed}",
+        {"where": where, "given": str(given), "allowed": allowed},
+    )

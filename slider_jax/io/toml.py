@@ -1,0 +1,123 @@
+"""TOML in: read, validate, and say in one message what is wrong and where."""
+
+import difflib
+import re
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+
+from slider_jax.errors import InputError
+from slider_jax.io.units import Quantity
+
+TableType = TypeVar("TableType", bound=BaseModel)
+
+
+def read_bytes(path: Path) -> bytes:
+    """The content of an input file, or an error that says why there is none."""
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; give the file in it")
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; check the name") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file; an error names line and column."""
+    try:
+        text = read_bytes(path).decode("utf-8")
+        return tomllib.loads(text)
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not valid TOML: {error}{_unit_advice(text, error)}") from None
+
+
+def _unit_advice(text: str, error: tomllib.TOMLDecodeError) -> str:
+    """For a number with a unit behind it, which is how most numbers are mistyped."""
+    at = re.search(r"at line (\d+)", str(error))
+    lines = text.split("\n")
+    line = lines[int(at[1]) - 1] if at and int(at[1]) <= len(lines) else ""
+    number = re.search(r"=\s*([-+]?\d[\d_.]*(?:[eE][-+]?\d+)?)\s*([^\W\d_][^\s#]*)", line)
+    if not number:
+        return ""
+    return f"; numbers have no unit, but are in SI: {number[1]} without {number[2]}, converted"
+
+
+def field_at(
+    table: type[BaseModel], location: Sequence[str | int]
+) -> tuple[type[BaseModel], FieldInfo | None]:
+    """The innermost table of a place such as ("trials", 0, "phase"), and the field at its end."""
+    field = None
+    for part in location:
+        if str(part).isdigit():
+            continue
+        field = table.model_fields.get(str(part))
+        if field is None:
+            break
+        for inner in (field.annotation, *getattr(field.annotation, "__args__", ())):
+            if isinstance(inner, type) and issubclass(inner, BaseModel):
+                table = inner
+    return table, field
+
+
+def quantity_of(field: FieldInfo | None) -> Quantity | None:
+    """The unit and range of a field, if it is a number that has them."""
+    candidates = list(field.metadata) if field is not None else []
+    for inner in getattr(getattr(field, "annotation", None), "__args__", ()):
+        candidates += getattr(inner, "__metadata__", ())
+    return next((item for item in candidates if isinstance(item, Quantity)), None)
+
+
+def _message(table: type[BaseModel], error: Any) -> str:
+    """One pydantic error in our words."""
+    location = tuple(part for part in error["loc"] if not str(part).startswith("function-"))
+    where = ".".join(str(part) for part in location)
+    owner, field = field_at(table, location)
+    quantity = quantity_of(field)
+    kind, given = error["type"], repr(error["input"])
+    if kind == "table":
+        return ".".join(part for part in (where, error["msg"]) if part)
+    if kind == "missing":
+        kinds = getattr(field, "annotation", None)
+        one, many = kinds is owner, owner in getattr(kinds, "__args__", ())
+        if one or many:
+            needed = [name for name, x in owner.model_fields.items() if x.is_required()]
+            name = f"[{where}]" if one else f"[[{where}]]"
+            return f"{where}: missing; add a table {name} with {', '.join(needed)}"
+        unit = f" in {quantity.unit}" if quantity and quantity.unit else ""
+        return f"{where}: missing; add it{unit}"
+    if kind == "extra_forbidden":
+        close = difflib.get_close_matches(str(location[-1]), owner.model_fields, 1)
+        advice = f"did you mean {close[0]}?" if close else "remove it"
+        return f"{where}: unknown key; allowed {', '.join(owner.model_fields)}; {advice}"
+    if kind in ("quantity", "file_name"):
+        return f"{where}: {error['msg']}"
+    if kind == "float_type" and quantity:
+        return f"{where}: given {given}; allowed a number, {quantity.allowed}"
+    if kind in ("too_short", "too_long"):
+        return f"{where}: {error['msg']}"
+    if kind == "literal_error":
+        return f"{where}: given {given}; allowed {error['ctx']['expected']}"
+    if len(given) > 60:
+        given = given[:57] + "..."
+    return f"{where}: given {given}; {error['msg'][0].lower()}{error['msg'][1:]}"
+
+
+def validate(table: type[TableType], content: Any, source: str) -> TableType:
+    """`content` as a `table`; the error names `source`, the key, what is allowed."""
+    try:
+        return table.model_validate(content)
+    except ValidationError as failure:
+        errors = failure.errors(include_url=False)
+        # A misspelt key is both unknown and missing: say the former first.
+        errors.sort(key=lambda error: error["type"] != "extra_forbidden")
+        messages = [_message(table, error) for error in errors]
+        more = f" (and {len(messages) - 1} more after it)" if len(messages) > 1 else ""
+        raise InputError(f"{source}: {messages[0]}{more}") from None

@@ -1,0 +1,168 @@
+"""Designs of a swimmer: the box they are sought in, their models, and their experiment files."""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from slider_jax.dynamics.model import Model
+from slider_jax.errors import InputError
+from slider_jax.experiment.load import Experiment, coefficients_at, to_model
+from slider_jax.experiment.schema import RobotTable, Trial
+from slider_jax.io.toml import quantity_of
+from slider_jax.swimming.gait import Gait, swimmer
+from slider_jax.swimming.steady_state import Search, find_steady, steady_speed
+
+
+class Variable(NamedTuple):
+    """A variable of `Gait`."""
+
+    low: float
+    high: float
+    """Bounds by default, SI."""
+    table: type[Trial] | type[RobotTable]
+    field: str
+    """Of an experiment file, whose physical range bounds must be in."""
+    unit: str
+    factor: float
+    """Unit shown, and factor from SI to it."""
+
+
+VARIABLES = {
+    "frequency": Variable(1.0, 7.0, Trial, "frequency", "Hz", 1.0),
+    "front": Variable(50e3, 448e3, Trial, "amplitude", "kPa", 1e-3),
+    "rear": Variable(50e3, 448e3, Trial, "amplitude", "kPa", 1e-3),
+    "phase": Variable(-0.5, 0.5, Trial, "phase", "of a period", 1.0),
+    "tail_length": Variable(0.020, 0.100, RobotTable, "tail_length", "mm", 1e3),
+    "EI_tail": Variable(0.001, 0.038, RobotTable, "EI_tail", "mN m^2", 1e3),
+}
+"""In the order of `Gait`. Bounds are assumed: up to the paper's highest frequency and pressure, and
+a tail that is no stiffer than the body."""
+
+
+@dataclass(frozen=True)
+class Box:
+    """Bounds of the six variables, in the order of `Gait`, SI."""
+
+    low: np.ndarray
+    high: np.ndarray
+
+    def gait(self, unit: Float[Array, "6"] | np.ndarray) -> Gait:
+        """The design at a point of the unit box."""
+        return Gait(*(self.low + unit * (self.high - self.low)))
+
+    def unit(self, gait: Gait) -> np.ndarray:
+        """Where a design lies in the unit box."""
+        return (np.array(gait) - self.low) / (self.high - self.low)
+
+
+def box_of(given: Mapping[str, tuple[float, float] | None]) -> Box:
+    """The bounds `given`, the others by default.
+
+    Raises `InputError` for reversed ones, and for such beyond physics.
+    """
+    chosen = []
+    for name, variable in VARIABLES.items():
+        low, high = given.get(name) or (variable.low, variable.high)
+        option = f"--{name.replace('_', '-')}"
+        if not low < high:
+            raise InputError.value(option, f"{low:g} {high:g}", "LOW HIGH, the lower one first")
+        allowed = quantity_of(variable.table.model_fields[variable.field])
+        assert allowed is not None
+        for value in (low, high):
+            if not allowed.low <= value <= allowed.high:
+                raise InputError.value(option, f"{value:g}", allowed.allowed)
+        chosen.append((low, high))
+    low, high = np.array(chosen).T
+    return Box(low, high)
+
+
+def models(experiment: Experiment) -> Callable[[Gait], Model]:
+    """The free robot of an experiment's first trial, as a function of the gait; differentiable.
+
+    What the experiment makes depend on the frequency, drag and added mass by ramp or table and
+    effects that know the stride's frequency, follows the gait's. The drive is a square wave.
+    """
+    base = to_model(experiment, 0)
+    parameters, tables = experiment.parameters, experiment.effects
+
+    def model(gait: Gait) -> Model:
+        found: dict[int, dict[str, Any]] = {}
+        if parameters.force_coefficients != "fixed":
+            C_d, m_a = coefficients_at(parameters, gait.frequency)
+            found = {0: {"C_d": C_d}, 1: {"m_a": m_a}}
+        for i, (effect, table) in enumerate(zip(base.effects[2:], tables, strict=True), start=2):
+            names = {field.name for field in fields(effect)} - set(table.model_extra or {})
+            if "stride_frequency" in names:
+                found[i] = {"stride_frequency": gait.frequency}
+        effects = tuple(replace(e, **found.get(i, {})) for i, e in enumerate(base.effects))
+        return swimmer(replace(base, effects=effects), gait)
+
+    return model
+
+
+def speed_of(experiment: Experiment, box: Box, search: Search):
+    """Steady speed [m/s] at a point of the unit box; NaN where there is none that was found."""
+    model = models(experiment)
+
+    def speed(unit: Float[Array, "6"]) -> Float[Array, ""]:
+        gait = box.gait(unit)
+        found = find_steady(model(gait), gait.frequency, search)
+        return jnp.where(found.ok, found.speed, jnp.nan)
+
+    return speed
+
+
+def slope_of(experiment: Experiment, box: Box, search: Search):
+    """(speed [m/s], its gradient (6,) [m/s per width of the box]) at a point of the unit box."""
+    model = models(experiment)
+
+    def speed(unit: Float[Array, "6"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        gait = box.gait(unit)
+        found = steady_speed(model(gait), gait.frequency, search)
+        return found, found
+
+    def both(unit):
+        slope, value = jax.jacfwd(speed, has_aux=True)(unit)
+        return value, slope
+
+    return both
+
+
+def with_gait(experiment: Experiment, gait: Gait) -> Experiment:
+    """The experiment with its first trial alone, of this gait; its step is shortened if need be."""
+    f, front, rear, phase, tail_length, EI_tail = (float(f"{float(x):.10g}") for x in gait)
+    first = {"waveform": "square", "frequency": f, "amplitude": front, "phase": phase,
+             "rear_ratio": rear / front, "initial": None}  # fmt: skip
+    step = min(experiment.numerics.step, float(f"{0.0499 / f:.6g}"))
+    values = {"robot.tail_length": tail_length, "robot.EI_tail": EI_tail, "numerics.step": step,
+              "trials": [experiment.trials[0].model_dump() | first]}  # fmt: skip
+    return experiment.with_values(values, "design")
+
+
+def to_toml(experiment: Experiment, comment: str = "") -> str:
+    """An experiment as a file; what is at its default is left out."""
+    content = experiment.model_dump(exclude_defaults=True, exclude_none=True)
+    lines = [f"# {line}" for line in comment.splitlines()]
+    tables = {k: x for k, x in content.items() if isinstance(x, dict)}
+    lists = {k: x for k, x in content.items() if isinstance(x, (list, tuple))}
+    lines += [f"{k} = {_toml(x)}" for k, x in content.items() if k not in tables | lists]
+    for name, table in tables.items():
+        rows = table.pop("coefficients", ())
+        lines += ["", f"[{name}]", *(f"{k} = {_toml(x)}" for k, x in table.items())]
+        for row in rows:
+            lines += ["", f"[[{name}.coefficients]]", *(f"{k} = {x!r}" for k, x in row.items())]
+    for name, found in lists.items():
+        for row in found:
+            lines += ["", f"[[{name}]]", *(f"{k} = {_toml(x)}" for k, x in row.items())]
+    return "\n".join(lines) + "\n"
+
+
+def _toml(value: Any) -> str:
+    # Text, numbers, booleans and lists of them are written in TOML as in JSON.
+    return json.dumps(value, ensure_ascii=False)

@@ -1,0 +1,112 @@
+"""Evolutionary searches of the unit box, on evosax: the paper's genetic algorithm, and CMA-ES.
+
+evosax minimises; that is kept within this module.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from evosax.algorithms import CMA_ES, SimpleGA
+from evosax.algorithms.population_based.simple_ga import mutation
+
+from slider_jax.optimise.optimiser import Searcher, standard
+
+DECAY = 100
+"""Generations over which mutation falls (the paper's)."""
+MUTATION = (0.15, 0.002)
+"""Standard deviation of a mutation at first and after `DECAY` generations, of a bound's width."""
+PRESSURE = 1.8
+"""Offspring expected of the best member, where the mean is 1; the worst has the rest to 2."""
+ELITE = 2
+"""Members that are copied unchanged."""
+SPREAD = 0.3
+"""Standard deviation that CMA-ES starts with, of a bound's width."""
+
+
+class RankGA(SimpleGA):
+    """Fitness linear in rank, uniform crossover, normal mutation within the box, an elite kept.
+
+    Parents are drawn by stochastic universal sampling with linear ranking (Baker, J. E. (1985),
+    Adaptive selection methods for genetic algorithms; (1987), Reducing bias and inefficiency in the
+    selection algorithm).
+    """
+
+    def _ask(self, key, state, params):
+        n = self.population_size
+        ranked = state.population[jnp.argsort(state.fitness)]
+        place = jnp.arange(float(n))
+        share = (PRESSURE - 2.0 * (PRESSURE - 1.0) * place / (n - 1)) / n
+        one, other, mate, order, moved = jax.random.split(key, 5)
+
+        def drawn(key):
+            pointers = (jax.random.uniform(key) + place) / n
+            chosen = jnp.searchsorted(jnp.cumsum(share), pointers)
+            return ranked[jnp.minimum(chosen, n - 1)]
+
+        mothers = drawn(one)
+        fathers = drawn(other)[jax.random.permutation(order, n)]
+        children = jnp.where(jax.random.bernoulli(mate, 0.5, mothers.shape), mothers, fathers)
+        children = jax.vmap(mutation, (0, 0, None))(jax.random.split(moved, n), children, state.std)
+        # The best are the first of the next population, as they are.
+        return jnp.clip(children, 0.0, 1.0).at[:ELITE].set(ranked[:ELITE]), state
+
+
+def _key(seed: int, generation: int, use: int) -> jax.Array:
+    return jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), generation), use)
+
+
+def _losses(scores: np.ndarray) -> jax.Array:
+    """To be minimised; finite, as what is not would spoil weights and means."""
+    scores = np.asarray(scores, float)
+    good = np.isfinite(scores)
+    worst = scores[good].min() - 1.0 if good.any() else 0.0
+    return jnp.asarray(-np.where(good, scores, worst))
+
+
+def genetic(members: int, dimensions: int) -> Searcher:
+    """The paper's genetic algorithm."""
+    schedule = optax.linear_schedule(*MUTATION, DECAY)
+    ga = RankGA(members, jnp.zeros(dimensions), schedule)
+    params = ga.default_params
+
+    def begin(seed):
+        first = jax.random.uniform(_key(seed, 0, 0), (members, dimensions))
+        return ga.init(_key(seed, 0, 1), first, jnp.zeros(members), params)
+
+    def ask(state, seed, generation):
+        if generation == 0:
+            return np.asarray(state.population), state
+        found, state = ga.ask(_key(seed, generation, 0), state, params)
+        return np.asarray(found), state
+
+    def tell(state, seed, generation, found, scores, slopes):
+        key = _key(seed, generation, 1)
+        return ga.tell(key, jnp.asarray(found), _losses(scores), state, params)[0]
+
+    return Searcher("genetic", standard(begin), standard(ask), standard(tell))
+
+
+def cma_es(
+    members: int, dimensions: int, around: np.ndarray | None = None, spread: float = SPREAD
+) -> Searcher:
+    """Covariance matrix adaptation; members beyond the box are put on its faces.
+
+    It starts `around` a point (the middle), with `spread` as its standard deviation.
+    """
+    middle = np.full(dimensions, 0.5) if around is None else around
+    es = CMA_ES(members, jnp.zeros(dimensions))
+
+    def begin(seed):
+        params = es.default_params.replace(std_init=spread)
+        return es.init(_key(seed, 0, 0), jnp.asarray(middle), params)
+
+    def ask(state, seed, generation):
+        found, state = es.ask(_key(seed, generation, 0), state, es.default_params)
+        return np.clip(np.asarray(found), 0.0, 1.0), state
+
+    def tell(state, seed, generation, found, scores, slopes):
+        key = _key(seed, generation, 1)
+        return es.tell(key, jnp.asarray(found), _losses(scores), state, es.default_params)[0]
+
+    return Searcher("cma-es", standard(begin), standard(ask), standard(tell))

@@ -1,0 +1,168 @@
+"""A front of designs in a table, in files that `slider swim` and `slider climb` take, and drawn."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from slider_jax.climbing.climb import climb
+from slider_jax.experiment.load import to_numerics
+from slider_jax.io.figures import new_figure, save_figure
+from slider_jax.io.files import staged, write_json, write_text
+from slider_jax.io.provenance import versions
+from slider_jax.optimise.design_space import to_toml, with_gait
+from slider_jax.optimise.pareto_front import Front, dominated
+from slider_jax.optimise.two_tasks import NAMES, Modes, swim_efficiency
+
+SHOWN = (
+    ("tail_length", "tail length (mm)", 1e3),
+    ("EI_tail", "EI of the tail (mN m$^2$)", 1e3),
+    ("frequency", "frequency (Hz)", 1.0),
+    ("front", "pressures (kPa)", 1e-3),
+    ("phase", "phase (of a period)", 1.0),
+)
+"""Variable, label, factor from SI; beside each the climber's, and with the front ones the rear."""
+
+
+def rows(modes: Modes, front: Front) -> list[dict[str, Any]]:
+    """What each point of the front is, in SI."""
+    everything, again = tuple(range(len(NAMES))), dict[bytes, dict[str, Any]]()
+    own = to_numerics(modes.task.experiment)[0]
+    finer = modes.task.search._replace(numerics=own)
+    E_swim = jax.jit(swim_efficiency(modes.task.experiment, finer))
+    for point in front.points:
+        key = point.design.tobytes()
+        if key not in again:
+            again[key] = once_more(modes, point.design, E_swim) | {"nodes": own.nodes}
+    return [
+        {
+            "beta": point.beta,
+            "eta": point.eta,
+            "E_swim": point.efficiencies[0],
+            "E_climb": point.efficiencies[1],
+            **dict(zip(NAMES, modes.values(point.design, everything).tolist(), strict=True)),
+            "own_mesh": again[point.design.tobytes()],
+        }
+        for point in front.points
+    ]
+
+
+def once_more(
+    modes: Modes, design: np.ndarray, E_swim: Callable[[jax.Array], jax.Array]
+) -> dict[str, Any]:
+    """What `slider swim` and `slider climb` find of a design, on the experiment's own mesh."""
+    swims, climbs, pin = modes.gaits(design)
+    climbed = climb(with_gait(modes.task.experiment, climbs), 0, pin)
+    return {
+        "E_swim": float(E_swim(jnp.asarray(swims))),
+        "E_climb": float(climbed.found.efficiency),
+        "climb_unaccounted_of_power": float(climbed.found.unaccounted),
+        "climb_repeats_after_strides": climbed.period or None,
+    }
+
+
+def write(
+    modes: Modes, front: Front, effort: dict[str, Any], folder: Path, inputs: list[dict[str, Any]]
+) -> dict[str, Any]:
+    """multimodal.json, multimodal.png and two experiments a point; returns what the JSON says."""
+    found, only = rows(modes, front), {"E_swim": front.only[0], "E_climb": front.only[1]}
+    content = {
+        "front": found,
+        "only": only,
+        "alone": {"E_swim": front.alone[0], "E_climb": front.alone[1]},
+        "dominated_by_a_neighbour": dominated(front.points),
+        "evaluations": front.evaluations,
+        "effort": effort,
+        "settings": modes.settings(),
+        "inputs": inputs,
+        "versions": versions(),
+    }
+    with staged(folder) as stage:
+        for row, point in zip(found, front.points, strict=True):
+            swims, climbs, pin = modes.gaits(point.design)
+            own = row["own_mesh"]
+            for task, gait, said in (
+                ("swim", swims, f"Froude efficiency {own['E_swim']:.4g}."),
+                ("climb", climbs, f"m g U/P {own['E_climb']:.4g} with --pin-phase {pin:.6g}."),
+            ):
+                text = to_toml(with_gait(modes.task.experiment, gait), said)
+                write_text(stage / f"beta_{point.beta:.3f}_{task}.toml", text)
+        write_json(stage / "multimodal.json", content)
+        plot(found, only, stage / "multimodal.png")
+    return content
+
+
+def words(content: dict[str, Any]) -> list[str]:
+    """The front, a line a point."""
+    lines = [
+        f"{'beta':>6}{'eta':>8}{'E_swim':>9}{'E_climb':>9}{'tail mm':>9}{'mN m^2':>8}"
+        f"{'swim Hz':>9}{'kPa':>9}{'phase':>7}{'climb Hz':>10}{'kPa':>9}{'phase':>7}{'pin':>6}"
+    ]
+    for x in content["front"]:
+        swims, climbs = (
+            f"{1e-3 * x[f'{task}front']:.0f}/{1e-3 * x[f'{task}rear']:.0f}"
+            for task in ("", "climb_")
+        )
+        lines.append(
+            f"{x['beta']:6.3f}{x['eta']:8.4f}{x['E_swim']:9.4f}{x['E_climb']:9.4f}"
+            f"{1e3 * x['tail_length']:9.1f}{1e3 * x['EI_tail']:8.2f}"
+            f"{x['frequency']:9.2f}{swims:>9}{x['phase']:7.2f}"
+            f"{x['climb_frequency']:10.2f}{climbs:>9}{x['climb_phase']:7.2f}{x['pin_phase']:6.2f}"
+        )
+    only, total = content["only"], sum(content["evaluations"].values())
+    lines.append(
+        f"best at one task: swimming {only['E_swim']:.4f}, climbing {only['E_climb']:.4f}; "
+        f"{total} evaluations"
+    )
+    for name, found in content["alone"].items():
+        if found < 0.99 * only[name]:
+            lines.append(
+                f"the search for {name} alone ended at {found:.4f}, below what another found: more "
+                "generations are needed, in a new folder"
+            )
+    for name in ("E_swim", "E_climb"):
+        own = ", ".join(f"{x['own_mesh'][name]:.4f}" for x in content["front"])
+        lines.append(f"{name} on {content['front'][0]['own_mesh']['nodes']} nodes: {own}")
+    unrepeated = [
+        f"{x['beta']:.3f}"
+        for x in content["front"]
+        if x["own_mesh"]["climb_repeats_after_strides"] is None
+    ]
+    if unrepeated:
+        lines.append(f"beta {', '.join(unrepeated)}: the climb does not repeat there")
+    if content["dominated_by_a_neighbour"]:
+        lines.append(f"dominated by a neighbour: {content['dominated_by_a_neighbour']}")
+    return lines
+
+
+def plot(found: list[dict[str, Any]], only: dict[str, float], path: Path) -> None:
+    """Like the paper's Fig. 9: the front, and how the optimum moves with beta."""
+    figure, axes = new_figure(2, 3, figsize=(11, 6.5))
+    beta = np.array([x["beta"] for x in found])
+    (front, *others) = axes.flat
+    share = np.array(
+        [[x["E_swim"] / only["E_swim"], x["E_climb"] / only["E_climb"]] for x in found]
+    )
+    front.plot(*share.T, "k-", lw=0.8)
+    points = front.scatter(*share.T, c=beta, cmap="viridis", zorder=3)
+    front.set_xlabel("E_swim/E_swim,only")
+    front.set_ylabel("E_climb/E_climb,only")
+    figure.colorbar(points, ax=front, label="beta")
+    for (name, label, factor), ax in zip(SHOWN, others, strict=True):
+        shown = [(name, "C0o-", "both" if name in ("tail_length", "EI_tail") else "swims")]
+        if f"climb_{name}" in found[0]:
+            shown.append((f"climb_{name}", "C3s-", "climbs"))
+        if name == "front":
+            shown += [("rear", "C0o--", "swims, rear"), ("climb_rear", "C3s--", "climbs, rear")]
+        if name == "phase":
+            shown.append(("pin_phase", "C3^:", "pin"))
+        for key, look, said in shown:
+            ax.plot(beta, [factor * x[key] for x in found], look, ms=4, lw=1.0, label=said)
+        ax.set_xlabel("beta (0 climbs, 1 swims)")
+        ax.set_ylabel(label)
+        if len(shown) > 1:
+            ax.legend(fontsize="x-small")
+    save_figure(figure, path)

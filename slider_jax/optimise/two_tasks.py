@@ -1,0 +1,153 @@
+"""One tail for two tasks: swimming and climbing, each with a drive of its own.
+
+    eta(beta) = beta E_swim/E_swim,only + (1 - beta) E_climb/E_climb,only,    0 <= beta <= 1
+
+E_swim is the Froude efficiency of a steady stride, E_climb = m g U/P over 15 strides; "only" is the
+best there is for one task alone. Both are of a member's own drive and the common tail, so at the
+ends, where one task does not count, its drive is chosen for the tail that the other wants.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from slider_jax.climbing.strides import ClimbPlan, climb_from_rest
+from slider_jax.errors import InputError
+from slider_jax.experiment.load import Experiment, to_model
+from slider_jax.optimise.design_space import models
+from slider_jax.optimise.fastest_swimmer import Task
+from slider_jax.optimise.population import Evaluation
+from slider_jax.swimming.gait import CAP, LINK, Gait, climber
+from slider_jax.swimming.performance import steadily
+from slider_jax.swimming.steady_state import Search
+
+DRIVE = ("frequency", "front", "rear", "phase")
+NAMES = (*DRIVE, *(f"climb_{name}" for name in DRIVE), "pin_phase", "tail_length", "EI_tail")
+"""Variables of a design; the first four drive the swimmer."""
+SWIM, CLIMB, TAIL = (0, 1, 2, 3), (4, 5, 6, 7, 8), (9, 10)
+CLIMBER_BOUNDS = {
+    "climb_frequency": (1.0, 4.0),
+    "climb_front": (50e3, CAP),
+    "climb_rear": (50e3, CAP),
+    "climb_phase": (-0.5, 0.5),
+    "pin_phase": (-0.5, 0.5),
+}
+"""Bounds of the climber's drive, assumed but for the cap; SI."""
+UNACCOUNTED = 0.02
+"""Largest share of a climber's power by which its energies may fail to add up."""
+
+
+class Modes(NamedTuple):
+    """Both tasks of one robot."""
+
+    task: Task
+    """Of swimming; its box has the swimmer's drive, and the tail."""
+    plan: ClimbPlan
+    low: np.ndarray
+    high: np.ndarray
+    """Bounds (11,) of `NAMES`, SI."""
+
+    @classmethod
+    def of(
+        cls,
+        experiment: Experiment,
+        tail_length: tuple[float, float] | None = None,
+        EI_tail: tuple[float, float] | None = None,
+        steps_per_stride: int = 96,
+    ) -> "Modes":
+        """Raises `InputError` as `Task.of` does, and for a robot that cannot swim or climb."""
+        bounds = {"tail_length": tail_length, "EI_tail": EI_tail}
+        task = Task.of(experiment, bounds, steps_per_stride)
+        climbing = np.array(list(CLIMBER_BOUNDS.values())).T
+        low, high = (
+            np.concatenate([x[:4], y, x[4:]])
+            for x, y in zip((task.box.low, task.box.high), climbing, strict=True)
+        )
+        # Settled sooner than `ClimbPlan` has it: here designs are only compared.
+        steps = steps_per_stride + steps_per_stride // 3
+        numerics, scheme = task.search.numerics, task.search.scheme
+        plan = ClimbPlan(10, 15, steps + steps % 2, numerics, scheme)
+        model = to_model(experiment, 0)
+        climber(model, 1.0, 0.0)
+        if not any(effect.resists for effect in model.effects):
+            raise InputError(
+                "effects: none resists motion along the body, so that no swimmer is steady; add "
+                "one such as head_drag"
+            )
+        return cls(task, plan, low, high)
+
+    def values(self, unit: np.ndarray | Float[Array, " n"], part: tuple[int, ...]):
+        """SI values of some variables from their places in the unit box."""
+        low, high = self.low[list(part)], self.high[list(part)]
+        return low + unit * (high - low)
+
+    def gaits(self, unit: np.ndarray) -> tuple[Gait, Gait, float]:
+        """How a design (11,) swims and climbs, and its pin's phase."""
+        x = [float(v) for v in self.values(unit, tuple(range(len(NAMES))))]
+        return Gait(*x[:4], *x[9:]), Gait(*x[4:8], *x[9:]), x[8]
+
+    def settings(self) -> dict[str, Any]:
+        """All that efficiencies depend on."""
+        bounds = dict(zip(NAMES, zip(self.low.tolist(), self.high.tolist(), strict=True),
+                          strict=True))  # fmt: skip
+        plan = {"settling": self.plan.settling, "strides": self.plan.strides,
+                "steps_per_stride": self.plan.steps_per_stride}  # fmt: skip
+        return self.task.settings() | {"bounds": bounds, "climb": plan, "cap": CAP, "link": LINK}
+
+
+def swim_efficiency(experiment: Experiment, search: Search):
+    """Froude efficiency of (6,) SI values, in the order of `Gait`; NaN where it is not steady."""
+    model = models(experiment)
+
+    def one(x: Float[Array, "6"]) -> Float[Array, ""]:
+        gait = Gait(*x)
+        _, found, ok = steadily(model(gait), gait.frequency, search)
+        swims = ok & (found.speed > 0.0) & (found.power > 0.0)
+        return jnp.where(swims, found.froude_efficiency, jnp.nan)
+
+    return one
+
+
+def climb_efficiency(experiment: Experiment, plan: ClimbPlan):
+    """m g U/P of (7,) SI values: drive, pin's phase, tail.
+
+    NaN where a step fails, or energies do not add up to `UNACCOUNTED`.
+    """
+    base = to_model(experiment, 0)
+
+    def one(x: Float[Array, "7"]) -> Float[Array, ""]:
+        gait = Gait(*x[:4], *x[5:])
+        found, ok = climb_from_rest(climber(base, gait.frequency, x[4], gait), gait.frequency, plan)
+        true = ok & (jnp.abs(found.unaccounted) < UNACCOUNTED)
+        return jnp.where(true, found.efficiency, jnp.nan)
+
+    return one
+
+
+class Both:
+    """Efficiencies of designs in the unit box, on all devices."""
+
+    def __init__(self, modes: Modes):
+        self.modes = modes
+        swim = swim_efficiency(modes.task.experiment, modes.task.search)
+        climb = climb_efficiency(modes.task.experiment, modes.plan)
+        self._swim = Evaluation(lambda x: swim(modes.values(x, SWIM + TAIL)))
+        self._climb = Evaluation(lambda x: climb(modes.values(x, CLIMB + TAIL)))
+
+    def __call__(self, designs: np.ndarray, swims: bool, climbs: bool) -> np.ndarray:
+        """(n, 2) of designs (n, 11): E_swim and E_climb; NaN where not asked for, or failed."""
+        found = np.full((len(designs), 2), np.nan)
+        if swims:
+            found[:, 0] = self._swim(np.ascontiguousarray(designs[:, SWIM + TAIL]))
+        if climbs:
+            found[:, 1] = self._climb(np.ascontiguousarray(designs[:, CLIMB + TAIL]))
+        return found
+
+
+def eta(beta: float, efficiencies: np.ndarray, only: np.ndarray) -> np.ndarray:
+    """(n,) of efficiencies (n, 2); a task without weight may fail."""
+    weights = np.array([beta, 1.0 - beta])
+    counts = weights > 0.0
+    return (efficiencies[:, counts] / only[counts]) @ weights[counts]

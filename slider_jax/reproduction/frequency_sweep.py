@@ -1,0 +1,97 @@
+"""The paper's head-fixed frequency sweep: one vmapped rollout of all its frequencies."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from slider_jax import paper
+from slider_jax.batch.chunks import chunks_of, in_threads, stack, take
+from slider_jax.batch.strides import Member, Plan, compile_programs, march, steady
+from slider_jax.beam.parameters import Numerics, Robot
+
+SHOWN = (1.0, 4.8)
+"""Frequencies [Hz] of the paper's Figs. 5 and 6."""
+
+
+class Settings(eqx.Module):
+    """What the sweep runs; the defaults are the demo's.
+
+    At 400 and at 500 steps a stride every mean thrust of the sweep is the same to 0.02 mN. Steps
+    per stride are a multiple of 20: edges of both chambers and poses then fall on steps.
+    """
+
+    robot: Robot = Robot()
+    assumed: paper.Assumed = paper.Assumed()
+    frequencies: tuple[float, ...] = eqx.field(static=True, default=paper.SWEEP)
+    steps_per_stride: int = eqx.field(static=True, default=300)
+    strides: int = eqx.field(static=True, default=8)
+    transient: int = eqx.field(static=True, default=paper.TRANSIENT_STRIDES)
+    numerics: Numerics = Numerics()
+
+
+class Series(NamedTuple):
+    """One frequency over all strides: arrays over the steps, (steps,) unless a shape is given."""
+
+    t: np.ndarray
+    """[s]"""
+    pressure: np.ndarray
+    """(steps, 2): front and rear [Pa]."""
+    thrust: np.ndarray
+    """[N]"""
+    recoil: np.ndarray
+    """[N]"""
+    tip: np.ndarray
+    """[m]"""
+    midlines: np.ndarray
+    """(poses, 2, nodes) [m], over the last stride; head at the origin."""
+
+
+class FrequencySweep(NamedTuple):
+    """The result: `table` has a column (F,) for each quantity, named with its unit."""
+
+    table: dict[str, np.ndarray]
+    stride_thrust: np.ndarray
+    """(F, strides): mean thrust [N] of every stride, transient ones included."""
+    shown: dict[float, Series]
+    ok: np.ndarray
+    """(F,) False where a step did not converge; its row is NaN."""
+
+
+def run_frequency_sweep(
+    settings: Settings,
+    on_begin: Callable[[int], None] = lambda strides: None,
+    on_stride: Callable[[], None] = lambda: None,
+) -> FrequencySweep:
+    """Run the sweep on all cores, chunk by chunk and stride by stride.
+
+    `on_begin(n)` is called once, n chunk-strides being to come, and `on_stride()` after each.
+    """
+    frequencies = np.asarray(settings.frequencies, float)
+    plan = Plan(settings.steps_per_stride, settings.strides, settings.numerics)
+    members = stack(
+        [Member(paper.head_fixed(f, settings.robot, settings.assumed), f) for f in frequencies]
+    )
+    chunks = chunks_of(len(frequencies))
+    on_begin(chunks.total * settings.strides)
+    programs = compile_programs(plan, take(members, chunks.indices(0)))
+
+    def work(chunk, stopped):
+        runs = march(plan, programs, take(members, chunks.indices(chunk)), on_stride, stopped)
+        return {name: values[: chunks.real(chunk)] for name, values in runs.items()}
+
+    done = dict(in_threads(work, list(range(chunks.total)), chunks.workers))
+    parts = [done[chunk] for chunk in range(chunks.total)]
+    runs = {name: np.concatenate([x[name] for x in parts]) for name in parts[0]}
+    C_d, m_a = jax.vmap(paper.force_coefficients)(jnp.asarray(frequencies))
+    table = {"frequency_Hz": frequencies, "C_d": np.asarray(C_d), "m_a": np.asarray(m_a)}
+    table |= steady(plan, members, runs, settings.transient)
+    shown = {}
+    for index, frequency in enumerate(frequencies):
+        if np.isclose(frequency, SHOWN).any():
+            whole = {name: np.concatenate(runs[name][index]) for name in Series._fields[:-1]}
+            shown[float(frequency)] = Series(**whole, midlines=runs["midline"][index])
+    return FrequencySweep(table, runs["thrust"].mean(axis=2), shown, runs["ok"])

@@ -1,0 +1,114 @@
+"""What the demo writes and says: files, and a table beside what the paper states."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+from slider_jax import paper
+from slider_jax.io.figures import stride_in_detail, thrust_against_frequency
+from slider_jax.io.files import staged, write_csv, write_json
+from slider_jax.io.provenance import versions
+from slider_jax.reproduction.frequency_sweep import FrequencySweep, Settings
+
+ASSUMED = {
+    "front_chamber, rear_chamber": "spans from the head in m: the paper gives none",
+    "amplitude, rear_ratio, phase": "the paper gives none; 260 kPa in both chambers, the rear 0.05 "
+    "of a stride later, are chosen to meet the paper's mean thrust at 4.8 Hz and its minimum near "
+    "1 Hz, so those two are no test of the model",
+    "damping_time": "2 ms; the paper's 5e-6 s leaves ringing at 30-100 Hz undamped",
+    "EA_body, EA_tail": "5 kN: the paper gives none; strains stay below 1e-3",
+    "C_d, m_a": "4 and 0 below 2 Hz, 3 and 1 above 3 Hz, linear between",
+}
+"""What is ours in the demo, and why."""
+
+
+def write_results(sweep: FrequencySweep, settings: Settings, folder: Path) -> None:
+    """Write tables, pictures and settings, all or none of them."""
+    with staged(folder) as stage:
+        write_csv(stage / "sweep.csv", sweep.table)
+        thrust_against_frequency(sweep, settings, stage / "thrust_against_frequency.png")
+        for frequency, series in sweep.shown.items():
+            name = f"{frequency:g}".replace(".", "p") + "Hz"
+            columns = {
+                "t_s": series.t,
+                "p_front_Pa": series.pressure[:, 0],
+                "p_rear_Pa": series.pressure[:, 1],
+                "thrust_N": series.thrust,
+                "recoil_N": series.recoil,
+                "tip_m": series.tip,
+            }
+            write_csv(stage / f"series_{name}.csv", columns)
+            stride_in_detail(frequency, series, settings, stage / f"stride_{name}.png")
+        write_json(
+            stage / "settings.json",
+            {
+                "settings": dataclasses.asdict(settings),
+                "assumed": ASSUMED,
+                "seed": None,
+                "failed_frequencies_Hz": sweep.table["frequency_Hz"][~sweep.ok],
+                "versions": versions(),
+            },
+        )
+
+
+def _at(sweep: FrequencySweep, name: str, frequency: float) -> float:
+    return float(sweep.table[name][np.argmin(np.abs(sweep.table["frequency_Hz"] - frequency))])
+
+
+def comparison(sweep: FrequencySweep, settings: Settings) -> str:
+    """The table that the demo prints: what the paper states, what is found, what differs."""
+    table, f = sweep.table, sweep.table["frequency_Hz"]
+    thrust, recoil = 1e3 * table["thrust_mean_N"], 1e3 * table["recoil_peak_N"]
+    if np.isnan(thrust).all():
+        return "no frequency could be solved; see settings.json"
+    low, top = int(np.nanargmin(thrust)), int(np.nanargmax(thrust))
+    least, most = f"{thrust[low]:.1f} mN at {f[low]:g} Hz", f"{thrust[top]:.1f} mN at {f[top]:g} Hz"
+    at = paper.THRUST_AT
+    near = 1e3 * _at(sweep, "thrust_mean_N", at)
+    spread = 1e3 * _at(sweep, "thrust_std_of_strides_N", at)
+    peak = 1e3 * _at(sweep, "recoil_peak_N", paper.RECOIL_AT)
+    stated = 1e3 * paper.THRUST_THERE, 1e3 * paper.RECOIL_THERE
+    rows = [
+        ("", "paper", "here", ""),
+        (
+            "least mean thrust",
+            f"negative, near {paper.MINIMUM_NEAR:g} Hz",
+            least,
+            _verdict(thrust[low] < 0.0 and abs(f[low] - paper.MINIMUM_NEAR) < 0.25),
+        ),
+        (
+            f"mean thrust at {at:g} Hz",
+            f"about {stated[0]:.0f} mN",
+            f"{near:.1f} mN (s.d. of strides {spread:.1f})",
+            _verdict(abs(near - stated[0]) < 0.1 * stated[0]),
+        ),
+        (
+            f"largest recoil at {paper.RECOIL_AT:g} Hz",
+            f"beyond {stated[1]:.0f} mN",
+            f"{peak:.0f} mN",
+            _verdict(peak > stated[1]),
+        ),
+    ]
+    widths = [max(len(row[column]) for row in rows) for column in range(4)]
+    lines = ["  ".join(x.ljust(w) for x, w in zip(row, widths, strict=True)) for row in rows]
+    negative = f[thrust < 0.0]
+    said = [
+        f"The largest mean thrust is {most}; the largest recoil {np.nanmax(recoil):.0f} mN "
+        f"at {f[int(np.nanargmax(recoil))]:g} Hz.",
+        f"Mean thrust is negative from {negative.min():g} to {negative.max():g} Hz."
+        if negative.size
+        else "Mean thrust is nowhere negative.",
+        f"Means are over {settings.strides - settings.transient} strides after "
+        f"{settings.transient} tailbeats. Pressures, chamber spans, damping and axial stiffness "
+        "are assumed (settings.json). Amplitude and delay were chosen to meet the first two lines, "
+        "which are therefore no test; where a figure differs from the paper's, either what is "
+        "assumed or the model may be why.",
+    ]
+    if not sweep.ok.all():
+        said.append(f"Not solved: {', '.join(f'{x:g} Hz' for x in f[~sweep.ok])}.")
+    return "\n".join([*(line.rstrip() for line in lines), "", *said])
+
+
+def _verdict(agrees: bool) -> str:
+    return "agrees" if agrees else "differs"

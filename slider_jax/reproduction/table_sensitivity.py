@@ -1,0 +1,184 @@
+"""What the paper's table of its optimum could hang on: one change of the model at a time."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from slider_jax import observables as obs, paper
+from slider_jax.actuation import FirstOrderLag
+from slider_jax.beam.parameters import Robot
+from slider_jax.dynamics.model import Model, make_mesh
+from slider_jax.dynamics.rollout import TimeGrid, rollout
+from slider_jax.effects.water.head_drag import HeadDrag
+from slider_jax.errors import SolverError
+from slider_jax.reproduction.wavelengths import on_course, rms_tail_slope, wavelengths
+from slider_jax.supports import Clamped
+from slider_jax.swimming.paper_optimum import HEAD_DRAG
+from slider_jax.swimming.performance import Performance, Stride, steadily
+from slider_jax.swimming.steady_state import Search
+
+K_Q_OF_THE_TIP = 1.623e-6
+"""[m^3], with which 45 kPa in both chambers moves the tip of the paper's table's robot by 102 mm,
+as the paper says of K_Q; 3.4 times that of its Q_set = 175 mN m at 365 kPa."""
+PASSED, KEPT = 12, 4
+"""Strides of a robot whose head is held: until it is steady, and over which its thrust is taken."""
+
+
+def _robot(**changed: Any) -> Callable[[Model], Model]:
+    return lambda model: replace(model, robot=replace(model.robot, **changed))
+
+
+def _lag(k: float) -> Callable[[Model], Model]:
+    return lambda model: replace(model, pressure_law=FirstOrderLag(k))
+
+
+def _effect(kind: str, **changed: Any) -> Callable[[Model], Model]:
+    def change(model: Model) -> Model:
+        effects = (replace(e, **changed) if e.name() == kind else e for e in model.effects)
+        return replace(model, effects=tuple(effects))
+
+    return change
+
+
+def _drive(chamber: str, **changed: Any) -> Callable[[Model], Model]:
+    def change(model: Model) -> Model:
+        wave = replace(getattr(model.drive, chamber), **changed)
+        return replace(model, drive=replace(model.drive, **{chamber: wave}))
+
+    return change
+
+
+AS_STATED, NO_LAG, TIP_K_Q, SOFT_TAIL = (
+    "as stated",
+    "no lag of the pressures",
+    "K_Q of 102 mm at 45 kPa",
+    "tail of 1 mN m^2",
+)
+CHANGES: dict[str, Callable[[Model], Model]] = {
+    AS_STATED: lambda model: model,
+    NO_LAG: _lag(0.0),
+    "lag k = 20 ms": _lag(0.02),
+    TIP_K_Q: _robot(K_Q=K_Q_OF_THE_TIP),
+    "both chambers at once": _drive("rear", phase=0.0),
+    "phase 0.25": _drive("rear", phase=0.25),
+    "front chamber alone": _drive("rear", amplitude=0.0),
+    SOFT_TAIL: _robot(EI_tail=0.001),
+    "70 mm tail of 5.8 mN m^2": _robot(tail_length=0.07, EI_tail=0.0058),
+    "half the body's EI": _robot(EI_body=0.019),
+    "twice the body's EI": _robot(EI_body=0.076),
+    "alpha = 5e-6 s": _robot(damping_time=5e-6),
+    "alpha = 10 ms": _robot(damping_time=0.01),
+    "C_d = 1.2": _effect("normal_drag", C_d=1.2),
+    "m_a = 0.5": _effect("reactive_force", m_a=0.5),
+    "chambers over the whole body": _robot(front_chamber=(0.0, 0.149), rear_chamber=(0.149, 0.298)),
+    "twice the axial resistance": _effect("head_drag", area=2.0 * HEAD_DRAG),
+}
+"""Each changes one thing of the model of the paper's optimum."""
+RECALIBRATED = (NO_LAG, TIP_K_Q, SOFT_TAIL)
+"""Changes after which the axial resistance is calibrated again."""
+
+
+class Row(NamedTuple):
+    """A steady stride of one model."""
+
+    performance: Performance
+    stride: Stride
+    area: float
+    """Of the head's form drag [m^2]."""
+    wavelengths: dict[str, float]
+    """[m], by definition."""
+    rms_tail_slope: float
+
+    def slopes(self) -> dict[str, float]:
+        """A_t over a quarter of each wavelength."""
+        half = float(self.performance.tail_amplitude)
+        return {k: float(obs.tail_slope(half, x)) for k, x in self.wavelengths.items()}
+
+
+_steadily = eqx.filter_jit(steadily)
+
+
+def _arrays(model: Model) -> Model:
+    """All numbers as arrays, so that one program serves all models of one structure."""
+    return jax.tree.map(lambda x: jnp.asarray(x, float), model)
+
+
+def _row(model: Model, frequency: float, stride: Stride, found: Performance, search: Search) -> Row:
+    s = np.asarray(make_mesh(model.body, search.numerics).grid.s)
+    (area,) = (float(e.area) for e in model.effects if isinstance(e, HeadDrag))
+    rms = rms_tail_slope(*on_course(stride))
+    return Row(found, stride, area, wavelengths(stride, s, frequency), rms)
+
+
+def swim(model: Model, frequency: float, search: Search) -> Row:
+    """The steady stride. Raises `SolverError` where there is none."""
+    model = _arrays(model)
+    stride, found, ok = jax.device_get(_steadily(model, jnp.asarray(frequency, float), search))
+    if not bool(ok):
+        raise SolverError("no steady speed was found, or a step did not converge")
+    return _row(model, frequency, stride, found, search)
+
+
+def calibrated(model: Model, frequency: float, speed: float, search: Search) -> Row:
+    """The same with the area of its head's form drag for which it swims at `speed` [m/s], to 0.2 %.
+
+    By a secant in the logarithms, begun as if drag alone balanced a thrust that is given.
+    """
+    rows: list[Row] = []
+    area, power = float(next(e.area for e in model.effects if isinstance(e, HeadDrag))), -0.5
+    for _ in range(12):
+        rows.append(swim(_effect("head_drag", area=area)(model), frequency, search))
+        off = np.log(float(rows[-1].performance.speed) / speed)
+        if abs(off) < 2e-3:
+            return rows[-1]
+        if len(rows) > 1:
+            before = rows[-2]
+            far = np.log(float(rows[-1].performance.speed) / float(before.performance.speed))
+            power = min(far / np.log(area / before.area), -0.2)
+        area *= float(np.exp(np.clip(-off / power, -1.5, 1.5)))
+    raise SolverError(f"no area of head_drag was found that gives {speed:g} m/s")
+
+
+@eqx.filter_jit
+def _held(model: Model, frequency, search: Search):
+    def saved(x):
+        return obs.midline(x), obs.thrust(x)
+
+    steps = search.steps_per_stride
+    times = TimeGrid.per_stride(frequency, steps, PASSED + KEPT)
+    run = rollout(model, times, saved, search.numerics, search.scheme, checkpoint=False)
+    return jax.tree.map(lambda x: x[-KEPT * steps :], (run.t, *run.saved)), run.ok
+
+
+def held(model: Model, frequency: float, tow_speed: float, search: Search) -> dict[str, float]:
+    """Head clamped and towed at `tow_speed` [m/s]: mean thrust, and the shape that is left."""
+    model = _arrays(replace(model, support=Clamped(tow_speed=tow_speed)))
+    seen, ok = jax.device_get(_held(model, jnp.asarray(frequency), search))
+    t, midline, thrust = seen
+    if not bool(ok):
+        raise SolverError("a step did not converge with the head held")
+    y = midline[:, 1] - midline[:, 1].mean(axis=0)
+    s = make_mesh(model.body, search.numerics).grid.s
+    mode = obs.fundamental_mode(jnp.asarray(y), jnp.asarray(t), frequency)
+    half, wavelength = 0.5 * np.ptp(y[:, 0]), float(obs.shape_wavelength(mode, s))
+    return {
+        "mean_thrust_N": float(thrust.mean()),
+        "tail_amplitude_m": float(half),
+        "shape_wavelength_m": wavelength,
+        "shape_tail_slope": float(obs.tail_slope(half, wavelength)),
+        "rms_tail_slope": rms_tail_slope(midline[:, 0], y),
+        "travelling_index": float(obs.travelling_index(mode)),
+    }
+
+
+def head_fixed_thrust(change: str, amplitude: float, optimum: Model, search: Search) -> float:
+    """Mean thrust [N] of the paper's head-fixed test at 4.8 Hz after one of `CHANGES`."""
+    f = paper.THRUST_AT
+    fixed = paper.head_fixed(f, Robot(), paper.Assumed(amplitude=amplitude))
+    model = CHANGES[change](replace(optimum, robot=fixed.robot, drive=fixed.drive))
+    return held(model, f, 0.0, search)["mean_thrust_N"]

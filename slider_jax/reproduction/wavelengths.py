@@ -1,0 +1,68 @@
+"""Other ways to read a wavelength, or the tail's slope, off one stride of a swimmer."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from slider_jax import observables as obs
+from slider_jax.swimming.performance import Stride
+
+
+def on_course(stride: Stride) -> tuple[np.ndarray, np.ndarray]:
+    """Places (steps, nodes) [m] along the mean velocity, and to its left less their mean."""
+    x, y = np.moveaxis(np.asarray(stride.midline), 1, 0)
+    along = np.asarray(stride.velocity).mean(axis=0)
+    along = along / np.hypot(*along) * np.sign(along @ np.asarray(stride.ahead))
+    across = along[0] * y - along[1] * x
+    return along[0] * x + along[1] * y, across - across.mean(axis=0)
+
+
+def zeros_wavelength(y: np.ndarray, s: np.ndarray) -> float:
+    """Twice the mean distance [m] between neighbouring zeros of shapes y (times, points) at `s`.
+
+    A shape counts by its mean square, as all cross the axis while a standing wave turns over. NaN
+    where none has two zeros.
+    """
+    lengths, weights = [], []
+    for row in y:
+        (i,) = np.nonzero((row[1:] < 0.0) != (row[:-1] < 0.0))
+        zeros = s[i] + (s[i + 1] - s[i]) * row[i] / (row[i] - row[i + 1])
+        if len(zeros) > 1:
+            lengths.append(2.0 * np.diff(zeros).mean())
+            weights.append((row**2).mean())
+    return float(np.average(lengths, weights=weights)) if lengths else float("nan")
+
+
+def without_recoil(y: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """Shapes (times, points) less the straight line that fits each of them best."""
+    line = np.stack([np.ones_like(s), s], axis=1)
+    return y - (line @ np.linalg.lstsq(line, y.T, rcond=None)[0]).T
+
+
+def rms_tail_slope(along: np.ndarray, across: np.ndarray) -> float:
+    """Root mean square over the stride of dy/dx [-] at the tail's end: needs no wavelength."""
+    slope = np.diff(across[:, :2])[:, 0] / np.diff(along[:, :2])[:, 0]
+    return float(np.sqrt(((slope - slope.mean()) ** 2).mean()))
+
+
+def wavelengths(stride: Stride, s: np.ndarray, frequency: float) -> dict[str, float]:
+    """Wavelength [m] of one stride by each definition; those by phase are negative headwards."""
+    along, y = on_course(stride)
+    t = jnp.asarray(stride.t)
+
+    def mode(y: np.ndarray):
+        return obs.fundamental_mode(jnp.asarray(y), t, frequency)
+
+    def by_phase(y: np.ndarray, s: np.ndarray) -> float:
+        return float(obs.body_wave(mode(y), jnp.asarray(s), frequency).wavelength)
+
+    angle, rear = np.arctan2(np.diff(y), np.diff(along)), s <= s[-1] / 3.0
+    middle = 0.5 * (s[1:] + s[:-1])
+    return {
+        "phase": by_phase(y, s),
+        "phase, rear third": by_phase(y[:, rear], s[rear]),
+        "phase, recoil removed": by_phase(without_recoil(y, s), s),
+        "phase of the curvature": by_phase(np.diff(angle) / np.diff(middle), s[1:-1]),
+        "shape": float(obs.shape_wavelength(mode(y), jnp.asarray(s))),
+        "zeros": zeros_wavelength(y, s),
+        "zeros, recoil removed": zeros_wavelength(without_recoil(y, s), s),
+    }

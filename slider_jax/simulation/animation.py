@@ -1,0 +1,96 @@
+"""A film of the last strides, after the paper's Fig. 8: midline, forces on it, moment in it."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from slider_jax.io.figures import new_figure, save_film
+from slider_jax.simulation.plots import CHANNELS, title
+from slider_jax.simulation.trial import Run
+
+FRAMES_PER_STRIDE = 40
+STRIDES = 2
+ARROW = 50.0
+"""Length of the longest arrow [mm]."""
+
+
+def animate_run(
+    run: Run, folder: Path, progress: Callable[[int, int], None] = lambda done, total: None
+) -> Path:
+    """Write `<stem>.gif` and return its path. `progress(frames done, all)` is called at each.
+
+    The last two strides (or two seconds) in slow motion: the midline coloured by the net internal
+    moment, arrows of the water's force per length, and below them thrust and recoil with a cursor.
+    """
+    steps = _frames(run)
+    figure, moving, move = _scene(run, steps)
+    path = folder / f"{Path(run.trial.file).stem}.gif"
+    save_film(figure, moving, move, steps.tolist(), path, progress)
+    return path
+
+
+def _scene(run: Run, steps: np.ndarray):
+    """The figure, the artists in it that move, and what moves them to a step."""
+    from matplotlib.collections import LineCollection
+
+    line, moment = 1e3 * run.series["midline"], 1e3 * run.series["moment"]
+    force = run.series["force"]
+    largest = np.abs(moment[steps]).max() or 1.0
+    strongest = np.linalg.norm(force[steps], axis=1).max() or 1.0
+
+    figure, (ax, below) = new_figure(2, 1, figsize=(8, 6), dpi=90, height_ratios=(2, 1))
+    body = LineCollection([], cmap="coolwarm", lw=5, capstyle="round")
+    body.set_clim(-largest, largest)
+    ax.add_collection(body)
+    where = _cell_centres(line[steps[0]])[:, ::2]
+    arrows = ax.quiver(
+        *where, *np.zeros_like(where), angles="xy", scale=strongest / ARROW, scale_units="xy",
+        width=0.003, color="0.25",
+    )  # fmt: skip
+    ax.quiverkey(arrows, 0.12, 0.93, 0.5 * strongest, f"{0.5 * strongest:.2g} N/m", labelpos="E")
+    ax.plot(0.0, 0.0, "ks", ms=8)
+    shown = line[steps]
+    ax.set_xlim(shown[:, 0].min() - 25.0, shown[:, 0].max() + 25.0)
+    reach = np.abs(shown[:, 1]).max() + ARROW
+    ax.set_ylim(-reach, reach)
+    ax.set_aspect("equal")
+    ax.set_xlabel("x, forward from the clamp (mm)")
+    ax.set_ylabel("y, lateral (mm)")
+    figure.colorbar(
+        body, ax=ax, label="internal moment (mN m)", location="top", shrink=0.6, aspect=40
+    )
+    clock = ax.text(0.98, 0.05, "", transform=ax.transAxes, ha="right")
+    figure.suptitle(title(run), fontsize="medium")
+
+    span = slice(steps[0], steps[-1] + 1)
+    for (_, label, unit, factor), colour in zip(CHANNELS[2:4], ("C0", "C1"), strict=True):
+        axis = below if label == "thrust" else below.twinx()
+        axis.plot(run.t[span], factor * run.series[label][span], colour, lw=1.2)
+        axis.set_ylabel(f"{label} ({unit})", color=colour)
+        axis.margins(x=0.0)
+    below.set_xlabel("time (s)")
+    cursor = below.axvline(run.t[steps[0]], color="k", lw=1.0)
+
+    def move(index: int) -> None:
+        points = line[index].T
+        body.set_segments(list(np.stack([points[:-1], points[1:]], axis=1)))
+        body.set_array(0.5 * (moment[index][1:] + moment[index][:-1]))
+        arrows.set_offsets(_cell_centres(line[index])[:, ::2].T)
+        arrows.set_UVC(*force[index][:, ::2])
+        clock.set_text(f"t = {run.t[index]:.3f} s")
+        cursor.set_xdata([run.t[index]] * 2)
+
+    return figure, (body, arrows, clock, cursor), move
+
+
+def _frames(run: Run) -> np.ndarray:
+    """Steps shown: the last strides, evenly."""
+    half = run.clock.half_period
+    stride = 2 * half if half else round(1.0 / run.clock.h)
+    begin = max(0, run.clock.steps - STRIDES * stride)
+    return np.linspace(begin, run.clock.steps, STRIDES * FRAMES_PER_STRIDE + 1).round().astype(int)
+
+
+def _cell_centres(line: np.ndarray) -> np.ndarray:
+    return 0.5 * (line[:, 1:] + line[:, :-1])

@@ -1,0 +1,191 @@
+"""What an effect leaves on the sensors: one stride with it, less the same stride without it."""
+
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from slider_jax import paper
+from slider_jax.beam.parameters import Robot
+from slider_jax.effects import Prior
+from slider_jax.effects.library import LIBRARY
+from slider_jax.errors import SolverError
+from slider_jax.experiment.load import Experiment, assemble
+from slider_jax.io.figures import new_figure, save_figure
+from slider_jax.simulation.plots import CHANNELS, title
+from slider_jax.simulation.trial import Run, simulate
+
+FREQUENCY = 4.8
+"""Of the built-in robot's drive [Hz]."""
+STRIDES = 8
+"""At least so many are run, so that the last is steady."""
+SMALLER = 3
+"""A size at which the robot cannot be simulated is halved at most so often."""
+
+Series = dict[str, np.ndarray]
+
+
+class Trace(NamedTuple):
+    """The stride with one parameter at a size, the others at their nulls."""
+
+    parameter: str
+    size: float
+    unit: str
+    series: Series
+
+    @property
+    def label(self) -> str:
+        unit = "" if self.unit == "-" else f" {self.unit}"
+        return f"{self.parameter} = {self.size:.3g}{unit}"
+
+
+class Fingerprint(NamedTuple):
+    """One stride of an experiment's first trial, without an effect and with it."""
+
+    effect: str
+    run: Run
+    """Without the effect."""
+    along: np.ndarray
+    """Phase of the stride; time [s] where the drive has no frequency."""
+    without: Series
+    """Of the columns of `CHANNELS`, SI."""
+    traces: tuple[Trace, ...]
+
+    def left(self, trace: Trace) -> Series:
+        """With the effect less without it, by column, SI."""
+        return {name: trace.series[name] - x for name, x in self.without.items()}
+
+    def rms(self, trace: Trace) -> dict[str, float]:
+        """Root mean square of what is left, by column, SI."""
+        return {name: float(np.sqrt(np.mean(x**2))) for name, x in self.left(trace).items()}
+
+
+def built_in() -> Experiment:
+    """The built-in robot at 4.8 Hz as the demo runs it, long enough to be steady."""
+    robot, assumed = asdict(Robot()), paper.Assumed()
+    K_Q = robot.pop("K_Q")
+    C_d, m_a = map(float, paper.force_coefficients(FREQUENCY))
+    trial = {
+        "file": "built_in.csv",
+        "frequency": FREQUENCY,
+        "amplitude": assumed.amplitude,
+        "rear_ratio": assumed.rear_ratio,
+        "phase": assumed.phase,
+        "duration": STRIDES / FREQUENCY,
+    }
+    content = {
+        "name": "built-in robot",
+        "robot": {key: list(x) if isinstance(x, tuple) else x for key, x in robot.items()},
+        "parameters": {"C_d": C_d, "m_a": m_a, "k": paper.PRESSURE_LAG, "K_Q": K_Q},
+        "trials": [trial],
+    }
+    return assemble(content, "built-in robot", Path("."))
+
+
+def typical(prior: Prior) -> float:
+    """The end of the prior range that is not the null, the upper one of two."""
+    return prior.high if prior.high != prior.null else prior.low
+
+
+def fingerprint(
+    experiment: Experiment, effect: str, progress: Callable[[int, int], None] | None = None
+) -> Fingerprint:
+    """The effect of one parameter after the other on the experiment's first trial.
+
+    Parameters are at the end of their prior ranges, or as near to it as can be simulated. A trial
+    of fewer than eight strides is prolonged. Raises `SolverError` where no size can be simulated.
+    """
+    trial = experiment.trials[0]
+    if trial.frequency is not None:
+        duration = max(trial.duration, STRIDES / trial.frequency)
+        experiment = experiment.with_values({"trials.0.duration": duration})
+    priors = LIBRARY[effect].priors()
+
+    def run(number: int, **values: float) -> Run:
+        def told(done: int, total: int) -> None:
+            if progress is not None:
+                progress(number * total + done, (1 + len(priors)) * total)
+
+        at = {name: prior.null for name, prior in priors.items()} | values
+        content = experiment.model_dump()
+        content["effects"] = [*content["effects"], {"name": effect, **at}]
+        prolonged = assemble(content, effect, experiment.folder)
+        return simulate(prolonged, progress=told, as_meant=True)
+
+    without = run(0)
+    shown = _last_stride(without)
+    traces = []
+    for number, (name, prior) in enumerate(priors.items(), start=1):
+        size, with_it = _largest(partial(run, number), name, prior)
+        traces.append(Trace(name, size, prior.unit, _cut(with_it, shown)))
+    along = without.t[shown]
+    if without.clock.half_period is not None:
+        along = (along - along[0]) / (2 * without.clock.half_period * without.clock.h)
+    return Fingerprint(effect, without, along, _cut(without, shown), tuple(traces))
+
+
+def _largest(run: Callable[..., Run], name: str, prior: Prior) -> tuple[float, Run]:
+    size = typical(prior)
+    for halved in range(SMALLER + 1):
+        try:
+            return size, run(**{name: size})
+        except SolverError:
+            if halved == SMALLER:
+                raise
+            size = prior.null + 0.5 * (size - prior.null)
+    raise AssertionError
+
+
+def _last_stride(run: Run) -> slice:
+    """Steps of the last whole stride, both ends included; the last second without a frequency."""
+    half = run.clock.half_period
+    length = 2 * half if half else round(1.0 / run.clock.h)
+    end = run.clock.steps // length * length if half else run.clock.steps
+    return slice(max(0, end - length), end + 1)
+
+
+def _cut(run: Run, shown: slice) -> Series:
+    p = run.series["pressure"][shown]
+    forces = {f"{name}_N": run.series[name][shown] for name in ("thrust", "recoil")}
+    return {
+        "p_front_Pa": p[:, 0],
+        "p_rear_Pa": p[:, 1],
+        **forces,
+        "tip_m": run.series["tip"][shown],
+    }
+
+
+def plot_fingerprint(found: Fingerprint, path: Path) -> None:
+    """Draw each channel without and with the effect, and beside it the difference."""
+    kind = LIBRARY[found.effect]
+    figure, axes = new_figure(len(CHANNELS), 2, figsize=(11, 10), sharex=True)
+    for (left, right), (name, label, unit, factor) in zip(axes, CHANNELS, strict=True):
+        left.plot(found.along, factor * found.without[name], color="0.65", lw=2.2, label="without")
+        said = []
+        for number, trace in enumerate(found.traces):
+            colour, change = f"C{number}", factor * found.left(trace)[name]
+            left.plot(found.along, factor * trace.series[name], colour, lw=1.1, label=trace.label)
+            right.plot(found.along, change, colour, lw=1.1)
+            said.append(f"{factor * found.rms(trace)[name]:.4g}")
+        unseen = all(not found.left(trace)[name].any() for trace in found.traces)
+        size = "unchanged" if unseen else f"{', '.join(said)} {unit} rms"
+        right.set_title(size, fontsize="small", loc="right")
+        if unseen:
+            right.set_ylim(-1.0, 1.0)
+            right.set_yticks([0.0])
+        left.set_ylabel(f"{label} ({unit})")
+        right.set_ylabel(f"change ({unit})")
+        for ax in (left, right):
+            ax.axhline(0.0, color="k", lw=0.4)
+            ax.margins(x=0.0)
+    above = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "fontsize": "small"}
+    axes[0, 0].legend(ncols=1 + len(found.traces), frameon=False, **above)
+    steady = found.run.clock.half_period is not None
+    for ax in axes[-1]:
+        ax.set_xlabel("phase of the last stride (-)" if steady else "time (s)")
+    figure.align_ylabels()
+    figure.suptitle(f"{found.effect}: {kind.title}\n{title(found.run)}", fontsize="medium")
+    save_figure(figure, path)

@@ -1,0 +1,106 @@
+"""Pictures of a simulated trial: what the sensors read, and midlines over the last stride."""
+
+from pathlib import Path
+
+import numpy as np
+
+from slider_jax.io.figures import new_figure, save_figure
+from slider_jax.simulation.trial import Run
+
+Columns = dict[str, np.ndarray]
+
+CHANNELS = (
+    ("p_front_Pa", "front pressure", "kPa", 1e-3),
+    ("p_rear_Pa", "rear pressure", "kPa", 1e-3),
+    ("thrust_N", "thrust", "mN", 1e3),
+    ("recoil_N", "recoil", "mN", 1e3),
+    ("tip_m", "tip, lateral", "mm", 1e3),
+)
+"""Column, name, unit shown, factor from SI to it."""
+
+
+def title(run: Run) -> str:
+    """What was done in the trial, in a line."""
+    trial = run.trial
+    stem = Path(trial.file).stem
+    if trial.waveform == "recorded":
+        drive = f"recorded drive {trial.drive_file}"
+    else:
+        drive = (
+            f"{trial.waveform} {trial.frequency:g} Hz, {1e-3 * (trial.amplitude or 0.0):g} kPa, "
+            f"rear {trial.rear_ratio:g} at {trial.phase:g} period"
+        )
+    return f"{stem}: {drive}, tow {trial.tow_speed:g} m/s"
+
+
+def plot_run(
+    run: Run, measured: Columns | None, rmse: dict[str, float] | None, folder: Path
+) -> None:
+    """Write `<stem>.png` (time series, measured ones under them) and `<stem>_midlines.png`.
+
+    `rmse`: simulated minus measured, by column, in SI.
+    """
+    stem = Path(run.trial.file).stem
+    plot_series(run, measured or {}, rmse or {}, folder / f"{stem}.png")
+    plot_midlines(run, folder / f"{stem}_midlines.png")
+
+
+def plot_series(run: Run, measured: Columns, rmse: dict[str, float], path: Path) -> None:
+    """Pressures, thrust, recoil and tip against time; measured samples, if any, in grey."""
+    figure, axes = new_figure(len(CHANNELS), 1, figsize=(9, 10), sharex=True)
+    for ax, (name, label, unit, factor) in zip(axes, CHANNELS, strict=True):
+        ax.plot(run.columns["t_s"], factor * run.columns[name], "C0", lw=1.0, label="simulated")
+        if name in rmse:
+            there = np.isfinite(measured[name])
+            t, values = measured["t_s"][there], factor * measured[name][there]
+            ax.plot(t, values, color="0.65", lw=1.8, zorder=1.5, label="measured")
+            said = f"rms difference {factor * rmse[name]:.3g} {unit}"
+            ax.set_title(said, fontsize="small", loc="right")
+        ax.set_ylabel(f"{label} ({unit})")
+        ax.axhline(0.0, color="k", lw=0.4)
+        ax.margins(x=0.0)
+    if rmse:
+        above = {"bbox_to_anchor": (0.0, 1.0), "ncols": 2, "fontsize": "small", "frameon": False}
+        drawn = next(ax for ax in axes if len(ax.get_lines()) > 2)
+        handles, labels = drawn.get_legend_handles_labels()
+        axes[0].legend(handles, labels, loc="lower left", **above)
+    axes[-1].set_xlabel("time (s)")
+    figure.suptitle(title(run), fontsize="medium")
+    save_figure(figure, path)
+
+
+def last_stride(run: Run, frames: int, closed: bool = False) -> np.ndarray:
+    """Indices of `frames` steps spread evenly over the last stride, or the last second without one.
+
+    `closed` includes the stride's end, which is its beginning again.
+    """
+    half = run.clock.half_period
+    length = 2 * half if half else round(1.0 / run.clock.h)
+    begin = max(0, run.clock.steps - length)
+    return np.linspace(begin, run.clock.steps, frames, endpoint=closed).round().astype(int)
+
+
+def plot_midlines(run: Run, path: Path) -> None:
+    """Midlines over the last stride in the clamp's frame, dark to light, and the tip's path."""
+    import matplotlib
+
+    steps = last_stride(run, 16)
+    figure, ax = new_figure(figsize=(8, 4.5))
+    colours = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.95, len(steps)))
+    for index, colour in zip(steps, colours, strict=True):
+        ax.plot(*(1e3 * run.series["midline"][index]), color=colour, lw=1.2)
+    path_steps = last_stride(run, 200, closed=True)
+    ax.plot(
+        *(1e3 * run.series["midline"][path_steps, :, 0].T), "k:", lw=1.0, label="path of the tip"
+    )
+    ax.plot(0.0, 0.0, "ks", ms=7, label="clamp")
+    ax.set_xlabel("x, forward from the clamp (mm)")
+    ax.set_ylabel("y, lateral (mm; stretched)")
+    ax.legend(loc="upper right", fontsize="small")
+    t = run.t[steps]
+    scale = matplotlib.cm.ScalarMappable(
+        matplotlib.colors.Normalize(t[0], t[-1]), matplotlib.colormaps["viridis"]
+    )
+    figure.colorbar(scale, ax=ax, label="time (s)")
+    ax.set_title(title(run), fontsize="medium")
+    save_figure(figure, path)

@@ -1,0 +1,129 @@
+"""What is said of a simulated trial in few numbers, and the record of how it was made."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slider_jax.experiment.load import SAMPLES, Experiment, drag_and_added_mass, measured
+from slider_jax.io.provenance import input_file, versions
+from slider_jax.simulation.trial import Run
+
+DEFINITIONS = {
+    "mean_thrust_N": "mean over the averaged window; positive forward, along the clamp",
+    "thrust_std_N": "standard deviation of the means of single strides in the window; null for one",
+    "recoil_rms_N": "root mean square over the window of the lateral force on the clamp",
+    "tip_half_range_m": "half of (largest - smallest) lateral position of the tail's tip",
+    "averaged": "window of half as many whole strides as the trial has, at least one, that ends "
+    "with the trial; the whole of a trial shorter than a stride; the second half of a trial "
+    "without a frequency",
+    "periodic": "whether the last stride's mean thrust is within 1 % (or 1 mN) and its range of "
+    "the tip within 1 % of the stride's before; null where there are no two strides",
+    "rmse_to_measured": "root mean square of simulated minus measured, all samples of the trial's "
+    "file; null without a file",
+}
+
+STEADY, STEADY_THRUST = 0.01, 1e-3
+"""A stride is like the one before it within this fraction, or this many newtons of thrust."""
+
+
+def window(run: Run) -> tuple[slice, int]:
+    """Steps of the averaged window (start left out, end kept), and its whole strides."""
+    half, steps = run.clock.half_period, run.clock.steps
+    if half is None:
+        return slice(steps // 2 + 1, steps + 1), 0
+    strides = steps // (2 * half)
+    if strides == 0:
+        return slice(1, steps + 1), 0
+    kept = max(1, strides // 2)
+    return slice(steps - kept * 2 * half + 1, steps + 1), kept
+
+
+def settled(run: Run) -> tuple[bool | None, str]:
+    """Whether the trial's end is periodic (None: not known), and what to say where it is not."""
+    half, steps, duration = run.clock.half_period, run.clock.steps, run.trial.duration
+    if half is None:
+        return None, ""
+    stride = 2 * half
+    if steps < stride:
+        period = stride * run.clock.h
+        return None, f"shorter than one stride ({period:.3g} s): means are over the whole trial"
+    if steps < 2 * stride:
+        return None, "shorter than two strides: too short to say whether it is periodic"
+    ends = steps - stride, steps
+    before, last = (run.series["thrust"][i - stride + 1 : i + 1].mean() for i in ends)
+    range_before, range_last = (np.ptp(run.series["tip"][i - stride : i + 1]) for i in ends)
+    said = []
+    if abs(last - before) > max(STEADY_THRUST, STEADY * abs(last)):
+        said.append(f"mean thrust from {1e3 * before:.2f} to {1e3 * last:.2f} mN")
+    if abs(range_last - range_before) > STEADY * range_last:
+        said.append(f"range of the tip from {1e3 * range_before:.2f} to {1e3 * range_last:.2f} mm")
+    if not said:
+        return True, ""
+    return False, (
+        f"not yet periodic: over its last two strides {' and '.join(said)}; run longer "
+        f"(duration = {2.0 * duration:.3g})"
+    )
+
+
+def rmse_to_measured(experiment: Experiment, run: Run) -> dict[str, float] | None:
+    """Root mean square of simulated minus measured for each column of the trial's file, if any."""
+    columns = measured(experiment, run.trial)
+    if columns is None:
+        return None
+    errors = {name: run.columns[name] - columns[name] for name in SAMPLES[1:] if name in columns}
+    return {
+        name: float(np.sqrt(np.nanmean(error**2)))
+        for name, error in errors.items()
+        if np.isfinite(error).any()
+    }
+
+
+def trial_summary(experiment: Experiment, run: Run) -> dict[str, Any]:
+    """The numbers of `DEFINITIONS` for one trial, with its coefficients, step and warnings."""
+    span, strides = window(run)
+    thrust, recoil = run.series["thrust"][span], run.series["recoil"][span]
+    tip = run.series["tip"][span.start - 1 : span.stop]
+    per_stride = thrust.reshape(strides, -1).mean(axis=1) if strides else np.array([])
+    C_d, m_a = drag_and_added_mass(experiment, run.trial)
+    periodic, warning = settled(run)
+    averaged = "second half" if run.clock.half_period is None else "whole trial"
+    if strides:
+        averaged = "last stride" if strides == 1 else f"last {strides} strides"
+    return {
+        "file": run.trial.file,
+        "waveform": run.trial.waveform,
+        "frequency_Hz": run.trial.frequency,
+        "tow_speed_m_per_s": run.trial.tow_speed,
+        "C_d": C_d,
+        "m_a": m_a,
+        "averaged": averaged,
+        "averaged_from_s": run.t[span.start - 1],
+        "averaged_to_s": run.t[span.stop - 1],
+        "mean_thrust_N": thrust.mean(),
+        "thrust_std_N": per_stride.std(ddof=1) if strides > 1 else None,
+        "recoil_rms_N": np.sqrt(np.mean(recoil**2)),
+        "tip_half_range_m": 0.5 * np.ptp(tip),
+        "periodic": periodic,
+        "warnings": [warning] if warning else [],
+        "rmse_to_measured": rmse_to_measured(experiment, run),
+        "step_s": run.clock.h,
+        "steps": run.clock.steps,
+        "factorisations": run.factorisations,
+    }
+
+
+def summary(
+    experiment: Experiment, trials: list[dict[str, Any]], path: Path, model: Path | None
+) -> dict[str, Any]:
+    """The content of summary.json; `trials` as by `trial_summary`."""
+    return {
+        "name": experiment.name,
+        "input": input_file(path),
+        "model": None if model is None else input_file(model),
+        "seed": None,
+        "versions": versions(),
+        "trials": trials,
+        "definitions": DEFINITIONS,
+        "settings": experiment.model_dump(),
+    }

@@ -1,0 +1,277 @@
+"""One or two fields of an experiment over ranges: a table that a killed run takes up again."""
+
+import hashlib
+import json
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from slider_jax.batch.chunks import available_cores, chunks_of, in_threads, stack, take
+from slider_jax.batch.strides import POSES, Member, Plan, compile_programs, march, steady
+from slider_jax.errors import InputError
+from slider_jax.experiment.load import Experiment, to_model, to_numerics
+from slider_jax.io.files import write_json
+from slider_jax.io.provenance import versions
+from slider_jax.io.toml import field_at, quantity_of
+from slider_jax.swimming.batch import compile_swim, table_of
+from slider_jax.swimming.gait import swimmer
+
+LARGEST_CHUNK = 8
+
+
+class Axis(NamedTuple):
+    """A field of the experiment, such as `trials.0.frequency`, and the values it takes."""
+
+    field: str
+    values: tuple[float, ...]
+
+    @classmethod
+    def spaced(cls, field: str, start: float, stop: float, count: int) -> "Axis":
+        """`count` values evenly from `start` to `stop`."""
+        if count < 2:
+            raise InputError.value(f"--count of {field}", count, "2 or more values")
+        if not np.isfinite([start, stop]).all() or start == stop:
+            raise InputError.value(
+                f"range of {field}", f"{start} to {stop}", "two different finite numbers"
+            )
+        return cls(field, tuple(float(x) for x in np.linspace(start, stop, count)))
+
+    @property
+    def unit(self) -> str:
+        """The field's unit, or nothing."""
+        _, field = field_at(Experiment, self.field.split("."))
+        quantity = quantity_of(field)
+        return quantity.unit if quantity else ""
+
+    @property
+    def column(self) -> str:
+        """The field's name in a table, with its unit."""
+        unit = self.unit.replace(" ", "_").replace("/", "_per_").replace("^", "")
+        return f"{self.field}_{unit}" if unit and " of " not in self.unit else self.field
+
+
+class Sweep(NamedTuple):
+    """A sweep to run: the experiment, one or two axes, the trial that is run, and how."""
+
+    experiment: Experiment
+    axes: tuple[Axis, ...]
+    trial: int = 0
+    strides: int = 8
+    transient: int = 3
+    steps_per_stride: int = 300
+    swim: bool = False
+    """Whether the robot is set free, and what is found is of its steady stride."""
+
+    @property
+    def points(self) -> list[tuple[float, ...]]:
+        """Values of the axes for every member; the last axis runs fastest."""
+        grids = np.meshgrid(*(axis.values for axis in self.axes), indexing="ij")
+        return [tuple(map(float, row)) for row in np.stack([g.ravel() for g in grids], axis=1)]
+
+    def settings(self) -> dict[str, Any]:
+        """Everything that the result depends on, in JSON's types."""
+        content = {
+            "experiment": self.experiment.model_dump(),
+            "fields": {axis.field: axis.values for axis in self.axes},
+            "trial": self.trial,
+            "strides": self.strides,
+            "transient": self.transient,
+            "steps_per_stride": self.steps_per_stride,
+            "swim": self.swim,
+            "versions": versions(),
+        }
+        return json.loads(json.dumps(content))
+
+
+def digest(settings: dict[str, Any]) -> str:
+    """sha256 of settings."""
+    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
+
+
+class Group(NamedTuple):
+    """Points of a sweep that one compiled program serves."""
+
+    plan: Plan
+    members: Member
+    """Stacked along a first axis."""
+    points: np.ndarray
+    """Their places in the sweep."""
+
+
+def groups_of(sweep: Sweep) -> list[Group]:
+    """The members by what is compiled for them; a field of numerics makes more than one group.
+
+    Raises `InputError` for a field that cannot be swept.
+    """
+    _check(sweep)
+    cases = [_case(sweep, point) for point in sweep.points]
+    for number, axis in enumerate(sweep.axes):
+        other = list(sweep.points[0])
+        other[number] = axis.values[-1]
+        (plan, member), (other_plan, changed) = cases[0], _case(sweep, tuple(other))
+        leaves = zip(jax.tree.leaves(member), jax.tree.leaves(changed), strict=True)
+        if plan == other_plan and all(np.array_equal(a, b) for a, b in leaves):
+            raise InputError(
+                f"--field {axis.field}: changes nothing in the strides of trial {sweep.trial}; "
+                "allowed are numbers of robot, parameters, water, effects, numerics, and of the "
+                "trial itself (--trial)"
+            )
+    plans = list(dict.fromkeys(plan for plan, _ in cases))
+    indices = [np.array([i for i, case in enumerate(cases) if case[0] == x]) for x in plans]
+    return [
+        Group(plan, stack([cases[i][1] for i in points]), points)
+        for plan, points in zip(plans, indices, strict=True)
+    ]
+
+
+def _check(sweep: Sweep) -> None:
+    trials = sweep.experiment.trials
+    if not 0 <= sweep.trial < len(trials):
+        raise InputError.value("--trial, or N of trials.N", sweep.trial, f"0 to {len(trials) - 1}")
+    if trials[sweep.trial].waveform == "recorded":
+        raise InputError(
+            f"--trial {sweep.trial}: is driven by a recording, which has no strides; allowed are "
+            "square, sine and trapezoid waves"
+        )
+    if not 0 <= sweep.transient < sweep.strides:
+        raise InputError.value("--transient", sweep.transient, f"0 to {sweep.strides - 1} strides")
+    if sweep.steps_per_stride < 2 * POSES or sweep.steps_per_stride % POSES:
+        raise InputError.value(
+            "--steps-per-stride", sweep.steps_per_stride, f"a multiple of {POSES} from {2 * POSES}"
+        )
+    if len({axis.field for axis in sweep.axes}) < len(sweep.axes):
+        raise InputError.value("--field2", sweep.axes[1].field, "a field other than --field")
+    for axis in sweep.axes:
+        if axis.field.startswith("trials.") and axis.field.endswith(".duration"):
+            raise InputError(
+                f"--field {axis.field}: a sweep runs whole strides whatever the duration; "
+                "--strides says how many, --transient how many of them are left out of the means"
+            )
+
+
+def _case(sweep: Sweep, point: tuple[float, ...]) -> tuple[Plan, Member]:
+    """How a point is run, and its robot."""
+    values = {
+        axis.field: _whole(axis.field, value) for axis, value in zip(sweep.axes, point, strict=True)
+    }
+    experiment = sweep.experiment.with_values(values, "sweep")
+    f, steps = experiment.trials[sweep.trial].frequency, sweep.steps_per_stride
+    assert f is not None
+    if "numerics.step" in values:
+        steps = POSES * max(2, int(np.ceil(1.0 / (f * values["numerics.step"] * POSES) - 1e-9)))
+    # A swept length keeps the cells that the given one has, so that members share a program.
+    meshed = experiment.model_copy(update={"robot": sweep.experiment.robot})
+    plan = Plan(steps, sweep.strides, *to_numerics(meshed))
+    model = to_model(experiment, sweep.trial)
+    return plan, Member(swimmer(model) if sweep.swim else model, jnp.asarray(f, float))
+
+
+def _whole(field: str, value: float) -> float | int:
+    """`value` as an integer where the field is one."""
+    _, info = field_at(Experiment, field.split("."))
+    if info is None or info.annotation is not int:
+        return value
+    if not value.is_integer():
+        raise InputError.value(
+            f"--field {field}", f"{value:g}", "whole numbers", "choose --count so that they are"
+        )
+    return int(value)
+
+
+class Chunk(NamedTuple):
+    """A part of a group that is run at once, and its file."""
+
+    group: int
+    members: np.ndarray
+    """Which of the group's; the last one may be repeated to fill the chunk."""
+    points: np.ndarray
+    """Their places in the sweep, repeated ones left out."""
+    file: Path
+
+
+def _chunks(groups: list[Group], size: int, partial: Path) -> list[Chunk]:
+    found: list[Chunk] = []
+    for number, group in enumerate(groups):
+        cut = chunks_of(len(group.points), size, workers=1)
+        for i in range(cut.total):
+            members = cut.indices(i)
+            file = partial / f"chunk_{len(found):05d}.json"
+            found.append(Chunk(number, members, group.points[members[: cut.real(i)]], file))
+    return found
+
+
+def run_sweep(
+    sweep: Sweep,
+    folder: Path,
+    on_begin: Callable[[int, int], None] = lambda strides, done: None,
+    on_stride: Callable[[], None] = lambda: None,
+) -> dict[str, np.ndarray]:
+    """Run what `folder`/partial does not hold yet, and return the whole table, a row a member.
+
+    `on_begin(strides, done)`: chunk-strides in all, and those already there; `on_stride()` after
+    each new one. Finished chunks are files, so a killed run goes on where it was. Raises
+    `InputError` if `partial` was begun with other settings.
+    """
+    groups, partial = groups_of(sweep), folder / "partial"
+    chunks = _chunks(groups, _take_up(sweep, partial), partial)
+    left = [i for i, chunk in enumerate(chunks) if not chunk.file.exists()]
+    strides = 1 if sweep.swim else sweep.strides
+    on_begin(len(chunks) * strides, (len(chunks) - len(left)) * strides)
+    compiled: dict[int, Any] = {}
+    locks = [threading.Lock() for _ in groups]
+
+    def work(number, stopped):
+        chunk = chunks[number]
+        plan, members, _ = groups[chunk.group]
+        batch = take(members, chunk.members)
+        with locks[chunk.group]:
+            if chunk.group not in compiled:
+                make = compile_swim if sweep.swim else compile_programs
+                compiled[chunk.group] = make(plan, batch)
+        if sweep.swim:
+            rows = table_of(*compiled[chunk.group](batch))
+            on_stride()
+        else:
+            runs = march(plan, compiled[chunk.group], batch, on_stride, stopped)
+            rows = steady(plan, batch, runs, sweep.transient)
+        write_json(chunk.file, {name: x[: len(chunk.points)] for name, x in rows.items()})
+
+    for _ in in_threads(work, left, min(available_cores(), max(1, len(left)))):
+        pass
+    return _gathered(sweep, groups, chunks)
+
+
+def _gathered(sweep: Sweep, groups: list[Group], chunks: list[Chunk]) -> dict[str, np.ndarray]:
+    points = np.asarray(sweep.points)
+    table = {axis.column: points[:, number] for number, axis in enumerate(sweep.axes)}
+    table["steps_per_stride"] = np.zeros(len(points), int)
+    for group in groups:
+        table["steps_per_stride"][group.points] = group.plan.steps_per_stride
+    for chunk in chunks:
+        for name, values in json.loads(chunk.file.read_text()).items():
+            column = table.setdefault(name, np.full(len(points), np.nan))
+            column[chunk.points] = np.asarray(values, float)
+    return table
+
+
+def _take_up(sweep: Sweep, partial: Path) -> int:
+    """Begin `partial`, or check that it is of this sweep. Returns its chunks' largest size."""
+    settings, record = sweep.settings(), partial / "settings.json"
+    if record.exists():
+        found = json.loads(record.read_text())
+        if found["sha256"] != digest(settings):
+            differ = [k for k in settings if settings[k] != found["settings"].get(k)]
+            raise InputError(
+                f"{partial}: holds an unfinished sweep with other settings ({', '.join(differ)}); "
+                "finish it with those, delete that folder, or give another --out"
+            )
+        return int(found["chunk"])
+    size = chunks_of(len(sweep.points), LARGEST_CHUNK, available_cores()).size
+    partial.mkdir(exist_ok=True)
+    write_json(record, {"sha256": digest(settings), "chunk": size, "settings": settings})
+    return size

@@ -1,0 +1,181 @@
+"""The free-swimming test: from rest until the stride repeats, and the steady speed as a root."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import ceil
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from slider_jax.dynamics.model import Model
+from slider_jax.dynamics.step import Carry, at_rest
+from slider_jax.errors import SolverError
+from slider_jax.experiment.load import Experiment, to_model, to_numerics
+from slider_jax.experiment.schema import Trial
+from slider_jax.simulation.sampling import half_period_steps
+from slider_jax.swimming.batch import columns
+from slider_jax.swimming.gait import stride_frequency, swimmer
+from slider_jax.swimming.performance import Performance, Stride, next_stride, performance, steadily
+from slider_jax.swimming.steady_state import Pace, Search, strides
+
+AT_ONCE = 10
+"""Strides from rest between two looks at whether they repeat."""
+REPEATS = 1e-4
+"""Largest change of speed from stride to stride, of the speed, of a swim that repeats."""
+
+
+@dataclass(frozen=True)
+class Swim:
+    """A trial's drive, swum freely. Arrays are NumPy's."""
+
+    trial: Trial
+    search: Search
+    found: bool
+    """Whether a steady speed was found."""
+    performance: Performance
+    """Of the steady stride; of the last from rest where no steady speed was found."""
+    stride: Stride
+    """The same stride."""
+    from_rest: np.ndarray
+    """Speed [m/s] at every tenth stride from rest."""
+    repeats: bool
+    """Whether the last of them repeats."""
+    gaining: float
+    """Mean acceleration along the course over the last of them [m/s^2]."""
+    unresisted: np.ndarray | None
+    """`from_rest` without the effects that resist motion along the body, if the model has any."""
+    unresisted_gaining: float
+    resisting: str
+    """Names of the effects that `unresisted` is without."""
+
+    @property
+    def frequency(self) -> float:
+        """Of the strides [Hz]."""
+        assert self.trial.frequency is not None
+        return self.trial.frequency
+
+    @property
+    def difference(self) -> float:
+        """Speed of the root less that of the last stride from rest, of the latter."""
+        return float(self.performance.speed) / self.from_rest[-1] - 1.0
+
+
+_steadily = eqx.filter_jit(steadily)
+
+
+@eqx.filter_jit
+def _some_strides(model: Model, frequency, carry: Carry, search: Search):
+    return strides(model, frequency, carry, AT_ONCE, search)
+
+
+@eqx.filter_jit
+def _seen(model: Model, frequency, carry: Carry, search: Search):
+    stride = next_stride(model, frequency, carry, search)
+    return stride, performance(model, frequency, stride, search)
+
+
+def _from_rest(
+    model: Model, f: jax.Array, search: Search, least: int, most: int
+) -> tuple[np.ndarray, Pace, Carry, bool]:
+    """Speeds at every tenth stride, until one repeats; the last one's pace, and the state."""
+    carry, speeds = at_rest(model, search.numerics), []
+    while True:
+        carry, pace = _some_strides(model, f, carry, search)
+        _check(carry)
+        speeds.append(float(pace.speed))
+        gained = abs(float(pace.acceleration)) / float(f)
+        repeats = gained < REPEATS * (abs(speeds[-1]) + 1e-6) and len(speeds) > 1
+        if len(speeds) * AT_ONCE >= least and (repeats or len(speeds) * AT_ONCE >= most):
+            return np.array(speeds), pace, carry, repeats
+
+
+def resisting(model: Model) -> str:
+    """Names of the effects that resist motion along the body."""
+    return ", ".join(e.name() for e in model.effects if e.resists)
+
+
+def _check(carry: Carry) -> None:
+    if not bool(carry.ok):
+        raise SolverError(
+            f"swimming: a step did not converge at {float(carry.failed_at):.4g} s of a stride; "
+            "a shorter numerics.step may help, or weaker pressures, or a stiffer tail"
+        )
+
+
+def check(experiment: Experiment, trial: Trial) -> tuple[float, Model]:
+    """Frequency [Hz] and free robot of a trial. Raises `InputError` where it cannot be swum."""
+    return stride_frequency(trial), swimmer(to_model(experiment, trial))
+
+
+def plan_of(experiment: Experiment, frequency: float) -> Search:
+    """Mesh of the experiment, and an even number of steps to a stride, none longer than its."""
+    numerics, scheme = to_numerics(experiment)
+    steps = 2 * half_period_steps(frequency, experiment.numerics.step)
+    return Search(steps_per_stride=steps, numerics=numerics, scheme=scheme)
+
+
+def swim(
+    experiment: Experiment,
+    trial: Trial | int = 0,
+    progress: Callable[[str], None] = lambda text: None,
+    longest: int = 300,
+) -> Swim:
+    """Set the robot free, with the drive of a trial; its towing and heaving have no say.
+
+    `longest`: most strides from rest. Raises `InputError` for a recorded drive, and `SolverError`
+    where a step does not converge.
+    """
+    if isinstance(trial, int):
+        trial = experiment.trials[trial]
+    frequency, model = check(experiment, trial)
+    f, search = jnp.asarray(frequency, float), plan_of(experiment, frequency)
+    progress("the steady speed as a root")
+    stride, seen, ok = _steadily(model, f, search)
+    found = bool(ok)
+    progress("from rest")
+    most = longest if found else min(longest, AT_ONCE * ceil(12.0 * frequency / AT_ONCE))
+    speeds, pace, carry, repeats = _from_rest(model, f, search, 2 * AT_ONCE, most)
+    if not found:
+        stride, seen = _seen(model, f, carry, search)
+    own = tuple(e for e in model.effects if not e.resists)
+    unresisted, gaining = None, np.nan
+    if len(own) < len(model.effects):
+        progress(f"from rest without {resisting(model)}")
+        twelve = AT_ONCE * ceil(12.0 * frequency / AT_ONCE)
+        unresisted, bare, _, _ = _from_rest(replace(model, effects=own), f, search, twelve, twelve)
+        gaining = float(bare.acceleration)
+    seen, stride = jax.device_get((seen, stride))
+    return Swim(
+        trial, search, found, seen, stride, speeds, repeats, float(pace.acceleration),
+        unresisted, gaining, resisting(model),
+    )  # fmt: skip
+
+
+def row(swim: Swim) -> dict[str, Any]:
+    """What was found, in SI, by names with units."""
+    p = swim.performance
+    return {
+        "file": swim.trial.file,
+        "frequency_Hz": swim.trial.frequency,
+        "steady": swim.found,
+        **{name: float(x) for name, x in columns(p).items()},
+        "from_rest": {
+            "speed_m_per_s": swim.from_rest,
+            "at_every_stride": AT_ONCE,
+            "repeats": swim.repeats,
+            "gaining_m_per_s2": swim.gaining,
+        },
+        "root_over_from_rest": 1.0 + swim.difference if swim.found else None,
+        "without_resistance": None
+        if swim.unresisted is None
+        else {
+            "effects": swim.resisting,
+            "speed_m_per_s": swim.unresisted,
+            "at_every_stride": AT_ONCE,
+            "gaining_m_per_s2": swim.unresisted_gaining,
+        },
+        "steps_per_stride": swim.search.steps_per_stride,
+    }

@@ -1,0 +1,77 @@
+"""The paper's swimmer at its optimum, as an experiment, and the paper's figures of it."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from slider_jax import paper
+from slider_jax.beam.parameters import Robot
+from slider_jax.errors import InputError
+from slider_jax.experiment.load import Experiment, assemble, load
+from slider_jax.swimming.gait import CAP, Gait
+
+HEAD_DRAG = 1.79e-3
+"""Area [m^2] with which the paper's optimum swims at its measured speed in this model."""
+
+PAPER_GAIT = Gait(6.3, 448e3, 414e3, 0.14, 0.053, 0.017)
+"""The paper's optimum."""
+
+
+class Published(NamedTuple):
+    """Of a quantity, in the paper: its model's, and the measured one."""
+
+    model: float
+    experiment: float | None
+
+
+MEASURED_SPEED = 0.217
+"""[m/s], at `PAPER_GAIT`."""
+PUBLISHED = {
+    "speed_m_per_s": Published(0.232, MEASURED_SPEED),
+    "tail_slope": Published(0.57, None),
+    "shape_tail_slope": Published(0.51, None),
+}
+"""By names of `swim.row`. 0.57 is the tail slope that the paper states, 0.51 what its amplitude and
+wavelength give. A sine whose A/(lambda/4) is 0.51 has a root mean square slope of 0.57."""
+
+
+def swimmer_content(**trial: Any) -> dict[str, Any]:
+    """The tables of an experiment with the built-in robot, form drag at its head, and one trial."""
+    robot = Robot()
+    fields = ("body_length", "tail_length", "linear_density", "EI_body", "EI_tail", "EA_body",
+              "EA_tail", "damping_time", "height", "front_chamber", "rear_chamber")  # fmt: skip
+    return {
+        "name": "swimmer",
+        "robot": {name: getattr(robot, name) for name in fields},
+        "parameters": {"force_coefficients": "ramp", "k": paper.PRESSURE_LAG, "K_Q": robot.K_Q},
+        "effects": [{"name": "head_drag", "area": HEAD_DRAG}],
+        "trials": [{"file": "swim.csv", "duration": 10.0} | trial],
+    }
+
+
+def optimum() -> Experiment:
+    """`PAPER_GAIT` in the built-in robot, with form drag at its head."""
+    f, front, rear, phase, tail_length, EI_tail = PAPER_GAIT
+    content = swimmer_content(frequency=f, amplitude=front, rear_ratio=rear / front, phase=phase)
+    content["robot"] |= {"tail_length": tail_length, "EI_tail": EI_tail}
+    return assemble(content, "the paper's optimum", Path("."))
+
+
+def climber() -> Experiment:
+    """The built-in robot with a drive that climbs; the paper's is not known."""
+    content = swimmer_content(file="climb.csv", frequency=2.0, amplitude=CAP)
+    return assemble(content | {"effects": []}, "the built-in climber", Path("."))
+
+
+def given_or(
+    default: Callable[[], Experiment], path: Path | None, model: Path | None
+) -> Experiment:
+    """The experiment at `path` with the overrides of `model`, or without a path the `default`.
+
+    Raises `InputError` as `load` does, and for a model without an experiment.
+    """
+    if path is not None:
+        return load(path, model)
+    if model is not None:
+        raise InputError("--model: overrides an experiment; give EXPERIMENT.toml before it")
+    return default()

@@ -1,0 +1,344 @@
+"""The audit: every kind of damage is named and dealt with, and whole data give no finding."""
+
+import re
+
+import numpy as np
+import pytest
+
+from calibration.audit.audit import audit
+from calibration.audit.prediction import outliers
+from calibration.audit.sensors import Grain, clipped, grain, spikes, stuck
+from slider_jax.errors import InputError
+from slider_jax.experiment import load as experiment
+from tests.support import damage
+from tests.support.damage import ROW, alter, audited, kinds, lines_of, only, record, same_as_whole
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    return damage.write_experiment(tmp_path_factory.mktemp("whole")).parent
+
+
+@pytest.fixture
+def tank(whole, tmp_path):
+    """A copy of the whole experiment, to be damaged."""
+    for file in whole.iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    return tmp_path
+
+
+# Whole data
+
+
+def test_whole_data_give_no_finding(whole):
+    found = audited(whole)
+    assert [str(x) for x in found.findings] == []
+    assert len(found.records) == 8
+    same_as_whole(found, whole, 3)
+
+
+@pytest.mark.parametrize(
+    "physics", [{"delay": 0.03, "gain": 1.2}, {"k": 0.03}, {"k": 0.2, "gain": 0.8}]
+)
+def test_physics_that_all_trials_share_is_no_fault(tmp_path, physics):
+    damage.write_experiment(tmp_path, 1, **physics)
+    assert [str(x) for x in audited(tmp_path).findings] == []
+
+
+@pytest.mark.parametrize("name", ["open_null", "open_delay", "open_clamp", "open_skin",
+                                  "blind_a", "blind_b", "blind_c"])  # fmt: skip
+def test_the_measured_sets_are_whole(data, name):
+    found = audit(experiment.load(data / "sets" / name / "experiment.toml"))
+    assert [str(x) for x in found.findings] == []
+    assert len(found.records) == 8
+
+
+# Rows and times
+
+
+@pytest.mark.parametrize(("number", "first", "many"), [(0, 700, 40), (3, 200, 300), (7, 600, 7)])
+def test_a_gap_is_named_and_stays_a_gap(tank, whole, number, first, many):
+    def cut(lines):
+        return lines[: first + 1] + lines[first + 1 + many :]
+
+    lines_of(tank, number, cut)
+    found = audited(tank)
+    only(found, number, ("gap", None, "used"))
+    assert f"{many} rows are missing" in found.findings[0].detail
+    t, values = damage.read(whole / f"trial_{number:02d}.csv")
+    r = record(found, number)
+    np.testing.assert_allclose(r.t, t, atol=1e-9)
+    there = np.isfinite(r.values[3])
+    assert (~there).nonzero()[0].tolist() == list(range(first, first + many))
+    np.testing.assert_array_equal(r.values[:, there], values[:, there])
+
+
+@pytest.mark.parametrize("end", ["start", "end"])
+def test_rows_that_are_missing_at_an_end_are_named(tank, end):
+    lines_of(tank, 2, lambda x: [x[0], *x[200:]] if end == "start" else x[:-200])
+    found = audited(tank)
+    only(found, 2, ("gap", None, "used"))
+    assert len(found.records) == 8
+
+
+@pytest.mark.parametrize("where", ["each", "block at its place", "block at the end"])
+def test_doubled_rows_are_dropped(tank, whole, where):
+    def double(lines):
+        if where == "each":
+            return [lines[0], *(x for line in lines[1:] for x in (line, line))]
+        block = lines[300:400]
+        return [*lines[:400], *block, *lines[400:]] if "place" in where else [*lines, *block]
+
+    lines_of(tank, 4, double)
+    found = audited(tank)
+    assert kinds(found) == [("doubled_rows", None, "mended")]
+    same_as_whole(found, whole, 4)
+
+
+def test_rows_that_repeat_the_one_before_under_new_times_are_masked(tank):
+    def stale(t, values):
+        values[:, 500:600:2] = values[:, 499:599:2]
+        return t, values
+
+    def camera(t, values):  # the repeated rows must not change where the camera has frames
+        t, values = stale(t, values)
+        values[4, 1::8] = np.nan
+        return t, values
+
+    alter(tank, 1, camera)
+    found = audited(tank)
+    assert ("doubled_rows", None, "masked") in kinds(found, 1)
+    assert np.isnan(record(found, 1).values[2, 500:600:2]).all()
+    assert len(found.records) == 8
+
+
+def test_a_logger_that_stood_still_is_told_as_stuck(tank):
+    def freeze(t, values):
+        values[:, 400:450] = values[:, 400:401]
+        return t, values
+
+    alter(tank, 1, freeze)
+    found = audited(tank)
+    only(found, 1, ("stuck", None, "masked"))
+    assert np.isnan(record(found, 1).values[:, 401:450]).all()
+
+
+def test_rows_in_another_order_are_put_in_order(tank, whole):
+    lines_of(tank, 5, lambda x: [x[0], *x[300:400], *x[1:300], *x[400:]])
+    found = audited(tank)
+    only(found, 5, ("unsorted", "t_s", "mended"))
+    same_as_whole(found, whole, 5)
+
+
+def test_two_runs_in_one_file_are_left_out(tank):
+    other = (tank / "trial_06.csv").read_text().splitlines()[1:]
+    lines_of(tank, 5, lambda x: [*x, *other])
+    found = audited(tank)
+    only(found, 5, ("unsorted", "t_s", "left out"))
+    assert len(found.records) == 7
+
+
+TEXT = {
+    "torn": (lambda s: s[:-17], ("torn_line", None, "masked")),
+    "short rows": (
+        lambda s: s.replace("\n0.6", "\n0.6,0.1\n0.6", 3), ("bad_row", None, "masked")),
+    "nan": (lambda s: re.sub(r",[-\d.]+,([-\d.]*,[-\d.]*)\n1\.2", r",nan,\1\n1.2", s),
+            ("bad_cell", "thrust_N", "masked")),
+    "words": (lambda s: re.sub(r",[-\d.]+(,[-\d.]*)\n1\.2", r",over\1\n1.2", s),
+              ("bad_cell", "recoil_N", "masked")),
+    "inf": (lambda s: re.sub(r",[-\d.]+(,[-\d.]*)\n1\.2", r",-inf\1\n1.2", s),
+            ("bad_cell", "recoil_N", "masked")),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TEXT)
+def test_bad_rows_and_cells_are_named_and_the_rest_is_used(tank, name):
+    change, expected = TEXT[name]
+    path = tank / "trial_02.csv"
+    before = path.read_text()
+    path.write_text(change(before))
+    assert path.read_text() != before
+    found = audited(tank)
+    assert kinds(found, 2)[0] == expected
+    assert set(kinds(found, 2)[1:]) <= {("gap", expected[1][:-2] if expected[1] else None, "used")}
+    assert len(found.records) == 8
+    assert np.isfinite(record(found, 2).values[3]).mean() > 0.8
+
+
+UNREADABLE = {
+    "empty": (b"", "empty"),
+    "binary": (bytes(range(256)), "not_text"),
+    "no header": (b"0.0,1,2,3,4,5\n0.1,1,2,3,4,5\n", "missing_column"),
+    "two rows": (b"t_s,p_front_Pa\n0,1\n0.1,2\n", "few_rows"),
+    "all torn": (b"t_s,p_front_Pa\n" + b"1\n" * 100, "bad_row"),
+}
+
+
+@pytest.mark.parametrize("name", UNREADABLE)
+def test_a_file_that_cannot_be_read_is_left_out(tank, name):
+    content, kind = UNREADABLE[name]
+    (tank / "trial_03.csv").write_bytes(content)
+    found = audited(tank)
+    out = [x for x in found.findings if x.action == "left out"]
+    assert [(x.trial, x.kind) for x in out] == [("trial_03.csv", kind)]
+    assert len(found.records) == 7
+
+
+def test_a_file_that_is_not_there_is_told(tank):
+    (tank / "trial_03.csv").unlink()
+    found = audited(tank)
+    only(found, 3, ("missing_file", None, "used"))
+    assert len(found.records) == 7
+
+
+def test_a_column_that_is_not_there_is_told(tank):
+    lines_of(tank, 3, lambda x: [x[0].replace("tip_m", "tip_mm"), *x[1:]])
+    found = audited(tank)
+    only(found, 3, ("missing_column", "tip_m", "used"))
+    assert "tip_mm" in found.findings[0].detail
+
+
+@pytest.mark.parametrize("number", [1, 6])
+def test_a_copy_of_another_trial_is_left_out(tank, number):
+    (tank / f"trial_{number:02d}.csv").write_bytes((tank / "trial_03.csv").read_bytes())
+    found = audited(tank)
+    out = {x.trial for x in found.findings if x.action == "left out"}
+    assert out == {f"trial_{number:02d}.csv"}
+
+
+def test_too_few_trials_are_refused_with_the_reasons(tank):
+    for i in range(6):
+        (tank / f"trial_{i:02d}.csv").write_text("hello")
+    with pytest.raises(InputError) as caught:
+        audited(tank)
+    said = str(caught.value)
+    assert "holds 2 measured trials that can be used; 3 or more are needed" in said
+    assert "trial_00.csv: the first line names no column t_s" in said and "\n" not in said
+
+
+# Sensors
+
+
+@pytest.mark.parametrize(("channel", "number"), [*zip(ROW, [0, 5, 7, 2, 4], strict=True)])
+def test_a_stuck_sensor_is_masked_while_it_is_stuck(tank, channel, number):
+    row, a, b = ROW[channel], 320, 320 + (150 if channel == "tip" else 90)
+
+    def stick(t, values):
+        first = values[row, a:b][np.isfinite(values[row, a:b])][0]
+        values[row, a:b] = np.where(np.isfinite(values[row, a:b]), first, np.nan)
+        return t, values
+
+    alter(tank, number, stick)
+    found = audited(tank)
+    only(found, number, ("stuck", channel, "masked"))
+    r = record(found, number)
+    assert np.isfinite(r.values[row, a + 8 : b - 1]).sum() == 0
+    assert np.isfinite(r.values[row, :a]).sum() == len(range(0, a, 8 if channel == "tip" else 1))
+
+
+def test_a_sensor_that_is_dead_in_a_trial_is_not_used_there(tank):
+    alter(tank, 2, lambda t, v: (t, np.where(np.arange(5)[:, None] == 3, 0.01, v)))
+    found = audited(tank)
+    only(found, 2, ("stuck", "recoil", "masked"))
+    assert not record(found, 2).has("recoil") and record(found, 2).has("thrust")
+
+
+@pytest.mark.parametrize(
+    ("channel", "number", "share"),
+    [("p_front", 0, 0.8), ("p_rear", 3, 0.7), ("thrust", 5, 0.6), ("recoil", 1, 0.5),
+     ("recoil", 7, 0.8), ("tip", 0, 0.7)],
+)  # fmt: skip
+def test_a_clipped_sensor_is_masked_where_it_is_clipped(tank, channel, number, share):
+    row, ends = ROW[channel], []
+
+    def clip(t, values):
+        end = share * np.nanmax(np.abs(values[row]))
+        end = round(end, {"tip": 5}.get(channel, 4))
+        ends.append(end)
+        values[row] = np.clip(values[row], -end, end)
+        return t, values
+
+    alter(tank, number, clip)
+    found = audited(tank)
+    assert kinds(found, number)[0] == ("clipped", channel, "masked")
+    assert {x[0] for x in kinds(found)} <= {"clipped", "channel_lost", "doubled_rows"}
+    left = record(found, number).values[row]
+    assert not np.nanmax(np.abs(left), initial=0.0) >= ends[0] * (1.0 - 1e-9)
+
+
+def test_a_pressure_that_saturates_is_no_clipped_sensor():
+    rng = np.random.default_rng(0)
+    for level in np.linspace(200e3, 200e3 + damage.QUANTUM, 7):
+        true = np.minimum(260e3 * np.abs(np.sin(np.arange(3000) / 200.0)), level)
+        for noise in (20.0, 200.0, 700.0, 3000.0):
+            read = damage.QUANTUM * np.round(
+                (true + noise * rng.normal(size=3000)) / damage.QUANTUM
+            )
+            g = grain(read, noise)
+            assert not clipped(read, g).any() and not stuck(read, g).any(), (level, noise)
+
+
+def test_an_end_that_is_read_less_often_than_what_lies_beside_is_no_end_of_range():
+    """Bounded noise has a largest reading too."""
+    codes = np.repeat([-2.0, -1.0, 0.0, 1.0], [100, 300, 300, 100])
+    shuffled = np.random.default_rng(0).permutation(codes)
+    assert not clipped(shuffled, Grain(0.75, 1.0)).any()
+    assert clipped(np.minimum(shuffled, 0.0), Grain(0.75, 1.0)).sum() >= 400
+
+
+@pytest.mark.parametrize("width", [1, 2, 3])
+def test_spikes_are_masked_and_nothing_else(width):
+    rng = np.random.default_rng(width)
+    t = np.arange(2000) / 500.0
+    values = 0.5 * np.sin(2 * np.pi * 3 * t) + 0.02 * rng.normal(size=2000)
+    at = np.sort(rng.choice(np.arange(20, 1980, 20), 8, replace=False))
+    broken = values.copy()
+    for i in at:
+        broken[i : i + width] += 8.0 * rng.choice([-1.0, 1.0])
+    expected = np.zeros(2000, bool)
+    for i in at:
+        expected[i : i + width] = True
+    np.testing.assert_array_equal(spikes(broken, grain(broken, 0.02)), expected)
+    assert not spikes(values, grain(values, 0.02)).any()
+
+
+def test_a_spike_in_a_file_is_named(tank):
+    def spike(t, values):
+        values[3, 333] = -40.0
+        return t, values
+
+    alter(tank, 6, spike)
+    found = audited(tank)
+    only(found, 6, ("spikes", "recoil", "masked"))
+    assert np.flatnonzero(~np.isfinite(record(found, 6).values[3])).tolist() == [333]
+
+
+# Trials that stand apart after the fit
+
+
+def squares(trials, seed, worst=None, factor=1.0):
+    rng = np.random.default_rng(seed)
+    found = {c: 1.0 + 0.1 * rng.normal(size=len(trials)) ** 2 for c in ROW}
+    if worst is not None:
+        found["thrust"][worst] *= factor
+    return found
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_trial_that_no_fit_explains_is_an_outlier(whole, seed):
+    trials = experiment.load(whole / "experiment.toml").trials
+    worst = seed + 2
+    assert outliers(trials, squares(trials, seed)) == []
+    assert outliers(trials, squares(trials, seed, worst, 20.0)) == []
+    found = outliers(trials, squares(trials, seed, worst, 300.0))
+    assert [(x.trial, x.kind, x.channel) for x in found] == [
+        (trials[worst].file, "outlier", "thrust")
+    ]
+
+
+def test_what_grows_with_a_setting_is_no_outlier(whole):
+    trials = experiment.load(whole / "experiment.toml").trials
+    found = squares(trials, 0)
+    found["recoil"] = np.array([t.frequency**7 for t in trials])
+    found["thrust"] = np.array([200.0 if t.tow_speed else 1.0 for t in trials])
+    assert outliers(trials, found) == []

@@ -1,0 +1,136 @@
+"""Scores of candidates against plain least squares on the stacked rows."""
+
+import numpy as np
+import pytest
+
+from calibration.discrepancy.rounds import agreement
+from calibration.discrepancy.scores import alikeness, score, solve
+from calibration.inference.bounds import Bounds
+from calibration.inference.gauss_newton import _linear_optimum, inverse
+from calibration.inference.problem import Block, summed
+from calibration.model.extended import Parameter
+from slider_jax.effects import Prior
+
+TRIALS, ROWS = 5, 60
+FREE, GROUP, RIVAL = np.array([0, 1]), np.array([2, 3]), np.array([4])
+
+
+def rows(seed=0):
+    """Tangents (TRIALS, ROWS, 5) and white residuals (TRIALS, ROWS)."""
+    rng = np.random.default_rng(seed)
+    J = rng.normal(size=(TRIALS, ROWS, 5))
+    J[..., 4] = J[..., 2] + 0.5 * J[..., 0] + 1e-3 * J[..., 4]
+    return J, rng.normal(size=(TRIALS, ROWS)) + 0.3 * J[..., 2]
+
+
+def blocks(J, r):
+    return [
+        Block(i, "thrust", j.T @ j, j.T @ x, float(x @ x), len(x))
+        for i, (j, x) in enumerate(zip(J, r, strict=True))
+    ]
+
+
+def left(J, r, columns):
+    """Sum of squares after least squares over `columns`."""
+    flat = J[..., columns].reshape(-1, len(columns))
+    return np.linalg.lstsq(flat, r.ravel(), rcond=None)[1][0]
+
+
+def test_gain_is_the_drop_of_the_joint_least_squares():
+    J, r = rows()
+    found = score("x", GROUP, FREE, blocks(J, r), 1.0, 10)
+    drop = left(J, r, FREE) - left(J, r, np.concatenate([FREE, GROUP]))
+    assert found.gain == pytest.approx(drop, rel=1e-9)
+    flat = J[..., :4].reshape(-1, 4)
+    exact = np.linalg.lstsq(flat, r.ravel(), rcond=None)[0]
+    np.testing.assert_allclose(found.estimate, exact[GROUP], rtol=1e-9)
+    errors = np.sqrt(np.diag(np.linalg.inv(flat.T @ flat)))
+    np.testing.assert_allclose(found.error, errors[GROUP], rtol=1e-9)
+
+
+def test_a_left_out_trial_is_predicted_from_the_others_alone():
+    J, r = rows()
+    found = score("x", GROUP, FREE, blocks(J, r), 1.0, 10)
+
+    def predicted(trial, columns):
+        others = [i for i in range(TRIALS) if i != trial]
+        flat = J[others][..., columns].reshape(-1, len(columns))
+        x = np.linalg.lstsq(flat, r[others].ravel(), rcond=None)[0]
+        return np.sum((r[trial] - J[trial][:, columns] @ x) ** 2)
+
+    both = np.concatenate([FREE, GROUP])
+    exact = [np.log(predicted(i, FREE) / predicted(i, both)) for i in range(TRIALS)]
+    np.testing.assert_allclose(found.left_out, exact, rtol=1e-8)
+
+
+def test_chance_gains_are_chi_squared_and_counted_for_every_candidate():
+    gains = []
+    for seed in range(400):
+        J, _ = rows(seed)
+        noise = np.random.default_rng(seed + 10_000).normal(size=(TRIALS, ROWS))
+        gains.append(score("x", GROUP, FREE, blocks(J, noise), 1.0, 1))
+    assert np.mean([g.gain for g in gains]) == pytest.approx(2.0, abs=0.3)
+    assert np.mean([g.p < 0.05 for g in gains]) == pytest.approx(0.05, abs=0.03)
+    one = score("x", GROUP, FREE, blocks(*rows()), 1.0, 1)
+    many = score("x", GROUP, FREE, blocks(*rows()), 1.0, 40)
+    assert many.p == pytest.approx(min(1.0, 40 * one.p))
+
+
+def test_alike_are_those_whose_tangents_differ_by_the_free_ones_only():
+    data = blocks(*rows())
+    assert alikeness(np.array([2]), RIVAL, FREE, data) > 0.999
+    assert alikeness(np.array([3]), RIVAL, FREE, data) < 0.5
+    assert alikeness(GROUP, RIVAL, FREE, data) > 0.999
+
+
+def test_a_direction_that_the_data_do_not_see_is_said_to_be_unknown():
+    A = np.diag([4.0, 0.0])
+    assert inverse(A)[0, 0] == pytest.approx(0.25)
+    assert inverse(A)[1, 1] > 1e9
+    step = solve(A, np.array([2.0, 0.0]), np.array([0, 1]))
+    np.testing.assert_allclose(step, [0.5, 0.0])
+
+
+def test_the_bounded_optimum_is_free_inside_and_at_the_bound_outside():
+    entries = [
+        Parameter("", "C_d", Prior(np.nan, 0.0, 10.0, "-", "")),
+        Parameter("x", "delay", Prior(0.0, 0.0, 1.0, "s", "")),
+    ]
+    J, r = rows()
+    A, b = summed(blocks(J, r))
+    A, b = A[:2, :2], b[:2]
+    start = np.array([5.0, 0.5])
+    free = start + np.linalg.solve(A, b)
+    assert 0.0 < free[1] < 1.0
+    found = _linear_optimum(A, b, start, Bounds.of(entries))
+    np.testing.assert_allclose(found, free, rtol=1e-5)
+    pushed = _linear_optimum(A, b + A @ np.array([0.0, -5.0]), start, Bounds.of(entries))
+    assert -0.05 <= pushed[1] < -0.04
+
+
+def test_bounds_are_invertible():
+    bounds = Bounds.of([Parameter("", "k", Prior(np.nan, 0.005, 0.5, "s", ""))])
+    theta = np.array([0.087])
+    np.testing.assert_allclose(bounds.inside(bounds.outside(theta)), theta, rtol=1e-12)
+
+
+def test_a_trial_that_cannot_see_a_candidate_has_no_say():
+    J, r = rows()
+    J = J.copy()
+    J[2][:, GROUP] = 0.0
+    found = score("x", GROUP, FREE, blocks(J, r), 1.0, 10)
+    assert len(found.left_out) == TRIALS - 1
+
+
+@pytest.mark.parametrize(
+    ("left_out", "agreed"),
+    [
+        ((0.3, 0.2, 0.4, 0.3, 0.2), True),
+        ((5.0, 0.2, 0.1, 0.2, 0.1), True),  # all improve, one by far more
+        ((0.384, 0.662, 0.03, 0.113, -0.085), False),  # on the rig's logs: worse when held out
+        ((5.0, -0.2, 0.1, -0.2, 0.1), False),
+        ((1.7, 1.2, 0.2), True),
+    ],
+)
+def test_trials_agree_on_average_or_one_by_one(left_out, agreed):
+    assert agreement(np.array(left_out)).agreed is agreed

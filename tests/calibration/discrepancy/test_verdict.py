@@ -1,0 +1,44 @@
+"""The verdict on searches whose outcome is plain."""
+
+import numpy as np
+import pytest
+
+from calibration.discrepancy.rounds import Round, Search
+from calibration.discrepancy.verdict import Excess, decide, explained
+from calibration.inference.gauss_newton import Fit
+from calibration.model.extended import parameters, start
+
+ENTRIES = parameters(("valve_delay", "tank_current"))
+BASE = {"C_d": 3.0, "m_a": 0.7, "k": 0.09, "K_Q": 4.8e-7}
+
+
+def verdict(before: float, after: float, effects=("valve_delay",), alike=(), converged=True):
+    """Of a search that found `effects`, with mean squares of the tip `before` and `after`."""
+    theta = start(ENTRIES, BASE)
+    fit = Fit(theta, np.arange(4), 1.0, 100, [], [], converged)
+    rounds = [Round([], [], name, list(alike)) for name in effects]
+    search = Search(fit, fit, list(effects), rounds)
+    told = [{"tip": Excess(np.full(4, x), x)} for x in (before, after)]
+    return decide(search, ENTRIES, *told)
+
+
+def test_a_channel_at_its_floor_asks_for_nothing():
+    assert verdict(1.1, 1.1, ()) == "nothing_missing"
+    assert verdict(4.0, 1.1) == "identified"
+    assert verdict(4.0, 1.1, alike=["tank_current"]) == "class"
+
+
+def test_an_effect_that_leaves_more_than_a_tenth_of_the_rms_is_not_named():
+    assert verdict(4.0, 4.0, ()) == "unexplained"
+    assert verdict(95.0, 4.5) == "unexplained"  # 96 % of the square, 87 % of the rms
+    assert verdict(400.0, 4.5) == "identified"
+
+
+def test_a_fit_that_did_not_converge_settles_nothing():
+    assert verdict(400.0, 1.0, converged=False) == "inconclusive"
+
+
+def test_what_is_explained_is_a_share_of_the_rms_above_the_floor():
+    assert explained(4.0, 1.0) == 1.0 and explained(4.0, 0.9) == 1.0
+    assert explained(4.0, 2.25) == pytest.approx(0.5)
+    assert explained(4.0, 9.0) == pytest.approx(-1.0) and explained(1.0, 1.0) == 0.0

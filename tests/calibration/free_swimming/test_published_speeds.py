@@ -1,0 +1,135 @@
+"""Free swimming: speeds that closed forms or long rollouts know, and the published ones."""
+
+import json
+import math
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from calibration.free_swimming import published_speeds as published
+from calibration.free_swimming.published_speeds import (
+    FIRST,
+    OPTIMUM,
+    After,
+    Before,
+    coefficient_at,
+    steady,
+    swimmer,
+)
+from calibration.free_swimming.report import Outcome, decide
+from calibration.lamprey.animal import force, prescribe
+from slider_jax.beam.parameters import Numerics
+from slider_jax.cli.main import main
+from slider_jax.dynamics.step import at_rest
+from slider_jax.effects import ReactiveForce
+from slider_jax.effects.water.head_added_mass import HeadAddedMass
+from slider_jax.swimming.steady_state import Search, hastened, strides
+from tests.calibration.lamprey.test_lamprey import SHAPE, one_stride, wave
+
+QUICK = Search(steps_per_stride=60, numerics=Numerics(4, 8))
+GAIT = OPTIMUM.gaits["as the paper gives it"]
+SWIMS = jnp.asarray(GAIT.frequency)
+
+
+def test_an_unpowered_body_coasts_as_its_friction_says():
+    """m dv/dt = -rho C_t 2 H v^2 / 2 per length: 1/v grows linearly."""
+    C_t, begin, count = 0.05, 0.3, 5
+    model = swimmer(GAIT._replace(front=0.0, rear=0.0), "tangential_friction", C_t)
+    carry = hastened(at_rest(model, QUICK.numerics), jnp.array([begin, 0.0]))
+    _, pace = jax.jit(lambda m, c: strides(m, SWIMS, c, count, QUICK))(model, carry)
+    rate = 1000.0 * C_t * float(model.robot.height / model.robot.linear_density)
+    middle = (count - 1.0) / GAIT.frequency
+    v = 1.0 / (1.0 / begin + rate * middle)
+    print(f"{float(pace.speed):.4f} m/s, {v:.4f} known")
+    assert float(pace.speed) == pytest.approx(v, rel=3e-3)
+    assert float(pace.acceleration) == pytest.approx(-rate * v**2, rel=0.01)
+
+
+@pytest.mark.slow
+def test_the_papers_equations_gain_speed_to_five_times_the_published_one_and_more(monkeypatch):
+    monkeypatch.setattr(published, "FIRST", OPTIMUM._replace(gaits={}))
+    monkeypatch.setattr(published, "HEADS", {"none": 0.0})
+    (found,) = published.before(QUICK, strides=40)
+    print(f"{found.by_stride[-1]:.3f} m/s after 40 strides, {found.steady:.3f} m/s in the end")
+    assert np.all(np.diff(found.by_stride[10:]) > 0.0)
+    assert 1.2 < found.steady < np.inf and found.by_stride[-1] < found.steady
+
+
+@pytest.mark.parametrize("resisting", ["tangential_friction", "head_drag"])
+def test_a_calibrated_coefficient_swims_at_the_published_speed(resisting):
+    found = coefficient_at(OPTIMUM, GAIT, resisting, plan=QUICK)
+    speed = float(steady(swimmer(GAIT, resisting, found), GAIT, QUICK).speed)
+    print(f"{resisting} = {found:.4g}: {speed:.4f} m/s")
+    assert speed == pytest.approx(OPTIMUM.speed, abs=1e-4)
+
+
+def test_with_the_heads_added_mass_only_the_tails_flux_is_left():
+    """Of a blunt body of uniform height, over a stride; without it the head's is missing."""
+    moved = wave(0.01, one_stride(96))
+    held = prescribe(moved, SHAPE)
+    H = 0.006
+    x = replace(held.x, height=H + 0.0 * held.x.height, height_s=0.0 * held.x.height)
+    held = replace(held, x=x)
+    m_A = math.pi * 1000.0 * H**2 / 4.0
+
+    def flux(node):
+        phi, V = moved.phi[:, node], moved.V[:, node]
+        tau, n = np.stack([np.cos(phi), np.sin(phi)], 1), np.stack([-np.sin(phi), np.cos(phi)], 1)
+        u_tau, u_n = ((V * e).sum(axis=1)[:, None] for e in (tau, n))
+        return (m_A * (u_tau * u_n * n - 0.5 * u_n**2 * tau)).mean(axis=0)
+
+    local, at_head = (
+        np.asarray(force(e, held)).mean(axis=0) for e in (ReactiveForce(1.0), HeadAddedMass(1.0))
+    )
+    print(local, at_head, -flux(0), flux(-1))
+    size = np.abs(flux(0)).max()
+    np.testing.assert_allclose(local, flux(-1) - flux(0), atol=0.01 * size)
+    np.testing.assert_allclose(local + at_head, -flux(0), atol=0.05 * size)
+
+
+def predicted(speed, resisting="tangential_friction", coefficient=0.1):
+    return After(resisting, "h", FIRST.name, "g", coefficient, OPTIMUM.name, "o", speed,
+                 OPTIMUM.speed)  # fmt: skip
+
+
+def alone():
+    return [Before(OPTIMUM.name, "g", "h", np.linspace(0.0, 1.3, 60), 2.4)]
+
+
+@pytest.mark.parametrize(
+    ("predictions", "verdict"),
+    [
+        ([predicted(0.213), predicted(0.19, "head_drag", 2e-3)], "class"),
+        ([predicted(0.213), predicted(0.9, "head_drag", 2e-3)], "identified"),
+        (
+            [predicted(0.213), *3 * [predicted(0.15)], predicted(0.2, "head_drag", 2e-3)],
+            "inconclusive",
+        ),
+        ([predicted(0.15), predicted(0.14, "head_drag", 2e-3)], "unexplained"),
+        # Right, but with more friction than is believed.
+        ([predicted(0.217, coefficient=0.9), predicted(0.15, "head_drag", 2e-3)], "unexplained"),
+    ],
+)
+def test_the_verdict_on_the_published_speeds(predictions, verdict):
+    assert decide(Outcome(alone(), predictions, []))[0] == verdict
+
+
+def test_the_command_writes_its_report(tmp_path, capsys, monkeypatch):
+    def after(calibrated, checked, done):
+        found = [predicted(0.213), predicted(0.19, "head_drag", 2e-3)]
+        for x in found:
+            done(x)
+        return found
+
+    monkeypatch.setattr(published, "before", alone)
+    monkeypatch.setattr(published, "after", after)
+    assert main(["published", "--out", str(tmp_path / "out")]) == 0
+    told = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert told["verdict"] == "class" and told["effects"][0]["class"] == ["head_drag"]
+    row = told["errors"]["speed_at_optimum"]
+    assert row["before"] > 1.0 and row["after"] == pytest.approx(0.004)
+    assert told["said"] in capsys.readouterr().out
+    assert "data:image/png;base64" in (tmp_path / "out" / "report.html").read_text()

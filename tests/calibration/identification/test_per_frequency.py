@@ -1,0 +1,320 @@
+"""C_d and m_a by drive frequency: which way explains the data, on tanks whose answer is known."""
+
+import json
+import tomllib
+
+import numpy as np
+import pytest
+
+from calibration.audit.audit import Audited
+from calibration.experiment_design import parameter_trial as design
+from calibration.identification import identify, parameter_ties as layouts, per_frequency
+from calibration.identification.per_frequency import compare, sentence, values
+from calibration.identification.per_frequency_report import model_file
+from calibration.inference import problem as evidence
+from calibration.inference.gauss_newton import fit
+from calibration.inference.uncertainty import SYSTEMATIC
+from calibration.measurements.synthetic import ROBOT, START, Truth, trials, write_tank
+from calibration.model.extended import parameters, start
+from calibration.model.predict import Resolution
+from slider_jax.cli.main import main
+from slider_jax.errors import InputError
+from slider_jax.experiment.load import drag_and_added_mass, load
+from slider_jax.experiment.schema import Trial
+from tests.support import closed_form_tank as closed
+
+MESH = Resolution(21, 60, 3.0e-3)
+TANK = {"nodes": 21, "step": 2e-3, "scheme": "sdirk2"}
+ALSO = ("tangential_friction",)
+FRICTION = {"tangential_friction": {"C_t": 0.1}}
+COMMON = {"k": 0.075, "K_Q": 4.5e-7}
+
+
+def write_ramp(folder, runs, coefficients):
+    """A tank in which every trial has its own C_d and m_a."""
+    for number, (run, (C_d, m_a)) in enumerate(zip(runs, coefficients, strict=True)):
+        truth = Truth(COMMON | {"C_d": C_d, "m_a": m_a}, FRICTION)
+        write_tank(folder, truth, [run], number, numerics=TANK)
+    return write_all(folder, runs)
+
+
+def write_all(folder, runs):
+    """The experiment file of all trials, from that of the last."""
+    path = folder / "experiment.toml"
+    head = path.read_text().split("[[trials]]")[0]
+    tables = []
+    for run in runs:
+        lines = [f'{k} = "{v}"' if isinstance(v, str) else f"{k} = {v}" for k, v in run.items()]
+        tables.append("[[trials]]\n" + "\n".join(lines) + "\n")
+    path.write_text(head + "\n".join(tables))
+    return path
+
+
+def runs():
+    """Five frequencies across the ramp, 1 to 5 Hz."""
+    given = trials(5, count=5)
+    return [
+        run | {"frequency": f, "amplitude": 250e3, "duration": 1.2}
+        for run, f in zip(given, (1.0, 1.6, 2.4, 3.4, 5.0), strict=True)
+    ]
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    of, best = evidence.Problem.of, design.best_trial
+    monkeypatch.setattr(
+        identify.Problem, "of", lambda e, r, n, c, fine, coarse: of(e, r, n, c, MESH, MESH)
+    )
+    monkeypatch.setattr(design, "best_trial", lambda *given: best(*given[:6], MESH))
+
+
+PAPER = [(4.0, 0.0), (4.0, 0.0), (3.6, 0.4), (3.0, 1.0), (3.0, 1.0)]
+OWN_RAMP = [(3.0, 0.2), (3.0, 0.2), (3.6, 0.4), (4.5, 0.7), (4.5, 0.7)]
+EACH = [(5.0, 0.9), (2.0, 0.3), (4.0, 0.8), (1.5, 0.2), (3.5, 0.7)]
+
+
+def test_the_way_that_made_the_readings_is_chosen(monkeypatch):
+    """Five frequencies, a closed form in place of the beam."""
+    closed.replace_the_beam(monkeypatch)
+    at = (1.0, 1.6, 2.4, 3.4, 5.0)
+    experiment, entries = closed.experiment_of(at), parameters(())
+    for seed, (truth, chosen) in enumerate(
+        [(PAPER, "paper"), ([(2.5, 0.6)] * 5, "constant"), (OWN_RAMP, "ramp")]
+    ):
+        thetas = [np.array([C_d, m_a, 0.075, 4.5e-7]) for C_d, m_a in truth]
+        found = compared(experiment, entries, closed.measured(experiment, thetas, seed))
+        print(sentence(found))
+        assert found.chosen == chosen
+        each = found.ways["per_frequency"]
+        for row, name in enumerate(("C_d", "m_a")):
+            for (value, low, high, _), true in zip(values(each, name), truth, strict=True):
+                half = 0.5 * (high - low)
+                assert abs(value - true[row]) < 1.5 * half
+        model = tomllib.loads(model_file(found, ("C_d", "m_a")))["parameters"]
+        if chosen == "ramp":
+            given = [(x["frequency"], x["C_d"], x["m_a"]) for x in model["coefficients"]]
+            assert np.array(given) == pytest.approx(np.array([(2, 3, 0.2), (3, 4.5, 0.7)]), rel=0.1)
+        assert (model.get("force_coefficients") == "ramp") == (chosen == "paper")
+        assert ("C_d" in model) == (chosen == "constant")
+
+
+def test_values_by_frequency_fit_what_no_ramp_fits(monkeypatch):
+    """At random from frequency to frequency: the fit follows, constant values do not."""
+    closed.replace_the_beam(monkeypatch)
+    experiment, entries = closed.experiment_of((1.0, 1.6, 2.4, 3.4, 5.0)), parameters(())
+    thetas = [np.array([C_d, m_a, 0.075, 4.5e-7]) for C_d, m_a in EACH]
+    found = compared(experiment, entries, closed.measured(experiment, thetas, 0))
+    fits = {n: w.fit.square / w.fit.samples for n, w in found.ways.items()}
+    assert fits["per_frequency"] < 1.3 < 2.0 < fits["constant"]
+    assert all(w.fit.apart is not None for w in found.ways.values())  # halves were compared
+
+
+def test_too_few_frequencies_decide_nothing(monkeypatch):
+    closed.replace_the_beam(monkeypatch)
+    experiment, entries = closed.experiment_of((1.0, 2.4, 5.0)), parameters(())
+    thetas = [np.array([4.0, 0.5, 0.075, 4.5e-7])] * 3
+    records = closed.measured(experiment, thetas, 0)
+    found = compared(experiment, entries, records)
+    assert found.chosen is None and found.used.layout.name == "constant"
+    assert "is not told by 3 frequencies" in sentence(found)
+    with pytest.raises(InputError, match="--each C_D: not identified; allowed C_d, m_a"):
+        compared(experiment, entries, records, each=("C_D",))
+    one = [r for r in records if r.trial.frequency == 1.0]
+    with pytest.raises(InputError, match="all trials are driven at 1 Hz"):
+        compared(experiment, entries, one)
+
+
+def compared(experiment, entries, records, each=("C_d", "m_a")):
+    problem = closed.problem_of(experiment, records)
+    begun = fit(problem, entries, start(entries, START), np.arange(len(entries)))
+    return compare(experiment, entries, problem, begun, each)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("coefficients", "chosen"),
+    [
+        (PAPER, "paper"),
+        ([(2.5, 0.6)] * 5, "constant"),
+    ],
+)
+def test_the_way_that_made_the_data_is_chosen(quick, tmp_path, capsys, coefficients, chosen):
+    path, out = write_ramp(tmp_path, runs(), coefficients), tmp_path / "out"
+    words = ["calibrate", str(path), "--out", str(out), "--per-frequency", "--also", *ALSO]
+    assert main(words) == 0
+    found = json.loads((out / "calibration.json").read_text())["per_frequency"]
+    print(found["said"])
+    print(capsys.readouterr().out)
+    assert found["chosen"] == chosen
+    each = found["ways"]["per_frequency"]["parameters"]
+    for name, at in (("C_d", 0), ("m_a", 1)):
+        for f, true in zip(found["frequencies_Hz"], coefficients, strict=True):
+            said = each[f"{name} at {f:g} Hz"]
+            width = said["high"] - said["low"]
+            assert said["low"] - 0.3 * width < true[at] < said["high"] + 0.3 * width
+    held = {n: np.mean(w["left_out"]) for n, w in found["ways"].items()}
+    assert held[chosen] < 1.1 * min(held.values())
+    model = tomllib.loads((out / "model.toml").read_text())["parameters"]
+    assert (model.get("force_coefficients") == "ramp") == (chosen == "paper")
+    assert ("C_d" in model) == (chosen == "constant")
+    load(path, out / "model.toml")
+    rows = (out / "per_frequency.csv").read_text().splitlines()
+    assert len(rows) == 6 and rows[0].startswith("frequency_Hz,trials,C_d,C_d_low,C_d_high")
+    assert (out / "per_frequency.png").stat().st_size > 0
+
+
+def test_layouts_are_the_maps_they_say():
+    entries = parameters(())
+    theta = start(entries, START)
+    trials_at = np.array([1.0, 2.5, 2.51, 4.0])
+    at, place = layouts.frequencies([load_trial(f) for f in trials_at])
+    assert at == pytest.approx([1.0, 2.505, 4.0]) and place.tolist() == [0, 1, 1, 2]
+    ramp = layouts.ramp(entries, theta, at, place)
+    x = np.array([0.1, 5e-7, 4.0, 3.0, 0.2, 1.0])
+    assert ramp.labels[2:] == [
+        "C_d below 2 Hz", "C_d above 3 Hz", "m_a below 2 Hz", "m_a above 3 Hz",
+    ]  # fmt: skip
+    middle = ramp.maps[1].at(x)
+    assert middle == pytest.approx([4.0 - 0.505, 0.2 + 0.505 * 0.8, 0.1, 5e-7])
+    assert ramp.maps[3].at(x) == pytest.approx([3.0, 1.0, 0.1, 5e-7])
+    paper = layouts.paper(entries, theta, at, place)
+    assert paper.maps[0].at(x[:2]) == pytest.approx([4.0, 0.0, 0.1, 5e-7])
+    each = layouts.per_frequency(entries, theta, at, place, ("k",))
+    assert each.labels[3:] == ["k at 1 Hz", "k at 2.505 Hz", "k at 4 Hz"]
+    own = each.maps[2].at(np.array([3.0, 1.0, 5e-7, 0.1, 0.2, 0.3]))
+    assert own == pytest.approx([3.0, 1.0, 0.2, 5e-7])
+    assert not layouts.sees_the_ramp(np.array([3.0, 4.0]))
+
+
+def load_trial(frequency):
+    return Trial(file="x.csv", frequency=frequency, amplitude=1e5, duration=1.0)
+
+
+def test_the_proposed_trial_does_what_was_promised(monkeypatch):
+    """The data hold no fast trial; the best candidate is one, and once run gives that interval."""
+    closed.replace_the_beam(monkeypatch)
+    experiment = closed.experiment_of((0.6, 5.0, 0.8), phase=0.0)
+    entries, free, theta = parameters(()), np.arange(4), np.array([3.0, 0.8, 0.075, 4.5e-7])
+    seen = closed.measured(experiment, [theta] * 3, 0)
+    few = closed.problem_of(experiment, seen[:1])
+    one = fit(few, entries, theta, free)
+    candidates = [seen[2].trial, seen[1].trial]
+    known = design.Known.of(few, one)
+    found = design.best_trial(experiment, entries, one.theta, [0, 1], candidates, known)
+    assert found[1].trial.frequency == 5.0
+    after = fit(closed.problem_of(experiment, seen[:2]), entries, one.theta, free)
+    width = 1.96 * np.hypot(np.sqrt(after.covariance[1, 1]), SYSTEMATIC["m_a"] * after.theta[1])
+    print("promised", found[1].half_width, "found", width)
+    assert found[1].half_width == pytest.approx(width, rel=0.1)
+    assert found[1].half_width < 0.7 * 1.96 * np.sqrt(one.covariance[1, 1])
+    said = design.said(entries[1], found[1])
+    assert said.startswith(
+        "a trial of 1 s at 5 Hz, 250 kPa, phase 0, towed at 0.2 m/s, would give m_a to ±"
+    )
+
+
+def test_a_proposed_trial_adds_to_the_data_at_hand(monkeypatch):
+    """Another trial like the first: together they say more than either."""
+    closed.replace_the_beam(monkeypatch)
+    experiment = closed.experiment_of((0.6, 0.8), phase=0.0, tow_speed=0.0)
+    entries, free, theta = parameters(()), np.arange(4), np.array([3.0, 0.8, 0.075, 4.5e-7])
+    seen = closed.measured(experiment, [theta] * 2, 0)
+    few = closed.problem_of(experiment, seen[:1])
+    one = fit(few, entries, theta, free)
+    known = design.Known.of(few, one)
+    found = design.best_trial(experiment, entries, one.theta, [1], [seen[1].trial], known)
+    after = fit(closed.problem_of(experiment, seen), entries, one.theta, free)
+    second = fit(closed.problem_of(experiment, seen[1:]), entries, one.theta, free)
+
+    def width(x):
+        return 1.96 * np.hypot(np.sqrt(x.covariance[1, 1]), SYSTEMATIC["m_a"] * x.theta[1])
+
+    assert found[1].half_width == pytest.approx(width(after), rel=0.05)
+    assert width(after) < 0.9 * min(width(one), width(second))
+
+
+def test_a_frequency_that_is_left_out_has_no_say(monkeypatch):
+    """The vector without it is that of a fit to the other trials; its own values lie between."""
+    closed.replace_the_beam(monkeypatch)
+    experiment, entries = closed.experiment_of((1.0, 2.0, 4.0, 5.0)), parameters(())
+    thetas = [np.array([C_d, m_a, 0.075, 4.5e-7]) for C_d, m_a in
+              [(3.0, 0.6), (3.0, 0.6), (3.3, 0.7), (3.0, 0.6)]]  # fmt: skip
+    records = closed.measured(experiment, thetas, 2)
+    problem = closed.problem_of(experiment, records)
+    every, free = fit(problem, entries, start(entries, START), np.arange(4)), np.arange(4)
+    rest = closed.problem_of(experiment, [r for i, r in enumerate(records) if i != 2])
+    alone = fit(rest, entries, start(entries, START), free)
+    at, place = layouts.frequencies(experiment.trials)
+    plan = layouts.constant(entries, every.theta, 4)
+    without = per_frequency._without(plan, every, at, 2, place)
+    error = np.sqrt(np.diag(alone.covariance))
+    assert np.all(np.abs(without - alone.theta) < 0.3 * error)
+    assert np.abs(every.theta - alone.theta)[1] > error[1]
+
+    found = compare(experiment, entries, problem, every)
+    way = found.ways["per_frequency"]
+    x = per_frequency._without(way.layout, way.fit, at, 2, place)
+    C_d = [v for v, p in zip(x, way.layout.entries, strict=True) if p.label == "C_d"]
+    assert C_d[2] == pytest.approx(C_d[1] + (C_d[3] - C_d[1]) * 2.0 / 3.0)
+
+
+def test_what_is_not_determined_gets_the_trial_that_would(monkeypatch):
+    """One slow trial at a low pressure: m_a stays open, and the command says what to run."""
+    closed.replace_the_beam(monkeypatch)
+    monkeypatch.setattr(closed, "NOISE", {n: 20.0 * x for n, x in closed.NOISE.items()})
+    experiment = closed.experiment_of((0.1, 4.0), amplitude=60e3)
+    sensors = {
+        "sensors.force_noise": 0.2,
+        "sensors.tip_noise": 0.01,
+        "sensors.pressure_noise": 14e3,
+    }
+    experiment = experiment.with_values(sensors)
+    theta = np.array([3.0, 0.8, 0.075, 4.5e-7])
+    records = closed.measured(experiment, [theta] * 2, 0)[:1]
+    monkeypatch.setattr(identify, "audit", lambda *_: Audited(records, []))
+    found = identify.identify(experiment)
+    said = identify.content(found, {})["parameters"]["m_a"]
+    assert said["value"] is None and said["not_determined_by_these_data"]
+    assert said["determined_by"]["trial"]["frequency"] == 4.0
+    assert "not determined by these data" in identify.table(found)
+    assert "at 4 Hz, 60 kPa" in identify.table(found)
+
+
+def test_feasible_trials_stay_within_the_experiment(tmp_path):
+    path = write_all_only(tmp_path)
+    grid = design.feasible(load(path))
+    given = load(path).trials
+    assert {x.frequency for x in grid} == {1.0, 1.71, 2.92, 5.0}
+    assert {x.tow_speed for x in grid} <= {x.tow_speed for x in given}
+    assert {x.phase for x in grid} <= {x.phase for x in given}
+    assert {x.frequency for x in design.feasible(load(path), 2.4)} == {2.4}
+
+
+def write_all_only(folder):
+    (folder / "experiment.toml").write_text(
+        'name = "x"\n\n[robot]\n'
+        + "\n".join(f"{k} = {v}" for k, v in ROBOT.items())
+        + "\n\n[parameters]\n"
+        + "\n".join(f"{k} = {v}" for k, v in START.items())
+        + "\n\n[[trials]]\n"
+    )
+    return write_all(folder, runs())
+
+
+def test_a_table_of_coefficients_is_linear_between_and_constant_beyond(tmp_path):
+    path, model = write_all_only(tmp_path), tmp_path / "model.toml"
+    model.write_text(
+        '[parameters]\nforce_coefficients = "table"\n'
+        "[[parameters.coefficients]]\nfrequency = 2.0\nC_d = 4.0\nm_a = 0.0\n"
+        "[[parameters.coefficients]]\nfrequency = 3.0\nC_d = 3.0\nm_a = 1.0\n"
+    )
+    experiment = load(path, model)
+    found = [drag_and_added_mass(experiment, t) for t in experiment.trials]
+    expected = [(4.0, 0.0), (4.0, 0.0), (3.6, 0.4), (3.0, 1.0), (3.0, 1.0)]
+    assert np.array(found) == pytest.approx(np.array(expected))
+    model.write_text(model.read_text().replace("frequency = 3.0", "frequency = 1.0"))
+    with pytest.raises(InputError, match="frequencies that rise from table to table"):
+        load(path, model)
+    model.write_text('[parameters]\nforce_coefficients = "table"\n')
+    with pytest.raises(InputError, match="coefficients: given 0 tables; allowed one table or more"):
+        load(path, model)

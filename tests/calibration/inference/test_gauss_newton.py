@@ -1,0 +1,95 @@
+"""Where a fit ends, on a curve whose optimum SciPy knows."""
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from calibration.inference.gauss_newton import fit
+from calibration.inference.problem import FAILED, Block
+from calibration.model.extended import Parameter
+from slider_jax.effects import Prior
+
+T = np.linspace(0.0, 4.0, 10_000)
+TRUTH = np.array([2.0, 0.8])
+ENTRIES = [Parameter("", n, Prior(0.0, 0.0, 10.0, "-", "")) for n in ("a", "k")]
+
+
+def curve(theta):
+    return theta[0] * np.exp(-theta[1] * T)
+
+
+class Curve:
+    """What `fit` asks of a problem: noise of unit variance, and `lack` that no curve explains."""
+
+    def __init__(self, lack=0.0):
+        rng = np.random.default_rng(0)
+        self.y = curve(TRUTH) + rng.normal(size=len(T)) + lack * np.sin(9.0 * T)
+        self.simulated = 0
+
+    def predict(self, theta):
+        self.simulated += 1
+        return [curve(theta)]
+
+    def tangents(self, theta, directions):
+        J = np.stack([np.exp(-theta[1] * T), -T * curve(theta)])
+        return [directions @ J]
+
+    def whiteners(self, predicted):
+        return {}
+
+    def residuals(self, predicted, white):
+        return {(0, "y"): self.y - predicted[0]}
+
+    def blocks(self, residuals, derivatives, white):
+        (r,), J = residuals.values(), derivatives[0]
+        return [Block(0, "y", J @ J.T, J @ r, float(r @ r), len(r))]
+
+
+@pytest.mark.parametrize(("lack", "share"), [(0.0, 0.15), (5.0, 0.15), (8.0, 0.72)])
+def test_a_fit_ends_within_a_share_of_a_standard_error(lack, share):
+    """A seventh; two thirds where the model leaves many times the noise."""
+    problem = Curve(lack)
+    found = fit(problem, ENTRIES, np.array([3.5, 2.0]), np.arange(2))
+    best = least_squares(lambda x: curve(x) - problem.y, TRUTH, xtol=1e-14, gtol=1e-14)
+    error = np.sqrt(np.diag(found.covariance))
+    assert found.converged
+    assert np.all(np.abs(found.theta - best.x) < share * error)
+    assert problem.simulated < 12
+
+
+class Wall(Curve):
+    """Beyond k = 1 nothing can be simulated."""
+
+    beyond = 0
+
+    def predict(self, theta):
+        (y,) = super().predict(theta)
+        self.beyond += theta[1] > 1.0
+        return [np.full_like(y, np.nan) if theta[1] > 1.0 else y]
+
+
+def test_a_step_that_cannot_be_simulated_is_shortened():
+    problem = Wall()
+    found = fit(problem, ENTRIES, np.array([0.3, 0.3]), np.arange(2))
+    assert problem.beyond and found.converged
+    np.testing.assert_allclose(found.theta, TRUTH, rtol=0.1)
+
+
+def test_a_start_that_cannot_be_simulated_is_told_and_not_raised():
+    found = fit(Wall(), ENTRIES, np.array([1.0, 1.2]), np.arange(2))
+    assert not found.converged and found.square >= FAILED
+
+
+def test_without_finite_tangents_nothing_has_converged():
+    problem = Curve()
+    problem.tangents = lambda theta, directions: [np.full((2, len(T)), np.nan)]
+    found = fit(problem, ENTRIES, TRUTH, np.arange(2))
+    assert not found.converged and np.isinf(found.covariance).all()
+
+
+def test_a_step_that_only_makes_it_worse_is_not_the_end(monkeypatch):
+    monkeypatch.setattr(
+        "calibration.inference.gauss_newton._linear_optimum",
+        lambda A, b, start, bounds: start - 0.5,
+    )
+    assert not fit(Curve(), ENTRIES, np.array([1.0, 0.9]), np.arange(2)).converged

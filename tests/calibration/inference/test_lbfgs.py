@@ -1,0 +1,93 @@
+"""L-BFGS finds what Levenberg and Marquardt find, by gradients alone."""
+
+import numpy as np
+import pytest
+
+from calibration.audit.audit import Audited
+from calibration.identification import identify
+from calibration.inference import lbfgs as descent
+from calibration.inference.gauss_newton import fit
+from calibration.inference.lbfgs import descend
+from calibration.inference.problem import Problem
+from calibration.measurements.records import records
+from calibration.measurements.synthetic import START, Truth, trials, write_tank
+from calibration.model.extended import parameters, start
+from calibration.model.predict import Resolution
+from slider_jax.errors import InputError
+from slider_jax.experiment.load import load
+from tests.support import closed_form_tank as closed
+
+MESH = Resolution(21, 60, 3.0e-3)
+TANK = {"nodes": 21, "step": 2e-3, "scheme": "sdirk2"}
+TRUTH = {"C_d": 3.0, "m_a": 0.8, "k": 0.075, "K_Q": 4.5e-7}
+MANY = ("leakage", "tangential_friction", "camera_scale", "force_gain", "tail_drag",
+        "linear_drag", "tip_mass", "tank_current")  # fmt: skip
+
+
+def apart(one, two):
+    """Distance of two fits in standard errors, entry by entry."""
+    return np.abs(one.theta - two.theta)[one.free] / np.sqrt(np.diag(one.covariance))
+
+
+@pytest.mark.parametrize("effects", [(), MANY])
+def test_both_methods_find_the_same_optimum(monkeypatch, effects):
+    """From a far start, with 4 and with 12 or more parameters: within 0.1 standard errors."""
+    closed.replace_the_beam(monkeypatch)
+    experiment = closed.experiment_of((0.8, 1.5, 3.0, 5.0))
+    entries = parameters(effects)
+    truth = start(entries, TRUTH)
+    truth[4:] += 0.2 * np.array([p.prior.high - p.prior.low for p in entries[4:]])
+    problem = closed.problem_of(experiment, closed.measured(experiment, [truth] * 4, 1), effects)
+    begun, free = start(entries, START), np.arange(len(entries))
+    white = problem.whiteners(problem.predict(begun))
+    one = fit(problem, entries, begun, free, white=white)
+    two = descend(problem, entries, begun, free, white=white)
+    print(len(entries), "apart", apart(one, two).max(), "squares", one.square, two.square)
+    assert one.converged and two.converged
+    assert apart(one, two).max() < 0.1
+    assert two.square == pytest.approx(one.square, abs=0.02 * one.inflation)
+    assert np.abs(begun - one.theta)[0] > 3.0 * np.sqrt(one.covariance[0, 0])
+
+
+def test_a_descent_that_is_cut_short_says_so(monkeypatch):
+    closed.replace_the_beam(monkeypatch)
+    monkeypatch.setattr(descent, "ITERATIONS", 2)
+    experiment, entries = closed.experiment_of((0.8, 3.0)), parameters(())
+    records = closed.measured(experiment, [start(entries, TRUTH)] * 2, 1)
+    begun = start(entries, START)
+    found = descend(closed.problem_of(experiment, records), entries, begun, np.arange(4))
+    assert not found.converged
+
+
+@pytest.mark.slow
+def test_both_methods_find_the_same_optimum_of_the_beam(tmp_path):
+    runs = [run | {"duration": 0.8} for run in trials(5, count=5)[2:]]
+    experiment = load(write_tank(tmp_path, Truth(TRUTH, {}), runs, 0, numerics=TANK))
+    entries, free = parameters(()), np.arange(4)
+    problem = Problem.of(experiment, records(experiment), (), fine=MESH, coarse=MESH)
+    begun = start(entries, START)
+    white = problem.whiteners(problem.predict(begun))
+    one = fit(problem, entries, begun, free, white=white)
+    two = descend(problem, entries, begun, free, white=white)
+    print("apart", apart(one, two), "squares", one.square, two.square)
+    assert one.converged and two.converged
+    assert np.all(apart(one, two) < 0.1)
+
+
+@pytest.mark.parametrize(
+    ("effects", "given", "taken"),
+    [((), "auto", "lm"), (MANY, "auto", "lbfgs"), ((), "lbfgs", "lbfgs"), (MANY, "lm", "lm")],
+)
+def test_many_parameters_take_the_descent(monkeypatch, effects, given, taken):
+    closed.replace_the_beam(monkeypatch)
+    experiment = closed.experiment_of((0.8, 1.5, 3.0, 5.0))
+    truth = start(parameters(effects), TRUTH)
+    found = closed.measured(experiment, [truth] * 4, 1)
+    monkeypatch.setattr(identify, "audit", lambda *_: Audited(found, []))
+    result = identify.identify(experiment, effects, method=given)
+    assert result.method == taken and result.fit.converged
+
+
+def test_an_unknown_method_is_refused():
+    with pytest.raises(InputError, match="--method newton: unknown; allowed auto, lm, lbfgs"):
+        identify.identify(closed.experiment_of((1.0,)), method="newton")

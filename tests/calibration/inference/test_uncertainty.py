@@ -1,0 +1,74 @@
+"""Whether the mean of a force and what varies of it ask for the same parameter."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from calibration.discrepancy.report import told, words
+from calibration.inference.gauss_newton import fit
+from calibration.inference.noise import Noise
+from calibration.inference.problem import Problem
+from calibration.inference.uncertainty import halves, interval
+from calibration.measurements.records import Record
+from calibration.model.extended import Parameter
+from slider_jax.effects import Prior
+from slider_jax.experiment.schema import Trial
+
+T = np.arange(0.0, 2.0, 0.01)
+TARE, TRIALS = 0.02, 8
+ENTRIES = [Parameter("drag", "a", Prior(0.0, 0.0, 4.0, "-", ""))]
+
+
+def force(mean, varying):
+    values = np.zeros((5, len(T)))
+    values[2] = mean + 0.3 * varying * np.sin(2.0 * np.pi * T)
+    return values
+
+
+@dataclass(frozen=True)
+class Drag(Problem):
+    """thrust = a (1 + 0.3 sin)."""
+
+    def predict(self, theta):
+        return [force(theta[0], theta[0])] * TRIALS
+
+    def tangents(self, theta, directions):
+        return [directions[0, 0] * force(1.0, 1.0)[None]] * TRIALS
+
+
+def fitted(seed: int, varying: float):
+    """On data whose mean asks for a = 1 and whose variation asks for `varying`."""
+    rng = np.random.default_rng(seed)
+    trial = Trial.model_validate(
+        {"file": "a.csv", "frequency": 1.0, "amplitude": 1e5, "duration": 2.0}
+    )
+    shown = np.array([False, False, True, False, False])[:, None]
+    found = []
+    for _ in range(TRIALS):
+        noise = rng.normal(0.0, TARE) + rng.normal(0.0, 0.05, len(T))
+        found.append(Record(trial, T, np.where(shown, force(1.0, varying) + noise, np.nan)))
+    noise = {(i, "thrust"): Noise(0.05, tare=TARE) for i in range(TRIALS)}
+    problem = Drag(found, [], [], ("thrust",), noise)
+    return halves(problem, fit(problem, ENTRIES, np.array([1.0]), np.arange(1)))
+
+
+def test_halves_that_agree_leave_the_interval_alone():
+    found = [fitted(seed, 1.0) for seed in range(20)]
+    widened = [float(f.widening[0]) for f in found if f.apart[0] != 0.0]
+    assert all((f.widening[0] > 1.0) == (f.apart[0] != 0.0) for f in found)
+    assert len(widened) <= 3 and all(x < 3.5 for x in widened)
+
+
+@pytest.mark.parametrize("varying", [0.6, 1.4])
+def test_halves_that_disagree_are_told_and_widen_it(varying):
+    found = fitted(0, varying)
+    value, low, high = interval(found, ENTRIES, 0)
+    assert found.apart[0] + value == pytest.approx(varying, abs=0.06)
+    assert found.widening[0] > 3.0 and low < 1.0 < high
+    narrow = found._replace(apart=None, widening=1.0)
+    said = told(found, ENTRIES, 0)
+    assert said["by_variation_alone"] == pytest.approx(varying, abs=0.06)
+    assert "what varies of the forces alone" in words(said)
+    assert "forces" not in words(told(narrow, ENTRIES, 0))
+    assert high - low > 2.0 * np.diff(interval(narrow, ENTRIES, 0)[1:])[0]

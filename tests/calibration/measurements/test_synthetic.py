@@ -1,0 +1,45 @@
+"""The script that makes a tank with an undeclared effect in it."""
+
+import json
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calibration.measurements.records import records
+from slider_jax.errors import InputError
+from slider_jax.experiment.load import load
+
+SCRIPT = Path(__file__).resolve().parents[3] / "scripts" / "make_tank.py"
+main = runpy.run_path(str(SCRIPT))["main"]
+
+
+@pytest.mark.slow
+def test_the_effect_is_in_the_data_and_not_in_the_file(tmp_path):
+    words = ["--effect", "valve_delay.delay=0.02", "--trials", "1", "--seconds", "0.1"]
+    assert main([str(tmp_path), *words]) == 0
+    tank = load(tmp_path / "experiment.toml")
+    assert not tank.effects
+    (found,) = records(tank)
+    before, after = found.t < 0.02, (found.t > 0.03) & (found.t < 0.1)
+    assert np.abs(found.values[0][before]).max() < 4000.0
+    assert np.abs(found.values[0][after]).min() > 10000.0
+    truth = json.loads((tmp_path / "truth.json").read_text())
+    assert truth["effects"] == {"valve_delay": {"delay": 0.02}}
+    assert set(truth["parameters"]) == {"C_d", "m_a", "k", "K_Q"}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("no_such.x=1", "unknown effect no_such"),
+        ("valve_delay.x=1", "valve_delay has delay"),
+        ("valve_delay.delay=soon", "EFFECT.PARAMETER=NUMBER"),
+        ("valve_delay.delay=20", "allowed 0 to 0.06 s"),
+    ],
+)
+def test_what_cannot_be_put_in_is_refused(tmp_path, text, message):
+    with pytest.raises(InputError, match=message):
+        main([str(tmp_path / "x"), "--effect", text])
+    assert not (tmp_path / "x").exists()

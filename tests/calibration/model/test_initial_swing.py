@@ -1,0 +1,101 @@
+"""The swing with which a trial begins counts as noise, of the shape that the model gives it."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from calibration.inference.noise import Noise, Whitener, declared
+from calibration.inference.problem import Problem
+from calibration.measurements.records import Record
+from calibration.model import predict as forward
+from calibration.model.initial_swing import first_mode, spans
+from calibration.model.predict import Resolution, plan, predict
+from slider_jax.dynamics.rollout import TimeGrid, rollout
+from slider_jax.dynamics.step import at_rest, with_motion
+from slider_jax.experiment.load import load
+from slider_jax.experiment.schema import SensorsTable
+from tests.support.experiments import write
+
+THETA = np.array([3.0, 1.0, 0.087, 4.79e-7])
+MESH = Resolution(21, 80, 4e-3)
+
+
+def laid(folder, **changes):
+    experiment = load(write(folder)).with_values(changes)
+    trial = experiment.trials[0]
+    at = 2e-3 * np.arange(int(trial.duration * 500))
+    return experiment, plan(experiment, trial, (), MESH, at)
+
+
+def begun(p, place, speed):
+    """Tip (n,) of a trial that begins swinging, at its steps, from the start on."""
+    model = p.extended.at(jnp.asarray(THETA))
+    mode = first_mode(model, p.numerics)
+
+    def change(rows):
+        moved = rows.at[..., 2, :].add(place * mode.angle)
+        return moved.at[..., 1, :].add(speed * mode.place)
+
+    carry = with_motion(at_rest(model, p.numerics), change)
+    times = TimeGrid(p.h, p.steps)
+    run = rollout(model, times, forward._save, p.numerics, p.scheme, begin=carry)
+    return np.concatenate([[place], np.asarray(run.saved[:, 4])])
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_what_it_does_to_the_tip_is_what_a_trial_that_begins_so_shows(tmp_path, which):
+    _, p = laid(tmp_path)
+    mode = first_mode(p.extended.at(jnp.asarray(THETA)), p.numerics)
+    unit = np.array([1.0, float(mode.frequency)])[which]
+    step = np.eye(2)[which] * 1e-5 * unit
+    there, back = begun(p, *step), begun(p, *-step)
+    expected = np.interp(p.at, p.step_times, (there - back) / 2.0)
+    found = spans(p, THETA, 1e-5)[which, 4]
+    assert np.abs(found - expected).max() < 0.02 * np.abs(expected).max()
+
+
+def test_a_body_that_is_let_go_swings_at_about_the_modes_frequency(tmp_path):
+    """Nothing drives it, and drag does nothing to a small swing."""
+    _, p = laid(tmp_path, **{"trials.0.amplitude": 0.0, "trials.0.frequency": 1.0})
+    frequency = float(first_mode(p.extended.at(jnp.asarray(THETA)), p.numerics).frequency)
+    by_place, by_speed = spans(p, THETA, 1e-3)[:, 4]
+    assert by_place[0] == pytest.approx(1e-3) and abs(by_speed[0]) < 1e-9
+    quarter = 0.5 * np.pi / frequency
+    crosses = p.at[np.argmax(by_place < 0.0)]
+    assert crosses == pytest.approx(quarter, rel=0.1)
+    assert by_speed.max() == pytest.approx(1e-3, rel=0.1)
+    assert p.at[np.argmax(by_speed)] == pytest.approx(quarter, rel=0.2)
+
+
+def test_a_known_shape_of_unknown_size_hardly_counts():
+    t = np.arange(400) / 500.0
+    shape = np.stack([np.exp(-3 * t) * np.cos(8 * t), np.exp(-3 * t) * np.sin(8 * t)])
+    noise, still = Noise(1e-5), 0.0 * t
+    series = 2e-4 * (0.7 * shape[0] - shape[1])
+    known = Whitener(t, noise, still, "tip", spans=2e-4 * shape)(series)
+    plain = Whitener(t, noise, still, "tip")(series)
+    assert np.sum(known**2) < 2.0 < 1e3 < np.sum(plain**2)
+    other = Whitener(t, noise, still, "tip", spans=2e-4 * shape)(1e-4 * np.cos(40 * t))
+    assert np.sum(other**2) > 1e3
+
+
+@pytest.mark.parametrize(("size", "least", "most"), [(0.0, 5.0, np.inf), (1e-3, 0.0, 1.3)])
+def test_a_trial_that_began_swinging_is_explained_once_that_is_declared(
+    tmp_path, size, least, most
+):
+    experiment, p = laid(tmp_path, **{"sensors.tip_noise": 5e-5, "sensors.start_swing": size})
+    rng, moved = np.random.default_rng(5), predict(p, THETA)
+    tip = begun(p, 8e-4, -4e-3)
+    moved[4] = np.interp(p.at, p.step_times, tip) + 5e-5 * rng.normal(size=len(p.at))
+    record = Record(experiment.trials[0], p.at, moved)
+    problem = Problem.of(experiment, [record], (), ("tip",), MESH, MESH)
+    white = problem.whiteners(problem.predict(THETA))
+    (r,) = problem.residuals(problem.predict(THETA), white).values()
+    assert least < np.mean(r**2) < most
+
+
+def test_the_place_at_rest_is_not_that_of_the_moment():
+    tip = np.random.default_rng(1).normal(size=300)
+    sensors = SensorsTable(tip_noise=1e-4, start_swing=3e-4)
+    assert declared(sensors, "tip", tip).tare == 3e-4
+    assert declared(sensors, "p_front", tip).tare == 0.0

@@ -1,0 +1,108 @@
+"""The loop on pressure logs whose valves the tests know."""
+
+import numpy as np
+import pytest
+
+from calibration.discrepancy.close_loop import close_loop_on_logs
+from calibration.discrepancy.report import model_toml
+from calibration.inference.cache import Memo, resumable
+from calibration.pressure_logs.read import read_log
+from calibration.pressure_logs.synthetic import Valves, write_logs
+from slider_jax.errors import InputError
+from tests.support.synthetic_log import log_lines, write
+
+TRUTH = Valves(fill=2.4, vent=1.9, supply=420e3, critical=0.35, dead=0.1)
+NAMES = ("firmware_valves", "pulsed_valves")
+FREQUENCIES = (0.8, 1.1, 1.5, 2.0, 2.6)
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    paths = write_logs(tmp_path_factory.mktemp("valves"), TRUTH, FREQUENCIES, cycles=1.5)
+    return [read_log(path) for path in paths]
+
+
+class Stopped(Exception):
+    pass
+
+
+def stop_at(words):
+    """Progress that ends the run at these words."""
+
+    def say(text):
+        if text == words:
+            raise Stopped
+
+    return say
+
+
+@pytest.fixture(scope="module")
+def outcome(logs, tmp_path_factory):
+    """Stopped in the middle, and gone on with."""
+    memo = Memo(tmp_path_factory.mktemp("memo"))
+    with pytest.raises(Stopped):
+        close_loop_on_logs(logs, NAMES, stop_at("refitting with pulsed_valves"), memo)
+    before = {path: path.stat().st_mtime_ns for path in memo.folder.iterdir()}
+    assert len(before) > 5
+    found = close_loop_on_logs(logs, NAMES, memo=memo)
+    assert {path: path.stat().st_mtime_ns for path in before} == before, "simulated again"
+    return found
+
+
+def test_the_valves_are_named_with_their_size(outcome):
+    assert outcome.verdict == "identified"
+    assert outcome.search.effects == ["firmware_valves"]
+    labels = [p.label for p in outcome.entries]
+    for name, value in TRUTH._asdict().items():
+        _, low, high = outcome.interval(labels.index(f"firmware_valves.{name}"))
+        assert low < value < high, name
+
+
+def test_held_out_logs_are_predicted_to_the_noise(outcome):
+    hidden = outcome.held_out
+    assert [outcome.problem.records[i].trial.frequency for i in outcome.held] == [1.1, 2.0]
+    assert hidden.before["p_front"] > 10.0 * hidden.after["p_front"]
+    assert hidden.after["p_front"] < 1.1 * hidden.floor["p_front"]
+
+
+def test_rivals_are_told_and_leave_more(outcome):
+    tried = {t.name: t for t in outcome.search.rounds[0].tried}
+    assert "pulsed_valves" in tried
+    best = tried.pop("firmware_valves")
+    assert all(t.fit.square > 3.0 * best.fit.square for t in tried.values())
+
+
+def test_going_on_gives_what_an_undisturbed_run_gives(outcome, logs):
+    again = close_loop_on_logs(logs, NAMES)
+    np.testing.assert_array_equal(again.final.theta, outcome.final.theta)
+    assert model_toml(again) == model_toml(outcome)
+
+
+def test_logs_of_a_lag_lack_nothing(tmp_path):
+    made = [
+        read_log(write(tmp_path / f"{f:g}.txt", log_lines(0.12, f, noise=1.7, seed=i)))
+        for i, f in enumerate(FREQUENCIES)
+    ]
+    found = close_loop_on_logs(made, NAMES)
+    assert (found.verdict, found.search.effects) == ("nothing_missing", [])
+    assert found.interval(2)[1] < 0.12 < found.interval(2)[2]
+
+
+def test_too_few_logs_are_refused(logs):
+    with pytest.raises(InputError, match=r"2 logs given; .* needs 5 or more"):
+        close_loop_on_logs(logs[:2], NAMES)
+
+
+def test_what_was_torn_is_made_anew(tmp_path):
+    memo = Memo(tmp_path)
+    memo.kept("a", [], lambda: [np.arange(1000.0)])
+    (file,) = tmp_path.iterdir()
+    file.write_bytes(file.read_bytes()[:-100])
+    (found,) = memo.kept("a", [], lambda: [np.arange(1000.0)])
+    np.testing.assert_array_equal(found, np.arange(1000.0))
+
+
+def test_a_run_that_fails_before_anything_is_simulated_leaves_nothing(tmp_path):
+    with pytest.raises(InputError), resumable(tmp_path / "out", {}):
+        raise InputError("what was given is wrong")
+    assert not (tmp_path / "out").exists()

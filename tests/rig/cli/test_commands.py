@@ -1,0 +1,358 @@
+"""`slider rig` as a newcomer meets it: a simulated rig, a check, a run, a replay."""
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calibration.pressure_logs.read import read_log
+from rig.cli.shared import declare_swing, take_experiment
+from rig.errors import RigError
+from rig.protocol.frames import encode
+from rig.protocol.messages import Reading, SetPressures
+from rig.recording.reader import read_recording
+from rig.recording.recover import extent
+from rig.recording.table import Analogue
+from rig.recording.writer import Recorder
+from rig.trial.session import differing
+from rig.trial.settling import Stillness
+from slider_jax.cli.main import main
+from slider_jax.errors import InputError
+from tests.rig.manifold.test_vents import EXPERIMENT
+
+ROOT = Path(__file__).resolve().parents[3]
+WITHOUT_JAX = "import sys; sys.modules['jax'] = None; "
+MAIN = "from slider_jax.cli.main import main; sys.exit(main(sys.argv[1:]))"
+
+
+def slider(*words, timeout=120.0, code=WITHOUT_JAX):
+    """The command in a process that has no JAX, as on a lab's small computer."""
+    return subprocess.run(
+        [sys.executable, "-c", code + MAIN, *map(str, words)], capture_output=True, text=True,
+        timeout=timeout, env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+
+
+@contextmanager
+def served(*words, cwd, code=WITHOUT_JAX):
+    """A command that prints a port and runs until Ctrl-C."""
+    child = subprocess.Popen(
+        [sys.executable, "-u", "-c", code + MAIN, *map(str, words)],
+        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=cwd,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    try:
+        line = child.stdout.readline().split()
+        assert line and line[0] == "port", line
+        yield line[1]
+    finally:
+        child.send_signal(signal.SIGTERM)
+        assert child.wait(20.0) in (0, -signal.SIGTERM)
+        child.stdout.close()
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("rig")
+    with served("rig", "simulate", cwd=folder) as port:
+        yield port, folder
+
+
+@pytest.fixture(scope="module")
+def measured(rig):
+    port, folder = rig
+    experiment = folder / "given"
+    experiment.mkdir()
+    (experiment / "experiment.toml").write_text(EXPERIMENT.format(duration=1.0))
+    rig_file, out = folder / "simulated_rig.toml", folder / "measured"
+    done = slider("rig", "run", experiment / "experiment.toml", "--port", port, "--rig", rig_file,
+                  "--out", out)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done, out
+
+
+def test_a_check_names_the_firmware_and_finds_nothing(rig):
+    port, folder = rig
+    rig_file = folder / "simulated_rig.toml"
+    words = ("rig", "check", "--port", port, "--rig", rig_file, "--out", folder / "check.json")
+    done = slider(*words)
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"force sensor: (99\d|100\d) records a second, 0 lost", done.stdout)
+    assert "firmware 1.1.0, protocol 1" in done.stdout and "nothing is wrong" in done.stdout
+    found = json.loads((folder / "check.json").read_text())
+    assert [x["name"] for x in found["held"]][0] == "front_left"
+    assert all(abs(x["reached"] - 50e3) < 1e3 for x in found["held"])
+    assert found["force"]["noise"][0] == pytest.approx(3e-3, rel=0.5)
+    # The lag of the simulated chambers is 50 ms.
+    assert all(0.03 < x["rise"] < 0.09 for x in found["held"])
+
+
+def test_a_check_finds_a_leak(tmp_path):
+    leak = "leak_rear_left=3@0"
+    with served("rig", "simulate", "--inject", leak, "--noise", "0", cwd=tmp_path) as port:
+        done = slider("rig", "check", "--port", port)
+    assert done.returncode == 1
+    assert "rear_left reads 43.5 kPa where 50.0 are set: a leak" in done.stdout
+    assert done.stdout.count("a leak") == 1
+
+
+def test_a_run_leaves_an_experiments_folder(measured):
+    done, out = measured
+    assert "a.csv" in done.stdout and "slider close-loop" in done.stderr
+    found = np.genfromtxt(out / "a.csv", delimiter=",", names=True)
+    assert found.dtype.names == ("t_s", "p_front_Pa", "p_rear_Pa", "thrust_N", "recoil_N", "tip_m")
+    assert len(found) == pytest.approx(500, abs=1) and np.isfinite(found.tolist()).all()
+    assert np.abs(found["p_front_Pa"]).max() == pytest.approx(190e3, rel=0.1)
+    # As the bench's tail has it: thrust is twice the square of its tip's speed.
+    speed = np.gradient(found["tip_m"], found["t_s"])
+    assert np.corrcoef(found["thrust_N"], speed**2)[0, 1] > 0.97
+    told = json.loads((out / "recordings" / "a.json").read_text())
+    # Other tests beside this one may hold up its commands.
+    assert [x for x in told["findings"] if "too busy" not in x] == []
+    assert told["readings_lost"] == 0 and abs(told["clock_rate"] - 1.0) < 1e-3
+    assert told["settings"]["rig"]["force"]["thrust"] == "+Fx" and "h5py" in told["versions"]
+
+
+def test_the_simulator_reads_the_folder(measured):
+    from slider_jax.experiment.load import load, measured as columns_of
+
+    experiment = load(measured[1] / "experiment.toml")
+    columns = columns_of(experiment, experiment.trials[0])
+    assert set(columns) == {"t_s", "p_front_Pa", "p_rear_Pa", "thrust_N", "recoil_N", "tip_m"}
+
+
+def test_a_recording_is_read_anew_as_it_was(measured, tmp_path):
+    """The box's counts are in it: no box is asked, and no rig file needed."""
+    out = tmp_path / "anew"
+    done = slider("rig", "replay", measured[1], "--out", out)
+    assert done.returncode == 0, done.stderr
+    assert sorted(x.name for x in out.iterdir()) == ["a.csv", "a.played.csv", "experiment.toml"]
+    for name in ("a.csv", "a.played.csv"):
+        assert (out / name).read_bytes() == (measured[1] / name).read_bytes()
+
+
+def test_what_a_killed_run_recorded_is_read_anew(measured, tmp_path):
+    """The drive's first command tells when it began."""
+    folder, out = tmp_path / "folder", tmp_path / "anew"
+    shutil.copytree(measured[1], folder)
+    recordings = folder / "recordings"
+    (recordings / "a.h5").rename(recordings / "a.unfinished-1.h5")
+    (recordings / "a.json").unlink()
+    (recordings / "b.h5").write_bytes(b"torn")
+    done = slider("rig", "replay", folder, "--out", out)
+    assert done.returncode == 1, done.stderr
+    assert "unfinished: 1.00 s of its drive were recorded" in done.stdout
+    assert "b.h5: left out: recording" in done.stderr and "is torn" in done.stderr
+    before, after = (
+        np.genfromtxt(path, delimiter=",", names=True)
+        for path in (measured[1] / "a.csv", out / "a.unfinished-1.csv")
+    )
+    assert len(after) == pytest.approx(len(before), abs=2)
+    assert after["t_s"][0] == pytest.approx(before["t_s"][0], abs=2.5e-3)
+    assert (out / "a.unfinished-1.played.csv").exists()
+    (recordings / "a.unfinished-1.h5").unlink()
+    done = slider("rig", "replay", folder, "--out", tmp_path / "nothing")
+    assert done.returncode == 2 and "no recording could be read" in done.stderr
+    assert not (tmp_path / "nothing").exists()
+
+
+def test_a_run_killed_before_its_drive_has_none(tmp_path):
+    path = tmp_path / "a.h5"
+    with Recorder(path, ("manifold", "commands")) as recorder:
+        recorder.sink("commands")(1, encode(SetPressures(1, 0, 0, 0, 0)))
+    with pytest.raises(RigError, match="its drive had not begun when the run ended"):
+        extent(read_recording(path))
+
+
+SENSORS = "[sensors]  # of the lab\npressure_noise = 10.0\n"
+
+
+@pytest.mark.parametrize(
+    ("sensors", "after"),
+    [
+        ("", "0.0004"),
+        (SENSORS, "0.0004"),
+        (SENSORS + "start_swing = 0.0\n", "0.0004"),
+        (SENSORS + "start_swing = 3e-4\n", "3e-4"),
+    ],
+)
+def test_what_the_tip_swung_by_is_declared_and_the_folder_stays_the_experiments(
+    sensors, after, tmp_path
+):
+    given, path = tmp_path / "given.toml", tmp_path / "out" / "experiment.toml"
+    given.write_text(EXPERIMENT.format(duration=1.0).replace("[[trials]]", f"{sensors}[[trials]]"))
+    path.parent.mkdir()
+    take_experiment(given, path.parent)
+    told = {"at_rest_deviation": {"tip_m": 5e-4}, "at_rest_noise": {"tip_m": 3e-4}}
+    declare_swing(path, [told])
+    assert re.findall(r"start_swing = (\S+)", path.read_text()) == [after]
+    assert "noise = 10.0" in path.read_text() or not sensors
+    added = path.read_text() + '\n[[trials]]\nfile = "b.csv"\nfrequency = 1.0\namplitude = 1e4\n'
+    path.write_text(added + "duration = 1.0\n")
+    take_experiment(given, path.parent)
+    assert path.read_text() == added + "duration = 1.0\n"
+    given.write_text(given.read_text().replace("C_d = 2.0", "C_d = 2.1"))
+    (path.parent / "b.csv").touch()
+    with pytest.raises(InputError, match=r"holds b\.csv, which .*given\.toml does not name"):
+        take_experiment(given, path.parent)
+    (path.parent / "b.csv").unlink()
+    take_experiment(given, path.parent)
+    assert path.read_text() == given.read_text()
+
+
+def test_a_recording_is_read_anew_with_other_axes(measured, tmp_path):
+    rig_file = tmp_path / "rig.toml"
+    rig_file.write_text('[force]\nhost = "none"\nthrust = "-Fx"\n')  # the counts are recorded
+    out = tmp_path / "anew"
+    done = slider("rig", "replay", measured[1], "--out", out, "--rig", rig_file)
+    assert done.returncode == 0, done.stderr
+    before, after = (
+        np.genfromtxt(folder / "a.csv", delimiter=",", names=True) for folder in (measured[1], out)
+    )
+    assert np.allclose(after["thrust_N"], -before["thrust_N"], atol=1e-12)
+    assert np.array_equal(after["t_s"], before["t_s"]) and "tip_m" not in after.dtype.names
+    assert "tip_m left out: no sensor of it is named" in done.stdout
+
+
+def test_what_a_manifold_said_is_said_again(measured, tmp_path):
+    from rig.manifold.serial_port import open_port
+    from rig.protocol.frames import Decoder
+
+    recording = measured[1] / "recordings" / "a.h5"
+    with served("rig", "replay", recording, "--speed", "0.5", cwd=tmp_path) as port:
+        time.sleep(0.5)
+        line, decoder, found = open_port(port), Decoder(), []
+        end = time.monotonic() + 3.0
+        while time.monotonic() < end:
+            found += [m for m in decoder.feed(line.read(4096)) if isinstance(m, Reading)]
+        line.close()
+    # From the first on, however late the program opens the port.
+    first = read_recording(recording).streams["manifold"].pieces()
+    begun = next(m for m in Decoder().feed(b"".join(first)) if isinstance(m, Reading))
+    assert found[0].seq - begun.seq <= 5
+    assert len(found) > 200 and np.all(np.diff([m.seq for m in found]) == 1)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("run", "{exp}", "--port", "/dev/ttyNONE", "--out", "{out}"), "no such port"),
+        (("run", "none.toml", "--port", "x", "--out", "{out}"), "none.toml: no such file"),
+        (("run", "{exp}", "--port", "x", "--out", "{here}"), "is the experiment's own folder"),
+        (
+            ("run", "{exp}", "--port", "x", "--out", "{out}", "--limit", "250"),
+            "--limit, front_left: given 250; allowed 1e3 to 2e+06 Pa; not kPa or psi",
+        ),
+        (("check", "--port", "x", "--pressure", "9e5"), "front_left: given 900000 Pa; allowed 0"),
+        (("simulate", "--inject", "leak"), "--inject: given 'leak'; allowed FAULT=VALUE@SECONDS"),
+        (("simulate", "--flipped", "2"), "--flipped: given 2; allowed 0 to 0.5, a share"),
+        (("simulate", "--noise", "-1"), "--noise: given -1; allowed 0 or more"),
+        (("simulate", "--rig-file", "{exp}"), "is there, and not one of a simulated rig"),
+        (
+            ("simulate", "{exp}", "--published"),
+            "--published: given with an experiment; allowed --noise",
+        ),
+        (("run", "{exp}", "--port", "x", "--out", "{out}", "--rig", "{exp}"), "is an experiment"),
+        (("check", "--port", "{exp}"), "experiment.toml: is no serial port"),
+        (("simulate", "--inject", "leak_front_left=nan@1"), "0 or more each"),
+        (("replay", "{here}"), "--out: given nothing"),
+        (("replay", "{here}", "--out", "{out}"), "holds no recordings/*.h5"),
+        (("replay", "{exp}"), "is torn, or no recording"),
+        (("log", "9", "--port", "x", "--out", "{out}"), "frequencies: given 9; allowed 0.1 to 5"),
+    ],
+)
+def test_bad_input_is_told_in_one_message(words, message, tmp_path):
+    path = tmp_path / "experiment.toml"
+    path.write_text(EXPERIMENT.format(duration=1.0))
+    names = {"exp": path, "out": tmp_path / "out", "here": tmp_path}
+    done = slider("rig", *(word.format(**names) for word in words))
+    assert done.returncode == 2 and message in done.stderr, done.stderr
+    assert done.stderr.startswith("slider: error: ") and not (tmp_path / "out").exists()
+
+
+def test_a_limit_is_checked_before_anything_moves(rig, tmp_path):
+    path = tmp_path / "experiment.toml"
+    path.write_text(EXPERIMENT.format(duration=1.0).replace("200e3", "260e3"))
+    out = tmp_path / "out"
+    done = slider("rig", "run", path, "--port", rig[0], "--out", out)
+    assert done.returncode == 2 and not out.exists()
+    assert "trial a: set pressure of front_left: given 260000 Pa; allowed 0 to" in done.stderr
+
+
+def test_a_check_of_a_bad_line_tells_of_its_damage(tmp_path):
+    """Also where so few commands arrive that the manifold vents in mid-check."""
+    with served("rig", "simulate", "--flipped", "0.04", cwd=tmp_path) as port:
+        done = slider("rig", "check", "--port", port)
+    assert done.returncode in (1, 2)
+    assert re.search(r"[1-9]\d* frames (came )?damaged", done.stdout + done.stderr), done.stderr
+
+
+@pytest.mark.slow
+def test_a_check_and_a_run_end_on_a_line_that_loses_a_few_and_tell_of_it(tmp_path):
+    path = tmp_path / "given.toml"
+    path.write_text(EXPERIMENT.format(duration=1.0))
+    with served("rig", "simulate", "--flipped", "0.001", cwd=tmp_path) as port:
+        done = slider("rig", "check", "--port", port)
+        assert done.returncode == 1, done.stderr
+        assert re.search(r"[1-9]\d* of 50 commands were not told of|frames damaged", done.stdout)
+        assert "front_left " in done.stdout
+        done = slider("rig", "run", path, "--port", port, "--out", tmp_path / "out")
+    assert done.returncode == 1
+    assert "1 of 1 trials lost more than one reading in a hundred" in done.stderr
+
+
+def test_a_run_goes_on_with_a_rig_at_another_address():
+    told = {"rig": {"force": {"host": "a", "port": 1, "thrust": "+Fx"}}}
+    moved = {"rig": {"force": {"host": "b", "port": 2, "thrust": "+Fx"}}}
+    turned = {"rig": {"force": {"host": "a", "port": 1, "thrust": "-Fx"}}}
+    assert differing(told, moved) == [] and differing(told, turned) == ["rig.force.thrust"]
+
+
+def test_a_log_is_taken_of_the_simulated_published_firmware(tmp_path):
+    with served("rig", "simulate", "--published", cwd=tmp_path) as port:
+        done = slider("rig", "log", "5", "--port", port, "--out", tmp_path / "logs")
+    assert done.returncode == 0, done.stderr
+    assert "5.txt  1000 rows: no findings" in done.stdout
+    assert not (tmp_path / "simulated_rig.toml").exists()
+    log = read_log(tmp_path / "logs" / "5.txt")
+    assert np.ptp(log.pressure) > 200
+
+
+def test_a_pause_says_what_it_waits_for():
+    sensor = Analogue("tip_m", 1, 0.1)
+    still = Stillness((sensor,), {"tip_m": 0.08}, {"tip_m": 0.0})
+    for i in range(200):
+        volts = 1e6 * (0.02 * np.sin(i))
+        still.add(0.02 * i, Reading(i, 0, 2, 0, (0, 0, 0, 0, 0, volts, 0, 0)))
+    assert not still.reached
+    assert still.waits_for == ", until tip_m moves by less than 0.4 mm (now 4 mm),"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ((), "trials: given 1; allowed 3 or more to begin with"),
+        (("--amplitude", "2e5", "1e5"), "--amplitude: given 200000 100000; allowed LOW HIGH"),
+        (("--amplitude", "100", "200"), "--amplitude: given 100; allowed 0, or 1000 to 2e+06 Pa"),
+        (("--phase", "0.1"), "--phase"),
+    ],
+)
+def test_a_loop_that_cannot_be_is_refused_at_once(words, message, tmp_path, capsys):
+    path, out = tmp_path / "experiment.toml", tmp_path / "out"
+    text = EXPERIMENT.format(duration=1.0)
+    trial = text[text.index("[[trials]]") :]
+    for name in "bc" if words else "":
+        text += "\n" + trial.replace("a.csv", f"{name}.csv")
+    path.write_text(text)
+    assert main(["rig", "loop", str(path), "--port", "x", "--out", str(out), *words]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert message in line and not out.exists()

@@ -1,0 +1,279 @@
+"""The manifold's core in C++ against its twin in Python, byte for byte, on this computer."""
+
+import subprocess
+import zlib
+from functools import cache
+from random import Random
+
+import numpy as np
+import pytest
+from cobs import cobs
+
+from calibration.pressure_logs.read import read_log
+from rig.protocol.frames import Decoder, decode, encode
+from rig.protocol.messages import (
+    Ack,
+    Answer,
+    Arm,
+    Cause,
+    Event,
+    Follows,
+    Heartbeat,
+    Hello,
+    Ident,
+    Message,
+    Reading,
+    SetLimits,
+    SetPressures,
+    Stop,
+    WaveBegin,
+    WavePiece,
+    WavePlay,
+    pack,
+    unpack,
+)
+from rig.simulated.manifold import ManifoldCore
+from tests.support.firmware_host import SKETCH, ask, build, compiler, sanitizers
+from tests.support.rig_dialogues import (
+    HARD,
+    LONGEST,
+    START,
+    Dialogue,
+    channels_of,
+    everything,
+    standing,
+    visited,
+)
+from tests.support.rig_vectors import VECTORS
+
+PA_PER_COUNT = 932.8
+FROM_MANIFOLD = (Ident, Reading, Ack, Event, Follows)
+
+
+@pytest.fixture(scope="module", params=["plain", "sanitized"])
+def program(request, tmp_path_factory):
+    """The core behind stdin and stdout; once more with every access and overflow watched."""
+    folder = tmp_path_factory.mktemp(request.param)
+    if request.param == "plain":
+        return build("host.cpp", folder)
+    flags = sanitizers(folder)
+    if not flags:
+        pytest.skip("this compiler has no address and undefined behaviour sanitizers")
+    return build("host.cpp", folder, *flags)
+
+
+def bodies(said):
+    """What the bare decoder hands over: each body behind its size."""
+    found = []
+    while said:
+        found.append(said[1 : 1 + said[0]])
+        said = said[1 + said[0] :]
+    return found
+
+
+def test_frames_are_cobs_and_the_crc_of_zlib(program):
+    reply = ask(program, [(b"E", 0, b"123456789"), (b"E", 0, b"\0\0"), (b"E", 0, bytes(161))])
+    assert reply[0].said == b"\x0e123456789" + (0xCBF43926).to_bytes(4, "little") + b"\0"
+    assert reply[1].said == b"\1\1\5" + zlib.crc32(b"\0\0").to_bytes(4, "little") + b"\0"
+    assert reply[2].said == b""
+
+
+def test_every_message_has_the_same_bytes_in_both_languages(program):
+    assert {type(message) for message, _ in VECTORS} == {
+        *(Hello, SetLimits, Arm, SetPressures, Heartbeat, Stop, WaveBegin, WavePiece, WavePlay),
+        *FROM_MANIFOLD,
+    }
+    for message, text in VECTORS:
+        frame = bytes.fromhex(text)
+        assert encode(message) == frame
+        assert decode(frame[:-1]) == message
+    made = ask(program, [(b"E", 0, pack(message)) for message, _ in VECTORS])
+    assert [reply.said.hex() for reply in made] == [text for _, text in VECTORS]
+    stream = b"".join(bytes.fromhex(text) for _, text in VECTORS)
+    (heard,) = ask(program, [(b"D", 0, stream)])
+    assert bodies(heard.said) == [pack(message) for message, _ in VECTORS]
+    assert heard.damaged == 0
+
+
+@cache
+def dialogues():
+    """The same for both builds: most of their time is the twin's."""
+    return [Dialogue(seed).run(500) for seed in range(30)]
+
+
+def test_random_dialogues_are_answered_as_by_the_twin(program):
+    talks = dialogues()
+    replies = ask(program, [request for talk in talks for request in talk.requests])
+    expected = [reply for talk in talks for reply in talk.expected]
+    for i, (given, wanted) in enumerate(zip(replies, expected, strict=True)):
+        assert given == wanted, f"request {i}"
+    met = visited(replies)
+    assert set(met) == everything()
+    assert min(met.values()) >= 5
+
+
+def fuzzed(rng, frames):
+    """The stream of these frames with 1 % of its bytes flipped, dropped or doubled by others."""
+    stream = np.frombuffer(b"".join(frames), np.uint8)
+    fate = rng.random(len(stream))
+    flip, drop, more = fate < 0.0033, (0.0033 <= fate) & (fate < 0.0067), fate > 0.9967
+    stream = stream ^ np.where(flip, rng.integers(1, 256, len(stream)), 0).astype(np.uint8)
+    stray = rng.integers(0, 256, int(more.sum()), np.uint8)
+    at = np.flatnonzero(more) - np.searchsorted(np.flatnonzero(drop), np.flatnonzero(more))
+    return np.insert(stream[~drop], at, stray).tobytes()
+
+
+def some_frame(random, number):
+    """A frame that no other number gives, of any kind."""
+    values = [random.randint(-(2**31), 2**31 - 1) for _ in range(8)]
+    low, high = number % 65_536, number // 65_536
+    message: Message = random.choice(
+        (
+            SetPressures(low, high, *values[:3]),
+            SetLimits(low, high, 0, 0, 0),
+            WaveBegin(low, high, number),
+            WavePiece(low, high, tuple(values[:4] * random.randint(1, 8))),
+            WavePlay(low, number),
+            Reading(number, 2000 * number, 2, low, tuple(values)),
+            Event(number, 5, high),
+        )
+    )
+    return encode(message)
+
+
+def fuzz(program, count):
+    """Damages `count` frames; what both decoders made of them is what arrived whole."""
+    random, rng, decoder = Random(1), np.random.default_rng(2), Decoder()
+    whole = damaged = 0
+    for first in range(0, count, 20_000):
+        frames = [some_frame(random, first + i) for i in range(min(20_000, count - first))]
+        sent, stream = {frame[:-1] for frame in frames}, fuzzed(rng, frames) + b"\0"
+        # Told apart by comparing bytes: a run between zeros that is none of those sent is damaged.
+        runs = [run for run in stream.split(b"\0") if run]
+        sound = [run for run in runs if run in sent]
+        before = decoder.damaged
+        twin = [
+            message
+            for i in range(0, len(stream), 997)
+            for message in decoder.feed(stream[i : i + 997])
+        ]
+        assert [encode(message)[:-1] for message in twin] == sound
+        assert decoder.damaged - before == len(runs) - len(sound)
+        pieces = [(b"D", 0, stream[i : i + 50_000]) for i in range(0, len(stream), 50_000)]
+        replies = ask(program, pieces)
+        heard = [body for reply in replies for body in bodies(reply.said)]
+        assert [unpack(body) for body in heard] == twin
+        assert replies[-1].damaged == decoder.damaged - before
+        whole, damaged = whole + len(sound), damaged + len(runs) - len(sound)
+    assert whole > 0.5 * count and damaged > 0.2 * count
+
+
+def test_of_fuzzed_frames_the_whole_ones_and_no_others_are_taken(program):
+    fuzz(program, 10_000)
+
+
+@pytest.mark.slow
+def test_of_a_million_fuzzed_frames_none_that_is_damaged_is_taken(program):
+    fuzz(program, 1_000_000)
+
+
+def test_noise_of_any_length_is_one_damaged_run(program):
+    lengths = (1, 191, 192, 193, 1000)
+    stream = b"".join(b"\7" * length + b"\0\0" + encode(Arm(length)) for length in lengths)
+    (reply,) = ask(program, [(b"D", 0, stream)])
+    assert bodies(reply.said) == [pack(Arm(length)) for length in lengths]
+    assert reply.damaged == len(lengths)
+
+
+def framed(body):
+    """A frame whose CRC is right, whatever it holds."""
+    return cobs.encode(body + zlib.crc32(body).to_bytes(4, "little")) + b"\0"
+
+
+def test_a_frame_of_192_bytes_is_read_and_none_longer(program):
+    (reply,) = ask(program, [(b"D", 0, framed(bytes(187)) + framed(bytes(188)))])
+    assert bodies(reply.said) == [bytes(187)]
+    assert reply.damaged == 1
+
+
+def test_a_frame_cut_short_is_not_mended_by_the_one_before(program):
+    frame = framed(pack(Arm(3)))
+    (reply,) = ask(program, [(b"D", 0, frame + frame[:-2] + b"\0")])
+    assert bodies(reply.said) == [pack(Arm(3))]
+    assert reply.damaged == 1
+
+
+def test_both_know_the_same_types_and_lengths(program):
+    twin, frames, expected = ManifoldCore(HARD, (3, 2, 1), LONGEST), [], []
+    for kind in (*range(0x0C), *range(0x80, 0x86), 0xFF):
+        for length in range(180):
+            frames.append(framed(bytes([kind]) + bytes(length)))
+            said = twin.feed(frames[-1], 0)
+            expected.append(standing(twin, said))
+    replies = ask(program, [(b"I", 0, START), *((b"F", 0, frame) for frame in frames)])[1:]
+    assert replies == expected
+    assert twin.damaged == len(frames) - 8 - 8
+
+
+def backlog(program, passes):
+    """A host that reads nothing for so many readings, then stops: what it finds."""
+    idle = channels_of(*range(8))
+    waiting = [(b"B", 2000 * i, idle) for i in range(passes + 1)]
+    stop = (b"F", 2000 * passes, encode(Stop(9)))
+    return ask(program, [(b"I", 0, START), *waiting, stop])[-1]
+
+
+def test_a_host_that_reads_nothing_for_two_seconds_loses_nothing(program):
+    reply = backlog(program, 1000)
+    event, *readings, ack, stopped = Decoder().feed(reply.said)
+    assert [r.seq for r in readings] == list(range(1000))
+    assert [r.device_us for r in readings] == [2000 * i for i in range(1, 1001)]
+    assert (event.cause, stopped.cause) == (Cause.RESET, Cause.STOPPED)
+    assert ack == Ack(9, 6, Answer.DONE, 0)
+    assert reply.lost == 0
+
+
+def test_a_full_ring_drops_whole_readings_and_still_answers(program):
+    reply, decoder = backlog(program, 2000), Decoder()
+    _, *readings, ack, stopped = decoder.feed(reply.said)
+    assert [r.seq for r in readings] == list(range(len(readings)))
+    assert reply.lost == 2000 - len(readings) > 0
+    assert ack == Ack(9, 6, Answer.DONE, 0)
+    assert stopped.cause == Cause.STOPPED
+    assert decoder.damaged == 0
+
+
+def duties(program, errors):
+    """(n, 2) of the valves' law at errors in counts of the published firmware."""
+    pascals = np.round(PA_PER_COUNT * np.asarray(errors)).astype("<i4")
+    pairs = np.stack([pascals, np.zeros_like(pascals)], axis=1)
+    pieces = [pairs[i : i + 5000].tobytes() for i in range(0, len(pairs), 5000)]
+    said = b"".join(reply.said for reply in ask(program, [(b"L", 0, p) for p in pieces]))
+    return np.frombuffer(said, np.uint8).reshape(-1, 2)
+
+
+def test_the_valves_follow_the_published_law(program):
+    found = duties(program, [0.0, 1.25, -1.25, 24.95, 25.5, -1000.0, 1000.0])
+    expected = [(0, 0), (12, 0), (0, 12), (249, 0), (250, 0), (0, 250), (250, 0)]
+    assert [tuple(row) for row in found.tolist()] == expected
+
+
+def test_the_valves_do_what_the_published_firmware_did_in_the_rigs_logs(program, data):
+    for path in sorted((data / "manifold").glob("*.txt")):
+        log = read_log(path)
+        found = duties(program, log.command - log.pressure)
+        # The logs' error is rounded to 0.01 counts, a tenth of a duty.
+        np.testing.assert_allclose(found[:, 0], log.fill, atol=1.0)
+        np.testing.assert_allclose(found[:, 1], log.vent, atol=1.0)
+
+
+def test_the_core_takes_no_heap_and_throws_nothing(tmp_path):
+    parts = sorted(SKETCH.glob("*.cpp"))
+    command = [compiler(), "-std=c++17", "-O1", "-c", *map(str, parts)]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    objects = [str(tmp_path / f"{part.stem}.o") for part in parts]
+    command = ["nm", "--undefined-only", "--demangle", *objects]
+    needed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    for word in ("operator new", "operator delete", "malloc", "free", "__cxa_throw"):
+        assert word not in needed
+    assert "slider::" in needed

@@ -1,0 +1,314 @@
+"""The manifold's driver on a pseudo-terminal, and what a recorded trial comes to."""
+
+import json
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig.errors import RigError
+from rig.manifold.driver import Manifold
+from rig.manifold.limits import Limits, chamber
+from rig.manifold.serial_port import open_port
+from rig.recording.table import Analogue
+from rig.scheduling import real_time
+from rig.simulated.manifold import ManifoldCore
+from rig.simulated.mischief import Mischief
+from rig.simulated.rig import TIP_PER_VOLT, SimulatedRig
+from rig.simulated.tank import BenchTank
+from rig.simulated.terminal import in_thread
+from rig.trial.capture import Switch, Switches, Timing, Trial
+from rig.trial.player import play, schedule
+from rig.trial.session import RECORDINGS, Rig, run
+from rig.trial.waveform import Drive, chambers
+
+LIMITS = Limits.of([250e3])
+QUICK = Timing(quiet=0.3, after=0.1, fade=0.0)
+TIP = Analogue("tip_m", 1, TIP_PER_VOLT)
+
+
+@pytest.fixture(autouse=True)
+def first_of_all():
+    """Other tests beside these must not be taken for a host that fell silent."""
+    with real_time():
+        yield
+
+
+def rig_on(port, **changes):
+    """A manifold and what trials need; use it within the manifold's context."""
+    switches = Switches(Switch(), Switch())
+    manifold = Manifold(open_port(port), *switches)
+    return Rig(
+        manifold, switches, LIMITS, {}, {}, analogue=(TIP,), timing=QUICK, pause=0.05, **changes
+    )
+
+
+def recorded(tmp_path, trials, mischief=Mischief(noise=100.0), settings=None):
+    with in_thread(SimulatedRig(BenchTank(), mischief=mischief)) as served:
+        rig = rig_on(served.path)
+        with rig.manifold:
+            return run(trials, rig, tmp_path, settings or {})
+
+
+def columns_of(path):
+    return np.genfromtxt(path, delimiter=",", names=True)
+
+
+def test_a_trial_is_recorded_as_the_chambers_went(tmp_path):
+    """Against the lag's own solution under the set pressures as they were followed."""
+    drive = Drive("square", 2.0, 100e3, rear_ratio=0.5, phase=0.25)
+    (told,) = recorded(tmp_path, [Trial("a", drive, 1.5)])
+    found = columns_of(tmp_path / "a.csv")
+    assert told["readings_lost"] == told["frames_damaged"] == 0
+    # Other tests beside this one may hold up its commands.
+    assert [x for x in told["findings"] if "too busy" not in x] == []
+    assert np.diff(found["t_s"]) == pytest.approx(2e-3, abs=2e-5)
+    played = columns_of(tmp_path / "a.played.csv")
+    fine = np.arange(0.0, 1.5, 1e-4)
+    now = np.searchsorted(played["t_s"], fine, side="right") - 1
+    for name, index in (("front", 0), ("rear", 1)):
+        meant = np.array([drive.segments(t)[index] for t in fine])
+        sets = played[f"set_{name}_Pa"][now]
+        # Edges are late by what commands are on their way, all others are not there.
+        assert np.mean(sets != meant) < 0.02
+        p, expected = 0.0, []
+        for p_set in sets:
+            expected.append(p)
+            p += 1e-4 / 0.05 * (p_set - p)
+        error = found[f"p_{name}_Pa"] - np.interp(found["t_s"], fine, expected)
+        assert np.abs(error).max() < 0.01 * 100e3 and error.std() < 0.003 * 100e3
+    tip, follows = [0.0], 1.0 - np.exp(-2e-3 / 0.02)
+    for aim in 2e-7 * (found["p_front_Pa"] + found["p_rear_Pa"])[1:]:
+        tip.append(tip[-1] + follows * (aim - tip[-1]))
+    assert found["tip_m"] == pytest.approx(np.array(tip), abs=3e-4)
+
+
+def test_the_drive_as_it_was_played_is_told_to_a_fraction_of_a_millisecond(tmp_path):
+    """The chambers followed what the file says, where what was meant is up to 1 ms early."""
+    drive = Drive("square", 2.0, 100e3, rear_ratio=0.5, phase=0.25)
+    recorded(tmp_path, [Trial("a", drive, 1.5)], Mischief())
+    found, played = columns_of(tmp_path / "a.csv"), columns_of(tmp_path / "a.played.csv")
+    assert played["t_s"][0] == 0.0 and played["t_s"][-1] == 1.5
+    edges = drive.edges(1.5)
+    assert played["t_s"][1:-1] == pytest.approx(edges, abs=0.02)
+    assert np.all(played["t_s"][1:-1] > edges)
+    for name, sets in (("p_front_Pa", "set_front_Pa"), ("p_rear_Pa", "set_rear_Pa")):
+        p, now, expected = 0.0, 0.0, []
+        changes = [*zip(played["t_s"][1:], played[sets], strict=False), (np.inf, 0.0)]
+        for t in found["t_s"]:
+            while changes[0][0] < t:
+                until, a = changes.pop(0)
+                p, now = a + (p - a) * np.exp(-(until - now) / 0.05), until
+            a = changes[0][1]
+            p, now = a + (p - a) * np.exp(-(t - now) / 0.05), t
+            expected.append(p)
+        # A tenth of a millisecond at an edge of 200 kPa.
+        assert np.abs(found[name] - expected).max() < 2.0 * 100e3 * 1e-4 / 0.05
+
+
+def test_a_drive_of_which_a_change_was_lost_counts_as_it_was_meant(tmp_path, monkeypatch):
+    drive = Trial("a", Drive("square", 4.0, 100e3), 1.0)
+    (tmp_path / "a.played.csv").write_text("left by an earlier run")
+    tell, lost = ManifoldCore._follows, []
+
+    def forgetful(core, now_us):
+        said = tell(core, now_us)
+        if said.number == 3:
+            lost.append(said)
+            core._changes += 1
+            return said._replace(number=4)
+        return said
+
+    monkeypatch.setattr(ManifoldCore, "_follows", forgetful)
+    (told,) = recorded(tmp_path, [drive])
+    assert lost and not (tmp_path / "a.played.csv").exists()
+    assert any("the drive counts as it was meant" in x for x in told["findings"])
+
+
+def test_a_drive_dies_away_after_its_trial():
+    sent = []
+
+    class Valves:
+        def set(self, pressures):
+            sent.append(pressures)
+            return 0
+
+    play(Valves(), Drive("square", 5.0, 100e3), 0.2, 200.0, fade=0.2)
+    size = [max(p) for p in sent]
+    # Rounding makes 220.00000000000003 commands of 1.1 s.
+    assert schedule(Drive("sine", 5.0, 100e3), 1.1)[-1] < 1.0999
+    assert len(sent) == 80 and size[:40] == [100e3] * 40
+    after = np.array(size[40:])
+    assert np.all(np.diff(after) < 0.0) and after[0] == 100e3 and after[-1] < 0.01 * 100e3
+    assert after[20] == pytest.approx(50e3, rel=1e-6)
+
+
+T = np.array([0.0, 0.1, 0.3])
+
+
+def test_a_recorded_drive_is_known_by_its_samples(tmp_path):
+    """And an experiment's other trials may change."""
+
+    def drive(last):
+        return Drive("recorded", times=T, recorded=np.array([[0.0, 0.0], [5e4, 0.0], [0.0, last]]))
+
+    recorded(tmp_path, [Trial("a", drive(1e4), 0.3)], settings={"experiment_sha256": "1"})
+    recorded(tmp_path, [Trial("a", drive(1e4), 0.3)], settings={"experiment_sha256": "2"})
+    assert not list((tmp_path / RECORDINGS).glob("a.unfinished*"))
+    with pytest.raises(RigError, match=r"another trial\.drive\.recorded_sha256; give"):
+        recorded(tmp_path, [Trial("a", drive(2e4), 0.3)], settings={"experiment_sha256": "1"})
+
+
+def test_a_run_that_was_stopped_goes_on_with_what_is_missing(tmp_path):
+    trials = [Trial(name, Drive("sine", 2.0, 50e3), 0.3) for name in "ab"]
+    recorded(tmp_path, trials[:1], settings={"x": (1, 2)})
+    before = (tmp_path / RECORDINGS / "a.h5").stat().st_mtime_ns
+    (tmp_path / RECORDINGS / "b.h5").write_bytes(b"half")
+    told = recorded(tmp_path, trials, settings={"x": (1, 2)})
+    assert [x["trial"] for x in told] == ["a", "b"]
+    assert (tmp_path / RECORDINGS / "a.h5").stat().st_mtime_ns == before
+    assert (tmp_path / RECORDINGS / "b.unfinished-1.h5").read_bytes() == b"half"
+    with pytest.raises(RigError, match="run with another x"):
+        recorded(tmp_path, trials, settings={"x": (1, 3)})
+    for other in (Drive("sine", 2.0, 51e3), Drive("recorded", times=T, recorded=np.zeros((3, 2)))):
+        with pytest.raises(RigError, match=r"run with another trial\.drive\."):
+            recorded(tmp_path, [Trial("a", other, 0.3)], settings={"x": (1, 2)})
+    # What is measured again leaves what was measured before, and what was told of it.
+    (tmp_path / "a.csv").unlink()
+    recorded(tmp_path, trials, settings={"x": (1, 2)})
+    told = json.loads((tmp_path / RECORDINGS / "a.unfinished-1.json").read_text())
+    assert told["trial"] == "a" and (tmp_path / RECORDINGS / "a.unfinished-1.h5").exists()
+
+
+def test_a_bad_line_loses_readings_and_says_so(tmp_path):
+    mischief = Mischief(flipped=1e-4, dropped=1e-4, inserted=1e-4)
+    (told,) = recorded(tmp_path, [Trial("a", Drive("sine", 2.0, 50e3), 1.0)], mischief)
+    assert told["readings_lost"] > 0 and told["frames_damaged"] > 0
+    assert any("lost" in x for x in told["findings"])
+    found = columns_of(tmp_path / "a.csv")
+    gaps = np.round(np.diff(found["t_s"]) / 2e-3).astype(int)
+    assert gaps.min() == 1 and gaps.sum() - len(gaps) <= told["readings_lost"]
+    assert np.abs(found["p_front_Pa"]).max() < 51e3
+
+
+def test_an_edge_beside_an_even_time_is_not_missed():
+    """At 1.50000015 s, where an even command is due at 1.5 s."""
+    drive = Drive("square", 0.3333333, 1e5)
+    times = schedule(drive, 2.0)
+    switched = next(t for t in times if drive.segments(t)[0] < 0.0)
+    assert switched - 0.5 / 0.3333333 < 1e-9 and np.diff(times).min() > 1e-6
+
+
+def test_edges_of_a_square_wave_are_commanded_at_their_own_times():
+    drive = Drive("square", 4.8, 1e5, phase=0.15)
+    times = schedule(drive, 1.0)
+    for t in drive.edges(1.0):
+        before, after = drive.segments(t - 1e-7), drive.segments(t)
+        assert t == 0.0 or before != after or t == pytest.approx(0.15 / 4.8)
+        assert np.abs(times - t).min() < 1e-9
+    changes = [t for t in np.arange(1e-4, 1.0, 1e-4)
+               if drive.segments(t) != drive.segments(t - 1e-4)]  # fmt: skip
+    edges = drive.edges(1.0)
+    assert all(np.abs(edges - t).min() < 1.01e-4 for t in changes) and len(changes) >= 18
+    assert np.all(np.diff(times) > 0.0) and np.diff(times).max() <= 5e-3 + 1e-9
+
+
+@pytest.mark.parametrize("waveform", ["square", "sine", "trapezoid"])
+def test_waveforms_are_the_simulators(waveform):
+    import jax.numpy as jnp
+
+    from slider_jax.actuation import SineWave, SquareWave, Trapezoid
+
+    drive = Drive(waveform, 3.0, 2e5, rear_ratio=-0.6, phase=0.3, rise=0.2)
+    kind = {"square": SquareWave, "sine": SineWave, "trapezoid": Trapezoid}[waveform]
+    more = (0.2,) if waveform == "trapezoid" else ()
+    front, rear = kind(3.0, 2e5, 0.0, *more), kind(3.0, -1.2e5, 0.3, *more)
+    for t in np.random.default_rng(0).uniform(0.0, 2.0, 200):
+        asked = [float(w.segment(jnp.asarray(t), jnp.asarray(t + 1e-7)).a0) for w in (front, rear)]
+        assert drive.segments(float(t)) == pytest.approx(asked, abs=1e-6 * 2e5)
+
+
+def test_a_recorded_drive_is_linear_between_its_samples():
+    drive = Drive("recorded", times=np.array([0.0, 1.0]), recorded=np.array([[0, 10], [4, -10.0]]))
+    assert drive.segments(0.25) == (1.0, 5.0)
+    assert chambers(*drive.segments(1.0)) == (4.0, 0.0, 0.0, 10.0)
+    with pytest.raises(RigError, match="has a NaN"):
+        Drive("recorded", times=np.array([0.0, 1.0]), recorded=np.full((2, 2), np.nan))
+
+
+def test_a_waveform_is_uploaded_and_played_by_the_manifold():
+    device = SimulatedRig(BenchTank(lag=1e-3))
+    samples = [(1000.0 * i, 0.0, 0.0, 500.0 * i) for i in range(21)]
+    with in_thread(device) as served, Manifold(open_port(served.path)) as manifold:
+        manifold.configure(LIMITS)
+        with pytest.raises(RigError, match="samples; allowed 2 to 2000"):
+            manifold.upload(samples[:1], 0.01)
+        manifold.upload(samples, 0.01)
+        manifold.arm()
+        manifold.play(1)
+        highest, end = 0, time.monotonic() + 0.4
+        while time.monotonic() < end:
+            manifold.heartbeat()
+            highest = max(highest, manifold.latest.channels[0])
+            time.sleep(0.02)
+        assert highest == pytest.approx(20_000, rel=0.01)
+        assert device.core.set_pressures == (20_000, 0, 0, 10_000)
+
+
+def test_another_protocol_is_refused():
+    device = SimulatedRig(BenchTank(), ManifoldCore(protocol=7, version=(2, 3, 4)))
+    with in_thread(device) as served, pytest.raises(RigError, match="2.3.4 speaks protocol 7"):
+        Manifold(open_port(served.path)).__enter__()
+
+
+def test_a_limit_above_the_firmwares_is_refused():
+    with in_thread(SimulatedRig(BenchTank())) as served:
+        with Manifold(open_port(served.path)) as manifold:
+            with pytest.raises(RigError, match="front_left: given 600000 Pa; allowed at most"):
+                manifold.configure(Limits.of([600e3]))
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ([1.0], "limits, front_left: given 1; allowed 1e3 to 2e\\+06 Pa; not kPa or psi"),
+        ([2e5, 2e5], "given 2 pressures; allowed one for all chambers, or four"),
+        ([float("nan")] * 4, "given nan"),
+    ],
+)
+def test_limits_that_cannot_be_are_refused(given, message):
+    with pytest.raises(RigError, match=message):
+        Limits.of(given)
+
+
+def test_a_wrong_chamber_is_told_which_there_are():
+    assert chamber("rear_left") == 2
+    with pytest.raises(RigError, match="given 'tail'; allowed front_left, front_right"):
+        chamber("tail")
+
+
+def test_a_port_that_is_missing_busy_or_no_port_is_told(tmp_path):
+    with pytest.raises(RigError, match="no such port; there are: "):
+        open_port("/dev/ttyNOTHING")
+    plain = tmp_path / "file"
+    plain.write_text("")
+    with pytest.raises(RigError, match="is no serial port|cannot be opened"):
+        open_port(str(plain))
+    with in_thread(SimulatedRig(BenchTank())) as served:
+        with open_port(served.path):
+            with pytest.raises(RigError, match="busy; another program has it open"):
+                open_port(served.path)
+
+
+@pytest.mark.skipif(not Path("/dev/tty").exists() or os.name != "posix", reason="POSIX ports only")
+def test_a_forbidden_port_says_which_group_to_join(monkeypatch):
+    import serial
+
+    def refuse(*arguments, **options):
+        raise serial.SerialException(13, "could not open port: Permission denied")
+
+    monkeypatch.setattr(serial, "Serial", refuse)
+    with pytest.raises(RigError, match="no permission; .*dialout"):
+        open_port("/dev/tty")

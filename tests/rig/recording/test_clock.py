@@ -1,0 +1,155 @@
+"""Clocks laid against each other, in virtual time: 500 readings a second over USB."""
+
+import numpy as np
+import pytest
+
+from rig.errors import RigError
+from rig.recording.clock import RunningClock, align, host_ns, segments, unwrap
+
+MILLISECOND = 1e-3
+
+
+def arrivals(seed, seconds=600.0, ppm=200.0, wander_ppm=0.0, start=5000.0003):
+    """(device, host, true) times: a device that sends every 2 ms of its own clock, over USB.
+
+    Delays are exponential (0.5 ms); now and then the host sleeps for up to 50 ms and gets all at
+    once; USB delivers at whole milliseconds. `wander_ppm` swings the rate once in the record.
+    """
+    random = np.random.default_rng(seed)
+    device = 12.5 + np.arange(0.0, seconds, 0.002)
+    run = device - device[0]
+    swing = wander_ppm * 1e-6 * seconds / (2 * np.pi) * np.sin(2 * np.pi * run / seconds)
+    true = start + run / (1.0 + ppm * 1e-6) + swing
+    host = true + random.exponential(0.0005, true.size)
+    for begin in random.uniform(start, start + seconds, int(seconds)):
+        end = begin + random.uniform(0.0, 0.05)
+        host[(host > begin) & (host < end)] = end
+    host = np.ceil(np.maximum.accumulate(host) / MILLISECOND) * MILLISECOND
+    return device, host, true
+
+
+def worst(device, host, true):
+    return np.max(np.abs(align(device, host).to_host(device) - true))
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("ppm", [200.0, -200.0])
+def test_a_clock_that_drifts_200_ppm_is_aligned_within_a_millisecond_over_ten_minutes(seed, ppm):
+    device, host, true = arrivals(seed, ppm=ppm)
+    assert abs((device[-1] - device[0]) - (true[-1] - true[0])) > 0.1
+    fit = align(device, host)
+    assert np.max(np.abs(fit.to_host(device) - true)) < 0.1 * MILLISECOND
+    assert fit.rate == pytest.approx(1.0 / (1.0 + ppm * 1e-6), abs=1e-6)
+    assert fit.offset == pytest.approx(true[0] - device[0] * fit.rate, abs=MILLISECOND)
+    assert fit.early_most < 0.1 * MILLISECOND
+    assert 0.5 * MILLISECOND < fit.late_median < 2.0 * MILLISECOND < fit.late_99 < 0.05
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_clock_in_step_with_usb_is_late_by_less_than_a_frame(seed):
+    assert worst(*arrivals(seed, ppm=0.0)) < MILLISECOND
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_rate_that_wanders_by_30_ppm_is_followed_within_a_millisecond(seed):
+    device, host, true = arrivals(seed, wander_ppm=30.0)
+    straight = np.polynomial.Polynomial.fit(device, true, 1)
+    assert np.max(np.abs(straight(device) - true)) > MILLISECOND
+    assert worst(device, host, true) < 0.5 * MILLISECOND
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_record_of_ten_seconds_is_aligned_within_a_millisecond(seed):
+    assert worst(*arrivals(seed, seconds=10.0)) < MILLISECOND
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_line_is_the_one_that_trying_all_pairs_finds(seed):
+    random = np.random.default_rng(seed)
+    x = np.sort(random.uniform(0.0, 50.0, 40))
+    y = 7.0 + 1.0002 * x + random.exponential(0.001, 40)
+    highest = -np.inf
+    for i in range(40):
+        for j in range(i):
+            slope = (y[i] - y[j]) / (x[i] - x[j])
+            line = y[i] + slope * (x - x[i])
+            if np.all(y - line > -1e-12):
+                highest = max(highest, np.mean(line))
+    assert align(x, y).to_host(x.mean()) == pytest.approx(highest, abs=1e-12)
+
+
+def test_one_arrival_fixes_the_offset_alone():
+    fit = align([3.0], [10.0])
+    assert fit.rate == pytest.approx(1.0, abs=1e-12)
+    assert fit.to_host(5.0) == pytest.approx(12.0)
+
+
+def test_times_beyond_the_record_follow_its_ends():
+    x = np.arange(0.0, 300.0, 0.1)
+    fit = align(x, 100.0 + 1.0001 * x)
+    np.testing.assert_allclose(fit.to_host([-50.0, 350.0]), [49.995, 450.035], atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_running_clock_is_within_a_millisecond_once_ten_seconds_have_passed(seed):
+    device, host, true = arrivals(seed, seconds=150.0, wander_ppm=10.0)
+    clock, found = RunningClock(), []
+    for pair in zip(device.tolist(), host.tolist(), strict=True):
+        clock.add(*pair)
+        found.append(clock.to_host(pair[0]))
+    error = np.abs(found - true)
+    assert np.max(error) < 3.0 * MILLISECOND
+    assert np.max(error[5000:]) < 0.5 * MILLISECOND
+    assert len(clock._blocks) <= 120
+
+
+def test_the_running_clock_begins_anew_when_the_device_restarts():
+    clock = RunningClock()
+    with pytest.raises(RigError, match="nothing has arrived"):
+        clock.to_host(0.0)
+    for i in range(1000):
+        clock.add(50.0 + 0.01 * i, 100.0 + 0.01 * i)
+    assert clock.to_host(60.0) == pytest.approx(110.0)
+    clock.add(0.5, 200.0)
+    assert clock.resets == 1
+    assert clock.to_host(1.5) == pytest.approx(201.0)
+
+
+def test_a_device_that_restarts_is_refused_where_it_does_and_aligned_in_segments():
+    device = np.concatenate([np.arange(50.0, 60.0, 0.01), np.arange(0.0, 20.0, 0.01)])
+    host = np.arange(device.size) * 0.01 + 500.0
+    with pytest.raises(RigError, match="falls from 59.99 s to 0 s at sample 1000.*segments"):
+        align(device, host)
+    first, second = segments(device)
+    assert (first, second) == (slice(0, 1000), slice(1000, 3000))
+    assert align(device[first], host[first]).offset == pytest.approx(450.0)
+    assert align(device[second], host[second]).offset == pytest.approx(510.0)
+
+
+@pytest.mark.parametrize(
+    ("device", "host", "words"),
+    [
+        (np.arange(20.0), 1.002 * np.arange(20.0), "1000 ppm"),
+        (1000.0 * np.arange(20.0), np.arange(20.0), "19000 s of the device take 19 s"),
+        ([1.0, 2.0], [1.0], r"arrays \(2,\) and \(1,\)"),
+        ([], [], "n > 0"),
+        ([1.0, np.nan], [1.0, 2.0], "not finite"),
+    ],
+)
+def test_times_that_cannot_be_aligned_are_refused(device, host, words):
+    with pytest.raises(RigError, match=words):
+        align(device, host)
+
+
+def test_a_counter_that_wraps_goes_on_and_one_that_restarts_falls():
+    true = np.arange(0, 70000, 7)
+    np.testing.assert_array_equal(unwrap(true % 2**10, 2**10), true)
+    counts = np.array([2**32 - 2, 2**32 - 1, 1, 0, 2], np.uint32)
+    assert (unwrap(counts, 2**32) - 2**32).tolist() == [-2, -1, 1, 0, 2]
+    assert len(segments(unwrap(np.array([5, 900_000, 0, 7]), 2**32))) == 2
+
+
+def test_the_host_clock_does_not_fall():
+    times = [host_ns() for _ in range(1000)]
+    assert times == sorted(times)
+    assert times[-1] > times[0]

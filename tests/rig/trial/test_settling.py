@@ -1,0 +1,160 @@
+"""A pause ends when what the sensors measure has come to rest."""
+
+import numpy as np
+import pytest
+
+from rig.protocol.frames import encode
+from rig.protocol.messages import Arm, Reading, SetLimits, SetPressures, State
+from rig.recording.table import Analogue, _moves
+from rig.simulated.manifold import ManifoldCore
+from rig.simulated.mischief import Mischief
+from rig.simulated.rig import SimulatedRig
+from rig.simulated.tank import Measured
+from rig.trial.settling import STILL, WINDOW, Stillness, noise_of
+
+TIP, RANGE = Analogue("tip_m", 1, 0.1), 0.08
+
+
+def reading(tip):
+    return Reading(0, 0, 1, 0, (0, 0, 0, 0, 600_000, round(1e6 * tip / 0.1), 0, 0))
+
+
+def waited(swing, noise=0.0, most=200.0, sensors=(TIP,), ranges=None):
+    """How long [s] until it counts as still; `swing(t)` [m]."""
+    still = Stillness(sensors, {"tip_m": RANGE} if ranges is None else ranges, {"tip_m": noise})
+    rng = np.random.default_rng(0)
+    for t in np.arange(0.0, most, 0.05):
+        if still.reached:
+            return t
+        still.add(float(t), reading(swing(t) + noise * rng.normal()))
+    return np.inf
+
+
+def test_it_waits_until_a_swing_has_died_away():
+    assert waited(lambda t: 0.0) == pytest.approx(WINDOW, abs=0.3)
+    end = waited(lambda t: 0.01 * np.exp(-t / 5.0) * np.cos(3.0 * t))
+    # Twice the amplitude is the range, at the beginning of what is looked at.
+    at = 5.0 * np.log(2 * 0.01 / (STILL * RANGE))
+    assert at - 1.0 < end < at + WINDOW + 1.0
+    assert waited(lambda t: 1e-3 * np.cos(3.0 * t)) == np.inf
+
+
+def test_noise_alone_is_rest_and_a_swing_within_it_is_not():
+    assert waited(lambda t: 0.0, noise=2e-3) < 10.0
+    for frequency in (0.5, 2.0, 3.0, 6.0):
+        turning = 2 * np.pi * frequency
+        assert waited(lambda t, w=turning: 0.01 * np.cos(w * t), noise=2e-3) == np.inf
+
+
+def test_a_stall_of_the_program_is_no_rest():
+    still = Stillness((TIP,), {"tip_m": RANGE}, {})
+    for t, tip in ((0.0, 0.01), (0.05, 0.01), (2.45, -0.01)):
+        still.add(t, reading(tip))
+    assert not still.reached
+
+
+def test_where_nothing_can_tell_nothing_is_waited_for():
+    assert waited(lambda t: t, sensors=()) == 0.0
+    assert waited(lambda t: t, ranges={"tip_m": 0.0}) == 0.0
+
+
+def test_a_trial_that_did_not_begin_from_rest_says_so():
+    t = np.arange(500) / 500.0
+    drive = 0.04 * np.sin(20 * t)
+    noise = 1e-3 * np.random.default_rng(0).normal(size=500)
+    assert _moves("tip_m", noise, drive, 1e-3) == _moves("tip_m", noise, noise, 1e-3) == ()
+    (said,) = _moves("tip_m", 2e-3 * np.sin(6 * t) + noise, drive, 1e-3)
+    assert "tip_m was not at rest before the drive" in said and "longer pause" in said
+
+
+class Followed:
+    """A tank that keeps what it was told, and nothing else."""
+
+    def __init__(self):
+        self.sets = []
+
+    def advance(self, set_pressures, seconds):
+        self.sets.append(set_pressures)
+        return Measured((0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
+
+
+class Told(ManifoldCore):
+    """Follows what it is fed, as a number."""
+
+    set_pressures = None
+
+    def feed(self, piece, now_us):
+        self.set_pressures = (int(piece),) * 4
+        return b""
+
+    def tick(self, now_us, channels):
+        return b""
+
+
+def test_a_simulated_tank_that_is_late_follows_each_command_from_its_own_time():
+    """Two commands come while the tank is 5 ms behind: the steps before them keep the old one."""
+    tank = Followed()
+    rig = SimulatedRig(tank, Told())
+    rig.tick(0)
+    rig.feed(b"1000", 200)
+    rig.tick(1500)
+    rig.feed(b"2000", 4300)
+    rig.feed(b"3000", 6000)
+    rig.tick(8000)
+    first = tank.sets[1:]
+    assert first[0] == (800,) * 4  # vented until 0.2 ms
+    assert first[1:4] == [(1000,) * 4] * 3
+    assert first[4] == (1700,) * 4  # 0.3 ms of 1000, 0.7 ms of 2000
+    assert first[5] == (2000,) * 4 and first[6:] == [(3000,) * 4] * 2
+
+
+def test_a_reset_vents_the_simulated_tank():
+    tank = Followed()
+    rig = SimulatedRig(tank, Told(), Mischief(reset_at=0.005), Told)
+    rig.tick(0)
+    rig.feed(b"1000", 200)
+    for now in range(0, 10_000, 500):
+        rig.tick(now)
+    assert tank.sets[3] == (1000,) * 4 and tank.sets[-1] is None and len(tank.sets) == 10
+
+
+def test_a_simulated_manifold_that_was_not_run_does_not_blame_its_host():
+    """A command waited while the program stood still for 200 ms."""
+    rig = SimulatedRig(Followed())
+    for message in (SetLimits(1, *[100_000] * 4), Arm(2), SetPressures(3, 1, 1, 1, 1)):
+        rig.feed(encode(message), 0)
+    for now in range(0, 39_000, 1000):
+        rig.tick(now)
+    rig.feed(encode(SetPressures(4, 2, 2, 2, 2)), 238_000)
+    for now in range(238_000, 290_000, 1000):
+        rig.tick(now)
+        if now == 250_000:
+            rig.feed(encode(SetPressures(5, 3, 3, 3, 3)), now)
+    assert rig.core.state == State.ARMED and rig.core.set_pressures == (3, 3, 3, 3)
+    # A host that is silent is still found out, by the time that the program makes up for.
+    rig.tick(600_000)
+    assert rig.core.state == State.FAULT
+
+
+class Read:
+    """A manifold of which the latest reading is another one each time it is looked at."""
+
+    def __init__(self, tip):
+        self._tip, self._seq = tip, 0
+
+    @property
+    def latest(self):
+        self._seq += 1
+        return reading(self._tip(2e-3 * self._seq))._replace(seq=self._seq)
+
+
+def test_before_the_first_trial_noise_is_told_from_a_swing():
+    rng = np.random.default_rng(0)
+
+    def found(white):
+        swing = Read(lambda t: 0.01 * np.cos(20 * t) + white * rng.normal())
+        return noise_of(swing, (TIP,), 200)["tip_m"]
+
+    assert found(0.0) < 1e-5
+    assert found(3e-4) == pytest.approx(3e-4, rel=0.2)
+    assert noise_of(Read(lambda t: 0.0), ()) == {}

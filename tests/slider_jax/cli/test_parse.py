@@ -1,0 +1,83 @@
+"""Words of a command line that cannot be used: exit code 2 and one line that says why."""
+
+import io
+import sys
+
+import pytest
+
+from slider_jax.cli.main import main
+from slider_jax.cli.parse import in_one_line
+
+RUN = ("rig", "run", "x.toml", "--port", "x", "--out", "y")
+SIMULATE = ("simulate", "x.toml", "--out", "y")
+MATRIX = ("effects", "matrix", "x.toml", "--out", "y")
+LONG = "/" + "a long folder/" * 12 + "two  blanks, one comma"
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("rig", "watch"), "EXPERIMENT.toml, --port PORT: missing"),
+        (("simulate",), "EXPERIMENT.toml|LOG.txt, --out DIR: missing"),
+        (("simulate", "x.toml", "--out"), "Missing value for argument '--out'"),
+        ((*SIMULATE, LONG), f"not understood: {LONG}"),
+        ((*SIMULATE, "--step", "abc"), "--step: given 'abc'; allowed a number of seconds"),
+        ((*SIMULATE, "--nodes", "5.5"), "--nodes: given '5.5'; allowed a whole number"),
+        ((*SIMULATE, "--drive", LONG), f"invalid choice {LONG!r} for argument '--drive'"),
+        ((*SIMULATE, "--drive", "a\n\nb"), "invalid choice 'a  b' for argument '--drive'"),
+        ((*SIMULATE, "--a\nb"), r"'--a\nb': unknown option; allowed --help, --out"),
+        ((*RUN, "--limit", "250kPa"), "--limit: given '250kPa'; allowed pressures in Pa"),
+        ((*MATRIX, "--phase", "0.1", "x"), "--phase: given '0.1 x'; allowed two numbers"),
+        (
+            ("rig", "log", "x", "--port", "p", "--out", "y"),
+            "[HZ ...]: given 'x'; allowed frequencies",
+        ),
+    ],
+)
+def test_words_that_cannot_be_used_are_told_in_one_line(words, said, encoding, capsys, monkeypatch):
+    """With either kind of box, and on a terminal where it would be wrapped."""
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(io.BytesIO(), encoding=encoding))
+    monkeypatch.setenv("COLUMNS", "60")
+    assert main(words) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"slider: error: {said}")
+    assert line.endswith(
+        f"; see slider {' '.join(words[: 1 + (words[0] != 'simulate')])} --help"
+    ) or ("unknown option" in line)
+    assert sys.stdout.tell() == 0
+
+
+def test_colours_are_left_out():
+    box = (
+        "\x1b[31m╭─\x1b[0m\x1b[31m Value error \x1b[0m\x1b[31m──╮\x1b[0m\n"
+        "\x1b[31m│\x1b[0m \x1b[1mError parsing --step:\x1b[0m a - b. \x1b[31m│\x1b[0m\n"
+        "\x1b[31m╰────╯\x1b[0m\n"
+    )
+    assert in_one_line(box) == "--step: a - b"
+
+
+def test_what_is_in_no_box_is_told_as_it_is():
+    assert in_one_line("torn\n") == "torn"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ((*SIMULATE, "--node", "5"), "; did you mean --nodes?"),
+        ((*SIMULATE, "--xyzzy", "5"), "--scheme, --drive"),
+        (("simulat", "x.toml"), "; did you mean simulate?; see slider --help"),
+        (("matrix",), "; did you mean effects matrix?; see slider --help"),
+        (("rig", "chek"), "rig simulate; did you mean rig check?; see slider --help"),
+        (("foo",), "rig simulate; see slider --help"),
+    ],
+)
+def test_an_unknown_name_is_told_of_one_like_it(words, said, capsys):
+    assert main(words) == 2
+    assert capsys.readouterr().err.strip().endswith(said)
+
+
+def test_negative_numbers_are_values(capsys):
+    words = (*MATRIX, "--phase", "-0.3", "0.3", "--separate", "leakage", "orifice_flow")
+    assert main(words) == 2
+    assert "x.toml: no such file" in capsys.readouterr().err

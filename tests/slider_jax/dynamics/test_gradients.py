@@ -1,0 +1,85 @@
+"""Derivatives of the mean thrust: forward, reverse and central differences agree."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from slider_jax.beam.parameters import Numerics
+from slider_jax.dynamics.rollout import TimeGrid, rollout
+from slider_jax.dynamics.step import at_rest
+from tests.support.helpers import SMALL, swimmer
+
+NAMES = ("C_d", "m_a", "k", "K_Q", "EI_body", "EI_tail")
+PER_STRIDE, STRIDES = 40, 3
+FINE = Numerics(tail_cells=10, body_cells=40, tolerance=1e-8)
+BASE = swimmer(frequency=4.8, C_d=3.0, m_a=0.8)
+
+
+def leaves(model):
+    drag, reactive = model.effects
+    robot = model.robot
+    law = model.pressure_law
+    return drag.C_d, reactive.m_a, law.k, robot.K_Q, robot.EI_body, robot.EI_tail
+
+
+def mean_thrust(factors):
+    """Mean thrust [N] over the last stride; `factors` multiply the six parameters."""
+    values = tuple(f * p for f, p in zip(factors, leaves(BASE), strict=True))
+    model = eqx.tree_at(leaves, BASE, values)
+    times = TimeGrid.per_stride(model.drive.front.frequency, PER_STRIDE, STRIDES)
+    out = rollout(model, times, lambda x: -x.y[0, -1], FINE)
+    return jnp.mean(out.saved[-PER_STRIDE:]), out.ok
+
+
+@pytest.mark.slow
+def test_forward_reverse_and_central_differences_agree():
+    one = jnp.ones(6)
+    value = jax.jit(mean_thrust)
+    thrust, ok = value(one)
+    assert bool(ok)
+    forward, _ = jax.jit(jax.jacfwd(mean_thrust, has_aux=True))(one)
+    reverse, _ = jax.jit(jax.grad(mean_thrust, has_aux=True))(one)
+
+    def difference(i, h):
+        step = jnp.zeros(6).at[i].set(h)
+        return (value(one + step)[0] - value(one - step)[0]) / (2.0 * h)
+
+    # Richardson's extrapolation of two central differences: the drag's kinks leave h^2 terms.
+    central = np.array([(4 * difference(i, 1e-4) - difference(i, 2e-4)) / 3 for i in range(6)])
+    size = np.maximum(np.abs(central), 1e-3 * np.abs(central).max())
+    for name, f, r, c in zip(NAMES, forward, reverse, central, strict=True):
+        print(f"{name}: forward {f:.9e}, reverse {r:.9e}, central {c:.9e} N per unit factor")
+    print(f"reverse off {np.max(np.abs(reverse - forward) / size):.1e}")
+    print(f"central off {np.abs(forward - central) / size}")
+    assert np.all(np.abs(central) > 1e-3 * abs(float(thrust)))
+    np.testing.assert_allclose(reverse, forward, rtol=1e-8, atol=1e-10)
+    assert np.all(np.abs(forward - central) < 1e-5 * size)
+
+
+def kept_bytes(steps, checkpoint):
+    """Bytes that reverse mode keeps between the forward and the backward pass."""
+
+    def thrust(C_d):
+        model, times = swimmer(C_d=C_d), TimeGrid(1e-3, steps)
+        return jnp.mean(
+            rollout(model, times, lambda x: x.y[0, -1], SMALL, checkpoint=checkpoint).saved
+        )
+
+    pull = jax.eval_shape(lambda x: jax.vjp(thrust, x)[1], jnp.asarray(3.0))
+    return sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(pull))
+
+
+@pytest.mark.slow
+def test_reverse_mode_keeps_little_more_than_the_carry_of_each_step():
+    def per_step(checkpoint):
+        return (kept_bytes(40, checkpoint) - kept_bytes(20, checkpoint)) / 20
+
+    carry = sum(x.nbytes for x in jax.tree.leaves(at_rest(swimmer(), SMALL)))
+    bounded, unbounded = per_step(True), per_step(False)
+    print(
+        f"a carry is {carry} bytes; {bounded:.0f} kept a step, {unbounded:.0f} without checkpoints"
+    )
+    assert bounded < 1.5 * carry
+    assert unbounded > 10 * bounded

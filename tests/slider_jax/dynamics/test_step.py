@@ -1,0 +1,52 @@
+"""The pieces of a step: its predictor, its refusals, and what a failed member costs."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from slider_jax.dynamics.newton import BeamNewton
+from slider_jax.dynamics.rollout import TimeGrid, rollout
+from slider_jax.dynamics.step import at_rest
+from slider_jax.dynamics.time_schemes import BACKWARD_EULER, SDIRK2, extrapolation
+from tests.support.helpers import SMALL, observe, swimmer
+
+
+@pytest.mark.parametrize("scheme", [BACKWARD_EULER, SDIRK2], ids=lambda s: s.name)
+def test_the_predictor_is_exact_for_a_parabola_in_time(scheme):
+    """Solutions exist at every stage; each is predicted from the three before it."""
+    stages = np.array([step + node for step in range(4) for node in scheme.nodes])
+    values = 1.0 - 2.0 * stages + 3.0 * stages**2
+    for stage, weights in enumerate(extrapolation(scheme)):
+        target = len(stages) - scheme.stages + stage
+        np.testing.assert_allclose(np.dot(weights, values[target - 3 : target]), values[target])
+
+
+def test_float32_is_refused_in_words():
+    jax.config.update("jax_enable_x64", False)
+    try:
+        with pytest.raises(ValueError, match=r"float64.*enable_float64"):
+            rollout(swimmer(), TimeGrid(1e-3, 2), observe, SMALL)
+    finally:
+        jax.config.update("jax_enable_x64", True)
+
+
+@pytest.mark.parametrize("wrong", [{"corrections": 1}, {"atol": 1e-6}])
+def test_a_root_finder_that_could_not_judge_its_error_is_refused(wrong):
+    with pytest.raises(ValueError, match="allowed"):
+        BeamNewton(rtol=1e-8, **wrong)
+
+
+def test_a_failed_member_costs_nothing_more_and_stays_where_it_was():
+    model, steps = swimmer(), 20
+    begin = dataclasses.replace(at_rest(model, SMALL), ok=jnp.asarray(False))
+    run = jax.jit(lambda begin: rollout(model, TimeGrid(1e-3, steps), observe, SMALL, begin=begin))
+    out = run(begin)
+    assert int(out.final.factorisations) == 0
+    for kept, given in zip(
+        jax.tree.leaves(out.final.memory), jax.tree.leaves(begin.memory), strict=True
+    ):
+        np.testing.assert_array_equal(kept, given)
+    assert int(run(at_rest(model, SMALL)).final.factorisations) >= 2 * steps

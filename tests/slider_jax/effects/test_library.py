@@ -1,0 +1,195 @@
+"""Every effect of the library: what it declares, its null, and its tangents there.
+
+One compiled program holds all effects at once, their parameters as one vector; a tangent is a JVP
+along one of its entries, and a finite difference another call of the same program.
+"""
+
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from slider_jax.actuation import FirstOrderLag, SquareWave
+from slider_jax.beam.parameters import Robot
+from slider_jax.dynamics.model import Drive, Model
+from slider_jax.dynamics.pressures import start_chambers
+from slider_jax.dynamics.rollout import TimeGrid, rollout
+from slider_jax.effects import NormalDrag, ReactiveForce, Readings
+from slider_jax.effects.library import LIBRARY
+from slider_jax.observables import recoil, thrust, tip
+from slider_jax.simulation.sensors import recorded
+from slider_jax.supports import Clamped
+from tests.support.helpers import SMALL, arrays
+
+SENSORS = ("pressure", "pressure", "thrust", "recoil", "tip")
+"""Of the rows of `readings`."""
+ENTRIES = [(name, parameter) for name, kind in LIBRARY.items() for parameter in kind.priors()]
+PRIORS = [LIBRARY[name].priors()[parameter] for name, parameter in ENTRIES]
+NULL = np.array([prior.null for prior in PRIORS])
+TIMES = TimeGrid.per_stride(4.0, 60, 1)
+
+
+def readings(effects):
+    """(5, steps + 1): the sensors of a towed robot from rest, edges of the drive off the steps."""
+    model = Model(
+        Robot(),
+        (NormalDrag(3.0), ReactiveForce(1.0), *effects),
+        FirstOrderLag(0.03),
+        Drive(SquareWave(4.0, 250e3, 0.031), SquareWave(4.0, 220e3, 0.177)),
+        Clamped(tow_speed=0.1),
+    )
+    model = arrays(model)
+
+    def save(x):
+        return jnp.stack([*x.chambers.p, thrust(x), recoil(x), tip(x)])
+
+    run = rollout(model, TIMES, save, SMALL, checkpoint=False)
+    first = jnp.concatenate([start_chambers(model).p, jnp.zeros(3)])
+    t = jnp.concatenate([jnp.zeros(1), TIMES.times])
+    read = recorded(model.effects, Readings(t, *jnp.concatenate([first[None], run.saved]).T))
+    return jnp.where(run.ok, jnp.stack(read[1:]), jnp.nan)
+
+
+def extended(theta):
+    """Readings with every effect of the library, parameters as in `ENTRIES`."""
+    values = dict(zip(ENTRIES, theta, strict=True))
+    return readings(
+        tuple(
+            kind(**{parameter: values[name, parameter] for parameter in kind.priors()})
+            for name, kind in LIBRARY.items()
+        )
+    )
+
+
+@jax.jit
+def _moved(theta, direction):
+    return jax.jvp(extended, (theta,), (direction,))
+
+
+@cache
+def value_and_tangent(entry, steps=0.0):
+    """Readings (5, n), one entry at its null + `steps` prior ranges, and the tangent per range."""
+    along = np.zeros_like(NULL)
+    along[entry] = PRIORS[entry].high - PRIORS[entry].low
+    return tuple(np.asarray(x) for x in _moved(jnp.asarray(NULL + steps * along), along))
+
+
+@cache
+def bare():
+    return np.asarray(jax.jit(lambda: readings(()))())
+
+
+def largest(x):
+    """Largest size in each channel: (..., 5, n) to (..., 5)."""
+    return np.abs(x).max(axis=-1)
+
+
+def differs(found):
+    return largest(found - bare()) > 1e-12 * largest(bare())
+
+
+def not_as_without(names):
+    """Those of the effects that change a reading at their null, by halving."""
+    found = np.asarray(jax.jit(lambda: readings(tuple(LIBRARY[name]() for name in names)))())
+    if not differs(found).any():
+        return []
+    half = len(names) // 2
+    return not_as_without(names[:half]) + not_as_without(names[half:]) if half else names
+
+
+def test_at_their_nulls_the_effects_leave_every_reading_as_it_is():
+    if differs(value_and_tangent(0)[0]).any():
+        pytest.fail(f"changes a reading at the null: {not_as_without(list(LIBRARY))}")
+
+
+AFAR = {name for (name, _), prior in zip(ENTRIES, PRIORS, strict=True) if prior.start is not None}
+"""Effects that are tried at a size, as their tangent at the null does not tell."""
+OF_A_FREE_HEAD = {"head_added_mass"}
+NEAR = [i for i, (name, _) in enumerate(ENTRIES) if name not in AFAR | OF_A_FREE_HEAD]
+
+
+@pytest.fixture(params=NEAR, ids=[".".join(ENTRIES[i]) for i in NEAR])
+def entry(request):
+    return request.param
+
+
+@cache
+def at_start(name, entry, steps=0.0):
+    """Readings (5, n) with an effect at its start, one of its entries moved by prior ranges."""
+    theta, along = NULL.copy(), np.zeros_like(NULL)
+    for i, (other, _) in enumerate(ENTRIES):
+        if other == name and PRIORS[i].start is not None:
+            theta[i] = PRIORS[i].start
+    along[entry] = PRIORS[entry].high - PRIORS[entry].low
+    return tuple(np.asarray(x) for x in _moved(jnp.asarray(theta + steps * along), along))
+
+
+@pytest.mark.parametrize("name", sorted(AFAR))
+def test_effect_tried_at_its_start_is_seen_by_the_declared_sensors_alone(name):
+    mine = [i for i, (other, _) in enumerate(ENTRIES) if other == name]
+    change = at_start(name, mine[0])[0] - bare()
+    share = largest(change) / largest(bare())
+    declared = np.array([x in LIBRARY[name].sensors for x in SENSORS])
+    assert np.isfinite(change).all()
+    assert share[declared].max() > 1e-4
+    assert share[~declared].max(initial=0.0) <= 1e-9 * share.max()
+
+
+@pytest.mark.parametrize("name", sorted(AFAR))
+def test_tangents_at_the_start_are_the_finite_differences(name):
+    """Looser than at a null: a limit's corner lies between two steps."""
+    for i in (i for i, (other, _) in enumerate(ENTRIES) if other == name):
+        step = 1e-4
+        tangent = at_start(name, i)[1]
+        found = (at_start(name, i, step)[0] - at_start(name, i, -step)[0]) / (2.0 * step)
+        assert np.isfinite(tangent).all(), ENTRIES[i]
+        off = largest(found - tangent)
+        allowed = 2e-2 * largest(tangent) + 1e-5 * largest(bare())
+        assert (off <= allowed).all(), (ENTRIES[i], off, allowed)
+
+
+def test_tangent_at_the_null_is_seen_by_the_declared_sensors_alone(entry):
+    """Per prior range: finite, and above a millionth of the readings somewhere it should be."""
+    tangent = value_and_tangent(entry)[1]
+    assert np.isfinite(tangent).all()
+    share = largest(tangent) / largest(bare())
+    declared = np.array([x in LIBRARY[ENTRIES[entry][0]].sensors for x in SENSORS])
+    assert share[declared].max() > 1e-6
+    assert share[~declared].max(initial=0.0) <= 1e-9 * share.max()
+
+
+def difference(entry, step):
+    """Second order: central, or to one side where the null is an end of the range."""
+
+    def value(steps):
+        return value_and_tangent(entry, steps * step)[0]
+
+    prior = PRIORS[entry]
+    if prior.low < prior.null < prior.high:
+        return (value(1) - value(-1)) / (2.0 * step)
+    s = 1 if prior.null < prior.high else -1
+    return s * (4.0 * value(s) - value(2 * s) - 3.0 * value(0)) / (2.0 * step)
+
+
+def test_tangent_at_the_null_is_the_finite_difference(entry):
+    """The shorter step is for what is linear in its parameter over the least part of its range."""
+    tangent = value_and_tangent(entry)[1]
+    allowed = 1e-3 * largest(tangent) + 1e-9 * largest(bare())
+    off = [largest(difference(entry, step) - tangent) for step in (2e-4, 2e-6)]
+    assert any((x <= allowed).all() for x in off), f"off by {off}, allowed {allowed}"
+
+
+@pytest.mark.parametrize("name", LIBRARY)
+def test_declares_what_reports_and_searches_need(name):
+    kind = LIBRARY[name]
+    assert kind.title
+    assert "Source:" in (kind.__doc__ or "")
+    assert kind.sensors and set(kind.sensors) <= set(SENSORS)
+    assert kind.priors()
+    for parameter, prior in kind.priors().items():
+        assert prior.low <= prior.null <= prior.high, parameter
+        assert prior.low < prior.high, parameter
+        assert prior.unit and prior.why, parameter
+        assert getattr(kind(), parameter) == prior.null

@@ -1,0 +1,201 @@
+"""Instruments: what each makes of a known series, against closed forms."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from slider_jax.beam.frame import to_body
+from slider_jax.effects import Readings
+from slider_jax.effects.sensors.camera_delay import CameraDelay
+from slider_jax.effects.sensors.camera_scale import CameraScale
+from slider_jax.effects.sensors.force_clock_offset import ForceClockOffset
+from slider_jax.effects.sensors.force_crosstalk import ForceCrosstalk
+from slider_jax.effects.sensors.force_gain import ForceGain
+from slider_jax.effects.sensors.force_resonance import ForceResonance
+from slider_jax.effects.sensors.force_sensor_lag import ForceSensorLag
+from slider_jax.effects.sensors.pressure_gain import PressureGain
+from slider_jax.effects.sensors.pressure_offset import PressureOffset
+from slider_jax.effects.sensors.pressure_sensor_lag import PressureSensorLag
+from tests.support.helpers import order
+
+CHANNELS = Readings._fields[1:]
+TURN = 2.0 * np.pi
+
+
+def made_of(value, t):
+    """Readings whose channels are value(t), at sizes of their own."""
+    shape = value(t)
+    return Readings(t, 2e5 * shape, -1e5 * shape, 0.3 * shape, 0.8 * shape, 0.02 * shape)
+
+
+def untouched(effect, true, read):
+    """The channels that the effect leaves alone are bit for bit the same, and t."""
+    seen = ("p_front", "p_rear") if "pressure" in effect.sensors else ()
+    for name in ("t", *CHANNELS):
+        if name not in (*seen, *effect.sensors):
+            np.testing.assert_array_equal(getattr(read, name), getattr(true, name))
+
+
+def phasor(t, x, f):
+    """Complex amplitude of exp(2 pi i f t) in the last five periods of a series."""
+    last = t > t[-1] - 5.0 / f + 0.5 * (t[1] - t[0])
+    return 2.0 * np.mean(np.asarray(x)[last] * np.exp(-1j * TURN * f * np.asarray(t)[last]))
+
+
+SERIES = made_of(lambda t: jnp.sin(9.0 * t) + 0.3 * jnp.cos(31.0 * t), jnp.linspace(0.0, 1.0, 401))
+
+
+@pytest.mark.parametrize(
+    ("effect", "expected"),
+    [
+        (ForceGain(0.1), {"thrust": 1.1, "recoil": 1.1}),
+        (CameraScale(-0.05), {"tip": 0.95}),
+        (PressureGain(0.02), {"p_front": 1.02, "p_rear": 1.02}),
+    ],
+)
+def test_a_gain_scales_its_own_channels_alone(effect, expected):
+    read = effect.read(SERIES)
+    for name, factor in expected.items():
+        np.testing.assert_allclose(getattr(read, name), factor * getattr(SERIES, name), rtol=1e-14)
+    untouched(effect, SERIES, read)
+
+
+def test_an_offset_lifts_both_pressures():
+    read = PressureOffset(3e3).read(SERIES)
+    for name in ("p_front", "p_rear"):
+        np.testing.assert_allclose(
+            np.asarray(getattr(read, name) - getattr(SERIES, name)), 3e3, rtol=1e-9
+        )
+    untouched(PressureOffset, SERIES, read)
+
+
+def test_a_turned_sensor_reads_the_components_along_its_own_axes():
+    read = ForceCrosstalk(0.3).read(SERIES)
+    along, across = to_body((SERIES.thrust, SERIES.recoil), 0.3)
+    np.testing.assert_allclose(read.thrust, along, rtol=1e-13, atol=1e-15)
+    np.testing.assert_allclose(read.recoil, across, rtol=1e-13, atol=1e-15)
+    untouched(ForceCrosstalk, SERIES, read)
+
+
+@pytest.mark.parametrize(
+    ("effect", "names"),
+    [
+        (ForceSensorLag(0.02), ("thrust", "recoil")),
+        (PressureSensorLag(0.02), ("p_front", "p_rear")),
+    ],
+)
+def test_a_lag_follows_a_ramp_exactly(effect, names):
+    t = jnp.linspace(0.0, 0.3, 61)
+    true = made_of(lambda t: 5.0 + 2.0 * t, t)
+    read = effect.read(true)
+    behind = 2.0 * 0.02 * -np.expm1(-np.asarray(t) / 0.02)
+    for name in names:
+        size = getattr(true, name)[0] / 5.0
+        expected = np.asarray(getattr(true, name) - size * behind)
+        np.testing.assert_allclose(getattr(read, name), expected, rtol=1e-13)
+    untouched(effect, true, read)
+
+
+@pytest.mark.parametrize("kind", [ForceSensorLag, PressureSensorLag])
+def test_the_tangent_of_a_lag_at_its_null_is_the_slope(kind):
+    t = jnp.linspace(0.0, 1.0, 2001)
+    true = made_of(lambda t: jnp.sin(7.0 * t), t)
+    read, tangent = jax.jvp(lambda tau: kind(tau).read(true), (0.0,), (1.0,))
+    for name in CHANNELS:
+        np.testing.assert_array_equal(getattr(read, name), getattr(true, name))
+    name = "thrust" if kind is ForceSensorLag else "p_rear"
+    size = getattr(true, name)[1] / jnp.sin(7.0 * t[1])
+    slope = np.asarray(-7.0 * size * jnp.cos(7.0 * t))[1:]
+    assert np.abs(getattr(tangent, name)[1:] - slope).max() < 3e-3 * np.abs(slope).max()
+
+
+def test_a_resonance_has_the_response_of_its_oscillator():
+    """At half, at and beyond its natural frequency; second order in the step."""
+    natural, b = 12.0, 15.0
+    c = 1.0 / (TURN * natural) ** 2
+    effect = ForceResonance(c, b)
+
+    def off(f, dt):
+        t = dt * jnp.arange(round(2.0 / dt) + 1.0)
+        true = made_of(lambda t: jnp.sin(TURN * f * t), t)
+        read = effect.read(true)
+        untouched(effect, true, read)
+        w = TURN * f
+        expected = 1.0 / (1.0 - c * w**2 + 1j * c * b * w)
+        ratios = [
+            phasor(t, getattr(read, n), f) / phasor(t, getattr(true, n), f)
+            for n in ("thrust", "recoil")
+        ]
+        np.testing.assert_allclose(ratios[0], ratios[1], rtol=1e-12)
+        return abs(ratios[0] / expected - 1.0)
+
+    for f in (5.0, 10.0, 20.0):
+        errors = [off(f, dt) for dt in (1e-3, 0.5e-3)]
+        assert errors[1] < 0.01
+        assert order((2.0, 1.0), errors) == pytest.approx(2.0, abs=0.25)
+
+
+def test_a_resonance_rings_at_its_frequency_and_settles():
+    c = 1.0 / (TURN * 16.0) ** 2
+    t = 2e-4 * jnp.arange(5001.0)
+    true = made_of(lambda t: jnp.where(t > 0.1, 1.0, 0.0), t)
+    thrust = np.asarray(ForceResonance(c).read(true).thrust) / 0.3
+    ups = np.flatnonzero((thrust[:-1] < 1.0) & (thrust[1:] >= 1.0))[:6]
+    damped = 16.0 * np.sqrt(1.0 - (20.0 * np.sqrt(c) / 2.0) ** 2)
+    assert np.diff(t[ups]).mean() == pytest.approx(1.0 / damped, rel=5e-3)
+    peak = 1.0 + np.exp(-np.pi * 0.5 * 20.0 / (TURN * damped))
+    assert thrust.max() == pytest.approx(peak, rel=0.02)
+    assert abs(thrust[-1] - 1.0) < 1e-3
+
+
+def test_a_resonance_beyond_the_samples_follows_the_force():
+    t = jnp.linspace(0.0, 1.0, 101)
+    true = made_of(lambda t: jnp.sin(6.0 * t), t)
+    read = ForceResonance(1e-9).read(true)
+    np.testing.assert_allclose(read.recoil, true.recoil, atol=1e-5)
+    kick = made_of(lambda t: jnp.where(t > 0.5, 1.0, 0.0), t)
+    for c in (1e-7, 1e-5, 1e-3):
+        assert np.abs(ForceResonance(c).read(kick).recoil).max() < 2.0 * 0.8
+
+
+@pytest.mark.parametrize(
+    ("kind", "names"), [(ForceClockOffset, ("thrust", "recoil")), (CameraDelay, ("tip",))]
+)
+def test_a_delay_moves_the_curve(kind, names):
+    t = jnp.linspace(0.0, 1.0, 401)
+
+    def value(t):
+        return jnp.sin(9.0 * t) + 0.3 * jnp.cos(31.0 * t)
+
+    true = made_of(value, t)
+    for delay in (0.01, 0.0137, -0.0137):
+        read, moved = kind(delay).read(true), made_of(value, t - delay)
+        inside = (t > 0.02) & (t < 0.98)
+        for name in names:
+            size = np.abs(getattr(true, name)).max()
+            assert np.abs(getattr(read, name) - getattr(moved, name))[inside].max() < 1e-4 * size
+        untouched(kind, true, read)
+    read = kind(0.01).read(true)  # four samples: exact, and what was there at the start before them
+    for name in names:
+        before, after = np.asarray(getattr(true, name)), np.asarray(getattr(read, name))
+        np.testing.assert_allclose(after[4:], before[:-4], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(after[:4], before[0], rtol=1e-9)
+
+
+@pytest.mark.parametrize("kind", [ForceClockOffset, CameraDelay])
+def test_the_tangent_of_a_delay_at_its_null_is_the_slope_of_either_side(kind):
+    t = jnp.linspace(0.0, 1.0, 401)
+    true = made_of(lambda t: jnp.sin(9.0 * t), t)
+    name = kind.sensors[0]
+
+    def read(delay):
+        return getattr(kind(delay).read(true), name)
+
+    value, tangent = jax.jvp(read, (0.0,), (1.0,))
+    np.testing.assert_array_equal(value, getattr(true, name))
+    size = np.abs(tangent).max()
+    slope = -getattr(true, name)[1] / jnp.sin(9.0 * t[1]) * 9.0 * jnp.cos(9.0 * t)
+    assert np.abs(tangent - slope)[1:-1].max() < 1e-3 * size
+    for step in (1e-6, -1e-6):
+        np.testing.assert_allclose((read(step) - value) / step, tangent, atol=1e-3 * size)

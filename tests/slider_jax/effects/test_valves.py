@@ -1,0 +1,127 @@
+"""Valves, limits and hoses that take the place of the lag's flow, each against its closed form."""
+
+import numpy as np
+import pytest
+
+from slider_jax.actuation import FirstOrderLag
+from slider_jax.effects.pneumatics.chamber_expansion import ATMOSPHERE
+from slider_jax.effects.pneumatics.fill_vent_asymmetry import FillVentAsymmetry
+from slider_jax.effects.pneumatics.firmware_valves import FirmwareValves
+from slider_jax.effects.pneumatics.lag_mismatch import LagMismatch
+from slider_jax.effects.pneumatics.pulsed_valves import PulsedValves
+from slider_jax.effects.pneumatics.pwm import FULL, WIDEST
+from slider_jax.effects.pneumatics.rate_limit import RateLimit
+from slider_jax.effects.pneumatics.supply_cap import SupplyCap
+from slider_jax.effects.pneumatics.valve_deadband import ValveDeadband
+from slider_jax.effects.pneumatics.valve_overlap import ValveOverlap
+from tests.support.chambers import A, K, chambers, held, relaxation, square, strides
+
+OPEN = (WIDEST - 0.05) / 0.95
+"""Share of full flow that an error above `FULL` opens, of a valve that needs a duty of 0.05."""
+
+
+@pytest.mark.parametrize(
+    ("effect", "allowed"),
+    [
+        (FillVentAsymmetry(0.4), 2e-6),
+        (FillVentAsymmetry(2.5), 2e-6),
+        (RateLimit(4e-7), 2e-5),
+        (ValveOverlap(20e3), 2e-5),
+        (ValveDeadband(20e3), 1e-3),
+        (FirmwareValves(2.0, 2.0), 1e-3),
+        (PulsedValves(2.0, 2.0), 1e-3),
+    ],
+    ids=lambda x: x.name() if hasattr(x, "name") else "",
+)
+def test_converges_for_steps_that_the_loop_takes(effect, allowed):
+    """At 114 steps a stride, 4 ms, against steps of a sixteenth of it; 1e-3 is 250 Pa."""
+    coarse, fine = square([effect], strides(114)).p, square([effect], strides(16 * 114)).p
+    off = np.max(np.abs(coarse - fine[::16])) / A
+    assert np.max(np.abs(coarse - square([], strides(114)).p)) > 0.005 * A
+    assert off < allowed
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_reversal_vents_slowly_to_zero_and_fills_from_there(sign):
+    r, t = 1.7, np.linspace(0.0, 0.4, 201)
+    p = sign * relaxation(FillVentAsymmetry(r), sign * A, -sign * A, t)
+    empty = r * K * np.log(2.0)
+    venting = A * (2.0 * np.exp(-t / (r * K)) - 1.0)
+    filling = -A * (1.0 - np.exp(-(t - empty) / K))
+    np.testing.assert_allclose(p, np.where(t < empty, venting, filling), atol=1e-5 * A)
+
+
+def test_deadband_is_the_lag_until_it_stops_short_of_the_set_point():
+    d, t = 20e3, np.linspace(0.0, 1.0, 501)
+    p = relaxation(ValveDeadband(d), 0.0, A, t)
+    lag = A * (1.0 - np.exp(-t / K))
+    far = A - lag > 1.3 * d
+    np.testing.assert_allclose(p[far], lag[far], rtol=1e-3)
+    assert 0.85 * d < A - p[-1] < d
+    inside = relaxation(ValveDeadband(d), A - 0.7 * d, A, t)
+    np.testing.assert_allclose(inside, inside[0], rtol=1e-6)
+
+
+def test_overlap_settles_where_the_valve_shuts():
+    d, t = 20e3, np.linspace(0.0, 0.8, 401)
+    exact = (A - d) * (1.0 - np.exp(-t / K))
+    np.testing.assert_allclose(relaxation(ValveOverlap(d), 0.0, A, t), exact, rtol=1e-5, atol=1e-3)
+
+
+def test_limited_flow_rises_in_a_line_and_ends_as_the_lag():
+    R, t = 1e6, np.linspace(0.0, 0.6, 601)
+    p = relaxation(RateLimit(1.0 / R), 0.0, A, t)
+    turn = (A - R * K) / R
+    exact = np.where(t < turn, R * t, A - R * K * np.exp(-(t - turn) / K))
+    np.testing.assert_allclose(p, exact, atol=4e-3 * A)
+
+
+def test_cap_leaves_what_is_below_it():
+    t = np.linspace(0.0, 30.0 * K, 200)
+    final = [relaxation(SupplyCap(1.0 / 2e5), 0.0, p, t)[-1] for p in (1.5e5, 3e5, -3e5)]
+    np.testing.assert_allclose(final, [1.5e5, 2e5, -2e5], rtol=1e-5)
+
+
+def test_rear_chamber_has_its_own_lag():
+    t = strides(60)
+    plain, slow = square([], t).p, square([LagMismatch(0.5)], t).p
+    np.testing.assert_allclose(slow[:, 0], plain[:, 0], atol=1e-9)
+    at = np.linspace(0.0, 0.5, 251)
+    rear = chambers([LagMismatch(0.5)], held(A), held(A), at).p[:, 1]
+    np.testing.assert_allclose(rear, A * (1.0 - np.exp(-at / (1.5 * K))), rtol=1e-6)
+
+
+def test_firmware_opens_in_proportion_up_to_its_widest():
+    """Choked, the chamber vents with its absolute pressure and fills at a constant rate."""
+    t = np.linspace(0.0, 0.2, 201)
+    valves = FirmwareValves(fill=1.5, vent=2.0, supply=600e3, critical=0.5)
+    p = relaxation(valves, 500e3, 100e3, t)
+    choked = p + ATMOSPHERE > ATMOSPHERE / 0.5 + 1e3
+    exact = (500e3 + ATMOSPHERE) * np.exp(-2.0 * OPEN * t) - ATMOSPHERE
+    assert choked.sum() > 100
+    np.testing.assert_allclose(p[choked], exact[choked], rtol=1e-6)
+    p = relaxation(valves, 0.0, 400e3, t)
+    choked = p + ATMOSPHERE < 0.5 * (600e3 + ATMOSPHERE) - 1e3
+    assert choked.sum() > 100
+    slope = 1.5 * OPEN * (600e3 + ATMOSPHERE)
+    np.testing.assert_allclose(p[choked], (slope * t)[choked], rtol=1e-6, atol=1.0)
+    small = relaxation(valves, 100e3, 100e3 + 0.2 * FULL, np.array([0.0, 1e-5]))
+    flow = (0.2 * WIDEST - 0.05) / 0.95 * 1.5 * (600e3 + ATMOSPHERE)
+    assert (small[1] - small[0]) / 1e-5 == pytest.approx(flow, rel=1e-3)
+
+
+@pytest.mark.parametrize("valves", [FirmwareValves(fill=1.5), PulsedValves(fill=1.5)])
+def test_the_lag_has_no_say_beside_valves_that_replace_it(valves):
+    """Also where its time constant is a fraction of the step."""
+    t = strides(57)
+    slow, quick = (square([valves], t, law=FirstOrderLag(k)).p for k in (0.2, 0.002))
+    np.testing.assert_array_equal(slow, quick)
+
+
+def test_laminar_valves_approach_the_supply_and_the_room():
+    t = np.linspace(0.0, 0.1, 101)
+    valves = PulsedValves(fill=1.5, vent=2.0, supply=600e3)
+    p = relaxation(valves, 0.0, 500e3, t)
+    np.testing.assert_allclose(p, 600e3 * (1.0 - np.exp(-1.5 * OPEN * t)), rtol=1e-6, atol=1e-3)
+    p = relaxation(valves, 500e3, 0.0, t)
+    np.testing.assert_allclose(p, 500e3 * np.exp(-2.0 * OPEN * t), rtol=1e-6)

@@ -1,0 +1,137 @@
+"""A search by generations: it finds a known optimum, and goes on from where it was killed."""
+
+import numpy as np
+import pytest
+
+from slider_jax.errors import InputError
+from slider_jax.optimise.loop import CHECKPOINT, differences, run, settings_of
+from slider_jax.optimise.registry import LEAST, SEARCHERS, searcher
+
+TOP = np.array([0.3, 0.8, 0.5, 0.02, 0.6, 0.9])
+MEMBERS = 24
+
+
+def hills(members):
+    """Of height 1 at TOP, with lower ones around; no value in a corner of the box."""
+    off = members - TOP
+    value = 1.0 - (off**2).sum(axis=1) - 0.05 * (1.0 - np.cos(12.0 * off)).sum(axis=1)
+    return np.where(members[:, 0] > 0.9, np.nan, value)
+
+
+def evaluated(members, gradients):
+    """With central differences where gradients are asked for."""
+    if not gradients:
+        return hills(members), None
+    h = 1e-6 * np.eye(6)
+    slopes = [(hills(members + d) - hills(members - d)) / 2e-6 for d in h]
+    return hills(members), np.stack(slopes, axis=1)
+
+
+def settings(name, seed=3):
+    return settings_of(searcher(name, MEMBERS, 6), MEMBERS, seed, {"task": "hills"})
+
+
+def sought(name, generations, folder=None, seed=3, said=lambda g, s: None, resume=False):
+    algorithm, told = searcher(name, MEMBERS, 6), settings(name, seed)
+    return run(algorithm, evaluated, generations, seed, told, folder, resume, said=said)
+
+
+@pytest.mark.parametrize("name", SEARCHERS)
+def test_the_top_of_the_highest_hill_is_found(name):
+    found = sought(name, 60)
+    assert np.all((found.population >= 0.0) & (found.population <= 1.0))
+    assert found.score == hills(found.best[None])[0]
+    assert found.score > 0.97
+    best = [x.best for x in found.history]
+    assert best == list(np.maximum.accumulate([x.best_here for x in found.history]))
+    assert found.history[0].failed > 0 and found.history[-1].evaluations == 60 * MEMBERS
+
+
+def test_the_genetic_algorithm_keeps_its_elite():
+    found = sought("genetic", 20)
+    assert [x.best for x in found.history] == [x.best_here for x in found.history]
+
+
+class Killed(Exception):
+    pass
+
+
+@pytest.mark.parametrize("name", SEARCHERS)
+def test_a_search_killed_three_times_ends_as_one_that_was_not(name, tmp_path):
+    whole = sought(name, 15)
+    moments = sorted(np.random.default_rng(0).choice(np.arange(1, 14), 3, replace=False))
+
+    def kill_at(moment):
+        def said(generation, seconds):
+            if generation.number == moment:
+                raise Killed
+
+        return said
+
+    for moment in moments:
+        with pytest.raises(Killed):
+            sought(name, 15, tmp_path, said=kill_at(moment), resume=True)
+    again = sought(name, 15, tmp_path, resume=True)
+    np.testing.assert_equal(again.history, whole.history)
+    np.testing.assert_array_equal(again.population, whole.population)
+    np.testing.assert_array_equal(again.best, whole.best)
+
+
+def test_another_seed_draws_others():
+    assert not np.array_equal(
+        sought("genetic", 2).population, sought("genetic", 2, seed=4).population
+    )
+
+
+def test_a_longer_search_goes_on_from_a_shorter_one(tmp_path):
+    sought("genetic", 4, tmp_path)
+    again = sought("genetic", 9, tmp_path, resume=True)
+    np.testing.assert_equal(again.history, sought("genetic", 9).history)
+
+
+def test_what_was_begun_is_not_overwritten(tmp_path):
+    sought("genetic", 2, tmp_path)
+    with pytest.raises(InputError, match=r"a search was begun here; add --resume"):
+        sought("genetic", 2, tmp_path)
+
+
+def test_another_search_is_not_taken_up(tmp_path):
+    sought("genetic", 2, tmp_path)
+    with pytest.raises(InputError, match="other settings: seed: given 4, begun with 3"):
+        sought("genetic", 3, tmp_path, seed=4, resume=True)
+
+
+@pytest.mark.parametrize("damage", ["cut", "flipped", "other"])
+def test_a_torn_checkpoint_is_refused(tmp_path, damage):
+    sought("genetic", 2, tmp_path)
+    path = tmp_path / CHECKPOINT
+    content = bytearray(path.read_bytes())
+    if damage == "flipped":
+        content[len(content) // 2] ^= 1
+    path.write_bytes({"cut": content[:-50], "flipped": content, "other": b"text"}[damage])
+    with pytest.raises(InputError, match="is torn or not a checkpoint"):
+        sought("genetic", 3, tmp_path, resume=True)
+
+
+@pytest.mark.parametrize("name", SEARCHERS)
+def test_a_population_that_cannot_breed_is_refused(name):
+    few = LEAST[name] - 1
+    with pytest.raises(InputError, match=f"--population: given {few}; allowed {few + 1} or more"):
+        searcher(name, few, 6)
+
+
+def test_a_population_that_fails_as_a_whole_is_survived():
+    def nothing(members, gradients):
+        return np.full(len(members), np.nan), None
+
+    found = run(searcher("genetic", MEMBERS, 6), nothing, 3, 0, {})
+    assert found.history[-1].failed == MEMBERS and found.score == -np.inf
+
+
+def test_what_differs_is_told_by_its_place():
+    one = {"seed": 1, "robot": {"EI": [1.0, 2.0], "L": 3}, "gone": None}
+    other = {"seed": 1, "robot": {"EI": [1.0, 2.5], "L": 3}, "new": "x"}
+    assert differences(one, one) == []
+    assert differences(one, other) == [
+        "robot.EI.1: given 2.0, begun with 2.5", 'new: given null, begun with "x"'
+    ]  # fmt: skip

@@ -1,0 +1,334 @@
+"""The plant in real time: equal to a whole simulation, and what else a tank does."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from slider_jax.actuation import FirstOrderLag, SquareWave, pressure_history
+from slider_jax.effects.library import LIBRARY
+from slider_jax.effects.pneumatics.regulator_gain import RegulatorGain
+from slider_jax.errors import InputError
+from slider_jax.experiment.load import load
+from slider_jax.experiment.schema import SensorsTable
+from slider_jax.realtime.commands import Held, check_commands
+from slider_jax.realtime.noise import SensorNoise
+from slider_jax.realtime.plant import Plant
+from slider_jax.simulation.trial import simulate
+from tests.support.experiments import write
+
+H = 0.005
+"""Step of the small experiment [s]; half a stride is a whole number of them in both trials."""
+VENT = [None] * 4
+MIXED = {
+    # command, flow, acting pressure
+    "valve_delay": {"delay": 0.0123},
+    "valve_deadband": {"band": 2e4},
+    "line_lag": {"tau": 0.02},
+    # body, mounting
+    "tail_stiffness": {"x": 0.4},
+    "stress_relaxation": {"E_1": 0.01},
+    "sway_compliance": {"compliance": 2e-4},
+    # water
+    "head_drag": {"area": 1e-3},
+    "tank_seiche": {"a_sin": 0.02},
+    # instruments
+    "pressure_sensor_lag": {"tau": 0.02},
+    "pressure_offset": {"offset": 5e3},
+    "force_resonance": {"mass_over_stiffness": 5e-5},
+    "force_sensor_lag": {"tau": 0.01},
+    "camera_delay": {"delay": 0.033},
+}
+MOVING = ("tow_speed = 0.0", "tow_speed = 0.1\nheave = 0.03\npitch = 0.1")
+
+
+def tables(effects):
+    """The change to the small experiment's text that adds effects, given with parameters."""
+    lines = []
+    for name, values in effects.items():
+        lines += ["[[effects]]", f'name = "{name}"', *(f"{k} = {v}" for k, v in values.items())]
+    return "[[trials]]", "\n".join([*lines, "[[trials]]"])
+
+
+def sides(front, rear):
+    """Set pressures of the four chambers from two signed ones."""
+    return [max(front, 0.0), max(-front, 0.0), max(rear, 0.0), max(-rear, 0.0)]
+
+
+def set_pressures(trial, steps):
+    """(steps, 4): what a controller would give at the start of each step of H."""
+    middle = (jnp.arange(float(steps)) + 0.5) * H
+    waves = (
+        SquareWave(trial.frequency, trial.amplitude),
+        SquareWave(trial.frequency, trial.amplitude * trial.rear_ratio, trial.phase),
+    )
+    front, rear = (jax.vmap(lambda t, w=w: w.segment(t, t + 1e-6).a0)(middle) for w in waves)
+    return [sides(*pair) for pair in zip(front.tolist(), rear.tolist(), strict=True)]
+
+
+def assert_equals_the_simulation(plant, experiment, trial, rtol=1e-10):
+    run = simulate(experiment, trial)
+    assert run.clock.h == pytest.approx(H, rel=1e-12)
+    readings = [plant.begin(trial)]
+    for asked in set_pressures(run.trial, run.clock.steps):
+        readings.append(plant.advance(asked, H))
+    assert readings[-1].ok
+    np.testing.assert_allclose([x.t for x in readings], run.t, atol=1e-12)
+    found = {
+        "pressure": np.array([[x.p_front, x.p_rear] for x in readings]),
+        "thrust": [x.thrust_N for x in readings],
+        "recoil": [x.recoil_N for x in readings],
+        "tip": [x.tip_m for x in readings],
+    }
+    for name, values in found.items():
+        scale = np.ptp(run.series[name])
+        assert scale > 0.0
+        np.testing.assert_allclose(values, run.series[name], rtol=0.0, atol=rtol * scale)
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    """The small experiment, its first trial with a clamp that moves, and its plant."""
+    experiment = load(write(tmp_path_factory.mktemp("plain"), MOVING))
+    return experiment, Plant(experiment, step=H)
+
+
+@pytest.fixture
+def plant(plain):
+    """The plant at the start of the second trial, sound."""
+    _, plant = plain
+    plant.begin(1)
+    yield plant
+    for name in [*(f"leak_{c}" for c in CHAMBERS), *(f"blocked_{c}" for c in CHAMBERS)]:
+        plant.inject(name, 0.0)
+    plant.inject("EI_tail", 0.0058)
+
+
+CHAMBERS = ("front_left", "front_right", "rear_left", "rear_right")
+
+
+@pytest.mark.parametrize("trial", [0, 1])
+def test_a_plant_driven_sample_by_sample_equals_the_simulation(plain, trial):
+    experiment, plant = plain
+    assert_equals_the_simulation(plant, experiment, trial)
+
+
+@pytest.mark.slow
+def test_effects_of_every_place_act_as_in_the_simulation(tmp_path):
+    experiment = load(write(tmp_path, MOVING, tables(MIXED)))
+    assert {LIBRARY[name].place() for name in MIXED} == {
+        effect.place() for effect in LIBRARY.values()
+    }
+    assert_equals_the_simulation(Plant(experiment, step=H), experiment, 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LIBRARY)
+def test_each_effect_acts_as_in_the_simulation(name, tmp_path):
+    priors = LIBRARY[name].priors()
+    given = {key: 0.4 * p.low + 0.6 * p.high for key, p in priors.items()}
+    experiment = load(write(tmp_path, tables({name: given})))
+    assert_equals_the_simulation(Plant(experiment, 1, step=H), experiment, 1)
+
+
+def test_nothing_is_traced_while_it_runs(plant):
+    with jax.no_tracing():
+        plant.advance([1e5, None, None, 1e5], 5 * H)
+        plant.inject("leak_front_left", 1.0)
+        plant.inject("EI_tail", 0.004)
+        plant.advance([None, 1e5, 1e5, None], 5 * H)
+        plant.begin(0, settle=0.1)
+
+
+def test_time_goes_in_whole_steps_whatever_the_calls(plant):
+    asked = [1e5, 0.0, 0.0, 8e4]
+    whole = plant.advance(asked, 12 * H)
+    assert whole.t == pytest.approx(12 * H) and abs(whole.tip_m) > 1e-4
+    plant.begin(1)
+    for _ in range(36):
+        last = plant.advance(asked, H / 3)
+    assert last.t == whole.t and last.tip_m == whole.tip_m and last.recoil_N == whole.recoil_N
+    assert plant.advance(asked, 0.9 * H) == last
+
+
+def test_after_settling_the_clock_starts_at_zero_and_the_clamp_in_its_phase(plain):
+    """A vented body that heaves comes back to the same after a whole number of periods."""
+    _, plant = plain
+    settled = plant.begin(0, settle=2.0)
+    assert settled.t == 0.0
+    plant.begin(0)
+    later = plant.advance(VENT, 2.0)
+    assert later.t == pytest.approx(2.0) and abs(later.recoil_N) > 0.01
+    for name in ("thrust_N", "recoil_N", "tip_m"):
+        assert getattr(settled, name) == pytest.approx(getattr(later, name), rel=1e-9)
+
+
+def test_chambers_fill_and_vent_with_the_lag(plant):
+    k = 0.087
+    filled = plant.advance([1e5, None, None, 5e4], 0.1)
+    share = -np.expm1(-0.1 / k)
+    np.testing.assert_allclose(filled.pressures, [1e5 * share, 0, 0, 5e4 * share], rtol=1e-9)
+    assert filled.p_front == filled.pressures[0] and filled.p_rear == -filled.pressures[3]
+    vented = plant.advance(VENT, 0.2)
+    np.testing.assert_allclose(
+        vented.pressures, np.multiply(filled.pressures, np.exp(-0.2 / k)), rtol=1e-9
+    )
+
+
+def test_what_both_chambers_of_a_segment_hold_bends_nothing(plant):
+    plant.begin(1)
+    alone = plant.advance([6e4, None, None, None], 0.3)
+    plant.begin(1)
+    both = plant.advance([9e4, 3e4, 2e4, 2e4], 0.3)
+    shared = -np.expm1(-0.3 / 0.087)
+    np.testing.assert_allclose(
+        both.pressures, [9e4 * shared, 3e4 * shared, 2e4 * shared, 2e4 * shared], rtol=1e-9
+    )
+    assert both.tip_m == pytest.approx(alone.tip_m, rel=1e-12) and abs(alone.tip_m) > 1e-3
+
+
+def test_a_leak_lowers_its_own_chamber_to_where_flows_balance(plant):
+    """p = p_set/(1 + q k) at last; the chamber beside it holds its set pressure."""
+    plant.advance([1e5, None, 8e4, None], 1.5)
+    plant.inject("leak_front_left", 4.0)
+    leaking = plant.advance([1e5, None, 8e4, None], 1.5)
+    np.testing.assert_allclose(
+        leaking.pressures, [1e5 / (1.0 + 4.0 * 0.087), 0.0, 8e4, 0.0], rtol=1e-6
+    )
+    other_side = plant.advance([None, 1e5, 8e4, None], 1.5)
+    np.testing.assert_allclose(other_side.pressures, [0.0, 1e5, 8e4, 0.0], rtol=1e-6)
+    plant.inject("leak_front_left", 0.0)
+    mended = plant.advance([1e5, None, 8e4, None], 1.5)
+    np.testing.assert_allclose(mended.pressures, [1e5, 0.0, 8e4, 0.0], rtol=1e-6)
+
+
+def test_a_blocked_chamber_fills_no_further_but_vents(plant):
+    held = plant.advance([1e5, None, None, None], 0.05)
+    plant.inject("blocked_front_left", 1.0)
+    blocked = plant.advance([1e5, None, None, None], 0.5)
+    assert blocked.p_front == pytest.approx(held.p_front, rel=1e-6)
+    reversed_ = plant.advance([None, 1e5, None, None], 1.5)
+    assert reversed_.p_front == pytest.approx(-1e5, rel=1e-6)
+    assert plant.advance([1e5, None, None, None], 2.0).p_front == pytest.approx(0.0, abs=1.0)
+
+
+def test_a_changed_tail_is_that_of_an_experiment_with_such_a_tail(plain, tmp_path):
+    experiment, plant = plain
+    softer = load(write(tmp_path, MOVING, ("EI_tail = 0.0058", "EI_tail = 0.002")))
+    plant.inject("EI_tail", 0.002)
+    assert_equals_the_simulation(plant, softer, 1)
+    plant.inject("EI_tail", 0.0058)
+    assert_equals_the_simulation(plant, experiment, 1)
+
+
+def test_a_tail_may_change_in_the_midst_of_a_stroke(plant):
+    asked = [1e5, None, None, 1e5]
+    whole = plant.advance(asked, 0.2)
+    plant.begin(1)
+    plant.advance(asked, 0.1)
+    plant.inject("EI_tail", 0.002)
+    changed = plant.advance(asked, 0.1)
+    assert changed.ok and abs(changed.recoil_N - whole.recoil_N) > 0.02 * abs(whole.recoil_N)
+
+
+def test_a_step_that_fails_holds_the_last_reading_until_begun_anew(plant):
+    before = plant.advance([1e5, None, None, None], 2 * H)
+    for _ in range(200):
+        after = plant.advance([1e9, None, None, 1e9], H)
+        if not after.ok:
+            break
+        before = after
+    assert plant.failed_at == pytest.approx(before.t + H)
+    assert after == before._replace(ok=False)
+    assert plant.advance(VENT, 1.0) == after
+    assert plant.begin(1).ok and plant.failed_at is None
+    assert plant.advance(VENT, H).ok
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("force_clock_offset", -0.01),  # reads what is still to come
+        ("camera_delay", 0.3),  # farther back than is kept
+        ("camera_delay", 0.5 * H),  # cubic through the sample that is still to come
+        ("valve_delay", -0.01),
+        ("rear_valve_delay", 0.3),
+    ],
+)
+def test_an_effect_that_no_present_can_have_is_refused_by_name(name, value, tmp_path):
+    experiment = load(write(tmp_path, tables({name: {"delay": value}})))
+    with pytest.raises(InputError, match=f"^effects: {name}: in real time .*; allowed"):
+        Plant(experiment, step=H)
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ([1e5, -1.0, 0.0, 0.0], "set pressure of front_right: given -1.0; allowed 0 or more"),
+        ([1e5, 0.0, 0.0, np.nan], "set pressure of rear_right: given nan; allowed 0 or more"),
+        ([1e5, 0.0], "set pressures: given 2 of them; allowed one for each chamber, 4"),
+    ],
+)
+def test_set_pressures_that_no_chamber_can_have_are_refused(plant, asked, message):
+    with pytest.raises(InputError, match=message):
+        plant.advance(asked, H)
+
+
+def test_faults_are_checked_by_name_and_size(plant):
+    with pytest.raises(InputError, match="did you mean leak_front_left"):
+        plant.inject("leak_frontleft", 1.0)
+    with pytest.raises(InputError, match="fault blocked_rear_left: given 1.5; allowed 0 to 1"):
+        plant.inject("blocked_rear_left", 1.5)
+
+
+def test_a_step_that_no_rig_has_is_refused(plain):
+    with pytest.raises(InputError, match="step of the plant: given 0.5; allowed"):
+        Plant(plain[0], step=0.5)
+
+
+def test_noise_has_the_declared_size_on_every_channel_and_comes_back_with_its_seed(plant):
+    sensors = SensorsTable(
+        pressure_noise=700.0, force_noise=0.01, force_tare=0.5, force_slow_noise=0.03,
+        force_slow_time=0.05, tip_noise=1e-3,
+    )  # fmt: skip
+    clean = plant.advance([1e5, None, None, 5e4], 0.1)
+
+    def series(seed, samples):
+        noise = SensorNoise(sensors, seed)
+        return [noise.add(clean._replace(t=H * i)) for i in range(samples)]
+
+    def off(name):
+        return np.array([getattr(x, name) for x in noisy]) - np.array(getattr(clean, name))
+
+    noisy = series(3, 6000)
+    pressures = off("pressures")
+    np.testing.assert_allclose(pressures.std(axis=0), 700.0 / np.sqrt(2.0), rtol=0.05)
+    np.testing.assert_allclose(pressures[:, 0] - pressures[:, 1], off("p_front"), atol=1e-9)
+    assert off("p_rear").std() == pytest.approx(700.0, rel=0.05)
+    assert off("tip_m").std() == pytest.approx(1e-3, rel=0.05)
+    for name in ("thrust_N", "recoil_N"):
+        force = off(name)
+        assert 0.05 < abs(force.mean()) < 1.5  # the tare
+        assert force.std() == pytest.approx(np.hypot(0.01, 0.03), rel=0.15)
+        rest = force - force.mean()
+        correlation = np.mean(rest[10:] * rest[:-10])  # over the slow time; the white part is gone
+        assert correlation == pytest.approx(0.03**2 / np.e, rel=0.3)
+    assert series(3, 20) == noisy[:20]
+    assert series(4, 1)[0].thrust_N != noisy[0].thrust_N
+
+
+def test_held_samples_fill_a_chamber_as_the_square_wave_does_that_they_are_of():
+    """Also where edges fall within the stretches, and where stretches begin on edges."""
+    wave, law = SquareWave(4.0, 1e5, 0.1), FirstOrderLag(0.087)
+    given = H * jnp.arange(200.0)
+    held = Held(given, jax.vmap(lambda t: wave.segment(t, t + 1e-6).a0)(given + 0.5 * H))
+    for stretch in (H, 0.5 * H, 0.7 * H):
+        times = jnp.arange(0.0, 0.99, stretch)
+        expected = pressure_history(law, wave, 0.0, times)
+        np.testing.assert_allclose(pressure_history(law, held, 0.0, times), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("step", [1e-3, 2e-3, 2.5e-3])
+def test_a_command_that_needs_nothing_to_come_is_allowed_at_every_step(step):
+    """Also where rounding puts the next set pressure a hair before the step's end."""
+    check_commands((RegulatorGain(0.1),), step, 104)

@@ -1,0 +1,243 @@
+"""The paper's design maps: what is found in made-up maps, and the script on a coarse swimmer."""
+
+import json
+import re
+import runpy
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from slider_jax.errors import InputError
+from slider_jax.experiment.load import assemble, load, to_model, to_numerics
+from slider_jax.optimise.design_space import to_toml
+from slider_jax.reproduction.design_findings import (
+    findings,
+    half_is_poor,
+    interior_optimum,
+    long_tails_gain_less,
+    negative_is_slower,
+    short_tails_phase,
+    slice_of_phase,
+)
+from slider_jax.reproduction.design_maps import Map, best_phase, best_stiffness, peak
+from slider_jax.reproduction.design_maps_report import draw
+from slider_jax.sweep import sweep as sweeping
+from slider_jax.swimming.gait import swimmer as free
+from slider_jax.swimming.paper_optimum import swimmer_content
+from slider_jax.swimming.steady_state import Search, find_steady
+
+SCRIPT = Path(__file__).resolve().parents[3] / "scripts" / "fig7_design_maps.py"
+script = runpy.run_path(str(SCRIPT))
+main = script["main"]
+
+LENGTHS = np.array([0.02, 0.04, 0.06, 0.08, 0.10])
+PHASES = np.linspace(-0.5, 0.5, 21)
+STIFFNESS = np.geomspace(1e-4, 1e-1, 13)
+
+
+def over_phase(best, height=0.3, curvature=2.0):
+    """A parabola over phase for each length; scalars serve all of them."""
+    best, height, curvature = (
+        np.broadcast_to(x, LENGTHS.shape)[:, None] for x in (best, height, curvature)
+    )
+    return Map(LENGTHS, PHASES, height - curvature * (PHASES - best) ** 2)
+
+
+def over_stiffness(best):
+    """A parabola over the logarithm of the stiffness, highest at `best` [N m^2]."""
+    best = np.broadcast_to(best, LENGTHS.shape)[:, None]
+    return Map(LENGTHS, STIFFNESS, 0.3 - 0.02 * np.log(STIFFNESS / best) ** 2)
+
+
+PAPERS = over_phase(0.15, curvature=np.array([6.0, 5.0, 4.0, 3.0, 2.0]))
+"""A map in which all that the paper states of phase is so."""
+
+
+def without(drawn, row, column):
+    speed = drawn.speed.copy()
+    speed[row, column] = np.nan
+    return drawn._replace(speed=speed)
+
+
+def test_the_peak_of_a_parabola_is_exact_between_points():
+    x = np.array([0.0, 0.1, 0.25, 0.3, 0.5])
+    found = peak(x, 2.0 - 3.0 * (x - 0.22) ** 2)
+    assert found.x == pytest.approx(0.22) and found.y == pytest.approx(2.0) and found.inside
+
+
+@pytest.mark.parametrize(
+    ("y", "x", "inside"),
+    [
+        ([1.0, 2.0, 3.0], 2.0, False),
+        ([3.0, 2.0, 1.0], 0.0, False),
+        ([1.0, 1.0, 1.0], 0.0, False),
+        ([1.0, 3.0, np.nan], 1.0, None),
+        ([np.nan, 3.0, 1.0], 1.0, None),
+        ([np.nan, np.nan, np.nan], np.nan, None),
+    ],
+)
+def test_a_peak_at_an_end_or_beside_a_gap_is_no_parabolas(y, x, inside):
+    found = peak(np.arange(3.0), np.array(y))
+    assert found.x == pytest.approx(x, nan_ok=True) and found.inside is inside
+
+
+def test_best_stiffness_and_phase_of_every_length():
+    stiff, late = LENGTHS**2, LENGTHS + 0.1
+    np.testing.assert_allclose([p.x for p in best_stiffness(over_stiffness(stiff))], stiff)
+    np.testing.assert_allclose([p.x for p in best_phase(over_phase(late))], late)
+
+
+def test_the_papers_own_map_agrees_with_all_it_states():
+    found = findings(over_stiffness(0.003), PAPERS)
+    assert [x.agrees for x in found] == [True] * 8
+    assert {x.verdict for x in found} == {"agrees"}
+
+
+FALSE = [
+    (interior_optimum, over_stiffness([0.003, 0.003, 0.5, 0.003, 1e-6]), "60, 100 mm"),
+    (
+        short_tails_phase,
+        over_phase([0.15, 0.15, 0.22, 0.4, 0.4]),
+        r"\+0.070 in all; too far for 60",
+    ),
+    (negative_is_slower, over_phase([0.1, 0.1, 0.1, 0.1, -0.06]), "-.* at 100 mm"),
+    (half_is_poor, over_phase([0.15, 0.15, 0.35, 0.15, 0.15]), "25.5 in all, against"),
+    (long_tails_gain_less, over_phase(0.15, curvature=np.arange(1.0, 6.0)), "10.1 against 4.5"),
+]
+
+
+@pytest.mark.parametrize(("finding", "drawn", "told"), FALSE)
+def test_a_false_statement_is_found_false_and_where(finding, drawn, told):
+    found = finding(drawn)
+    assert found.agrees is False and found.verdict == "does not agree"
+    assert re.search(told, found.measured), found.measured
+
+
+@pytest.mark.parametrize(
+    ("best", "agrees"),
+    [(0.12, [True, True, True]), (0.21, [False, True, True]), (0.07, [False, False, True])]
+    + [(-0.1, [False, False, False])],
+)
+def test_the_slice_is_of_60_mm_alone(best, agrees):
+    others = np.array([0.4, 0.4, best, 0.4, 0.4])
+    assert [x.agrees for x in slice_of_phase(over_phase(others))] == agrees
+
+
+def test_tail_first_is_slower_than_standing():
+    backwards = PAPERS.speed.copy()
+    backwards[:, PHASES < -0.01] = -9.0
+    assert negative_is_slower(PAPERS._replace(speed=backwards)).agrees
+
+
+def test_what_is_missing_is_named_and_the_others_decide():
+    zero, fifth, half = (int(np.argmin(np.abs(PHASES - x))) for x in (0.0, 0.2, 0.5))
+    gap = half_is_poor(without(PAPERS, 1, half))
+    assert gap.agrees and "missing for 40 mm" in gap.measured
+    assert negative_is_slower(without(PAPERS, 1, zero)).agrees
+    assert short_tails_phase(without(PAPERS, 1, fifth)).agrees
+    backwards = over_phase([0.15, 0.15, 0.35, 0.15, 0.15])
+    assert half_is_poor(without(backwards, 1, half)).agrees is False
+    stiff = over_stiffness(0.003)
+    beside = int(np.argmax(stiff.speed[2])) + 1
+    found = interior_optimum(without(stiff, 2, beside))
+    assert found.agrees and "missing for 60 mm" in found.measured
+
+
+def test_what_is_missing_throughout_is_not_decided():
+    nothing = PAPERS._replace(speed=np.full_like(PAPERS.speed, np.nan))
+    found = findings(nothing._replace(across=STIFFNESS, speed=nothing.speed[:, :13]), nothing)
+    assert {x.verdict for x in found} == {"not decided"}
+    at_60 = without(PAPERS, 2, int(np.argmin(np.abs(PHASES - 0.2))))
+    assert [x.agrees for x in slice_of_phase(at_60)] == [None, None, True]
+
+
+def test_maps_with_gaps_are_drawn(tmp_path):
+    holes = without(without(PAPERS, 0, 3), 2, 4)
+    draw(over_stiffness(0.003), holes, "made up", tmp_path / "map.png")
+    assert (tmp_path / "map.png").stat().st_size > 20_000
+
+
+@pytest.fixture
+def swimmer(tmp_path):
+    content = swimmer_content(frequency=5.0, amplitude=365e3, phase=0.2)
+    coarse = content | {"numerics": {"nodes": 17, "step": 0.004}}
+    path = tmp_path / "swimmer.toml"
+    path.write_text(to_toml(assemble(coarse, "coarse", tmp_path)))
+    return path
+
+
+def test_the_axes_hold_what_is_shown_whatever_the_points(swimmer):
+    task = script["sweeps"](load(swimmer), 4)
+    lengths, phases = (axis.values for axis in task["b"].axes)
+    assert {0.02, 0.04, 0.06, 0.08, 0.1} < set(lengths) and {0.0, 0.2, 0.5} < set(phases)
+    assert np.all(np.diff(lengths) > 1e-6) and np.all(np.diff(phases) > 1e-6)
+
+
+@pytest.mark.parametrize("points", ["3", "2", "-1"])
+def test_too_few_points_are_refused_and_leave_nothing(swimmer, tmp_path, points):
+    with pytest.raises(InputError, match=f"--points: given {points}; allowed 4 or more"):
+        main([str(tmp_path / "out"), "--points", points, "--swimmer", str(swimmer)])
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_swimmer_that_is_no_file_is_refused(tmp_path):
+    with pytest.raises(InputError, match="no_such.toml"):
+        main([str(tmp_path / "out"), "--swimmer", str(tmp_path / "no_such.toml")])
+    assert not (tmp_path / "out").exists()
+
+
+def made_up_table(batch, _):
+    """In place of physics: the phase's part of `PAPERS`, least bent for the longest tails."""
+    model = batch.model
+    bend = 0.1 / np.asarray(model.robot.tail_length)
+    return {"speed_m_per_s": 0.3 - bend * (np.asarray(model.drive.rear.phase) - 0.15) ** 2}
+
+
+def test_a_stopped_script_goes_on_and_writes_all(swimmer, tmp_path, capsys, monkeypatch):
+    out, calls, stopping = tmp_path / "out", [], [True]
+    command = [str(out), "--points", "4", "--swimmer", str(swimmer)]
+
+    def stopped_at_the_second(*args):
+        calls.append(1)
+        if len(calls) > 1 and stopping:
+            raise KeyboardInterrupt
+        return made_up_table(*args)
+
+    monkeypatch.setattr(sweeping, "available_cores", lambda: 1)
+    monkeypatch.setattr(sweeping, "compile_swim", lambda plan, _: lambda batch: (batch, None))
+    monkeypatch.setattr(sweeping, "table_of", stopped_at_the_second)
+    with pytest.raises(KeyboardInterrupt):
+        main(command)
+    assert [p.name for p in out.iterdir()] == ["map_a"]
+    assert len(list((out / "map_a" / "partial").glob("chunk*"))) == 1
+
+    stopping.clear()
+    assert main(command) == 0
+    assert "map a: 1 of 4 parts" in capsys.readouterr().err
+    assert sorted(p.name for p in out.iterdir()) == ["fig7.json", "fig7.png", "fig7.txt"]
+    told = json.loads((out / "fig7.json").read_text())
+    assert np.shape(told["map_a"]["speed_m_per_s"]) == (7, 4)
+    phases, speed = (np.array(told["map_b"][name]) for name in ("phase", "speed_m_per_s"))
+    np.testing.assert_array_equal(phases, np.round([-0.5, -1 / 6, 0.0, 1 / 6, 0.2, 0.5], 9))
+    np.testing.assert_allclose(speed[6], 0.3 - (phases - 0.15) ** 2)
+    assert len(told["findings"]) == 8 and told["versions"]["jax"] and told["input"]["sha256"]
+    text = (out / "fig7.txt").read_text()
+    assert "1. there is a best stiffness for every tail length: does not agree" in text
+    assert "3. negative phase is slower: agrees" in text
+
+
+@pytest.mark.slow
+def test_the_scripts_speeds_are_those_of_each_swimmer_alone(swimmer, tmp_path):
+    out = tmp_path / "out"
+    assert main([str(out), "--points", "4", "--swimmer", str(swimmer)]) == 0
+    told = json.loads((out / "fig7.json").read_text())["map_b"]
+    speed = np.array(told["speed_m_per_s"], float)
+    np.testing.assert_allclose(speed[:, 0], speed[:, -1], atol=1e-3)  # -0.5 is 0.5 again
+    given = load(swimmer)
+    phase = told["phase"].index(0.2)
+    long = given.with_values({"robot.tail_length": told["tail_length_m"][3]})
+    search = Search(steps_per_stride=100, numerics=to_numerics(given)[0])
+    alone = find_steady(free(to_model(long, 0)), jnp.asarray(5.0), search)
+    assert speed[3, phase] == pytest.approx(float(alone.speed), rel=1e-4)

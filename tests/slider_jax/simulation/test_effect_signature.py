@@ -1,0 +1,157 @@
+"""`slider effects`: the list, one effect explained, its picture, and bad input."""
+
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from slider_jax.cli.effects import PLACES, place_of
+from slider_jax.cli.main import main
+from slider_jax.effects.library import LIBRARY
+from slider_jax.errors import SolverError
+from slider_jax.experiment.load import load
+from slider_jax.simulation import effect_signature as prints
+from slider_jax.simulation.effect_signature import built_in, fingerprint, typical
+from tests.support.experiments import write
+
+
+def said(capsys, *words):
+    assert main(["effects", *map(str, words)]) == 0
+    return capsys.readouterr().out
+
+
+def test_the_list_has_every_effect_once_with_its_parameters_under_its_place(capsys):
+    text = said(capsys)
+    blocks = text.split("\n\n")[1:]
+    assert 0 < len(blocks) <= len(PLACES)
+    for name, kind in LIBRARY.items():
+        (block,) = (x for x in blocks if re.search(rf"^  {name} ", x, re.MULTILINE))
+        assert block.splitlines()[0] == place_of(kind).__doc__.splitlines()[0].rstrip(".")
+        assert f"{kind.title} ({', '.join(kind.sensors)})" in block
+        own = re.split(r"\n  (?=\S)", block.split(f"\n  {name} ")[1])[0].splitlines()
+        for parameter, prior in kind.priors().items():
+            (line,) = (x for x in own if x.strip().startswith(f"{parameter}: "))
+            assert f"{prior.low:g} to {prior.high:g}" in line
+            assert prior.unit in line or prior.unit == "-"
+
+
+def test_no_line_of_the_list_is_too_long_for_a_screen(capsys):
+    assert max(map(len, said(capsys).splitlines())) <= 120
+
+
+def test_one_effect_is_explained_with_equation_source_priors_and_table(capsys):
+    text = said(capsys, "valve_delay")
+    for part in (
+        "dead time of the valves",
+        "p_set,valve(t) = p_set(t - delay)",
+        "Source: ",
+        "0 to 0.06 s",
+        LIBRARY["valve_delay"].priors()["delay"].why,
+        '[[effects]]\n  name = "valve_delay"\n  delay = 0.03',
+    ):
+        assert part in text
+
+
+@pytest.mark.parametrize("name", LIBRARY)
+def test_every_effect_can_be_explained_and_added_as_it_says(name, capsys, tmp_path):
+    table = said(capsys, name).split("in an experiment or model file\n")[1]
+    load(write(tmp_path, ("[sensors]", f"{table}\n[sensors]")))
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (
+            ("valve_dely",),
+            "NAME: given 'valve_dely'; allowed the names that slider effects lists; "
+            "did you mean valve_delay?",
+        ),
+        (("--out", "x"), "--out: is for the picture of one effect; give its NAME too"),
+        (("valve_delay", "--experiment", "x"), "--experiment: is for the picture; give --out DIR"),
+        (("valve_delay", "--out", "y", "--experiment", "x"), "x: no such file"),
+        (("valve_delay", "--outt", "y"), "--outt: unknown option"),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(words, message, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["effects", *words]) == 2
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture(scope="module")
+def gain(tmp_path_factory):
+    """The fingerprint of a force sensor's gain on the small experiment's first trial."""
+    experiment = load(write(tmp_path_factory.mktemp("fingerprint")))
+    return fingerprint(experiment, "force_gain")
+
+
+def test_the_fingerprint_of_a_gain_is_that_share_of_the_forces(gain):
+    (trace,) = gain.traces
+    assert (trace.label, trace.size) == ("gain = 0.15", 0.15)
+    left = gain.left(trace)
+    for name in ("thrust_N", "recoil_N"):
+        np.testing.assert_allclose(left[name], 0.15 * gain.without[name], atol=1e-9)
+        assert np.abs(gain.without[name]).max() > 0.1
+    for name in ("p_front_Pa", "p_rear_Pa", "tip_m"):
+        assert not left[name].any() and gain.rms(trace)[name] == 0.0
+
+
+def test_the_fingerprint_is_of_one_whole_steady_stride(gain):
+    """Of a trial of 3 strides made longer: the front chamber switches at phase 0 and a half."""
+    assert gain.along[0] == 0.0 and gain.along[-1] == pytest.approx(1.0)
+    assert gain.run.t[-1] >= prints.STRIDES / 4.0 - 1e-9
+    for series in gain.without.values():
+        assert series[-1] == pytest.approx(series[0], abs=0.01 * np.ptp(series))
+    front = gain.without["p_front_Pa"]
+    assert gain.along[np.argmax(front)] == pytest.approx(0.5)
+
+
+def test_without_a_frequency_the_last_second_is_shown():
+    run = SimpleNamespace(clock=SimpleNamespace(half_period=None, h=0.004, steps=700))
+    assert prints._last_stride(run) == slice(450, 701)
+    run.clock.steps = 100
+    assert prints._last_stride(run) == slice(0, 101)
+
+
+def test_a_size_that_cannot_be_simulated_is_halved():
+    tried = []
+
+    def run(gain):
+        tried.append(gain)
+        if abs(gain) > 0.05:
+            raise SolverError("too much")
+        return "run"
+
+    prior = LIBRARY["force_gain"].priors()["gain"]
+    assert prints._largest(run, "gain", prior) == (0.0375, "run")
+    assert tried == [0.15, 0.075, 0.0375]
+    with pytest.raises(SolverError):
+        prints._largest(lambda gain: run(1.0), "gain", prior)
+
+
+def test_the_typical_size_is_the_far_end_of_the_range():
+    prior = LIBRARY["force_gain"].priors()["gain"]
+    assert typical(prior) == prior.high
+    assert typical(prior._replace(null=prior.high)) == prior.low
+
+
+def test_the_command_draws_the_picture_and_says_how_large_the_change_is(gain, capsys, tmp_path):
+    out = tmp_path / "out"
+    text = said(capsys, "force_gain", "--out", out, "--experiment", write(tmp_path))
+    rms = gain.rms(gain.traces[0])
+    line = f"gain = 0.15: thrust {1e3 * rms['thrust_N']:.4g} mN; recoil {1e3 * rms['recoil_N']:.4g}"
+    assert line in text
+    assert [p.name for p in out.iterdir()] == ["force_gain.png"]
+    with Image.open(out / "force_gain.png") as picture:
+        assert picture.size == (1650, 1500)
+        assert len(set(picture.convert("L").tobytes())) > 50
+
+
+def test_the_built_in_robot_is_a_valid_experiment():
+    experiment = built_in()
+    assert experiment.trials[0].frequency == prints.FREQUENCY
+    assert experiment.trials[0].duration == pytest.approx(prints.STRIDES / prints.FREQUENCY)

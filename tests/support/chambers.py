@@ -1,0 +1,46 @@
+"""Histories of the two chambers with effects, as arrays."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from slider_jax.actuation import FirstOrderLag, Recorded, SquareWave
+from slider_jax.beam.parameters import Robot
+from slider_jax.dynamics import pressures as pneumatics
+from slider_jax.dynamics.model import Drive, Model
+from slider_jax.supports import Clamped
+from tests.support.helpers import arrays
+
+K, F, A = 0.087, 2.2, 250e3
+LAG = FirstOrderLag(K)
+
+chamber_history = eqx.filter_jit(pneumatics.chamber_history)
+
+
+def chambers(effects, front, rear, t, start=0.0, law=LAG):
+    """The chambers' history with both pressures at `start`, as numpy arrays (n, ...)."""
+    model = Model(Robot(), tuple(effects), law, Drive(front, rear, start, start), Clamped())
+    model = arrays(model)
+    begin = pneumatics.start_chambers(model)
+    rest = chamber_history(model, begin, jnp.asarray(t))
+    return jax.tree.map(lambda a, b: np.concatenate([a[None], b]), begin, rest)
+
+
+def held(p_set):
+    """A set pressure that is constant from the start."""
+    return Recorded(jnp.asarray([-2.0, -1.0]), jnp.asarray([p_set, p_set]))
+
+
+def relaxation(effect, start, p_set, t):
+    """p(t) [Pa] at the front from `start`, for a set pressure that is held."""
+    return chambers([effect], held(p_set), held(p_set), t, start).p[:, 0]
+
+
+def square(effects, t, **options):
+    """The chambers under square waves, the rear one later by 0.15 of a period."""
+    return chambers(effects, SquareWave(F, A), SquareWave(F, A, 0.15), t, **options)
+
+
+def strides(per_stride, count=3):
+    return np.arange(0, count * per_stride + 1) / (F * per_stride)
