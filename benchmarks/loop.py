@@ -23,7 +23,7 @@ from summary import summed_up
 from tanks import closed, draw, limits, noisy, problem_of, simulated
 
 from calibration.discrepancy.close_loop import Outcome, choose_held_out
-from calibration.discrepancy.verdict import floors, rms_errors
+from calibration.inference.goodness import floors, rms_errors
 from calibration.inference.problem import Problem
 from calibration.model.extended import candidates
 from slider_jax.effects.library import LIBRARY

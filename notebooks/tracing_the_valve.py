@@ -30,7 +30,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import slider_jax as sj
-from calibration.discrepancy.close_loop import close_loop_on_logs
+from calibration.pressure_logs.close_loop import close_loop_on_logs
 from calibration.pressure_logs.read import PA_PER_PSI, psi, read_log
 from calibration.pressure_logs.report import consequence_of
 from calibration.pressure_logs.synthetic import write_logs

@@ -1,8 +1,8 @@
 """Differentiable simulator of SLIDER, a soft pneumatic lamprey-like robot.
 
 Public names are loaded when first used, so that `import slider_jax` costs nothing and changes no
-global setting of JAX. Functions that share their module's name are imported from it, as in
-`from slider_jax.dynamics.rollout import rollout`.
+global setting of JAX. All others are imported from their
+modules, as in `from slider_jax.dynamics.rollout import rollout`.
 """
 
 from importlib import import_module
@@ -10,26 +10,26 @@ from importlib import import_module
 __version__ = "0.1.0"
 
 _HOME = {
-    "BACKWARD_EULER": "scheme",
+    "BACKWARD_EULER": "dynamics.time_schemes",
     "Clamped": "supports",
-    "Drive": "model",
+    "Drive": "dynamics.model",
     "FirstOrderLag": "actuation",
     "Free": "supports",
     "Gravity": "effects",
     "Ideal": "actuation",
     "InputError": "errors",
-    "Model": "model",
+    "Model": "dynamics.model",
     "NormalDrag": "effects",
-    "Numerics": "parameters",
+    "Numerics": "beam.parameters",
     "PinnedLink": "supports",
     "ReactiveForce": "effects",
     "Recorded": "actuation",
-    "Robot": "parameters",
-    "SDIRK2": "scheme",
+    "Robot": "beam.parameters",
+    "SDIRK2": "dynamics.time_schemes",
     "SineWave": "actuation",
     "SolverError": "errors",
     "SquareWave": "actuation",
-    "TimeGrid": "rollout",
+    "TimeGrid": "dynamics.rollout",
     "Trapezoid": "actuation",
     "enable_float64": "precision",
 }

@@ -114,7 +114,7 @@ def _of_experiment(experiment, inputs, memo, say, seconds) -> tuple[Any, dict[st
 
 
 def _of_logs(logs, inputs, memo, say, seconds) -> tuple[Any, dict[str, Any]]:
-    from calibration.discrepancy.close_loop import close_loop_on_logs
+    from calibration.pressure_logs.close_loop import close_loop_on_logs
     from calibration.pressure_logs.report import log_report
 
     outcome = close_loop_on_logs(logs, progress=say, memo=memo)

@@ -13,8 +13,8 @@ import numpy as np
 from calibration.discrepancy.refits import Refits, begun
 from calibration.discrepancy.rounds import SHARE, Rival, Round, Search, Tried, groups
 from calibration.discrepancy.scores import alikeness
-from calibration.discrepancy.verdict import FLOOR, excess
 from calibration.inference.gauss_newton import Fit
+from calibration.inference.goodness import FLOOR, excess
 from calibration.inference.problem import Block
 from slider_jax.effects.library import LIBRARY
 

@@ -9,19 +9,16 @@ from calibration.audit.audit import audit
 from calibration.audit.prediction import outliers
 from calibration.discrepancy.rounds import Search
 from calibration.discrepancy.selection import search
-from calibration.discrepancy.verdict import NAMED, Excess, decide, excess, floors, rms_errors
+from calibration.discrepancy.verdict import NAMED, decide
 from calibration.inference.cache import Memo
 from calibration.inference.gauss_newton import Fit, fit
+from calibration.inference.goodness import Excess, excess, floors, rms_errors
 from calibration.inference.problem import Problem
 from calibration.inference.uncertainty import halves, interval
 from calibration.measurements.findings import Finding
 from calibration.measurements.records import Record
 from calibration.model.extended import BASE, Parameter, base_values, candidates, parameters, start
 from calibration.model.predict import COARSE, FINE, Resolution
-from calibration.pressure_logs.audit import audit_logs
-from calibration.pressure_logs.problem import FREE, LogProblem, built_in, log_candidates, log_record
-from calibration.pressure_logs.read import ManifoldLog
-from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment
 
 LEAST_TRIALS = 3
@@ -142,42 +139,6 @@ def strangers(outcome: Outcome) -> list[Finding]:
     each = excess(outcome.problem, outcome.nearest or outcome.final)
     trials = [r.trial for r in outcome.problem.records]
     return outliers(trials, {c: x.trials for c, x in each.items()})
-
-
-def close_loop_on_logs(
-    logs: Sequence[ManifoldLog],
-    effects: Sequence[str] | None = None,
-    progress: Callable[[str], None] = lambda text: None,
-    memo: Memo | None = None,
-) -> Outcome:
-    """Search what the pressure lag lacks on the rig's logs.
-
-    In order of frequency the first, third, fifth log and so on are searched, the others held out.
-    Raises `InputError` where there are fewer than five.
-    """
-    if len(logs) < 2 * LEAST_TRIALS - 1:
-        raise InputError(
-            f"{len(logs)} logs given; tracing an effect needs {2 * LEAST_TRIALS - 1} or more, at "
-            "different frequencies: every other one is held out"
-        )
-    logs = sorted(logs, key=lambda log: log.frequency)
-    names = tuple(log_candidates() if effects is None else effects)
-    experiment = built_in(logs[0], None, {})
-    found = [log_record(log, built_in(log, None, {})) for log in logs]
-
-    def problem_of(chosen: Sequence[Record]) -> Problem:
-        used = {id(r) for r in chosen}
-        picked = [log for log, r in zip(logs, found, strict=True) if id(r) in used]
-        return replace(LogProblem.of_logs(picked, names), memo=memo)
-
-    base = base_values(experiment)
-    held = list(range(1, len(logs), 2))
-    progress("auditing the logs")
-    findings = audit_logs(logs)
-    for finding in findings:
-        progress(str(finding))
-    outcome = conclude(experiment, names, found, held, problem_of, base, FREE, progress)
-    return replace(outcome, audit=findings)
 
 
 def conclude(

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import spearmanr
 
-from calibration.discrepancy.verdict import FLOOR, Excess
+from calibration.inference.goodness import FLOOR, Excess
 from calibration.measurements.records import Record
 from calibration.model.predict import CHANNELS
 

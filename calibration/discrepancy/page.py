@@ -6,11 +6,11 @@ import numpy as np
 
 from calibration.discrepancy.close_loop import Outcome
 from calibration.discrepancy.localise import said
-from calibration.discrepancy.report import widened
 from calibration.discrepancy.rounds import AGREE, UNALIKE
-from calibration.discrepancy.verdict import FLOOR
+from calibration.inference.goodness import FLOOR
 from calibration.model.predict import CHANNELS
 from calibration.reporting.html import document, paragraph, picture, table, text
+from calibration.reporting.parameters import widened
 
 SHOWN = {"p_front": (1e-3, "kPa"), "p_rear": (1e-3, "kPa"), "thrust": (1e3, "mN"),
          "recoil": (1e3, "mN"), "tip": (1e3, "mm")}  # fmt: skip

@@ -1,6 +1,5 @@
 """The outcome as report.json and model.toml."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -8,14 +7,12 @@ import numpy as np
 from calibration.discrepancy.close_loop import Errors, Outcome
 from calibration.discrepancy.localise import where
 from calibration.discrepancy.rounds import Round
-from calibration.discrepancy.verdict import FLOOR, at_bounds, split
-from calibration.inference.gauss_newton import Fit
-from calibration.inference.uncertainty import by_variation, determined, interval
-from calibration.model.extended import Parameter, base_values
+from calibration.discrepancy.verdict import at_bounds, split
+from calibration.inference.goodness import FLOOR
+from calibration.model.extended import base_values
+from calibration.reporting.parameters import UNITS, told, toml, words
 from slider_jax.effects.library import LIBRARY
 from slider_jax.io.provenance import versions
-
-UNITS = {"p_front": "Pa", "p_rear": "Pa", "thrust": "N", "recoil": "N", "tip": "m"}
 
 
 def report(
@@ -97,34 +94,6 @@ def _class(outcome: Outcome, this: Round) -> list[str]:
 def _interval(outcome: Outcome, effect: str, name: str) -> dict[str, Any]:
     index = next(i for i, p in enumerate(outcome.entries) if (p.effect, p.name) == (effect, name))
     return told(outcome.final, outcome.entries, index)
-
-
-def told(fit: Fit, entries: Sequence[Parameter], index: int) -> dict[str, Any]:
-    """A fitted parameter as reports say it: no value where the data do not fix one, and of the
-    interval what lies in the prior range."""
-    p, (value, low, high) = entries[index], interval(fit, entries, index)
-    said = {"value": value, "low": low, "high": high, "unit": p.prior.unit}
-    if not determined(p, low, high):
-        low, high = (float(np.clip(x, p.prior.low, p.prior.high)) for x in (low, high))
-        said |= {"value": None, "low": low, "high": high, "not_determined_by_these_data": True}
-    alone = by_variation(fit, index)
-    return said | ({} if alone is None else {"by_variation_alone": alone})
-
-
-def words(x: dict[str, Any]) -> str:
-    """A parameter as `told`: value and interval, or that there is none."""
-    within = f"({x['low']:.4g} to {x['high']:.4g}) {x['unit']}"
-    value = "not determined by these data" if x["value"] is None else f"{x['value']:.4g}"
-    said = f"{value}  {within}"
-    return said + (f"; {widened(x)}" if "by_variation_alone" in x else "")
-
-
-def widened(x: dict[str, Any]) -> str:
-    """Why the interval is wider than the noise asks for."""
-    return (
-        f"by what varies of the forces alone {x['by_variation_alone']:.4g}, which is farther "
-        "off than chance: the interval is widened for it"
-    )
 
 
 def _table(errors: Errors) -> dict[str, dict[str, float]]:
@@ -209,27 +178,3 @@ def model_toml(outcome: Outcome) -> str:
     """The calibrated model with its effects, for `slider simulate --model`."""
     final = outcome.final
     return toml(sentence(outcome), outcome.entries, final.theta, outcome.effects, final.free)
-
-
-def toml(
-    said: str,
-    entries: Sequence[Parameter],
-    theta: np.ndarray,
-    effects: Sequence[str],
-    free: np.ndarray | None = None,
-) -> str:
-    """A model file with the base parameters and `effects`, under the comment `said`.
-
-    Of the base parameters those in `free`, by default all.
-    """
-    lines = [f"# {said}", "[parameters]"]
-    pairs = list(zip(entries, theta, strict=True))
-    lines += [
-        f"{p.name} = {x:.9g}"
-        for i, (p, x) in enumerate(pairs)
-        if not p.effect and (free is None or i in free)
-    ]
-    for name in effects:
-        lines += ["", "[[effects]]", f'name = "{name}"']
-        lines += [f"{p.name} = {x:.9g}" for p, x in pairs if p.effect == name]
-    return "\n".join(lines) + "\n"

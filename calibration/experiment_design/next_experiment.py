@@ -12,7 +12,7 @@ import numpy as np
 
 from calibration.discrepancy.close_loop import Outcome
 from calibration.discrepancy.rounds import groups
-from calibration.discrepancy.verdict import CLASS, FLOOR, INCONCLUSIVE, UNEXPLAINED
+from calibration.discrepancy.verdict import CLASS, INCONCLUSIVE, UNEXPLAINED
 from calibration.experiment_design.discriminate import split_class
 from calibration.experiment_design.information import Foresight, Seen, Sensing, information
 from calibration.experiment_design.trial_search import (
@@ -26,6 +26,7 @@ from calibration.experiment_design.trial_search import (
     words,
 )
 from calibration.inference.gauss_newton import inverse
+from calibration.inference.goodness import FLOOR
 from calibration.inference.problem import summed
 from calibration.inference.uncertainty import EFFECT, SYSTEMATIC
 from calibration.measurements.records import Record

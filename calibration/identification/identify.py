@@ -6,10 +6,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from calibration.audit.audit import audit
-from calibration.discrepancy.report import UNITS, told, toml, words
-from calibration.discrepancy.verdict import FLOOR, excess, floors, rms_errors
 from calibration.experiment_design.parameter_trial import Proposal, advise, described, said
 from calibration.inference.gauss_newton import Fit, fit
+from calibration.inference.goodness import FLOOR, excess, floors, rms_errors
 from calibration.inference.lbfgs import descend
 from calibration.inference.problem import Problem
 from calibration.inference.uncertainty import correlations, halves
@@ -17,6 +16,7 @@ from calibration.measurements.findings import Finding
 from calibration.measurements.records import Record
 from calibration.model.extended import Parameter, base_values, parameters, start
 from calibration.model.predict import CHANNELS, COARSE, FINE, Resolution
+from calibration.reporting.parameters import UNITS, told, toml, words
 from slider_jax.effects.library import LIBRARY
 from slider_jax.errors import InputError, nearest
 from slider_jax.experiment.load import Experiment

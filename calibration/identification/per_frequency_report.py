@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from calibration.discrepancy.report import told, toml, words
 from calibration.experiment_design.parameter_trial import described, said
 from calibration.identification.parameter_ties import CONSTANT, EACH, FOLLOWS, PAPER, RAMP
 from calibration.identification.per_frequency import ByFrequency, Way, sentence, values
 from calibration.inference.uncertainty import correlations
+from calibration.reporting.parameters import told, toml, words
 from slider_jax.io.figures import new_figure, save_figure
 from slider_jax.paper import RAMP_END, RAMP_START, force_coefficients
 

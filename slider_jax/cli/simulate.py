@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from slider_jax.cli.commands import SIMULATE_LOG, function_of
 from slider_jax.cli.options import Folder, MaybeWhole, ModelFile, Seconds
 from slider_jax.errors import InputError
 
@@ -39,13 +40,11 @@ def simulate(
         drive: for a log, send its command (set) or its measured pressure through the model.
     """
     if input.suffix.lower() != ".toml":
-        from calibration.cli.simulate_log import simulate_log
-
         options = {"--animate": animate, "--step": step, "--nodes": nodes, "--scheme": scheme}
         for name, value in options.items():
             if value:
                 raise InputError(f"{name}: is for experiments; leave it out for a log")
-        return simulate_log(input, model, out, drive, plot)
+        return function_of(SIMULATE_LOG)(input, model, out, drive, plot)
     from slider_jax.experiment.load import load
 
     if drive != "set":

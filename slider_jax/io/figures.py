@@ -1,12 +1,9 @@
-"""Pictures and films: what all are made with, and those of frequency sweeps."""
+"""Figures and films: how all of them are made and written."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
-
-from slider_jax import paper
-from slider_jax.reproduction.frequency_sweep import FrequencySweep, Series, Settings
 
 FRAME = 50
 """Time that a picture of a film is shown [ms]."""
@@ -61,99 +58,3 @@ def save_film(
         progress(number, len(shown))
     plt.close(figure)
     images[0].save(path, save_all=True, append_images=images[1:], duration=FRAME, loop=0)
-
-
-def thrust_against_frequency(sweep: FrequencySweep, settings: Settings, path: Path) -> None:
-    """Like the paper's Fig. 4: mean thrust of steady strides, bars of one standard deviation."""
-    table = sweep.table
-    f, mean = table["frequency_Hz"], 1e3 * table["thrust_mean_N"]
-    figure, ax = new_figure(figsize=(8, 4.8))
-    ax.axvspan(paper.RAMP_START, paper.RAMP_END, color="0.92", label="ramp of C_d and m_a")
-    ax.axhline(0.0, color="k", lw=0.6)
-    bars = 1e3 * table["thrust_std_of_strides_N"]
-    ax.errorbar(
-        f,
-        mean,
-        bars,
-        fmt="o-",
-        ms=4,
-        lw=1.2,
-        capsize=3,
-        label="simulated, mean and s.d. of strides",
-    )
-    at, there = paper.THRUST_AT, 1e3 * paper.THRUST_THERE
-    ax.plot(at, there, "C3*", ms=14, label=f"paper: about {there:.0f} mN near {at:g} Hz")
-    ax.axvline(
-        paper.MINIMUM_NEAR,
-        color="C3",
-        ls=":",
-        lw=1.5,
-        label=f"paper: minimum, negative, near {paper.MINIMUM_NEAR:g} Hz",
-    )
-    ax.set_xlabel("stride frequency (Hz)")
-    ax.set_ylabel("mean thrust (mN)")
-    ax.set_xlim(0.0, float(f.max()) + 0.4)
-    ax.legend(loc="lower right", fontsize="small")
-    ax.set_title(_subtitle(settings), fontsize="medium")
-    save_figure(figure, path)
-
-
-def _subtitle(settings: Settings) -> str:
-    a = settings.assumed
-    front = 1e-3 * float(a.amplitude)
-    return (
-        f"head fixed, still water; assumed: +-{front:g} kPa set in front, "
-        f"+-{front * float(a.rear_ratio):g} kPa in the rear {float(a.phase):g} of a stride later"
-    )
-
-
-def stride_in_detail(frequency: float, series: Series, settings: Settings, path: Path) -> None:
-    """Like the paper's Figs. 5 and 6: midlines of the last stride, and three strides in time."""
-    figure, _ = new_figure(figsize=(10, 8.5))
-    figure.clear()
-    grid = figure.add_gridspec(3, 2, height_ratios=(1.3, 1.0, 1.0))
-    _draw_midlines(figure, figure.add_subplot(grid[0, :]), series)
-    steps = settings.steps_per_stride
-    shown = slice(max(0, len(series.t) - 3 * steps - 1), None)
-    t, first = series.t[shown], None
-    rows = (
-        ("pressure (kPa)", 1e-3 * series.pressure, ("front", "rear")),
-        ("tip, lateral (mm)", 1e3 * series.tip, None),
-        ("thrust (mN)", 1e3 * series.thrust, None),
-        ("recoil (mN)", 1e3 * series.recoil, None),
-    )
-    for place, (label, values, names) in enumerate(rows):
-        ax = first = figure.add_subplot(grid[1 + place // 2, place % 2], sharex=first)
-        lines = ax.plot(t, values[shown], lw=1.3)
-        ax.axhline(0.0, color="k", lw=0.4)
-        ax.set_ylabel(label)
-        ax.set_xlabel("time (s)")
-        ax.margins(x=0.0)
-        if names is not None:
-            above = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.98), "borderaxespad": 0.0}
-            ax.legend(lines, names, ncols=2, fontsize="small", frameon=False, **above)
-    mean = 1e3 * series.thrust[-steps:].mean()
-    thrust = figure.axes[-2]
-    thrust.axhline(mean, color="C3", ls="--", lw=1.0)
-    thrust.set_title(f"mean of the last stride {mean:.1f} mN", fontsize="small", loc="right")
-    figure.suptitle(f"{frequency:g} Hz; {_subtitle(settings)}", fontsize="medium")
-    save_figure(figure, path)
-
-
-def _draw_midlines(figure, ax, series: Series) -> None:
-    import matplotlib
-
-    colours = matplotlib.colormaps["viridis"]
-    poses = len(series.midlines)
-    for pose, midline in enumerate(1e3 * series.midlines):
-        ax.plot(*midline, color=colours(0.95 * (pose + 1) / poses), lw=1.4)
-    ax.plot(0.0, 0.0, "ks", ms=8)
-    ax.annotate("clamp", (0.0, 0.0), (0, 10), textcoords="offset points", ha="center")
-    length, swing = 1e3 * np.ptp(series.midlines[:, 0]), 1e3 * np.abs(series.midlines[:, 1]).max()
-    ax.set_xlim(-1.03 * length, 0.05 * length)
-    ax.set_ylim(*(side * max(1.2 * swing, 0.1 * length) for side in (-1, 1)))
-    ax.set_aspect("equal")
-    ax.set_xlabel("x, forward from the clamp (mm)")
-    ax.set_ylabel("y, lateral (mm)")
-    scale = matplotlib.cm.ScalarMappable(matplotlib.colors.Normalize(0.0, 1.0), colours)
-    figure.colorbar(scale, ax=ax, label="phase of last stride (-)", fraction=0.04)

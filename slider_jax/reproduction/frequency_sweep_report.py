@@ -6,10 +6,13 @@ from pathlib import Path
 import numpy as np
 
 from slider_jax import paper
-from slider_jax.io.figures import stride_in_detail, thrust_against_frequency
 from slider_jax.io.files import staged, write_csv, write_json
 from slider_jax.io.provenance import versions
 from slider_jax.reproduction.frequency_sweep import FrequencySweep, Settings
+from slider_jax.reproduction.frequency_sweep_figures import (
+    stride_in_detail,
+    thrust_against_frequency,
+)
 
 ASSUMED = {
     "front_chamber, rear_chamber": "spans from the head in m: the paper gives none",

@@ -9,7 +9,7 @@ from calibration.discrepancy.alternatives import AS_MUCH, CONTENDS, better_rival
 from calibration.discrepancy.refits import Refits
 from calibration.discrepancy.rounds import Agreement
 from calibration.discrepancy.selection import search
-from calibration.discrepancy.verdict import FLOOR
+from calibration.inference.goodness import FLOOR
 from calibration.model.extended import Parameter
 from slider_jax.effects import Prior
 from tests.calibration.discrepancy.test_selection import SAMPLES, TRIALS, Sums

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calibration.discrepancy.localise import said, trend, when, where
-from calibration.discrepancy.verdict import Excess
+from calibration.inference.goodness import Excess
 from calibration.measurements.records import Record
 from slider_jax.experiment.schema import Trial
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from calibration.discrepancy.rounds import Round, Search
-from calibration.discrepancy.verdict import Excess, decide, explained
+from calibration.discrepancy.verdict import decide, explained
 from calibration.inference.gauss_newton import Fit
+from calibration.inference.goodness import Excess
 from calibration.model.extended import parameters, start
 
 ENTRIES = parameters(("valve_delay", "tank_current"))

@@ -17,13 +17,13 @@ from calibration.discrepancy.rounds import (
     Tried,
     groups,
 )
-from calibration.discrepancy.verdict import Excess
 from calibration.experiment_design import next_experiment as module
 from calibration.experiment_design.discriminate import TIMES, distance
 from calibration.experiment_design.information import Foresight, Seen, Sensing, information
 from calibration.experiment_design.next_experiment import next_experiment
 from calibration.experiment_design.trial_search import Effort, limits_of
 from calibration.inference.gauss_newton import Fit
+from calibration.inference.goodness import Excess
 from calibration.inference.noise import DISCREPANCY
 from calibration.inference.problem import Problem
 from calibration.measurements.records import Record

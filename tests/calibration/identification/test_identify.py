@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from calibration.discrepancy.verdict import Excess
 from calibration.identification import identify
 from calibration.inference import problem as evidence
+from calibration.inference.goodness import Excess
 from calibration.measurements.synthetic import Truth, trials, write_tank
 from calibration.model import predict as forward
 from slider_jax.cli.main import main

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from calibration.discrepancy.report import told, words
 from calibration.inference.gauss_newton import fit
 from calibration.inference.noise import Noise
 from calibration.inference.problem import Problem
 from calibration.inference.uncertainty import halves, interval
 from calibration.measurements.records import Record
 from calibration.model.extended import Parameter
+from calibration.reporting.parameters import told, words
 from slider_jax.effects import Prior
 from slider_jax.experiment.schema import Trial
 

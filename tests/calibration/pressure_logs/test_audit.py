@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.pressure_logs.audit import audit_logs
-from calibration.pressure_logs.code_density import code_density
+from calibration.pressure_logs.audit import audit_logs, code_density
 from calibration.pressure_logs.read import PSI_PER_COUNT, read_log
 from tests.support import synthetic_log
 

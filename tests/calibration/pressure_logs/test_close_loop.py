@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from calibration.discrepancy.close_loop import close_loop_on_logs
 from calibration.discrepancy.report import model_toml
 from calibration.inference.cache import Memo, resumable
+from calibration.pressure_logs.close_loop import close_loop_on_logs
 from calibration.pressure_logs.read import read_log
 from calibration.pressure_logs.synthetic import Valves, write_logs
 from slider_jax.errors import InputError

@@ -1,0 +1,50 @@
+"""Closes the loop on the rig's pressure logs."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from calibration.discrepancy.close_loop import LEAST_TRIALS, Outcome, conclude
+from calibration.inference.cache import Memo
+from calibration.inference.problem import Problem
+from calibration.measurements.records import Record
+from calibration.model.extended import base_values
+from calibration.pressure_logs.audit import audit_logs
+from calibration.pressure_logs.problem import FREE, LogProblem, built_in, log_candidates, log_record
+from calibration.pressure_logs.read import ManifoldLog
+from slider_jax.errors import InputError
+
+
+def close_loop_on_logs(
+    logs: Sequence[ManifoldLog],
+    effects: Sequence[str] | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+    memo: Memo | None = None,
+) -> Outcome:
+    """Search what the pressure lag lacks on the rig's logs.
+
+    In order of frequency the first, third, fifth log and so on are searched, the others held out.
+    Raises `InputError` where there are fewer than five.
+    """
+    if len(logs) < 2 * LEAST_TRIALS - 1:
+        raise InputError(
+            f"{len(logs)} logs given; tracing an effect needs {2 * LEAST_TRIALS - 1} or more, at "
+            "different frequencies: every other one is held out"
+        )
+    logs = sorted(logs, key=lambda log: log.frequency)
+    names = tuple(log_candidates() if effects is None else effects)
+    experiment = built_in(logs[0], None, {})
+    found = [log_record(log, built_in(log, None, {})) for log in logs]
+
+    def problem_of(chosen: Sequence[Record]) -> Problem:
+        used = {id(r) for r in chosen}
+        picked = [log for log, r in zip(logs, found, strict=True) if id(r) in used]
+        return replace(LogProblem.of_logs(picked, names), memo=memo)
+
+    base = base_values(experiment)
+    held = list(range(1, len(logs), 2))
+    progress("auditing the logs")
+    findings = audit_logs(logs)
+    for finding in findings:
+        progress(str(finding))
+    outcome = conclude(experiment, names, found, held, problem_of, base, FREE, progress)
+    return replace(outcome, audit=findings)

@@ -1,0 +1,64 @@
+"""Fitted parameters as reports and model files show them."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from calibration.inference.gauss_newton import Fit
+from calibration.inference.uncertainty import by_variation, determined, interval
+from calibration.model.extended import Parameter
+
+UNITS = {"p_front": "Pa", "p_rear": "Pa", "thrust": "N", "recoil": "N", "tip": "m"}
+
+
+def told(fit: Fit, entries: Sequence[Parameter], index: int) -> dict[str, Any]:
+    """A fitted parameter as reports say it: no value where the data do not fix one, and of the
+    interval what lies in the prior range."""
+    p, (value, low, high) = entries[index], interval(fit, entries, index)
+    said = {"value": value, "low": low, "high": high, "unit": p.prior.unit}
+    if not determined(p, low, high):
+        low, high = (float(np.clip(x, p.prior.low, p.prior.high)) for x in (low, high))
+        said |= {"value": None, "low": low, "high": high, "not_determined_by_these_data": True}
+    alone = by_variation(fit, index)
+    return said | ({} if alone is None else {"by_variation_alone": alone})
+
+
+def words(x: dict[str, Any]) -> str:
+    """A parameter as `told`: value and interval, or that there is none."""
+    within = f"({x['low']:.4g} to {x['high']:.4g}) {x['unit']}"
+    value = "not determined by these data" if x["value"] is None else f"{x['value']:.4g}"
+    said = f"{value}  {within}"
+    return said + (f"; {widened(x)}" if "by_variation_alone" in x else "")
+
+
+def widened(x: dict[str, Any]) -> str:
+    """Why the interval is wider than the noise asks for."""
+    return (
+        f"by what varies of the forces alone {x['by_variation_alone']:.4g}, which is farther "
+        "off than chance: the interval is widened for it"
+    )
+
+
+def toml(
+    said: str,
+    entries: Sequence[Parameter],
+    theta: np.ndarray,
+    effects: Sequence[str],
+    free: np.ndarray | None = None,
+) -> str:
+    """A model file with the base parameters and `effects`, under the comment `said`.
+
+    Of the base parameters those in `free`, by default all.
+    """
+    lines = [f"# {said}", "[parameters]"]
+    pairs = list(zip(entries, theta, strict=True))
+    lines += [
+        f"{p.name} = {x:.9g}"
+        for i, (p, x) in enumerate(pairs)
+        if not p.effect and (free is None or i in free)
+    ]
+    for name in effects:
+        lines += ["", "[[effects]]", f'name = "{name}"']
+        lines += [f"{p.name} = {x:.9g}" for p, x in pairs if p.effect == name]
+    return "\n".join(lines) + "\n"
