@@ -22,7 +22,7 @@ from strangers import STRANGERS
 from summary import summed_up
 from tanks import closed, draw, limits, noisy, problem_of, simulated
 
-from calibration.discrepancy.close_loop import Outcome, choose_held_out
+from calibration.discrepancy.close_loop import LoopOutcome, choose_held_out
 from calibration.inference.goodness import floors, rms_errors
 from calibration.inference.problem import Problem
 from calibration.model.extended import candidates
@@ -162,7 +162,7 @@ def noise_seed(case: Case) -> int:
     return int.from_bytes(digest[:7])
 
 
-def _cover(outcome: Outcome, effects: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
+def _cover(outcome: LoopOutcome, effects: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
     found = {}
     for i, p in enumerate(outcome.entries):
         if p.effect in effects and p.name in effects[p.effect] and i in outcome.final.free:

@@ -9,7 +9,7 @@ import rivals
 from tanks import draw, noisy, problem_of, simulated
 
 from calibration.discrepancy import report
-from calibration.discrepancy.close_loop import Outcome, choose_held_out, conclude
+from calibration.discrepancy.close_loop import LoopOutcome, choose_held_out, conclude
 from calibration.discrepancy.selection import directions
 from calibration.inference.gauss_newton import fit
 from calibration.inference.problem import Problem
@@ -44,7 +44,7 @@ def told(interval: tuple[float, float, float], truth: float) -> dict[str, float]
     return {"value": value, "low": low, "high": high, "truth": truth}
 
 
-def summary(outcome: Outcome, truth: Mapping[str, float]) -> dict[str, Any]:
+def summary(outcome: LoopOutcome, truth: Mapping[str, float]) -> dict[str, Any]:
     """What was said, and whether the base parameters' intervals hold the truth."""
     cover = {}
     for i, p in enumerate(outcome.entries):

@@ -22,7 +22,7 @@ from slider_jax.optimise.design_space import box_of, models
 from slider_jax.optimise.population import Evaluation, begin
 from slider_jax.precision import enable_float64
 from slider_jax.swimming.paper_optimum import optimum
-from slider_jax.swimming.steady_state import Search, strides
+from slider_jax.swimming.steady_state import SteadySettings, strides
 
 FREQUENCY = 5.0
 
@@ -35,7 +35,7 @@ def main() -> None:
     given = asked.parse_args()
     enable_float64()
     begin(available_cores())
-    model, box, search = models(optimum()), box_of({}), Search()
+    model, box, search = models(optimum()), box_of({}), SteadySettings()
     count = round(given.seconds * FREQUENCY)
 
     def speed(unit):

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.manifold.driver import Manifold
-from rig.manifold.limits import Limits
+from rig.manifold.limits import PressureLimits
 from rig.manifold.serial_port import open_port
 from rig.recording.decode import readings
 from rig.recording.reader import read_recording
@@ -26,8 +26,8 @@ from rig.scheduling import real_time
 from rig.simulated.rig import SimulatedRig
 from rig.simulated.tank import BenchTank
 from rig.simulated.terminal import in_process
-from rig.trial.capture import Switch, Switches, Timing, Trial, capture
-from rig.trial.waveform import Drive
+from rig.trial.capture import PlannedTrial, Switch, Switches, Timing, capture
+from rig.trial.waveform import SegmentDrive
 
 
 def device() -> SimulatedRig:
@@ -45,13 +45,13 @@ def measure(seconds: float, folder: Path) -> dict[str, float | int | str]:
     """A trial of so many seconds."""
     path = folder / "stream.h5"
     switches = Switches(Switch(), Switch())
-    drive = Drive("sine", 1.3, 150e3, phase=0.15)
+    drive = SegmentDrive("sine", 1.3, 150e3, phase=0.15)
     with real_time() as priority, in_process(device) as served:
         with Manifold(open_port(served.path), *switches) as manifold:
             cpu, begun = _cpu(), time.monotonic()
             captured = capture(
-                Trial("stream", drive, seconds), manifold, switches, {}, path,
-                Limits.of([250e3]), {}, Timing(),
+                PlannedTrial("stream", drive, seconds), manifold, switches, {}, path,
+                PressureLimits.of([250e3]), {}, Timing(),
             )  # fmt: skip
             cpu, wall = _cpu() - cpu, time.monotonic() - begun
             lost, doubled, damaged = manifold.lost, manifold.duplicated, manifold.damaged

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from rig_process import command, simulated
 
-from calibration.twin.twin import Settings
+from calibration.twin.twin import TwinSettings
 
 START = 25.0
 """[s] of the rig's clock by which a watch has begun, its model compiled."""
@@ -31,7 +31,7 @@ SETTLED = 3.0
 """[s] of the watch that do not count: its first blocks wait for the clocks."""
 LEAST = 20.0
 """[s] of a sound robot: shorter, the bands may not be learned."""
-BLOCK = Settings().samples / Settings().rate
+BLOCK = TwinSettings().samples / TwinSettings().rate
 """[s] of readings in a block."""
 ROOT = Path(__file__).resolve().parent.parent
 

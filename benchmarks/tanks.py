@@ -12,7 +12,7 @@ from pathlib import Path
 import equinox as eqx
 import numpy as np
 
-from calibration.discrepancy.close_loop import Outcome, choose_held_out, conclude
+from calibration.discrepancy.close_loop import LoopOutcome, choose_held_out, conclude
 from calibration.experiment_design.detectability import matrix
 from calibration.inference.problem import Problem
 from calibration.measurements.records import COLUMNS, Record
@@ -127,7 +127,9 @@ def problem_of(tank: Tank, names: Sequence[str], memo=None):
     return made
 
 
-def closed(tank: Tank, found: Sequence[Record], memo=None, progress=lambda text: None) -> Outcome:
+def closed(
+    tank: Tank, found: Sequence[Record], memo=None, progress=lambda text: None
+) -> LoopOutcome:
     """The loop closed on records of a tank, all effects of the library being candidates."""
     names, base = tuple(candidates()), base_values(tank.experiment)
     laid = problem_of(tank, names, memo)

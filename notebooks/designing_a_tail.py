@@ -35,7 +35,7 @@ from slider_jax.optimise.population import Evaluation
 from slider_jax.optimise.registry import searcher
 from slider_jax.swimming.gait import Gait
 from slider_jax.swimming.paper_optimum import optimum
-from slider_jax.swimming.steady_state import Search, find_steady, steady_speed
+from slider_jax.swimming.steady_state import SteadySettings, find_steady, steady_speed
 
 sj.enable_float64()
 
@@ -49,7 +49,7 @@ sj.enable_float64()
 # %%
 LENGTHS, STIFFNESSES = (0.02, 0.10), (0.001, 0.038)
 robot = models(optimum())
-coarse = Search(steps_per_stride=48, numerics=Numerics(tail_cells=4, body_cells=12))
+coarse = SteadySettings(steps_per_stride=48, numerics=Numerics(tail_cells=4, body_cells=12))
 
 
 def gait(unit):
@@ -168,7 +168,7 @@ plt.show()
 # on 51 nodes and 96 steps a stride:
 
 # %%
-fine = Search(steps_per_stride=96, numerics=Numerics())
+fine = SteadySettings(steps_per_stride=96, numerics=Numerics())
 finer = float(jax.jit(lambda unit: speed(unit, fine))(jnp.asarray(summit)))
 print(f"{100 * np.nanmax(heights):.2f} cm/s on 17 nodes, {100 * finer:.2f} cm/s on 51")
 

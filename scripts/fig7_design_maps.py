@@ -19,7 +19,7 @@ from slider_jax.experiment.load import Experiment, load
 from slider_jax.io.files import staged, tentative_folder, write_json, write_text
 from slider_jax.io.provenance import input_file, versions
 from slider_jax.precision import enable_float64
-from slider_jax.reproduction.design_findings import Finding, findings
+from slider_jax.reproduction.design_findings import StatementCheck, findings
 from slider_jax.reproduction.design_maps import MARKED, Map, best_phase, best_stiffness
 from slider_jax.reproduction.design_maps_report import SHOWN_LENGTHS, draw
 from slider_jax.sweep.sweep import Axis, Sweep, run_sweep
@@ -75,7 +75,7 @@ def run(sweep: Sweep, name: str, folder: Path) -> Map:
     return Map(lengths, across, table["speed_m_per_s"].reshape(len(lengths), len(across)))
 
 
-def lines_of(found: list[Finding]) -> str:
+def lines_of(found: list[StatementCheck]) -> str:
     """The findings as text."""
     return "\n".join(
         f"{number}. {x.claim}: {x.verdict}\n   measured: {x.measured}\n   rule: {x.rule}"

@@ -19,7 +19,7 @@ from slider_jax.precision import enable_float64
 from slider_jax.reproduction.table_sensitivity import (
     CHANGES,
     RECALIBRATED,
-    Row,
+    SteadyRow,
     calibrated,
     head_fixed_thrust,
     held,
@@ -39,7 +39,7 @@ HEAD_FIXED = 365e3
 AGAIN = ", resistance calibrated"
 
 
-def content_of(row: Row) -> dict[str, Any]:
+def content_of(row: SteadyRow) -> dict[str, Any]:
     """A row for table.json."""
     found = {name: float(x) for name, x in columns(row.performance).items()}
     return found | {
@@ -94,7 +94,7 @@ def said(content: dict[str, Any]) -> list[str]:
     return lines
 
 
-def plot(content: dict[str, Any], rows: dict[str, Row], path: Path) -> None:
+def plot(content: dict[str, Any], rows: dict[str, SteadyRow], path: Path) -> None:
     """Tail slopes by change and definition, and the midlines of three models."""
     swims, chosen = content["swims"], [next(iter(CHANGES)), *(n + AGAIN for n in RECALIBRATED[:2])]
     figure, axes = new_figure(1, 2, figsize=(12, 7), width_ratios=(3, 2))

@@ -17,7 +17,7 @@ from calibration.audit.drive_response import (
 from calibration.audit.lag_response import (
     DELAYS,
     TIME_CONSTANTS,
-    Pace,
+    PeriodRatio,
     drives,
     fits,
     pace,
@@ -75,7 +75,7 @@ def skewed(records: Sequence[Record], rate: float | None) -> tuple[list[Record],
     return kept, findings
 
 
-def _clock(r: Record) -> Pace | None:
+def _clock(r: Record) -> PeriodRatio | None:
     """The pace that both pressures agree on."""
     assert r.trial.frequency is not None
     found = []
@@ -89,7 +89,7 @@ def _clock(r: Record) -> Pace | None:
     front, rear = known
     off, error = 0.5 * (front.off + rear.off), max(front.error, rear.error)
     agree = abs(front.off - rear.off) < 1e-3 + 0.15 * abs(off)
-    return Pace(off, error) if agree else None
+    return PeriodRatio(off, error) if agree else None
 
 
 def declared(records: Sequence[Record], answers: Answers) -> tuple[list[Record], list[Finding]]:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration.audit.lag_response import Drive, Fits, drives, fits, settled, tone
+from calibration.audit.lag_response import DeclaredDrive, Fits, drives, fits, settled, tone
 from calibration.measurements.findings import Action, Finding
 from calibration.measurements.records import COLUMNS, Record
 
@@ -18,7 +18,9 @@ STRIDES = 1.2
 class Answers:
     """Fits of all trials, and the lag and delay that serve most of them."""
 
-    def __init__(self, records: Sequence[Record], chambers: Sequence[tuple[Drive, Drive]]):
+    def __init__(
+        self, records: Sequence[Record], chambers: Sequence[tuple[DeclaredDrive, DeclaredDrive]]
+    ):
         self.all = [_fitted(r, c) for r, c in zip(records, chambers, strict=True)]
         best = np.stack([f.left.min(axis=0) for f in self.all])
         middle = np.median(best.reshape(-1, *best.shape[2:]), axis=0)
@@ -40,7 +42,7 @@ class Answers:
         return np.array([left[c, c].min() for c in (0, 1)])
 
 
-def _fitted(r: Record, chambers: tuple[Drive, Drive]) -> Fits:
+def _fitted(r: Record, chambers: tuple[DeclaredDrive, DeclaredDrive]) -> Fits:
     """Fits of the pressures; of all columns where the pressures' own are no answer."""
     found = fits(r.t, r.values[:2], chambers)
     plain = (found.left.min(axis=(0, 2, 3)) < ANSWERS).all() and not any(tiny(r, c) for c in (0, 1))
@@ -53,7 +55,7 @@ def tiny(r: Record, row: int) -> bool:
     return bool(there.size and np.abs(there).max() < 1e-3 * (r.trial.amplitude or 0.0))
 
 
-def chambers_of(records: Sequence[Record]) -> list[tuple[Drive, Drive]]:
+def chambers_of(records: Sequence[Record]) -> list[tuple[DeclaredDrive, DeclaredDrive]]:
     found = [drives(r.trial) for r in records]
     return [x for x in found if x is not None]
 

@@ -27,7 +27,7 @@ MOST_SAMPLES = 300
 """Of a series that are fitted; of longer ones every so many."""
 
 
-class Drive(NamedTuple):
+class DeclaredDrive(NamedTuple):
     """A chamber's set pressure as declared."""
 
     waveform: str
@@ -50,22 +50,22 @@ class Drive(NamedTuple):
         return np.where(t < 0.0, 0.0, value)
 
 
-def drives(trial: Trial) -> tuple[Drive, Drive] | None:
+def drives(trial: Trial) -> tuple[DeclaredDrive, DeclaredDrive] | None:
     """Front and rear of a trial; None where it has no pressure, or a recorded one."""
     f, amplitude = trial.frequency, trial.amplitude
     if trial.waveform == "recorded" or not f or not amplitude or not trial.rear_ratio:
         return None
     common = (trial.waveform, f)
     return (
-        Drive(*common, amplitude, 0.0, trial.rise),
-        Drive(*common, amplitude * trial.rear_ratio, trial.phase, trial.rise),
+        DeclaredDrive(*common, amplitude, 0.0, trial.rise),
+        DeclaredDrive(*common, amplitude * trial.rear_ratio, trial.phase, trial.rise),
     )
 
 
-class Response:
+class LagResponse:
     """What lags make of a drive of amplitude 1, from rest."""
 
-    def __init__(self, drive: Drive, duration: float, time_constants: np.ndarray):
+    def __init__(self, drive: DeclaredDrive, duration: float, time_constants: np.ndarray):
         spacing = min(1e-3, 1.0 / (200.0 * drive.frequency))
         self.t = spacing * np.arange(int(np.ceil(duration / spacing)) + 2)
         set_point = drive.unit(self.t + 0.5 * spacing)
@@ -101,7 +101,7 @@ def without_drift(t: np.ndarray, series: np.ndarray) -> np.ndarray:
 def fits(
     t: np.ndarray,
     values: np.ndarray,
-    chambers: tuple[Drive, Drive],
+    chambers: tuple[DeclaredDrive, DeclaredDrive],
     delays: np.ndarray = DELAYS,
     time_constants: np.ndarray = TIME_CONSTANTS,
 ) -> Fits:
@@ -110,7 +110,7 @@ def fits(
     gain, left = np.zeros(shape), np.ones(shape)
     every = max(1, len(t) // MOST_SAMPLES)
     for j, drive in enumerate(chambers):
-        response = Response(drive, float(t[-1]) + 0.02, time_constants)
+        response = LagResponse(drive, float(t[-1]) + 0.02, time_constants)
         for i, y in enumerate(values):
             there = np.flatnonzero(np.isfinite(y))
             there = there[:: max(1, min(every, len(there) // 60))]
@@ -127,14 +127,14 @@ def fits(
     return Fits(gain, left)
 
 
-class Pace(NamedTuple):
+class PeriodRatio(NamedTuple):
     """How much faster a series repeats than declared, as a share, and its standard error."""
 
     off: float
     error: float
 
 
-def pace(t: np.ndarray, y: np.ndarray, frequency: float) -> Pace | None:
+def pace(t: np.ndarray, y: np.ndarray, frequency: float) -> PeriodRatio | None:
     """From the drift of the fundamental's phase, cycle by cycle; None where it cannot be told.
 
     What distorts every cycle alike, lag, delay or saturation, does not change it. Cycles of the
@@ -147,10 +147,10 @@ def pace(t: np.ndarray, y: np.ndarray, frequency: float) -> Pace | None:
             return None
         faster *= 1.0 + found.off
     assert found is not None
-    return Pace(faster - 1.0, found.error)
+    return PeriodRatio(faster - 1.0, found.error)
 
 
-def _drift(t: np.ndarray, y: np.ndarray, frequency: float) -> Pace | None:
+def _drift(t: np.ndarray, y: np.ndarray, frequency: float) -> PeriodRatio | None:
     last = int(np.floor(2.0 * (t[-1] * frequency + 0.02))) - 1
     first = min(max(1, int(np.ceil(2.0 * SETTLED * frequency))), max(last - 4, 1))
     spacing = float(np.median(np.diff(t)))
@@ -173,7 +173,7 @@ def _drift(t: np.ndarray, y: np.ndarray, frequency: float) -> Pace | None:
     rest = drift - drift.mean() - slope * x
     free = max(len(x) - 2, 1)
     error = float(np.sqrt(rest @ rest / free / (x @ x))) if len(x) > 2 else LEAST_DRIFT_ERROR
-    return Pace(-slope / (2.0 * np.pi), error / (2.0 * np.pi))
+    return PeriodRatio(-slope / (2.0 * np.pi), error / (2.0 * np.pi))
 
 
 class Tone(NamedTuple):

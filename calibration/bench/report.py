@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from calibration.bench.ring_down import AIR_DRAG, RingFit
-from calibration.bench.statics import DETERMINED, UNITS, Estimate, ShapeFit
+from calibration.bench.statics import DETERMINED, UNITS, BenchEstimate, ShapeFit
 from calibration.bench.tables import Bench, Shapes
 from slider_jax.io.figures import new_figure, save_figure
 from slider_jax.io.provenance import versions
@@ -37,7 +37,7 @@ class Statics(NamedTuple):
     ring: RingFit | None
 
     @property
-    def parameters(self) -> dict[str, Estimate]:
+    def parameters(self) -> dict[str, BenchEstimate]:
         found = dict(self.shapes.parameters) if self.shapes else {}
         return found | ({"damping_time": self.ring.damping_time} if self.ring else {})
 
@@ -61,7 +61,7 @@ def content(found: Statics, source: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _told(name: str, x: Estimate) -> dict[str, Any]:
+def _told(name: str, x: BenchEstimate) -> dict[str, Any]:
     said = {"value": x.value, "low": x.low, "high": x.high, "unit": UNITS[name]}
     if x.determined:
         return said

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import curve_fit
 
 from calibration.bench.least_squares import minimise
-from calibration.bench.statics import Estimate, passive
+from calibration.bench.statics import BenchEstimate, passive
 from calibration.bench.tables import Bench, RingDown
 from calibration.inference.intervals import correlation_time
 from slider_jax import observables as obs
@@ -56,9 +56,9 @@ class Decay(NamedTuple):
 class RingFit(NamedTuple):
     """What a ring-down says."""
 
-    damping_time: Estimate
+    damping_time: BenchEstimate
     """alpha [s]."""
-    stiffness: Estimate
+    stiffness: BenchEstimate
     """Factor on EI_body and EI_tail that the frequency asks for; 1 where they are right."""
     decay: Decay
     predicted: np.ndarray
@@ -221,7 +221,7 @@ def fit_ring_down(
     error = np.sqrt(widening * np.diag(least.inverse))
     values = np.exp(least.x[:2])
     alpha, stiffness = (
-        Estimate.of(float(v), float(v * e), 1.96) for v, e in zip(values, error, strict=False)
+        BenchEstimate.of(float(v), float(v * e), 1.96) for v, e in zip(values, error, strict=False)
     )
     return RingFit(
         damping_time=alpha,

@@ -31,7 +31,7 @@ FIRST_NOISE = 1e-3
 """Of a table that declares none, in the first of two fits [m]."""
 
 
-class Estimate(NamedTuple):
+class BenchEstimate(NamedTuple):
     """A parameter with its 95 % interval, SI."""
 
     value: float
@@ -39,7 +39,7 @@ class Estimate(NamedTuple):
     high: float
 
     @classmethod
-    def of(cls, value: float, error: float, times: float) -> "Estimate":
+    def of(cls, value: float, error: float, times: float) -> "BenchEstimate":
         """From a standard error and the quantile; what cannot be negative is cut at 0."""
         return cls(value, max(0.0, value - times * error), value + times * error)
 
@@ -51,7 +51,7 @@ class Estimate(NamedTuple):
 class ShapeFit(NamedTuple):
     """What static shapes say."""
 
-    parameters: dict[str, Estimate]
+    parameters: dict[str, BenchEstimate]
     correlations: np.ndarray
     """Of the parameters, in their order."""
     predicted: list[np.ndarray]
@@ -210,7 +210,7 @@ def _told(names, shapes, least, found, noise) -> ShapeFit:
     values = np.exp(least.x[:k])
     return ShapeFit(
         parameters={
-            n: Estimate.of(float(v), float(v * e), times)
+            n: BenchEstimate.of(float(v), float(v * e), times)
             for n, v, e in zip(names, values, errors[:k], strict=True)
         },
         correlations=(least.inverse / np.outer(*[np.sqrt(np.diag(least.inverse))] * 2))[:k, :k],

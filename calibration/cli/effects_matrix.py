@@ -47,7 +47,7 @@ def matrix(
     """
     from calibration.experiment_design.detectability import matrix as matrix_of
     from calibration.experiment_design.detectability_report import content, plot, table
-    from calibration.experiment_design.trial_search import Limits, limits_of
+    from calibration.experiment_design.trial_search import TrialLimits, limits_of
     from calibration.inference.cache import inputs, resumable
     from slider_jax.experiment.load import load
     from slider_jax.io.files import staged, write_json, write_text
@@ -57,7 +57,7 @@ def matrix(
     _check("--separate", separate)
     if separate and len(set(separate)) < 2:
         raise InputError("--separate: given one effect; allowed two or more, to be told apart")
-    given = dict(zip(Limits._fields, (frequency, amplitude, phase, tow_speed), strict=True))
+    given = dict(zip(TrialLimits._fields, (frequency, amplitude, phase, tow_speed), strict=True))
     for name, limits in given.items():
         if limits is not None and not separate:
             option = f"--{name.replace('_', '-')}"

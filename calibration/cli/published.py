@@ -16,7 +16,7 @@ def published(out: Folder) -> None:
         out: folder for the results; made if missing, files of the same name are replaced.
     """
     from calibration.free_swimming.published_speeds import FIRST, OPTIMUM, After, after, before
-    from calibration.free_swimming.report import Outcome, page, report, short_table
+    from calibration.free_swimming.report import CrossPrediction, page, report, short_table
     from slider_jax.io.files import staged, write_json, write_text
 
     begun = time.monotonic()
@@ -30,7 +30,9 @@ def published(out: Folder) -> None:
     with staged(out) as stage:
         say("from rest by the paper's equations")
         alone = before()
-        outcome = Outcome(alone, after(FIRST, OPTIMUM, done=done), after(OPTIMUM, FIRST, done=done))
+        outcome = CrossPrediction(
+            alone, after(FIRST, OPTIMUM, done=done), after(OPTIMUM, FIRST, done=done)
+        )
         content = report(outcome, time.monotonic() - begun)
         write_json(stage / "report.json", content)
         write_text(stage / "report.html", page(outcome, content))

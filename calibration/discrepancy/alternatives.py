@@ -11,11 +11,18 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calibration.discrepancy.refits import Refits, begun
-from calibration.discrepancy.rounds import SHARE, Rival, Round, Search, Tried, groups
+from calibration.discrepancy.rounds import (
+    SHARE,
+    Alternative,
+    Refit,
+    Selection,
+    SelectionStep,
+    groups,
+)
 from calibration.discrepancy.scores import alikeness
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.goodness import FLOOR, excess
-from calibration.inference.problem import Block
+from calibration.inference.problem import ChannelBlock
 from slider_jax.effects.library import LIBRARY
 
 ALIKE = 0.95
@@ -28,11 +35,11 @@ something of another cause as well while that was missing."""
 
 
 def alike(
-    best: Tried,
-    this: Round,
+    best: Refit,
+    this: SelectionStep,
     judged: Mapping[str, np.ndarray],
     current: Fit,
-    blocks: Sequence[Block],
+    blocks: Sequence[ChannelBlock],
 ) -> list[str]:
     """Candidates of a round that explain as much as the best one, or in parallel to it.
 
@@ -50,7 +57,7 @@ def alike(
     return same + parallel
 
 
-def judge_rivals(refits: Refits, found: Search) -> None:
+def judge_rivals(refits: Refits, found: Selection) -> None:
     """Fits every round's rivals in the place of what it chose, and makes its class of those fits.
 
     One that cannot be fitted stays what the round had it for. Where more than noise is left all do.
@@ -65,12 +72,12 @@ def judge_rivals(refits: Refits, found: Search) -> None:
             fit = _instead(refits, found, this, name)
             if fit is not None and fit.converged:
                 loss = (fit.square - found.final.square) / found.final.inflation
-                this.rivals[name] = Rival(fit, loss, refits.sizes(fit, found.final))
+                this.rivals[name] = Alternative(fit, loss, refits.sizes(fit, found.final))
         unjudged = [n for n in this.alike if n not in this.rivals]
         this.alike = [n for n, x in this.rivals.items() if not x.is_worse] + unjudged
 
 
-def better_rival(found: Search) -> tuple[Round, str] | None:
+def better_rival(found: Selection) -> tuple[SelectionStep, str] | None:
     """A round and the rival that is to take the place of what it chose.
 
     It must have been refitted in that round too, and trials that were left out have agreed on it.
@@ -83,7 +90,7 @@ def better_rival(found: Search) -> tuple[Round, str] | None:
     return None
 
 
-def _contenders(this: Round) -> list[str]:
+def _contenders(this: SelectionStep) -> list[str]:
     if this.chosen is None:
         return []
     gains = {t.name: t.gain for t in this.tried}
@@ -92,7 +99,7 @@ def _contenders(this: Round) -> list[str]:
     return list(dict.fromkeys([*this.alike, *near]))
 
 
-def _instead(refits: Refits, found: Search, this: Round, rival: str) -> Fit | None:
+def _instead(refits: Refits, found: Selection, this: SelectionStep, rival: str) -> Fit | None:
     """The last fit with a rival, which may be in it already, in the place of what a round chose.
 
     None where another effect has taken the place of the rival's law, or nothing can be simulated.

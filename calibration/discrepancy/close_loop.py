@@ -7,7 +7,7 @@ import numpy as np
 
 from calibration.audit.audit import audit
 from calibration.audit.prediction import outliers
-from calibration.discrepancy.rounds import Search
+from calibration.discrepancy.rounds import Selection
 from calibration.discrepancy.selection import search
 from calibration.discrepancy.verdict import NAMED, decide
 from calibration.inference.cache import Memo
@@ -34,13 +34,13 @@ class Errors:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class LoopOutcome:
     """Everything that closing the loop found."""
 
     experiment: Experiment
     entries: list[Parameter]
     verdict: str
-    search: Search
+    search: Selection
     final: Fit
     """The chosen model, refitted to all trials."""
     problem: Problem
@@ -100,7 +100,7 @@ def close_loop(
     coarse: Resolution = COARSE,
     memo: Memo | None = None,
     kept: Collection[str] = (),
-) -> Outcome:
+) -> LoopOutcome:
     """Search what the model of `experiment` lacks on its measured trials.
 
     `effects` are the candidates' names, all of the library by default. Residuals are computed at
@@ -134,7 +134,7 @@ def close_loop(
     return replace(outcome, audit=[*audited.findings, *strange])
 
 
-def strangers(outcome: Outcome) -> list[Finding]:
+def strangers(outcome: LoopOutcome) -> list[Finding]:
     """Trials whose residual no effect explains and no other trial shares."""
     each = excess(outcome.problem, outcome.nearest or outcome.final)
     trials = [r.trial for r in outcome.problem.records]
@@ -150,7 +150,7 @@ def conclude(
     base: dict[str, float],
     base_names: Sequence[str],
     progress: Callable[[str], None],
-) -> Outcome:
+) -> LoopOutcome:
     """Search, decide, predict what was held out, and refit to everything."""
     entries = parameters(names)
     seen = [r for i, r in enumerate(found) if i not in held]
@@ -173,7 +173,7 @@ def conclude(
     if result.effects and not named:
         nearest = fit(everything, entries, result.final.theta, result.final.free, progress)
     used = _errors(problem, result.base.predicted, best.predicted)
-    return Outcome(
+    return LoopOutcome(
         experiment,
         entries,
         verdict,

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from calibration.discrepancy.close_loop import Outcome
+from calibration.discrepancy.close_loop import LoopOutcome
 from calibration.discrepancy.localise import said
 from calibration.discrepancy.rounds import AGREE, UNALIKE
 from calibration.inference.goodness import FLOOR
@@ -18,7 +18,7 @@ SHOWN_STRIDES = 3.0
 """Of a trial's end; seconds where it has no frequency."""
 
 
-def page(outcome: Outcome, told: dict[str, Any]) -> str:
+def page(outcome: LoopOutcome, told: dict[str, Any]) -> str:
     """The whole page."""
     parts = [
         paragraph(told["said"], "verdict"),
@@ -194,7 +194,7 @@ def _left(rows: list[dict[str, Any]]) -> str:
     return "".join(paragraph(said(x)) for x in rows)
 
 
-def readings_figure(outcome: Outcome):
+def readings_figure(outcome: LoopOutcome):
     """Readings of the last strides of one trial, and its residuals, of both models."""
     import matplotlib.pyplot as plt
 
@@ -225,7 +225,7 @@ def readings_figure(outcome: Outcome):
     return figure
 
 
-def _shown_trial(outcome: Outcome):
+def _shown_trial(outcome: LoopOutcome):
     """The seen trial on which the fits differ most: its record, and both predictions."""
     seen = [i for i in range(len(outcome.problem.records)) if i not in outcome.held]
     pairs = list(zip(outcome.search.base.predicted, outcome.chosen.predicted, strict=True))

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from calibration.discrepancy.close_loop import Errors, Outcome
+from calibration.discrepancy.close_loop import Errors, LoopOutcome
 from calibration.discrepancy.localise import where
-from calibration.discrepancy.rounds import Round
+from calibration.discrepancy.rounds import SelectionStep
 from calibration.discrepancy.verdict import at_bounds, split
 from calibration.inference.goodness import FLOOR
 from calibration.model.extended import base_values
@@ -16,7 +16,7 @@ from slider_jax.io.provenance import versions
 
 
 def report(
-    outcome: Outcome,
+    outcome: LoopOutcome,
     seconds: float,
     source: dict[str, Any],
     following: dict[str, Any] | None = None,
@@ -51,7 +51,7 @@ def report(
     }
 
 
-def effects(outcome: Outcome) -> list[dict[str, Any]]:
+def effects(outcome: LoopOutcome) -> list[dict[str, Any]]:
     """Every effect that was added, what it cannot be told from, its rivals and parameters."""
     found = []
     for this in outcome.search.rounds:
@@ -78,20 +78,20 @@ def effects(outcome: Outcome) -> list[dict[str, Any]]:
     return found
 
 
-def nearest(outcome: Outcome) -> list[dict[str, Any]]:
+def nearest(outcome: LoopOutcome) -> list[dict[str, Any]]:
     """Effects that came nearest to a residual that none explains; they are not in the model."""
     names = [] if outcome.effects else outcome.search.effects
     return [{"name": n, "title": LIBRARY[n].title, "where": LIBRARY[n].place()} for n in names]
 
 
-def _class(outcome: Outcome, this: Round) -> list[str]:
+def _class(outcome: LoopOutcome, this: SelectionStep) -> list[str]:
     """What an added effect cannot be told from: rivals, and what it may share its cause with."""
     left = any(x.all > FLOOR for x in outcome.excess_after.values())
     parts = split(outcome.search) if left else []
     return this.alike + [n for n in parts if this.chosen in parts and n != this.chosen]
 
 
-def _interval(outcome: Outcome, effect: str, name: str) -> dict[str, Any]:
+def _interval(outcome: LoopOutcome, effect: str, name: str) -> dict[str, Any]:
     index = next(i for i, p in enumerate(outcome.entries) if (p.effect, p.name) == (effect, name))
     return told(outcome.final, outcome.entries, index)
 
@@ -103,7 +103,7 @@ def _table(errors: Errors) -> dict[str, dict[str, float]]:
     }
 
 
-def ranking(outcome: Outcome) -> list[dict[str, Any]]:
+def ranking(outcome: LoopOutcome) -> list[dict[str, Any]]:
     """All candidates of all rounds, best first, and why each was left."""
     rows = []
     for number, this in enumerate(outcome.search.rounds, start=1):
@@ -118,13 +118,13 @@ def ranking(outcome: Outcome) -> list[dict[str, Any]]:
     return rows
 
 
-def unexplained(outcome: Outcome) -> list[dict[str, Any]]:
+def unexplained(outcome: LoopOutcome) -> list[dict[str, Any]]:
     """Where the residual of the last fit stands above the floor on the trials it was fitted to."""
     seen = [r for i, r in enumerate(outcome.problem.records) if i not in outcome.held]
     return where(seen, outcome.chosen.predicted, outcome.excess_after)
 
 
-def sentence(outcome: Outcome) -> str:
+def sentence(outcome: LoopOutcome) -> str:
     """The verdict in a sentence."""
     names = outcome.search.effects
     titles = ", ".join(f"{LIBRARY[n].title} ({n})" for n in names)
@@ -174,7 +174,7 @@ def skill(told: dict[str, Any]) -> list[str]:
     ]
 
 
-def model_toml(outcome: Outcome) -> str:
+def model_toml(outcome: LoopOutcome) -> str:
     """The calibrated model with its effects, for `slider simulate --model`."""
     final = outcome.final
     return toml(sentence(outcome), outcome.entries, final.theta, outcome.effects, final.free)

@@ -48,7 +48,7 @@ def agreement(left_out: np.ndarray) -> Agreement:
 
 
 @dataclass(frozen=True)
-class Tried:
+class Refit:
     """A candidate that was refitted jointly with everything before it."""
 
     name: str
@@ -69,7 +69,7 @@ def worth_naming(gain: float, sizes: dict[str, float]) -> bool:
     return gain > LEAST_GAIN and any(sizes[c] > DISCREPANCY[c] for c in sizes)
 
 
-class Rival(NamedTuple):
+class Alternative(NamedTuple):
     """The last fit of a search with a rival in the place of what was chosen."""
 
     fit: Fit
@@ -88,15 +88,15 @@ class Rival(NamedTuple):
 
 
 @dataclass
-class Round:
+class SelectionStep:
     """One round of the search."""
 
     scores: list[Score]
-    tried: list[Tried] = field(default_factory=list)
+    tried: list[Refit] = field(default_factory=list)
     chosen: str | None = None
     alike: list[str] = field(default_factory=list)
     """Names that cannot be told from the chosen one."""
-    rivals: dict[str, Rival] = field(default_factory=dict)
+    rivals: dict[str, Alternative] = field(default_factory=dict)
     """Those that were judged at the end, in the class or not."""
     taken_out: str | None = None
     """What was chosen, until a later round left it nothing to explain."""
@@ -105,13 +105,13 @@ class Round:
 
 
 @dataclass
-class Search:
+class Selection:
     """The whole search: the fit of the base model, the rounds, and the last fit."""
 
     base: Fit
     final: Fit
     effects: list[str]
-    rounds: list[Round]
+    rounds: list[SelectionStep]
 
 
 def groups(entries: Sequence[Parameter]) -> dict[str, np.ndarray]:

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from calibration.inference.gauss_newton import inverse
-from calibration.inference.problem import Block, summed
+from calibration.inference.problem import ChannelBlock, summed
 
 UNSEEN = 1e-3
 """A trial sees a candidate that changes it by so much of what it does to the one that it changes
@@ -52,18 +52,23 @@ def solve(A: np.ndarray, b: np.ndarray, index: np.ndarray) -> np.ndarray:
     return step
 
 
-def drop(blocks: Sequence[Block], step: np.ndarray) -> float:
+def drop(blocks: Sequence[ChannelBlock], step: np.ndarray) -> float:
     """By how much a step lowers the sum of squares of `blocks`."""
     return sum(2.0 * step @ x.b - step @ x.A @ step for x in blocks)
 
 
-def remaining(blocks: Sequence[Block], step: np.ndarray) -> float:
+def remaining(blocks: Sequence[ChannelBlock], step: np.ndarray) -> float:
     """Sum of squares of `blocks` after a step."""
     return max(sum(x.c for x in blocks) - drop(blocks, step), 1e-300)
 
 
 def score(
-    name: str, group: np.ndarray, free: np.ndarray, blocks: Sequence[Block], unit: float, many: int
+    name: str,
+    group: np.ndarray,
+    free: np.ndarray,
+    blocks: Sequence[ChannelBlock],
+    unit: float,
+    many: int,
 ) -> Score:
     """Score the candidate whose entries are `group`, beside the free ones.
 
@@ -90,7 +95,7 @@ def score(
 
 
 def alikeness(
-    first: np.ndarray, second: np.ndarray, free: np.ndarray, blocks: Sequence[Block]
+    first: np.ndarray, second: np.ndarray, free: np.ndarray, blocks: Sequence[ChannelBlock]
 ) -> float:
     """Largest |cos| between two candidates' tangents once the free parameters are projected out.
 

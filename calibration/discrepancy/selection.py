@@ -20,9 +20,9 @@ from calibration.discrepancy.alternatives import alike, better_rival, judge_riva
 from calibration.discrepancy.refits import HALVINGS, Refits, begun
 from calibration.discrepancy.rounds import (
     SHARE,
-    Round,
-    Search,
-    Tried,
+    Refit,
+    Selection,
+    SelectionStep,
     agreement,
     groups,
     scored,
@@ -92,7 +92,7 @@ def search(
     theta: np.ndarray,
     progress: Callable[[str], None] = lambda text: None,
     base_names: Sequence[str] = tuple(BASE),
-) -> Search:
+) -> Selection:
     """Search the effects of `entries` for what the base model lacks on the problem's trials.
 
     Of the base model the parameters `base_names` are fitted.
@@ -103,7 +103,7 @@ def search(
     white = problem.whiteners(first.predicted)
     base = fit(problem, entries, first.theta, free, progress, white)
     refits = Refits(problem, entries, white, progress)
-    found = Search(base, base, [], [])
+    found = Selection(base, base, [], [])
     for swaps in range(SWAPS + 1):
         _add(refits, found)
         judge_rivals(refits, found)
@@ -121,7 +121,7 @@ def search(
     return found
 
 
-def _add(refits: Refits, found: Search) -> None:
+def _add(refits: Refits, found: Selection) -> None:
     """Effects, one a round, until there is none to be named."""
     while len(found.effects) < MOST and len(found.rounds) < ROUNDS:
         rest = [n for n in groups(refits.entries) if _can_join(n, found.effects)]
@@ -137,7 +137,7 @@ def _add(refits: Refits, found: Search) -> None:
         _take_out_needless(refits, found, this)
 
 
-def _take_out_needless(refits: Refits, found: Search, by: Round) -> None:
+def _take_out_needless(refits: Refits, found: Selection, by: SelectionStep) -> None:
     """What is no longer needed beside what the round `by` chose, which takes over its rivals."""
     for name in [n for n in found.effects if n != by.chosen]:
         less = refits.without(found.final, name)
@@ -164,7 +164,7 @@ def _can_join(name: str, effects: list[str]) -> bool:
     return name not in effects and LIBRARY[name].instead not in taken
 
 
-def _round(refits: Refits, current: Fit, rest: Sequence[str]) -> Round:
+def _round(refits: Refits, current: Fit, rest: Sequence[str]) -> SelectionStep:
     problem, entries, progress = refits.problem, refits.entries, refits.progress
     residuals = problem.residuals(current.predicted, refits.white)
     everything = directions(problem, entries, current.theta, current.free)
@@ -172,7 +172,7 @@ def _round(refits: Refits, current: Fit, rest: Sequence[str]) -> Round:
     unit, judged = current.inflation, scored(entries)
     scores = [score(n, judged[n], current.free, blocks, unit, len(rest)) for n in rest]
     scores.sort(key=lambda s: -s.gain)
-    this = Round(scores)
+    this = SelectionStep(scores)
     for s in _likely(scores, entries, judged):
         if not _could_be_named(problem, current, everything, s.step):
             continue
@@ -203,7 +203,7 @@ def _likely(scores: list[Score], entries, judged) -> list[Score]:
     return sorted([*of(SHARE, False), *of(SHARE_AFAR, True)], key=lambda s: -s.gain)
 
 
-def _tried(refits: Refits, current: Fit, s: Score) -> Tried | None:
+def _tried(refits: Refits, current: Fit, s: Score) -> Refit | None:
     group = groups(refits.entries)[s.name]
     start = begun(refits.entries, current.theta, group, s.step)
     refitted = refits.joined(current.theta, start, np.concatenate([current.free, group]))
@@ -211,4 +211,4 @@ def _tried(refits: Refits, current: Fit, s: Score) -> Tried | None:
         return None
     gain = (current.square - refitted.square) / refitted.inflation
     sizes = refits.sizes(current, refitted)
-    return Tried(s.name, refitted, gain, sizes, agreement(s.left_out))
+    return Refit(s.name, refitted, gain, sizes, agreement(s.left_out))

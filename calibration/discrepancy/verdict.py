@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration.discrepancy.rounds import Search, scored
+from calibration.discrepancy.rounds import Selection, scored
 from calibration.inference.goodness import FLOOR, Excess
 from calibration.model.extended import Parameter
 from slider_jax.effects.library import LIBRARY
@@ -22,7 +22,7 @@ NAMED = (IDENTIFIED, CLASS)
 """Verdicts after which effects are added to the model."""
 
 
-def at_bounds(search: Search, entries: Sequence[Parameter]) -> list[str]:
+def at_bounds(search: Selection, entries: Sequence[Parameter]) -> list[str]:
     """Effects that were added at the edge of what is believed of them."""
     found, judged = [], scored(entries)
     for i, p in enumerate(entries):
@@ -35,7 +35,7 @@ def at_bounds(search: Search, entries: Sequence[Parameter]) -> list[str]:
     return list(dict.fromkeys(found))
 
 
-def split(search: Search) -> list[str]:
+def split(search: Selection) -> list[str]:
     """Effects that enter at one place: one cause may be spread over them.
 
     One that takes the place of a law is not such a part of a cause.
@@ -52,7 +52,7 @@ def explained(before: float, after: float) -> float:
 
 
 def decide(
-    search: Search,
+    search: Selection,
     entries: Sequence[Parameter],
     before: dict[str, Excess],
     after: dict[str, Excess],

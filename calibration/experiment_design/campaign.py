@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from calibration.discrepancy.close_loop import Outcome, close_loop
+from calibration.discrepancy.close_loop import LoopOutcome, close_loop
 from calibration.discrepancy.report import report
 from calibration.discrepancy.verdict import CLASS, IDENTIFIED, NOTHING
 from calibration.experiment_design.next_experiment import next_experiment
-from calibration.experiment_design.trial_search import Limits
+from calibration.experiment_design.trial_search import TrialLimits
 from calibration.inference.cache import inputs, resumable
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment, load
@@ -44,12 +44,12 @@ class Campaign:
     """All rounds, and the last one's outcome and report. `settled`: more trials are needless."""
 
     rounds: list[Told]
-    outcome: Outcome
+    outcome: LoopOutcome
     report: dict[str, Any]
     settled: bool
 
 
-def settled(outcome: Outcome, following: dict[str, Any]) -> bool:
+def settled(outcome: LoopOutcome, following: dict[str, Any]) -> bool:
     """Whether no further trial can change the verdict in kind.
 
     A class is settled once no trial within the limits is foreseen to make it smaller.
@@ -65,9 +65,9 @@ def campaign(
     capture: Capture,
     out: Path,
     budget: int = BUDGET,
-    limits: Callable[[Experiment], Limits] | None = None,
+    limits: Callable[[Experiment], TrialLimits] | None = None,
     say: Say = lambda text: None,
-    close: Callable[..., Outcome] = close_loop,
+    close: Callable[..., LoopOutcome] = close_loop,
 ) -> Campaign:
     """Closes the loop on the experiment `path` again and again, at most `budget` trials in all.
 

@@ -26,8 +26,8 @@ from calibration.discrepancy.rounds import LEAST_GAIN, scored
 from calibration.discrepancy.scores import alikeness
 from calibration.discrepancy.selection import CHANCE
 from calibration.experiment_design.information import (
-    Foresight,
-    Seen,
+    ChannelInformation,
+    TrialInformation,
     as_block,
     foresight,
     information,
@@ -86,8 +86,8 @@ class Limit(NamedTuple):
 class Matrix:
     """What an experiment could say of effects."""
 
-    foresight: Foresight
-    seen: list[Seen]
+    foresight: TrialInformation
+    seen: list[ChannelInformation]
     limits: list[Limit]
     names: list[str]
     alike: np.ndarray
@@ -138,7 +138,7 @@ def matrix(
 
 
 def _limit(
-    seen: Sequence[Seen], i: int, free: np.ndarray, gain: float
+    seen: Sequence[ChannelInformation], i: int, free: np.ndarray, gain: float
 ) -> tuple[float, float, float]:
     """Sizes at which the entry `i` is beyond chance, and worth naming, and its standard error."""
     A = information(seen)
@@ -204,7 +204,7 @@ def classes(
 class AtLimits(NamedTuple):
     """What `separation.separate` needs of some effects, each as large as its detection limit."""
 
-    foresight: Foresight
+    foresight: TrialInformation
     before: np.ndarray
     members: dict[str, np.ndarray]
     sizes: dict[str, np.ndarray]

@@ -19,8 +19,21 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from calibration.discrepancy.rounds import LEAST_GAIN
-from calibration.experiment_design.information import Foresight, Seen, information, left, shares
-from calibration.experiment_design.trial_search import Effort, Limits, Search, as_table, toml, words
+from calibration.experiment_design.information import (
+    ChannelInformation,
+    TrialInformation,
+    information,
+    left,
+    shares,
+)
+from calibration.experiment_design.trial_search import (
+    SearchEffort,
+    TrialLimits,
+    TrialSearch,
+    as_table,
+    toml,
+    words,
+)
 from calibration.inference.gauss_newton import inverse
 from calibration.inference.noise import DISCREPANCY
 from slider_jax.experiment.schema import Trial
@@ -48,7 +61,7 @@ class Distance(NamedTuple):
         return max(found.items(), key=lambda item: item[1])
 
 
-def distance(seen: Sequence[Seen], unit: float) -> Distance:
+def distance(seen: Sequence[ChannelInformation], unit: float) -> Distance:
     """By what was seen along the moving model's parameters and, the last, towards the other.
 
     `unit` is the residual's mean square.
@@ -63,11 +76,11 @@ def distance(seen: Sequence[Seen], unit: float) -> Distance:
 
 def split_class(
     name: str,
-    foresights: Mapping[str, tuple[Foresight, Foresight]],
+    foresights: Mapping[str, tuple[TrialInformation, TrialInformation]],
     unit: float,
     trials: Sequence[Trial],
-    limits: Limits,
-    effort: Effort = Effort(),
+    limits: TrialLimits,
+    effort: SearchEffort = SearchEffort(),
     progress: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
     """The trial that soonest tells the effect `name` from one of its rivals, as reports write it.
@@ -80,23 +93,23 @@ def split_class(
     ways = [f for pair in foresights.values() for f in pair]
     before = [f.trials(trials, progress) for f in ways]
 
-    def after(seen: list[list[Seen]], times: int = 1) -> list[Distance]:
+    def after(seen: list[list[ChannelInformation]], times: int = 1) -> list[Distance]:
         """Of each rival."""
         found = [distance([*a, *(times * b)], unit) for a, b in zip(before, seen, strict=True)]
         pairs = zip(found[::2], found[1::2], strict=True)
         return [max(pair, key=lambda x: x.of_enough) for pair in pairs]
 
-    def needed(seen: list[list[Seen]]) -> int | None:
+    def needed(seen: list[list[ChannelInformation]]) -> int | None:
         counts = range(1, TIMES + 1)
         return next((n for n in counts if any(x.of_enough > 1.0 for x in after(seen, n))), None)
 
-    def goal(seen: list[list[Seen]]) -> float:
+    def goal(seen: list[list[ChannelInformation]]) -> float:
         """The fewest times, then how near all rivals come, then how far the trial puts them."""
         found = np.array([x.of_enough for x in after(seen)])
         far = np.mean(np.minimum(found, 1.0)) + 1e-2 * np.mean(found / (1.0 + found))
         return float(far) - 2.0 * (needed(seen) or TIMES + 1)
 
-    best = Search(ways, goal, limits).run(effort, progress)
+    best = TrialSearch(ways, goal, limits).run(effort, progress)
     times = needed(best.seen)
     now, then, at_last = (after(best.seen, n) for n in (0, 1, times or TIMES))
     rivals = list(foresights)

@@ -17,7 +17,7 @@ import numpy as np
 from calibration.inference.cache import Memo
 from calibration.inference.gauss_newton import inverse
 from calibration.inference.noise import Noise, Whitener, declared
-from calibration.inference.problem import Block
+from calibration.inference.problem import ChannelBlock
 from calibration.measurements.records import Record, records
 from calibration.model.extended import BASE, Parameter, parameters, start
 from calibration.model.initial_swing import declared_spans
@@ -45,7 +45,7 @@ LIKE = 1.5
 
 
 @dataclass(frozen=True)
-class Sensing:
+class SensorModel:
     """The sensors of an experiment: noise of each channel, every how many samples it reads."""
 
     noise: dict[str, Noise]
@@ -54,7 +54,7 @@ class Sensing:
     """By file; their own samples count."""
 
     @classmethod
-    def of(cls, experiment: Experiment, found: Sequence[Record] | None = None) -> "Sensing":
+    def of(cls, experiment: Experiment, found: Sequence[Record] | None = None) -> "SensorModel":
         """From the measured trials `found`, else from what the experiment declares.
 
         By default the trials' files are read. A channel without either is taken for a sensor that
@@ -98,7 +98,7 @@ def _is_declared(experiment: Experiment, channel: str) -> bool:
     return (sensors.tip_noise if channel == "tip" else sensors.force_noise) > 0.0
 
 
-class Seen(NamedTuple):
+class ChannelInformation(NamedTuple):
     """What one trial and channel would say along k directions: parameters, or another model."""
 
     trial: int
@@ -110,7 +110,7 @@ class Seen(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Foresight:
+class TrialInformation:
     """A model, the parameters asked about, and the sensors: what is needed to foresee a trial."""
 
     experiment: Experiment
@@ -119,7 +119,7 @@ class Foresight:
     theta: np.ndarray
     chosen: np.ndarray
     """(k,) entries of theta that the tangents are along."""
-    sensing: Sensing
+    sensing: SensorModel
     secants: dict[int, float]
     """Step of the entries whose tangent tells too little."""
     coarse: Resolution = COARSE
@@ -141,7 +141,7 @@ class Foresight:
         at = None if record is None else record.t
         return plan(self.experiment, trial, self.effects, self.coarse, at)
 
-    def trial(self, trial: Trial, number: int = 0) -> list[Seen]:
+    def trial(self, trial: Trial, number: int = 0) -> list[ChannelInformation]:
         """What a trial would say. Raises `SolverError` where it cannot be simulated."""
         p = self.plan(trial)
         y, J = self._kept(trial, p)
@@ -164,7 +164,9 @@ class Foresight:
             white = Whitener(p.at[here], noise, signal, channel, trial.frequency, swings)(raw)
             gram = raw @ raw.T
             found.append(
-                Seen(number, channel, white @ white.T, gram, float(signal @ signal), here.sum())
+                ChannelInformation(
+                    number, channel, white @ white.T, gram, float(signal @ signal), here.sum()
+                )
             )
         return found
 
@@ -206,11 +208,11 @@ class Foresight:
 
     def trials(
         self, chosen: Sequence[Trial], progress: Callable[[str], None] = lambda text: None
-    ) -> list[Seen]:
+    ) -> list[ChannelInformation]:
         """What trials would say, on all cores."""
         done: list[int] = []
 
-        def one(item: tuple[int, Trial]) -> list[Seen]:
+        def one(item: tuple[int, Trial]) -> list[ChannelInformation]:
             found = self.trial(item[1], item[0])
             done.append(item[0])
             progress(f"{item[1].file}: {len(self.chosen)} tangents ({len(done)} of {len(chosen)})")
@@ -225,7 +227,7 @@ def foresight(
     progress: Callable[[str], None] = lambda text: None,
     coarse: Resolution = COARSE,
     memo: Memo | None = None,
-) -> Foresight:
+) -> TrialInformation:
     """At the experiment's own parameters, along the base model's and those of `effects`.
 
     Raises `InputError` where the experiment fixes no starting values or declares no noise.
@@ -238,8 +240,8 @@ def foresight(
     names = tuple(dict.fromkeys(effects))
     entries = parameters(names)
     theta = start(entries, {n: getattr(experiment.parameters, n) for n in BASE})
-    chosen, sensing = np.arange(len(entries)), Sensing.of(experiment)
-    bare = Foresight(experiment, names, theta, chosen, sensing, {}, coarse, memo)
+    chosen, sensing = np.arange(len(entries)), SensorModel.of(experiment)
+    bare = TrialInformation(experiment, names, theta, chosen, sensing, {}, coarse, memo)
     progress("comparing tangents with finite steps")
     return replace(bare, secants=finite_starts(bare))
 
@@ -251,7 +253,7 @@ def secant(p: TrialPlan, theta: np.ndarray, y: np.ndarray, entry: int, step: flo
     return (predict(p, moved) - y) / step
 
 
-def finite_starts(f: Foresight) -> dict[int, float]:
+def finite_starts(f: TrialInformation) -> dict[int, float]:
     """Entries whose tangent at the null says little of a tenth of the prior range, and that step.
 
     Those with a start are taken at it. Judged on the experiment's shortest trial. One that cannot
@@ -288,12 +290,12 @@ def _tells_little(tangent: np.ndarray, finite: np.ndarray) -> bool:
     return straight < STRAIGHT or not bool(1.0 / LIKE < sizes[1] / sizes[0] < LIKE)
 
 
-def information(seen: Sequence[Seen]) -> np.ndarray:
+def information(seen: Sequence[ChannelInformation]) -> np.ndarray:
     """(k, k) normal matrix of all trials and channels."""
     return np.sum([x.A for x in seen], axis=0)
 
 
-def shares(seen: Sequence[Seen], step: np.ndarray) -> dict[str, float]:
+def shares(seen: Sequence[ChannelInformation], step: np.ndarray) -> dict[str, float]:
     """By what share of its rms a step (k,) changes each channel, all trials together."""
     known, found = np.flatnonzero(step), {}
     for channel in dict.fromkeys(x.channel for x in seen):
@@ -305,9 +307,9 @@ def shares(seen: Sequence[Seen], step: np.ndarray) -> dict[str, float]:
     return found
 
 
-def as_block(A: np.ndarray) -> list[Block]:
+def as_block(A: np.ndarray) -> list[ChannelBlock]:
     """A normal matrix as the evidence that `trace` takes, without a residual."""
-    return [Block(0, "", A, np.zeros(len(A)), 0.0, 0)]
+    return [ChannelBlock(0, "", A, np.zeros(len(A)), 0.0, 0)]
 
 
 def left(A: np.ndarray, group: np.ndarray, free: np.ndarray) -> np.ndarray:

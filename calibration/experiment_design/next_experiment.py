@@ -10,15 +10,20 @@ from typing import Any
 
 import numpy as np
 
-from calibration.discrepancy.close_loop import Outcome
+from calibration.discrepancy.close_loop import LoopOutcome
 from calibration.discrepancy.rounds import groups
 from calibration.discrepancy.verdict import CLASS, INCONCLUSIVE, UNEXPLAINED
 from calibration.experiment_design.discriminate import split_class
-from calibration.experiment_design.information import Foresight, Seen, Sensing, information
+from calibration.experiment_design.information import (
+    ChannelInformation,
+    SensorModel,
+    TrialInformation,
+    information,
+)
 from calibration.experiment_design.trial_search import (
-    Effort,
-    Limits,
-    Search,
+    SearchEffort,
+    TrialLimits,
+    TrialSearch,
     as_table,
     free_name,
     limits_of,
@@ -32,16 +37,16 @@ from calibration.inference.uncertainty import EFFECT, SYSTEMATIC
 from calibration.measurements.records import Record
 from slider_jax.errors import InputError, SolverError
 
-LOOP = Effort(spread=12, rounds=1)
+LOOP = SearchEffort(spread=12, rounds=1)
 """Trials that are tried at the end of the loop, which has minutes in all."""
 Say = Callable[[str], None]
 
 
 def next_experiment(
-    outcome: Outcome,
+    outcome: LoopOutcome,
     progress: Say = lambda text: None,
-    limits: Limits | None = None,
-    effort: Effort = LOOP,
+    limits: TrialLimits | None = None,
+    effort: SearchEffort = LOOP,
 ) -> dict[str, Any]:
     """What to measure next, as report.json says it: purpose, a sentence, and a trial or None.
 
@@ -63,7 +68,7 @@ def _none(said: str) -> dict[str, Any]:
     return {"purpose": None, "said": said, "trial": None, "toml": ""}
 
 
-def _again(outcome: Outcome) -> dict[str, Any]:
+def _again(outcome: LoopOutcome) -> dict[str, Any]:
     """The trial whose residual stands highest above its noise, once more."""
     seen = _searched(outcome)
     channel, x = max(outcome.excess_after.items(), key=lambda item: np.nanmax(item[1].trials))
@@ -78,21 +83,23 @@ def _again(outcome: Outcome) -> dict[str, Any]:
     return {"purpose": "repeat", "said": said, "trial": as_table(again), "toml": toml(again)}
 
 
-def _searched(outcome: Outcome) -> list[Record]:
+def _searched(outcome: LoopOutcome) -> list[Record]:
     return [r for i, r in enumerate(outcome.problem.records) if i not in outcome.held]
 
 
 def _foresight(
-    outcome: Outcome, theta: np.ndarray, chosen: np.ndarray, other: np.ndarray | None = None
-) -> Foresight:
+    outcome: LoopOutcome, theta: np.ndarray, chosen: np.ndarray, other: np.ndarray | None = None
+) -> TrialInformation:
     names, problem = tuple(groups(outcome.entries)), outcome.problem
-    sensing = Sensing.of(outcome.experiment, _searched(outcome))
-    return Foresight(
+    sensing = SensorModel.of(outcome.experiment, _searched(outcome))
+    return TrialInformation(
         outcome.experiment, names, theta, chosen, sensing, {}, problem.mesh, problem.memo, other
     )
 
 
-def _split(outcome: Outcome, limits: Limits, effort: Effort, progress: Say) -> dict[str, Any]:
+def _split(
+    outcome: LoopOutcome, limits: TrialLimits, effort: SearchEffort, progress: Say
+) -> dict[str, Any]:
     """For the first class that a trial can make smaller, or else the last one."""
     found = _none("No trial is proposed: none of the rivals can be fitted in the place of another.")
     last, seen = outcome.search.final, [r.trial for r in _searched(outcome)]
@@ -114,7 +121,9 @@ def _split(outcome: Outcome, limits: Limits, effort: Effort, progress: Say) -> d
     return found
 
 
-def _narrowed(outcome: Outcome, limits: Limits, effort: Effort, progress: Say) -> dict[str, Any]:
+def _narrowed(
+    outcome: LoopOutcome, limits: TrialLimits, effort: SearchEffort, progress: Say
+) -> dict[str, Any]:
     final, entries = outcome.final, outcome.entries
     errors = final.errors
     own = [entries[i] for i in final.free]
@@ -133,11 +142,11 @@ def _narrowed(outcome: Outcome, limits: Limits, effort: Effort, progress: Say) -
     f = _foresight(outcome, final.theta, final.free)
     p, before = own[widest], summed(final.blocks)[0]
 
-    def goal(seen: list[list[Seen]]) -> float:
+    def goal(seen: list[list[ChannelInformation]]) -> float:
         return -float(inverse(before + information(seen[0]))[widest, widest])
 
     progress(f"what the next trial could say of {p.label}")
-    best = Search([f], goal, limits).run(effort, progress)
+    best = TrialSearch([f], goal, limits).run(effort, progress)
     after = float(np.sqrt(final.inflation * -best.value))
     unit = "" if p.prior.unit == "-" else f" {p.prior.unit}"
     said = (

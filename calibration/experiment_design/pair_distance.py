@@ -15,8 +15,21 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from calibration.discrepancy.scores import alikeness
-from calibration.experiment_design.information import Foresight, Seen, as_block, information, left
-from calibration.experiment_design.trial_search import Effort, Limits, Search, as_table, toml, words
+from calibration.experiment_design.information import (
+    ChannelInformation,
+    TrialInformation,
+    as_block,
+    information,
+    left,
+)
+from calibration.experiment_design.trial_search import (
+    SearchEffort,
+    TrialLimits,
+    TrialSearch,
+    as_table,
+    toml,
+    words,
+)
 
 APART = 3.0
 """Standard deviations from which on two effects count as told apart."""
@@ -61,12 +74,12 @@ def apart(pairs: Sequence[Pair]) -> float:
 
 
 def separate(
-    f: Foresight,
+    f: TrialInformation,
     before: np.ndarray,
     members: Mapping[str, np.ndarray],
     sizes: Mapping[str, np.ndarray],
-    limits: Limits,
-    effort: Effort = Effort(),
+    limits: TrialLimits,
+    effort: SearchEffort = SearchEffort(),
     progress: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
     """The trial that tells the effects `members` apart best, as reports write it.
@@ -77,10 +90,10 @@ def separate(
     taken = np.concatenate(list(members.values()))
     free = np.setdiff1d(np.arange(len(f.chosen)), taken)
 
-    def goal(seen: list[list[Seen]]) -> float:
+    def goal(seen: list[list[ChannelInformation]]) -> float:
         return apart(pairs_of(before + information(seen[0]), members, sizes, free))
 
-    best = Search([f], goal, limits).run(effort, progress)
+    best = TrialSearch([f], goal, limits).run(effort, progress)
     after = before + information(best.seen[0])
     now, then = (pairs_of(A, members, sizes, free) for A in (before, after))
     rows = [

@@ -11,7 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import qmc
 
-from calibration.experiment_design.information import Foresight, Seen, information
+from calibration.experiment_design.information import (
+    ChannelInformation,
+    TrialInformation,
+    information,
+)
 from calibration.model.predict import on_all_cores
 from slider_jax.errors import InputError, SolverError
 from slider_jax.experiment.load import Experiment
@@ -27,7 +31,7 @@ IN_RATIOS = ("frequency", "amplitude")
 QUANTITIES = ("frequency", "amplitude", "phase", "tow_speed")
 
 
-class Limits(NamedTuple):
+class TrialLimits(NamedTuple):
     """Ranges (low, high) that a trial may be chosen from, SI."""
 
     frequency: tuple[float, float]
@@ -36,18 +40,18 @@ class Limits(NamedTuple):
     tow_speed: tuple[float, float]
 
 
-class Effort(NamedTuple):
+class SearchEffort(NamedTuple):
     """How many trials are tried: evenly spread ones, then rounds of the pattern search."""
 
     spread: int = 24
     rounds: int = 3
 
 
-class Found(NamedTuple):
+class PredictedTrial(NamedTuple):
     """A trial that was foreseen."""
 
     trial: Trial
-    seen: list[list[Seen]]
+    seen: list[list[ChannelInformation]]
     """By each of the foresights."""
     value: float
     """Of the goal, the larger the better; -inf where the trial cannot be simulated."""
@@ -55,7 +59,7 @@ class Found(NamedTuple):
 
 def limits_of(
     experiment: Experiment, given: Mapping[str, tuple[float, float] | None] | None = None
-) -> Limits:
+) -> TrialLimits:
     """The ranges `given`, the others from the experiment's own trials, slightly widened.
 
     Raises `InputError` for reversed ones, for those outside physics, and where there is neither.
@@ -72,7 +76,7 @@ def limits_of(
             if allowed and not allowed.low <= value <= allowed.high:
                 raise InputError.value(option, f"{value:g}", allowed.allowed, allowed.advice)
         ranges.append((float(low), float(high)))
-    return Limits(*ranges)
+    return TrialLimits(*ranges)
 
 
 def _own(experiment: Experiment, name: str, option: str) -> tuple[float, float]:
@@ -95,7 +99,7 @@ def _own(experiment: Experiment, name: str, option: str) -> tuple[float, float]:
     return rounded(low - lower if low else 0.0), rounded(high + upper if high else 0.0)
 
 
-def proposed(experiment: Experiment, limits: Limits, place: np.ndarray) -> Trial:
+def proposed(experiment: Experiment, limits: TrialLimits, place: np.ndarray) -> Trial:
     """The trial at a `place` (4,) of the unit cube of the limits, in round numbers."""
     own = [t for t in experiment.trials if t.waveform != "recorded"]
     x = {
@@ -126,26 +130,28 @@ def free_name(experiment: Experiment) -> str:
 
 
 @dataclass(frozen=True)
-class Search:
+class TrialSearch:
     """What a trial is chosen for: `goal` is of what it would say by each of the foresights."""
 
-    foresights: Sequence[Foresight]
-    goal: Callable[[list[list[Seen]]], float]
-    limits: Limits
+    foresights: Sequence[TrialInformation]
+    goal: Callable[[list[list[ChannelInformation]]], float]
+    limits: TrialLimits
 
-    def at(self, place: np.ndarray) -> Found:
+    def at(self, place: np.ndarray) -> PredictedTrial:
         """The trial at a place of the unit cube."""
         trial = proposed(self.foresights[0].experiment, self.limits, place)
         try:
             seen = [f.trial(trial) for f in self.foresights]
         except SolverError:
-            return Found(trial, [], -np.inf)
+            return PredictedTrial(trial, [], -np.inf)
         fine = all(np.isfinite(information(x)).all() for x in seen)
-        return Found(trial, seen, self.goal(seen) if fine else -np.inf)
+        return PredictedTrial(trial, seen, self.goal(seen) if fine else -np.inf)
 
     def run(
-        self, effort: Effort = Effort(), progress: Callable[[str], None] = lambda text: None
-    ) -> Found:
+        self,
+        effort: SearchEffort = SearchEffort(),
+        progress: Callable[[str], None] = lambda text: None,
+    ) -> PredictedTrial:
         """The best trial. Raises `SolverError` where none within the limits can be simulated."""
         wide = np.array([high > low for low, high in self.limits])
         places = [np.where(wide, u, 0.0) for u in _spread(effort.spread)]
@@ -172,10 +178,10 @@ class Search:
 
     def _best(
         self, places: list[np.ndarray], progress: Callable[[str], None]
-    ) -> tuple[Found, np.ndarray]:
-        done: list[Found] = []
+    ) -> tuple[PredictedTrial, np.ndarray]:
+        done: list[PredictedTrial] = []
 
-        def one(place: np.ndarray) -> Found:
+        def one(place: np.ndarray) -> PredictedTrial:
             found = self.at(place)
             done.append(found)
             progress(f"trial {len(done)} of {len(places)}: {words(found.trial)}")

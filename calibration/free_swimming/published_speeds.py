@@ -31,9 +31,15 @@ from slider_jax.errors import SolverError
 from slider_jax.supports import Free
 from slider_jax.swimming.gait import Gait
 from slider_jax.swimming.paper_optimum import MEASURED_SPEED, PAPER_GAIT, PUBLISHED
-from slider_jax.swimming.steady_state import Search, Steady, find_steady, stride_times, velocity
+from slider_jax.swimming.steady_state import (
+    Steady,
+    SteadySettings,
+    find_steady,
+    stride_times,
+    velocity,
+)
 
-PLAN = Search(steps_per_stride=160)
+PLAN = SteadySettings(steps_per_stride=160)
 FARTHER = 3
 """Times as many corrections of the speed for a swimmer that nothing resists: it ends ten times as
 fast."""
@@ -41,7 +47,7 @@ LONG = 60
 """Strides from rest that show whether a speed settles."""
 
 
-class Point(NamedTuple):
+class PublishedPoint(NamedTuple):
     """A published speed. `gaits` are the ways to fill in what the paper leaves open."""
 
     name: str
@@ -52,7 +58,7 @@ class Point(NamedTuple):
     gaits: dict[str, Gait]
 
 
-FIRST = Point(
+FIRST = PublishedPoint(
     "5 Hz, phase 0.2",
     0.213,
     0.004,
@@ -65,7 +71,7 @@ FIRST = Point(
     },
 )
 """Pressures and tail are not given; all of `gaits` are assumed."""
-OPTIMUM = Point(
+OPTIMUM = PublishedPoint(
     "optimum: 6.3 Hz, phase 0.14",
     MEASURED_SPEED,
     0.004,
@@ -109,7 +115,7 @@ def swimmer(
 
 
 @eqx.filter_jit
-def _from_rest(model: Model, frequency, strides: int, plan: Search):
+def _from_rest(model: Model, frequency, strides: int, plan: SteadySettings):
     times = stride_times(frequency, strides, plan)
     begin = at_rest(model, plan.numerics)
     run = rollout(model, times, velocity, plan.numerics, plan.scheme, begin=begin, checkpoint=False)
@@ -119,13 +125,17 @@ def _from_rest(model: Model, frequency, strides: int, plan: Search):
 _find_steady = eqx.filter_jit(find_steady)
 
 
-def steady(model: Model, gait: Gait, plan: Search = PLAN) -> Steady:
+def steady(model: Model, gait: Gait, plan: SteadySettings = PLAN) -> Steady:
     """The steady swim, by one program for all models of one structure."""
     return _find_steady(model, jnp.asarray(float(gait.frequency)), plan)
 
 
 def coefficient_at(
-    point: Point, gait: Gait, resisting: str, head: float = 0.0, plan: Search = PLAN
+    point: PublishedPoint,
+    gait: Gait,
+    resisting: str,
+    head: float = 0.0,
+    plan: SteadySettings = PLAN,
 ) -> float:
     """The coefficient with which the robot swims steadily at a point's speed.
 
@@ -187,7 +197,7 @@ class After:
         return self.predicted - self.published
 
 
-def before(plan: Search = PLAN, strides: int = LONG) -> list[Before]:
+def before(plan: SteadySettings = PLAN, strides: int = LONG) -> list[Before]:
     """The paper's equations at every point and gait, without and with the head's point force."""
     found = []
     for point, head in itertools.product((FIRST, OPTIMUM), HEADS):
@@ -212,9 +222,9 @@ def _speed(found: Steady) -> float:
 
 
 def after(
-    calibrated: Point,
-    checked: Point,
-    plan: Search = PLAN,
+    calibrated: PublishedPoint,
+    checked: PublishedPoint,
+    plan: SteadySettings = PLAN,
     heads: Sequence[str] = tuple(HEADS),
     done: Callable[[After], None] = lambda x: None,
 ) -> list[After]:

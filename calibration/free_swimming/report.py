@@ -26,7 +26,7 @@ NEXT = (
 )
 
 
-class Outcome(NamedTuple):
+class CrossPrediction(NamedTuple):
     """Both directions of calibrating on one point and predicting the other."""
 
     before: list[Before]
@@ -40,12 +40,12 @@ def allowed() -> float:
     return 2.0 * math.hypot(FIRST.error, OPTIMUM.error)
 
 
-def before_error(x: Outcome) -> float:
+def before_error(x: CrossPrediction) -> float:
     """[m/s] by which the steady speed of the paper's equations misses the optimum, at least."""
     return min(b.steady for b in x.before if b.point == OPTIMUM.name) - OPTIMUM.speed
 
 
-def decide(x: Outcome) -> tuple[str, After]:
+def decide(x: CrossPrediction) -> tuple[str, After]:
     """The verdict, and the believed prediction nearest the published speed.
 
     What the paper leaves open may be filled in several ways. Where none of them passes nothing is
@@ -66,7 +66,7 @@ def decide(x: Outcome) -> tuple[str, After]:
     return (CLASS if rivals else IDENTIFIED), best
 
 
-def sentence(x: Outcome) -> str:
+def sentence(x: CrossPrediction) -> str:
     """The verdict in words."""
     verdict, best = decide(x)
     ends, steady = [b.by_stride[-1] for b in x.before], [b.steady for b in x.before]
@@ -91,7 +91,7 @@ def sentence(x: Outcome) -> str:
     return said + " These two points cannot tell friction along the body from form drag."
 
 
-def report(x: Outcome, seconds: float) -> dict[str, Any]:
+def report(x: CrossPrediction, seconds: float) -> dict[str, Any]:
     """The content of report.json."""
     verdict, best = decide(x)
     alone = verdict in (IDENTIFIED, UNEXPLAINED)
@@ -170,7 +170,7 @@ HEAD = ["effect", "head", "calibrated with", "coefficient", "in prior", "predict
         "cm/s", "off by"]  # fmt: skip
 
 
-def short_table(x: Outcome) -> str:
+def short_table(x: CrossPrediction) -> str:
     """Predictions of the optimum in lines, for the terminal."""
     lines = [f"{'published':<44}{100 * OPTIMUM.speed:6.1f} cm/s"]
     for a in x.forward:
@@ -181,7 +181,7 @@ def short_table(x: Outcome) -> str:
     return "\n".join(lines)
 
 
-def page(x: Outcome, content: dict[str, Any]) -> str:
+def page(x: CrossPrediction, content: dict[str, Any]) -> str:
     """report.html."""
     row = content["errors"]["speed_at_optimum"]
     return document(

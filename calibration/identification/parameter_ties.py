@@ -22,7 +22,7 @@ SAME = 0.02
 """Share by which the frequencies of one group differ at most."""
 
 
-class Layout(NamedTuple):
+class ParameterTies(NamedTuple):
     """A vector, and what it makes of every trial."""
 
     name: str
@@ -60,17 +60,19 @@ def frequencies(trials: Sequence[Trial]) -> tuple[np.ndarray, np.ndarray]:
     return np.array(means), place
 
 
-def constant(entries: Sequence[Parameter], theta: np.ndarray, trials: int) -> Layout:
+def constant(entries: Sequence[Parameter], theta: np.ndarray, trials: int) -> ParameterTies:
     """The same values in all trials."""
     same = Affine(np.zeros(len(theta)), np.eye(len(theta)))
     labels, nowhere = [p.label for p in entries], np.full(len(theta), -1)
     members = np.arange(len(theta))
-    return Layout(CONSTANT, list(entries), labels, (same,) * trials, theta.copy(), nowhere, members)
+    return ParameterTies(
+        CONSTANT, list(entries), labels, (same,) * trials, theta.copy(), nowhere, members
+    )
 
 
 def paper(
     entries: Sequence[Parameter], theta: np.ndarray, at: np.ndarray, place: np.ndarray
-) -> Layout:
+) -> ParameterTies:
     """C_d and m_a of the paper's ramp, with the paper's numbers; the rest common."""
     common = [i for i, p in enumerate(entries) if p.label not in FOLLOWS]
     maps = []
@@ -82,12 +84,12 @@ def paper(
     kept = [entries[i] for i in common]
     labels, members = [p.label for p in kept], np.array(common)
     nowhere = np.full(len(common), -1)
-    return Layout(PAPER, kept, labels, tuple(maps), theta[common], nowhere, members)
+    return ParameterTies(PAPER, kept, labels, tuple(maps), theta[common], nowhere, members)
 
 
 def ramp(
     entries: Sequence[Parameter], theta: np.ndarray, at: np.ndarray, place: np.ndarray
-) -> Layout:
+) -> ParameterTies:
     """C_d and m_a constant below and above the paper's ramp, linear on it; the rest common."""
     common = [i for i, p in enumerate(entries) if p.label not in FOLLOWS]
     moving = [_index(entries, name) for name in FOLLOWS]
@@ -105,7 +107,7 @@ def ramp(
     labels += [
         f"{n} {w}" for n in FOLLOWS for w in (f"below {RAMP_START:g} Hz", f"above {RAMP_END:g} Hz")
     ]
-    return Layout(
+    return ParameterTies(
         RAMP, [entries[i] for i in members], labels, tuple(maps), theta[members],
         np.full(len(members), -1), members,
     )  # fmt: skip
@@ -117,7 +119,7 @@ def per_frequency(
     at: np.ndarray,
     place: np.ndarray,
     each: Sequence[str],
-) -> Layout:
+) -> ParameterTies:
     """The parameters `each` (labels) by frequency; the rest common."""
     common = [i for i, p in enumerate(entries) if p.label not in each]
     own = [_index(entries, name) for name in each]
@@ -133,7 +135,7 @@ def per_frequency(
         entries[i].label + ("" if g < 0 else f" at {at[g]:g} Hz")
         for i, g in zip(members, group, strict=True)
     ]
-    return Layout(
+    return ParameterTies(
         EACH, [entries[i] for i in members], labels, tuple(maps), theta[members], group, members
     )
 

@@ -16,7 +16,7 @@ import numpy as np
 from calibration.discrepancy.scores import solve
 from calibration.experiment_design.parameter_trial import Known, Proposal, best_trial, feasible
 from calibration.identification import parameter_ties as layouts
-from calibration.identification.parameter_ties import CONSTANT, EACH, PAPER, RAMP, Layout
+from calibration.identification.parameter_ties import CONSTANT, EACH, PAPER, RAMP, ParameterTies
 from calibration.inference.gauss_newton import Fit, fit, inverse
 from calibration.inference.problem import FAILED, Problem, summed
 from calibration.inference.uncertainty import by_variation, determined, halves, interval
@@ -32,7 +32,7 @@ LEAST_FREQUENCIES = 4
 class Way(NamedTuple):
     """One layout, fitted."""
 
-    layout: Layout
+    layout: ParameterTies
     fit: Fit
     left_out: np.ndarray | None
     """(frequencies,) sums of squares of the white residuals of each when it was left out."""
@@ -140,7 +140,7 @@ def _advice(found: ByFrequency, coarse: Resolution) -> dict[int, Proposal]:
     return result
 
 
-def _left_out(laid: Problem, plan: Layout, found: Fit, at, place, white) -> np.ndarray:
+def _left_out(laid: Problem, plan: ParameterTies, found: Fit, at, place, white) -> np.ndarray:
     thetas: list[np.ndarray] = [found.theta] * len(place)
     for g in range(len(at)):
         x = _without(plan, found, at, g, place)
@@ -154,7 +154,9 @@ def _left_out(laid: Problem, plan: Layout, found: Fit, at, place, white) -> np.n
     return squares
 
 
-def _without(plan: Layout, found: Fit, at: np.ndarray, g: int, place: np.ndarray) -> np.ndarray:
+def _without(
+    plan: ParameterTies, found: Fit, at: np.ndarray, g: int, place: np.ndarray
+) -> np.ndarray:
     """The vector that all frequencies but the one at place `g` ask for."""
     others = [x for x in found.blocks if place[x.trial] != g]
     A, b = summed(others)

@@ -15,7 +15,7 @@ import optimistix as optx
 
 from calibration.inference.bounds import Bounds
 from calibration.inference.noise import Whitener
-from calibration.inference.problem import Block, Problem, summed, total
+from calibration.inference.problem import ChannelBlock, Problem, summed, total
 from calibration.model.extended import Parameter
 
 ITERATIONS = 24
@@ -37,7 +37,7 @@ class Fit(NamedTuple):
     square: float
     """Sum of squares of the white residuals."""
     samples: int
-    blocks: list[Block]
+    blocks: list[ChannelBlock]
     """Linearised at `theta`, along the `free` entries only."""
     predicted: list[np.ndarray]
     converged: bool

@@ -18,7 +18,7 @@ import optax
 from calibration.inference.bounds import Bounds
 from calibration.inference.gauss_newton import Fit, inverse
 from calibration.inference.noise import Whitener
-from calibration.inference.problem import Block, Problem, summed, total
+from calibration.inference.problem import ChannelBlock, Problem, summed, total
 from calibration.model.extended import Parameter
 
 ITERATIONS = 60
@@ -56,7 +56,7 @@ def descend(
     optimiser = optax.scale_by_lbfgs(memory_size=MEMORY, scale_init_precond=False)
     z = np.asarray(bounds.outside(jnp.asarray(theta[free])))
     scale, state = np.ones_like(z), None
-    blocks: list[Block] = []
+    blocks: list[ChannelBlock] = []
     for iteration in range(ITERATIONS):
         blocks = problem.blocks(residuals, problem.tangents(theta, directions), white)
         A, b = summed(blocks)

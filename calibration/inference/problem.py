@@ -47,7 +47,7 @@ FAILED = 1e12
 """Sum of squares of a channel whose simulation failed: worse than any that did not."""
 
 
-class Block(NamedTuple):
+class ChannelBlock(NamedTuple):
     """One trial and channel at one vector."""
 
     trial: int
@@ -58,7 +58,7 @@ class Block(NamedTuple):
     n: int
 
 
-def summed(blocks: Sequence[Block]) -> tuple[np.ndarray, np.ndarray]:
+def summed(blocks: Sequence[ChannelBlock]) -> tuple[np.ndarray, np.ndarray]:
     """A and b of all blocks."""
     return np.sum([x.A for x in blocks], axis=0), np.sum([x.b for x in blocks], axis=0)
 
@@ -222,14 +222,14 @@ class Problem:
         residuals: dict[tuple[int, str], np.ndarray],
         derivatives: list[np.ndarray],
         white: dict[tuple[int, str], Whitener],
-    ) -> list[Block]:
+    ) -> list[ChannelBlock]:
         """The matrices of every trial and channel."""
         found = []
         for key, r in residuals.items():
             i, channel = key
             there = self.records[i].there(channel)
             J = white[key](derivatives[i][:, CHANNELS.index(channel), there])
-            found.append(Block(i, channel, J @ J.T, J @ r, float(r @ r), len(r)))
+            found.append(ChannelBlock(i, channel, J @ J.T, J @ r, float(r @ r), len(r)))
         return found
 
 

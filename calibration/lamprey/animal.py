@@ -28,7 +28,7 @@ FIN = 0.6
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class CrossSections:
     """The cross-sections: ellipses of the measured width and an assumed depth.
 
     Depth is `aspect` times the width before the fins; from there it runs straight to `tail_depth`
@@ -44,7 +44,7 @@ class Shape:
     density: float = 1040.0
     """Of the animal [kg/m^3]."""
 
-    def with_depth(self, aspect: float, tail_depth: float) -> "Shape":
+    def with_depth(self, aspect: float, tail_depth: float) -> "CrossSections":
         """The same widths, another depth."""
         return replace(self, aspect=aspect, tail_depth=tail_depth)
 
@@ -78,7 +78,7 @@ class Body(eqx.Module):
         return math.pi * (3.0 * (a + b) - jnp.sqrt((3.0 * a + b) * (a + 3.0 * b)))
 
 
-def body(shape: Shape, s: np.ndarray) -> Body:
+def body(shape: CrossSections, s: np.ndarray) -> Body:
     """The shape on nodes `s` [m] from the tail."""
     ends, middle, ds = 1.0 - s / s[-1], 1.0 - 0.5 * (s[1:] + s[:-1]) / s[-1], np.diff(s)
     width, depth = shape.at(middle, s[-1])
@@ -108,7 +108,7 @@ class Prescribed(eqx.Module):
     x: Section
 
 
-def prescribe(motion: Motion, shape: Shape) -> Prescribed:
+def prescribe(motion: Motion, shape: CrossSections) -> Prescribed:
     """The sections of every instant of a motion, in water at rest."""
     return _prescribe(jax.tree.map(jnp.asarray, motion), body(shape, motion.s))
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from calibration.lamprey.animal import Shape, force, momentum, prescribe
+from calibration.lamprey.animal import CrossSections, force, momentum, prescribe
 from calibration.lamprey.midlines import Midlines
 from calibration.lamprey.motion import Motion, Smoothing, angles, motion, white_noise
 from calibration.lamprey.strides import Strides
@@ -74,7 +74,7 @@ class Course:
     direction: np.ndarray
 
 
-def ledger(motion: Motion, shape: Shape, course: Course) -> Ledger:
+def ledger(motion: Motion, shape: CrossSections, course: Course) -> Ledger:
     """The forces of a motion, stride by stride."""
     held, t = prescribe(motion, shape), np.asarray(motion.t)
 
@@ -156,7 +156,7 @@ def readings(
 def draw(
     rng: np.random.Generator,
     motions: Sequence[Motion],
-    shape: Shape,
+    shape: CrossSections,
     course: Course,
     coefficients: tuple[float, float],
     vary: Sequence[str],
@@ -172,7 +172,7 @@ def draw(
     C_d, m_a = (np.full(count, x) for x in coefficients)
     if "coefficients" in vary:
         C_d, m_a = rng.uniform(*C_D_RANGE, count), rng.uniform(*M_A_RANGE, count)
-    kept: dict[tuple[int, Shape], Ledger] = {}
+    kept: dict[tuple[int, CrossSections], Ledger] = {}
     ledgers = []
     for _ in range(count):
         which = int(rng.integers(1, len(motions))) if "reading" in vary else 0

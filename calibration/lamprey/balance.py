@@ -12,7 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from calibration.lamprey.animal import VISCOSITY, Prescribed, Shape, force, inertia, prescribe
+from calibration.lamprey.animal import (
+    VISCOSITY,
+    CrossSections,
+    Prescribed,
+    force,
+    inertia,
+    prescribe,
+)
 from calibration.lamprey.axial_balance import (
     CANDIDATES,
     DRAWS,
@@ -28,7 +35,7 @@ from calibration.lamprey.axial_balance import (
 )
 from calibration.lamprey.midlines import Midlines, read_midlines, read_width
 from calibration.lamprey.motion import Motion, Smoothing, choose_smoothing, motion
-from calibration.lamprey.strides import Gait, Strides, find_strides, fundamental, gait
+from calibration.lamprey.strides import AnimalGait, Strides, find_strides, fundamental, gait
 from slider_jax import paper
 from slider_jax.effects import ForceDensity, NormalDrag, ReactiveForce
 
@@ -49,10 +56,10 @@ class Weighed:
     midlines: Midlines
     smoothing: Smoothing
     motion: Motion
-    shape: Shape
+    shape: CrossSections
     held: Prescribed
     strides: Strides
-    gait: Gait
+    gait: AnimalGait
     C_d: float
     m_a: float
     ledger: Ledger
@@ -93,10 +100,12 @@ def weigh(folder: Path, seed: int = 0, draws: int = DRAWS) -> Weighed:
     """
     midlines = read_midlines(folder / "lampreydata.csv")
     places, given = read_width(folder / "fishwidth.csv", WIDTH_COLUMN)
-    return weigh_midlines(midlines, Shape(places, FULL_OVER_GIVEN * given), seed, draws)
+    return weigh_midlines(midlines, CrossSections(places, FULL_OVER_GIVEN * given), seed, draws)
 
 
-def weigh_midlines(midlines: Midlines, shape: Shape, seed: int = 0, draws: int = DRAWS) -> Weighed:
+def weigh_midlines(
+    midlines: Midlines, shape: CrossSections, seed: int = 0, draws: int = DRAWS
+) -> Weighed:
     """Weigh an animal of `shape` that swims as `midlines` say; `draws` make the intervals."""
     rng = np.random.default_rng(seed)
     smoothing = choose_smoothing(midlines)

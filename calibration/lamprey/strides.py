@@ -45,7 +45,7 @@ class Strides(NamedTuple):
         return np.diff(_at(self.marks, t, series), axis=0) / spans
 
 
-class Gait(NamedTuple):
+class AnimalGait(NamedTuple):
     """How an animal swims; SI units."""
 
     speed: float
@@ -90,7 +90,7 @@ def find_strides(motion: Motion) -> Strides:
     return Strides(marks, phase - first)
 
 
-def gait(motion: Motion, strides: Strides, viscosity: float) -> Gait:
+def gait(motion: Motion, strides: Strides, viscosity: float) -> AnimalGait:
     """The numbers of a gait over its whole strides."""
     t, s = np.asarray(motion.t), motion.s
     middle = np.trapezoid(motion.r, s, axis=1) / motion.length
@@ -102,7 +102,7 @@ def gait(motion: Motion, strides: Strides, viscosity: float) -> Gait:
     mode = fundamental(t, lateral, strides)
     wave = body_wave(jnp.asarray(mode), jnp.asarray(s), f)
     amplitude = float(abs(mode[0]))
-    return Gait(
+    return AnimalGait(
         speed=speed,
         direction=direction,
         frequency=f,

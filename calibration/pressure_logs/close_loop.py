@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from calibration.discrepancy.close_loop import LEAST_TRIALS, Outcome, conclude
+from calibration.discrepancy.close_loop import LEAST_TRIALS, LoopOutcome, conclude
 from calibration.inference.cache import Memo
 from calibration.inference.problem import Problem
 from calibration.measurements.records import Record
@@ -19,7 +19,7 @@ def close_loop_on_logs(
     effects: Sequence[str] | None = None,
     progress: Callable[[str], None] = lambda text: None,
     memo: Memo | None = None,
-) -> Outcome:
+) -> LoopOutcome:
     """Search what the pressure lag lacks on the rig's logs.
 
     In order of frequency the first, third, fifth log and so on are searched, the others held out.

@@ -15,7 +15,7 @@ from calibration.inference.intervals import (
 )
 from calibration.pressure_logs.lag import PLAUSIBLE, Batch, fit_each, fit_pooled, residuals_at
 from calibration.pressure_logs.read import ManifoldLog, psi
-from calibration.pressure_logs.residual_shape import Shape, shape_of, whole_cycles
+from calibration.pressure_logs.residual_shape import ResidualShape, shape_of, whole_cycles
 from slider_jax.errors import InputError
 
 PAPER_K = 0.087
@@ -40,7 +40,7 @@ class LogResult:
     """At the log's own k."""
     pooled: np.ndarray
     """At the k of all logs."""
-    shape: Shape
+    shape: ResidualShape
     """Of `after`."""
 
     @property

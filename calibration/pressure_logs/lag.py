@@ -81,7 +81,7 @@ def residual_psi(log_k, log: Batch) -> Float[Array, " n"]:
     return log.there * (log.pressure - free_run(jnp.exp(log_k), log.set_point, log.pressure[0]))
 
 
-class Fit(NamedTuple):
+class LagFit(NamedTuple):
     """log k, and at that k what every log says: arrays (logs, samples) and (logs,)."""
 
     log_k: Array
@@ -151,7 +151,7 @@ def _lowest_dip(square):
 
 
 @jax.jit
-def fit_each(batch: Batch) -> Fit:
+def fit_each(batch: Batch) -> LagFit:
     """k of every log by itself.
 
     Levenberg-Marquardt on forward tangents, from the lowest dip of a scan of `PLAUSIBLE`.
@@ -159,16 +159,16 @@ def fit_each(batch: Batch) -> Fit:
     start = jax.vmap(_lowest_dip, 1)(_profile(batch))
     log_k, converged = jax.vmap(lambda x, log: _solve(_scaled, x, log))(start, batch)
     residual, tangent, curvature = jax.vmap(_statistics)(log_k, batch)
-    return Fit(log_k, residual, tangent, curvature, converged)
+    return LagFit(log_k, residual, tangent, curvature, converged)
 
 
 @jax.jit
-def fit_pooled(batch: Batch) -> Fit:
+def fit_pooled(batch: Batch) -> LagFit:
     """One k for all logs: the least mean of the logs' mean squares, so that all weigh the same."""
     start = _lowest_dip(jnp.mean(_profile(batch), axis=1))
     log_k, converged = _solve(jax.vmap(_scaled, (None, 0)), start, batch)
     residual, tangent, curvature = jax.vmap(_statistics, (None, 0))(log_k, batch)
-    return Fit(log_k, residual, tangent, curvature, converged)
+    return LagFit(log_k, residual, tangent, curvature, converged)
 
 
 @jax.jit

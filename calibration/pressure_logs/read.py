@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.pressure_logs.rows import COLUMNS, Finding, clean_rows
+from calibration.pressure_logs.rows import COLUMNS, RowFinding, clean_rows
 from slider_jax.errors import InputError
 from slider_jax.io.toml import read_bytes
 
@@ -58,7 +58,7 @@ class ManifoldLog:
     pressure: np.ndarray
     fill: np.ndarray
     vent: np.ndarray
-    findings: tuple[Finding, ...]
+    findings: tuple[RowFinding, ...]
 
     @property
     def command_Pa(self) -> np.ndarray:
@@ -142,7 +142,7 @@ def _find_columns(path: Path, lines: list[tuple[int, str]]) -> int:
     return named[0]
 
 
-def _header(path: Path, lines: list[tuple[int, str]]) -> tuple[dict[str, float], list[Finding]]:
+def _header(path: Path, lines: list[tuple[int, str]]) -> tuple[dict[str, float], list[RowFinding]]:
     values: dict[str, float] = {}
     findings = []
     for line, text in lines:
@@ -163,9 +163,9 @@ def _header(path: Path, lines: list[tuple[int, str]]) -> tuple[dict[str, float],
             break
         else:
             if text.count(",") == len(COLUMNS) - 1:
-                findings.append(Finding(line, f"stale row before the header, dropped: {text}"))
+                findings.append(RowFinding(line, f"stale row before the header, dropped: {text}"))
             elif not _NEW_TEST.fullmatch(text):
-                findings.append(Finding(line, f"header line not understood, ignored: {text!r}"))
+                findings.append(RowFinding(line, f"header line not understood, ignored: {text!r}"))
     for name, example in (("frequency", "0.250000 Hz"), ("period", "2 ms")):
         if name not in values:
             label = {"frequency": "frequency:", "period": "Sample Prd"}[name]
@@ -178,7 +178,7 @@ def _header(path: Path, lines: list[tuple[int, str]]) -> tuple[dict[str, float],
 
 def _body(
     path: Path, lines: list[tuple[int, str]], columns_at: int
-) -> tuple[list[tuple[int, str]], list[Finding]]:
+) -> tuple[list[tuple[int, str]], list[RowFinding]]:
     """The lines between the column names and `done`, and whether `done` counts them all."""
     body = lines[columns_at + 1 :]
     for index, (line, text) in enumerate(body):
@@ -193,7 +193,9 @@ def _body(
         before = columns_at + 1 + index
         if done[1] and int(done[1]) != before:
             findings.append(
-                Finding(line, f"'{text}' counts {done[1]} lines, the file has {before} before it")
+                RowFinding(
+                    line, f"'{text}' counts {done[1]} lines, the file has {before} before it"
+                )
             )
         after = [later for later in body[index + 1 :]]
         if any(_NEW_TEST.fullmatch(later) for _, later in after):
@@ -202,46 +204,48 @@ def _body(
                 "split the file"
             )
         if after:
-            findings.append(Finding(after[0][0], f"{len(after)} lines after 'done', ignored"))
+            findings.append(RowFinding(after[0][0], f"{len(after)} lines after 'done', ignored"))
         return body[:index], findings
-    return body, [Finding(lines[-1][0], "the file ends without 'done': it may be cut short")]
+    return body, [RowFinding(lines[-1][0], "the file ends without 'done': it may be cut short")]
 
 
-def _check_header(values: dict[str, float], rows: np.ndarray) -> list[Finding]:
+def _check_header(values: dict[str, float], rows: np.ndarray) -> list[RowFinding]:
     """The header's count of samples and of cycles against the rows."""
     findings = []
     last = int(rows[-1, 0])
     missing = {"start", "stop"} - values.keys()
     if missing:
-        return [Finding(None, f"the header has no {' and no '.join(sorted(missing))} time")]
+        return [RowFinding(None, f"the header has no {' and no '.join(sorted(missing))} time")]
     span = values["stop"] - values["start"]
     expected = span / values["period"]
     if abs(expected - last) > 2.0:
         findings.append(
-            Finding(
+            RowFinding(
                 None, f"start, stop and period promise {expected:g} samples; the last is {last}"
             )
         )
     cycles = span * values["frequency"] / 1000.0
     if "cycles" in values and abs(cycles - values["cycles"]) > 0.05:
         findings.append(
-            Finding(
+            RowFinding(
                 None, f"start to stop is {cycles:.2f} cycles; the header says {values['cycles']:g}"
             )
         )
     return findings
 
 
-def _check_frequency(frequency: float, t: np.ndarray, command: np.ndarray) -> list[Finding]:
+def _check_frequency(frequency: float, t: np.ndarray, command: np.ndarray) -> list[RowFinding]:
     """The header's frequency against the upward crossings of the command's mid level."""
     level = command - 0.5 * (command.max() + command.min())
     up = np.flatnonzero((level[:-1] < 0) & (level[1:] >= 0))
     if len(up) < 2:
-        return [Finding(None, "less than two cycles of command: its frequency is not checked")]
+        return [RowFinding(None, "less than two cycles of command: its frequency is not checked")]
     crossing = t[up] - level[up] * (t[up + 1] - t[up]) / (level[up + 1] - level[up])
     found = (len(up) - 1) / (crossing[-1] - crossing[0])
     if abs(found / frequency - 1.0) > 0.02:
         return [
-            Finding(None, f"the command runs at {found:.4g} Hz; the header says {frequency:g} Hz")
+            RowFinding(
+                None, f"the command runs at {found:.4g} Hz; the header says {frequency:g} Hz"
+            )
         ]
     return []

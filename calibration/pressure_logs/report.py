@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from calibration.discrepancy.close_loop import Outcome
+from calibration.discrepancy.close_loop import LoopOutcome
 from calibration.discrepancy.report import report
 from calibration.pressure_logs.read import PA_PER_PSI, ManifoldLog
 from slider_jax.experiment.load import Experiment, assemble
@@ -65,7 +65,7 @@ def compared(models: Mapping[str, tuple[Mapping[str, float], list[dict]]]) -> di
 
 
 def log_report(
-    outcome: Outcome, logs: Sequence[ManifoldLog], seconds: Callable[[], float]
+    outcome: LoopOutcome, logs: Sequence[ManifoldLog], seconds: Callable[[], float]
 ) -> dict[str, Any]:
     """The content of report.json; `seconds()` since the loop began."""
     inputs = [input_file(log.path) for log in logs]
@@ -79,7 +79,7 @@ def log_report(
     return told
 
 
-def consequence_of(outcome: Outcome) -> dict[str, Any]:
+def consequence_of(outcome: LoopOutcome) -> dict[str, Any]:
     """Thrust at 4.8 Hz with the paper's lag, with the lag that fits best, and with the effects."""
     labels = [p.label for p in outcome.entries]
     k = labels.index("k")

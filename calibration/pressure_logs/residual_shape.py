@@ -13,7 +13,7 @@ SMOOTH = 12
 """Harmonics that stand for everything that repeats each cycle."""
 
 
-class Response(NamedTuple):
+class FrequencyResponse(NamedTuple):
     """Gain and phase lag [rad] at the drive frequency, and the k [s] that a lag needs for each."""
 
     gain: float
@@ -22,7 +22,7 @@ class Response(NamedTuple):
     k_of_phase: float
 
 
-class Shape(NamedTuple):
+class ResidualShape(NamedTuple):
     """A residual, measured minus model, over the whole cycles of a log, in psi where not said.
 
     Shares are fractions of the residual's mean square; with `mean_share` they sum to 1 up to what
@@ -46,7 +46,7 @@ class Shape(NamedTuple):
     k_filling: float
     """Apparent time constant [s], error over rate, while the fill valve works."""
     k_venting: float
-    measured: Response
+    measured: FrequencyResponse
     floor: float
 
 
@@ -66,12 +66,12 @@ def harmonics(t: np.ndarray, x: np.ndarray, frequency: float, count: int):
     return c[0], c[1 : count + 1] - 1j * c[count + 1 :], basis @ c
 
 
-def _response(omega: float, command: complex, pressure: complex) -> Response:
+def _response(omega: float, command: complex, pressure: complex) -> FrequencyResponse:
     ratio = pressure / command
     gain, lag = abs(ratio), -float(np.angle(ratio))
     k_gain = math.sqrt(1.0 / gain**2 - 1.0) / omega if 0.0 < gain < 1.0 else math.nan
     k_phase = math.tan(lag) / omega if 0.0 < lag < 0.5 * math.pi else math.nan
-    return Response(gain, lag, k_gain, k_phase)
+    return FrequencyResponse(gain, lag, k_gain, k_phase)
 
 
 def apparent_time(
@@ -92,7 +92,7 @@ def apparent_time(
     return k(error > 0.0), k(error < 0.0)
 
 
-def shape_of(log: ManifoldLog, residual: np.ndarray) -> Shape:
+def shape_of(log: ManifoldLog, residual: np.ndarray) -> ResidualShape:
     """The shape of `residual` [psi], one value a sample of `log`."""
     here = whole_cycles(log)
     t, r = log.t[here], residual[here]
@@ -104,7 +104,7 @@ def shape_of(log: ManifoldLog, residual: np.ndarray) -> Shape:
     _, _, repeats = harmonics(t, r, log.frequency, SMOOTH)
     along = c[0] * drive[0].conjugate() / max(abs(drive[0]), 1e-300)
     filling = command > pressure
-    return Shape(
+    return ResidualShape(
         rms=math.sqrt(square),
         mean=float(mean),
         mean_share=float(mean**2 / square),

@@ -22,7 +22,7 @@ STALE = 5
 STUCK = 25
 
 
-class Finding(NamedTuple):
+class RowFinding(NamedTuple):
     """Something in the file that was mended, dropped or does not agree."""
 
     line: int | None
@@ -34,7 +34,7 @@ class Finding(NamedTuple):
 
 def clean_rows(
     path: Path, lines: list[tuple[int, str]], longest_gap: float
-) -> tuple[np.ndarray, list[Finding]]:
+) -> tuple[np.ndarray, list[RowFinding]]:
     """Rows (samples, 6) in the order of `COLUMNS`, with a strictly increasing counter.
 
     `longest_gap` is in samples. Raises `InputError` where more than `MOST_BAD` of the rows are bad,
@@ -45,7 +45,7 @@ def clean_rows(
         row = _parse(text)
         if isinstance(row, str):
             torn = "torn last line" if position == len(lines) - 1 else "bad row"
-            findings.append(Finding(line, f"{torn}, dropped ({row}): {text[:60]}"))
+            findings.append(RowFinding(line, f"{torn}, dropped ({row}): {text[:60]}"))
         else:
             rows.append(row)
             numbers.append(line)
@@ -87,7 +87,7 @@ def _parse(text: str) -> list[float] | str:
 
 def _without_stale(
     table: np.ndarray, lines: list[int]
-) -> tuple[np.ndarray, list[int], list[Finding]]:
+) -> tuple[np.ndarray, list[int], list[RowFinding]]:
     """Without the rows of an earlier test that the serial buffer still held at the start."""
     drop = 0
     falls = np.flatnonzero(np.diff(table[: STALE + 1, 0]) < 0)
@@ -97,19 +97,19 @@ def _without_stale(
         bend = np.abs(np.diff(table[:, 3], 2))
         if bend[0] > 5.0 > 4.0 * bend[1:].max():
             drop = 1
-    findings = [Finding(line, "stale row of an earlier test, dropped") for line in lines[:drop]]
+    findings = [RowFinding(line, "stale row of an earlier test, dropped") for line in lines[:drop]]
     return table[drop:], lines[drop:], findings
 
 
 def _in_order(
     path: Path, table: np.ndarray, lines: list[int], longest_gap: float
-) -> tuple[np.ndarray, list[Finding]]:
+) -> tuple[np.ndarray, list[RowFinding]]:
     """With each counter value once; gaps are told."""
     if not len(table):
         return table, []
     findings = []
     if table[0, 0] != 1:
-        findings.append(Finding(lines[0], f"the first sample kept is number {table[0, 0]:.0f}"))
+        findings.append(RowFinding(lines[0], f"the first sample kept is number {table[0, 0]:.0f}"))
     keep = np.ones(len(table), bool)
     last = table[0, 0]
     for i in range(1, len(table)):
@@ -117,7 +117,7 @@ def _in_order(
         step = now - last
         if step == 0:
             keep[i] = False
-            findings.append(Finding(lines[i], f"sample {now:.0f} a second time, dropped"))
+            findings.append(RowFinding(lines[i], f"sample {now:.0f} a second time, dropped"))
             continue
         if step < 0:
             raise InputError(
@@ -131,12 +131,12 @@ def _in_order(
                     f"{path}: line {lines[i]}: {what}, more than a tenth of a cycle; "
                     "cut the log there or record again"
                 )
-            findings.append(Finding(lines[i], what))
+            findings.append(RowFinding(lines[i], what))
         last = now
     return table[keep], findings
 
 
-def _stuck(table: np.ndarray) -> list[Finding]:
+def _stuck(table: np.ndarray) -> list[RowFinding]:
     """Runs of the same pressure that sensor noise makes impossible."""
     if not len(table):
         return []
@@ -144,8 +144,8 @@ def _stuck(table: np.ndarray) -> list[Finding]:
     edges = np.flatnonzero(np.diff(pressure)) + 1
     starts, ends = np.r_[0, edges], np.r_[edges, len(pressure)]
     return [
-        Finding(None, f"pressure stuck at {pressure[a]:.0f} counts for {b - a} samples from sample "
-                f"{table[a, 0]:.0f}")
+        RowFinding(None, f"pressure stuck at {pressure[a]:.0f} counts for {b - a} samples from "
+                f"sample {table[a, 0]:.0f}")
         for a, b in zip(starts, ends, strict=True)
         if b - a >= STUCK
     ]  # fmt: skip

@@ -37,7 +37,7 @@ PAST = 100
 any dead time or filter of the library at 500 Hz."""
 
 
-class State(eqx.Module):
+class BlockState(eqx.Module):
     """What one block hands to the next."""
 
     values: Float[Array, " values"]
@@ -73,7 +73,7 @@ class Predicted(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Layout:
+class BlockLayout:
     """`samples` a block, `period` [s] apart, every `per_step` of them a step of the body."""
 
     period: float
@@ -99,13 +99,13 @@ def values_of(experiment: Experiment) -> np.ndarray:
     return np.array([parameters.k, parameters.K_Q, robot.EI_tail, robot.tail_length])
 
 
-def begin(model: Model, layout: Layout, values: np.ndarray) -> State:
+def begin(model: Model, layout: BlockLayout, values: np.ndarray) -> BlockState:
     """Straight and at rest, chambers empty."""
     body = at_rest(_of_body(model, jnp.asarray(values[1:])), layout.numerics)
     count, past = len(VALUES), PAST if of_place(model.effects, Instrument) else 0
     moving = eqx.filter(body, eqx.is_inexact_array)
     zero = jnp.zeros(2)
-    return State(
+    return BlockState(
         values=jnp.asarray(values),
         p=zero,
         dp=zero,
@@ -120,7 +120,9 @@ def begin(model: Model, layout: Layout, values: np.ndarray) -> State:
     )
 
 
-def compiled(model: Model, layout: Layout, state: State) -> Callable[..., tuple[State, Predicted]]:
+def compiled(
+    model: Model, layout: BlockLayout, state: BlockState
+) -> Callable[..., tuple[BlockState, Predicted]]:
     """The program of a block, compiled for models of this structure.
 
     It takes (model, state, values (4,), t0, set_pressure (2, PAST + 1 + samples), measured pressure
@@ -149,7 +151,9 @@ def _of_body(model: Model, values: Array) -> Model:
     )
 
 
-def _block(layout: Layout, model: Model, state: State, values, t0, set_pressure, measured):
+def _block(
+    layout: BlockLayout, model: Model, state: BlockState, values, t0, set_pressure, measured
+):
     state = _moved(state, values)
     at = t0 + layout.period * jnp.arange(layout.samples + 1.0)
     # A chamber takes several periods: what it makes of an edge is told by the mean over a period.
@@ -172,7 +176,7 @@ def _block(layout: Layout, model: Model, state: State, values, t0, set_pressure,
     return state, Predicted(read.T, jnp.swapaxes(d_read, 1, 2), jnp.moveaxis(faulty, 0, -1))
 
 
-def _moved(state: State, values) -> State:
+def _moved(state: BlockState, values) -> BlockState:
     """The state to first order at other `VALUES`."""
     change = values - state.values
     moving, rest = eqx.partition(state.body, eqx.is_inexact_array)
@@ -182,7 +186,7 @@ def _moved(state: State, values) -> State:
     )
 
 
-def _pressures(layout: Layout, model: Model, state: State, at, measured):
+def _pressures(layout: BlockLayout, model: Model, state: BlockState, at, measured):
     """The state; p, dp/dk (samples, 2), seen (samples + 1, 2), faulty (samples, suspects, 2)."""
     flows, law = of_place(model.effects, Flow), model.pressure_law
     faults = jax.tree.map(lambda *x: jnp.stack(x), *(x.effect for x in SUSPECTS))
@@ -212,7 +216,7 @@ def _save(x: Snapshot):
     return jnp.stack([obs.thrust(x), obs.recoil(x), obs.tip(x)])
 
 
-def _body(layout: Layout, model: Model, state: State, t0):
+def _body(layout: BlockLayout, model: Model, state: BlockState, t0):
     """The state, thrust, recoil, tip (samples, 3), and their derivatives (bodies, samples, 3)."""
     times = TimeGrid(
         jnp.asarray(layout.period * layout.per_step), layout.samples // layout.per_step, t0
@@ -253,7 +257,7 @@ def _body(layout: Layout, model: Model, state: State, t0):
     return state, body, d_body
 
 
-def _instruments(layout: Layout, model: Model, state: State, at, true, d_true):
+def _instruments(layout: BlockLayout, model: Model, state: BlockState, at, true, d_true):
     """The state, and what the instruments make of `true` (samples, 5) and its derivatives."""
     past = len(state.past)
     series = jnp.concatenate([state.past, true])

@@ -9,15 +9,15 @@ import numpy as np
 from calibration.twin.alarm import Window
 
 
-class Estimate(NamedTuple):
+class ParameterEstimate(NamedTuple):
     """A parameter and its standard deviation."""
 
     value: float
     deviation: float
 
-    def with_share(self, share: float) -> "Estimate":
+    def with_share(self, share: float) -> "ParameterEstimate":
         """The same with an independent deviation of a share of the value."""
-        return Estimate(self.value, math.hypot(self.deviation, share * self.value))
+        return ParameterEstimate(self.value, math.hypot(self.deviation, share * self.value))
 
 
 @dataclass
@@ -63,13 +63,13 @@ class Recursive:
         self.value = min(max(self.c / self.H, self.low), self.high)
 
     @property
-    def estimate(self) -> Estimate:
+    def estimate(self) -> ParameterEstimate:
         """The value now; its deviation is the pulls' spread, or that of white noise if larger."""
         if self.windows < 4:
-            return Estimate(self.value, self.prior)
+            return ParameterEstimate(self.value, self.prior)
         cc, cH, HH = self._squares
         pulls = max(cc - 2.0 * self.value * cH + self.value**2 * HH, self._informed)
-        return Estimate(self.value, min(math.sqrt(pulls) / self.H, self.prior))
+        return ParameterEstimate(self.value, min(math.sqrt(pulls) / self.H, self.prior))
 
 
 def pull_of_lag(window: Window, variance: np.ndarray) -> tuple[float, float]:

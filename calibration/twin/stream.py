@@ -12,7 +12,7 @@ LONGEST_GAP = 0.2
 """[s] that are bridged; after a longer gap the blocks begin anew at the next reading."""
 
 
-class Stretch(NamedTuple):
+class Samples(NamedTuple):
     """Readings in the order of their device times; NaN where a sensor read nothing."""
 
     t: np.ndarray
@@ -23,9 +23,9 @@ class Stretch(NamedTuple):
     measured: np.ndarray
     """(5, n) in the order of `calibration.model.predict.CHANNELS`: Pa, Pa, N, N, m."""
 
-    def checked(self) -> "Stretch":
+    def checked(self) -> "Samples":
         """The same as float arrays. Raises `InputError` for other shapes."""
-        found = Stretch(*(np.asarray(x, float) for x in self))
+        found = Samples(*(np.asarray(x, float) for x in self))
         n = found.t.shape[-1] if found.t.ndim else 0
         for name, shape in {"t": (n,), "set_pressure": (2, n), "measured": (5, n)}.items():
             given = getattr(found, name).shape
@@ -36,7 +36,7 @@ class Stretch(NamedTuple):
         return found
 
 
-class Even(NamedTuple):
+class UniformBlock(NamedTuple):
     """Samples of a block, evenly spaced."""
 
     t: np.ndarray
@@ -52,7 +52,7 @@ class Even(NamedTuple):
 
 
 @dataclass
-class Bridge:
+class GapFiller:
     """Puts readings on an even grid `period` [s] of the device's clock, `samples` a block."""
 
     period: float
@@ -71,7 +71,7 @@ class Bridge:
         self._rows: list[tuple[float, np.ndarray, np.ndarray, bool]] = []
         self._anew = True
 
-    def add(self, readings: Stretch) -> Iterator[Even]:
+    def add(self, readings: Samples) -> Iterator[UniformBlock]:
         """The blocks that these readings complete. Raises `InputError` for wrong shapes."""
         t, set_pressure, measured = readings.checked()
         for i in np.flatnonzero(np.isfinite(t)):
@@ -103,10 +103,10 @@ class Bridge:
         assert self._origin is not None
         return self._origin + slot * self.period
 
-    def _block(self) -> Even:
+    def _block(self) -> UniformBlock:
         rows, self._rows = self._rows[: self.samples], self._rows[self.samples :]
         t, set_pressure, measured, lost = zip(*rows, strict=True)
         anew, self._anew = self._anew, False
-        return Even(
+        return UniformBlock(
             np.array(t), np.array(set_pressure).T, np.array(measured).T, np.array(lost), anew
         )

@@ -20,14 +20,14 @@ from calibration.twin.alarm import NO_ALARM, Alarm, Bands, Watch, Window, misfit
 from calibration.twin.block import (
     PAST,
     VALUES,
-    Layout,
+    BlockLayout,
     begin,
     compiled,
     live_model,
     values_of,
 )
-from calibration.twin.estimate import Estimate, Recursive, pull_of_lag, pull_of_moment
-from calibration.twin.stream import Bridge, Even, Stretch
+from calibration.twin.estimate import ParameterEstimate, Recursive, pull_of_lag, pull_of_moment
+from calibration.twin.stream import GapFiller, Samples, UniformBlock
 from slider_jax.beam.grid import split_cells
 from slider_jax.beam.parameters import Numerics
 from slider_jax.errors import InputError
@@ -55,7 +55,7 @@ EXCITED = 10.0
 
 
 @dataclass(frozen=True)
-class Settings:
+class TwinSettings:
     """How a twin runs. `rate` [Hz] of the readings; one `window` [s] is a value of the test.
 
     The mesh of the calibration (`calibration.model.predict.FINE`) would not keep up. Bands learn
@@ -79,7 +79,7 @@ class Settings:
     memory_K_Q: float = 60.0
 
 
-class Block(NamedTuple):
+class TwinBlock(NamedTuple):
     """What the twin says of one block of readings."""
 
     t: np.ndarray
@@ -92,8 +92,8 @@ class Block(NamedTuple):
     """(samples,) whether the reading was lost and bridged."""
     judged: np.ndarray
     """(samples,) whether the residual counts: not lost, nor just after a gap."""
-    k: Estimate
-    K_Q: Estimate
+    k: ParameterEstimate
+    K_Q: ParameterEstimate
     alarm: Alarm
     watching: bool
     """Whether the bands are learned."""
@@ -109,11 +109,11 @@ class Block(NamedTuple):
 class Twin:
     """A model beside a stream. Made by `of`; the stream is given to `feed`."""
 
-    def __init__(self, experiment: Experiment, settings: Settings, trial: Trial):
+    def __init__(self, experiment: Experiment, settings: TwinSettings, trial: Trial):
         self.experiment, self.settings = experiment, settings
         robot = experiment.robot
         cells = split_cells(settings.nodes, robot.tail_length, robot.body_length)
-        self.layout = Layout(
+        self.layout = BlockLayout(
             1.0 / settings.rate, settings.samples, settings.per_step,
             Numerics(*cells, tolerance=settings.tolerance),
         )  # fmt: skip
@@ -123,7 +123,7 @@ class Twin:
 
     @classmethod
     def of(
-        cls, experiment: Experiment, trial: Trial | int = 0, settings: Settings = Settings()
+        cls, experiment: Experiment, trial: Trial | int = 0, settings: TwinSettings = TwinSettings()
     ) -> "Twin":
         """Compile the model of a trial, whose coefficients and carriage it takes, and try it.
 
@@ -141,7 +141,7 @@ class Twin:
         trial = experiment.trials[trial] if isinstance(trial, int) else trial
         twin = cls(experiment, settings, trial)
         n = settings.samples
-        still = Stretch(twin.layout.period * np.arange(n), np.zeros((2, n)), np.zeros((5, n)))
+        still = Samples(twin.layout.period * np.arange(n), np.zeros((2, n)), np.zeros((5, n)))
         twin.feed(still)
         twin.restart(forget=True)
         return twin
@@ -157,7 +157,7 @@ class Twin:
             self._k = self._recursive("k", self._values[0], self.settings.memory_k)
             self._K_Q = self._recursive("K_Q", self._values[1], self.settings.memory_K_Q)
         self._state = self._rest
-        self.bridge = Bridge(self.layout.period, self.layout.samples)
+        self.bridge = GapFiller(self.layout.period, self.layout.samples)
         self._past = np.zeros((2, PAST + 1))
         self._lost_in_a_row, self._settling = 0, 0
         self._parts: list[tuple] = []
@@ -186,11 +186,11 @@ class Twin:
             1, round(self.settings.window * self.settings.rate / self.layout.samples)
         )
 
-    def feed(self, readings: Stretch) -> list[Block]:
+    def feed(self, readings: Samples) -> list[TwinBlock]:
         """The blocks that these readings complete. Raises `InputError` for wrong shapes."""
         return [self._block(even) for even in self.bridge.add(readings)]
 
-    def _block(self, even: Even) -> Block:
+    def _block(self, even: UniformBlock) -> TwinBlock:
         began = time.perf_counter()
         model, along, faulty = self._predict(even)
         judged = self._judged(even)
@@ -199,7 +199,7 @@ class Twin:
         if len(self._parts) == self._in_window:
             self._close_window(float(even.t[-1]))
         alarm = self._watch.alarm if self._watch else NO_ALARM
-        return Block(
+        return TwinBlock(
             even.t, model, even.measured, even.lost, judged, self.k, self.K_Q, alarm,
             self._watch is not None, time.perf_counter() - began,
         )  # fmt: skip
@@ -210,16 +210,16 @@ class Twin:
         return sum(self._learned_by) * self.settings.window
 
     @property
-    def k(self) -> Estimate:
+    def k(self) -> ParameterEstimate:
         """The pressure lag [s] now."""
         return self._k.estimate.with_share(SYSTEMATIC_K)
 
     @property
-    def K_Q(self) -> Estimate:
+    def K_Q(self) -> ParameterEstimate:
         """Moment per pressure [m^3] now."""
         return self._K_Q.estimate.with_share(SYSTEMATIC_K_Q)
 
-    def _predict(self, even: Even) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _predict(self, even: UniformBlock) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """`Predicted` over a block; it begins anew at what is measured where the block does."""
         state = self._state
         if even.anew:
@@ -248,7 +248,7 @@ class Twin:
     def _settle(self, duration: float) -> None:
         self._settling = max(self._settling, round(duration / self.layout.period))
 
-    def _judged(self, even: Even) -> np.ndarray:
+    def _judged(self, even: UniformBlock) -> np.ndarray:
         """(samples,) whether a sample counts."""
         if even.anew:
             self._settle(SETTLE_ANEW)

@@ -22,9 +22,9 @@ def check(port: Port, rig: RigFile = None, pressure: Value = 50e3, out: Path | N
     """
     from rig.cli.settings import rig_of
     from rig.cli.shared import force_of, signals_as_ctrl_c
-    from rig.force.sensor import Mounting
+    from rig.force.sensor import SensorMounting
     from rig.manifold.driver import Manifold
-    from rig.manifold.limits import Limits, checked
+    from rig.manifold.limits import PressureLimits, checked
     from rig.manifold.serial_port import open_port
     from rig.protocol.messages import CHANNELS
     from rig.scheduling import real_time
@@ -38,13 +38,13 @@ def check(port: Port, rig: RigFile = None, pressure: Value = 50e3, out: Path | N
             raise InputError(f"--out {out}: is a folder; give a file, as {out / 'check.json'}")
         output_folder(out.parent)
     settings = rig_of(rig)
-    limits = Limits.of(settings.manifold.limits)
+    limits = PressureLimits.of(settings.manifold.limits)
     checked((pressure,) * 4, limits)
     forces = None
     if settings.force is not None:
         print("force sensor ...", file=sys.stderr)
         with signals_as_ctrl_c(), real_time(), force_of(settings.force)[0] as source:
-            mounting = Mounting(settings.force.thrust, settings.force.recoil)
+            mounting = SensorMounting(settings.force.thrust, settings.force.recoil)
             forces = check_force(source, mounting)
     collector = Collector()
     with (

@@ -10,9 +10,9 @@ from typing import Annotated
 import tyro
 
 from rig.cli.shared import (
-    Live,
     Port,
     RigFile,
+    StatusLine,
     declare_swing,
     opened,
     take_experiment,
@@ -55,7 +55,7 @@ def loop(
     from calibration.discrepancy.page import page
     from calibration.discrepancy.report import model_toml
     from calibration.experiment_design.campaign import campaign
-    from calibration.experiment_design.trial_search import Limits, limits_of
+    from calibration.experiment_design.trial_search import TrialLimits, limits_of
     from rig.cli.settings import rig_of
     from rig.trial.session import run as run_trials
     from slider_jax.experiment.load import Experiment, load
@@ -73,7 +73,7 @@ def loop(
     allowed = {"frequency": frequency, "amplitude": amplitude, "phase": phase}
     allowed["tow_speed"] = (0.0, 0.0)
 
-    def within(now: Experiment) -> Limits:
+    def within(now: Experiment) -> TrialLimits:
         highest = min(settings.manifold.limits)
         behind = max([1.0, *(abs(t.rear_ratio) for t in now.trials)])
         own = limits_of(now, allowed)
@@ -96,7 +96,7 @@ def loop(
         with ExitStack() as stack:
             machine = stack.enter_context(opened(port, settings))
             played = [to_play(trial, path) for trial in trials]
-            live = Live(machine, len(played))
+            live = StatusLine(machine, len(played))
             told = {"rig": settings.model_dump(mode="json")}
             found = run_trials(played, machine, folder, told, live)
             live.end()

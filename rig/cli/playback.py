@@ -10,12 +10,12 @@ import numpy as np
 from rig.cli.settings import ForceTable, RigTable
 from rig.cli.shared import force_of
 from rig.force import ati_rdt as rdt
-from rig.force.sensor import ForceSource, Mounting
+from rig.force.sensor import ForceSource, SensorMounting
 from rig.manifold.driver import Manifold
-from rig.manifold.limits import Limits
+from rig.manifold.limits import PressureLimits
 from rig.manifold.serial_port import open_port
 from rig.scheduling import real_time
-from rig.trial.capture import Trial
+from rig.trial.capture import PlannedTrial
 from rig.trial.live_stream import LiveStream
 from rig.trial.player import play
 
@@ -27,7 +27,7 @@ class Playing:
     at its beginning, in `ended` and at its end.
     """
 
-    def __init__(self, port: str, settings: RigTable, trial: Trial, duration: float):
+    def __init__(self, port: str, settings: RigTable, trial: PlannedTrial, duration: float):
         self._port, self._settings = port, settings
         self._trial = replace(trial, duration=duration)
         self._failure: BaseException | None = None
@@ -79,7 +79,7 @@ class Playing:
             self._failure = error
 
     def _run(self) -> None:
-        limits = Limits.of(self._settings.manifold.limits)
+        limits = PressureLimits.of(self._settings.manifold.limits)
         self._trial.check(limits)
         stream = self.stream
         manifold = Manifold(
@@ -120,7 +120,7 @@ def _forces(settings: RigTable, stream: LiveStream) -> AbstractContextManager[Fo
 @contextmanager
 def _forces_of(table: ForceTable, stream: LiveStream) -> Iterator[ForceSource]:
     source, _ = force_of(table)
-    mounting, box = Mounting(table.thrust, table.recoil), rdt.BoxTime()
+    mounting, box = SensorMounting(table.thrust, table.recoil), rdt.BoxTime()
 
     def sink(host_ns: int, datagram: bytes) -> None:
         _, ft_seq, status, *counts = rdt.RECORD.unpack(datagram)

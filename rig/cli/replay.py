@@ -9,7 +9,7 @@ import tyro
 from rig.cli.settings import RigTable
 from rig.cli.shared import RigFile, calibration_of, camera_of, trials_of
 from rig.errors import RigError
-from rig.force.sensor import Mounting
+from rig.force.sensor import SensorMounting
 from rig.force.stream_reader import force_reader
 from rig.recording.reader import Recording, read_recording
 from rig.recording.recover import extent
@@ -131,7 +131,7 @@ def _read(trial: _Trial, given: RigTable | None, path: Path) -> tuple[Columns, l
                 f"{path}: force.counts_per_N: not known, and no box is asked in a replay; give "
                 "--rig with counts_per_N and counts_per_Nm"
             )
-        mounting = Mounting(force.thrust, force.recoil)
+        mounting = SensorMounting(force.thrust, force.recoil)
         readers["force"] = force_reader(calibration_of(force), mounting)
     if settings.camera is not None and "camera" in trial.recording.streams:
         _, readers["camera"] = camera_of(settings.camera)

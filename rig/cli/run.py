@@ -7,9 +7,9 @@ from typing import Annotated, Any
 import tyro
 
 from rig.cli.shared import (
-    Live,
     Port,
     RigFile,
+    StatusLine,
     declare_swing,
     opened,
     take_experiment,
@@ -50,7 +50,7 @@ def run(
         force: address of an ATI Net F/T box; its other settings are the rig file's.
     """
     from rig.cli.settings import rig_of
-    from rig.manifold.limits import Limits
+    from rig.manifold.limits import PressureLimits
     from rig.trial.session import finished, run as run_trials
     from slider_jax.io.files import output_folder
     from slider_jax.io.provenance import input_file
@@ -60,7 +60,7 @@ def run(
     table, trials = trials_of(experiment)
     changes: dict[str, dict[str, Any]] = {}
     if limit is not None:
-        Limits.of(limit, "--limit")
+        PressureLimits.of(limit, "--limit")
         changes["manifold"] = {"limits": list(limit)}
     if force is not None:
         changes["force"] = {"host": force}
@@ -91,7 +91,7 @@ def run(
         for shot in trials:
             finished(folder, shot, told)
         take_experiment(experiment, folder)
-        live = Live(machine, len(trials))
+        live = StatusLine(machine, len(trials))
         try:
             found = run_trials(trials, machine, folder, told, live)
         except KeyboardInterrupt as stopped:

@@ -15,15 +15,15 @@ import tyro
 
 from rig.cli.settings import CameraTable, ForceTable, RigTable
 from rig.force.ati_net import NetCalibration, NetForce
-from rig.force.sensor import ForceSource, Mounting
+from rig.force.sensor import ForceSource, SensorMounting
 from rig.force.stream_reader import force_reader
 from rig.manifold.driver import Manifold
-from rig.manifold.limits import Limits
+from rig.manifold.limits import PressureLimits
 from rig.recording.table import Reader
 from rig.scheduling import real_time
-from rig.trial.capture import Instrument, Switch, Switches, Timing, Trial
+from rig.trial.capture import PlannedTrial, RecordedInstrument, Switch, Switches, Timing
 from rig.trial.session import Rig, start_swing
-from rig.trial.waveform import Drive
+from rig.trial.waveform import SegmentDrive
 from slider_jax.errors import InputError
 from slider_jax.experiment.schema import ExperimentTable, Trial as TrialTable
 from slider_jax.io.csv import read_csv
@@ -47,7 +47,7 @@ def ports() -> None:
         print("no serial ports; plug the manifold in, or start `slider rig simulate`")
 
 
-def trials_of(path: Path) -> tuple[ExperimentTable, list[Trial]]:
+def trials_of(path: Path) -> tuple[ExperimentTable, list[PlannedTrial]]:
     """An experiment file, and its trials as they are played. Raises `InputError`."""
     experiment = validate(ExperimentTable, read_toml(path), str(path))
     return experiment, [to_play(x, path) for x in experiment.trials]
@@ -106,13 +106,13 @@ def declare_swing(path: Path, told: list[dict[str, Any]]) -> None:
     print(f"{path}: the tip swung by {swing:.2g} m before the trials: declared", file=sys.stderr)
 
 
-def to_play(trial: TrialTable, path: Path) -> Trial:
+def to_play(trial: TrialTable, path: Path) -> PlannedTrial:
     """A trial as it is played. Raises `InputError` for one that a rig cannot play."""
     name = Path(trial.file).stem
     if trial.waveform != "recorded":
-        return Trial(
+        return PlannedTrial(
             name,
-            Drive(
+            SegmentDrive(
                 trial.waveform, trial.frequency or 0.0, trial.amplitude or 0.0, trial.rear_ratio,
                 trial.phase, trial.rise,
             ),
@@ -125,8 +125,8 @@ def to_play(trial: TrialTable, path: Path) -> Trial:
         )
     columns = read_csv(path.parent / str(trial.drive_file), ("t_s", "p_front_Pa", "p_rear_Pa"))
     recorded = np.stack([columns["p_front_Pa"], columns["p_rear_Pa"]], axis=1)
-    drive = Drive("recorded", times=columns["t_s"], recorded=recorded)
-    return Trial(name, drive, trial.duration)
+    drive = SegmentDrive("recorded", times=columns["t_s"], recorded=recorded)
+    return PlannedTrial(name, drive, trial.duration)
 
 
 def with_counts(settings: RigTable) -> RigTable:
@@ -152,10 +152,10 @@ def force_of(table: ForceTable) -> tuple[ForceSource, Reader]:
     """A force sensor, opened, and how its stream is read."""
     calibration = calibration_of(table)
     source = NetForce(table.host, calibration, table.port)
-    return source, force_reader(calibration, Mounting(table.thrust, table.recoil))
+    return source, force_reader(calibration, SensorMounting(table.thrust, table.recoil))
 
 
-def camera_of(table: CameraTable) -> tuple[Instrument, Reader]:
+def camera_of(table: CameraTable) -> tuple[RecordedInstrument, Reader]:
     """A camera, and how its stream is read."""
     from rig.camera.instrument import MarkerCamera, Sight, camera_reader
     from rig.camera.scale import Scale
@@ -180,7 +180,7 @@ def opened(port: str, table: RigTable) -> Iterator[Rig]:
     with ExitStack() as stack:
         stack.enter_context(signals_as_ctrl_c())
         stack.enter_context(real_time())
-        instruments: dict[str, Instrument] = {}
+        instruments: dict[str, RecordedInstrument] = {}
         readers: dict[str, Reader] = {}
         force = None
         if table.force is not None:
@@ -194,7 +194,8 @@ def opened(port: str, table: RigTable) -> Iterator[Rig]:
         analogue = tuple(x.sensor() for x in table.analogue)
         timing = Timing(settings.quiet, settings.after, settings.commands_per_second, settings.fade)
         yield Rig(
-            manifold, switches, Limits.of(settings.limits), instruments, readers, force, analogue,
+            manifold, switches, PressureLimits.of(settings.limits), instruments, readers, force,
+            analogue,
             timing, settings.pause, settings.longest_pause,
         )  # fmt: skip
 
@@ -213,7 +214,7 @@ def signals_as_ctrl_c() -> Iterator[None]:
             signal.signal(getattr(signal, name), handler)
 
 
-class Live:
+class StatusLine:
     """What goes on, in one line of a terminal; on any other stderr a line every two seconds."""
 
     def __init__(self, rig: Rig, total: int):

@@ -50,7 +50,7 @@ def simulate(
     """
     from rig.scheduling import others_too, real_time
     from rig.simulated.bench import running
-    from rig.simulated.mischief import Mischief
+    from rig.simulated.line_faults import LineFaults
     from rig.simulated.rig import SimulatedRig
     from slider_jax.io.files import write_text
 
@@ -85,7 +85,7 @@ def simulate(
 
     # Manifold and force sensor are threads: by default one may keep the other waiting for 5 ms.
     sys.setswitchinterval(2e-4)
-    mischief = Mischief(
+    mischief = LineFaults(
         flipped=flipped, dropped=dropped, noise=noise, tip_noise=tip_noise, seed=seed
     )
     simulated = SimulatedRig(tank, mischief=mischief)

@@ -11,14 +11,14 @@ import numpy as np
 import tyro
 
 from calibration.model.predict import CHANNELS
-from calibration.twin.stream import Stretch
-from calibration.twin.twin import Block, Twin
+from calibration.twin.stream import Samples
+from calibration.twin.twin import Twin, TwinBlock
 from rig.cli.playback import Playing
 from rig.cli.settings import rig_of
 from rig.cli.shared import Port, RigFile, signals_as_ctrl_c, to_play, with_counts
 from rig.recording.table import in_unit
 from rig.scheduling import prefer
-from rig.trial.live_stream import CHANNELS_OUT, Live
+from rig.trial.live_stream import CHANNELS_OUT, LiveReadings
 from slider_jax.cli.options import MaybeFolder, ModelFile, Seconds, Whole, chosen_trials
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
@@ -85,7 +85,7 @@ def watch(
             f"judged; give --seconds {4.0 * twin.judges_after:.0f} or more",
             file=sys.stderr,
         )
-    told = _Told()
+    told = WatchLog()
     playing = Playing(port, settings, played, duration)
     try:
         with signals_as_ctrl_c(), playing:
@@ -94,7 +94,7 @@ def watch(
                 live = playing.stream.take()
                 if not len(live.device_s):
                     continue
-                stretch = Stretch(live.device_s, live.set_pressure, live.measured)
+                stretch = Samples(live.device_s, live.set_pressure, live.measured)
                 for block in twin.feed(stretch):
                     told.take(block, _arrived(block, live), playing.lost)
                 told.take_misfits(twin.misfits)
@@ -113,7 +113,7 @@ def watch(
 
 
 @dataclass
-class _Told:
+class WatchLog:
     """What is told of the blocks, at once and at the end. Times are since the first reading [s]."""
 
     rows: list[dict[str, float]] = field(default_factory=list)
@@ -128,7 +128,7 @@ class _Told:
     _said: float = 0.0
     _on: bool = False
 
-    def take(self, block: Block, arrived_ns: int, lost: int) -> None:
+    def take(self, block: TwinBlock, arrived_ns: int, lost: int) -> None:
         """A block, and when its last reading arrived."""
         if not self.rows:
             self.begun = float(block.t[0])
@@ -187,13 +187,13 @@ class _Told:
             write_json(stage / "watch.json", told | beside)
 
 
-def _arrived(block: Block, live: Live) -> int:
+def _arrived(block: TwinBlock, live: LiveReadings) -> int:
     """When the reading that made a block complete arrived [ns]."""
     complete = np.searchsorted(live.device_s, block.t[-1] - 1e-3)
     return int(live.arrived_ns[min(complete, len(live.arrived_ns) - 1)])
 
 
-def _row(block: Block, begun: float, lag: float) -> dict[str, float]:
+def _row(block: TwinBlock, begun: float, lag: float) -> dict[str, float]:
     there = np.isfinite(block.residual)
     squares = np.where(there, block.residual, 0.0) ** 2
     rms = np.sqrt(squares.sum(axis=1) / np.maximum(there.sum(axis=1), 1))
@@ -210,7 +210,7 @@ def _row(block: Block, begun: float, lag: float) -> dict[str, float]:
     }
 
 
-def _say(block: Block, row: dict[str, float], lost: int, new: bool) -> None:
+def _say(block: TwinBlock, row: dict[str, float], lost: int, new: bool) -> None:
     there = np.isfinite(block.measured)
     count = np.maximum(there.sum(axis=1), 1)
     model, measured = (

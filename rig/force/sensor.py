@@ -64,7 +64,7 @@ class Forces(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Mounting:
+class SensorMounting:
     """How the sensor sits: which of its force axes, with sign, are the experiment's.
 
     Both are the robot's force on its clamp: thrust positive head first, recoil to its left.

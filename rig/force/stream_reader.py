@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from rig.force.sensor import Calibration, Mounting
+from rig.force.sensor import Calibration, SensorMounting
 from rig.recording.reader import Stream
 from rig.recording.table import Reader, Samples
 
 
-def force_reader(calibration: Calibration, mounting: Mounting) -> Reader:
+def force_reader(calibration: Calibration, mounting: SensorMounting) -> Reader:
     """thrust_N and recoil_N of a force sensor's stream."""
 
     def read(stream: Stream) -> Samples:

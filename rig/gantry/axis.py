@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from rig.errors import RigError
-from rig.gantry.drift import Run, drift
+from rig.gantry.drift import GantryPass, drift
 from rig.gantry.profile import Profile
 from rig.manifold.serial_port import Readable, piece_from
 
@@ -54,7 +54,7 @@ class Port(Readable, Protocol):
     def write(self, data: bytes, /) -> int | None: ...
 
 
-class Limits(NamedTuple):
+class GantryLimits(NamedTuple):
     """What a lab allows its gantry. Places count from home, or from where the axis was on entry."""
 
     low: float
@@ -79,7 +79,7 @@ class GantryAxis:
     def __init__(
         self,
         port: Port,
-        limits: Limits,
+        limits: GantryLimits,
         homed: bool = True,
         clock: Callable[[], float] = time.monotonic,
         patience: float = 60.0,
@@ -254,7 +254,7 @@ def passes(
     film: Callable[[Callable[[], float]], tuple[np.ndarray, np.ndarray]],
     settle: float,
     stride: float,
-) -> Callable[[float], Run | None]:
+) -> Callable[[float], GantryPass | None]:
     """The measurement that `find_speed` wants: one pass of the gantry over `travel` [m], and back.
 
     `film` starts robot and camera, calls what it is given (which makes the pass), and returns the
@@ -262,7 +262,7 @@ def passes(
     The first `settle` seconds after the start are left out of the run; `stride` is a period [s].
     """
 
-    def measure(speed: float) -> Run | None:
+    def measure(speed: float) -> GantryPass | None:
         profile = axis.profile(travel, speed)
         t, x = film(lambda: axis.run(profile))
         began = axis.started

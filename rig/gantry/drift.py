@@ -8,7 +8,7 @@ FEWEST_STRIDES = 2.0
 """Of an unbroken track, for a run to count."""
 
 
-class Run(NamedTuple):
+class GantryPass(NamedTuple):
     """One pass of the gantry at a constant speed."""
 
     displacement_m: float
@@ -20,7 +20,7 @@ class Run(NamedTuple):
     """How many of the frames did not show the marker."""
 
 
-def drift(t, x, start: float, end: float, stride: float) -> Run | None:
+def drift(t, x, start: float, end: float, stride: float) -> GantryPass | None:
     """The run of a track: marker at x [m] ahead of the camera at times t [s], (frames,) each.
 
     Only frames from `start` to `end` [s] count, and only up to where the marker is lost for half a
@@ -46,4 +46,4 @@ def drift(t, x, start: float, end: float, stride: float) -> Run | None:
     ripple = [f(n * phase) for n in (1, 2) for f in (np.cos, np.sin)]
     columns = np.stack([t - t.mean(), np.ones_like(t), *ripple], axis=1)
     slope = float(np.linalg.lstsq(columns, x, rcond=None)[0][0])
-    return Run(slope * span, span, frames, lost)
+    return GantryPass(slope * span, span, frames, lost)

@@ -14,7 +14,7 @@ from math import inf, isfinite, nan, sqrt
 import numpy as np
 
 from rig.errors import RigError
-from rig.gantry.drift import Run
+from rig.gantry.drift import GantryPass
 
 LAST = 4
 """Speeds whose runs tell the slope."""
@@ -29,7 +29,7 @@ STUDENT = (1.96, 12.7, 4.3, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26)
 a known one, and for more repeats than these."""
 
 
-class Stopped(Enum):
+class StopReason(Enum):
     """Why a search ended."""
 
     CONVERGED = "the predicted change of speed is within the tolerance"
@@ -43,7 +43,7 @@ class Stopped(Enum):
 
 
 @dataclass(frozen=True)
-class Found:
+class SpeedSearchResult:
     """Outcome of a search.
 
     | field | unit | meaning |
@@ -57,24 +57,24 @@ class Found:
     speed: float
     uncertainty: float
     noise: float
-    history: tuple[tuple[float, Run | None], ...]
-    stopped: Stopped
+    history: tuple[tuple[float, GantryPass | None], ...]
+    stopped: StopReason
 
     @property
     def settled(self) -> bool:
         """Whether `speed` is the swimming speed, to the tolerance or as near as the noise lets."""
-        return self.stopped in (Stopped.CONVERGED, Stopped.NOISE)
+        return self.stopped in (StopReason.CONVERGED, StopReason.NOISE)
 
 
 def find_speed(
-    measure: Callable[[float], Run | None],
+    measure: Callable[[float], GantryPass | None],
     first: float,
     limits: tuple[float, float],
     tolerance_px: float,
     scale: float,
     budget: int = 12,
     second: float | None = None,
-) -> Found:
+) -> SpeedSearchResult:
     """Search the speed at which the displacement over the cruise is zero, to a tolerance in pixels.
 
     Two runs alone cannot tell a noise a little above the tolerance: take none finer than the
@@ -90,17 +90,17 @@ def find_speed(
     _check(first, limits, tolerance_px, scale, budget, second)
     low, high = limits
     tolerance = tolerance_px * scale
-    history: list[tuple[float, Run | None]] = []
-    runs: list[tuple[float, Run]] = []
+    history: list[tuple[float, GantryPass | None]] = []
+    runs: list[tuple[float, GantryPass]] = []
 
-    def outcome(why: Stopped) -> Found:
+    def outcome(why: StopReason) -> SpeedSearchResult:
         if not runs:
-            return Found(nan, inf, 0.0, tuple(history), why)
+            return SpeedSearchResult(nan, inf, 0.0, tuple(history), why)
         noise, repeats = _noise(runs)
         zero, deviation = _line(runs, max(noise, tolerance))
         known = noise <= tolerance or repeats >= len(STUDENT)
         wide = STUDENT[0 if known else repeats] * deviation
-        return Found(zero, wide, noise, tuple(history), why)
+        return SpeedSearchResult(zero, wide, noise, tuple(history), why)
 
     speed, before, newton = first, inf, False
     while len(history) < budget:
@@ -108,7 +108,7 @@ def find_speed(
         if run is None or not isfinite(run.displacement_m):
             history.append((speed, None))
             if history[-2:-1] == [(speed, None)]:
-                return outcome(Stopped.LOST)
+                return outcome(StopReason.LOST)
             continue
         history.append((speed, run))
         runs.append((speed, run))
@@ -119,9 +119,9 @@ def find_speed(
         zero = _line(runs, max(noise, tolerance))[0]
         near, quiet = abs(zero - speed) * run.cruise_time_s <= tolerance, off <= noise
         if near and len(here) > 1 and noise <= tolerance:
-            return outcome(Stopped.CONVERGED)
+            return outcome(StopReason.CONVERGED)
         if (near or quiet) and len(here) > 2:
-            return outcome(Stopped.NOISE)
+            return outcome(StopReason.NOISE)
         stuck = newton and len(here) == 1 and repeats < 3 and off > 0.5 * before
         if near or quiet or stuck:
             continue
@@ -129,10 +129,10 @@ def find_speed(
         target = _within_bracket(target, runs, 2.0 * max(noise, tolerance))
         target = min(max(target, low), high)
         if target in limits and any(v == target for v, _ in runs):
-            return outcome(Stopped.LIMIT)
+            return outcome(StopReason.LIMIT)
         speed, before = target, off
         newton = target == zero and len(here) < len(runs)
-    return outcome(Stopped.BUDGET)
+    return outcome(StopReason.BUDGET)
 
 
 def _check(first, limits, tolerance_px, scale, budget, second) -> None:
@@ -151,7 +151,7 @@ def _check(first, limits, tolerance_px, scale, budget, second) -> None:
         raise RigError.value("budget", budget, "2 runs or more")
 
 
-def _noise(runs: list[tuple[float, Run]]) -> tuple[float, int]:
+def _noise(runs: list[tuple[float, GantryPass]]) -> tuple[float, int]:
     """Standard deviation [m] of displacements at equal speeds, pooled, and the count of repeats."""
     groups = [[r.displacement_m for v, r in runs if v == speed] for speed in {v for v, _ in runs}]
     repeats = len(runs) - len(groups)
@@ -159,7 +159,7 @@ def _noise(runs: list[tuple[float, Run]]) -> tuple[float, int]:
     return (sqrt(squares / repeats) if repeats else 0.0), repeats
 
 
-def _line(runs: list[tuple[float, Run]], noise: float) -> tuple[float, float]:
+def _line(runs: list[tuple[float, GantryPass]], noise: float) -> tuple[float, float]:
     """Zero [m/s] of the drift, and its standard deviation [m/s].
 
     The slope of `FREE` counts as one more measurement, so that runs too close to each other to
@@ -185,7 +185,7 @@ def _line(runs: list[tuple[float, Run]], noise: float) -> tuple[float, float]:
     return float(zero), float(sqrt(variance))
 
 
-def _within_bracket(target: float, runs: list[tuple[float, Run]], clear: float) -> float:
+def _within_bracket(target: float, runs: list[tuple[float, GantryPass]], clear: float) -> float:
     """`target`, or the middle of the bracket if it lies outside: between the fastest run that the
     robot outpaced and the slowest that outpaced it, by more than `clear` [m]."""
     slower = max((v for v, run in runs if run.displacement_m > clear), default=-inf)

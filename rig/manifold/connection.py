@@ -18,7 +18,7 @@ BAD = 1e-3
 """Share of damaged frames that makes a line a suspect."""
 
 
-class Line:
+class Connection:
     """`take` gets (host time [ns], message) of all that comes, in the listener's thread.
 
     `sink` gets (host time [ns], bytes) of all that comes in, there too, `sent` of all that goes

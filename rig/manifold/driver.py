@@ -9,8 +9,8 @@ from types import TracebackType
 import serial
 
 from rig.errors import RigError
-from rig.manifold.connection import VENTS, Line, Sink
-from rig.manifold.limits import Limits, checked
+from rig.manifold.connection import VENTS, Connection, Sink
+from rig.manifold.limits import PressureLimits, checked
 from rig.manifold.serial_port import PortLost
 from rig.protocol.messages import (
     CHAMBERS,
@@ -25,11 +25,11 @@ from rig.protocol.messages import (
     Heartbeat,
     Hello,
     Ident,
+    ManifoldState,
     Message,
     Reading,
     SetLimits,
     SetPressures,
-    State,
     Stop,
     WaveBegin,
     WavePiece,
@@ -68,8 +68,8 @@ class Manifold:
         self.latest: Reading | None = None
         self.lost = self.duplicated = 0
         """Readings that their sequence numbers miss, or have twice."""
-        self.limits = Limits(0.0, 0.0, 0.0, 0.0)
-        self._line = Line(port, self._take, self._tell_news, sink, sent)
+        self.limits = PressureLimits(0.0, 0.0, 0.0, 0.0)
+        self._line = Connection(port, self._take, self._tell_news, sink, sent)
         self._on_reading, self._on_follows = on_reading, on_follows
         self._news, self._writing, self._seq = threading.Condition(), threading.Lock(), 0
         self._acks: dict[int, Ack] = {}
@@ -143,7 +143,7 @@ class Manifold:
                 f"{self._line.name}: no reading for {silent:.1f} s; check its line to the computer"
             )
 
-    def configure(self, limits: Limits) -> None:
+    def configure(self, limits: PressureLimits) -> None:
         """Sets the limits, which vents, and clears a fault."""
         assert self.ident is not None
         self.limits = limits.within(self.ident)
@@ -219,7 +219,7 @@ class Manifold:
             if ack is not None:
                 # The one before was obeyed, and its answer lost.
                 obeyed = tried and make is Arm and ack.answer == Answer.WRONG_STATE
-                if not (obeyed and self.latest and self.latest.state == State.ARMED):
+                if not (obeyed and self.latest and self.latest.state == ManifoldState.ARMED):
                     self._judge(make(seq), ack)
                 return
         self.check()
@@ -262,7 +262,10 @@ class Manifold:
             case Reading() if self.ident is not None:
                 self._heard = time.monotonic()
                 self._count(message)
-                if self._armed and message.state not in (State.ARMED, State.PLAYING):
+                if self._armed and message.state not in (
+                    ManifoldState.ARMED,
+                    ManifoldState.PLAYING,
+                ):
                     self._vented("its readings say so; why was lost on the line")
                 if self._on_reading is not None:
                     self._on_reading(now, message)

@@ -11,7 +11,7 @@ HIGHEST = 2_000_000.0
 """Gauge pressure [Pa] above which a limit is taken for a mistake of units."""
 
 
-class Limits(NamedTuple):
+class PressureLimits(NamedTuple):
     """Highest set gauge pressure of each chamber [Pa]."""
 
     front_left: float
@@ -20,7 +20,7 @@ class Limits(NamedTuple):
     rear_right: float
 
     @classmethod
-    def of(cls, pressures: Sequence[float], where: str = "limits") -> "Limits":
+    def of(cls, pressures: Sequence[float], where: str = "limits") -> "PressureLimits":
         """One for all chambers, or one for each. Raises `RigError`, naming `where` they are."""
         if len(pressures) not in (1, 4):
             raise RigError.value(
@@ -35,7 +35,7 @@ class Limits(NamedTuple):
                 )
         return limits
 
-    def within(self, ident: Ident) -> "Limits":
+    def within(self, ident: Ident) -> "PressureLimits":
         """These, if the manifold allows them. Raises `RigError`."""
         for name, limit in zip(CHAMBERS, self, strict=True):
             hard = getattr(ident, name)
@@ -47,7 +47,7 @@ class Limits(NamedTuple):
         return self
 
 
-def checked(pressures: Sequence[float], limits: Limits) -> tuple[int, int, int, int]:
+def checked(pressures: Sequence[float], limits: PressureLimits) -> tuple[int, int, int, int]:
     """Set gauge pressures (4,) in whole pascals, as the wire has them. Raises `RigError`.
 
     What is above a limit is an error, not cut: a gait that was cut is another gait.

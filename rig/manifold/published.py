@@ -9,7 +9,7 @@ import serial
 
 from rig.errors import RigError
 from rig.manifold.serial_port import BAUD, PortLost, piece_from
-from rig.protocol.published import Dialogue, Done, Event, Header, Question, Row
+from rig.protocol.published import Dialogue, Done, Event, Header, LogRow, Question
 
 FREQUENCIES = (0.1, 5.0)
 """Allowed [Hz]; the published sweep is from 0.25 to 3 Hz."""
@@ -28,7 +28,7 @@ CANNOT_STOP = (
 Sink = Callable[[int, bytes], None]
 
 
-class Outcome(NamedTuple):
+class FrequencyOutcome(NamedTuple):
     """What came of a test: its header, and counts of rows as in `Dialogue`."""
 
     header: Header
@@ -82,13 +82,13 @@ class PublishedManifold:
     def run(
         self,
         frequency: float,
-        on_row: Callable[[int, Row], None] = lambda at, row: None,
+        on_row: Callable[[int, LogRow], None] = lambda at, row: None,
         sink: Sink = lambda at, piece: None,
-    ) -> Outcome:
+    ) -> FrequencyOutcome:
         """Waits for the question, answers `frequency` [Hz], and stays until the test's end.
 
         `sink` gets (host time [ns], bytes) of all that comes after the answer up to the test's
-        end, `on_row` (host time, `Row`) of each row, at the time when its last byte was read.
+        end, `on_row` (host time, `LogRow`) of each row, at the time when its last byte was read.
         Raises `RigError`: a frequency that is not allowed, before anything is on the wire; no
         question; a header with another frequency; no rows; a port that is gone (`PortLost`).
         """
@@ -154,7 +154,9 @@ class PublishedManifold:
             "cable"
         )
 
-    def _record(self, frequency: float, on_row: Callable[[int, Row], None], sink: Sink) -> Outcome:
+    def _record(
+        self, frequency: float, on_row: Callable[[int, LogRow], None], sink: Sink
+    ) -> FrequencyOutcome:
         dialogue = self._dialogue
         last, patience = self._clock(), PATIENCE
         while True:
@@ -168,11 +170,11 @@ class PublishedManifold:
                 match event:
                     case Header():
                         self._compare(frequency, event)
-                    case Row():
+                    case LogRow():
                         on_row(now, event)
                         last, patience = now, SILENCE
             if done:
-                return Outcome(
+                return FrequencyOutcome(
                     dialogue.header, dialogue.rows, dialogue.torn, dialogue.lost, dialogue.stale,
                     dialogue.lines, done.counted,
                 )  # fmt: skip

@@ -25,7 +25,7 @@ class Readable(Protocol):
     def read(self, size: int, /) -> bytes: ...
 
 
-class Found(NamedTuple):
+class SerialPortInfo(NamedTuple):
     """A port of this computer."""
 
     name: str
@@ -33,10 +33,10 @@ class Found(NamedTuple):
     serial_number: str
 
 
-def ports() -> list[Found]:
+def ports() -> list[SerialPortInfo]:
     """All serial ports, by name."""
     return [
-        Found(port.device, port.description or "", port.serial_number or "")
+        SerialPortInfo(port.device, port.description or "", port.serial_number or "")
         for port in sorted(list_ports.comports(), key=lambda port: port.device)
     ]
 

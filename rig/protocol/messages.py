@@ -18,7 +18,7 @@ SAMPLES_A_PIECE = 8
 """Most samples of a waveform in one message."""
 
 
-class State(IntEnum):
+class ManifoldState(IntEnum):
     """Of the manifold. All valves vent in every state but ARMED and PLAYING."""
 
     BOOT = 0

@@ -57,7 +57,7 @@ class Header(NamedTuple):
     cycles: float | None = None
 
 
-class Row(NamedTuple):
+class LogRow(NamedTuple):
     """A sample. Pressures and error (command less pressure) in ADC counts, valves in 0 to 255."""
 
     number: int
@@ -84,10 +84,10 @@ class Done(NamedTuple):
     counted: int | None
 
 
-Event = Question | Header | Row | Done
+Event = Question | Header | LogRow | Done
 
 
-class Stage(Enum):
+class DialogueStage(Enum):
     """Where the dialogue is."""
 
     IDLE = "before an answer"
@@ -104,9 +104,9 @@ class Dialogue:
         self.said = ""
         """The last line that was no row."""
         self._asked = ""
-        self._begin(Stage.IDLE)
+        self._begin(DialogueStage.IDLE)
 
-    def _begin(self, stage: Stage) -> None:
+    def _begin(self, stage: DialogueStage) -> None:
         self.stage, self.header = stage, Header()
         self.lines = 0
         """Lines of the test, blank ones and `done` not counted."""
@@ -118,7 +118,7 @@ class Dialogue:
 
     def answered(self) -> None:
         """The frequency has been sent: what comes from now on is a test."""
-        self._begin(Stage.HEADER)
+        self._begin(DialogueStage.HEADER)
         self.rest, self.said, self._asked = b"", "", ""
 
     def feed(self, piece: bytes) -> list[Event]:
@@ -127,12 +127,12 @@ class Dialogue:
         found: list[Event] = []
         at = 0
         for end in _END.finditer(self.rest):
-            if self.stage is not Stage.IDLE and _DONE.match(self.rest, at):
+            if self.stage is not DialogueStage.IDLE and _DONE.match(self.rest, at):
                 break
             found += self._line(self.rest[at : end.start()])
             at = end.end()
         self.rest = self.rest[at:]
-        if self.stage is not Stage.IDLE:
+        if self.stage is not DialogueStage.IDLE:
             done = _DONE_ENDED.match(self.rest)
             if done:
                 self.rest = self.rest[done.end() :]
@@ -144,7 +144,7 @@ class Dialogue:
 
     def quiet(self) -> list[Event]:
         """What the line's silence completes: a question, or a `done` that no line end follows."""
-        if self.stage is Stage.IDLE:
+        if self.stage is DialogueStage.IDLE:
             text = _text(self.rest)
             question = text if _asks(text) else self._asked
             return [Question(question)] if question else []
@@ -155,7 +155,7 @@ class Dialogue:
         return [self._done(done)]
 
     def _done(self, match: re.Match[bytes]) -> Done:
-        self.stage, self.said = Stage.IDLE, ""
+        self.stage, self.said = DialogueStage.IDLE, ""
         return Done(int(match[1]) if match[1] else None)
 
     def _line(self, line: bytes) -> list[Event]:
@@ -165,21 +165,21 @@ class Dialogue:
         row = _row(text)
         if row is None:
             self.said = text
-        if self.stage is Stage.IDLE:
+        if self.stage is DialogueStage.IDLE:
             self.stale += row is not None
             self._asked = "" if row else text if _asks(text) else self._asked
             return []
         self.lines += 1
-        if self.stage is Stage.HEADER:
+        if self.stage is DialogueStage.HEADER:
             return self._head(text, row)
         return self._accept(row)
 
-    def _head(self, text: str, row: Row | None) -> list[Event]:
+    def _head(self, text: str, row: LogRow | None) -> list[Event]:
         if row is not None and self.header.frequency is None:
             self.stale += 1
             return []
         if row is not None or text == COLUMNS:
-            self.stage = Stage.ROWS
+            self.stage = DialogueStage.ROWS
             if row is None:
                 return [self.header]
             self.torn += 1  # the line of column names
@@ -190,7 +190,7 @@ class Dialogue:
                 self.header = self.header._replace(**{name: unit * float(match[1])})
         return []
 
-    def _accept(self, row: Row | None) -> list[Event]:
+    def _accept(self, row: LogRow | None) -> list[Event]:
         """The row if it is sound and follows; nothing but the order tells of a damaged number."""
         if row is None:
             self.torn += 1
@@ -216,12 +216,12 @@ def _asks(text: str) -> bool:
     return bool(_QUESTION.search(text)) and not _HEADER["frequency"][0].fullmatch(text)
 
 
-def _row(text: str) -> Row | None:
+def _row(text: str) -> LogRow | None:
     match = _ROW.fullmatch(text)
     if not match:
         return None
     number, fill, vent, pressure = (int(match[i]) for i in (1, 2, 3, 6))
-    row = Row(number, fill, vent, float(match[4]), float(match[5]), pressure)
+    row = LogRow(number, fill, vent, float(match[4]), float(match[5]), pressure)
     # The firmware writes the three separately, so the error is a checksum of command and pressure.
     sound = abs(row.command - row.pressure - row.error) < 0.015
     return row if sound and max(fill, vent) <= 255 and pressure <= 4095 else None

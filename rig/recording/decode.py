@@ -9,7 +9,7 @@ from rig.protocol.frames import Decoder
 from rig.protocol.messages import CHANNELS, Event, Follows, Reading
 
 
-class Readings(NamedTuple):
+class DecodedReadings(NamedTuple):
     """(n,) arrays by sequence number, n readings that came."""
 
     seq: np.ndarray
@@ -37,7 +37,7 @@ class Readings(NamedTuple):
         return p[:, 0] - p[:, 1], p[:, 2] - p[:, 3]
 
 
-def readings(pieces: Iterable[tuple[int, bytes]]) -> Readings:
+def readings(pieces: Iterable[tuple[int, bytes]]) -> DecodedReadings:
     """From (host time [ns], bytes) as they came. What is before the first end of a frame is not
     counted as damage, for a recording may begin within one."""
     decoder, begun = Decoder(), False
@@ -68,7 +68,7 @@ def readings(pieces: Iterable[tuple[int, bytes]]) -> Readings:
     order = sorted(kept)
     rows = [kept[i] for i in order]
     seq = np.array(order, np.int64)
-    return Readings(
+    return DecodedReadings(
         seq,
         np.array([host_s for host_s, _ in rows]),
         np.array([1e-6 * r.device_us for _, r in rows]),

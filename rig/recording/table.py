@@ -9,7 +9,7 @@ import numpy as np
 from rig.errors import RigError
 from rig.protocol.messages import CHANNELS
 from rig.recording.clock import ClockFit, align
-from rig.recording.decode import Readings, readings
+from rig.recording.decode import DecodedReadings, readings
 from rig.recording.reader import Recording, Stream
 
 ORDER = ("t_s", "p_front_Pa", "p_rear_Pa", "thrust_N", "recoil_N", "tip_m")
@@ -142,7 +142,7 @@ def columns(
 
 
 def _played(
-    found: Readings, clock: ClockFit, begun_ns: int, duration: float
+    found: DecodedReadings, clock: ClockFit, begun_ns: int, duration: float
 ) -> dict[str, np.ndarray] | None:
     if not found.follows:
         return None
@@ -217,7 +217,7 @@ def at_rows(
     return np.where(known, value, np.nan)
 
 
-def _of_line(found: Readings, clock: ClockFit) -> tuple[str, ...]:
+def _of_line(found: DecodedReadings, clock: ClockFit) -> tuple[str, ...]:
     findings = []
     if found.lost:
         findings.append(f"{found.lost} readings of the manifold were lost")
@@ -232,7 +232,7 @@ def _of_line(found: Readings, clock: ClockFit) -> tuple[str, ...]:
 
 def _told(
     recording: Recording,
-    found: Readings,
+    found: DecodedReadings,
     clock: ClockFit,
     values: dict[str, np.ndarray],
     rest: dict[str, Rest],

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rig.simulated.force_sensor import Box, SimulatedForceSensor
+from rig.simulated.force_sensor import SimulatedForceBox, SimulatedForceSensor
 from rig.simulated.rig import STEP, TIP_PER_VOLT, SimulatedRig
 from rig.simulated.terminal import Terminal
 
@@ -93,7 +93,7 @@ def running(
     """The rig in threads of this process, until the block ends. `force_noise` [N]."""
     device, ends = OnHost(rig, at), threading.Event()
     terminal = Terminal(device)
-    sensor = SimulatedForceSensor(Box(device.wrench, noise=force_noise, seed=seed))
+    sensor = SimulatedForceSensor(SimulatedForceBox(device.wrench, noise=force_noise, seed=seed))
     sensor.begins = device.on_step
     thread = threading.Thread(target=terminal.serve, args=(ends.is_set,), daemon=True)
     thread.start()

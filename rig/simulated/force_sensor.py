@@ -1,6 +1,7 @@
 """A Net F/T box made up: streams RDT over UDP in real time, and can misbehave.
 
-`Box` makes records and `Line` loses, delays and doubles them, both without a clock or a socket;
+`SimulatedForceBox` makes records and `LossyNetwork` loses, delays and doubles them, both without a
+clock or a socket;
 `SimulatedForceSensor` puts them on the network.
 """
 
@@ -31,7 +32,7 @@ PAGE = (
 ).encode()
 
 
-class Line:
+class LossyNetwork:
     """Loses, holds back and doubles datagrams, each by its own chance."""
 
     def __init__(
@@ -67,7 +68,7 @@ class Line:
 
 
 @dataclass
-class Box:
+class SimulatedForceBox:
     """Makes records of a wrench; everything but the seed may be changed while it runs."""
 
     wrench: Wrench
@@ -125,13 +126,13 @@ class SimulatedForceSensor:
 
     def __init__(
         self,
-        box: Box,
-        line: Line | None = None,
+        box: SimulatedForceBox,
+        line: LossyNetwork | None = None,
         host: str = "127.0.0.1",
         port: int = 0,
         drift: float = 0.0,
     ) -> None:
-        self.box, self.line, self.drift = box, line or Line(), drift
+        self.box, self.line, self.drift = box, line or LossyNetwork(), drift
         self.silent = False
         self.begins: Callable[[float], float] = lambda t: t
         """When the first record is sampled, of a stream that is asked for at `t` [s]."""

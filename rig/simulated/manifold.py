@@ -15,11 +15,11 @@ from rig.protocol.messages import (
     Heartbeat,
     Hello,
     Ident,
+    ManifoldState,
     Message,
     Reading,
     SetLimits,
     SetPressures,
-    State,
     Stop,
     WaveBegin,
     WavePiece,
@@ -46,7 +46,7 @@ class ManifoldCore:
         rate: int = 500,
         protocol: int = PROTOCOL,
     ):
-        self.state = State.BOOT
+        self.state = ManifoldState.BOOT
         self._ident = Ident(protocol, *version, longest, rate, *hard_limits)
         self._hard, self._longest, self._period = hard_limits, longest, 1_000_000 // rate
         self._decoder, self._foreign = Decoder(), 0
@@ -60,7 +60,7 @@ class ManifoldCore:
     @property
     def set_pressures(self) -> Pressures | None:
         """(4,) that the valves follow [Pa]; None while all vent."""
-        return self._set if self.state in (State.ARMED, State.PLAYING) else None
+        return self._set if self.state in (ManifoldState.ARMED, ManifoldState.PLAYING) else None
 
     @property
     def damaged(self) -> int:
@@ -110,11 +110,11 @@ class ManifoldCore:
         return [self._fault(now_us, Cause.WATCHDOG, silence // 1000)]
 
     def _fault(self, now_us: int, cause: Cause, detail: int) -> Event:
-        self.state = State.FAULT
+        self.state = ManifoldState.FAULT
         return Event(now_us, cause, detail)
 
     def _play(self, now_us: int) -> list[Message]:
-        if self.state != State.PLAYING:
+        if self.state != ManifoldState.PLAYING:
             return []
         sample = (now_us - self._wave_begun) // self._wave_period
         ends = self._repeats and sample >= self._repeats * len(self._wave)
@@ -123,7 +123,7 @@ class ManifoldCore:
         said = self._change(now, now_us)
         if not ends:
             return said
-        self.state = State.ARMED
+        self.state = ManifoldState.ARMED
         return [*said, Event(now_us, Cause.PLAYED, 0)]
 
     def _change(self, pressures: Pressures, now_us: int) -> list[Message]:
@@ -143,29 +143,32 @@ class ManifoldCore:
                 return []
             case Stop():
                 if self.set_pressures is not None:
-                    self.state = State.READY
+                    self.state = ManifoldState.READY
                 return [self._ack(message), Event(now_us, Cause.STOPPED, 0)]
             case SetLimits():
                 return self._limit(message, now_us)
             case SetPressures():
                 return self._follow(message, now_us)
             case Arm():
-                if self.state != State.READY:
+                if self.state != ManifoldState.READY:
                     return [self._ack(message, Answer.WRONG_STATE)]
-                self.state, self._set = State.ARMED, (0, 0, 0, 0)
+                self.state, self._set = ManifoldState.ARMED, (0, 0, 0, 0)
                 return [self._ack(message), self._follows(now_us)]
-            case WaveBegin() | WavePiece() if self.state not in (State.READY, State.ARMED):
+            case WaveBegin() | WavePiece() if self.state not in (
+                ManifoldState.READY,
+                ManifoldState.ARMED,
+            ):
                 return [self._ack(message, Answer.WRONG_STATE)]
             case WaveBegin():
                 return [self._ack(message, *self._begin(message))]
             case WavePiece():
                 return [self._ack(message, *self._take(message))]
             case WavePlay():
-                if self.state != State.ARMED:
+                if self.state != ManifoldState.ARMED:
                     return [self._ack(message, Answer.WRONG_STATE)]
                 if not self._wave or None in self._wave:
                     return [self._ack(message, Answer.WRONG_PLACE)]
-                self.state, self._wave_begun = State.PLAYING, now_us
+                self.state, self._wave_begun = ManifoldState.PLAYING, now_us
                 self._repeats = message.repeats
                 return [self._ack(message), *self._play(now_us)]
         raise AssertionError(message)
@@ -173,15 +176,15 @@ class ManifoldCore:
     def _limit(self, message: SetLimits, now_us: int) -> list[Message]:
         wrong = _outside(message[1:], self._hard)
         if wrong is None:
-            self.state, self._limits, self._wave = State.READY, message[1:], []
+            self.state, self._limits, self._wave = ManifoldState.READY, message[1:], []
             return [self._ack(message)]
         refused: list[Message] = [self._ack(message, *wrong)]
-        if self.state in (State.BOOT, State.FAULT):
+        if self.state in (ManifoldState.BOOT, ManifoldState.FAULT):
             return refused
         return [*refused, self._fault(now_us, Cause.REFUSED, wrong[1])]
 
     def _follow(self, message: SetPressures, now_us: int) -> list[Message]:
-        if self.state != State.ARMED:
+        if self.state != ManifoldState.ARMED:
             return [self._ack(message, Answer.WRONG_STATE)]
         wrong = _outside(message[1:], self._limits)
         if wrong is None:

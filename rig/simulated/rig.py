@@ -4,8 +4,8 @@ from collections import deque
 from collections.abc import Callable
 from random import Random
 
+from rig.simulated.line_faults import FaultyLine, LineFaults
 from rig.simulated.manifold import ManifoldCore
-from rig.simulated.mischief import Line, Mischief
 from rig.simulated.tank import Measured, Tank
 
 Set = tuple[int, ...] | None
@@ -28,12 +28,16 @@ class SimulatedRig:
         self,
         tank: Tank,
         core: ManifoldCore | None = None,
-        mischief: Mischief = Mischief(),
+        mischief: LineFaults = LineFaults(),
         new_core: Callable[[], ManifoldCore] = ManifoldCore,
     ):
         self.core, self.tank, self.mischief = core or new_core(), tank, mischief
         self._new_core = new_core
-        self._in, self._out, self._random = Line(mischief), Line(mischief), Random(mischief.seed)
+        self._in, self._out, self._random = (
+            FaultyLine(mischief),
+            FaultyLine(mischief),
+            Random(mischief.seed),
+        )
         self._begun: int | None = None
         self._at, self._reset, self._held = 0, False, b""
         self._stuck: int | None = None

@@ -11,16 +11,16 @@ import numpy as np
 
 from rig.errors import RigError
 from rig.manifold.driver import Manifold
-from rig.manifold.limits import Limits
+from rig.manifold.limits import PressureLimits
 from rig.recording.writer import Load
 from rig.recording.writer_process import ProcessRecorder
-from rig.trial.player import RATE, Played, play, wait_until
-from rig.trial.waveform import Drive
+from rig.trial.player import RATE, PlaybackRecord, play, wait_until
+from rig.trial.waveform import SegmentDrive
 
 Sink = Callable[[int, bytes], None]
 
 
-class Instrument(Protocol):
+class RecordedInstrument(Protocol):
     """What is recorded beside the manifold: a force sensor, a camera."""
 
     def start(self, sink: Sink) -> None:
@@ -52,15 +52,15 @@ class Timing(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Trial:
+class PlannedTrial:
     """What is played: `name` is that of its files, without a suffix."""
 
     name: str
-    drive: Drive
+    drive: SegmentDrive
     duration: float
     """[s]"""
 
-    def check(self, limits: Limits) -> None:
+    def check(self, limits: PressureLimits) -> None:
         """Raises `RigError`, naming the trial, if a chamber is ever asked for too much."""
         try:
             self.drive.check(limits, self.duration)
@@ -71,7 +71,7 @@ class Trial:
 class Captured(NamedTuple):
     """A trial that is on disk."""
 
-    played: Played
+    played: PlaybackRecord
     load: Load
 
 
@@ -99,12 +99,12 @@ class Switches(NamedTuple):
 
 
 def capture(
-    trial: Trial,
+    trial: PlannedTrial,
     manifold: Manifold,
     switches: Switches,
-    instruments: dict[str, Instrument],
+    instruments: dict[str, RecordedInstrument],
     path: Path,
-    limits: Limits,
+    limits: PressureLimits,
     settings: dict[str, Any],
     timing: Timing = Timing(),
     watch: Callable[[str, float], None] = lambda phase, t: None,

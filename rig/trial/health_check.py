@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.errors import RigError
-from rig.force.sensor import ForceSource, Mounting
+from rig.force.sensor import ForceSource, SensorMounting
 from rig.manifold.driver import Manifold
 from rig.protocol.messages import CHAMBERS, Reading
 
@@ -137,7 +137,7 @@ def check(
     return Check(rate, manifold.lost, manifold.damaged, trips, noise, offset, held, findings)
 
 
-def check_force(source: ForceSource, mounting: Mounting, seconds: float = 1.0) -> ForceCheck:
+def check_force(source: ForceSource, mounting: SensorMounting, seconds: float = 1.0) -> ForceCheck:
     """Listens to a force sensor for so long; nothing moves. Raises `RigError` if it is silent."""
     came: list[tuple[int, bytes]] = []
     source.start(lambda host_ns, piece: came.append((host_ns, piece)))

@@ -9,7 +9,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from rig.manifold.driver import Manifold
-from rig.protocol.messages import Follows, Reading, State
+from rig.protocol.messages import Follows, ManifoldState, Reading
 from rig.recording.clock import RunningClock
 from rig.recording.table import ORDER, Analogue, at_rows
 
@@ -25,7 +25,7 @@ Signed = tuple[float, float]
 """Of front and rear [Pa]."""
 
 
-class Live(NamedTuple):
+class LiveReadings(NamedTuple):
     """Readings (n,) that came since the last time."""
 
     device_s: np.ndarray
@@ -79,7 +79,7 @@ class LiveStream:
         """A force sample [N], by the sensor's own clock [s], and when it arrived [ns]."""
         self._forces_came.append((host_ns, sensor_s, thrust, recoil))
 
-    def take(self) -> Live:
+    def take(self) -> LiveReadings:
         """What is complete: readings up to the latest force sample, if forces are measured."""
         self._order()
         forces = np.array(self._forces).reshape(-1, 3).T
@@ -108,7 +108,7 @@ class LiveStream:
             for i in (1, 2):
                 measured[1 + i] = at_rows(np.array(at), forces[0], forces[i])
             del self._forces[: int(np.searchsorted(forces[0], at[-1] - BEHIND))]
-        return Live(device, set_pressure, measured, arrived)
+        return LiveReadings(device, set_pressure, measured, arrived)
 
     def _order(self) -> None:
         """To each reading that has come the mean of what was followed since the one before."""
@@ -129,7 +129,7 @@ class LiveStream:
             if self._clock.resets > resets:  # nothing from before is of this clock
                 self._rows.clear()
                 self._followed.forget()
-            if reading.state not in (State.ARMED, State.PLAYING):
+            if reading.state not in (ManifoldState.ARMED, ManifoldState.PLAYING):
                 continue
             told = commands.get(reading.command)
             if told is not None:

@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from rig.recording.clock import host_ns
-from rig.trial.waveform import Drive, chambers
+from rig.trial.waveform import SegmentDrive, chambers
 
 RATE = 200.0
 """Commands a second."""
@@ -20,7 +20,7 @@ class Settable(Protocol):
     def set(self, pressures: tuple[float, float, float, float], /) -> int: ...
 
 
-class Played(NamedTuple):
+class PlaybackRecord(NamedTuple):
     """How a drive was played."""
 
     begun_ns: int
@@ -29,7 +29,7 @@ class Played(NamedTuple):
     """(commands,) [s] from when each was due until it was on the wire."""
 
 
-def schedule(drive: Drive, duration: float, rate: float = RATE) -> np.ndarray:
+def schedule(drive: SegmentDrive, duration: float, rate: float = RATE) -> np.ndarray:
     """Times [s] of all commands, from 0 and before `duration`."""
     even = np.arange(int(np.ceil(duration * rate))) / rate
     even = even[even < duration]
@@ -41,12 +41,12 @@ def schedule(drive: Drive, duration: float, rate: float = RATE) -> np.ndarray:
 
 def play(
     manifold: Settable,
-    drive: Drive,
+    drive: SegmentDrive,
     duration: float,
     rate: float = RATE,
     watch: Callable[[float], None] = lambda t: None,
     fade: float = 0.0,
-) -> Played:
+) -> PlaybackRecord:
     """Plays it, now. `watch` hears of every command's time [s]; what it raises ends the trial.
 
     After `duration` it dies away over `fade` [s], as the square of a cosine: a body that is let go
@@ -66,7 +66,7 @@ def play(
         lateness[i] = time.monotonic() - (start + t)
         watch(float(t))
     wait_until(start + end)
-    return Played(begun, lateness)
+    return PlaybackRecord(begun, lateness)
 
 
 def wait_until(deadline: float) -> None:

@@ -17,10 +17,10 @@ from rig.errors import RigError
 from rig.files import write_csv, write_json
 from rig.force.sensor import ForceSource
 from rig.manifold.driver import Manifold
-from rig.manifold.limits import Limits
+from rig.manifold.limits import PressureLimits
 from rig.recording.reader import read_recording
 from rig.recording.table import Analogue, Columns, Reader, columns
-from rig.trial.capture import Captured, Instrument, Switches, Timing, Trial, capture
+from rig.trial.capture import Captured, PlannedTrial, RecordedInstrument, Switches, Timing, capture
 from rig.trial.settling import Stillness, noise_of
 
 RANGES = {"thrust_N": 1.0, "recoil_N": 1.0, "tip_m": 0.08}
@@ -44,8 +44,8 @@ class Rig:
 
     manifold: Manifold
     switches: Switches
-    limits: Limits
-    instruments: dict[str, Instrument]
+    limits: PressureLimits
+    instruments: dict[str, RecordedInstrument]
     readers: dict[str, Reader]
     force: ForceSource | None = None
     """That of the instruments, for who wants to show its latest sample."""
@@ -58,12 +58,12 @@ class Rig:
 
 
 def run(
-    trials: Sequence[Trial],
+    trials: Sequence[PlannedTrial],
     rig: Rig,
     folder: Path,
     settings: dict[str, Any],
     watch: Callable[[str, str, float], None] = lambda trial, phase, t: None,
-    done: Callable[[Trial, dict[str, Any]], None] = lambda trial, told: None,
+    done: Callable[[PlannedTrial, dict[str, Any]], None] = lambda trial, told: None,
 ) -> list[dict[str, Any]]:
     """Each trial's CSV in `folder`, and what is to be known of it, in order.
 
@@ -86,7 +86,7 @@ def run(
 
 
 def one(
-    trial: Trial,
+    trial: PlannedTrial,
     rig: Rig,
     folder: Path,
     settings: dict[str, Any],
@@ -151,7 +151,7 @@ def rest(rig: Rig, before: dict[str, Any] | None, watch: Callable[[str, float], 
         watch(f"pause{until}{f' {rig.longest_pause:g} s at most,' if until else ''}", waited)
 
 
-def finished(folder: Path, trial: Trial, settings: dict[str, Any]) -> dict[str, Any] | None:
+def finished(folder: Path, trial: PlannedTrial, settings: dict[str, Any]) -> dict[str, Any] | None:
     """What an earlier run told of a trial that it finished; None if there is none.
 
     Raises `RigError` if it had another drive or other settings then.
@@ -169,7 +169,7 @@ def finished(folder: Path, trial: Trial, settings: dict[str, Any]) -> dict[str, 
     return told if (folder / f"{trial.name}.csv").exists() else None
 
 
-def _drive(trial: Trial) -> dict[str, Any]:
+def _drive(trial: PlannedTrial) -> dict[str, Any]:
     """What a trial is told to be played with; of a recorded drive a checksum."""
     plain = (str, float, int)
     drive = {key: x for key, x in asdict(trial.drive).items() if isinstance(x, plain)}
@@ -223,7 +223,7 @@ def _keep(path: Path) -> None:
         count += 1
 
 
-def _told(trial: Trial, captured: Captured, read: Columns) -> dict[str, Any]:
+def _told(trial: PlannedTrial, captured: Captured, read: Columns) -> dict[str, Any]:
     late = captured.played.lateness
     late_99 = float(np.percentile(late, 99))
     findings = list(read.told["findings"])

@@ -11,13 +11,13 @@ from typing import Literal
 import numpy as np
 
 from rig.errors import RigError
-from rig.manifold.limits import Limits, checked
+from rig.manifold.limits import PressureLimits, checked
 
 Waveform = Literal["square", "sine", "trapezoid", "recorded"]
 
 
 @dataclass(frozen=True)
-class Drive:
+class SegmentDrive:
     """Signed set pressures of both segments [Pa]: `amplitude` in front, `rear_ratio` times behind.
 
     The rear one follows `phase` of a period later. `rise` is a trapezoid's ramp, a fraction of the
@@ -81,7 +81,7 @@ class Drive:
         times = np.unique((halves[:, None] + shifts).ravel() / self.frequency)
         return times[times < duration]
 
-    def check(self, limits: Limits, duration: float) -> None:
+    def check(self, limits: PressureLimits, duration: float) -> None:
         """Raises `RigError` if a chamber is ever asked for more than its limit."""
         if self.waveform == "recorded":
             assert self.recorded is not None

@@ -26,7 +26,7 @@ POSES = 20
 """Midlines kept of the last stride."""
 
 
-class Stopped(Exception):
+class StopRequested(Exception):
     """The run was told to stop between strides."""
 
 
@@ -90,12 +90,13 @@ def march(
     """Run a chunk through all strides.
 
     Returns series of shape (members, strides, steps, ...): t, pressure, thrust, recoil, power, tip;
-    `midline` (members, POSES, 2, nodes) of the last stride; `ok` (members,). Raises `Stopped`.
+    `midline` (members, POSES, 2, nodes) of the last stride; `ok` (members,). Raises
+    `StopRequested`.
     """
     carry, series = programs.rest(chunk), []
     for number in range(plan.strides):
         if stopped():
-            raise Stopped
+            raise StopRequested
         carry, saved = programs.stride(chunk, jnp.asarray(float(number)), carry)
         midline = np.asarray(saved.pop("midline"))
         series.append({name: np.asarray(values) for name, values in saved.items()})

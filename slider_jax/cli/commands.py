@@ -5,7 +5,7 @@ from importlib import import_module
 from typing import Any, NamedTuple
 
 
-class Command(NamedTuple):
+class Subcommand(NamedTuple):
     """A subcommand: `module:function`, imported only when it is asked for, and a line of help.
 
     The function's signature is the command line, by tyro; it returns None or an exit code.
@@ -20,64 +20,66 @@ class Command(NamedTuple):
 
 
 COMMANDS = {
-    "simulate": Command(
+    "simulate": Subcommand(
         "slider_jax.cli.simulate:simulate", "an experiment, or a pressure log, to thrust"
     ),
-    "demo": Command("slider_jax.cli.demo:demo", "the paper's frequency sweep, no input needed"),
-    "sweep": Command(
+    "demo": Subcommand("slider_jax.cli.demo:demo", "the paper's frequency sweep, no input needed"),
+    "sweep": Subcommand(
         "slider_jax.cli.sweep:sweep", "one or two fields of an experiment over ranges"
     ),
-    "swim": Command("slider_jax.cli.swim:swim", "the robot set free, and its steady speed"),
-    "climb": Command("slider_jax.cli.climb:climb", "the robot pinned to a wall, in air"),
-    "optimize swim": Command(
+    "swim": Subcommand("slider_jax.cli.swim:swim", "the robot set free, and its steady speed"),
+    "climb": Subcommand("slider_jax.cli.climb:climb", "the robot pinned to a wall, in air"),
+    "optimize swim": Subcommand(
         "slider_jax.cli.optimize:swim", "tail and gait for the fastest swimming"
     ),
-    "optimize multimodal": Command(
+    "optimize multimodal": Subcommand(
         "slider_jax.cli.optimize:multimodal", "one tail to swim and to climb with"
     ),
-    "close-loop": Command(
+    "close-loop": Subcommand(
         "calibration.cli.close_loop:close_loop", "what a model lacks, from measured trials"
     ),
-    "lamprey": Command(
+    "lamprey": Subcommand(
         "calibration.cli.lamprey:lamprey", "a swimming animal's midlines, weighed by the model"
     ),
-    "published": Command(
+    "published": Subcommand(
         "calibration.cli.published:published", "the paper's swimming speeds against its equations"
     ),
-    "effects matrix": Command(
+    "effects matrix": Subcommand(
         "calibration.cli.effects_matrix:matrix",
         "which of them an experiment could find and separate",
     ),
-    "effects": Command(
+    "effects": Subcommand(
         "slider_jax.cli.effects:effects",
         "what a model may lack, and what it does to the sensors",
         alone=True,
     ),
-    "calibrate manifold": Command(
+    "calibrate manifold": Subcommand(
         "calibration.cli.calibrate:manifold", "the pressure lag from the rig's own logs"
     ),
-    "calibrate statics": Command(
+    "calibrate statics": Subcommand(
         "calibration.cli.calibrate_statics:statics", "EI, damping and K_Q from a bench, in air"
     ),
-    "calibrate": Command(
+    "calibrate": Subcommand(
         "calibration.cli.calibrate_tank:tank", "C_d, m_a, k and K_Q from measured trials"
     ),
-    "rig ports": Command("rig.cli.shared:ports", "this computer's serial ports", jax=False),
-    "rig check": Command(
+    "rig ports": Subcommand("rig.cli.shared:ports", "this computer's serial ports", jax=False),
+    "rig check": Subcommand(
         "rig.cli.check:check", "line, noise and leaks of a rig, in a minute", jax=False
     ),
-    "rig run": Command("rig.cli.run:run", "an experiment's trials on the rig, recorded", jax=False),
-    "rig log": Command("rig.cli.log:log", "pressure logs of the published firmware", jax=False),
-    "rig replay": Command(
+    "rig run": Subcommand(
+        "rig.cli.run:run", "an experiment's trials on the rig, recorded", jax=False
+    ),
+    "rig log": Subcommand("rig.cli.log:log", "pressure logs of the published firmware", jax=False),
+    "rig replay": Subcommand(
         "rig.cli.replay:replay",
         "a recording's columns anew, or at its own pace",
         jax=False,
     ),
-    "rig watch": Command(
+    "rig watch": Subcommand(
         "rig.cli.watch:watch", "the calibrated model beside a running rig, with alarm"
     ),
-    "rig loop": Command("rig.cli.loop:loop", "measure and close the loop until it is settled"),
-    "rig simulate": Command(
+    "rig loop": Subcommand("rig.cli.loop:loop", "measure and close the loop until it is settled"),
+    "rig simulate": Subcommand(
         "rig.cli.simulate:simulate",
         "a rig that is not there, to try all this on",
         jax=False,

@@ -19,11 +19,11 @@ def demo(out: Folder = Path("slider_demo")) -> None:
     """
     from slider_jax.cli.progress import Progress
     from slider_jax.io.files import output_folder
-    from slider_jax.reproduction.frequency_sweep import Settings, run_frequency_sweep
+    from slider_jax.reproduction.frequency_sweep import FrequencySweepSettings, run_frequency_sweep
     from slider_jax.reproduction.frequency_sweep_report import comparison, write_results
 
     output_folder(out)
-    settings, begun = Settings(), time.perf_counter()
+    settings, begun = FrequencySweepSettings(), time.perf_counter()
     with Progress(f"{len(settings.frequencies)} frequencies", "stride") as progress:
         sweep = run_frequency_sweep(settings, progress.begin, progress.step)
     write_results(sweep, settings, out)

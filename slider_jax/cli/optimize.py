@@ -202,7 +202,7 @@ def multimodal(
     from slider_jax.io.files import output_folder
     from slider_jax.io.provenance import input_file
     from slider_jax.optimise import report as multimodal_report
-    from slider_jax.optimise.pareto_front import Effort, front
+    from slider_jax.optimise.pareto_front import FrontEffort, front
     from slider_jax.optimise.registry import searcher
     from slider_jax.optimise.two_tasks import Modes
     from slider_jax.swimming.paper_optimum import given_or, optimum
@@ -211,7 +211,7 @@ def multimodal(
     if not 2 <= betas <= 101:
         raise InputError.value("--betas", betas, "2 to 101: both ends, and values between")
     searcher(algorithm, population, 6)
-    effort = Effort(algorithm, population, generations, seed)
+    effort = FrontEffort(algorithm, population, generations, seed)
     modes = Modes.of(given_or(optimum, experiment, model), tail_length, EI_tail, steps_per_stride)
     output_folder(out)
     report = _Report(generations, evaluation.is_first())

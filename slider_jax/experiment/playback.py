@@ -29,7 +29,7 @@ CELL = 5e-3
 """Changes of a smooth wave are seen so far apart [s], which a chamber's lag cannot tell."""
 
 
-class Played(NamedTuple):
+class PlayedDrive(NamedTuple):
     """How a trial was driven."""
 
     drive: Drive
@@ -37,7 +37,7 @@ class Played(NamedTuple):
     """Times [s] at which a square wave jumped; None of another wave."""
 
 
-def played(experiment: Experiment, trial: Trial) -> Played | None:
+def played(experiment: Experiment, trial: Trial) -> PlayedDrive | None:
     """What NAME.played.csv beside a trial's file says; None where there is none.
 
     Raises `InputError` for one that does not cover the trial, is not in pascal, or is of a drive
@@ -64,10 +64,10 @@ def played(experiment: Experiment, trial: Trial) -> Played | None:
     zero = jnp.zeros(())
     if trial.waveform != "square":
         smooth = [_held(*_evened(t, x)) for x in sets]
-        return Played(Drive(smooth[0], smooth[1], zero, zero), None)
+        return PlayedDrive(Drive(smooth[0], smooth[1], zero, zero), None)
     jumps = [np.flatnonzero(np.diff(x)) + 1 for x in sets]
     drive = Drive(_held(t, sets[0]), _held(t, sets[1]), zero, zero)
-    return Played(drive, t[np.union1d(*jumps)])
+    return PlayedDrive(drive, t[np.union1d(*jumps)])
 
 
 def _evened(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -16,7 +16,7 @@ from slider_jax.experiment.load import Experiment, coefficients_at, to_model
 from slider_jax.experiment.schema import RobotTable, Trial
 from slider_jax.io.toml import quantity_of
 from slider_jax.swimming.gait import Gait, swimmer
-from slider_jax.swimming.steady_state import Search, find_steady, steady_speed
+from slider_jax.swimming.steady_state import SteadySettings, find_steady, steady_speed
 
 
 class Variable(NamedTuple):
@@ -46,7 +46,7 @@ a tail that is no stiffer than the body."""
 
 
 @dataclass(frozen=True)
-class Box:
+class GaitBounds:
     """Bounds of the six variables, in the order of `Gait`, SI."""
 
     low: np.ndarray
@@ -61,7 +61,7 @@ class Box:
         return (np.array(gait) - self.low) / (self.high - self.low)
 
 
-def box_of(given: Mapping[str, tuple[float, float] | None]) -> Box:
+def box_of(given: Mapping[str, tuple[float, float] | None]) -> GaitBounds:
     """The bounds `given`, the others by default.
 
     Raises `InputError` for reversed ones, and for such beyond physics.
@@ -79,7 +79,7 @@ def box_of(given: Mapping[str, tuple[float, float] | None]) -> Box:
                 raise InputError.value(option, f"{value:g}", allowed.allowed)
         chosen.append((low, high))
     low, high = np.array(chosen).T
-    return Box(low, high)
+    return GaitBounds(low, high)
 
 
 def models(experiment: Experiment) -> Callable[[Gait], Model]:
@@ -106,7 +106,7 @@ def models(experiment: Experiment) -> Callable[[Gait], Model]:
     return model
 
 
-def speed_of(experiment: Experiment, box: Box, search: Search):
+def speed_of(experiment: Experiment, box: GaitBounds, search: SteadySettings):
     """Steady speed [m/s] at a point of the unit box; NaN where there is none that was found."""
     model = models(experiment)
 
@@ -118,7 +118,7 @@ def speed_of(experiment: Experiment, box: Box, search: Search):
     return speed
 
 
-def slope_of(experiment: Experiment, box: Box, search: Search):
+def slope_of(experiment: Experiment, box: GaitBounds, search: SteadySettings):
     """(speed [m/s], its gradient (6,) [m/s per width of the box]) at a point of the unit box."""
     model = models(experiment)
 

@@ -15,7 +15,7 @@ from slider_jax.io.files import staged, write_json, write_text
 from slider_jax.io.provenance import versions
 from slider_jax.optimise.design_space import (
     VARIABLES,
-    Box,
+    GaitBounds,
     box_of,
     models,
     slope_of,
@@ -23,12 +23,12 @@ from slider_jax.optimise.design_space import (
     to_toml,
     with_gait,
 )
-from slider_jax.optimise.loop import PLAN, Found, Generation, run, settings_of
+from slider_jax.optimise.loop import PLAN, Generation, OptimisationResult, run, settings_of
 from slider_jax.optimise.optimiser import Searcher
 from slider_jax.optimise.population import Evaluation, is_first
 from slider_jax.swimming.gait import Gait, swimmer
 from slider_jax.swimming.paper_optimum import PAPER_GAIT, PUBLISHED
-from slider_jax.swimming.steady_state import Search, steady_speed
+from slider_jax.swimming.steady_state import SteadySettings, steady_speed
 
 MESH = 31
 """Most nodes on which members are compared. The speed there is within 0.7 % of that on 51 for tails
@@ -44,8 +44,8 @@ class Task(NamedTuple):
     """What is sought."""
 
     experiment: Experiment
-    box: Box
-    search: Search
+    box: GaitBounds
+    search: SteadySettings
 
     @classmethod
     def of(
@@ -63,7 +63,7 @@ class Task(NamedTuple):
             )
         nodes = min(MESH, experiment.numerics.nodes)
         numerics, scheme = to_numerics(experiment.with_values({"numerics.nodes": nodes}))
-        search = Search(steps_per_stride=steps_per_stride, numerics=numerics, scheme=scheme)
+        search = SteadySettings(steps_per_stride=steps_per_stride, numerics=numerics, scheme=scheme)
         box = box_of(bounds)
         stiffest = STIFFEST * experiment.robot.EI_body
         if box.high[-1] > stiffest:
@@ -102,7 +102,7 @@ def search(
     folder: Path | None = None,
     resume: bool = False,
     said: Callable[[Generation, float], None] = lambda generation, seconds: None,
-) -> Found:
+) -> OptimisationResult:
     """The fastest gait and tail, as `optimise.run` does.
 
     Raises `SolverError` where no member of any generation has a steady speed.
@@ -162,7 +162,9 @@ def speed_at(task: Task, gait: Gait) -> float:
     return float(jax.jit(speed_of(task.experiment, box, task.search))(jnp.asarray(box.unit(gait))))
 
 
-def write(task: Task, found: Found, folder: Path, inputs: list[dict[str, Any]]) -> dict[str, Any]:
+def write(
+    task: Task, found: OptimisationResult, folder: Path, inputs: list[dict[str, Any]]
+) -> dict[str, Any]:
     """best.toml, optimum.json and optimum.png; returns what optimum.json says."""
     gait = Gait(*(float(x) for x in task.box.gait(found.best)))
     said = f"Steady speed {found.score:.5g} m/s, on {task.search.numerics.nodes} nodes."
@@ -215,7 +217,7 @@ def words(content: dict[str, Any]) -> list[str]:
     return lines
 
 
-def plot(found: Found, path: Path) -> None:
+def plot(found: OptimisationResult, path: Path) -> None:
     """Best and mean by generation, and the last population's spread."""
     figure, axes = new_figure(figsize=(8, 4.5))
     at = [x.evaluations for x in found.history]

@@ -35,7 +35,7 @@ class Generation(NamedTuple):
     """So far; one with its gradient counts for several."""
 
 
-class Found(NamedTuple):
+class OptimisationResult(NamedTuple):
     """The end of a search."""
 
     best: np.ndarray
@@ -64,7 +64,7 @@ def run(
     resume: bool = False,
     keep: bool = True,
     said: Callable[[Generation, float], None] = lambda generation, seconds: None,
-) -> Found:
+) -> OptimisationResult:
     """Search for `generations`, or as many more as are missing from what `folder` keeps.
 
     `evaluate(members (n, d), gradients)` gives scores (n,), and gradients (n, d) if asked for.
@@ -105,7 +105,7 @@ def run(
         if path is not None and keep:
             _save(path, state, history, best, score, members, scores, settings)
         said(done, time.monotonic() - begun)
-    return Found(best, score, history, members, scores)
+    return OptimisationResult(best, score, history, members, scores)
 
 
 def _save(path, state, history, best, score, members, scores, settings) -> None:

@@ -21,7 +21,7 @@ BLENDS = 5
 """Tails between those of the two tasks that are tried before the searches between."""
 
 
-class Point(NamedTuple):
+class FrontPoint(NamedTuple):
     """The best design at one beta."""
 
     beta: float
@@ -35,7 +35,7 @@ class Point(NamedTuple):
 class Front(NamedTuple):
     """What a multimodal search found."""
 
-    points: list[Point]
+    points: list[FrontPoint]
     """By rising beta."""
     only: np.ndarray
     """(2,) E_swim,only and E_climb,only: of the best designs for one task that any search found."""
@@ -45,7 +45,7 @@ class Front(NamedTuple):
     """Of each search, by its name."""
 
 
-class Effort(NamedTuple):
+class FrontEffort(NamedTuple):
     """How long is searched. Searches between the tasks take a quarter of the members, and half of
     the generations."""
 
@@ -66,7 +66,7 @@ class Searches:
     def __init__(
         self,
         modes: Modes,
-        effort: Effort,
+        effort: FrontEffort,
         folder: Path,
         said: Callable[[str, Generation, float], None],
     ):
@@ -130,7 +130,7 @@ class Searches:
 def front(
     modes: Modes,
     betas: int,
-    effort: Effort,
+    effort: FrontEffort,
     folder: Path,
     resume: bool = False,
     said: Callable[[str, Generation, float], None] = lambda name, generation, seconds: None,
@@ -173,7 +173,7 @@ def front(
     only, points = np.fmax(alone, np.nanmax(efficiencies, axis=0)), []
     for beta in values.tolist():
         score, i = _best(beta, known, efficiencies, only)
-        points.append(Point(beta, score, efficiencies[i], known[i]))
+        points.append(FrontPoint(beta, score, efficiencies[i], known[i]))
     return Front(points, only, alone, searches.evaluations)
 
 
@@ -217,7 +217,7 @@ def _best(
     return float(scores[i]), i
 
 
-def dominated(points: list[Point]) -> list[float]:
+def dominated(points: list[FrontPoint]) -> list[float]:
     """Betas whose neighbours have a design at least as good at both tasks, and better at one."""
     found = []
     for i, point in enumerate(points):

@@ -21,7 +21,7 @@ from slider_jax.optimise.fastest_swimmer import Task
 from slider_jax.optimise.population import Evaluation
 from slider_jax.swimming.gait import CAP, LINK, Gait, climber
 from slider_jax.swimming.performance import steadily
-from slider_jax.swimming.steady_state import Search
+from slider_jax.swimming.steady_state import SteadySettings
 
 DRIVE = ("frequency", "front", "rear", "phase")
 NAMES = (*DRIVE, *(f"climb_{name}" for name in DRIVE), "pin_phase", "tail_length", "EI_tail")
@@ -97,7 +97,7 @@ class Modes(NamedTuple):
         return self.task.settings() | {"bounds": bounds, "climb": plan, "cap": CAP, "link": LINK}
 
 
-def swim_efficiency(experiment: Experiment, search: Search):
+def swim_efficiency(experiment: Experiment, search: SteadySettings):
     """Froude efficiency of (6,) SI values, in the order of `Gait`; NaN where it is not steady."""
     model = models(experiment)
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from slider_jax.experiment.schema import SensorsTable
-from slider_jax.realtime.plant import Reading
+from slider_jax.realtime.plant import SensorReading
 
 
 class SensorNoise:
@@ -25,7 +25,7 @@ class SensorNoise:
         self._slow = self._rng.normal(size=2)
         self._t: float | None = None
 
-    def add(self, x: Reading) -> Reading:
+    def add(self, x: SensorReading) -> SensorReading:
         """The reading with noise; its time must not fall from call to call."""
         sensors, rng = self._sensors, self._rng
         before = x.t if self._t is None else self._t

@@ -34,7 +34,7 @@ LOOK_BACK = 0.2
 """[s] of set pressures and of readings that are kept for what acts late."""
 
 
-class Reading(NamedTuple):
+class SensorReading(NamedTuple):
     """What the sensors read at `t` [s], without noise. `SensorNoise` adds that."""
 
     t: float
@@ -50,7 +50,7 @@ class Reading(NamedTuple):
     """False once a step has failed: the reading is then the last good one."""
 
 
-class State(eqx.Module):
+class PlantState(eqx.Module):
     """What one step hands to the next."""
 
     carry: Carry
@@ -92,7 +92,7 @@ class Plant:
         self.advance([None] * 4, step)
         self.begin(trial)
 
-    def begin(self, trial: Trial | int = 0, settle: float = 0.0) -> Reading:
+    def begin(self, trial: Trial | int = 0, settle: float = 0.0) -> SensorReading:
         """Back to the start of a trial: its clamp's motion, and its share in the effects.
 
         The robot is straight and at rest relative to the clamp, the chambers empty; with `settle`
@@ -112,10 +112,10 @@ class Plant:
 
     def advance(
         self, set_pressures: Sequence[float | None] | np.ndarray, seconds: float
-    ) -> Reading:
+    ) -> SensorReading:
         """Run `seconds` [s] under set gauge pressures [Pa], None of a vented chamber.
 
-        The chambers are those of `Reading.pressures`. Time goes in whole steps, with the set
+        The chambers are those of `SensorReading.pressures`. Time goes in whole steps, with the set
         pressures of the call that completes one; what is left over is kept for the next call.
         A step that does not converge stops the plant until `begin`: readings say so by `ok`, and
         `failed_at` is the time [s] of that step. Raises `InputError` for a pressure that is
@@ -159,7 +159,7 @@ class Plant:
             check_instrument(effect, self.step, self._samples)
         check_commands(of_place(self._model.effects, Command), self.step, self._samples)
 
-    def _rest(self, model: Model, faults: Faults, t: Array) -> tuple[State, Array]:
+    def _rest(self, model: Model, faults: Faults, t: Array) -> tuple[PlantState, Array]:
         carry = at_rest(_faulty(model, faults), self._numerics, t)
         grid = grid_of(model.body, self._numerics)
         line = midline(carry.memory.motion[2], carry.memory.strain, carry.memory.head, grid)
@@ -169,12 +169,12 @@ class Plant:
         for effect in of_place(model.effects, Instrument):
             pasts.append(constant(effect, read, self.step, self._samples))
             read = jax.tree.map(lambda x: x[-1], pasts[-1].read)
-        state = State(carry, jnp.zeros((self._samples, 2)), jnp.zeros(2), tuple(pasts))
+        state = PlantState(carry, jnp.zeros((self._samples, 2)), jnp.zeros(2), tuple(pasts))
         return state, _pack(read, state)
 
     def _one_step(
-        self, model: Model, faults: Faults, state: State, asked_at: Array
-    ) -> tuple[State, Array]:
+        self, model: Model, faults: Faults, state: PlantState, asked_at: Array
+    ) -> tuple[PlantState, Array]:
         t, (left, right) = asked_at[0], asked_at[1:].reshape(2, 2).T
         asked = jnp.concatenate([state.asked[1:], (left - right)[None]])
         times = t + self.step * jnp.arange(1.0 - self._samples, 1.0)
@@ -200,7 +200,7 @@ class Plant:
         assert isinstance(model.pressure_law, FirstOrderLag)
         least = jnp.minimum(left, right)
         shared = least + (state.shared - least) * jnp.exp(-self.step / model.pressure_law.k)
-        after = State(run.final, asked, shared, tuple(pasts))
+        after = PlantState(run.final, asked, shared, tuple(pasts))
         return after, _pack(read, after)
 
 
@@ -210,14 +210,14 @@ def _faulty(model: Model, faults: Faults) -> Model:
     return eqx.tree_at(lambda m: (m.robot, m.effects), model, (robot, effects))
 
 
-def _pack(read: Readings, state: State) -> Float[Array, "8"]:
+def _pack(read: Readings, state: PlantState) -> Float[Array, "8"]:
     """All that leaves the device, in one array."""
     values = jnp.stack([*read[1:], *state.shared])
     ok = state.carry.ok & jnp.all(jnp.isfinite(values))
     return jnp.concatenate([values, ok.astype(values.dtype)[None]])
 
 
-def _unpack(t: float, packed: np.ndarray) -> Reading:
+def _unpack(t: float, packed: np.ndarray) -> SensorReading:
     front, rear, thrust, recoil, tip, *shared, ok = packed.tolist()
     pressures = (
         max(front, 0.0) + shared[0],
@@ -225,7 +225,7 @@ def _unpack(t: float, packed: np.ndarray) -> Reading:
         max(rear, 0.0) + shared[1],
         max(-rear, 0.0) + shared[1],
     )
-    return Reading(t, pressures, front, rear, thrust, recoil, tip, ok > 0.5)
+    return SensorReading(t, pressures, front, rear, thrust, recoil, tip, ok > 0.5)
 
 
 def _checked(set_pressures: Sequence[float | None] | np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ POOR = 0.5
 """A speed is poor against another one if it is less than this part of it. Ours."""
 
 
-class Finding(NamedTuple):
+class StatementCheck(NamedTuple):
     """One of the paper's statements against the maps."""
 
     claim: str
@@ -34,14 +34,14 @@ class Finding(NamedTuple):
         return {True: "agrees", False: "does not agree", None: "not decided"}[self.agrees]
 
 
-def interior_optimum(over_stiffness: Map) -> Finding:
+def interior_optimum(over_stiffness: Map) -> StatementCheck:
     """Whether speed falls off to both sides of the best stiffness."""
     lengths, peaks = over_stiffness.lengths, best_stiffness(over_stiffness)
     inside = np.array([np.nan if p.inside is None else p.inside for p in peaks])
     best = np.where(np.isnan(inside), np.nan, [1e3 * p.x for p in peaks])
     low, high = 1e3 * over_stiffness.across[[0, -1]]
     ends = lengths[inside == 0.0]
-    return Finding(
+    return StatementCheck(
         "there is a best stiffness for every tail length",
         f"at every length the fastest stiffness of {low:g} to {high:g} mN m^2 is neither end's",
         f"best {_told(lengths, best, '.2g')} (mN m^2)"
@@ -50,13 +50,13 @@ def interior_optimum(over_stiffness: Map) -> Finding:
     )
 
 
-def short_tails_phase(over_phase: Map) -> Finding:
+def short_tails_phase(over_phase: Map) -> StatementCheck:
     """Whether the best phase of short tails, those of the shorter half, is the paper's."""
     short = _short(over_phase)
     lengths, best = over_phase.lengths[short], _tops(over_phase)[0][short]
     off = best - BEST_PHASE
     far = lengths[np.abs(off) > TOLERANCE]
-    return Finding(
+    return StatementCheck(
         f"the best phase is near {BEST_PHASE:g} for short tails",
         f"within {TOLERANCE:g} of it for every tail up to {_mm(MARKED_LENGTH)}",
         f"best {_told(lengths, best, '.3f')}; off by {_told(lengths, off, '+.3f')}"
@@ -65,12 +65,12 @@ def short_tails_phase(over_phase: Map) -> Finding:
     )
 
 
-def negative_is_slower(over_phase: Map) -> Finding:
+def negative_is_slower(over_phase: Map) -> StatementCheck:
     """Whether a rear chamber that is early is worse than one that is neither early nor late."""
     phases = over_phase.across
     negative = over_phase.speed[:, (phases < 0.0) & (phases > -0.5)]
     lead = over_phase.at(0.0) - np.max(negative, axis=1)
-    return Finding(
+    return StatementCheck(
         "negative phase is slower",
         "at every length every negative phase is slower than phase 0; -0.5 is 0.5 again",
         "the fastest of them is behind by "
@@ -79,14 +79,14 @@ def negative_is_slower(over_phase: Map) -> Finding:
     )
 
 
-def half_is_poor(over_phase: Map) -> Finding:
+def half_is_poor(over_phase: Map) -> StatementCheck:
     """Whether the chambers in opposition are far slower than a travelling wave."""
     _, good, poor = (over_phase.at(phase) for phase in MARKED)
     both = np.isfinite(poor + good)
     slow, fast = (
         _told(over_phase.lengths, 1e2 * np.where(both, x, np.nan), ".1f") for x in (poor, good)
     )
-    return Finding(
+    return StatementCheck(
         f"phase {MARKED[2]:g} is poor against {MARKED[1]:g}",
         f"at every length its speed is less than {POOR:g} of that at {MARKED[1]:g}",
         f"{slow}, against {fast} (cm/s)",
@@ -94,13 +94,13 @@ def half_is_poor(over_phase: Map) -> Finding:
     )
 
 
-def long_tails_gain_less(over_phase: Map) -> Finding:
+def long_tails_gain_less(over_phase: Map) -> StatementCheck:
     """Whether phase matters less to the longer half of the tails."""
     gain, short = _tops(over_phase)[1] - over_phase.at(0.0), _short(over_phase)
     found = np.isfinite(gain)
     parts = (gain[found & part] for part in (~short, short))
     long_mean, short_mean = (1e2 * float(np.mean(x)) if x.size else np.nan for x in parts)
-    return Finding(
+    return StatementCheck(
         "longer tails gain less from phase",
         "the best phase's speed less that of phase 0 is less on average over tails longer than "
         f"{_mm(MARKED_LENGTH)} than over the others",
@@ -110,7 +110,7 @@ def long_tails_gain_less(over_phase: Map) -> Finding:
     )
 
 
-def slice_of_phase(over_phase: Map) -> list[Finding]:
+def slice_of_phase(over_phase: Map) -> list[StatementCheck]:
     """The paper's slice: its best phase, the order of its three points, and negative phase."""
     one = over_phase.slice_at(MARKED_LENGTH)
     (top,), (speed,) = _tops(one)
@@ -118,13 +118,13 @@ def slice_of_phase(over_phase: Map) -> list[Finding]:
     of_slice = f"tail of {_mm(one.lengths)}: "
     told = zip(MARKED, (none, good, poor), strict=True)
     return [
-        Finding(
+        StatementCheck(
             f"{of_slice}the best phase is {BEST_PHASE:g}",
             f"within {TOLERANCE:g} of it",
             f"{top:.3f}, off by {top - BEST_PHASE:+.3f}; {1e2 * speed:.1f} cm/s there",
             _everywhere(np.abs(top - BEST_PHASE) <= TOLERANCE, top),
         ),
-        Finding(
+        StatementCheck(
             f"{of_slice}phase {MARKED[2]:g} is slower than {MARKED[0]:g} than {MARKED[1]:g}",
             "in that order",
             ", ".join(f"{1e2 * x:.1f} cm/s at {phase:g}" for phase, x in told),
@@ -134,7 +134,7 @@ def slice_of_phase(over_phase: Map) -> list[Finding]:
     ]
 
 
-def findings(over_stiffness: Map, over_phase: Map) -> list[Finding]:
+def findings(over_stiffness: Map, over_phase: Map) -> list[StatementCheck]:
     """All of them."""
     return [
         interior_optimum(over_stiffness),

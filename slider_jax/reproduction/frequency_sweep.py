@@ -17,7 +17,7 @@ SHOWN = (1.0, 4.8)
 """Frequencies [Hz] of the paper's Figs. 5 and 6."""
 
 
-class Settings(eqx.Module):
+class FrequencySweepSettings(eqx.Module):
     """What the sweep runs; the defaults are the demo's.
 
     At 400 and at 500 steps a stride every mean thrust of the sweep is the same to 0.02 mN. Steps
@@ -62,7 +62,7 @@ class FrequencySweep(NamedTuple):
 
 
 def run_frequency_sweep(
-    settings: Settings,
+    settings: FrequencySweepSettings,
     on_begin: Callable[[int], None] = lambda strides: None,
     on_stride: Callable[[], None] = lambda: None,
 ) -> FrequencySweep:

@@ -6,10 +6,12 @@ import numpy as np
 
 from slider_jax import paper
 from slider_jax.io.figures import new_figure, save_figure
-from slider_jax.reproduction.frequency_sweep import FrequencySweep, Series, Settings
+from slider_jax.reproduction.frequency_sweep import FrequencySweep, FrequencySweepSettings, Series
 
 
-def thrust_against_frequency(sweep: FrequencySweep, settings: Settings, path: Path) -> None:
+def thrust_against_frequency(
+    sweep: FrequencySweep, settings: FrequencySweepSettings, path: Path
+) -> None:
     """Like the paper's Fig. 4: mean thrust of steady strides, bars of one standard deviation."""
     table = sweep.table
     f, mean = table["frequency_Hz"], 1e3 * table["thrust_mean_N"]
@@ -44,7 +46,7 @@ def thrust_against_frequency(sweep: FrequencySweep, settings: Settings, path: Pa
     save_figure(figure, path)
 
 
-def _subtitle(settings: Settings) -> str:
+def _subtitle(settings: FrequencySweepSettings) -> str:
     a = settings.assumed
     front = 1e-3 * float(a.amplitude)
     return (
@@ -53,7 +55,9 @@ def _subtitle(settings: Settings) -> str:
     )
 
 
-def stride_in_detail(frequency: float, series: Series, settings: Settings, path: Path) -> None:
+def stride_in_detail(
+    frequency: float, series: Series, settings: FrequencySweepSettings, path: Path
+) -> None:
     """Like the paper's Figs. 5 and 6: midlines of the last stride, and three strides in time."""
     figure, _ = new_figure(figsize=(10, 8.5))
     figure.clear()

@@ -8,7 +8,7 @@ import numpy as np
 from slider_jax import paper
 from slider_jax.io.files import staged, write_csv, write_json
 from slider_jax.io.provenance import versions
-from slider_jax.reproduction.frequency_sweep import FrequencySweep, Settings
+from slider_jax.reproduction.frequency_sweep import FrequencySweep, FrequencySweepSettings
 from slider_jax.reproduction.frequency_sweep_figures import (
     stride_in_detail,
     thrust_against_frequency,
@@ -26,7 +26,7 @@ ASSUMED = {
 """What is ours in the demo, and why."""
 
 
-def write_results(sweep: FrequencySweep, settings: Settings, folder: Path) -> None:
+def write_results(sweep: FrequencySweep, settings: FrequencySweepSettings, folder: Path) -> None:
     """Write tables, pictures and settings, all or none of them."""
     with staged(folder) as stage:
         write_csv(stage / "sweep.csv", sweep.table)
@@ -59,7 +59,7 @@ def _at(sweep: FrequencySweep, name: str, frequency: float) -> float:
     return float(sweep.table[name][np.argmin(np.abs(sweep.table["frequency_Hz"] - frequency))])
 
 
-def comparison(sweep: FrequencySweep, settings: Settings) -> str:
+def comparison(sweep: FrequencySweep, settings: FrequencySweepSettings) -> str:
     """The table that the demo prints: what the paper states, what is found, what differs."""
     table, f = sweep.table, sweep.table["frequency_Hz"]
     thrust, recoil = 1e3 * table["thrust_mean_N"], 1e3 * table["recoil_peak_N"]

@@ -20,7 +20,7 @@ from slider_jax.reproduction.wavelengths import on_course, rms_tail_slope, wavel
 from slider_jax.supports import Clamped
 from slider_jax.swimming.paper_optimum import HEAD_DRAG
 from slider_jax.swimming.performance import Performance, Stride, steadily
-from slider_jax.swimming.steady_state import Search
+from slider_jax.swimming.steady_state import SteadySettings
 
 K_Q_OF_THE_TIP = 1.623e-6
 """[m^3], with which 45 kPa in both chambers moves the tip of the paper's table's robot by 102 mm,
@@ -83,7 +83,7 @@ RECALIBRATED = (NO_LAG, TIP_K_Q, SOFT_TAIL)
 """Changes after which the axial resistance is calibrated again."""
 
 
-class Row(NamedTuple):
+class SteadyRow(NamedTuple):
     """A steady stride of one model."""
 
     performance: Performance
@@ -108,14 +108,16 @@ def _arrays(model: Model) -> Model:
     return jax.tree.map(lambda x: jnp.asarray(x, float), model)
 
 
-def _row(model: Model, frequency: float, stride: Stride, found: Performance, search: Search) -> Row:
+def _row(
+    model: Model, frequency: float, stride: Stride, found: Performance, search: SteadySettings
+) -> SteadyRow:
     s = np.asarray(make_mesh(model.body, search.numerics).grid.s)
     (area,) = (float(e.area) for e in model.effects if isinstance(e, HeadDrag))
     rms = rms_tail_slope(*on_course(stride))
-    return Row(found, stride, area, wavelengths(stride, s, frequency), rms)
+    return SteadyRow(found, stride, area, wavelengths(stride, s, frequency), rms)
 
 
-def swim(model: Model, frequency: float, search: Search) -> Row:
+def swim(model: Model, frequency: float, search: SteadySettings) -> SteadyRow:
     """The steady stride. Raises `SolverError` where there is none."""
     model = _arrays(model)
     stride, found, ok = jax.device_get(_steadily(model, jnp.asarray(frequency, float), search))
@@ -124,12 +126,12 @@ def swim(model: Model, frequency: float, search: Search) -> Row:
     return _row(model, frequency, stride, found, search)
 
 
-def calibrated(model: Model, frequency: float, speed: float, search: Search) -> Row:
+def calibrated(model: Model, frequency: float, speed: float, search: SteadySettings) -> SteadyRow:
     """The same with the area of its head's form drag for which it swims at `speed` [m/s], to 0.2 %.
 
     By a secant in the logarithms, begun as if drag alone balanced a thrust that is given.
     """
-    rows: list[Row] = []
+    rows: list[SteadyRow] = []
     area, power = float(next(e.area for e in model.effects if isinstance(e, HeadDrag))), -0.5
     for _ in range(12):
         rows.append(swim(_effect("head_drag", area=area)(model), frequency, search))
@@ -145,7 +147,7 @@ def calibrated(model: Model, frequency: float, speed: float, search: Search) -> 
 
 
 @eqx.filter_jit
-def _held(model: Model, frequency, search: Search):
+def _held(model: Model, frequency, search: SteadySettings):
     def saved(x):
         return obs.midline(x), obs.thrust(x)
 
@@ -155,7 +157,9 @@ def _held(model: Model, frequency, search: Search):
     return jax.tree.map(lambda x: x[-KEPT * steps :], (run.t, *run.saved)), run.ok
 
 
-def held(model: Model, frequency: float, tow_speed: float, search: Search) -> dict[str, float]:
+def held(
+    model: Model, frequency: float, tow_speed: float, search: SteadySettings
+) -> dict[str, float]:
     """Head clamped and towed at `tow_speed` [m/s]: mean thrust, and the shape that is left."""
     model = _arrays(replace(model, support=Clamped(tow_speed=tow_speed)))
     seen, ok = jax.device_get(_held(model, jnp.asarray(frequency), search))
@@ -176,7 +180,9 @@ def held(model: Model, frequency: float, tow_speed: float, search: Search) -> di
     }
 
 
-def head_fixed_thrust(change: str, amplitude: float, optimum: Model, search: Search) -> float:
+def head_fixed_thrust(
+    change: str, amplitude: float, optimum: Model, search: SteadySettings
+) -> float:
     """Mean thrust [N] of the paper's head-fixed test at 4.8 Hz after one of `CHANGES`."""
     f = paper.THRUST_AT
     fixed = paper.head_fixed(f, Robot(), paper.Assumed(amplitude=amplitude))

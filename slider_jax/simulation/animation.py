@@ -7,7 +7,7 @@ import numpy as np
 
 from slider_jax.io.figures import new_figure, save_film
 from slider_jax.simulation.plots import CHANNELS, title
-from slider_jax.simulation.trial import Run
+from slider_jax.simulation.trial import TrialRun
 
 FRAMES_PER_STRIDE = 40
 STRIDES = 2
@@ -16,7 +16,7 @@ ARROW = 50.0
 
 
 def animate_run(
-    run: Run, folder: Path, progress: Callable[[int, int], None] = lambda done, total: None
+    run: TrialRun, folder: Path, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> Path:
     """Write `<stem>.gif` and return its path. `progress(frames done, all)` is called at each.
 
@@ -30,7 +30,7 @@ def animate_run(
     return path
 
 
-def _scene(run: Run, steps: np.ndarray):
+def _scene(run: TrialRun, steps: np.ndarray):
     """The figure, the artists in it that move, and what moves them to a step."""
     from matplotlib.collections import LineCollection
 
@@ -84,7 +84,7 @@ def _scene(run: Run, steps: np.ndarray):
     return figure, (body, arrows, clock, cursor), move
 
 
-def _frames(run: Run) -> np.ndarray:
+def _frames(run: TrialRun) -> np.ndarray:
     """Steps shown: the last strides, evenly."""
     half = run.clock.half_period
     stride = 2 * half if half else round(1.0 / run.clock.h)

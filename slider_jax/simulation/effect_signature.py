@@ -16,7 +16,7 @@ from slider_jax.errors import SolverError
 from slider_jax.experiment.load import Experiment, assemble
 from slider_jax.io.figures import new_figure, save_figure
 from slider_jax.simulation.plots import CHANNELS, title
-from slider_jax.simulation.trial import Run, simulate
+from slider_jax.simulation.trial import TrialRun, simulate
 
 FREQUENCY = 4.8
 """Of the built-in robot's drive [Hz]."""
@@ -46,7 +46,7 @@ class Fingerprint(NamedTuple):
     """One stride of an experiment's first trial, without an effect and with it."""
 
     effect: str
-    run: Run
+    run: TrialRun
     """Without the effect."""
     along: np.ndarray
     """Phase of the stride; time [s] where the drive has no frequency."""
@@ -104,7 +104,7 @@ def fingerprint(
         experiment = experiment.with_values({"trials.0.duration": duration})
     priors = LIBRARY[effect].priors()
 
-    def run(number: int, **values: float) -> Run:
+    def run(number: int, **values: float) -> TrialRun:
         def told(done: int, total: int) -> None:
             if progress is not None:
                 progress(number * total + done, (1 + len(priors)) * total)
@@ -127,7 +127,7 @@ def fingerprint(
     return Fingerprint(effect, without, along, _cut(without, shown), tuple(traces))
 
 
-def _largest(run: Callable[..., Run], name: str, prior: Prior) -> tuple[float, Run]:
+def _largest(run: Callable[..., TrialRun], name: str, prior: Prior) -> tuple[float, TrialRun]:
     size = typical(prior)
     for halved in range(SMALLER + 1):
         try:
@@ -139,7 +139,7 @@ def _largest(run: Callable[..., Run], name: str, prior: Prior) -> tuple[float, R
     raise AssertionError
 
 
-def _last_stride(run: Run) -> slice:
+def _last_stride(run: TrialRun) -> slice:
     """Steps of the last whole stride, both ends included; the last second without a frequency."""
     half = run.clock.half_period
     length = 2 * half if half else round(1.0 / run.clock.h)
@@ -147,7 +147,7 @@ def _last_stride(run: Run) -> slice:
     return slice(max(0, end - length), end + 1)
 
 
-def _cut(run: Run, shown: slice) -> Series:
+def _cut(run: TrialRun, shown: slice) -> Series:
     p = run.series["pressure"][shown]
     forces = {f"{name}_N": run.series[name][shown] for name in ("thrust", "recoil")}
     return {

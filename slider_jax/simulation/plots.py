@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from slider_jax.io.figures import new_figure, save_figure
-from slider_jax.simulation.trial import Run
+from slider_jax.simulation.trial import TrialRun
 
 Columns = dict[str, np.ndarray]
 
@@ -19,7 +19,7 @@ CHANNELS = (
 """Column, name, unit shown, factor from SI to it."""
 
 
-def title(run: Run) -> str:
+def title(run: TrialRun) -> str:
     """What was done in the trial, in a line."""
     trial = run.trial
     stem = Path(trial.file).stem
@@ -34,7 +34,7 @@ def title(run: Run) -> str:
 
 
 def plot_run(
-    run: Run, measured: Columns | None, rmse: dict[str, float] | None, folder: Path
+    run: TrialRun, measured: Columns | None, rmse: dict[str, float] | None, folder: Path
 ) -> None:
     """Write `<stem>.png` (time series, measured ones under them) and `<stem>_midlines.png`.
 
@@ -45,7 +45,7 @@ def plot_run(
     plot_midlines(run, folder / f"{stem}_midlines.png")
 
 
-def plot_series(run: Run, measured: Columns, rmse: dict[str, float], path: Path) -> None:
+def plot_series(run: TrialRun, measured: Columns, rmse: dict[str, float], path: Path) -> None:
     """Pressures, thrust, recoil and tip against time; measured samples, if any, in grey."""
     figure, axes = new_figure(len(CHANNELS), 1, figsize=(9, 10), sharex=True)
     for ax, (name, label, unit, factor) in zip(axes, CHANNELS, strict=True):
@@ -69,7 +69,7 @@ def plot_series(run: Run, measured: Columns, rmse: dict[str, float], path: Path)
     save_figure(figure, path)
 
 
-def last_stride(run: Run, frames: int, closed: bool = False) -> np.ndarray:
+def last_stride(run: TrialRun, frames: int, closed: bool = False) -> np.ndarray:
     """Indices of `frames` steps spread evenly over the last stride, or the last second without one.
 
     `closed` includes the stride's end, which is its beginning again.
@@ -80,7 +80,7 @@ def last_stride(run: Run, frames: int, closed: bool = False) -> np.ndarray:
     return np.linspace(begin, run.clock.steps, frames, endpoint=closed).round().astype(int)
 
 
-def plot_midlines(run: Run, path: Path) -> None:
+def plot_midlines(run: TrialRun, path: Path) -> None:
     """Midlines over the last stride in the clamp's frame, dark to light, and the tip's path."""
     import matplotlib
 

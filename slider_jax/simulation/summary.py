@@ -7,7 +7,7 @@ import numpy as np
 
 from slider_jax.experiment.load import SAMPLES, Experiment, drag_and_added_mass, measured
 from slider_jax.io.provenance import input_file, versions
-from slider_jax.simulation.trial import Run
+from slider_jax.simulation.trial import TrialRun
 
 DEFINITIONS = {
     "mean_thrust_N": "mean over the averaged window; positive forward, along the clamp",
@@ -27,7 +27,7 @@ STEADY, STEADY_THRUST = 0.01, 1e-3
 """A stride is like the one before it within this fraction, or this many newtons of thrust."""
 
 
-def window(run: Run) -> tuple[slice, int]:
+def window(run: TrialRun) -> tuple[slice, int]:
     """Steps of the averaged window (start left out, end kept), and its whole strides."""
     half, steps = run.clock.half_period, run.clock.steps
     if half is None:
@@ -39,7 +39,7 @@ def window(run: Run) -> tuple[slice, int]:
     return slice(steps - kept * 2 * half + 1, steps + 1), kept
 
 
-def settled(run: Run) -> tuple[bool | None, str]:
+def settled(run: TrialRun) -> tuple[bool | None, str]:
     """Whether the trial's end is periodic (None: not known), and what to say where it is not."""
     half, steps, duration = run.clock.half_period, run.clock.steps, run.trial.duration
     if half is None:
@@ -66,7 +66,7 @@ def settled(run: Run) -> tuple[bool | None, str]:
     )
 
 
-def rmse_to_measured(experiment: Experiment, run: Run) -> dict[str, float] | None:
+def rmse_to_measured(experiment: Experiment, run: TrialRun) -> dict[str, float] | None:
     """Root mean square of simulated minus measured for each column of the trial's file, if any."""
     columns = measured(experiment, run.trial)
     if columns is None:
@@ -79,7 +79,7 @@ def rmse_to_measured(experiment: Experiment, run: Run) -> dict[str, float] | Non
     }
 
 
-def trial_summary(experiment: Experiment, run: Run) -> dict[str, Any]:
+def trial_summary(experiment: Experiment, run: TrialRun) -> dict[str, Any]:
     """The numbers of `DEFINITIONS` for one trial, with its coefficients, step and warnings."""
     span, strides = window(run)
     thrust, recoil = run.series["thrust"][span], run.series["recoil"][span]

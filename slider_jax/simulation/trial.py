@@ -20,7 +20,7 @@ from slider_jax.dynamics.time_schemes import Scheme
 from slider_jax.effects import Readings, total_force
 from slider_jax.errors import SolverError
 from slider_jax.experiment.load import Experiment, sample_times, to_model, to_numerics
-from slider_jax.experiment.playback import LONGEST_STEP, Played, played
+from slider_jax.experiment.playback import LONGEST_STEP, PlayedDrive, played
 from slider_jax.experiment.schema import Trial
 from slider_jax.simulation.sampling import edge_steps, half_period_steps, nearest_steps, sample
 from slider_jax.simulation.sensors import recorded
@@ -52,7 +52,7 @@ def readings_and_shape(x: Snapshot) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Clock:
+class StepGrid:
     """A trial's time grid: `steps` of `h` [s]; `half_period` of them to half a stride, if any."""
 
     h: float
@@ -72,7 +72,9 @@ class Clock:
         return edge_steps(self.steps, self.half_period, self.phase)
 
 
-def clock(experiment: Experiment, trial: Trial, model: Model, was: Played | None = None) -> Clock:
+def clock(
+    experiment: Experiment, trial: Trial, model: Model, was: PlayedDrive | None = None
+) -> StepGrid:
     """Steps locked to the stride, or to the samples of a recorded drive."""
     longest = experiment.numerics.step
     if was is not None:
@@ -81,13 +83,13 @@ def clock(experiment: Experiment, trial: Trial, model: Model, was: Played | None
         times = np.asarray(model.drive.front.times)
         spacing = (times[-1] - times[0]) / (len(times) - 1)
         h = spacing / np.ceil(spacing / longest * (1.0 - 1e-9))
-        return Clock(h, _whole(trial.duration / h))
+        return StepGrid(h, _whole(trial.duration / h))
     if trial.frequency is None:
-        return Clock(longest, _whole(trial.duration / longest))
+        return StepGrid(longest, _whole(trial.duration / longest))
     half = half_period_steps(trial.frequency, longest, trial.phase)
     h = 0.5 / (trial.frequency * half)
     edges = None if was is None else was.edges
-    return Clock(h, _whole(trial.duration / h), half, trial.phase, edges)
+    return StepGrid(h, _whole(trial.duration / h), half, trial.phase, edges)
 
 
 def _whole(steps: float) -> int:
@@ -119,11 +121,11 @@ def _advance(
 
 
 @dataclass(frozen=True)
-class Run:
+class TrialRun:
     """A simulated trial. Times and series on the steps start with the initial state."""
 
     trial: Trial
-    clock: Clock
+    clock: StepGrid
     t: np.ndarray
     """(steps + 1,) [s]."""
     series: dict[str, np.ndarray]
@@ -142,7 +144,7 @@ def simulate(
     progress: Callable[[int, int], None] | None = None,
     chunk: int = CHUNK,
     as_meant: bool = False,
-) -> Run:
+) -> TrialRun:
     """Simulate one trial and sample it at the trial's own times.
 
     Where it is known how the drive was played, it is driven so (`slider_jax.experiment.playback`),
@@ -184,7 +186,9 @@ def simulate(
     bad = ~np.isfinite(series["recoil"])
     if bad.any():
         raise _failure(trial, grid, float(t[np.argmax(bad)]))
-    return Run(trial, grid, t, series, _columns(t, series, at, grid), int(carry.factorisations))
+    return TrialRun(
+        trial, grid, t, series, _columns(t, series, at, grid), int(carry.factorisations)
+    )
 
 
 def _initial(model: Model, midline: np.ndarray, shape: bool) -> dict[str, np.ndarray]:
@@ -213,7 +217,7 @@ def _recorded(model: Model, t: np.ndarray, series: dict[str, np.ndarray]) -> dic
     return {"pressure": pressure, **{name: np.asarray(getattr(read, name)) for name in names}}
 
 
-def _failure(trial: Trial, grid: Clock, t: float) -> SolverError:
+def _failure(trial: Trial, grid: StepGrid, t: float) -> SolverError:
     return SolverError(
         f"{trial.file}: the step to t = {t:.6g} s (length {grid.h:.3g} s) did not converge; try a "
         f"shorter one (--step {0.5 * grid.h:.2g}), and check amplitude, K_Q and stiffness: the "
@@ -222,7 +226,7 @@ def _failure(trial: Trial, grid: Clock, t: float) -> SolverError:
 
 
 def _columns(
-    t: np.ndarray, series: dict[str, np.ndarray], at: np.ndarray, grid: Clock
+    t: np.ndarray, series: dict[str, np.ndarray], at: np.ndarray, grid: StepGrid
 ) -> dict[str, np.ndarray]:
     pressure = sample(t, series["pressure"], at, grid.edges)
     return {

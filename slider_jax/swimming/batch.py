@@ -9,7 +9,7 @@ from jaxtyping import Array
 from slider_jax.batch.strides import Member, Plan
 from slider_jax.beam.parameters import Scalar
 from slider_jax.swimming.performance import Performance, steadily
-from slider_jax.swimming.steady_state import Search
+from slider_jax.swimming.steady_state import SteadySettings
 
 UNITS = {
     "speed": "m_per_s",
@@ -36,7 +36,7 @@ def columns(found: Performance) -> dict[str, Scalar]:
 
 def compile_swim(plan: Plan, chunk: Member) -> Callable[[Member], tuple[Performance, Array]]:
     """Compile for members stacked as in `chunk`: what their steady strides amount to, and ok."""
-    search = Search(
+    search = SteadySettings(
         steps_per_stride=plan.steps_per_stride, numerics=plan.numerics, scheme=plan.scheme
     )
 

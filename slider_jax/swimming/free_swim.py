@@ -19,7 +19,7 @@ from slider_jax.simulation.sampling import half_period_steps
 from slider_jax.swimming.batch import columns
 from slider_jax.swimming.gait import stride_frequency, swimmer
 from slider_jax.swimming.performance import Performance, Stride, next_stride, performance, steadily
-from slider_jax.swimming.steady_state import Pace, Search, strides
+from slider_jax.swimming.steady_state import MeanMotion, SteadySettings, strides
 
 AT_ONCE = 10
 """Strides from rest between two looks at whether they repeat."""
@@ -32,7 +32,7 @@ class Swim:
     """A trial's drive, swum freely. Arrays are NumPy's."""
 
     trial: Trial
-    search: Search
+    search: SteadySettings
     found: bool
     """Whether a steady speed was found."""
     performance: Performance
@@ -67,19 +67,19 @@ _steadily = eqx.filter_jit(steadily)
 
 
 @eqx.filter_jit
-def _some_strides(model: Model, frequency, carry: Carry, search: Search):
+def _some_strides(model: Model, frequency, carry: Carry, search: SteadySettings):
     return strides(model, frequency, carry, AT_ONCE, search)
 
 
 @eqx.filter_jit
-def _seen(model: Model, frequency, carry: Carry, search: Search):
+def _seen(model: Model, frequency, carry: Carry, search: SteadySettings):
     stride = next_stride(model, frequency, carry, search)
     return stride, performance(model, frequency, stride, search)
 
 
 def _from_rest(
-    model: Model, f: jax.Array, search: Search, least: int, most: int
-) -> tuple[np.ndarray, Pace, Carry, bool]:
+    model: Model, f: jax.Array, search: SteadySettings, least: int, most: int
+) -> tuple[np.ndarray, MeanMotion, Carry, bool]:
     """Speeds at every tenth stride, until one repeats; the last one's pace, and the state."""
     carry, speeds = at_rest(model, search.numerics), []
     while True:
@@ -110,11 +110,11 @@ def check(experiment: Experiment, trial: Trial) -> tuple[float, Model]:
     return stride_frequency(trial), swimmer(to_model(experiment, trial))
 
 
-def plan_of(experiment: Experiment, frequency: float) -> Search:
+def plan_of(experiment: Experiment, frequency: float) -> SteadySettings:
     """Mesh of the experiment, and an even number of steps to a stride, none longer than its."""
     numerics, scheme = to_numerics(experiment)
     steps = 2 * half_period_steps(frequency, experiment.numerics.step)
-    return Search(steps_per_stride=steps, numerics=numerics, scheme=scheme)
+    return SteadySettings(steps_per_stride=steps, numerics=numerics, scheme=scheme)
 
 
 def swim(

@@ -11,7 +11,13 @@ from slider_jax.dynamics.model import Model, make_mesh
 from slider_jax.dynamics.rollout import rollout
 from slider_jax.dynamics.step import Carry, Snapshot
 from slider_jax.effects import total_force
-from slider_jax.swimming.steady_state import Search, find_steady, motion, pace_of, stride_times
+from slider_jax.swimming.steady_state import (
+    SteadySettings,
+    find_steady,
+    motion,
+    pace_of,
+    stride_times,
+)
 
 
 class Stride(eqx.Module):
@@ -74,7 +80,7 @@ class Performance(eqx.Module):
     """Of the course [rad] per stride, to the left."""
 
 
-def next_stride(model: Model, frequency, carry: Carry, search: Search) -> Stride:
+def next_stride(model: Model, frequency, carry: Carry, search: SteadySettings) -> Stride:
     """The second of the two strides that follow `carry`."""
 
     def saved(x: Snapshot):
@@ -95,7 +101,7 @@ def next_stride(model: Model, frequency, carry: Carry, search: Search) -> Stride
     return Stride(run.t[steps:], midline, moved[:, 0], resistance, power, before, ahead, run.ok)
 
 
-def performance(model: Model, frequency, stride: Stride, search: Search) -> Performance:
+def performance(model: Model, frequency, stride: Stride, search: SteadySettings) -> Performance:
     """What a steady stride amounts to."""
     mean, before = jnp.mean(stride.velocity, axis=0), stride.velocity_before
     pace = pace_of(before, mean, stride.ahead, frequency)
@@ -131,7 +137,7 @@ def performance(model: Model, frequency, stride: Stride, search: Search) -> Perf
 
 
 def steadily(
-    model: Model, frequency, search: Search
+    model: Model, frequency, search: SteadySettings
 ) -> tuple[Stride, Performance, Bool[Array, ""]]:
     """A steady stride, what it amounts to, and whether it was found and every step converged."""
     found = find_steady(model, frequency, search)

@@ -32,7 +32,7 @@ from slider_jax.dynamics.step import Carry, Snapshot, at_rest, with_motion
 from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
 
 
-class Search(NamedTuple):
+class SteadySettings(NamedTuple):
     """How a steady speed is sought."""
 
     settling: int = 6
@@ -53,7 +53,7 @@ BEGUN = 20.0
 """Strides that the drive is taken to have run before: longer than any delay of the valves."""
 
 
-class Pace(eqx.Module):
+class MeanMotion(eqx.Module):
     """A swimmer over two strides."""
 
     course: Float[Array, "2"]
@@ -67,7 +67,7 @@ class Pace(eqx.Module):
 class Steady(eqx.Module):
     """Where a search ended."""
 
-    pace: Pace
+    pace: MeanMotion
     """Of the last two strides."""
     missing: Float[Array, ""]
     """What the secant would still add to the speed [m/s]: small if the speed is steady."""
@@ -97,7 +97,7 @@ def hastened(carry: Carry, change: Float[Array, "2"]) -> Carry:
     return with_motion(carry, add)
 
 
-def stride_times(frequency, count: int, search: Search) -> TimeGrid:
+def stride_times(frequency, count: int, search: SteadySettings) -> TimeGrid:
     """`count` strides, as if the drive had long begun: every stride has a whole period of it."""
     h = 1.0 / (frequency * search.steps_per_stride)
     return TimeGrid(h, count * search.steps_per_stride, BEGUN / frequency)
@@ -117,16 +117,16 @@ def motion(x: Snapshot) -> Float[Array, "2 2"]:
     return jnp.stack([velocity(x), grid.integral(ahead)])
 
 
-def pace_of(before: Float[Array, "2"], mean, ahead, frequency) -> Pace:
+def pace_of(before: Float[Array, "2"], mean, ahead, frequency) -> MeanMotion:
     """From the mean velocities of two strides, and where the head points [any length]."""
     both = 0.5 * (before + mean)
     size = jnp.sqrt(jnp.sum(both**2) + 1e-18)
     side = jnp.where(both @ ahead < 0.0, -1.0, 1.0)
     course = side * both / size
-    return Pace(course, side * size, (mean - before) @ course * frequency)
+    return MeanMotion(course, side * size, (mean - before) @ course * frequency)
 
 
-def strides(model: Model, frequency, carry: Carry, count: int, search: Search):
+def strides(model: Model, frequency, carry: Carry, count: int, search: SteadySettings):
     """`count` strides more, two at least, of `frequency` [Hz]: the carry, the last two's pace."""
     times = stride_times(frequency, 1, search)
 
@@ -144,7 +144,7 @@ def strides(model: Model, frequency, carry: Carry, count: int, search: Search):
     return carry, pace_of(before, mean, ahead, frequency)
 
 
-def find_steady(model: Model, frequency, search: Search = Search()) -> Steady:
+def find_steady(model: Model, frequency, search: SteadySettings = SteadySettings()) -> Steady:
     """Swim from rest and seek the steady speed; pure, to be batched by vmap.
 
     The model's support is to be `Free`. Not differentiable to any use: see `steady_speed`.
@@ -171,7 +171,9 @@ def find_steady(model: Model, frequency, search: Search = Search()) -> Steady:
     return Steady(pace, change, carry, carry.ok & steady & (jnp.abs(change) < 0.02 * size))
 
 
-def steady_speed(model: Model, frequency, search: Search = Search()) -> Float[Array, ""]:
+def steady_speed(
+    model: Model, frequency, search: SteadySettings = SteadySettings()
+) -> Float[Array, ""]:
     """The steady speed [m/s], differentiable to model and frequency by the root's derivative.
 
     NaN where none is found.

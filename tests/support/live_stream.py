@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from calibration.measurements.synthetic import Sensors, slow_noise
-from calibration.twin.stream import Stretch
+from calibration.twin.stream import Samples
 from slider_jax import observables as obs
 from slider_jax.actuation import FirstOrderLag
 from slider_jax.beam.grid import split_cells
@@ -57,7 +57,7 @@ def only(readings, keep):
     runs = np.concatenate([[0], np.cumsum(keep)[:-1]])
     means = [np.bincount(runs, x) / np.bincount(runs) for x in readings.set_pressure]
     kept = int(keep.sum())
-    return Stretch(readings.t[keep], np.stack(means)[:, :kept], readings.measured[:, keep])
+    return Samples(readings.t[keep], np.stack(means)[:, :kept], readings.measured[:, keep])
 
 
 @eqx.filter_jit
@@ -99,7 +99,7 @@ class Streaming:
         )
         return jax.tree.map(lambda x: jnp.asarray(x, float), model)
 
-    def readings(self) -> Stretch:
+    def readings(self) -> Samples:
         """The next `CHUNK`."""
         self._carry, t, set_pressure, true = _advance(
             self.model, self._carry, jnp.asarray(self.t), self.numerics
@@ -114,9 +114,9 @@ class Streaming:
             true[row] += SENSORS.force_noise * rng.normal(size=CHUNK)
         true[4] += SENSORS.tip_noise * rng.normal(size=CHUNK)
         true[4, np.arange(CHUNK) % 5 != 0] = np.nan
-        return Stretch(t, np.asarray(set_pressure), true)
+        return Samples(t, np.asarray(set_pressure), true)
 
-    def run(self, seconds: float) -> Iterator[Stretch]:
+    def run(self, seconds: float) -> Iterator[Samples]:
         """Readings of `seconds` in all."""
         for _ in range(round(seconds * RATE / CHUNK)):
             yield self.readings()

@@ -15,10 +15,10 @@ from rig.protocol.messages import (
     Heartbeat,
     Hello,
     Ident,
+    ManifoldState,
     Reading,
     SetLimits,
     SetPressures,
-    State,
     Stop,
     WaveBegin,
     WavePiece,
@@ -94,11 +94,11 @@ class Dialogue:
     def _messages(self):
         dice, seq = self.random, self.random.randrange(65_536)
         fitting = {
-            State.BOOT: ("limits",),
-            State.FAULT: ("limits",),
-            State.READY: ("arm", "arm", "arm", "upload", "piece"),
-            State.ARMED: ("follow", "follow", "follow", "upload", "piece", "play", "beat"),
-            State.PLAYING: ("beat",),
+            ManifoldState.BOOT: ("limits",),
+            ManifoldState.FAULT: ("limits",),
+            ManifoldState.READY: ("arm", "arm", "arm", "upload", "piece"),
+            ManifoldState.ARMED: ("follow", "follow", "follow", "upload", "piece", "play", "beat"),
+            ManifoldState.PLAYING: ("beat",),
         }[self.twin.state]
         anything = (
             *("limits", "arm", "follow", "upload", "play", "beat", "stop", "hello"),
@@ -166,7 +166,7 @@ def visited(replies):
     for message in Decoder().feed(b"".join(reply.said for reply in replies)):
         match message:
             case Reading():
-                count["state", State(message.state)] += 1
+                count["state", ManifoldState(message.state)] += 1
             case Event():
                 count["event", Cause(message.cause)] += 1
             case Ack():
@@ -190,4 +190,4 @@ def everything():
         WavePlay: (done, state, place),
     }
     met = {(code_of(kind), answer) for kind, some in answers.items() for answer in some}
-    return met | {("state", s) for s in State} | {("event", c) for c in Cause} | {"ident"}
+    return met | {("state", s) for s in ManifoldState} | {("event", c) for c in Cause} | {"ident"}

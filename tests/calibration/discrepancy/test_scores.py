@@ -7,7 +7,7 @@ from calibration.discrepancy.rounds import agreement
 from calibration.discrepancy.scores import alikeness, score, solve
 from calibration.inference.bounds import Bounds
 from calibration.inference.gauss_newton import _linear_optimum, inverse
-from calibration.inference.problem import Block, summed
+from calibration.inference.problem import ChannelBlock, summed
 from calibration.model.extended import Parameter
 from slider_jax.effects import Prior
 
@@ -25,7 +25,7 @@ def rows(seed=0):
 
 def blocks(J, r):
     return [
-        Block(i, "thrust", j.T @ j, j.T @ x, float(x @ x), len(x))
+        ChannelBlock(i, "thrust", j.T @ j, j.T @ x, float(x @ x), len(x))
         for i, (j, x) in enumerate(zip(J, r, strict=True))
     ]
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calibration.discrepancy.selection import search
-from calibration.inference.problem import Block
+from calibration.inference.problem import ChannelBlock
 from calibration.model.extended import Parameter
 from slider_jax.effects import Prior
 
@@ -61,7 +61,7 @@ class Sums:
         found = []
         for (i, channel), r in residuals.items():
             J = derivatives[i][:, 4]
-            found.append(Block(i, channel, J @ J.T, J @ r, float(r @ r), len(r)))
+            found.append(ChannelBlock(i, channel, J @ J.T, J @ r, float(r @ r), len(r)))
         return found
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.discrepancy.rounds import Round, Search
+from calibration.discrepancy.rounds import Selection, SelectionStep
 from calibration.discrepancy.verdict import decide, explained
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.goodness import Excess
@@ -17,8 +17,8 @@ def verdict(before: float, after: float, effects=("valve_delay",), alike=(), con
     """Of a search that found `effects`, with mean squares of the tip `before` and `after`."""
     theta = start(ENTRIES, BASE)
     fit = Fit(theta, np.arange(4), 1.0, 100, [], [], converged)
-    rounds = [Round([], [], name, list(alike)) for name in effects]
-    search = Search(fit, fit, list(effects), rounds)
+    rounds = [SelectionStep([], [], name, list(alike)) for name in effects]
+    search = Selection(fit, fit, list(effects), rounds)
     told = [{"tip": Excess(np.full(4, x), x)} for x in (before, after)]
     return decide(search, ENTRIES, *told)
 

@@ -13,12 +13,12 @@ from calibration.discrepancy.rounds import LEAST_GAIN, groups
 from calibration.discrepancy.scores import alikeness, score
 from calibration.experiment_design.detectability import POWER, at_limits, matrix, required_gain
 from calibration.experiment_design.detectability_report import content, table
-from calibration.experiment_design.information import Sensing, as_block, foresight, information
+from calibration.experiment_design.information import SensorModel, as_block, foresight, information
 from calibration.experiment_design.pair_distance import pairs_of, separate
-from calibration.experiment_design.trial_search import Effort, limits_of, toml
+from calibration.experiment_design.trial_search import SearchEffort, limits_of, toml
 from calibration.inference.cache import Memo
 from calibration.inference.noise import DISCREPANCY, Whitener
-from calibration.inference.problem import Block, Problem
+from calibration.inference.problem import ChannelBlock, Problem
 from calibration.measurements.records import Record
 from calibration.model.extended import BASE, candidates
 from calibration.model.predict import CHANNELS, Resolution, predict, tangents
@@ -37,7 +37,7 @@ STILL = (
     ("tow_speed = 0.2", "rear_ratio = 0.9\nphase = 0.1\ntow_speed = 0.0"),
 )
 LIMITS = {"frequency": (2.0, 4.4), "amplitude": (135e3, 275e3), "phase": (0.1, 0.1)}
-FEW = Effort(spread=5, rounds=1)
+FEW = SearchEffort(spread=5, rounds=1)
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +97,7 @@ def test_the_expected_gain_at_the_limit_is_what_the_search_asks_for(still, entri
     A = information(still.seen)
     i = groups(entries)["force_gain"]
     size = limit_of(still, "force_gain").significant
-    block = [Block(0, "", A, size * A[:, i[0]], 0.0, 1)]
+    block = [ChannelBlock(0, "", A, size * A[:, i[0]], 0.0, 1)]
     found = score("force_gain", i, np.arange(4), block, 1.0, len(candidates()))
     assert found.gain == pytest.approx(required_gain(1, len(candidates())), rel=1e-6)
 
@@ -113,7 +113,7 @@ def test_nine_of_ten_are_found_at_the_detection_limit(still, entries):
     passed = 0
     for _ in range(600):
         b = size * A[:, i[0]] + root @ rng.normal(size=len(A))
-        block = [Block(0, "", A, b, 0.0, 1)]
+        block = [ChannelBlock(0, "", A, b, 0.0, 1)]
         gain = score("force_gain", i, np.arange(4), block, 1.0, len(candidates())).gain
         passed += gain > required_gain(1, len(candidates()))
     assert passed / 600 == pytest.approx(0.9, abs=0.03)
@@ -185,7 +185,7 @@ def test_measured_trials_count_their_own_samples_and_a_missing_channel(tmp_path,
     rows = [f"{x:.4f},{1e5 * np.sin(x):.1f},{y}" for x, y in zip(t, tip, strict=True)]
     text = "\n".join(["t_s,p_front_Pa,tip_m", *rows])
     (tmp_path / "trial_00.csv").write_text(text + "\n")
-    found = Sensing.of(experiment)
+    found = SensorModel.of(experiment)
     assert list(found.noise) == ["p_front", "tip"]
     assert found.every == {"p_front": 1, "tip": 5}
     assert found.samples(experiment.trials[0], "tip", len(t)).sum() == 28
@@ -248,7 +248,7 @@ def test_a_trial_that_was_foreseen_is_not_simulated_again(still, tmp_path, monke
 def test_what_no_trial_separates_is_said_so(still):
     limits = limits_of(still.foresight.experiment, LIMITS)
     names = ("pressure_gain", "regulator_gain")
-    found = separate(*at_limits(still, names), limits, Effort(spread=2, rounds=0))
+    found = separate(*at_limits(still, names), limits, SearchEffort(spread=2, rounds=0))
     assert found["pairs"][0]["sigmas_after"] < 0.1
     assert "no trial within the limits does" in found["said"]
 
@@ -294,7 +294,7 @@ def test_the_command_writes_json_picture_and_a_trial(still, tmp_path, monkeypatc
     monkeypatch.setattr("calibration.experiment_design.detectability.matrix", asked_for)
     monkeypatch.setattr(
         "calibration.experiment_design.pair_distance.separate",
-        partial(separate, effort=Effort(2, 0)),
+        partial(separate, effort=SearchEffort(2, 0)),
     )
     path, out = write(tmp_path, *STILL), tmp_path / "out"
     arguments = ["--out", str(out), "--separate", "force_gain", "carried_mass"]

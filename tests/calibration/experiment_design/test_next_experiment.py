@@ -5,23 +5,28 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.discrepancy.close_loop import Errors, Outcome
+from calibration.discrepancy.close_loop import Errors, LoopOutcome
 from calibration.discrepancy.page import page
 from calibration.discrepancy.report import report
 from calibration.discrepancy.rounds import (
     LEAST_GAIN,
     Agreement,
-    Rival,
-    Round,
-    Search,
-    Tried,
+    Alternative,
+    Refit,
+    Selection,
+    SelectionStep,
     groups,
 )
 from calibration.experiment_design import next_experiment as module
 from calibration.experiment_design.discriminate import TIMES, distance
-from calibration.experiment_design.information import Foresight, Seen, Sensing, information
+from calibration.experiment_design.information import (
+    ChannelInformation,
+    SensorModel,
+    TrialInformation,
+    information,
+)
 from calibration.experiment_design.next_experiment import next_experiment
-from calibration.experiment_design.trial_search import Effort, limits_of
+from calibration.experiment_design.trial_search import SearchEffort, limits_of
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.goodness import Excess
 from calibration.inference.noise import DISCREPANCY
@@ -34,7 +39,7 @@ from slider_jax.experiment.schema import Trial
 from tests.calibration.experiment_design.test_detectability import EFFECTS, LIMITS, MESH, STILL
 from tests.support.experiments import write
 
-FREE, FEW = np.arange(len(BASE)), Effort(spread=3, rounds=0)
+FREE, FEW = np.arange(len(BASE)), SearchEffort(spread=3, rounds=0)
 ENTRIES = parameters(EFFECTS)
 MASS, FLUID = (groups(ENTRIES)[name] for name in ("carried_mass", "axial_added_mass"))
 
@@ -70,9 +75,9 @@ def outcome(tank, verdict, final, rounds=(), after=None):
     excess = after or {c: Excess(np.ones(2), 1.0) for c in CHANNELS}
     none = dict.fromkeys(CHANNELS, 0.0)
     effects = [r.chosen for r in rounds if r.chosen]
-    search = Search(final, final, effects, list(rounds))
+    search = Selection(final, final, effects, list(rounds))
     used = Errors(none, none, none)
-    return Outcome(
+    return LoopOutcome(
         experiment, ENTRIES, verdict, search, final, problem, used, None, excess, excess, [], []
     )
 
@@ -96,8 +101,10 @@ def classed(tank, rival):
     theta = tank[2].copy()
     theta[MASS] = 0.1
     final = fitted(tank, theta, np.concatenate([FREE, MASS]))
-    rivals = {"axial_added_mass": Rival(rival, 0.0, {})}
-    return outcome(tank, "class", final, [Round([], [], "carried_mass", list(rivals), rivals)])
+    rivals = {"axial_added_mass": Alternative(rival, 0.0, {})}
+    return outcome(
+        tank, "class", final, [SelectionStep([], [], "carried_mass", list(rivals), rivals)]
+    )
 
 
 def test_a_class_asks_for_the_trial_that_makes_it_smaller(tank):
@@ -145,7 +152,7 @@ def asked(monkeypatch):
 def test_the_first_class_that_a_trial_makes_smaller_is_asked_for(tank, asked):
     final = fitted(tank, tank[2], FREE)
     rounds = [
-        Round([], [], name, [rival], {rival: Rival(final, 0.0, {})})
+        SelectionStep([], [], name, [rival], {rival: Alternative(final, 0.0, {})})
         for name, rival in (("carried_mass", "axial_added_mass"), ("force_gain", "pressure_gain"))
     ]
     assert next_experiment(outcome(tank, "class", final, rounds))["name"] == "force_gain"
@@ -166,16 +173,18 @@ def test_a_measured_trial_is_foreseen_at_the_times_of_its_record(tank):
     record = problem.records[0]
     some = np.delete(np.arange(len(record.t)), slice(30, 50))
     torn = Record(record.trial, record.t[some], record.values[:, some])
-    sensing = Sensing.of(experiment, [torn, problem.records[1]])
-    seen = Foresight(experiment, EFFECTS, theta, FREE, sensing, {}, MESH).trial(record.trial)
+    sensing = SensorModel.of(experiment, [torn, problem.records[1]])
+    seen = TrialInformation(experiment, EFFECTS, theta, FREE, sensing, {}, MESH).trial(record.trial)
     assert {x.n for x in seen} == {len(record.t) - 20}
 
 
 def test_rivals_are_reported(tank):
     final = fitted(tank, tank[2], np.concatenate([FREE, MASS]))
-    worse = Rival(final, 88.0, {"tip": 0.01})
-    tried = [Tried("carried_mass", final, 99.0, {"tip": 0.02}, Agreement(9.0, 0.01))]
-    this = Round([], tried, "carried_mass", [], {"axial_added_mass": worse}, None, "tip_mass")
+    worse = Alternative(final, 88.0, {"tip": 0.01})
+    tried = [Refit("carried_mass", final, 99.0, {"tip": 0.02}, Agreement(9.0, 0.01))]
+    this = SelectionStep(
+        [], tried, "carried_mass", [], {"axial_added_mass": worse}, None, "tip_mass"
+    )
     done = outcome(tank, "identified", final, [this])
     told = report(done, 1.0, {"path": "tank.toml", "sha256": "0"}, {})
     (effect,) = told["effects"]
@@ -193,7 +202,7 @@ def test_a_rival_is_as_far_as_its_model_cannot_follow():
     square = float(J[:, 2] @ J[:, 2])
     step, rest = np.linalg.lstsq(J[:, :2], J[:, 2], rcond=None)[:2]
     seen = [
-        Seen(i, "tip", J[half].T @ J[half], J[half].T @ J[half], 0.5 * square, 200)
+        ChannelInformation(i, "tip", J[half].T @ J[half], J[half].T @ J[half], 0.5 * square, 200)
         for i, half in enumerate((slice(200), slice(200, None)))
     ]
     found = distance(seen, unit=1.0)
@@ -243,7 +252,7 @@ def test_recorded_drives_alone_propose_nothing_and_say_why(tank):
 def test_the_information_of_the_fit_is_that_of_the_foresight(tank):
     """So that a trial's may be added to it."""
     experiment, _, theta = tank
-    f = Foresight(experiment, EFFECTS, theta, FREE, Sensing.of(experiment), {}, MESH)
+    f = TrialInformation(experiment, EFFECTS, theta, FREE, SensorModel.of(experiment), {}, MESH)
     A = information(f.trials(experiment.trials))
     final = fitted(tank, theta, FREE)
     # The pressures' quantum is read off data alone, and these have none.

@@ -19,17 +19,17 @@ from calibration.free_swimming.published_speeds import (
     steady,
     swimmer,
 )
-from calibration.free_swimming.report import Outcome, decide
+from calibration.free_swimming.report import CrossPrediction, decide
 from calibration.lamprey.animal import force, prescribe
 from slider_jax.beam.parameters import Numerics
 from slider_jax.cli.main import main
 from slider_jax.dynamics.step import at_rest
 from slider_jax.effects import ReactiveForce
 from slider_jax.effects.water.head_added_mass import HeadAddedMass
-from slider_jax.swimming.steady_state import Search, hastened, strides
+from slider_jax.swimming.steady_state import SteadySettings, hastened, strides
 from tests.calibration.lamprey.test_lamprey import SHAPE, one_stride, wave
 
-QUICK = Search(steps_per_stride=60, numerics=Numerics(4, 8))
+QUICK = SteadySettings(steps_per_stride=60, numerics=Numerics(4, 8))
 GAIT = OPTIMUM.gaits["as the paper gives it"]
 SWIMS = jnp.asarray(GAIT.frequency)
 
@@ -114,7 +114,7 @@ def alone():
     ],
 )
 def test_the_verdict_on_the_published_speeds(predictions, verdict):
-    assert decide(Outcome(alone(), predictions, []))[0] == verdict
+    assert decide(CrossPrediction(alone(), predictions, []))[0] == verdict
 
 
 def test_the_command_writes_its_report(tmp_path, capsys, monkeypatch):

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from calibration.inference.gauss_newton import fit
-from calibration.inference.problem import FAILED, Block
+from calibration.inference.problem import FAILED, ChannelBlock
 from calibration.model.extended import Parameter
 from slider_jax.effects import Prior
 
@@ -42,7 +42,7 @@ class Curve:
 
     def blocks(self, residuals, derivatives, white):
         (r,), J = residuals.values(), derivatives[0]
-        return [Block(0, "y", J @ J.T, J @ r, float(r @ r), len(r))]
+        return [ChannelBlock(0, "y", J @ J.T, J @ r, float(r @ r), len(r))]
 
 
 @pytest.mark.parametrize(("lack", "share"), [(0.0, 0.15), (5.0, 0.15), (8.0, 0.72)])

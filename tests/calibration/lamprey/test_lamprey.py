@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calibration.lamprey import balance as lamprey
-from calibration.lamprey.animal import Shape, force, inertia, momentum, prescribe
+from calibration.lamprey.animal import CrossSections, force, inertia, momentum, prescribe
 from calibration.lamprey.axial_balance import EFFECTS, interval, stride_weights
 from calibration.lamprey.balance import decide, errors, weigh_midlines
 from calibration.lamprey.midlines import Midlines, read_midlines, read_width
@@ -30,7 +30,7 @@ from slider_jax.errors import InputError
 
 L, F, U = 0.15, 4.0, 0.3
 WAVES = 1.4
-SHAPE = Shape(np.linspace(0.0, 1.0, 11), np.linspace(0.036, 0.01, 11))
+SHAPE = CrossSections(np.linspace(0.0, 1.0, 11), np.linspace(0.036, 0.01, 11))
 
 
 def wave(amplitude, t, nodes=161, speed=U, grow=0.0):
@@ -335,7 +335,7 @@ def test_the_measured_lamprey(data):
         pytest.skip("the lamprey's midlines are absent; set SLIDER_DATA to a folder with lamprey/")
     midlines = read_midlines(folder / "lampreydata.csv")
     places, width = read_width(folder / "fishwidth.csv", "ammowidth")
-    found = weigh_midlines(midlines, Shape(places, 2.0 * width), draws=40)
+    found = weigh_midlines(midlines, CrossSections(places, 2.0 * width), draws=40)
     assert found.strides.number == 5 and found.gait.frequency == pytest.approx(3.83, abs=0.05)
     assert found.gait.speed == pytest.approx(0.269, abs=0.005)
     assert found.imbalance.mean() == pytest.approx(1.19e-3, abs=0.1e-3)

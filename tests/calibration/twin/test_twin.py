@@ -11,9 +11,9 @@ from calibration.measurements.records import COLUMNS
 from calibration.model.predict import CHANNELS
 from calibration.twin.alarm import MISFIT, REFERENCE, THRESHOLD, Bands, Window, run_length
 from calibration.twin.estimate import Recursive
-from calibration.twin.stream import Bridge, Stretch
-from calibration.twin.twin import Settings, Twin
-from rig.trial.waveform import Drive, chambers
+from calibration.twin.stream import GapFiller, Samples
+from calibration.twin.twin import Twin, TwinSettings
+from rig.trial.waveform import SegmentDrive, chambers
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load, to_model
 from slider_jax.realtime.plant import Plant
@@ -215,14 +215,14 @@ def test_a_drive_that_stops_and_starts_again_gives_no_alarm(running):
 
 
 def test_readings_on_time_make_even_blocks_and_a_gap_is_filled():
-    bridge = Bridge(0.002, 5)
+    bridge = GapFiller(0.002, 5)
     t = 3.0 + 0.002 * np.arange(20)
     jitter = 4e-4 * np.sin(np.arange(20))
     ramp = np.stack([100.0 * np.arange(20), -np.arange(20.0)])
-    readings = Stretch(t + jitter, ramp, np.tile(np.arange(20.0), (5, 1)))
+    readings = Samples(t + jitter, ramp, np.tile(np.arange(20.0), (5, 1)))
     keep = ~np.isin(np.arange(20), (7, 8, 12))
-    kept = Stretch(readings.t[keep], ramp[:, keep], readings.measured[:, keep])
-    twice = Stretch(*(np.concatenate([x[..., :6], x[..., 3:]], axis=-1) for x in kept))
+    kept = Samples(readings.t[keep], ramp[:, keep], readings.measured[:, keep])
+    twice = Samples(*(np.concatenate([x[..., :6], x[..., 3:]], axis=-1) for x in kept))
     blocks = list(bridge.add(twice))
     assert [len(b.t) for b in blocks] == [5] * 4
     np.testing.assert_allclose(np.concatenate([b.t for b in blocks]), t + jitter[0], atol=1e-12)
@@ -238,11 +238,11 @@ def test_readings_on_time_make_even_blocks_and_a_gap_is_filled():
 
 @pytest.mark.parametrize("jump", [0.5, -2.0])
 def test_a_long_gap_or_a_clock_set_back_begins_anew(jump):
-    bridge = Bridge(0.002, 5)
+    bridge = GapFiller(0.002, 5)
     t = 3.0 + 0.002 * np.arange(13)
     empty = np.zeros((2, 13)), np.zeros((5, 13))
-    first = list(bridge.add(Stretch(t, *empty)))
-    after = list(bridge.add(Stretch(t + jump, *empty)))
+    first = list(bridge.add(Samples(t, *empty)))
+    after = list(bridge.add(Samples(t + jump, *empty)))
     assert [b.anew for b in first + after] == [True, False, True, False]
     assert after[0].t[0] == t[0] + jump
     assert bridge.gaps == 1
@@ -250,14 +250,14 @@ def test_a_long_gap_or_a_clock_set_back_begins_anew(jump):
 
 def test_readings_of_another_shape_are_refused():
     with pytest.raises(InputError, match=r"readings, measured: given shape \(4, 3\)"):
-        list(Bridge(0.002, 5).add(Stretch(np.zeros(3), np.zeros((2, 3)), np.zeros((4, 3)))))
+        list(GapFiller(0.002, 5).add(Samples(np.zeros(3), np.zeros((2, 3)), np.zeros((4, 3)))))
 
 
 def test_settings_that_cannot_be_used_are_refused(experiment):
     with pytest.raises(InputError, match="samples and per_step"):
-        Twin.of(experiment, settings=Settings(samples=9, per_step=2))
+        Twin.of(experiment, settings=TwinSettings(samples=9, per_step=2))
     with pytest.raises(InputError, match="nodes: given 10; allowed 11 or more"):
-        Twin.of(experiment, settings=Settings(nodes=10))
+        Twin.of(experiment, settings=TwinSettings(nodes=10))
 
 
 def test_an_estimate_lies_in_its_interval_as_often_as_it_says():
@@ -308,7 +308,7 @@ def test_the_run_length_is_that_of_simulated_cusums():
 
 def test_ten_minutes_pass_without_an_alarm_by_design():
     """Also where the spread was learned a quarter too small: then all is a quarter larger."""
-    windows = 5 * 600.0 / Settings().window
+    windows = 5 * 600.0 / TwinSettings().window
     assert run_length(REFERENCE / 1.25, THRESHOLD / 1.25) > 1000.0 * windows
 
 
@@ -343,7 +343,7 @@ tau = 0.01
     t = run.columns["t_s"][1:]
     set_pressure = np.asarray(set_pressures(to_model(experiment, 0).drive, t))
     true = np.stack([run.columns[name][1:] for name in COLUMNS.values()])
-    blocks = Twin.of(experiment).feed(Stretch(t, set_pressure, true))
+    blocks = Twin.of(experiment).feed(Samples(t, set_pressure, true))
     after = t[: 10 * len(blocks)] > 0.5
     model = np.concatenate([b.model for b in blocks], axis=1)[:, after]
     true = true[:, : len(after)][:, after]
@@ -356,7 +356,7 @@ def test_an_edge_that_came_late_leaves_hardly_anything_at_the_tip(tmp_path):
     """Bands learn what a regular drive leaves; commands of a busy computer come irregularly."""
     experiment = load(write(tmp_path, ("nodes = 11", "nodes = 51")))
     trial, plant = experiment.trials[0], Plant(experiment, step=1e-3)
-    drive = Drive("square", trial.frequency, trial.amplitude, trial.rear_ratio, trial.phase)
+    drive = SegmentDrive("square", trial.frequency, trial.amplitude, trial.rear_ratio, trial.phase)
     # The front's edge comes 75 ms late, the rear's 50.
     times = [4.1 if 4.1 < t < 4.2 else t for t in 1e-3 * np.arange(6000)]
     asked = [chambers(*drive.segments(t)) for t in times]
@@ -364,7 +364,7 @@ def test_an_edge_that_came_late_leaves_hardly_anything_at_the_tip(tmp_path):
     signed = np.array(asked)[:, ::2] - np.array(asked)[:, 1::2]
     read = np.array([(x.p_front, x.p_rear, x.thrust_N, x.recoil_N, x.tip_m) for x in found])
     t = np.array([x.t for x in found])
-    blocks = Twin.of(experiment).feed(Stretch(t, signed.reshape(-1, 2, 2).mean(axis=1).T, read.T))
+    blocks = Twin.of(experiment).feed(Samples(t, signed.reshape(-1, 2, 2).mean(axis=1).T, read.T))
     tip = np.concatenate([block.residual[4] for block in blocks])
     assert np.abs(read[:, 4]).max() > 0.03
     assert np.abs(tip[t > 3.0]).max() < 5e-5

@@ -8,10 +8,10 @@ from rig.protocol.messages import (
     Cause,
     Event,
     Heartbeat,
+    ManifoldState,
     Reading,
     SetLimits,
     SetPressures,
-    State,
     Stop,
 )
 from tests.support.firmware_host import build, run_sketch, sanitizers
@@ -91,7 +91,7 @@ def test_readings_are_the_published_calibration_and_microvolts(program):
     psi = [0.13529 * count / 4 - 12.4282 for count in counts[:5]]
     assert reading.channels[:5] == pytest.approx([PA_PER_PSI * p for p in psi], abs=30.0)
     assert reading.channels[5:] == pytest.approx([0, 1_650_000, 3_299_194], abs=1.0)
-    assert reading.state == State.BOOT
+    assert reading.state == ManifoldState.BOOT
 
 
 def test_the_devices_time_goes_on_beyond_71_minutes(program):

@@ -13,10 +13,10 @@ from rig.errors import RigError
 from rig.force import ati_rdt as rdt
 from rig.force.ati_net import NetCalibration, NetForce
 from rig.force.ni_daq import GaugeCalibration, GaugeForce
-from rig.force.sensor import Mounting
+from rig.force.sensor import SensorMounting
 from rig.recording.sample_clock import sample_times
 from rig.simulated.bench import OnHost
-from rig.simulated.force_sensor import COUNTS, Box, Line, SimulatedForceSensor
+from rig.simulated.force_sensor import COUNTS, LossyNetwork, SimulatedForceBox, SimulatedForceSensor
 from rig.simulated.rig import STEP, SimulatedRig
 from rig.simulated.tank import BenchTank
 from rig.trial.health_check import check_force
@@ -42,7 +42,7 @@ def virtual_stream(
     Delays [s] are `delay` plus an exponential `jitter`; now and then the host sleeps for 40 ms.
     """
     random = np.random.default_rng(seed)
-    box = Box(clock_in_force(start), RATE, noise=0.0, seed=seed, **box)
+    box = SimulatedForceBox(clock_in_force(start), RATE, noise=0.0, seed=seed, **box)
     host_ns, datagrams, asleep_until, last = [], [], 0.0, 0.0
     for k in range(round(seconds * RATE)):
         t = start + k * box.period / (1 + drift)
@@ -68,7 +68,7 @@ def sampled_s(records):
 
 
 def test_a_minute_with_two_percent_lost_and_reordered_is_put_in_place_without_a_shift():
-    line = Line(drop=0.02, reorder=0.02, duplicate=0.01, seed=3)
+    line = LossyNetwork(drop=0.02, reorder=0.02, duplicate=0.01, seed=3)
     host_ns, datagrams = virtual_stream(60.0, line, drift=120e-6, jitter=0.4e-3)
     records = rdt.table(host_ns, datagrams)
     assert len(line.dropped) > 1000 and line.late > 1000 and line.doubled > 400
@@ -93,7 +93,7 @@ def test_a_drifting_clock_is_followed_for_ten_minutes(drift):
 
 
 def test_which_single_records_are_missing_is_told_as_runs():
-    _, datagrams = virtual_stream(0.02, Line())
+    _, datagrams = virtual_stream(0.02, LossyNetwork())
     kept = [d for k, d in enumerate(datagrams) if k not in (3, 7, 8, 9)]
     records = rdt.table(range(len(kept)), kept)
     assert records.gaps == [(4, 4), (8, 10)]
@@ -102,7 +102,7 @@ def test_which_single_records_are_missing_is_told_as_runs():
 
 
 def test_a_copy_that_comes_behind_others_is_a_duplicate_and_not_late():
-    _, datagrams = virtual_stream(0.006, Line())
+    _, datagrams = virtual_stream(0.006, LossyNetwork())
     came = [datagrams[k] for k in (0, 1, 3, 1, 2, 4, 5)]
     records, tally = rdt.table([10**6 * k for k in range(7)], came), rdt.Tally()
     for datagram in came:
@@ -112,7 +112,7 @@ def test_a_copy_that_comes_behind_others_is_a_duplicate_and_not_late():
 
 
 def test_the_live_tally_agrees_with_the_table():
-    line = Line(drop=0.05, reorder=0.05, duplicate=0.05, seed=8)
+    line = LossyNetwork(drop=0.05, reorder=0.05, duplicate=0.05, seed=8)
     host_ns, datagrams = virtual_stream(3.0, line)
     records, tally = rdt.table(host_ns, datagrams), rdt.Tally()
     for datagram in datagrams:
@@ -123,7 +123,7 @@ def test_the_live_tally_agrees_with_the_table():
 
 
 def test_numbers_roll_over_at_32_bits():
-    box, start = Box(at_rest, RATE), 2**32 - 6
+    box, start = SimulatedForceBox(at_rest, RATE), 2**32 - 6
     datagrams = []
     for k in range(12):
         fields = list(rdt.RECORD.unpack(box.record(k, k / RATE)))
@@ -148,21 +148,21 @@ def test_a_record_without_a_measurement_is_unsound():
 
 
 def test_a_new_stream_within_a_recording_is_refused():
-    one = virtual_stream(0.1, Line())
-    two = virtual_stream(0.1, Line(), start=51.0, seed=2)
+    one = virtual_stream(0.1, LossyNetwork())
+    two = virtual_stream(0.1, LossyNetwork(), start=51.0, seed=2)
     with pytest.raises(RigError, match="datagram 100: given number 1, as if a new stream began"):
         rdt.table(one[0] + two[0], one[1] + two[1])
 
 
 def test_a_burst_that_no_clock_explains_is_refused():
-    _, datagrams = virtual_stream(5.0, Line())
+    _, datagrams = virtual_stream(5.0, LossyNetwork())
     with pytest.raises(RigError, match="half of 5000 samples came .* late and more, by .* 1000 Hz"):
         rdt.table(range(5000), datagrams).times()
 
 
 @pytest.mark.parametrize("size", [0, 35, 72])
 def test_a_record_of_a_wrong_size_is_refused(size):
-    _, datagrams = virtual_stream(0.01, Line())
+    _, datagrams = virtual_stream(0.01, LossyNetwork())
     datagrams[4] = bytes(size)
     with pytest.raises(RigError, match=f"datagram 4: given a datagram of {size} bytes; .* 36"):
         rdt.table(range(10), datagrams)
@@ -174,7 +174,7 @@ def test_an_empty_recording_is_refused():
 
 
 def test_a_stuck_sensor_is_told_and_a_quiet_one_is_not():
-    box = Box(at_rest, RATE, noise=1e-5)
+    box = SimulatedForceBox(at_rest, RATE, noise=1e-5)
     datagrams = []
     for k in range(1000):
         box.stuck = 400 <= k < 700
@@ -186,7 +186,9 @@ def test_a_stuck_sensor_is_told_and_a_quiet_one_is_not():
 
 
 def test_saturation_is_marked_where_it_happened():
-    host_ns, datagrams = virtual_stream(2.0, Line(), limit=1.5)  # Fz tells the seconds, as newtons
+    host_ns, datagrams = virtual_stream(
+        2.0, LossyNetwork(), limit=1.5
+    )  # Fz tells the seconds, as newtons
     forces = CALIBRATION.forces(host_ns, datagrams)
     assert not forces.doubtful[:1500].any()
     assert forces.doubtful[1502:].all()
@@ -211,7 +213,7 @@ def test_a_status_is_told_in_words(status, faulty, text):
 
 
 def test_lost_records_are_blank_and_the_rest_are_newtons():
-    line = Line(drop=0.1, seed=2)
+    line = LossyNetwork(drop=0.1, seed=2)
     forces = NetCalibration(COUNTS, 2 * COUNTS).forces(*virtual_stream(1.0, line))
     lost = np.isnan(forces.wrench).any(axis=1)
     assert lost.sum() > 50
@@ -223,11 +225,11 @@ def test_lost_records_are_blank_and_the_rest_are_newtons():
 
 def test_the_mounting_turns_axes_into_thrust_and_recoil():
     wrench = np.arange(1.0, 13.0).reshape(2, 6)
-    thrust, recoil = Mounting("-Fz", "+Fx").thrust_and_recoil(wrench)
+    thrust, recoil = SensorMounting("-Fz", "+Fx").thrust_and_recoil(wrench)
     assert thrust.tolist() == [-3.0, -9.0] and recoil.tolist() == [1.0, 7.0]
     for wrong in (("Fx", "+Fy"), ("+Tx", "+Fy"), ("+Fx", "-Fx")):
         with pytest.raises(RigError, match="mounting"):
-            Mounting(*wrong)
+            SensorMounting(*wrong)
 
 
 # Calibration
@@ -265,7 +267,7 @@ def test_a_torn_or_foreign_calibration_page_is_refused(content, told):
 
 
 def test_the_calibration_is_fetched_from_the_box():
-    with SimulatedForceSensor(Box(at_rest)) as sensor:
+    with SimulatedForceSensor(SimulatedForceBox(at_rest)) as sensor:
         port = sensor.serve_page()
         assert NetCalibration.fetch(sensor.host, port) == NetCalibration(COUNTS, COUNTS, "FT00000")
         sensor.page = sensor.page[:60]
@@ -312,7 +314,7 @@ def streamed(seconds, rate, line, **settings):
         host_ns.append(now)
         datagrams.append(datagram)
 
-    box = Box(clock_in_force(start), rate, noise=0.0)
+    box = SimulatedForceBox(clock_in_force(start), rate, noise=0.0)
     with (
         SimulatedForceSensor(box, line, **settings) as sensor,
         NetForce(sensor.host, CALIBRATION, sensor.port, patience=10.0) as force,
@@ -333,7 +335,7 @@ def assert_located(records, start, line):
 
 
 def test_a_real_stream_is_located_and_timed():
-    line = Line(drop=0.1, reorder=0.1, duplicate=0.05, seed=4)
+    line = LossyNetwork(drop=0.1, reorder=0.1, duplicate=0.05, seed=4)
     records, start, force = streamed(4.0, 100.0, line, drift=100e-6)
     assert len(records.gaps) > 10 and records.late > 10 and records.duplicates > 5
     assert_located(records, start, line)
@@ -344,7 +346,7 @@ def test_a_real_stream_is_located_and_timed():
 
 @pytest.mark.slow
 def test_a_real_minute_is_located_and_timed():
-    line = Line(drop=0.02, reorder=0.02, duplicate=0.01, seed=4)
+    line = LossyNetwork(drop=0.02, reorder=0.02, duplicate=0.01, seed=4)
     cpu = time.process_time()
     records, start, _ = streamed(60.0, RATE, line, drift=100e-6)
     cpu = time.process_time() - cpu
@@ -362,7 +364,7 @@ def test_a_request_is_eight_bytes_and_its_count_is_kept():
     assert rdt.request(rdt.START, 5) == bytes.fromhex("1234 0002 00000005")
     assert rdt.request(rdt.BIAS) == bytes.fromhex("1234 0042 00000000")
     with (
-        SimulatedForceSensor(Box(at_rest)) as sensor,
+        SimulatedForceSensor(SimulatedForceBox(at_rest)) as sensor,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as plain,
     ):
         plain.settimeout(1.0)
@@ -375,7 +377,7 @@ def test_a_request_is_eight_bytes_and_its_count_is_kept():
 
 
 def test_bias_makes_the_load_of_the_moment_zero():
-    box = Box(lambda t: np.array([1.0, -2.0, 3.0, 0.1, 0.2, 0.3]), RATE)
+    box = SimulatedForceBox(lambda t: np.array([1.0, -2.0, 3.0, 0.1, 0.2, 0.3]), RATE)
     with (
         SimulatedForceSensor(box) as sensor,
         NetForce(sensor.host, CALIBRATION, sensor.port) as force,
@@ -388,12 +390,14 @@ def test_bias_makes_the_load_of_the_moment_zero():
 
 
 def test_a_check_hears_rate_noise_and_losses_of_a_sensor_at_rest():
-    box = Box(lambda t: np.array([1.0, -2.0, 3.0, 0.0, 0.0, 0.0]), rate=500.0, noise=0.01)
+    box = SimulatedForceBox(
+        lambda t: np.array([1.0, -2.0, 3.0, 0.0, 0.0, 0.0]), rate=500.0, noise=0.01
+    )
     with (
-        SimulatedForceSensor(box, Line(drop=0.05, seed=1)) as sensor,
+        SimulatedForceSensor(box, LossyNetwork(drop=0.05, seed=1)) as sensor,
         NetForce(sensor.host, CALIBRATION, sensor.port) as force,
     ):
-        found = check_force(force, Mounting("-Fy", "+Fx"))
+        found = check_force(force, SensorMounting("-Fy", "+Fx"))
     # Losses behind the last record that came are not known.
     assert found.lost == pytest.approx(0.05 * 500.0, abs=15.0)
     assert found.rate == pytest.approx(0.95 * 500.0, rel=0.1)
@@ -405,7 +409,7 @@ def test_a_check_hears_rate_noise_and_losses_of_a_sensor_at_rest():
 def test_a_second_start_gets_a_stream_of_its_own():
     streams = []
     with (
-        SimulatedForceSensor(Box(at_rest)) as sensor,
+        SimulatedForceSensor(SimulatedForceBox(at_rest)) as sensor,
         NetForce(sensor.host, CALIBRATION, sensor.port) as force,
     ):
         for _ in range(2):
@@ -419,7 +423,7 @@ def test_a_second_start_gets_a_stream_of_its_own():
 
 def test_a_sensor_that_falls_silent_is_told():
     with (
-        SimulatedForceSensor(Box(at_rest)) as sensor,
+        SimulatedForceSensor(SimulatedForceBox(at_rest)) as sensor,
         NetForce(sensor.host, CALIBRATION, sensor.port, patience=0.5) as force,
     ):
         force.start(lambda now, datagram: None)
@@ -430,7 +434,7 @@ def test_a_sensor_that_falls_silent_is_told():
 
 def test_a_sensor_that_does_not_answer_is_told():
     with (
-        SimulatedForceSensor(Box(at_rest)) as sensor,
+        SimulatedForceSensor(SimulatedForceBox(at_rest)) as sensor,
         NetForce(sensor.host, CALIBRATION, sensor.port, patience=0.3) as force,
     ):
         sensor.silent = True
@@ -456,7 +460,7 @@ def test_an_address_that_cannot_be_reached_is_told():
 
 
 def test_an_error_of_the_box_is_told_but_saturation_is_counted():
-    box = Box(lambda t: np.full(6, 9.0), limit=5.0)
+    box = SimulatedForceBox(lambda t: np.full(6, 9.0), limit=5.0)
     with (
         SimulatedForceSensor(box) as sensor,
         NetForce(sensor.host, CALIBRATION, sensor.port) as force,
@@ -473,7 +477,7 @@ def test_a_sink_that_fails_is_told_and_not_lost_in_its_thread():
         raise OSError("disk full")
 
     with (
-        SimulatedForceSensor(Box(at_rest)) as sensor,
+        SimulatedForceSensor(SimulatedForceBox(at_rest)) as sensor,
         NetForce(sensor.host, CALIBRATION, sensor.port) as force,
     ):
         force.start(sink)
@@ -483,7 +487,7 @@ def test_a_sink_that_fails_is_told_and_not_lost_in_its_thread():
 def test_a_box_that_sends_something_else_is_told():
     kept = []
     with (
-        SimulatedForceSensor(Box(at_rest)) as sensor,
+        SimulatedForceSensor(SimulatedForceBox(at_rest)) as sensor,
         NetForce(sensor.host, CALIBRATION, sensor.port) as force,
     ):
         sensor.box.record = lambda number, t: bytes(44)
@@ -493,7 +497,7 @@ def test_a_box_that_sends_something_else_is_told():
 
 
 def test_a_load_beyond_any_count_saturates_and_can_be_biased():
-    box = Box(lambda t: np.full(6, 1e9 * t), RATE)
+    box = SimulatedForceBox(lambda t: np.full(6, 1e9 * t), RATE)
     box.bias(-1.0)
     _, _, status, *counts = rdt.RECORD.unpack(box.record(0, 1.0))
     assert status & rdt.SATURATED and counts == [2000 * COUNTS] * 6
@@ -502,13 +506,13 @@ def test_a_load_beyond_any_count_saturates_and_can_be_biased():
 @pytest.mark.parametrize("settings", [{"rate": 0.0}, {"rate": 7001.0}, {"limit": 1001.0}])
 def test_the_simulated_box_refuses_what_no_box_does(settings):
     with pytest.raises(RigError, match=next(iter(settings))):
-        Box(at_rest, **settings)
+        SimulatedForceBox(at_rest, **settings)
 
 
 @pytest.mark.parametrize("chance", [-0.1, 1.1, float("nan")])
 def test_the_simulated_line_refuses_what_is_no_chance(chance):
     with pytest.raises(RigError, match="drop"):
-        Line(drop=chance)
+        LossyNetwork(drop=chance)
 
 
 # Gauges by an NI card

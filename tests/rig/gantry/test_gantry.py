@@ -13,13 +13,13 @@ import pytest
 import serial
 
 from rig.errors import RigError
-from rig.gantry.axis import GantryAxis, Limits, passes
-from rig.gantry.drift import Run, drift
+from rig.gantry.axis import GantryAxis, GantryLimits, passes
+from rig.gantry.drift import GantryPass, drift
 from rig.gantry.profile import Profile
-from rig.gantry.speed_search import Stopped, find_speed
+from rig.gantry.speed_search import StopReason, find_speed
 from rig.simulated.gantry import GrblAxis, SimulatedFilm, Swimmer
 
-LAB = Limits(0.0, 2.5, 0.6, 0.5)
+LAB = GantryLimits(0.0, 2.5, 0.6, 0.5)
 SCALE, TOLERANCE = 0.5e-3, 1.0
 
 
@@ -115,14 +115,14 @@ def straight(zero, noise=0.0, travel=2.0, slope=-1.0, seed=0):
 
     def measure(v):
         time = min(travel / v, 20.0)
-        return Run(slope * (v - zero) * time + noise * random.normal(), time, 100, 0)
+        return GantryPass(slope * (v - zero) * time + noise * random.normal(), time, 100, 0)
 
     return measure
 
 
 def bent(zero, sharp):
     def measure(v):
-        return Run(0.05 * math.tanh(sharp * (zero - v)) * 8.0, 8.0, 100, 0)
+        return GantryPass(0.05 * math.tanh(sharp * (zero - v)) * 8.0, 8.0, 100, 0)
 
     return measure
 
@@ -134,7 +134,7 @@ def search(measure, first=0.2, limits=(0.02, 0.6), budget=12, **more):
 @pytest.mark.parametrize("zero", [0.05, 0.1, 0.2, 0.35, 0.5])
 def test_a_straight_drift_takes_two_speeds_and_a_repeat(zero):
     found = search(straight(zero))
-    assert found.stopped is Stopped.CONVERGED and found.settled
+    assert found.stopped is StopReason.CONVERGED and found.settled
     assert found.speed == pytest.approx(zero, abs=1e-9)
     assert len(found.history) <= 3
     assert found.history[-1][0] == found.history[-2][0]
@@ -149,7 +149,7 @@ def test_a_second_speed_that_is_given_is_gone_to():
 @pytest.mark.parametrize("slope", [-0.4, -0.7, -1.5, -3.0])
 def test_a_tether_that_changes_the_slope_costs_a_few_runs(slope):
     found = search(straight(0.3, slope=slope))
-    assert found.stopped is Stopped.CONVERGED and len(found.history) <= 6
+    assert found.stopped is StopReason.CONVERGED and len(found.history) <= 6
     assert found.speed == pytest.approx(0.3, abs=TOLERANCE * SCALE / 6.0)
 
 
@@ -159,20 +159,20 @@ def test_the_bracket_holds_a_newton_that_would_overshoot(sharp):
     for zero in (0.05, 0.15, 0.3, 0.45, 0.55):
         for first in (0.1, 0.2, 0.5):
             found = search(bent(zero, sharp), first=first, budget=24)
-            assert found.stopped is Stopped.CONVERGED
+            assert found.stopped is StopReason.CONVERGED
             assert abs(found.speed - zero) * 8.0 <= TOLERANCE * SCALE
 
 
 def test_a_camera_that_looks_the_wrong_way_is_told():
     found = search(straight(0.3, slope=1.0))
-    assert found.stopped is Stopped.LIMIT and "which way the camera looks" in found.stopped.value
+    assert found.stopped is StopReason.LIMIT and "which way the camera looks" in found.stopped.value
 
 
 def test_no_speed_outside_the_limits_is_asked_for():
     for zero in (0.01, 0.7):
         found = search(straight(zero), limits=(0.1, 0.4))
         assert all(0.1 <= v <= 0.4 for v, _ in found.history)
-        assert found.stopped is Stopped.LIMIT and not found.settled
+        assert found.stopped is StopReason.LIMIT and not found.settled
         assert len(found.history) <= 3
 
 
@@ -181,12 +181,12 @@ def test_under_noise_the_speed_is_within_its_uncertainty(noise):
     """Of 300 searches: none away by chance, the errors as large as said, and few runs."""
     found = [search(straight(0.31, noise, seed=i), budget=20) for i in range(300)]
     assert sum(f.settled for f in found) >= 295
-    stopped = {why: [f for f in found if f.stopped is why] for why in Stopped}
+    stopped = {why: [f for f in found if f.stopped is why] for why in StopReason}
     if noise <= TOLERANCE * SCALE:
-        assert len(stopped[Stopped.CONVERGED]) > 200
+        assert len(stopped[StopReason.CONVERGED]) > 200
     else:
-        assert len(stopped[Stopped.NOISE]) > 250
-        found = stopped[Stopped.NOISE]
+        assert len(stopped[StopReason.NOISE]) > 250
+        found = stopped[StopReason.NOISE]
     inside = [abs(f.speed - 0.31) < f.uncertainty for f in found]
     assert np.mean(inside) >= 0.93
 
@@ -230,7 +230,7 @@ def test_a_lost_run_is_repeated_once_and_counts_for_nothing(lost_at):
 @pytest.mark.parametrize("lost_at", [{0, 1}, {1, 2}])
 def test_a_marker_lost_twice_ends_the_search_and_is_told(lost_at):
     found = search(sometimes_lost(straight(0.3), lost_at))
-    assert found.stopped is Stopped.LOST and not found.settled
+    assert found.stopped is StopReason.LOST and not found.settled
     assert len(found.history) == max(lost_at) + 1
     assert math.isnan(found.speed) == (0 in lost_at)
     assert "lost the marker twice" in found.stopped.value
@@ -238,7 +238,7 @@ def test_a_marker_lost_twice_ends_the_search_and_is_told(lost_at):
 
 def test_the_budget_is_kept_and_lost_runs_count():
     found = search(sometimes_lost(bent(0.55, 20.0), {0, 2}), budget=6)
-    assert found.stopped is Stopped.BUDGET and len(found.history) == 6
+    assert found.stopped is StopReason.BUDGET and len(found.history) == 6
 
 
 @pytest.mark.parametrize(
@@ -559,7 +559,7 @@ def test_the_driver_speaks_through_pyserial():
     thread.start()
     try:
         with serial.Serial(os.ttyname(theirs), 115200) as port:
-            limits = Limits(-0.1, 3.0, 0.5, 0.5)
+            limits = GantryLimits(-0.1, 3.0, 0.5, 0.5)
             with pytest.raises(Trouble), GantryAxis(port, limits, homed=False) as axis:
                 axis.run(axis.profile(0.02, 0.05))
                 assert axis.place() == pytest.approx(0.02, abs=1e-3)
@@ -602,7 +602,7 @@ def test_the_search_through_the_axis_finds_the_speed_to_the_cameras_noise(speed,
     axis, measure, line = bench(speed, seed=int(1e3 * speed))
     with axis:
         found = find_speed(measure, guess * speed, (0.03, 0.6), 0.2, SCALE)
-    assert found.stopped is Stopped.CONVERGED
+    assert found.stopped is StopReason.CONVERGED
     assert abs(found.speed - speed) < min(accuracy(speed), found.uncertainty)
     assert len(found.history) <= 4 and sum(run.lost for _, run in found.history) > 0
     assert [v for v, _ in found.history] == pytest.approx([v for _, v in line.moves()[::2]])
@@ -619,7 +619,7 @@ def test_a_robot_that_turns_scatters_and_hides_is_found_within_the_uncertainty()
         with axis:
             found.append(find_speed(measure, 0.2, (0.03, 0.6), 1.0, SCALE, budget=20))
     assert sum(run is None for f in found for _, run in f.history) > 5
-    assert {f.stopped for f in found} == {Stopped.LOST, Stopped.NOISE}
+    assert {f.stopped for f in found} == {StopReason.LOST, StopReason.NOISE}
     assert sum(f.settled for f in found) >= 10
     assert sum(abs(f.speed - 0.25) < f.uncertainty for f in found) >= 15
     assert max(abs(f.speed - 0.25) for f in found if f.settled) < 0.005

@@ -10,21 +10,21 @@ import pytest
 
 from rig.errors import RigError
 from rig.manifold.driver import Manifold
-from rig.manifold.limits import Limits, chamber
+from rig.manifold.limits import PressureLimits, chamber
 from rig.manifold.serial_port import open_port
 from rig.recording.table import Analogue
 from rig.scheduling import real_time
+from rig.simulated.line_faults import LineFaults
 from rig.simulated.manifold import ManifoldCore
-from rig.simulated.mischief import Mischief
 from rig.simulated.rig import TIP_PER_VOLT, SimulatedRig
 from rig.simulated.tank import BenchTank
 from rig.simulated.terminal import in_thread
-from rig.trial.capture import Switch, Switches, Timing, Trial
+from rig.trial.capture import PlannedTrial, Switch, Switches, Timing
 from rig.trial.player import play, schedule
 from rig.trial.session import RECORDINGS, Rig, run
-from rig.trial.waveform import Drive, chambers
+from rig.trial.waveform import SegmentDrive, chambers
 
-LIMITS = Limits.of([250e3])
+LIMITS = PressureLimits.of([250e3])
 QUICK = Timing(quiet=0.3, after=0.1, fade=0.0)
 TIP = Analogue("tip_m", 1, TIP_PER_VOLT)
 
@@ -45,7 +45,7 @@ def rig_on(port, **changes):
     )
 
 
-def recorded(tmp_path, trials, mischief=Mischief(noise=100.0), settings=None):
+def recorded(tmp_path, trials, mischief=LineFaults(noise=100.0), settings=None):
     with in_thread(SimulatedRig(BenchTank(), mischief=mischief)) as served:
         rig = rig_on(served.path)
         with rig.manifold:
@@ -58,8 +58,8 @@ def columns_of(path):
 
 def test_a_trial_is_recorded_as_the_chambers_went(tmp_path):
     """Against the lag's own solution under the set pressures as they were followed."""
-    drive = Drive("square", 2.0, 100e3, rear_ratio=0.5, phase=0.25)
-    (told,) = recorded(tmp_path, [Trial("a", drive, 1.5)])
+    drive = SegmentDrive("square", 2.0, 100e3, rear_ratio=0.5, phase=0.25)
+    (told,) = recorded(tmp_path, [PlannedTrial("a", drive, 1.5)])
     found = columns_of(tmp_path / "a.csv")
     assert told["readings_lost"] == told["frames_damaged"] == 0
     # Other tests beside this one may hold up its commands.
@@ -87,8 +87,8 @@ def test_a_trial_is_recorded_as_the_chambers_went(tmp_path):
 
 def test_the_drive_as_it_was_played_is_told_to_a_fraction_of_a_millisecond(tmp_path):
     """The chambers followed what the file says, where what was meant is up to 1 ms early."""
-    drive = Drive("square", 2.0, 100e3, rear_ratio=0.5, phase=0.25)
-    recorded(tmp_path, [Trial("a", drive, 1.5)], Mischief())
+    drive = SegmentDrive("square", 2.0, 100e3, rear_ratio=0.5, phase=0.25)
+    recorded(tmp_path, [PlannedTrial("a", drive, 1.5)], LineFaults())
     found, played = columns_of(tmp_path / "a.csv"), columns_of(tmp_path / "a.played.csv")
     assert played["t_s"][0] == 0.0 and played["t_s"][-1] == 1.5
     edges = drive.edges(1.5)
@@ -109,7 +109,7 @@ def test_the_drive_as_it_was_played_is_told_to_a_fraction_of_a_millisecond(tmp_p
 
 
 def test_a_drive_of_which_a_change_was_lost_counts_as_it_was_meant(tmp_path, monkeypatch):
-    drive = Trial("a", Drive("square", 4.0, 100e3), 1.0)
+    drive = PlannedTrial("a", SegmentDrive("square", 4.0, 100e3), 1.0)
     (tmp_path / "a.played.csv").write_text("left by an earlier run")
     tell, lost = ManifoldCore._follows, []
 
@@ -135,10 +135,10 @@ def test_a_drive_dies_away_after_its_trial():
             sent.append(pressures)
             return 0
 
-    play(Valves(), Drive("square", 5.0, 100e3), 0.2, 200.0, fade=0.2)
+    play(Valves(), SegmentDrive("square", 5.0, 100e3), 0.2, 200.0, fade=0.2)
     size = [max(p) for p in sent]
     # Rounding makes 220.00000000000003 commands of 1.1 s.
-    assert schedule(Drive("sine", 5.0, 100e3), 1.1)[-1] < 1.0999
+    assert schedule(SegmentDrive("sine", 5.0, 100e3), 1.1)[-1] < 1.0999
     assert len(sent) == 80 and size[:40] == [100e3] * 40
     after = np.array(size[40:])
     assert np.all(np.diff(after) < 0.0) and after[0] == 100e3 and after[-1] < 0.01 * 100e3
@@ -152,17 +152,21 @@ def test_a_recorded_drive_is_known_by_its_samples(tmp_path):
     """And an experiment's other trials may change."""
 
     def drive(last):
-        return Drive("recorded", times=T, recorded=np.array([[0.0, 0.0], [5e4, 0.0], [0.0, last]]))
+        return SegmentDrive(
+            "recorded", times=T, recorded=np.array([[0.0, 0.0], [5e4, 0.0], [0.0, last]])
+        )
 
-    recorded(tmp_path, [Trial("a", drive(1e4), 0.3)], settings={"experiment_sha256": "1"})
-    recorded(tmp_path, [Trial("a", drive(1e4), 0.3)], settings={"experiment_sha256": "2"})
+    recorded(tmp_path, [PlannedTrial("a", drive(1e4), 0.3)], settings={"experiment_sha256": "1"})
+    recorded(tmp_path, [PlannedTrial("a", drive(1e4), 0.3)], settings={"experiment_sha256": "2"})
     assert not list((tmp_path / RECORDINGS).glob("a.unfinished*"))
     with pytest.raises(RigError, match=r"another trial\.drive\.recorded_sha256; give"):
-        recorded(tmp_path, [Trial("a", drive(2e4), 0.3)], settings={"experiment_sha256": "1"})
+        recorded(
+            tmp_path, [PlannedTrial("a", drive(2e4), 0.3)], settings={"experiment_sha256": "1"}
+        )
 
 
 def test_a_run_that_was_stopped_goes_on_with_what_is_missing(tmp_path):
-    trials = [Trial(name, Drive("sine", 2.0, 50e3), 0.3) for name in "ab"]
+    trials = [PlannedTrial(name, SegmentDrive("sine", 2.0, 50e3), 0.3) for name in "ab"]
     recorded(tmp_path, trials[:1], settings={"x": (1, 2)})
     before = (tmp_path / RECORDINGS / "a.h5").stat().st_mtime_ns
     (tmp_path / RECORDINGS / "b.h5").write_bytes(b"half")
@@ -172,9 +176,12 @@ def test_a_run_that_was_stopped_goes_on_with_what_is_missing(tmp_path):
     assert (tmp_path / RECORDINGS / "b.unfinished-1.h5").read_bytes() == b"half"
     with pytest.raises(RigError, match="run with another x"):
         recorded(tmp_path, trials, settings={"x": (1, 3)})
-    for other in (Drive("sine", 2.0, 51e3), Drive("recorded", times=T, recorded=np.zeros((3, 2)))):
+    for other in (
+        SegmentDrive("sine", 2.0, 51e3),
+        SegmentDrive("recorded", times=T, recorded=np.zeros((3, 2))),
+    ):
         with pytest.raises(RigError, match=r"run with another trial\.drive\."):
-            recorded(tmp_path, [Trial("a", other, 0.3)], settings={"x": (1, 2)})
+            recorded(tmp_path, [PlannedTrial("a", other, 0.3)], settings={"x": (1, 2)})
     # What is measured again leaves what was measured before, and what was told of it.
     (tmp_path / "a.csv").unlink()
     recorded(tmp_path, trials, settings={"x": (1, 2)})
@@ -183,8 +190,10 @@ def test_a_run_that_was_stopped_goes_on_with_what_is_missing(tmp_path):
 
 
 def test_a_bad_line_loses_readings_and_says_so(tmp_path):
-    mischief = Mischief(flipped=1e-4, dropped=1e-4, inserted=1e-4)
-    (told,) = recorded(tmp_path, [Trial("a", Drive("sine", 2.0, 50e3), 1.0)], mischief)
+    mischief = LineFaults(flipped=1e-4, dropped=1e-4, inserted=1e-4)
+    (told,) = recorded(
+        tmp_path, [PlannedTrial("a", SegmentDrive("sine", 2.0, 50e3), 1.0)], mischief
+    )
     assert told["readings_lost"] > 0 and told["frames_damaged"] > 0
     assert any("lost" in x for x in told["findings"])
     found = columns_of(tmp_path / "a.csv")
@@ -195,14 +204,14 @@ def test_a_bad_line_loses_readings_and_says_so(tmp_path):
 
 def test_an_edge_beside_an_even_time_is_not_missed():
     """At 1.50000015 s, where an even command is due at 1.5 s."""
-    drive = Drive("square", 0.3333333, 1e5)
+    drive = SegmentDrive("square", 0.3333333, 1e5)
     times = schedule(drive, 2.0)
     switched = next(t for t in times if drive.segments(t)[0] < 0.0)
     assert switched - 0.5 / 0.3333333 < 1e-9 and np.diff(times).min() > 1e-6
 
 
 def test_edges_of_a_square_wave_are_commanded_at_their_own_times():
-    drive = Drive("square", 4.8, 1e5, phase=0.15)
+    drive = SegmentDrive("square", 4.8, 1e5, phase=0.15)
     times = schedule(drive, 1.0)
     for t in drive.edges(1.0):
         before, after = drive.segments(t - 1e-7), drive.segments(t)
@@ -221,7 +230,7 @@ def test_waveforms_are_the_simulators(waveform):
 
     from slider_jax.actuation import SineWave, SquareWave, Trapezoid
 
-    drive = Drive(waveform, 3.0, 2e5, rear_ratio=-0.6, phase=0.3, rise=0.2)
+    drive = SegmentDrive(waveform, 3.0, 2e5, rear_ratio=-0.6, phase=0.3, rise=0.2)
     kind = {"square": SquareWave, "sine": SineWave, "trapezoid": Trapezoid}[waveform]
     more = (0.2,) if waveform == "trapezoid" else ()
     front, rear = kind(3.0, 2e5, 0.0, *more), kind(3.0, -1.2e5, 0.3, *more)
@@ -231,11 +240,13 @@ def test_waveforms_are_the_simulators(waveform):
 
 
 def test_a_recorded_drive_is_linear_between_its_samples():
-    drive = Drive("recorded", times=np.array([0.0, 1.0]), recorded=np.array([[0, 10], [4, -10.0]]))
+    drive = SegmentDrive(
+        "recorded", times=np.array([0.0, 1.0]), recorded=np.array([[0, 10], [4, -10.0]])
+    )
     assert drive.segments(0.25) == (1.0, 5.0)
     assert chambers(*drive.segments(1.0)) == (4.0, 0.0, 0.0, 10.0)
     with pytest.raises(RigError, match="has a NaN"):
-        Drive("recorded", times=np.array([0.0, 1.0]), recorded=np.full((2, 2), np.nan))
+        SegmentDrive("recorded", times=np.array([0.0, 1.0]), recorded=np.full((2, 2), np.nan))
 
 
 def test_a_waveform_is_uploaded_and_played_by_the_manifold():
@@ -267,7 +278,7 @@ def test_a_limit_above_the_firmwares_is_refused():
     with in_thread(SimulatedRig(BenchTank())) as served:
         with Manifold(open_port(served.path)) as manifold:
             with pytest.raises(RigError, match="front_left: given 600000 Pa; allowed at most"):
-                manifold.configure(Limits.of([600e3]))
+                manifold.configure(PressureLimits.of([600e3]))
 
 
 @pytest.mark.parametrize(
@@ -280,7 +291,7 @@ def test_a_limit_above_the_firmwares_is_refused():
 )
 def test_limits_that_cannot_be_are_refused(given, message):
     with pytest.raises(RigError, match=message):
-        Limits.of(given)
+        PressureLimits.of(given)
 
 
 def test_a_wrong_chamber_is_told_which_there_are():

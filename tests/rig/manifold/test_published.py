@@ -13,7 +13,7 @@ from calibration.pressure_logs.synthetic import COUNT, PERIOD, Valves
 from rig.errors import RigError
 from rig.manifold.published import PublishedManifold
 from rig.manifold.serial_port import PortLost, open_port
-from rig.protocol.published import Dialogue, Done, Header, Question, Row, pascal
+from rig.protocol.published import Dialogue, Done, Header, LogRow, Question, pascal
 from rig.simulated.published import PublishedFirmware, generate, replay
 from rig.simulated.terminal import BACKLOG, in_process, in_thread
 from tests.support.synthetic_log import log_lines
@@ -215,11 +215,11 @@ def test_a_row_that_lost_a_byte_is_counted_and_not_accepted():
         dialogue = Dialogue()
         dialogue.answered()
         events = parsed(dialogue, log[:at] + log[at + 1 :])
-        rows = [event for event in events if isinstance(event, Row)]
+        rows = [event for event in events if isinstance(event, LogRow)]
         # Nothing in a row tells of damage to the valves' duties.
         assert all(tuple(r[:1] + r[3:]) == true[r.number][:1] + true[r.number][3:] for r in rows)
         assert dialogue.rows == len(rows) >= len(true) - 2
-        valves_hit = rows != [Row(*row) for row in true.values()] and len(rows) == len(true)
+        valves_hit = rows != [LogRow(*row) for row in true.values()] and len(rows) == len(true)
         assert valves_hit or dialogue.torn == 1
         ends = (1, len(true))
         assert dialogue.lost == sum(ends[0] < n < ends[1] for n in true.keys() - {*(
@@ -285,7 +285,7 @@ def test_what_follows_done_is_left_for_the_next_test():
 
 def test_counts_become_pascals_as_in_the_reader_of_logs():
     assert pascal(300.0) == pytest.approx(PA_PER_PSI * psi(300.0))
-    row = Row(1, 0, 250, 91.02, -197.98, 289)
+    row = LogRow(1, 0, 250, 91.02, -197.98, 289)
     assert row.pressure_Pa == pascal(289)
     assert row.command_Pa == pascal(91.02)
 

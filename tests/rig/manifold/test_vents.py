@@ -12,23 +12,23 @@ import pytest
 
 from rig.errors import RigError
 from rig.manifold.driver import Manifold
-from rig.manifold.limits import Limits
+from rig.manifold.limits import PressureLimits
 from rig.manifold.serial_port import PortLost, open_port
 from rig.protocol.frames import decode
-from rig.protocol.messages import Event, State
+from rig.protocol.messages import Event, ManifoldState
 from rig.scheduling import real_time
-from rig.simulated.mischief import Mischief
+from rig.simulated.line_faults import LineFaults
 from rig.simulated.rig import SimulatedRig
 from rig.simulated.tank import BenchTank
 from rig.simulated.terminal import in_thread
-from rig.trial.capture import Switch, Switches, Timing, Trial, capture
-from rig.trial.waveform import Drive
+from rig.trial.capture import PlannedTrial, Switch, Switches, Timing, capture
+from rig.trial.waveform import SegmentDrive
 
 WITHIN = 0.15
 ROOT = Path(__file__).resolve().parents[3]
-LIMITS = Limits.of([250e3])
+LIMITS = PressureLimits.of([250e3])
 QUICK = Timing(quiet=0.2, after=0.1, fade=0.0)
-DRIVE = Drive("square", 5.0, 200e3)
+DRIVE = SegmentDrive("square", 5.0, 200e3)
 HEARS_CTRL_C = """
 import signal, sys
 from slider_jax.cli.main import main
@@ -64,7 +64,7 @@ duration = {duration}
 class Watched:
     """A simulated rig that notes when it was last told something, and when it vents."""
 
-    def __init__(self, mischief=Mischief()):
+    def __init__(self, mischief=LineFaults()):
         self.rig = SimulatedRig(BenchTank(), mischief=mischief)
         self.vented, self.armed, self.heard = 0, threading.Event(), 0
         self.highest = 0
@@ -125,7 +125,7 @@ def test_a_finished_trial_vents(device, tmp_path):
     watched, served = device
     child = start(served.path, tmp_path, 0.6)
     assert child.wait(60.0) == 0
-    assert watched.rig.core.state == State.READY and watched.highest == 200_000
+    assert watched.rig.core.state == ManifoldState.READY and watched.highest == 200_000
     assert (tmp_path / "out" / "a.csv").exists()
 
 
@@ -138,7 +138,7 @@ def test_an_interrupted_trial_vents(device, tmp_path, number):
     told = time.monotonic_ns()
     child.send_signal(number)
     assert watched.vents() - told <= WITHIN * 1e9
-    assert watched.rig.core.state == State.READY
+    assert watched.rig.core.state == ManifoldState.READY
     assert child.wait(20.0) == 130
 
 
@@ -150,7 +150,7 @@ def test_a_killed_trial_vents(device, tmp_path):
     told = time.monotonic_ns()
     child.kill()
     assert watched.vents() - told <= WITHIN * 1e9
-    assert watched.rig.core.state == State.FAULT
+    assert watched.rig.core.state == ManifoldState.FAULT
     child.wait(20.0)
 
 
@@ -158,7 +158,7 @@ def recorded(port, tmp_path, duration=60.0, watch=lambda phase, t: None):
     """A trial in this process."""
     switches = Switches(Switch(), Switch())
     with Manifold(open_port(port), *switches) as manifold:
-        trial = Trial("a", DRIVE, duration)
+        trial = PlannedTrial("a", DRIVE, duration)
         path = tmp_path / "a.h5"
         return capture(trial, manifold, switches, {}, path, LIMITS, {}, QUICK, watch)
 
@@ -173,7 +173,7 @@ def test_an_error_in_the_program_vents(device, tmp_path):
     with pytest.raises(ZeroDivisionError):
         recorded(served.path, tmp_path, watch=fail)
     assert watched.vents() - watched.heard < WITHIN * 1e9
-    assert watched.rig.core.state == State.READY
+    assert watched.rig.core.state == ManifoldState.READY
 
 
 def test_an_unplugged_manifold_vents_and_the_port_is_said_to_be_gone(tmp_path):
@@ -196,23 +196,23 @@ def test_an_unplugged_manifold_vents_and_the_port_is_said_to_be_gone(tmp_path):
     while not watched.vented and time.monotonic_ns() - begun < 20e9:
         watched.tick((time.monotonic_ns() - begun) // 1000)
         time.sleep(0.001)
-    assert watched.rig.core.state == State.FAULT and watched.vented
+    assert watched.rig.core.state == ManifoldState.FAULT and watched.vented
 
 
 def test_a_manifold_that_resets_ends_the_trial(tmp_path):
-    watched = Watched(Mischief(reset_at=1.0))
+    watched = Watched(LineFaults(reset_at=1.0))
     with in_thread(watched) as served, pytest.raises(RigError, match="it has reset"):
         recorded(served.path, tmp_path)
-    assert watched.rig.core.state == State.BOOT
+    assert watched.rig.core.state == ManifoldState.BOOT
 
 
 def test_who_does_not_see_what_it_drives_stops(tmp_path):
     """The manifold hears, but nothing comes back: not even that it has stopped."""
-    watched = Watched(Mischief(silent=(1.0, 1e9)))
+    watched = Watched(LineFaults(silent=(1.0, 1e9)))
     with in_thread(watched) as served:
         with pytest.raises(RigError, match="no reading for 0.5 s") as told:
             recorded(served.path, tmp_path)
-        assert watched.rig.core.state == State.READY
+        assert watched.rig.core.state == ManifoldState.READY
     assert any("stop was not confirmed" in note for note in told.value.__notes__)
 
 
@@ -233,12 +233,12 @@ def test_a_vent_whose_reason_is_lost_on_the_line_is_noticed(tmp_path):
 
     with in_thread(watched) as served, pytest.raises(RigError, match="its readings say so"):
         recorded(served.path, tmp_path, watch=leak_out)
-    assert watched.rig.core.state == State.FAULT
+    assert watched.rig.core.state == ManifoldState.FAULT
 
 
 def test_a_line_that_is_dead_vents(tmp_path):
     """Every byte to the manifold is damaged from the start: nothing is ever armed."""
-    watched = Watched(Mischief(flipped=1.0))
+    watched = Watched(LineFaults(flipped=1.0))
     with in_thread(watched) as served, pytest.raises(RigError, match="no manifold answers"):
         recorded(served.path, tmp_path)
     assert watched.highest == 0
@@ -267,7 +267,7 @@ def test_a_trial_above_the_limit_does_not_begin(device, tmp_path):
     watched, served = device
     switches = Switches(Switch(), Switch())
     with Manifold(open_port(served.path), *switches) as manifold:
-        trial = Trial("a", Drive("sine", 1.0, 250e3, rear_ratio=1.01), 1.0)
+        trial = PlannedTrial("a", SegmentDrive("sine", 1.0, 250e3, rear_ratio=1.01), 1.0)
         with pytest.raises(RigError, match="rear_left: given 252500 Pa; allowed 0 to its limit"):
             capture(trial, manifold, switches, {}, tmp_path / "a.h5", LIMITS, {}, QUICK)
     assert not (tmp_path / "a.h5").exists() and watched.highest == 0

@@ -13,10 +13,10 @@ from rig.protocol.messages import (
     Heartbeat,
     Hello,
     Ident,
+    ManifoldState,
     Reading,
     SetLimits,
     SetPressures,
-    State,
     Stop,
     WaveBegin,
     WavePiece,
@@ -58,7 +58,7 @@ class Bench:
 
 def test_it_says_that_it_was_reset_and_who_it_is():
     bench = Bench()
-    assert bench.said == [Event(0, Cause.RESET, 0)] and bench.core.state == State.BOOT
+    assert bench.said == [Event(0, Cause.RESET, 0)] and bench.core.state == ManifoldState.BOOT
     assert bench.say(Hello(9)) == [Ident(1, 1, 1, 0, 2000, 500, *[500_000] * 4)]
 
 
@@ -98,17 +98,17 @@ def test_a_pressure_outside_its_limits_is_refused_and_vents(pressures, answer, c
         Ack(4, 4, answer, chamber),
         Event(0, Cause.REFUSED, chamber),
     ]
-    assert bench.core.state == State.FAULT and bench.core.set_pressures is None
+    assert bench.core.state == ManifoldState.FAULT and bench.core.set_pressures is None
     (ack,) = bench.say(Arm(5))
     assert ack.answer == Answer.WRONG_STATE
     bench.say(LIMITS)
-    assert bench.core.state == State.READY
+    assert bench.core.state == ManifoldState.READY
 
 
 def test_no_limit_can_be_above_the_hard_one():
     bench = Bench()
     assert bench.say(SetLimits(1, 1, 1, 500_001, 1)) == [Ack(1, 2, Answer.ABOVE_LIMIT, 2)]
-    assert bench.core.state == State.BOOT
+    assert bench.core.state == ManifoldState.BOOT
     bench.say(LIMITS)
     bench.say(Arm(2))
     said = bench.say(SetLimits(3, 1, -1, 1, 1))
@@ -128,11 +128,11 @@ def test_any_sound_frame_keeps_it_going_and_noise_does_not():
     for _ in range(5):
         bench.wait(0.09)
         bench.say(Heartbeat(9))
-    assert bench.core.state == State.ARMED
+    assert bench.core.state == ManifoldState.ARMED
     for _ in range(3):
         bench.wait(0.04)
         bench.core.feed(b"\x07noise\0" + encode(Event(1, 2, 3)), bench.now)
-    assert bench.core.state == State.FAULT and bench.core.damaged == 6
+    assert bench.core.state == ManifoldState.FAULT and bench.core.damaged == 6
 
 
 def test_stop_vents_in_every_state():
@@ -146,7 +146,7 @@ def test_stop_vents_in_every_state():
         state = bench.core.state
         assert bench.say(Stop(8)) == [Ack(8, 6, Answer.DONE, 0), Event(0, Cause.STOPPED, 0)]
         assert bench.core.set_pressures is None
-        left = {State.ARMED: State.READY}.get(state, state)
+        left = {ManifoldState.ARMED: ManifoldState.READY}.get(state, state)
         assert bench.core.state == left
 
 
@@ -156,7 +156,7 @@ def test_a_chamber_above_its_limit_vents():
     assert bench.wait(0.01, allowed) == []
     over = (*allowed[:3], allowed[3] + 1, 0, 0, 0, 0)
     assert bench.wait(0.001, over) == [Event(11_000, Cause.OVER_PRESSURE, 3)]
-    assert bench.core.state == State.FAULT
+    assert bench.core.state == ManifoldState.FAULT
 
 
 def test_a_waveform_is_played_sample_by_sample_and_ends_armed():
@@ -171,9 +171,9 @@ def test_a_waveform_is_played_sample_by_sample_and_ends_armed():
     for _ in range(9):
         bench.wait(0.002)
         followed.append(bench.core.set_pressures)
-    assert followed == [*wave, *wave] and bench.core.state == State.PLAYING
+    assert followed == [*wave, *wave] and bench.core.state == ManifoldState.PLAYING
     assert bench.wait(0.002) == [Event(20_000, Cause.PLAYED, 0)]
-    assert bench.core.state == State.ARMED and bench.core.set_pressures == wave[-1]
+    assert bench.core.state == ManifoldState.ARMED and bench.core.set_pressures == wave[-1]
 
 
 @pytest.mark.parametrize(

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from rig.protocol.frames import encode
-from rig.protocol.messages import Arm, Reading, SetLimits, SetPressures, State
+from rig.protocol.messages import Arm, ManifoldState, Reading, SetLimits, SetPressures
 from rig.recording.table import Analogue, _moves
+from rig.simulated.line_faults import LineFaults
 from rig.simulated.manifold import ManifoldCore
-from rig.simulated.mischief import Mischief
 from rig.simulated.rig import SimulatedRig
 from rig.simulated.tank import Measured
 from rig.trial.settling import STILL, WINDOW, Stillness, noise_of
@@ -110,7 +110,7 @@ def test_a_simulated_tank_that_is_late_follows_each_command_from_its_own_time():
 
 def test_a_reset_vents_the_simulated_tank():
     tank = Followed()
-    rig = SimulatedRig(tank, Told(), Mischief(reset_at=0.005), Told)
+    rig = SimulatedRig(tank, Told(), LineFaults(reset_at=0.005), Told)
     rig.tick(0)
     rig.feed(b"1000", 200)
     for now in range(0, 10_000, 500):
@@ -130,10 +130,10 @@ def test_a_simulated_manifold_that_was_not_run_does_not_blame_its_host():
         rig.tick(now)
         if now == 250_000:
             rig.feed(encode(SetPressures(5, 3, 3, 3, 3)), now)
-    assert rig.core.state == State.ARMED and rig.core.set_pressures == (3, 3, 3, 3)
+    assert rig.core.state == ManifoldState.ARMED and rig.core.set_pressures == (3, 3, 3, 3)
     # A host that is silent is still found out, by the time that the program makes up for.
     rig.tick(600_000)
-    assert rig.core.state == State.FAULT
+    assert rig.core.state == ManifoldState.FAULT
 
 
 class Read:

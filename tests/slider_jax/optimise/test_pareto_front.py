@@ -16,7 +16,7 @@ from slider_jax.experiment.load import assemble, load, to_model
 from slider_jax.optimise import loop as optimise, pareto_front as multimodal
 from slider_jax.optimise.design_space import to_toml
 from slider_jax.optimise.fastest_swimmer import search
-from slider_jax.optimise.pareto_front import Effort, Point, dominated, front
+from slider_jax.optimise.pareto_front import FrontEffort, FrontPoint, dominated, front
 from slider_jax.optimise.registry import searcher
 from slider_jax.optimise.two_tasks import CLIMB, SWIM, TAIL, Modes, eta
 from slider_jax.swimming.gait import climber, swimmer
@@ -66,7 +66,7 @@ class Hills:
         return np.where([swims, climbs], np.stack(found, axis=1), np.nan)
 
 
-EFFORT = Effort("genetic", 96, 40, 1)
+EFFORT = FrontEffort("genetic", 96, 40, 1)
 FEW = EFFORT._replace(generations=6)
 """As many members, so that both are one compiled program."""
 
@@ -129,14 +129,14 @@ def test_a_search_that_was_stopped_goes_on(hills, whole, tmp_path, monkeypatch, 
 
 @pytest.mark.parametrize("content", ["", "[]", "{}", '{"betas": ', None])
 def test_a_damaged_plan_is_told(hills, tmp_path, content):
-    front(hills, 2, Effort("genetic", 8, 1, 1), tmp_path)
+    front(hills, 2, FrontEffort("genetic", 8, 1, 1), tmp_path)
     (tmp_path / "search.json").unlink()
     if content is None:
         (tmp_path / "search.json").mkdir()
     else:
         (tmp_path / "search.json").write_text(content)
     with pytest.raises(InputError, match="search.json: is torn or not of this program"):
-        front(hills, 2, Effort("genetic", 8, 1, 1), tmp_path, resume=True)
+        front(hills, 2, FrontEffort("genetic", 8, 1, 1), tmp_path, resume=True)
 
 
 def test_searches_of_two_kinds_do_not_mix(hills, tmp_path):
@@ -202,7 +202,7 @@ def test_a_task_without_weight_may_fail():
 
 def test_a_dominated_point_is_told():
     def at(beta, *both):
-        return Point(beta, 0.0, np.array(both), np.zeros(11))
+        return FrontPoint(beta, 0.0, np.array(both), np.zeros(11))
 
     good = [at(0.0, 0.1, 0.9), at(0.5, 0.2, 0.8), at(1.0, 0.3, 0.1)]
     assert dominated(good) == []

@@ -16,7 +16,7 @@ from slider_jax.experiment.load import assemble
 from slider_jax.optimise.design_space import box_of, models
 from slider_jax.optimise.population import CHUNK, Evaluation
 from slider_jax.swimming.paper_optimum import swimmer_content
-from slider_jax.swimming.steady_state import Search, find_steady
+from slider_jax.swimming.steady_state import SteadySettings, find_steady
 from tests.conftest import ROOT
 
 CODE = """
@@ -53,7 +53,9 @@ def coarse_swimmer():
     content = swimmer_content(frequency=5.0, amplitude=365e3)
     numerics = {"nodes": 17, "step": 0.004}
     experiment = assemble(content | {"numerics": numerics}, "coarse", Path("."))
-    search = Search(settling=2, corrections=2, steps_per_stride=48, numerics=Numerics(4, 12))
+    search = SteadySettings(
+        settling=2, corrections=2, steps_per_stride=48, numerics=Numerics(4, 12)
+    )
     speed = models(experiment)
 
     def swum(x):

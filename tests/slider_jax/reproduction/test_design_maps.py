@@ -26,7 +26,7 @@ from slider_jax.reproduction.design_maps_report import draw
 from slider_jax.sweep import sweep as sweeping
 from slider_jax.swimming.gait import swimmer as free
 from slider_jax.swimming.paper_optimum import swimmer_content
-from slider_jax.swimming.steady_state import Search, find_steady
+from slider_jax.swimming.steady_state import SteadySettings, find_steady
 
 SCRIPT = Path(__file__).resolve().parents[3] / "scripts" / "fig7_design_maps.py"
 script = runpy.run_path(str(SCRIPT))
@@ -238,6 +238,6 @@ def test_the_scripts_speeds_are_those_of_each_swimmer_alone(swimmer, tmp_path):
     given = load(swimmer)
     phase = told["phase"].index(0.2)
     long = given.with_values({"robot.tail_length": told["tail_length_m"][3]})
-    search = Search(steps_per_stride=100, numerics=to_numerics(given)[0])
+    search = SteadySettings(steps_per_stride=100, numerics=to_numerics(given)[0])
     alone = find_steady(free(to_model(long, 0)), jnp.asarray(5.0), search)
     assert speed[3, phase] == pytest.approx(float(alone.speed), rel=1e-4)

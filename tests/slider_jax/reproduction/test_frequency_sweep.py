@@ -12,12 +12,16 @@ from slider_jax import paper
 from slider_jax.batch.chunks import chunks_of, in_threads, stack
 from slider_jax.beam.parameters import Numerics
 from slider_jax.observables import stride_means, thrust
-from slider_jax.reproduction.frequency_sweep import SHOWN, Settings, run_frequency_sweep
+from slider_jax.reproduction.frequency_sweep import (
+    SHOWN,
+    FrequencySweepSettings,
+    run_frequency_sweep,
+)
 from slider_jax.reproduction.frequency_sweep_report import comparison, write_results
 from tests.support.helpers import arrays, march
 
 COARSE = Numerics(tail_cells=2, body_cells=8)
-TINY = Settings(
+TINY = FrequencySweepSettings(
     frequencies=(1.0, 2.4, 4.8), steps_per_stride=40, strides=4, transient=2, numerics=COARSE
 )
 

@@ -32,12 +32,12 @@ from slider_jax.reproduction.wavelengths import (
 from slider_jax.swimming.free_swim import check
 from slider_jax.swimming.paper_optimum import PUBLISHED, optimum
 from slider_jax.swimming.performance import Stride
-from slider_jax.swimming.steady_state import Search
+from slider_jax.swimming.steady_state import SteadySettings
 
 F, STEPS, A, LAMBDA = 4.0, 60, 0.004, 0.2
 S = np.linspace(0.0, 0.4, 161)  # two waves
 T = np.arange(1.0, STEPS + 1.0) / (STEPS * F)
-QUICK = Search(steps_per_stride=48, numerics=Numerics(4, 8))
+QUICK = SteadySettings(steps_per_stride=48, numerics=Numerics(4, 8))
 
 
 def made(standing=0.0, turned=0.0):

@@ -14,9 +14,15 @@ from slider_jax.effects.body.rest_curvature import RestCurvature
 from slider_jax.effects.pneumatics.valve_delay import ValveDelay
 from slider_jax.swimming.gait import Gait
 from slider_jax.swimming.performance import next_stride, performance
-from slider_jax.swimming.steady_state import Search, find_steady, hastened, steady_speed, strides
+from slider_jax.swimming.steady_state import (
+    SteadySettings,
+    find_steady,
+    hastened,
+    steady_speed,
+    strides,
+)
 
-SEARCH = Search(steps_per_stride=48, numerics=Numerics(4, 12))
+SEARCH = SteadySettings(steps_per_stride=48, numerics=Numerics(4, 12))
 GAITS = {
     "optimum": OPTIMUM.gaits["as the paper gives it"],
     "5 Hz": Gait(5.0, 365e3, 365e3, 0.2, 0.070, 0.0058),

@@ -5,7 +5,7 @@ from random import Random
 
 
 @dataclass(frozen=True)
-class Mischief:
+class LineFaults:
     """Shares of bytes flipped, dropped and inserted, either way; and what happens at times [s]."""
 
     flipped: float = 0.0
@@ -25,10 +25,10 @@ class Mischief:
 
 
 @dataclass
-class Line:
-    """Damages bytes as a `Mischief` says, and counts how many it touched."""
+class FaultyLine:
+    """Damages bytes as a `LineFaults` says, and counts how many it touched."""
 
-    mischief: Mischief
+    mischief: LineFaults
     touched: int = 0
     _random: Random = field(init=False)
 
