@@ -18,10 +18,16 @@ import jax  # noqa: E402
 import pytest  # noqa: E402
 
 from slider_jax.precision import enable_float64  # noqa: E402
-from tests.support.data import data_dir  # noqa: E402
+from tests.support.data import data_dir, missing_in_ci  # noqa: E402
 
 enable_float64()
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+
+def pytest_sessionstart() -> None:
+    """Stop a CI run at once that would skip the tests on measured data."""
+    if problem := missing_in_ci():
+        raise pytest.UsageError(problem)
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,51 @@
+"""Runs all slow tests and prints a table of them: test, outcome, seconds.
+
+    python scripts/slow_tests.py [PYTEST ARGUMENTS]
+
+Further arguments go to pytest, such as `-n 2` (the default) or a folder of tests. The exit code is
+pytest's.
+"""
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from xml.etree import ElementTree
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def outcome(case: ElementTree.Element) -> str:
+    """Return passed, failed, error or skipped of one test in pytest's XML report."""
+    for kind in ("failure", "error", "skipped"):
+        if case.find(kind) is not None:
+            return {"failure": "failed"}.get(kind, kind)
+    return "passed"
+
+
+def table(report: Path) -> str:
+    """Return a Markdown table of the tests in pytest's XML report, the slowest first."""
+    cases = list(ElementTree.parse(report).iter("testcase"))
+    cases.sort(key=lambda case: -float(case.get("time", 0.0)))
+    lines = ["| test | outcome | seconds |", "|---|---|---|"]
+    for case in cases:
+        place = case.get("classname", "").removeprefix("tests.").replace(".", "/")
+        seconds = float(case.get("time", 0.0))
+        lines.append(f"| {place} {case.get('name')} | {outcome(case)} | {seconds:.0f} |")
+    return "\n".join(lines)
+
+
+def main(arguments: list[str]) -> int:
+    """Run pytest on the slow tests, print the table, and return pytest's exit code."""
+    parallel = [] if any(x.startswith("-n") for x in arguments) else ["-n", "2"]
+    with tempfile.TemporaryDirectory() as folder:
+        report = Path(folder) / "slow.xml"
+        command = [sys.executable, "-m", "pytest", "-q", "-m", "slow", f"--junitxml={report}"]
+        code = subprocess.run([*command, *parallel, *arguments], cwd=ROOT).returncode
+        if report.exists():
+            print(table(report))
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
