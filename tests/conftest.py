@@ -30,6 +30,19 @@ def pytest_sessionstart() -> None:
         raise pytest.UsageError(problem)
 
 
+@pytest.fixture(autouse=True, scope="module")
+def few_memory_maps():
+    """Drop compiled programs before the kernel refuses more memory maps (65,530 by default).
+
+    Each compiled program holds maps of its own. A process that runs most of the suite needs more
+    than the kernel gives, and XLA then aborts it.
+    """
+    yield
+    maps = Path("/proc/self/maps")
+    if maps.exists() and len(maps.read_bytes().splitlines()) > 40_000:
+        jax.clear_caches()
+
+
 @pytest.fixture(scope="session")
 def data() -> Path:
     """The folder of measured data; the test is skipped where it is absent."""

@@ -33,6 +33,27 @@ def mean_thrust(factors):
     return jnp.mean(out.saved[-PER_STRIDE:]), out.ok
 
 
+def test_derivatives_through_a_few_steps_agree_forward_in_reverse_and_by_differences():
+    """The coarse twin of the slow test below: two parameters, six steps, a small mesh."""
+
+    def thrust(factors):
+        C_d, _, k, _, EI_body, _ = leaves(BASE)
+        values = (C_d, leaves(BASE)[1], k * factors[0], leaves(BASE)[3], EI_body * factors[1])
+        model = eqx.tree_at(leaves, BASE, (*values, leaves(BASE)[5]))
+        out = rollout(model, TimeGrid(5e-3, 6), lambda x: -x.y[0, -1], SMALL)
+        return jnp.mean(out.saved)
+
+    one, value = jnp.ones(2), jax.jit(thrust)
+    forward = jax.jit(jax.jacfwd(thrust))(one)
+    reverse = jax.jit(jax.grad(thrust))(one)
+    h = 1e-5
+    steps = h * np.eye(2)
+    central = np.array([(value(one + e) - value(one - e)) / (2.0 * h) for e in steps])
+    assert np.all(np.abs(central) > 1e-3 * abs(float(value(one))))
+    np.testing.assert_allclose(reverse, forward, rtol=1e-10)
+    np.testing.assert_allclose(forward, central, rtol=1e-5)
+
+
 @pytest.mark.slow
 def test_forward_reverse_and_central_differences_agree():
     one = jnp.ones(6)
