@@ -3,12 +3,11 @@
 import ast
 import subprocess
 import sys
-from collections import Counter
-from pathlib import Path
+from collections import Counter, defaultdict
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+from tests.support.data import ROOT
 
 PACKAGES = ("slider_jax", "calibration", "rig")
 
@@ -121,6 +120,25 @@ def test_an_upward_import_is_found(tmp_path):
         "from slider_jax.beam.grid import Grid\nfrom slider_jax.errors import InputError\n"
     )
     assert upward_imports({name: bad}) == []
+
+
+def test_no_test_imports_from_another_test_and_tests_mirror_the_rooms():
+    rooms = {tuple(name.split(".")[:2]) for name in RANK}
+    for path in sorted((ROOT / "tests").rglob("test_*.py")):
+        place = path.relative_to(ROOT / "tests").parts[:-1]
+        name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+        others = {x for x in imports(path, name) if x.startswith("tests.")}
+        assert all(x.startswith("tests.support") for x in others), f"{name} imports {others}"
+        assert place[:2] in rooms or len(place) < 2 or place == ("rig", "firmware"), name
+
+
+def test_a_public_class_name_is_defined_once():
+    homes = defaultdict(list)
+    for name, path in every_module().items():
+        for node in ast.parse(path.read_text()).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                homes[node.name].append(name)
+    assert {name: where for name, where in homes.items() if len(where) > 1} == {}
 
 
 def test_a_room_holds_a_dozen_modules_at_most_and_the_top_of_a_package_six():

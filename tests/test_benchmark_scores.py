@@ -1,11 +1,12 @@
 """How the benchmark of the loop counts, on cases that are plain."""
 
 import sys
-from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+from tests.support.data import ROOT
+
+sys.path.insert(0, str(ROOT / "benchmarks"))
 from summary import f1, hits, right, skills  # noqa: E402
 
 

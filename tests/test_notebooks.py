@@ -1,14 +1,15 @@
 """Every notebook runs from top to bottom as a newcomer would run it."""
 
 import runpy
-from pathlib import Path
 
 import jax
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-NOTEBOOKS = sorted((Path(__file__).resolve().parents[1] / "notebooks").glob("*.py"))
+from tests.support.data import ROOT
+
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.py"))
 
 
 def one_stride(found):

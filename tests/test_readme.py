@@ -4,7 +4,6 @@ import json
 import re
 import shlex
 import tomllib
-from pathlib import Path
 
 import jax
 import pytest
@@ -12,8 +11,7 @@ import pytest
 from slider_jax.cli.main import COMMANDS, main
 from slider_jax.experiment import load as experiment
 from slider_jax.sweep import sweep
-
-ROOT = Path(__file__).resolve().parents[1]
+from tests.support.data import ROOT
 
 
 def blocks(document, language):

@@ -13,7 +13,7 @@ from rig.camera.source import Camera, Frame, Source, record_markers
 from rig.camera.tracking import Tracker, order_at_rest
 from rig.errors import RigError
 from rig.recording.reader import Stream
-from rig.recording.table import Reader, Samples
+from rig.recording.table import Reader, SampledColumns
 
 Sink = Callable[[int, bytes], None]
 LOOKS = 20
@@ -109,7 +109,7 @@ def _least_distance(places: np.ndarray) -> float:
 def camera_reader(scale: Scale) -> Reader:
     """tip_m of a camera's stream: the tip's distance from the line of the robot at rest."""
 
-    def read(stream: Stream) -> Samples:
+    def read(stream: Stream) -> SampledColumns:
         tracks = read_records(stream.pieces())
         if not len(tracks.number):
             raise RigError("camera: its recording has no frame; see that it runs, and record again")
@@ -123,6 +123,8 @@ def camera_reader(scale: Scale) -> Reader:
             findings.append(f"{dropped} frames of the camera were dropped")
         if seen < LEAST_SEEN:
             findings.append(f"the tip was seen in {100 * seen:.0f} % of the frames only")
-        return Samples(stream.host_ns * 1e-9, {"tip_m": tip}, tuple(findings), continuous=False)
+        return SampledColumns(
+            stream.host_ns * 1e-9, {"tip_m": tip}, tuple(findings), continuous=False
+        )
 
     return read

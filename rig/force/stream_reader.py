@@ -4,17 +4,17 @@ import numpy as np
 
 from rig.force.sensor import Calibration, SensorMounting
 from rig.recording.reader import Stream
-from rig.recording.table import Reader, Samples
+from rig.recording.table import Reader, SampledColumns
 
 
 def force_reader(calibration: Calibration, mounting: SensorMounting) -> Reader:
     """thrust_N and recoil_N of a force sensor's stream."""
 
-    def read(stream: Stream) -> Samples:
+    def read(stream: Stream) -> SampledColumns:
         forces = calibration.forces(stream.host_ns.tolist(), stream.pieces())
         sound = np.where(forces.doubtful[:, None], np.nan, forces.wrench)
         thrust, recoil = mounting.thrust_and_recoil(sound)
         columns = {"thrust_N": thrust, "recoil_N": recoil}
-        return Samples(forces.t_ns * 1e-9, columns, forces.findings)
+        return SampledColumns(forces.t_ns * 1e-9, columns, forces.findings)
 
     return read

@@ -24,7 +24,7 @@ FURTHEST = 0.006
 """A gap in an instrument's samples that is longer is a gap in its column [s]."""
 
 
-class Samples(NamedTuple):
+class SampledColumns(NamedTuple):
     """What an instrument measured: host times (n,) [s], and values (n,) of each column."""
 
     t: np.ndarray
@@ -67,7 +67,7 @@ def in_unit(column: str, x: float) -> str:
     return f"{factor * x:.3g} {shown}"
 
 
-Reader = Callable[[Stream], Samples]
+Reader = Callable[[Stream], SampledColumns]
 
 
 class Columns(NamedTuple):
@@ -197,7 +197,7 @@ def at_rows(
 ) -> np.ndarray:
     """(n,) a signal (m,), sampled at times `at` (m,), at the times of `rows` (n,), all [s].
 
-    NaN where it has no sample near enough; see `Samples.continuous`.
+    NaN where it has no sample near enough; see `SampledColumns.continuous`.
     """
     there = np.isfinite(signal)
     if there.sum() < 2:

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from rig.scheduling import NICE, real_time
-from tests.rig.cli.test_commands import ROOT
+from tests.support.data import ROOT
 
 PREFERS = """
 import os, threading

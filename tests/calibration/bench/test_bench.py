@@ -23,7 +23,7 @@ from slider_jax.beam.parameters import Numerics, Robot
 from slider_jax.cli.main import main
 from slider_jax.errors import InputError
 from slider_jax.io.toml import read_toml, validate
-from tests.conftest import ROOT
+from tests.support.data import ROOT
 
 ROBOT = {
     "body_length": 0.3, "tail_length": 0.07, "linear_density": 0.7, "EI_body": 0.038,

@@ -12,7 +12,7 @@ from calibration.discrepancy.selection import search
 from calibration.inference.goodness import FLOOR
 from calibration.model.extended import Parameter
 from slider_jax.effects import Prior
-from tests.calibration.discrepancy.test_selection import SAMPLES, TRIALS, Sums
+from tests.support.sums import SAMPLES, TRIALS, Sums
 
 NAMES = ("firmware_valves", "pulsed_valves", "tank_current")
 """The first two take the place of one law: neither can be added beside the other."""

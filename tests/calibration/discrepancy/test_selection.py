@@ -1,68 +1,18 @@
 """The search on models whose answer is known: sums of a few series."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from calibration.discrepancy.selection import search
-from calibration.inference.problem import ChannelBlock
 from calibration.model.extended import Parameter
 from slider_jax.effects import Prior
+from tests.support.sums import Sums
 
-TRIALS, SAMPLES = 4, 300
 NAMES = ("regulator_gain", "carried_mass", "tank_current", "force_gain")
 """Those of effects that exclude none; what they do here is `SHAPES`."""
 ENTRIES = [Parameter("", "k", Prior(np.nan, -50.0, 50.0, "-", ""))] + [
     Parameter(name, "x", Prior(0.0, -50.0, 50.0, "-", "")) for name in NAMES
 ]
-rng = np.random.default_rng(1)
-SHAPES = rng.normal(size=(5, TRIALS, SAMPLES))
-# The second effect is the fourth one and something of the third: a wrong one that explains more
-# than either while both are missing.
-SHAPES[2] = SHAPES[4] + 0.25 * SHAPES[3] + 0.1 * SHAPES[2]
-
-
-class Sums:
-    """Readings are sums of shapes (parameters, trials, samples), and noise."""
-
-    channels = ("tip",)
-    maps = memo = None
-
-    def __init__(self, truth, shapes=SHAPES, noise=0.1, seed=0):
-        self.shapes, self.size = shapes, 1.0 / noise
-        noise = np.random.default_rng(seed).normal(size=(TRIALS, SAMPLES))
-        self.y = self._sum(np.asarray(truth)) + noise
-        self.records = [
-            SimpleNamespace(values=np.zeros((5, SAMPLES)), trial=SimpleNamespace(file=str(i)))
-            for i in range(TRIALS)
-        ]
-
-    def _sum(self, theta):
-        return self.size * np.tensordot(theta, self.shapes, 1)
-
-    def predict(self, theta):
-        found = np.zeros((TRIALS, 5, SAMPLES))
-        found[:, 4] = self._sum(theta)
-        return list(found)
-
-    def tangents(self, theta, directions):
-        found = np.zeros((TRIALS, len(directions), 5, SAMPLES))
-        found[:, :, 4] = self.size * np.einsum("kp,pts->tks", directions, self.shapes)
-        return list(found)
-
-    def whiteners(self, predicted):
-        return {}
-
-    def residuals(self, predicted, white):
-        return {(i, "tip"): self.y[i] - predicted[i][4] for i in range(TRIALS)}
-
-    def blocks(self, residuals, derivatives, white):
-        found = []
-        for (i, channel), r in residuals.items():
-            J = derivatives[i][:, 4]
-            found.append(ChannelBlock(i, channel, J @ J.T, J @ r, float(r @ r), len(r)))
-        return found
 
 
 def searched(truth):

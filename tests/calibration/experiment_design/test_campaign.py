@@ -14,7 +14,7 @@ from calibration.experiment_design.trial_search import limits_of
 from calibration.measurements.synthetic import Truth, write_tank
 from slider_jax.errors import InputError
 from slider_jax.experiment import load as experiment
-from tests.calibration.discrepancy.test_close_loop import BASE, MESH, RUNS, TANK
+from tests.support.small_tank import BASE, MESH, RUNS, TANK
 
 CANDIDATES = ("valve_delay", "clamp_compliance", "tangential_friction")
 

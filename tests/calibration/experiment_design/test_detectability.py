@@ -26,17 +26,8 @@ from slider_jax.cli.main import COMMANDS, find, main
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
 from tests.support.experiments import write
+from tests.support.still_tank import EFFECTS, LIMITS, MESH, STILL
 
-EFFECTS = ("regulator_gain", "actuator_saturation", "actuator_quadratic", "carried_mass",
-           "surge_compliance", "axial_added_mass", "pressure_gain", "force_gain")  # fmt: skip
-MESH = Resolution(13, 40, 6.0e-3)
-NOISE = "force_noise = 0.02\nforce_tare = 0.01\nforce_slow_noise = 0.01\npressure_noise = 700.0\n"
-STILL = (
-    ("sample_rate = 500.0", "sample_rate = 200.0"),
-    ("[sensors]\n", f"[sensors]\ntip_noise = 0.0005\n{NOISE}"),
-    ("tow_speed = 0.2", "rear_ratio = 0.9\nphase = 0.1\ntow_speed = 0.0"),
-)
-LIMITS = {"frequency": (2.0, 4.4), "amplitude": (135e3, 275e3), "phase": (0.1, 0.1)}
 FEW = SearchEffort(spread=5, rounds=1)
 
 

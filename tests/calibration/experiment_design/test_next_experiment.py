@@ -36,8 +36,8 @@ from calibration.model.extended import BASE, parameters, start
 from calibration.model.predict import CHANNELS
 from slider_jax.experiment.load import load
 from slider_jax.experiment.schema import Trial
-from tests.calibration.experiment_design.test_detectability import EFFECTS, LIMITS, MESH, STILL
 from tests.support.experiments import write
+from tests.support.still_tank import EFFECTS, LIMITS, MESH, STILL
 
 FREE, FEW = np.arange(len(BASE)), SearchEffort(spread=3, rounds=0)
 ENTRIES = parameters(EFFECTS)

@@ -27,7 +27,7 @@ from slider_jax.dynamics.step import at_rest
 from slider_jax.effects import ReactiveForce
 from slider_jax.effects.water.head_added_mass import HeadAddedMass
 from slider_jax.swimming.steady_state import SteadySettings, hastened, strides
-from tests.calibration.lamprey.test_lamprey import SHAPE, one_stride, wave
+from tests.support.swimming_animal import SHAPE, one_stride, wave
 
 QUICK = SteadySettings(steps_per_stride=60, numerics=Numerics(4, 8))
 GAIT = OPTIMUM.gaits["as the paper gives it"]

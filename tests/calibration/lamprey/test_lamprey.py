@@ -15,7 +15,6 @@ from calibration.lamprey.midlines import Midlines, read_midlines, read_width
 from calibration.lamprey.motion import (
     Smoothing,
     choose_smoothing,
-    lay_out,
     motion,
     twiced,
     white_noise,
@@ -27,39 +26,7 @@ from slider_jax.effects.water.head_drag import HeadDrag
 from slider_jax.effects.water.tangential_friction import TangentialFriction
 from slider_jax.effects.water.thinned_friction import ThinnedFriction
 from slider_jax.errors import InputError
-
-L, F, U = 0.15, 4.0, 0.3
-WAVES = 1.4
-SHAPE = CrossSections(np.linspace(0.0, 1.0, 11), np.linspace(0.036, 0.01, 11))
-
-
-def wave(amplitude, t, nodes=161, speed=U, grow=0.0):
-    """y = a(s) cos(k s + w t) at the head, and the angle that wave's slope: an exact motion."""
-    s = np.linspace(0.0, L, nodes)
-    k, w = 2.0 * math.pi * WAVES / L, 2.0 * math.pi * F
-    envelope = amplitude * (1.0 - grow * s / L)
-    phase = k * s + w * t[:, None]
-    slope = [
-        w**i * (-k * envelope * _sine(phase, i) - grow * amplitude / L * _cosine(phase, i))
-        for i in range(3)
-    ]
-    head = [
-        np.stack([x, w**i * envelope[-1] * _cosine(k * L + w * t, i)], axis=1)
-        for i, x in enumerate((speed * t, np.full_like(t, speed), 0.0 * t))
-    ]
-    return lay_out(t, s, slope, head)
-
-
-def _sine(x, derivative):
-    return np.sin(x + 0.5 * math.pi * derivative)
-
-
-def _cosine(x, derivative):
-    return np.cos(x + 0.5 * math.pi * derivative)
-
-
-def one_stride(count=48):
-    return np.arange(count) / (count * F)
+from tests.support.swimming_animal import SHAPE, WAVES, F, L, U, one_stride, wave
 
 
 def traced(amplitude=0.012, noise=1e-4, frames=80, points=20):

@@ -2,7 +2,6 @@
 
 import json
 import runpy
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +9,9 @@ import pytest
 from calibration.measurements.records import records
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
+from tests.support.data import ROOT
 
-SCRIPT = Path(__file__).resolve().parents[3] / "scripts" / "make_tank.py"
+SCRIPT = ROOT / "scripts" / "make_tank.py"
 main = runpy.run_path(str(SCRIPT))["main"]
 
 

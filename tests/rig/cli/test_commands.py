@@ -1,15 +1,9 @@
 """`slider rig` as a newcomer meets it: a simulated rig, a check, a run, a replay."""
 
 import json
-import os
 import re
 import shutil
-import signal
-import subprocess
-import sys
 import time
-from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,37 +21,8 @@ from rig.trial.session import differing
 from rig.trial.settling import Stillness
 from slider_jax.cli.main import main
 from slider_jax.errors import InputError
-from tests.rig.manifold.test_vents import EXPERIMENT
-
-ROOT = Path(__file__).resolve().parents[3]
-WITHOUT_JAX = "import sys; sys.modules['jax'] = None; "
-MAIN = "from slider_jax.cli.main import main; sys.exit(main(sys.argv[1:]))"
-
-
-def slider(*words, timeout=120.0, code=WITHOUT_JAX):
-    """The command in a process that has no JAX, as on a lab's small computer."""
-    return subprocess.run(
-        [sys.executable, "-c", code + MAIN, *map(str, words)], capture_output=True, text=True,
-        timeout=timeout, env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-
-
-@contextmanager
-def served(*words, cwd, code=WITHOUT_JAX):
-    """A command that prints a port and runs until Ctrl-C."""
-    child = subprocess.Popen(
-        [sys.executable, "-u", "-c", code + MAIN, *map(str, words)],
-        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=cwd,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-    try:
-        line = child.stdout.readline().split()
-        assert line and line[0] == "port", line
-        yield line[1]
-    finally:
-        child.send_signal(signal.SIGTERM)
-        assert child.wait(20.0) in (0, -signal.SIGTERM)
-        child.stdout.close()
+from tests.support.command import served, slider
+from tests.support.rig_experiment import EXPERIMENT
 
 
 @pytest.fixture(scope="module")

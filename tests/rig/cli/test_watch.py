@@ -10,8 +10,9 @@ import sys
 import numpy as np
 import pytest
 
-from tests.rig.cli.test_commands import served, slider
-from tests.rig.manifold.test_vents import EXPERIMENT, HEARS_CTRL_C, ROOT
+from tests.support.command import served, slider
+from tests.support.data import ROOT
+from tests.support.rig_experiment import EXPERIMENT, HEARS_CTRL_C
 
 pytestmark = pytest.mark.slow
 LEAK = 34.0

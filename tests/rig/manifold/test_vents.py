@@ -6,7 +6,6 @@ import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 
 import pytest
 
@@ -23,42 +22,13 @@ from rig.simulated.tank import BenchTank
 from rig.simulated.terminal import in_thread
 from rig.trial.capture import PlannedTrial, Switch, Switches, Timing, capture
 from rig.trial.waveform import SegmentDrive
+from tests.support.data import ROOT
+from tests.support.rig_experiment import EXPERIMENT, HEARS_CTRL_C
 
 WITHIN = 0.15
-ROOT = Path(__file__).resolve().parents[3]
 LIMITS = PressureLimits.of([250e3])
 QUICK = Timing(quiet=0.2, after=0.1, fade=0.0)
 DRIVE = SegmentDrive("square", 5.0, 200e3)
-HEARS_CTRL_C = """
-import signal, sys
-from slider_jax.cli.main import main
-signal.signal(signal.SIGINT, signal.default_int_handler)
-sys.exit(main(sys.argv[1:]))
-"""
-"""A shell's background jobs, and what they start, ignore it."""
-EXPERIMENT = """
-name = "vents"
-[robot]
-body_length = 0.298
-tail_length = 0.07
-linear_density = 0.7
-EI_body = 0.038
-EI_tail = 0.0058
-damping_time = 0.002
-height = 0.03
-front_chamber = [0.02, 0.145]
-rear_chamber = [0.155, 0.28]
-[parameters]
-C_d = 2.0
-m_a = 0.5
-k = 0.05
-K_Q = 4.79e-7
-[[trials]]
-file = "a.csv"
-frequency = 5.0
-amplitude = 200e3
-duration = {duration}
-"""
 
 
 class Watched:

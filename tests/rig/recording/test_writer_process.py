@@ -10,7 +10,7 @@ import pytest
 from rig.errors import RigError
 from rig.recording.reader import read_recording
 from rig.recording.writer_process import ProcessRecorder
-from tests.rig.recording.test_writer import WRITER, sent, start
+from tests.support.killed_writer import WRITER, sent, start
 
 PROGRAM = WRITER.replace(
     "rig.recording.writer import Recorder",

@@ -17,7 +17,7 @@ from slider_jax.optimise.design_space import box_of, models
 from slider_jax.optimise.population import CHUNK, Evaluation
 from slider_jax.swimming.paper_optimum import swimmer_content
 from slider_jax.swimming.steady_state import SteadySettings, find_steady
-from tests.conftest import ROOT
+from tests.support.data import ROOT
 
 CODE = """
 import os, sys, time

@@ -3,7 +3,6 @@
 import json
 import re
 import runpy
-from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -27,8 +26,9 @@ from slider_jax.sweep import sweep as sweeping
 from slider_jax.swimming.gait import swimmer as free
 from slider_jax.swimming.paper_optimum import swimmer_content
 from slider_jax.swimming.steady_state import SteadySettings, find_steady
+from tests.support.data import ROOT
 
-SCRIPT = Path(__file__).resolve().parents[3] / "scripts" / "fig7_design_maps.py"
+SCRIPT = ROOT / "scripts" / "fig7_design_maps.py"
 script = runpy.run_path(str(SCRIPT))
 main = script["main"]
 

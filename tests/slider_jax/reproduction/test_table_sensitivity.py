@@ -2,7 +2,6 @@
 
 import json
 import runpy
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -33,6 +32,7 @@ from slider_jax.swimming.free_swim import check
 from slider_jax.swimming.paper_optimum import PUBLISHED, optimum
 from slider_jax.swimming.performance import Stride
 from slider_jax.swimming.steady_state import SteadySettings
+from tests.support.data import ROOT
 
 F, STEPS, A, LAMBDA = 4.0, 60, 0.004, 0.2
 S = np.linspace(0.0, 0.4, 161)  # two waves
@@ -132,7 +132,7 @@ def coarse() -> Experiment:
 
 @pytest.mark.slow
 def test_the_script_prints_and_writes_the_table(tmp_path, capsys, monkeypatch):
-    script = Path(__file__).resolve().parents[3] / "scripts" / "table_performance.py"
+    script = ROOT / "scripts" / "table_performance.py"
     main = runpy.run_path(str(script))["main"]
     few = {name: CHANGES[name] for name in (AS_STATED, NO_LAG)}
     for name, value in (("CHANGES", few), ("RECALIBRATED", (NO_LAG,)), ("optimum", coarse)):

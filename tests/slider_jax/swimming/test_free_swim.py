@@ -25,7 +25,7 @@ from slider_jax.swimming.gait import Gait, swimmer
 from slider_jax.swimming.paper_optimum import swimmer_content
 from slider_jax.swimming.performance import next_stride, performance
 from slider_jax.swimming.steady_state import SteadySettings, find_steady, stride_times
-from tests.conftest import ROOT
+from tests.support.data import ROOT
 
 COARSE = {"nodes": 17, "step": 0.004}
 SEARCH = SteadySettings(steps_per_stride=48, numerics=Numerics(4, 12))

@@ -1,0 +1,25 @@
+"""A small simulated tank and a coarse mesh: the loop\'s tests share their compiled programs."""
+
+from calibration.discrepancy import close_loop as closing
+from calibration.measurements.synthetic import Truth, trials, write_tank
+from calibration.model.predict import Resolution
+from slider_jax.experiment import load as experiment
+
+CANDIDATES = ("valve_delay", "clamp_compliance", "tangential_friction", "force_gain")
+
+BASE = {"C_d": 3.2, "m_a": 0.6, "k": 0.08, "K_Q": 4.6e-7}
+
+TANK = {"nodes": 21, "step": 2e-3, "scheme": "sdirk2"}
+
+RUNS = [run | {"duration": 1.2} for run in trials(3, count=6)[2:]] + [
+    run | {"duration": 1.2, "file": f"again_{i}.csv"}
+    for i, run in enumerate(trials(4, count=6)[3:])
+]
+
+MESH = Resolution(21, 60, 3.0e-3)
+"""Of residuals and tangents: few programs. The tank has another step."""
+
+
+def closed(folder, effects, seed=0):
+    path = write_tank(folder, Truth(BASE, effects), RUNS, seed, numerics=TANK)
+    return closing.close_loop(experiment.load(path), CANDIDATES, fine=MESH, coarse=MESH)

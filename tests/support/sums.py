@@ -1,0 +1,55 @@
+"""A problem whose predictions are sums of known series."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from calibration.inference.problem import ChannelBlock
+
+TRIALS, SAMPLES = 4, 300
+
+SHAPES = np.random.default_rng(1).normal(size=(5, TRIALS, SAMPLES))
+
+SHAPES[2] = SHAPES[4] + 0.25 * SHAPES[3] + 0.1 * SHAPES[2]
+
+
+class Sums:
+    """Readings are sums of shapes (parameters, trials, samples), and noise."""
+
+    channels = ("tip",)
+    maps = memo = None
+
+    def __init__(self, truth, shapes=SHAPES, noise=0.1, seed=0):
+        self.shapes, self.size = shapes, 1.0 / noise
+        noise = np.random.default_rng(seed).normal(size=(TRIALS, SAMPLES))
+        self.y = self._sum(np.asarray(truth)) + noise
+        self.records = [
+            SimpleNamespace(values=np.zeros((5, SAMPLES)), trial=SimpleNamespace(file=str(i)))
+            for i in range(TRIALS)
+        ]
+
+    def _sum(self, theta):
+        return self.size * np.tensordot(theta, self.shapes, 1)
+
+    def predict(self, theta):
+        found = np.zeros((TRIALS, 5, SAMPLES))
+        found[:, 4] = self._sum(theta)
+        return list(found)
+
+    def tangents(self, theta, directions):
+        found = np.zeros((TRIALS, len(directions), 5, SAMPLES))
+        found[:, :, 4] = self.size * np.einsum("kp,pts->tks", directions, self.shapes)
+        return list(found)
+
+    def whiteners(self, predicted):
+        return {}
+
+    def residuals(self, predicted, white):
+        return {(i, "tip"): self.y[i] - predicted[i][4] for i in range(TRIALS)}
+
+    def blocks(self, residuals, derivatives, white):
+        found = []
+        for (i, channel), r in residuals.items():
+            J = derivatives[i][:, 4]
+            found.append(ChannelBlock(i, channel, J @ J.T, J @ r, float(r @ r), len(r)))
+        return found
