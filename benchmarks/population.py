@@ -18,11 +18,11 @@ import numpy as np
 from slider_jax.batch.chunks import available_cores
 from slider_jax.dynamics.step import at_rest
 from slider_jax.io.provenance import versions
-from slider_jax.optimise.design_space import box_of, models
-from slider_jax.optimise.population import Evaluation, begin
+from slider_jax.optimise.design_space import gait_bounds, models
+from slider_jax.optimise.population import Evaluation, start_devices
 from slider_jax.precision import enable_float64
 from slider_jax.swimming.paper_optimum import optimum
-from slider_jax.swimming.steady_state import SteadySettings, strides
+from slider_jax.swimming.steady_state import SteadySettings, simulate_strides
 
 FREQUENCY = 5.0
 
@@ -34,14 +34,14 @@ def main() -> None:
     asked.add_argument("--seed", type=int, default=0)
     given = asked.parse_args()
     enable_float64()
-    begin(available_cores())
-    model, box, search = models(optimum()), box_of({}), SteadySettings()
+    start_devices(available_cores())
+    model, box, search = models(optimum()), gait_bounds({}), SteadySettings()
     count = round(given.seconds * FREQUENCY)
 
     def speed(unit):
         swimmer = model(box.gait(unit)._replace(frequency=jnp.asarray(FREQUENCY)))
         start = at_rest(swimmer, search.numerics)
-        carry, pace = strides(swimmer, FREQUENCY, start, count, search)
+        carry, pace = simulate_strides(swimmer, FREQUENCY, start, count, search)
         return jnp.where(carry.ok, pace.speed, jnp.nan)
 
     evaluate = Evaluation(speed)

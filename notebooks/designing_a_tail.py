@@ -30,9 +30,9 @@ import optax
 import slider_jax as sj
 from slider_jax.beam.parameters import Numerics
 from slider_jax.optimise.design_space import models
-from slider_jax.optimise.loop import run, settings_of
+from slider_jax.optimise.loop import run_optimiser, settings_of
 from slider_jax.optimise.population import Evaluation
-from slider_jax.optimise.registry import searcher
+from slider_jax.optimise.registry import make_optimiser
 from slider_jax.swimming.gait import Gait
 from slider_jax.swimming.paper_optimum import optimum
 from slider_jax.swimming.steady_state import SteadySettings, find_steady, steady_speed
@@ -123,8 +123,8 @@ print(f"{len(path)} steps; the fastest {100 * np.nanmax(heights):.1f} cm/s, {wor
 
 # %%
 members, generations = 16, 8
-genetic = searcher("genetic", members, 2)
-bred = run(
+genetic = make_optimiser("genetic", members, 2)
+bred = run_optimiser(
     genetic,
     lambda population, gradients: (speeds(population), None),
     generations,

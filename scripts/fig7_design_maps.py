@@ -21,7 +21,7 @@ from slider_jax.io.provenance import input_file, versions
 from slider_jax.precision import enable_float64
 from slider_jax.reproduction.design_findings import StatementCheck, findings
 from slider_jax.reproduction.design_maps import MARKED, Map, best_phase, best_stiffness
-from slider_jax.reproduction.design_maps_report import SHOWN_LENGTHS, draw
+from slider_jax.reproduction.design_maps_report import SHOWN_LENGTHS, plot_design_maps
 from slider_jax.sweep.sweep import Axis, Sweep, run_sweep
 
 SWIMMER = Path(__file__).resolve().parent.parent / "docs" / "swimmer.toml"
@@ -53,7 +53,7 @@ def _with(values: np.ndarray, more: tuple[float, ...]) -> tuple[float, ...]:
     return tuple(map(float, np.unique(np.round([*values, *more], 9))))
 
 
-def run(sweep: Sweep, name: str, folder: Path) -> Map:
+def map_of_sweep(sweep: Sweep, name: str, folder: Path) -> Map:
     """The map of a sweep; finished parts of it are kept in `folder`/partial."""
     folder.mkdir(exist_ok=True)
     count = {"done": 0, "all": 0}
@@ -94,7 +94,7 @@ def main(argv: list[str] | None = None) -> int:
     tasks = sweeps(swimmer, given.points)
     with tentative_folder(given.folder) as out:
         parts = {name: out / f"map_{name}" for name in tasks}
-        a, b = (run(tasks[name], name, parts[name]) for name in tasks)
+        a, b = (map_of_sweep(tasks[name], name, parts[name]) for name in tasks)
     found, trial = findings(a, b), swimmer.trials[0]
     title = f"{swimmer.name}, {trial.frequency:g} Hz, {1e-3 * trial.amplitude:g} kPa"
     slices = f"a, c: phase {trial.phase:g}; b, d: EI {1e3 * swimmer.robot.EI_tail:g} mN m²"
@@ -121,7 +121,7 @@ def main(argv: list[str] | None = None) -> int:
         "versions": versions(),
     }
     with staged(out) as stage:
-        draw(a, b, f"{title}; {slices}", stage / "fig7.png")
+        plot_design_maps(a, b, f"{title}; {slices}", stage / "fig7.png")
         write_json(stage / "fig7.json", record)
         write_text(stage / "fig7.txt", text)
     for folder in parts.values():

@@ -23,7 +23,7 @@ def outcome(case: ElementTree.Element) -> str:
     return "passed"
 
 
-def table(report: Path) -> str:
+def results_table(report: Path) -> str:
     """Return a Markdown table of the tests in pytest's XML report, the slowest first."""
     cases = list(ElementTree.parse(report).iter("testcase"))
     cases.sort(key=lambda case: -float(case.get("time", 0.0)))
@@ -43,7 +43,7 @@ def main(arguments: list[str]) -> int:
         command = [sys.executable, "-m", "pytest", "-q", "-m", "slow", f"--junitxml={report}"]
         code = subprocess.run([*command, *parallel, *arguments], cwd=ROOT).returncode
         if report.exists():
-            print(table(report))
+            print(results_table(report))
     return code
 
 

@@ -22,14 +22,14 @@ from slider_jax.reproduction.table_sensitivity import (
     SteadyRow,
     calibrated,
     head_fixed_thrust,
-    held,
-    swim,
+    clamped_performance,
+    steady_row,
 )
 from slider_jax.reproduction.wavelengths import on_course
-from slider_jax.swimming.batch import columns
-from slider_jax.swimming.free_swim import check, plan_of
+from slider_jax.swimming.batch import performance_columns
+from slider_jax.swimming.free_swim import free_swimmer, steady_settings
 from slider_jax.swimming.paper_optimum import MEASURED_SPEED, PUBLISHED, optimum
-from slider_jax.swimming.report import table
+from slider_jax.swimming.report import swim_table
 
 STATED, OWN = PUBLISHED["tail_slope"].model, PUBLISHED["shape_tail_slope"].model
 LENGTHS_PER_S = 0.59
@@ -41,7 +41,7 @@ AGAIN = ", resistance calibrated"
 
 def content_of(row: SteadyRow) -> dict[str, Any]:
     """A row for table.json."""
-    found = {name: float(x) for name, x in columns(row.performance).items()}
+    found = {name: float(x) for name, x in performance_columns(row.performance).items()}
     return found | {
         "head_drag_area_m2": row.area,
         "rms_tail_slope": row.rms_tail_slope,
@@ -61,11 +61,11 @@ def line(name: str, x: dict[str, Any]) -> str:
     )
 
 
-def said(content: dict[str, Any]) -> list[str]:
+def report_lines(content: dict[str, Any]) -> list[str]:
     """What is printed."""
     swims, held_head = content["swims"], content["head_clamped"]
     here = swims[next(iter(CHANGES))]
-    lines = [table(here, PUBLISHED)]
+    lines = [swim_table(here, PUBLISHED)]
     lengths = content["lengths_per_s"]
     measured = f"{LENGTHS_PER_S:12}{lengths / LENGTHS_PER_S:8.2f}"
     lines += [f"{'lengths per second':34}{lengths:10.4g}{'':22}{measured}", ""]
@@ -94,7 +94,7 @@ def said(content: dict[str, Any]) -> list[str]:
     return lines
 
 
-def plot(content: dict[str, Any], rows: dict[str, SteadyRow], path: Path) -> None:
+def plot_tail_slopes(content: dict[str, Any], rows: dict[str, SteadyRow], path: Path) -> None:
     """Tail slopes by change and definition, and the midlines of three models."""
     swims, chosen = content["swims"], [next(iter(CHANGES)), *(n + AGAIN for n in RECALIBRATED[:2])]
     figure, axes = new_figure(1, 2, figsize=(12, 7), width_ratios=(3, 2))
@@ -132,14 +132,14 @@ def main(argv: list[str] | None = None) -> int:
     given = asked.parse_args(argv)
     enable_float64()
     experiment = optimum()
-    frequency, model = check(experiment, experiment.trials[0])
-    search = plan_of(experiment, frequency)
+    frequency, model = free_swimmer(experiment, experiment.trials[0])
+    search = steady_settings(experiment, frequency)
     first = next(iter(CHANGES))
     with staged(given.folder) as stage:
         rows = {}
         for name, change in CHANGES.items():
             print(f"{name} ...", file=sys.stderr, flush=True)
-            rows[name] = swim(change(model), frequency, search)
+            rows[name] = steady_row(change(model), frequency, search)
         for name in RECALIBRATED:
             print(f"{name}{AGAIN} ...", file=sys.stderr, flush=True)
             found = calibrated(CHANGES[name](model), frequency, MEASURED_SPEED, search)
@@ -148,7 +148,7 @@ def main(argv: list[str] | None = None) -> int:
             "paper": {name: x._asdict() for name, x in PUBLISHED.items()},
             "swims": {name: content_of(x) for name, x in rows.items()},
             "lengths_per_s": float(rows[first].performance.speed / model.body.length),
-            "head_clamped": held(model, frequency, MEASURED_SPEED, search),
+            "head_clamped": clamped_performance(model, frequency, MEASURED_SPEED, search),
             "head_fixed_thrust_N": {
                 name: head_fixed_thrust(name, HEAD_FIXED, model, search)
                 for name in (first, *RECALIBRATED[:2])
@@ -162,8 +162,8 @@ def main(argv: list[str] | None = None) -> int:
             "versions": versions(),
         }
         write_json(stage / "table.json", content)
-        plot(content, rows, stage / "table.png")
-    print("\n".join(said(content)))
+        plot_tail_slopes(content, rows, stage / "table.png")
+    print("\n".join(report_lines(content)))
     print(f"table.json and table.png are in {given.folder}", file=sys.stderr)
     return 0
 

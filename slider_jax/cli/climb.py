@@ -45,12 +45,12 @@ def climb(
         cap: highest set pressure [Pa]; amplitudes beyond it are cut.
     """
     from slider_jax.cli.progress import Progress
-    from slider_jax.climbing.climb import climb as climb_wall, row
-    from slider_jax.climbing.report import film, plot, series_columns, table, words
+    from slider_jax.climbing.climb import simulate_climb as climb_wall, climb_record
+    from slider_jax.climbing.report import film, plot_climb, series_columns, climb_table, climb_summary
     from slider_jax.io.files import staged, write_csv, write_json
     from slider_jax.io.provenance import input_file, versions
     from slider_jax.swimming.gait import stride_frequency
-    from slider_jax.swimming.paper_optimum import climber, given_or
+    from slider_jax.swimming.paper_optimum import example_climber, given_or
 
     if pin_phase is not None and not -1.0 <= pin_phase <= 1.0:
         raise InputError.value("--pin-phase", f"{pin_phase:g}", "-1 to 1, of a period")
@@ -58,7 +58,7 @@ def climb(
         raise InputError.value("--link", f"{link:g}", "0.005 to 0.2 m")
     if not 1e3 <= cap <= 2e6:
         raise InputError.value("--cap", f"{cap:g}", "1e3 to 2e6 Pa", "pascal, not kPa or psi")
-    given = given_or(climber, experiment, model)
+    given = given_or(example_climber, experiment, model)
     trials = chosen_trials(given.trials, trial)
     if experiment is not None:
         refuse_own_folder(out, given.folder)
@@ -73,14 +73,14 @@ def climb(
                 print(f"{name}: {text} ...", file=sys.stderr, flush=True)
 
             run = climb_wall(given, x, pin_phase, link, cap, say)
-            rows.append(row(run))
+            rows.append(climb_record(run))
             write_csv(stage / f"{name}_climb.csv", series_columns(run))
-            plot(run, stage / f"{name}_climb.png")
+            plot_climb(run, stage / f"{name}_climb.png")
             with Progress(name, "frame", "film of the last strides") as progress:
                 film(run, stage / f"{name}_climb.gif", progress.to)
             print(f"{name}: {x.waveform} {x.frequency:g} Hz")
-            print(table(rows[-1]))
-            print("\n".join(words(run)))
+            print(climb_table(rows[-1]))
+            print("\n".join(climb_summary(run)))
         content = {
             "climbs": rows,
             "experiment": given.model_dump(),

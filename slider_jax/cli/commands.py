@@ -30,10 +30,10 @@ COMMANDS = {
     "swim": Subcommand("slider_jax.cli.swim:swim", "the robot set free, and its steady speed"),
     "climb": Subcommand("slider_jax.cli.climb:climb", "the robot pinned to a wall, in air"),
     "optimize swim": Subcommand(
-        "slider_jax.cli.optimize:swim", "tail and gait for the fastest swimming"
+        "slider_jax.cli.optimize:optimize_swim", "tail and gait for the fastest swimming"
     ),
     "optimize multimodal": Subcommand(
-        "slider_jax.cli.optimize:multimodal", "one tail to swim and to climb with"
+        "slider_jax.cli.optimize:optimize_multimodal", "one tail to swim and to climb with"
     ),
     "close-loop": Subcommand(
         "calibration.cli.close_loop:close_loop", "what a model lacks, from measured trials"

@@ -20,13 +20,13 @@ def demo(out: Folder = Path("slider_demo")) -> None:
     from slider_jax.cli.progress import Progress
     from slider_jax.io.files import output_folder
     from slider_jax.reproduction.frequency_sweep import FrequencySweepSettings, run_frequency_sweep
-    from slider_jax.reproduction.frequency_sweep_report import comparison, write_results
+    from slider_jax.reproduction.frequency_sweep_report import comparison, write_frequency_sweep
 
     output_folder(out)
     settings, begun = FrequencySweepSettings(), time.perf_counter()
     with Progress(f"{len(settings.frequencies)} frequencies", "stride") as progress:
         sweep = run_frequency_sweep(settings, progress.begin, progress.step)
-    write_results(sweep, settings, out)
+    write_frequency_sweep(sweep, settings, out)
     print(comparison(sweep, settings))
     seconds = time.perf_counter() - begun
     print(f"results are in {out} ({seconds:.0f} s)", file=sys.stderr)

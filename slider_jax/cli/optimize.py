@@ -24,7 +24,7 @@ def _begin(coordinator: str, processes: int, process: int):
         raise InputError(
             f"--processes {processes}: more than one need --coordinator HOST:PORT, and one has none"
         )
-    evaluation.begin(available_cores(), coordinator, processes, process)
+    evaluation.start_devices(available_cores(), coordinator, processes, process)
     return evaluation
 
 
@@ -65,7 +65,7 @@ def _kept(out: Path) -> None:
         print(f"what was found is kept in {out}; add --resume to go on", file=sys.stderr)
 
 
-def swim(
+def optimize_swim(
     experiment: MaybeExperiment = None,
     *,
     out: Folder,
@@ -120,14 +120,14 @@ def swim(
     from slider_jax.io.files import output_folder
     from slider_jax.io.provenance import input_file
     from slider_jax.optimise import fastest_swimmer as swim_search
-    from slider_jax.optimise.registry import searcher
+    from slider_jax.optimise.registry import make_optimiser
     from slider_jax.swimming.paper_optimum import given_or, optimum
 
     _check(generations, steps_per_stride, seed)
     bounds = {"frequency": frequency, "front": front, "rear": rear, "phase": phase,
               "tail_length": tail_length, "EI_tail": EI_tail}  # fmt: skip
     task = swim_search.Task.of(given_or(optimum, experiment, model), bounds, steps_per_stride)
-    algorithm_of = searcher(algorithm, population, 6)
+    algorithm_of = make_optimiser(algorithm, population, 6)
     output_folder(out)
     report = _Report(generations, evaluation.is_first())
 
@@ -138,7 +138,7 @@ def swim(
         )  # fmt: skip
 
     try:
-        found = swim_search.search(
+        found = swim_search.search_fastest(
             task, algorithm_of, population, generations, seed, out, resume, said
         )
     except KeyboardInterrupt:
@@ -147,13 +147,13 @@ def swim(
     if evaluation.is_first():
         print("gradient and Hessian at the best ...", file=sys.stderr)
         inputs = [input_file(p) for p in (experiment, model) if p is not None]
-        for line in swim_search.words(swim_search.write(task, found, out, inputs)):
+        for line in swim_search.optimum_summary(swim_search.write_optimum(task, found, out, inputs)):
             print(line)
         print(f"best.toml, optimum.json and optimum.png are in {out}", file=sys.stderr)
-    evaluation.together("results are written")
+    evaluation.barrier("results are written")
 
 
-def multimodal(
+def optimize_multimodal(
     experiment: MaybeExperiment = None,
     *,
     out: Folder,
@@ -202,17 +202,17 @@ def multimodal(
     from slider_jax.io.files import output_folder
     from slider_jax.io.provenance import input_file
     from slider_jax.optimise import report as multimodal_report
-    from slider_jax.optimise.pareto_front import FrontEffort, front
-    from slider_jax.optimise.registry import searcher
-    from slider_jax.optimise.two_tasks import Modes
+    from slider_jax.optimise.pareto_front import FrontEffort, search_front
+    from slider_jax.optimise.registry import make_optimiser
+    from slider_jax.optimise.two_tasks import TwoTasks
     from slider_jax.swimming.paper_optimum import given_or, optimum
 
     _check(generations, steps_per_stride, seed)
     if not 2 <= betas <= 101:
         raise InputError.value("--betas", betas, "2 to 101: both ends, and values between")
-    searcher(algorithm, population, 6)
+    make_optimiser(algorithm, population, 6)
     effort = FrontEffort(algorithm, population, generations, seed)
-    modes = Modes.of(given_or(optimum, experiment, model), tail_length, EI_tail, steps_per_stride)
+    modes = TwoTasks.of(given_or(optimum, experiment, model), tail_length, EI_tail, steps_per_stride)
     output_folder(out)
     report = _Report(generations, evaluation.is_first())
 
@@ -223,15 +223,15 @@ def multimodal(
         report(generation, seconds, words, name, whole)
 
     try:
-        found = front(modes, betas, effort, out, resume, said)
+        found = search_front(modes, betas, effort, out, resume, said)
     except KeyboardInterrupt:
         _kept(out)
         raise
     if evaluation.is_first():
         print("every design once more, on the experiment's own mesh ...", file=sys.stderr)
         inputs = [input_file(p) for p in (experiment, model) if p is not None]
-        content = multimodal_report.write(modes, found, effort._asdict(), out, inputs)
-        for line in multimodal_report.words(content):
+        content = multimodal_report.write_front(modes, found, effort._asdict(), out, inputs)
+        for line in multimodal_report.front_summary(content):
             print(line)
         print(f"multimodal.json, multimodal.png and experiments are in {out}", file=sys.stderr)
-    evaluation.together("results are written")
+    evaluation.barrier("results are written")

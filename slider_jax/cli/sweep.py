@@ -59,7 +59,7 @@ def sweep(
     from slider_jax.cli.progress import Progress
     from slider_jax.experiment.load import load
     from slider_jax.io.files import output_folder
-    from slider_jax.sweep.report import is_written, write_results
+    from slider_jax.sweep.report import is_written, write_sweep
     from slider_jax.sweep.sweep import Axis, Sweep, run_sweep
 
     axes = [Axis.spaced(field, start, stop, count)]
@@ -101,7 +101,7 @@ def sweep(
             file=sys.stderr,
         )
         raise
-    write_results(task, table, out, experiment)
+    write_sweep(task, table, out, experiment)
     shutil.rmtree(out / "partial")
     print(f"{len(task.points)} members are in {out / 'sweep.csv'}", file=sys.stderr)
 

@@ -34,9 +34,9 @@ def swim(
     """
     from slider_jax.io.files import staged, write_csv, write_json
     from slider_jax.io.provenance import input_file, versions
-    from slider_jax.swimming.free_swim import check, row, swim as swim_freely
+    from slider_jax.swimming.free_swim import free_swimmer, swim_record, simulate_free_swim as swim_freely
     from slider_jax.swimming.paper_optimum import PUBLISHED, given_or, optimum
-    from slider_jax.swimming.report import plot, stride_columns, table, words
+    from slider_jax.swimming.report import plot_swim, stride_columns, swim_table, swim_summary
 
     given = given_or(optimum, experiment, model)
     trials = chosen_trials(given.trials, trial)
@@ -44,7 +44,7 @@ def swim(
     if experiment is not None:
         refuse_own_folder(out, given.folder)
     for x in trials:  # all that cannot be swum is told before anything is computed
-        check(given, x)
+        free_swimmer(given, x)
     rows = []
     with staged(out) as stage:
         for x in trials:
@@ -54,12 +54,12 @@ def swim(
                 print(f"{name}: {text} ...", file=sys.stderr, flush=True)
 
             found = swim_freely(given, x, say)
-            rows.append(row(found))
+            rows.append(swim_record(found))
             write_csv(stage / f"{name}_swim.csv", stride_columns(found))
-            plot(found, stage / f"{name}_swim.png")
+            plot_swim(found, stage / f"{name}_swim.png")
             print(f"{name}: {x.waveform} {x.frequency:g} Hz")
-            print(table(rows[-1], published))
-            print("\n".join(words(found)))
+            print(swim_table(rows[-1], published))
+            print("\n".join(swim_summary(found)))
         content = {
             "swims": rows,
             "published": {name: x._asdict() for name, x in published.items()},

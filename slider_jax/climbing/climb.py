@@ -25,7 +25,7 @@ from slider_jax.errors import SolverError
 from slider_jax.experiment.load import Experiment, to_model, to_numerics
 from slider_jax.experiment.schema import Trial
 from slider_jax.simulation.sampling import half_period_steps
-from slider_jax.swimming.gait import CAP, LINK, climber, stride_frequency
+from slider_jax.swimming.gait import CAP, LINK, to_climber, stride_frequency
 
 PHASES = 16
 """Phases of the pin that are tried where none is given."""
@@ -86,7 +86,7 @@ def period_of(rises: np.ndarray, link: float, least: int = 10) -> int:
     return 0
 
 
-def plan_of(experiment: Experiment, frequency: float) -> ClimbPlan:
+def climb_plan(experiment: Experiment, frequency: float) -> ClimbPlan:
     """Mesh of the experiment, and an even number of steps to a stride, none longer than its."""
     numerics, scheme = to_numerics(experiment)
     steps = 2 * half_period_steps(frequency, experiment.numerics.step)
@@ -101,7 +101,7 @@ def speeds_by_phase(
     @jax.jit
     def speeds(phases):
         def one(phase):
-            model = climber(base, frequency, phase, None, link, cap)
+            model = to_climber(base, frequency, phase, None, link, cap)
             found, ok = climb_from_rest(model, frequency, plan)
             return jnp.where(ok, found.speed, jnp.nan)
 
@@ -119,7 +119,7 @@ def _rough(experiment: Experiment, plan: ClimbPlan, frequency: float) -> ClimbPl
     return plan._replace(numerics=numerics, steps_per_stride=steps)
 
 
-def climb(
+def simulate_climb(
     experiment: Experiment,
     trial: Trial | int = 0,
     pin_phase: float | None = None,
@@ -138,7 +138,7 @@ def climb(
     if isinstance(trial, int):
         trial = experiment.trials[trial]
     frequency, base = stride_frequency(trial), to_model(experiment, trial)
-    plan = plan_of(experiment, frequency)
+    plan = climb_plan(experiment, frequency)
     tried: dict[float, float] = {}
     if pin_phase is None and trial.amplitude:
         progress(f"{PHASES} phases of the pin")
@@ -151,7 +151,7 @@ def climb(
             )
         pin_phase = max(tried, key=lambda x: np.nan_to_num(tried[x], nan=-np.inf))
     pin_phase = pin_phase or 0.0
-    model, f = climber(base, frequency, pin_phase, None, link, cap), jnp.asarray(frequency, float)
+    model, f = to_climber(base, frequency, pin_phase, None, link, cap), jnp.asarray(frequency, float)
     progress("climbing")
     carry, before = _more(model, f, hanging(model, plan.numerics), plan)
     rises = np.empty(0)
@@ -192,7 +192,7 @@ UNITS = {
 """Of quantities of `Climb`; the others have none."""
 
 
-def row(run: ClimbRun) -> dict[str, Any]:
+def climb_record(run: ClimbRun) -> dict[str, Any]:
     """What was found, in SI, by names with units."""
     table = {
         f"{name}_{UNITS[name]}" if name in UNITS else name: float(getattr(run.found, name))

@@ -24,7 +24,7 @@ ROWS = (
 FILM_STRIDES, FRAMES_PER_STRIDE = 4, 24
 
 
-def table(row: dict[str, Any]) -> str:
+def climb_table(row: dict[str, Any]) -> str:
     """The rows, one a line."""
     lines = []
     for name, words, unit, factor in ROWS:
@@ -32,7 +32,7 @@ def table(row: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def words(run: ClimbRun) -> list[str]:
+def climb_summary(run: ClimbRun) -> list[str]:
     """Pin, cap and how the climb repeats."""
     trial, said = run.trial, []
     if not trial.amplitude:
@@ -83,7 +83,7 @@ def _sideways(points: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, np.nd
     return -1e3 * (points[..., 1, :] - origin[1]), 1e3 * (points[..., 0, :] - origin[0])
 
 
-def plot(run: ClimbRun, path: Path) -> None:
+def plot_climb(run: ClimbRun, path: Path) -> None:
     """One stride on the wall, the rise in time, and where the work goes."""
     figure, axes = new_figure(1, 2, figsize=(9.5, 6), width_ratios=(2, 3))
     wall, right = axes

@@ -26,7 +26,7 @@ from slider_jax.dynamics.step import Carry, Snapshot, at_rest, with_motion
 from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
 from slider_jax.effects import Gravity, total_force
 from slider_jax.supports import PinnedLink
-from slider_jax.swimming.steady_state import BEGUN
+from slider_jax.swimming.steady_state import STRIDES_BEFORE_START
 
 
 class ClimbPlan(NamedTuple):
@@ -136,7 +136,7 @@ def climb_on(
     """
     assert isinstance(model.support, PinnedLink)
     steps = plan.steps_per_stride
-    begin = (BEGUN + model.support.phase) / frequency
+    begin = (STRIDES_BEFORE_START + model.support.phase) / frequency
     times = TimeGrid(1.0 / (frequency * steps), count * steps, begin)
     run = rollout(model, times, _saved, plan.numerics, plan.scheme, begin=carry, checkpoint=False)
     return run.final, run.saved

@@ -15,7 +15,7 @@ from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment, coefficients_at, to_model
 from slider_jax.experiment.schema import RobotTable, Trial
 from slider_jax.io.toml import quantity_of
-from slider_jax.swimming.gait import Gait, swimmer
+from slider_jax.swimming.gait import Gait, to_swimmer
 from slider_jax.swimming.steady_state import SteadySettings, find_steady, steady_speed
 
 
@@ -61,7 +61,7 @@ class GaitBounds:
         return (np.array(gait) - self.low) / (self.high - self.low)
 
 
-def box_of(given: Mapping[str, tuple[float, float] | None]) -> GaitBounds:
+def gait_bounds(given: Mapping[str, tuple[float, float] | None]) -> GaitBounds:
     """The bounds `given`, the others by default.
 
     Raises `InputError` for reversed ones, and for such beyond physics.
@@ -101,7 +101,7 @@ def models(experiment: Experiment) -> Callable[[Gait], Model]:
             if "stride_frequency" in names:
                 found[i] = {"stride_frequency": gait.frequency}
         effects = tuple(replace(e, **found.get(i, {})) for i, e in enumerate(base.effects))
-        return swimmer(replace(base, effects=effects), gait)
+        return to_swimmer(replace(base, effects=effects), gait)
 
     return model
 

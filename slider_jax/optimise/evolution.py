@@ -10,7 +10,7 @@ import optax
 from evosax.algorithms import CMA_ES, SimpleGA
 from evosax.algorithms.population_based.simple_ga import mutation
 
-from slider_jax.optimise.optimiser import Searcher, standard
+from slider_jax.optimise.optimiser import Optimiser, standard
 
 DECAY = 100
 """Generations over which mutation falls (the paper's)."""
@@ -64,7 +64,7 @@ def _losses(scores: np.ndarray) -> jax.Array:
     return jnp.asarray(-np.where(good, scores, worst))
 
 
-def genetic(members: int, dimensions: int) -> Searcher:
+def genetic(members: int, dimensions: int) -> Optimiser:
     """The paper's genetic algorithm."""
     schedule = optax.linear_schedule(*MUTATION, DECAY)
     ga = RankGA(members, jnp.zeros(dimensions), schedule)
@@ -84,12 +84,12 @@ def genetic(members: int, dimensions: int) -> Searcher:
         key = _key(seed, generation, 1)
         return ga.tell(key, jnp.asarray(found), _losses(scores), state, params)[0]
 
-    return Searcher("genetic", standard(begin), standard(ask), standard(tell))
+    return Optimiser("genetic", standard(begin), standard(ask), standard(tell))
 
 
 def cma_es(
     members: int, dimensions: int, around: np.ndarray | None = None, spread: float = SPREAD
-) -> Searcher:
+) -> Optimiser:
     """Covariance matrix adaptation; members beyond the box are put on its faces.
 
     It starts `around` a point (the middle), with `spread` as its standard deviation.
@@ -109,4 +109,4 @@ def cma_es(
         key = _key(seed, generation, 1)
         return es.tell(key, jnp.asarray(found), _losses(scores), state, es.default_params)[0]
 
-    return Searcher("cma-es", standard(begin), standard(ask), standard(tell))
+    return Optimiser("cma-es", standard(begin), standard(ask), standard(tell))

@@ -16,17 +16,17 @@ from slider_jax.io.provenance import versions
 from slider_jax.optimise.design_space import (
     VARIABLES,
     GaitBounds,
-    box_of,
+    gait_bounds,
     models,
     slope_of,
     speed_of,
     to_toml,
     with_gait,
 )
-from slider_jax.optimise.loop import PLAN, Generation, OptimisationResult, run, settings_of
-from slider_jax.optimise.optimiser import Searcher
+from slider_jax.optimise.loop import PLAN, Generation, OptimisationResult, run_optimiser, settings_of
+from slider_jax.optimise.optimiser import Optimiser
 from slider_jax.optimise.population import Evaluation, is_first
-from slider_jax.swimming.gait import Gait, swimmer
+from slider_jax.swimming.gait import Gait, to_swimmer
 from slider_jax.swimming.paper_optimum import PAPER_GAIT, PUBLISHED
 from slider_jax.swimming.steady_state import SteadySettings, steady_speed
 
@@ -64,7 +64,7 @@ class Task(NamedTuple):
         nodes = min(MESH, experiment.numerics.nodes)
         numerics, scheme = to_numerics(experiment.with_values({"numerics.nodes": nodes}))
         search = SteadySettings(steps_per_stride=steps_per_stride, numerics=numerics, scheme=scheme)
-        box = box_of(bounds)
+        box = gait_bounds(bounds)
         stiffest = STIFFEST * experiment.robot.EI_body
         if box.high[-1] > stiffest:
             raise InputError.value(
@@ -74,7 +74,7 @@ class Task(NamedTuple):
                 "in N m^2, not mN m^2",
             )
         for corner in (box.low, box.high):  # what is found can be written, and swims
-            swimmer(to_model(with_gait(experiment, Gait(*corner))))
+            to_swimmer(to_model(with_gait(experiment, Gait(*corner))))
         return cls(experiment, box, search)
 
     def settings(self) -> dict[str, Any]:
@@ -93,9 +93,9 @@ class Task(NamedTuple):
         }  # fmt: skip
 
 
-def search(
+def search_fastest(
     task: Task,
-    searcher: Searcher,
+    searcher: Optimiser,
     members: int,
     generations: int,
     seed: int,
@@ -118,7 +118,7 @@ def search(
         return sloped(members) if gradients else (alone(members), None)
 
     settings = settings_of(searcher, members, seed, task.settings())
-    found = run(searcher, evaluate, generations, seed, settings, folder, resume, is_first(), said)
+    found = run_optimiser(searcher, evaluate, generations, seed, settings, folder, resume, is_first(), said)
     if not np.isfinite(found.score):
         raise SolverError(
             f"none of {found.history[-1].evaluations} designs has a steady speed: a step fails, or "
@@ -162,7 +162,7 @@ def speed_at(task: Task, gait: Gait) -> float:
     return float(jax.jit(speed_of(task.experiment, box, task.search))(jnp.asarray(box.unit(gait))))
 
 
-def write(
+def write_optimum(
     task: Task, found: OptimisationResult, folder: Path, inputs: list[dict[str, Any]]
 ) -> dict[str, Any]:
     """best.toml, optimum.json and optimum.png; returns what optimum.json says."""
@@ -190,11 +190,11 @@ def write(
     with staged(folder) as stage:
         write_text(stage / "best.toml", to_toml(with_gait(task.experiment, gait), said))
         write_json(stage / "optimum.json", content)
-        plot(found, stage / "optimum.png")
+        plot_search_history(found, stage / "optimum.png")
     return content
 
 
-def words(content: dict[str, Any]) -> list[str]:
+def optimum_summary(content: dict[str, Any]) -> list[str]:
     """The optimum beside the paper's, variable by variable."""
     gait, paper = content["gait"], content["paper"]
     gradient = content["sensitivity"]["gradient"]
@@ -217,7 +217,7 @@ def words(content: dict[str, Any]) -> list[str]:
     return lines
 
 
-def plot(found: OptimisationResult, path: Path) -> None:
+def plot_search_history(found: OptimisationResult, path: Path) -> None:
     """Best and mean by generation, and the last population's spread."""
     figure, axes = new_figure(figsize=(8, 4.5))
     at = [x.evaluations for x in found.history]

@@ -14,7 +14,7 @@ import numpy as np
 
 from slider_jax.errors import InputError
 from slider_jax.io.files import write_bytes
-from slider_jax.optimise.optimiser import Searcher
+from slider_jax.optimise.optimiser import Optimiser
 
 CHECKPOINT = "checkpoint.npz"
 PLAN = "search.json"
@@ -48,14 +48,14 @@ class OptimisationResult(NamedTuple):
     """(n,)"""
 
 
-def settings_of(searcher: Searcher, members: int, seed: int, task: dict[str, Any]) -> dict:
+def settings_of(searcher: Optimiser, members: int, seed: int, task: dict[str, Any]) -> dict:
     """All that a search depends on, but for how long it is to be."""
     content = {"algorithm": searcher.name, "population": members, "seed": seed, **task}
     return json.loads(json.dumps(content))
 
 
-def run(
-    searcher: Searcher,
+def run_optimiser(
+    searcher: Optimiser,
     evaluate: Callable[[np.ndarray, bool], tuple[np.ndarray, np.ndarray | None]],
     generations: int,
     seed: int,

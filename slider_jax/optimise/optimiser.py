@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 
-class Searcher(NamedTuple):
+class Optimiser(NamedTuple):
     """An algorithm for one size of population, asked and told by generation; it maximises.
 
     The state is a tree of arrays. What is drawn follows from the seed and the generation alone, so

@@ -10,10 +10,10 @@ import numpy as np
 from slider_jax.errors import InputError, SolverError
 from slider_jax.io.files import write_json
 from slider_jax.optimise.evolution import cma_es
-from slider_jax.optimise.loop import CHECKPOINT, PLAN, Generation, differences, run, settings_of
-from slider_jax.optimise.population import is_first, together
-from slider_jax.optimise.registry import searcher
-from slider_jax.optimise.two_tasks import CLIMB, NAMES, SWIM, TAIL, Both, Modes, eta
+from slider_jax.optimise.loop import CHECKPOINT, PLAN, Generation, differences, run_optimiser, settings_of
+from slider_jax.optimise.population import is_first, barrier
+from slider_jax.optimise.registry import make_optimiser
+from slider_jax.optimise.two_tasks import CLIMB, NAMES, SWIM, TAIL, TaskEfficiencies, TwoTasks, eta
 
 NEAR = 0.06
 """Standard deviation with which a search begins that starts from another's best."""
@@ -60,17 +60,17 @@ class FrontEffort(NamedTuple):
         return max(6, self.population // 4), max(1, self.generations // 2)
 
 
-class Searches:
+class FrontSearches:
     """The searches that a front is made of; each is kept in its own folder."""
 
     def __init__(
         self,
-        modes: Modes,
+        modes: TwoTasks,
         effort: FrontEffort,
         folder: Path,
         said: Callable[[str, Generation, float], None],
     ):
-        self.both, self.evaluations = Both(modes), dict[str, int]()
+        self.both, self.evaluations = TaskEfficiencies(modes), dict[str, int]()
         self._modes, self._effort, self._folder, self._said = modes, effort, folder, said
 
     def seek(
@@ -89,7 +89,7 @@ class Searches:
             members, generations = effort.between
             algorithm = cma_es(members, len(free), base[columns], NEAR)
         else:
-            algorithm = searcher(effort.algorithm, members, len(free))
+            algorithm = make_optimiser(effort.algorithm, members, len(free))
 
         def put(part: np.ndarray) -> np.ndarray:
             designs = np.tile(base, (len(part), 1))
@@ -106,7 +106,7 @@ class Searches:
         place = self._folder / name
         if is_first():
             place.mkdir(exist_ok=True)
-        found = run(
+        found = run_optimiser(
             algorithm, evaluate, generations, effort.seed, settings, place, True,
             is_first(), lambda generation, seconds: self._said(name, generation, seconds),
         )  # fmt: skip
@@ -127,8 +127,8 @@ class Searches:
         return max(first, again, key=lambda found: found[1])
 
 
-def front(
-    modes: Modes,
+def search_front(
+    modes: TwoTasks,
     betas: int,
     effort: FrontEffort,
     folder: Path,
@@ -144,7 +144,7 @@ def front(
     settings; all of them count.
     """
     _begin(folder, {"betas": betas, **effort._asdict(), **modes.settings()}, resume)
-    searches = Searches(modes, effort, folder, said)
+    searches = FrontSearches(modes, effort, folder, said)
     swims, E_swim = searches.alone("swim", SWIM, 1.0)
     climbs, E_climb = searches.alone("climb", CLIMB, 0.0)
     for name, found in (("swim", E_swim), ("climb", E_climb)):
@@ -200,7 +200,7 @@ def _begin(folder: Path, settings: dict[str, Any], resume: bool) -> None:
             raise InputError(f"{file}: has other settings: {told}; give these, or another folder")
     elif any(folder.glob(f"**/{CHECKPOINT}")):
         raise InputError(f"{folder}: holds another search's checkpoints; give another folder")
-    together("all have looked")
+    barrier("all have looked")
     if is_first():
         folder.mkdir(parents=True, exist_ok=True)
         write_json(file, settings)

@@ -52,7 +52,7 @@ class Evaluation:
         found = [self._compiled(self._given(part)) for part in parts]  # all are begun at once
         scores = jax.tree.map(lambda *x: np.stack([_local(part) for part in x]), *found)
         if jax.process_count() > 1:
-            together("scores")
+            barrier("scores")
             gathered = multihost_utils.process_allgather(scores)  # (processes, parts, rows, ...)
             scores = jax.tree.map(lambda x: np.swapaxes(x, 0, 1), gathered)
             scores = jax.tree.map(lambda x: x.reshape(len(parts), -1, *x.shape[3:]), scores)
@@ -68,7 +68,7 @@ def _local(part: jax.Array) -> np.ndarray:
     return np.concatenate([np.asarray(x.data) for x in shards])
 
 
-def begin(cores: int, coordinator: str = "", processes: int = 1, process: int = 0) -> None:
+def start_devices(cores: int, coordinator: str = "", processes: int = 1, process: int = 0) -> None:
     """Make JAX see a device for each of `cores` of a CPU, two at least. Call it first of all.
 
     `coordinator` is the host:port of process 0 where there are several; under srun they find each
@@ -96,7 +96,7 @@ def is_first() -> bool:
     return jax.process_index() == 0
 
 
-def together(place: str) -> None:
+def barrier(place: str) -> None:
     """Wait for all processes to come here, the same number of times each."""
     if jax.process_count() > 1:
         client = distributed.global_state.client

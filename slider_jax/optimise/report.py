@@ -8,14 +8,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from slider_jax.climbing.climb import climb
+from slider_jax.climbing.climb import simulate_climb
 from slider_jax.experiment.load import to_numerics
 from slider_jax.io.figures import new_figure, save_figure
 from slider_jax.io.files import staged, write_json, write_text
 from slider_jax.io.provenance import versions
 from slider_jax.optimise.design_space import to_toml, with_gait
 from slider_jax.optimise.pareto_front import Front, dominated
-from slider_jax.optimise.two_tasks import NAMES, Modes, swim_efficiency
+from slider_jax.optimise.two_tasks import NAMES, TwoTasks, swim_efficiency
 
 SHOWN = (
     ("tail_length", "tail length (mm)", 1e3),
@@ -27,7 +27,7 @@ SHOWN = (
 """Variable, label, factor from SI; beside each the climber's, and with the front ones the rear."""
 
 
-def rows(modes: Modes, front: Front) -> list[dict[str, Any]]:
+def front_records(modes: TwoTasks, front: Front) -> list[dict[str, Any]]:
     """What each point of the front is, in SI."""
     everything, again = tuple(range(len(NAMES))), dict[bytes, dict[str, Any]]()
     own = to_numerics(modes.task.experiment)[0]
@@ -36,7 +36,7 @@ def rows(modes: Modes, front: Front) -> list[dict[str, Any]]:
     for point in front.points:
         key = point.design.tobytes()
         if key not in again:
-            again[key] = once_more(modes, point.design, E_swim) | {"nodes": own.nodes}
+            again[key] = on_own_mesh(modes, point.design, E_swim) | {"nodes": own.nodes}
     return [
         {
             "beta": point.beta,
@@ -50,12 +50,12 @@ def rows(modes: Modes, front: Front) -> list[dict[str, Any]]:
     ]
 
 
-def once_more(
-    modes: Modes, design: np.ndarray, E_swim: Callable[[jax.Array], jax.Array]
+def on_own_mesh(
+    modes: TwoTasks, design: np.ndarray, E_swim: Callable[[jax.Array], jax.Array]
 ) -> dict[str, Any]:
     """What `slider swim` and `slider climb` find of a design, on the experiment's own mesh."""
     swims, climbs, pin = modes.gaits(design)
-    climbed = climb(with_gait(modes.task.experiment, climbs), 0, pin)
+    climbed = simulate_climb(with_gait(modes.task.experiment, climbs), 0, pin)
     return {
         "E_swim": float(E_swim(jnp.asarray(swims))),
         "E_climb": float(climbed.found.efficiency),
@@ -64,11 +64,11 @@ def once_more(
     }
 
 
-def write(
-    modes: Modes, front: Front, effort: dict[str, Any], folder: Path, inputs: list[dict[str, Any]]
+def write_front(
+    modes: TwoTasks, front: Front, effort: dict[str, Any], folder: Path, inputs: list[dict[str, Any]]
 ) -> dict[str, Any]:
     """multimodal.json, multimodal.png and two experiments a point; returns what the JSON says."""
-    found, only = rows(modes, front), {"E_swim": front.only[0], "E_climb": front.only[1]}
+    found, only = front_records(modes, front), {"E_swim": front.only[0], "E_climb": front.only[1]}
     content = {
         "front": found,
         "only": only,
@@ -91,11 +91,11 @@ def write(
                 text = to_toml(with_gait(modes.task.experiment, gait), said)
                 write_text(stage / f"beta_{point.beta:.3f}_{task}.toml", text)
         write_json(stage / "multimodal.json", content)
-        plot(found, only, stage / "multimodal.png")
+        plot_front(found, only, stage / "multimodal.png")
     return content
 
 
-def words(content: dict[str, Any]) -> list[str]:
+def front_summary(content: dict[str, Any]) -> list[str]:
     """The front, a line a point."""
     lines = [
         f"{'beta':>6}{'eta':>8}{'E_swim':>9}{'E_climb':>9}{'tail mm':>9}{'mN m^2':>8}"
@@ -138,7 +138,7 @@ def words(content: dict[str, Any]) -> list[str]:
     return lines
 
 
-def plot(found: list[dict[str, Any]], only: dict[str, float], path: Path) -> None:
+def plot_front(found: list[dict[str, Any]], only: dict[str, float], path: Path) -> None:
     """Like the paper's Fig. 9: the front, and how the optimum moves with beta."""
     figure, axes = new_figure(2, 3, figsize=(11, 6.5))
     beta = np.array([x["beta"] for x in found])

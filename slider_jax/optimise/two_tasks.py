@@ -19,8 +19,8 @@ from slider_jax.experiment.load import Experiment, to_model
 from slider_jax.optimise.design_space import models
 from slider_jax.optimise.fastest_swimmer import Task
 from slider_jax.optimise.population import Evaluation
-from slider_jax.swimming.gait import CAP, LINK, Gait, climber
-from slider_jax.swimming.performance import steadily
+from slider_jax.swimming.gait import CAP, LINK, Gait, to_climber
+from slider_jax.swimming.performance import steady_stride
 from slider_jax.swimming.steady_state import SteadySettings
 
 DRIVE = ("frequency", "front", "rear", "phase")
@@ -39,7 +39,7 @@ UNACCOUNTED = 0.02
 """Largest share of a climber's power by which its energies may fail to add up."""
 
 
-class Modes(NamedTuple):
+class TwoTasks(NamedTuple):
     """Both tasks of one robot."""
 
     task: Task
@@ -56,7 +56,7 @@ class Modes(NamedTuple):
         tail_length: tuple[float, float] | None = None,
         EI_tail: tuple[float, float] | None = None,
         steps_per_stride: int = 96,
-    ) -> "Modes":
+    ) -> "TwoTasks":
         """Raises `InputError` as `Task.of` does, and for a robot that cannot swim or climb."""
         bounds = {"tail_length": tail_length, "EI_tail": EI_tail}
         task = Task.of(experiment, bounds, steps_per_stride)
@@ -70,7 +70,7 @@ class Modes(NamedTuple):
         numerics, scheme = task.search.numerics, task.search.scheme
         plan = ClimbPlan(10, 15, steps + steps % 2, numerics, scheme)
         model = to_model(experiment, 0)
-        climber(model, 1.0, 0.0)
+        to_climber(model, 1.0, 0.0)
         if not any(effect.resists for effect in model.effects):
             raise InputError(
                 "effects: none resists motion along the body, so that no swimmer is steady; add "
@@ -103,7 +103,7 @@ def swim_efficiency(experiment: Experiment, search: SteadySettings):
 
     def one(x: Float[Array, "6"]) -> Float[Array, ""]:
         gait = Gait(*x)
-        _, found, ok = steadily(model(gait), gait.frequency, search)
+        _, found, ok = steady_stride(model(gait), gait.frequency, search)
         swims = ok & (found.speed > 0.0) & (found.power > 0.0)
         return jnp.where(swims, found.froude_efficiency, jnp.nan)
 
@@ -119,17 +119,17 @@ def climb_efficiency(experiment: Experiment, plan: ClimbPlan):
 
     def one(x: Float[Array, "7"]) -> Float[Array, ""]:
         gait = Gait(*x[:4], *x[5:])
-        found, ok = climb_from_rest(climber(base, gait.frequency, x[4], gait), gait.frequency, plan)
+        found, ok = climb_from_rest(to_climber(base, gait.frequency, x[4], gait), gait.frequency, plan)
         true = ok & (jnp.abs(found.unaccounted) < UNACCOUNTED)
         return jnp.where(true, found.efficiency, jnp.nan)
 
     return one
 
 
-class Both:
+class TaskEfficiencies:
     """Efficiencies of designs in the unit box, on all devices."""
 
-    def __init__(self, modes: Modes):
+    def __init__(self, modes: TwoTasks):
         self.modes = modes
         swim = swim_efficiency(modes.task.experiment, modes.task.search)
         climb = climb_efficiency(modes.task.experiment, modes.plan)

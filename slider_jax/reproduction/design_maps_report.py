@@ -14,7 +14,7 @@ from slider_jax.reproduction.design_maps import (
     best_phase,
     best_stiffness,
 )
-from slider_jax.sweep.report import contours
+from slider_jax.sweep.report import plot_contours
 
 SHOWN_LENGTHS = (0.02, 0.04, 0.06, 0.08, 0.10)
 """Of the slices [m]."""
@@ -22,7 +22,7 @@ STIFFNESS, PHASE = "stiffness EI of the tail (mN m²)", "phase of the rear chamb
 LENGTH, SPEED = "length of the tail (mm)", "steady speed, head first (cm/s)"
 
 
-def draw(over_stiffness: Map, over_phase: Map, title: str, path: Path) -> None:
+def plot_design_maps(over_stiffness: Map, over_phase: Map, title: str, path: Path) -> None:
     """Write the four panels; where no steady speed was found, maps are hatched and slices gap."""
     figure, ((a, b), (c, d)) = new_figure(2, 2, figsize=(11, 8.6))
     _draw_map(figure, a, over_stiffness, best_stiffness(over_stiffness), 1e3)
@@ -54,7 +54,7 @@ def _draw_map(figure, ax, drawn: Map, peaks: list[Peak], factor: float) -> None:
     """`factor`: from SI to the unit shown of what is across."""
     lengths, best = 1e3 * drawn.lengths, factor * np.array([p.x for p in peaks])
     ax.patch.set(hatch="////", facecolor="w", edgecolor="0.6")
-    contours(figure, ax, lengths, factor * drawn.across, 1e2 * drawn.speed.T, SPEED)
+    plot_contours(figure, ax, lengths, factor * drawn.across, 1e2 * drawn.speed.T, SPEED)
     ax.plot(lengths, best, "o", color="w", mec="k", mew=0.6, ms=5)
     ax.set(xlabel=LENGTH, ylim=factor * drawn.across[[0, -1]])
 

@@ -19,7 +19,7 @@ from slider_jax.errors import SolverError
 from slider_jax.reproduction.wavelengths import on_course, rms_tail_slope, wavelengths
 from slider_jax.supports import Clamped
 from slider_jax.swimming.paper_optimum import HEAD_DRAG
-from slider_jax.swimming.performance import Performance, Stride, steadily
+from slider_jax.swimming.performance import Performance, Stride, steady_stride
 from slider_jax.swimming.steady_state import SteadySettings
 
 K_Q_OF_THE_TIP = 1.623e-6
@@ -100,7 +100,7 @@ class SteadyRow(NamedTuple):
         return {k: float(obs.tail_slope(half, x)) for k, x in self.wavelengths.items()}
 
 
-_steadily = eqx.filter_jit(steadily)
+_steadily = eqx.filter_jit(steady_stride)
 
 
 def _arrays(model: Model) -> Model:
@@ -117,7 +117,7 @@ def _row(
     return SteadyRow(found, stride, area, wavelengths(stride, s, frequency), rms)
 
 
-def swim(model: Model, frequency: float, search: SteadySettings) -> SteadyRow:
+def steady_row(model: Model, frequency: float, search: SteadySettings) -> SteadyRow:
     """The steady stride. Raises `SolverError` where there is none."""
     model = _arrays(model)
     stride, found, ok = jax.device_get(_steadily(model, jnp.asarray(frequency, float), search))
@@ -134,7 +134,7 @@ def calibrated(model: Model, frequency: float, speed: float, search: SteadySetti
     rows: list[SteadyRow] = []
     area, power = float(next(e.area for e in model.effects if isinstance(e, HeadDrag))), -0.5
     for _ in range(12):
-        rows.append(swim(_effect("head_drag", area=area)(model), frequency, search))
+        rows.append(steady_row(_effect("head_drag", area=area)(model), frequency, search))
         off = np.log(float(rows[-1].performance.speed) / speed)
         if abs(off) < 2e-3:
             return rows[-1]
@@ -157,7 +157,7 @@ def _held(model: Model, frequency, search: SteadySettings):
     return jax.tree.map(lambda x: x[-KEPT * steps :], (run.t, *run.saved)), run.ok
 
 
-def held(
+def clamped_performance(
     model: Model, frequency: float, tow_speed: float, search: SteadySettings
 ) -> dict[str, float]:
     """Head clamped and towed at `tow_speed` [m/s]: mean thrust, and the shape that is left."""
@@ -187,4 +187,4 @@ def head_fixed_thrust(
     f = paper.THRUST_AT
     fixed = paper.head_fixed(f, Robot(), paper.Assumed(amplitude=amplitude))
     model = CHANGES[change](replace(optimum, robot=fixed.robot, drive=fixed.drive))
-    return held(model, f, 0.0, search)["mean_thrust_N"]
+    return clamped_performance(model, f, 0.0, search)["mean_thrust_N"]

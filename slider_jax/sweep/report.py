@@ -25,7 +25,7 @@ DRAWN_OF_SWIMMERS = (
 )
 
 
-def drawn(sweep: Sweep) -> tuple[tuple[str, str, float], ...]:
+def plotted_columns(sweep: Sweep) -> tuple[tuple[str, str, float], ...]:
     """What is drawn of a sweep."""
     return DRAWN_OF_SWIMMERS if sweep.swim else DRAWN
 
@@ -44,10 +44,10 @@ def is_written(sweep: Sweep, folder: Path) -> bool:
     return isinstance(record, dict) and record.get("sha256") == digest(sweep.settings())
 
 
-def write_results(sweep: Sweep, table: dict[str, np.ndarray], folder: Path, source: Path) -> None:
+def write_sweep(sweep: Sweep, table: dict[str, np.ndarray], folder: Path, source: Path) -> None:
     """Write sweep.csv, sweep.json and sweep.png, all or none of them."""
     settings = sweep.settings()
-    failed = np.flatnonzero(np.isnan(table[drawn(sweep)[0][0]]))
+    failed = np.flatnonzero(np.isnan(table[plotted_columns(sweep)[0][0]]))
     record = {
         "settings": settings,
         "sha256": digest(settings),
@@ -59,7 +59,7 @@ def write_results(sweep: Sweep, table: dict[str, np.ndarray], folder: Path, sour
     with staged(folder) as stage:
         write_csv(stage / "sweep.csv", table)
         write_json(stage / "sweep.json", record)
-        draw(sweep, table, stage / "sweep.png")
+        plot_sweep(sweep, table, stage / "sweep.png")
 
 
 _SHOWN = {"Pa": ("kPa", 1e-3), "m": ("mm", 1e3), "s": ("ms", 1e3)}
@@ -73,11 +73,11 @@ def _axis(axis: Axis) -> tuple[np.ndarray, str]:
     return factor * np.asarray(axis.values), label
 
 
-def draw(sweep: Sweep, table: dict[str, np.ndarray], path: Path) -> None:
+def plot_sweep(sweep: Sweep, table: dict[str, np.ndarray], path: Path) -> None:
     """Lines over one field, or filled contours over two; a member that failed is left out."""
     figure, axes = new_figure(2, 2, figsize=(10, 7), sharex=True)
     x, along = _axis(sweep.axes[0])
-    for ax, (name, label, factor) in zip(axes.flat, drawn(sweep), strict=True):
+    for ax, (name, label, factor) in zip(axes.flat, plotted_columns(sweep), strict=True):
         values = factor * table[name]
         if len(sweep.axes) == 1:
             ax.plot(x, values, "o-", ms=4)
@@ -86,7 +86,7 @@ def draw(sweep: Sweep, table: dict[str, np.ndarray], path: Path) -> None:
             ax.set_ylabel(label)
         else:
             y, across = _axis(sweep.axes[1])
-            contours(figure, ax, x, y, values.reshape(len(x), len(y)).T, label)
+            plot_contours(figure, ax, x, y, values.reshape(len(x), len(y)).T, label)
             ax.set_ylabel(across)
         if ax in axes[-1]:
             ax.set_xlabel(along)
@@ -100,7 +100,7 @@ def draw(sweep: Sweep, table: dict[str, np.ndarray], path: Path) -> None:
     save_figure(figure, path)
 
 
-def contours(figure, ax, x: np.ndarray, y: np.ndarray, values: np.ndarray, label: str) -> None:
+def plot_contours(figure, ax, x: np.ndarray, y: np.ndarray, values: np.ndarray, label: str) -> None:
     """Round, labelled levels in black, and three colours from each to the next."""
     from matplotlib.ticker import MaxNLocator
 

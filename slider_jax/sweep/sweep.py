@@ -18,8 +18,8 @@ from slider_jax.experiment.load import Experiment, to_model, to_numerics
 from slider_jax.io.files import write_json
 from slider_jax.io.provenance import versions
 from slider_jax.io.toml import field_at, quantity_of
-from slider_jax.swimming.batch import compile_swim, table_of
-from slider_jax.swimming.gait import swimmer
+from slider_jax.swimming.batch import compile_swim, performance_table
+from slider_jax.swimming.gait import to_swimmer
 
 LARGEST_CHUNK = 8
 
@@ -168,7 +168,7 @@ def _case(sweep: Sweep, point: tuple[float, ...]) -> tuple[Plan, Member]:
     meshed = experiment.model_copy(update={"robot": sweep.experiment.robot})
     plan = Plan(steps, sweep.strides, *to_numerics(meshed))
     model = to_model(experiment, sweep.trial)
-    return plan, Member(swimmer(model) if sweep.swim else model, jnp.asarray(f, float))
+    return plan, Member(to_swimmer(model) if sweep.swim else model, jnp.asarray(f, float))
 
 
 def _whole(field: str, value: float) -> float | int:
@@ -234,7 +234,7 @@ def run_sweep(
                 make = compile_swim if sweep.swim else compile_programs
                 compiled[chunk.group] = make(plan, batch)
         if sweep.swim:
-            rows = table_of(*compiled[chunk.group](batch))
+            rows = performance_table(*compiled[chunk.group](batch))
             on_stride()
         else:
             runs = march(plan, compiled[chunk.group], batch, on_stride, stopped)

@@ -8,7 +8,7 @@ from jaxtyping import Array
 
 from slider_jax.batch.strides import Member, Plan
 from slider_jax.beam.parameters import Scalar
-from slider_jax.swimming.performance import Performance, steadily
+from slider_jax.swimming.performance import Performance, steady_stride
 from slider_jax.swimming.steady_state import SteadySettings
 
 UNITS = {
@@ -26,7 +26,7 @@ UNITS = {
 """Of quantities of `Performance`; the others have none."""
 
 
-def columns(found: Performance) -> dict[str, Scalar]:
+def performance_columns(found: Performance) -> dict[str, Scalar]:
     """Quantities by their names with units."""
     return {
         f"{name}_{UNITS[name]}" if name in UNITS else name: value
@@ -41,13 +41,13 @@ def compile_swim(plan: Plan, chunk: Member) -> Callable[[Member], tuple[Performa
     )
 
     def one(member):
-        _, found, ok = steadily(member.model, member.frequency, search)
+        _, found, ok = steady_stride(member.model, member.frequency, search)
         return found, ok
 
     return jax.jit(jax.vmap(one)).lower(chunk).compile()
 
 
-def table_of(found: Performance, ok: Array) -> dict[str, np.ndarray]:
+def performance_table(found: Performance, ok: Array) -> dict[str, np.ndarray]:
     """Quantities (members,) of steady strides, named with their units; NaN where not `ok`."""
-    table = {name: np.asarray(values) for name, values in columns(found).items()}
+    table = {name: np.asarray(values) for name, values in performance_columns(found).items()}
     return {name: np.where(ok, values, np.nan) for name, values in table.items()}

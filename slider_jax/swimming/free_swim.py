@@ -16,10 +16,10 @@ from slider_jax.errors import SolverError
 from slider_jax.experiment.load import Experiment, to_model, to_numerics
 from slider_jax.experiment.schema import Trial
 from slider_jax.simulation.sampling import half_period_steps
-from slider_jax.swimming.batch import columns
-from slider_jax.swimming.gait import stride_frequency, swimmer
-from slider_jax.swimming.performance import Performance, Stride, next_stride, performance, steadily
-from slider_jax.swimming.steady_state import MeanMotion, SteadySettings, strides
+from slider_jax.swimming.batch import performance_columns
+from slider_jax.swimming.gait import stride_frequency, to_swimmer
+from slider_jax.swimming.performance import Performance, Stride, next_stride, performance, steady_stride
+from slider_jax.swimming.steady_state import MeanMotion, SteadySettings, simulate_strides
 
 AT_ONCE = 10
 """Strides from rest between two looks at whether they repeat."""
@@ -63,12 +63,12 @@ class Swim:
         return float(self.performance.speed) / self.from_rest[-1] - 1.0
 
 
-_steadily = eqx.filter_jit(steadily)
+_steadily = eqx.filter_jit(steady_stride)
 
 
 @eqx.filter_jit
 def _some_strides(model: Model, frequency, carry: Carry, search: SteadySettings):
-    return strides(model, frequency, carry, AT_ONCE, search)
+    return simulate_strides(model, frequency, carry, AT_ONCE, search)
 
 
 @eqx.filter_jit
@@ -105,19 +105,19 @@ def _check(carry: Carry) -> None:
         )
 
 
-def check(experiment: Experiment, trial: Trial) -> tuple[float, Model]:
+def free_swimmer(experiment: Experiment, trial: Trial) -> tuple[float, Model]:
     """Frequency [Hz] and free robot of a trial. Raises `InputError` where it cannot be swum."""
-    return stride_frequency(trial), swimmer(to_model(experiment, trial))
+    return stride_frequency(trial), to_swimmer(to_model(experiment, trial))
 
 
-def plan_of(experiment: Experiment, frequency: float) -> SteadySettings:
+def steady_settings(experiment: Experiment, frequency: float) -> SteadySettings:
     """Mesh of the experiment, and an even number of steps to a stride, none longer than its."""
     numerics, scheme = to_numerics(experiment)
     steps = 2 * half_period_steps(frequency, experiment.numerics.step)
     return SteadySettings(steps_per_stride=steps, numerics=numerics, scheme=scheme)
 
 
-def swim(
+def simulate_free_swim(
     experiment: Experiment,
     trial: Trial | int = 0,
     progress: Callable[[str], None] = lambda text: None,
@@ -130,8 +130,8 @@ def swim(
     """
     if isinstance(trial, int):
         trial = experiment.trials[trial]
-    frequency, model = check(experiment, trial)
-    f, search = jnp.asarray(frequency, float), plan_of(experiment, frequency)
+    frequency, model = free_swimmer(experiment, trial)
+    f, search = jnp.asarray(frequency, float), steady_settings(experiment, frequency)
     progress("the steady speed as a root")
     stride, seen, ok = _steadily(model, f, search)
     found = bool(ok)
@@ -154,14 +154,14 @@ def swim(
     )  # fmt: skip
 
 
-def row(swim: Swim) -> dict[str, Any]:
+def swim_record(swim: Swim) -> dict[str, Any]:
     """What was found, in SI, by names with units."""
     p = swim.performance
     return {
         "file": swim.trial.file,
         "frequency_Hz": swim.trial.frequency,
         "steady": swim.found,
-        **{name: float(x) for name, x in columns(p).items()},
+        **{name: float(x) for name, x in performance_columns(p).items()},
         "from_rest": {
             "speed_m_per_s": swim.from_rest,
             "at_every_stride": AT_ONCE,

@@ -40,7 +40,7 @@ class Gait(NamedTuple):
     """[N m^2]"""
 
 
-def swimmer(model: Model, gait: Gait | None = None) -> Model:
+def to_swimmer(model: Model, gait: Gait | None = None) -> Model:
     """The robot of `model` set free in still water, with a `gait` instead of its own if given.
 
     Raises `InputError` where an effect moves the water, as speed is told against it.
@@ -55,7 +55,7 @@ def swimmer(model: Model, gait: Gait | None = None) -> Model:
     return model if gait is None else driven(model, gait)
 
 
-def climber(
+def to_climber(
     model: Model,
     frequency: Scalar,
     pin_phase: Scalar,

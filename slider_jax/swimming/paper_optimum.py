@@ -57,7 +57,7 @@ def optimum() -> Experiment:
     return assemble(content, "the paper's optimum", Path("."))
 
 
-def climber() -> Experiment:
+def example_climber() -> Experiment:
     """The built-in robot with a drive that climbs; the paper's is not known."""
     content = swimmer_content(file="climb.csv", frequency=2.0, amplitude=CAP)
     return assemble(content | {"effects": []}, "the built-in climber", Path("."))

@@ -14,8 +14,8 @@ from slider_jax.effects import total_force
 from slider_jax.swimming.steady_state import (
     SteadySettings,
     find_steady,
-    motion,
-    pace_of,
+    velocity_and_heading,
+    mean_motion,
     stride_times,
 )
 
@@ -88,7 +88,7 @@ def next_stride(model: Model, frequency, carry: Carry, search: SteadySettings) -
         resisting = tuple(e for e in x.stage.effects if e.resists)
         F = jnp.stack(to_plane(*total_force(resisting, cell), cell.phi))
         resistance = grid.integral((1.0 + cell.strain) * F)
-        return obs.midline(x), motion(x), resistance, jnp.sum(obs.chamber_power(x))
+        return obs.midline(x), velocity_and_heading(x), resistance, jnp.sum(obs.chamber_power(x))
 
     steps = search.steps_per_stride
     times = stride_times(frequency, 2, search)
@@ -104,7 +104,7 @@ def next_stride(model: Model, frequency, carry: Carry, search: SteadySettings) -
 def performance(model: Model, frequency, stride: Stride, search: SteadySettings) -> Performance:
     """What a steady stride amounts to."""
     mean, before = jnp.mean(stride.velocity, axis=0), stride.velocity_before
-    pace = pace_of(before, mean, stride.ahead, frequency)
+    pace = mean_motion(before, mean, stride.ahead, frequency)
     speed, along = pace.speed, pace.course
     # Left of the course is positive, as n is of tau.
     across = -along[1] * stride.midline[:, 0] + along[0] * stride.midline[:, 1]
@@ -136,7 +136,7 @@ def performance(model: Model, frequency, stride: Stride, search: SteadySettings)
     )
 
 
-def steadily(
+def steady_stride(
     model: Model, frequency, search: SteadySettings
 ) -> tuple[Stride, Performance, Bool[Array, ""]]:
     """A steady stride, what it amounts to, and whether it was found and every step converged."""

@@ -30,7 +30,7 @@ ROWS = (
 """Name in `swim.row`, words, unit shown, factor from SI to it."""
 
 
-def table(row: dict[str, Any], published: dict[str, Published]) -> str:
+def swim_table(row: dict[str, Any], published: dict[str, Published]) -> str:
     """The rows, beside the paper's where it has them."""
     head = f"{'':34}{'here':>10}"
     if published:
@@ -46,7 +46,7 @@ def table(row: dict[str, Any], published: dict[str, Published]) -> str:
     return "\n".join(lines)
 
 
-def words(swim: Swim) -> list[str]:
+def swim_summary(swim: Swim) -> list[str]:
     """How the speed was reached, and what it would be without the effects that resist."""
     end = swim.from_rest[-1]
     count = AT_ONCE * len(swim.from_rest)
@@ -98,7 +98,7 @@ def stride_columns(swim: Swim) -> dict[str, np.ndarray]:
     }
 
 
-def plot(swim: Swim, path: Path) -> None:
+def plot_swim(swim: Swim, path: Path) -> None:
     """Midlines over the stride, along the course; and the speed from rest to the steady one."""
     figure, (above, below) = new_figure(2, 1, figsize=(8, 6), height_ratios=(2, 3))
     midline, steps = np.asarray(swim.stride.midline), swim.search.steps_per_stride

@@ -49,7 +49,7 @@ class SteadySettings(NamedTuple):
     scheme: Scheme = SDIRK2
 
 
-BEGUN = 20.0
+STRIDES_BEFORE_START = 20.0
 """Strides that the drive is taken to have run before: longer than any delay of the valves."""
 
 
@@ -86,7 +86,7 @@ class Steady(eqx.Module):
         return self.pace.speed
 
 
-def hastened(carry: Carry, change: Float[Array, "2"]) -> Carry:
+def with_added_velocity(carry: Carry, change: Float[Array, "2"]) -> Carry:
     """The same with the velocity `change` (x, y) [m/s] added to every point's."""
 
     def add(motion):
@@ -100,7 +100,7 @@ def hastened(carry: Carry, change: Float[Array, "2"]) -> Carry:
 def stride_times(frequency, count: int, search: SteadySettings) -> TimeGrid:
     """`count` strides, as if the drive had long begun: every stride has a whole period of it."""
     h = 1.0 / (frequency * search.steps_per_stride)
-    return TimeGrid(h, count * search.steps_per_stride, BEGUN / frequency)
+    return TimeGrid(h, count * search.steps_per_stride, STRIDES_BEFORE_START / frequency)
 
 
 def velocity(x: Snapshot) -> Float[Array, "2"]:
@@ -110,14 +110,14 @@ def velocity(x: Snapshot) -> Float[Array, "2"]:
     return grid.integral(P) / grid.integral(cell.linear_density)
 
 
-def motion(x: Snapshot) -> Float[Array, "2 2"]:
+def velocity_and_heading(x: Snapshot) -> Float[Array, "2 2"]:
     """Velocity [m/s] of the centre of mass, and the body's mean direction, tail to head."""
     cell, grid = x.section(), x.mesh.grid
     ahead = jnp.stack(to_plane(jnp.ones_like(cell.phi), jnp.zeros_like(cell.phi), cell.phi))
     return jnp.stack([velocity(x), grid.integral(ahead)])
 
 
-def pace_of(before: Float[Array, "2"], mean, ahead, frequency) -> MeanMotion:
+def mean_motion(before: Float[Array, "2"], mean, ahead, frequency) -> MeanMotion:
     """From the mean velocities of two strides, and where the head points [any length]."""
     both = 0.5 * (before + mean)
     size = jnp.sqrt(jnp.sum(both**2) + 1e-18)
@@ -126,14 +126,14 @@ def pace_of(before: Float[Array, "2"], mean, ahead, frequency) -> MeanMotion:
     return MeanMotion(course, side * size, (mean - before) @ course * frequency)
 
 
-def strides(model: Model, frequency, carry: Carry, count: int, search: SteadySettings):
+def simulate_strides(model: Model, frequency, carry: Carry, count: int, search: SteadySettings):
     """`count` strides more, two at least, of `frequency` [Hz]: the carry, the last two's pace."""
     times = stride_times(frequency, 1, search)
 
     def body(state, _):
         carry, (_, last), _ = state
         run = rollout(
-            model, times, motion, search.numerics, search.scheme, begin=carry, checkpoint=False
+            model, times, velocity_and_heading, search.numerics, search.scheme, begin=carry, checkpoint=False
         )
         mean, ahead = jnp.mean(run.saved, axis=0)
         return (run.final, (last, mean), ahead), None
@@ -141,7 +141,7 @@ def strides(model: Model, frequency, carry: Carry, count: int, search: SteadySet
     nothing = jnp.zeros(2)
     begin = (carry, (nothing, nothing), nothing)
     (carry, (before, mean), ahead), _ = jax.lax.scan(body, begin, None, length=count)
-    return carry, pace_of(before, mean, ahead, frequency)
+    return carry, mean_motion(before, mean, ahead, frequency)
 
 
 def find_steady(model: Model, frequency, search: SteadySettings = SteadySettings()) -> Steady:
@@ -152,8 +152,8 @@ def find_steady(model: Model, frequency, search: SteadySettings = SteadySettings
 
     def correct(state, _):
         carry, pace, slope, change = state
-        faster = hastened(carry, change * pace.course)
-        carry, after = strides(model, frequency, faster, search.between + 1, search)
+        faster = with_added_velocity(carry, change * pace.course)
+        carry, after = simulate_strides(model, frequency, faster, search.between + 1, search)
         far = after.speed - pace.speed
         secant = (after.acceleration - pace.acceleration) / jnp.where(far == 0.0, 1.0, far)
         # At rounding errors, and where it would lead away, the last one holds.
@@ -161,7 +161,7 @@ def find_steady(model: Model, frequency, search: SteadySettings = SteadySettings
         change = jnp.clip(-after.acceleration / slope, -search.largest, search.largest)
         return (carry, after, slope, change), None
 
-    carry, pace = strides(
+    carry, pace = simulate_strides(
         model, frequency, at_rest(model, search.numerics), search.settling, search
     )
     begin = (carry, pace, jnp.asarray(-1.0), search.second - pace.speed)
@@ -183,8 +183,8 @@ def steady_speed(
     course, change = found.pace.course, found.missing
 
     def goes_on(model, frequency, delta):
-        begin = hastened(found.carry, (change + delta) * course)
-        _, pace = strides(model, frequency, begin, search.settling, search)
+        begin = with_added_velocity(found.carry, (change + delta) * course)
+        _, pace = simulate_strides(model, frequency, begin, search.settling, search)
         return pace.speed, pace.acceleration
 
     zero = jnp.zeros(())

@@ -26,7 +26,7 @@ from slider_jax.cli.main import main
 from slider_jax.dynamics.step import at_rest
 from slider_jax.effects import ReactiveForce
 from slider_jax.effects.water.head_added_mass import HeadAddedMass
-from slider_jax.swimming.steady_state import SteadySettings, hastened, strides
+from slider_jax.swimming.steady_state import SteadySettings, with_added_velocity, simulate_strides
 from tests.support.swimming_animal import SHAPE, one_stride, wave
 
 QUICK = SteadySettings(steps_per_stride=60, numerics=Numerics(4, 8))
@@ -38,8 +38,8 @@ def test_an_unpowered_body_coasts_as_its_friction_says():
     """m dv/dt = -rho C_t 2 H v^2 / 2 per length: 1/v grows linearly."""
     C_t, begin, count = 0.05, 0.3, 5
     model = swimmer(GAIT._replace(front=0.0, rear=0.0), "tangential_friction", C_t)
-    carry = hastened(at_rest(model, QUICK.numerics), jnp.array([begin, 0.0]))
-    _, pace = jax.jit(lambda m, c: strides(m, SWIMS, c, count, QUICK))(model, carry)
+    carry = with_added_velocity(at_rest(model, QUICK.numerics), jnp.array([begin, 0.0]))
+    _, pace = jax.jit(lambda m, c: simulate_strides(m, SWIMS, c, count, QUICK))(model, carry)
     rate = 1000.0 * C_t * float(model.robot.height / model.robot.linear_density)
     middle = (count - 1.0) / GAIT.frequency
     v = 1.0 / (1.0 / begin + rate * middle)

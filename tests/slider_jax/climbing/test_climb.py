@@ -12,7 +12,7 @@ from PIL import Image
 from slider_jax.beam.parameters import Numerics
 from slider_jax.beam.state import straight
 from slider_jax.cli.main import main
-from slider_jax.climbing.climb import climb as climb_wall, period_of
+from slider_jax.climbing.climb import simulate_climb as climb_wall, period_of
 from slider_jax.climbing.strides import ClimbPlan, climb_of, climb_on, join
 from slider_jax.dynamics.pressures import start_chambers
 from slider_jax.dynamics.step import at_rest, start
@@ -20,8 +20,8 @@ from slider_jax.effects.body.internal_friction import InternalFriction
 from slider_jax.experiment.load import to_model
 from slider_jax.io.csv import read_csv
 from slider_jax.optimise.design_space import to_toml
-from slider_jax.swimming.gait import Gait, climber
-from slider_jax.swimming.paper_optimum import climber as built_in
+from slider_jax.swimming.gait import Gait, to_climber
+from slider_jax.swimming.paper_optimum import example_climber as built_in
 from tests.support.helpers import dense_newton, nodes_of, stage_of
 
 PLAN = ClimbPlan(settling=2, strides=4, numerics=Numerics(4, 12))
@@ -30,7 +30,7 @@ PIN = 0.88
 
 
 def wall(gait=GAIT, pin=PIN, **options):
-    return climber(to_model(built_in()), gait.frequency, pin, gait, **options)
+    return to_climber(to_model(built_in()), gait.frequency, pin, gait, **options)
 
 
 @jax.jit
@@ -88,7 +88,7 @@ def test_other_waves_climb_too():
     found = {}
     for waveform in ("square", "trapezoid"):
         strong = built_in().with_values({"trials.0.waveform": waveform, "trials.0.rise": 0.01})
-        found[waveform], _, ok = climbed(climber(to_model(strong), jnp.asarray(2.0), PIN))
+        found[waveform], _, ok = climbed(to_climber(to_model(strong), jnp.asarray(2.0), PIN))
         assert ok
     speeds = [float(x.speed) for x in found.values()]
     assert speeds[0] == pytest.approx(speeds[1], rel=0.1) and speeds[0] > 0.01
@@ -151,7 +151,7 @@ def coarse(**changes):
 
 
 def wall_of(run):
-    return climber(to_model(coarse()), run.frequency, run.pin_phase)
+    return to_climber(to_model(coarse()), run.frequency, run.pin_phase)
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,8 @@ import pytest
 
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import assemble, load, to_model
-from slider_jax.optimise.design_space import VARIABLES, box_of, models, to_toml, with_gait
-from slider_jax.swimming.gait import Gait, swimmer
+from slider_jax.optimise.design_space import VARIABLES, gait_bounds, models, to_toml, with_gait
+from slider_jax.swimming.gait import Gait, to_swimmer
 from slider_jax.swimming.paper_optimum import PAPER_GAIT, optimum, swimmer_content
 
 GAIT = Gait(2.3, 300e3, 240e3, -0.1, 0.061, 0.009)
@@ -46,7 +46,7 @@ def test_the_model_of_a_gait_is_that_of_an_experiment_with_it(coefficients):
     content = experiment.model_dump() | {"parameters": parameters}
     experiment = assemble(content, "test", Path("."))
     made = models(experiment)(Gait(*(jnp.asarray(x) for x in GAIT)))
-    expected = swimmer(to_model(with_gait(experiment, GAIT)))
+    expected = to_swimmer(to_model(with_gait(experiment, GAIT)))
     assert jax.tree.structure(made) == jax.tree.structure(expected)
     for a, b in zip(jax.tree.leaves(made), jax.tree.leaves(expected), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-9)
@@ -67,7 +67,7 @@ def test_a_design_is_written_as_an_experiment_that_is_read_back(tmp_path):
 def test_every_corner_of_the_box_can_be_written_and_read(tmp_path):
     content = swimmer_content(frequency=5.0, amplitude=3e5, initial={"angle": 0.1})
     content |= {"name": "\u2603 \U0001f41f", "numerics": {"step": 0.01}}
-    experiment, box = assemble(content, "test", Path(".")), box_of({})
+    experiment, box = assemble(content, "test", Path(".")), gait_bounds({})
     for bits in itertools.product((0.0, 1.0), repeat=6):
         found = with_gait(experiment, Gait(*box.gait(np.array(bits))))
         (tmp_path / "best.toml").write_text(to_toml(found))
@@ -75,7 +75,7 @@ def test_every_corner_of_the_box_can_be_written_and_read(tmp_path):
 
 
 def test_the_papers_gait_is_in_the_box():
-    box = box_of({})
+    box = gait_bounds({})
     unit = box.unit(PAPER_GAIT)
     assert np.all((unit >= 0.0) & (unit <= 1.0))
     np.testing.assert_allclose(box.gait(unit), PAPER_GAIT)
@@ -97,5 +97,5 @@ def test_the_papers_gait_is_in_the_box():
 )
 def test_bounds_that_cannot_be_are_refused(given, said):
     with pytest.raises(InputError) as raised:
-        box_of(given)
+        gait_bounds(given)
     assert said in str(raised.value)

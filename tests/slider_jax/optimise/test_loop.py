@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from slider_jax.errors import InputError
-from slider_jax.optimise.loop import CHECKPOINT, differences, run, settings_of
-from slider_jax.optimise.registry import LEAST, SEARCHERS, searcher
+from slider_jax.optimise.loop import CHECKPOINT, differences, run_optimiser, settings_of
+from slider_jax.optimise.registry import SMALLEST_POPULATION, OPTIMISERS, make_optimiser
 
 TOP = np.array([0.3, 0.8, 0.5, 0.02, 0.6, 0.9])
 MEMBERS = 24
@@ -28,15 +28,15 @@ def evaluated(members, gradients):
 
 
 def settings(name, seed=3):
-    return settings_of(searcher(name, MEMBERS, 6), MEMBERS, seed, {"task": "hills"})
+    return settings_of(make_optimiser(name, MEMBERS, 6), MEMBERS, seed, {"task": "hills"})
 
 
 def sought(name, generations, folder=None, seed=3, said=lambda g, s: None, resume=False):
-    algorithm, told = searcher(name, MEMBERS, 6), settings(name, seed)
-    return run(algorithm, evaluated, generations, seed, told, folder, resume, said=said)
+    algorithm, told = make_optimiser(name, MEMBERS, 6), settings(name, seed)
+    return run_optimiser(algorithm, evaluated, generations, seed, told, folder, resume, said=said)
 
 
-@pytest.mark.parametrize("name", SEARCHERS)
+@pytest.mark.parametrize("name", OPTIMISERS)
 def test_the_top_of_the_highest_hill_is_found(name):
     found = sought(name, 60)
     assert np.all((found.population >= 0.0) & (found.population <= 1.0))
@@ -56,7 +56,7 @@ class Killed(Exception):
     pass
 
 
-@pytest.mark.parametrize("name", SEARCHERS)
+@pytest.mark.parametrize("name", OPTIMISERS)
 def test_a_search_killed_three_times_ends_as_one_that_was_not(name, tmp_path):
     whole = sought(name, 15)
     moments = sorted(np.random.default_rng(0).choice(np.arange(1, 14), 3, replace=False))
@@ -113,18 +113,18 @@ def test_a_torn_checkpoint_is_refused(tmp_path, damage):
         sought("genetic", 3, tmp_path, resume=True)
 
 
-@pytest.mark.parametrize("name", SEARCHERS)
+@pytest.mark.parametrize("name", OPTIMISERS)
 def test_a_population_that_cannot_breed_is_refused(name):
-    few = LEAST[name] - 1
+    few = SMALLEST_POPULATION[name] - 1
     with pytest.raises(InputError, match=f"--population: given {few}; allowed {few + 1} or more"):
-        searcher(name, few, 6)
+        make_optimiser(name, few, 6)
 
 
 def test_a_population_that_fails_as_a_whole_is_survived():
     def nothing(members, gradients):
         return np.full(len(members), np.nan), None
 
-    found = run(searcher("genetic", MEMBERS, 6), nothing, 3, 0, {})
+    found = run_optimiser(make_optimiser("genetic", MEMBERS, 6), nothing, 3, 0, {})
     assert found.history[-1].failed == MEMBERS and found.score == -np.inf
 
 

@@ -15,14 +15,14 @@ from slider_jax.errors import InputError, SolverError
 from slider_jax.experiment.load import assemble, load, to_model
 from slider_jax.optimise import loop as optimise, pareto_front as multimodal
 from slider_jax.optimise.design_space import to_toml
-from slider_jax.optimise.fastest_swimmer import search
-from slider_jax.optimise.pareto_front import FrontEffort, FrontPoint, dominated, front
-from slider_jax.optimise.registry import searcher
-from slider_jax.optimise.two_tasks import CLIMB, SWIM, TAIL, Modes, eta
-from slider_jax.swimming.gait import climber, swimmer
+from slider_jax.optimise.fastest_swimmer import search_fastest
+from slider_jax.optimise.pareto_front import FrontEffort, FrontPoint, dominated, search_front
+from slider_jax.optimise.registry import make_optimiser
+from slider_jax.optimise.two_tasks import CLIMB, SWIM, TAIL, TwoTasks, eta
+from slider_jax.swimming.gait import to_climber, to_swimmer
 from slider_jax.swimming.paper_optimum import swimmer_content
-from slider_jax.swimming.performance import next_stride, performance, steadily
-from slider_jax.swimming.steady_state import find_steady, strides
+from slider_jax.swimming.performance import next_stride, performance, steady_stride
+from slider_jax.swimming.steady_state import find_steady, simulate_strides
 
 BETAS = ("0.000", "0.500", "1.000")
 
@@ -74,7 +74,7 @@ FEW = EFFORT._replace(generations=6)
 @pytest.fixture
 def hills(monkeypatch):
     monkeypatch.setattr(multimodal, "Both", Hills)
-    return Modes.of(coarse(), steps_per_stride=48)
+    return TwoTasks.of(coarse(), steps_per_stride=48)
 
 
 @pytest.fixture(scope="module")
@@ -82,14 +82,14 @@ def whole(tmp_path_factory):
     """A front that was not stopped."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(multimodal, "Both", Hills)
-        modes = Modes.of(coarse(), steps_per_stride=48)
-        return front(modes, 3, FEW, tmp_path_factory.mktemp("whole"))
+        modes = TwoTasks.of(coarse(), steps_per_stride=48)
+        return search_front(modes, 3, FEW, tmp_path_factory.mktemp("whole"))
 
 
 @pytest.mark.slow
 def test_the_front_of_known_hills_is_found(hills, tmp_path):
     """With eta of quadratics the best tail moves evenly with beta, and drives follow it."""
-    found = front(hills, 3, EFFORT, tmp_path)
+    found = search_front(hills, 3, EFFORT, tmp_path)
     swims, climbs = Hills.tails
     for point in found.points:
         best = climbs + point.beta * (swims - climbs)
@@ -116,12 +116,12 @@ def test_a_search_that_was_stopped_goes_on(hills, whole, tmp_path, monkeypatch, 
     with monkeypatch.context() as patch:
         patch.setattr(optimise, "_save", stop)
         with pytest.raises(KeyboardInterrupt):
-            front(hills, 3, FEW, tmp_path / "broken")
+            search_front(hills, 3, FEW, tmp_path / "broken")
     with pytest.raises(InputError, match="a search was begun here; add --resume"):
-        front(hills, 3, FEW, tmp_path / "broken")
+        search_front(hills, 3, FEW, tmp_path / "broken")
     with pytest.raises(InputError, match="betas: given 4, begun with 3; give these"):
-        front(hills, 4, FEW, tmp_path / "broken", resume=True)
-    again = front(hills, 3, FEW, tmp_path / "broken", resume=True)
+        search_front(hills, 4, FEW, tmp_path / "broken", resume=True)
+    again = search_front(hills, 3, FEW, tmp_path / "broken", resume=True)
     for one, other in zip(whole.points, again.points, strict=True):
         np.testing.assert_array_equal(one.design, other.design)
     assert whole.evaluations == again.evaluations
@@ -129,25 +129,25 @@ def test_a_search_that_was_stopped_goes_on(hills, whole, tmp_path, monkeypatch, 
 
 @pytest.mark.parametrize("content", ["", "[]", "{}", '{"betas": ', None])
 def test_a_damaged_plan_is_told(hills, tmp_path, content):
-    front(hills, 2, FrontEffort("genetic", 8, 1, 1), tmp_path)
+    search_front(hills, 2, FrontEffort("genetic", 8, 1, 1), tmp_path)
     (tmp_path / "search.json").unlink()
     if content is None:
         (tmp_path / "search.json").mkdir()
     else:
         (tmp_path / "search.json").write_text(content)
     with pytest.raises(InputError, match="search.json: is torn or not of this program"):
-        front(hills, 2, FrontEffort("genetic", 8, 1, 1), tmp_path, resume=True)
+        search_front(hills, 2, FrontEffort("genetic", 8, 1, 1), tmp_path, resume=True)
 
 
 def test_searches_of_two_kinds_do_not_mix(hills, tmp_path):
     (tmp_path / "checkpoint.npz").write_bytes(b"of another search")
     with pytest.raises(InputError, match="holds another search's checkpoints"):
-        front(hills, 2, EFFORT, tmp_path, resume=True)
+        search_front(hills, 2, EFFORT, tmp_path, resume=True)
     assert not (tmp_path / "search.json").exists()
     (tmp_path / "checkpoint.npz").unlink()
     (tmp_path / "search.json").write_text("{}")
     with pytest.raises(InputError, match="another kind of search was begun here"):
-        search(hills.task, searcher("genetic", 8, 6), 8, 1, 0, tmp_path, resume=True)
+        search_fastest(hills.task, make_optimiser("genetic", 8, 6), 8, 1, 0, tmp_path, resume=True)
 
 
 def test_a_task_that_no_design_can_do_is_told(hills, tmp_path, monkeypatch):
@@ -157,7 +157,7 @@ def test_a_task_that_no_design_can_do_is_told(hills, tmp_path, monkeypatch):
 
     monkeypatch.setattr(multimodal, "Both", Sinks)
     with pytest.raises(SolverError, match="climb_only: no design gets ahead"):
-        front(hills, 3, FEW, tmp_path)
+        search_front(hills, 3, FEW, tmp_path)
 
 
 def test_a_robot_that_nothing_resists_is_refused(tmp_path, capsys):
@@ -173,7 +173,7 @@ def test_a_robot_that_nothing_resists_is_refused(tmp_path, capsys):
 @pytest.mark.slow
 def test_what_is_written_swims_and_climbs_as_it_was_found_to(sought):
     found = json.loads((sought / "multimodal.json").read_text())
-    modes = Modes.of(coarse(), steps_per_stride=48)
+    modes = TwoTasks.of(coarse(), steps_per_stride=48)
     assert (sought / "multimodal.png").stat().st_size > 10_000
     assert [x["beta"] for x in found["front"]] == [0.0, 0.5, 1.0]
     for name, x in zip(BETAS, found["front"], strict=True):
@@ -185,10 +185,10 @@ def test_what_is_written_swims_and_climbs_as_it_was_found_to(sought):
             wanted = (x[f"{here}frequency"], x[f"{here}front"], x[f"{here}rear"])
             assert drive == pytest.approx(wanted)
         f = swims.trials[0].frequency
-        _, swum, ok = eqx.filter_jit(steadily)(swimmer(to_model(swims)), f, modes.task.search)
+        _, swum, ok = eqx.filter_jit(steady_stride)(to_swimmer(to_model(swims)), f, modes.task.search)
         assert ok and swum.froude_efficiency == pytest.approx(x["E_swim"], rel=1e-4)
         f = climbs.trials[0].frequency
-        pinned = climber(to_model(climbs), f, x["pin_phase"])
+        pinned = to_climber(to_model(climbs), f, x["pin_phase"])
         climbed, ok = jax.jit(climb_from_rest, static_argnums=2)(pinned, f, modes.plan)
         assert ok and float(climbed.efficiency) == pytest.approx(x["E_climb"], rel=1e-3)
 
@@ -212,15 +212,15 @@ def test_a_dominated_point_is_told():
 @pytest.mark.slow
 def test_one_steady_stride_stands_for_fifty():
     """Of the work and the thrust of swimming."""
-    model, f = swimmer(to_model(coarse())), jnp.asarray(5.0)
-    modes = Modes.of(coarse(), steps_per_stride=48)
+    model, f = to_swimmer(to_model(coarse())), jnp.asarray(5.0)
+    modes = TwoTasks.of(coarse(), steps_per_stride=48)
     search = modes.task.search
 
     @jax.jit
     def both(model):
         carry = find_steady(model, f, search).carry
         now = performance(model, f, next_stride(model, f, carry, search), search)
-        later, _ = strides(model, f, carry, 48, search)
+        later, _ = simulate_strides(model, f, carry, 48, search)
         return now, performance(model, f, next_stride(model, f, later, search), search)
 
     now, later = both(model)

@@ -13,7 +13,7 @@ import pytest
 
 from slider_jax.beam.parameters import Numerics
 from slider_jax.experiment.load import assemble
-from slider_jax.optimise.design_space import box_of, models
+from slider_jax.optimise.design_space import gait_bounds, models
 from slider_jax.optimise.population import CHUNK, Evaluation
 from slider_jax.swimming.paper_optimum import swimmer_content
 from slider_jax.swimming.steady_state import SteadySettings, find_steady
@@ -22,7 +22,7 @@ from tests.support.data import ROOT
 CODE = """
 import os, sys, time
 from slider_jax.precision import enable_float64
-from slider_jax.optimise.population import Evaluation, begin
+from slider_jax.optimise.population import Evaluation, start_devices
 enable_float64()
 cores, coordinator, processes, process, out = sys.argv[1:]
 begin(int(cores), coordinator, int(processes), int(process))
@@ -59,7 +59,7 @@ def coarse_swimmer():
     speed = models(experiment)
 
     def swum(x):
-        gait = box_of({}).gait(x)
+        gait = gait_bounds({}).gait(x)
         return find_steady(speed(gait), gait.frequency, search).speed
 
     return swum

@@ -21,9 +21,9 @@ from slider_jax.reproduction.design_findings import (
     slice_of_phase,
 )
 from slider_jax.reproduction.design_maps import Map, best_phase, best_stiffness, peak
-from slider_jax.reproduction.design_maps_report import draw
+from slider_jax.reproduction.design_maps_report import plot_design_maps
 from slider_jax.sweep import sweep as sweeping
-from slider_jax.swimming.gait import swimmer as free
+from slider_jax.swimming.gait import to_swimmer as free
 from slider_jax.swimming.paper_optimum import swimmer_content
 from slider_jax.swimming.steady_state import SteadySettings, find_steady
 from tests.support.data import ROOT
@@ -155,7 +155,7 @@ def test_what_is_missing_throughout_is_not_decided():
 
 def test_maps_with_gaps_are_drawn(tmp_path):
     holes = without(without(PAPERS, 0, 3), 2, 4)
-    draw(over_stiffness(0.003), holes, "made up", tmp_path / "map.png")
+    plot_design_maps(over_stiffness(0.003), holes, "made up", tmp_path / "map.png")
     assert (tmp_path / "map.png").stat().st_size > 20_000
 
 

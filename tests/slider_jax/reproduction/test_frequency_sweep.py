@@ -17,7 +17,7 @@ from slider_jax.reproduction.frequency_sweep import (
     FrequencySweepSettings,
     run_frequency_sweep,
 )
-from slider_jax.reproduction.frequency_sweep_report import comparison, write_results
+from slider_jax.reproduction.frequency_sweep_report import comparison, write_frequency_sweep
 from tests.support.helpers import arrays, march
 
 COARSE = Numerics(tail_cells=2, body_cells=8)
@@ -58,7 +58,7 @@ def test_coefficients_in_the_table_are_on_the_ramp(sweep):
 
 
 def test_results_are_written_and_read_back(sweep, tmp_path):
-    write_results(sweep, TINY, tmp_path)
+    write_frequency_sweep(sweep, TINY, tmp_path)
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {
         "settings.json",

@@ -19,7 +19,7 @@ from slider_jax.reproduction.table_sensitivity import (
     NO_LAG,
     RECALIBRATED,
     calibrated,
-    swim,
+    steady_row,
 )
 from slider_jax.reproduction.wavelengths import (
     on_course,
@@ -28,7 +28,7 @@ from slider_jax.reproduction.wavelengths import (
     without_recoil,
     zeros_wavelength,
 )
-from slider_jax.swimming.free_swim import check
+from slider_jax.swimming.free_swim import free_swimmer
 from slider_jax.swimming.paper_optimum import PUBLISHED, optimum
 from slider_jax.swimming.performance import Stride
 from slider_jax.swimming.steady_state import SteadySettings
@@ -84,7 +84,7 @@ def test_recoil_is_a_straight_line_and_zeros_may_be_missing():
 
 def test_each_change_changes_one_thing():
     experiment = optimum()
-    _, model = check(experiment, experiment.trials[0])
+    _, model = free_swimmer(experiment, experiment.trials[0])
     (_, stated), *others = CHANGES.items()
     assert set(RECALIBRATED) < set(CHANGES)
 
@@ -117,9 +117,9 @@ def test_the_tips_k_q_moves_the_tip_as_the_paper_says():
 @pytest.mark.slow
 def test_a_calibrated_model_swims_at_the_speed_that_was_asked_for():
     experiment = optimum()
-    frequency, model = check(experiment, experiment.trials[0])
+    frequency, model = free_swimmer(experiment, experiment.trials[0])
     found = calibrated(model, frequency, 0.15, QUICK)
-    again = swim(CHANGES["twice the axial resistance"](model), frequency, QUICK)
+    again = steady_row(CHANGES["twice the axial resistance"](model), frequency, QUICK)
     print(f"{1e4 * found.area:.1f} cm^2; {float(again.performance.speed):.4f} m/s at 35.8")
     assert float(found.performance.speed) == pytest.approx(0.15, rel=2e-3)
     assert found.slopes()["shape"] == pytest.approx(float(found.performance.shape_tail_slope))

@@ -21,7 +21,7 @@ from slider_jax.experiment.load import assemble, load, to_model
 from slider_jax.io.csv import read_csv
 from slider_jax.optimise.design_space import to_toml
 from slider_jax.optimise.fastest_swimmer import Task, speed_at
-from slider_jax.swimming.gait import Gait, swimmer
+from slider_jax.swimming.gait import Gait, to_swimmer
 from slider_jax.swimming.paper_optimum import swimmer_content
 from slider_jax.swimming.performance import next_stride, performance
 from slider_jax.swimming.steady_state import SteadySettings, find_steady, stride_times
@@ -68,7 +68,7 @@ def test_it_writes_what_it_found(swum):
 @pytest.mark.slow
 def test_over_a_steady_stride_the_thrust_is_what_resists():
     """The force of drag and added mass, summed here from the sections of the same stride."""
-    model, f = swimmer(to_model(coarse())), jnp.asarray(5.0)
+    model, f = to_swimmer(to_model(coarse())), jnp.asarray(5.0)
 
     @jax.jit
     def forces(model):

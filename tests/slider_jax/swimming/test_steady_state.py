@@ -17,9 +17,9 @@ from slider_jax.swimming.performance import next_stride, performance
 from slider_jax.swimming.steady_state import (
     SteadySettings,
     find_steady,
-    hastened,
+    with_added_velocity,
     steady_speed,
-    strides,
+    simulate_strides,
 )
 
 SEARCH = SteadySettings(steps_per_stride=48, numerics=Numerics(4, 12))
@@ -35,7 +35,7 @@ def made(gait, area=2e-3):
 
 
 search = jax.jit(lambda model, f: find_steady(model, f, SEARCH))
-swim = jax.jit(lambda model, f: strides(model, f, at_rest(model, SEARCH.numerics), 120, SEARCH)[1])
+swim = jax.jit(lambda model, f: simulate_strides(model, f, at_rest(model, SEARCH.numerics), 120, SEARCH)[1])
 
 
 @pytest.mark.parametrize("name", GAITS)
@@ -90,9 +90,9 @@ def test_a_body_that_nothing_resists_finds_no_steady_speed():
 
 def test_a_body_made_faster_moves_faster_everywhere_and_in_no_other_way():
     model = made(GAITS["optimum"])
-    carry, _ = strides(model, jnp.asarray(6.3), at_rest(model, SEARCH.numerics), 2, SEARCH)
+    carry, _ = simulate_strides(model, jnp.asarray(6.3), at_rest(model, SEARCH.numerics), 2, SEARCH)
     change = jnp.array([0.1, -0.05])
-    faster = hastened(carry, change)
+    faster = with_added_velocity(carry, change)
     for before, after in ((carry.memory.motion, faster.memory.motion),
                           (carry.history[-1, 3:], faster.history[-1, 3:])):  # fmt: skip
         c, s = np.cos(before[2]), np.sin(before[2])
