@@ -31,8 +31,8 @@ import slider_jax as sj
 from slider_jax.beam.parameters import Numerics
 from slider_jax.optimise.design_space import models
 from slider_jax.optimise.loop import run_optimiser, settings_of
+from slider_jax.optimise.optimiser import make_optimiser
 from slider_jax.optimise.population import Evaluation
-from slider_jax.optimise.registry import make_optimiser
 from slider_jax.swimming.gait import Gait
 from slider_jax.swimming.paper_optimum import optimum
 from slider_jax.swimming.steady_state import SteadySettings, find_steady, steady_speed

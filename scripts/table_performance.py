@@ -21,14 +21,14 @@ from slider_jax.reproduction.table_sensitivity import (
     RECALIBRATED,
     SteadyRow,
     calibrated,
-    head_fixed_thrust,
     clamped_performance,
+    head_fixed_thrust,
     steady_row,
 )
 from slider_jax.reproduction.wavelengths import on_course
-from slider_jax.swimming.batch import performance_columns
 from slider_jax.swimming.free_swim import free_swimmer, steady_settings
 from slider_jax.swimming.paper_optimum import MEASURED_SPEED, PUBLISHED, optimum
+from slider_jax.swimming.performance import performance_columns
 from slider_jax.swimming.report import swim_table
 
 STATED, OWN = PUBLISHED["tail_slope"].model, PUBLISHED["shape_tail_slope"].model

@@ -45,8 +45,14 @@ def climb(
         cap: highest set pressure [Pa]; amplitudes beyond it are cut.
     """
     from slider_jax.cli.progress import Progress
-    from slider_jax.climbing.climb import simulate_climb as climb_wall, climb_record
-    from slider_jax.climbing.report import film, plot_climb, series_columns, climb_table, climb_summary
+    from slider_jax.climbing.climb import climb_record, simulate_climb as climb_wall
+    from slider_jax.climbing.report import (
+        climb_summary,
+        climb_table,
+        film,
+        plot_climb,
+        series_columns,
+    )
     from slider_jax.io.files import staged, write_csv, write_json
     from slider_jax.io.provenance import input_file, versions
     from slider_jax.swimming.gait import stride_frequency

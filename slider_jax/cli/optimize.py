@@ -120,7 +120,7 @@ def optimize_swim(
     from slider_jax.io.files import output_folder
     from slider_jax.io.provenance import input_file
     from slider_jax.optimise import fastest_swimmer as swim_search
-    from slider_jax.optimise.registry import make_optimiser
+    from slider_jax.optimise.optimiser import make_optimiser
     from slider_jax.swimming.paper_optimum import given_or, optimum
 
     _check(generations, steps_per_stride, seed)
@@ -147,7 +147,9 @@ def optimize_swim(
     if evaluation.is_first():
         print("gradient and Hessian at the best ...", file=sys.stderr)
         inputs = [input_file(p) for p in (experiment, model) if p is not None]
-        for line in swim_search.optimum_summary(swim_search.write_optimum(task, found, out, inputs)):
+        for line in swim_search.optimum_summary(
+            swim_search.write_optimum(task, found, out, inputs)
+        ):
             print(line)
         print(f"best.toml, optimum.json and optimum.png are in {out}", file=sys.stderr)
     evaluation.barrier("results are written")
@@ -202,8 +204,8 @@ def optimize_multimodal(
     from slider_jax.io.files import output_folder
     from slider_jax.io.provenance import input_file
     from slider_jax.optimise import report as multimodal_report
+    from slider_jax.optimise.optimiser import make_optimiser
     from slider_jax.optimise.pareto_front import FrontEffort, search_front
-    from slider_jax.optimise.registry import make_optimiser
     from slider_jax.optimise.two_tasks import TwoTasks
     from slider_jax.swimming.paper_optimum import given_or, optimum
 
@@ -212,7 +214,9 @@ def optimize_multimodal(
         raise InputError.value("--betas", betas, "2 to 101: both ends, and values between")
     make_optimiser(algorithm, population, 6)
     effort = FrontEffort(algorithm, population, generations, seed)
-    modes = TwoTasks.of(given_or(optimum, experiment, model), tail_length, EI_tail, steps_per_stride)
+    modes = TwoTasks.of(
+        given_or(optimum, experiment, model), tail_length, EI_tail, steps_per_stride
+    )
     output_folder(out)
     report = _Report(generations, evaluation.is_first())
 

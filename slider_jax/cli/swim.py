@@ -34,9 +34,13 @@ def swim(
     """
     from slider_jax.io.files import staged, write_csv, write_json
     from slider_jax.io.provenance import input_file, versions
-    from slider_jax.swimming.free_swim import free_swimmer, swim_record, simulate_free_swim as swim_freely
+    from slider_jax.swimming.free_swim import (
+        free_swimmer,
+        simulate_free_swim as swim_freely,
+        swim_record,
+    )
     from slider_jax.swimming.paper_optimum import PUBLISHED, given_or, optimum
-    from slider_jax.swimming.report import plot_swim, stride_columns, swim_table, swim_summary
+    from slider_jax.swimming.report import plot_swim, stride_columns, swim_summary, swim_table
 
     given = given_or(optimum, experiment, model)
     trials = chosen_trials(given.trials, trial)

@@ -25,7 +25,7 @@ from slider_jax.errors import SolverError
 from slider_jax.experiment.load import Experiment, to_model, to_numerics
 from slider_jax.experiment.schema import Trial
 from slider_jax.simulation.sampling import half_period_steps
-from slider_jax.swimming.gait import CAP, LINK, to_climber, stride_frequency
+from slider_jax.swimming.gait import CAP, LINK, stride_frequency, to_climber
 
 PHASES = 16
 """Phases of the pin that are tried where none is given."""
@@ -151,7 +151,10 @@ def simulate_climb(
             )
         pin_phase = max(tried, key=lambda x: np.nan_to_num(tried[x], nan=-np.inf))
     pin_phase = pin_phase or 0.0
-    model, f = to_climber(base, frequency, pin_phase, None, link, cap), jnp.asarray(frequency, float)
+    model, f = (
+        to_climber(base, frequency, pin_phase, None, link, cap),
+        jnp.asarray(frequency, float),
+    )
     progress("climbing")
     carry, before = _more(model, f, hanging(model, plan.numerics), plan)
     rises = np.empty(0)

@@ -23,7 +23,13 @@ from slider_jax.optimise.design_space import (
     to_toml,
     with_gait,
 )
-from slider_jax.optimise.loop import PLAN, Generation, OptimisationResult, run_optimiser, settings_of
+from slider_jax.optimise.loop import (
+    PLAN,
+    Generation,
+    OptimisationResult,
+    run_optimiser,
+    settings_of,
+)
 from slider_jax.optimise.optimiser import Optimiser
 from slider_jax.optimise.population import Evaluation, is_first
 from slider_jax.swimming.gait import Gait, to_swimmer
@@ -118,7 +124,9 @@ def search_fastest(
         return sloped(members) if gradients else (alone(members), None)
 
     settings = settings_of(searcher, members, seed, task.settings())
-    found = run_optimiser(searcher, evaluate, generations, seed, settings, folder, resume, is_first(), said)
+    found = run_optimiser(
+        searcher, evaluate, generations, seed, settings, folder, resume, is_first(), said
+    )
     if not np.isfinite(found.score):
         raise SolverError(
             f"none of {found.history[-1].evaluations} designs has a steady speed: a step fails, or "

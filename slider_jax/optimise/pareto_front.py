@@ -9,10 +9,16 @@ import numpy as np
 
 from slider_jax.errors import InputError, SolverError
 from slider_jax.io.files import write_json
-from slider_jax.optimise.evolution import cma_es
-from slider_jax.optimise.loop import CHECKPOINT, PLAN, Generation, differences, run_optimiser, settings_of
-from slider_jax.optimise.population import is_first, barrier
-from slider_jax.optimise.registry import make_optimiser
+from slider_jax.optimise.loop import (
+    CHECKPOINT,
+    PLAN,
+    Generation,
+    differences,
+    run_optimiser,
+    settings_of,
+)
+from slider_jax.optimise.optimiser import cma_es, make_optimiser
+from slider_jax.optimise.population import barrier, is_first
 from slider_jax.optimise.two_tasks import CLIMB, NAMES, SWIM, TAIL, TaskEfficiencies, TwoTasks, eta
 
 NEAR = 0.06

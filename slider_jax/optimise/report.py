@@ -65,7 +65,11 @@ def on_own_mesh(
 
 
 def write_front(
-    modes: TwoTasks, front: Front, effort: dict[str, Any], folder: Path, inputs: list[dict[str, Any]]
+    modes: TwoTasks,
+    front: Front,
+    effort: dict[str, Any],
+    folder: Path,
+    inputs: list[dict[str, Any]],
 ) -> dict[str, Any]:
     """multimodal.json, multimodal.png and two experiments a point; returns what the JSON says."""
     found, only = front_records(modes, front), {"E_swim": front.only[0], "E_climb": front.only[1]}

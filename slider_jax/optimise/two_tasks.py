@@ -119,7 +119,9 @@ def climb_efficiency(experiment: Experiment, plan: ClimbPlan):
 
     def one(x: Float[Array, "7"]) -> Float[Array, ""]:
         gait = Gait(*x[:4], *x[5:])
-        found, ok = climb_from_rest(to_climber(base, gait.frequency, x[4], gait), gait.frequency, plan)
+        found, ok = climb_from_rest(
+            to_climber(base, gait.frequency, x[4], gait), gait.frequency, plan
+        )
         true = ok & (jnp.abs(found.unaccounted) < UNACCOUNTED)
         return jnp.where(true, found.efficiency, jnp.nan)
 

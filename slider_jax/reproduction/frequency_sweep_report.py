@@ -26,7 +26,9 @@ ASSUMED = {
 """What is ours in the demo, and why."""
 
 
-def write_frequency_sweep(sweep: FrequencySweep, settings: FrequencySweepSettings, folder: Path) -> None:
+def write_frequency_sweep(
+    sweep: FrequencySweep, settings: FrequencySweepSettings, folder: Path
+) -> None:
     """Write tables, pictures and settings, all or none of them."""
     with staged(folder) as stage:
         write_csv(stage / "sweep.csv", sweep.table)

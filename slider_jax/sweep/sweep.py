@@ -18,8 +18,8 @@ from slider_jax.experiment.load import Experiment, to_model, to_numerics
 from slider_jax.io.files import write_json
 from slider_jax.io.provenance import versions
 from slider_jax.io.toml import field_at, quantity_of
-from slider_jax.swimming.batch import compile_swim, performance_table
 from slider_jax.swimming.gait import to_swimmer
+from slider_jax.swimming.performance import compile_swim, performance_table
 
 LARGEST_CHUNK = 8
 

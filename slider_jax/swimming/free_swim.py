@@ -16,9 +16,15 @@ from slider_jax.errors import SolverError
 from slider_jax.experiment.load import Experiment, to_model, to_numerics
 from slider_jax.experiment.schema import Trial
 from slider_jax.simulation.sampling import half_period_steps
-from slider_jax.swimming.batch import performance_columns
 from slider_jax.swimming.gait import stride_frequency, to_swimmer
-from slider_jax.swimming.performance import Performance, Stride, next_stride, performance, steady_stride
+from slider_jax.swimming.performance import (
+    Performance,
+    Stride,
+    next_stride,
+    performance,
+    performance_columns,
+    steady_stride,
+)
 from slider_jax.swimming.steady_state import MeanMotion, SteadySettings, simulate_strides
 
 AT_ONCE = 10

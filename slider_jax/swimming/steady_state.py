@@ -133,7 +133,13 @@ def simulate_strides(model: Model, frequency, carry: Carry, count: int, search: 
     def body(state, _):
         carry, (_, last), _ = state
         run = rollout(
-            model, times, velocity_and_heading, search.numerics, search.scheme, begin=carry, checkpoint=False
+            model,
+            times,
+            velocity_and_heading,
+            search.numerics,
+            search.scheme,
+            begin=carry,
+            checkpoint=False,
         )
         mean, ahead = jnp.mean(run.saved, axis=0)
         return (run.final, (last, mean), ahead), None

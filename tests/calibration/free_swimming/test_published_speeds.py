@@ -26,7 +26,7 @@ from slider_jax.cli.main import main
 from slider_jax.dynamics.step import at_rest
 from slider_jax.effects import ReactiveForce
 from slider_jax.effects.water.head_added_mass import HeadAddedMass
-from slider_jax.swimming.steady_state import SteadySettings, with_added_velocity, simulate_strides
+from slider_jax.swimming.steady_state import SteadySettings, simulate_strides, with_added_velocity
 from tests.support.swimming_animal import SHAPE, one_stride, wave
 
 QUICK = SteadySettings(steps_per_stride=60, numerics=Numerics(4, 8))

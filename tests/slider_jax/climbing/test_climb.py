@@ -12,7 +12,7 @@ from PIL import Image
 from slider_jax.beam.parameters import Numerics
 from slider_jax.beam.state import straight
 from slider_jax.cli.main import main
-from slider_jax.climbing.climb import simulate_climb as climb_wall, period_of
+from slider_jax.climbing.climb import period_of, simulate_climb as climb_wall
 from slider_jax.climbing.strides import ClimbPlan, climb_of, climb_on, join
 from slider_jax.dynamics.pressures import start_chambers
 from slider_jax.dynamics.step import at_rest, start

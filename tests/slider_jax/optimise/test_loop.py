@@ -5,7 +5,7 @@ import pytest
 
 from slider_jax.errors import InputError
 from slider_jax.optimise.loop import CHECKPOINT, differences, run_optimiser, settings_of
-from slider_jax.optimise.registry import SMALLEST_POPULATION, OPTIMISERS, make_optimiser
+from slider_jax.optimise.optimiser import OPTIMISERS, SMALLEST_POPULATION, make_optimiser
 
 TOP = np.array([0.3, 0.8, 0.5, 0.02, 0.6, 0.9])
 MEMBERS = 24

@@ -16,8 +16,8 @@ from slider_jax.experiment.load import assemble, load, to_model
 from slider_jax.optimise import loop as optimise, pareto_front as multimodal
 from slider_jax.optimise.design_space import to_toml
 from slider_jax.optimise.fastest_swimmer import search_fastest
+from slider_jax.optimise.optimiser import make_optimiser
 from slider_jax.optimise.pareto_front import FrontEffort, FrontPoint, dominated, search_front
-from slider_jax.optimise.registry import make_optimiser
 from slider_jax.optimise.two_tasks import CLIMB, SWIM, TAIL, TwoTasks, eta
 from slider_jax.swimming.gait import to_climber, to_swimmer
 from slider_jax.swimming.paper_optimum import swimmer_content
@@ -185,7 +185,9 @@ def test_what_is_written_swims_and_climbs_as_it_was_found_to(sought):
             wanted = (x[f"{here}frequency"], x[f"{here}front"], x[f"{here}rear"])
             assert drive == pytest.approx(wanted)
         f = swims.trials[0].frequency
-        _, swum, ok = eqx.filter_jit(steady_stride)(to_swimmer(to_model(swims)), f, modes.task.search)
+        _, swum, ok = eqx.filter_jit(steady_stride)(
+            to_swimmer(to_model(swims)), f, modes.task.search
+        )
         assert ok and swum.froude_efficiency == pytest.approx(x["E_swim"], rel=1e-4)
         f = climbs.trials[0].frequency
         pinned = to_climber(to_model(climbs), f, x["pin_phase"])

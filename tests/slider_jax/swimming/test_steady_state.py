@@ -17,9 +17,9 @@ from slider_jax.swimming.performance import next_stride, performance
 from slider_jax.swimming.steady_state import (
     SteadySettings,
     find_steady,
-    with_added_velocity,
-    steady_speed,
     simulate_strides,
+    steady_speed,
+    with_added_velocity,
 )
 
 SEARCH = SteadySettings(steps_per_stride=48, numerics=Numerics(4, 12))
@@ -35,7 +35,9 @@ def made(gait, area=2e-3):
 
 
 search = jax.jit(lambda model, f: find_steady(model, f, SEARCH))
-swim = jax.jit(lambda model, f: simulate_strides(model, f, at_rest(model, SEARCH.numerics), 120, SEARCH)[1])
+swim = jax.jit(
+    lambda model, f: simulate_strides(model, f, at_rest(model, SEARCH.numerics), 120, SEARCH)[1]
+)
 
 
 @pytest.mark.parametrize("name", GAITS)
