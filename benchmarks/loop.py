@@ -27,8 +27,7 @@ from calibration.inference.goodness import floors, rms_errors
 from calibration.inference.problem import Problem
 from calibration.model.extended import candidates
 from slider_jax.effects.library import LIBRARY
-from slider_jax.io.files import write_json
-from slider_jax.io.provenance import versions
+from slider_jax.io.files import versions, write_json
 from slider_jax.precision import enable_float64
 
 SIZED = {

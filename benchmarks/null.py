@@ -15,7 +15,7 @@ from calibration.inference.gauss_newton import fit
 from calibration.inference.problem import Problem
 from calibration.inference.uncertainty import halves, interval
 from calibration.measurements.records import Record
-from calibration.model.extended import BASE, base_values, candidates, parameters, start
+from calibration.model.extended import BASE, base_values, base_vector, candidates, parameters
 
 TANKS, REPLICATES = 6, 18
 SEED = 100
@@ -95,7 +95,7 @@ def replicates(seed: int, progress) -> dict[str, Any]:
     progress("calibrating without noise")
     quiet = [replace(r, values=y) for r, y in zip(noisy(tank, true, 0), true, strict=True)]
     laid = problem_of(tank, names, memo)(quiet)
-    best = fit(laid, entries, start(entries, base), np.arange(len(BASE)), progress)
+    best = fit(laid, entries, base_vector(entries, base), np.arange(len(BASE)), progress)
     progress("tangents along everything")
     slopes = directions(laid, entries, best.theta, best.free)
     parts = {r.trial.file: i for i, r in enumerate(quiet)}
@@ -134,7 +134,7 @@ def covered(seed: int, progress) -> dict[str, Any]:
     entries = parameters(())
     found = noisy(tank, simulated(tank, {}, names=()), seed)
     laid = problem_of(tank, ())(found)
-    begun = start(entries, base_values(tank.experiment))
+    begun = base_vector(entries, base_values(tank.experiment))
     best = halves(laid, fit(laid, entries, begun, np.arange(len(BASE))))
     progress("calibrated")
     names = enumerate(p.name for p in entries)

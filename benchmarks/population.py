@@ -17,7 +17,7 @@ import numpy as np
 
 from slider_jax.batch.chunks import available_cores
 from slider_jax.dynamics.step import at_rest
-from slider_jax.io.provenance import versions
+from slider_jax.io.files import versions
 from slider_jax.optimise.design_space import gait_bounds, models
 from slider_jax.optimise.population import Evaluation, start_devices
 from slider_jax.precision import enable_float64

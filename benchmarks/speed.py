@@ -190,7 +190,7 @@ def main() -> None:
     sys.path.insert(0, str(HERE))
     from cases import SHEET
 
-    from slider_jax.io.provenance import versions
+    from slider_jax.io.files import versions
 
     report["versions"] = versions()
     report["accuracy"] = {"robot": accuracy(), "sheet tail": accuracy(**SHEET)}

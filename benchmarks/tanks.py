@@ -24,7 +24,7 @@ from calibration.measurements.synthetic import (
     measured,
     trials,
 )
-from calibration.model.extended import BASE, base_values, candidates, parameters, start
+from calibration.model.extended import BASE, base_values, base_vector, candidates, parameters
 from calibration.model.predict import CHANNELS, COARSE, Resolution, on_all_cores, plan, predict
 from slider_jax.effects import Effect
 from slider_jax.experiment.load import Experiment, assemble
@@ -87,7 +87,7 @@ def simulated(
     """
     names = () if own else tuple(candidates() if names is None else names)
     entries = parameters(names)
-    theta = start(entries, tank.truth)
+    theta = base_vector(entries, tank.truth)
     for i, p in enumerate(entries):
         if p.effect in effects:
             theta[i] = effects[p.effect].get(p.name, p.prior.null)

@@ -29,7 +29,7 @@ import numpy as np
 
 import slider_jax as sj
 from slider_jax import observables as obs
-from slider_jax.beam.frame import to_plane
+from slider_jax.beam.state import to_plane
 from slider_jax.dynamics.rollout import rollout
 
 sj.enable_float64()

@@ -16,8 +16,14 @@ import numpy as np
 
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment, load
-from slider_jax.io.files import staged, tentative_folder, write_json, write_text
-from slider_jax.io.provenance import input_file, versions
+from slider_jax.io.files import (
+    input_file,
+    staged,
+    tentative_folder,
+    versions,
+    write_json,
+    write_text,
+)
 from slider_jax.precision import enable_float64
 from slider_jax.reproduction.design_findings import StatementCheck, findings
 from slider_jax.reproduction.design_maps import MARKED, Map, best_phase, best_stiffness

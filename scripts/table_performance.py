@@ -13,8 +13,7 @@ from typing import Any
 
 from slider_jax.errors import InputError, SolverError
 from slider_jax.io.figures import new_figure, save_figure
-from slider_jax.io.files import staged, write_json
-from slider_jax.io.provenance import versions
+from slider_jax.io.files import staged, versions, write_json
 from slider_jax.precision import enable_float64
 from slider_jax.reproduction.table_sensitivity import (
     CHANGES,

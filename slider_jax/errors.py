@@ -18,7 +18,7 @@ class SolverError(Exception):
     """A single run's time step did not converge. Batches carry this as a value instead."""
 
 
-def nearest(given: str, allowed: Iterable[str]) -> str:
+def did_you_mean(given: str, allowed: Iterable[str]) -> str:
     """What a message adds of the allowed name that a mistyped one is nearest to, if any is near."""
     close = get_close_matches(given, list(allowed), 1)
     return f"; did you mean {close[0]}?" if close else ""

@@ -9,7 +9,7 @@ from calibration.bench.ring_down import AIR_DRAG, RingFit
 from calibration.bench.statics import DETERMINED, UNITS, BenchEstimate, ShapeFit
 from calibration.bench.tables import Bench, Shapes
 from slider_jax.io.figures import new_figure, save_figure
-from slider_jax.io.provenance import versions
+from slider_jax.io.files import versions
 
 DEFINITIONS = {
     "interval": "95 %, from the scatter of the tables about the fit, or from the declared "

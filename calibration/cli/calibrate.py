@@ -13,8 +13,7 @@ from calibration.pressure_logs.text import describe, verdict
 from slider_jax.cli.options import Folder
 from slider_jax.cli.progress import Progress
 from slider_jax.errors import InputError
-from slider_jax.io.files import staged, write_json, write_text
-from slider_jax.io.provenance import input_file, versions
+from slider_jax.io.files import input_file, staged, versions, write_json, write_text
 
 DEFINITIONS = {
     "rmse": "root mean square over all samples of measured minus free run; the free run starts at "

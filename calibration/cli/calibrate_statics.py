@@ -31,8 +31,7 @@ def statics(
     from calibration.bench.ring_down import fit_ring_down
     from calibration.bench.statics import fit_shapes
     from calibration.bench.tables import load_bench
-    from slider_jax.io.files import staged, write_json, write_text
-    from slider_jax.io.provenance import input_file
+    from slider_jax.io.files import input_file, staged, write_json, write_text
 
     found = load_bench(bench)
     shapes = ring = None

@@ -45,8 +45,7 @@ def tank(
     from calibration.identification.per_frequency import refuse_unknown
     from calibration.model.extended import parameters
     from slider_jax.experiment.load import load
-    from slider_jax.io.files import staged, tentative_folder, write_json, write_text
-    from slider_jax.io.provenance import input_file
+    from slider_jax.io.files import input_file, staged, tentative_folder, write_json, write_text
 
     begun = time.monotonic()
 

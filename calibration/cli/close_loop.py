@@ -106,7 +106,7 @@ def _of_experiment(experiment, inputs, memo, say, seconds) -> tuple[Any, dict[st
     from calibration.discrepancy.close_loop import close_loop as close
     from calibration.discrepancy.report import report
     from calibration.experiment_design.next_experiment import next_experiment
-    from slider_jax.io.provenance import input_file
+    from slider_jax.io.files import input_file
 
     outcome = close(experiment, progress=say, memo=memo)
     following = next_experiment(outcome, say)

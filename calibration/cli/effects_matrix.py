@@ -10,7 +10,7 @@ import numpy as np
 import tyro
 
 from slider_jax.cli.options import Folder, ModelFile, Range
-from slider_jax.errors import InputError, nearest
+from slider_jax.errors import InputError, did_you_mean
 
 Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")]
 
@@ -50,8 +50,7 @@ def matrix(
     from calibration.experiment_design.trial_search import TrialLimits, limits_of
     from calibration.inference.cache import inputs, resumable
     from slider_jax.experiment.load import load
-    from slider_jax.io.files import staged, write_json, write_text
-    from slider_jax.io.provenance import input_file
+    from slider_jax.io.files import input_file, staged, write_json, write_text
 
     _check("--effects", effects)
     _check("--separate", separate)
@@ -98,7 +97,7 @@ def _check(option: str, names: tuple[str, ...]) -> None:
         if name not in allowed:
             raise InputError(
                 f"{option}: given {name!r}; allowed the names that slider effects lists, without "
-                f"gravity{nearest(name, allowed)}"
+                f"gravity{did_you_mean(name, allowed)}"
             )
 
 

@@ -30,8 +30,7 @@ def lamprey(
     from calibration.lamprey.balance import weigh
     from calibration.lamprey.report import page, report, short_table
     from slider_jax.errors import InputError
-    from slider_jax.io.files import staged, write_json, write_text
-    from slider_jax.io.provenance import input_file
+    from slider_jax.io.files import input_file, staged, write_json, write_text
 
     if draws < 20:
         raise InputError.value("--draws", draws, "20 or more")

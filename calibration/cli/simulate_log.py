@@ -29,8 +29,7 @@ from slider_jax.experiment.load import (
     to_model,
     to_numerics,
 )
-from slider_jax.io.files import staged, write_csv, write_json
-from slider_jax.io.provenance import input_file, versions
+from slider_jax.io.files import input_file, staged, versions, write_csv, write_json
 from slider_jax.simulation.sensors import recorded
 from slider_jax.simulation.trial import readings
 

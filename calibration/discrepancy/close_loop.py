@@ -17,7 +17,14 @@ from calibration.inference.problem import Problem
 from calibration.inference.uncertainty import halves, interval
 from calibration.measurements.findings import Finding
 from calibration.measurements.records import Record
-from calibration.model.extended import BASE, Parameter, base_values, candidates, parameters, start
+from calibration.model.extended import (
+    BASE,
+    Parameter,
+    base_values,
+    base_vector,
+    candidates,
+    parameters,
+)
 from calibration.model.predict import COARSE, FINE, Resolution
 from slider_jax.experiment.load import Experiment
 
@@ -115,7 +122,7 @@ def close_loop(
     names = tuple(candidates() if effects is None else effects)
     entries = parameters(names)
     base = base_values(experiment)
-    begun = start(entries, base)
+    begun = base_vector(entries, base)
     progress("auditing the data")
     audited = audit(experiment, LEAST_TRIALS, lambda few: problem_of(few).predict(begun))
     for finding in audited.findings:
@@ -156,7 +163,7 @@ def conclude(
     seen = [r for i, r in enumerate(found) if i not in held]
     everything = problem_of(found)
     problem = problem_of(seen) if held else everything
-    result = search(problem, entries, start(entries, base), progress, base_names)
+    result = search(problem, entries, base_vector(entries, base), progress, base_names)
     before = excess(problem, result.base)
     after = excess(problem, result.final) if result.effects else before
     verdict = decide(result, entries, before, after)

@@ -12,7 +12,7 @@ from calibration.inference.goodness import FLOOR
 from calibration.model.extended import base_values
 from calibration.reporting.parameters import UNITS, told, toml, words
 from slider_jax.effects.library import LIBRARY
-from slider_jax.io.provenance import versions
+from slider_jax.io.files import versions
 
 
 def report(

@@ -18,8 +18,7 @@ from calibration.inference.cache import inputs, resumable
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment, load
 from slider_jax.experiment.schema import Trial
-from slider_jax.io.files import write_json, write_text
-from slider_jax.io.provenance import input_file
+from slider_jax.io.files import input_file, write_json, write_text
 
 Capture = Callable[[tuple[Trial, ...]], None]
 """Makes the files of these trials, in the experiment's folder."""

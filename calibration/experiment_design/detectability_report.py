@@ -15,7 +15,7 @@ from calibration.experiment_design.information import FINITE_START
 from calibration.inference.noise import DISCREPANCY, GAIN
 from calibration.model.extended import candidates
 from slider_jax.io.figures import new_figure, save_figure
-from slider_jax.io.provenance import versions
+from slider_jax.io.files import versions
 
 NOTES = {
     "limit": "distance from the null from which on nine of ten such experiments would find the "

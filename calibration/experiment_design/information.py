@@ -19,7 +19,7 @@ from calibration.inference.gauss_newton import inverse
 from calibration.inference.noise import Noise, Whitener, declared
 from calibration.inference.problem import ChannelBlock
 from calibration.measurements.records import Record, records
-from calibration.model.extended import BASE, Parameter, parameters, start
+from calibration.model.extended import BASE, Parameter, base_vector, parameters
 from calibration.model.initial_swing import declared_spans
 from calibration.model.predict import (
     CHANNELS,
@@ -239,7 +239,7 @@ def foresight(
         )
     names = tuple(dict.fromkeys(effects))
     entries = parameters(names)
-    theta = start(entries, {n: getattr(experiment.parameters, n) for n in BASE})
+    theta = base_vector(entries, {n: getattr(experiment.parameters, n) for n in BASE})
     chosen, sensing = np.arange(len(entries)), SensorModel.of(experiment)
     bare = TrialInformation(experiment, names, theta, chosen, sensing, {}, coarse, memo)
     progress("comparing tangents with finite steps")

@@ -16,7 +16,7 @@ from calibration.free_swimming.published_speeds import (
     Before,
 )
 from calibration.reporting.html import document, paragraph, picture, table
-from slider_jax.io.provenance import versions
+from slider_jax.io.files import versions
 
 AS_WELL = 0.8
 """Share of the miss from which on another resistance removes it as well."""

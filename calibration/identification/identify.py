@@ -14,13 +14,13 @@ from calibration.inference.problem import Problem
 from calibration.inference.uncertainty import correlations, halves
 from calibration.measurements.findings import Finding
 from calibration.measurements.records import Record
-from calibration.model.extended import Parameter, base_values, parameters, start
+from calibration.model.extended import Parameter, base_values, base_vector, parameters
 from calibration.model.predict import CHANNELS, COARSE, FINE, Resolution
 from calibration.reporting.parameters import UNITS, told, toml, words
 from slider_jax.effects.library import LIBRARY
-from slider_jax.errors import InputError, nearest
+from slider_jax.errors import InputError, did_you_mean
 from slider_jax.experiment.load import Experiment
-from slider_jax.io.provenance import versions
+from slider_jax.io.files import versions
 
 METHODS = {"lm": fit, "lbfgs": descend}
 MANY = 12
@@ -51,7 +51,7 @@ def refuse_unknown(effects: Sequence[str], channels: Sequence[str], method: str)
         raise InputError(f"--method {method}: unknown; allowed auto, {', '.join(METHODS)}")
     for name in effects:
         if name not in LIBRARY:
-            near = nearest(name, LIBRARY)
+            near = did_you_mean(name, LIBRARY)
             raise InputError(
                 f"--also {name}: unknown effect; allowed what slider effects lists{near}"
             )
@@ -81,7 +81,7 @@ def identify(
         names, seen = tuple(effects), tuple(channels)
         return Problem.of(experiment, list(chosen), names, seen, fine, coarse)
 
-    base = start(entries, base_values(experiment))
+    base = base_vector(entries, base_values(experiment))
     begun = base.copy()
     for i, p in enumerate(entries):
         if p.effect:  # off its null, where a bound would hold it

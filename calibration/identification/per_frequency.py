@@ -22,7 +22,7 @@ from calibration.inference.problem import FAILED, Problem, summed
 from calibration.inference.uncertainty import by_variation, determined, halves, interval
 from calibration.model.extended import Parameter
 from calibration.model.predict import COARSE, Resolution
-from slider_jax.errors import InputError, nearest
+from slider_jax.errors import InputError, did_you_mean
 from slider_jax.experiment.load import Experiment
 
 LEAST_FREQUENCIES = 4
@@ -109,7 +109,7 @@ def refuse_unknown(each: Sequence[str], entries: Sequence[Parameter]) -> None:
     known = [p.label for p in entries]
     for label in each:
         if label not in known:
-            near = nearest(label, known)
+            near = did_you_mean(label, known)
             raise InputError(f"--each {label}: not identified; allowed {', '.join(known)}{near}")
 
 

@@ -15,8 +15,7 @@ import numpy as np
 
 import calibration
 import slider_jax
-from slider_jax.io.files import replacing, tentative_folder
-from slider_jax.io.provenance import input_file, versions
+from slider_jax.io.files import input_file, replacing, tentative_folder, versions
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ import numpy as np
 from calibration.inference.cache import Memo
 from calibration.inference.noise import Noise, Whitener, declared
 from calibration.measurements.records import Record
-from calibration.model.extended import base_values, parameters, start
+from calibration.model.extended import base_values, base_vector, parameters
 from calibration.model.initial_swing import spans
 from calibration.model.predict import (
     CHANNELS,
@@ -118,7 +118,7 @@ class Problem:
         }
         swing, size = None, experiment.sensors.start_swing
         if size > 0.0:
-            swing = Swing(size, start(parameters(effects), base_values(experiment)))
+            swing = Swing(size, base_vector(parameters(effects), base_values(experiment)))
         return cls(records, plans[0], plans[1], channels, noise, coarse, swing=swing)
 
     @cached_property

@@ -15,8 +15,7 @@ from jaxtyping import Array, Float
 
 from calibration.lamprey.motion import Motion
 from slider_jax.beam.equations import Reference, Section, Structure, section
-from slider_jax.beam.frame import to_body, to_plane
-from slider_jax.beam.state import Fields
+from slider_jax.beam.state import Fields, to_body, to_plane
 from slider_jax.effects import ForceDensity
 
 VISCOSITY = 1.0e-6

@@ -29,7 +29,7 @@ from calibration.lamprey.balance import (
 )
 from calibration.lamprey.figures import body_figure, imbalance_figure, strides_figure
 from calibration.reporting.html import document, paragraph, picture, table
-from slider_jax.io.provenance import versions
+from slider_jax.io.files import versions
 
 NEXT = (
     "A gliding animal (straight, no stroke) sees friction and form drag alone; two speeds of it "

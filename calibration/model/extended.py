@@ -94,7 +94,7 @@ class Extended(eqx.Module):
         return kind(**{n: x for n, x in self.conditions.items() if n in known} | given)
 
 
-def start(entries: Sequence[Parameter], base: dict[str, float]) -> np.ndarray:
+def base_vector(entries: Sequence[Parameter], base: dict[str, float]) -> np.ndarray:
     """The vector with the base model's `base` values and every effect at its null."""
     return np.array([p.prior.null if p.effect else base[p.name] for p in entries])
 

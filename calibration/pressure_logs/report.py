@@ -10,7 +10,7 @@ from calibration.discrepancy.close_loop import LoopOutcome
 from calibration.discrepancy.report import report
 from calibration.pressure_logs.read import PA_PER_PSI, ManifoldLog
 from slider_jax.experiment.load import Experiment, assemble
-from slider_jax.io.provenance import input_file
+from slider_jax.io.files import input_file
 from slider_jax.observables.strides import stride_means
 from slider_jax.paper import PRESSURE_LAG
 from slider_jax.simulation.effect_signature import FREQUENCY, built_in

@@ -52,8 +52,7 @@ def run(
     from rig.cli.settings import rig_of
     from rig.manifold.limits import PressureLimits
     from rig.trial.session import finished, run as run_trials
-    from slider_jax.io.files import output_folder
-    from slider_jax.io.provenance import input_file
+    from slider_jax.io.files import input_file, output_folder
 
     if out.resolve() == experiment.resolve().parent:
         raise InputError(f"--out {out}: is the experiment's own folder; give another")

@@ -22,8 +22,7 @@ from rig.trial.live_stream import CHANNELS_OUT, LiveReadings
 from slider_jax.cli.options import MaybeFolder, ModelFile, Seconds, Whole, chosen_trials
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
-from slider_jax.io.files import staged, write_csv, write_json
-from slider_jax.io.provenance import input_file, versions
+from slider_jax.io.files import input_file, staged, versions, write_csv, write_json
 
 PAUSE = 0.01
 """Between looks at what has come [s]."""

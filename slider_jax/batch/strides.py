@@ -54,7 +54,7 @@ class Programs(NamedTuple):
     stride: Callable[[Member, Array, Carry], tuple[Carry, dict[str, Array]]]
 
 
-def kept(x: Snapshot) -> dict[str, Array]:
+def saved_quantities(x: Snapshot) -> dict[str, Array]:
     """What is kept of every step: `readings`, `power` [W] and `midline` (2, nodes) [m]."""
     return readings(x) | {
         "power": jnp.sum(obs.chamber_power(x)),
@@ -67,7 +67,13 @@ def one_stride(plan: Plan, member: Member, number, carry: Carry) -> tuple[Carry,
     steps, f = plan.steps_per_stride, member.frequency
     times = TimeGrid(h=1.0 / (f * steps), steps=steps, t0=number / f)
     out = rollout(
-        member.model, times, kept, plan.numerics, plan.scheme, begin=carry, checkpoint=False
+        member.model,
+        times,
+        saved_quantities,
+        plan.numerics,
+        plan.scheme,
+        begin=carry,
+        checkpoint=False,
     )
     return out.final, {"t": out.t} | out.saved
 
@@ -108,7 +114,7 @@ def march(
     return runs
 
 
-def steady(
+def steady_quantities(
     plan: Plan, members: Member, runs: dict[str, np.ndarray], transient: int
 ) -> dict[str, np.ndarray]:
     """Quantities (members,) of the strides after `transient` ones, named with their units.

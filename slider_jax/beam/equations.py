@@ -18,8 +18,7 @@ A time derivative is always (value - reference)/dt: every stage of a scheme has 
 import equinox as eqx
 from jaxtyping import Array, Float
 
-from slider_jax.beam.frame import to_body
-from slider_jax.beam.state import Fields
+from slider_jax.beam.state import Fields, to_body
 
 
 class Structure(eqx.Module):

@@ -10,6 +10,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from slider_jax.beam.grid import Grid
+
 Unknowns = Float[Array, "6 nodes"]
 
 
@@ -50,7 +52,7 @@ class Memory(eqx.Module):
     internal: tuple[Float[Array, " cells"], ...] = ()
 
 
-def straight(
+def straight_state(
     s: Float[Array, " nodes"], V_tau=0.0, V_n=0.0, phi=0.0, omega=0.0
 ) -> tuple[Unknowns, Memory]:
     """Unloaded and straight at the angle `phi` [rad], the head at the origin, moving rigidly.
@@ -60,3 +62,26 @@ def straight(
     zero = jnp.zeros_like(s)
     y = jnp.stack([zero, zero, zero, zero + V_tau, V_n + omega * (s - s[-1]), zero + phi])
     return y, Memory(motion=y[3:], strain=zero[1:], head=jnp.zeros(2), load=jnp.zeros(3))
+
+
+def to_body(vector, phi):
+    """Components (tau, n) of a plane vector (x, y) in a frame turned by `phi` [rad]."""
+    x, y = vector
+    c, s = jnp.cos(phi), jnp.sin(phi)
+    return c * x + s * y, -s * x + c * y
+
+
+def to_plane(tau, n, phi):
+    """Components (x, y) of a vector given by (tau, n) in a frame turned by `phi` [rad]."""
+    c, s = jnp.cos(phi), jnp.sin(phi)
+    return c * tau - s * n, s * tau + c * n
+
+
+def node_positions(
+    phi: Float[Array, " nodes"], strain: Float[Array, " cells"], head: Float[Array, "2"], grid: Grid
+) -> Float[Array, "2 nodes"]:
+    """Node positions [m] from the angles, going back from the head: dr/ds = (1 + eps) tau."""
+    angle = grid.mid(phi)
+    step = (1.0 + strain) * grid.ds * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+    behind = jnp.cumsum(step[:, ::-1], axis=1)[:, ::-1]
+    return head[:, None] - jnp.concatenate([behind, jnp.zeros((2, 1), behind.dtype)], axis=1)

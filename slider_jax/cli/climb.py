@@ -53,8 +53,7 @@ def climb(
         plot_climb,
         series_columns,
     )
-    from slider_jax.io.files import staged, write_csv, write_json
-    from slider_jax.io.provenance import input_file, versions
+    from slider_jax.io.files import input_file, staged, versions, write_csv, write_json
     from slider_jax.swimming.gait import stride_frequency
     from slider_jax.swimming.paper_optimum import example_climber, given_or
 

@@ -22,7 +22,7 @@ from slider_jax.effects import (
     WaterMotion,
 )
 from slider_jax.effects.library import LIBRARY
-from slider_jax.errors import InputError, nearest
+from slider_jax.errors import InputError, did_you_mean
 
 PLACES = (
     Command,
@@ -64,7 +64,7 @@ def effects(
         print(listing())
         return
     if name not in LIBRARY:
-        near = nearest(name, (*LIBRARY, "matrix"))  # which is a command of its own
+        near = did_you_mean(name, (*LIBRARY, "matrix"))  # which is a command of its own
         raise InputError(f"NAME: given {name!r}; allowed the names that slider effects lists{near}")
     if experiment is not None and out is None:
         raise InputError("--experiment: is for the picture; give --out DIR too")

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from slider_jax.cli.commands import COMMANDS, function_of, rig_error
-from slider_jax.errors import InputError, SolverError, nearest
+from slider_jax.errors import InputError, SolverError, did_you_mean
 
 _GROUPS = {name.split()[0] for name in COMMANDS if " " in name} - {
     name for name, command in COMMANDS.items() if command.alone
@@ -57,7 +57,7 @@ def find(arguments: Sequence[str]) -> tuple[str, list[str]]:
     allowed = [name for name in COMMANDS if not group or name.split()[0] == words[0]]
     raise InputError(
         f"command: given {given!r}; allowed {', '.join(allowed)}"
-        f"{nearest(given, allowed)}; see slider --help"
+        f"{did_you_mean(given, allowed)}; see slider --help"
     )
 
 

@@ -117,8 +117,7 @@ def optimize_swim(
         process: which of them this is, from 0.
     """
     evaluation = _begin(coordinator, processes, process)
-    from slider_jax.io.files import output_folder
-    from slider_jax.io.provenance import input_file
+    from slider_jax.io.files import input_file, output_folder
     from slider_jax.optimise import fastest_swimmer as swim_search
     from slider_jax.optimise.optimiser import make_optimiser
     from slider_jax.swimming.paper_optimum import given_or, optimum
@@ -201,8 +200,7 @@ def optimize_multimodal(
         process: which of them this is, from 0.
     """
     evaluation = _begin(coordinator, processes, process)
-    from slider_jax.io.files import output_folder
-    from slider_jax.io.provenance import input_file
+    from slider_jax.io.files import input_file, output_folder
     from slider_jax.optimise import report as multimodal_report
     from slider_jax.optimise.optimiser import make_optimiser
     from slider_jax.optimise.pareto_front import FrontEffort, search_front

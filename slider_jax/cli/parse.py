@@ -11,7 +11,7 @@ from typing import Any
 
 import tyro
 
-from slider_jax.errors import InputError, nearest
+from slider_jax.errors import InputError, did_you_mean
 
 
 def call_of(command: Callable[..., Any], words: Sequence[str], name: str) -> Callable[[], Any]:
@@ -65,9 +65,8 @@ def _refuse_unknown_options(function: Callable[..., Any], words: Sequence[str]) 
         option = word.split("=")[0].replace("_", "-")
         if option.startswith("--") and option not in allowed:
             shown = option if option.isprintable() else repr(option)
-            raise InputError(
-                f"{shown}: unknown option; allowed {', '.join(allowed)}{nearest(option, allowed)}"
-            )
+            advice = did_you_mean(option, allowed)
+            raise InputError(f"{shown}: unknown option; allowed {', '.join(allowed)}{advice}")
 
 
 def in_one_line(box: str) -> str:

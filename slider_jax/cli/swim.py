@@ -32,8 +32,7 @@ def swim(
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
         trial: this trial alone, from 0.
     """
-    from slider_jax.io.files import staged, write_csv, write_json
-    from slider_jax.io.provenance import input_file, versions
+    from slider_jax.io.files import input_file, staged, versions, write_csv, write_json
     from slider_jax.swimming.free_swim import (
         free_swimmer,
         simulate_free_swim as swim_freely,

@@ -9,14 +9,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from slider_jax.beam.equations import Reference
-from slider_jax.beam.frame import midline, to_body
 from slider_jax.beam.parameters import Numerics, Scalar, scales_of
-from slider_jax.beam.state import Memory, Unknowns
+from slider_jax.beam.state import Memory, Unknowns, node_positions, to_body
 from slider_jax.dynamics.block_solver import BeamOperator, BeamSolver
 from slider_jax.dynamics.model import Mesh, Model, make_mesh
 from slider_jax.dynamics.pressures import start_chambers
 from slider_jax.dynamics.residual import Stage, jacobian, residual
-from slider_jax.dynamics.step import Carry, start
+from slider_jax.dynamics.step import Carry, initial_carry
 from slider_jax.effects import BendingMoment, of_place
 
 LONG = 1e9
@@ -56,7 +55,7 @@ def at_rest_under(model: Model, loads: Loads, numerics: Numerics = Numerics()) -
     stage = _stage(model, mesh, loads.pressure)
     y, error = _equilibrium((stage, loads.force, scales_of(model.body)))
     eps = mesh.grid.mid(y[0]) / mesh.structure.EA
-    shape = midline(y[5], eps, jnp.zeros(2), mesh.grid)
+    shape = node_positions(y[5], eps, jnp.zeros(2), mesh.grid)
     return AtRest(y, shape, error < numerics.tolerance)
 
 
@@ -67,7 +66,7 @@ def release(model: Model, begin: AtRest, numerics: Numerics = Numerics()) -> Car
     eps = mesh.grid.mid(y[0]) / mesh.structure.EA
     internal = tuple(jnp.zeros_like(eps) for _ in of_place(model.effects, BendingMoment))
     memory = Memory(y[3:], eps, jnp.zeros(2), y[:3, -1], internal)
-    return start(y, memory, start_chambers(model))
+    return initial_carry(y, memory, start_chambers(model))
 
 
 def _stage(model: Model, mesh: Mesh, pressure: Float[Array, "2"]) -> Stage:

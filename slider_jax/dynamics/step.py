@@ -10,9 +10,8 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, PyTree
 
 from slider_jax.beam.equations import Reference, Section, strain
-from slider_jax.beam.frame import to_body
 from slider_jax.beam.parameters import Numerics, Scalar, grid_of, scales_of
-from slider_jax.beam.state import Memory, Unknowns, fields, straight
+from slider_jax.beam.state import Memory, Unknowns, fields, straight_state, to_body
 from slider_jax.dynamics.model import Mesh, Model
 from slider_jax.dynamics.newton import BeamAdjoint, BeamNewton
 from slider_jax.dynamics.pressures import Chambers, start_chambers
@@ -174,10 +173,10 @@ def at_rest(model: Model, numerics: Numerics, t0: Scalar = 0.0) -> Carry:
     velocity, angle, rate = model.support.start(jnp.asarray(t0))
     V_tau, V_n = to_body(velocity, angle)
     s = grid_of(model.body, numerics).s
-    y, memory = straight(s, V_tau, V_n, angle, rate)
+    y, memory = straight_state(s, V_tau, V_n, angle, rate)
     internal = tuple(jnp.zeros_like(s[1:]) for _ in of_place(model.effects, BendingMoment))
     memory = eqx.tree_at(lambda m: m.internal, memory, internal)
-    return start(y, memory, start_chambers(model))
+    return initial_carry(y, memory, start_chambers(model))
 
 
 def with_motion(carry: Carry, change: Callable[[Array], Array]) -> Carry:
@@ -187,7 +186,7 @@ def with_motion(carry: Carry, change: Callable[[Array], Array]) -> Carry:
     return eqx.tree_at(lambda c: (c.memory.motion, c.history), carry, rows)
 
 
-def start(y: Unknowns, memory: Memory, chambers: Chambers) -> Carry:
+def initial_carry(y: Unknowns, memory: Memory, chambers: Chambers) -> Carry:
     """The carry that begins a rollout at the state (y, memory, chambers)."""
     return Carry(
         history=jnp.broadcast_to(y, (3, *y.shape)),

@@ -25,7 +25,7 @@ from slider_jax.dynamics.model import Drive, Model
 from slider_jax.dynamics.time_schemes import SCHEMES, Scheme
 from slider_jax.effects import Effect, NormalDrag, ReactiveForce
 from slider_jax.effects.library import LIBRARY
-from slider_jax.errors import InputError, nearest
+from slider_jax.errors import InputError, did_you_mean
 from slider_jax.experiment.schema import EffectTable, ExperimentTable, ParametersTable, Trial
 from slider_jax.io.csv import read_csv
 from slider_jax.io.toml import read_toml, validate
@@ -129,7 +129,7 @@ def _effect(table: EffectTable, where: str, taken: dict[str, float] | None = Non
         raise InputError(
             f"{where}.name: given {table.name!r}; allowed {', '.join(LIBRARY)}; drag and added "
             "mass are always on, by parameters.C_d and parameters.m_a"
-            f"{nearest(table.name, LIBRARY)}"
+            f"{did_you_mean(table.name, LIBRARY)}"
         )
     kind, given = LIBRARY[table.name], dict(table.model_extra or {})
     known = [field.name for field in fields(kind)]

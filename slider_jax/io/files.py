@@ -1,16 +1,20 @@
 """Result files: written under a temporary name, then renamed, so that none is ever half-written."""
 
+import hashlib
 import json
 import os
+import platform
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+import slider_jax
 from slider_jax.errors import InputError
 
 
@@ -130,3 +134,33 @@ def write_csv(
         )
     rows = [",".join(columns), *(",".join(row) for row in zip(*cells, strict=True))]
     write_text(path, "\n".join(rows) + "\n")
+
+
+_PACKAGES = (
+    "jax",
+    "jaxlib",
+    "equinox",
+    "optimistix",
+    "lineax",
+    "numpy",
+    "scipy",
+    "optax",
+    "evosax",
+)
+
+
+def versions() -> dict[str, str]:
+    """Versions of this package, of Python and of the libraries that compute."""
+    found = {"slider_jax": slider_jax.__version__, "python": platform.python_version()}
+    for name in _PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def input_file(path: Path | str) -> dict[str, Any]:
+    """Path and sha256 of an input, for the results made from it."""
+    path = Path(path)
+    return {"path": str(path), "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}

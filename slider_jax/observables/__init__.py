@@ -3,12 +3,6 @@
 Those of a `Snapshot` can be saved at every step; those of series work on what was saved.
 """
 
-from slider_jax.observables.efficiency import (
-    force_efficiency,
-    froude_efficiency,
-    strouhal_number,
-    tail_slope,
-)
 from slider_jax.observables.energy import (
     EnergyRates,
     StoredEnergy,
@@ -17,20 +11,15 @@ from slider_jax.observables.energy import (
     energy_rates,
     stored_energy,
 )
-from slider_jax.observables.forces import (
-    carriage_force,
-    recoil,
-    thrust,
-)
-from slider_jax.observables.shape import (
-    lateral,
-    midline,
-    tail_excursion,
-    tip,
-)
+from slider_jax.observables.measured import carriage_force, lateral, midline, recoil, thrust, tip
 from slider_jax.observables.strides import (
+    force_efficiency,
+    froude_efficiency,
     stride_means,
     stride_ranges,
+    strouhal_number,
+    tail_excursion,
+    tail_slope,
 )
 from slider_jax.observables.wave import (
     BodyWave,

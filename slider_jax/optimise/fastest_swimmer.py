@@ -11,8 +11,7 @@ import numpy as np
 from slider_jax.errors import InputError, SolverError
 from slider_jax.experiment.load import Experiment, to_model, to_numerics
 from slider_jax.io.figures import new_figure, save_figure
-from slider_jax.io.files import staged, write_json, write_text
-from slider_jax.io.provenance import versions
+from slider_jax.io.files import staged, versions, write_json, write_text
 from slider_jax.optimise.design_space import (
     VARIABLES,
     GaitBounds,

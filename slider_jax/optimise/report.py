@@ -11,8 +11,7 @@ import numpy as np
 from slider_jax.climbing.climb import simulate_climb
 from slider_jax.experiment.load import to_numerics
 from slider_jax.io.figures import new_figure, save_figure
-from slider_jax.io.files import staged, write_json, write_text
-from slider_jax.io.provenance import versions
+from slider_jax.io.files import staged, versions, write_json, write_text
 from slider_jax.optimise.design_space import to_toml, with_gait
 from slider_jax.optimise.pareto_front import Front, dominated
 from slider_jax.optimise.two_tasks import NAMES, TwoTasks, swim_efficiency

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slider_jax.effects import Flow
-from slider_jax.errors import InputError, nearest
+from slider_jax.errors import InputError, did_you_mean
 
 CHAMBERS = ("front_left", "front_right", "rear_left", "rear_right")
 """The four chambers, in the order of set pressures and readings."""
@@ -45,7 +45,7 @@ class ChamberFaults(Flow):
         return jnp.where(x.filling, (1.0 - b) * rate, rate) - q * x.p
 
 
-def sound(EI_tail: float) -> Faults:
+def no_faults(EI_tail: float) -> Faults:
     """No fault; `EI_tail` [N m^2] is the tail's own."""
     return Faults(np.zeros((2, 2)), np.zeros((2, 2)), np.asarray(EI_tail))
 
@@ -62,7 +62,7 @@ def with_fault(faults: Faults, name: str, value: float) -> Faults:
     """The faults with one set anew. Raises `InputError` for another name, or a value outside."""
     if name not in ALLOWED:
         raise InputError(
-            f"fault: given {name!r}; allowed {', '.join(ALLOWED)}{nearest(name, ALLOWED)}"
+            f"fault: given {name!r}; allowed {', '.join(ALLOWED)}{did_you_mean(name, ALLOWED)}"
         )
     low, high, unit = ALLOWED[name]
     if not low <= value <= high:

@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slider_jax.actuation import FirstOrderLag, Held
-from slider_jax.beam.frame import midline
 from slider_jax.beam.parameters import grid_of
+from slider_jax.beam.state import node_positions
 from slider_jax.dynamics.model import Drive, Model
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.step import Carry, at_rest
@@ -24,8 +24,8 @@ from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment, to_model, to_numerics
 from slider_jax.experiment.schema import Trial
 from slider_jax.realtime.commands import check_commands
-from slider_jax.realtime.faults import CHAMBERS, ChamberFaults, Faults, sound, with_fault
-from slider_jax.realtime.sensors import Past, check_instrument, constant, read_now
+from slider_jax.realtime.faults import CHAMBERS, ChamberFaults, Faults, no_faults, with_fault
+from slider_jax.realtime.sensors import Past, check_instrument, constant_past, read_now
 from slider_jax.simulation.trial import readings
 
 STEP = 2e-3
@@ -77,7 +77,7 @@ class Plant:
         if not 1e-4 <= step <= 1e-2:
             raise InputError.value("step of the plant", step, "1e-4 to 1e-2 s")
         self.step = step
-        self.faults = sound(experiment.robot.EI_tail)
+        self.faults = no_faults(experiment.robot.EI_tail)
         self._faults = jax.device_put(self.faults)
         self._experiment = experiment
         self._numerics, self._scheme = to_numerics(experiment)
@@ -162,12 +162,12 @@ class Plant:
     def _rest(self, model: Model, faults: Faults, t: Array) -> tuple[PlantState, Array]:
         carry = at_rest(_faulty(model, faults), self._numerics, t)
         grid = grid_of(model.body, self._numerics)
-        line = midline(carry.memory.motion[2], carry.memory.strain, carry.memory.head, grid)
+        line = node_positions(carry.memory.motion[2], carry.memory.strain, carry.memory.head, grid)
         zero = jnp.zeros(())
         read = Readings(t, zero, zero, zero, zero, line[1, 0])
         pasts = []
         for effect in of_place(model.effects, Instrument):
-            pasts.append(constant(effect, read, self.step, self._samples))
+            pasts.append(constant_past(effect, read, self.step, self._samples))
             read = jax.tree.map(lambda x: x[-1], pasts[-1].read)
         state = PlantState(carry, jnp.zeros((self._samples, 2)), jnp.zeros(2), tuple(pasts))
         return state, _pack(read, state)

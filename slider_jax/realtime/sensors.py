@@ -22,7 +22,7 @@ class Past(NamedTuple):
     read: Readings
 
 
-def constant(effect: Instrument, first: Readings, h: float, samples: int) -> Past:
+def constant_past(effect: Instrument, first: Readings, h: float, samples: int) -> Past:
     """`samples` samples, `h` [s] apart, of an instrument that has been shown `first` for long."""
     held = jax.tree.map(lambda x: jnp.broadcast_to(x, (samples,)), first)
     shown = held._replace(t=first.t + h * jnp.arange(1.0 - samples, 1.0))
@@ -73,7 +73,7 @@ def check_instrument(effect: Instrument, h: float, samples: int) -> None:
             now, past = read_now(effect, past, true)
             return past, now
 
-        live = jax.lax.scan(body, constant(effect, first, h, samples), rest)[1]
+        live = jax.lax.scan(body, constant_past(effect, first, h, samples), rest)[1]
         return effect.read(series), live
 
     whole, live = both(effect, series)

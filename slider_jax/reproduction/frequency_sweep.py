@@ -10,7 +10,7 @@ import numpy as np
 
 from slider_jax import paper
 from slider_jax.batch.chunks import chunks_of, in_threads, stack, take
-from slider_jax.batch.strides import Member, Plan, compile_programs, march, steady
+from slider_jax.batch.strides import Member, Plan, compile_programs, march, steady_quantities
 from slider_jax.beam.parameters import Numerics, Robot
 
 SHOWN = (1.0, 4.8)
@@ -88,7 +88,7 @@ def run_frequency_sweep(
     runs = {name: np.concatenate([x[name] for x in parts]) for name in parts[0]}
     C_d, m_a = jax.vmap(paper.force_coefficients)(jnp.asarray(frequencies))
     table = {"frequency_Hz": frequencies, "C_d": np.asarray(C_d), "m_a": np.asarray(m_a)}
-    table |= steady(plan, members, runs, settings.transient)
+    table |= steady_quantities(plan, members, runs, settings.transient)
     shown = {}
     for index, frequency in enumerate(frequencies):
         if np.isclose(frequency, SHOWN).any():

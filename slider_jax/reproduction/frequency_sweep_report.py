@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from slider_jax import paper
-from slider_jax.io.files import staged, write_csv, write_json
-from slider_jax.io.provenance import versions
+from slider_jax.io.files import staged, versions, write_csv, write_json
 from slider_jax.reproduction.frequency_sweep import FrequencySweep, FrequencySweepSettings
 from slider_jax.reproduction.frequency_sweep_figures import (
     stride_in_detail,

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from slider_jax.experiment.load import SAMPLES, Experiment, drag_and_added_mass, measured
-from slider_jax.io.provenance import input_file, versions
+from slider_jax.io.files import input_file, versions
 from slider_jax.simulation.trial import TrialRun
 
 DEFINITIONS = {

@@ -11,8 +11,8 @@ import numpy as np
 
 from slider_jax import observables as obs
 from slider_jax.actuation import Recorded
-from slider_jax.beam.frame import midline, to_plane
 from slider_jax.beam.parameters import Numerics, grid_of
+from slider_jax.beam.state import node_positions, to_plane
 from slider_jax.dynamics.model import Model
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest
@@ -100,7 +100,9 @@ def _whole(steps: float) -> int:
 def _begin(model: Model, numerics: Numerics) -> tuple[Carry, jax.Array]:
     """At rest relative to the clamp, and the midline (2, nodes) [m] from the head."""
     carry, grid = at_rest(model, numerics), grid_of(model.body, numerics)
-    return carry, midline(carry.memory.motion[2], carry.memory.strain, carry.memory.head, grid)
+    return carry, node_positions(
+        carry.memory.motion[2], carry.memory.strain, carry.memory.head, grid
+    )
 
 
 @eqx.filter_jit

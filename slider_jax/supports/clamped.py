@@ -5,8 +5,8 @@ import math
 import equinox as eqx
 import jax.numpy as jnp
 
-from slider_jax.beam.frame import to_body, to_plane
 from slider_jax.beam.parameters import Scalar
+from slider_jax.beam.state import to_body, to_plane
 from slider_jax.supports.base import Start, Support
 
 

@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from slider_jax.beam.frame import to_plane
+from slider_jax.beam.state import to_plane
 from slider_jax.supports.base import Start, Support
 
 

@@ -3,8 +3,8 @@
 import equinox as eqx
 import jax.numpy as jnp
 
-from slider_jax.beam.frame import to_plane
 from slider_jax.beam.parameters import Scalar
+from slider_jax.beam.state import to_plane
 from slider_jax.supports.base import Start, Support
 
 

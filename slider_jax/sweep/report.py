@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from slider_jax.io.figures import new_figure, save_figure
-from slider_jax.io.files import staged, write_csv, write_json
-from slider_jax.io.provenance import input_file, versions
+from slider_jax.io.files import input_file, staged, versions, write_csv, write_json
 from slider_jax.sweep.sweep import Axis, Sweep, digest
 
 DRAWN = (

@@ -12,11 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from slider_jax.batch.chunks import available_cores, chunks_of, in_threads, stack, take
-from slider_jax.batch.strides import POSES, Member, Plan, compile_programs, march, steady
+from slider_jax.batch.strides import POSES, Member, Plan, compile_programs, march, steady_quantities
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment, to_model, to_numerics
-from slider_jax.io.files import write_json
-from slider_jax.io.provenance import versions
+from slider_jax.io.files import versions, write_json
 from slider_jax.io.toml import field_at, quantity_of
 from slider_jax.swimming.gait import to_swimmer
 from slider_jax.swimming.performance import compile_swim, performance_table
@@ -238,7 +237,7 @@ def run_sweep(
             on_stride()
         else:
             runs = march(plan, compiled[chunk.group], batch, on_stride, stopped)
-            rows = steady(plan, batch, runs, sweep.transient)
+            rows = steady_quantities(plan, batch, runs, sweep.transient)
         write_json(chunk.file, {name: x[: len(chunk.points)] for name, x in rows.items()})
 
     for _ in in_threads(work, left, min(available_cores(), max(1, len(left)))):

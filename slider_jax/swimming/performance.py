@@ -10,8 +10,8 @@ from jaxtyping import Array, Bool, Float
 
 from slider_jax import observables as obs
 from slider_jax.batch.strides import Member, Plan
-from slider_jax.beam.frame import to_plane
 from slider_jax.beam.parameters import G, Scalar
+from slider_jax.beam.state import to_plane
 from slider_jax.dynamics.model import Model, make_mesh
 from slider_jax.dynamics.rollout import rollout
 from slider_jax.dynamics.step import Carry, Snapshot

@@ -24,8 +24,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from slider_jax.beam.frame import to_body, to_plane
 from slider_jax.beam.parameters import Numerics
+from slider_jax.beam.state import to_body, to_plane
 from slider_jax.dynamics.model import Model
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest, with_motion

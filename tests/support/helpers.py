@@ -7,8 +7,8 @@ import numpy as np
 
 from slider_jax.actuation import FirstOrderLag, SineWave, SquareWave
 from slider_jax.beam.equations import Reference
-from slider_jax.beam.frame import midline
 from slider_jax.beam.parameters import Numerics, Robot, grid_of
+from slider_jax.beam.state import node_positions
 from slider_jax.dynamics.model import Drive, Model, make_mesh
 from slider_jax.dynamics.residual import Stage, residual
 from slider_jax.dynamics.rollout import TimeGrid, rollout
@@ -125,7 +125,7 @@ def order(sizes, errors) -> float:
 
 def observe(x):
     """Thrust, recoil [N] and tip [m] at a clamp: the observables that converge or not."""
-    shape = midline(x.y[5], x.memory.strain, x.head, x.mesh.grid)
+    shape = node_positions(x.y[5], x.memory.strain, x.head, x.mesh.grid)
     return jnp.stack([-x.y[0, -1], -x.y[1, -1], shape[1, 0] - x.head[1]])
 
 

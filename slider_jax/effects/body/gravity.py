@@ -2,8 +2,8 @@
 
 import jax.numpy as jnp
 
-from slider_jax.beam.frame import to_body
 from slider_jax.beam.parameters import Scalar
+from slider_jax.beam.state import to_body
 from slider_jax.effects.base import ForceDensity, parameter
 
 

@@ -7,7 +7,7 @@ from calibration.discrepancy.rounds import Selection, SelectionStep
 from calibration.discrepancy.verdict import decide, explained
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.goodness import Excess
-from calibration.model.extended import parameters, start
+from calibration.model.extended import base_vector, parameters
 
 ENTRIES = parameters(("valve_delay", "tank_current"))
 BASE = {"C_d": 3.0, "m_a": 0.7, "k": 0.09, "K_Q": 4.8e-7}
@@ -15,7 +15,7 @@ BASE = {"C_d": 3.0, "m_a": 0.7, "k": 0.09, "K_Q": 4.8e-7}
 
 def verdict(before: float, after: float, effects=("valve_delay",), alike=(), converged=True):
     """Of a search that found `effects`, with mean squares of the tip `before` and `after`."""
-    theta = start(ENTRIES, BASE)
+    theta = base_vector(ENTRIES, BASE)
     fit = Fit(theta, np.arange(4), 1.0, 100, [], [], converged)
     rounds = [SelectionStep([], [], name, list(alike)) for name in effects]
     search = Selection(fit, fit, list(effects), rounds)

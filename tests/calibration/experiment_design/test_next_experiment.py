@@ -32,7 +32,7 @@ from calibration.inference.goodness import Excess
 from calibration.inference.noise import DISCREPANCY
 from calibration.inference.problem import Problem
 from calibration.measurements.records import Record
-from calibration.model.extended import BASE, parameters, start
+from calibration.model.extended import BASE, base_vector, parameters
 from calibration.model.predict import CHANNELS
 from slider_jax.experiment.load import load
 from slider_jax.experiment.schema import Trial
@@ -48,7 +48,7 @@ MASS, FLUID = (groups(ENTRIES)[name] for name in ("carried_mass", "axial_added_m
 def tank(tmp_path_factory):
     """A problem of two trials, noise-free, at the experiment's own parameters, and these."""
     experiment = load(write(tmp_path_factory.mktemp("next"), *STILL))
-    theta = start(ENTRIES, {n: getattr(experiment.parameters, n) for n in BASE})
+    theta = base_vector(ENTRIES, {n: getattr(experiment.parameters, n) for n in BASE})
     samples = [np.arange(int(t.duration * 200) + 1) / 200 for t in experiment.trials]
     empty = [
         Record(trial, t, np.zeros((5, len(t))))

@@ -15,7 +15,7 @@ from calibration.inference import problem as evidence
 from calibration.inference.gauss_newton import fit
 from calibration.inference.uncertainty import SYSTEMATIC
 from calibration.measurements.synthetic import ROBOT, START, Truth, trials, write_tank
-from calibration.model.extended import parameters, start
+from calibration.model.extended import base_vector, parameters
 from calibration.model.predict import Resolution
 from slider_jax.cli.main import main
 from slider_jax.errors import InputError
@@ -126,7 +126,7 @@ def test_too_few_frequencies_decide_nothing(monkeypatch):
 
 def compared(experiment, entries, records, each=("C_d", "m_a")):
     problem = closed.problem_of(experiment, records)
-    begun = fit(problem, entries, start(entries, START), np.arange(len(entries)))
+    begun = fit(problem, entries, base_vector(entries, START), np.arange(len(entries)))
     return compare(experiment, entries, problem, begun, each)
 
 
@@ -165,7 +165,7 @@ def test_the_way_that_made_the_data_is_chosen(quick, tmp_path, capsys, coefficie
 
 def test_layouts_are_the_maps_they_say():
     entries = parameters(())
-    theta = start(entries, START)
+    theta = base_vector(entries, START)
     trials_at = np.array([1.0, 2.5, 2.51, 4.0])
     at, place = layouts.frequencies([load_trial(f) for f in trials_at])
     assert at == pytest.approx([1.0, 2.505, 4.0]) and place.tolist() == [0, 1, 1, 2]
@@ -241,9 +241,9 @@ def test_a_frequency_that_is_left_out_has_no_say(monkeypatch):
               [(3.0, 0.6), (3.0, 0.6), (3.3, 0.7), (3.0, 0.6)]]  # fmt: skip
     records = closed.measured(experiment, thetas, 2)
     problem = closed.problem_of(experiment, records)
-    every, free = fit(problem, entries, start(entries, START), np.arange(4)), np.arange(4)
+    every, free = fit(problem, entries, base_vector(entries, START), np.arange(4)), np.arange(4)
     rest = closed.problem_of(experiment, [r for i, r in enumerate(records) if i != 2])
-    alone = fit(rest, entries, start(entries, START), free)
+    alone = fit(rest, entries, base_vector(entries, START), free)
     at, place = layouts.frequencies(experiment.trials)
     plan = layouts.constant(entries, every.theta, 4)
     without = per_frequency._without(plan, every, at, 2, place)

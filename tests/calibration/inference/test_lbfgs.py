@@ -11,7 +11,7 @@ from calibration.inference.lbfgs import descend
 from calibration.inference.problem import Problem
 from calibration.measurements.records import records
 from calibration.measurements.synthetic import START, Truth, trials, write_tank
-from calibration.model.extended import parameters, start
+from calibration.model.extended import base_vector, parameters
 from calibration.model.predict import Resolution
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
@@ -35,10 +35,10 @@ def test_both_methods_find_the_same_optimum(monkeypatch, effects):
     closed.replace_the_beam(monkeypatch)
     experiment = closed.experiment_of((0.8, 1.5, 3.0, 5.0))
     entries = parameters(effects)
-    truth = start(entries, TRUTH)
+    truth = base_vector(entries, TRUTH)
     truth[4:] += 0.2 * np.array([p.prior.high - p.prior.low for p in entries[4:]])
     problem = closed.problem_of(experiment, closed.measured(experiment, [truth] * 4, 1), effects)
-    begun, free = start(entries, START), np.arange(len(entries))
+    begun, free = base_vector(entries, START), np.arange(len(entries))
     white = problem.whiteners(problem.predict(begun))
     one = fit(problem, entries, begun, free, white=white)
     two = descend(problem, entries, begun, free, white=white)
@@ -53,8 +53,8 @@ def test_a_descent_that_is_cut_short_says_so(monkeypatch):
     closed.replace_the_beam(monkeypatch)
     monkeypatch.setattr(descent, "ITERATIONS", 2)
     experiment, entries = closed.experiment_of((0.8, 3.0)), parameters(())
-    records = closed.measured(experiment, [start(entries, TRUTH)] * 2, 1)
-    begun = start(entries, START)
+    records = closed.measured(experiment, [base_vector(entries, TRUTH)] * 2, 1)
+    begun = base_vector(entries, START)
     found = descend(closed.problem_of(experiment, records), entries, begun, np.arange(4))
     assert not found.converged
 
@@ -65,7 +65,7 @@ def test_both_methods_find_the_same_optimum_of_the_beam(tmp_path):
     experiment = load(write_tank(tmp_path, Truth(TRUTH, {}), runs, 0, numerics=TANK))
     entries, free = parameters(()), np.arange(4)
     problem = Problem.of(experiment, records(experiment), (), fine=MESH, coarse=MESH)
-    begun = start(entries, START)
+    begun = base_vector(entries, START)
     white = problem.whiteners(problem.predict(begun))
     one = fit(problem, entries, begun, free, white=white)
     two = descend(problem, entries, begun, free, white=white)
@@ -81,7 +81,7 @@ def test_both_methods_find_the_same_optimum_of_the_beam(tmp_path):
 def test_many_parameters_take_the_descent(monkeypatch, effects, given, taken):
     closed.replace_the_beam(monkeypatch)
     experiment = closed.experiment_of((0.8, 1.5, 3.0, 5.0))
-    truth = start(parameters(effects), TRUTH)
+    truth = base_vector(parameters(effects), TRUTH)
     found = closed.measured(experiment, [truth] * 4, 1)
     monkeypatch.setattr(identify, "audit", lambda *_: Audited(found, []))
     result = identify.identify(experiment, effects, method=given)

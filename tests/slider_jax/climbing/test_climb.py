@@ -10,12 +10,12 @@ import pytest
 from PIL import Image
 
 from slider_jax.beam.parameters import Numerics
-from slider_jax.beam.state import straight
+from slider_jax.beam.state import straight_state
 from slider_jax.cli.main import main
 from slider_jax.climbing.climb import period_of, simulate_climb as climb_wall
 from slider_jax.climbing.strides import ClimbPlan, climb_of, climb_on, join
 from slider_jax.dynamics.pressures import start_chambers
-from slider_jax.dynamics.step import at_rest, start
+from slider_jax.dynamics.step import at_rest, initial_carry
 from slider_jax.effects.body.internal_friction import InternalFriction
 from slider_jax.experiment.load import to_model
 from slider_jax.io.csv import read_csv
@@ -104,12 +104,12 @@ def test_mirrored_pins_and_pressures_climb_the_mirrored_path(up):
 
 def test_without_pressure_it_hangs_still():
     model = wall(GAIT._replace(front=0.0, rear=0.0))
-    y, memory = straight(nodes_of(model, PLAN.numerics))
+    y, memory = straight_state(nodes_of(model, PLAN.numerics))
     y, error = dense_newton(stage_of(model, PLAN.numerics, y, 1e9), y)
     strain = (y[0, 1:] + y[0, :-1]) / 2.0 / 1e5
     memory = replace(memory, motion=y[3:], strain=strain)
     f = jnp.asarray(2.0)
-    carry, series = climb_on(model, f, start(y, memory, start_chambers(model)), 4, PLAN)
+    carry, series = climb_on(model, f, initial_carry(y, memory, start_chambers(model)), 4, PLAN)
     assert carry.ok and error < 1e-8
     assert np.ptp(series.midline, axis=0).max() < 1e-8
     assert np.ptp(series.pin, axis=0).max() < 1e-12

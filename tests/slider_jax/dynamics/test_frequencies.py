@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from slider_jax.beam.parameters import Numerics
-from slider_jax.beam.state import straight
+from slider_jax.beam.state import straight_state
 from slider_jax.effects import NormalDrag, ReactiveForce
 from tests.support.helpers import flat_residual, nodes_of, stage_of, uniform
 
@@ -19,7 +19,7 @@ def frequencies(model, numerics, count):
     The residual is R(y, (q(y) - q(y_ref))/dt). With dt = 1 and both at rest, C = -dR/dy_ref acts on
     dy/dt and K = dR/dy + dR/dy_ref on y; lambda C v + K v = 0.
     """
-    y, _ = straight(nodes_of(model, numerics))
+    y, _ = straight_state(nodes_of(model, numerics))
 
     def value(v, v_ref):
         stage = stage_of(model, numerics, v_ref.reshape(y.shape), 1.0)

@@ -4,9 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from slider_jax.beam.frame import midline, to_body
 from slider_jax.beam.parameters import Numerics
-from slider_jax.beam.state import straight
+from slider_jax.beam.state import node_positions, straight_state, to_body
 from slider_jax.dynamics.model import make_mesh
 from tests.support.helpers import dense_newton, nodes_of, order, stage_of, uniform
 
@@ -16,11 +15,11 @@ L, EI = 0.368, 0.038
 def static_shape(tail_load, numerics):
     """Midline (2, N) of the clamped uniform rod at rest under a load on its tail's end."""
     model = uniform(L, EI)
-    y, _ = straight(nodes_of(model, numerics))
+    y, _ = straight_state(nodes_of(model, numerics))
     y, error = dense_newton(stage_of(model, numerics, y, 1e9), y, tail_load)
     assert error < 1e-9
     mesh = make_mesh(model.robot, numerics)
-    return midline(y[5], mesh.grid.mid(y[0]) / mesh.structure.EA, jnp.zeros(2), mesh.grid), y
+    return node_positions(y[5], mesh.grid.mid(y[0]) / mesh.structure.EA, jnp.zeros(2), mesh.grid), y
 
 
 def dead_load(x, y):

@@ -8,9 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from slider_jax.beam.frame import to_body, to_plane
 from slider_jax.beam.parameters import Numerics
-from slider_jax.beam.state import straight
+from slider_jax.beam.state import straight_state, to_body, to_plane
 from slider_jax.dynamics.residual import at_cells
 from slider_jax.effects import MOUNT_LAG, Gravity, NormalDrag, ReactiveForce
 from slider_jax.effects.base import BendingMoment, of_place
@@ -55,7 +54,7 @@ def settled(effects, tail_load=None, dt=1e9, **robot):
     model = uniform(L, effects=effects)
     model = dataclasses.replace(model, robot=arrays(dataclasses.replace(model.robot, **robot)))
     model = dataclasses.replace(model, robot=model.body)
-    y, _ = straight(nodes_of(model, SMALL))
+    y, _ = straight_state(nodes_of(model, SMALL))
     stage = stage_of(model, SMALL, y, dt)
     internal = tuple(jnp.zeros_like(y[0, 1:]) for _ in of_place(model.effects, BendingMoment))
     stage = dataclasses.replace(

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from slider_jax.beam.frame import to_body
+from slider_jax.beam.state import to_body
 from slider_jax.effects import Readings
 from slider_jax.effects.sensors.camera_delay import CameraDelay
 from slider_jax.effects.sensors.camera_scale import CameraScale

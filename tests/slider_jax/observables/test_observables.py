@@ -8,8 +8,8 @@ import pytest
 
 from slider_jax import observables as obs
 from slider_jax.actuation import SineWave
-from slider_jax.beam.frame import to_body, to_plane
 from slider_jax.beam.parameters import Numerics
+from slider_jax.beam.state import to_body, to_plane
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.effects import Gravity, NormalDrag, ReactiveForce, total_force
 from slider_jax.paper import force_coefficients

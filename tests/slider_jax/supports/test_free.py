@@ -5,12 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from slider_jax.actuation import SineWave
-from slider_jax.beam.frame import to_plane
 from slider_jax.beam.parameters import Numerics
-from slider_jax.beam.state import straight
+from slider_jax.beam.state import straight_state, to_plane
 from slider_jax.dynamics.pressures import start_chambers
 from slider_jax.dynamics.rollout import TimeGrid, rollout
-from slider_jax.dynamics.step import start
+from slider_jax.dynamics.step import initial_carry
 from slider_jax.effects import total_force
 from slider_jax.supports import Free
 from tests.support.helpers import nodes_of, swimmer
@@ -31,7 +30,7 @@ def budget(x):
 
 @eqx.filter_jit
 def swim(model, h, y, memory):
-    begin = start(y, memory, start_chambers(model))
+    begin = initial_carry(y, memory, start_chambers(model))
     return rollout(model, TimeGrid(h, STEPS), budget, FINE, begin=begin)
 
 
@@ -42,13 +41,13 @@ def free_swimmer(**options):
 def spinning(model):
     """Turning at 3 rad/s about mid-body while its middle moves at (0.3, 0.1) m/s."""
     s = nodes_of(model, FINE)
-    return straight(s, 0.3, 0.1 + 1.5 * s[-1], omega=3.0)
+    return straight_state(s, 0.3, 0.1 + 1.5 * s[-1], omega=3.0)
 
 
 def test_momentum_gained_is_the_impulse_of_the_water():
     """Relative to all the momentum that the water exchanged; trapezoidal rule for the impulse."""
     model = free_swimmer()
-    y, memory = straight(nodes_of(model, FINE))
+    y, memory = straight_state(nodes_of(model, FINE))
     out = swim(model, jnp.asarray(H), y, memory)
     assert bool(out.ok)
     P, F, _, exchanged, phi = map(np.asarray, out.saved)
@@ -70,7 +69,7 @@ def dry():
 
 def test_no_forces_drift_at_constant_velocity():
     model = eqx.tree_at(lambda m: m.robot.K_Q, dry(), jnp.zeros(()))
-    out = swim(model, jnp.asarray(H), *straight(nodes_of(model, FINE), 0.5, -0.2))
+    out = swim(model, jnp.asarray(H), *straight_state(nodes_of(model, FINE), 0.5, -0.2))
     P = np.asarray(out.saved[0])
     mass = float(model.robot.linear_density * model.robot.length)
     assert bool(out.ok)

@@ -4,9 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from slider_jax.beam.frame import midline
 from slider_jax.beam.parameters import Numerics
-from slider_jax.beam.state import straight
+from slider_jax.beam.state import node_positions, straight_state
 from slider_jax.effects import Gravity, NormalDrag
 from slider_jax.supports import PinnedLink
 from tests.support.helpers import dense_newton, march, nodes_of, stage_of, swimmer, uniform
@@ -22,7 +21,7 @@ def pin(x):
     omega = (phi - x.stage.phi_head) / x.stage.reference.dt
     arm = x.stage.support.arm(x.t)
     anchor = x.head + x.stage.support.anchor_offset(phi, x.t)
-    shape = midline(x.y[5], x.memory.strain, x.head, x.mesh.grid)
+    shape = node_positions(x.y[5], x.memory.strain, x.head, x.mesh.grid)
     slip = jnp.stack([V_tau - arm * omega, V_n])
     speed = jnp.stack(
         [V_tau * jnp.cos(phi) - V_n * jnp.sin(phi), V_tau * jnp.sin(phi) + V_n * jnp.cos(phi)]
@@ -61,7 +60,7 @@ def test_the_pin_neither_moves_nor_carries_moment():
 def hanging(EI, link):
     """Nodal angles (N,) and the shape of a rod at rest under its weight on a link."""
     model = uniform(L, EI, (Gravity(G),), PinnedLink(link))
-    y, _ = straight(nodes_of(model, FINE))
+    y, _ = straight_state(nodes_of(model, FINE))
     y, error = dense_newton(stage_of(model, FINE, y, 1e9), y)
     assert error < 1e-8
     return np.asarray(y[5])

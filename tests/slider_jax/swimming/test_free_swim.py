@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from slider_jax.beam.frame import to_plane
 from slider_jax.beam.parameters import Numerics
+from slider_jax.beam.state import to_plane
 from slider_jax.cli.main import main
 from slider_jax.dynamics.rollout import rollout
 from slider_jax.effects import total_force

@@ -1,16 +1,31 @@
-"""Forces at the head: what a sensor between robot and carriage reads.
+"""Quantities that instruments on the carriage measure: forces at the head and the body's position.
 
-The body is cut at the head, so the clamp puts T tau + N n on the body and the body the opposite on
-the clamp. The sensor
-sits on the carriage: its axes pitch with that, but not with a head that turns in a soft clamp.
+The clamp exerts T tau + N n on the body at the head, and the body exerts the opposite on the clamp.
+The force sensor is mounted on the carriage. Its axes pitch with the carriage, but they do not turn
+with a head that turns in a soft clamp.
 """
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from slider_jax.beam.frame import to_plane
-from slider_jax.beam.state import fields
+from slider_jax.beam.state import fields, node_positions, to_plane
 from slider_jax.dynamics.step import Snapshot
+
+
+def midline(x: Snapshot) -> Float[Array, "2 nodes"]:
+    """(x, y) of the nodes [m] in the plane, tail first."""
+    return node_positions(x.y[5], x.memory.strain, x.head, x.mesh.grid)
+
+
+def lateral(x: Snapshot) -> Float[Array, " nodes"]:
+    """y of the nodes less y of the head [m], tail first: what a camera on the carriage sees."""
+    y = midline(x)[1]
+    return y - y[-1]
+
+
+def tip(x: Snapshot) -> Float[Array, ""]:
+    """Lateral position of the tail's tip less that of the head [m]."""
+    return lateral(x)[0]
 
 
 def _on_sensor(x: Snapshot) -> tuple[Array, Array]:
