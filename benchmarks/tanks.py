@@ -13,7 +13,7 @@ import equinox as eqx
 import numpy as np
 
 from calibration.discrepancy.close_loop import LoopOutcome, choose_held_out, conclude
-from calibration.experiment_design.detectability import matrix
+from calibration.experiment_design.detectability import detectability_matrix
 from calibration.inference.problem import Problem
 from calibration.measurements.records import COLUMNS, Record
 from calibration.measurements.synthetic import (
@@ -139,5 +139,5 @@ def closed(
 
 def limits(seed: int) -> dict[tuple[str, str], float]:
     """Detection limit of every parameter in a tank at its true base parameters, SI."""
-    found = matrix(true_model(draw(seed)))
+    found = detectability_matrix(true_model(draw(seed)))
     return {(x.parameter.effect, x.parameter.name): x.size for x in found.limits}

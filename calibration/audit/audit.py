@@ -14,7 +14,7 @@ import numpy as np
 from calibration.audit import pressures as audit_drive, sensors as audit_sensors
 from calibration.audit.prediction import against_model
 from calibration.audit.rows import Unusable, read_rows
-from calibration.audit.time_stamps import lay_out
+from calibration.audit.time_stamps import regular_rows
 from calibration.measurements.findings import Finding, left_out
 from calibration.measurements.records import Record
 from calibration.model.predict import CHANNELS
@@ -34,7 +34,7 @@ class Audited:
     findings: list[Finding] = field(default_factory=list)
 
 
-def audit(
+def audit_measurements(
     experiment: Experiment,
     least: int = 1,
     predict: Callable[[list[Record]], Sequence[np.ndarray]] | None = None,
@@ -49,7 +49,7 @@ def audit(
     rate = None
     if "sensors" in experiment.model_fields_set:
         rate = experiment.sensors.sample_rate
-    records, more = audit_drive.check(records, rate)
+    records, more = audit_drive.check_pressures(records, rate)
     findings += more
     records, more = _extents(records, rate)
     findings += more
@@ -77,7 +77,7 @@ def _read(experiment: Experiment) -> tuple[list[Record], list[Finding]]:
         try:
             rows, more = read_rows(path)
             findings += more
-            rows, more = lay_out(rows, trial)
+            rows, more = regular_rows(rows, trial)
             findings += more
         except Unusable as fault:
             findings.append(fault.finding)
@@ -85,7 +85,7 @@ def _read(experiment: Experiment) -> tuple[list[Record], list[Finding]]:
         values, filled = rows.values.copy(), np.isfinite(rows.values).any(axis=0)
         for i, channel in enumerate(CHANNELS):
             noise = declared_noise(experiment.sensors, channel)
-            values[i], more = audit_sensors.check(
+            values[i], more = audit_sensors.check_sensor(
                 trial.file, channel, rows.t, rows.values[i], noise, filled
             )
             findings += more

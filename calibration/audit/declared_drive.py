@@ -92,7 +92,9 @@ def _clock(r: Record) -> PeriodRatio | None:
     return PeriodRatio(off, error) if agree else None
 
 
-def declared(records: Sequence[Record], answers: Answers) -> tuple[list[Record], list[Finding]]:
+def check_declared_drive(
+    records: Sequence[Record], answers: Answers
+) -> tuple[list[Record], list[Finding]]:
     """Trials whose pressures are those of another drive, or of another time, than declared."""
     own = np.array([answers.own(i) for i in range(len(records))])
     usual = float(np.median(own))

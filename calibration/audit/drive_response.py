@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration.audit.lag_response import DeclaredDrive, Fits, drives, fits, settled, tone
+from calibration.audit.lag_response import DeclaredDrive, Fits, drives, fits, settling_time, tone
 from calibration.measurements.findings import Action, Finding
 from calibration.measurements.records import COLUMNS, Record
 
@@ -65,7 +65,7 @@ def pair(r: Record) -> tuple[float, float] | None:
 
     None of a trial without `STRIDES` settled strides: of less a parabola passes for a tone.
     """
-    if not r.trial.frequency or (r.t[-1] - settled(r.t)) * r.trial.frequency < STRIDES:
+    if not r.trial.frequency or (r.t[-1] - settling_time(r.t)) * r.trial.frequency < STRIDES:
         return None
     tones = []
     for row in (0, 1):

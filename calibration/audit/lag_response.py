@@ -183,14 +183,14 @@ class Tone(NamedTuple):
     lag: float
 
 
-def settled(t: np.ndarray) -> float:
+def settling_time(t: np.ndarray) -> float:
     """From when on [s] a pressure repeats: `SETTLED`, but of a short trial less."""
     return min(SETTLED, 0.3 * float(t[-1]))
 
 
 def tone(t: np.ndarray, y: np.ndarray, frequency: float) -> Tone:
     """The fundamental of y (n,), by least squares beside two harmonics and a parabola."""
-    late = t >= settled(t)
+    late = t >= settling_time(t)
     turn = 2.0 * np.pi * frequency * t[late]
     waves = [f(n * turn) for n in (1, 2, 3) for f in (np.cos, np.sin)]
     x = turn / turn[-1]

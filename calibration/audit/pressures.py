@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.audit.declared_drive import declared, skewed
+from calibration.audit.declared_drive import check_declared_drive, skewed
 from calibration.audit.drive_response import (
     ANSWERS,
     NAMES,
@@ -31,7 +31,9 @@ ALIKE = np.log(1.6)
 """How far a gain may lie from a unit's, as a logarithm; units are at least 6.9 apart."""
 
 
-def check(records: Sequence[Record], rate: float | None) -> tuple[list[Record], list[Finding]]:
+def check_pressures(
+    records: Sequence[Record], rate: float | None
+) -> tuple[list[Record], list[Finding]]:
     """Records mended where that is unambiguous, without those left out, and findings.
 
     `rate` [Hz] is the declared sample rate, or None.
@@ -40,7 +42,7 @@ def check(records: Sequence[Record], rate: float | None) -> tuple[list[Record], 
     driven = [r for r in records if drives(r.trial) is not None]
     driven, findings = skewed(driven, rate)
     answers = Answers(driven, chambers_of(driven)) if driven else None
-    for step in (_columns, _units, _front_and_rear, declared):
+    for step in (_columns, _units, _front_and_rear, check_declared_drive):
         if answers is None:
             break
         driven, more = step(driven, answers)

@@ -179,7 +179,7 @@ def _leaves_range(values: np.ndarray, a: int, b: int) -> bool:
     return bool((values[a:b] > high + half).all() or (values[a:b] < low - half).all())
 
 
-def check(
+def check_sensor(
     trial: str,
     channel: str,
     t: np.ndarray,

@@ -20,7 +20,7 @@ FROZEN = 5
 """Rows in a row that repeat their readings: the logger stood still."""
 
 
-def lay_out(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
+def regular_rows(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
     """Rows at increasing, nearly even times, with NaN where rows are missing, and findings.
 
     Raises `Unusable` where the times contradict each other.

@@ -42,7 +42,7 @@ class Statics(NamedTuple):
         return found | ({"damping_time": self.ring.damping_time} if self.ring else {})
 
 
-def content(found: Statics, source: dict[str, Any]) -> dict[str, Any]:
+def statics_record(found: Statics, source: dict[str, Any]) -> dict[str, Any]:
     """The content of statics.json; SI units."""
     shapes, ring = found.shapes, found.ring
     return {
@@ -136,7 +136,7 @@ def doubts(found: Statics) -> list[str]:
     return said
 
 
-def table(found: Statics) -> str:
+def statics_table(found: Statics) -> str:
     """What was identified, a line a parameter."""
     lines = []
     for name, x in found.parameters.items():
@@ -147,7 +147,7 @@ def table(found: Statics) -> str:
     return "\n".join([*lines, *doubts(found)])
 
 
-def model_file(found: Statics) -> str:
+def statics_model_file(found: Statics) -> str:
     """What is determined, for `slider simulate --model`."""
     known = {n: x.value for n, x in found.parameters.items() if x.determined}
     lines = [f"# Identified on the bench: {found.bench.table.name}."]

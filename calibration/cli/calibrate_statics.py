@@ -48,9 +48,9 @@ def statics(
                     robot = eqx.tree_at(attrgetter(name), robot, known[name].value)
             ring = fit_ring_down(found, robot)
         result = report.Statics(found, shapes, ring)
-        write_json(stage / "statics.json", report.content(result, input_file(bench)))
-        write_text(stage / "model.toml", report.model_file(result))
+        write_json(stage / "statics.json", report.statics_record(result, input_file(bench)))
+        write_text(stage / "model.toml", report.statics_model_file(result))
         if plot:
             report.pictures(result, stage)
-    print(report.table(result))
+    print(report.statics_table(result))
     print(f"statics.json, model.toml{' and pictures' if plot else ''} are in {out}")

@@ -32,7 +32,7 @@ def close_loop(
         out: folder for the results; made if missing, files of the same name are replaced.
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
     """
-    from calibration.discrepancy.page import page
+    from calibration.discrepancy.page import loop_page
     from calibration.discrepancy.report import model_toml, sizes, skill
     from calibration.inference.cache import inputs as made_from, resumable
     from slider_jax.experiment.load import Experiment
@@ -56,7 +56,7 @@ def close_loop(
         with staged(out) as stage:
             write_json(stage / "report.json", told)
             write_text(stage / "model.toml", model_toml(outcome))
-            write_text(stage / "report.html", page(outcome, told))
+            write_text(stage / "report.html", loop_page(outcome, told))
     print("\n".join([told["said"], *sizes(told), *skill(told)]))
     if told["next_experiment"]:
         print(f"Next: {told['next_experiment']['said']}")

@@ -15,7 +15,7 @@ from slider_jax.errors import InputError, did_you_mean
 Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")]
 
 
-def matrix(
+def effects_matrix(
     experiment: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="EXPERIMENT.toml")],
     out: Folder,
     effects: Names = (),
@@ -45,8 +45,12 @@ def matrix(
         tow_speed: lowest and highest tow speed of that trial, m/s.
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
     """
-    from calibration.experiment_design.detectability import matrix as matrix_of
-    from calibration.experiment_design.detectability_report import content, plot, table
+    from calibration.experiment_design.detectability import detectability_matrix as matrix_of
+    from calibration.experiment_design.detectability_report import (
+        detectability_record,
+        matrix_table,
+        plot_matrix,
+    )
     from calibration.experiment_design.trial_search import TrialLimits, limits_of
     from calibration.inference.cache import inputs, resumable
     from slider_jax.experiment.load import load
@@ -73,15 +77,15 @@ def matrix(
         say("compiling")
         names = tuple(dict.fromkeys((*effects, *separate))) or None
         found = matrix_of(loaded, names, say, memo=memo)
-        told = content(found, input_file(experiment))
+        told = detectability_record(found, input_file(experiment))
         if within is not None:
             told["next_trial"] = _next(found, tuple(dict.fromkeys(separate)), within, say)
         with staged(out) as stage:
             if within is not None:
                 write_text(stage / "next_trial.toml", told["next_trial"]["toml"])
             write_json(stage / "matrix.json", told)
-            plot(found, stage / "matrix.png")
-    print(table(found))
+            plot_matrix(found, stage / "matrix.png")
+    print(matrix_table(found))
     written = "matrix.json and matrix.png"
     if within is not None:
         print("\n" + _said(told["next_trial"]))

@@ -28,7 +28,7 @@ def lamprey(
         seed: of the draws.
     """
     from calibration.lamprey.balance import weigh
-    from calibration.lamprey.report import page, report, short_table
+    from calibration.lamprey.report import animal_page, animal_record, balance_table
     from slider_jax.errors import InputError
     from slider_jax.io.files import input_file, staged, write_json, write_text
 
@@ -39,9 +39,9 @@ def lamprey(
     with staged(out) as stage:
         found = weigh(folder, seed, draws)
         sources = [input_file(folder / name) for name in ("lampreydata.csv", "fishwidth.csv")]
-        content = report(found, time.monotonic() - begun, sources)
+        content = animal_record(found, time.monotonic() - begun, sources)
         write_json(stage / "report.json", content)
-        write_text(stage / "report.html", page(found, content))
-    print(short_table(found))
+        write_text(stage / "report.html", animal_page(found, content))
+    print(balance_table(found))
     print(content["said"])
     print(f"report.html and report.json are in {out}", file=sys.stderr)

@@ -16,7 +16,12 @@ def published(out: Folder) -> None:
         out: folder for the results; made if missing, files of the same name are replaced.
     """
     from calibration.free_swimming.published_speeds import FIRST, OPTIMUM, After, after, before
-    from calibration.free_swimming.report import CrossPrediction, page, report, short_table
+    from calibration.free_swimming.report import (
+        CrossPrediction,
+        speeds_page,
+        speeds_record,
+        speeds_table,
+    )
     from slider_jax.io.files import staged, write_json, write_text
 
     begun = time.monotonic()
@@ -33,9 +38,9 @@ def published(out: Folder) -> None:
         outcome = CrossPrediction(
             alone, after(FIRST, OPTIMUM, done=done), after(OPTIMUM, FIRST, done=done)
         )
-        content = report(outcome, time.monotonic() - begun)
+        content = speeds_record(outcome, time.monotonic() - begun)
         write_json(stage / "report.json", content)
-        write_text(stage / "report.html", page(outcome, content))
-    print(short_table(outcome))
+        write_text(stage / "report.html", speeds_page(outcome, content))
+    print(speeds_table(outcome))
     print(content["said"])
     print(f"report.html and report.json are in {out}", file=sys.stderr)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calibration.audit.audit import audit
+from calibration.audit.audit import audit_measurements
 from calibration.audit.prediction import outliers
 from calibration.discrepancy.rounds import Selection
 from calibration.discrepancy.selection import search
@@ -124,7 +124,9 @@ def close_loop(
     base = base_values(experiment)
     begun = base_vector(entries, base)
     progress("auditing the data")
-    audited = audit(experiment, LEAST_TRIALS, lambda few: problem_of(few).predict(begun))
+    audited = audit_measurements(
+        experiment, LEAST_TRIALS, lambda few: problem_of(few).predict(begun)
+    )
     for finding in audited.findings:
         progress(str(finding))
     found = audited.records

@@ -18,7 +18,7 @@ SHOWN_STRIDES = 3.0
 """Of a trial's end; seconds where it has no frequency."""
 
 
-def page(outcome: LoopOutcome, told: dict[str, Any]) -> str:
+def loop_page(outcome: LoopOutcome, told: dict[str, Any]) -> str:
     """The whole page."""
     parts = [
         paragraph(told["said"], "verdict"),

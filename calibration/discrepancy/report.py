@@ -10,7 +10,7 @@ from calibration.discrepancy.rounds import SelectionStep
 from calibration.discrepancy.verdict import at_bounds, split
 from calibration.inference.goodness import FLOOR
 from calibration.model.extended import base_values
-from calibration.reporting.parameters import UNITS, told, toml, words
+from calibration.reporting.parameters import UNITS, parameter_record, parameter_text, parameter_toml
 from slider_jax.effects.library import LIBRARY
 from slider_jax.io.files import versions
 
@@ -93,7 +93,7 @@ def _class(outcome: LoopOutcome, this: SelectionStep) -> list[str]:
 
 def _interval(outcome: LoopOutcome, effect: str, name: str) -> dict[str, Any]:
     index = next(i for i, p in enumerate(outcome.entries) if (p.effect, p.name) == (effect, name))
-    return told(outcome.final, outcome.entries, index)
+    return parameter_record(outcome.final, outcome.entries, index)
 
 
 def _table(errors: Errors) -> dict[str, dict[str, float]]:
@@ -160,7 +160,7 @@ def sizes(told: dict[str, Any]) -> list[str]:
     lines = []
     for effect in told["effects"]:
         for name, x in effect["parameters"].items():
-            lines.append(f"{effect['name']}.{name} = {words(x)}")
+            lines.append(f"{effect['name']}.{name} = {parameter_text(x)}")
     return lines
 
 
@@ -177,4 +177,6 @@ def skill(told: dict[str, Any]) -> list[str]:
 def model_toml(outcome: LoopOutcome) -> str:
     """The calibrated model with its effects, for `slider simulate --model`."""
     final = outcome.final
-    return toml(sentence(outcome), outcome.entries, final.theta, outcome.effects, final.free)
+    return parameter_toml(
+        sentence(outcome), outcome.entries, final.theta, outcome.effects, final.free
+    )

@@ -27,7 +27,7 @@ BUDGET = 12
 
 
 @dataclass(frozen=True)
-class Told:
+class CampaignRound:
     """What the loop found with so many trials."""
 
     trials: int
@@ -42,16 +42,16 @@ class Told:
 class Campaign:
     """All rounds, and the last one's outcome and report. `settled`: more trials are needless."""
 
-    rounds: list[Told]
+    rounds: list[CampaignRound]
     outcome: LoopOutcome
     report: dict[str, Any]
     settled: bool
 
 
-def settled(outcome: LoopOutcome, following: dict[str, Any]) -> bool:
+def verdict_is_final(outcome: LoopOutcome, following: dict[str, Any]) -> bool:
     """Whether no further trial can change the verdict in kind.
 
-    A class is settled once no trial within the limits is foreseen to make it smaller.
+    A class is settled once no trial within the limits is predicted to make it smaller.
     Something that is not explained, or on which trials do not agree, is not settled.
     """
     if outcome.verdict in (NOTHING, IDENTIFIED):
@@ -81,7 +81,7 @@ def campaign(
             "budget", budget, f"{len(experiment.trials)} trials, with which it begins, or more"
         )
     out.mkdir(parents=True, exist_ok=True)
-    rounds: list[Told] = []
+    rounds: list[CampaignRound] = []
     while True:
         experiment = load(path)
         missing = [t for t in experiment.trials if not (experiment.folder / t.file).exists()]
@@ -96,10 +96,12 @@ def campaign(
             told = report(outcome, 0.0, input_file(path), following)
             write_json(out / f"round_{count:02d}.json", told)
         rounds.append(
-            Told(count, outcome.verdict, list(outcome.effects), told["said"], following["said"])
+            CampaignRound(
+                count, outcome.verdict, list(outcome.effects), told["said"], following["said"]
+            )
         )
         say(f"{count} trials: {told['said']}")
-        done = settled(outcome, following)
+        done = verdict_is_final(outcome, following)
         if done or count >= budget or following["trial"] is None:
             return Campaign(rounds, outcome, told, done)
         say(f"next: {following['said']}")

@@ -29,10 +29,10 @@ from calibration.experiment_design.information import (
     ChannelInformation,
     TrialInformation,
     as_block,
-    foresight,
+    channel_shares,
     information,
-    left,
-    shares,
+    marginal_information,
+    predict_information,
 )
 from calibration.inference.cache import Memo
 from calibration.inference.gauss_newton import inverse
@@ -86,8 +86,8 @@ class Limit(NamedTuple):
 class Matrix:
     """What an experiment could say of effects."""
 
-    foresight: TrialInformation
-    seen: list[ChannelInformation]
+    information: TrialInformation
+    channels: list[ChannelInformation]
     limits: list[Limit]
     names: list[str]
     alike: np.ndarray
@@ -107,7 +107,7 @@ def required_gain(freedom: int, many: int) -> float:
     return max(LEAST_GAIN, float(chi2.isf(CHANCE / many, freedom)))
 
 
-def matrix(
+def detectability_matrix(
     experiment: Experiment,
     effects: Sequence[str] | None = None,
     progress: Callable[[str], None] = lambda text: None,
@@ -120,36 +120,38 @@ def matrix(
     where a trial cannot be simulated.
     """
     names = list(dict.fromkeys(candidates() if effects is None else effects))
-    f = foresight(experiment, names, progress, coarse, memo)
-    seen = f.trials(experiment.trials, progress)
+    f = predict_information(experiment, names, progress, coarse, memo)
+    channels = f.trials(experiment.trials, progress)
     entries, many = f.entries, len(candidates())
     members, free = scored(entries), np.flatnonzero([not p.effect for p in entries])
     limits = [
         Limit(
-            p, *_limit(seen, i, free, required_gain(len(members[p.effect]), many)), i in f.secants
+            p,
+            *_limit(channels, i, free, required_gain(len(members[p.effect]), many)),
+            i in f.secants,
         )
         for i, p in enumerate(entries)
         if p.effect and i in members[p.effect]
     ]
-    A = information(seen)
+    A = information(channels)
     alike, opposed = _pairs(A, names, members, free, entries)
     found = {x.parameter.effect for x in limits if x.share > 0.0}
-    return Matrix(f, seen, limits, names, alike, opposed, classes(names, alike, opposed, found))
+    return Matrix(f, channels, limits, names, alike, opposed, classes(names, alike, opposed, found))
 
 
 def _limit(
-    seen: Sequence[ChannelInformation], i: int, free: np.ndarray, gain: float
+    channels: Sequence[ChannelInformation], i: int, free: np.ndarray, gain: float
 ) -> tuple[float, float, float]:
     """Sizes at which the entry `i` is beyond chance, and worth naming, and its standard error."""
-    A = information(seen)
+    A = information(channels)
     if not np.isfinite(A[i]).all():
         return np.nan, np.nan, np.nan
-    kept = float(left(A, np.array([i]), free)[0, 0])
+    kept = float(marginal_information(A, np.array([i]), free)[0, 0])
     if kept <= ABSORBED * A[i, i]:
         return np.inf, np.inf, np.inf
     step = np.zeros(len(A))
     step[i], step[free] = 1.0, -inverse(A[np.ix_(free, free)]) @ A[free, i]
-    changes = [share / DISCREPANCY[c] for c, share in shares(seen, step).items()]
+    changes = [share / DISCREPANCY[c] for c, share in channel_shares(channels, step).items()]
     return float(np.sqrt(gain / kept)), 1.0 / max(max(changes), 1e-300), float(1.0 / np.sqrt(kept))
 
 
@@ -172,7 +174,9 @@ def _pairs(A, names, members, free, entries) -> tuple[np.ndarray, np.ndarray]:
 def _is_seen(A: np.ndarray, group: np.ndarray, free: np.ndarray) -> bool:
     if not np.isfinite(A[group]).all():
         return False
-    return bool(np.any(np.diag(left(A, group, free)) > ABSORBED * np.diag(A)[group]))
+    return bool(
+        np.any(np.diag(marginal_information(A, group, free)) > ABSORBED * np.diag(A)[group])
+    )
 
 
 def _opposed(A, first, second, free, entries: Sequence[Parameter]) -> bool:
@@ -181,7 +185,7 @@ def _opposed(A, first, second, free, entries: Sequence[Parameter]) -> bool:
     sides = [_side(entries[i].prior) for i in both]
     if len(both) != 2 or 0 in sides:
         return False
-    return bool(sides[0] * sides[1] * left(A, both, free)[0, 1] < 0.0)
+    return bool(sides[0] * sides[1] * marginal_information(A, both, free)[0, 1] < 0.0)
 
 
 def _side(prior: Prior) -> int:
@@ -204,7 +208,7 @@ def classes(
 class AtLimits(NamedTuple):
     """What `separation.separate` needs of some effects, each as large as its detection limit."""
 
-    foresight: TrialInformation
+    information: TrialInformation
     before: np.ndarray
     members: dict[str, np.ndarray]
     sizes: dict[str, np.ndarray]
@@ -215,11 +219,11 @@ def at_limits(m: Matrix, names: Sequence[str]) -> AtLimits:
 
     A parameter that the experiment could not find is taken at the end of its prior range.
     """
-    members, entries = scored(m.foresight.entries), m.foresight.entries
+    members, entries = scored(m.information.entries), m.information.entries
     free = np.flatnonzero([not p.effect for p in entries])
     chosen = np.concatenate([free, *(members[n] for n in names)])
-    f = replace(m.foresight, chosen=m.foresight.chosen[chosen])
-    before = information(m.seen)[np.ix_(chosen, chosen)]
+    f = replace(m.information, chosen=m.information.chosen[chosen])
+    before = information(m.channels)[np.ix_(chosen, chosen)]
     sizes = {}
     for name in names:
         ends = [typical(x.parameter.prior) - x.parameter.prior.null for x in m.limit[name]]

@@ -31,9 +31,9 @@ NOTES = {
 }
 
 
-def content(m: Matrix, source: dict[str, Any]) -> dict[str, Any]:
+def detectability_record(m: Matrix, source: dict[str, Any]) -> dict[str, Any]:
     """The content of matrix.json; `source` names the input."""
-    experiment, sensing = m.foresight.experiment, m.foresight.sensing
+    experiment, sensing = m.information.experiment, m.information.sensing
     signs = np.argwhere(np.triu(m.opposed) & (np.nan_to_num(m.alike) > ALIKE))
     return {
         "name": experiment.name,
@@ -53,7 +53,7 @@ def content(m: Matrix, source: dict[str, Any]) -> dict[str, Any]:
             "discrepancy": DISCREPANCY,
         },
         "definitions": NOTES,
-        "resolution": vars(m.foresight.coarse),
+        "resolution": vars(m.information.coarse),
         "input": source,
         "versions": versions(),
         "settings": experiment.model_dump(),
@@ -79,7 +79,7 @@ def _row(x: Limit) -> dict[str, Any]:
     }
 
 
-def table(m: Matrix) -> str:
+def matrix_table(m: Matrix) -> str:
     """Limits, classes, and the channels that were counted, as text."""
     rows = [("effect", "parameter", "found from", "range that shows", "")]
     for x in m.limits:
@@ -99,7 +99,7 @@ def table(m: Matrix) -> str:
         lines.append("every effect that it detects it can tell from the others")
     signs = np.argwhere(np.triu(m.opposed) & (np.nan_to_num(m.alike) > ALIKE))
     lines += [f"  told apart by the sign alone: {m.names[i]}, {m.names[j]}" for i, j in signs]
-    lines.append(f"counted: {', '.join(m.foresight.sensing.noise)}")
+    lines.append(f"counted: {', '.join(m.information.sensing.noise)}")
     return "\n".join(lines)
 
 
@@ -118,7 +118,7 @@ def order(m: Matrix) -> list[int]:
     return [int(i) for i in leaves_list(linkage(squareform(apart, checks=False), "average"))]
 
 
-def plot(m: Matrix, path: Path) -> None:
+def plot_matrix(m: Matrix, path: Path) -> None:
     """Heat map of |cos|, effects alike beside each other, and the size from which each is found."""
     places = order(m)
     names, n = [m.names[i] for i in places], len(places)
@@ -136,7 +136,7 @@ def plot(m: Matrix, path: Path) -> None:
                     left.plot(i, j, ".", color="white", ms=3)
     left.set_xticks(range(n), names, rotation=90, fontsize=7)
     left.set_yticks(range(n), names, fontsize=7)
-    left.set_title(f"{m.foresight.experiment.name}: how alike two effects look", loc="left")
+    left.set_title(f"{m.information.experiment.name}: how alike two effects look", loc="left")
     bar = figure.colorbar(image, ax=left, location="bottom", shrink=0.5, pad=0.01)
     bar.set_label(
         "|cos| once C_d, m_a, k and K_Q are projected out (-); dots: cannot be told apart",

@@ -22,24 +22,24 @@ from calibration.discrepancy.rounds import LEAST_GAIN
 from calibration.experiment_design.information import (
     ChannelInformation,
     TrialInformation,
+    channel_shares,
     information,
-    left,
-    shares,
+    marginal_information,
 )
 from calibration.experiment_design.trial_search import (
     SearchEffort,
     TrialLimits,
     TrialSearch,
     as_table,
-    toml,
-    words,
+    trial_text,
+    trial_toml,
 )
 from calibration.inference.gauss_newton import inverse
 from calibration.inference.noise import DISCREPANCY
 from slider_jax.experiment.schema import Trial
 
 TIMES = 12
-"""How often a trial is foreseen to be run, at most."""
+"""How often a trial is predicted to be run, at most."""
 
 
 class Distance(NamedTuple):
@@ -61,22 +61,22 @@ class Distance(NamedTuple):
         return max(found.items(), key=lambda item: item[1])
 
 
-def distance(seen: Sequence[ChannelInformation], unit: float) -> Distance:
-    """By what was seen along the moving model's parameters and, the last, towards the other.
+def distance(channels: Sequence[ChannelInformation], unit: float) -> Distance:
+    """By what was channels along the moving model's parameters and, the last, towards the other.
 
     `unit` is the residual's mean square.
     """
-    A = information(seen)
+    A = information(channels)
     rest, last = np.arange(len(A) - 1), np.array([len(A) - 1])
     step = np.ones(len(A))
     step[rest] = -(inverse(A[np.ix_(rest, rest)]) @ A[np.ix_(rest, last)])[:, 0]
-    square = max(float(left(A, last, rest)[0, 0]), 0.0)
-    return Distance(float(np.sqrt(square / unit)), shares(seen, step))
+    square = max(float(marginal_information(A, last, rest)[0, 0]), 0.0)
+    return Distance(float(np.sqrt(square / unit)), channel_shares(channels, step))
 
 
 def split_class(
     name: str,
-    foresights: Mapping[str, tuple[TrialInformation, TrialInformation]],
+    predictions: Mapping[str, tuple[TrialInformation, TrialInformation]],
     unit: float,
     trials: Sequence[Trial],
     limits: TrialLimits,
@@ -85,37 +85,37 @@ def split_class(
 ) -> dict[str, Any]:
     """The trial that soonest tells the effect `name` from one of its rivals, as reports write it.
 
-    `foresights` are those of each rival's model and of that with the effect, each towards the
+    `predictions` are those of each rival's model and of that with the effect, each towards the
     other; `trials` those that both were fitted to, with a residual whose mean square is `unit`.
     "times" is how often the trial must be run until a rival is told apart, None where `TIMES` are
     not enough.
     """
-    ways = [f for pair in foresights.values() for f in pair]
+    ways = [f for pair in predictions.values() for f in pair]
     before = [f.trials(trials, progress) for f in ways]
 
-    def after(seen: list[list[ChannelInformation]], times: int = 1) -> list[Distance]:
+    def after(channels: list[list[ChannelInformation]], times: int = 1) -> list[Distance]:
         """Of each rival."""
-        found = [distance([*a, *(times * b)], unit) for a, b in zip(before, seen, strict=True)]
+        found = [distance([*a, *(times * b)], unit) for a, b in zip(before, channels, strict=True)]
         pairs = zip(found[::2], found[1::2], strict=True)
         return [max(pair, key=lambda x: x.of_enough) for pair in pairs]
 
-    def needed(seen: list[list[ChannelInformation]]) -> int | None:
+    def needed(channels: list[list[ChannelInformation]]) -> int | None:
         counts = range(1, TIMES + 1)
-        return next((n for n in counts if any(x.of_enough > 1.0 for x in after(seen, n))), None)
+        return next((n for n in counts if any(x.of_enough > 1.0 for x in after(channels, n))), None)
 
-    def goal(seen: list[list[ChannelInformation]]) -> float:
+    def goal(channels: list[list[ChannelInformation]]) -> float:
         """The fewest times, then how near all rivals come, then how far the trial puts them."""
-        found = np.array([x.of_enough for x in after(seen)])
+        found = np.array([x.of_enough for x in after(channels)])
         far = np.mean(np.minimum(found, 1.0)) + 1e-2 * np.mean(found / (1.0 + found))
-        return float(far) - 2.0 * (needed(seen) or TIMES + 1)
+        return float(far) - 2.0 * (needed(channels) or TIMES + 1)
 
     best = TrialSearch(ways, goal, limits).run(effort, progress)
-    times = needed(best.seen)
-    now, then, at_last = (after(best.seen, n) for n in (0, 1, times or TIMES))
-    rivals = list(foresights)
-    first = max(range(len(rivals)), key=lambda i: at_last[i].of_enough)
+    times = needed(best.channels)
+    now, then, at_last = (after(best.channels, n) for n in (0, 1, times or TIMES))
+    alternatives = list(predictions)
+    first = max(range(len(alternatives)), key=lambda i: at_last[i].of_enough)
     said = (
-        f"{words(best.trial)} tells {name} from {rivals[first]} best: "
+        f"{trial_text(best.trial)} tells {name} from {alternatives[first]} best: "
         f"by {_difference(now[first], then[first])}."
     )
     if times is None:
@@ -126,16 +126,16 @@ def split_class(
     elif times > 1:
         said += f" {times} such trials would tell them apart."
     rows = [
-        {"first": name, "second": rival}
+        {"first": name, "second": other}
         | {"sigmas_before": a.sigmas, "sigmas_after": b.sigmas}
         | {"differ_before": a.shares, "differ_after": b.shares}
-        for rival, a, b in zip(rivals, now, then, strict=True)
+        for other, a, b in zip(alternatives, now, then, strict=True)
     ]
     return {
         "purpose": "separate",
         "said": said[0].upper() + said[1:],
         "trial": as_table(best.trial),
-        "toml": toml(best.trial),
+        "toml": trial_toml(best.trial),
         "times": times,
         "pairs": rows,
         "limits": limits._asdict(),

@@ -65,14 +65,14 @@ class SensorModel:
             found = records(experiment) if there else []
         noise, every = {}, {}
         for channel in CHANNELS:
-            seen = [r for r in found if r.has(channel)]
-            if seen:
+            recorded = [r for r in found if r.has(channel)]
+            if recorded:
                 each = [
                     declared(experiment.sensors, channel, r.values[CHANNELS.index(channel)])
-                    for r in seen
+                    for r in recorded
                 ]
                 noise[channel] = sorted(each)[len(each) // 2]
-                share = np.mean([r.there(channel).mean() for r in seen])
+                share = np.mean([r.there(channel).mean() for r in recorded])
                 every[channel] = max(1, round(1.0 / float(share)))
             elif not found and _is_declared(experiment, channel):
                 noise[channel] = declared(experiment.sensors, channel, np.zeros(2))
@@ -221,7 +221,7 @@ class TrialInformation:
         return [x for found in on_all_cores(one, list(enumerate(chosen))) for x in found]
 
 
-def foresight(
+def predict_information(
     experiment: Experiment,
     effects: Sequence[str],
     progress: Callable[[str], None] = lambda text: None,
@@ -290,16 +290,16 @@ def _tells_little(tangent: np.ndarray, finite: np.ndarray) -> bool:
     return straight < STRAIGHT or not bool(1.0 / LIKE < sizes[1] / sizes[0] < LIKE)
 
 
-def information(seen: Sequence[ChannelInformation]) -> np.ndarray:
+def information(channels: Sequence[ChannelInformation]) -> np.ndarray:
     """(k, k) normal matrix of all trials and channels."""
-    return np.sum([x.A for x in seen], axis=0)
+    return np.sum([x.A for x in channels], axis=0)
 
 
-def shares(seen: Sequence[ChannelInformation], step: np.ndarray) -> dict[str, float]:
+def channel_shares(channels: Sequence[ChannelInformation], step: np.ndarray) -> dict[str, float]:
     """By what share of its rms a step (k,) changes each channel, all trials together."""
     known, found = np.flatnonzero(step), {}
-    for channel in dict.fromkeys(x.channel for x in seen):
-        parts = [x for x in seen if x.channel == channel]
+    for channel in dict.fromkeys(x.channel for x in channels):
+        parts = [x for x in channels if x.channel == channel]
         raw = np.sum([x.raw[np.ix_(known, known)] for x in parts], axis=0)
         square = float(np.sum([x.square for x in parts]))
         change = max(float(step[known] @ raw @ step[known]), 0.0)
@@ -312,7 +312,7 @@ def as_block(A: np.ndarray) -> list[ChannelBlock]:
     return [ChannelBlock(0, "", A, np.zeros(len(A)), 0.0, 0)]
 
 
-def left(A: np.ndarray, group: np.ndarray, free: np.ndarray) -> np.ndarray:
+def marginal_information(A: np.ndarray, group: np.ndarray, free: np.ndarray) -> np.ndarray:
     """What is left of the normal matrix of `group` once the entries `free` may move."""
     cross = A[np.ix_(group, free)]
     return A[np.ix_(group, group)] - cross @ inverse(A[np.ix_(free, free)]) @ cross.T

@@ -27,8 +27,8 @@ from calibration.experiment_design.trial_search import (
     as_table,
     free_name,
     limits_of,
-    toml,
-    words,
+    trial_text,
+    trial_toml,
 )
 from calibration.inference.gauss_newton import inverse
 from calibration.inference.goodness import FLOOR
@@ -70,24 +70,24 @@ def _none(said: str) -> dict[str, Any]:
 
 def _again(outcome: LoopOutcome) -> dict[str, Any]:
     """The trial whose residual stands highest above its noise, once more."""
-    seen = _searched(outcome)
+    records = _searched(outcome)
     channel, x = max(outcome.excess_after.items(), key=lambda item: np.nanmax(item[1].trials))
     worst = int(np.nanargmax(x.trials))
-    trial = seen[worst].trial
+    trial = records[worst].trial
     again = trial.model_copy(update={"file": free_name(outcome.experiment)})
     said = (
-        f"Repeat {trial.file} ({words(trial)}), where {channel} is furthest from the model: its "
-        f"mean square is {x.trials[worst]:.1f} times the noise's. A cause in the tank leaves the "
-        "same residual again; one of that day's setting does not."
+        f"Repeat {trial.file} ({trial_text(trial)}), where {channel} is furthest from the model: "
+        f"its mean square is {x.trials[worst]:.1f} times the noise's. A cause in the tank leaves "
+        "the same residual again; one of that day's setting does not."
     )
-    return {"purpose": "repeat", "said": said, "trial": as_table(again), "toml": toml(again)}
+    return {"purpose": "repeat", "said": said, "trial": as_table(again), "toml": trial_toml(again)}
 
 
 def _searched(outcome: LoopOutcome) -> list[Record]:
     return [r for i, r in enumerate(outcome.problem.records) if i not in outcome.held]
 
 
-def _foresight(
+def _prediction(
     outcome: LoopOutcome, theta: np.ndarray, chosen: np.ndarray, other: np.ndarray | None = None
 ) -> TrialInformation:
     names, problem = tuple(groups(outcome.entries)), outcome.problem
@@ -102,20 +102,20 @@ def _split(
 ) -> dict[str, Any]:
     """For the first class that a trial can make smaller, or else the last one."""
     found = _none("No trial is proposed: none of the rivals can be fitted in the place of another.")
-    last, seen = outcome.search.final, [r.trial for r in _searched(outcome)]
+    last, trials = outcome.search.final, [r.trial for r in _searched(outcome)]
     for this in outcome.search.rounds:
         fits = {n: this.rivals[n].fit for n in this.alike if n in this.rivals}
         if not this.chosen or not fits:
             continue
         ways = {
             n: (
-                _foresight(outcome, x.theta, x.free, last.theta),
-                _foresight(outcome, last.theta, last.free, x.theta),
+                _prediction(outcome, x.theta, x.free, last.theta),
+                _prediction(outcome, last.theta, last.free, x.theta),
             )
             for n, x in fits.items()
         }
         progress(f"what the next trial could say of {this.chosen} and {', '.join(fits)}")
-        found = split_class(this.chosen, ways, last.inflation, seen, limits, effort, progress)
+        found = split_class(this.chosen, ways, last.inflation, trials, limits, effort, progress)
         if found["times"] is not None:
             break
     return found
@@ -139,25 +139,25 @@ def _narrowed(
             "No trial is proposed: what two correct programs differ by is the larger part of every "
             "interval, so more of such data would not narrow one."
         )
-    f = _foresight(outcome, final.theta, final.free)
+    f = _prediction(outcome, final.theta, final.free)
     p, before = own[widest], summed(final.blocks)[0]
 
-    def goal(seen: list[list[ChannelInformation]]) -> float:
-        return -float(inverse(before + information(seen[0]))[widest, widest])
+    def goal(channels: list[list[ChannelInformation]]) -> float:
+        return -float(inverse(before + information(channels[0]))[widest, widest])
 
     progress(f"what the next trial could say of {p.label}")
     best = TrialSearch([f], goal, limits).run(effort, progress)
     after = float(np.sqrt(final.inflation * -best.value))
     unit = "" if p.prior.unit == "-" else f" {p.prior.unit}"
     said = (
-        f"{words(best.trial)} narrows the widest interval most, that of {p.label}: its standard "
-        f"error by noise from {errors[widest]:.2g} to {after:.2g}{unit}."
+        f"{trial_text(best.trial)} narrows the widest interval most, that of {p.label}: its "
+        f"standard error by noise from {errors[widest]:.2g} to {after:.2g}{unit}."
     )
     return {
         "purpose": "narrow",
         "said": said[0].upper() + said[1:],
         "trial": as_table(best.trial),
-        "toml": toml(best.trial),
+        "toml": trial_toml(best.trial),
         "parameter": p.label,
         "error_before": errors[widest],
         "error_after": after,

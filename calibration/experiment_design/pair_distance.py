@@ -20,15 +20,15 @@ from calibration.experiment_design.information import (
     TrialInformation,
     as_block,
     information,
-    left,
+    marginal_information,
 )
 from calibration.experiment_design.trial_search import (
     SearchEffort,
     TrialLimits,
     TrialSearch,
     as_table,
-    toml,
-    words,
+    trial_text,
+    trial_toml,
 )
 
 APART = 3.0
@@ -64,10 +64,10 @@ def pairs_of(
 
 
 def _distance(A: np.ndarray, group: np.ndarray, rest: np.ndarray, size: np.ndarray) -> float:
-    return max(float(size @ left(A, group, rest) @ size), 0.0)
+    return max(float(size @ marginal_information(A, group, rest) @ size), 0.0)
 
 
-def apart(pairs: Sequence[Pair]) -> float:
+def separation_score(pairs: Sequence[Pair]) -> float:
     """What separating maximises: the smallest distance, and a little of the mean one."""
     squares = [pair.sigmas**2 for pair in pairs]
     return min(squares) + 1e-3 * float(np.mean(squares))
@@ -90,11 +90,11 @@ def separate(
     taken = np.concatenate(list(members.values()))
     free = np.setdiff1d(np.arange(len(f.chosen)), taken)
 
-    def goal(seen: list[list[ChannelInformation]]) -> float:
-        return apart(pairs_of(before + information(seen[0]), members, sizes, free))
+    def goal(channels: list[list[ChannelInformation]]) -> float:
+        return separation_score(pairs_of(before + information(channels[0]), members, sizes, free))
 
     best = TrialSearch([f], goal, limits).run(effort, progress)
-    after = before + information(best.seen[0])
+    after = before + information(best.channels[0])
     now, then = (pairs_of(A, members, sizes, free) for A in (before, after))
     rows = [
         {
@@ -109,7 +109,7 @@ def separate(
     ]
     worst = min(then, key=lambda pair: pair.sigmas)
     was = next(p.sigmas for p in now if (p.first, p.second) == (worst.first, worst.second))
-    found = f"{words(best.trial)} tells {_listed(list(members))} apart best: "
+    found = f"{trial_text(best.trial)} tells {_listed(list(members))} apart best: "
     said = (
         f"{worst.first} from {worst.second} by {worst.sigmas:.1f} standard deviations "
         f"({was:.1f} without it)."
@@ -120,7 +120,7 @@ def separate(
         "purpose": "separate",
         "said": found[0].upper() + found[1:] + said,
         "trial": as_table(best.trial),
-        "toml": toml(best.trial),
+        "toml": trial_toml(best.trial),
         "pairs": rows,
         "sizes": {name: sizes[name] for name in members},
         "limits": limits._asdict(),

@@ -201,7 +201,7 @@ def described(x: Proposal) -> dict[str, Any]:
     }
 
 
-def said(p: Parameter, x: Proposal) -> str:
+def proposal_sentence(p: Parameter, x: Proposal) -> str:
     """A proposal in a sentence."""
     t = x.trial
     assert t.frequency is not None and t.amplitude is not None

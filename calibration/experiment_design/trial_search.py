@@ -48,11 +48,11 @@ class SearchEffort(NamedTuple):
 
 
 class PredictedTrial(NamedTuple):
-    """A trial that was foreseen."""
+    """A trial that was predicted."""
 
     trial: Trial
-    seen: list[list[ChannelInformation]]
-    """By each of the foresights."""
+    channels: list[list[ChannelInformation]]
+    """By each of the predictions."""
     value: float
     """Of the goal, the larger the better; -inf where the trial cannot be simulated."""
 
@@ -131,21 +131,21 @@ def free_name(experiment: Experiment) -> str:
 
 @dataclass(frozen=True)
 class TrialSearch:
-    """What a trial is chosen for: `goal` is of what it would say by each of the foresights."""
+    """What a trial is chosen for: `goal` is of what it would say by each of the predictions."""
 
-    foresights: Sequence[TrialInformation]
+    predictions: Sequence[TrialInformation]
     goal: Callable[[list[list[ChannelInformation]]], float]
     limits: TrialLimits
 
     def at(self, place: np.ndarray) -> PredictedTrial:
         """The trial at a place of the unit cube."""
-        trial = proposed(self.foresights[0].experiment, self.limits, place)
+        trial = proposed(self.predictions[0].experiment, self.limits, place)
         try:
-            seen = [f.trial(trial) for f in self.foresights]
+            channels = [f.trial(trial) for f in self.predictions]
         except SolverError:
             return PredictedTrial(trial, [], -np.inf)
-        fine = all(np.isfinite(information(x)).all() for x in seen)
-        return PredictedTrial(trial, seen, self.goal(seen) if fine else -np.inf)
+        fine = all(np.isfinite(information(x)).all() for x in channels)
+        return PredictedTrial(trial, channels, self.goal(channels) if fine else -np.inf)
 
     def run(
         self,
@@ -156,7 +156,7 @@ class TrialSearch:
         wide = np.array([high > low for low, high in self.limits])
         places = [np.where(wide, u, 0.0) for u in _spread(effort.spread)]
         best, place = self._best(places, progress)
-        progress(f"{effort.spread} trials tried; the best is {words(best.trial)}")
+        progress(f"{effort.spread} trials tried; the best is {trial_text(best.trial)}")
         step = 0.25
         for _ in range(effort.rounds):
             moves = [s * step * np.eye(4)[i] for i in np.flatnonzero(wide) for s in (-1.0, 1.0)]
@@ -166,7 +166,7 @@ class TrialSearch:
             better, there = self._best([np.array(x) for x in sorted(around)], progress)
             if better.value > best.value:
                 best, place = better, there
-                progress(f"better: {words(best.trial)}")
+                progress(f"better: {trial_text(best.trial)}")
             else:
                 step *= 0.5
         if not np.isfinite(best.value):
@@ -184,7 +184,7 @@ class TrialSearch:
         def one(place: np.ndarray) -> PredictedTrial:
             found = self.at(place)
             done.append(found)
-            progress(f"trial {len(done)} of {len(places)}: {words(found.trial)}")
+            progress(f"trial {len(done)} of {len(places)}: {trial_text(found.trial)}")
             return found
 
         pairs = list(zip(on_all_cores(one, places), places, strict=True))
@@ -198,7 +198,7 @@ def _spread(count: int) -> np.ndarray:
     return sequence.random(count)
 
 
-def words(trial: Trial) -> str:
+def trial_text(trial: Trial) -> str:
     """A trial in a few words."""
     if trial.frequency is None or trial.amplitude is None:
         return f"{trial.file} (recorded drive)"
@@ -214,7 +214,7 @@ def as_table(trial: Trial) -> dict[str, Any]:
     return content | {name: getattr(trial, name) for name in QUANTITIES}
 
 
-def toml(trial: Trial) -> str:
+def trial_toml(trial: Trial) -> str:
     """A trial as a table to add to an experiment file."""
     lines = ["[[trials]]"]
     for key, value in as_table(trial).items():

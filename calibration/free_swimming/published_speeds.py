@@ -90,7 +90,7 @@ HEADS = {"no point force at the head": 0.0, "added mass begins at the head": 1.0
 """m_a of `HeadAddedMass`; the paper's local form has none."""
 
 
-def swimmer(
+def paper_swimmer(
     gait: Gait, resisting: str | None = None, coefficient: float = 0.0, head: float = 0.0
 ) -> Model:
     """The paper's robot set free, with one effect that resists. One program serves all."""
@@ -125,7 +125,7 @@ def _from_rest(model: Model, frequency, strides: int, plan: SteadySettings):
 _find_steady = eqx.filter_jit(find_steady)
 
 
-def steady(model: Model, gait: Gait, plan: SteadySettings = PLAN) -> Steady:
+def steady_swim(model: Model, gait: Gait, plan: SteadySettings = PLAN) -> Steady:
     """The steady swim, by one program for all models of one structure."""
     return _find_steady(model, jnp.asarray(float(gait.frequency)), plan)
 
@@ -146,7 +146,7 @@ def coefficient_at(
         return START[resisting] * float(np.exp(x))
 
     def off(x: float) -> float:
-        found = steady(swimmer(gait, resisting, coefficient(x), head), gait, plan)
+        found = steady_swim(paper_swimmer(gait, resisting, coefficient(x), head), gait, plan)
         return float(found.speed) / point.speed - 1.0 if bool(found.ok) else np.nan
 
     found = root_scalar(off, method="secant", x0=0.0, x1=0.3, xtol=1e-4, maxiter=20)
@@ -202,14 +202,14 @@ def before(plan: SteadySettings = PLAN, strides: int = LONG) -> list[Before]:
     found = []
     for point, head in itertools.product((FIRST, OPTIMUM), HEADS):
         for name, gait in point.gaits.items():
-            model, f = swimmer(gait, head=HEADS[head]), jnp.asarray(gait.frequency)
+            model, f = paper_swimmer(gait, head=HEADS[head]), jnp.asarray(gait.frequency)
             by_stride, ok = _from_rest(model, f, strides, plan)
             if not bool(ok):
                 raise SolverError(f"{point.name}, {name}: a step failed on the way from rest")
             speeds = np.hypot(*np.asarray(by_stride).T)
             farther = plan._replace(corrections=FARTHER * plan.corrections)
             found.append(
-                Before(point.name, name, head, speeds, _speed(steady(model, gait, farther)))
+                Before(point.name, name, head, speeds, _speed(steady_swim(model, gait, farther)))
             )
     return found
 
@@ -239,8 +239,8 @@ def after(
                 calibrated, calibrated.gaits[name], resisting, HEADS[head], plan
             )
         gait = checked.gaits[other]
-        model = swimmer(gait, resisting, coefficients[key], HEADS[head])
-        speed = _speed(steady(model, gait, plan))
+        model = paper_swimmer(gait, resisting, coefficients[key], HEADS[head])
+        speed = _speed(steady_swim(model, gait, plan))
         found.append(
             After(resisting, head, calibrated.name, name, coefficients[key], checked.name, other,
                   speed, checked.speed)

@@ -45,7 +45,7 @@ def before_error(x: CrossPrediction) -> float:
     return min(b.steady for b in x.before if b.point == OPTIMUM.name) - OPTIMUM.speed
 
 
-def decide(x: CrossPrediction) -> tuple[str, After]:
+def speeds_verdict(x: CrossPrediction) -> tuple[str, After]:
     """The verdict, and the believed prediction nearest the published speed.
 
     What the paper leaves open may be filled in several ways. Where none of them passes nothing is
@@ -62,13 +62,13 @@ def decide(x: CrossPrediction) -> tuple[str, After]:
         return UNEXPLAINED, best
     if 2 * len(passing) < sum(a.resisting == best.resisting for a in x.forward):
         return INCONCLUSIVE, best
-    rivals = [n for n in RESISTING if n != best.resisting and removes[n] > AS_WELL]
-    return (CLASS if rivals else IDENTIFIED), best
+    others = [n for n in RESISTING if n != best.resisting and removes[n] > AS_WELL]
+    return (CLASS if others else IDENTIFIED), best
 
 
-def sentence(x: CrossPrediction) -> str:
+def speeds_sentence(x: CrossPrediction) -> str:
     """The verdict in words."""
-    verdict, best = decide(x)
+    verdict, best = speeds_verdict(x)
     ends, steady = [b.by_stride[-1] for b in x.before], [b.steady for b in x.before]
     said = (
         f"Set free, the paper's equations pass {min(ends):.2f} to {max(ends):.2f} m/s in "
@@ -91,18 +91,18 @@ def sentence(x: CrossPrediction) -> str:
     return said + " These two points cannot tell friction along the body from form drag."
 
 
-def report(x: CrossPrediction, seconds: float) -> dict[str, Any]:
+def speeds_record(x: CrossPrediction, seconds: float) -> dict[str, Any]:
     """The content of report.json."""
-    verdict, best = decide(x)
+    verdict, best = speeds_verdict(x)
     alone = verdict in (IDENTIFIED, UNEXPLAINED)
-    rivals = [] if alone else [n for n in RESISTING if n != best.resisting]
+    others = [] if alone else [n for n in RESISTING if n != best.resisting]
     return {
         "verdict": verdict,
-        "said": sentence(x),
+        "said": speeds_sentence(x),
         "effects": [
             {
                 "name": best.resisting,
-                "class": rivals,
+                "class": others,
                 "parameters": {_parameter(best.resisting): _range(x.forward, best)},
                 "where": "free swimming: mean force along the course",
             }
@@ -170,7 +170,7 @@ HEAD = ["effect", "head", "calibrated with", "coefficient", "in prior", "predict
         "cm/s", "off by"]  # fmt: skip
 
 
-def short_table(x: CrossPrediction) -> str:
+def speeds_table(x: CrossPrediction) -> str:
     """Predictions of the optimum in lines, for the terminal."""
     lines = [f"{'published':<44}{100 * OPTIMUM.speed:6.1f} cm/s"]
     for a in x.forward:
@@ -181,7 +181,7 @@ def short_table(x: CrossPrediction) -> str:
     return "\n".join(lines)
 
 
-def page(x: CrossPrediction, content: dict[str, Any]) -> str:
+def speeds_page(x: CrossPrediction, content: dict[str, Any]) -> str:
     """report.html."""
     row = content["errors"]["speed_at_optimum"]
     return document(

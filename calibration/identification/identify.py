@@ -5,8 +5,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from calibration.audit.audit import audit
-from calibration.experiment_design.parameter_trial import Proposal, advise, described, said
+from calibration.audit.audit import audit_measurements
+from calibration.experiment_design.parameter_trial import (
+    Proposal,
+    advise,
+    described,
+    proposal_sentence,
+)
 from calibration.inference.gauss_newton import Fit, fit
 from calibration.inference.goodness import FLOOR, excess, floors, rms_errors
 from calibration.inference.lbfgs import descend
@@ -16,7 +21,7 @@ from calibration.measurements.findings import Finding
 from calibration.measurements.records import Record
 from calibration.model.extended import Parameter, base_values, base_vector, parameters
 from calibration.model.predict import CHANNELS, COARSE, FINE, Resolution
-from calibration.reporting.parameters import UNITS, told, toml, words
+from calibration.reporting.parameters import UNITS, parameter_record, parameter_text, parameter_toml
 from slider_jax.effects.library import LIBRARY
 from slider_jax.errors import InputError, did_you_mean
 from slider_jax.experiment.load import Experiment
@@ -87,7 +92,7 @@ def identify(
         if p.effect:  # off its null, where a bound would hold it
             begun[i] += 0.02 * (p.prior.high - p.prior.low)
     progress("auditing the data")
-    audited = audit(experiment, 1, lambda few: problem_of(few).predict(base))
+    audited = audit_measurements(experiment, 1, lambda few: problem_of(few).predict(base))
     for finding in audited.findings:
         progress(str(finding))
     problem = problem_of(audited.records)
@@ -120,7 +125,7 @@ def content(found: Identified, source: dict[str, Any]) -> dict[str, Any]:
     labels = [p.label for p in found.entries]
     return {
         "parameters": {
-            p.label: told(found.fit, found.entries, i)
+            p.label: parameter_record(found.fit, found.entries, i)
             | ({"determined_by": described(found.advice[i])} if i in found.advice else {})
             for i, p in enumerate(found.entries)
         },
@@ -143,9 +148,11 @@ def table(found: Identified) -> str:
     """What was identified, a line a parameter."""
     lines = []
     for i, p in enumerate(found.entries):
-        lines.append(f"{p.label:<28} {words(told(found.fit, found.entries, i))}")
+        lines.append(
+            f"{p.label:<28} {parameter_text(parameter_record(found.fit, found.entries, i))}"
+        )
         if i in found.advice:
-            lines.append(f"{'':<28} {said(p, found.advice[i])}")
+            lines.append(f"{'':<28} {proposal_sentence(p, found.advice[i])}")
     before, after = (rms_errors(found.problem, y) for y in (found.before, found.fit.predicted))
     floor = floors(found.problem, found.fit.predicted)
     lines += [
@@ -161,4 +168,4 @@ def model_file(found: Identified) -> str:
     effects = list(dict.fromkeys(p.effect for p in found.entries if p.effect))
     said = f"Identified from {len(found.problem.records)} trials of {found.experiment.name}."
     said = f"{said} {found.doubt}".strip()
-    return toml(said, found.entries, found.fit.theta, effects)
+    return parameter_toml(said, found.entries, found.fit.theta, effects)

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from calibration.experiment_design.parameter_trial import described, said
+from calibration.experiment_design.parameter_trial import described, proposal_sentence
 from calibration.identification.parameter_ties import CONSTANT, EACH, FOLLOWS, PAPER, RAMP
 from calibration.identification.per_frequency import ByFrequency, Way, sentence, values
 from calibration.inference.uncertainty import correlations
-from calibration.reporting.parameters import told, toml, words
+from calibration.reporting.parameters import parameter_record, parameter_text, parameter_toml
 from slider_jax.io.figures import new_figure, save_figure
 from slider_jax.paper import RAMP_END, RAMP_START, force_coefficients
 
@@ -46,7 +46,8 @@ def _way(way: Way) -> dict[str, Any]:
     entries = way.layout.entries
     return {
         "parameters": {
-            label: told(way.fit, entries, i) for i, label in enumerate(way.layout.labels)
+            label: parameter_record(way.fit, entries, i)
+            for i, label in enumerate(way.layout.labels)
         },
         "correlations": {"order": way.layout.labels, "matrix": correlations(way.fit)},
         "converged": way.fit.converged,
@@ -75,9 +76,11 @@ def table(found: ByFrequency) -> str:
     """The comparison in words: a line an entry of the values by frequency, then what is best."""
     way, lines = found.ways[EACH], []
     for i, (p, label) in enumerate(zip(way.layout.entries, way.layout.labels, strict=True)):
-        lines.append(f"{label:<28} {words(told(way.fit, way.layout.entries, i))}")
+        lines.append(
+            f"{label:<28} {parameter_text(parameter_record(way.fit, way.layout.entries, i))}"
+        )
         if i in found.advice:
-            lines.append(f"{'':<28} {said(p, found.advice[i])}")
+            lines.append(f"{'':<28} {proposal_sentence(p, found.advice[i])}")
     return "\n".join([*lines, "", sentence(found)])
 
 
@@ -93,11 +96,11 @@ def model_file(found: ByFrequency, each: Sequence[str]) -> str:
     if way.layout.name == EACH and not set(each) <= set(FOLLOWS):
         constant = found.ways[CONSTANT]
         said = sentence(found) + " A model file has no place for these: constant values."
-        return toml(said, constant.layout.entries, constant.fit.theta, effects)
+        return parameter_toml(said, constant.layout.entries, constant.fit.theta, effects)
     if way.layout.name == CONSTANT:
-        return toml(sentence(found), entries, theta, effects)
+        return parameter_toml(sentence(found), entries, theta, effects)
     common = [i for i, p in enumerate(entries) if p.label not in FOLLOWS]
-    text = toml(sentence(found), [entries[i] for i in common], theta[common], effects)
+    text = parameter_toml(sentence(found), [entries[i] for i in common], theta[common], effects)
     if way.layout.name == PAPER:
         return text.replace("[parameters]\n", '[parameters]\nforce_coefficients = "ramp"\n')
     lines = ["[parameters]", 'force_coefficients = "table"']

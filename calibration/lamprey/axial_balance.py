@@ -17,7 +17,7 @@ from scipy import stats
 
 from calibration.lamprey.animal import CrossSections, force, momentum, prescribe
 from calibration.lamprey.midlines import Midlines
-from calibration.lamprey.motion import Motion, Smoothing, angles, motion, white_noise
+from calibration.lamprey.motion import Motion, Smoothing, angles, midline_motion, white_noise
 from calibration.lamprey.strides import Strides
 from slider_jax.effects import ForceDensity, NormalDrag, ReactiveForce
 from slider_jax.effects.water.head_drag import HeadDrag
@@ -114,7 +114,7 @@ class Draws(NamedTuple):
         return now - self.imbalance / self.unit(effect)
 
 
-def interval(values: np.ndarray) -> tuple[float, float]:
+def central_interval(values: np.ndarray) -> tuple[float, float]:
     """The middle 95 %."""
     low, high = np.quantile(values, [0.025, 0.975])
     return float(low), float(high)
@@ -131,7 +131,7 @@ def stride_weights(strides: int, draws: int, rng: np.random.Generator) -> np.nda
     return 1.0 / strides + wide * (picked - 1.0 / strides)
 
 
-def readings(
+def alternative_motions(
     midlines: Midlines, smoothing: Smoothing, rng: np.random.Generator, count: int = MOTIONS
 ) -> list[Motion]:
     """Motions that the same midlines allow: other smoothing, length, and their noise once more."""
@@ -144,7 +144,7 @@ def readings(
         length = np.median(midlines.lengths) * (1.0 + LENGTH_ERROR * rng.standard_normal())
         shaken = midlines.points + sigma[:, None] * rng.standard_normal(midlines.points.shape)
         found.append(
-            motion(
+            midline_motion(
                 replace(midlines, points=shaken),
                 Smoothing(smoothing.wavelength * coarser, smoothing.cutoff / slower),
                 float(length),
@@ -153,7 +153,7 @@ def readings(
     return found
 
 
-def draw(
+def sample_balance(
     rng: np.random.Generator,
     motions: Sequence[Motion],
     shape: CrossSections,

@@ -28,13 +28,13 @@ from calibration.lamprey.axial_balance import (
     Course,
     Draws,
     Ledger,
-    draw,
-    interval,
+    alternative_motions,
+    central_interval,
     ledger,
-    readings,
+    sample_balance,
 )
 from calibration.lamprey.midlines import Midlines, read_midlines, read_width
-from calibration.lamprey.motion import Motion, Smoothing, choose_smoothing, motion
+from calibration.lamprey.motion import Motion, Smoothing, choose_smoothing, midline_motion
 from calibration.lamprey.strides import AnimalGait, Strides, find_strides, fundamental, gait
 from slider_jax import paper
 from slider_jax.effects import ForceDensity, NormalDrag, ReactiveForce
@@ -109,22 +109,22 @@ def weigh_midlines(
     """Weigh an animal of `shape` that swims as `midlines` say; `draws` make the intervals."""
     rng = np.random.default_rng(seed)
     smoothing = choose_smoothing(midlines)
-    moved = motion(midlines, smoothing)
+    moved = midline_motion(midlines, smoothing)
     strides = find_strides(moved)
     how = gait(moved, strides, VISCOSITY)
     course = Course(strides, how.direction)
     C_d, m_a = (float(x) for x in paper.force_coefficients(how.frequency))
     base = ledger(moved, shape, course)
-    others = readings(midlines, smoothing, rng, min(MOTIONS, max(2, draws // 10)))
+    others = alternative_motions(midlines, smoothing, rng, min(MOTIONS, max(2, draws // 10)))
     pool = [moved, *others]
 
     def vary(*sources: str) -> Draws:
-        return draw(rng, pool, shape, course, (C_d, m_a), sources, draws)
+        return sample_balance(rng, pool, shape, course, (C_d, m_a), sources, draws)
 
     again = np.array([ledger(x, shape, course).imbalance(C_d, m_a) for x in others])
     smoothed = {}
     for name, other in _other_smoothing(smoothing).items():
-        there = ledger(motion(midlines, other), shape, course)
+        there = ledger(midline_motion(midlines, other), shape, course)
         smoothed[name] = (other, float(there.imbalance(C_d, m_a).mean()))
     return Weighed(
         midlines=midlines,
@@ -137,7 +137,7 @@ def weigh_midlines(
         C_d=C_d,
         m_a=m_a,
         ledger=base,
-        by_source={source: interval(vary(source).imbalance) for source in SOURCES},
+        by_source={source: central_interval(vary(source).imbalance) for source in SOURCES},
         draws=vary(*SOURCES),
         floor=float(np.sqrt(np.mean((again - base.imbalance(C_d, m_a)) ** 2))),
         smoothed=smoothed,
@@ -154,9 +154,9 @@ def _other_smoothing(x: Smoothing) -> dict[str, Smoothing]:
     }
 
 
-def decide(x: Weighed) -> tuple[str, list[str]]:
+def balance_verdict(x: Weighed) -> tuple[str, list[str]]:
     """The verdict, and the effects that can close the balance, likeliest first."""
-    low, high = interval(x.draws.imbalance)
+    low, high = central_interval(x.draws.imbalance)
     if low <= 0.0 <= high:
         return "nothing_missing", []
     share = x.possible
@@ -210,7 +210,7 @@ def skin(x: Weighed) -> dict[str, Any]:
     Re = x.gait.reynolds
     laminar, turbulent = 1.328 / math.sqrt(Re), 0.074 / Re**0.2
     C_f = 2.0 * C_t * outline / wetted
-    low, high = interval(C_f)
+    low, high = central_interval(C_f)
     return {
         "wetted_area_m2": wetted,
         "C_f": {"value": float(np.median(C_f)), "low": low, "high": high},
@@ -227,7 +227,7 @@ def frontal_coefficient(x: Weighed) -> tuple[float, float, float]:
     laid = x.held.body
     section = float(np.max(math.pi / 4.0 * laid.width * laid.structure.height))
     area = x.draws.closing("head_drag") / section
-    return float(np.median(area)), *interval(area)
+    return float(np.median(area)), *central_interval(area)
 
 
 def within_stride(x: Weighed) -> dict[str, float]:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calibration.lamprey.axial_balance import BASE, interval
+from calibration.lamprey.axial_balance import BASE, central_interval
 from calibration.lamprey.balance import Weighed
 
 WORDS = {
@@ -65,7 +65,7 @@ def imbalance_figure(x: Weighed):
     import matplotlib.pyplot as plt
 
     figure, axis = plt.subplots(figsize=(9, 2.8), layout="constrained")
-    rows = dict(x.by_source) | {"all together": interval(x.draws.imbalance)}
+    rows = dict(x.by_source) | {"all together": central_interval(x.draws.imbalance)}
     for place, (name, (low, high)) in enumerate(rows.items()):
         colour = "C3" if name == "all together" else "C0"
         axis.plot([1e3 * low, 1e3 * high], [place, place], color=colour, lw=6, alpha=0.6)

@@ -150,17 +150,21 @@ def twiced(x: np.ndarray, series: np.ndarray, cutoff: float) -> Callable[..., np
     return lambda at, n: first(at, nu=n) + second(at, nu=n)
 
 
-def motion(midlines: Midlines, smoothing: Smoothing, length: float | None = None) -> Motion:
+def midline_motion(midlines: Midlines, smoothing: Smoothing, length: float | None = None) -> Motion:
     """The motion of a body of `length` [m] (default: the median) at the frames' times."""
     L = float(np.median(midlines.lengths)) if length is None else length
     t, s = midlines.t, np.linspace(0.0, L, NODES)
     phi, _ = along_body(angles(midlines), s, smoothing.wavelength)
     turning = twiced(t, phi, smoothing.cutoff)
     head = twiced(t, midlines.points[:, 0], smoothing.cutoff)
-    return lay_out(t, s, [turning(t, n) for n in range(3)], [head(t, n) for n in range(3)])
+    return motion_from_angles(
+        t, s, [turning(t, n) for n in range(3)], [head(t, n) for n in range(3)]
+    )
 
 
-def lay_out(t: np.ndarray, s: np.ndarray, phi: list[np.ndarray], head: list[np.ndarray]) -> Motion:
+def motion_from_angles(
+    t: np.ndarray, s: np.ndarray, phi: list[np.ndarray], head: list[np.ndarray]
+) -> Motion:
     """The body laid out from its head by its angles; `phi`, `head` with their two derivatives."""
     ds = np.diff(s)
     angle, omega, turn = (0.5 * (x[:, 1:] + x[:, :-1]) for x in phi)

@@ -14,13 +14,13 @@ from calibration.lamprey.axial_balance import (
     LENGTH_ERROR,
     M_A_RANGE,
     TAIL_RANGE,
-    interval,
+    central_interval,
 )
 from calibration.lamprey.balance import (
     FULL_OVER_GIVEN,
     WIDTH_COLUMN,
     Weighed,
-    decide,
+    balance_verdict,
     errors,
     frontal_coefficient,
     skin,
@@ -37,26 +37,26 @@ NEXT = (
 )
 
 
-def told(value: float, low: float, high: float, unit: str) -> dict[str, Any]:
+def interval_record(value: float, low: float, high: float, unit: str) -> dict[str, Any]:
     """A number with its interval, as reports say it."""
     return {"value": value, "low": low, "high": high, "unit": unit}
 
 
-def report(x: Weighed, seconds: float, sources: list[dict[str, Any]]) -> dict[str, Any]:
+def animal_record(x: Weighed, seconds: float, sources: list[dict[str, Any]]) -> dict[str, Any]:
     """The content of report.json; `sources` names the inputs."""
-    verdict, able = decide(x)
+    verdict, able = balance_verdict(x)
     closer = CANDIDATES[0]
     draws = x.draws.imbalance
     g = x.gait
     mean = {n: float(x.ledger.unit[n].mean()) for n in EFFECTS}
     return {
         "verdict": verdict,
-        "said": sentence(x),
+        "said": animal_sentence(x),
         "imbalance": {
-            "paper_coefficients": told(
+            "paper_coefficients": interval_record(
                 float(x.imbalance.mean()), *x.by_source["strides"], "N"
             ),
-            "all_ranges": told(float(np.median(draws)), *interval(draws), "N"),
+            "all_ranges": interval_record(float(np.median(draws)), *central_interval(draws), "N"),
             "intervals_by_source": {n: list(v) for n, v in x.by_source.items()},
             "other_smoothing": {n: value for n, (_, value) in x.smoothed.items()},
             "by_stride": x.imbalance,
@@ -69,12 +69,12 @@ def report(x: Weighed, seconds: float, sources: list[dict[str, Any]]) -> dict[st
             "lighthill_small_amplitude": small_amplitude_thrust(x),
             "unit": "N",
         },
-        "effects": effects(x, able),
-        "candidates": candidates(x),
+        "effects": closing_effects(x, able),
+        "candidates": closing_candidates(x),
         "parameters": {"C_d": x.C_d, "m_a": x.m_a},
         "errors": {"mean_axial_force_of_a_stride": errors(x, closer) | {"closed_by": closer}},
         "skin": skin(x),
-        "head": told(*frontal_coefficient(x), "-"),
+        "head": interval_record(*frontal_coefficient(x), "-"),
         "within_stride": within_stride(x),
         "gait": {
             "speed_m_per_s": g.speed, "frequency_Hz": g.frequency, "strides": x.strides.number,
@@ -84,7 +84,7 @@ def report(x: Weighed, seconds: float, sources: list[dict[str, Any]]) -> dict[st
             "mass_kg": x.held.body.mass,
         },
         "settings": settings(x),
-        "audit": audit(x),
+        "audit": midline_quality(x),
         "next_experiment": NEXT if verdict == "class" else None,
         "seconds": seconds,
         "input": sources,
@@ -92,7 +92,7 @@ def report(x: Weighed, seconds: float, sources: list[dict[str, Any]]) -> dict[st
     }  # fmt: skip
 
 
-def effects(x: Weighed, able: list[str]) -> list[dict[str, Any]]:
+def closing_effects(x: Weighed, able: list[str]) -> list[dict[str, Any]]:
     """The effect that is named first, and those it cannot be told from."""
     if not able:
         return []
@@ -116,10 +116,10 @@ def _parameter(name: str) -> str:
 def _closing(x: Weighed, name: str) -> dict[str, Any]:
     (prior,) = EFFECTS[name].priors().values()
     values = x.draws.closing(name)
-    return told(float(np.median(values)), *interval(values), prior.unit)
+    return interval_record(float(np.median(values)), *central_interval(values), prior.unit)
 
 
-def candidates(x: Weighed) -> list[dict[str, Any]]:
+def closing_candidates(x: Weighed) -> list[dict[str, Any]]:
     """What every effect alone would need to close the balance."""
     share = x.possible
     rows = []
@@ -150,7 +150,7 @@ def settings(x: Weighed) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def audit(x: Weighed) -> list[str]:
+def midline_quality(x: Weighed) -> list[str]:
     """What the midlines themselves say of their quality."""
     lengths, w = 1e3 * x.midlines.lengths, within_stride(x)
     return [
@@ -161,10 +161,10 @@ def audit(x: Weighed) -> list[str]:
     ]
 
 
-def sentence(x: Weighed) -> str:
+def animal_sentence(x: Weighed) -> str:
     """The verdict in a sentence or three."""
-    verdict, able = decide(x)
-    low, high = (1e3 * v for v in interval(x.draws.imbalance))
+    verdict, able = balance_verdict(x)
+    low, high = (1e3 * v for v in central_interval(x.draws.imbalance))
     first = 1e3 * x.imbalance.mean()
     said = (
         f"With the paper's coefficients (C_d {x.C_d:g}, m_a {x.m_a:g}) the model pushes this "
@@ -185,10 +185,10 @@ def sentence(x: Weighed) -> str:
     return said + closes + f"; one mean force cannot tell it from {', '.join(able[1:])}."
 
 
-def short_table(x: Weighed) -> str:
+def balance_table(x: Weighed) -> str:
     """The balance in lines, for the terminal."""
     mean = {n: 1e3 * x.ledger.unit[n].mean() for n in BASE}
-    low, high = (1e3 * v for v in interval(x.draws.imbalance))
+    low, high = (1e3 * v for v in central_interval(x.draws.imbalance))
     rows = [
         ("reactive force", x.m_a * mean[BASE[0]]),
         ("normal drag", x.C_d * mean[BASE[1]]),
@@ -197,7 +197,7 @@ def short_table(x: Weighed) -> str:
     ]
     lines = [f"{name:<24}{value:8.2f} mN" for name, value in rows]
     lines.append(f"{'all ranges, 95 %':<24}{low:8.2f} to {high:.2f} mN")
-    for row in candidates(x):
+    for row in closing_candidates(x):
         n = row["needs"]
         lines.append(
             f"{row['name']:<24}{row['parameter']} = {n['value']:.3g} ({n['low']:.2g} to "
@@ -206,7 +206,7 @@ def short_table(x: Weighed) -> str:
     return "\n".join(lines)
 
 
-def page(x: Weighed, content: dict[str, Any]) -> str:
+def animal_page(x: Weighed, content: dict[str, Any]) -> str:
     """report.html."""
     g, s, w = x.gait, content["skin"], content["within_stride"]
     over, rms = s["over_laminar"], content["errors"]["mean_axial_force_of_a_stride"]

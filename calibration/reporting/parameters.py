@@ -12,7 +12,7 @@ from calibration.model.extended import Parameter
 UNITS = {"p_front": "Pa", "p_rear": "Pa", "thrust": "N", "recoil": "N", "tip": "m"}
 
 
-def told(fit: Fit, entries: Sequence[Parameter], index: int) -> dict[str, Any]:
+def parameter_record(fit: Fit, entries: Sequence[Parameter], index: int) -> dict[str, Any]:
     """A fitted parameter as reports say it: no value where the data do not fix one, and of the
     interval what lies in the prior range."""
     p, (value, low, high) = entries[index], interval(fit, entries, index)
@@ -24,8 +24,8 @@ def told(fit: Fit, entries: Sequence[Parameter], index: int) -> dict[str, Any]:
     return said | ({} if alone is None else {"by_variation_alone": alone})
 
 
-def words(x: dict[str, Any]) -> str:
-    """A parameter as `told`: value and interval, or that there is none."""
+def parameter_text(x: dict[str, Any]) -> str:
+    """A parameter as `parameter_record`: value and interval, or that there is none."""
     within = f"({x['low']:.4g} to {x['high']:.4g}) {x['unit']}"
     value = "not determined by these data" if x["value"] is None else f"{x['value']:.4g}"
     said = f"{value}  {within}"
@@ -40,7 +40,7 @@ def widened(x: dict[str, Any]) -> str:
     )
 
 
-def toml(
+def parameter_toml(
     said: str,
     entries: Sequence[Parameter],
     theta: np.ndarray,

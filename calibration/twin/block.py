@@ -99,7 +99,7 @@ def values_of(experiment: Experiment) -> np.ndarray:
     return np.array([parameters.k, parameters.K_Q, robot.EI_tail, robot.tail_length])
 
 
-def begin(model: Model, layout: BlockLayout, values: np.ndarray) -> BlockState:
+def initial_block_state(model: Model, layout: BlockLayout, values: np.ndarray) -> BlockState:
     """Straight and at rest, chambers empty."""
     body = at_rest(_of_body(model, jnp.asarray(values[1:])), layout.numerics)
     count, past = len(VALUES), PAST if of_place(model.effects, Instrument) else 0

@@ -21,8 +21,8 @@ from calibration.twin.block import (
     PAST,
     VALUES,
     BlockLayout,
-    begin,
     compiled,
+    initial_block_state,
     live_model,
     values_of,
 )
@@ -178,7 +178,7 @@ class Twin:
     def _load(self, trial: Trial) -> None:
         experiment = self.experiment
         self._model, self._values = live_model(experiment, trial), values_of(experiment)
-        self._rest = begin(self._model, self.layout, self._values)
+        self._rest = initial_block_state(self._model, self.layout, self._values)
         strides = 4.0 / trial.frequency if trial.frequency else 0.0
         count = max(self.settings.learn, strides) / self.settings.window
         self._learned_by = round(WARM_UP / self.settings.window), int(np.ceil(count))

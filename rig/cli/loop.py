@@ -52,7 +52,7 @@ def loop(
         phase: lowest and highest phase of the rear chamber of theirs, fraction of a period.
     """
     from calibration.discrepancy.close_loop import LEAST_TRIALS
-    from calibration.discrepancy.page import page
+    from calibration.discrepancy.page import loop_page
     from calibration.discrepancy.report import model_toml
     from calibration.experiment_design.campaign import campaign
     from calibration.experiment_design.trial_search import TrialLimits, limits_of
@@ -106,7 +106,7 @@ def loop(
     rounds = {"rounds": [asdict(x) for x in found.rounds], "settled": found.settled}
     write_json(out / "report.json", found.report | rounds)
     write_text(out / "model.toml", model_toml(found.outcome))
-    write_text(out / "report.html", page(found.outcome, found.report))
+    write_text(out / "report.html", loop_page(found.outcome, found.report))
     for x in found.rounds:
         print(f"{x.trials:2} trials: {x.said}")
     print("settled" if found.settled else f"not settled with {found.rounds[-1].trials} trials")

@@ -45,7 +45,7 @@ COMMANDS = {
         "calibration.cli.published:published", "the paper's swimming speeds against its equations"
     ),
     "effects matrix": Subcommand(
-        "calibration.cli.effects_matrix:matrix",
+        "calibration.cli.effects_matrix:effects_matrix",
         "which of them an experiment could find and separate",
     ),
     "effects": Subcommand(

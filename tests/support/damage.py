@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.audit.audit import audit
+from calibration.audit.audit import audit_measurements
 from calibration.measurements.synthetic import ROBOT, START, slow_noise
 from slider_jax.experiment import load as experiment
 from slider_jax.experiment.load import SAMPLES
@@ -122,7 +122,7 @@ def predict(records):
 
 
 def audited(folder, least=3):
-    return audit(experiment.load(folder / "experiment.toml"), least, predict)
+    return audit_measurements(experiment.load(folder / "experiment.toml"), least, predict)
 
 
 def alter(folder, number, change):

@@ -6,7 +6,7 @@ import numpy as np
 
 from calibration.lamprey.animal import CrossSections
 from calibration.lamprey.motion import (
-    lay_out,
+    motion_from_angles,
 )
 
 SHAPE = CrossSections(np.linspace(0.0, 1.0, 11), np.linspace(0.036, 0.01, 11))
@@ -30,7 +30,7 @@ def wave(amplitude, t, nodes=161, speed=U, grow=0.0):
         np.stack([x, w**i * envelope[-1] * _cosine(k * L + w * t, i)], axis=1)
         for i, x in enumerate((speed * t, np.full_like(t, speed), 0.0 * t))
     ]
-    return lay_out(t, s, slope, head)
+    return motion_from_angles(t, s, slope, head)
 
 
 def one_stride(count=48):

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from calibration.audit.audit import audit
+from calibration.audit.audit import audit_measurements
 from calibration.audit.prediction import outliers
 from calibration.audit.sensors import Grain, clipped, grain, spikes, stuck
 from slider_jax.errors import InputError
@@ -48,7 +48,7 @@ def test_physics_that_all_trials_share_is_no_fault(tmp_path, physics):
 @pytest.mark.parametrize("name", ["open_null", "open_delay", "open_clamp", "open_skin",
                                   "blind_a", "blind_b", "blind_c"])  # fmt: skip
 def test_the_measured_sets_are_whole(data, name):
-    found = audit(experiment.load(data / "sets" / name / "experiment.toml"))
+    found = audit_measurements(experiment.load(data / "sets" / name / "experiment.toml"))
     assert [str(x) for x in found.findings] == []
     assert len(found.records) == 8
 

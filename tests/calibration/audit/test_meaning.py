@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.audit.audit import audit
+from calibration.audit.audit import audit_measurements
 from slider_jax.experiment import load as experiment
 from tests.support import damage
 from tests.support.damage import (
@@ -165,7 +165,7 @@ def test_exchanged_files_are_left_out_and_the_other_is_named(tank):
 def test_settings_that_were_not_run_are_named(tank, number, changes, kind):
     loaded = experiment.load(tank / "experiment.toml")
     wrong = loaded.with_values({f"trials.{number}.{key}": x for key, x in changes.items()})
-    found = audit(wrong, 3, predict)
+    found = audit_measurements(wrong, 3, predict)
     out = [(x.trial, x.kind) for x in found.findings if x.action == "left out"]
     assert out == [(f"trial_{number:02d}.csv", kind)]
 

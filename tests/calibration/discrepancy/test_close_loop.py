@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calibration.discrepancy import close_loop as closing
-from calibration.discrepancy.page import page
+from calibration.discrepancy.page import loop_page
 from calibration.discrepancy.report import model_toml, report, sizes, skill
 from calibration.measurements.synthetic import Truth, write_tank
 from slider_jax.errors import InputError
@@ -63,7 +63,7 @@ def test_the_report_is_whole_and_the_model_runs(delayed, tmp_path):
     assert max(told["left_over_noise"].values()) < 1.1
     assert told["errors"]["p_front"]["after"] < 0.2 * told["errors"]["p_front"]["before"]
     assert {row["name"] for row in told["candidates"]} == set(CANDIDATES)
-    html = page(delayed, told)
+    html = loop_page(delayed, told)
     assert html.count("data:image/png") == 2 and "valve_delay" in html
     assert "Verdict: identified. From tank.toml (sha256 abcdefabcdef)" in html
     (line,) = sizes(told)

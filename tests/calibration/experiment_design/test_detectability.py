@@ -11,11 +11,21 @@ from scipy.stats import norm
 from calibration.discrepancy.alternatives import ALIKE
 from calibration.discrepancy.rounds import LEAST_GAIN, groups
 from calibration.discrepancy.scores import alikeness, score
-from calibration.experiment_design.detectability import POWER, at_limits, matrix, required_gain
-from calibration.experiment_design.detectability_report import content, table
-from calibration.experiment_design.information import SensorModel, as_block, foresight, information
+from calibration.experiment_design.detectability import (
+    POWER,
+    at_limits,
+    detectability_matrix,
+    required_gain,
+)
+from calibration.experiment_design.detectability_report import detectability_record, matrix_table
+from calibration.experiment_design.information import (
+    SensorModel,
+    as_block,
+    information,
+    predict_information,
+)
 from calibration.experiment_design.pair_distance import pairs_of, separate
-from calibration.experiment_design.trial_search import SearchEffort, limits_of, toml
+from calibration.experiment_design.trial_search import SearchEffort, limits_of, trial_toml
 from calibration.inference.cache import Memo
 from calibration.inference.noise import DISCREPANCY, Whitener
 from calibration.inference.problem import ChannelBlock, Problem
@@ -34,12 +44,14 @@ FEW = SearchEffort(spread=5, rounds=1)
 @pytest.fixture(scope="module")
 def still(tmp_path_factory):
     """Of an experiment in still water, nothing measured."""
-    return matrix(load(write(tmp_path_factory.mktemp("still"), *STILL)), EFFECTS, coarse=MESH)
+    return detectability_matrix(
+        load(write(tmp_path_factory.mktemp("still"), *STILL)), EFFECTS, coarse=MESH
+    )
 
 
 @pytest.fixture(scope="module")
 def entries(still):
-    return still.foresight.entries
+    return still.information.entries
 
 
 def limit_of(still, effect):
@@ -50,10 +62,10 @@ def limit_of(still, effect):
 def measured(still, theta, seed):
     """The trials' readings at `theta`, with noise as it is declared."""
     rng, found = np.random.default_rng(seed), []
-    for trial in still.foresight.experiment.trials:
-        p = still.foresight.plan(trial)
+    for trial in still.information.experiment.trials:
+        p = still.information.plan(trial)
         y = predict(p, theta)
-        for channel, noise in still.foresight.sensing.noise.items():
+        for channel, noise in still.information.sensing.noise.items():
             # A lower-triangular factor times white noise is noise of the whitener's covariance.
             row = CHANNELS.index(channel)
             white = Whitener(p.at, noise, y[row], channel, p.trial.frequency)
@@ -64,7 +76,7 @@ def measured(still, theta, seed):
 
 def gain(still, effect, size, seed):
     """The search's score of an effect that is there at `size`, on noisy readings."""
-    f = still.foresight
+    f = still.information
     theta, group = f.theta.copy(), groups(f.entries)[effect]
     theta[group] += size
     problem = Problem.of(f.experiment, measured(still, theta, seed), EFFECTS, CHANNELS, MESH, MESH)
@@ -85,7 +97,7 @@ def test_three_times_the_limit_is_found_in_noise_and_nothing_is_not(still, effec
 
 @pytest.mark.slow
 def test_the_expected_gain_at_the_limit_is_what_the_search_asks_for(still, entries):
-    A = information(still.seen)
+    A = information(still.channels)
     i = groups(entries)["force_gain"]
     size = limit_of(still, "force_gain").significant
     block = [ChannelBlock(0, "", A, size * A[:, i[0]], 0.0, 1)]
@@ -94,7 +106,7 @@ def test_the_expected_gain_at_the_limit_is_what_the_search_asks_for(still, entri
 
 
 def test_nine_of_ten_are_found_at_the_detection_limit(still, entries):
-    A, i = information(still.seen), groups(entries)["force_gain"]
+    A, i = information(still.channels), groups(entries)["force_gain"]
     found = limit_of(still, "force_gain")
     # Of the two bounds the one by chance; the other is a size, passed by as much.
     size = found.significant + POWER * found.error
@@ -112,7 +124,7 @@ def test_nine_of_ten_are_found_at_the_detection_limit(still, entries):
 
 def test_what_is_worth_naming_changes_a_channel_by_what_programs_differ_by(still, entries):
     """Against least squares on the stacked rows."""
-    f, i = still.foresight, groups(entries)["carried_mass"][0]
+    f, i = still.information, groups(entries)["carried_mass"][0]
     white, raw, signal = [], {c: [] for c in CHANNELS}, {c: [] for c in CHANNELS}
     for trial in f.experiment.trials:
         p = f.plan(trial)
@@ -138,35 +150,37 @@ def test_a_gain_of_the_sensor_and_one_of_the_regulator_are_one_class(still):
     i, j = still.names.index("pressure_gain"), still.names.index("regulator_gain")
     assert still.alike[i, j] > 0.9999
     assert ["pressure_gain", "regulator_gain"] in still.classes
-    assert "cannot be told apart" in table(still)
+    assert "cannot be told apart" in matrix_table(still)
 
 
 def test_opposite_changes_are_told_apart_by_their_sign(still):
     i, j = still.names.index("actuator_saturation"), still.names.index("actuator_quadratic")
     assert still.alike[i, j] > 0.9999 and still.opposed[i, j]
     assert not any("actuator_quadratic" in group for group in still.classes)
-    assert "told apart by the sign alone: actuator_saturation, actuator_quadratic" in table(still)
+    assert "told apart by the sign alone: actuator_saturation, actuator_quadratic" in matrix_table(
+        still
+    )
 
 
 def test_a_mounting_whose_tangent_says_little_gets_a_finite_start(still, entries):
-    assert {entries[i].effect for i in still.foresight.secants} == {"surge_compliance"}
+    assert {entries[i].effect for i in still.information.secants} == {"surge_compliance"}
     assert limit_of(still, "surge_compliance").finite
 
 
 def test_without_force_and_tip_sensors_the_body_cannot_be_seen(tmp_path, still):
     path = write(tmp_path, ("[sensors]\n", "[sensors]\npressure_noise = 700.0\n"))
-    found = matrix(load(path), EFFECTS, coarse=MESH)
-    assert list(found.foresight.sensing.noise) == ["p_front", "p_rear"]
+    found = detectability_matrix(load(path), EFFECTS, coarse=MESH)
+    assert list(found.information.sensing.noise) == ["p_front", "p_rear"]
     assert limit_of(found, "carried_mass").share == 0.0
     assert limit_of(found, "pressure_gain").share > 0.5
     assert "carried_mass" not in sum(found.classes, [])
-    assert "not detectable" in table(found)
+    assert "not detectable" in matrix_table(found)
     assert np.isnan(found.alike[found.names.index("carried_mass")]).all()
 
 
 def test_without_any_noise_it_says_what_to_declare(tmp_path):
     with pytest.raises(InputError, match="add sensors.pressure_noise"):
-        foresight(load(write(tmp_path)), EFFECTS)
+        predict_information(load(write(tmp_path)), EFFECTS)
 
 
 def test_measured_trials_count_their_own_samples_and_a_missing_channel(tmp_path, still):
@@ -185,7 +199,7 @@ def test_measured_trials_count_their_own_samples_and_a_missing_channel(tmp_path,
 
 def proposed(still, tow):
     names = ("carried_mass", "axial_added_mass")
-    limits = limits_of(still.foresight.experiment, LIMITS | {"tow_speed": tow})
+    limits = limits_of(still.information.experiment, LIMITS | {"tow_speed": tow})
     return separate(*at_limits(still, names), limits, FEW)
 
 
@@ -210,7 +224,7 @@ def test_the_trial_that_is_proposed_does_what_it_says(still, towed, tmp_path):
     path.write_text(f"{path.read_text()}\n{towed['toml']}")
     experiment = load(path)
     assert experiment.trials[2].tow_speed == towed["trial"]["tow_speed"]
-    assert toml(experiment.trials[2]) == towed["toml"]
+    assert trial_toml(experiment.trials[2]) == towed["toml"]
     f, before, members, _ = at_limits(still, ("carried_mass", "axial_added_mass"))
     A = before + information(replace(f, experiment=experiment).trial(experiment.trials[2]))
     cos = alikeness(*members.values(), np.arange(4), as_block(A))
@@ -218,7 +232,7 @@ def test_the_trial_that_is_proposed_does_what_it_says(still, towed, tmp_path):
 
 
 def test_a_trial_that_was_foreseen_is_not_simulated_again(still, tmp_path, monkeypatch):
-    f = replace(still.foresight, memo=Memo(tmp_path))
+    f = replace(still.information, memo=Memo(tmp_path))
     trial = f.experiment.trials[0]
     first = f.trial(trial)
     monkeypatch.setattr("calibration.experiment_design.information.predict", None)
@@ -237,7 +251,7 @@ def test_a_trial_that_was_foreseen_is_not_simulated_again(still, tmp_path, monke
 
 
 def test_what_no_trial_separates_is_said_so(still):
-    limits = limits_of(still.foresight.experiment, LIMITS)
+    limits = limits_of(still.information.experiment, LIMITS)
     names = ("pressure_gain", "regulator_gain")
     found = separate(*at_limits(still, names), limits, SearchEffort(spread=2, rounds=0))
     assert found["pairs"][0]["sigmas_after"] < 0.1
@@ -245,7 +259,7 @@ def test_what_no_trial_separates_is_said_so(still):
 
 
 def test_limits_are_the_experiments_own_slightly_widened(still):
-    found = limits_of(still.foresight.experiment)
+    found = limits_of(still.information.experiment)
     assert found.frequency == (2.25, 4.4)
     assert found.amplitude == (135e3, 275e3)
     assert found.phase == (0.09, 0.11)
@@ -282,7 +296,9 @@ def test_the_command_writes_json_picture_and_a_trial(still, tmp_path, monkeypatc
         asked.append(given)
         return still
 
-    monkeypatch.setattr("calibration.experiment_design.detectability.matrix", asked_for)
+    monkeypatch.setattr(
+        "calibration.experiment_design.detectability.detectability_matrix", asked_for
+    )
     monkeypatch.setattr(
         "calibration.experiment_design.pair_distance.separate",
         partial(separate, effort=SearchEffort(2, 0)),
@@ -302,7 +318,7 @@ def test_the_command_writes_json_picture_and_a_trial(still, tmp_path, monkeypatc
 
 
 def test_json_holds_what_the_table_says(still):
-    told = content(still, {})
+    told = detectability_record(still, {})
     assert ["pressure_gain", "regulator_gain"] in told["classes"]
     assert told["told_by_sign"] == [["actuator_saturation", "actuator_quadratic"]]
     (row,) = [x for x in told["limits"] if x["effect"] == "force_gain"]

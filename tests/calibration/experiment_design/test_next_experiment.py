@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calibration.discrepancy.close_loop import Errors, LoopOutcome
-from calibration.discrepancy.page import page
+from calibration.discrepancy.page import loop_page
 from calibration.discrepancy.report import report
 from calibration.discrepancy.rounds import (
     LEAST_GAIN,
@@ -141,8 +141,8 @@ def asked(monkeypatch):
     """What was asked of `split_class`, which makes the second class smaller and not the first."""
     calls = []
 
-    def answer(name, foresights, unit, trials, *_):
-        calls.append((name, list(foresights), unit, [t.file for t in trials]))
+    def answer(name, predictions, unit, trials, *_):
+        calls.append((name, list(predictions), unit, [t.file for t in trials]))
         return {"name": name, "times": 3 if len(calls) == 2 else None}
 
     monkeypatch.setattr(module, "split_class", answer)
@@ -174,8 +174,10 @@ def test_a_measured_trial_is_foreseen_at_the_times_of_its_record(tank):
     some = np.delete(np.arange(len(record.t)), slice(30, 50))
     torn = Record(record.trial, record.t[some], record.values[:, some])
     sensing = SensorModel.of(experiment, [torn, problem.records[1]])
-    seen = TrialInformation(experiment, EFFECTS, theta, FREE, sensing, {}, MESH).trial(record.trial)
-    assert {x.n for x in seen} == {len(record.t) - 20}
+    channels = TrialInformation(experiment, EFFECTS, theta, FREE, sensing, {}, MESH).trial(
+        record.trial
+    )
+    assert {x.n for x in channels} == {len(record.t) - 20}
 
 
 def test_rivals_are_reported(tank):
@@ -192,7 +194,7 @@ def test_rivals_are_reported(tank):
     assert effect["rivals"] == [
         {"name": "axial_added_mass", "loss": 88.0, "channels": {"tip": 0.01}, "told_apart": True}
     ]
-    html = page(done, told | {"candidates": []})
+    html = loop_page(done, told | {"candidates": []})
     assert "axial_added_mass for carried_mass" in html and "tip 1 %" in html
 
 
@@ -201,13 +203,13 @@ def test_a_rival_is_as_far_as_its_model_cannot_follow():
     J[:, 2] += 2.0 * J[:, 1] + J[:, 0]
     square = float(J[:, 2] @ J[:, 2])
     step, rest = np.linalg.lstsq(J[:, :2], J[:, 2], rcond=None)[:2]
-    seen = [
+    channels = [
         ChannelInformation(i, "tip", J[half].T @ J[half], J[half].T @ J[half], 0.5 * square, 200)
         for i, half in enumerate((slice(200), slice(200, None)))
     ]
-    found = distance(seen, unit=1.0)
+    found = distance(channels, unit=1.0)
     assert found.sigmas == pytest.approx(np.sqrt(rest[0]), rel=1e-9)
-    assert distance(seen, unit=4.0).sigmas == pytest.approx(0.5 * found.sigmas)
+    assert distance(channels, unit=4.0).sigmas == pytest.approx(0.5 * found.sigmas)
     left = J[:, 2] - J[:, :2] @ step
     assert found.shares["tip"] == pytest.approx(np.sqrt(left @ left / square), rel=1e-9)
     assert found.of_enough == pytest.approx(
@@ -233,10 +235,10 @@ def test_no_trial_is_proposed_where_none_would_narrow_an_interval(tank):
     assert found["trial"] is None and "would not narrow" in found["said"]
     told = report(done, 1.0, {"path": "tank.toml", "sha256": "0"}, found)
     assert told["next_experiment"] is found
-    html = page(done, told | {"candidates": []})
+    html = loop_page(done, told | {"candidates": []})
     assert "<h2>Next experiment</h2>" in html and "above it" not in html
     loud = told | {"candidates": [], "left_over_noise": {"tip": 2.0}}
-    assert "above it: tip." in page(done, loud)
+    assert "above it: tip." in loop_page(done, loud)
 
 
 def test_recorded_drives_alone_propose_nothing_and_say_why(tank):
@@ -249,7 +251,7 @@ def test_recorded_drives_alone_propose_nothing_and_say_why(tank):
     assert found["trial"] is None and "recorded drives only" in found["said"]
 
 
-def test_the_information_of_the_fit_is_that_of_the_foresight(tank):
+def test_the_information_of_the_fit_is_that_of_the_prediction(tank):
     """So that a trial's may be added to it."""
     experiment, _, theta = tank
     f = TrialInformation(experiment, EFFECTS, theta, FREE, SensorModel.of(experiment), {}, MESH)

@@ -16,10 +16,10 @@ from calibration.free_swimming.published_speeds import (
     After,
     Before,
     coefficient_at,
-    steady,
-    swimmer,
+    paper_swimmer,
+    steady_swim,
 )
-from calibration.free_swimming.report import CrossPrediction, decide
+from calibration.free_swimming.report import CrossPrediction, speeds_verdict
 from calibration.lamprey.animal import force, prescribe
 from slider_jax.beam.parameters import Numerics
 from slider_jax.cli.main import main
@@ -37,7 +37,7 @@ SWIMS = jnp.asarray(GAIT.frequency)
 def test_an_unpowered_body_coasts_as_its_friction_says():
     """m dv/dt = -rho C_t 2 H v^2 / 2 per length: 1/v grows linearly."""
     C_t, begin, count = 0.05, 0.3, 5
-    model = swimmer(GAIT._replace(front=0.0, rear=0.0), "tangential_friction", C_t)
+    model = paper_swimmer(GAIT._replace(front=0.0, rear=0.0), "tangential_friction", C_t)
     carry = with_added_velocity(at_rest(model, QUICK.numerics), jnp.array([begin, 0.0]))
     _, pace = jax.jit(lambda m, c: simulate_strides(m, SWIMS, c, count, QUICK))(model, carry)
     rate = 1000.0 * C_t * float(model.robot.height / model.robot.linear_density)
@@ -61,7 +61,7 @@ def test_the_papers_equations_gain_speed_to_five_times_the_published_one_and_mor
 @pytest.mark.parametrize("resisting", ["tangential_friction", "head_drag"])
 def test_a_calibrated_coefficient_swims_at_the_published_speed(resisting):
     found = coefficient_at(OPTIMUM, GAIT, resisting, plan=QUICK)
-    speed = float(steady(swimmer(GAIT, resisting, found), GAIT, QUICK).speed)
+    speed = float(steady_swim(paper_swimmer(GAIT, resisting, found), GAIT, QUICK).speed)
     print(f"{resisting} = {found:.4g}: {speed:.4f} m/s")
     assert speed == pytest.approx(OPTIMUM.speed, abs=1e-4)
 
@@ -114,7 +114,7 @@ def alone():
     ],
 )
 def test_the_verdict_on_the_published_speeds(predictions, verdict):
-    assert decide(CrossPrediction(alone(), predictions, []))[0] == verdict
+    assert speeds_verdict(CrossPrediction(alone(), predictions, []))[0] == verdict
 
 
 def test_the_command_writes_its_report(tmp_path, capsys, monkeypatch):

@@ -207,7 +207,7 @@ def test_the_proposed_trial_does_what_was_promised(monkeypatch):
     print("promised", found[1].half_width, "found", width)
     assert found[1].half_width == pytest.approx(width, rel=0.1)
     assert found[1].half_width < 0.7 * 1.96 * np.sqrt(one.covariance[1, 1])
-    said = design.said(entries[1], found[1])
+    said = design.proposal_sentence(entries[1], found[1])
     assert said.startswith(
         "a trial of 1 s at 5 Hz, 250 kPa, phase 0, towed at 0.2 m/s, would give m_a to ±"
     )

@@ -11,7 +11,7 @@ from calibration.inference.problem import Problem
 from calibration.inference.uncertainty import halves, interval
 from calibration.measurements.records import Record
 from calibration.model.extended import Parameter
-from calibration.reporting.parameters import told, words
+from calibration.reporting.parameters import parameter_record, parameter_text
 from slider_jax.effects import Prior
 from slider_jax.experiment.schema import Trial
 
@@ -67,8 +67,8 @@ def test_halves_that_disagree_are_told_and_widen_it(varying):
     assert found.apart[0] + value == pytest.approx(varying, abs=0.06)
     assert found.widening[0] > 3.0 and low < 1.0 < high
     narrow = found._replace(apart=None, widening=1.0)
-    said = told(found, ENTRIES, 0)
+    said = parameter_record(found, ENTRIES, 0)
     assert said["by_variation_alone"] == pytest.approx(varying, abs=0.06)
-    assert "what varies of the forces alone" in words(said)
-    assert "forces" not in words(told(narrow, ENTRIES, 0))
+    assert "what varies of the forces alone" in parameter_text(said)
+    assert "forces" not in parameter_text(parameter_record(narrow, ENTRIES, 0))
     assert high - low > 2.0 * np.diff(interval(narrow, ENTRIES, 0)[1:])[0]

@@ -9,13 +9,13 @@ import pytest
 
 from calibration.lamprey import balance as lamprey
 from calibration.lamprey.animal import CrossSections, force, inertia, momentum, prescribe
-from calibration.lamprey.axial_balance import EFFECTS, interval, stride_weights
-from calibration.lamprey.balance import decide, errors, weigh_midlines
+from calibration.lamprey.axial_balance import EFFECTS, central_interval, stride_weights
+from calibration.lamprey.balance import balance_verdict, errors, weigh_midlines
 from calibration.lamprey.midlines import Midlines, read_midlines, read_width
 from calibration.lamprey.motion import (
     Smoothing,
     choose_smoothing,
-    motion,
+    midline_motion,
     twiced,
     white_noise,
 )
@@ -129,7 +129,7 @@ def test_motion_is_found_again_from_traced_midlines():
         ]
     )
     for points in (midlines.points, shorter):
-        found = motion(replace(midlines, points=points), Smoothing(0.2, 13.0), L)
+        found = midline_motion(replace(midlines, points=points), Smoothing(0.2, 13.0), L)
         inner = (slice(6, -6), slice(None))
         at = [int(np.argmin(np.abs(there.s - s))) for s in found.s]
         off = np.abs(found.r - there.r[:, at])[inner]
@@ -152,7 +152,7 @@ def test_smoothing_follows_the_noise():
 
 def test_strides_and_gait_of_a_known_wave():
     midlines, there = traced()
-    found = motion(midlines, choose_smoothing(midlines))
+    found = midline_motion(midlines, choose_smoothing(midlines))
     strides = find_strides(found)
     how = gait(found, strides, 1e-6)
     assert strides.number == 5 and strides.frequency == pytest.approx(F, rel=0.01)
@@ -180,8 +180,8 @@ def test_the_closing_coefficient_closes_the_balance(weighed):
 
 
 def test_the_verdict_follows_from_interval_and_priors(weighed):
-    verdict, able = decide(weighed)
-    low, high = interval(weighed.draws.imbalance)
+    verdict, able = balance_verdict(weighed)
+    low, high = central_interval(weighed.draws.imbalance)
     assert low > 0.0 and verdict == "class" and "tangential_friction" in able
     rms = errors(weighed, "tangential_friction")
     assert 0.0 < rms["floor"] < rms["before"] and rms["after"] < 0.3 * rms["before"]
@@ -190,11 +190,11 @@ def test_the_verdict_follows_from_interval_and_priors(weighed):
                  for i, (x, *c) in enumerate(zip(weighed.draws.ledgers, weighed.draws.C_d,
                                                  weighed.draws.m_a, strict=True))]
     )  # fmt: skip
-    assert decide(replace(weighed, draws=nothing)) == ("nothing_missing", [])
+    assert balance_verdict(replace(weighed, draws=nothing)) == ("nothing_missing", [])
     backward = weighed.draws._replace(
         ledgers=[x._replace(gain=x.gain + 0.1) for x in weighed.draws.ledgers]
     )
-    assert decide(replace(weighed, draws=backward)) == ("unexplained", [])
+    assert balance_verdict(replace(weighed, draws=backward)) == ("unexplained", [])
 
 
 def test_few_strides_get_students_interval():
@@ -308,4 +308,4 @@ def test_the_measured_lamprey(data):
     assert found.imbalance.mean() == pytest.approx(1.19e-3, abs=0.1e-3)
     low, high = found.by_source["strides"]
     assert 0.0 < low < 1.19e-3 < high < 3e-3
-    assert decide(found)[1][0] in ("tangential_friction", "thinned_friction", "head_drag")
+    assert balance_verdict(found)[1][0] in ("tangential_friction", "thinned_friction", "head_drag")

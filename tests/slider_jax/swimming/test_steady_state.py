@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from calibration.free_swimming.published_speeds import OPTIMUM, swimmer
+from calibration.free_swimming.published_speeds import OPTIMUM, paper_swimmer
 from slider_jax.beam.parameters import Numerics
 from slider_jax.dynamics.step import at_rest
 from slider_jax.effects.body.rest_curvature import RestCurvature
@@ -31,7 +31,7 @@ GAITS = {
 
 
 def made(gait, area=2e-3):
-    return swimmer(gait, "head_drag", area)
+    return paper_swimmer(gait, "head_drag", area)
 
 
 search = jax.jit(lambda model, f: find_steady(model, f, SEARCH))
