@@ -15,7 +15,7 @@ from calibration.free_swimming.published_speeds import (
     After,
     Before,
 )
-from calibration.reporting.html import document, paragraph, picture, table
+from calibration.reporting.html import embedded_png, render_page
 from slider_jax.io.files import versions
 
 AS_WELL = 0.8
@@ -181,35 +181,18 @@ def speeds_table(x: CrossPrediction) -> str:
     return "\n".join(lines)
 
 
-def speeds_page(x: CrossPrediction, content: dict[str, Any]) -> str:
-    """report.html."""
-    row = content["errors"]["speed_at_optimum"]
-    return document(
-        "The paper's free-swimming speeds",
-        [
-            paragraph(content["said"], "verdict"),
-            paragraph(
-                f"Error at the optimum: {100 * row['before']:.0f} cm/s before, "
-                f"{100 * row['after']:.1f} after, {100 * row['floor']:.1f} as published."
-            ),
-            picture(before_figure(x.before), "speed from rest by the paper's equations"),
-            "<h2>Calibrated at 5 Hz, predicting the optimum</h2>",
-            picture(after_figure(x.forward), "predicted speeds at the optimum"),
-            table(HEAD, _rows(x.forward)),
-            "<h2>Calibrated at the optimum, predicting 5 Hz</h2>",
-            paragraph(f"Published: {100 * FIRST.speed:.1f} cm/s."),
-            table(HEAD, _rows(x.backward)),
-            "<h2>What the figures mean</h2>",
-            paragraph(
-                "A smooth plate of the robot's size has a C_t of 0.005 to 0.01, a blunt head of "
-                "30 by 30 mm a drag area of 0.9e-3 m^2. What is needed is several times either, so "
-                "tubes and fittings that the robot pulls, or less thrust than the model's, are "
-                "part of it. The head's point force, which the paper's local form leaves out, "
-                "moves the prediction by some cm/s."
-            ),
-            *(paragraph(line) for line in content["audit"]),
-            paragraph("Next: " + NEXT),
-        ],
+def speeds_page(x: CrossPrediction, record: dict[str, Any]) -> str:
+    """Returns report.html; `record` is the content of report.json."""
+    return render_page(
+        "free_swimming.html",
+        title="The paper's free-swimming speeds",
+        record=record,
+        before_png=embedded_png(before_figure(x.before)),
+        after_png=embedded_png(after_figure(x.forward)),
+        head=HEAD,
+        forward=_rows(x.forward),
+        first_speed=FIRST.speed,
+        backward=_rows(x.backward),
     )
 
 

@@ -28,7 +28,7 @@ from calibration.lamprey.balance import (
     within_stride,
 )
 from calibration.lamprey.figures import body_figure, imbalance_figure, strides_figure
-from calibration.reporting.html import document, paragraph, picture, table
+from calibration.reporting.html import embedded_png, render_page
 from slider_jax.io.files import versions
 
 NEXT = (
@@ -206,82 +206,28 @@ def balance_table(x: Weighed) -> str:
     return "\n".join(lines)
 
 
-def animal_page(x: Weighed, content: dict[str, Any]) -> str:
-    """report.html."""
-    g, s, w = x.gait, content["skin"], content["within_stride"]
-    over, rms = s["over_laminar"], content["errors"]["mean_axial_force_of_a_stride"]
-    head = content["head"]
-    return document(
-        "A swimming lamprey, weighed by the model",
-        [
-            paragraph(content["said"], "verdict"),
-            paragraph(
-                f"{x.strides.number} strides at {g.frequency:.2f} Hz, {g.speed:.3f} m/s, "
-                f"{1e3 * x.motion.length:.0f} mm long, {1e3 * x.held.body.mass:.1f} g by shape; "
-                f"tail amplitude {1e3 * g.tail_amplitude:.1f} mm, wave {1e3 * g.wavelength:.0f} mm "
-                f"at {g.wave_speed:.2f} m/s, Strouhal number {g.strouhal:.2f}, Reynolds number "
-                f"{g.reynolds:.0f}."
-            ),
-            picture(body_figure(x), "midlines of one stride, and depth along the body"),
-            "<h2>Forces of every stride</h2>",
-            picture(strides_figure(x), "mean axial forces of every stride"),
-            paragraph(
-                f"Before, strides are off balance by {1e3 * rms['before']:.2f} mN rms; with the "
-                f"coefficient of {rms['closed_by']} from the other strides {1e3 * rms['after']:.2f}"
-                f" mN, and reading the midlines again changes them by {1e3 * rms['floor']:.2f} mN. "
-                "What is left above that is how much strides differ, as the animal speeds up and "
-                "slows down."
-            ),
-            "<h2>What one animal leaves open</h2>",
-            picture(imbalance_figure(x), "imbalance and its intervals by source"),
-            "<h2>What would close it</h2>",
-            _candidates(content["candidates"]),
-            paragraph(
-                f"As friction on the skin this is C_f = {s['C_f']['value']:.4f} "
-                f"({s['C_f']['low']:.4f} to {s['C_f']['high']:.4f}) on the wetted area; a flat "
-                f"plate has {s['plate_laminar']:.4f} laminar and {s['plate_turbulent']:.4f} "
-                f"turbulent at this Reynolds number. That is {over['value']:.1f} "
-                f"({over['low']:.1f} to {over['high']:.1f}) times the laminar plate; Lighthill and "
-                "Bone expected 3 to 5 from thinning of the boundary layer by the stroke."
-            ),
-            paragraph(
-                f"As form drag of the head alone it is a coefficient of {head['value']:.2f} "
-                f"({head['low']:.2f} to {head['high']:.2f}) on the largest section; rounded noses "
-                "have 0.1 to 0.2."
-            ),
-            "<h2>Within the stride</h2>",
-            paragraph(
-                "The candidates differ in when they act, too. But they would move the "
-                f"centre of mass alike to {1e6 * w['motion_between_candidates_m']:.0f} micrometres "
-                "at twice the stride's frequency. Reading the midlines again moves it by "
-                f"{1e6 * w['spread_of_motion_over_readings_m']:.0f}, the smoothed body is "
-                f"{1e6 * w['misfit_of_midlines_m']:.0f} off the points, and the motion that is "
-                f"seen, {1e6 * w['measured_motion_m']:.0f}, is not the model's "
-                f"{1e6 * w['model_motion_m']:.0f} either way. These data cannot separate them by "
-                "phase."
-            ),
-            "<h2>Data and assumptions</h2>",
-            *(paragraph(line) for line in content["audit"]),
-            _assumptions(x),
-        ],
-    )
-
-
-def _candidates(rows: list[dict[str, Any]]) -> str:
-    return table(
-        ["effect alone", "parameter", "needs", "95 %", "unit", "believable in"],
-        [
+def animal_page(x: Weighed, record: dict[str, Any]) -> str:
+    """Returns report.html; `record` is the content of report.json."""
+    return render_page(
+        "lamprey.html",
+        title="Axial force balance of a swimming lamprey",
+        record=record,
+        body_png=embedded_png(body_figure(x)),
+        strides_png=embedded_png(strides_figure(x)),
+        imbalance_png=embedded_png(imbalance_figure(x)),
+        candidates=[
             [
                 row["name"], row["parameter"], f"{row['needs']['value']:.3g}",
                 f"{row['needs']['low']:.2g} to {row['needs']['high']:.2g}", row["needs"]["unit"],
-                f"{row['possible']:.0%} of draws",
+                f"{row['possible']:.0%} of samples",
             ]
-            for row in rows
+            for row in record["candidates"]
         ],
+        assumptions=_assumptions(x),
     )  # fmt: skip
 
 
-def _assumptions(x: Weighed) -> str:
+def _assumptions(x: Weighed) -> list[list[str]]:
     along, in_time, (fine, coarse) = x.smoothing.wavelength, x.smoothing.cutoff, COARSER
     ranges: list[tuple[str, float, tuple[float, float]]] = [
         ("depth over width", x.shape.aspect, ASPECT_RANGE),
@@ -295,4 +241,4 @@ def _assumptions(x: Weighed) -> str:
         [name, f"{value:.3g}", f"{low:.3g} to {high:.3g}"] for name, value, (low, high) in ranges
     ]
     rows.append(["width", f"{FULL_OVER_GIVEN:g} x {WIDTH_COLUMN}", "taken for a half width"])
-    return table(["assumed", "value", "range of the draws"], rows)
+    return rows
