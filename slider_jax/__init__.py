@@ -1,8 +1,8 @@
 """Differentiable simulator of SLIDER, a soft pneumatic lamprey-like robot.
 
-Public names are loaded when first used, so that `import slider_jax` costs nothing and changes no
-global setting of JAX. All others are imported from their
-modules, as in `from slider_jax.dynamics.rollout import rollout`.
+Public names are loaded on first use, so `import slider_jax` is fast and changes no global setting
+of JAX. Import all other names from their modules, for example
+`from slider_jax.dynamics.rollout import rollout`.
 """
 
 from importlib import import_module

@@ -1,7 +1,7 @@
-"""What the paper states, and what it leaves to be assumed.
+"""Values that the paper publishes, and assumed values for the quantities that it omits.
 
-Source of every figure: Van Stratum et al., Model-based Optimization of Anguilliform Swimming
-Gaits for Soft Robotic Applications. Where a value is ours, its line says "assumed".
+Source of every published value: Van Stratum et al., Model-based Optimization of Anguilliform
+Swimming Gaits for Soft Robotic Applications. Comments mark our own values as "assumed".
 """
 
 import equinox as eqx
@@ -15,47 +15,47 @@ from slider_jax.effects import NormalDrag, ReactiveForce
 from slider_jax.supports import Clamped
 
 RAMP_START, RAMP_END = 2.0, 3.0
-"""Frequencies [Hz] between which the force coefficients change over."""
+"""Frequencies [Hz] between which the force coefficients change linearly."""
 DRAG_DOMINATED = (4.0, 0.0)
-"""(C_d, m_a) below the ramp."""
+"""(C_d, m_a) below `RAMP_START`."""
 REACTIVE = (3.0, 1.0)
-"""(C_d, m_a) above the ramp."""
+"""(C_d, m_a) above `RAMP_END`."""
 
 PRESSURE_LAG = 0.087
-"""k [s]."""
+"""Time constant k [s] of the pressure."""
 TRANSIENT_STRIDES = 3
-"""Strides are steady "after three tailbeats"."""
+"""Strides before the steady ones: the paper's motion is steady "after three tailbeats"."""
 SWEEP = tuple(round(0.4 + 0.2 * i, 1) for i in range(34))
 """Frequencies [Hz] of the head-fixed sweep: 0.4 to 7.0 in steps of 0.2."""
 
 MINIMUM_NEAR = 1.0
-"""Frequency [Hz] near which the mean thrust is least, and negative."""
+"""Frequency [Hz] near which the mean thrust has its negative minimum."""
 THRUST_AT, THRUST_THERE = 4.8, 0.060
 """Mean thrust "about 60 mN" [N] near 4.8 Hz."""
 RECOIL_AT, RECOIL_THERE = 1.0, 1.0
-"""Recoil [N] goes beyond 1000 mN at 1 Hz."""
+"""The recoil [N] exceeds 1000 mN at 1 Hz."""
 
 
 def force_coefficients(frequency: Scalar) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """(C_d, m_a) at a stride `frequency` [Hz]: constant below 2 and above 3 Hz, linear between."""
-    along = jnp.clip((frequency - RAMP_START) / (RAMP_END - RAMP_START), 0.0, 1.0)
+    share = jnp.clip((frequency - RAMP_START) / (RAMP_END - RAMP_START), 0.0, 1.0)
     C_d, m_a = (
-        low + along * (high - low) for low, high in zip(DRAG_DOMINATED, REACTIVE, strict=True)
+        low + share * (high - low) for low, high in zip(DRAG_DOMINATED, REACTIVE, strict=True)
     )
     return C_d, m_a
 
 
 class Assumed(eqx.Module):
-    """What the paper does not give; all of it assumed. The chambers' spans are `Robot`'s.
+    """Assumed values of quantities that the paper omits. `Robot` has the assumed chamber spans.
 
     | field | unit | meaning |
     |---|---|---|
-    | `amplitude` | Pa | of the front chamber's square wave of set pressure |
-    | `rear_ratio` | - | rear amplitude over front |
-    | `phase` | - | delay of the rear chamber, fraction of a stride |
+    | `amplitude` | Pa | amplitude of the front chamber's square wave of set pressure |
+    | `rear_ratio` | - | ratio of the rear to the front amplitude |
+    | `phase` | - | delay of the rear chamber, as a fraction of a stride |
 
-    Amplitude and phase are chosen to meet the paper's thrust at 4.8 Hz and its minimum near 1 Hz.
-    The minimum moves with the phase: 1.0 Hz at 0 to 0.05, 1.4 Hz at 0.15, gone at 0.3.
+    Amplitude and phase are chosen to match the paper's thrust at 4.8 Hz and its minimum near 1 Hz.
+    The minimum depends on the phase: 1.0 Hz at 0 to 0.05, 1.4 Hz at 0.15; absent at 0.3.
     """
 
     amplitude: Scalar = 260e3
@@ -66,7 +66,7 @@ class Assumed(eqx.Module):
 def head_fixed(
     frequency: Scalar, robot: Robot | None = None, assumed: Assumed | None = None
 ) -> Model:
-    """The paper's head-fixed experiment in still water at one stride `frequency` [Hz]."""
+    """A model of the paper's head-fixed experiment in still water at a stride `frequency` [Hz]."""
     robot = Robot() if robot is None else robot
     assumed = Assumed() if assumed is None else assumed
     C_d, m_a = force_coefficients(frequency)

@@ -1,11 +1,10 @@
-"""Floating-point precision, set by programs and never by the library."""
+"""Floating-point precision. Programs set it; importing the library does not change it."""
 
 
 def enable_float64() -> None:
-    """Make JAX compute in float64 from now on. Call it before any array is made.
+    """Switch JAX to float64. Call this function before you create any array.
 
-    The beam is stiff: in float32 a step cannot reach its tolerance. The command line and the tests
-    call this; importing `slider_jax` does not.
+    The beam is stiff, so a time step in float32 cannot reach its tolerance.
     """
     import jax
 

@@ -1,4 +1,4 @@
-"""How a chamber's pressure follows its set-point."""
+"""Laws by which the pressure of a chamber follows its set pressure."""
 
 from abc import abstractmethod
 
@@ -12,15 +12,15 @@ from slider_jax.beam.parameters import Scalar
 
 
 class PressureLaw(eqx.Module):
-    """Dynamics of one chamber's pressure."""
+    """Dynamics of the pressure in one chamber."""
 
     @abstractmethod
     def advance(self, p: Array, set_point: Segment) -> Array:
-        """Pressure [Pa] at the end of a segment from that at its start."""
+        """Pressure [Pa] at the end of a segment, given the pressure `p` [Pa] at its start."""
 
 
 def _ramp_response(p, a0, a1, span, k):
-    """dp/dt = (a - p)/k over `span` [s], a linear from a0 to a1: exact, also for span = 0."""
+    """p after `span` >= 0 [s] of dp/dt = (a - p)/k, exact for a linear from a0 to a1."""
     lagging = k > 0.0
     x = span / jnp.where(lagging, k, 1.0)
     small = x < 1e-6
@@ -32,10 +32,10 @@ def _ramp_response(p, a0, a1, span, k):
 
 
 class FirstOrderLag(PressureLaw):
-    """dp/dt = (p_set - p)/k, stepped exactly (the paper's pneumatic lag).
+    """The paper's pneumatic lag dp/dt = (p_set - p)/k, integrated exactly.
 
-    Range of k: 10 to 300 ms; the paper's rig has 87 ms. Vanishes at k = 0, where p = p_set and no
-    derivative to k is defined.
+    Range of k: 10 to 300 ms; the paper's rig has 87 ms. At k = 0, p = p_set and the derivative with
+    respect to k is undefined.
     """
 
     k: Scalar
@@ -48,7 +48,7 @@ class FirstOrderLag(PressureLaw):
 
 
 class Ideal(PressureLaw):
-    """p = p_set: for a drive that is itself a measured pressure."""
+    """No lag, p = p_set, for a drive that is a measured pressure."""
 
     def advance(self, p, set_point):
         return jnp.broadcast_to(set_point.b1, jnp.shape(p))
@@ -57,7 +57,7 @@ class Ideal(PressureLaw):
 def pressure_history(
     law: PressureLaw, waveform: Waveform, start: Scalar, times: Float[Array, " n"]
 ) -> Float[Array, " n"]:
-    """Pressure [Pa] at each of the increasing `times` [s], from `start` [Pa] at the first."""
+    """Pressure [Pa] at the increasing `times` [s]; it is `start` [Pa] at the first time."""
     segments = jax.vmap(waveform.segment)(times[:-1], times[1:])
     first = jnp.asarray(start, times.dtype)
 

@@ -1,4 +1,4 @@
-"""Set pressures in time. Each is piecewise linear, with at most one break within a time step."""
+"""Waveforms of the set pressure: piecewise linear, with at most one break in a time step."""
 
 import math
 from abc import abstractmethod
@@ -11,7 +11,10 @@ from slider_jax.beam.parameters import Scalar
 
 
 class Segment(eqx.Module):
-    """Set pressure [Pa] over [t0, t1]: `a0` to `a1` until `t_break`, then `b0` to `b1`, linear."""
+    """Set pressure [Pa] in a step from `t0` to `t1` [s].
+
+    It changes linearly from `a0` to `a1` until `t_break`, then linearly from `b0` to `b1`.
+    """
 
     t0: Array
     t_break: Array
@@ -27,7 +30,7 @@ class Waveform(eqx.Module):
 
     @abstractmethod
     def segment(self, t0: Array, t1: Array) -> Segment:
-        """What the set pressure does over [t0, t1], exact where the class says so."""
+        """The set pressure from `t0` to `t1` [s]. Each class states when it is exact."""
 
 
 def _continuous(value, t0, t_break, t1) -> Segment:
@@ -37,12 +40,12 @@ def _continuous(value, t0, t_break, t1) -> Segment:
 
 
 class SquareWave(Waveform):
-    """+-amplitude [Pa], positive in the first half of a period 1/frequency [Hz], after `phase`.
+    """A square wave of +-`amplitude` [Pa], positive in the first half of each period.
 
-    `phase` is the delay as a fraction of a period. Exact for steps up to half a period, and
-    differentiable to frequency and phase: the edge is a time, not an index, and an edge that falls
-    on the end of a step moves through it. The pressure at the instant of an edge has a corner; its
-    derivative there is that from before.
+    The period is 1/`frequency` [s], and `phase` is the delay as a fraction of a period. The segment
+    is exact for steps of up to half a period. It is differentiable with respect to frequency and
+    phase, because an edge is a time rather than an index and may cross the end of a step. At an
+    edge, where the pressure has a corner, the derivative is the left-sided one.
     """
 
     frequency: Scalar
@@ -51,7 +54,7 @@ class SquareWave(Waveform):
 
     def segment(self, t0, t1):
         def half_turns(t):
-            # Rounding must not move an edge that falls on a step into the step before.
+            # The tolerance keeps an edge at the end of a step in the next step despite rounding.
             return jnp.floor(2.0 * (self.frequency * t - self.phase) - 1e-9)
 
         whole = half_turns(t0)
@@ -64,7 +67,7 @@ class SquareWave(Waveform):
 
 
 class SineWave(Waveform):
-    """amplitude sin(2 pi (f t - phase)) [Pa]; linear within a step, second order in it."""
+    """amplitude sin(2 pi (f t - phase)) [Pa], piecewise linear, with second order in the step."""
 
     frequency: Scalar
     amplitude: Scalar
@@ -78,9 +81,10 @@ class SineWave(Waveform):
 
 
 class Trapezoid(Waveform):
-    """A square wave whose edges are ramps over `rise` (fraction of a period), centred on the edges.
+    """A square wave whose edges are replaced by centred ramps of length `rise`.
 
-    Exact for steps shorter than the ramp and the plateau.
+    `rise` is a fraction of a period. The segment is exact for steps shorter than both the ramp and
+    the plateau.
     """
 
     frequency: Scalar
@@ -106,9 +110,9 @@ class Trapezoid(Waveform):
 
 
 class Recorded(Waveform):
-    """Samples [Pa] at increasing times [s], linear between them, constant outside.
+    """Linear interpolation of samples [Pa] at increasing times [s], constant outside them.
 
-    Exact for steps no longer than the spacing of the samples.
+    The segment is exact for steps that are not longer than the sample spacing.
     """
 
     times: Float[Array, " samples"]
@@ -121,11 +125,10 @@ class Recorded(Waveform):
 
 
 class Held(Waveform):
-    """Set pressures [Pa] from the times [s] on at which they were given, each until the next.
+    """Set pressures [Pa] that each hold from their own time [s] until the next time.
 
-    Exact for steps no longer than the time between changes. Where two neighbours are equal there
-    is no break, as in a wave that does not change; derivatives to single values are therefore not
-    to be had.
+    The segment is exact for steps that are not longer than the time between changes. Two equal
+    neighbours make no break, so derivatives with respect to single values are unavailable.
     """
 
     times: Float[Array, " samples"]
@@ -133,11 +136,10 @@ class Held(Waveform):
 
     def segment(self, t0, t1):
         last = self.times.shape[0] - 1
-        here = jnp.searchsorted(self.times, t0, side="right") - 1
-        here = jnp.clip(here, 0, last)
-        coming = jnp.minimum(here + 1, last)
-        before, after = self.values[here], self.values[coming]
-        breaks = (before != after) & (self.times[coming] < t1)
-        t_break = jnp.where(breaks, self.times[coming], t1)
+        now = jnp.clip(jnp.searchsorted(self.times, t0, side="right") - 1, 0, last)
+        following = jnp.minimum(now + 1, last)
+        before, after = self.values[now], self.values[following]
+        breaks = (before != after) & (self.times[following] < t1)
+        t_break = jnp.where(breaks, self.times[following], t1)
         after = jnp.where(breaks, after, before)
         return Segment(t0, t_break, t1, before, before, after, after)

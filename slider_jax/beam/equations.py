@@ -1,4 +1,4 @@
-"""The planar beam in one cell: geometry, constitutive laws, balance of momentum and moment.
+"""The equations of a planar beam in one cell: geometry, constitutive laws and balances.
 
 With kappa = d(phi)/ds, omega = d(phi)/dt and the strain eps, in the paper's notation,
 
@@ -9,10 +9,10 @@ With kappa = d(phi)/ds, omega = d(phi)/dt and the strain eps, in the paper's not
     m (dV_n/dt + omega V_tau) = dN/ds + kappa T + (1 + eps) F_n                   (along n)
     0                   = dM/ds + (1 + eps) N                                     (moment)
 
-M_extra being what the model's effects add, and T = EA (eps + alpha d(eps)/dt), which is solved for
-eps in each cell, so eps is no unknown.
+M_extra is the sum of the moments that the model's effects add. The axial law
+T = EA (eps + alpha d(eps)/dt) is solved for eps in each cell, so eps is not an unknown.
 
-A time derivative is always (value - reference)/dt: every stage of a scheme has this form.
+Every stage of a time scheme writes a time derivative as (value - reference)/dt.
 """
 
 import equinox as eqx
@@ -30,17 +30,17 @@ class Structure(eqx.Module):
     damping_time: Array
     height: Array
     height_s: Array
-    """dH/ds, where the height varies along the body."""
+    """dH/ds [-], the slope of the height along the body."""
     s: Array
     ds: Array
     in_tail: Array
     """1 in the cells of the tail, 0 in those of the body."""
     joint: Array
-    """A unit at the joint, spread over the cells beside it [1/m]."""
+    """Unit delta at the joint [1/m], spread over the two adjacent cells."""
 
 
 class Reference(eqx.Module):
-    """What (value - reference)/dt subtracts, at mid-cells, and the dt [s] that divides."""
+    """The reference values at mid-cells and the dt [s] in (value - reference)/dt."""
 
     V_tau: Array
     V_n: Array
@@ -52,10 +52,10 @@ class Reference(eqx.Module):
 
 
 class Section(eqx.Module):
-    """A short piece of body as an effect sees it; every entry has the shape of a cell array.
+    """The local state of the body that an effect reads; every entry has shape (cells,).
 
-    Velocities [m/s] in the body frame, `u` relative to the water; `_s` is d/ds, `_t` is d/dt.
-    `in_tail` and `joint` as in `Structure`.
+    Velocities [m/s] are in the body frame: V relative to the tank, u relative to the water. The
+    suffix `_s` is d/ds and `_t` is d/dt. `in_tail` and `joint` are those of `Structure`.
     """
 
     t: Array
@@ -69,7 +69,7 @@ class Section(eqx.Module):
     EI: Array
     phi: Array
     pressure: Array
-    """Of the chamber at the cell, what bends the body [Pa]."""
+    """Pressure [Pa] of the chamber at the cell, as it bends the body."""
     kappa: Array
     kappa_t: Array
     omega: Array
@@ -88,7 +88,7 @@ class Section(eqx.Module):
 
 
 def strain(T, structure: Structure, reference: Reference):
-    """eps from T = EA (eps + alpha (eps - eps_ref)/dt)."""
+    """The strain eps [-] that solves T = EA (eps + alpha (eps - eps_ref)/dt)."""
     lag = structure.damping_time / reference.dt
     return (T / structure.EA + lag * reference.strain) / (1.0 + lag)
 
@@ -96,8 +96,12 @@ def strain(T, structure: Structure, reference: Reference):
 def section(
     mid: Fields, slope: Fields, structure: Structure, reference: Reference, water, pressure, t
 ) -> Section:
-    """The kinematics of a cell; `water`: velocity [m/s] and acceleration [m/s^2] of the water,
-    each (x, y), uniform over the body; `pressure` [Pa] of the chambers in the cells."""
+    """The kinematics in the cells at time `t` [s].
+
+    `mid` and `slope` are the means and slopes d/ds of the unknowns. `water` holds the velocity
+    [m/s] and acceleration [m/s^2] of the water, each (x, y) and uniform over the body. `pressure`
+    [Pa] is that of the chambers in the cells.
+    """
     dt = reference.dt
     omega = (mid.phi - reference.phi) / dt
     V_tau_t = (mid.V_tau - reference.V_tau) / dt
@@ -143,9 +147,9 @@ def equations(
     force: tuple[Array, Array],
     moment: Array,
 ) -> tuple[Float[Array, " cells"], ...]:
-    """The six rows of a cell, in the order of the module's docstring; zero when satisfied.
+    """Residuals of the six equations of each cell, in the order of the module's docstring.
 
-    `force`: (F_tau, F_n); `moment`: M_extra - M_act.
+    `force` is (F_tau, F_n) [N/m]; `moment` is M_extra - M_act [N m].
     """
     F_tau, F_n = force
     m, stretch = structure.linear_density, 1.0 + x.strain

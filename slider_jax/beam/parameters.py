@@ -1,4 +1,7 @@
-"""The robot and the numerical settings, in SI units; every physical number is a pytree leaf."""
+"""The robot's parameters and the numerical settings, in SI units.
+
+Every physical number is a leaf of the pytree, so it can be batched and differentiated.
+"""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -8,23 +11,23 @@ from slider_jax.beam.grid import Grid, make_grid
 
 Scalar = Float[Array, ""] | float
 G = 9.81
-"""[m/s^2]"""
+"""Acceleration of gravity [m/s^2]."""
 
 
 class Robot(eqx.Module):
-    """Geometry and structure of the robot. Distances of chambers are measured from the head.
+    """Geometry and structure of the robot. Chamber positions are distances from the head.
 
     | field | unit | meaning |
     |---|---|---|
-    | `body_length` | m | actuated body, from the head to the tail's joint |
-    | `tail_length` | m | passive tail behind it |
+    | `body_length` | m | length of the actuated body, from the head to the joint of the tail |
+    | `tail_length` | m | length of the passive tail |
     | `linear_density` | kg/m | m, mass per length |
     | `EI_body`, `EI_tail` | N m^2 | bending stiffness |
     | `EA_body`, `EA_tail` | N | axial stiffness |
     | `damping_time` | s | alpha, Kelvin-Voigt: E = E_el (1 + alpha d/dt) |
-    | `height` | m | H, out-of-plane height that the water sees |
-    | `front_chamber`, `rear_chamber` | m | span (near, far) from the head |
-    | `K_Q` | m^3 | moment of a chamber per unit pressure |
+    | `height` | m | H, out-of-plane height that determines the forces of the water |
+    | `front_chamber`, `rear_chamber` | m | distances (near, far) of its two ends from the head |
+    | `K_Q` | m^3 | bending moment of a chamber per unit pressure |
     """
 
     body_length: Scalar = 0.298
@@ -42,15 +45,16 @@ class Robot(eqx.Module):
 
     @property
     def length(self) -> Scalar:
-        """L [m], body and tail."""
+        """Total length L [m] of body and tail."""
         return self.body_length + self.tail_length
 
 
 class Numerics(eqx.Module):
-    """Size of the mesh and the tolerance of a step; all static.
+    """Size of the mesh and tolerance of a step; all fields are static.
 
-    `tail_cells` + `body_cells` + 1 = N_p nodes. `tolerance` bounds the estimated error of each root
-    find relative to the robot's own scales; `max_newton` the factorisations spent on it.
+    The mesh has N_p = `tail_cells` + `body_cells` + 1 nodes. `tolerance` bounds the estimated error
+    of each root relative to the robot's scales. `max_newton` bounds the number of factorisations
+    per root.
     """
 
     tail_cells: int = eqx.field(static=True, default=10)
@@ -60,17 +64,17 @@ class Numerics(eqx.Module):
 
     @property
     def nodes(self) -> int:
-        """N_p."""
+        """Number of nodes N_p."""
         return self.tail_cells + self.body_cells + 1
 
 
 def grid_of(robot: Robot, numerics: Numerics) -> Grid:
-    """The robot's mesh."""
+    """The grid of `robot`."""
     return make_grid(robot.tail_length, robot.body_length, numerics.tail_cells, numerics.body_cells)
 
 
 def scales_of(robot: Robot) -> Float[Array, "6 1"]:
-    """Characteristic size of each nodal unknown, used only to judge convergence.
+    """Characteristic size of each nodal unknown, for the convergence test.
 
     Force EI/L^2, moment EI/L, speed L/T with T = L^2 sqrt(m/EI), angle 1 rad.
     """

@@ -1,7 +1,8 @@
-"""The unknowns of the box method at the nodes, their names, and what time differentiates.
+"""The unknowns of the box method at the nodes, the state between steps, and the body frame.
 
-The array of unknowns has shape (6, N): component first, node last, so that all work is elementwise
-along the contiguous node axis.
+The array of unknowns has shape (6, N): component first, node last. Operations are therefore
+elementwise along the contiguous node axis. In the body frame, tau points towards the head and n is
+tau rotated by +90 degrees.
 """
 
 from typing import NamedTuple
@@ -16,33 +17,33 @@ Unknowns = Float[Array, "6 nodes"]
 
 
 class Fields(NamedTuple):
-    """Names of the six rows: at nodes, in mid-cells, or their slopes d/ds, as the holder says."""
+    """The six unknowns by name; the values may be at nodes or mid-cells, or be slopes d/ds."""
 
     T: Array
     """Axial force [N], positive in tension."""
     N: Array
     """Shear force [N] along n."""
     M: Array
-    """Net internal moment [N m]: elastic, viscous and active together."""
+    """Net internal moment [N m]: the sum of elastic, viscous and active moments."""
     V_tau: Array
-    """Velocity along the body, positive towards the head [m/s]."""
+    """Velocity along tau [m/s], positive towards the head."""
     V_n: Array
     """Velocity along n [m/s]."""
     phi: Array
-    """Angle of tau from the x axis [rad]."""
+    """Angle [rad] from the x axis to tau."""
 
 
 def fields(y: Unknowns) -> Fields:
-    """The six rows of `y` by name."""
+    """The six unknowns in `y` by name."""
     return Fields(*y)
 
 
 class Memory(eqx.Module):
-    """What the time derivatives act on: carried from step to step.
+    """The quantities with a time derivative, which a step passes to the next step.
 
-    `motion` (3, N): V_tau, V_n, phi at the nodes. `strain` (N - 1,): eps in the cells. `head` (2,):
-    its position [m]. `load` (3,): T, N, M at the head, lagging as a mounting does. `internal`:
-    memories (N - 1,) of the effects that are bending moments, in their order.
+    `motion` (3, N): V_tau [m/s], V_n [m/s] and phi [rad] at the nodes. `strain` (N - 1,): eps [-]
+    in the cells. `head` (2,): position [m] of the head. `load` (3,): T, N, M at the head with the
+    lag of the mounting. `internal`: a state (N - 1,) for each `BendingMoment` effect, in order.
     """
 
     motion: Float[Array, "3 nodes"]
@@ -55,9 +56,10 @@ class Memory(eqx.Module):
 def straight_state(
     s: Float[Array, " nodes"], V_tau=0.0, V_n=0.0, phi=0.0, omega=0.0
 ) -> tuple[Unknowns, Memory]:
-    """Unloaded and straight at the angle `phi` [rad], the head at the origin, moving rigidly.
+    """The state of an unloaded straight body in rigid motion, with its head at the origin.
 
-    `s` [m]: the nodes; (V_tau, V_n) [m/s]: velocity of the head; `omega` [rad/s]: turning rate.
+    `s` [m]: positions of the nodes along the body. (V_tau, V_n) [m/s]: velocity of the head.
+    `phi` [rad] and `omega` [rad/s]: angle and turning rate of the body.
     """
     zero = jnp.zeros_like(s)
     y = jnp.stack([zero, zero, zero, zero + V_tau, V_n + omega * (s - s[-1]), zero + phi])
@@ -65,14 +67,14 @@ def straight_state(
 
 
 def to_body(vector, phi):
-    """Components (tau, n) of a plane vector (x, y) in a frame turned by `phi` [rad]."""
+    """Components (tau, n) of a vector (x, y) in a frame rotated by `phi` [rad]."""
     x, y = vector
     c, s = jnp.cos(phi), jnp.sin(phi)
     return c * x + s * y, -s * x + c * y
 
 
 def to_plane(tau, n, phi):
-    """Components (x, y) of a vector given by (tau, n) in a frame turned by `phi` [rad]."""
+    """Components (x, y) of a vector with components (tau, n) in a frame rotated by `phi` [rad]."""
     c, s = jnp.cos(phi), jnp.sin(phi)
     return c * tau - s * n, s * tau + c * n
 
@@ -80,7 +82,7 @@ def to_plane(tau, n, phi):
 def node_positions(
     phi: Float[Array, " nodes"], strain: Float[Array, " cells"], head: Float[Array, "2"], grid: Grid
 ) -> Float[Array, "2 nodes"]:
-    """Node positions [m] from the angles, going back from the head: dr/ds = (1 + eps) tau."""
+    """Node positions [m], integrated backwards from the head: dr/ds = (1 + eps) tau."""
     angle = grid.mid(phi)
     step = (1.0 + strain) * grid.ds * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
     behind = jnp.cumsum(step[:, ::-1], axis=1)[:, ::-1]

@@ -1,4 +1,4 @@
-"""How the head is held. The tail's end is always free: T = N = M = 0 there."""
+"""The interface of a support of the head. The tail end is always free: T = N = M = 0."""
 
 from abc import abstractmethod
 from typing import NamedTuple
@@ -10,46 +10,46 @@ from slider_jax.beam.state import Fields
 
 
 class Start(NamedTuple):
-    """Rigid motion of a body at rest in its support."""
+    """Rigid motion of a body that is at rest relative to its support."""
 
     velocity: tuple[Array, Array]
-    """Of the head, (x, y) [m/s]."""
+    """Velocity (x, y) [m/s] of the head."""
     angle: Array
-    """[rad]"""
+    """Angle [rad] of the body."""
     rate: Array
-    """[rad/s]"""
+    """Turning rate [rad/s] of the body."""
 
 
 class Support(eqx.Module):
-    """Three rows at the head, and the point that they anchor: the head itself, or a pin beside it.
+    """Three boundary conditions at the head and an anchored point, the head itself or a pin.
 
-    A support may change from step to step but not within one: the solver asks `during` for the one
-    that holds for a step.
+    A support may change between steps but not within a step. `during` returns the support for a
+    step.
     """
 
     @abstractmethod
     def during(self, t0: Array, t1: Array) -> "Support":
-        """The support that holds over the step from `t0` to `t1` [s]."""
+        """The support for the step from `t0` to `t1` [s]."""
 
     @abstractmethod
     def rows(self, head: Fields, omega: Array, t: Array) -> tuple[Array, Array, Array]:
-        """Three residuals that vanish when the support is satisfied.
+        """The residuals of the three boundary conditions at `t` [s].
 
-        `head` holds the six unknowns at the head (scalars), `omega` [rad/s] its turning rate.
+        `head` holds the six unknowns at the head (scalars); `omega` [rad/s] is its turning rate.
         """
 
     @abstractmethod
     def start(self, t: Array) -> Start:
-        """How a straight body moves that is at rest relative to the support at `t` [s]."""
+        """The motion of a straight body that is at rest relative to the support at `t` [s]."""
 
     @abstractmethod
     def sensor_angle(self, phi: Array, t: Array) -> Array:
-        """Angle [rad] of the axes of a force sensor in the support, for the head's angle `phi`."""
+        """Angle [rad] of the force sensor's axes, given the head's angle `phi` [rad]."""
 
     @abstractmethod
     def anchor_offset(self, phi: Array, t: Array) -> Float[Array, "2"]:
-        """From the head to the anchored point [m], for the head's angle `phi` [rad]."""
+        """Vector [m] from the head to the anchored point, given the head's angle `phi` [rad]."""
 
     @abstractmethod
     def anchor_velocity(self, head: Fields, omega: Array, t: Array) -> Float[Array, "2"]:
-        """Velocity in the plane [m/s] of the anchored point."""
+        """Velocity (x, y) [m/s] of the anchored point."""

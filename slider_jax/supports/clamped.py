@@ -1,4 +1,4 @@
-"""Head clamped to a carriage that may tow, heave and pitch it."""
+"""Support of a head that is clamped to a carriage; the carriage may tow, heave and pitch."""
 
 import math
 
@@ -11,15 +11,15 @@ from slider_jax.supports.base import Start, Support
 
 
 class Clamped(Support):
-    """V_tau, V_n and the turning rate of the head are given.
+    """A clamp that prescribes V_tau, V_n and the turning rate of the head.
 
-    The carriage moves along x at `tow_speed` [m/s] and may heave along y and pitch,
+    The carriage moves along x at `tow_speed` [m/s] and may heave along y and pitch:
 
         y_h = heave sin(2 pi f t),    phi_h = pitch sin(2 pi f t + pitch_phase)
 
-    with `heave` [m], `pitch` [rad], f = `frequency` [Hz], `pitch_phase` [rad]. The rate of phi_h is
-    imposed rather than phi_h: a stage that is given an angle gets its rate, and with it the forces
-    at the clamp, only to first order. The angle then follows to the order of the time scheme.
+    with `heave` [m], `pitch` [rad], f = `frequency` [Hz], `pitch_phase` [rad]. The clamp prescribes
+    the rate of phi_h instead of phi_h itself. A prescribed angle would make its rate, and thus the
+    clamp forces, only first-order accurate. The angle then has the order of the time scheme.
     """
 
     tow_speed: Scalar = eqx.field(default=0.0)
@@ -29,7 +29,7 @@ class Clamped(Support):
     pitch_phase: Scalar = eqx.field(default=0.0)
 
     def carriage(self, t):
-        """Velocity (x, y) [m/s], angle [rad] and its rate [rad/s] of the carriage at `t` [s]."""
+        """The carriage's velocity (x, y) [m/s], angle [rad] and turning rate [rad/s] at `t` [s]."""
         turn = 2.0 * math.pi * self.frequency
         velocity = (jnp.asarray(self.tow_speed), self.heave * turn * jnp.cos(turn * t))
         phase = turn * t + self.pitch_phase

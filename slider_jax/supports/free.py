@@ -1,4 +1,4 @@
-"""Free head, for swimming."""
+"""Support of a swimming robot: the head is free."""
 
 import jax.numpy as jnp
 
@@ -7,7 +7,7 @@ from slider_jax.supports.base import Start, Support
 
 
 class Free(Support):
-    """No force and no moment at the head: T = N = M = 0. The anchored point is the head itself."""
+    """A free head without force and moment: T = N = M = 0. The anchored point is the head."""
 
     def rows(self, head, omega, t):
         return head.T, head.N, head.M

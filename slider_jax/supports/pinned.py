@@ -1,4 +1,4 @@
-"""Head pinned through a rigid cross-link, for climbing."""
+"""Support of a climbing robot: a pin holds the head through a rigid cross-link."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,17 +9,17 @@ from slider_jax.supports.base import Start, Support
 
 
 class PinnedLink(Support):
-    """A massless rigid link of `link_length` l_p [m] across the head; one of its ends is pinned.
+    """A massless rigid link of `link_length` l_p [m] across the head, pinned at one of its ends.
 
-    The pin is at sigma l_p/2 n from the head, sigma = +1 or -1. It does not move, and carries no
-    moment:
+    The pin is at sigma l_p/2 n from the head, with sigma = +1 or -1. The pin does not move and
+    carries no moment:
 
         V_tau - sigma (l_p/2) omega = 0,    V_n = 0,    M + sigma (l_p/2) T = 0
 
     (V + omega x r = 0 with r = sigma (l_p/2) n; the paper writes Omega x r, see docs/decisions.md.)
-    sigma is +1 in the first half of every period 1/`frequency` [Hz], -1 in the second, from `phase`
-    (fraction of a period) on; with `frequency` = 0 it is +1 throughout. It holds for whole steps: a
-    switch takes effect at the step's end nearest to it.
+    sigma is +1 in the first half of every period 1/`frequency` [s] and -1 in the second half.
+    `phase` delays the periods by a fraction of a period. With `frequency` = 0, sigma is always +1.
+    sigma is constant in a step: a switch takes effect at the nearest end of a step.
     """
 
     link_length: Scalar = eqx.field(default=0.03)
@@ -27,12 +27,12 @@ class PinnedLink(Support):
     phase: Scalar = eqx.field(default=0.0)
 
     def side(self, t):
-        """sigma at `t` [s]."""
+        """The sign sigma at `t` [s]."""
         turn = self.frequency * t - self.phase
         return jnp.where((self.frequency > 0) & (turn - jnp.floor(turn) >= 0.5), -1.0, 1.0)
 
     def arm(self, t):
-        """sigma l_p/2 [m], the pin's distance from the head along n."""
+        """The position sigma l_p/2 [m] of the pin along n, relative to the head."""
         return 0.5 * self.link_length * self.side(t)
 
     def during(self, t0, t1):
