@@ -1,22 +1,21 @@
-"""The linear algebra of one iteration of a stage: a beam's Jacobian and its structured solve.
+"""The Jacobian of a stage as a linear operator, and its structured direct solver.
 
-Unknowns per node are the forces f = (T, N, M) and the motion v = (V_tau, V_n, phi). A cell ties its
-left node j to its right node j + 1 by six equations; three more rows hold at the tail and three at
-the head. Rather than eliminate 6 x 6 blocks, every cell is first solved, all cells at once, for its
-*scattering* form
+The unknowns per node are the forces f = (T, N, M) and the motion v = (V_tau, V_n, phi). Six
+equations connect the left node j of a cell to its right node j + 1. Three more hold at the tail and
+three at the head. The solver first transforms all cells at once to their *scattering* form
 
     v_left  = S11 f_left + S12 v_right + s1
     f_right = S21 f_left + S22 v_right + s2
 
-which is the response of a short cantilever: forces given at the tail side, motion at the head side,
-a problem that is always well posed. Two neighbours join into a longer cantilever by Redheffer's
-star product, so the whole body is solved by pairwise joining in log2(cells) levels, and unlike
-transfer matrices it does not lose digits on long or soft bodies. The pivots never mix forces with
-motion, so every support works without pivoting.
+This is the response of a short cantilever with given forces at its tail side and given motion at
+its head side, which is always well posed. Redheffer's star product joins two neighbours into a
+longer cantilever, so pairwise joining solves the whole body in log2(cells) levels. Unlike transfer
+matrices, the method loses no digits on long or soft bodies. The pivots never mix forces and motion,
+so no support requires pivoting.
 
-Arrays keep the cell axis last, where it is contiguous: all work is elementwise along it.
+The cell axis is last, where it is contiguous, and all operations are elementwise along it.
 
-Redheffer, R. (1959), Inequalities for a matrix Riccati equation, J. Math. Mech. 8, 349-367.
+Source: Redheffer, R. (1959), Inequalities for a matrix Riccati equation, J. Math. Mech. 8, 349-367.
 """
 
 import equinox as eqx
@@ -28,11 +27,11 @@ from jaxtyping import Array, Float
 
 
 class BeamOperator(lx.AbstractLinearOperator):
-    """Jacobian of a box-method residual with respect to the nodal unknowns (6, N).
+    """Jacobian of the box-method residual with respect to the nodal unknowns (6, N).
 
-    `left`, `right`: (6 rows, 6 unknowns, cells), the cell equations' derivatives to the cell's two
-    nodes. `tail`, `head`: (3 rows, 6 unknowns). Rows are in the order of `residual`: cells, tail,
-    head.
+    `left`, `right` (6 rows, 6 unknowns, cells): derivatives of the cell equations with respect to
+    the two nodes of the cell. `tail`, `head` (3 rows, 6 unknowns): those of the boundary
+    conditions. Rows are in the order of `residual`: cells, tail, head.
     """
 
     left: Float[Array, "6 6 cells"]
@@ -69,8 +68,8 @@ def _no_structure(operator):
     return False
 
 
-# lineax asks these of every operator when it is made.
-for _ask in (
+# lineax queries these properties of every operator on construction.
+for _query in (
     lx.is_symmetric,
     lx.is_diagonal,
     lx.is_tridiagonal,
@@ -80,15 +79,15 @@ for _ask in (
     lx.is_positive_semidefinite,
     lx.is_negative_semidefinite,
 ):
-    _ask.register(BeamOperator)(_no_structure)
+    _query.register(BeamOperator)(_no_structure)
 
 
-# Ask the compiler to compute a value once rather than again inside each of its users.
+# The barrier makes the compiler compute a value once instead of once in each expression with it.
 _keep = jax.lax.optimization_barrier
 
 
 def _mm(a, b):
-    """Product of 3 x 3 by 3 x n blocks, elementwise along the trailing axis."""
+    """Product of 3 x 3 and 3 x n blocks, elementwise along the last axis."""
     return sum(a[:, k, None] * b[None, k] for k in range(a.shape[1]))
 
 
@@ -97,7 +96,7 @@ def _mv(a, x):
 
 
 def _inverse3(a):
-    """Inverse of 3 x 3 blocks by cofactors, elementwise along the trailing axis."""
+    """Inverse of 3 x 3 blocks by cofactors, elementwise along the last axis."""
     (a0, a1, a2), (b0, b1, b2), (c0, c1, c2) = a
     r0 = b1 * c2 - b2 * c1
     r1 = b2 * c0 - b0 * c2
@@ -114,8 +113,8 @@ def _inverse3(a):
 def _inverse6(a):
     """Inverse of 6 x 6 blocks by Gauss-Jordan without pivoting, elementwise along the last axis.
 
-    A loop over the pivots, although they are six: its carry keeps the compiler from recomputing the
-    entries of `a` inside each entry of the result.
+    The six pivots are in a loop, because its carry prevents the compiler from recomputing the
+    entries of `a` for each entry of the result.
     """
     unit = jnp.eye(6, dtype=a.dtype)
 
@@ -131,10 +130,9 @@ def _inverse6(a):
 
 
 def _halving_order(cells: int) -> list[int]:
-    """Order of the cells in which every level of joining pairs its first half with its second.
+    """The order of cells in which each level of joining pairs its first half with its second half.
 
-    Neighbours of a level stand at positions i and i + k, a leftover stands last: contiguous slices
-    instead of strided ones.
+    Neighbours are at positions i and i + k and an unpaired cell is last, so slices are contiguous.
     """
     if cells == 1:
         return [0]
@@ -144,7 +142,7 @@ def _halving_order(cells: int) -> list[int]:
 
 
 class _Join(eqx.Module):
-    """One level of joining: what is needed to find the motion and forces where two pieces meet."""
+    """One level of joining: the matrices for motion and forces where two pieces meet."""
 
     E: Array
     A12: Array
@@ -156,7 +154,7 @@ class _Join(eqx.Module):
 
 
 class _Factors(eqx.Module):
-    """A factorised Jacobian: the cells' inverses, the joins, and the two ends."""
+    """A factorised Jacobian: inverses of the cells, joins, and matrices of the two ends."""
 
     cells: Array
     joins: tuple[_Join, ...]
@@ -169,7 +167,7 @@ class _Factors(eqx.Module):
 
 
 def _join(A, B):
-    """Star product of the scattering matrices (6, 6, k) of neighbours, A towards the tail."""
+    """Star product of the scattering matrices (6, 6, k) of neighbours; A is on the tail side."""
     A11, A12, A21, A22 = A[:3, :3], A[:3, 3:], A[3:, :3], A[3:, 3:]
     B11, B12, B21, B22 = B[:3, :3], B[:3, 3:], B[3:, :3], B[3:, 3:]
     one = jnp.eye(3, dtype=A.dtype)[:, :, None]
@@ -184,8 +182,8 @@ def _join(A, B):
 
 def _factorise(operator: BeamOperator) -> _Factors:
     left, right = operator.left, operator.right
-    # The unknowns that a cell is solved for are the motion of its left and the forces of its right
-    # node; in the rows' order (stretch, turn, moment law, balances) the diagonal is then ~ 1/ds.
+    # Each cell is solved for the motion of its left node and the forces of its right node. With the
+    # rows in their order (stretch, turn, moment law, balances) the diagonal is then about 1/ds.
     cells = _inverse6(jnp.concatenate([left[:, 3:], right[:, :3]], axis=1))
     S = -_mm(cells, jnp.concatenate([left[:, :3], right[:, 3:]], axis=1))
     S = S[..., np.array(_halving_order(S.shape[-1]))]
@@ -196,7 +194,8 @@ def _factorise(operator: BeamOperator) -> _Factors:
         joins.append(join)
         S = _keep(jnp.concatenate([joined, S[..., 2 * pairs :]], axis=-1))
     S = S[..., 0]
-    # Tail: G_f f + G_v v = g, solved for f. Head: H_f f + H_v v = h, with f eliminated, for v.
+    # The tail's rows G_f f + G_v v = g give f. The head's rows H_f f + H_v v = h, with f
+    # eliminated, give v.
     G_f, G_v = operator.tail[:, :3], operator.tail[:, 3:]
     tail_f = _inverse3(G_f[..., None])[..., 0]
     tail_v = -tail_f @ G_v
@@ -209,17 +208,17 @@ def _factorise(operator: BeamOperator) -> _Factors:
 
 
 def _solve(factors: _Factors, rhs):
-    """Solve A y = rhs; linear in `rhs`, and made of operations that JAX can transpose."""
+    """The solution y of A y = rhs, by operations that JAX can transpose; linear in `rhs`."""
     r_cells, r_tail, r_head = rhs
     order = np.array(_halving_order(r_cells.shape[-1]))
     s = _keep(_mv(factors.cells, r_cells)[:, order])
-    held = []
+    meetings = []
     for join in factors.joins:
         pairs = join.E.shape[-1]
         a, b, rest = s[:, :pairs], s[:, pairs : 2 * pairs], s[:, 2 * pairs :]
         v = _keep(_mv(join.E, _mv(join.B11, a[3:]) + b[:3]))
         f = _keep(a[3:] + _mv(join.A22, v))
-        held.append((v, f))
+        meetings.append((v, f))
         joined = jnp.concatenate([a[:3] + _mv(join.A12, v), b[3:] + _mv(join.B21, f)])
         s = _keep(jnp.concatenate([joined, rest], axis=-1))
     S, s = factors.body, s[:, 0]
@@ -230,9 +229,9 @@ def _solve(factors: _Factors, rhs):
     v_tail = v_tail0 + factors.tail_solve @ (S[:3, 3:] @ v_head)
     f_tail = f_tail0 + factors.tail_v @ v_tail
     f_head = S[3:, :3] @ f_tail + S[3:, 3:] @ v_head + s[3:]
-    # Back down: every piece knows the forces at its left end and the motion at its right end.
+    # On the way back, the forces at each piece's left and the motion at its right end are known.
     ends = jnp.concatenate([f_tail, v_head])[:, None]
-    for join, (v0, f0) in zip(reversed(factors.joins), reversed(held), strict=True):
+    for join, (v0, f0) in zip(reversed(factors.joins), reversed(meetings), strict=True):
         pairs = v0.shape[-1]
         outer = ends[:, :pairs]
         v_mid = _mv(join.motion, outer) + v0
@@ -247,10 +246,10 @@ def _solve(factors: _Factors, rhs):
 
 
 class BeamSolver(lx.AbstractLinearSolver):
-    """Direct solver for a `BeamOperator`, in O(cells) work and O(log cells) depth.
+    """Direct solver for a `BeamOperator` with O(cells) operations and O(log cells) depth.
 
-    `init` factorises and `compute` solves, with the same factors as often as wanted; `compute` can
-    itself be transposed by JAX, so reverse mode needs no transposed operator.
+    `init` factorises. `compute` solves and may be called repeatedly with the same factors. JAX can
+    transpose `compute`, so reverse mode needs no transposed operator.
     """
 
     def init(self, operator, options):

@@ -1,4 +1,4 @@
-"""A model: the robot, what acts on it, how it is driven and held."""
+"""The physical model: robot, effects, pressure law, drive, support and water; and its mesh."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,7 +13,7 @@ from slider_jax.supports import Support
 
 
 class Drive(eqx.Module):
-    """Set pressures of the two chambers, and the pressures [Pa] that they start from."""
+    """Waveforms of the two chambers' set pressures, and the initial chamber pressures [Pa]."""
 
     front: Waveform
     rear: Waveform
@@ -22,9 +22,9 @@ class Drive(eqx.Module):
 
 
 class Model(eqx.Module):
-    """Everything physical. The equations of motion are the sum of what is listed here.
+    """All physical properties of a simulation; the effects add terms to the equations of motion.
 
-    `robot` is the body as it was measured; `body` what the effects make of it.
+    `robot` is the body as measured. `body` is the body after the effects changed it.
     """
 
     robot: Robot
@@ -37,14 +37,14 @@ class Model(eqx.Module):
 
     @property
     def body(self) -> Robot:
-        """The robot with the effects that change it."""
+        """The robot after all `BodyChange` effects."""
         robot = self.robot
         for effect in of_place(self.effects, BodyChange):
             robot = effect.change(robot)
         return robot
 
     def water_velocity(self, t: Array) -> Float[Array, "2"]:
-        """Velocity (U_x, U_y) [m/s] of the water at `t` [s]: the steady stream and the effects'."""
+        """Velocity (U_x, U_y) [m/s] of the water at `t` [s], including `WaterMotion` effects."""
         velocity = jnp.stack([jnp.asarray(u, float) for u in self.water])
         for effect in of_place(self.effects, WaterMotion):
             velocity = velocity + jnp.stack(effect.velocity(t))
@@ -52,18 +52,18 @@ class Model(eqx.Module):
 
 
 class Mesh(eqx.Module):
-    """A model's robot on its grid."""
+    """The robot's grid, structure and chambers."""
 
     grid: Grid
     structure: Structure
     chambers: Float[Array, "2 cells"]
     """Moment in each cell per unit pressure in each chamber [m^3]."""
     windows: Float[Array, "2 cells"]
-    """Share of each chamber in each cell."""
+    """Fraction of each chamber's moment in each cell."""
 
 
 def make_mesh(robot: Robot, numerics: Numerics) -> Mesh:
-    """Lay the robot out on its grid."""
+    """The mesh of `robot`, with its structure and chambers in each cell."""
     grid = grid_of(robot, numerics)
     one = jnp.ones_like(grid.ds)
     structure = Structure(

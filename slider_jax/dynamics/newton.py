@@ -1,10 +1,11 @@
 """The root finder of an implicit stage, and its derivative by the implicit function theorem.
 
-`BeamNewton` takes the Jacobian's blocks from `options["jacobian"]`, a function (y, args) ->
-BeamOperator, the unknowns' scales from `options["scale"]`, and gives up at once where
-`options["skip"]` is true, so that a member of a batch that failed costs nothing more.
-`BeamAdjoint` differentiates the root with the same blocks; a failed member spoils its own
-derivative only, and nothing in here calls back to the host, so compiled programs can be cached.
+`BeamNewton` reads three options. `options["jacobian"]` is a function (y, args) -> BeamOperator.
+`options["scale"]` is the scale of each unknown. If `options["skip"]` is true, it stops at once, so
+a failed member of a batch costs no further time.
+
+`BeamAdjoint` differentiates the root with the same Jacobian. A failed member invalidates its own
+derivative only. Neither class calls back to the host, so compiled programs can be cached.
 """
 
 import functools as ft
@@ -25,13 +26,12 @@ class _NewtonState(eqx.Module):
 
 
 class BeamNewton(optx.AbstractRootFinder):
-    """Shamanskii's method: each iteration factorises once and makes `corrections` (at least 2)
-    simplified Newton steps with the same factors.
+    """Shamanskii's method: one factorisation per iteration and several simplified Newton steps.
 
-    The frozen Jacobian is exact at the first of them and nearly so at the rest, so their increments
-    shrink by a steady rate r, and |increment| r/(1 - r) estimates the error left by the last one.
-    The iteration stops when that estimate, over max(`options["scale"]`, |y|), is below `rtol`; an
-    absolute tolerance would be one for six units, so `atol`, which optimistix asks for, must be 0.
+    Each iteration makes `corrections` (at least 2) steps with the same factors. The increments
+    decrease at a steady rate r, so |increment| r/(1 - r) estimates the error after the last step.
+    The iteration stops when this estimate over max(`options["scale"]`, |y|) is below `rtol`.
+    optimistix requires `atol`, which must be 0, since the six unknowns have different units.
 
     Source: Shamanskii, V. E. (1967), A modification of Newton's method, Ukr. Math. J. 19, 118-122.
     """
@@ -45,8 +45,8 @@ class BeamNewton(optx.AbstractRootFinder):
     def __check_init__(self):
         if self.corrections < 2 or self.atol != 0.0:
             raise ValueError(
-                f"corrections={self.corrections}, atol={self.atol}: allowed are 2 or more (the "
-                "rate of convergence is that of the last two) and 0"
+                f"BeamNewton: given corrections={self.corrections}, atol={self.atol}; allowed "
+                "corrections >= 2 (the last two give the convergence rate) and atol = 0"
             )
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags):
@@ -77,9 +77,9 @@ class BeamNewton(optx.AbstractRootFinder):
 
 
 class BeamAdjoint(optx.AbstractAdjoint):
-    """Derivative of the root y of f(y, args) = 0: dy = -J(y)^-1 df, J factorised once per root.
+    """Derivative dy = -J(y)^-1 df of the root y of f(y, args) = 0, with one factorisation per root.
 
-    Forward tangents share the factorisation; reverse mode transposes the same solve.
+    Forward tangents share the factorisation, and reverse mode transposes the same solve.
     """
 
     linear_solver: BeamSolver = BeamSolver()

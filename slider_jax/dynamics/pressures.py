@@ -1,9 +1,9 @@
-"""From set pressures to the pressures that bend the body, before the body is moved.
+"""Histories of the chamber pressures, computed from the set pressures before the rollout.
 
-    set pressure -> Command effects -> pressure law and Flow effects -> p, which the sensor reads
-                 -> ActingPressure effects -> the pressure that the body feels
+    set pressure -> Command effects -> pressure law and Flow effects -> p at the pressure sensor
+                 -> ActingPressure effects -> pressure that bends the body
 
-The body does not act on the pressure, so whole histories are known before the rollout.
+The body does not affect the pressure, so its history is known before the rollout.
 """
 
 import functools as ft
@@ -20,37 +20,37 @@ from slider_jax.dynamics.model import Model
 from slider_jax.effects import ActingPressure, Chamber, Command, Flow, of_place
 
 REAR = np.array([0.0, 1.0])
-"""Which of the two chambers is the rear one."""
+"""1 for the rear chamber and 0 for the front chamber."""
 
 
 class Chambers(eqx.Module):
-    """The two chambers at one instant, front and rear."""
+    """The front and rear chamber at one instant."""
 
     p: Float[Array, "2"]
-    """At the sensor [Pa]."""
+    """Pressure [Pa] at the sensor."""
     acting: Float[Array, "2"]
-    """What bends the body [Pa]."""
+    """Pressure [Pa] that bends the body."""
     memories: tuple[Float[Array, "2 2"], ...] = ()
-    """Of the effects that are acting pressures, in their order: own state, pressure before."""
+    """For each `ActingPressure` effect, in order: its state and the previous pressure."""
 
 
 def start_chambers(model: Model) -> Chambers:
-    """The chambers at the pressures that the drive starts from, long at rest."""
+    """The chambers in equilibrium at the initial pressures of the drive."""
     drive = model.drive
     p = jnp.stack([jnp.asarray(x, float) for x in (drive.start_front, drive.start_rear)])
     return Chambers(p, p, tuple(jnp.stack([p, p]) for _ in of_place(model.effects, ActingPressure)))
 
 
 def chamber_history(model: Model, begin: Chambers, times: Float[Array, " n"]) -> Chambers:
-    """The chambers (n - 1, ...) at each of the increasing `times` [s] after the first."""
+    """The chambers (n - 1, ...) at the increasing `times` [s] after the first time."""
     flows = of_place(model.effects, Flow)
-    acts = of_place(model.effects, ActingPressure)
+    acting_effects = of_place(model.effects, ActingPressure)
 
     def body(before, inputs):
         dt, segment = inputs
         p = advance(model.pressure_law, flows, before.p, segment)
         acting, memories = p, []
-        for effect, memory in zip(acts, before.memories, strict=True):
+        for effect, memory in zip(acting_effects, before.memories, strict=True):
             acting, memory = effect.act(acting, memory, dt)
             memories.append(memory)
         after = Chambers(p, acting, tuple(memories))
@@ -60,7 +60,7 @@ def chamber_history(model: Model, begin: Chambers, times: Float[Array, " n"]) ->
 
 
 def set_pressures(model: Model, times: Float[Array, " n"]) -> Segment:
-    """What the valves of front and rear follow between the `times` [s]: entries (n - 1, 2)."""
+    """The set pressures of the front and rear valves between the `times` [s]: fields (n - 1, 2)."""
     commands = of_place(model.effects, Command)
 
     def segments(wave, chamber):
@@ -75,22 +75,22 @@ def set_pressures(model: Model, times: Float[Array, " n"]) -> Segment:
 def advance(
     law: PressureLaw, flows: tuple[Flow, ...], p: Float[Array, "2"], x: Segment
 ) -> Float[Array, "2"]:
-    """Pressures [Pa] of front and rear at the end of their segments from those at the start.
+    """Front and rear pressures [Pa] at the end of the segment `x`, given `p` [Pa] at its start.
 
-    The law's own exact step. Where effects change the flow of a lag, what they change in a step of
-    the classical Runge-Kutta method is added, so that effects at their null change nothing. Steps
-    are split at the set pressure's break and where the pressure passes through zero: there a
-    chamber that was vented begins to be filled.
+    Without flow effects, this is the exact step of the law. Flow effects on a lag add the change
+    that they make to a classical Runge-Kutta step, so effects with null values change nothing. The
+    Runge-Kutta steps are split at the break of the set pressure. They are also split where the
+    pressure passes through zero, since there the opposite chamber starts to fill.
     """
     exact = law.advance(p, x)
     if not flows or not isinstance(law, FirstOrderLag):
         return exact
 
     def part(p, inputs):
-        with_them, without = p
+        changed, plain = p
         return (
-            _through_zero(law.k, flows, with_them, *inputs),
-            _through_zero(law.k, (), without, *inputs),
+            _through_zero(law.k, flows, changed, *inputs),
+            _through_zero(law.k, (), plain, *inputs),
         ), None
 
     parts = (
@@ -114,20 +114,20 @@ def _rate(k, flows, side):
 
 
 def _through_zero(k, flows, p, a0, a1, span):
-    """A step of `_runge_kutta`, in two parts where the pressure changes its sign."""
+    """The pressure after a Runge-Kutta step, split in two where the pressure changes its sign."""
     rate = _rate(k, flows, jnp.where(p == 0.0, jnp.sign(a0 + a1), jnp.sign(p)))
     whole = _runge_kutta(rate, p, a0, a1, span)
     crosses = p * whole < 0.0
     share = jnp.where(crosses, p / jnp.where(crosses, p - whole, 1.0), 1.0)
-    there = a0 + share * (a1 - a0)
-    near = _runge_kutta(rate, p, a0, there, share * span)
-    slope = span * rate(near, there)
+    at_zero = a0 + share * (a1 - a0)
+    near = _runge_kutta(rate, p, a0, at_zero, share * span)
+    slope = span * rate(near, at_zero)
     moves = crosses & (slope != 0.0)
     share = share - jnp.where(moves, near / jnp.where(moves, slope, 1.0), 0.0)
     share = jnp.clip(share, 0.0, 1.0)
-    there = a0 + share * (a1 - a0)
+    at_zero = a0 + share * (a1 - a0)
     beyond = _rate(k, flows, jnp.sign(whole))
-    rest = _runge_kutta(beyond, jnp.zeros_like(p), there, a1, (1.0 - share) * span)
+    rest = _runge_kutta(beyond, jnp.zeros_like(p), at_zero, a1, (1.0 - share) * span)
     return jnp.where(crosses, rest, whole)
 
 

@@ -1,4 +1,4 @@
-"""The equations of one implicit stage, stacked: cells, tail, head. Knows no solver."""
+"""The residual and the Jacobian of one implicit stage: equations of cells, tail and head."""
 
 import equinox as eqx
 import jax
@@ -21,10 +21,10 @@ from slider_jax.supports import Support
 
 
 class Stage(eqx.Module):
-    """Everything that one implicit stage holds fixed while its unknowns are sought.
+    """The quantities that are constant while an implicit stage is solved.
 
-    `water`: velocity [m/s] and acceleration [m/s^2], each (x, y). `phi_head` and `load_head`
-    (T, N, M, lagging by `MOUNT_LAG`) are references as those of `Reference`, at the head.
+    `water` holds velocity [m/s] and acceleration [m/s^2], each (x, y). `phi_head` and `load_head`
+    are the reference values at the head; `load_head` is (T, N, M) with the lag `MOUNT_LAG`.
     """
 
     structure: Structure
@@ -40,7 +40,7 @@ class Stage(eqx.Module):
 
 
 def cell_rows(mid: Fields, slope: Fields, stage: Stage) -> tuple[Array, ...]:
-    """The six equations of every cell, from the unknowns' means and slopes in it."""
+    """Residuals of the six equations of every cell, from the means and slopes of its unknowns."""
     x = section(mid, slope, stage.structure, stage.reference, stage.water, stage.pressure, stage.t)
     force = total_force(stage.effects, x)
     extra = sum((m for m, _ in internal_moments(x, stage)), jnp.zeros_like(mid.M))
@@ -48,7 +48,7 @@ def cell_rows(mid: Fields, slope: Fields, stage: Stage) -> tuple[Array, ...]:
 
 
 def internal_moments(x: Section, stage: Stage) -> list[tuple[Array, Array]]:
-    """Moment [N m] in the cells and new memory of every effect that is a bending moment."""
+    """Moment [N m] in the cells and new state of every `BendingMoment` effect."""
     effects = of_place(stage.effects, BendingMoment)
     memories = stage.reference.internal
     pairs = zip(effects, memories, strict=True)
@@ -56,17 +56,17 @@ def internal_moments(x: Section, stage: Stage) -> list[tuple[Array, Array]]:
 
 
 def turning_rate(head: Fields, stage: Stage) -> Array:
-    """omega [rad/s] of the head."""
+    """Turning rate omega [rad/s] of the head."""
     return (head.phi - stage.phi_head) / stage.reference.dt
 
 
 def load_rates(head: Float[Array, "6"], stage: Stage) -> Float[Array, "3"]:
-    """d(load)/dt of the lagging load: load + tau d(load)/dt = (T, N, M) at the head."""
+    """d(load)/dt of the lagged load, which obeys load + tau d(load)/dt = (T, N, M) at the head."""
     return (head[:3] - stage.load_head) / (stage.reference.dt + MOUNT_LAG)
 
 
 def head_rows(head: Float[Array, "6"], stage: Stage) -> Float[Array, "3"]:
-    """The support's three rows, for what is left of the head's motion where the mounting gives."""
+    """Residuals of the support's conditions, for the head's motion relative to its mounting."""
     at_head, omega = fields(head), turning_rate(fields(head), stage)
     rates = HeadRates(*load_rates(head, stage))
     for effect in of_place(stage.effects, Mounting):
@@ -77,7 +77,7 @@ def head_rows(head: Float[Array, "6"], stage: Stage) -> Float[Array, "3"]:
 
 
 def tail_rows(tail: Float[Array, "6"]) -> Float[Array, "3"]:
-    """A free end: T = N = M = 0."""
+    """Residuals at the free tail end: T = N = M = 0."""
     return tail[:3]
 
 
@@ -96,16 +96,16 @@ def at_cells(y: Unknowns, stage: Stage) -> Section:
 
 
 def residual(y: Unknowns, stage: Stage):
-    """Zero at the solution. Returns ((6, cells), (3,), (3,)): cells, tail, head."""
+    """Residuals ((6, cells), (3,), (3,)) of cells, tail and head; zero at the solution."""
     mid, slope = mid_and_slope(y, stage.structure.ds)
     return jnp.stack(cell_rows(mid, slope, stage)), tail_rows(y[:, 0]), head_rows(y[:, -1], stage)
 
 
 def jacobian(y: Unknowns, stage: Stage) -> BeamOperator:
-    """d(residual)/dy by blocks.
+    """The blocks of d(residual)/dy.
 
-    A cell's rows depend on 12 cell values, the means and slopes of six unknowns, elementwise along
-    the body. Twelve forward tangents, each in one of them alone, give all blocks of all cells.
+    The equations of a cell depend on 12 values: the means and slopes of its six unknowns. They are
+    elementwise along the body, so 12 forward tangents give all blocks of all cells.
     """
     mid, slope = mid_and_slope(y, stage.structure.ds)
     values = (*mid, *slope)

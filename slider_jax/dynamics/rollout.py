@@ -1,4 +1,4 @@
-"""Many steps: the trajectory of one robot, differentiable forward and backward, batched by vmap."""
+"""Simulation of one robot over many time steps; differentiable, and batched with vmap."""
 
 from collections.abc import Callable
 from typing import Any
@@ -16,7 +16,7 @@ from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
 
 
 class TimeGrid(eqx.Module):
-    """`steps` equal steps of `h` [s] from `t0` [s]. Lock it to the stride with `per_stride`."""
+    """`steps` equal steps of `h` [s] that start at `t0` [s]."""
 
     h: Scalar
     steps: int = eqx.field(static=True)
@@ -24,17 +24,20 @@ class TimeGrid(eqx.Module):
 
     @classmethod
     def per_stride(cls, frequency: Scalar, steps_per_stride: int, strides: int) -> "TimeGrid":
-        """Whole steps per stride of 1/`frequency` [Hz]; an even number keeps the edges on steps."""
+        """A grid with whole steps per stride, for a stride `frequency` [Hz].
+
+        With an even `steps_per_stride`, the edges of a square wave are at ends of steps.
+        """
         return cls(1.0 / (frequency * steps_per_stride), steps_per_stride * strides)
 
     @property
     def times(self) -> Float[Array, " steps"]:
-        """End of every step [s]."""
+        """Time [s] at the end of every step."""
         return self.t0 + self.h * jnp.arange(1.0, self.steps + 1.0)
 
 
 class Rollout(eqx.Module):
-    """What a rollout returns: times (steps,), what was saved at each, and how it went."""
+    """Result of a rollout: times (steps,) [s], quantities saved at each step, and final carry."""
 
     t: Float[Array, " steps"]
     saved: Any
@@ -48,7 +51,7 @@ class Rollout(eqx.Module):
 
 
 def stage_chambers(model: Model, times: TimeGrid, scheme: Scheme, begin: Chambers) -> Chambers:
-    """The chambers (steps, stages, ...) at every stage of every step, from `begin` at the start."""
+    """The chambers (steps, stages, ...) at every stage of every step, starting from `begin`."""
     begins = times.t0 + times.h * jnp.arange(float(times.steps))
     at = begins[:, None] + times.h * jnp.asarray(scheme.nodes)
     at = jnp.concatenate([jnp.asarray(times.t0, at.dtype)[None], at.ravel()])
@@ -66,12 +69,13 @@ def rollout(
     begin: Carry | None = None,
     checkpoint: bool = True,
 ) -> Rollout:
-    """Integrate `model` over `times`; `save(snapshot)` is kept at the end of every step.
+    """Integrates `model` over `times` and saves `save(snapshot)` at the end of every step.
 
-    Starts straight, at rest relative to its support, unless `begin` carries on from an earlier
-    rollout's `final`. A step that fails freezes the state and clears `ok`; nothing is raised, so
-    that one member of a batch cannot stop the others (`simulate` raises for a single run).
-    With `checkpoint`, reverse mode keeps each step's carry only and recomputes the rest.
+    Without `begin`, the body starts straight and at rest relative to its support. To continue an
+    earlier rollout, pass its `final` as `begin`. A failed step freezes the state and sets `ok` to
+    false. It raises no error, so one member of a batch cannot stop the others (`simulate` raises
+    for a single run). With `checkpoint`, reverse mode stores only the carry of each step and
+    recomputes the rest.
     """
     mesh = make_mesh(model.body, numerics)
     if begin is None:

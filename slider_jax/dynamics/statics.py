@@ -1,4 +1,4 @@
-"""Shapes at rest: a clamped robot under pressures and a dead load on the tail's end."""
+"""Static shapes of a clamped robot under chamber pressures and a dead load at the tail end."""
 
 from typing import NamedTuple
 
@@ -19,37 +19,37 @@ from slider_jax.dynamics.step import Carry, initial_carry
 from slider_jax.effects import BendingMoment, of_place
 
 LONG = 1e9
-"""Time [s] over which a static state is reached: rates of what is finite vanish."""
+"""The dt [s] of a static stage, so long that all rates of finite changes vanish."""
 INCREMENTS = 8
-"""Parts in which load and pressure are applied: each shape is the next one's first guess."""
+"""Number of load increments; each static shape is the initial guess for the next one."""
 CORRECTIONS, LAST = 3, 4
-"""Newton steps at each part, and more of them at the whole load."""
+"""Newton steps per load increment, and additional Newton steps at the full load."""
 
 
 class Loads(NamedTuple):
-    """What bends a robot at rest."""
+    """The static loads of a robot."""
 
     force: Float[Array, "2"]
-    """(x, y) [N] on the tail's end; it keeps its direction."""
+    """Force (x, y) [N] on the tail end, with a constant direction."""
     pressure: Float[Array, "2"]
-    """Front and rear chamber [Pa]."""
+    """Pressures [Pa] of the front and rear chamber."""
 
 
 class AtRest(NamedTuple):
     """A static state."""
 
     y: Unknowns
-    """Forces, moment and angle at the nodes; the velocities are zero but for 1/`LONG`."""
+    """Unknowns at the nodes; the velocities are of order 1/`LONG`."""
     shape: Float[Array, "2 nodes"]
-    """(x, y) [m] from the head, tail first."""
+    """Node positions (x, y) [m] relative to the head, tail first."""
     ok: Bool[Array, ""]
     """Whether the Newton iteration converged."""
 
 
 def at_rest_under(model: Model, loads: Loads, numerics: Numerics = Numerics()) -> AtRest:
-    """The static shape of `model` under `loads`, its head clamped, its water and drive left out.
+    """The static state of `model` under `loads`, with a clamped head and without water and drive.
 
-    Differentiable with respect to every number, by the implicit function theorem.
+    It is differentiable with respect to every number, by the implicit function theorem.
     """
     mesh = make_mesh(model.body, numerics)
     stage = _stage(model, mesh, loads.pressure)
@@ -60,7 +60,7 @@ def at_rest_under(model: Model, loads: Loads, numerics: Numerics = Numerics()) -
 
 
 def release(model: Model, begin: AtRest, numerics: Numerics = Numerics()) -> Carry:
-    """The carry that begins a rollout at a static state, its tip load gone at that instant."""
+    """The carry of a rollout that starts at the static state `begin`, without the tip load."""
     mesh = make_mesh(model.body, numerics)
     y = begin.y.at[3:5].set(0.0)
     eps = mesh.grid.mid(y[0]) / mesh.structure.EA
@@ -88,13 +88,13 @@ def _stage(model: Model, mesh: Mesh, pressure: Float[Array, "2"]) -> Stage:
 
 
 def _tail_load(phi: Scalar, force: Float[Array, "2"]) -> Float[Array, "3"]:
-    """T, N, M that the tail's end carries under a force (x, y) [N]."""
+    """(T, N, M) at the tail end under a force (x, y) [N]."""
     T, N = to_body((-force[0], -force[1]), phi)
     return jnp.stack([T, N, jnp.zeros_like(T)])
 
 
 def _loaded(y: Unknowns, stage: Stage, force: Float[Array, "2"]):
-    """`residual` with a loaded tail's end."""
+    """`residual` with a force on the tail end."""
     cells, tail, head = residual(y, stage)
     return cells, tail - _tail_load(y[5, 0], force), head
 
@@ -106,7 +106,7 @@ def _loaded_jacobian(y: Unknowns, stage: Stage, force: Float[Array, "2"]) -> Bea
 
 
 def _newton(stage: Stage, force: Float[Array, "2"], scale: Float[Array, "6 1"]):
-    """The state, the last change over its scale, and the last factors of the Jacobian."""
+    """The state, its last relative change, and the last factors of the Jacobian."""
     solver = BeamSolver()
 
     def correct(carry, share):
@@ -120,8 +120,8 @@ def _newton(stage: Stage, force: Float[Array, "2"], scale: Float[Array, "6 1"]):
     parts = np.repeat(np.arange(1.0, INCREMENTS + 1.0) / INCREMENTS, CORRECTIONS)
     shares = jnp.asarray(np.concatenate([parts, np.ones(LAST)]))
     y, infinite = jnp.zeros((6, stage.structure.ds.shape[-1] + 1)), jnp.asarray(jnp.inf)
-    kinds = jax.eval_shape(lambda y: correct((y, infinite, None), shares[0])[0][2], y)
-    factors = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), kinds)
+    shapes = jax.eval_shape(lambda y: correct((y, infinite, None), shares[0])[0][2], y)
+    factors = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
     return jax.lax.scan(correct, (y, infinite, factors), shares)[0]
 
 
@@ -133,7 +133,7 @@ def _equilibrium(inputs):
 
 @_equilibrium.def_jvp
 def _equilibrium_jvp(primals, tangents):
-    """dy = -J^-1 d(residual), with the factors that the last Newton step left."""
+    """dy = -J^-1 d(residual), with the factors of the last Newton step."""
     ((stage, force, scale),), (t_inputs,) = primals, tangents
     y, error, factors = _newton(stage, force, scale)
     inputs = (stage, force)

@@ -1,4 +1,4 @@
-"""One time step: its stages, each a root find."""
+"""One time step of the simulation; each of its implicit stages solves for a root."""
 
 import functools as ft
 from collections.abc import Callable
@@ -30,22 +30,22 @@ from slider_jax.supports import Support
 
 
 class Carry(eqx.Module):
-    """What one step hands to the next."""
+    """The state that one step passes to the next step."""
 
     history: Float[Array, "3 6 nodes"]
-    """The last three solutions, oldest first: they predict the next."""
+    """The last three solutions, oldest first, from which the next is predicted."""
     memory: Memory
     chambers: Chambers
     ok: Bool[Array, ""]
-    """False from the first stage that did not converge; the state is frozen from there on."""
+    """False after the first stage that did not converge; the state then remains frozen."""
     factorisations: Array
-    """Of the Jacobian, spent so far."""
+    """Number of factorisations of the Jacobian so far."""
     failed_at: Array
-    """Time [s] of the stage that failed, or inf."""
+    """Time [s] of the failed stage, or inf."""
 
 
 class Snapshot(eqx.Module):
-    """The system at the end of a step, as observables see it."""
+    """The system at the end of a step, from which observables are computed."""
 
     t: Array
     y: Unknowns
@@ -56,7 +56,7 @@ class Snapshot(eqx.Module):
 
     @property
     def head(self) -> Float[Array, "2"]:
-        """Position of the head [m]."""
+        """Position (x, y) [m] of the head."""
         return self.memory.head
 
     def section(self) -> Section:
@@ -81,14 +81,14 @@ def _anchor(memory: Memory, support: Support, t) -> Float[Array, "2"]:
 def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
     """The function that advances a `Carry` by one step.
 
-    It takes (carry, (t, h, chambers)): the step's start and length [s], and the chambers at each of
-    its stages, stacked. It returns the new carry and a `Snapshot` at the step's end. Raises
-    `ValueError` when traced in float32.
+    The function takes (carry, (t, h, chambers)): start `t` [s] and length `h` [s] of the step, and
+    the stacked chambers at its stages. It returns the new carry and a `Snapshot` at the step's end.
+    Raises `ValueError` for a mesh in float32.
     """
     if mesh.grid.s.dtype != jnp.float64:
         raise ValueError(
-            f"the beam's equations need float64, given {mesh.grid.s.dtype}; call "
-            "slider_jax.enable_float64() before any array is made"
+            f"precision of the mesh: given {mesh.grid.s.dtype}; allowed float64; call "
+            "slider_jax.enable_float64() before you create any array"
         )
     solver = BeamNewton(rtol=numerics.tolerance)
     scale = scales_of(model.body)
@@ -129,14 +129,14 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
         omega = turning_rate(head, stage)
         anchor = _blend(_anchor(base, support, t), _anchor(carry.memory, support, t), weight)
         anchor = anchor + dt * support.anchor_velocity(head, omega, t)
-        found = Memory(
+        solved = Memory(
             motion=y[3:],
             strain=strain(mesh.grid.mid(y[0]), mesh.structure, stage.reference),
             head=anchor - support.anchor_offset(head.phi, t),
             load=reference.load + dt * load_rates(y[:, -1], stage),
             internal=tuple(z for _, z in internal_moments(at_cells(y, stage), stage)),
         )
-        memory = jax.tree.map(lambda a, b: jnp.where(ok, a, b), found, carry.memory)
+        memory = jax.tree.map(lambda a, b: jnp.where(ok, a, b), solved, carry.memory)
         new = Carry(
             history=jnp.concatenate([carry.history[1:], y[None]]),
             memory=memory,
@@ -180,14 +180,14 @@ def at_rest(model: Model, numerics: Numerics, t0: Scalar = 0.0) -> Carry:
 
 
 def with_motion(carry: Carry, change: Callable[[Array], Array]) -> Carry:
-    """The same with `change` made to V_tau, V_n, phi (..., 3, nodes) of every point."""
+    """The carry after `change`, a function of (V_tau, V_n, phi), shape (..., 3, nodes)."""
     history = carry.history.at[:, 3:].set(change(carry.history[:, 3:]))
     rows = change(carry.memory.motion), history
     return eqx.tree_at(lambda c: (c.memory.motion, c.history), carry, rows)
 
 
 def initial_carry(y: Unknowns, memory: Memory, chambers: Chambers) -> Carry:
-    """The carry that begins a rollout at the state (y, memory, chambers)."""
+    """The carry of a rollout that starts at the state (y, memory, chambers)."""
     return Carry(
         history=jnp.broadcast_to(y, (3, *y.shape)),
         memory=memory,

@@ -1,4 +1,4 @@
-"""CSV in: named columns of numbers, with the file and line of whatever is wrong."""
+"""Reading of CSV files with named columns of numbers; errors name the file and the line."""
 
 import csv
 from collections.abc import Sequence
@@ -13,18 +13,19 @@ from slider_jax.io.toml import read_bytes
 def read_csv(
     path: Path, required: Sequence[str], blank: Sequence[str] = (), increasing: str = "time"
 ) -> dict[str, np.ndarray]:
-    """`read_table` of a series: the first of `required` must increase.
+    """The columns of a time series by name, as `read_table`; the first of `required` must increase.
 
-    It is what `increasing` calls it; with "" it need not. Raises `InputError` naming file and line.
+    `increasing` is that column's name in the error; "" disables the check. Raises `InputError` with
+    file and line.
     """
     columns, lines = _read(path, required, blank)
     times = columns[required[0]]
-    late = np.flatnonzero(np.diff(times) <= 0.0)
-    if increasing and late.size:
-        line = lines[late[0] + 1]
+    falls = np.flatnonzero(np.diff(times) <= 0.0)
+    if increasing and falls.size:
+        line = lines[falls[0] + 1]
         raise InputError(
-            f"{path}, line {line}: {required[0]} = {times[late[0] + 1]:g} after "
-            f"{times[late[0]]:g}; {increasing} must increase from row to row"
+            f"{path}, line {line}: {required[0]} = {times[falls[0] + 1]:g} after "
+            f"{times[falls[0]]:g}; {increasing} must increase from row to row"
         )
     return columns
 
@@ -32,9 +33,9 @@ def read_csv(
 def read_table(
     path: Path, required: Sequence[str], blank: Sequence[str] = ()
 ) -> dict[str, np.ndarray]:
-    """Columns of a CSV file by name. Cells of the columns in `blank` may be empty: NaN.
+    """The columns of a CSV file by name. Empty cells in the columns `blank` become NaN.
 
-    Raises `InputError` naming file and line.
+    Raises `InputError` with file and line.
     """
     return _read(path, required, blank)[0]
 
@@ -48,7 +49,7 @@ def _read(
         raise InputError(f"{path}: not UTF-8 text (byte {error.start})") from None
     rows = list(csv.reader(text.splitlines()))
     if not rows:
-        raise InputError(f"{path}: empty; a header with {', '.join(required)} is needed")
+        raise InputError(f"{path}: empty; add a header with {', '.join(required)}")
     header = [name.strip() for name in rows[0]]
     for name in required:
         if name not in header:

@@ -1,4 +1,4 @@
-"""Figures and films: how all of them are made and written."""
+"""Creation and writing of figures and animations."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 
 FRAME = 50
-"""Time that a picture of a film is shown [ms]."""
+"""Duration [ms] of a frame in an animation."""
 
 
 def new_figure(*args, **kwargs):
-    """A figure and its axes, drawn without a display."""
+    """A figure and its axes, which need no display; arguments are those of `plt.subplots`."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -20,7 +20,7 @@ def new_figure(*args, **kwargs):
 
 
 def save_figure(figure, path: Path) -> None:
-    """Write the picture and let go of the figure."""
+    """Writes `figure` to `path` and closes it."""
     import matplotlib.pyplot as plt
 
     figure.savefig(path, dpi=150)
@@ -35,10 +35,10 @@ def save_film(
     path: Path,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> None:
-    """Write a GIF of a picture for each of `shown`, and let go of the figure.
+    """Writes a GIF with one frame for each index in `shown`, and closes the figure.
 
-    `move` takes the artists `moving` to it; what does not move is drawn once, for its texts take
-    most of a picture's time. `progress(pictures done, all)` is called at each.
+    `move(index)` updates the artists `moving`. All other artists are drawn once, since their texts
+    take most of the drawing time. `progress(frames done, all frames)` is called after each frame.
     """
     import matplotlib.pyplot as plt
     from PIL import Image

@@ -1,4 +1,7 @@
-"""Result files: written under a temporary name, then renamed, so that none is ever half-written."""
+"""Atomic writing of result files, and the versions and input digests that they record.
+
+A file is written under a temporary name and then renamed, so no file is ever half-written.
+"""
 
 import hashlib
 import json
@@ -19,16 +22,16 @@ from slider_jax.errors import InputError
 
 
 def output_folder(path: Path | str) -> Path:
-    """`path` as a folder that exists and can be written to; made if missing."""
+    """`path` as a writable folder, created if missing. Raises `InputError` otherwise."""
     path = Path(path)
     try:
         path.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
         raise InputError(
-            f"--out {path}: is a file, or lies under one; give the name of a folder"
+            f"--out {path}: is a file or is under a file; give the name of a folder"
         ) from None
     except OSError as error:
-        raise InputError(f"--out {path}: cannot be made ({error.strerror})") from None
+        raise InputError(f"--out {path}: cannot create the folder ({error.strerror})") from None
     if not os.access(path, os.W_OK):
         raise InputError(f"--out {path}: cannot be written to; give another folder")
     return path
@@ -36,22 +39,21 @@ def output_folder(path: Path | str) -> Path:
 
 @contextmanager
 def tentative_folder(path: Path | str) -> Iterator[Path]:
-    """The output folder `path`; if the block fails, folders that were made for it and are empty
-    go again."""
+    """The output folder `path`. If the block fails, new empty folders are removed."""
     path = Path(path)
-    made = [p for p in (path, *path.parents) if not os.path.exists(p)]
+    created = [p for p in (path, *path.parents) if not os.path.exists(p)]
     try:
         yield output_folder(path)
     except BaseException:
         with suppress(OSError):  # not empty
-            for folder in made:
+            for folder in created:
                 folder.rmdir()
         raise
 
 
 @contextmanager
 def replacing(path: Path | str) -> Iterator[Path]:
-    """A temporary name beside `path`, with its suffix; renamed to `path` if the block succeeds."""
+    """A temporary file beside `path` with the same suffix; renamed to `path` on success."""
     path = Path(path)
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=".tmp-", suffix=path.suffix)
     os.close(handle)
@@ -66,7 +68,7 @@ def replacing(path: Path | str) -> Iterator[Path]:
 
 @contextmanager
 def staged(folder: Path | str) -> Iterator[Path]:
-    """A temporary folder; its files move into `folder` if the block succeeds, else none does."""
+    """A temporary folder. Its files move into `folder` only if the block succeeds."""
     with tentative_folder(folder) as out:
         stage = Path(tempfile.mkdtemp(dir=out, prefix=".tmp-"))
         try:
@@ -82,18 +84,18 @@ def staged(folder: Path | str) -> Iterator[Path]:
 
 
 def write_bytes(path: Path | str, content: bytes) -> None:
-    """Write `content` to `path` atomically."""
+    """Writes `content` to `path` atomically."""
     with replacing(path) as temporary:
         temporary.write_bytes(content)
 
 
 def write_text(path: Path | str, text: str) -> None:
-    """Write `text` to `path` atomically, as UTF-8 with the line ends it has."""
+    """Writes `text` to `path` atomically, as UTF-8 and with unchanged line ends."""
     write_bytes(path, text.encode())
 
 
 def _plain(value: Any) -> Any:
-    """`value` in JSON's own types; what is not finite becomes null."""
+    """`value` as JSON types; numbers that are not finite become None."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -108,7 +110,7 @@ def _plain(value: Any) -> Any:
 
 
 def write_json(path: Path | str, content: Any) -> None:
-    """Write `content` to `path` atomically; numbers that are not finite become null."""
+    """Writes `content` to `path` as JSON, atomically; numbers that are not finite become null."""
     write_text(path, json.dumps(_plain(content), indent=2, allow_nan=False) + "\n")
 
 
@@ -117,10 +119,10 @@ def write_csv(
     columns: Mapping[str, Sequence[float] | np.ndarray],
     formats: Mapping[str, str] | None = None,
 ) -> None:
-    """Write `columns` (name with unit -> values, equal lengths) to `path` atomically.
+    """Writes `columns` (name with unit -> values, equal lengths) to `path` atomically.
 
-    `formats` gives a format such as ".4f" for a column; the others are written with `.9g`. A NaN is
-    a blank cell.
+    `formats` gives the format of a column, such as ".4f"; the default is ".9g". A NaN becomes an
+    empty cell.
     """
     formats = formats or {}
     cells = []
@@ -150,17 +152,17 @@ _PACKAGES = (
 
 
 def versions() -> dict[str, str]:
-    """Versions of this package, of Python and of the libraries that compute."""
-    found = {"slider_jax": slider_jax.__version__, "python": platform.python_version()}
+    """Versions of this package, of Python and of the numerical libraries."""
+    result = {"slider_jax": slider_jax.__version__, "python": platform.python_version()}
     for name in _PACKAGES:
         try:
-            found[name] = version(name)
+            result[name] = version(name)
         except PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+            result[name] = "not installed"
+    return result
 
 
 def input_file(path: Path | str) -> dict[str, Any]:
-    """Path and sha256 of an input, for the results made from it."""
+    """Path and SHA-256 digest of an input file, for the record of its results."""
     path = Path(path)
     return {"path": str(path), "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}

@@ -1,4 +1,4 @@
-"""TOML in: read, validate, and say in one message what is wrong and where."""
+"""Reading and validation of TOML files; an error names the place and the allowed values."""
 
 import difflib
 import re

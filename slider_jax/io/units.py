@@ -1,4 +1,4 @@
-"""Numbers that carry a unit and a plausible range, and the message when a value lies outside it."""
+"""Numbers with a unit and a plausible range, and the error for a value outside the range."""
 
 import math
 from dataclasses import dataclass
@@ -24,10 +24,10 @@ _ADVICE = {
 
 @dataclass(frozen=True)
 class Quantity:
-    """Use as `Annotated[float, Quantity(low, high, unit)]` in a pydantic model.
+    """A number in [low, high]: `Annotated[float, Quantity(low, high, unit)]` in a pydantic model.
 
-    Accepts a number in [low, high], or exactly 0 with `or_zero`. The range is there to catch a
-    wrong unit (millimetres, grams, kPa): wide for physics, narrow against factors of 1000.
+    With `or_zero`, exactly 0 is also allowed. The range detects a wrong unit (millimetres, grams,
+    kPa): it admits all plausible values, but is narrow compared with a factor of 1000.
     """
 
     low: float
@@ -37,17 +37,17 @@ class Quantity:
 
     @property
     def allowed(self) -> str:
-        """The range in words."""
+        """The range and unit as text."""
         zero = "0, or " if self.or_zero else ""
         return f"{zero}{self.low:g} to {self.high:g} {self.unit}".rstrip()
 
     @property
     def advice(self) -> str:
-        """What to remember about the unit."""
+        """A reminder of the unit."""
         return _ADVICE.get(self.unit, "")
 
     def check(self, value: float) -> float:
-        """`value`, or an error that names the range."""
+        """`value` if it is allowed; otherwise raises an error that names the range."""
         if self.or_zero and value == 0.0:
             return value
         if math.isfinite(value) and self.low <= value <= self.high:

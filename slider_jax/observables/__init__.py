@@ -1,7 +1,5 @@
-"""What is read off a rollout, by pure and differentiable functions.
-
-Those of a `Snapshot` can be saved at every step; those of series work on what was saved.
-"""
+"""Pure, differentiable functions of a `Snapshot`, or of series saved by a rollout, that compute
+forces, shapes, energies and waves. May import `dynamics` and the rooms below it."""
 
 from slider_jax.observables.energy import (
     EnergyRates,

@@ -1,6 +1,6 @@
-"""Energy: where it comes from, where it is kept, where it goes.
+"""Energy balance of the body: power input, stored energy, dissipation and work on the effects.
 
-The balance of momentum in `beam.py`, times the velocities, integrated over the body:
+The momentum balance of `beam.equations`, multiplied by the velocities and integrated over the body:
 
     P_clamp + P_chambers = d(kinetic + bending + stretching)/dt + dissipated + given away
 
@@ -10,9 +10,9 @@ The balance of momentum in `beam.py`, times the velocities, integrated over the 
     dissipated = int alpha (EI kappa_t^2 + EA eps_t^2) ds
     given away = -int (1 + eps) (F_tau V_tau + F_n V_n) ds, one term for each effect.
 
-The product rule holds exactly for the box method's means and slopes, so the discrete equations
-satisfy this at every stage to the solver's tolerance; what is left over a stride is the error in
-time.
+The product rule is exact for the means and slopes of the box method. At every stage, the discrete
+equations therefore satisfy this balance to the solver's tolerance. The residual over a stride is
+the error of the time integration.
 """
 
 import equinox as eqx
@@ -25,7 +25,7 @@ from slider_jax.dynamics.step import Snapshot
 
 
 class StoredEnergy(eqx.Module):
-    """Energy [J] in the body; scalars."""
+    """Energies [J] stored in the body; scalars."""
 
     kinetic: Float[Array, ""]
     bending: Float[Array, ""]
@@ -37,33 +37,33 @@ class StoredEnergy(eqx.Module):
 
 
 class EnergyRates(eqx.Module):
-    """Powers [W] at one instant; scalars where no shape is given."""
+    """Powers [W] at one instant; scalars unless a shape is given."""
 
     chambers: Float[Array, "2"]
-    """Put in by the front and the rear chamber's couples."""
+    """Power input by the couples of the front and rear chamber."""
     clamp: Float[Array, ""]
-    """Put in by the support."""
+    """Power input by the support."""
     stored: StoredEnergy
-    """Rate of change [W] of what the body stores."""
+    """Rates of change [W] of the stored energies."""
     dissipated_bending: Float[Array, ""]
     dissipated_stretching: Float[Array, ""]
     given: tuple[Float[Array, ""], ...]
-    """Given away through each of the model's effects, in their order: to the water by drag and
-    reactive force (in the tank's frame), to height by gravity."""
+    """Power output through each effect, in the model's order. Drag and reactive force give it to
+    the water (in the tank's frame); gravity gives it to potential energy."""
 
     @property
     def put_in(self) -> Float[Array, ""]:
-        """By chambers and support."""
+        """Power input by chambers and support."""
         return jnp.sum(self.chambers, axis=-1) + self.clamp
 
     @property
     def dissipated(self) -> Float[Array, ""]:
-        """In the body's own viscosity."""
+        """Power dissipated by the viscosity of the body."""
         return self.dissipated_bending + self.dissipated_stretching
 
     @property
     def to_effects(self) -> Float[Array, ""]:
-        """Given away through all effects."""
+        """Power output through all effects."""
         return sum(self.given, jnp.zeros_like(self.clamp))
 
 
@@ -78,25 +78,25 @@ def stored_energy(x: Snapshot) -> StoredEnergy:
 
 
 def chamber_power(x: Snapshot) -> Float[Array, "2"]:
-    """Power [W] that the front and rear chamber put into the body: int K_Q p w kappa_t ds.
+    """Mechanical power [W] of the front and rear chamber on the body: int K_Q p w kappa_t ds.
 
-    Positive while the body bends the way the chamber pushes; mechanical, without the losses of
-    valves and supply.
+    It is positive while the body bends in the direction of the chamber's moment. Losses of valves
+    and supply are excluded.
     """
     return x.mesh.grid.integral(x.chambers.acting[:, None] * x.mesh.chambers * x.section().kappa_t)
 
 
 def clamp_power(x: Snapshot) -> Float[Array, ""]:
-    """Power [W] that the support puts into the body: T V_tau + N V_n + M omega at the head.
+    """Power [W] of the support on the body: T V_tau + N V_n + M omega at the head.
 
-    Zero for a clamp at rest; -thrust times speed for a towed one.
+    It is zero for a clamp at rest, and minus thrust times speed for a towed clamp.
     """
     head = fields(x.y[:, -1])
     return head.T * head.V_tau + head.N * head.V_n + head.M * turning_rate(head, x.stage)
 
 
 def energy_rates(x: Snapshot) -> EnergyRates:
-    """Every term of the module's balance at one instant."""
+    """Every term of the energy balance at one instant."""
     section, body, integral = x.section(), x.mesh.structure, x.mesh.grid.integral
     stretch = 1.0 + section.strain
 

@@ -13,18 +13,21 @@ from slider_jax.dynamics.step import Snapshot
 
 
 def midline(x: Snapshot) -> Float[Array, "2 nodes"]:
-    """(x, y) of the nodes [m] in the plane, tail first."""
+    """Positions (x, y) [m] of the nodes, tail first."""
     return node_positions(x.y[5], x.memory.strain, x.head, x.mesh.grid)
 
 
 def lateral(x: Snapshot) -> Float[Array, " nodes"]:
-    """y of the nodes less y of the head [m], tail first: what a camera on the carriage sees."""
+    """Lateral positions y [m] of the nodes relative to the head, tail first.
+
+    A camera on the carriage measures these positions.
+    """
     y = midline(x)[1]
     return y - y[-1]
 
 
 def tip(x: Snapshot) -> Float[Array, ""]:
-    """Lateral position of the tail's tip less that of the head [m]."""
+    """Lateral position [m] of the tail tip relative to the head."""
     return lateral(x)[0]
 
 
@@ -35,16 +38,19 @@ def _on_sensor(x: Snapshot) -> tuple[Array, Array]:
 
 
 def thrust(x: Snapshot) -> Float[Array, ""]:
-    """Push on the carriage [N], positive forward: -T at the head where the clamp is rigid.
+    """Forward force [N] of the body on the carriage; equals -T at the head for a rigid clamp.
 
-    Axes turn with the carriage, as those of a sensor mounted on it; `carriage_force` does not turn.
+    The axes pitch with the carriage, like those of the force sensor. `carriage_force` has axes
+    fixed to the tank.
     """
     return _on_sensor(x)[0]
 
 
 def recoil(x: Snapshot) -> Float[Array, ""]:
-    """Push on the carriage [N] to the left: -N at the head where the clamp is rigid; axes as
-    `thrust`."""
+    """Force [N] of the body on the carriage to the left; equals -N at the head for a rigid clamp.
+
+    The axes are those of `thrust`.
+    """
     return _on_sensor(x)[1]
 
 

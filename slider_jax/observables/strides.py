@@ -1,4 +1,4 @@
-"""Series on a stride-locked time grid, a stride at a time."""
+"""Stride statistics of series, and the dimensionless numbers of swimming from their means."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -10,8 +10,8 @@ def _by_stride(series, steps_per_stride: int):
     steps = series.shape[-1]
     if steps % steps_per_stride:
         raise ValueError(
-            f"a series of {steps} steps is no whole number of strides of {steps_per_stride} steps; "
-            "cut it to whole strides (time must be the last axis)"
+            f"stride statistics: given {steps} steps; allowed a multiple of {steps_per_stride}, "
+            "the steps per stride; cut the series to whole strides (time is the last axis)"
         )
     return series.reshape(*series.shape[:-1], -1, steps_per_stride)
 
@@ -19,25 +19,25 @@ def _by_stride(series, steps_per_stride: int):
 def stride_means(
     series: Float[Array, "*b steps"], steps_per_stride: int
 ) -> Float[Array, "*b strides"]:
-    """Mean of each stride's steps: for a periodic series, the trapezoid rule."""
+    """Mean over each stride; for a periodic series, this is the trapezoidal rule."""
     return jnp.mean(_by_stride(series, steps_per_stride), axis=-1)
 
 
 def stride_ranges(
     series: Float[Array, "*b steps"], steps_per_stride: int
 ) -> Float[Array, "*b strides"]:
-    """Maximum less minimum over each stride."""
+    """Maximum minus minimum over each stride."""
     strides = _by_stride(series, steps_per_stride)
     return jnp.max(strides, axis=-1) - jnp.min(strides, axis=-1)
 
 
 def tail_excursion(tip_series: Float[Array, " times"]) -> Float[Array, ""]:
-    """A [m], peak to peak: max - min of `tip` over whole strides; half of it is A_t."""
+    """Peak-to-peak excursion A = 2 A_t [m] of the tail: max - min of `tip` over whole strides."""
     return jnp.max(tip_series, axis=-1) - jnp.min(tip_series, axis=-1)
 
 
 def strouhal_number(frequency: Scalar, excursion: Scalar, speed: Scalar) -> Scalar:
-    """St = f A / U with A [m] the tail's peak-to-peak excursion, U [m/s] the swimming speed.
+    """St = f A / U [-] with the tail's peak-to-peak excursion A [m] and swimming speed U [m/s].
 
     Source: Triantafyllou, G. S., Triantafyllou, M. S., Grosenbaugh, M. A. (1993), J. Fluids
     Struct. 7, 205-224.
@@ -48,25 +48,25 @@ def strouhal_number(frequency: Scalar, excursion: Scalar, speed: Scalar) -> Scal
 def froude_efficiency(mean_thrust: Scalar, speed: Scalar, mean_power: Scalar) -> Scalar:
     """eta = T U / P [-]: useful power over the mean mechanical power [W] of the chambers.
 
-    For a towed clamp T [N] is the mean force on the clamp and U [m/s] the tow speed. Zero at U = 0,
-    where `force_efficiency` is the measure. Source: Lighthill, M. J. (1960), J. Fluid
+    For a towed clamp, T [N] is the mean force on the clamp and U [m/s] is the tow speed. eta is
+    zero at U = 0; use `force_efficiency` instead. Source: Lighthill, M. J. (1960), J. Fluid
     Mech. 9, 305-317.
     """
     return mean_thrust * speed / mean_power
 
 
 def force_efficiency(mean_thrust: Scalar, mean_power: Scalar) -> Scalar:
-    """T / P [N/W]: mean thrust [N] per mean mechanical power [W] that the chambers put in.
+    """T / P [N/W]: mean thrust [N] over the mean mechanical power [W] of the chambers.
 
-    The measure of a robot held in place, where no useful power leaves it.
+    Use it for a robot that is held in place, since its useful power is zero.
     """
     return mean_thrust / mean_power
 
 
 def tail_slope(amplitude: Scalar, wavelength: Scalar) -> Scalar:
-    """A_t / (lambda/4) [-]: how steeply the wave crosses the axis at the tail, as in the paper.
+    """The paper's slope A_t / (lambda/4) [-] with which the wave crosses the axis at the tail.
 
-    `amplitude` A_t [m] is half the peak-to-peak excursion; lambda [m] the body wavelength.
-    (The line from a zero to the crest; the sine itself is steeper there by pi/2.)
+    `amplitude` A_t [m] is half the peak-to-peak excursion; lambda [m] is the body wavelength. This
+    is the slope of the line from a zero to the crest. The sine at its zero is steeper by pi/2.
     """
     return amplitude / (wavelength / 4.0)

@@ -1,7 +1,8 @@
-"""The travelling wave of the body: its wavelength, speed, and how purely it travels.
+"""Wavelength, speed and travelling index of the body wave.
 
-A lateral motion y(s, t) = Re( c(s) exp(2 pi i f t) ) has at each point an amplitude |c| and a phase
-arg c. Where the phase grows towards the head (s is from the tail) the wave runs from head to tail.
+A lateral motion y(s, t) = Re( c(s) exp(2 pi i f t) ) has an amplitude |c| and a phase arg c at each
+point; s is measured from the tail. A wave whose phase increases towards the head travels from head
+to tail.
 """
 
 import math
@@ -13,31 +14,31 @@ from jaxtyping import Array, Complex, Float
 
 
 def _over(a, b):
-    """a/b for a real b, and 0 with zero derivatives where b = 0."""
+    """a/b for a real b; 0 with zero derivatives where b = 0."""
     inverse = jnp.where(b == 0.0, 0.0, 1.0 / jnp.where(b == 0.0, 1.0, b))
     return a * inverse.astype(jnp.result_type(a))
 
 
 def _root(x):
-    """sqrt(x), and 0 with a zero derivative where x <= 0."""
+    """sqrt(x); 0 with a zero derivative where x <= 0."""
     return jnp.where(x > 0.0, jnp.sqrt(jnp.where(x > 0.0, x, 1.0)), 0.0)
 
 
 class BodyWave(eqx.Module):
-    """A body wave; scalars. Both are positive for a wave that runs from head to tail."""
+    """Wavelength and speed (scalars), both positive for a wave that travels from head to tail."""
 
     wavelength: Float[Array, ""]
-    """lambda [m], along the body."""
+    """Wavelength lambda [m] along the body."""
     speed: Float[Array, ""]
-    """V = lambda f [m/s]."""
+    """Wave speed V = lambda f [m/s]."""
 
 
 def fundamental_mode(
     y: Float[Array, "times points"], t: Float[Array, " times"], frequency
 ) -> Complex[Array, " points"]:
-    """c(s) [m] of the stride's fundamental: the Fourier coefficient at `frequency` [Hz].
+    """c(s) [m] of the fundamental: the Fourier coefficient of `y` [m] at `frequency` [Hz].
 
-    c = (2/n) sum_t y exp(-2 pi i f t). `t` [s] are equal steps over whole strides.
+    c = (2/n) sum_t y exp(-2 pi i f t). The times `t` [s] are equal steps over whole strides.
     """
     angle = 2.0 * math.pi * frequency * t[:, None]
     return 2.0 * jax.lax.complex(
@@ -46,11 +47,11 @@ def fundamental_mode(
 
 
 def orthogonal_mode(y: Float[Array, "times points"]) -> Complex[Array, " points"]:
-    """c(s) [m] of the first complex orthogonal mode, with the phases of t = the first sample.
+    """c(s) [m] of the first complex orthogonal mode of `y` [m], with phases at the first sample.
 
-    The dominant eigenvector of the covariance of the analytic signal of y - mean(y), scaled by its
-    rms in time so that |c| is its amplitude; zero where nothing moves. Needs no frequency; equal
-    steps over whole strides.
+    The mode is the dominant eigenvector of the covariance of the analytic signal of y - mean(y).
+    The rms in time scales it, so |c| is the amplitude; c is zero for a body at rest. The samples
+    are equal steps over whole strides; the frequency is not required.
 
     Source: Feeny, B. F. (2008), A complex orthogonal decomposition for wave motion analysis, J.
     Sound Vib. 310, 77-90.
@@ -63,8 +64,8 @@ def orthogonal_mode(y: Float[Array, "times points"]) -> Complex[Array, " points"
     )
     analytic = jnp.fft.ifft(spectrum * keep[:, None].astype(spectrum.dtype), axis=0)
     covariance = analytic.T @ jnp.conj(analytic) / float(steps)
-    # The projector on the dominant eigenvector, by squaring: an SVD has no derivative where other
-    # singular values coincide, and all but a few of these are zero.
+    # Repeated squaring gives the projector on the dominant eigenvector. An SVD has no derivative if
+    # other singular values coincide, and almost all of them are zero.
     projector = covariance
     for _ in range(12):
         projector = _over(projector, jnp.real(jnp.trace(projector)))
@@ -76,16 +77,16 @@ def orthogonal_mode(y: Float[Array, "times points"]) -> Complex[Array, " points"
 
 
 def body_wave(mode: Complex[Array, " points"], s: Float[Array, " points"], frequency) -> BodyWave:
-    """Wavelength and speed from a mode c(s) at `s` [m] from the tail, and its `frequency` [Hz].
+    """Wavelength and speed of a mode c(s) with `frequency` [Hz]; `s` [m] is measured from the tail.
 
-    The wavenumber is the slope of the straight line through the phase along the body, fitted with
-    weights |c|^2, as the phase of a point that hardly moves means little; lambda = 2 pi/wavenumber.
-    Points must be close enough that the phase turns by less than half a turn between neighbours.
-    Of a nearly standing wave (`travelling_index` below about 0.2) the phase jumps by half a turn at
-    each node, one way or the other, and neither length nor sign means much.
+    The wavenumber is the slope of a line fitted to the phase along the body, and lambda =
+    2 pi/wavenumber. The fit has weights |c|^2, since the phase of a nearly still point is
+    uncertain. The phase must change by less than half a turn between neighbouring points. In a
+    nearly standing wave (`travelling_index` below about 0.2) the phase jumps by half a turn at each
+    wave node, in either direction. Neither the wavelength nor its sign is then reliable.
     """
     turned = mode[1:] * jnp.conj(mode[:-1])
-    # A clamped head does not move: where both are zero the phase is undefined, and weightless.
+    # At a clamped head, where the amplitude is zero, the phase is undefined and has zero weight.
     still = jnp.abs(turned) == 0.0
     phase_steps = jnp.where(still, 0.0, jnp.angle(jnp.where(still, 1.0, turned)))
     phase = jnp.concatenate([jnp.zeros(1), jnp.cumsum(phase_steps)])
@@ -100,13 +101,14 @@ def body_wave(mode: Complex[Array, " points"], s: Float[Array, " points"], frequ
 def shape_wavelength(
     mode: Complex[Array, " points"], s: Float[Array, " points"]
 ) -> Float[Array, ""]:
-    """lambda [m] of the shape: how far the body swings for how steep it is, over a stride.
+    """Wavelength lambda [m] of the shape, from the ratio of lateral motion to slope over a stride.
 
         lambda = 2 pi sqrt( int |c|^2 ds / int |dc/ds|^2 ds ),    `s` [m] from the tail
 
-    That of the wave where it travels with one amplitude, on any length of body; and where it
-    stands, or does both, on a body of whole half waves. Unlike the phase of `body_wave` it means
-    the same for all of these, and tells no direction. Infinite where all points move alike.
+    For a travelling wave of constant amplitude, lambda is the wavelength on a body of any length.
+    For a standing or mixed wave, it is the wavelength on a body of whole half waves. Unlike
+    `body_wave`, it has the same meaning for all these waves, but no direction. It is infinite if
+    all points move equally.
     """
     ds = s[1:] - s[:-1]
     size, step = (jnp.real(c * jnp.conj(c)) for c in (mode, mode[1:] - mode[:-1]))
@@ -116,10 +118,10 @@ def shape_wavelength(
 
 
 def travelling_index(mode: Complex[Array, " points"]) -> Float[Array, ""]:
-    """1 for a pure travelling wave, 0 for a pure standing one.
+    """Travelling index [-]: 1 for a pure travelling wave, 0 for a pure standing wave.
 
-    The ratio of the singular values of [Re c, Im c] (Feeny 2008, the reciprocal condition number);
-    0 where nothing moves.
+    It is the ratio of the singular values of [Re c, Im c] (Feeny 2008, the reciprocal condition
+    number), and 0 for a body at rest.
     """
     a, b = jnp.real(mode), jnp.imag(mode)
     mean, cross = 0.5 * (a @ a + b @ b), a @ b

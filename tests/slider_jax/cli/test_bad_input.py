@@ -228,7 +228,7 @@ def test_output_that_is_a_file(tmp_path, capsys):
     path, out = write(tmp_path), tmp_path / "out"
     out.write_text("kept")
     _refused(["simulate", path, "--out", out], capsys, out, "--out", "is a file")
-    _refused(["simulate", path, "--out", out / "in"], capsys, out, "--out", "lies under one")
+    _refused(["simulate", path, "--out", out / "in"], capsys, out, "--out", "is under a file")
     assert out.read_text() == "kept"
 
 
