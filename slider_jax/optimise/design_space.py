@@ -1,4 +1,4 @@
-"""Designs of a swimmer: the box they are sought in, their models, and their experiment files."""
+"""Designs of a swimmer: bounds of the design variables, models, and experiment files."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -20,17 +20,17 @@ from slider_jax.swimming.steady_state import SteadySettings, find_steady, steady
 
 
 class Variable(NamedTuple):
-    """A variable of `Gait`."""
+    """A design variable, which is a field of `Gait`."""
 
     low: float
     high: float
-    """Bounds by default, SI."""
+    """Default bounds, SI."""
     table: type[Trial] | type[RobotTable]
     field: str
-    """Of an experiment file, whose physical range bounds must be in."""
+    """Field of that table in an experiment file; its physical range limits the bounds."""
     unit: str
     factor: float
-    """Unit shown, and factor from SI to it."""
+    """Displayed unit, and the factor from SI to it."""
 
 
 VARIABLES = {
@@ -41,37 +41,37 @@ VARIABLES = {
     "tail_length": Variable(0.020, 0.100, RobotTable, "tail_length", "mm", 1e3),
     "EI_tail": Variable(0.001, 0.038, RobotTable, "EI_tail", "mN m^2", 1e3),
 }
-"""In the order of `Gait`. Bounds are assumed: up to the paper's highest frequency and pressure, and
-a tail that is no stiffer than the body."""
+"""In the order of `Gait`. The bounds are assumed: up to the paper's highest frequency and pressure,
+and a tail that is no stiffer than the body."""
 
 
 @dataclass(frozen=True)
 class GaitBounds:
-    """Bounds of the six variables, in the order of `Gait`, SI."""
+    """Bounds (6,) of the design variables, in the order of `Gait`, SI."""
 
     low: np.ndarray
     high: np.ndarray
 
     def gait(self, unit: Float[Array, "6"] | np.ndarray) -> Gait:
-        """The design at a point of the unit box."""
+        """Return the design at a point of the unit box."""
         return Gait(*(self.low + unit * (self.high - self.low)))
 
     def unit(self, gait: Gait) -> np.ndarray:
-        """Where a design lies in the unit box."""
+        """Return the point of the unit box of a design."""
         return (np.array(gait) - self.low) / (self.high - self.low)
 
 
 def gait_bounds(given: Mapping[str, tuple[float, float] | None]) -> GaitBounds:
-    """The bounds `given`, the others by default.
+    """Return the bounds `given`, and the default bounds of the other variables.
 
-    Raises `InputError` for reversed ones, and for such beyond physics.
+    Raises `InputError` for reversed bounds and for bounds outside the physical range.
     """
     chosen = []
     for name, variable in VARIABLES.items():
         low, high = given.get(name) or (variable.low, variable.high)
         option = f"--{name.replace('_', '-')}"
         if not low < high:
-            raise InputError.value(option, f"{low:g} {high:g}", "LOW HIGH, the lower one first")
+            raise InputError.value(option, f"{low:g} {high:g}", "LOW HIGH with LOW < HIGH")
         allowed = quantity_of(variable.table.model_fields[variable.field])
         assert allowed is not None
         for value in (low, high):
@@ -83,31 +83,33 @@ def gait_bounds(given: Mapping[str, tuple[float, float] | None]) -> GaitBounds:
 
 
 def models(experiment: Experiment) -> Callable[[Gait], Model]:
-    """The free robot of an experiment's first trial, as a function of the gait; differentiable.
+    """Return the free robot of an experiment's first trial as a function of the gait.
 
-    What the experiment makes depend on the frequency, drag and added mass by ramp or table and
-    effects that know the stride's frequency, follows the gait's. The drive is a square wave.
+    The function is differentiable.
+
+    Quantities that depend on the frequency follow the gait's frequency: drag and added mass (by
+    ramp or table), and effects with a field `stride_frequency`. The drive is a square wave.
     """
     base = to_model(experiment, 0)
     parameters, tables = experiment.parameters, experiment.effects
 
     def model(gait: Gait) -> Model:
-        found: dict[int, dict[str, Any]] = {}
+        changes: dict[int, dict[str, Any]] = {}
         if parameters.force_coefficients != "fixed":
             C_d, m_a = coefficients_at(parameters, gait.frequency)
-            found = {0: {"C_d": C_d}, 1: {"m_a": m_a}}
+            changes = {0: {"C_d": C_d}, 1: {"m_a": m_a}}
         for i, (effect, table) in enumerate(zip(base.effects[2:], tables, strict=True), start=2):
             names = {field.name for field in fields(effect)} - set(table.model_extra or {})
             if "stride_frequency" in names:
-                found[i] = {"stride_frequency": gait.frequency}
-        effects = tuple(replace(e, **found.get(i, {})) for i, e in enumerate(base.effects))
+                changes[i] = {"stride_frequency": gait.frequency}
+        effects = tuple(replace(e, **changes.get(i, {})) for i, e in enumerate(base.effects))
         return to_swimmer(replace(base, effects=effects), gait)
 
     return model
 
 
 def speed_of(experiment: Experiment, box: GaitBounds, search: SteadySettings):
-    """Steady speed [m/s] at a point of the unit box; NaN where there is none that was found."""
+    """Return the function from a point of the unit box to its steady speed [m/s] (NaN: no root)."""
     model = models(experiment)
 
     def speed(unit: Float[Array, "6"]) -> Float[Array, ""]:
@@ -119,13 +121,16 @@ def speed_of(experiment: Experiment, box: GaitBounds, search: SteadySettings):
 
 
 def slope_of(experiment: Experiment, box: GaitBounds, search: SteadySettings):
-    """(speed [m/s], its gradient (6,) [m/s per width of the box]) at a point of the unit box."""
+    """Return the function from a point of the unit box to (steady speed [m/s], its gradient (6,)).
+
+    The gradient is in m/s per width of the bounds.
+    """
     model = models(experiment)
 
     def speed(unit: Float[Array, "6"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
         gait = box.gait(unit)
-        found = steady_speed(model(gait), gait.frequency, search)
-        return found, found
+        value = steady_speed(model(gait), gait.frequency, search)
+        return value, value
 
     def both(unit):
         slope, value = jax.jacfwd(speed, has_aux=True)(unit)
@@ -135,7 +140,10 @@ def slope_of(experiment: Experiment, box: GaitBounds, search: SteadySettings):
 
 
 def with_gait(experiment: Experiment, gait: Gait) -> Experiment:
-    """The experiment with its first trial alone, of this gait; its step is shortened if need be."""
+    """Return the experiment with its first trial only, which gets this gait.
+
+    The time step is shortened if the gait's frequency requires it.
+    """
     f, front, rear, phase, tail_length, EI_tail = (float(f"{float(x):.10g}") for x in gait)
     first = {"waveform": "square", "frequency": f, "amplitude": front, "phase": phase,
              "rear_ratio": rear / front, "initial": None}  # fmt: skip

@@ -1,4 +1,4 @@
-"""The search for the fastest swimmer: what is sought, how it ended, and what is written."""
+"""Optimisation of the fastest swimmer: the task, the result, and the files that it writes."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -36,17 +36,18 @@ from slider_jax.swimming.paper_optimum import PAPER_GAIT, PUBLISHED
 from slider_jax.swimming.steady_state import SteadySettings, steady_speed
 
 MESH = 31
-"""Most nodes on which members are compared. The speed there is within 0.7 % of that on 51 for tails
-of 6 mN m^2 and more, 6 % above it for one of 1 mN m^2: the best's is told on the experiment's own
-mesh too."""
+"""Most nodes of the mesh on which designs are compared. The speed differs from that on 51 nodes by
+at most 0.7 % for tails of 6 mN m^2 and more, and is 6 % too high for a tail of 1 mN m^2. The report
+therefore also gives the best design's speed on the experiment's own mesh."""
 STIFFEST = 10
-"""Times the body's EI that a tail's may be sought up to."""
+"""Largest upper bound of the tail's EI, in units of the body's EI."""
 ASCENDING = 2
-"""Members that are scored together with their gradients; few climb, and all cores are to work."""
+"""Individuals that a device evaluates together with gradients: gradient ascent has few, and all
+cores should work."""
 
 
 class Task(NamedTuple):
-    """What is sought."""
+    """The experiment, the bounds and the numerical settings of an optimisation."""
 
     experiment: Experiment
     box: GaitBounds
@@ -59,12 +60,12 @@ class Task(NamedTuple):
         bounds: Mapping[str, tuple[float, float] | None],
         steps_per_stride: int = 96,
     ) -> "Task":
-        """Raises `InputError` for bounds that cannot be, and a drive that is no square wave."""
+        """Return the task. Raises `InputError` for invalid bounds or another wave than a square."""
         trial = experiment.trials[0]
         if trial.waveform != "square":
             raise InputError(
-                f"trials.0.waveform: given {trial.waveform!r}; allowed 'square', as the drive "
-                "that is sought is; of other trials there is no use"
+                f"trials.0.waveform: given {trial.waveform!r}; allowed 'square', the waveform of "
+                "the optimised drive; the other trials are not used"
             )
         nodes = min(MESH, experiment.numerics.nodes)
         numerics, scheme = to_numerics(experiment.with_values({"numerics.nodes": nodes}))
@@ -78,12 +79,12 @@ class Task(NamedTuple):
                 f"at most {stiffest:g} N m^2, {STIFFEST} times the body's",
                 "in N m^2, not mN m^2",
             )
-        for corner in (box.low, box.high):  # what is found can be written, and swims
+        for corner in (box.low, box.high):  # any result can be written as an experiment
             to_swimmer(to_model(with_gait(experiment, Gait(*corner))))
         return cls(experiment, box, search)
 
     def settings(self) -> dict[str, Any]:
-        """All that a score depends on."""
+        """Return everything that a score depends on."""
         return {
             "experiment": self.experiment.model_dump(),
             "bounds": dict(zip(Gait._fields, zip(self.box.low.tolist(), self.box.high.tolist(),
@@ -100,52 +101,55 @@ class Task(NamedTuple):
 
 def search_fastest(
     task: Task,
-    searcher: Optimiser,
-    members: int,
+    optimiser: Optimiser,
+    population: int,
     generations: int,
     seed: int,
     folder: Path | None = None,
     resume: bool = False,
-    said: Callable[[Generation, float], None] = lambda generation, seconds: None,
+    on_generation: Callable[[Generation, float], None] = lambda generation, seconds: None,
 ) -> OptimisationResult:
-    """The fastest gait and tail, as `optimise.run` does.
+    """Return the fastest gait and tail; the arguments are those of `run_optimiser`.
 
-    Raises `SolverError` where no member of any generation has a steady speed.
+    Raises `SolverError` if no individual of any generation has a steady speed.
     """
     if folder is not None and (folder / PLAN).exists():
         raise InputError(
-            f"{folder / PLAN}: another kind of search was begun here; give another folder"
+            f"{folder / PLAN}: this folder holds a multimodal optimisation; give another folder"
         )
-    sought = (task.experiment, task.box, task.search)
-    alone, sloped = Evaluation(speed_of(*sought)), Evaluation(slope_of(*sought), chunk=ASCENDING)
+    speeds = Evaluation(speed_of(*task))
+    speeds_and_gradients = Evaluation(slope_of(*task), chunk=ASCENDING)
 
-    def evaluate(members: np.ndarray, gradients: bool) -> tuple[np.ndarray, np.ndarray | None]:
-        return sloped(members) if gradients else (alone(members), None)
+    def evaluate(points: np.ndarray, gradients: bool) -> tuple[np.ndarray, np.ndarray | None]:
+        return speeds_and_gradients(points) if gradients else (speeds(points), None)
 
-    settings = settings_of(searcher, members, seed, task.settings())
+    settings = settings_of(optimiser, population, seed, task.settings())
     found = run_optimiser(
-        searcher, evaluate, generations, seed, settings, folder, resume, is_first(), said
+        optimiser, evaluate, generations, seed, settings, folder, resume, is_first(), on_generation
     )
     if not np.isfinite(found.score):
         raise SolverError(
-            f"none of {found.history[-1].evaluations} designs has a steady speed: a step fails, or "
-            "nothing resists motion along the body; add an effect such as head_drag, or narrow the "
-            "bounds"
+            f"none of {found.history[-1].evaluations} designs has a steady speed: either a time "
+            "step fails, or no effect resists motion along the body; add an effect such as "
+            "head_drag, or narrow the bounds"
         )
     return found
 
 
 class Sensitivity(NamedTuple):
-    """Of the steady speed at a design."""
+    """Derivatives of the steady speed at a design."""
 
     gradient: np.ndarray
-    """(6,) [m/s per bound's width]"""
+    """(6,) [m/s per width of the bounds]"""
     hessian: np.ndarray
-    """(6, 6) [m/s per product of widths], by differences of the gradient over 4 % of them."""
+    """(6, 6) [m/s per product of widths], by differences of the gradient over 4 % of a width."""
 
 
 def sensitivity(task: Task, unit: np.ndarray, step: float = 0.02) -> Sensitivity:
-    """Gradient by the root's derivative, and from it the Hessian, at a point of the unit box."""
+    """Return gradient and Hessian at a point of the unit box.
+
+    The gradient uses the implicit function theorem; the Hessian is its central difference.
+    """
     model, box = models(task.experiment), task.box
 
     def speed(x):
@@ -153,7 +157,7 @@ def sensitivity(task: Task, unit: np.ndarray, step: float = 0.02) -> Sensitivity
         return steady_speed(model(gait), gait.frequency, task.search._replace(settling=10))
 
     gradient = jax.jit(jax.jacfwd(speed))
-    # Beside a face of the box both points are moved inside, so that none is beyond physics.
+    # Near a face of the box both points move inside, where all values are physical.
     middle = np.clip(unit, step, 1.0 - step)
     rows = [
         (gradient(jnp.asarray(middle + d)) - gradient(jnp.asarray(middle - d))) / (2.0 * step)
@@ -164,7 +168,7 @@ def sensitivity(task: Task, unit: np.ndarray, step: float = 0.02) -> Sensitivity
 
 
 def speed_at(task: Task, gait: Gait) -> float:
-    """Steady speed [m/s] of a design as members are compared."""
+    """Return the steady speed [m/s] of a design, with the numerical settings of the task."""
     box = task.box
     return float(jax.jit(speed_of(task.experiment, box, task.search))(jnp.asarray(box.unit(gait))))
 
@@ -172,10 +176,8 @@ def speed_at(task: Task, gait: Gait) -> float:
 def write_optimum(
     task: Task, found: OptimisationResult, folder: Path, inputs: list[dict[str, Any]]
 ) -> dict[str, Any]:
-    """best.toml, optimum.json and optimum.png; returns what optimum.json says."""
+    """Write best.toml, optimum.json and optimum.png; return the content of optimum.json."""
     gait = Gait(*(float(x) for x in task.box.gait(found.best)))
-    said = f"Steady speed {found.score:.5g} m/s, on {task.search.numerics.nodes} nodes."
-    there = sensitivity(task, found.best)
     own, _ = to_numerics(task.experiment)
     finer = task._replace(search=task.search._replace(numerics=own))
     content = {
@@ -187,22 +189,22 @@ def write_optimum(
             "speed_there_m_per_s": speed_at(task, PAPER_GAIT),
             "published_m_per_s": PUBLISHED["speed_m_per_s"]._asdict(),
         },
-        "sensitivity": {"per": "width of the bounds", **there._asdict()},
+        "sensitivity": {"per": "width of the bounds", **sensitivity(task, found.best)._asdict()},
         "history": [x._asdict() for x in found.history],
         "last_population": {"unit_box": found.population, "scores": found.scores},
         "settings": task.settings(),
         "inputs": inputs,
     }  # fmt: skip
-    said = f"Steady speed {found.score:.5g} m/s, on {task.search.numerics.nodes} nodes."
+    comment = f"Steady speed {found.score:.5g} m/s, on {task.search.numerics.nodes} nodes."
     with staged(folder) as stage:
-        write_text(stage / "best.toml", to_toml(with_gait(task.experiment, gait), said))
+        write_text(stage / "best.toml", to_toml(with_gait(task.experiment, gait), comment))
         write_json(stage / "optimum.json", content)
         plot_search_history(found, stage / "optimum.png")
     return content
 
 
 def optimum_summary(content: dict[str, Any]) -> list[str]:
-    """The optimum beside the paper's, variable by variable."""
+    """Return the lines of a table that compares the optimum with the paper's."""
     gait, paper = content["gait"], content["paper"]
     gradient = content["sensitivity"]["gradient"]
     hessian = np.diag(content["sensitivity"]["hessian"])
@@ -213,19 +215,20 @@ def optimum_summary(content: dict[str, Any]) -> list[str]:
             f"{label:22}{factor * gait[name]:10.4g}{factor * paper['gait'][name]:10.4g}"
             f"{1e2 * gradient[i]:12.3g}{1e2 * hessian[i]:12.3g}"
         )
-    lines.append("gradient and curvature of the speed in cm/s per width of the bounds")
+    lines.append("gradient and curvature of the speed are in cm/s per width of the bounds")
     published, own = paper["published_m_per_s"], content["own_mesh"]
     lines.append(
-        f"{1e2 * content['speed_m_per_s']:.2f} cm/s, on {own['nodes']} nodes "
-        f"{1e2 * own['speed_m_per_s']:.2f}; the paper's optimum "
+        f"best speed {1e2 * content['speed_m_per_s']:.2f} cm/s, on {own['nodes']} nodes "
+        f"{1e2 * own['speed_m_per_s']:.2f} cm/s; the paper's optimum: "
         f"{1e2 * paper['speed_there_m_per_s']:.2f} cm/s in this model, "
-        f"{1e2 * published['model']:.1f} in its own, {1e2 * published['experiment']:.1f} measured"
+        f"{1e2 * published['model']:.1f} cm/s in the paper's model, "
+        f"{1e2 * published['experiment']:.1f} cm/s measured"
     )
     return lines
 
 
 def plot_search_history(found: OptimisationResult, path: Path) -> None:
-    """Best and mean by generation, and the last population's spread."""
+    """Plot the best and the mean speed against the number of evaluations."""
     figure, axes = new_figure(figsize=(8, 4.5))
     at = [x.evaluations for x in found.history]
     axes.plot(at, [1e2 * x.best for x in found.history], "C3", label="best so far")

@@ -1,4 +1,7 @@
-"""What a search of the unit box is, whatever its algorithm."""
+"""Optimisers of the unit box, one generation at a time, and their table of names.
+
+All maximise. evosax and optax minimise; the change of sign stays within this module.
+"""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -15,28 +18,30 @@ from slider_jax.errors import InputError
 
 
 class Optimiser(NamedTuple):
-    """An algorithm for one size of population, asked and told by generation; it maximises.
+    """An algorithm with an ask-and-tell interface, for one population size; it maximises.
 
-    The state is a tree of arrays. What is drawn follows from the seed and the generation alone, so
-    that a search goes on from a kept state as if it had not been stopped. A member whose score is
-    not finite counts as the worst.
+    The state is a tree of arrays. Random numbers depend on the seed and the generation only, so an
+    optimisation that resumes from a saved state gives the same result as an uninterrupted one. An
+    individual whose score is not finite counts as the worst.
     """
 
     name: str
     begin: Callable[[int], Any]
-    """The state before the first generation, from the seed."""
+    """Returns the state before the first generation, from the seed."""
     ask: Callable[[Any, int, int], tuple[np.ndarray, Any]]
-    """(members (n, d) in the unit box, state) of a state, the seed and the generation."""
+    """Returns (population (n, d) in the unit box, state) from a state, the seed and the generation
+    number."""
     tell: Callable[[Any, int, int, np.ndarray, np.ndarray, np.ndarray | None], Any]
-    """The state after members, their scores (n,), and their gradients (n, d) if asked for."""
+    """Returns the next state from a state, the seed, the generation number, the population, its
+    scores (n,), and its gradients (n, d) if `wants_gradients`."""
     wants_gradients: Callable[[int], bool] = lambda generation: False
-    """Whether a generation is to be scored with gradients."""
+    """Whether the optimiser needs the gradients of a generation."""
     cost: int = 1
-    """Evaluations that one with its gradient is counted for."""
+    """Number of evaluations that one evaluation with gradient counts for."""
 
 
 def standard(call: Callable[..., Any]) -> Callable[..., Any]:
-    """`call` of a library that mixes types, where strict promotion would forbid it."""
+    """Wrap a library call that mixes dtypes, which strict dtype promotion would reject."""
 
     def inner(*arguments: Any) -> Any:
         with jax.numpy_dtype_promotion("standard"):
@@ -46,28 +51,26 @@ def standard(call: Callable[..., Any]) -> Callable[..., Any]:
 
 
 ASCENT_STARTS = 8
-"""Members that go on from the first generation."""
-
-
+"""Number of individuals of the first generation that gradient ascent continues from."""
 STEP, STEPS, LAST = 0.08, 30, 0.05
-"""First step of a climb, of the bounds' width; the generations over which it falls, and to what
-share of itself."""
-
-
+"""Cosine schedule of Adam's learning rate: initial value as a fraction of the bounds' width, number
+of generations, and final value as a fraction of the initial one."""
 COST = 3
-"""Evaluations that one with its gradient is counted for: its time in theirs, rounded up."""
+"""Evaluations that one evaluation with gradient counts for: the ratio of their times, rounded
+up."""
 
 
-def gradient(members: int, dimensions: int) -> Optimiser:
-    """Scrambled Sobol points first; then the best climb by Adam, kept within the box.
+def gradient(population: int, dimensions: int) -> Optimiser:
+    """Return gradient ascent from the best of a first generation of scrambled Sobol points.
 
-    Source: Kingma, D. P., Ba, J. (2015), Adam: a method for stochastic optimization, ICLR.
+    Adam sets the steps; points outside the box are clipped to its faces. Source: Kingma, D. P., Ba,
+    J. (2015), Adam: a method for stochastic optimization, ICLR.
     """
     adam = optax.adam(optax.cosine_decay_schedule(STEP, STEPS, LAST), b1=0.7, b2=0.9)
 
     def begin(seed):
         sobol = qmc.Sobol(dimensions, rng=np.random.default_rng(seed))
-        first = sobol.random_base2(max(1, int(np.ceil(np.log2(members)))))[:members]
+        first = sobol.random_base2(max(1, int(np.ceil(np.log2(population)))))[:population]
         return {"members": first, "climb": adam.init(jnp.zeros((ASCENT_STARTS, dimensions)))}
 
     def ask(state, seed, generation):
@@ -78,7 +81,7 @@ def gradient(members: int, dimensions: int) -> Optimiser:
         if slopes is None:
             best = np.argsort(-good, kind="stable")[:ASCENT_STARTS]
             return state | {"members": found[best]}
-        # A member that failed goes on as its last steps led it.
+        # A zero gradient lets an individual that failed continue with Adam's momentum.
         slopes = jnp.asarray(np.where(np.isfinite(slopes), slopes, 0.0))
         change, climb = adam.update(-slopes, state["climb"])
         return {"members": np.clip(found + np.asarray(change), 0.0, 1.0), "climb": climb}
@@ -89,31 +92,25 @@ def gradient(members: int, dimensions: int) -> Optimiser:
 
 
 DECAY = 100
-"""Generations over which mutation falls (the paper's)."""
-
-
+"""Generations over which the mutation's standard deviation falls (the paper's value)."""
 MUTATION = (0.15, 0.002)
-"""Standard deviation of a mutation at first and after `DECAY` generations, of a bound's width."""
-
-
+"""Standard deviation of a mutation in the first generation and from `DECAY` on, as a fraction of
+the bounds' width."""
 PRESSURE = 1.8
-"""Offspring expected of the best member, where the mean is 1; the worst has the rest to 2."""
-
-
+"""Selection pressure: expected offspring of the best individual. The mean is 1; the worst
+individual has 2 - PRESSURE."""
 ELITE = 2
-"""Members that are copied unchanged."""
-
-
+"""Number of best individuals that each generation copies unchanged."""
 SPREAD = 0.3
-"""Standard deviation that CMA-ES starts with, of a bound's width."""
+"""Initial standard deviation of CMA-ES, as a fraction of the bounds' width."""
 
 
 class RankGA(SimpleGA):
-    """Fitness linear in rank, uniform crossover, normal mutation within the box, an elite kept.
+    """Genetic algorithm with linear ranking, uniform crossover, normal mutation and elitism.
 
-    Parents are drawn by stochastic universal sampling with linear ranking (Baker, J. E. (1985),
-    Adaptive selection methods for genetic algorithms; (1987), Reducing bias and inefficiency in the
-    selection algorithm).
+    Stochastic universal sampling selects the parents. Sources: Baker, J. E. (1985), Adaptive
+    selection methods for genetic algorithms; (1987), Reducing bias and inefficiency in the
+    selection algorithm.
     """
 
     def _ask(self, key, state, params):
@@ -123,16 +120,16 @@ class RankGA(SimpleGA):
         share = (PRESSURE - 2.0 * (PRESSURE - 1.0) * place / (n - 1)) / n
         one, other, mate, order, moved = jax.random.split(key, 5)
 
-        def drawn(key):
+        def sampled(key):
             pointers = (jax.random.uniform(key) + place) / n
             chosen = jnp.searchsorted(jnp.cumsum(share), pointers)
             return ranked[jnp.minimum(chosen, n - 1)]
 
-        mothers = drawn(one)
-        fathers = drawn(other)[jax.random.permutation(order, n)]
+        mothers = sampled(one)
+        fathers = sampled(other)[jax.random.permutation(order, n)]
         children = jnp.where(jax.random.bernoulli(mate, 0.5, mothers.shape), mothers, fathers)
         children = jax.vmap(mutation, (0, 0, None))(jax.random.split(moved, n), children, state.std)
-        # The best are the first of the next population, as they are.
+        # The elite comes first in the next population, unchanged.
         return jnp.clip(children, 0.0, 1.0).at[:ELITE].set(ranked[:ELITE]), state
 
 
@@ -141,22 +138,22 @@ def _key(seed: int, generation: int, use: int) -> jax.Array:
 
 
 def _losses(scores: np.ndarray) -> jax.Array:
-    """To be minimised; finite, as what is not would spoil weights and means."""
+    """Return finite losses: evosax minimises, and its weights and means need finite values."""
     scores = np.asarray(scores, float)
     good = np.isfinite(scores)
     worst = scores[good].min() - 1.0 if good.any() else 0.0
     return jnp.asarray(-np.where(good, scores, worst))
 
 
-def genetic(members: int, dimensions: int) -> Optimiser:
-    """The paper's genetic algorithm."""
+def genetic(population: int, dimensions: int) -> Optimiser:
+    """Return the paper's genetic algorithm."""
     schedule = optax.linear_schedule(*MUTATION, DECAY)
-    ga = RankGA(members, jnp.zeros(dimensions), schedule)
+    ga = RankGA(population, jnp.zeros(dimensions), schedule)
     params = ga.default_params
 
     def begin(seed):
-        first = jax.random.uniform(_key(seed, 0, 0), (members, dimensions))
-        return ga.init(_key(seed, 0, 1), first, jnp.zeros(members), params)
+        first = jax.random.uniform(_key(seed, 0, 0), (population, dimensions))
+        return ga.init(_key(seed, 0, 1), first, jnp.zeros(population), params)
 
     def ask(state, seed, generation):
         if generation == 0:
@@ -172,14 +169,15 @@ def genetic(members: int, dimensions: int) -> Optimiser:
 
 
 def cma_es(
-    members: int, dimensions: int, around: np.ndarray | None = None, spread: float = SPREAD
+    population: int, dimensions: int, around: np.ndarray | None = None, spread: float = SPREAD
 ) -> Optimiser:
-    """Covariance matrix adaptation; members beyond the box are put on its faces.
+    """Return CMA-ES (covariance matrix adaptation).
 
-    It starts `around` a point (the middle), with `spread` as its standard deviation.
+    Points outside the box are clipped to its faces. The initial distribution has the mean `around` (default: the centre of the box) and the standard
+    deviation `spread`, as a fraction of the bounds' width.
     """
     middle = np.full(dimensions, 0.5) if around is None else around
-    es = CMA_ES(members, jnp.zeros(dimensions))
+    es = CMA_ES(population, jnp.zeros(dimensions))
 
     def begin(seed):
         params = es.default_params.replace(std_init=spread)
@@ -204,13 +202,13 @@ OPTIMISERS: dict[str, Callable[[int, int], Optimiser]] = {
 
 
 SMALLEST_POPULATION = {"genetic": 2 * ELITE, "gradient": ASCENT_STARTS, "cma-es": 4}
-"""Members that an algorithm needs."""
+"""Fewest individuals that each algorithm can work with."""
 
 
-def make_optimiser(name: str, members: int, dimensions: int) -> Optimiser:
-    """An algorithm by name. Raises `InputError` for a population that it cannot work with."""
-    if members < SMALLEST_POPULATION[name]:
+def make_optimiser(name: str, population: int, dimensions: int) -> Optimiser:
+    """Return an optimiser by name. Raises `InputError` for a population that is too small."""
+    if population < SMALLEST_POPULATION[name]:
         raise InputError.value(
             "--population", members, f"{SMALLEST_POPULATION[name]} or more members"
         )
-    return OPTIMISERS[name](members, dimensions)
+    return OPTIMISERS[name](population, dimensions)

@@ -1,4 +1,4 @@
-"""The front of one tail for two tasks: the best designs from swimming alone to climbing alone."""
+"""The Pareto front of one tail for two tasks, from swimming alone to climbing alone."""
 
 import json
 from collections.abc import Callable
@@ -22,13 +22,14 @@ from slider_jax.optimise.population import barrier, is_first
 from slider_jax.optimise.two_tasks import CLIMB, NAMES, SWIM, TAIL, TaskEfficiencies, TwoTasks, eta
 
 NEAR = 0.06
-"""Standard deviation with which a search begins that starts from another's best."""
+"""Initial standard deviation of an optimisation that starts from the best design of another, as a
+fraction of the bounds' width."""
 BLENDS = 5
-"""Tails between those of the two tasks that are tried before the searches between."""
+"""Number of tails between the two tasks' best tails that are evaluated as starting points."""
 
 
 class FrontPoint(NamedTuple):
-    """The best design at one beta."""
+    """The best design for one beta."""
 
     beta: float
     eta: float
@@ -39,21 +40,24 @@ class FrontPoint(NamedTuple):
 
 
 class Front(NamedTuple):
-    """What a multimodal search found."""
+    """Result of a multimodal optimisation."""
 
     points: list[FrontPoint]
-    """By rising beta."""
+    """Points of the front, by increasing beta."""
     only: np.ndarray
-    """(2,) E_swim,only and E_climb,only: of the best designs for one task that any search found."""
+    """E_swim,only and E_climb,only (2,): the largest values over all designs evaluated."""
     alone: np.ndarray
-    """(2,) Of the best that the searches for one task alone found."""
+    """E_swim and E_climb (2,) of the designs from optimising each task alone."""
     evaluations: dict[str, int]
-    """Of each search, by its name."""
+    """Number of evaluations of each optimisation, by its name."""
 
 
 class FrontEffort(NamedTuple):
-    """How long is searched. Searches between the tasks take a quarter of the members, and half of
-    the generations."""
+    """Algorithm, population size, generations and seed.
+
+    Optimisations between the two tasks use a quarter of the individuals and half of the
+    generations.
+    """
 
     algorithm: str = "genetic"
     population: int = 112
@@ -62,24 +66,25 @@ class FrontEffort(NamedTuple):
 
     @property
     def between(self) -> tuple[int, int]:
-        """Members and generations of a search that begins at another's best."""
+        """Population and generations of an optimisation that starts from another's best design."""
         return max(6, self.population // 4), max(1, self.generations // 2)
 
 
 class FrontSearches:
-    """The searches that a front is made of; each is kept in its own folder."""
+    """The optimisations that a front consists of; each has its own folder with a checkpoint."""
 
     def __init__(
         self,
         modes: TwoTasks,
         effort: FrontEffort,
         folder: Path,
-        said: Callable[[str, Generation, float], None],
+        on_generation: Callable[[str, Generation, float], None],
     ):
         self.both, self.evaluations = TaskEfficiencies(modes), dict[str, int]()
-        self._modes, self._effort, self._folder, self._said = modes, effort, folder, said
+        self._modes, self._effort, self._folder = modes, effort, folder
+        self._on_generation = on_generation
 
-    def seek(
+    def optimise(
         self,
         name: str,
         free: tuple[int, ...],
@@ -88,14 +93,17 @@ class FrontSearches:
         only: np.ndarray,
         near: bool = True,
     ) -> tuple[np.ndarray, float]:
-        """(design, eta) of the best over the variables `free` of `base`; `near` it, or anywhere."""
+        """Return (design, eta) of the best design over the variables `free` of the design `base`.
+
+        The optimisation starts `near` the base design, or samples the whole box.
+        """
         effort, columns = self._effort, list(free)
-        members, generations = effort.population, effort.generations
+        population, generations = effort.population, effort.generations
         if near:
-            members, generations = effort.between
-            algorithm = cma_es(members, len(free), base[columns], NEAR)
+            population, generations = effort.between
+            algorithm = cma_es(population, len(free), base[columns], NEAR)
         else:
-            algorithm = make_optimiser(effort.algorithm, members, len(free))
+            algorithm = make_optimiser(effort.algorithm, population, len(free))
 
         def put(part: np.ndarray) -> np.ndarray:
             designs = np.tile(base, (len(part), 1))
@@ -108,29 +116,32 @@ class FrontSearches:
         start = {"free": [NAMES[i] for i in free], "base": base.tolist(), "near": near,
                  "beta": beta, "only": only.tolist()}  # fmt: skip
         task = self._modes.settings() | {"start": start}
-        settings = settings_of(algorithm, members, effort.seed, task)
+        settings = settings_of(algorithm, population, effort.seed, task)
         place = self._folder / name
         if is_first():
             place.mkdir(exist_ok=True)
         found = run_optimiser(
             algorithm, evaluate, generations, effort.seed, settings, place, True,
-            is_first(), lambda generation, seconds: self._said(name, generation, seconds),
+            is_first(), lambda generation, seconds: self._on_generation(name, generation, seconds),
         )  # fmt: skip
         if not np.isfinite(found.score):
             raise SolverError(
-                f"{name}: of {found.history[-1].evaluations} designs each has a step that fails, "
-                "no steady speed, or a climb whose energies do not add up; give more members, or "
-                "other bounds"
+                f"{name}: all {found.history[-1].evaluations} designs fail: a time step does not "
+                "converge, there is no steady speed, or the energy balance of the climb has too "
+                "large an error; increase --population, or change the bounds"
             )
         self.evaluations[name] = found.history[-1].evaluations
         return put(found.best[None])[0], found.score
 
     def alone(self, task: str, part: tuple[int, ...], beta: float) -> tuple[np.ndarray, float]:
-        """The best for one task: from nothing, and from there once more."""
+        """Return (design, eta) of the best design for one task.
+
+        A second optimisation starts from the best design of the first.
+        """
         free, one = part + TAIL, np.ones(2)
-        first = self.seek(f"{task}_only", free, np.full(len(NAMES), 0.5), beta, one, near=False)
-        again = self.seek(f"{task}_only_again", free, first[0], beta, one)
-        return max(first, again, key=lambda found: found[1])
+        first = self.optimise(f"{task}_only", free, np.full(len(NAMES), 0.5), beta, one, near=False)
+        again = self.optimise(f"{task}_only_again", free, first[0], beta, one)
+        return max(first, again, key=lambda result: result[1])
 
 
 def search_front(
@@ -139,41 +150,46 @@ def search_front(
     effort: FrontEffort,
     folder: Path,
     resume: bool = False,
-    said: Callable[[str, Generation, float], None] = lambda name, generation, seconds: None,
+    on_generation: Callable[[str, Generation, float], None] = lambda name, generation, seconds: (
+        None
+    ),
 ) -> Front:
-    """The best designs over `betas` evenly spread values of beta, 0 and 1 among them.
+    """Return the best designs for `betas` evenly spaced values of beta from 0 to 1.
 
-    First each task alone. Then at each end the other task's drive for the tail there; then beta by
-    beta from swimming to climbing, each from the best that is known for it. In the end each beta
-    takes the best of all designs found. With `resume` it goes on with the search that was stopped.
-    Raises `InputError` if `folder` holds a search and there is no `resume`, or one with other
-    settings; all of them count.
+    1. Optimise each task alone.
+    2. Optimise each task's drive for the other task's tail.
+    3. Go from swimming to climbing, beta by beta; each optimisation starts from the best known
+       design.
+    4. Take for each beta the best of all designs.
+
+    With `resume` an interrupted optimisation continues. Raises `InputError` if `folder` holds an
+    optimisation and `resume` is not given, or if any of its settings differ.
     """
     _begin(folder, {"betas": betas, **effort._asdict(), **modes.settings()}, resume)
-    searches = FrontSearches(modes, effort, folder, said)
+    searches = FrontSearches(modes, effort, folder, on_generation)
     swims, E_swim = searches.alone("swim", SWIM, 1.0)
     climbs, E_climb = searches.alone("climb", CLIMB, 0.0)
     for name, found in (("swim", E_swim), ("climb", E_climb)):
         if found <= 0.0:
             raise SolverError(
-                f"{name}_only: no design gets ahead, the best has an efficiency of {found:.3g}; "
-                "give more members, or other bounds"
+                f"{name}_only: no design moves forward; the best efficiency is {found:.3g}; "
+                "increase --population, or change the bounds"
             )
     only, known = np.array([E_swim, E_climb]), list[np.ndarray]()
     alone = only
-    for share in np.linspace(0.0, 1.0, BLENDS + 2):  # of the climber's tail, with both best drives
+    for share in np.linspace(0.0, 1.0, BLENDS + 2):  # share of the climber's tail; both best drives
         design = swims.copy()
         design[list(CLIMB)] = climbs[list(CLIMB)]
         design[list(TAIL)] += share * (climbs - swims)[list(TAIL)]
         known.append(design)
     ends = (("climb_with_swimmers_tail", CLIMB, known[0], 0.0),
             ("swim_with_climbers_tail", SWIM, known[-1], 1.0))  # fmt: skip
-    known += [searches.seek(name, part, base, beta, only)[0] for name, part, base, beta in ends]
+    known += [searches.optimise(name, part, base, beta, only)[0] for name, part, base, beta in ends]
     efficiencies = searches.both(np.stack(known), True, True)
     values, free = np.linspace(0.0, 1.0, betas), tuple(range(len(NAMES)))
     for beta in values[-2:0:-1].tolist():
         begin = known[_best(beta, known, efficiencies, only)[1]]
-        known.append(searches.seek(f"beta_{beta:.3f}", free, begin, beta, only)[0])
+        known.append(searches.optimise(f"beta_{beta:.3f}", free, begin, beta, only)[0])
         new = searches.both(known[-1][None], True, True)
         efficiencies = np.concatenate([efficiencies, new])
     only, points = np.fmax(alone, np.nanmax(efficiencies, axis=0)), []
@@ -184,29 +200,33 @@ def search_front(
 
 
 def _begin(folder: Path, settings: dict[str, Any], resume: bool) -> None:
-    """Write down what is searched for, or check that it is what was begun."""
+    """Write the settings of a new optimisation, or check those of one that resumes."""
     file, settings = folder / PLAN, json.loads(json.dumps(settings))
     if file.exists():
         if not resume:
             raise InputError(
-                f"{file}: a search was begun here; add --resume to go on with it, or give another "
-                "folder"
+                f"{file}: this folder holds an optimisation; add --resume to continue it, or give "
+                "another folder"
             )
         try:
-            begun = json.loads(file.read_text())
+            saved = json.loads(file.read_text())
         except (OSError, ValueError):
-            begun = None
-        if not isinstance(begun, dict) or begun.keys() != settings.keys():
+            saved = None
+        if not isinstance(saved, dict) or saved.keys() != settings.keys():
             raise InputError(
-                f"{file}: is torn or not of this program; put a copy in its place, or give another "
-                "folder"
+                f"{file}: the file is damaged or was not written by this program; restore it from "
+                "a copy, or give another folder"
             )
-        if differ := differences(settings, begun):
-            told = "; ".join(differ[:3])
-            raise InputError(f"{file}: has other settings: {told}; give these, or another folder")
+        if differ := differences(settings, saved):
+            raise InputError(
+                f"{file}: the optimisation in this folder has other settings: "
+                f"{'; '.join(differ[:3])}; give the same settings, or another folder"
+            )
     elif any(folder.glob(f"**/{CHECKPOINT}")):
-        raise InputError(f"{folder}: holds another search's checkpoints; give another folder")
-    barrier("all have looked")
+        raise InputError(
+            f"{folder}: this folder holds checkpoints of another optimisation; give another folder"
+        )
+    barrier("settings are checked")
     if is_first():
         folder.mkdir(parents=True, exist_ok=True)
         write_json(file, settings)
@@ -215,7 +235,7 @@ def _begin(folder: Path, settings: dict[str, Any], resume: bool) -> None:
 def _best(
     beta: float, known: list[np.ndarray], efficiencies: np.ndarray, only: np.ndarray
 ) -> tuple[float, int]:
-    """Score and place of the best at beta; of equals at an end, the better at the other task."""
+    """Return eta and index of the best design; the sum of both efficiencies breaks ties."""
     scores = eta(beta, efficiencies, only)
     other = np.nan_to_num((efficiencies / only).sum(axis=1), nan=-1.0)
     scores = np.where(np.isfinite(scores), scores, -np.inf)
@@ -224,11 +244,14 @@ def _best(
 
 
 def dominated(points: list[FrontPoint]) -> list[float]:
-    """Betas whose neighbours have a design at least as good at both tasks, and better at one."""
-    found = []
+    """Return the betas whose point is dominated by a neighbour.
+
+    The neighbour is then at least as good at both tasks and better at one.
+    """
+    betas = []
     for i, point in enumerate(points):
         for neighbour in points[max(0, i - 1) : i + 2]:
             more = neighbour.efficiencies - point.efficiencies
             if np.all(more >= 0.0) and np.any(more > 0.0):
-                found.append(point.beta)
-    return found
+                betas.append(point.beta)
+    return betas

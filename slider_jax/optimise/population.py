@@ -1,7 +1,7 @@
-"""A population's scores, computed on all devices of all processes.
+"""Evaluation of a population on all devices of all processes.
 
-Members are cut into chunks of one size, whatever the number of devices, so that every member's
-score is the same to the last bit on one device and on many.
+The population is divided into chunks of one size, whatever the number of devices. Each individual's
+score is therefore the same to the last bit on one device and on many.
 """
 
 import itertools
@@ -12,24 +12,25 @@ from typing import Any
 
 import jax
 import numpy as np
-from jax._src import distributed  # its barrier waits as long as it is told; a collective does not
+from jax._src import distributed  # its barrier takes a timeout; a collective does not
 from jax.experimental import multihost_utils
 from jax.sharding import Mesh, PartitionSpec
 
 from slider_jax.errors import InputError
 
 CHUNK = 8
-"""Members that are computed together: as many as a core's cache holds."""
+"""Individuals that a device evaluates together: as many as fit into a core's cache."""
 PATIENCE = 3600
-"""For how long a process waits for one that is late [s]; for one that ended it does not."""
+"""Time [s] for which a process waits for a late one; it does not wait for one that ended."""
 _meetings = itertools.count()
 
 
 class Evaluation:
-    """`objective` of every row of a population. All processes must call it alike.
+    """Computes `objective` for every row of a population.
 
-    Devices share nothing while they compute: one that is late, as others use its core, makes the
-    rest wait, and a collective in the midst of it would give up after some seconds.
+    All processes must make the same calls. Devices exchange nothing while they compute: if another
+    program slows one device, the others wait for it, and a collective operation would time out
+    after some seconds.
     """
 
     def __init__(self, objective: Callable[[jax.Array], Any], chunk: int = CHUNK):
@@ -44,12 +45,12 @@ class Evaluation:
         )
         self._sharding = jax.NamedSharding(mesh, rows)
 
-    def __call__(self, members: np.ndarray) -> Any:
-        """Scores (n, ...) of `members` (n, d), as NumPy's. One program serves every n."""
-        n = len(members)
-        filled = members[np.minimum(np.arange(-(-n // self._rows) * self._rows), n - 1)]
+    def __call__(self, population: np.ndarray) -> Any:
+        """Return scores (n, ...) of a population (n, d) as NumPy arrays; n does not recompile."""
+        n = len(population)
+        filled = population[np.minimum(np.arange(-(-n // self._rows) * self._rows), n - 1)]
         parts = filled.reshape(-1, self._rows, filled.shape[-1])
-        found = [self._compiled(self._given(part)) for part in parts]  # all are begun at once
+        found = [self._compiled(self._given(part)) for part in parts]  # all start at once
         scores = jax.tree.map(lambda *x: np.stack([_local(part) for part in x]), *found)
         if jax.process_count() > 1:
             barrier("scores")
@@ -63,21 +64,22 @@ class Evaluation:
 
 
 def _local(part: jax.Array) -> np.ndarray:
-    """The rows that this process has."""
+    """Return the rows that this process holds."""
     shards = sorted(part.addressable_shards, key=lambda x: x.index[0].start or 0)
     return np.concatenate([np.asarray(x.data) for x in shards])
 
 
 def start_devices(cores: int, coordinator: str = "", processes: int = 1, process: int = 0) -> None:
-    """Make JAX see a device for each of `cores` of a CPU, two at least. Call it first of all.
+    """Configure JAX with one device for each of `cores` CPU cores, at least two.
 
-    `coordinator` is the host:port of process 0 where there are several; under srun they find each
-    other, and the arguments are left out. Where JAX has begun to compute, its devices stay.
+    Call this before any JAX computation; later calls do not change the devices. `coordinator` is
+    the host:port of process 0 if there are several processes. Under srun the processes find each
+    other, so omit it. Raises `InputError` if the processes have different numbers of cores.
     """
-    # Of a job step: the batch script itself, which is one process, has no such variable above 1.
+    # This variable counts the processes of a job step; in the batch script itself it is at most 1.
     slurm = int(os.environ.get("SLURM_STEP_NUM_TASKS", "1")) > 1
     with suppress(RuntimeError):
-        # A program for one device is compiled otherwise, and differs in the last bit.
+        # XLA compiles a program for one device differently, and its last bit differs.
         jax.config.update("jax_num_cpu_devices", max(2, cores))
     if coordinator or slurm:
         jax.config.update("jax_cpu_collectives_implementation", "gloo")
@@ -86,18 +88,18 @@ def start_devices(cores: int, coordinator: str = "", processes: int = 1, process
         counts = np.bincount([device.process_index for device in jax.devices()])
         if len(set(counts)) > 1:
             raise InputError(
-                f"processes: have {', '.join(map(str, counts))} cores; allowed are as many for "
-                "each: give the larger ones fewer, by taskset or --cpus-per-task"
+                f"processes: they have {', '.join(map(str, counts))} cores; all must have the same "
+                "number: restrict the larger ones with taskset or --cpus-per-task"
             )
 
 
 def is_first() -> bool:
-    """Whether this is the process that speaks and writes."""
+    """Return whether this process is the one that prints and writes files."""
     return jax.process_index() == 0
 
 
 def barrier(place: str) -> None:
-    """Wait for all processes to come here, the same number of times each."""
+    """Wait until all processes reach this call; each must make the same number of calls."""
     if jax.process_count() > 1:
         client = distributed.global_state.client
         assert client is not None

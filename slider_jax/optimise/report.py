@@ -1,4 +1,4 @@
-"""A front of designs in a table, in files that `slider swim` and `slider climb` take, and drawn."""
+"""Files, table and picture of a Pareto front."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -23,11 +23,12 @@ SHOWN = (
     ("front", "pressures (kPa)", 1e-3),
     ("phase", "phase (of a period)", 1.0),
 )
-"""Variable, label, factor from SI; beside each the climber's, and with the front ones the rear."""
+"""Variable, axis label, factor from SI. Each panel also shows the climber's variable, and the panel
+of the front pressures also shows the rear ones."""
 
 
 def front_records(modes: TwoTasks, front: Front) -> list[dict[str, Any]]:
-    """What each point of the front is, in SI."""
+    """Return each point of the front as a record for JSON, in SI units."""
     everything, again = tuple(range(len(NAMES))), dict[bytes, dict[str, Any]]()
     own = to_numerics(modes.task.experiment)[0]
     finer = modes.task.search._replace(numerics=own)
@@ -52,7 +53,7 @@ def front_records(modes: TwoTasks, front: Front) -> list[dict[str, Any]]:
 def on_own_mesh(
     modes: TwoTasks, design: np.ndarray, E_swim: Callable[[jax.Array], jax.Array]
 ) -> dict[str, Any]:
-    """What `slider swim` and `slider climb` find of a design, on the experiment's own mesh."""
+    """Return a design's results of `slider swim` and `slider climb`, on the experiment's mesh."""
     swims, climbs, pin = modes.gaits(design)
     climbed = simulate_climb(with_gait(modes.task.experiment, climbs), 0, pin)
     return {
@@ -70,7 +71,7 @@ def write_front(
     folder: Path,
     inputs: list[dict[str, Any]],
 ) -> dict[str, Any]:
-    """multimodal.json, multimodal.png and two experiments a point; returns what the JSON says."""
+    """Write multimodal.json, multimodal.png and two experiments a point; return the JSON."""
     found, only = front_records(modes, front), {"E_swim": front.only[0], "E_climb": front.only[1]}
     content = {
         "front": found,
@@ -87,11 +88,11 @@ def write_front(
         for row, point in zip(found, front.points, strict=True):
             swims, climbs, pin = modes.gaits(point.design)
             own = row["own_mesh"]
-            for task, gait, said in (
+            for task, gait, comment in (
                 ("swim", swims, f"Froude efficiency {own['E_swim']:.4g}."),
                 ("climb", climbs, f"m g U/P {own['E_climb']:.4g} with --pin-phase {pin:.6g}."),
             ):
-                text = to_toml(with_gait(modes.task.experiment, gait), said)
+                text = to_toml(with_gait(modes.task.experiment, gait), comment)
                 write_text(stage / f"beta_{point.beta:.3f}_{task}.toml", text)
         write_json(stage / "multimodal.json", content)
         plot_front(found, only, stage / "multimodal.png")
@@ -99,7 +100,7 @@ def write_front(
 
 
 def front_summary(content: dict[str, Any]) -> list[str]:
-    """The front, a line a point."""
+    """Return the lines of the table of a front, and remarks."""
     lines = [
         f"{'beta':>6}{'eta':>8}{'E_swim':>9}{'E_climb':>9}{'tail mm':>9}{'mN m^2':>8}"
         f"{'swim Hz':>9}{'kPa':>9}{'phase':>7}{'climb Hz':>10}{'kPa':>9}{'phase':>7}{'pin':>6}"
@@ -117,14 +118,14 @@ def front_summary(content: dict[str, Any]) -> list[str]:
         )
     only, total = content["only"], sum(content["evaluations"].values())
     lines.append(
-        f"best at one task: swimming {only['E_swim']:.4f}, climbing {only['E_climb']:.4f}; "
+        f"best for one task: swimming {only['E_swim']:.4f}, climbing {only['E_climb']:.4f}; "
         f"{total} evaluations"
     )
     for name, found in content["alone"].items():
         if found < 0.99 * only[name]:
             lines.append(
-                f"the search for {name} alone ended at {found:.4f}, below what another found: more "
-                "generations are needed, in a new folder"
+                f"optimising {name} alone reached {found:.4f}, less than another optimisation did: "
+                "repeat with more --generations in a new folder"
             )
     for name in ("E_swim", "E_climb"):
         own = ", ".join(f"{x['own_mesh'][name]:.4f}" for x in content["front"])
@@ -135,14 +136,14 @@ def front_summary(content: dict[str, Any]) -> list[str]:
         if x["own_mesh"]["climb_repeats_after_strides"] is None
     ]
     if unrepeated:
-        lines.append(f"beta {', '.join(unrepeated)}: the climb does not repeat there")
+        lines.append(f"beta {', '.join(unrepeated)}: the strides of the climb do not repeat")
     if content["dominated_by_a_neighbour"]:
         lines.append(f"dominated by a neighbour: {content['dominated_by_a_neighbour']}")
     return lines
 
 
 def plot_front(found: list[dict[str, Any]], only: dict[str, float], path: Path) -> None:
-    """Like the paper's Fig. 9: the front, and how the optimum moves with beta."""
+    """Plot the front and the optimal variables against beta, like the paper's Fig. 9."""
     figure, axes = new_figure(2, 3, figsize=(11, 6.5))
     beta = np.array([x["beta"] for x in found])
     (front, *others) = axes.flat
@@ -155,16 +156,19 @@ def plot_front(found: list[dict[str, Any]], only: dict[str, float], path: Path) 
     front.set_ylabel("E_climb/E_climb,only")
     figure.colorbar(points, ax=front, label="beta")
     for (name, label, factor), ax in zip(SHOWN, others, strict=True):
-        shown = [(name, "C0o-", "both" if name in ("tail_length", "EI_tail") else "swims")]
+        shown = [(name, "C0o-", "both" if name in ("tail_length", "EI_tail") else "swimming")]
         if f"climb_{name}" in found[0]:
-            shown.append((f"climb_{name}", "C3s-", "climbs"))
+            shown.append((f"climb_{name}", "C3s-", "climbing"))
         if name == "front":
-            shown += [("rear", "C0o--", "swims, rear"), ("climb_rear", "C3s--", "climbs, rear")]
+            shown += [
+                ("rear", "C0o--", "swimming, rear"),
+                ("climb_rear", "C3s--", "climbing, rear"),
+            ]
         if name == "phase":
             shown.append(("pin_phase", "C3^:", "pin"))
-        for key, look, said in shown:
-            ax.plot(beta, [factor * x[key] for x in found], look, ms=4, lw=1.0, label=said)
-        ax.set_xlabel("beta (0 climbs, 1 swims)")
+        for key, style, text in shown:
+            ax.plot(beta, [factor * x[key] for x in found], style, ms=4, lw=1.0, label=text)
+        ax.set_xlabel("beta (0: climbing, 1: swimming)")
         ax.set_ylabel(label)
         if len(shown) > 1:
             ax.legend(fontsize="x-small")

@@ -1,10 +1,11 @@
-"""One tail for two tasks: swimming and climbing, each with a drive of its own.
+"""One tail for two tasks: swimming and climbing, each with its own drive.
 
     eta(beta) = beta E_swim/E_swim,only + (1 - beta) E_climb/E_climb,only,    0 <= beta <= 1
 
-E_swim is the Froude efficiency of a steady stride, E_climb = m g U/P over 15 strides; "only" is the
-best there is for one task alone. Both are of a member's own drive and the common tail, so at the
-ends, where one task does not count, its drive is chosen for the tail that the other wants.
+E_swim is the Froude efficiency of a steady stride, and E_climb = m g U/P over 15 strides. The index
+"only" marks the largest value when one task alone is optimised. A design has two drives and one
+tail. At beta = 0 or 1 one task has no weight; its drive is then optimised for the other task's
+tail.
 """
 
 from typing import Any, NamedTuple
@@ -25,7 +26,7 @@ from slider_jax.swimming.steady_state import SteadySettings
 
 DRIVE = ("frequency", "front", "rear", "phase")
 NAMES = (*DRIVE, *(f"climb_{name}" for name in DRIVE), "pin_phase", "tail_length", "EI_tail")
-"""Variables of a design; the first four drive the swimmer."""
+"""Design variables; the first four are the swimmer's drive."""
 SWIM, CLIMB, TAIL = (0, 1, 2, 3), (4, 5, 6, 7, 8), (9, 10)
 CLIMBER_BOUNDS = {
     "climb_frequency": (1.0, 4.0),
@@ -34,16 +35,17 @@ CLIMBER_BOUNDS = {
     "climb_phase": (-0.5, 0.5),
     "pin_phase": (-0.5, 0.5),
 }
-"""Bounds of the climber's drive, assumed but for the cap; SI."""
+"""Bounds of the climber's drive, SI; assumed, except for the pressure cap."""
 UNACCOUNTED = 0.02
-"""Largest share of a climber's power by which its energies may fail to add up."""
+"""Largest error of a climb's energy balance, as a fraction of its power. A larger error means that
+the time step is too long, so the efficiency counts as missing."""
 
 
 class TwoTasks(NamedTuple):
-    """Both tasks of one robot."""
+    """Both tasks of one robot, and the bounds of the designs."""
 
     task: Task
-    """Of swimming; its box has the swimmer's drive, and the tail."""
+    """The swimming task; its bounds are those of the swimmer's drive and the tail."""
     plan: ClimbPlan
     low: np.ndarray
     high: np.ndarray
@@ -57,7 +59,10 @@ class TwoTasks(NamedTuple):
         EI_tail: tuple[float, float] | None = None,
         steps_per_stride: int = 96,
     ) -> "TwoTasks":
-        """Raises `InputError` as `Task.of` does, and for a robot that cannot swim or climb."""
+        """Return both tasks of an experiment's robot.
+
+        Raises `InputError` as `Task.of` does, and for a robot that cannot swim or climb.
+        """
         bounds = {"tail_length": tail_length, "EI_tail": EI_tail}
         task = Task.of(experiment, bounds, steps_per_stride)
         climbing = np.array(list(CLIMBER_BOUNDS.values())).T
@@ -65,7 +70,7 @@ class TwoTasks(NamedTuple):
             np.concatenate([x[:4], y, x[4:]])
             for x, y in zip((task.box.low, task.box.high), climbing, strict=True)
         )
-        # Settled sooner than `ClimbPlan` has it: here designs are only compared.
+        # Fewer settling strides than the default are enough to compare designs.
         steps = steps_per_stride + steps_per_stride // 3
         numerics, scheme = task.search.numerics, task.search.scheme
         plan = ClimbPlan(10, 15, steps + steps % 2, numerics, scheme)
@@ -73,23 +78,23 @@ class TwoTasks(NamedTuple):
         to_climber(model, 1.0, 0.0)
         if not any(effect.resists for effect in model.effects):
             raise InputError(
-                "effects: none resists motion along the body, so that no swimmer is steady; add "
-                "one such as head_drag"
+                "effects: no effect resists motion along the body, so no swimmer reaches a steady "
+                "speed; add an effect such as head_drag"
             )
         return cls(task, plan, low, high)
 
     def values(self, unit: np.ndarray | Float[Array, " n"], part: tuple[int, ...]):
-        """SI values of some variables from their places in the unit box."""
+        """Return SI values of the variables `part` from their coordinates in the unit box."""
         low, high = self.low[list(part)], self.high[list(part)]
         return low + unit * (high - low)
 
     def gaits(self, unit: np.ndarray) -> tuple[Gait, Gait, float]:
-        """How a design (11,) swims and climbs, and its pin's phase."""
+        """Return the swimming gait, the climbing gait and the pin phase of a design (11,)."""
         x = [float(v) for v in self.values(unit, tuple(range(len(NAMES))))]
         return Gait(*x[:4], *x[9:]), Gait(*x[4:8], *x[9:]), x[8]
 
     def settings(self) -> dict[str, Any]:
-        """All that efficiencies depend on."""
+        """Return everything that the efficiencies depend on."""
         bounds = dict(zip(NAMES, zip(self.low.tolist(), self.high.tolist(), strict=True),
                           strict=True))  # fmt: skip
         plan = {"settling": self.plan.settling, "strides": self.plan.strides,
@@ -98,7 +103,7 @@ class TwoTasks(NamedTuple):
 
 
 def swim_efficiency(experiment: Experiment, search: SteadySettings):
-    """Froude efficiency of (6,) SI values, in the order of `Gait`; NaN where it is not steady."""
+    """Return the function from a gait (6,), SI, to its Froude efficiency; NaN if not steady."""
     model = models(experiment)
 
     def one(x: Float[Array, "6"]) -> Float[Array, ""]:
@@ -111,9 +116,9 @@ def swim_efficiency(experiment: Experiment, search: SteadySettings):
 
 
 def climb_efficiency(experiment: Experiment, plan: ClimbPlan):
-    """m g U/P of (7,) SI values: drive, pin's phase, tail.
+    """Return the function from (7,) SI values (drive, pin phase, tail) to m g U/P.
 
-    NaN where a step fails, or energies do not add up to `UNACCOUNTED`.
+    It returns NaN if a step fails or the error of the energy balance exceeds `UNACCOUNTED`.
     """
     base = to_model(experiment, 0)
 
@@ -129,7 +134,7 @@ def climb_efficiency(experiment: Experiment, plan: ClimbPlan):
 
 
 class TaskEfficiencies:
-    """Efficiencies of designs in the unit box, on all devices."""
+    """Computes efficiencies of designs in the unit box, on all devices."""
 
     def __init__(self, modes: TwoTasks):
         self.modes = modes
@@ -139,7 +144,7 @@ class TaskEfficiencies:
         self._climb = Evaluation(lambda x: climb(modes.values(x, CLIMB + TAIL)))
 
     def __call__(self, designs: np.ndarray, swims: bool, climbs: bool) -> np.ndarray:
-        """(n, 2) of designs (n, 11): E_swim and E_climb; NaN where not asked for, or failed."""
+        """Return E_swim and E_climb (n, 2) of designs (n, 11); NaN if not requested or failed."""
         found = np.full((len(designs), 2), np.nan)
         if swims:
             found[:, 0] = self._swim(np.ascontiguousarray(designs[:, SWIM + TAIL]))
@@ -149,7 +154,7 @@ class TaskEfficiencies:
 
 
 def eta(beta: float, efficiencies: np.ndarray, only: np.ndarray) -> np.ndarray:
-    """(n,) of efficiencies (n, 2); a task without weight may fail."""
+    """Return eta (n,) of efficiencies (n, 2); a task without weight may fail."""
     weights = np.array([beta, 1.0 - beta])
     counts = weights > 0.0
     return (efficiencies[:, counts] / only[counts]) @ weights[counts]

@@ -31,13 +31,15 @@ def settings(name, seed=3):
     return settings_of(make_optimiser(name, MEMBERS, 6), MEMBERS, seed, {"task": "hills"})
 
 
-def sought(name, generations, folder=None, seed=3, said=lambda g, s: None, resume=False):
-    algorithm, told = make_optimiser(name, MEMBERS, 6), settings(name, seed)
-    return run_optimiser(algorithm, evaluated, generations, seed, told, folder, resume, said=said)
+def sought(name, generations, folder=None, seed=3, on_generation=lambda g, s: None, resume=False):
+    return run_optimiser(
+        make_optimiser(name, MEMBERS, 6), evaluated, generations, seed, settings(name, seed),
+        folder, resume, on_generation=on_generation,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("name", OPTIMISERS)
-def test_the_top_of_the_highest_hill_is_found(name):
+def test_the_global_maximum_is_found(name):
     found = sought(name, 60)
     assert np.all((found.population >= 0.0) & (found.population <= 1.0))
     assert found.score == hills(found.best[None])[0]
@@ -57,70 +59,70 @@ class Killed(Exception):
 
 
 @pytest.mark.parametrize("name", OPTIMISERS)
-def test_a_search_killed_three_times_ends_as_one_that_was_not(name, tmp_path):
+def test_an_optimisation_killed_three_times_gives_the_same_result(name, tmp_path):
     whole = sought(name, 15)
     moments = sorted(np.random.default_rng(0).choice(np.arange(1, 14), 3, replace=False))
 
     def kill_at(moment):
-        def said(generation, seconds):
+        def on_generation(generation, seconds):
             if generation.number == moment:
                 raise Killed
 
-        return said
+        return on_generation
 
     for moment in moments:
         with pytest.raises(Killed):
-            sought(name, 15, tmp_path, said=kill_at(moment), resume=True)
+            sought(name, 15, tmp_path, on_generation=kill_at(moment), resume=True)
     again = sought(name, 15, tmp_path, resume=True)
     np.testing.assert_equal(again.history, whole.history)
     np.testing.assert_array_equal(again.population, whole.population)
     np.testing.assert_array_equal(again.best, whole.best)
 
 
-def test_another_seed_draws_others():
+def test_another_seed_gives_another_population():
     assert not np.array_equal(
         sought("genetic", 2).population, sought("genetic", 2, seed=4).population
     )
 
 
-def test_a_longer_search_goes_on_from_a_shorter_one(tmp_path):
+def test_a_longer_optimisation_continues_a_shorter_one(tmp_path):
     sought("genetic", 4, tmp_path)
     again = sought("genetic", 9, tmp_path, resume=True)
     np.testing.assert_equal(again.history, sought("genetic", 9).history)
 
 
-def test_what_was_begun_is_not_overwritten(tmp_path):
+def test_a_checkpoint_is_not_overwritten_without_resume(tmp_path):
     sought("genetic", 2, tmp_path)
-    with pytest.raises(InputError, match=r"a search was begun here; add --resume"):
+    with pytest.raises(InputError, match=r"holds an optimisation; add --resume"):
         sought("genetic", 2, tmp_path)
 
 
-def test_another_search_is_not_taken_up(tmp_path):
+def test_a_checkpoint_with_other_settings_is_refused(tmp_path):
     sought("genetic", 2, tmp_path)
-    with pytest.raises(InputError, match="other settings: seed: given 4, begun with 3"):
+    with pytest.raises(InputError, match="other settings: seed: given 4, saved 3"):
         sought("genetic", 3, tmp_path, seed=4, resume=True)
 
 
 @pytest.mark.parametrize("damage", ["cut", "flipped", "other"])
-def test_a_torn_checkpoint_is_refused(tmp_path, damage):
+def test_a_damaged_checkpoint_is_refused(tmp_path, damage):
     sought("genetic", 2, tmp_path)
     path = tmp_path / CHECKPOINT
     content = bytearray(path.read_bytes())
     if damage == "flipped":
         content[len(content) // 2] ^= 1
     path.write_bytes({"cut": content[:-50], "flipped": content, "other": b"text"}[damage])
-    with pytest.raises(InputError, match="is torn or not a checkpoint"):
+    with pytest.raises(InputError, match="is damaged or is not a checkpoint"):
         sought("genetic", 3, tmp_path, resume=True)
 
 
 @pytest.mark.parametrize("name", OPTIMISERS)
-def test_a_population_that_cannot_breed_is_refused(name):
+def test_a_population_that_is_too_small_is_refused(name):
     few = SMALLEST_POPULATION[name] - 1
     with pytest.raises(InputError, match=f"--population: given {few}; allowed {few + 1} or more"):
         make_optimiser(name, few, 6)
 
 
-def test_a_population_that_fails_as_a_whole_is_survived():
+def test_a_generation_may_fail_completely():
     def nothing(members, gradients):
         return np.full(len(members), np.nan), None
 
@@ -128,10 +130,10 @@ def test_a_population_that_fails_as_a_whole_is_survived():
     assert found.history[-1].failed == MEMBERS and found.score == -np.inf
 
 
-def test_what_differs_is_told_by_its_place():
+def test_differences_name_their_place():
     one = {"seed": 1, "robot": {"EI": [1.0, 2.0], "L": 3}, "gone": None}
     other = {"seed": 1, "robot": {"EI": [1.0, 2.5], "L": 3}, "new": "x"}
     assert differences(one, one) == []
     assert differences(one, other) == [
-        "robot.EI.1: given 2.0, begun with 2.5", 'new: given null, begun with "x"'
+        "robot.EI.1: given 2.0, saved 2.5", 'new: given null, saved "x"'
     ]  # fmt: skip

@@ -103,7 +103,7 @@ def test_the_front_of_known_hills_is_found(hills, tmp_path):
 
 
 @pytest.mark.parametrize("saves", [8, 20])
-def test_a_search_that_was_stopped_goes_on(hills, whole, tmp_path, monkeypatch, saves):
+def test_an_interrupted_optimisation_resumes(hills, whole, tmp_path, monkeypatch, saves):
     """Stopped after any of its generations; the front is the same to the last bit."""
     kept, count = optimise._save, [0]
 
@@ -117,9 +117,9 @@ def test_a_search_that_was_stopped_goes_on(hills, whole, tmp_path, monkeypatch, 
         patch.setattr(optimise, "_save", stop)
         with pytest.raises(KeyboardInterrupt):
             search_front(hills, 3, FEW, tmp_path / "broken")
-    with pytest.raises(InputError, match="a search was begun here; add --resume"):
+    with pytest.raises(InputError, match="holds an optimisation; add --resume"):
         search_front(hills, 3, FEW, tmp_path / "broken")
-    with pytest.raises(InputError, match="betas: given 4, begun with 3; give these"):
+    with pytest.raises(InputError, match="betas: given 4, saved 3; give the same"):
         search_front(hills, 4, FEW, tmp_path / "broken", resume=True)
     again = search_front(hills, 3, FEW, tmp_path / "broken", resume=True)
     for one, other in zip(whole.points, again.points, strict=True):
@@ -128,35 +128,35 @@ def test_a_search_that_was_stopped_goes_on(hills, whole, tmp_path, monkeypatch, 
 
 
 @pytest.mark.parametrize("content", ["", "[]", "{}", '{"betas": ', None])
-def test_a_damaged_plan_is_told(hills, tmp_path, content):
+def test_a_damaged_settings_file_is_refused(hills, tmp_path, content):
     search_front(hills, 2, FrontEffort("genetic", 8, 1, 1), tmp_path)
     (tmp_path / "search.json").unlink()
     if content is None:
         (tmp_path / "search.json").mkdir()
     else:
         (tmp_path / "search.json").write_text(content)
-    with pytest.raises(InputError, match="search.json: is torn or not of this program"):
+    with pytest.raises(InputError, match="search.json: the file is damaged or was not written"):
         search_front(hills, 2, FrontEffort("genetic", 8, 1, 1), tmp_path, resume=True)
 
 
-def test_searches_of_two_kinds_do_not_mix(hills, tmp_path):
+def test_a_folder_of_another_kind_of_optimisation_is_refused(hills, tmp_path):
     (tmp_path / "checkpoint.npz").write_bytes(b"of another search")
-    with pytest.raises(InputError, match="holds another search's checkpoints"):
+    with pytest.raises(InputError, match="holds checkpoints of another optimisation"):
         search_front(hills, 2, EFFORT, tmp_path, resume=True)
     assert not (tmp_path / "search.json").exists()
     (tmp_path / "checkpoint.npz").unlink()
     (tmp_path / "search.json").write_text("{}")
-    with pytest.raises(InputError, match="another kind of search was begun here"):
+    with pytest.raises(InputError, match="this folder holds a multimodal optimisation"):
         search_fastest(hills.task, make_optimiser("genetic", 8, 6), 8, 1, 0, tmp_path, resume=True)
 
 
-def test_a_task_that_no_design_can_do_is_told(hills, tmp_path, monkeypatch):
+def test_a_task_that_no_design_can_do_is_an_error(hills, tmp_path, monkeypatch):
     class Sinks(Hills):
         def __call__(self, designs, swims, climbs):
             return super().__call__(designs, swims, climbs) - np.array([0.0, 1.0])
 
     monkeypatch.setattr(multimodal, "Both", Sinks)
-    with pytest.raises(SolverError, match="climb_only: no design gets ahead"):
+    with pytest.raises(SolverError, match="climb_only: no design moves forward"):
         search_front(hills, 3, FEW, tmp_path)
 
 
@@ -171,7 +171,7 @@ def test_a_robot_that_nothing_resists_is_refused(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_what_is_written_swims_and_climbs_as_it_was_found_to(sought):
+def test_written_experiments_reproduce_the_efficiencies(sought):
     found = json.loads((sought / "multimodal.json").read_text())
     modes = TwoTasks.of(coarse(), steps_per_stride=48)
     assert (sought / "multimodal.png").stat().st_size > 10_000
@@ -202,7 +202,7 @@ def test_a_task_without_weight_may_fail():
     np.testing.assert_allclose(eta(0.25, efficiencies, only), [np.nan, 0.875])
 
 
-def test_a_dominated_point_is_told():
+def test_a_dominated_point_is_reported():
     def at(beta, *both):
         return FrontPoint(beta, 0.0, np.array(both), np.zeros(11))
 
@@ -231,16 +231,16 @@ def test_one_steady_stride_stands_for_fifty():
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "text"),
     [
         (["--betas", "1"], "--betas: given 1; allowed 2 to 101"),
-        (["--population", "1"], "--population: given 1; allowed 4 or more members"),
+        (["--population", "1"], "--population: given 1; allowed 4 or more individuals"),
         (["--tail-length", "0.1", "0.05"], "--tail-length: given 0.1 0.05; allowed LOW HIGH"),
         (["--EI-tail", "1", "38"], "--EI-tail: given 38; allowed at most 0.38 N m^2"),
         (["--EI-tail", "1", "5e6"], "--EI-tail: given 5e+06; allowed 1e-06 to 100 N m^2"),
     ],
 )
-def test_bad_options_are_told(words, said, tmp_path, capsys):
+def test_invalid_options_are_refused(words, text, tmp_path, capsys):
     assert optimize(tmp_path, *words) == 2
-    assert said in capsys.readouterr().err
+    assert text in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

@@ -68,7 +68,7 @@ def coarse_swimmer():
 OBJECTIVES = {"waves": lambda: waves, "robot": coarse_swimmer}
 
 
-def test_scores_are_the_objectives_in_the_order_of_the_members():
+def test_scores_are_in_the_order_of_the_individuals():
     found = Evaluation(waves)(MEMBERS)
     np.testing.assert_allclose(found, [waves(jnp.asarray(x)) for x in MEMBERS], rtol=1e-12)
     few = Evaluation(waves)(MEMBERS[: CHUNK - 3])
@@ -89,7 +89,7 @@ def free_port():
 
 
 @pytest.mark.parametrize("processes", [1, 2])
-def test_two_devices_give_what_one_gives(tmp_path: Path, processes):
+def test_two_devices_give_the_same_scores_as_one(tmp_path: Path, processes):
     cores = 2 // processes
     where = f"127.0.0.1:{free_port()}" if processes > 1 else ""
     outs = [tmp_path / f"{i}.npy" for i in range(processes)]
