@@ -1,4 +1,4 @@
-"""The climbing test: from hanging straight until strides repeat, and what they amount to."""
+"""The climbing test: from hanging straight until strides repeat."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,43 +25,46 @@ from slider_jax.errors import SolverError
 from slider_jax.experiment.load import Experiment, to_model, to_numerics
 from slider_jax.experiment.schema import Trial
 from slider_jax.simulation.sampling import half_period_steps
+from slider_jax.swimming.free_swim import steady_settings
 from slider_jax.swimming.gait import CAP, LINK, stride_frequency, to_climber
+from slider_jax.swimming.performance import names_with_units
 
 PHASES = 16
-"""Phases of the pin that are tried where none is given."""
+"""Number of pin phases that are compared if none is given."""
 PERIODS = 5
-"""Most strides after which a climb may repeat: lightly damped swings skip strides."""
+"""Longest period of a climb, in strides: lightly damped swings repeat after several strides."""
 REPEATS = 3e-2
-"""Largest difference between rises of strides that repeat, of their mean."""
+"""Largest difference between the rises of strides that count as repeating, relative to the mean."""
 MESH, STEP = 31, 5e-3
-"""Most nodes, and longest step [s], with which phases of the pin are compared."""
+"""Most nodes and longest time step [s] for the comparison of pin phases."""
 
 
 @dataclass(frozen=True)
 class ClimbRun:
-    """A trial's drive, climbed. Arrays are NumPy's."""
+    """Result of climbing with a trial's drive, as NumPy arrays."""
 
     trial: Trial
     plan: ClimbPlan
     pin_phase: float
+    """Fraction of a period."""
     link: float
-    """[m]"""
+    """Length of the cross-link [m]."""
     cap: float
-    """[Pa]"""
+    """Highest set pressure [Pa]."""
     tried: dict[float, float]
-    """Speed [m/s] by pin phase, where the phase was sought; NaN where a step failed."""
+    """Speed [m/s] by pin phase, empty if the phase was given; NaN if a time step failed."""
     found: Climb
-    """Over the last `plan.strides`, or as many of them as are whole periods."""
+    """Performance over the last `plan.strides`, or over the largest number of whole periods."""
     series: Any
-    """`ClimbSeries` of these, from the end of the step before them."""
+    """`ClimbSeries` of these strides, starting one time step before them."""
     rises: np.ndarray
-    """Of the head at every stride from the 16th on [m]."""
+    """Rise of the head [m] in every stride from the 16th on."""
     period: int
-    """Strides after which the last ones repeat; 0 where they do not."""
+    """Number of strides after which the last strides repeat; 0 if they do not."""
 
     @property
     def frequency(self) -> float:
-        """Of the strides [Hz]."""
+        """Stride frequency [Hz]."""
         return stride_frequency(self.trial)
 
 
@@ -76,27 +79,30 @@ def _amounts(model: Model, frequency, series: ClimbSeries, plan: ClimbPlan):
 
 
 def period_of(rises: np.ndarray, link: float, least: int = 10) -> int:
-    """Strides after which the last `least` rises [m] repeat, up to `PERIODS`; 0 if they do not."""
+    """Return after how many strides the last `least` rises [m] repeat; 0 if not in `PERIODS`."""
     last = rises[-least - PERIODS :]
     same = REPEATS * max(np.abs(last).mean(), 0.1 * link)
     for n in range(1, PERIODS + 1):
         if len(last) >= least and np.abs(last[n:] - last[:-n]).max() < same:
-            steady = all(np.ptp(last[i::n]) < same for i in range(n))  # nor does it drift
+            steady = all(np.ptp(last[i::n]) < same for i in range(n))  # exclude a drift
             return n if steady else 0
     return 0
 
 
 def climb_plan(experiment: Experiment, frequency: float) -> ClimbPlan:
-    """Mesh of the experiment, and an even number of steps to a stride, none longer than its."""
-    numerics, scheme = to_numerics(experiment)
-    steps = 2 * half_period_steps(frequency, experiment.numerics.step)
-    return ClimbPlan(steps_per_stride=steps, numerics=numerics, scheme=scheme)
+    """Return a plan with the experiment's mesh and an even number of steps in a stride."""
+    settings = steady_settings(experiment, frequency)
+    return ClimbPlan(
+        steps_per_stride=settings.steps_per_stride,
+        numerics=settings.numerics,
+        scheme=settings.scheme,
+    )
 
 
 def speeds_by_phase(
     base: Model, frequency: float, link: float, cap: float, plan: ClimbPlan
 ) -> dict[float, float]:
-    """Speed [m/s] with the pin at each of `PHASES` phases; NaN where a step fails."""
+    """Return the speed [m/s] by pin phase, for `PHASES` phases; NaN if a time step fails."""
 
     @jax.jit
     def speeds(phases):
@@ -112,7 +118,7 @@ def speeds_by_phase(
 
 
 def _rough(experiment: Experiment, plan: ClimbPlan, frequency: float) -> ClimbPlan:
-    """For comparing phases: up to `MESH` nodes, and steps of up to `STEP`."""
+    """Return a coarser plan to compare phases: at most `MESH` nodes and steps up to `STEP`."""
     nodes = min(MESH, experiment.numerics.nodes)
     numerics, _ = to_numerics(experiment.with_values({"numerics.nodes": nodes}))
     steps = min(plan.steps_per_stride, max(96, 2 * half_period_steps(frequency, STEP)))
@@ -128,12 +134,13 @@ def simulate_climb(
     progress: Callable[[str], None] = lambda text: None,
     longest: int = 150,
 ) -> ClimbRun:
-    """Pin the robot to a wall in air, with the drive of a trial.
+    """Simulate climbing in air with a trial's drive.
 
-    It starts straight, its centre of mass below the pin, and goes on by 15 strides until they
-    repeat or `longest` are done. What counts are the last 15, or as many whole periods of them
-    as there are. Without a `pin_phase` the one of `PHASES` is taken with which it climbs fastest.
-    Raises `InputError` for a recorded drive, and `SolverError` where a step does not converge.
+    The robot starts straight, with its centre of mass below the pin. It climbs in blocks of 15
+    strides until they repeat or `longest` is reached. The result covers the last 15 strides, or
+    the largest number of whole periods in them. Without `pin_phase` (fraction of a period), the
+    fastest of `PHASES` phases is used. `link` is in m, `cap` in Pa. Raises `InputError` for a
+    recorded drive, and `SolverError` if a time step does not converge.
     """
     if isinstance(trial, int):
         trial = experiment.trials[trial]
@@ -141,13 +148,13 @@ def simulate_climb(
     plan = climb_plan(experiment, frequency)
     tried: dict[float, float] = {}
     if pin_phase is None and trial.amplitude:
-        progress(f"{PHASES} phases of the pin")
+        progress(f"comparing {PHASES} phases of the pin")
         rough = _rough(experiment, plan, frequency)
         tried = speeds_by_phase(base, frequency, link, cap, rough)
         if not np.isfinite(list(tried.values())).any():
             raise SolverError(
-                f"{trial.file}: climbing: a step fails with every phase of the pin; a shorter "
-                "numerics.step may help, or weaker pressures, or a --pin-phase of your own"
+                f"{trial.file}: climbing: a time step fails for every pin phase; try a shorter "
+                "numerics.step, lower pressures, or a --pin-phase of your own"
             )
         pin_phase = max(tried, key=lambda x: np.nan_to_num(tried[x], nan=-np.inf))
     pin_phase = pin_phase or 0.0
@@ -163,8 +170,8 @@ def simulate_climb(
         if not bool(carry.ok):
             done = len(rises) + plan.strides
             raise SolverError(
-                f"{trial.file}: climbing: a step did not converge within strides {done + 1} to "
-                f"{done + plan.strides}; a shorter numerics.step may help, or weaker pressures"
+                f"{trial.file}: climbing: a time step did not converge in strides {done + 1} to "
+                f"{done + plan.strides}; try a shorter numerics.step or lower pressures"
             )
         series = join(before, after)
         found = _amounts(model, f, series, plan)
@@ -192,22 +199,19 @@ UNITS = {
     "tail_swing": "m",
     "slip": "m_per_s",
 }
-"""Of quantities of `Climb`; the others have none."""
+"""Units of the fields of `Climb`; the other fields are dimensionless."""
 
 
 def climb_record(run: ClimbRun) -> dict[str, Any]:
-    """What was found, in SI, by names with units."""
-    table = {
-        f"{name}_{UNITS[name]}" if name in UNITS else name: float(getattr(run.found, name))
-        for name in (*UNITS, "efficiency")
-    }
+    """Return the results for JSON, in SI units, by names with units."""
+    values = {name: float(getattr(run.found, name)) for name in (*UNITS, "efficiency")}
     return {
         "file": run.trial.file,
         "frequency_Hz": run.frequency,
         "pin_phase": run.pin_phase,
         "link_m": run.link,
         "cap_Pa": run.cap,
-        **table,
+        **names_with_units(values, UNITS),
         "strides": len(run.found.rises),
         "repeats_after_strides": run.period or None,
         "rise_of_strides_m": run.rises,

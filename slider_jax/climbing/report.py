@@ -1,4 +1,4 @@
-"""A climb in a table, in pictures, and on film."""
+"""Table, summary, picture and film of a climb."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -8,61 +8,59 @@ import numpy as np
 
 from slider_jax.climbing.climb import ClimbRun
 from slider_jax.io.figures import new_figure, save_figure, save_film
+from slider_jax.swimming.report import value_lines
 
 ROWS = (
     ("speed_m_per_s", "climbing speed U", "mm/s", 1e3),
     ("drift_m_per_s", "drift to the left", "mm/s", 1e3),
     ("power_W", "power P", "mW", 1e3),
     ("efficiency", "efficiency m g U/P", "", 1.0),
-    ("dissipated_of_power", "dissipated, of P", "%", 1e2),
-    ("stored_of_power", "gained by the swing, of P", "%", 1e2),
-    ("unaccounted_of_power", "error in time, of P", "%", 1e2),
+    ("dissipated_of_power", "dissipated, share of P", "%", 1e2),
+    ("stored_of_power", "stored in the swing, share of P", "%", 1e2),
+    ("unaccounted_of_power", "error of time steps, share of P", "%", 1e2),
     ("swing_rad", "swing of the head, peak to peak", "deg", 180.0 / np.pi),
     ("tail_swing_m", "swing of the tip, peak to peak", "mm", 1e3),
 )
-"""Name in `climb.row`, words, unit shown, factor from SI to it."""
+"""Name in `climb_record`, label, displayed unit, factor from SI to it."""
 FILM_STRIDES, FRAMES_PER_STRIDE = 4, 24
 
 
 def climb_table(row: dict[str, Any]) -> str:
-    """The rows, one a line."""
-    lines = []
-    for name, words, unit, factor in ROWS:
-        lines.append(f"{words + (f' ({unit})' if unit else ''):36}{factor * row[name]:10.4g}")
-    return "\n".join(lines)
+    """Return the table of the quantities."""
+    return "\n".join(value_lines(row, ROWS))
 
 
 def climb_summary(run: ClimbRun) -> list[str]:
-    """Pin, cap and how the climb repeats."""
-    trial, said = run.trial, []
+    """Return sentences on the pressure cap, the pin phase and how the strides repeat."""
+    trial, lines = run.trial, []
     if not trial.amplitude:
-        return ["no pressure is set: the pin stays, and it hangs"]
-    asked = {"front": trial.amplitude or 0.0, "rear": (trial.amplitude or 0.0) * trial.rear_ratio}
-    cut = [f"{name} {1e-3 * abs(p):g}" for name, p in asked.items() if abs(p) > run.cap]
+        return ["no pressure is set: the left end stays pinned and the robot hangs"]
+    set_pressures = {"front": trial.amplitude, "rear": trial.amplitude * trial.rear_ratio}
+    cut = [f"{k} {1e-3 * abs(p):g} kPa" for k, p in set_pressures.items() if abs(p) > run.cap]
     if cut:
-        said.append(f"set pressures are capped at {1e-3 * run.cap:g} kPa: {', '.join(cut)} asked")
+        lines.append(f"set pressures are capped at {1e-3 * run.cap:g} kPa: {', '.join(cut)} given")
     left, right = run.pin_phase % 1.0, (run.pin_phase + 0.5) % 1.0
-    phase = f"pin changes sides at {left:g} and {right:g} of a period"
-    said.append(phase + (f", the fastest of {len(run.tried)} phases tried" if run.tried else ""))
+    phase = f"the pin changes sides at {left:g} and {right:g} of a period"
+    lines.append(phase + (f", the fastest of {len(run.tried)} phases" if run.tried else ""))
     if float(run.found.power) <= 0.0:
-        said.append("the chambers take up more than they give, so that there is no efficiency")
+        lines.append("the chambers absorb more power than they give: efficiency is undefined")
     last = 1e3 * np.asarray(run.found.rises)
     each = f"{last.mean():.2f} mm a stride"
     if run.period == 1:
-        said.append(f"strides repeat: {each}")
+        lines.append(f"strides repeat: {each}")
     elif run.period:
-        said.append(f"repeats after every {run.period} strides: {each} on average")
+        lines.append(f"the motion repeats after {run.period} strides: {each} on average")
     else:
         spread = f"{last.min():.1f} to {last.max():.1f}"
-        said.append(
-            f"does not repeat within {len(run.rises) + run.plan.strides} strides: the last "
+        lines.append(
+            f"strides do not repeat within {len(run.rises) + run.plan.strides}: the last "
             f"{run.plan.strides} rise by {spread} mm, {each} on average"
         )
-    return said
+    return lines
 
 
 def series_columns(run: ClimbRun) -> dict[str, np.ndarray]:
-    """The last strides, column by column; x points up, and starts at the centre of mass."""
+    """Return the columns of the last strides; x points up, and starts at the centre of mass."""
     x, steps = run.series, run.plan.steps_per_stride
     start = x.centre[0]
     places = {"head": x.midline[:, :, -1], "tip": x.midline[:, :, 0], "pin": x.pin,
@@ -79,12 +77,12 @@ def series_columns(run: ClimbRun) -> dict[str, np.ndarray]:
 
 
 def _sideways(points: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(right, up) [mm] of points (..., 2, n): the picture has the x axis up and y to the left."""
+    """Return (right, up) [mm] of points (..., 2, n) in the picture: x is up, y is left."""
     return -1e3 * (points[..., 1, :] - origin[1]), 1e3 * (points[..., 0, :] - origin[0])
 
 
 def plot_climb(run: ClimbRun, path: Path) -> None:
-    """One stride on the wall, the rise in time, and where the work goes."""
+    """Plot one stride on the wall, and the rise over time."""
     figure, axes = new_figure(1, 2, figsize=(9.5, 6), width_ratios=(2, 3))
     wall, right = axes
     x, steps = run.series, run.plan.steps_per_stride
@@ -102,7 +100,7 @@ def plot_climb(run: ClimbRun, path: Path) -> None:
     wall.set_ylabel("up (mm)")
     below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.1), "frameon": False}
     wall.legend(fontsize="small", ncols=3, handlelength=1.0, columnspacing=1.0, **below)
-    wall.set_title("one stride, late midlines darker", fontsize="medium")
+    wall.set_title("one stride, later midlines are darker", fontsize="medium")
     t = np.arange(len(x.angle)) / (steps * run.frequency)
     right.plot(t, 1e3 * (x.midline[:, 0, -1] - x.midline[0, 0, -1]), "C3", lw=1.2, label="head")
     right.plot(t, 1e3 * (x.centre[:, 0] - x.centre[0, 0]), "C0", lw=1.2, label="centre of mass")
@@ -119,9 +117,9 @@ def plot_climb(run: ClimbRun, path: Path) -> None:
 def film(
     run: ClimbRun, path: Path, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> None:
-    """Write a GIF of the last strides: the body, the cross-link, and the end of it that is pinned.
+    """Write a GIF of the last strides with the body, the cross-link and its pinned end.
 
-    The moment when a frame is shown is told in it; rungs of 10 mm are drawn on the wall.
+    Each frame shows its time. Lines on the wall are 10 mm apart.
     """
     x, steps = run.series, run.plan.steps_per_stride
     shown = np.linspace(

@@ -1,12 +1,13 @@
-"""Climbing strides: what a robot on alternating pins does over them, as pure functions.
+"""Climbing strides of a robot on alternating pins, as pure functions.
 
-The x axis points up. One end of the cross-link is pinned while the body swings the other up; there
-that is pinned, and the first let go. Over whole strides the chambers' work goes three ways,
+The x axis points up. While one end of the cross-link is pinned, the body swings the other end up.
+Then the pin changes to that end. Over whole strides the energy balance is
 
     W = m g (x_2 - x_1) + D + (E_2 - E_1) + error in time
 
-into height of the centre of mass x, into dissipation D (also that of the waves which a new pin sets
-off: it stops a moving end), and into the change of kinetic and elastic energy E.
+W is the work of the chambers, x the height of the centre of mass, D the dissipation, and E the
+kinetic and elastic energy. A new pin stops a moving end and excites waves; D includes their
+dissipation.
 """
 
 from typing import NamedTuple
@@ -30,64 +31,64 @@ from slider_jax.swimming.steady_state import STRIDES_BEFORE_START
 
 
 class ClimbPlan(NamedTuple):
-    """How a climb is computed."""
+    """Number of strides and numerical settings of a climb."""
 
     settling: int = 15
-    """Strides from rest that do not count."""
+    """Strides from rest that the averages exclude."""
     strides: int = 15
-    """Strides over which speed and power are taken; the paper's."""
+    """Strides over which speed and power are averaged; the paper's value."""
     steps_per_stride: int = 96
     numerics: Numerics = Numerics(tail_cells=6, body_cells=24)
     scheme: Scheme = SDIRK2
 
 
 class ClimbSeries(eqx.Module):
-    """A climb at the end of every step; the x axis points up."""
+    """A climb, sampled at the end of each time step; the x axis points up."""
 
     midline: Float[Array, "steps 2 nodes"]
-    """[m], tail first."""
+    """Midlines [m], from tail to head."""
     centre: Float[Array, "steps 2"]
-    """Of mass [m]."""
+    """Centre of mass [m]."""
     pin: Float[Array, "steps 2"]
-    """[m]"""
+    """Position of the pin [m]."""
     slip: Float[Array, " steps"]
     """Speed of the pin [m/s]."""
     angle: Float[Array, " steps"]
-    """Of the head [rad], to the left."""
+    """Angle of the head [rad], positive to the left."""
     power: Float[Array, " steps"]
-    """Of the chambers on the body [W]."""
+    """Power of the chambers on the body [W]."""
     dissipated: Float[Array, " steps"]
-    """In the body's viscosity, and given to effects other than weight [W]."""
+    """Power [W] dissipated by the body's viscosity and by effects other than weight."""
     stored: Float[Array, " steps"]
-    """Kinetic and elastic [J]."""
+    """Kinetic and elastic energy [J]."""
 
 
 class Climb(eqx.Module):
-    """Over some strides. Scalars where no shape is given."""
+    """Performance over some strides; scalars unless a shape is given."""
 
     speed: Scalar
-    """U [m/s], of the centre of mass, upwards."""
+    """U [m/s], upward speed of the centre of mass."""
     drift: Scalar
-    """Its speed to the left [m/s]."""
+    """Speed of the centre of mass to the left [m/s]."""
     power: Scalar
-    """P [W], mean of the chambers on the body."""
+    """P [W], mean power of the chambers on the body."""
     efficiency: Scalar
-    """m g U/P [-], where P is less what the swing gains, nothing over strides that repeat. NaN, as
-    the shares are, where the chambers put nothing in."""
+    """m g U/P [-]. Here P excludes the growth of stored energy, which is zero if strides repeat.
+    NaN, like the shares of P, if the chambers do no positive work."""
     dissipated: Scalar
-    """Share of P."""
+    """Share of P that is dissipated."""
     stored: Scalar
-    """Share of P by which kinetic and elastic energy grow."""
+    """Share of P that becomes kinetic and elastic energy."""
     unaccounted: Scalar
-    """Share of P that is left: the error in time."""
+    """Residual of the energy balance as a share of P: the error of the time steps."""
     swing: Scalar
-    """Of the head, peak to peak [rad]."""
+    """Peak-to-peak angle of the head [rad]."""
     tail_swing: Scalar
-    """Of the tip, sideways, peak to peak [m]; of the last stride."""
+    """Peak-to-peak lateral motion of the tip in the last stride [m]."""
     slip: Scalar
     """Largest speed of the pin [m/s]."""
     rises: Float[Array, " strides"]
-    """Of the head, stride by stride [m]."""
+    """Rise of the head in each stride [m]."""
 
 
 def _saved(x: Snapshot) -> ClimbSeries:
@@ -115,7 +116,7 @@ def _saved(x: Snapshot) -> ClimbSeries:
 
 
 def hanging(model: Model, numerics: Numerics) -> Carry:
-    """A straight body at rest on its left pin, turned so that its centre of mass is below that."""
+    """Return a straight body at rest, with its centre of mass below the left pin."""
     assert isinstance(model.support, PinnedLink)
     angle = -jnp.arctan2(model.support.link_length, model.body.length)
 
@@ -129,10 +130,10 @@ def hanging(model: Model, numerics: Numerics) -> Carry:
 def climb_on(
     model: Model, frequency: Scalar, carry: Carry, count: int, plan: ClimbPlan
 ) -> tuple[Carry, ClimbSeries]:
-    """`count` strides more of `frequency` [Hz], from the instant when the left end is pinned.
+    """Simulate `count` strides of `frequency` [Hz], starting when the left end gets pinned.
 
-    The model is a `gait.climber`. Pins change on steps, whatever their phase; pressures have edges
-    within them.
+    The model comes from `to_climber`. Pins change at the ends of time steps, whatever their phase;
+    edges of the pressures may lie within steps.
     """
     assert isinstance(model.support, PinnedLink)
     steps = plan.steps_per_stride
@@ -143,7 +144,7 @@ def climb_on(
 
 
 def climb_of(model: Model, frequency: Scalar, series: ClimbSeries, plan: ClimbPlan) -> Climb:
-    """What whole strides amount to; `series` begins with the end of the step before them."""
+    """Return the performance over whole strides; `series` starts one time step before them."""
     steps = plan.steps_per_stride
     h = 1.0 / (frequency * steps)
     span = h * (len(series.angle) - 1)
@@ -169,16 +170,16 @@ def climb_of(model: Model, frequency: Scalar, series: ClimbSeries, plan: ClimbPl
 
 
 def join(before: ClimbSeries, after: ClimbSeries) -> ClimbSeries:
-    """`after`, with the last step `before` it."""
+    """Return `after` with the last time step of `before` in front."""
     return jax.tree.map(lambda a, b: jnp.concatenate([a[-1:], b]), before, after)
 
 
 def climb_from_rest(
     model: Model, frequency: Scalar, plan: ClimbPlan = ClimbPlan()
 ) -> tuple[Climb, Bool[Array, ""]]:
-    """`plan.strides` strides after `plan.settling` from `hanging`, and whether all steps converged.
+    """Return the performance of a climb from rest, and whether all time steps converged.
 
-    Pure, to be batched by vmap.
+    The average covers `plan.strides` strides after `plan.settling`. Use vmap for several robots.
     """
     begin = hanging(model, plan.numerics)
     carry, before = climb_on(model, frequency, begin, plan.settling, plan)

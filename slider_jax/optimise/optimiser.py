@@ -173,8 +173,9 @@ def cma_es(
 ) -> Optimiser:
     """Return CMA-ES (covariance matrix adaptation).
 
-    Points outside the box are clipped to its faces. The initial distribution has the mean `around` (default: the centre of the box) and the standard
-    deviation `spread`, as a fraction of the bounds' width.
+    Points outside the box are clipped to its faces. The initial distribution has the mean
+    `around` (default: the centre of the box) and the standard deviation `spread`, as a fraction of
+    the bounds' width.
     """
     middle = np.full(dimensions, 0.5) if around is None else around
     es = CMA_ES(population, jnp.zeros(dimensions))
@@ -208,7 +209,6 @@ SMALLEST_POPULATION = {"genetic": 2 * ELITE, "gradient": ASCENT_STARTS, "cma-es"
 def make_optimiser(name: str, population: int, dimensions: int) -> Optimiser:
     """Return an optimiser by name. Raises `InputError` for a population that is too small."""
     if population < SMALLEST_POPULATION[name]:
-        raise InputError.value(
-            "--population", members, f"{SMALLEST_POPULATION[name]} or more members"
-        )
+        least = SMALLEST_POPULATION[name]
+        raise InputError.value("--population", population, f"{least} or more individuals")
     return OPTIMISERS[name](population, dimensions)

@@ -1,4 +1,4 @@
-"""The free-swimming test: from rest until the stride repeats, and the steady speed as a root."""
+"""The free-swimming test: the steady speed by root finding, and by swimming from rest."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -28,44 +28,45 @@ from slider_jax.swimming.performance import (
 from slider_jax.swimming.steady_state import MeanMotion, SteadySettings, simulate_strides
 
 AT_ONCE = 10
-"""Strides from rest between two looks at whether they repeat."""
+"""Strides from rest between two checks of whether they repeat."""
 REPEATS = 1e-4
-"""Largest change of speed from stride to stride, of the speed, of a swim that repeats."""
+"""Largest relative change of speed between consecutive strides that count as repeating."""
 
 
 @dataclass(frozen=True)
 class Swim:
-    """A trial's drive, swum freely. Arrays are NumPy's."""
+    """Result of free swimming with a trial's drive, as NumPy arrays."""
 
     trial: Trial
     search: SteadySettings
     found: bool
     """Whether a steady speed was found."""
     performance: Performance
-    """Of the steady stride; of the last from rest where no steady speed was found."""
+    """Performance over the steady stride, or over the last stride from rest if there is none."""
     stride: Stride
-    """The same stride."""
+    """The stride that `performance` describes."""
     from_rest: np.ndarray
     """Speed [m/s] at every tenth stride from rest."""
     repeats: bool
-    """Whether the last of them repeats."""
+    """Whether the last stride from rest repeats."""
     gaining: float
-    """Mean acceleration along the course over the last of them [m/s^2]."""
+    """Mean acceleration along the course at the end of `from_rest` [m/s^2]."""
     unresisted: np.ndarray | None
-    """`from_rest` without the effects that resist motion along the body, if the model has any."""
+    """`from_rest` without the effects that resist axial motion; None if the model has none."""
     unresisted_gaining: float
+    """Mean acceleration at the end of `unresisted` [m/s^2]."""
     resisting: str
-    """Names of the effects that `unresisted` is without."""
+    """Names of the effects that `unresisted` omits."""
 
     @property
     def frequency(self) -> float:
-        """Of the strides [Hz]."""
+        """Stride frequency [Hz]."""
         assert self.trial.frequency is not None
         return self.trial.frequency
 
     @property
     def difference(self) -> float:
-        """Speed of the root less that of the last stride from rest, of the latter."""
+        """Relative difference of the steady speed from that of the last stride from rest."""
         return float(self.performance.speed) / self.from_rest[-1] - 1.0
 
 
@@ -86,7 +87,7 @@ def _seen(model: Model, frequency, carry: Carry, search: SteadySettings):
 def _from_rest(
     model: Model, f: jax.Array, search: SteadySettings, least: int, most: int
 ) -> tuple[np.ndarray, MeanMotion, Carry, bool]:
-    """Speeds at every tenth stride, until one repeats; the last one's pace, and the state."""
+    """Return speeds at every tenth stride until one repeats, the last motion and state, repeats."""
     carry, speeds = at_rest(model, search.numerics), []
     while True:
         carry, pace = _some_strides(model, f, carry, search)
@@ -99,25 +100,28 @@ def _from_rest(
 
 
 def resisting(model: Model) -> str:
-    """Names of the effects that resist motion along the body."""
+    """Return the names of the effects that resist motion along the body."""
     return ", ".join(e.name() for e in model.effects if e.resists)
 
 
 def _check(carry: Carry) -> None:
     if not bool(carry.ok):
         raise SolverError(
-            f"swimming: a step did not converge at {float(carry.failed_at):.4g} s of a stride; "
-            "a shorter numerics.step may help, or weaker pressures, or a stiffer tail"
+            f"swimming: a time step did not converge at {float(carry.failed_at):.4g} s of a "
+            "stride; try a shorter numerics.step, lower pressures or a stiffer tail"
         )
 
 
 def free_swimmer(experiment: Experiment, trial: Trial) -> tuple[float, Model]:
-    """Frequency [Hz] and free robot of a trial. Raises `InputError` where it cannot be swum."""
+    """Return frequency [Hz] and free robot of a trial. Raises `InputError` if it cannot swim."""
     return stride_frequency(trial), to_swimmer(to_model(experiment, trial))
 
 
 def steady_settings(experiment: Experiment, frequency: float) -> SteadySettings:
-    """Mesh of the experiment, and an even number of steps to a stride, none longer than its."""
+    """Return settings with the experiment's mesh and an even number of steps in a stride.
+
+    No step is longer than the experiment's.
+    """
     numerics, scheme = to_numerics(experiment)
     steps = 2 * half_period_steps(frequency, experiment.numerics.step)
     return SteadySettings(steps_per_stride=steps, numerics=numerics, scheme=scheme)
@@ -129,19 +133,19 @@ def simulate_free_swim(
     progress: Callable[[str], None] = lambda text: None,
     longest: int = 300,
 ) -> Swim:
-    """Set the robot free, with the drive of a trial; its towing and heaving have no say.
+    """Simulate free swimming with a trial's drive; towing and heaving are ignored.
 
-    `longest`: most strides from rest. Raises `InputError` for a recorded drive, and `SolverError`
-    where a step does not converge.
+    `longest` is the largest number of strides from rest. Raises `InputError` for a recorded drive,
+    and `SolverError` if a time step does not converge.
     """
     if isinstance(trial, int):
         trial = experiment.trials[trial]
     frequency, model = free_swimmer(experiment, trial)
     f, search = jnp.asarray(frequency, float), steady_settings(experiment, frequency)
-    progress("the steady speed as a root")
+    progress("finding the steady speed")
     stride, seen, ok = _steadily(model, f, search)
     found = bool(ok)
-    progress("from rest")
+    progress("swimming from rest")
     most = longest if found else min(longest, AT_ONCE * ceil(12.0 * frequency / AT_ONCE))
     speeds, pace, carry, repeats = _from_rest(model, f, search, 2 * AT_ONCE, most)
     if not found:
@@ -149,7 +153,7 @@ def simulate_free_swim(
     own = tuple(e for e in model.effects if not e.resists)
     unresisted, gaining = None, np.nan
     if len(own) < len(model.effects):
-        progress(f"from rest without {resisting(model)}")
+        progress(f"swimming from rest without {resisting(model)}")
         twelve = AT_ONCE * ceil(12.0 * frequency / AT_ONCE)
         unresisted, bare, _, _ = _from_rest(replace(model, effects=own), f, search, twelve, twelve)
         gaining = float(bare.acceleration)
@@ -161,7 +165,7 @@ def simulate_free_swim(
 
 
 def swim_record(swim: Swim) -> dict[str, Any]:
-    """What was found, in SI, by names with units."""
+    """Return the results for JSON, in SI units, by names with units."""
     p = swim.performance
     return {
         "file": swim.trial.file,

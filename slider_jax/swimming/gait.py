@@ -1,4 +1,4 @@
-"""What a designer chooses, drive and tail; and the robot set free to swim, or pinned to climb."""
+"""Gaits (drive and tail), and models of the robot that swims freely or climbs a wall."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -20,36 +20,36 @@ Wave = SquareWave | SineWave | Trapezoid
 CAP = 172.3e3
 """Highest set pressure [Pa] of the paper's climbing robot."""
 LINK = 0.03
-"""Length [m] of its cross-link."""
+"""Length [m] of the paper's climbing robot's cross-link."""
 
 
 class Gait(NamedTuple):
     """A drive and a tail, SI units; the six variables of the paper's optimisation."""
 
     frequency: Scalar
-    """f [Hz]"""
+    """Frequency f [Hz]."""
     front: Scalar
-    """P_head, amplitude of the set pressure of the chamber behind the head [Pa]."""
+    """P_head, amplitude of the front chamber's set pressure [Pa]."""
     rear: Scalar
-    """P_tail, of the chamber before the tail [Pa]."""
+    """P_tail, amplitude of the rear chamber's set pressure [Pa]."""
     phase: Scalar
-    """phi, by which the rear chamber is late, fraction of a period."""
+    """phi, delay of the rear chamber as a fraction of a period."""
     tail_length: Scalar
     """L_tail [m]"""
     EI_tail: Scalar
-    """[N m^2]"""
+    """Bending stiffness of the tail [N m^2]."""
 
 
 def to_swimmer(model: Model, gait: Gait | None = None) -> Model:
-    """The robot of `model` set free in still water, with a `gait` instead of its own if given.
+    """Return the model without support in still water, with the `gait` if given.
 
-    Raises `InputError` where an effect moves the water, as speed is told against it.
+    Raises `InputError` if an effect moves the water, because the speed is relative to still water.
     """
     moving = of_place(model.effects, WaterMotion)
     if moving:
         raise InputError(
             f"effects: given {moving[0].name()}, which moves the water; a free swimmer's speed is "
-            "told against it: leave it out"
+            "relative to still water: remove this effect"
         )
     model = replace(model, support=Free(), water=(jnp.zeros(()), jnp.zeros(())))
     return model if gait is None else driven(model, gait)
@@ -63,16 +63,17 @@ def to_climber(
     link: Scalar = LINK,
     cap: Scalar = CAP,
 ) -> Model:
-    """The robot of `model` in air, head up, pinned through a `link` [m] at alternating sides.
+    """Return the model in air, head up, with the ends of its cross-link pinned alternately.
 
-    The left end is pinned for the first half of each period 1/`frequency` [Hz], from `pin_phase`
-    of a period on; where no pressure is set it stays pinned. Weight acts on it; forces of the water
-    and what clamped it do not. Amplitudes of the set pressures are cut to `cap` [Pa]. Raises
-    `InputError` for a mass at the tail's tip, whose weight is not known.
+    `link` is the cross-link's length [m]. The left end is pinned for the first half of each period
+    1/`frequency` [Hz], starting at `pin_phase` (fraction of a period). Without set pressure the
+    left end stays pinned. Weight acts on the body; hydrodynamic forces and the carriage clamp are
+    omitted. Pressure amplitudes are limited to `cap` [Pa]. Raises `InputError` for a mass at the
+    tail's tip, because its weight is unknown.
     """
     if of_place(model.effects, TipMass):
         raise InputError(
-            "effects: given tip_mass, which has inertia but no weight here; leave it out to climb"
+            "effects: given tip_mass, which has inertia but no weight here; remove it to climb"
         )
     if gait is not None:
         model = driven(model, gait)
@@ -96,7 +97,7 @@ def _capped(wave: Waveform, cap: Scalar) -> Wave:
 
 
 def driven(model: Model, gait: Gait) -> Model:
-    """The robot of `model` with the tail of a `gait`, driven by its square waves."""
+    """Return the model with the tail and the square-wave drive of a gait."""
     robot = replace(model.robot, tail_length=gait.tail_length, EI_tail=gait.EI_tail)
     front = SquareWave(gait.frequency, gait.front)
     rear = SquareWave(gait.frequency, gait.rear, gait.phase)
@@ -104,10 +105,10 @@ def driven(model: Model, gait: Gait) -> Model:
 
 
 def stride_frequency(trial: Trial) -> float:
-    """[Hz]. Raises `InputError` for a trial whose drive has no strides."""
+    """Return a trial's frequency [Hz]. Raises `InputError` for a recorded drive."""
     if trial.waveform == "recorded" or trial.frequency is None:
         raise InputError(
-            f"{trial.file}: is driven by a recording, which has no strides; allowed are square, "
+            f"{trial.file}: the drive is a recording, which has no strides; allowed are square, "
             "sine and trapezoid waves"
         )
     return trial.frequency

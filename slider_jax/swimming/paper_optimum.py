@@ -1,4 +1,4 @@
-"""The paper's swimmer at its optimum, as an experiment, and the paper's figures of it."""
+"""The paper's optimal swimmer as an experiment, and its published performance."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -11,32 +11,33 @@ from slider_jax.experiment.load import Experiment, assemble, load
 from slider_jax.swimming.gait import CAP, Gait
 
 HEAD_DRAG = 1.79e-3
-"""Area [m^2] with which the paper's optimum swims at its measured speed in this model."""
+"""Form-drag area [m^2] of the head, calibrated so that this model's speed at the paper's optimum is
+the measured one."""
 
 PAPER_GAIT = Gait(6.3, 448e3, 414e3, 0.14, 0.053, 0.017)
-"""The paper's optimum."""
+"""The paper's optimal gait."""
 
 
 class Published(NamedTuple):
-    """Of a quantity, in the paper: its model's, and the measured one."""
+    """A quantity in the paper: value of the paper's model, and measured value."""
 
     model: float
     experiment: float | None
 
 
 MEASURED_SPEED = 0.217
-"""[m/s], at `PAPER_GAIT`."""
+"""Measured speed [m/s] at `PAPER_GAIT`."""
 PUBLISHED = {
     "speed_m_per_s": Published(0.232, MEASURED_SPEED),
     "tail_slope": Published(0.57, None),
     "shape_tail_slope": Published(0.51, None),
 }
-"""By names of `swim.row`. 0.57 is the tail slope that the paper states, 0.51 what its amplitude and
-wavelength give. A sine whose A/(lambda/4) is 0.51 has a root mean square slope of 0.57."""
+"""By the names of `swim_record`. 0.57 is the tail slope that the paper states; its amplitude and
+wavelength give 0.51. A sine with A/(lambda/4) = 0.51 has a root mean square slope of 0.57."""
 
 
 def swimmer_content(**trial: Any) -> dict[str, Any]:
-    """The tables of an experiment with the built-in robot, form drag at its head, and one trial."""
+    """Return the tables of an experiment: built-in robot, form drag at the head, and one trial."""
     robot = Robot()
     fields = ("body_length", "tail_length", "linear_density", "EI_body", "EI_tail", "EA_body",
               "EA_tail", "damping_time", "height", "front_chamber", "rear_chamber")  # fmt: skip
@@ -50,7 +51,7 @@ def swimmer_content(**trial: Any) -> dict[str, Any]:
 
 
 def optimum() -> Experiment:
-    """`PAPER_GAIT` in the built-in robot, with form drag at its head."""
+    """Return the experiment with `PAPER_GAIT`, the built-in robot and form drag at its head."""
     f, front, rear, phase, tail_length, EI_tail = PAPER_GAIT
     content = swimmer_content(frequency=f, amplitude=front, rear_ratio=rear / front, phase=phase)
     content["robot"] |= {"tail_length": tail_length, "EI_tail": EI_tail}
@@ -58,7 +59,10 @@ def optimum() -> Experiment:
 
 
 def example_climber() -> Experiment:
-    """The built-in robot with a drive that climbs; the paper's is not known."""
+    """Return the experiment of the built-in robot with a climbing drive.
+
+    The paper does not state its climbing drive.
+    """
     content = swimmer_content(file="climb.csv", frequency=2.0, amplitude=CAP)
     return assemble(content | {"effects": []}, "the built-in climber", Path("."))
 
@@ -66,12 +70,12 @@ def example_climber() -> Experiment:
 def given_or(
     default: Callable[[], Experiment], path: Path | None, model: Path | None
 ) -> Experiment:
-    """The experiment at `path` with the overrides of `model`, or without a path the `default`.
+    """Return the experiment at `path` with the overrides of `model`, or the default if no path.
 
-    Raises `InputError` as `load` does, and for a model without an experiment.
+    Raises `InputError` as `load` does, and for a model file without an experiment.
     """
     if path is not None:
         return load(path, model)
     if model is not None:
-        raise InputError("--model: overrides an experiment; give EXPERIMENT.toml before it")
+        raise InputError("--model: this file overrides an experiment; give EXPERIMENT.toml too")
     return default()

@@ -1,6 +1,7 @@
-"""What a swimmer does over a stride: the rows of the paper's table, and what they are made of."""
+"""Performance of a swimmer over a stride: the quantities of the paper's table."""
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -26,41 +27,41 @@ from slider_jax.swimming.steady_state import (
 
 
 class Stride(eqx.Module):
-    """One stride of a swimmer, at the end of each of its steps."""
+    """One stride of a swimmer, sampled at the end of each time step."""
 
     t: Float[Array, " steps"]
-    """[s], from the begin of the stride before."""
+    """Time [s] from the start of the previous stride."""
     midline: Float[Array, "steps 2 nodes"]
-    """[m], tail first, in the plane."""
+    """Midlines [m] in the plane, from tail to head."""
     velocity: Float[Array, "steps 2"]
-    """Of the centre of mass [m/s]."""
+    """Velocity of the centre of mass [m/s]."""
     resistance: Float[Array, "steps 2"]
-    """Force of the effects that resist motion along the body [N]."""
+    """Force [N] of the effects that resist motion along the body."""
     power: Float[Array, " steps"]
-    """Of the chambers on the body [W]."""
+    """Power [W] of the chambers on the body."""
     velocity_before: Float[Array, "2"]
-    """Mean over the stride before [m/s]."""
+    """Mean velocity [m/s] over the previous stride."""
     ahead: Float[Array, "2"]
-    """Where the head points: the body's mean direction, of any length."""
+    """Mean direction of the body towards the head, not normalised."""
     ok: Bool[Array, ""]
     """Whether every step converged."""
 
 
 class Performance(eqx.Module):
-    """Scalars, over one stride. Lengths across are to the course."""
+    """Scalars over one stride. Amplitudes are measured perpendicular to the course."""
 
     speed: Scalar
-    """U [m/s], of the centre of mass along its course; negative tail first."""
+    """U [m/s], of the centre of mass along its course; negative if the tail leads."""
     wavelength: Scalar
-    """lambda [m], of the body wave."""
+    """lambda [m] of the body wave."""
     wave_speed: Scalar
     """V = lambda f [m/s]."""
     travelling_index: Scalar
-    """1 for a travelling wave, 0 for a standing one, of which lambda and V mean little."""
+    """1 for a travelling wave, 0 for a standing one, whose lambda and V mean little."""
     power: Scalar
-    """P [W], mean of the chambers on the body."""
+    """P [W], mean power of the chambers on the body."""
     thrust: Scalar
-    """T [N], mean along the course of what takes up the force of the effects that resist."""
+    """T [N], mean force along the course that balances the effects that resist axial motion."""
     froude_efficiency: Scalar
     """T U / P [-]"""
     slender_efficiency: Scalar
@@ -70,23 +71,23 @@ class Performance(eqx.Module):
     cost_of_transport: Scalar
     """P / (m g U) [-]"""
     tail_amplitude: Scalar
-    """A_t [m], half of the tip's peak-to-peak excursion."""
+    """A_t [m], half of the tail tip's peak-to-peak excursion."""
     head_amplitude: Scalar
-    """The same of the head [m]: the recoil of a body that nothing holds."""
+    """Half of the head's peak-to-peak excursion [m]: the recoil of the free body."""
     strouhal: Scalar
     """2 A_t f / U [-]"""
     tail_slope: Scalar
     """A_t / (lambda/4) [-]"""
     shape_wavelength: Scalar
-    """[m], of the body's shape: also of a standing wave."""
+    """Wavelength [m] of the body's shape; defined for a standing wave too."""
     shape_tail_slope: Scalar
-    """A_t over a quarter of it [-]."""
+    """A_t / (shape_wavelength/4) [-]"""
     turning: Scalar
-    """Of the course [rad] per stride, to the left."""
+    """Turn of the course [rad] per stride, positive to the left."""
 
 
 def next_stride(model: Model, frequency, carry: Carry, search: SteadySettings) -> Stride:
-    """The second of the two strides that follow `carry`."""
+    """Return the second of the two strides that follow `carry`."""
 
     def saved(x: Snapshot):
         cell, grid = x.section(), x.mesh.grid
@@ -107,11 +108,11 @@ def next_stride(model: Model, frequency, carry: Carry, search: SteadySettings) -
 
 
 def performance(model: Model, frequency, stride: Stride, search: SteadySettings) -> Performance:
-    """What a steady stride amounts to."""
+    """Return the performance of a steady stride."""
     mean, before = jnp.mean(stride.velocity, axis=0), stride.velocity_before
     pace = mean_motion(before, mean, stride.ahead, frequency)
     speed, along = pace.speed, pace.course
-    # Left of the course is positive, as n is of tau.
+    # Left of the course is positive, as the normal n is left of the tangent tau.
     across = -along[1] * stride.midline[:, 0] + along[0] * stride.midline[:, 1]
     s = make_mesh(model.body, search.numerics).grid.s
     mode = obs.fundamental_mode(across, stride.t, frequency)
@@ -144,10 +145,10 @@ def performance(model: Model, frequency, stride: Stride, search: SteadySettings)
 def steady_stride(
     model: Model, frequency, search: SteadySettings
 ) -> tuple[Stride, Performance, Bool[Array, ""]]:
-    """A steady stride, what it amounts to, and whether it was found and every step converged."""
-    found = find_steady(model, frequency, search)
-    stride = next_stride(model, frequency, found.carry, search)
-    return stride, performance(model, frequency, stride, search), found.ok & stride.ok
+    """Return a steady stride, its performance, and whether it is steady and converged."""
+    steady = find_steady(model, frequency, search)
+    stride = next_stride(model, frequency, steady.carry, search)
+    return stride, performance(model, frequency, stride, search), steady.ok & stride.ok
 
 
 UNITS = {
@@ -162,31 +163,32 @@ UNITS = {
     "shape_wavelength": "m",
     "turning": "rad_per_stride",
 }
-"""Of quantities of `Performance`; the others have none."""
+"""Units of the fields of `Performance`; the other fields are dimensionless."""
+
+
+def names_with_units(values: dict[str, Any], units: dict[str, str]) -> dict[str, Any]:
+    """Return `values` with each name's unit, if it has one, appended to the name."""
+    return {f"{k}_{units[k]}" if k in units else k: value for k, value in values.items()}
 
 
 def performance_columns(found: Performance) -> dict[str, Scalar]:
-    """Quantities by their names with units."""
-    return {
-        f"{name}_{UNITS[name]}" if name in UNITS else name: value
-        for name, value in vars(found).items()
-    }
+    """Return the quantities by their names with units."""
+    return names_with_units(vars(found), UNITS)
 
 
 def compile_swim(plan: Plan, chunk: Member) -> Callable[[Member], tuple[Performance, Array]]:
-    """Compile for members stacked as in `chunk`: what their steady strides amount to, and ok."""
+    """Return the compiled function from robots stacked like `chunk` to (performance, ok)."""
     search = SteadySettings(
         steps_per_stride=plan.steps_per_stride, numerics=plan.numerics, scheme=plan.scheme
     )
 
     def one(member):
-        _, found, ok = steady_stride(member.model, member.frequency, search)
-        return found, ok
+        return steady_stride(member.model, member.frequency, search)[1:]
 
     return jax.jit(jax.vmap(one)).lower(chunk).compile()
 
 
 def performance_table(found: Performance, ok: Array) -> dict[str, np.ndarray]:
-    """Quantities (members,) of steady strides, named with their units; NaN where not `ok`."""
-    table = {name: np.asarray(values) for name, values in performance_columns(found).items()}
-    return {name: np.where(ok, values, np.nan) for name, values in table.items()}
+    """Return the quantities (robots,) by their names with units; NaN where not `ok`."""
+    columns = performance_columns(found)
+    return {name: np.where(ok, np.asarray(values), np.nan) for name, values in columns.items()}

@@ -1,4 +1,4 @@
-"""A free swim in a table, and in a picture."""
+"""Table, summary and picture of a free swim."""
 
 from pathlib import Path
 from typing import Any
@@ -15,70 +15,83 @@ ROWS = (
     ("wave_speed_m_per_s", "wave speed V", "cm/s", 1e2),
     ("travelling_index", "travelling index", "", 1.0),
     ("froude_efficiency", "Froude efficiency T U/P", "", 1.0),
-    ("slender_efficiency", "slender body's, (1 + U/V)/2", "", 1.0),
+    ("slender_efficiency", "slender-body efficiency, (1+U/V)/2", "", 1.0),
     ("force_efficiency_N_per_W", "force efficiency T/P", "N/W", 1.0),
     ("tail_amplitude_m", "tail amplitude A_t", "mm", 1e3),
     ("strouhal", "Strouhal number 2 A_t f/U", "", 1.0),
     ("tail_slope", "tail slope A_t/(lambda/4)", "", 1.0),
     ("shape_wavelength_m", "wavelength of the shape", "mm", 1e3),
-    ("shape_tail_slope", "tail slope with that", "", 1.0),
+    ("shape_tail_slope", "tail slope, wavelength of shape", "", 1.0),
     ("power_W", "power P", "W", 1.0),
     ("cost_of_transport", "cost of transport P/(m g U)", "", 1.0),
     ("head_amplitude_m", "head amplitude", "mm", 1e3),
     ("turning_rad_per_stride", "turning, per stride", "mrad", 1e3),
 )
-"""Name in `swim.row`, words, unit shown, factor from SI to it."""
+"""Name in `swim_record`, label, displayed unit, factor from SI to it."""
+
+
+def value_lines(record: dict[str, Any], rows: tuple[tuple[str, str, str, float], ...]) -> list[str]:
+    """Return a line with label, unit and value for each of `rows`, laid out like `ROWS`."""
+    return [
+        f"{label + (f' ({unit})' if unit else ''):36}{factor * record[name]:10.4g}"
+        for name, label, unit, factor in rows
+    ]
 
 
 def swim_table(row: dict[str, Any], published: dict[str, Published]) -> str:
-    """The rows, beside the paper's where it has them."""
-    head = f"{'':34}{'here':>10}"
+    """Return the table of the quantities, beside the paper's values if `published`."""
+    head = f"{'':36}{'here':>10}"
     if published:
         head += f"{'paper model':>14}{'ratio':>8}{'measured':>12}{'ratio':>8}"
     lines = [head]
-    for name, words, unit, factor in ROWS:
-        value = factor * row[name]
-        line = f"{words + (f' ({unit})' if unit else ''):34}{value:10.4g}"
-        for said, width in zip(published.get(name, ()), (14, 12), strict=False):
-            shown = f"{factor * said:{width}.4g}{row[name] / said:8.2f}" if said else ""
+    for line, (name, _, _, factor) in zip(value_lines(row, ROWS), ROWS, strict=True):
+        for value, width in zip(published.get(name, ()), (14, 12), strict=False):
+            shown = f"{factor * value:{width}.4g}{row[name] / value:8.2f}" if value else ""
             line += shown or " " * (width + 8)
         lines.append(line.rstrip())
     return "\n".join(lines)
 
 
 def swim_summary(swim: Swim) -> list[str]:
-    """How the speed was reached, and what it would be without the effects that resist."""
+    """Return sentences on how the speed was reached, and on the speed without resistance."""
     end = swim.from_rest[-1]
     count = AT_ONCE * len(swim.from_rest)
     root, rest = f"{1e2 * float(swim.performance.speed):.2f} cm/s", f"{1e2 * end:.2f} cm/s"
     gaining = f"{1e2 * swim.gaining:+.2g} cm/s^2"
     if swim.found and swim.repeats:
         off = f"{1e2 * swim.difference:+.2f} %"
-        said = [f"steady at {root}; from rest it repeats at {rest} after {count} strides ({off})"]
+        lines = [f"steady speed {root}; from rest, strides repeat at {rest} after {count} ({off})"]
     elif swim.found:
-        said = [f"steady at {root} as a root; from rest {rest} after {count} strides, {gaining}"]
+        lines = [
+            f"steady speed {root} by root finding; from rest, {rest} after {count} strides with "
+            f"an acceleration of {gaining}"
+        ]
     elif swim.repeats:
-        said = [f"the root was not found; from rest it repeats at {rest} after {count} strides"]
+        lines = [
+            "root finding did not converge; from rest, strides repeat at "
+            f"{rest} after {count} strides"
+        ]
     else:
-        said = [
-            f"no steady speed: from rest {rest} after {count} strides, and {gaining}; "
+        lines = [
+            f"no steady speed: from rest, {rest} after {count} strides with an acceleration of "
+            f"{gaining}; "
             + (
-                f"{swim.resisting} resists too little, or the swim is not periodic"
+                f"{swim.resisting} resists too little, or the motion is not periodic"
                 if swim.resisting
-                else "nothing resists along the body: add an effect such as head_drag"
+                else "no effect resists motion along the body: add an effect such as head_drag"
             )
         ]
     if swim.unresisted is not None:
-        said.append(
+        lines.append(
             f"without {swim.resisting}: {1e2 * swim.unresisted[-1]:.1f} cm/s after "
-            f"{AT_ONCE * len(swim.unresisted)} strides from rest, and "
+            f"{AT_ONCE * len(swim.unresisted)} strides from rest, with an acceleration of "
             f"{1e2 * swim.unresisted_gaining:+.2g} cm/s^2"
         )
-    return said
+    return lines
 
 
 def stride_columns(swim: Swim) -> dict[str, np.ndarray]:
-    """The stride, column by column, from its begin; places from the midline's mean at first."""
+    """Return the columns of the stride's table; positions are relative to the first midline."""
     steps = swim.search.steps_per_stride
     velocity, resistance, midline = (
         np.asarray(x) for x in (swim.stride.velocity, swim.stride.resistance, swim.stride.midline)
@@ -99,7 +112,7 @@ def stride_columns(swim: Swim) -> dict[str, np.ndarray]:
 
 
 def plot_swim(swim: Swim, path: Path) -> None:
-    """Midlines over the stride, along the course; and the speed from rest to the steady one."""
+    """Plot the midlines over the stride, and the speed from rest until it is steady."""
     figure, (above, below) = new_figure(2, 1, figsize=(8, 6), height_ratios=(2, 3))
     midline, steps = np.asarray(swim.stride.midline), swim.search.steps_per_stride
     mean = np.asarray(swim.stride.velocity).mean(axis=0)
@@ -115,19 +128,19 @@ def plot_swim(swim: Swim, path: Path) -> None:
     above.set_aspect("equal")
     above.set_xlabel("along the course (mm)")
     above.set_ylabel("across (mm)")
-    said = "one stride, late midlines darker; red: head, blue: tip of the tail"
-    above.set_title(said, fontsize="medium")
+    title = "one stride, later midlines are darker; red: head, blue: tip of the tail"
+    above.set_title(title, fontsize="medium")
 
-    def swum(speeds: np.ndarray, **look: Any) -> None:
-        at = AT_ONCE * np.arange(len(speeds) + 1) / swim.frequency
-        below.plot(at, 1e2 * np.concatenate([[0.0], speeds]), marker="o", ms=3, lw=1.2, **look)
+    def plot_speeds(speeds: np.ndarray, **style: Any) -> None:
+        times = AT_ONCE * np.arange(len(speeds) + 1) / swim.frequency
+        below.plot(times, 1e2 * np.concatenate([[0.0], speeds]), marker="o", ms=3, lw=1.2, **style)
 
-    swum(swim.from_rest, color="C0", label="from rest")
+    plot_speeds(swim.from_rest, color="C0", label="from rest")
     if swim.unresisted is not None:
-        swum(swim.unresisted, color="0.6", label=f"without {swim.resisting}")
+        plot_speeds(swim.unresisted, color="0.6", label=f"without {swim.resisting}")
     if swim.found:
         speed = 1e2 * float(swim.performance.speed)
-        below.axhline(speed, color="C3", ls="--", lw=1.0, label=f"root: {speed:.2f} cm/s")
+        below.axhline(speed, color="C3", ls="--", lw=1.0, label=f"steady: {speed:.2f} cm/s")
     below.set_xlabel("time (s)")
     below.set_ylabel("speed (cm/s)")
     below.legend(fontsize="small")

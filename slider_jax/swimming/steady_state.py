@@ -1,20 +1,19 @@
 """Steady swimming: the speed at which the mean force along the course vanishes over a stride.
 
-What shakes out of a gait within a few strides, shape and recoil and turning, is left to time
-stepping; the speed, which takes many, is sought as a root. After some strides the whole body is
-given the speed that a secant through the last two paces asks for, and goes on:
+Shape, recoil and turning settle within a few strides, so time stepping computes them. The speed
+settles slowly, so a secant method finds it as a root:
 
     a(U) = (v_2 - v_1) . ahead / T,    a(U*) = 0
 
-with v_i the velocity of the centre of mass, averaged over one stride and the next, and ahead the
-unit vector midway between them, to the side where the head points: a is a mean force along the
-course over the mass, and vanishes on a steady circle too. The derivative of U* is that of the root,
-by the implicit function theorem,
+v_1 and v_2 are the mean velocities of the centre of mass over two consecutive strides of period T.
+ahead is the unit vector along v_1 + v_2, on the side of the head. a is the mean force along the
+course per mass; it vanishes on a steady circle too. After each correction the whole body gets the
+new speed and swims some more strides. The implicit function theorem gives the derivative of U*,
 
     dU* = (U_theta - a_theta U_delta / a_delta) dtheta
 
-where U and a are those of two strides after some that start from the steady state, made faster by
-delta at their begin.
+U and a belong to two strides that follow some settling strides. These start from the steady state
+with the speed increased by delta.
 """
 
 from typing import NamedTuple
@@ -33,61 +32,62 @@ from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
 
 
 class SteadySettings(NamedTuple):
-    """How a steady speed is sought."""
+    """Settings of the root finding for the steady speed."""
 
     settling: int = 6
     """Strides from the straight start until the gait has settled; also before derivatives."""
     between: int = 2
-    """Strides from a change of speed to the last of those over which the next pace is taken."""
+    """Index of the last stride after a change of speed over which the mean motion is taken."""
     corrections: int = 7
+    """Number of secant steps."""
     second: float = 0.15
-    """The speed [m/s] that is tried after the first."""
+    """Second speed [m/s] of the secant method."""
     largest: float = 0.3
-    """Most that the speed is changed by at once [m/s]."""
+    """Largest change of the speed in one secant step [m/s]."""
     steps_per_stride: int = 96
     numerics: Numerics = Numerics(tail_cells=6, body_cells=24)
     scheme: Scheme = SDIRK2
 
 
 STRIDES_BEFORE_START = 20.0
-"""Strides that the drive is taken to have run before: longer than any delay of the valves."""
+"""Strides of the drive before the start of the simulation: longer than any valve delay."""
 
 
 class MeanMotion(eqx.Module):
-    """A swimmer over two strides."""
+    """Mean motion of a swimmer over two strides."""
 
     course: Float[Array, "2"]
-    """Unit vector along its mean velocity, to the side where the head points."""
+    """Unit vector along the mean velocity, on the side of the head."""
     speed: Float[Array, ""]
-    """[m/s]; negative tail first."""
+    """Mean speed [m/s]; negative if the tail leads."""
     acceleration: Float[Array, ""]
-    """Mean along the course [m/s^2]."""
+    """Mean acceleration along the course [m/s^2]."""
 
 
 class Steady(eqx.Module):
-    """Where a search ended."""
+    """Result of the root finding."""
 
     pace: MeanMotion
-    """Of the last two strides."""
+    """Mean motion of the last two strides."""
     missing: Float[Array, ""]
-    """What the secant would still add to the speed [m/s]: small if the speed is steady."""
+    """Next secant step [m/s]: small if the speed is steady."""
     carry: Carry
     """The state after the last stride."""
     ok: Bool[Array, ""]
-    """Whether every step converged, and the search with them.
+    """Whether every time step and the root finding converged.
 
-    Steady is a speed that changes by less than 0.2 % in a stride, and that the secant would change
-    by less than 2 % more.
+    A speed is steady if it changes by less than 0.2 % in a stride and the next secant step is less
+    than 2 % of it.
     """
 
     @property
     def speed(self) -> Float[Array, ""]:
-        """[m/s]"""
+        """Steady speed [m/s]."""
         return self.pace.speed
 
 
 def with_added_velocity(carry: Carry, change: Float[Array, "2"]) -> Carry:
-    """The same with the velocity `change` (x, y) [m/s] added to every point's."""
+    """Return the state with `change` (x, y) [m/s] added to the velocity of every point."""
 
     def add(motion):
         """(..., 3, nodes): V_tau, V_n, phi."""
@@ -98,27 +98,30 @@ def with_added_velocity(carry: Carry, change: Float[Array, "2"]) -> Carry:
 
 
 def stride_times(frequency, count: int, search: SteadySettings) -> TimeGrid:
-    """`count` strides, as if the drive had long begun: every stride has a whole period of it."""
+    """Return the time grid of `count` strides, long after the start of the drive."""
     h = 1.0 / (frequency * search.steps_per_stride)
     return TimeGrid(h, count * search.steps_per_stride, STRIDES_BEFORE_START / frequency)
 
 
 def velocity(x: Snapshot) -> Float[Array, "2"]:
-    """(x, y) [m/s] of the centre of mass."""
+    """Return the velocity (x, y) [m/s] of the centre of mass."""
     cell, grid = x.section(), x.mesh.grid
     P = cell.linear_density * jnp.stack(to_plane(cell.V_tau, cell.V_n, cell.phi))
     return grid.integral(P) / grid.integral(cell.linear_density)
 
 
 def velocity_and_heading(x: Snapshot) -> Float[Array, "2 2"]:
-    """Velocity [m/s] of the centre of mass, and the body's mean direction, tail to head."""
+    """Return the velocity [m/s] of the centre of mass and the mean direction, tail to head."""
     cell, grid = x.section(), x.mesh.grid
     ahead = jnp.stack(to_plane(jnp.ones_like(cell.phi), jnp.zeros_like(cell.phi), cell.phi))
     return jnp.stack([velocity(x), grid.integral(ahead)])
 
 
 def mean_motion(before: Float[Array, "2"], mean, ahead, frequency) -> MeanMotion:
-    """From the mean velocities of two strides, and where the head points [any length]."""
+    """Return the mean motion from the mean velocities of two strides and the head's direction.
+
+    `ahead` need not be normalised.
+    """
     both = 0.5 * (before + mean)
     size = jnp.sqrt(jnp.sum(both**2) + 1e-18)
     side = jnp.where(both @ ahead < 0.0, -1.0, 1.0)
@@ -127,7 +130,10 @@ def mean_motion(before: Float[Array, "2"], mean, ahead, frequency) -> MeanMotion
 
 
 def simulate_strides(model: Model, frequency, carry: Carry, count: int, search: SteadySettings):
-    """`count` strides more, two at least, of `frequency` [Hz]: the carry, the last two's pace."""
+    """Simulate `count` strides (at least two) of `frequency` [Hz].
+
+    Returns the final state and the mean motion of the last two strides.
+    """
     times = stride_times(frequency, 1, search)
 
     def body(state, _):
@@ -151,9 +157,9 @@ def simulate_strides(model: Model, frequency, carry: Carry, count: int, search: 
 
 
 def find_steady(model: Model, frequency, search: SteadySettings = SteadySettings()) -> Steady:
-    """Swim from rest and seek the steady speed; pure, to be batched by vmap.
+    """Return the steady motion of a robot that starts from rest. Use vmap for several robots.
 
-    The model's support is to be `Free`. Not differentiable to any use: see `steady_speed`.
+    The model's support must be `Free`. For derivatives use `steady_speed`.
     """
 
     def correct(state, _):
@@ -162,7 +168,7 @@ def find_steady(model: Model, frequency, search: SteadySettings = SteadySettings
         carry, after = simulate_strides(model, frequency, faster, search.between + 1, search)
         far = after.speed - pace.speed
         secant = (after.acceleration - pace.acceleration) / jnp.where(far == 0.0, 1.0, far)
-        # At rounding errors, and where it would lead away, the last one holds.
+        # Keep the last slope if the new one is rounding error or leads away from the root.
         slope = jnp.where((secant < 0.0) & (jnp.abs(far) > 1e-7), secant, slope)
         change = jnp.clip(-after.acceleration / slope, -search.largest, search.largest)
         return (carry, after, slope, change), None
@@ -180,9 +186,9 @@ def find_steady(model: Model, frequency, search: SteadySettings = SteadySettings
 def steady_speed(
     model: Model, frequency, search: SteadySettings = SteadySettings()
 ) -> Float[Array, ""]:
-    """The steady speed [m/s], differentiable to model and frequency by the root's derivative.
+    """Return the steady speed [m/s], NaN if none is found.
 
-    NaN where none is found.
+    It is differentiable with respect to model and frequency, by the implicit function theorem.
     """
     held, f = jax.tree.map(jax.lax.stop_gradient, (model, frequency))
     found = jax.tree.map(jax.lax.stop_gradient, find_steady(held, f, search))

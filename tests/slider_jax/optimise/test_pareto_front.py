@@ -166,7 +166,7 @@ def test_a_robot_that_nothing_resists_is_refused(tmp_path, capsys):
         to_toml(coarse()).replace('name = "head_drag"\narea = 0.00179', 'name = "gravity"')
     )
     assert main(["optimize", "multimodal", str(file), "--out", str(tmp_path / "out")]) == 2
-    assert "effects: none resists motion along the body" in capsys.readouterr().err
+    assert "effects: no effect resists motion along the body" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

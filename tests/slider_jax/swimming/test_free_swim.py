@@ -97,7 +97,7 @@ def test_a_robot_that_is_not_driven_stays_where_it_is(tmp_path, capsys):
     assert main(["swim", str(tmp_path / "still.toml"), "--out", str(tmp_path / "out")]) == 0
     (row,) = json.loads((tmp_path / "out" / "swim.json").read_text())["swims"]
     assert row["steady"] and row["speed_m_per_s"] < 1e-6 and row["froude_efficiency"] is None
-    assert "steady at 0.00 cm/s" in capsys.readouterr().out
+    assert "steady speed 0.00 cm/s" in capsys.readouterr().out
 
 
 def test_a_recorded_drive_is_refused(tmp_path, capsys):
