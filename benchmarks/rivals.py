@@ -28,7 +28,7 @@ from calibration.discrepancy.selection import directions
 from calibration.inference.gauss_newton import Fit, fit, inverse
 from calibration.inference.problem import Problem, summed
 from calibration.model.extended import Parameter
-from calibration.model.predict import CHANNELS
+from slider_jax.channels import CHANNELS
 
 PENALTIES = 60
 GP_SAMPLES = 500

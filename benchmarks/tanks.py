@@ -15,7 +15,7 @@ import numpy as np
 from calibration.discrepancy.close_loop import LoopOutcome, choose_held_out, conclude
 from calibration.experiment_design.detectability import detectability_matrix
 from calibration.inference.problem import Problem
-from calibration.measurements.records import COLUMNS, Record
+from calibration.measurements.records import Record
 from calibration.measurements.synthetic import (
     ROBOT,
     START,
@@ -25,7 +25,8 @@ from calibration.measurements.synthetic import (
     trials,
 )
 from calibration.model.extended import BASE, base_values, base_vector, candidates, parameters
-from calibration.model.predict import CHANNELS, COARSE, Resolution, on_all_cores, plan, predict
+from calibration.model.predict import COARSE, Resolution, on_all_cores, plan, predict
+from slider_jax.channels import CHANNELS
 from slider_jax.effects import Effect
 from slider_jax.experiment.load import Experiment, assemble
 
@@ -111,9 +112,9 @@ def noisy(tank: Tank, true: Sequence[np.ndarray], seed: int) -> list[Record]:
     rng, found = np.random.default_rng([seed, 2]), []
     for trial, y in zip(tank.experiment.trials, true, strict=True):
         t = np.arange(y.shape[1]) / tank.experiment.sensors.sample_rate
-        named = {"t_s": t} | {COLUMNS[c]: row for c, row in zip(CHANNELS, y, strict=True)}
+        named = {"t_s": t} | {CHANNELS[c].column: row for c, row in zip(CHANNELS, y, strict=True)}
         columns = measured(named, Sensors(), rng)
-        found.append(Record(trial, t, np.stack([columns[COLUMNS[c]] for c in CHANNELS])))
+        found.append(Record(trial, t, np.stack([columns[CHANNELS[c].column] for c in CHANNELS])))
     return found
 
 

@@ -31,7 +31,8 @@ import numpy as np
 import slider_jax as sj
 from calibration.identification.identify import identify, table
 from calibration.inference.uncertainty import correlations, determined, interval
-from calibration.model.predict import CHANNELS, Resolution
+from calibration.model.predict import Resolution
+from slider_jax.channels import row_of
 from slider_jax.experiment import load as experiments
 
 sj.enable_float64()
@@ -68,7 +69,7 @@ print(table(found))
 # %%
 shown = int(np.argmax([len(r.t) for r in found.problem.records]))
 record = found.problem.records[shown]
-row = CHANNELS.index("thrust")
+row = row_of("thrust")
 here = record.t < 4.0 / (record.trial.frequency or 1.0)
 figure, axes = plt.subplots(2, 1, figsize=(9, 4.6), sharex=True, layout="constrained")
 axes[0].plot(record.t[here], record.values[row][here], ".", ms=2, color="0.6", label="measured")

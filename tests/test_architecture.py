@@ -18,6 +18,7 @@ LAYERS = [
     {"slider_jax.effects"},
     {"slider_jax.dynamics"},
     {"slider_jax.observables", "slider_jax.paper"},
+    {"slider_jax.channels"},
     {"slider_jax.experiment"},
     {"slider_jax.simulation"},
     {"slider_jax.batch", "slider_jax.realtime"},

@@ -17,7 +17,7 @@ from calibration.audit.rows import Unusable, read_rows
 from calibration.audit.time_stamps import regular_rows
 from calibration.measurements.findings import Finding, left_out
 from calibration.measurements.records import Record
-from calibration.model.predict import CHANNELS
+from slider_jax.channels import CHANNELS
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.schema import SensorsTable
@@ -95,9 +95,8 @@ def _read(experiment: Experiment) -> tuple[list[Record], list[Finding]]:
 
 def declared_noise(sensors: SensorsTable, channel: str) -> float:
     """One standard deviation of the white noise that is declared, 0 where none is."""
-    if channel == "tip":
-        return sensors.tip_noise
-    return sensors.force_noise if channel in ("thrust", "recoil") else sensors.pressure_noise
+    key = CHANNELS[channel].noise
+    return getattr(sensors, key) if key else 0.0
 
 
 def _extents(records: Sequence[Record], rate: float | None) -> tuple[list[Record], list[Finding]]:

@@ -25,7 +25,7 @@ from calibration.audit.lag_response import (
 )
 from calibration.measurements.findings import Finding
 from calibration.measurements.records import Record
-from calibration.model.predict import CHANNELS
+from slider_jax.channels import BUILT_IN
 
 SKEW = 0.004
 """Clocks that differ by less are not told from slow transients."""
@@ -122,7 +122,7 @@ def _another_drive(records: Sequence[Record], i: int, bad: Sequence[int]) -> Fin
         f"{names} cannot be the answer to the drive declared ({r.trial.frequency:g} Hz), as those "
         f"of the other trials are{_partner(records, r)}"
     )
-    return finding(r, "wrong_drive", ", ".join(CHANNELS[c] for c in bad), how, "left out")
+    return finding(r, "wrong_drive", ", ".join(BUILT_IN[c] for c in bad), how, "left out")
 
 
 def _partner(records: Sequence[Record], r: Record) -> str:

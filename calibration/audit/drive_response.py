@@ -6,9 +6,10 @@ import numpy as np
 
 from calibration.audit.lag_response import DeclaredDrive, Fits, drives, fits, settling_time, tone
 from calibration.measurements.findings import Action, Finding
-from calibration.measurements.records import COLUMNS, Record
+from calibration.measurements.records import Record
+from slider_jax.channels import BUILT_IN, CHANNELS
 
-NAMES = tuple(COLUMNS.values())
+NAMES = tuple(CHANNELS[name].column for name in BUILT_IN)
 ANSWERS = 0.6
 """Share of its rms that a pressure leaves of the drive's response, above which it is no answer."""
 STRIDES = 1.2

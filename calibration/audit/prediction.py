@@ -10,10 +10,11 @@ from itertools import permutations
 
 import numpy as np
 
+from calibration.audit.drive_response import NAMES
 from calibration.audit.lag_response import MOST_SAMPLES, surprise
 from calibration.measurements.findings import Finding
-from calibration.measurements.records import COLUMNS, Record
-from calibration.model.predict import CHANNELS
+from calibration.measurements.records import Record
+from slider_jax.channels import BUILT_IN
 from slider_jax.experiment.schema import Trial
 
 BODY = (2, 3, 4)
@@ -116,8 +117,8 @@ def _columns(like: _Likeness) -> tuple[list[Record], list[Finding]]:
             kept.append(r)
             continue
         rows = [0, 1, *(BODY[c] for c in best)]
-        names = " and ".join(list(COLUMNS.values())[BODY[x]] for x in moved)
-        channels = ", ".join(CHANNELS[BODY[x]] for x in moved)
+        names = " and ".join(NAMES[BODY[x]] for x in moved)
+        channels = ", ".join(BUILT_IN[BODY[x]] for x in moved)
         how = f"the columns {names} are swapped: each resembles the prediction of the other"
         findings.append(_finding(r, "swapped_columns", channels, how, "mended"))
         kept.append(replace(r, values=r.values[rows]))
@@ -147,9 +148,9 @@ def _signs(like: _Likeness) -> tuple[list[Record], list[Finding]]:
         for channel, value, sure in zip(BODY, row, known, strict=True):
             if value > -CLEAR or not sure:
                 continue
-            name = list(COLUMNS.values())[channel]
+            name = NAMES[channel]
             how = f"{name} has its sign turned (correlation {value:.2f}); it was turned back"
-            findings.append(_finding(r, "sign", CHANNELS[channel], how, "mended"))
+            findings.append(_finding(r, "sign", BUILT_IN[channel], how, "mended"))
             values[channel] *= -1.0
         kept.append(replace(r, values=values))
     return kept, findings
@@ -166,12 +167,12 @@ def _units(like: _Likeness) -> tuple[list[Record], list[Finding]]:
             # Another trial, or another channel of this one, must be of the predicted size.
             if ratio is None or not (ordinary[:, x].any() or ordinary[i].any()):
                 continue
-            unit, name = SMALL[ratio][x], list(COLUMNS.values())[row]
+            unit, name = SMALL[ratio][x], NAMES[row]
             how = (
                 f"{name} is {10 ** sizes[i, x]:.3g} times what the model predicts: it is in "
                 f"{unit}, and was multiplied by {1.0 / ratio:g}"
             )
-            findings.append(_finding(r, "units", CHANNELS[row], how, "mended"))
+            findings.append(_finding(r, "units", BUILT_IN[row], how, "mended"))
             values[row] /= ratio
         kept.append(replace(r, values=values))
     return kept, findings
@@ -186,16 +187,16 @@ def _strangers(like: _Likeness) -> tuple[list[Record], list[Finding]]:
         values = r.values.copy()
         for x, row in enumerate(BODY):
             rest = np.delete(table[:, x], i)
-            if not r.has(CHANNELS[row]) or len(rest) < 3 or rest.min() < ALIKE:
+            if not r.has(BUILT_IN[row]) or len(rest) < 3 or rest.min() < ALIKE:
                 continue
             best = max(abs(_correlation(r, p, row, row, lag)) for lag in LAGS)
             if best < STRANGE:
                 how = (
-                    f"{list(COLUMNS.values())[row]} does not resemble its prediction (correlation "
+                    f"{NAMES[row]} does not resemble its prediction (correlation "
                     f"{best:.2f} at best, {rest.min():.2f} or more in the other trials); the "
                     "channel is not used in this trial"
                 )
-                findings.append(_finding(r, "strange_channel", CHANNELS[row], how, "masked"))
+                findings.append(_finding(r, "strange_channel", BUILT_IN[row], how, "masked"))
                 values[row] = np.nan
         kept.append(replace(r, values=values))
     return kept, findings

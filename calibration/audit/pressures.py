@@ -23,7 +23,7 @@ from calibration.audit.drive_response import (
 from calibration.audit.lag_response import drives
 from calibration.measurements.findings import Finding
 from calibration.measurements.records import Record
-from calibration.model.predict import CHANNELS
+from slider_jax.channels import BUILT_IN
 
 UNITS = {1e-3: "kPa", 1e3: "mPa", 1.0 / 6894.757: "psi", 1e-5: "bar", 1e-6: "MPa"}
 """Unit by what a pressure in it is of one in Pa."""
@@ -104,11 +104,11 @@ def _units(records: Sequence[Record], answers: Answers) -> tuple[list[Record], l
                     f"{UNITS[unit]}, and was multiplied by {1.0 / unit:.6g}"
                 )
                 values[c] /= unit
-                findings.append(finding(r, "units", CHANNELS[c], how, "mended"))
+                findings.append(finding(r, "units", BUILT_IN[c], how, "mended"))
             if gain < 0.0:
                 how = f"{NAMES[c]} has the drive's sign turned; it was turned back"
                 values[c] *= -1.0
-                findings.append(finding(r, "sign", CHANNELS[c], how, "mended"))
+                findings.append(finding(r, "sign", BUILT_IN[c], how, "mended"))
         kept.append(replace(r, values=values))
     return kept, findings
 

@@ -15,23 +15,20 @@ from calibration.pressure_logs.read import PA_PER_PSI, ManifoldLog, read_log
 from calibration.pressure_logs.residual_shape import whole_cycles
 from slider_jax.actuation import FirstOrderLag, Recorded
 from slider_jax.beam.parameters import Numerics
+from slider_jax.channels import CHANNELS, TIME, readings, recorded_series
 from slider_jax.cli.progress import Progress
 from slider_jax.dynamics.model import Drive, Model
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.step import at_rest
 from slider_jax.dynamics.time_schemes import Scheme
-from slider_jax.effects import Readings
 from slider_jax.errors import SolverError
 from slider_jax.experiment.load import (
-    SAMPLES,
     Experiment,
     drag_and_added_mass,
     to_model,
     to_numerics,
 )
 from slider_jax.io.files import input_file, staged, versions, write_csv, write_json
-from slider_jax.simulation.sensors import recorded
-from slider_jax.simulation.trial import readings
 
 CHUNK = 125
 """Samples per call of the compiled program."""
@@ -65,7 +62,7 @@ def simulate_log(
     with staged(out) as stage:
         with Progress(path.stem, "sample") as progress:
             columns = drive_robot(log, experiment, drive, progress.to)
-        formats = dict(zip(SAMPLES, (".3f", ".1f", ".1f", ".6f", ".6f", ".7f"), strict=True))
+        formats = {TIME: ".3f"} | {x.column: x.digits for x in CHANNELS.values()}
         write_csv(stage / f"{path.stem}.csv", columns, formats)
         told = summary(log, experiment, model, drive, columns)
         write_json(stage / "summary.json", told)
@@ -92,7 +89,7 @@ def _advance(model: Model, h, t0, begin, numerics: Numerics, scheme: Scheme, eve
 def drive_robot(
     log: ManifoldLog, experiment: Experiment, drive: str, progress=lambda done, total: None
 ) -> dict[str, np.ndarray]:
-    """The columns `SAMPLES` at the log's sample times. `progress(samples done, all)` is called.
+    """The columns of a trial at the log's sample times. `progress(samples done, all)` is called.
 
     Where the log misses samples, the drive is linear between those that are there.
     """
@@ -114,8 +111,9 @@ def drive_robot(
     carry = at_rest(base, numerics)
     chunks: list[dict[str, Any]] = [
         {
-            "pressure": np.array([pressures]),
-            **dict.fromkeys(("thrust", "recoil", "tip"), np.zeros(1)),
+            **dict.fromkeys(CHANNELS, np.zeros(1)),
+            "p_front": np.array(pressures[:1]),
+            "p_rear": np.array(pressures[1:]),
         }
     ]
     for first in range(0, whole, CHUNK):
@@ -135,12 +133,11 @@ def drive_robot(
             )
         progress(min(first + CHUNK + 1, len(log.t)), len(log.t))
     series = {name: np.concatenate([c[name] for c in chunks]) for name in chunks[0]}
-    front, rear = series["pressure"].T
-    forces = series["thrust"], series["recoil"], series["tip"]
-    true = Readings(*(jnp.asarray(x) for x in (at, front, rear, *forces)))
+    true = {name: jnp.asarray(values) for name, values in series.items()}
+    read = recorded_series(base.effects, jnp.asarray(at), true)
     kept = np.round(log.t / log.period).astype(int)
-    read = [np.asarray(x)[kept] for x in recorded(base.effects, true)]
-    return dict(zip(SAMPLES, [log.t, *read[1:]], strict=True))
+    columns = {channel.column: np.asarray(read[x])[kept] for x, channel in CHANNELS.items()}
+    return {TIME: log.t} | columns
 
 
 def summary(

@@ -8,7 +8,7 @@ from scipy.stats import spearmanr
 
 from calibration.inference.goodness import FLOOR, Excess
 from calibration.measurements.records import Record
-from calibration.model.predict import CHANNELS
+from slider_jax.channels import row_of
 
 PHASES = 8
 """Parts of a stride that are told apart."""
@@ -25,7 +25,7 @@ def where(
     for channel, x in left.items():
         if x.all <= FLOOR:
             continue
-        row, worst = CHANNELS.index(channel), int(np.nanargmax(x.trials))
+        row, worst = row_of(channel), int(np.nanargmax(x.trials))
         trials = [r.trial for r in records]
         seen = records[worst]
         found.append(
@@ -57,7 +57,7 @@ def when(record: Record, channel: str, model: np.ndarray) -> dict[str, Any]:
     the sine that takes most of the rest, `peak_share` of its square.
     """
     there = record.there(channel)
-    r = (record.values[CHANNELS.index(channel)] - model)[there]
+    r = (record.values[row_of(channel)] - model)[there]
     square = r**2 / max(float(np.sum(r**2)), 1e-300)
     away = (model - model.mean()) * np.gradient(model) > 0.0
     told = {

@@ -8,12 +8,10 @@ from calibration.discrepancy.close_loop import LoopOutcome
 from calibration.discrepancy.localise import said
 from calibration.discrepancy.rounds import AGREE, UNALIKE
 from calibration.inference.goodness import FLOOR
-from calibration.model.predict import CHANNELS
 from calibration.reporting.html import embedded_png, render_page
 from calibration.reporting.parameters import widened
+from slider_jax.channels import CHANNELS, row_of
 
-SHOWN = {"p_front": (1e-3, "kPa"), "p_rear": (1e-3, "kPa"), "thrust": (1e3, "mN"),
-         "recoil": (1e3, "mN"), "tip": (1e3, "mm")}  # fmt: skip
 SHOWN_STRIDES = 3.0
 """Strides at the end of the trial in the figure of readings; seconds if it has no frequency."""
 
@@ -64,7 +62,7 @@ def _sources(given: dict[str, Any]) -> str:
 def _errors(errors: dict[str, dict[str, float]]) -> list[list[str]]:
     rows = []
     for channel, row in errors.items():
-        factor, unit = SHOWN[channel]
+        factor, unit = CHANNELS[channel].plot_factor, CHANNELS[channel].plot_unit
         rows.append([f"{channel} ({unit})", *(f"{factor * x:.3g}" for x in row.values())])
     return rows
 
@@ -129,7 +127,8 @@ def readings_figure(outcome: LoopOutcome):
     late = record.t >= record.t[-1] - SHOWN_STRIDES / (record.trial.frequency or 1.0)
     models = ((before, "before", "tab:orange"), (after, "after", "tab:blue"))
     for (left, right), channel in zip(axes, channels, strict=True):
-        row, (factor, unit) = CHANNELS.index(channel), SHOWN[channel]
+        row, shown = row_of(channel), CHANNELS[channel]
+        factor, unit = shown.plot_factor, shown.plot_unit
         there = record.there(channel)
         here, t, y = there & late, record.t, factor * record.values[row]
         left.plot(t[here], y[here], ".", color="0.6", ms=2, label="measured")
@@ -151,7 +150,7 @@ def _shown_trial(outcome: LoopOutcome):
     """The search's trial on which the two fits differ most: its record and both predictions."""
     searched = [i for i in range(len(outcome.problem.records)) if i not in outcome.held]
     pairs = list(zip(outcome.search.base.predicted, outcome.chosen.predicted, strict=True))
-    rows = [CHANNELS.index(c) for c in outcome.problem.channels]
+    rows = [row_of(c) for c in outcome.problem.channels]
     difference = [
         sum(float(np.mean((a[c] - b[c]) ** 2) / max(np.var(a[c]), 1e-300)) for c in rows)
         for a, b in pairs

@@ -10,7 +10,8 @@ from calibration.discrepancy.rounds import SelectionStep
 from calibration.discrepancy.verdict import at_bounds, split
 from calibration.inference.goodness import FLOOR
 from calibration.model.extended import base_values
-from calibration.reporting.parameters import UNITS, parameter_record, parameter_text, parameter_toml
+from calibration.reporting.parameters import parameter_record, parameter_text, parameter_toml
+from slider_jax.channels import CHANNELS
 from slider_jax.effects.library import LIBRARY
 from slider_jax.io.files import versions
 
@@ -42,7 +43,7 @@ def report(
         "unexplained": unexplained(outcome),
         "audit": [x.told() for x in outcome.audit],
         "next_experiment": following,
-        "units": UNITS,
+        "units": {name: CHANNELS[name].unit for name in CHANNELS},
         "left_over_noise": {c: np.sqrt(x.all) for c, x in outcome.excess_after.items()},
         "seconds": seconds,
         "input": source,

@@ -9,9 +9,8 @@ from scipy.stats import wilcoxon
 
 from calibration.discrepancy.scores import Score
 from calibration.inference.gauss_newton import Fit
-from calibration.inference.noise import DISCREPANCY
 from calibration.model.extended import Parameter
-from calibration.model.predict import CHANNELS
+from slider_jax.channels import CHANNELS, row_of
 
 LEAST_GAIN = 20.0
 """Smallest gain of a refitted candidate that counts, in units of the residual's mean square."""
@@ -66,7 +65,7 @@ class Refit:
 
 def worth_naming(gain: float, sizes: dict[str, float]) -> bool:
     """Whether an effect of so much gain changes some channel by so much that it is to be named."""
-    return gain > LEAST_GAIN and any(sizes[c] > DISCREPANCY[c] for c in sizes)
+    return gain > LEAST_GAIN and any(sizes[c] > CHANNELS[c].discrepancy for c in sizes)
 
 
 class Alternative(NamedTuple):
@@ -135,7 +134,7 @@ def shares(
     """rms of the change in every channel over its rms, all trials (5, samples) together."""
     found = {}
     for channel in channels:
-        row = CHANNELS.index(channel)
+        row = row_of(channel)
         change = np.concatenate([b[row] - a[row] for a, b in zip(before, after, strict=True)])
         signal = np.concatenate([a[row] for a in before])
         found[channel] = float(np.sqrt(np.mean(change**2) / max(np.mean(signal**2), 1e-300)))

@@ -2,7 +2,7 @@
 
 A candidate is kept where its gain is beyond chance for the number of candidates tried, the trials
 that were left out agree, and what it changes is large enough to be worth a name: larger than what
-two correct programs of one model differ by, declared in `noise.DISCREPANCY` before any data.
+two correct programs of one model differ by, declared in `slider_jax.channels` before any data.
 
 One that was kept is taken out again where a later one leaves it nothing that is worth a name: while
 two causes are missing, a wrong one that resembles one of them and has something of the other can
@@ -30,10 +30,9 @@ from calibration.discrepancy.rounds import (
 )
 from calibration.discrepancy.scores import Score, score
 from calibration.inference.gauss_newton import Fit, fit
-from calibration.inference.noise import DISCREPANCY
 from calibration.inference.problem import Problem
 from calibration.model.extended import BASE, Parameter
-from calibration.model.predict import CHANNELS
+from slider_jax.channels import CHANNELS, row_of
 from slider_jax.effects.library import LIBRARY
 
 CHANCE = 1e-3
@@ -65,7 +64,7 @@ def directions(problem: Problem, entries: Sequence[Parameter], theta: np.ndarray
     near = [i for i in judged if i not in afar]
     found = [np.zeros((len(theta), *r.values.shape)) for r in problem.records]
     unit = np.eye(len(theta))
-    channels = [CHANNELS.index(c) for c in problem.channels]
+    channels = [row_of(c) for c in problem.channels]
     along = problem.tangents(theta, unit[near])
     lost = ~np.all([np.isfinite(x[:, channels]).all(axis=(1, 2)) for x in along], axis=0)
     for x, tangents in zip(found, along, strict=True):
@@ -156,7 +155,7 @@ def _could_be_named(problem: Problem, current: Fit, everything, step: np.ndarray
         y + np.tensordot(step, x, 1) for y, x in zip(current.predicted, everything, strict=True)
     ]
     changes = shares(problem.channels, current.predicted, there)
-    return any(change > NEARLY * DISCREPANCY[c] for c, change in changes.items())
+    return any(change > NEARLY * CHANNELS[c].discrepancy for c, change in changes.items())
 
 
 def _can_join(name: str, effects: list[str]) -> bool:

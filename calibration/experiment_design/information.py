@@ -22,7 +22,6 @@ from calibration.measurements.records import Record, records
 from calibration.model.extended import BASE, Parameter, base_vector, parameters
 from calibration.model.initial_swing import declared_spans
 from calibration.model.predict import (
-    CHANNELS,
     COARSE,
     Resolution,
     TrialPlan,
@@ -31,6 +30,7 @@ from calibration.model.predict import (
     predict,
     tangents,
 )
+from slider_jax.channels import CHANNELS, row_of
 from slider_jax.errors import InputError, SolverError
 from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.schema import Trial
@@ -68,7 +68,7 @@ class SensorModel:
             recorded = [r for r in found if r.has(channel)]
             if recorded:
                 each = [
-                    declared(experiment.sensors, channel, r.values[CHANNELS.index(channel)])
+                    declared(experiment.sensors, channel, r.values[row_of(channel)])
                     for r in recorded
                 ]
                 noise[channel] = sorted(each)[len(each) // 2]
@@ -93,9 +93,8 @@ class SensorModel:
 
 def _is_declared(experiment: Experiment, channel: str) -> bool:
     sensors = experiment.sensors
-    if channel.startswith("p_"):
-        return sensors.pressure_noise > 0.0
-    return (sensors.tip_noise if channel == "tip" else sensors.force_noise) > 0.0
+    key = CHANNELS[channel].noise
+    return bool(key) and getattr(sensors, key) > 0.0
 
 
 class ChannelInformation(NamedTuple):
@@ -156,7 +155,7 @@ class TrialInformation:
         swing = declared_spans(self.experiment, p, self.theta)
         found = []
         for channel, noise in self.sensing.noise.items():
-            row, here = CHANNELS.index(channel), self.sensing.samples(trial, channel, len(p.at))
+            row, here = row_of(channel), self.sensing.samples(trial, channel, len(p.at))
             if here.sum() < 20:
                 continue
             raw, signal = J[:, row, here], y[row, here]

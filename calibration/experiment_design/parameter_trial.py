@@ -18,7 +18,6 @@ from calibration.inference.uncertainty import by_variation, determined, interval
 from calibration.model.extended import Parameter
 from calibration.model.initial_swing import declared_spans
 from calibration.model.predict import (
-    CHANNELS,
     COARSE,
     Resolution,
     on_all_cores,
@@ -26,6 +25,7 @@ from calibration.model.predict import (
     predict,
     tangents,
 )
+from slider_jax.channels import row_of
 from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.schema import Trial
 
@@ -159,7 +159,7 @@ def _information(experiment, trial, effects, theta, known: Known, resolution) ->
     J = tangents(laid, theta, np.eye(len(theta))[known.free])
     found, swing = np.zeros((size, size)), declared_spans(experiment, laid, theta)
     for channel, (noise, every) in known.noise.items():
-        row, at = CHANNELS.index(channel), slice(None, None, every)
+        row, at = row_of(channel), slice(None, None, every)
         swings = None if swing is None else swing[:, row, at]
         whiten = Whitener(laid.at[at], noise, model[row, at], channel, trial.frequency, swings)
         white = whiten(J[:, row, at])

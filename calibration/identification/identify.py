@@ -20,8 +20,9 @@ from calibration.inference.uncertainty import correlations, halves
 from calibration.measurements.findings import Finding
 from calibration.measurements.records import Record
 from calibration.model.extended import Parameter, base_values, base_vector, parameters
-from calibration.model.predict import CHANNELS, COARSE, FINE, Resolution
-from calibration.reporting.parameters import UNITS, parameter_record, parameter_text, parameter_toml
+from calibration.model.predict import COARSE, FINE, Resolution
+from calibration.reporting.parameters import parameter_record, parameter_text, parameter_toml
+from slider_jax.channels import BUILT_IN, CHANNELS
 from slider_jax.effects.library import LIBRARY
 from slider_jax.errors import InputError, did_you_mean
 from slider_jax.experiment.load import Experiment
@@ -68,7 +69,7 @@ def refuse_unknown(effects: Sequence[str], channels: Sequence[str], method: str)
 def identify(
     experiment: Experiment,
     effects: Sequence[str] = (),
-    channels: Sequence[str] = CHANNELS,
+    channels: Sequence[str] = BUILT_IN,
     progress: Callable[[str], None] = lambda text: None,
     fine: Resolution = FINE,
     coarse: Resolution = COARSE,
@@ -137,7 +138,7 @@ def content(found: Identified, source: dict[str, Any]) -> dict[str, Any]:
         "mean_square_over_noise": found.fit.square / found.fit.samples,
         "trials": [r.trial.file for r in found.problem.records],
         "audit": [x.told() for x in found.audit],
-        "units": UNITS,
+        "units": {name: CHANNELS[name].unit for name in CHANNELS},
         "input": source,
         "versions": versions(),
         "settings": found.experiment.model_dump(),
@@ -156,7 +157,8 @@ def table(found: Identified) -> str:
     before, after = (rms_errors(found.problem, y) for y in (found.before, found.fit.predicted))
     floor = floors(found.problem, found.fit.predicted)
     lines += [
-        f"{c:<28} rms {before[c]:.3g} before, {after[c]:.3g} after, floor {floor[c]:.3g} {UNITS[c]}"
+        f"{c:<28} rms {before[c]:.3g} before, {after[c]:.3g} after, floor {floor[c]:.3g} "
+        f"{CHANNELS[c].unit}"
         for c in after
     ]
     lines += [found.doubt] if found.doubt else []

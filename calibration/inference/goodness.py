@@ -5,9 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from calibration.inference.gauss_newton import Fit
-from calibration.inference.noise import DISCREPANCY
 from calibration.inference.problem import Problem
-from calibration.model.predict import CHANNELS
+from slider_jax.channels import CHANNELS, row_of
 
 FLOOR = 1.5
 """Mean square of a channel's white residual up to which it is at the floor: programs that agree
@@ -41,7 +40,7 @@ def rms_errors(problem: Problem, predicted: list[np.ndarray]) -> dict[str, float
     """rms of measured less predicted of every channel, in its unit, all trials together."""
     found = {}
     for channel in problem.channels:
-        row = CHANNELS.index(channel)
+        row = row_of(channel)
         apart = [
             (r.values[row] - y[row])[r.there(channel)]
             for r, y in zip(problem.records, predicted, strict=True)
@@ -56,10 +55,10 @@ def floors(problem: Problem, predicted: list[np.ndarray]) -> dict[str, float]:
     """The rms that noise, tare and the difference of correct programs leave in every channel."""
     found = {}
     for channel in problem.channels:
-        row, parts = CHANNELS.index(channel), []
+        row, parts = row_of(channel), []
         for (i, name), noise in problem.noise.items():
             if name == channel:
-                share = DISCREPANCY[channel] * float(np.std(predicted[i][row]))
+                share = CHANNELS[channel].discrepancy * float(np.std(predicted[i][row]))
                 square = noise.white**2 + noise.slow**2 + noise.tare**2 + share**2
                 parts.append((square, int(problem.records[i].there(channel).sum())))
         if parts:

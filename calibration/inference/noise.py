@@ -13,18 +13,15 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from calibration.inference.intervals import noise_floor
+from slider_jax.channels import CHANNELS
 from slider_jax.experiment.schema import SensorsTable
 
-GAIN = {"p_front": 0.002, "p_rear": 0.002, "thrust": 0.01, "recoil": 0.01, "tip": 0.005}
-"""Standard deviation of a trial's gain, as a share: calibration of the sensor and of the day."""
-DISCREPANCY = {"p_front": 0.002, "p_rear": 0.002, "thrust": 0.07, "recoil": 0.012, "tip": 0.005}
-"""What two correct programs differ by, as a share of the channel's rms: against an independent
-program on twelve noise-free trials, pressures 0.05 to 0.3 %, thrust 5 to 28 % (median 7), recoil
-0.7 to 2.1 %, tip 0.1 to 0.9 %. 0.86 to 0.94 of it comes back after a stride."""
 DISCREPANCY_TIME = 0.02
-"""Correlation time of that difference within a stride [s]: the beam's, not the drive's."""
+"""Correlation time within a stride [s] of the difference between two correct programs: the beam's,
+not the drive's."""
 STRIDES = 10.0
-"""Strides over which that difference stays the same: many of them do not average it out."""
+"""Strides over which that difference stays the same, so that they do not average it out. After one
+stride 0.86 to 0.94 of it is the same."""
 LONGEST = 1250
 """Samples of a series that are whitened at once; longer ones are averaged in groups first."""
 
@@ -43,23 +40,19 @@ def declared(sensors: SensorsTable, channel: str, values: np.ndarray) -> Noise:
 
     The quantisation is read off the data: the least step between their values.
     """
-    pressure = channel.startswith("p_")
-    force = channel in ("thrust", "recoil")
-    white = {
-        "p_front": sensors.pressure_noise, "p_rear": sensors.pressure_noise,
-        "thrust": sensors.force_noise, "recoil": sensors.force_noise, "tip": sensors.tip_noise,
-    }[channel]  # fmt: skip
+    key, kind = CHANNELS[channel].noise, CHANNELS[channel].kind
+    white = getattr(sensors, key) if key else 0.0
     there = values[np.isfinite(values)]
     if white == 0.0:
         white = max(noise_floor(there), 1e-9 * max(float(np.ptp(there)), 1e-12))
-    elif pressure:
+    elif kind == "pressure":
         white = float(np.hypot(white, quantum(there) / np.sqrt(12.0)))
-    if channel == "tip":
+    if kind == "camera":
         # Where the robot still swings, its place at rest is not that of the moment.
         return Noise(white, tare=sensors.start_swing)
-    if not force:
-        return Noise(white)
-    return Noise(white, sensors.force_slow_noise, sensors.force_slow_time, sensors.force_tare)
+    if kind == "force":
+        return Noise(white, sensors.force_slow_noise, sensors.force_slow_time, sensors.force_tare)
+    return Noise(white)
 
 
 def quantum(values: np.ndarray) -> float:
@@ -98,8 +91,8 @@ class Whitener:
         rms = float(np.std(y)) if len(y) > 1 else 0.0
         apart = np.abs(centre[:, None] - centre[None])
         cov = noise.slow**2 * np.exp(-apart / noise.slow_time)
-        cov += (DISCREPANCY[channel] * rms) ** 2 * _difference(apart, frequency)
-        cov += noise.tare**2 + GAIN[channel] ** 2 * np.outer(y, y)
+        cov += (CHANNELS[channel].discrepancy * rms) ** 2 * _difference(apart, frequency)
+        cov += noise.tare**2 + CHANNELS[channel].gain ** 2 * np.outer(y, y)
         if spans is not None:
             unknown = self._averaged(spans)
             cov += unknown.T @ unknown

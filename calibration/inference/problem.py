@@ -21,7 +21,6 @@ from calibration.measurements.records import Record
 from calibration.model.extended import base_values, base_vector, parameters
 from calibration.model.initial_swing import spans
 from calibration.model.predict import (
-    CHANNELS,
     COARSE,
     FINE,
     Resolution,
@@ -31,6 +30,7 @@ from calibration.model.predict import (
     predict,
     tangents,
 )
+from slider_jax.channels import CHANNELS, row_of
 from slider_jax.experiment.load import Experiment
 
 
@@ -101,17 +101,21 @@ class Problem:
         experiment: Experiment,
         records: list[Record],
         effects: tuple[str, ...],
-        channels: tuple[str, ...] = CHANNELS,
+        channels: tuple[str, ...] | None = None,
         fine: Resolution = FINE,
         coarse: Resolution = COARSE,
     ) -> "Problem":
-        """Lay out `records` of an experiment for the extended model with `effects`."""
+        """Lay out `records` of an experiment for the extended model with `effects`.
+
+        `channels` are those that are fitted, by default all.
+        """
+        channels = tuple(CHANNELS) if channels is None else channels
         plans = [
             [plan(experiment, r.trial, effects, resolution, r.t) for r in records]
             for resolution in (fine, coarse)
         ]
         noise = {
-            (i, channel): declared(experiment.sensors, channel, r.values[CHANNELS.index(channel)])
+            (i, channel): declared(experiment.sensors, channel, r.values[row_of(channel)])
             for i, r in enumerate(records)
             for channel in channels
             if r.has(channel)
@@ -123,7 +127,7 @@ class Problem:
 
     @cached_property
     def spans(self) -> list[np.ndarray] | None:
-        """What the swing at the start does to the readings, (2, 5, samples) of every trial."""
+        """Change of the readings (2, channels, samples) of every trial by the initial swing."""
         swing = self.swing
         if swing is None:
             return None
@@ -134,17 +138,17 @@ class Problem:
         )
 
     def predict(self, theta: np.ndarray) -> list[np.ndarray]:
-        """Readings (5, samples) of every trial."""
+        """Readings (channels, samples) of every trial."""
         return self._kept("predict", [theta], lambda: self._predict(theta))
 
     def tangents(self, theta: np.ndarray, directions: np.ndarray) -> list[np.ndarray]:
-        """Derivatives (k, 5, samples) of every trial."""
+        """Derivatives (k, channels, samples) of every trial."""
         return self._kept(
             "tangents", [theta, directions], lambda: self._tangents(theta, directions)
         )
 
     def secants(self, theta: np.ndarray, others: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Changes (k, 5, samples) of every trial from `theta` to each of k `others`."""
+        """Changes (k, channels, samples) of every trial from `theta` to each of k `others`."""
         return self._kept("secants", [theta, *others], lambda: self._secants(theta, others))
 
     def _kept(self, what: str, arrays: Sequence[np.ndarray], make) -> list[np.ndarray]:
@@ -156,7 +160,7 @@ class Problem:
         return self.predict_each(self._own(theta))
 
     def predict_each(self, thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Readings (5, samples) of every trial at its own parameters."""
+        """Readings (channels, samples) of every trial at its own parameters."""
         pairs = list(zip(self.fine, thetas, strict=True))
         return on_all_cores(lambda pair: predict(*pair), pairs)
 
@@ -197,7 +201,7 @@ class Problem:
             i, channel = key
             r = self.records[i]
             there = r.there(channel)
-            row = CHANNELS.index(channel)
+            row = row_of(channel)
             model = np.nan_to_num(predicted[i][row][there])
             swings = None if swing is None else swing[i][:, row, there]
             return key, Whitener(
@@ -213,7 +217,7 @@ class Problem:
         found = {}
         for key, whiten in white.items():
             i, channel = key
-            row, there = CHANNELS.index(channel), self.records[i].there(channel)
+            row, there = row_of(channel), self.records[i].there(channel)
             found[key] = whiten((self.records[i].values[row] - predicted[i][row])[there])[0]
         return found
 
@@ -228,7 +232,7 @@ class Problem:
         for key, r in residuals.items():
             i, channel = key
             there = self.records[i].there(channel)
-            J = white[key](derivatives[i][:, CHANNELS.index(channel), there])
+            J = white[key](derivatives[i][:, row_of(channel), there])
             found.append(ChannelBlock(i, channel, J @ J.T, J @ r, float(r @ r), len(r)))
         return found
 

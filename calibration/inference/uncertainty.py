@@ -9,6 +9,7 @@ import numpy as np
 from calibration.inference.gauss_newton import Fit, inverse
 from calibration.inference.problem import Problem, summed
 from calibration.model.extended import Parameter
+from slider_jax.channels import BUILT_IN, CHANNELS
 
 SYSTEMATIC = {"C_d": 0.004, "m_a": 0.010, "k": 0.0005, "K_Q": 0.0023}
 """Share by which the base model's parameters differ between two correct programs, one standard
@@ -18,7 +19,7 @@ squares: the rms over fits without noise to seven meshes and steps of three tank
 and 0.3 %), and over those to an independent program's four (0.35, 1.2, 0.07 and 0.12 %)."""
 EFFECT = 0.02
 """The same of an effect's parameter."""
-FORCES = ("thrust", "recoil")
+FORCES = tuple(name for name in BUILT_IN if CHANNELS[name].kind == "force")
 FREED_TARE = 1e3
 """A tare that says nothing of the mean, times the larger of the sensor's noise and tare."""
 HALVES = 2.0

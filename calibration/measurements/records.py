@@ -1,18 +1,13 @@
-"""Measured trials as arrays: the five channels of every trial, with what is missing."""
+"""Measured trials as arrays: every channel of every trial, NaN where a sample is missing."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.model.predict import CHANNELS
+from slider_jax.channels import CHANNELS, row_of
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment, measured
 from slider_jax.experiment.schema import Trial
-
-COLUMNS = dict(
-    zip(CHANNELS, ("p_front_Pa", "p_rear_Pa", "thrust_N", "recoil_N", "tip_m"), strict=True)
-)
-"""Column of a trial's file for each channel."""
 
 
 @dataclass(frozen=True)
@@ -23,11 +18,11 @@ class Record:
     t: np.ndarray
     """(n,) [s]."""
     values: np.ndarray
-    """(5, n): `CHANNELS`, NaN where a sample is missing."""
+    """(channels, n) in the order of `CHANNELS`, NaN where a sample is missing."""
 
     def there(self, channel: str) -> np.ndarray:
         """(n,) whether the channel has a sample."""
-        return np.isfinite(self.values[CHANNELS.index(channel)])
+        return np.isfinite(self.values[row_of(channel)])
 
     def has(self, channel: str) -> bool:
         """Whether there is enough of a channel to be compared."""
@@ -42,7 +37,8 @@ def records(experiment: Experiment) -> list[Record]:
         if columns is None:
             continue
         n = len(columns["t_s"])
-        values = np.stack([columns.get(name, np.full(n, np.nan)) for name in COLUMNS.values()])
+        missing = np.full(n, np.nan)
+        values = np.stack([columns.get(c.column, missing) for c in CHANNELS.values()])
         found.append(Record(trial, columns["t_s"], values))
     if not found:
         raise InputError(

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slider_jax.actuation import FirstOrderLag
+from slider_jax.channels import CHANNELS, Channel
 from slider_jax.dynamics.model import Model
 from slider_jax.effects import Effect, NormalDrag, Prior, ReactiveForce
 from slider_jax.effects.library import LIBRARY
@@ -64,6 +65,9 @@ class Extended(eqx.Module):
     conditions: dict[str, Array]
     """What effects take from the trial, by the names of their fields."""
     effects: tuple[str, ...] = eqx.field(static=True)
+    channels: tuple[Channel, ...] = eqx.field(
+        static=True, default_factory=lambda: tuple(CHANNELS.values())
+    )
 
     def at(self, theta: Float[Array, " parameters"]) -> Model:
         """The model with its parameters from the vector `theta`, in SI units."""

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 
 from calibration.model.predict import DIRECTIONS, TrialPlan, perturbed
 from slider_jax.beam.parameters import Numerics
+from slider_jax.channels import CHANNELS, row_of
 from slider_jax.dynamics.model import Model, make_mesh
 from slider_jax.dynamics.step import at_rest, with_motion
 from slider_jax.effects import ReactiveForce
@@ -73,14 +74,14 @@ def _along(model: Model, numerics: Numerics):
 
 
 def spans(p: TrialPlan, theta: np.ndarray, size: float) -> np.ndarray:
-    """Readings (2, 5, samples) of a swing of `size` [m] of the tip, by its place and its speed.
+    """Readings (2, channels, samples) of a tip's swing of `size` [m], by its place and its speed.
 
     About the trial at `theta`, both as standard deviations; 0 where they are not finite, as from a
     step on that failed.
     """
     d_carry, frequency = _along(p.extended.at(jnp.asarray(theta)), p.numerics)
-    begun = np.zeros((DIRECTIONS, 5))
-    begun[0, 4] = 1.0
+    begun = np.zeros((DIRECTIONS, len(CHANNELS)))
+    begun[0, row_of("tip")] = 1.0
     found = perturbed(p, theta, d_carry, begun)[:2]
     scale = np.array([size, size * float(frequency)])
     return np.nan_to_num(found * scale[:, None, None], posinf=0.0, neginf=0.0)

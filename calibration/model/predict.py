@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Array
 
 from calibration.model.extended import Extended
-from slider_jax import observables as obs
 from slider_jax.batch.chunks import available_cores
 from slider_jax.beam.grid import split_cells
 from slider_jax.beam.parameters import Numerics
+from slider_jax.channels import recorded, recorded_series
 from slider_jax.dynamics.pressures import chamber_history, start_chambers
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest
@@ -29,10 +29,7 @@ from slider_jax.experiment.load import (
 from slider_jax.experiment.playback import LONGEST_STEP, played
 from slider_jax.experiment.schema import Trial
 from slider_jax.simulation.sampling import edge_steps, half_period_steps, nearest_steps, sample
-from slider_jax.simulation.sensors import recorded
 
-CHANNELS = ("p_front", "p_rear", "thrust", "recoil", "tip")
-"""The sensors' channels, in this order in every array; Pa, Pa, N, N, m."""
 BLOCK = 500
 """Steps and samples a call of a compiled program: trials of all lengths share programs."""
 DIRECTIONS = 8
@@ -117,22 +114,23 @@ def _even(at: np.ndarray, longest: float) -> float:
     return spacing / np.ceil(spacing / longest * (1.0 - 1e-9))
 
 
-def _save(x: Snapshot):
-    return jnp.stack([*x.chambers.p, obs.thrust(x), obs.recoil(x), obs.tip(x)])
-
-
 def _chunk(extended: Extended, theta, carry: Carry, h, t0, numerics: Numerics, scheme: Scheme):
-    """`BLOCK` more steps: p_front, p_rear, thrust, recoil, tip (BLOCK, 5), and what carries on."""
+    """`BLOCK` more steps: true readings (BLOCK, channels), and the carry at the end."""
+
+    def save(x: Snapshot):
+        return jnp.stack([channel.observe(x) for channel in extended.channels])
+
     times = TimeGrid(h, BLOCK, t0)
-    out = rollout(extended.at(theta), times, _save, numerics, scheme, begin=carry, checkpoint=False)
+    out = rollout(extended.at(theta), times, save, numerics, scheme, begin=carry, checkpoint=False)
     return out.saved, out.final
 
 
 def _read(extended: Extended, theta, t, series):
-    """thrust, recoil, tip (3, n) that the instruments make of `series` (n, 5)."""
-    columns = (t, *series.T)
-    read = recorded(extended.at(theta).effects, Readings(*columns))
-    return jnp.stack([read.thrust, read.recoil, read.tip])
+    """Recorded series (channels - 2, n), without pressures, of the true `series` (n, channels)."""
+    names = [channel.name for channel in extended.channels]
+    true = dict(zip(names, series.T, strict=True))
+    read = recorded_series(extended.at(theta).effects, t, true)
+    return jnp.stack([read[name] for name in names[2:]])
 
 
 def _pressures(extended: Extended, theta, t):
@@ -201,10 +199,13 @@ def _sample_grid(at: np.ndarray) -> np.ndarray:
 
 
 def _sampled(p: TrialPlan, body: np.ndarray, pressures: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Series (..., 3, steps) and (..., 2, n) at the trial's sample times: (..., 5, samples)."""
+    """Series (..., channels, samples) at the trial's sample times.
+
+    `body` (..., channels - 2, steps) is interpolated; `pressures` (..., 2, n) hold those times `t`.
+    """
     lead = body.shape[:-2]
     flat = body.reshape(-1, body.shape[-1])[:, : p.steps + 1].T
-    at_samples = sample(p.step_times, flat, p.at, p.edges).T.reshape(*lead, 3, len(p.at))
+    at_samples = sample(p.step_times, flat, p.at, p.edges).T.reshape(*lead, -1, len(p.at))
     # Not from t[0], which is 0 and may be nearer to t[1] than the others to each other.
     index = 1 + np.round((p.at - t[1]) / (t[2] - t[1])).astype(int)
     index = np.clip(index, 0, len(t) - 1)
@@ -212,7 +213,7 @@ def _sampled(p: TrialPlan, body: np.ndarray, pressures: np.ndarray, t: np.ndarra
 
 
 def predict(p: TrialPlan, theta: np.ndarray) -> np.ndarray:
-    """Readings (5, samples) of a trial; NaN from the time on at which a step failed."""
+    """Readings (channels, samples) of a trial; NaN from the time on at which a step failed."""
     series, failed_at = _series(p, jnp.asarray(theta))
     t = p.h * np.arange(len(series))
     read = np.array(_recorded(p.extended, jnp.asarray(theta), jnp.asarray(t), series))
@@ -223,9 +224,9 @@ def predict(p: TrialPlan, theta: np.ndarray) -> np.ndarray:
 
 
 def _series(p: TrialPlan, theta) -> tuple[Array, float]:
-    """True series (n, 5) with the start, and when a step failed or inf [s]."""
+    """True series (n, channels) with the start, and when a step failed or inf [s]."""
     carry = _begin(p.extended, theta, p.numerics)
-    parts = [jnp.concatenate([carry.chambers.p, jnp.zeros(3)])[None]]
+    parts = [jnp.concatenate([carry.chambers.p, jnp.zeros(len(p.extended.channels) - 2)])[None]]
     h = jnp.asarray(p.h)
     for done in range(0, p.steps, BLOCK):
         t0 = jnp.asarray(p.h * done)
@@ -235,7 +236,7 @@ def _series(p: TrialPlan, theta) -> tuple[Array, float]:
 
 
 def tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Derivatives (k, 5, samples) of the readings along `directions` (k, parameters)."""
+    """Derivatives (k, channels, samples) of the readings along `directions` (k, parameters)."""
     k = len(directions)
     padded = np.zeros((-(-k // DIRECTIONS) * DIRECTIONS, len(theta)))
     padded[:k] = directions
@@ -252,10 +253,10 @@ def tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) -> np.ndar
 
 
 def perturbed(p: TrialPlan, theta: np.ndarray, d_carry: Carry, begun: np.ndarray) -> np.ndarray:
-    """Derivatives (`DIRECTIONS`, 5, samples) of the readings by the state that a trial begins with.
+    """Derivatives (`DIRECTIONS`, channels, samples) of the readings by the trial's initial state.
 
-    `d_carry` are its tangents, with a leading axis; `begun` (`DIRECTIONS`, 5) what they are of the
-    readings at t = 0. Pressures do not start otherwise.
+    `d_carry` are the state's tangents, with a leading axis; `begun` (`DIRECTIONS`, channels) those
+    of the readings at t = 0. The initial pressures do not change.
     """
     at = jnp.asarray(theta)
     series, _ = _series(p, at)
@@ -267,13 +268,14 @@ def perturbed(p: TrialPlan, theta: np.ndarray, d_carry: Carry, begun: np.ndarray
 
 
 def _series_along(p: TrialPlan, theta, d_theta) -> Array:
-    """Tangents (directions, n, 5) of `_series`."""
+    """Tangents (directions, n, channels) of `_series`."""
     return _carried_along(p, theta, d_theta, _begin_along(p.extended, theta, d_theta, p.numerics))
 
 
 def _carried_along(p: TrialPlan, theta, d_theta, d_carry) -> Array:
     carry = _begin(p.extended, theta, p.numerics)
-    parts = [jnp.pad(d_carry.chambers.p, ((0, 0), (0, 3)))[:, None]]
+    others = len(p.extended.channels) - 2
+    parts = [jnp.pad(d_carry.chambers.p, ((0, 0), (0, others)))[:, None]]
     h = jnp.asarray(p.h)
     for done in range(0, p.steps, BLOCK):
         t0 = jnp.asarray(p.h * done)

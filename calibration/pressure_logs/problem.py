@@ -17,10 +17,11 @@ from calibration.inference.noise import declared
 from calibration.inference.problem import Problem
 from calibration.measurements.records import Record
 from calibration.model.extended import Extended, candidates, parameters
-from calibration.model.predict import CHANNELS, DIRECTIONS
+from calibration.model.predict import DIRECTIONS
 from calibration.pressure_logs.read import ManifoldLog
 from slider_jax.actuation import Recorded
 from slider_jax.beam.parameters import Robot
+from slider_jax.channels import CHANNELS, recorded, row_of
 from slider_jax.dynamics.model import Drive
 from slider_jax.dynamics.pressures import chamber_history, start_chambers
 from slider_jax.effects import Command, Flow, Instrument, Readings
@@ -28,7 +29,6 @@ from slider_jax.effects.library import LIBRARY
 from slider_jax.experiment.load import Experiment, assemble, conditions, to_model
 from slider_jax.experiment.schema import SensorsTable
 from slider_jax.paper import PRESSURE_LAG
-from slider_jax.simulation.sensors import recorded
 
 CHANNEL = "p_front"
 """Channel that a log's one pressure is taken for."""
@@ -74,7 +74,7 @@ def built_in(log: ManifoldLog, model: Path | None, numerics: dict[str, float]) -
 def log_record(log: ManifoldLog, experiment: Experiment) -> Record:
     """A log as a measured trial whose only channel is `CHANNEL`."""
     values = np.full((len(CHANNELS), len(log.t)), np.nan)
-    values[CHANNELS.index(CHANNEL)] = log.pressure_Pa
+    values[row_of(CHANNEL)] = log.pressure_Pa
     return Record(experiment.trials[0], log.t, values)
 
 
@@ -99,7 +99,7 @@ class LogProblem(Problem):
         """Lay out logs for the extended model with the effects `names`."""
         experiments = [built_in(log, None, {}) for log in logs]
         found = [log_record(log, x) for log, x in zip(logs, experiments, strict=True)]
-        row = CHANNELS.index(CHANNEL)
+        row = row_of(CHANNEL)
         noise = {
             (i, CHANNEL): declared(SensorsTable(), CHANNEL, r.values[row])
             for i, r in enumerate(found)
@@ -163,11 +163,11 @@ class LogProblem(Problem):
         )
 
     def _cut(self, series: np.ndarray) -> list[np.ndarray]:
-        """(5, samples) of every log from (logs, n)."""
+        """(channels, samples) of every log from (logs, n)."""
         found = []
         for log, x in zip(self.logs, series, strict=True):
             values = np.full((len(CHANNELS), len(log.t)), np.nan)
-            values[CHANNELS.index(CHANNEL)] = x[np.round(log.t / log.period).astype(int)]
+            values[row_of(CHANNEL)] = x[np.round(log.t / log.period).astype(int)]
             found.append(values)
         return found
 

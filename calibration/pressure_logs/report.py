@@ -48,7 +48,7 @@ def _last_stride(experiment: Experiment) -> Consequence:
         float(thrust[-1]),
         float(np.sqrt(np.mean(run.series["recoil"][last] ** 2))),
         0.5 * float(np.ptp(run.series["tip"][last])),
-        0.5 * float(np.ptp(run.series["pressure"][last, 0])),
+        0.5 * float(np.ptp(run.series["p_front"][last])),
     )
 
 

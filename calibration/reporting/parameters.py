@@ -9,8 +9,6 @@ from calibration.inference.gauss_newton import Fit
 from calibration.inference.uncertainty import by_variation, determined, interval
 from calibration.model.extended import Parameter
 
-UNITS = {"p_front": "Pa", "p_rear": "Pa", "thrust": "N", "recoil": "N", "tip": "m"}
-
 
 def parameter_record(fit: Fit, entries: Sequence[Parameter], index: int) -> dict[str, Any]:
     """A fitted parameter as reports say it: no value where the data do not fix one, and of the

@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calibration.inference.noise import DISCREPANCY, GAIN, declared
-from calibration.model.predict import CHANNELS
+from calibration.inference.noise import declared
 from calibration.twin.faults import SUSPECTS
+from slider_jax.channels import BUILT_IN, CHANNELS
 from slider_jax.experiment.schema import SensorsTable
 
 REFERENCE, THRESHOLD = 2.0, 6.0
@@ -91,7 +91,7 @@ def misfits(windows: list[Window]) -> dict[str, tuple[float, float]]:
     squares = np.array([w.mean_square for w in windows])
     sizes = np.array([w.size**2 for w in windows])
     found = {}
-    for i, channel in enumerate(CHANNELS):
+    for i, channel in enumerate(BUILT_IN):
         if np.isfinite(squares[:, i]).any():
             rms = math.sqrt(np.nanmean(squares[:, i]))
             share = rms / max(math.sqrt(sizes[:, i].mean()), 1e-300)
@@ -122,11 +122,11 @@ class Bands:
         values = np.concatenate([w.measured for w in windows], axis=1)
         size = np.sqrt(np.mean([w.size**2 for w in windows], axis=0))
         noise = SMALL * np.maximum(size, 1e-12)
-        for i, channel in enumerate(CHANNELS):
+        for i, channel in enumerate(BUILT_IN):
             if np.isfinite(values[i]).sum() >= FEW:
                 found = declared(sensors, channel, values[i])
                 noise[i] = max(noise[i], math.hypot(found.white, found.slow))
-        share = np.array([math.hypot(GAIN[c], DISCREPANCY[c]) for c in CHANNELS])
+        share = np.array([math.hypot(CHANNELS[c].gain, CHANNELS[c].discrepancy) for c in BUILT_IN])
         return cls(noise, share, size)
 
     @classmethod
@@ -211,7 +211,7 @@ class Watch:
         if not on.any():
             self.alarm = NO_ALARM._replace(score=self.cusum / THRESHOLD)
             return self.alarm
-        channels = tuple(c for c, x in zip(CHANNELS, on, strict=True) if x)
+        channels = tuple(c for c, x in zip(BUILT_IN, on, strict=True) if x)
         since = before.since if before.on else t
         # While an alarm fades there is nothing to tell its cause from.
         lasts = bool(np.any(over > REFERENCE)) or not before.on
@@ -237,7 +237,7 @@ class Watch:
     def _hint(self, on: np.ndarray) -> str:
         if on[:2].any():
             return "; ".join(self._chamber(int(i)) for i in np.flatnonzero(on[:2]))
-        off = ", ".join(c for c, x in zip(CHANNELS, on, strict=True) if x)
+        off = ", ".join(c for c, x in zip(BUILT_IN, on, strict=True) if x)
         # The tail's stiffness and length do together what neither does alone.
         tail, K_Q = self._explained([1, 2]), self._explained([0])
         if max(K_Q, tail) < FITS:

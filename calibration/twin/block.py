@@ -15,11 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from calibration.model.predict import CHANNELS
 from calibration.twin.faults import SUSPECTS
 from slider_jax import observables as obs
 from slider_jax.actuation import FirstOrderLag, Held, Ideal, Recorded
 from slider_jax.beam.parameters import Numerics
+from slider_jax.channels import BUILT_IN, recorded
 from slider_jax.dynamics.model import Drive, Model
 from slider_jax.dynamics.pressures import advance, set_pressures
 from slider_jax.dynamics.rollout import TimeGrid, rollout
@@ -28,7 +28,6 @@ from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
 from slider_jax.effects import Command, Flow, Instrument, Readings, of_place
 from slider_jax.experiment.load import Experiment, to_model
 from slider_jax.experiment.schema import Trial
-from slider_jax.simulation.sensors import recorded
 
 VALUES = ("k", "K_Q", "EI_tail", "tail_length")
 """Parameters along which the model's tangents are taken, in this order; the first is the lag's."""
@@ -65,7 +64,7 @@ class Predicted(NamedTuple):
     """The model at the samples of a block."""
 
     channels: Float[Array, "5 samples"]
-    """`CHANNELS`."""
+    """`BUILT_IN`."""
     along: Float[Array, "values 5 samples"]
     """Derivatives to `VALUES`."""
     faulty: Float[Array, "suspects 2 samples"]
@@ -115,8 +114,8 @@ def initial_block_state(model: Model, layout: BlockLayout, values: np.ndarray) -
         d_body=jax.tree.map(lambda x: jnp.zeros((count - 1, *x.shape)), moving),
         last=jnp.zeros(3),
         d_last=jnp.zeros((count - 1, 3)),
-        past=jnp.zeros((past, len(CHANNELS))),
-        d_past=jnp.zeros((count, past, len(CHANNELS))),
+        past=jnp.zeros((past, len(BUILT_IN))),
+        d_past=jnp.zeros((count, past, len(BUILT_IN))),
     )
 
 

@@ -21,7 +21,7 @@ class Samples(NamedTuple):
     """(2, n) [Pa], front and rear, signed: the mean since the reading before. An edge between two
     readings shows in it, and at the reading alone would not."""
     measured: np.ndarray
-    """(5, n) in the order of `calibration.model.predict.CHANNELS`: Pa, Pa, N, N, m."""
+    """(5, n) in the order of `slider_jax.channels.BUILT_IN`: Pa, Pa, N, N, m."""
 
     def checked(self) -> "Samples":
         """The same as float arrays. Raises `InputError` for other shapes."""

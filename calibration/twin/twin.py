@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from calibration.model.extended import BASE
-from calibration.model.predict import CHANNELS
 from calibration.twin.alarm import NO_ALARM, Alarm, Bands, Watch, Window, misfits
 from calibration.twin.block import (
     PAST,
@@ -30,6 +29,7 @@ from calibration.twin.estimate import ParameterEstimate, Recursive, pull_of_lag,
 from calibration.twin.stream import GapFiller, Samples, UniformBlock
 from slider_jax.beam.grid import split_cells
 from slider_jax.beam.parameters import Numerics
+from slider_jax.channels import BUILT_IN
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.schema import FEWEST_NODES, Trial
@@ -85,7 +85,7 @@ class TwinBlock(NamedTuple):
     t: np.ndarray
     """(samples,) [s], of the device's clock."""
     model: np.ndarray
-    """(5, samples) in the order of `CHANNELS`."""
+    """(5, samples) in the order of `BUILT_IN`."""
     measured: np.ndarray
     """(5, samples), NaN where nothing was read."""
     lost: np.ndarray
@@ -167,8 +167,8 @@ class Twin:
         """Channels that did not fit while the bands were learned: rms of what was left, in SI, and
         its share of the model's. What is wrong by then is not judged."""
         self._means = 0
-        self._tare = np.zeros(len(CHANNELS))
-        self._d_tare = np.zeros((len(VALUES), len(CHANNELS)))
+        self._tare = np.zeros(len(BUILT_IN))
+        self._d_tare = np.zeros((len(VALUES), len(BUILT_IN)))
         self._watch: Watch | None = None
 
     def _recursive(self, name: str, value: float, memory: float) -> Recursive:
@@ -269,7 +269,7 @@ class Twin:
         sensors, watch = self.experiment.sensors, self._watch
         bands = watch.bands if watch else Bands.declared(sensors, [*self._windows, window])
         driven = bool(np.any(window.size[:2] > EXCITED * bands.noise[:2]))
-        inside = watch.inside(window) if watch else np.ones(len(CHANNELS), bool)
+        inside = watch.inside(window) if watch else np.ones(len(BUILT_IN), bool)
         variance = bands.variance(window)
         if driven and inside[:2].all():
             self._k.update(*pull_of_lag(window, variance))
@@ -300,7 +300,7 @@ class Twin:
         mean = np.sum(share * np.where(there, window.residual, 0.0), axis=1)
         d_mean = np.sum(share * window.along, axis=2)
         self._means += 1
-        gain = np.full(len(CHANNELS), max(self.settings.window / DRIFT, 1.0 / self._means))
+        gain = np.full(len(BUILT_IN), max(self.settings.window / DRIFT, 1.0 / self._means))
         gain[:2] = 0.0 if self._watch else 1.0 / self._means
         gain *= window.enough
         self._tare = tare + gain * (mean - tare)

@@ -10,7 +10,6 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from calibration.model.predict import CHANNELS
 from calibration.twin.stream import Samples
 from calibration.twin.twin import Twin, TwinBlock
 from rig.cli.playback import Playing
@@ -19,6 +18,7 @@ from rig.cli.shared import Port, RigFile, signals_as_ctrl_c, to_play, with_count
 from rig.recording.table import in_unit
 from rig.scheduling import prefer
 from rig.trial.live_stream import CHANNELS_OUT, LiveReadings
+from slider_jax.channels import BUILT_IN
 from slider_jax.cli.options import MaybeFolder, ModelFile, Seconds, Whole, chosen_trials
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
@@ -150,7 +150,7 @@ class WatchLog:
             print(f"\n{self._misfitting()}", file=sys.stderr, flush=True)
 
     def _misfitting(self) -> str:
-        names = dict(zip(CHANNELS, CHANNELS_OUT, strict=True))
+        names = dict(zip(BUILT_IN, CHANNELS_OUT, strict=True))
         found = ", ".join(
             f"{name} by {in_unit(names[name], rms)} ({100.0 * share:.0f} % of the model's)"
             for name, (rms, share) in self.misfits.items()

@@ -16,11 +16,11 @@ from jaxtyping import Array, Float
 
 from slider_jax import observables as obs
 from slider_jax.beam.parameters import Numerics
+from slider_jax.channels import readings
 from slider_jax.dynamics.model import Model, make_mesh
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest
 from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
-from slider_jax.simulation.trial import readings
 
 POSES = 20
 """Midlines kept of the last stride."""
@@ -95,7 +95,7 @@ def march(
 ) -> dict[str, np.ndarray]:
     """Run a chunk through all strides.
 
-    Returns series of shape (members, strides, steps, ...): t, pressure, thrust, recoil, power, tip;
+    Returns series of shape (members, strides, steps, ...): t, power and every channel;
     `midline` (members, POSES, 2, nodes) of the last stride; `ok` (members,). Raises
     `StopRequested`.
     """

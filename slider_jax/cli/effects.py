@@ -135,11 +135,11 @@ def _example(prior: Prior) -> float:
 
 
 def _draw(name: str, out: Path, path: Path | None) -> None:
+    from slider_jax.channels import CHANNELS
     from slider_jax.cli.progress import Progress
     from slider_jax.experiment.load import load
     from slider_jax.io.files import staged
     from slider_jax.simulation.effect_signature import built_in, fingerprint, plot_fingerprint
-    from slider_jax.simulation.plots import CHANNELS
 
     experiment = built_in() if path is None else load(path)
     with staged(out) as stage:
@@ -150,6 +150,10 @@ def _draw(name: str, out: Path, path: Path | None) -> None:
     print("\nchange over the stride, rms")
     for trace in found.traces:
         rms = found.rms(trace)
-        said = [f"{label} {f * rms[x]:.4g} {unit}" for x, label, unit, f in CHANNELS if rms[x]]
+        said = [
+            f"{x.label} {x.plot_factor * rms[x.column]:.4g} {x.plot_unit}"
+            for x in CHANNELS.values()
+            if rms[x.column]
+        ]
         print(f"  {trace.label}: {'; '.join(said) or 'none'}")
     print(f"{name}.png is in {out}")

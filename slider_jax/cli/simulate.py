@@ -58,8 +58,9 @@ def simulate(
 
 
 def _simulate_experiment(experiment, path, model, out, plot, animate) -> None:
+    from slider_jax.channels import CHANNELS, TIME
     from slider_jax.cli.progress import Progress
-    from slider_jax.experiment.load import SAMPLES, measured, to_model
+    from slider_jax.experiment.load import measured, to_model
     from slider_jax.experiment.playback import played
     from slider_jax.io.files import staged, write_csv, write_json
     from slider_jax.simulation.plots import plot_run
@@ -75,7 +76,7 @@ def _simulate_experiment(experiment, path, model, out, plot, animate) -> None:
         measured(experiment, trial)
         to_model(experiment, trial)
         played(experiment, trial)
-    formats = dict(zip(SAMPLES, (".9g", ".1f", ".1f", ".6f", ".6f", ".7f"), strict=True))
+    formats = {TIME: ".9g"} | {x.column: x.digits for x in CHANNELS.values()}
     results, shape = [], plot or animate
     with staged(out) as stage:
         for trial in experiment.trials:
@@ -99,14 +100,14 @@ def _simulate_experiment(experiment, path, model, out, plot, animate) -> None:
 
 
 def _lines(result, seconds: float) -> list[str]:
-    from slider_jax.simulation.plots import CHANNELS
+    from slider_jax.channels import CHANNELS
 
     said = [_line(result, seconds)]
     if off := result["rmse_to_measured"]:
         errors = [
-            f"{label} {factor * off[name]:.3g} {unit}"
-            for name, label, unit, factor in CHANNELS
-            if name in off
+            f"{x.label} {x.plot_factor * off[x.column]:.3g} {x.plot_unit}"
+            for x in CHANNELS.values()
+            if x.column in off
         ]
         said.append(f"{result['file']}  rms off the measured: {', '.join(errors)}")
     return said + [f"{result['file']}  warning: {text}" for text in result["warnings"]]

@@ -21,6 +21,7 @@ from slider_jax.actuation import (
 )
 from slider_jax.beam.grid import split_cells
 from slider_jax.beam.parameters import Numerics, Robot, Scalar
+from slider_jax.channels import CHANNELS, TIME
 from slider_jax.dynamics.model import Drive, Model
 from slider_jax.dynamics.time_schemes import SCHEMES, Scheme
 from slider_jax.effects import Effect, NormalDrag, ReactiveForce
@@ -31,9 +32,6 @@ from slider_jax.io.csv import read_csv
 from slider_jax.io.toml import read_toml, validate
 from slider_jax.paper import force_coefficients
 from slider_jax.supports import Clamped
-
-SAMPLES = ("t_s", "p_front_Pa", "p_rear_Pa", "thrust_N", "recoil_N", "tip_m")
-"""Columns of a trial, measured or simulated."""
 
 
 class Experiment(ExperimentTable):
@@ -286,7 +284,7 @@ def measured(experiment: Experiment, trial: Trial) -> dict[str, np.ndarray] | No
     path = experiment.folder / trial.file
     if not path.exists():
         return None
-    columns = read_csv(path, ("t_s",), blank=SAMPLES[1:])
+    columns = read_csv(path, (TIME,), blank=[x.column for x in CHANNELS.values()])
     times = columns["t_s"]
     if times[0] < 0.0 or times[-1] > trial.duration * (1.0 + 1e-6):
         raise InputError(

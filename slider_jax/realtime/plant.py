@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 from slider_jax.actuation import FirstOrderLag, Held
 from slider_jax.beam.parameters import grid_of
 from slider_jax.beam.state import node_positions
+from slider_jax.channels import BUILT_IN, readings
 from slider_jax.dynamics.model import Drive, Model
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.step import Carry, at_rest
@@ -26,7 +27,6 @@ from slider_jax.experiment.schema import Trial
 from slider_jax.realtime.commands import check_commands
 from slider_jax.realtime.faults import CHAMBERS, ChamberFaults, Faults, no_faults, with_fault
 from slider_jax.realtime.sensors import Past, check_instrument, constant_past, read_now
-from slider_jax.simulation.trial import readings
 
 STEP = 2e-3
 """[s]"""
@@ -190,8 +190,7 @@ class Plant:
             checkpoint=False,
         )
         now = jax.tree.map(lambda x: x[0], run.saved)
-        front, rear = now["pressure"]
-        read = Readings(run.t[0], front, rear, now["thrust"], now["recoil"], now["tip"])
+        read = Readings(run.t[0], *(now[name] for name in BUILT_IN))
         pasts = []
         instruments = of_place(model.effects, Instrument)
         for effect, past in zip(instruments, state.instruments, strict=True):

@@ -38,8 +38,10 @@ class Series(NamedTuple):
 
     t: np.ndarray
     """[s]"""
-    pressure: np.ndarray
-    """(steps, 2): front and rear [Pa]."""
+    p_front: np.ndarray
+    """[Pa]"""
+    p_rear: np.ndarray
+    """[Pa]"""
     thrust: np.ndarray
     """[N]"""
     recoil: np.ndarray

@@ -67,7 +67,11 @@ def stride_in_detail(
     shown = slice(max(0, len(series.t) - 3 * steps - 1), None)
     t, first = series.t[shown], None
     rows = (
-        ("pressure (kPa)", 1e-3 * series.pressure, ("front", "rear")),
+        (
+            "pressure (kPa)",
+            1e-3 * np.stack([series.p_front, series.p_rear], axis=1),
+            ("front", "rear"),
+        ),
         ("tip, lateral (mm)", 1e3 * series.tip, None),
         ("thrust (mN)", 1e3 * series.thrust, None),
         ("recoil (mN)", 1e3 * series.recoil, None),

@@ -36,8 +36,8 @@ def write_frequency_sweep(
             name = f"{frequency:g}".replace(".", "p") + "Hz"
             columns = {
                 "t_s": series.t,
-                "p_front_Pa": series.pressure[:, 0],
-                "p_rear_Pa": series.pressure[:, 1],
+                "p_front_Pa": series.p_front,
+                "p_rear_Pa": series.p_rear,
                 "thrust_N": series.thrust,
                 "recoil_N": series.recoil,
                 "tip_m": series.tip,

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
+from slider_jax.channels import CHANNELS
 from slider_jax.io.figures import new_figure, save_film
-from slider_jax.simulation.plots import CHANNELS, title
+from slider_jax.simulation.plots import title
 from slider_jax.simulation.trial import TrialRun
 
 FRAMES_PER_STRIDE = 40
@@ -64,10 +65,10 @@ def _scene(run: TrialRun, steps: np.ndarray):
     figure.suptitle(title(run), fontsize="medium")
 
     span = slice(steps[0], steps[-1] + 1)
-    for (_, label, unit, factor), colour in zip(CHANNELS[2:4], ("C0", "C1"), strict=True):
-        axis = below if label == "thrust" else below.twinx()
-        axis.plot(run.t[span], factor * run.series[label][span], colour, lw=1.2)
-        axis.set_ylabel(f"{label} ({unit})", color=colour)
+    for axis, name, colour in ((below, "thrust", "C0"), (below.twinx(), "recoil", "C1")):
+        channel = CHANNELS[name]
+        axis.plot(run.t[span], channel.plot_factor * run.series[name][span], colour, lw=1.2)
+        axis.set_ylabel(f"{channel.label} ({channel.plot_unit})", color=colour)
         axis.margins(x=0.0)
     below.set_xlabel("time (s)")
     cursor = below.axvline(run.t[steps[0]], color="k", lw=1.0)

@@ -10,12 +10,13 @@ import numpy as np
 
 from slider_jax import paper
 from slider_jax.beam.parameters import Robot
+from slider_jax.channels import CHANNELS
 from slider_jax.effects import Prior
 from slider_jax.effects.library import LIBRARY
 from slider_jax.errors import SolverError
 from slider_jax.experiment.load import Experiment, assemble
 from slider_jax.io.figures import new_figure, save_figure
-from slider_jax.simulation.plots import CHANNELS, title
+from slider_jax.simulation.plots import title
 from slider_jax.simulation.trial import TrialRun, simulate
 
 FREQUENCY = 4.8
@@ -148,21 +149,15 @@ def _last_stride(run: TrialRun) -> slice:
 
 
 def _cut(run: TrialRun, shown: slice) -> Series:
-    p = run.series["pressure"][shown]
-    forces = {f"{name}_N": run.series[name][shown] for name in ("thrust", "recoil")}
-    return {
-        "p_front_Pa": p[:, 0],
-        "p_rear_Pa": p[:, 1],
-        **forces,
-        "tip_m": run.series["tip"][shown],
-    }
+    return {channel.column: run.series[name][shown] for name, channel in CHANNELS.items()}
 
 
 def plot_fingerprint(found: Fingerprint, path: Path) -> None:
     """Draw each channel without and with the effect, and beside it the difference."""
     kind = LIBRARY[found.effect]
     figure, axes = new_figure(len(CHANNELS), 2, figsize=(11, 10), sharex=True)
-    for (left, right), (name, label, unit, factor) in zip(axes, CHANNELS, strict=True):
+    for (left, right), channel in zip(axes, CHANNELS.values(), strict=True):
+        name, unit, factor = channel.column, channel.plot_unit, channel.plot_factor
         left.plot(found.along, factor * found.without[name], color="0.65", lw=2.2, label="without")
         said = []
         for number, trace in enumerate(found.traces):
@@ -176,7 +171,7 @@ def plot_fingerprint(found: Fingerprint, path: Path) -> None:
         if unseen:
             right.set_ylim(-1.0, 1.0)
             right.set_yticks([0.0])
-        left.set_ylabel(f"{label} ({unit})")
+        left.set_ylabel(f"{channel.label} ({unit})")
         right.set_ylabel(f"change ({unit})")
         for ax in (left, right):
             ax.axhline(0.0, color="k", lw=0.4)

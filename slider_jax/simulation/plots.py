@@ -4,19 +4,11 @@ from pathlib import Path
 
 import numpy as np
 
+from slider_jax.channels import CHANNELS
 from slider_jax.io.figures import new_figure, save_figure
 from slider_jax.simulation.trial import TrialRun
 
 Columns = dict[str, np.ndarray]
-
-CHANNELS = (
-    ("p_front_Pa", "front pressure", "kPa", 1e-3),
-    ("p_rear_Pa", "rear pressure", "kPa", 1e-3),
-    ("thrust_N", "thrust", "mN", 1e3),
-    ("recoil_N", "recoil", "mN", 1e3),
-    ("tip_m", "tip, lateral", "mm", 1e3),
-)
-"""Column, name, unit shown, factor from SI to it."""
 
 
 def title(run: TrialRun) -> str:
@@ -48,7 +40,8 @@ def plot_run(
 def plot_series(run: TrialRun, measured: Columns, rmse: dict[str, float], path: Path) -> None:
     """Pressures, thrust, recoil and tip against time; measured samples, if any, in grey."""
     figure, axes = new_figure(len(CHANNELS), 1, figsize=(9, 10), sharex=True)
-    for ax, (name, label, unit, factor) in zip(axes, CHANNELS, strict=True):
+    for ax, channel in zip(axes, CHANNELS.values(), strict=True):
+        name, unit, factor = channel.column, channel.plot_unit, channel.plot_factor
         ax.plot(run.columns["t_s"], factor * run.columns[name], "C0", lw=1.0, label="simulated")
         if name in rmse:
             there = np.isfinite(measured[name])
@@ -56,7 +49,7 @@ def plot_series(run: TrialRun, measured: Columns, rmse: dict[str, float], path: 
             ax.plot(t, values, color="0.65", lw=1.8, zorder=1.5, label="measured")
             said = f"rms difference {factor * rmse[name]:.3g} {unit}"
             ax.set_title(said, fontsize="small", loc="right")
-        ax.set_ylabel(f"{label} ({unit})")
+        ax.set_ylabel(f"{channel.label} ({unit})")
         ax.axhline(0.0, color="k", lw=0.4)
         ax.margins(x=0.0)
     if rmse:

@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from slider_jax.experiment.load import SAMPLES, Experiment, drag_and_added_mass, measured
+from slider_jax.channels import CHANNELS
+from slider_jax.experiment.load import Experiment, drag_and_added_mass, measured
 from slider_jax.io.files import input_file, versions
 from slider_jax.simulation.trial import TrialRun
 
@@ -71,7 +72,8 @@ def rmse_to_measured(experiment: Experiment, run: TrialRun) -> dict[str, float] 
     columns = measured(experiment, run.trial)
     if columns is None:
         return None
-    errors = {name: run.columns[name] - columns[name] for name in SAMPLES[1:] if name in columns}
+    names = [channel.column for channel in CHANNELS.values()]
+    errors = {name: run.columns[name] - columns[name] for name in names if name in columns}
     return {
         name: float(np.sqrt(np.nanmean(error**2)))
         for name, error in errors.items()

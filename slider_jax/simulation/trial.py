@@ -8,47 +8,61 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from slider_jax import observables as obs
 from slider_jax.actuation import Recorded
 from slider_jax.beam.parameters import Numerics, grid_of
 from slider_jax.beam.state import node_positions, to_plane
+from slider_jax.channels import CHANNELS, TIME, Channel, recorded_series
 from slider_jax.dynamics.model import Model
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest
 from slider_jax.dynamics.time_schemes import Scheme
-from slider_jax.effects import Readings, total_force
+from slider_jax.effects import total_force
 from slider_jax.errors import SolverError
 from slider_jax.experiment.load import Experiment, sample_times, to_model, to_numerics
 from slider_jax.experiment.playback import LONGEST_STEP, PlayedDrive, played
 from slider_jax.experiment.schema import Trial
 from slider_jax.simulation.sampling import edge_steps, half_period_steps, nearest_steps, sample
-from slider_jax.simulation.sensors import recorded
 
 CHUNK = 250
 """Steps per call of the compiled program: one program serves trials of every length."""
 
 
-def readings(x: Snapshot) -> dict[str, Any]:
-    """What the sensors read: `pressure` (2,) [Pa], `thrust` and `recoil` [N], `tip` [m]."""
-    return {
-        "pressure": x.chambers.p,
-        "thrust": obs.thrust(x),
-        "recoil": obs.recoil(x),
-        "tip": obs.tip(x),
-    }
+@dataclass(frozen=True)
+class SavedSeries:
+    """What is kept of every step: each channel's true reading, and for pictures the shape.
 
+    With `shape`, in the plane: `midline` (2, nodes) [m] relative to the head, `moment` (nodes,)
+    [N m], and `force` (2, cells), the effects' force per length on the body [N/m].
+    """
 
-def readings_and_shape(x: Snapshot) -> dict[str, Any]:
-    """`readings`, and for pictures, in the plane: `midline` (2, nodes) [m] relative to the head,
-    `moment` (nodes,) [N m], `force` (2, cells): the effects' force per length on the body [N/m]."""
-    section = x.section()
-    F_tau, F_n = total_force(x.stage.effects, section)
-    return readings(x) | {
-        "midline": obs.midline(x) - x.head[:, None],
-        "moment": x.y[2],
-        "force": jnp.stack(to_plane(F_tau, F_n, section.phi)),
-    }
+    channels: tuple[Channel, ...]
+    shape: bool = False
+
+    def __call__(self, x: Snapshot) -> dict[str, Array]:
+        saved = {channel.name: channel.observe(x) for channel in self.channels}
+        if not self.shape:
+            return saved
+        section = x.section()
+        F_tau, F_n = total_force(x.stage.effects, section)
+        return saved | {
+            "midline": obs.midline(x) - x.head[:, None],
+            "moment": x.y[2],
+            "force": jnp.stack(to_plane(F_tau, F_n, section.phi)),
+        }
+
+    def start(self, model: Model, midline: np.ndarray) -> dict[str, np.ndarray]:
+        """The same of the initial state: straight, no force yet. `midline` (2, nodes) [m]."""
+        values = {x.name: np.asarray(x.start(midline), float) for x in self.channels}
+        values["p_front"] = np.asarray(model.drive.start_front)
+        values["p_rear"] = np.asarray(model.drive.start_rear)
+        if self.shape:
+            values["midline"] = midline
+            values["moment"] = np.zeros(midline.shape[1])
+            values["force"] = np.zeros((2, midline.shape[1] - 1))
+        return values
 
 
 @dataclass(frozen=True)
@@ -131,9 +145,9 @@ class TrialRun:
     t: np.ndarray
     """(steps + 1,) [s]."""
     series: dict[str, np.ndarray]
-    """What `readings` or `readings_and_shape` names, each (steps + 1, ...)."""
+    """What `SavedSeries` keeps, each (steps + 1, ...); channels as the sensors record them."""
     columns: dict[str, np.ndarray]
-    """t_s, p_front_Pa, p_rear_Pa, thrust_N, recoil_N, tip_m at the trial's sample times."""
+    """The CSV columns, (samples,) each: t_s and every channel's, at the trial's sample times."""
     factorisations: int
     """Of the Jacobian, in all."""
 
@@ -165,9 +179,10 @@ def simulate(
         model = replace(model, drive=was.drive)
     numerics, scheme = to_numerics(experiment)
     grid = clock(experiment, trial, model, was)
-    save = readings_and_shape if shape else readings
+    channels = tuple(CHANNELS.values())
+    save = SavedSeries(channels, shape)
     carry, line = _begin(model, numerics)
-    initial = _initial(model, np.asarray(line), shape)
+    initial = save.start(model, np.asarray(line))
     chunks = []
     for done in range(0, grid.steps, chunk):
         t0 = jnp.asarray(grid.h * done)
@@ -184,39 +199,14 @@ def simulate(
         for name in chunks[0]
     }
     t = grid.h * np.arange(grid.steps + 1)
-    series |= _recorded(model, t, series)
+    true = {x.name: jnp.asarray(series[x.name]) for x in channels}
+    read = recorded_series(model.effects, jnp.asarray(t), true)
+    series |= {name: np.asarray(values) for name, values in read.items()}
     bad = ~np.isfinite(series["recoil"])
     if bad.any():
         raise _failure(trial, grid, float(t[np.argmax(bad)]))
-    return TrialRun(
-        trial, grid, t, series, _columns(t, series, at, grid), int(carry.factorisations)
-    )
-
-
-def _initial(model: Model, midline: np.ndarray, shape: bool) -> dict[str, np.ndarray]:
-    """The initial state's readings: straight, no force yet. `midline` (2, nodes) [m]."""
-    drive = model.drive
-    zero = np.zeros(())
-    values = {
-        "pressure": np.array([float(drive.start_front), float(drive.start_rear)]),
-        "thrust": zero,
-        "recoil": zero,
-        "tip": midline[1, 0],
-    }
-    if shape:
-        values["midline"] = midline
-        values["moment"] = np.zeros(midline.shape[1])
-        values["force"] = np.zeros((2, midline.shape[1] - 1))
-    return values
-
-
-def _recorded(model: Model, t: np.ndarray, series: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The sensors' series with what the model's instruments make of them."""
-    names = ("thrust", "recoil", "tip")
-    columns = (t, *series["pressure"].T, *(series[name] for name in names))
-    read = recorded(model.effects, Readings(*map(jnp.asarray, columns)))
-    pressure = np.stack([read.p_front, read.p_rear], axis=1)
-    return {"pressure": pressure, **{name: np.asarray(getattr(read, name)) for name in names}}
+    columns = {TIME: at} | {x.column: sample(t, series[x.name], at, grid.edges) for x in channels}
+    return TrialRun(trial, grid, t, series, columns, int(carry.factorisations))
 
 
 def _failure(trial: Trial, grid: StepGrid, t: float) -> SolverError:
@@ -225,17 +215,3 @@ def _failure(trial: Trial, grid: StepGrid, t: float) -> SolverError:
         f"shorter one (--step {0.5 * grid.h:.2g}), and check amplitude, K_Q and stiffness: the "
         "chambers may bend the body further than it can go"
     )
-
-
-def _columns(
-    t: np.ndarray, series: dict[str, np.ndarray], at: np.ndarray, grid: StepGrid
-) -> dict[str, np.ndarray]:
-    pressure = sample(t, series["pressure"], at, grid.edges)
-    return {
-        "t_s": at,
-        "p_front_Pa": pressure[:, 0],
-        "p_rear_Pa": pressure[:, 1],
-        "thrust_N": sample(t, series["thrust"], at, grid.edges),
-        "recoil_N": sample(t, series["recoil"], at, grid.edges),
-        "tip_m": sample(t, series["tip"], at, grid.edges),
-    }

@@ -7,11 +7,11 @@ import numpy as np
 
 from calibration.experiment_design import parameter_trial as design
 from calibration.inference import problem as evidence
-from calibration.inference.noise import GAIN
 from calibration.inference.problem import Problem
 from calibration.measurements.records import Record
 from calibration.measurements.synthetic import ROBOT, START
-from calibration.model.predict import CHANNELS, Resolution
+from calibration.model.predict import Resolution
+from slider_jax.channels import CHANNELS
 from slider_jax.experiment.load import assemble, sample_times
 
 MESH = Resolution(11, 20, 1e-2)
@@ -92,7 +92,7 @@ def measured(experiment, thetas, seed):
         t = sample_times(experiment, trial)
         values = np.array(readings(trial, t, theta))
         for row, name in enumerate(CHANNELS):
-            values[row] *= 1.0 + GAIN[name] * rng.normal()
+            values[row] *= 1.0 + CHANNELS[name].gain * rng.normal()
             values[row] += NOISE[name] * rng.normal(size=len(t))
         found.append(Record(trial, t, values))
     return found

@@ -6,8 +6,8 @@ import numpy as np
 
 from calibration.audit.audit import audit_measurements
 from calibration.measurements.synthetic import ROBOT, START, slow_noise
+from slider_jax.channels import columns as channel_columns
 from slider_jax.experiment import load as experiment
-from slider_jax.experiment.load import SAMPLES
 from slider_jax.io.files import write_csv, write_text
 
 RATE = 500.0
@@ -96,7 +96,7 @@ def write_experiment(folder: Path, seed: int = 0, runs=RUNS, **physics) -> Path:
 def save(path: Path, t, values) -> None:
     """Write a trial's file."""
     formats = {"t_s": ".6g", "p_front_Pa": ".9g", "p_rear_Pa": ".9g"}
-    write_csv(path, dict(zip(SAMPLES, [t, *values], strict=True)), formats)
+    write_csv(path, dict(zip(channel_columns(), [t, *values], strict=True)), formats)
 
 
 def read(path: Path):

@@ -27,11 +27,12 @@ from calibration.experiment_design.information import (
 from calibration.experiment_design.pair_distance import pairs_of, separate
 from calibration.experiment_design.trial_search import SearchEffort, limits_of, trial_toml
 from calibration.inference.cache import Memo
-from calibration.inference.noise import DISCREPANCY, Whitener
+from calibration.inference.noise import Whitener
 from calibration.inference.problem import ChannelBlock, Problem
 from calibration.measurements.records import Record
 from calibration.model.extended import BASE, candidates
-from calibration.model.predict import CHANNELS, Resolution, predict, tangents
+from calibration.model.predict import Resolution, predict, tangents
+from slider_jax.channels import CHANNELS, row_of
 from slider_jax.cli.main import COMMANDS, find, main
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
@@ -67,7 +68,7 @@ def measured(still, theta, seed):
         y = predict(p, theta)
         for channel, noise in still.information.sensing.noise.items():
             # A lower-triangular factor times white noise is noise of the whitener's covariance.
-            row = CHANNELS.index(channel)
+            row = row_of(channel)
             white = Whitener(p.at, noise, y[row], channel, p.trial.frequency)
             y[row] += np.linalg.solve(white(np.eye(len(p.at))).T, rng.normal(size=len(p.at)))
         found.append(Record(trial, p.at, y))
@@ -141,7 +142,9 @@ def test_what_is_worth_naming_changes_a_channel_by_what_programs_differ_by(still
     for channel in CHANNELS:
         change = np.append(absorbed, 1.0) @ np.concatenate(raw[channel], axis=1)
         share = np.sqrt(np.mean(change**2) / np.mean(np.concatenate(signal[channel]) ** 2))
-        shares.append(limit_of(still, "carried_mass").nameable * share / DISCREPANCY[channel])
+        shares.append(
+            limit_of(still, "carried_mass").nameable * share / CHANNELS[channel].discrepancy
+        )
     assert max(shares) == pytest.approx(1.0, rel=1e-5)
 
 

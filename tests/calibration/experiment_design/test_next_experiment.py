@@ -29,11 +29,10 @@ from calibration.experiment_design.next_experiment import next_experiment
 from calibration.experiment_design.trial_search import SearchEffort, limits_of
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.goodness import Excess
-from calibration.inference.noise import DISCREPANCY
 from calibration.inference.problem import Problem
 from calibration.measurements.records import Record
 from calibration.model.extended import BASE, base_vector, parameters
-from calibration.model.predict import CHANNELS
+from slider_jax.channels import CHANNELS
 from slider_jax.experiment.load import load
 from slider_jax.experiment.schema import Trial
 from tests.support.experiments import write
@@ -213,7 +212,7 @@ def test_a_rival_is_as_far_as_its_model_cannot_follow():
     left = J[:, 2] - J[:, :2] @ step
     assert found.shares["tip"] == pytest.approx(np.sqrt(left @ left / square), rel=1e-9)
     assert found.of_enough == pytest.approx(
-        min(rest[0] / LEAST_GAIN, (found.shares["tip"] / DISCREPANCY["tip"]) ** 2)
+        min(rest[0] / LEAST_GAIN, (found.shares["tip"] / CHANNELS["tip"].discrepancy) ** 2)
     )
 
 

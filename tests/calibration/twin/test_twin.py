@@ -7,13 +7,12 @@ import time
 import numpy as np
 import pytest
 
-from calibration.measurements.records import COLUMNS
-from calibration.model.predict import CHANNELS
 from calibration.twin.alarm import MISFIT, REFERENCE, THRESHOLD, Bands, Window, run_length
 from calibration.twin.estimate import Recursive
 from calibration.twin.stream import GapFiller, Samples
 from calibration.twin.twin import Twin, TwinSettings
 from rig.trial.waveform import SegmentDrive, chambers
+from slider_jax.channels import BUILT_IN, CHANNELS
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load, to_model
 from slider_jax.realtime.plant import Plant
@@ -155,7 +154,7 @@ def test_a_fault_from_the_start_is_told_of(started, experiment, change, channels
     vars(robot).update(change)
     follow(twin, robot, LEARNED)
     assert list(twin.misfits) == channels
-    for i, channel in enumerate(CHANNELS):
+    for i, channel in enumerate(BUILT_IN):
         rms, share = twin.misfits.get(channel, (0.0, 0.0))
         assert channel not in channels or rms > 0.0 and MISFIT[i] < share < 0.6
 
@@ -342,7 +341,7 @@ tau = 0.01
     run = simulate(experiment, 0)
     t = run.columns["t_s"][1:]
     set_pressure = np.asarray(set_pressures(to_model(experiment, 0).drive, t))
-    true = np.stack([run.columns[name][1:] for name in COLUMNS.values()])
+    true = np.stack([run.columns[c.column][1:] for c in CHANNELS.values()])
     blocks = Twin.of(experiment).feed(Samples(t, set_pressure, true))
     after = t[: 10 * len(blocks)] > 0.5
     model = np.concatenate([b.model for b in blocks], axis=1)[:, after]

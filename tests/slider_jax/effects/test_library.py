@@ -13,13 +13,13 @@ import pytest
 
 from slider_jax.actuation import FirstOrderLag, SquareWave
 from slider_jax.beam.parameters import Robot
+from slider_jax.channels import recorded
 from slider_jax.dynamics.model import Drive, Model
 from slider_jax.dynamics.pressures import start_chambers
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.effects import NormalDrag, ReactiveForce, Readings
 from slider_jax.effects.library import LIBRARY
 from slider_jax.observables import recoil, thrust, tip
-from slider_jax.simulation.sensors import recorded
 from slider_jax.supports import Clamped
 from tests.support.helpers import SMALL, arrays
 

@@ -75,7 +75,8 @@ def assert_equals_the_simulation(plant, experiment, trial, rtol=1e-10):
     assert readings[-1].ok
     np.testing.assert_allclose([x.t for x in readings], run.t, atol=1e-12)
     found = {
-        "pressure": np.array([[x.p_front, x.p_rear] for x in readings]),
+        "p_front": [x.p_front for x in readings],
+        "p_rear": [x.p_rear for x in readings],
         "thrust": [x.thrust_N for x in readings],
         "recoil": [x.recoil_N for x in readings],
         "tip": [x.tip_m for x in readings],

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from slider_jax.channels import columns as channel_columns
 from slider_jax.cli.main import main
 from slider_jax.errors import InputError
-from slider_jax.experiment.load import SAMPLES, load
+from slider_jax.experiment.load import load
 from slider_jax.io.files import staged, write_csv, write_json
 from slider_jax.simulation.sampling import edge_steps, half_period_steps, sample
 from slider_jax.simulation.summary import settled, trial_summary, window
@@ -44,10 +45,10 @@ def test_files_columns_and_sample_times(simulated):
     }
     for name, last in (("trial_00.csv", 0.75), ("trial_01.csv", 0.9)):
         columns = _read(out / name)
-        assert columns.dtype.names == SAMPLES
+        assert columns.dtype.names == channel_columns()
         np.testing.assert_allclose(columns["t_s"], np.arange(len(columns)) / 500, atol=1e-12)
         assert columns["t_s"][-1] == last
-        assert [columns[name][0] for name in SAMPLES] == [0.0] * 6  # the initial state
+        assert [columns[name][0] for name in channel_columns()] == [0.0] * 6  # the initial state
         assert np.ptp(columns["recoil_N"]) > 0.1 and np.ptp(columns["tip_m"]) > 0.005
 
 
@@ -161,7 +162,7 @@ def test_same_result_whatever_the_number_of_chunks(tmp_path):
     whole = run_trial(experiment, 0)
     assert 100 < whole.clock.steps < CHUNK
     split = run_trial(experiment, 0, chunk=37)
-    for name in ("pressure", "recoil", "tip"):
+    for name in ("p_front", "p_rear", "recoil", "tip"):
         scale = np.abs(whole.series[name]).max()
         np.testing.assert_allclose(split.series[name], whole.series[name], atol=1e-9 * scale)
 

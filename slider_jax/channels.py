@@ -1,0 +1,150 @@
+"""The sensors' channels: what each one reads, its column, its units and its declared noise.
+
+Everything that reads, simulates, plots or fits sensor data iterates over `CHANNELS`. To add a
+sensor, define a `Channel` in a file of your own and pass it to `register` before you load data:
+
+    register(Channel("tail_speed", "tail_speed_m_per_s", "m/s", "tail speed", "m/s", 1.0, observe))
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Array
+
+from slider_jax import observables as obs
+from slider_jax.dynamics.step import Snapshot
+from slider_jax.effects import Effect, Instrument, Readings, of_place
+from slider_jax.errors import InputError
+
+TIME = "t_s"
+"""Column of the sample times, in s."""
+
+
+def _zero(midline: np.ndarray) -> float:
+    return 0.0
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One sensor channel. `observe` returns its true reading from a snapshot of the simulation."""
+
+    name: str
+    column: str
+    """Column of a trial's CSV file, in SI units."""
+    unit: str
+    """SI unit of the column."""
+    label: str
+    """Name in plots and printed lines."""
+    plot_unit: str
+    plot_factor: float
+    """`plot_unit` per `unit`."""
+    observe: Callable[[Snapshot], Array]
+    kind: Literal["pressure", "force", "camera", "other"] = "other"
+    """Force sensors have a tare and slow noise, pressures a quantisation step."""
+    noise: str = ""
+    """Key of [sensors] that declares the white noise; "" measures it from the data."""
+    gain: float = 0.01
+    """Standard deviation of a trial's gain, as a share: calibration of the sensor and of the day.
+    """
+    discrepancy: float = 0.05
+    """Difference between two correct programs, as a share of the channel's rms."""
+    digits: str = ".7g"
+    """Format of the CSV cells."""
+    start: Callable[[np.ndarray], float] = _zero
+    """Reading at t = 0 from the midline (2, nodes) [m] relative to the head; not for pressures."""
+
+
+CHANNELS: dict[str, Channel] = {}
+"""All channels by name. Arrays of readings have one row per channel, in this order."""
+
+
+def register(channel: Channel) -> Channel:
+    """Add a channel to `CHANNELS` and return it.
+
+    Raises `InputError` if another channel has its name or its column.
+    """
+    taken = {TIME} | {x.column for x in CHANNELS.values()}
+    if channel.name in CHANNELS or channel.column in taken:
+        known = ", ".join(f"{x.name} ({x.column})" for x in CHANNELS.values())
+        raise InputError(
+            f"channel {channel.name} (column {channel.column}): this name or column is already "
+            f"registered; registered channels: {known}; choose another name and column"
+        )
+    CHANNELS[channel.name] = channel
+    return channel
+
+
+def _pressure(name: str, label: str, chamber: int) -> Channel:
+    return Channel(
+        name, f"{name}_Pa", "Pa", label, "kPa", 1e-3, lambda x: x.chambers.p[chamber],
+        "pressure", "pressure_noise", gain=0.002, discrepancy=0.002, digits=".1f",
+    )  # fmt: skip
+
+
+def _force(name: str, observe: Callable[[Snapshot], Array], discrepancy: float) -> Channel:
+    return Channel(
+        name, f"{name}_N", "N", name, "mN", 1e3, observe,
+        "force", "force_noise", gain=0.01, discrepancy=discrepancy, digits=".6f",
+    )  # fmt: skip
+
+
+# The discrepancies are against an independent program on twelve noise-free trials: pressures 0.05
+# to 0.3 %, thrust 5 to 28 % (median 7), recoil 0.7 to 2.1 %, tip 0.1 to 0.9 %.
+register(_pressure("p_front", "front pressure", 0))
+register(_pressure("p_rear", "rear pressure", 1))
+register(_force("thrust", obs.thrust, 0.07))
+register(_force("recoil", obs.recoil, 0.012))
+register(
+    Channel(
+        "tip",
+        "tip_m",
+        "m",
+        "tip, lateral",
+        "mm",
+        1e3,
+        obs.tip,
+        "camera",
+        "tip_noise",
+        gain=0.005,
+        discrepancy=0.005,
+        digits=".7f",
+        start=lambda midline: midline[1, 0],
+    )  # fmt: skip
+)
+BUILT_IN = tuple(CHANNELS)
+"""Names of the channels of this file, which the rig and its live stream have too."""
+
+
+def columns() -> tuple[str, ...]:
+    """Columns of a trial's CSV file, measured or simulated: the time and every channel's."""
+    return TIME, *(channel.column for channel in CHANNELS.values())
+
+
+def row_of(name: str) -> int:
+    """Position of a channel in `CHANNELS`, which is its row in arrays of readings."""
+    return list(CHANNELS).index(name)
+
+
+def readings(x: Snapshot) -> dict[str, Array]:
+    """True reading of every channel, in SI units."""
+    return {name: channel.observe(x) for name, channel in CHANNELS.items()}
+
+
+def recorded(effects: tuple[Effect, ...], true: Readings) -> Readings:
+    """The series that the sensors record: the model's instruments applied in their order."""
+    for effect in of_place(effects, Instrument):
+        true = effect.read(true)
+    return true
+
+
+def recorded_series(
+    effects: tuple[Effect, ...], t: Array, true: dict[str, Array]
+) -> dict[str, Array]:
+    """`recorded` for series (n,) by channel at times `t` (n,) [s].
+
+    Instruments act on the built-in channels; others are recorded as they are.
+    """
+    read = recorded(effects, Readings(t, *(true[name] for name in BUILT_IN)))
+    return true | dict(zip(BUILT_IN, read[1:], strict=True))
