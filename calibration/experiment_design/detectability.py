@@ -36,9 +36,9 @@ from calibration.experiment_design.information import (
 )
 from calibration.inference.cache import Memo
 from calibration.inference.gauss_newton import inverse
-from calibration.inference.noise import DISCREPANCY
 from calibration.model.extended import Parameter, candidates
 from calibration.model.predict import COARSE, Resolution
+from slider_jax.channels import CHANNELS
 from slider_jax.effects import Prior
 from slider_jax.experiment.load import Experiment
 from slider_jax.simulation.effect_signature import typical
@@ -151,7 +151,9 @@ def _limit(
         return np.inf, np.inf, np.inf
     step = np.zeros(len(A))
     step[i], step[free] = 1.0, -inverse(A[np.ix_(free, free)]) @ A[free, i]
-    changes = [share / DISCREPANCY[c] for c, share in channel_shares(channels, step).items()]
+    changes = [
+        share / CHANNELS[c].discrepancy for c, share in channel_shares(channels, step).items()
+    ]
     return float(np.sqrt(gain / kept)), 1.0 / max(max(changes), 1e-300), float(1.0 / np.sqrt(kept))
 
 

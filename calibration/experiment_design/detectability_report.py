@@ -12,8 +12,8 @@ from calibration.discrepancy.rounds import LEAST_GAIN
 from calibration.discrepancy.selection import CHANCE
 from calibration.experiment_design.detectability import Limit, Matrix, required_gain
 from calibration.experiment_design.information import FINITE_START
-from calibration.inference.noise import DISCREPANCY, GAIN
 from calibration.model.extended import candidates
+from slider_jax.channels import CHANNELS
 from slider_jax.io.figures import new_figure, save_figure
 from slider_jax.io.files import versions
 
@@ -49,8 +49,8 @@ def detectability_record(m: Matrix, source: dict[str, Any]) -> dict[str, Any]:
             "candidates": len(candidates()),
             "gain_of_one_parameter": required_gain(1, len(candidates())),
             "alike": ALIKE,
-            "gain_of_a_trial": GAIN,
-            "discrepancy": DISCREPANCY,
+            "gain_of_a_trial": {name: x.gain for name, x in CHANNELS.items()},
+            "discrepancy": {name: x.discrepancy for name, x in CHANNELS.items()},
         },
         "definitions": NOTES,
         "resolution": vars(m.information.coarse),

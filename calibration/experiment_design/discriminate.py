@@ -35,7 +35,7 @@ from calibration.experiment_design.trial_search import (
     trial_toml,
 )
 from calibration.inference.gauss_newton import inverse
-from calibration.inference.noise import DISCREPANCY
+from slider_jax.channels import CHANNELS
 from slider_jax.experiment.schema import Trial
 
 TIMES = 12
@@ -57,7 +57,7 @@ class Distance(NamedTuple):
     @property
     def channel(self) -> tuple[str, float]:
         """The channel that differs by most of what correct programs do, and by how much of it."""
-        found = {c: x / DISCREPANCY[c] for c, x in self.shares.items()}
+        found = {c: x / CHANNELS[c].discrepancy for c, x in self.shares.items()}
         return max(found.items(), key=lambda item: item[1])
 
 
@@ -144,7 +144,10 @@ def split_class(
 
 def _difference(now: Distance, then: Distance) -> str:
     channel, _ = then.channel
-    was, differ, programs = (100.0 * x[channel] for x in (now.shares, then.shares, DISCREPANCY))
+    was, differ, programs = (
+        100.0 * x
+        for x in (now.shares[channel], then.shares[channel], CHANNELS[channel].discrepancy)
+    )
     return (
         f"{then.sigmas:.1f} standard deviations ({now.sigmas:.1f} without it) and {differ:.2g} % "
         f"of {channel} ({was:.2g} %), where correct programs differ by {programs:.2g} %"

@@ -1,0 +1,101 @@
+"""A sensor channel is one file: defined outside the package, it is simulated, read and fitted."""
+
+import importlib.util
+
+import numpy as np
+import pytest
+
+from calibration.inference.noise import declared
+from calibration.inference.problem import Problem
+from calibration.measurements.records import records
+from calibration.model.predict import Resolution, plan, predict
+from slider_jax.channels import BUILT_IN, CHANNELS, columns, register, row_of
+from slider_jax.errors import InputError
+from slider_jax.experiment.load import load
+from slider_jax.io.csv import read_csv
+from slider_jax.simulation.summary import trial_summary
+from slider_jax.simulation.trial import simulate
+from tests.support.experiments import write
+
+MID_BODY = '''
+"""A camera marker at the middle node."""
+
+from slider_jax.channels import Channel, register
+from slider_jax.observables import lateral
+
+
+def marker(x):
+    y = lateral(x)
+    return y[len(y) // 2]
+
+
+register(Channel("marker", "marker_m", "m", "marker, lateral", "mm", 1e3, marker))
+'''
+
+
+@pytest.fixture(scope="module")
+def marked(tmp_path_factory):
+    """The small experiment with the channel of a file in a temporary folder; its simulated run."""
+    folder = tmp_path_factory.mktemp("marked")
+    path = write(folder)
+    plain = simulate(load(path))
+    (folder / "mid_body.py").write_text(MID_BODY)
+    spec = importlib.util.spec_from_file_location("mid_body", folder / "mid_body.py")
+    spec.loader.exec_module(importlib.util.module_from_spec(spec))
+    yield folder, path, plain
+    del CHANNELS["marker"]
+
+
+def test_a_channel_outside_the_package_is_simulated_read_and_fitted(marked):
+    folder, path, plain = marked
+    experiment = load(path)
+    run = simulate(experiment)
+    assert columns()[-1] == "marker_m" and "marker_m" not in plain.columns
+    for name in plain.columns:  # the other channels do not change
+        np.testing.assert_allclose(run.columns[name], plain.columns[name], rtol=1e-9, atol=1e-12)
+    ratio = np.ptp(run.columns["marker_m"]) / np.ptp(run.columns["tip_m"])
+    assert 0.1 < ratio < 0.7
+
+    measured = run.columns | {"marker_m": run.columns["marker_m"] + 1e-3}
+    np.savetxt(
+        folder / "trial_00.csv",
+        np.stack(list(measured.values()), axis=1),
+        delimiter=",",
+        header=",".join(measured),
+        comments="",
+    )
+    errors = trial_summary(experiment, simulate(experiment))["rmse_to_measured"]
+    assert errors["marker_m"] == pytest.approx(1e-3, rel=1e-6)
+    assert errors["tip_m"] < 1e-12
+
+    found = records(experiment)
+    noise = declared(experiment.sensors, "marker", found[0].values[row_of("marker")])
+    assert 0.0 < noise.white and noise.tare == 0.0
+    resolution = Resolution(11, 60, 4e-3)
+    theta = np.array([3.0, 1.0, 0.087, 4.79e-7])
+    predicted = predict(plan(experiment, found[0].trial, (), resolution, found[0].t), theta)
+    assert predicted.shape == (6, len(found[0].t))
+    off = predicted[row_of("marker")] - run.columns["marker_m"]
+    assert np.abs(off).max() < 0.1 * np.ptp(run.columns["marker_m"])
+
+    problem = Problem.of(experiment, found, (), fine=resolution, coarse=resolution)
+    assert problem.channels == (*BUILT_IN, "marker")
+    residuals = problem.residuals([predicted], problem.whiteners([predicted]))
+    assert np.isfinite(residuals[0, "marker"]).all() and residuals[0, "marker"].any()
+
+
+def test_the_command_writes_the_column(marked, tmp_path):
+    from slider_jax.cli.main import main
+
+    _, path, _ = marked
+    assert main(["simulate", str(path), "--out", str(tmp_path / "out"), "--plot"]) == 0
+    assert "marker_m" in read_csv(tmp_path / "out" / "trial_01.csv", ("t_s", "marker_m"))
+
+
+@pytest.mark.parametrize("change", [{"name": "head"}, {"column": "head_m"}])
+def test_a_name_or_a_column_is_registered_once(change):
+    from dataclasses import replace
+
+    with pytest.raises(InputError, match="already registered; registered channels: p_front"):
+        register(replace(CHANNELS["tip"], **change))
+    assert tuple(CHANNELS)[:5] == BUILT_IN
