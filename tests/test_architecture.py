@@ -123,6 +123,15 @@ def test_an_upward_import_is_found(tmp_path):
     assert upward_imports({name: bad}) == []
 
 
+def test_every_room_says_what_it_knows_and_is_on_the_architecture_page():
+    page = (ROOT / "docs" / "architecture.md").read_text()
+    for name in RANK:
+        path = ROOT / name.replace(".", "/")
+        source = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+        assert ast.get_docstring(ast.parse(source.read_text())), name
+        assert f"| `{name.split('.')[1]}` |" in page, name
+
+
 def test_no_test_imports_from_another_test_and_tests_mirror_the_rooms():
     rooms = {tuple(name.split(".")[:2]) for name in RANK}
     for path in sorted((ROOT / "tests").rglob("test_*.py")):

@@ -1,0 +1,2 @@
+"""Reads, audits and fits the rig's pressure logs, and closes the loop on them. May import
+`discrepancy` and the rooms below it."""

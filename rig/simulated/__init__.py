@@ -1,1 +1,3 @@
-"""A rig that is not there: no program can tell it from a port or a socket."""
+"""A simulated rig behind real ports and sockets, with faults. May import `camera`, `force`,
+`manifold` and the rooms below them.
+"""

@@ -1,4 +1,4 @@
-"""From set pressure to bending moment."""
+"""Set pressures in time, the lag that follows them, and the bending moment. May import `beam`."""
 
 from slider_jax.actuation.moment import chamber_windows
 from slider_jax.actuation.pressure import FirstOrderLag, Ideal, PressureLaw, pressure_history

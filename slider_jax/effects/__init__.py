@@ -1,4 +1,7 @@
-"""Physical effects, one a file."""
+"""Physical effects, one in each file: pneumatics, body, water, sensors.
+
+May import `actuation`, `supports` and the rooms below them.
+"""
 
 from slider_jax.effects.base import (
     MOUNT_LAG,

@@ -1,0 +1,1 @@
+"""Files: atomic writing, provenance, CSV, TOML, units and figures. May import `errors`."""
