@@ -271,7 +271,7 @@ def test_what_is_not_determined_gets_the_trial_that_would(monkeypatch):
     experiment = experiment.with_values(sensors)
     theta = np.array([3.0, 0.8, 0.075, 4.5e-7])
     records = closed.measured(experiment, [theta] * 2, 0)[:1]
-    monkeypatch.setattr(identify, "audit", lambda *_: Audited(records, []))
+    monkeypatch.setattr(identify, "audit_measurements", lambda *_: Audited(records, []))
     found = identify.identify(experiment)
     said = identify.content(found, {})["parameters"]["m_a"]
     assert said["value"] is None and said["not_determined_by_these_data"]

@@ -83,7 +83,7 @@ def test_many_parameters_take_the_descent(monkeypatch, effects, given, taken):
     experiment = closed.experiment_of((0.8, 1.5, 3.0, 5.0))
     truth = base_vector(parameters(effects), TRUTH)
     found = closed.measured(experiment, [truth] * 4, 1)
-    monkeypatch.setattr(identify, "audit", lambda *_: Audited(found, []))
+    monkeypatch.setattr(identify, "audit_measurements", lambda *_: Audited(found, []))
     result = identify.identify(experiment, effects, method=given)
     assert result.method == taken and result.fit.converged
 

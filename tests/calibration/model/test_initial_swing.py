@@ -7,13 +7,13 @@ import pytest
 from calibration.inference.noise import Noise, Whitener, declared
 from calibration.inference.problem import Problem
 from calibration.measurements.records import Record
-from calibration.model import predict as forward
 from calibration.model.initial_swing import first_mode, spans
 from calibration.model.predict import Resolution, plan, predict
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.step import at_rest, with_motion
 from slider_jax.experiment.load import load
 from slider_jax.experiment.schema import SensorsTable
+from slider_jax.observables import tip
 from tests.support.experiments import write
 
 THETA = np.array([3.0, 1.0, 0.087, 4.79e-7])
@@ -38,8 +38,8 @@ def begun(p, place, speed):
 
     carry = with_motion(at_rest(model, p.numerics), change)
     times = TimeGrid(p.h, p.steps)
-    run = rollout(model, times, forward._save, p.numerics, p.scheme, begin=carry)
-    return np.concatenate([[place], np.asarray(run.saved[:, 4])])
+    run = rollout(model, times, tip, p.numerics, p.scheme, begin=carry)
+    return np.concatenate([[place], np.asarray(run.saved)])
 
 
 @pytest.mark.parametrize("which", [0, 1])
