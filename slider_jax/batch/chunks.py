@@ -1,7 +1,7 @@
-"""Many independent members on the cores of one machine: chunks of a batch, in threads.
+"""Parallel simulation of many independent members, as chunks of a batch in threads.
 
-A chunk of about eight members fits a core's cache, so it costs less per member than one large
-batch. A chunk to a thread keeps every core busy: XLA runs compiled programs outside Python's lock.
+A chunk of about eight members fits the cache of a core, so it costs less per member than one large
+batch. One chunk per thread uses every core, since XLA runs compiled programs outside Python's lock.
 """
 
 import os
@@ -16,7 +16,7 @@ import numpy as np
 
 
 class Chunks(NamedTuple):
-    """`total` chunks of `size` members; the last is filled up by repeating the last member."""
+    """`total` chunks of `size` members; repetitions of the last member fill the last chunk."""
 
     members: int
     size: int
@@ -24,17 +24,17 @@ class Chunks(NamedTuple):
     workers: int
 
     def indices(self, chunk: int) -> np.ndarray:
-        """Which members fill `chunk`; an index may repeat in the last."""
+        """Indices of the members in `chunk`; the last chunk may repeat an index."""
         start = chunk * self.size
         return np.minimum(np.arange(start, start + self.size), self.members - 1)
 
     def real(self, chunk: int) -> int:
-        """How many of them are not filling."""
+        """Number of members in `chunk` without repetitions."""
         return min(self.size, self.members - chunk * self.size)
 
 
 def chunks_of(members: int, size: int = 8, workers: int | None = None) -> Chunks:
-    """Chunks of at most `size`, evened out so that all workers (default: cores) end together."""
+    """Chunks of at most `size`, balanced so all workers (default: one per core) end together."""
     workers = min(workers or available_cores(), members)
     rounds = -(-members // (size * workers))
     size = -(-members // (rounds * workers))
@@ -42,14 +42,14 @@ def chunks_of(members: int, size: int = 8, workers: int | None = None) -> Chunks
 
 
 def available_cores() -> int:
-    """Cores that this process may use."""
+    """Number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def stack(trees: list[Any]) -> Any:
-    """One tree whose leaves carry the members along a new first axis, in the default float type."""
+    """One tree with the members along a new first axis of its leaves, in the default float type."""
     return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(x, float) for x in leaves]), *trees)
 
 
@@ -61,10 +61,10 @@ def take(tree: Any, indices: np.ndarray) -> Any:
 def in_threads(
     work: Callable[[int, Callable[[], bool]], Any], chunks: list[int], workers: int
 ) -> Iterator[tuple[int, Any]]:
-    """(chunk, result) of `work(chunk, stopped)` as each is done.
+    """Yields (chunk, result) of `work(chunk, stopped)` in the order of completion.
 
-    An error, or an end of the loop before the last, drops chunks not begun and makes `stopped()`
-    true for those under way.
+    If a chunk fails or the caller leaves the loop, chunks that have not started are cancelled.
+    `stopped()` then returns true in the running chunks.
     """
     stop = threading.Event()
     pool = ThreadPoolExecutor(max_workers=workers)

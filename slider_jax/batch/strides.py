@@ -1,7 +1,7 @@
-"""A batch of robots, stride by stride: the compiled stride, and what steady strides say.
+"""Simulation of a batch of robots by strides, and quantities of their steady strides.
 
-One stride is compiled once for a chunk of the batch and carried on from stride to stride, so that
-progress can be shown and a run may be stopped between strides.
+One stride is compiled for a chunk of the batch and run repeatedly. A caller can thus show progress
+and stop a run between strides.
 """
 
 import functools as ft
@@ -23,11 +23,11 @@ from slider_jax.dynamics.step import Carry, Snapshot, at_rest
 from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
 
 POSES = 20
-"""Midlines kept of the last stride."""
+"""Number of midlines saved in the last stride."""
 
 
 class StopRequested(Exception):
-    """The run was told to stop between strides."""
+    """The caller stopped the run between strides."""
 
 
 class Member(eqx.Module):
@@ -38,7 +38,7 @@ class Member(eqx.Module):
 
 
 class Plan(NamedTuple):
-    """How members are run; everything that a compiled program takes as fixed."""
+    """Settings of a run that are static in its compiled programs."""
 
     steps_per_stride: int
     """A multiple of `POSES`."""
@@ -48,14 +48,14 @@ class Plan(NamedTuple):
 
 
 class Programs(NamedTuple):
-    """Compiled for chunks of one size."""
+    """Programs compiled for chunks of one size: the initial carry and one stride."""
 
     rest: Callable[[Member], Carry]
     stride: Callable[[Member, Array, Carry], tuple[Carry, dict[str, Array]]]
 
 
 def saved_quantities(x: Snapshot) -> dict[str, Array]:
-    """What is kept of every step: `readings`, `power` [W] and `midline` (2, nodes) [m]."""
+    """Quantities saved at every step: `readings`, `power` [W] and `midline` (2, nodes) [m]."""
     return readings(x) | {
         "power": jnp.sum(obs.chamber_power(x)),
         "midline": obs.midline(x) - x.head[:, None],
@@ -63,7 +63,7 @@ def saved_quantities(x: Snapshot) -> dict[str, Array]:
 
 
 def one_stride(plan: Plan, member: Member, number, carry: Carry) -> tuple[Carry, dict[str, Array]]:
-    """Stride `number` (from 0) of one member, carried on from `carry`: next carry, series."""
+    """The next carry and the series of stride `number` (from 0) of one member."""
     steps, f = plan.steps_per_stride, member.frequency
     times = TimeGrid(h=1.0 / (f * steps), steps=steps, t0=number / f)
     out = rollout(
@@ -79,7 +79,7 @@ def one_stride(plan: Plan, member: Member, number, carry: Carry) -> tuple[Carry,
 
 
 def compile_programs(plan: Plan, chunk: Member) -> Programs:
-    """Compile for members stacked as in `chunk`."""
+    """Compiled programs for chunks with the structure and size of `chunk`."""
     rest = jax.jit(jax.vmap(lambda member: at_rest(member.model, plan.numerics)))
     stride = jax.jit(jax.vmap(ft.partial(one_stride, plan), (0, None, 0)))
     number = jnp.asarray(0.0)
@@ -93,11 +93,11 @@ def march(
     on_stride: Callable[[], None] = lambda: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> dict[str, np.ndarray]:
-    """Run a chunk through all strides.
+    """Runs a chunk through all strides.
 
     Returns series of shape (members, strides, steps, ...): t, power and every channel;
-    `midline` (members, POSES, 2, nodes) of the last stride; `ok` (members,). Raises
-    `StopRequested`.
+    `midline` (members, POSES, 2, nodes) of the last stride; `ok` (members,). Raises `StopRequested`
+    if `stopped()` is true between strides.
     """
     carry, series = programs.rest(chunk), []
     for number in range(plan.strides):
@@ -117,12 +117,12 @@ def march(
 def steady_quantities(
     plan: Plan, members: Member, runs: dict[str, np.ndarray], transient: int
 ) -> dict[str, np.ndarray]:
-    """Quantities (members,) of the strides after `transient` ones, named with their units.
+    """Quantities (members,) of the strides after the first `transient`, by name with unit.
 
-    Means and roots of mean squares are over all of those strides; `thrust_std_of_strides` is the
-    standard deviation of single strides' means, `thrust_std_within_stride` that of the course of
-    a stride; peaks and ranges are means over the strides. The wave is of the last stride's
-    fundamental. A member that failed has NaN.
+    Means and rms values are over all these strides. `thrust_std_of_strides` is the standard
+    deviation of the stride means. `thrust_std_within_stride` is the standard deviation within a
+    stride. Peaks and ranges are means over the strides. The wave quantities describe the
+    fundamental of the last stride. All quantities of a failed member are NaN.
     """
     thrust, recoil, power, tip = (
         runs[name][:, transient:] for name in ("thrust", "recoil", "power", "tip")

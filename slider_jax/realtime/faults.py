@@ -1,4 +1,4 @@
-"""What can break while a plant runs: a chamber leaks, a valve is blocked, the tail changes."""
+"""Faults of a running plant: leaking chambers, blocked valves and a changed tail stiffness."""
 
 from typing import NamedTuple
 
@@ -14,31 +14,31 @@ CHAMBERS = ("front_left", "front_right", "rear_left", "rear_right")
 
 
 class Faults(NamedTuple):
-    """Numbers that may change between two steps. `leak` and `blocked` by segment, then side."""
+    """Fault values, which may change between steps. `leak` and `blocked` are [segment, side]."""
 
     leak: Float[Array, "2 2"] | np.ndarray
-    """Conductance of a leak over the chamber's capacity [1/s]."""
+    """Conductance of the leak over the capacity of the chamber [1/s]."""
     blocked: Float[Array, "2 2"] | np.ndarray
-    """Share of the fill valve's flow that is missing."""
+    """Missing fraction [-] of the fill valve's flow."""
     EI_tail: Float[Array, ""] | np.ndarray
     """Bending stiffness of the tail [N m^2]."""
 
 
 class ChamberFaults(Flow):
-    """A fill valve that passes less than it should, and a leak, each of one chamber.
+    """Blocked fill valves and leaks of single chambers.
 
         dp/dt = (1 - b) r - q p    while |p| grows,    r - q p    while it falls
 
-    r is the flow with all else, b and q are of the chamber that holds p: the left one where p > 0.
-    Source: as `Leakage`.
+    r is dp/dt from the pressure law and all other effects. b and q belong to the chamber that holds
+    p, which is the left chamber for p > 0. Source: as for `Leakage`.
     """
 
     title = "faults of single chambers"
 
     leak: Float[Array, "2 2"]
-    """q [1/s]."""
+    """Leak rate q [1/s]."""
     blocked: Float[Array, "2 2"]
-    """b [-]."""
+    """Blocked fraction b [-]."""
 
     def rate(self, rate, x):
         q, b = (jnp.where(x.side > 0.0, v[:, 0], v[:, 1]) for v in (self.leak, self.blocked))
@@ -46,7 +46,7 @@ class ChamberFaults(Flow):
 
 
 def no_faults(EI_tail: float) -> Faults:
-    """No fault; `EI_tail` [N m^2] is the tail's own."""
+    """The values without faults; `EI_tail` [N m^2] is the tail's nominal bending stiffness."""
     return Faults(np.zeros((2, 2)), np.zeros((2, 2)), np.asarray(EI_tail))
 
 
@@ -55,11 +55,11 @@ ALLOWED = {
     **{f"blocked_{chamber}": (0.0, 1.0, "share of the fill valve's flow") for chamber in CHAMBERS},
     "EI_tail": (1e-6, 100.0, "N m^2"),
 }
-"""Faults by name: least and largest value, and unit."""
+"""Lowest value, highest value and unit of each fault."""
 
 
 def with_fault(faults: Faults, name: str, value: float) -> Faults:
-    """The faults with one set anew. Raises `InputError` for another name, or a value outside."""
+    """The faults with one value changed. Raises `InputError` for a name or value not allowed."""
     if name not in ALLOWED:
         raise InputError(
             f"fault: given {name!r}; allowed {', '.join(ALLOWED)}{did_you_mean(name, ALLOWED)}"

@@ -1,11 +1,10 @@
-"""A robot in its tank that runs as it is driven: set pressures come as they come.
+"""Real-time simulation of a robot in its tank, driven by set pressures as they arrive.
 
-One step of the simulator is compiled when the plant is made; nothing is traced afterwards. Effects
-act as in `rollout`, which takes each step: those that remember keep what they need.
+The constructor compiles one step of the simulator; nothing is traced afterwards. `rollout` takes
+each step, so effects act as in a whole simulation and effects with a state keep it.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -24,53 +23,37 @@ from slider_jax.effects import Command, Instrument, Readings, of_place
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment, to_model, to_numerics
 from slider_jax.experiment.schema import Trial
-from slider_jax.realtime.commands import check_commands
+from slider_jax.realtime.causality import check_commands, check_instrument
 from slider_jax.realtime.faults import CHAMBERS, ChamberFaults, Faults, no_faults, with_fault
-from slider_jax.realtime.sensors import Past, check_instrument, constant_past, read_now
+from slider_jax.realtime.sensors import Past, SensorReading, constant_past, read_now
 
 STEP = 2e-3
-"""[s]"""
+"""Default time step [s]."""
 LOOK_BACK = 0.2
-"""[s] of set pressures and of readings that are kept for what acts late."""
-
-
-class SensorReading(NamedTuple):
-    """What the sensors read at `t` [s], without noise. `SensorNoise` adds that."""
-
-    t: float
-    pressures: tuple[float, float, float, float]
-    """Of the four chambers, gauge [Pa]: front left, front right, rear left, rear right."""
-    p_front: float
-    """Left less right [Pa], as in the model and its columns."""
-    p_rear: float
-    thrust_N: float
-    recoil_N: float
-    tip_m: float
-    ok: bool
-    """False once a step has failed: the reading is then the last good one."""
+"""Time [s] for which set pressures and readings are kept, for effects with a delay."""
 
 
 class PlantState(eqx.Module):
-    """What one step hands to the next."""
+    """The state that one step passes to the next step."""
 
     carry: Carry
     asked: Float[Array, "samples 2"]
     """Signed set pressures of the last steps, oldest first."""
     shared: Float[Array, "2"]
-    """What both chambers of a segment hold, which does not bend it [Pa]."""
+    """Common pressure [Pa] of a segment's two chambers, which does not bend the segment."""
     instruments: tuple[Past, ...]
 
 
 class Plant:
-    """The robot of an experiment, with its effects, as one that is driven sample by sample.
+    """Real-time simulation of an experiment's robot and effects, sample by sample.
 
-    Steps are `step` [s] long, the mesh is the experiment's. Made in some ten seconds, for the
-    compiler; a step then takes a fraction of its length. A segment's signed pressure is the
-    model's: where it is positive the left chamber holds it, where negative the right one. What
-    both are asked to hold beside it follows with the lag alone and bends nothing. A vented chamber
+    Steps are `step` [s] long; the mesh is the experiment's. Compilation in the constructor takes
+    about ten seconds. A step then computes faster than real time. The left chamber holds a
+    segment's positive signed pressure, and the right chamber holds a negative one. A set pressure
+    common to both chambers follows with the lag alone and does not bend the body. A vented chamber
     has the set pressure 0.
 
-    Raises `InputError` where an effect needs to know what is still to come.
+    Raises `InputError` if an effect needs future values.
     """
 
     def __init__(self, experiment: Experiment, trial: Trial | int = 0, *, step: float = STEP):
@@ -93,14 +76,14 @@ class Plant:
         self.begin(trial)
 
     def begin(self, trial: Trial | int = 0, settle: float = 0.0) -> SensorReading:
-        """Back to the start of a trial: its clamp's motion, and its share in the effects.
+        """Resets the plant to the start of a trial, with the trial's clamp motion and effects.
 
-        The robot is straight and at rest relative to the clamp, the chambers empty; with `settle`
-        [s] it was so that long before the start, and vented since. The trial's drive is not used.
-        Faults stay.
+        The robot is straight and at rest relative to the clamp, and the chambers are empty. With
+        `settle` [s], it is in this state that long before the start and remains vented until then.
+        The trial's drive is not used. Faults are kept. Returns the reading at the start.
         """
         if not 0.0 <= settle < np.inf:
-            raise InputError.value("settle", settle, "0 or more seconds")
+            raise InputError.value("settle", settle, "a finite time of 0 s or more")
         self._model = self._model_of(trial)
         self._done = -round(settle / self.step)
         self._owed = 0.0
@@ -113,13 +96,13 @@ class Plant:
     def advance(
         self, set_pressures: Sequence[float | None] | np.ndarray, seconds: float
     ) -> SensorReading:
-        """Run `seconds` [s] under set gauge pressures [Pa], None of a vented chamber.
+        """Runs `seconds` [s] with set gauge pressures [Pa] and returns the last reading.
 
-        The chambers are those of `SensorReading.pressures`. Time goes in whole steps, with the set
-        pressures of the call that completes one; what is left over is kept for the next call.
-        A step that does not converge stops the plant until `begin`: readings say so by `ok`, and
-        `failed_at` is the time [s] of that step. Raises `InputError` for a pressure that is
-        negative or not a number.
+        The chambers are in the order of `SensorReading.pressures`; None vents a chamber. Time
+        advances in whole steps, each with the set pressures of the call that completes it. The
+        remaining time is kept for the next call. A step that does not converge stops the plant
+        until `begin`: `ok` of the readings is then false, and `failed_at` is the time [s] of that
+        step. Raises `InputError` for a pressure that is negative or not finite.
         """
         asked = np.concatenate([[0.0], _checked(set_pressures)])
         self._owed += seconds
@@ -140,10 +123,11 @@ class Plant:
         return self.reading
 
     def inject(self, name: str, value: float) -> None:
-        """Set a fault, from the next step on: its sound value mends it.
+        """Sets a fault from the next step on; the nominal value removes the fault.
 
-        `leak_front_left` [1/s], conductance over capacity; `blocked_front_left`, share from 0 to 1
-        of the fill valve's flow that is missing; so for all chambers; `EI_tail` [N m^2].
+        `leak_CHAMBER` [1/s] is the leak's conductance over the capacity. `blocked_CHAMBER` is the
+        missing fraction, 0 to 1, of the fill valve's flow. CHAMBER is `front_left`, for example.
+        `EI_tail` is the tail's bending stiffness [N m^2].
         """
         self.faults = with_fault(self.faults, name, value)
         self._faults = jax.device_put(self.faults)
@@ -210,7 +194,7 @@ def _faulty(model: Model, faults: Faults) -> Model:
 
 
 def _pack(read: Readings, state: PlantState) -> Float[Array, "8"]:
-    """All that leaves the device, in one array."""
+    """All values that leave the device, in one array."""
     values = jnp.stack([*read[1:], *state.shared])
     ok = state.carry.ok & jnp.all(jnp.isfinite(values))
     return jnp.concatenate([values, ok.astype(values.dtype)[None]])
@@ -230,7 +214,7 @@ def _unpack(t: float, packed: np.ndarray) -> SensorReading:
 def _checked(set_pressures: Sequence[float | None] | np.ndarray) -> np.ndarray:
     asked = np.array([0.0 if p is None else p for p in set_pressures], float)
     if asked.shape != (4,):
-        raise InputError.value("set pressures", f"{asked.size} of them", "one for each chamber, 4")
+        raise InputError.value("set pressures", f"{asked.size} values", "4, one for each chamber")
     for chamber, p in zip(CHAMBERS, asked.tolist(), strict=True):
         if not 0.0 <= p < np.inf:
             raise InputError.value(

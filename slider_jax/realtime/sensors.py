@@ -1,4 +1,4 @@
-"""Instruments sample by sample: what they read now, from what they were shown and read before."""
+"""Readings of the sensors in real time: instruments sample by sample, and sensor noise."""
 
 from typing import NamedTuple
 
@@ -12,28 +12,30 @@ from slider_jax.effects.sensors.force_resonance import ForceResonance
 from slider_jax.effects.sensors.force_sensor_lag import ForceSensorLag
 from slider_jax.effects.sensors.pressure_sensor_lag import PressureSensorLag
 from slider_jax.effects.sensors.series import lagged
-from slider_jax.errors import InputError
+from slider_jax.experiment.schema import SensorsTable
 
 
 class Past(NamedTuple):
-    """What an instrument was shown and what it read, at the last samples, oldest first."""
+    """The last inputs and readings of an instrument, oldest first."""
 
     shown: Readings
+    """Inputs of the instrument."""
     read: Readings
+    """Readings of the instrument."""
 
 
 def constant_past(effect: Instrument, first: Readings, h: float, samples: int) -> Past:
-    """`samples` samples, `h` [s] apart, of an instrument that has been shown `first` for long."""
+    """The past of an instrument with constant input `first`; `samples` samples, `h` [s] apart."""
     held = jax.tree.map(lambda x: jnp.broadcast_to(x, (samples,)), first)
     shown = held._replace(t=first.t + h * jnp.arange(1.0 - samples, 1.0))
     return Past(shown, effect.read(shown))
 
 
 def read_now(effect: Instrument, past: Past, true: Readings) -> tuple[Readings, Past]:
-    """What the instrument reads of `true`, scalars one sample later, and the new past."""
+    """The reading of the next input `true` (scalars), and the new past."""
     shown = jax.tree.map(_append, past.shown, true)
     if not isinstance(effect, (ForceSensorLag, PressureSensorLag, ForceResonance)):
-        now = jax.tree.map(lambda x: x[-1], effect.read(shown))  # from what it is shown alone
+        now = jax.tree.map(lambda x: x[-1], effect.read(shown))  # needs no previous readings
     else:
         pressure = isinstance(effect, PressureSensorLag)
         names = ("p_front", "p_rear") if pressure else ("thrust", "recoil")
@@ -42,7 +44,7 @@ def read_now(effect: Instrument, past: Past, true: Readings) -> tuple[Readings, 
 
 
 def _follow(effect: Instrument, past: Past, shown: Readings, name: str) -> Array:
-    """The reading of one channel that follows from the readings before."""
+    """The reading of one channel, computed from the inputs and the previous readings."""
     x, y, t = getattr(shown, name), getattr(past.read, name), shown.t
     if isinstance(effect, ForceResonance):
         return effect.follow((y[-1], y[-2], y[-3]), x[-1], t[-1] - t[-2])
@@ -54,35 +56,59 @@ def _append(series: Array, x: Array) -> Array:
     return jnp.concatenate([series[1:], x[None]])
 
 
-def check_instrument(effect: Instrument, h: float, samples: int) -> None:
-    """Raise `InputError` where `read_now` would not read what the instrument makes of a series.
+class SensorReading(NamedTuple):
+    """Readings of the sensors at `t` [s], without noise; `SensorNoise` adds the noise."""
 
-    Tried on a random one: an instrument that looks ahead, or farther back than `samples` samples,
-    is found by what it reads.
+    t: float
+    pressures: tuple[float, float, float, float]
+    """Gauge pressures [Pa] of the chambers: front left, front right, rear left, rear right."""
+    p_front: float
+    """Signed pressure [Pa], left minus right, as in the model and its columns; also `p_rear`."""
+    p_rear: float
+    thrust_N: float
+    recoil_N: float
+    tip_m: float
+    ok: bool
+    """False after a failed step; the reading is then the last valid one."""
+
+
+class SensorNoise:
+    """Adds white noise to all readings, and slow noise and a constant tare to the forces.
+
+    The slow noise is an Ornstein-Uhlenbeck process with the standard deviation `force_slow_noise`
+    and the correlation time `force_slow_time`. `begin` samples a new tare. `pressure_noise` applies
+    to a segment's signed pressure; each of its two chambers has 1/sqrt(2) of it.
     """
-    t = jnp.asarray(h * np.arange(2.0 * samples + 50.0))
-    noise = np.random.default_rng(0).normal(size=(5, len(t)))
-    series = Readings(t, *jnp.asarray(noise))
 
-    @jax.jit
-    def both(effect, series):
-        first = jax.tree.map(lambda x: x[0], series)
-        rest = jax.tree.map(lambda x: x[1:], series)
+    def __init__(self, sensors: SensorsTable, seed: int):
+        self._sensors = sensors
+        self._rng = np.random.default_rng(seed)
+        self.begin()
 
-        def body(past, true):
-            now, past = read_now(effect, past, true)
-            return past, now
+    def begin(self) -> None:
+        """Starts a new trial: samples the tare and the slow noise again."""
+        self._tare = self._sensors.force_tare * self._rng.normal(size=2)
+        self._slow = self._rng.normal(size=2)
+        self._t: float | None = None
 
-        live = jax.lax.scan(body, constant_past(effect, first, h, samples), rest)[1]
-        return effect.read(series), live
-
-    whole, live = both(effect, series)
-    for expected, found in zip(whole[1:], live[1:], strict=True):
-        # A delay reads the last samples of a series otherwise, as none follow.
-        off = np.abs(np.asarray(found) - np.asarray(expected)[1:])[:-4]
-        if not off.max() < 1e-9 * np.abs(expected).max():
-            raise InputError(
-                f"effects: {effect.name()}: in real time a sensor knows nothing of what comes, and "
-                f"{h * samples:g} s of what was; allowed delays are 0, or {h:g} s (a step) to "
-                f"{h * (samples - 3):g} s; leave it out, or simulate the trial as a whole"
-            )
+    def add(self, x: SensorReading) -> SensorReading:
+        """The reading with noise. Times must not decrease from call to call."""
+        sensors, rng = self._sensors, self._rng
+        before = x.t if self._t is None else self._t
+        keep = np.exp(-(x.t - before) / sensors.force_slow_time)
+        self._t = x.t
+        self._slow = keep * self._slow + np.sqrt(1.0 - keep**2) * rng.normal(size=2)
+        each = sensors.pressure_noise / np.sqrt(2.0)
+        front_left, front_right, rear_left, rear_right = (
+            p + each * rng.normal() for p in x.pressures
+        )
+        force = self._tare + sensors.force_slow_noise * self._slow
+        force = force + sensors.force_noise * rng.normal(size=2)
+        return x._replace(
+            pressures=(front_left, front_right, rear_left, rear_right),
+            p_front=front_left - front_right,
+            p_rear=rear_left - rear_right,
+            thrust_N=x.thrust_N + float(force[0]),
+            recoil_N=x.recoil_N + float(force[1]),
+            tip_m=x.tip_m + sensors.tip_noise * rng.normal(),
+        )

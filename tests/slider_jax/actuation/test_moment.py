@@ -32,7 +32,7 @@ def test_couple_keeps_its_zeroth_and_first_moment_everywhere(numerics):
     assert zeroth < 1e-13 and first < 1e-14
 
 
-def test_delta_is_peskins_four_point_one():
+def test_the_delta_is_peskins_four_point_delta():
     """Values at 0, 1/2 and 1, even and odd sums one half, and the sum of squares 3/8."""
     np.testing.assert_allclose(peskin_delta(jnp.array([0.0, 1.0, 2.0])), [0.5, 0.25, 0.0])
     x = np.linspace(0.0, 1.0, 37)[:, None]
@@ -52,7 +52,7 @@ def test_couple_is_spread_over_four_nodes_away_from_the_ends():
 @pytest.mark.parametrize(
     "span", [(0.02, 0.145), (0.0, 0.3), (0.1, 0.37), (0.0, 0.37), (0.29, 0.31)]
 )
-def test_a_chamber_bends_by_its_whole_length(numerics, span):
+def test_a_chamber_bends_the_body_along_its_whole_length(numerics, span):
     """The integral of M_act is K_Q p times the span, whichever way the span meets the grid."""
     robot = Robot(body_length=0.3, tail_length=0.07, front_chamber=span, rear_chamber=(0.155, 0.28))
     grid = grid_of(robot, numerics)
@@ -61,7 +61,7 @@ def test_a_chamber_bends_by_its_whole_length(numerics, span):
     assert float(rear) == pytest.approx(0.125, abs=1e-14)
 
 
-def test_window_is_one_inside_and_nothing_outside():
+def test_the_window_is_one_inside_and_zero_outside():
     robot = Robot(body_length=0.3, tail_length=0.07, front_chamber=(0.02, 0.145))
     grid = grid_of(robot, Numerics(tail_cells=28, body_cells=120))
     from_head = robot.length - np.asarray(grid.mid(grid.s))
@@ -73,7 +73,7 @@ def test_window_is_one_inside_and_nothing_outside():
     )
 
 
-def test_window_is_differentiable_to_the_span_on_and_off_nodes():
+def test_the_window_is_differentiable_in_the_span_on_and_off_nodes():
     grid = grid_of(ROBOT, GRIDS[0])
     for near in (0.06, float(ROBOT.length - grid.s[30])):
 

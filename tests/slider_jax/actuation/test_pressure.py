@@ -50,7 +50,7 @@ def test_periodic_state_is_the_closed_form(times, phase):
     assert off < 1e-10
 
 
-def test_rest_settles_into_the_periodic_state():
+def test_the_pressure_settles_into_the_periodic_state_from_rest():
     t = np.arange(0, 2001) / (F * 20)
     p = pressure_history(LAG, SquareWave(F, A), 0.0, jnp.asarray(t))
     assert np.max(np.abs(p - periodic_state(t))[-20:]) / A < 1e-10

@@ -42,7 +42,7 @@ def healthy():
     return np.asarray(loss), np.asarray(saved), np.asarray(slope)
 
 
-def test_vmap_is_the_loop(healthy):
+def test_vmap_equals_a_loop_over_members(healthy):
     loss, saved, _ = healthy
     worst = 0.0
     for i in range(0, MEMBERS, 10):
@@ -56,7 +56,7 @@ def test_vmap_is_the_loop(healthy):
 @pytest.mark.parametrize(
     "bad", [(3.0, np.nan, 1.0), (3.0, 0.038, 1e9)], ids=["not a number", "absurd moment"]
 )
-def test_a_diverging_member_leaves_the_other_111_alone(healthy, bad):
+def test_a_diverging_member_does_not_affect_the_other_111(healthy, bad):
     loss, saved, slope = healthy
     (new_loss, (new_saved, ok, failed_at)), new_slope = batched(population().at[BAD].set(bad))
     others = np.arange(MEMBERS) != BAD

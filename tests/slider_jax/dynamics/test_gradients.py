@@ -93,7 +93,7 @@ def kept_bytes(steps, checkpoint):
 
 
 @pytest.mark.slow
-def test_reverse_mode_keeps_little_more_than_the_carry_of_each_step():
+def test_reverse_mode_stores_little_more_than_the_carry_of_each_step():
     def per_step(checkpoint):
         return (kept_bytes(40, checkpoint) - kept_bytes(20, checkpoint)) / 20
 

@@ -24,7 +24,7 @@ def test_the_predictor_is_exact_for_a_parabola_in_time(scheme):
         np.testing.assert_allclose(np.dot(weights, values[target - 3 : target]), values[target])
 
 
-def test_float32_is_refused_in_words():
+def test_float32_raises_an_error_that_names_enable_float64():
     jax.config.update("jax_enable_x64", False)
     try:
         with pytest.raises(ValueError, match=r"float64.*enable_float64"):
@@ -34,12 +34,12 @@ def test_float32_is_refused_in_words():
 
 
 @pytest.mark.parametrize("wrong", [{"corrections": 1}, {"atol": 1e-6}])
-def test_a_root_finder_that_could_not_judge_its_error_is_refused(wrong):
+def test_a_root_finder_that_cannot_estimate_its_error_is_refused(wrong):
     with pytest.raises(ValueError, match="allowed"):
         BeamNewton(rtol=1e-8, **wrong)
 
 
-def test_a_failed_member_costs_nothing_more_and_stays_where_it_was():
+def test_a_failed_member_costs_no_further_time_and_keeps_its_state():
     model, steps = swimmer(), 20
     begin = dataclasses.replace(at_rest(model, SMALL), ok=jnp.asarray(False))
     run = jax.jit(lambda begin: rollout(model, TimeGrid(1e-3, steps), observe, SMALL, begin=begin))

@@ -45,7 +45,7 @@ def test_fundamental_ignores_the_mean_and_the_harmonics():
     )
 
 
-def test_wave_of_a_clamped_body_is_fitted_where_it_moves_and_differentiable():
+def test_the_wave_of_a_clamped_body_is_fitted_where_it_moves_and_is_differentiable():
     def fitted(wavelength):
         y = wave(wavelength, amplitude=lambda s: 0.03 * (1 - s / L) ** 2)  # still at the head
         return obs.body_wave(obs.fundamental_mode(y, T, F), S, F).wavelength
@@ -103,7 +103,7 @@ def test_travelling_index_is_one_for_a_travelling_and_zero_for_a_standing_wave()
 
 
 @pytest.mark.parametrize("standing", [0.0, 0.5, 1.0])
-def test_the_wavelength_of_the_shape_is_the_waves_whether_it_travels_or_stands(standing):
+def test_the_shape_wavelength_is_that_of_a_travelling_or_standing_wave(standing):
     """On a body of three half waves; one that only stands has no phase to tell it from."""
     y = wave(2 * L / 3) + standing * wave(2 * L / 3, direction=-1.0)
     mode = obs.fundamental_mode(y, T, F)
@@ -134,7 +134,7 @@ def test_stride_statistics_are_those_of_each_stride():
         obs.stride_means(series, 3)
 
 
-def test_numbers_of_swimming():
+def test_dimensionless_numbers_of_swimming_are_their_formulas():
     assert obs.strouhal_number(2.0, 0.1, 0.5) == pytest.approx(0.4)
     assert obs.froude_efficiency(0.06, 0.2, 0.05) == pytest.approx(0.24)
     assert obs.force_efficiency(0.06, 0.05) == pytest.approx(1.2)

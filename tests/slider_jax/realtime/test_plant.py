@@ -11,9 +11,9 @@ from slider_jax.effects.pneumatics.regulator_gain import RegulatorGain
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
 from slider_jax.experiment.schema import SensorsTable
-from slider_jax.realtime.commands import Held, check_commands
-from slider_jax.realtime.noise import SensorNoise
+from slider_jax.realtime.causality import Held, check_commands
 from slider_jax.realtime.plant import Plant
+from slider_jax.realtime.sensors import SensorNoise
 from slider_jax.simulation.trial import simulate
 from tests.support.experiments import write
 
@@ -132,7 +132,7 @@ def test_each_effect_acts_as_in_the_simulation(name, tmp_path):
     assert_equals_the_simulation(Plant(experiment, 1, step=H), experiment, 1)
 
 
-def test_nothing_is_traced_while_it_runs(plant):
+def test_nothing_is_traced_while_the_plant_runs(plant):
     with jax.no_tracing():
         plant.advance([1e5, None, None, 1e5], 5 * H)
         plant.inject("leak_front_left", 1.0)
@@ -176,7 +176,7 @@ def test_chambers_fill_and_vent_with_the_lag(plant):
     )
 
 
-def test_what_both_chambers_of_a_segment_hold_bends_nothing(plant):
+def test_the_common_pressure_of_two_chambers_does_not_bend_the_body(plant):
     plant.begin(1)
     alone = plant.advance([6e4, None, None, None], 0.3)
     plant.begin(1)
@@ -213,7 +213,7 @@ def test_a_blocked_chamber_fills_no_further_but_vents(plant):
     assert plant.advance([1e5, None, None, None], 2.0).p_front == pytest.approx(0.0, abs=1.0)
 
 
-def test_a_changed_tail_is_that_of_an_experiment_with_such_a_tail(plain, tmp_path):
+def test_a_changed_tail_equals_an_experiment_with_that_tail(plain, tmp_path):
     experiment, plant = plain
     softer = load(write(tmp_path, MOVING, ("EI_tail = 0.0058", "EI_tail = 0.002")))
     plant.inject("EI_tail", 0.002)
@@ -222,7 +222,7 @@ def test_a_changed_tail_is_that_of_an_experiment_with_such_a_tail(plain, tmp_pat
     assert_equals_the_simulation(plant, experiment, 1)
 
 
-def test_a_tail_may_change_in_the_midst_of_a_stroke(plant):
+def test_the_tail_may_change_during_a_stroke(plant):
     asked = [1e5, None, None, 1e5]
     whole = plant.advance(asked, 0.2)
     plant.begin(1)
@@ -232,7 +232,7 @@ def test_a_tail_may_change_in_the_midst_of_a_stroke(plant):
     assert changed.ok and abs(changed.recoil_N - whole.recoil_N) > 0.02 * abs(whole.recoil_N)
 
 
-def test_a_step_that_fails_holds_the_last_reading_until_begun_anew(plant):
+def test_after_a_failed_step_the_last_reading_is_held_until_begin(plant):
     before = plant.advance([1e5, None, None, None], 2 * H)
     for _ in range(200):
         after = plant.advance([1e9, None, None, 1e9], H)
@@ -256,7 +256,7 @@ def test_a_step_that_fails_holds_the_last_reading_until_begun_anew(plant):
         ("rear_valve_delay", 0.3),
     ],
 )
-def test_an_effect_that_no_present_can_have_is_refused_by_name(name, value, tmp_path):
+def test_an_effect_that_needs_future_values_is_refused_by_name(name, value, tmp_path):
     experiment = load(write(tmp_path, tables({name: {"delay": value}})))
     with pytest.raises(InputError, match=f"^effects: {name}: in real time .*; allowed"):
         Plant(experiment, step=H)
@@ -267,10 +267,10 @@ def test_an_effect_that_no_present_can_have_is_refused_by_name(name, value, tmp_
     [
         ([1e5, -1.0, 0.0, 0.0], "set pressure of front_right: given -1.0; allowed 0 or more"),
         ([1e5, 0.0, 0.0, np.nan], "set pressure of rear_right: given nan; allowed 0 or more"),
-        ([1e5, 0.0], "set pressures: given 2 of them; allowed one for each chamber, 4"),
+        ([1e5, 0.0], "set pressures: given 2 values; allowed 4, one for each chamber"),
     ],
 )
-def test_set_pressures_that_no_chamber_can_have_are_refused(plant, asked, message):
+def test_invalid_set_pressures_are_refused(plant, asked, message):
     with pytest.raises(InputError, match=message):
         plant.advance(asked, H)
 
@@ -282,12 +282,12 @@ def test_faults_are_checked_by_name_and_size(plant):
         plant.inject("blocked_rear_left", 1.5)
 
 
-def test_a_step_that_no_rig_has_is_refused(plain):
+def test_a_step_outside_its_range_is_refused(plain):
     with pytest.raises(InputError, match="step of the plant: given 0.5; allowed"):
         Plant(plain[0], step=0.5)
 
 
-def test_noise_has_the_declared_size_on_every_channel_and_comes_back_with_its_seed(plant):
+def test_noise_has_the_declared_size_on_every_channel_and_repeats_with_its_seed(plant):
     sensors = SensorsTable(
         pressure_noise=700.0, force_noise=0.01, force_tare=0.5, force_slow_noise=0.03,
         force_slow_time=0.05, tip_noise=1e-3,
@@ -318,7 +318,7 @@ def test_noise_has_the_declared_size_on_every_channel_and_comes_back_with_its_se
     assert series(4, 1)[0].thrust_N != noisy[0].thrust_N
 
 
-def test_held_samples_fill_a_chamber_as_the_square_wave_does_that_they_are_of():
+def test_held_samples_of_a_square_wave_fill_a_chamber_as_the_wave_does():
     """Also where edges fall within the stretches, and where stretches begin on edges."""
     wave, law = SquareWave(4.0, 1e5, 0.1), FirstOrderLag(0.087)
     given = H * jnp.arange(200.0)
@@ -330,6 +330,6 @@ def test_held_samples_fill_a_chamber_as_the_square_wave_does_that_they_are_of():
 
 
 @pytest.mark.parametrize("step", [1e-3, 2e-3, 2.5e-3])
-def test_a_command_that_needs_nothing_to_come_is_allowed_at_every_step(step):
+def test_a_command_without_future_values_is_allowed_at_every_step_length(step):
     """Also where rounding puts the next set pressure a hair before the step's end."""
     check_commands((RegulatorGain(0.1),), step, 104)

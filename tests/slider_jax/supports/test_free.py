@@ -67,7 +67,7 @@ def dry():
     return free_swimmer(C_d=0.0, m_a=0.0)
 
 
-def test_no_forces_drift_at_constant_velocity():
+def test_a_body_without_forces_drifts_at_constant_velocity():
     model = eqx.tree_at(lambda m: m.robot.K_Q, dry(), jnp.zeros(()))
     out = swim(model, jnp.asarray(H), *straight_state(nodes_of(model, FINE), 0.5, -0.2))
     P = np.asarray(out.saved[0])
@@ -86,7 +86,7 @@ def test_a_spinning_body_keeps_its_velocity():
     assert off < 1e-6
 
 
-def test_internal_moments_move_no_centre_of_mass():
+def test_internal_moments_do_not_move_the_centre_of_mass():
     """Chambers bend the spinning body in vacuo: its momentum stays."""
     model = dry()
     out = swim(model, jnp.asarray(H), *spinning(model))

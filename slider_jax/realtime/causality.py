@@ -1,0 +1,82 @@
+"""Checks that effects need neither future values nor values older than a plant keeps."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from slider_jax.actuation import Held, Waveform
+from slider_jax.effects import Command, Instrument, Readings
+from slider_jax.errors import InputError
+from slider_jax.realtime.sensors import constant_past, read_now
+
+
+def check_commands(commands: tuple[Command, ...], h: float, samples: int) -> None:
+    """Raises `InputError` if the valves depend on more than the last `samples` set pressures.
+
+    The check applies the effects to random set pressures, `h` [s] apart. It compares a waveform of
+    the whole series with waveforms of the samples that a plant knows at each time.
+    """
+    length = 2 * samples + 10
+    times = jnp.asarray(h * np.arange(float(length)))
+    values = jnp.asarray(np.random.default_rng(0).uniform(-1e5, 1e5, length))
+
+    def followed(commands: tuple[Command, ...], chamber: int, wave: Waveform, t: Array):
+        for effect in commands:
+            wave = effect.command(wave, chamber)
+        return jax.vmap(wave.segment)(t[:-1], t[1:])
+
+    @eqx.filter_jit
+    def both(commands, chamber):
+        def at(now):
+            known = now + jnp.arange(1 - samples, 1)
+            t = times[now] + h * jnp.array([0.0, 0.3, 0.9])  # before the next sample
+            waves = Held(times, values), Held(times[known], values[known])
+            return [followed(commands, chamber, wave, t) for wave in waves]
+
+        return jax.vmap(at)(jnp.arange(samples, 2 * samples))
+
+    for count in range(1, len(commands) + 1):
+        for chamber in (0, 1):
+            whole, live = map(jax.tree.leaves, both(commands[:count], chamber))
+            if not all(np.allclose(a, b, 1e-9, 1e-9) for a, b in zip(whole, live, strict=True)):
+                raise InputError(
+                    f"effects: {commands[count - 1].name()}: in real time the valves know the set "
+                    f"pressures of the last {h * (samples - 3):g} s and no future ones; allowed "
+                    f"a total dead time of 0 to {h * (samples - 3):g} s; remove the effect"
+                )
+
+
+def check_instrument(effect: Instrument, h: float, samples: int) -> None:
+    """Raises `InputError` if `read_now` differs from the instrument's reading of a whole series.
+
+    The check uses a random series with steps of `h` [s]. It detects an instrument that needs future
+    samples, or samples older than the last `samples`.
+    """
+    t = jnp.asarray(h * np.arange(2.0 * samples + 50.0))
+    noise = np.random.default_rng(0).normal(size=(5, len(t)))
+    series = Readings(t, *jnp.asarray(noise))
+
+    @jax.jit
+    def both(effect, series):
+        first = jax.tree.map(lambda x: x[0], series)
+        rest = jax.tree.map(lambda x: x[1:], series)
+
+        def body(past, true):
+            now, past = read_now(effect, past, true)
+            return past, now
+
+        live = jax.lax.scan(body, constant_past(effect, first, h, samples), rest)[1]
+        return effect.read(series), live
+
+    whole, live = both(effect, series)
+    for expected, reading in zip(whole[1:], live[1:], strict=True):
+        # The last samples of a series have no successors, so a delay reads them differently.
+        error = np.abs(np.asarray(reading) - np.asarray(expected)[1:])[:-4]
+        if not error.max() < 1e-9 * np.abs(expected).max():
+            raise InputError(
+                f"effects: {effect.name()}: in real time a sensor knows the last {h * samples:g} s "
+                f"and no future values; allowed a delay of 0, or of {h:g} s (one step) to "
+                f"{h * (samples - 3):g} s; remove the effect, or simulate the whole trial"
+            )
