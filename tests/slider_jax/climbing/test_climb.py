@@ -165,7 +165,10 @@ def ordered(tmp_path_factory):
 def test_without_pressure_the_command_says_that_it_hangs(tmp_path, capsys):
     (tmp_path / "wall.toml").write_text(to_toml(coarse(**{"trials.0.amplitude": 0.0})))
     assert main(["climb", str(tmp_path / "wall.toml"), "--out", str(tmp_path / "out")]) == 0
-    assert "no pressure is set: the pin stays, and it hangs" in capsys.readouterr().out
+    assert (
+        "no pressure is set: the left end stays pinned and the robot hangs"
+        in capsys.readouterr().out
+    )
     (row,) = json.loads((tmp_path / "out" / "climb.json").read_text())["climbs"]
     assert abs(row["speed_m_per_s"]) < 1e-4 and row["power_W"] == 0.0
     assert row["efficiency"] is None and row["dissipated_of_power"] is None
@@ -212,7 +215,10 @@ def test_the_command_writes_what_it_found(ordered):
         (["--pin-phase", "7"], "--pin-phase: given 7; allowed -1 to 1, of a period"),
         (["--link", "30"], "--link: given 30; allowed 0.005 to 0.2 m"),
         (["--trial", "3"], "--trial: given 3; allowed 0 to 0"),
-        (["--model", "m.toml"], "--model: overrides an experiment; give EXPERIMENT.toml"),
+        (
+            ["--model", "m.toml"],
+            "--model: this file overrides an experiment; give EXPERIMENT.toml too",
+        ),
     ],
 )
 def test_bad_options_are_told(words, said, tmp_path, capsys):

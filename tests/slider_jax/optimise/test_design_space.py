@@ -87,7 +87,7 @@ def test_the_papers_gait_is_in_the_box():
     [
         (
             {"frequency": (5.0, 3.0)},
-            "--frequency: given 5 3; allowed LOW HIGH, the lower one first",
+            "--frequency: given 5 3; allowed LOW HIGH with LOW < HIGH",
         ),
         ({"front": (4e5, 4e5)}, "--front: given 400000 400000; allowed LOW HIGH"),
         ({"EI_tail": (-1.0, 0.01)}, "--EI-tail: given -1; allowed"),

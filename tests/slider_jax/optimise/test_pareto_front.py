@@ -73,7 +73,7 @@ FEW = EFFORT._replace(generations=6)
 
 @pytest.fixture
 def hills(monkeypatch):
-    monkeypatch.setattr(multimodal, "Both", Hills)
+    monkeypatch.setattr(multimodal, "TaskEfficiencies", Hills)
     return TwoTasks.of(coarse(), steps_per_stride=48)
 
 
@@ -81,7 +81,7 @@ def hills(monkeypatch):
 def whole(tmp_path_factory):
     """A front that was not stopped."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(multimodal, "Both", Hills)
+        patch.setattr(multimodal, "TaskEfficiencies", Hills)
         modes = TwoTasks.of(coarse(), steps_per_stride=48)
         return search_front(modes, 3, FEW, tmp_path_factory.mktemp("whole"))
 
@@ -155,7 +155,7 @@ def test_a_task_that_no_design_can_do_is_an_error(hills, tmp_path, monkeypatch):
         def __call__(self, designs, swims, climbs):
             return super().__call__(designs, swims, climbs) - np.array([0.0, 1.0])
 
-    monkeypatch.setattr(multimodal, "Both", Sinks)
+    monkeypatch.setattr(multimodal, "TaskEfficiencies", Sinks)
     with pytest.raises(SolverError, match="climb_only: no design moves forward"):
         search_front(hills, 3, FEW, tmp_path)
 

@@ -105,7 +105,7 @@ def test_a_recorded_drive_is_refused(tmp_path, capsys):
     recorded = 'frequency = 5.0\nwaveform = "recorded"\ndrive_file = "drive.csv"'
     (tmp_path / "tank.toml").write_text(text.replace("frequency = 5.0", recorded))
     assert main(["swim", str(tmp_path / "tank.toml"), "--out", str(tmp_path / "out")]) == 2
-    assert "is driven by a recording, which has no strides" in capsys.readouterr().err
+    assert "the drive is a recording, which has no strides" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
