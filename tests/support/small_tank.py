@@ -5,18 +5,18 @@ from calibration.measurements.synthetic import Truth, trials, write_tank
 from calibration.model.predict import Resolution
 from slider_jax.experiment import load as experiment
 
-CANDIDATES = ("valve_delay", "clamp_compliance", "tangential_friction", "force_gain")
+CANDIDATES = ("valve_delay", "clamp_compliance", "force_gain")
 
 BASE = {"C_d": 3.2, "m_a": 0.6, "k": 0.08, "K_Q": 4.6e-7}
 
-TANK = {"nodes": 21, "step": 2e-3, "scheme": "sdirk2"}
+TANK = {"nodes": 13, "step": 2e-3, "scheme": "sdirk2"}
 
-RUNS = [run | {"duration": 1.2} for run in trials(3, count=6)[2:]] + [
-    run | {"duration": 1.2, "file": f"again_{i}.csv"}
-    for i, run in enumerate(trials(4, count=6)[3:])
+RUNS = [run | {"duration": 0.8} for run in trials(3, count=6)[2:]] + [
+    run | {"duration": 0.8, "file": f"again_{i}.csv"}
+    for i, run in enumerate(trials(4, count=6)[4:])
 ]
 
-MESH = Resolution(21, 60, 3.0e-3)
+MESH = Resolution(13, 40, 4.0e-3)
 """Of residuals and tangents: few programs. The tank has another step."""
 
 

@@ -33,7 +33,6 @@ def covers(outcome, name, truth):
     return low < truth < high
 
 
-@pytest.mark.slow
 def test_it_stays_silent_on_data_that_lack_nothing(null):
     assert (null.verdict, null.search.effects) == ("nothing_missing", [])
     for name, value in BASE.items():
@@ -95,7 +94,6 @@ def test_the_order_of_the_trials_and_the_noise_change_no_verdict(delayed, tmp_pa
         assert (other.verdict, other.search.effects) == ("identified", ["valve_delay"])
 
 
-@pytest.mark.slow
 def test_what_none_of_the_candidates_explains_is_said_to_be_unexplained(tmp_path):
     outcome = closed(tmp_path / "odd", {"stiffening": {"beta": 5e-4}}, 2)
     assert outcome.verdict == "unexplained"
