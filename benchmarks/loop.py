@@ -24,7 +24,7 @@ from tanks import closed, draw, limits, noisy, problem_of, simulated
 
 from calibration.discrepancy.close_loop import LoopOutcome, choose_held_out
 from calibration.inference.goodness import floors, rms_errors
-from calibration.inference.problem import Problem
+from calibration.inference.problem import AbstractProblem
 from calibration.model.extended import candidates
 from slider_jax.effects.library import LIBRARY
 from slider_jax.io.files import versions, write_json
@@ -109,7 +109,7 @@ def cases(kind: str, out: Path) -> Iterator[Case]:
             yield Case(kind, name, i % TANKS, {}, stranger=name)
 
 
-def ratio(problem: Problem, predicted: list[np.ndarray], floor: dict[str, float]) -> float:
+def ratio(problem: AbstractProblem, predicted: list[np.ndarray], floor: dict[str, float]) -> float:
     """rms over the channels of each channel's rms error over its floor."""
     error = rms_errors(problem, predicted)
     return float(np.sqrt(np.mean([(error[c] / floor[c]) ** 2 for c in error])))

@@ -12,7 +12,7 @@ from calibration.discrepancy import report
 from calibration.discrepancy.close_loop import LoopOutcome, choose_held_out, conclude
 from calibration.discrepancy.selection import directions
 from calibration.inference.gauss_newton import fit
-from calibration.inference.problem import Problem
+from calibration.inference.problem import AbstractProblem, TankProblem
 from calibration.inference.uncertainty import halves, interval
 from calibration.measurements.records import Record
 from calibration.model.extended import BASE, base_values, base_vector, candidates, parameters
@@ -63,10 +63,11 @@ def summary(outcome: LoopOutcome, truth: Mapping[str, float]) -> dict[str, Any]:
     }
 
 
-@dataclass(frozen=True)
-class Linear(Problem):
+@dataclass(frozen=True, kw_only=True)
+class Linear(AbstractProblem):
     """Readings that are linear about a vector: thousands of fits for the price of one."""
 
+    tank: TankProblem
     about: np.ndarray = field(default_factory=lambda: np.zeros(0))
     there: tuple[np.ndarray, ...] = ()
     slopes: tuple[np.ndarray, ...] = ()
@@ -80,6 +81,9 @@ class Linear(Problem):
 
     def _secants(self, theta, others):
         return self._tangents(theta, np.stack(others) - theta)
+
+    def spans(self):
+        return self.tank.spans()
 
 
 def replicates(seed: int, progress) -> dict[str, Any]:
@@ -103,11 +107,14 @@ def replicates(seed: int, progress) -> dict[str, Any]:
     for replicate in range(REPLICATES):
         found = noisy(tank, true, 1000 * seed + replicate)
 
-        def linear(chosen: list[Record]) -> Problem:
-            of = Linear.of(tank.experiment, list(chosen), names)
+        def linear(chosen: list[Record]) -> AbstractProblem:
+            laid = TankProblem.of(tank.experiment, list(chosen), names)
             index = [parts[r.trial.file] for r in chosen]
-            return replace(
-                of,
+            return Linear(
+                records=laid.records,
+                channels=laid.channels,
+                noise=laid.noise,
+                tank=laid,
                 about=best.theta,
                 there=tuple(best.predicted[i] for i in index),
                 slopes=tuple(slopes[i] for i in index),

@@ -26,7 +26,7 @@ from calibration.discrepancy.rounds import groups, scored
 from calibration.discrepancy.scores import drop, solve
 from calibration.discrepancy.selection import directions
 from calibration.inference.gauss_newton import Fit, fit, inverse
-from calibration.inference.problem import Problem, summed
+from calibration.inference.problem import AbstractProblem, summed
 from calibration.model.extended import Parameter
 from slider_jax.channels import CHANNELS
 
@@ -45,8 +45,8 @@ class Said(NamedTuple):
 class Start(NamedTuple):
     """What all ways are given."""
 
-    problem: Problem
-    rest: Problem
+    problem: AbstractProblem
+    rest: AbstractProblem
     """The trials that were held out."""
     entries: Sequence[Parameter]
     base: Fit
@@ -55,7 +55,9 @@ class Start(NamedTuple):
     everything: list[np.ndarray]
 
 
-def begin(problem: Problem, rest: Problem, entries: Sequence[Parameter], base: Fit) -> Start:
+def begin(
+    problem: AbstractProblem, rest: AbstractProblem, entries: Sequence[Parameter], base: Fit
+) -> Start:
     """The calibrated model's residuals and tangents along everything."""
     white = problem.whiteners(base.predicted)
     everything = directions(problem, entries, base.theta, base.free)
@@ -173,7 +175,7 @@ def stepwise(s: Start) -> Said:
     return Said(names, s.rest.predict(current.theta))
 
 
-def _features(problem: Problem, predicted: Sequence[np.ndarray]) -> list[np.ndarray]:
+def _features(problem: AbstractProblem, predicted: Sequence[np.ndarray]) -> list[np.ndarray]:
     """(samples, 12) of every trial: model's readings and their rates, time in stride, settings."""
     found = []
     for r, y in zip(problem.records, predicted, strict=True):

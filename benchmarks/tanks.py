@@ -14,7 +14,7 @@ import numpy as np
 
 from calibration.discrepancy.close_loop import LoopOutcome, choose_held_out, conclude
 from calibration.experiment_design.detectability import detectability_matrix
-from calibration.inference.problem import Problem
+from calibration.inference.problem import TankProblem
 from calibration.measurements.records import Record
 from calibration.measurements.synthetic import (
     ROBOT,
@@ -121,8 +121,8 @@ def noisy(tank: Tank, true: Sequence[np.ndarray], seed: int) -> list[Record]:
 def problem_of(tank: Tank, names: Sequence[str], memo=None):
     """How `conclude` lays out records of the tank."""
 
-    def made(chosen: Sequence[Record]) -> Problem:
-        laid = Problem.of(tank.experiment, list(chosen), tuple(names), fine=FINE, coarse=COARSE)
+    def made(chosen: Sequence[Record]) -> TankProblem:
+        laid = TankProblem.of(tank.experiment, list(chosen), tuple(names), fine=FINE, coarse=COARSE)
         return replace(laid, memo=memo)
 
     return made

@@ -13,7 +13,7 @@ from calibration.discrepancy.verdict import NAMED, decide
 from calibration.inference.cache import Memo
 from calibration.inference.gauss_newton import Fit, fit
 from calibration.inference.goodness import Excess, excess, floors, rms_errors
-from calibration.inference.problem import Problem
+from calibration.inference.problem import AbstractProblem, TankProblem
 from calibration.inference.uncertainty import halves, interval
 from calibration.measurements.findings import Finding
 from calibration.measurements.records import Record
@@ -50,7 +50,7 @@ class LoopOutcome:
     search: Selection
     final: Fit
     """The chosen model, refitted to all trials."""
-    problem: Problem
+    problem: AbstractProblem
     """All trials."""
     used: Errors
     held_out: Errors | None
@@ -115,8 +115,8 @@ def close_loop(
     `InputError` where fewer than `LEAST_TRIALS` trials can be used.
     """
 
-    def problem_of(chosen: Sequence[Record]) -> Problem:
-        problem = Problem.of(experiment, list(chosen), names, fine=fine, coarse=coarse)
+    def problem_of(chosen: Sequence[Record]) -> AbstractProblem:
+        problem = TankProblem.of(experiment, list(chosen), names, fine=fine, coarse=coarse)
         return replace(problem, memo=memo)
 
     names = tuple(candidates() if effects is None else effects)
@@ -155,7 +155,7 @@ def conclude(
     names: Sequence[str],
     found: Sequence[Record],
     held: list[int],
-    problem_of: Callable[[Sequence[Record]], Problem],
+    problem_of: Callable[[Sequence[Record]], AbstractProblem],
     base: dict[str, float],
     base_names: Sequence[str],
     progress: Callable[[str], None],
@@ -198,5 +198,5 @@ def conclude(
     )
 
 
-def _errors(problem: Problem, before: list[np.ndarray], after: list[np.ndarray]) -> Errors:
+def _errors(problem: AbstractProblem, before: list[np.ndarray], after: list[np.ndarray]) -> Errors:
     return Errors(rms_errors(problem, before), rms_errors(problem, after), floors(problem, after))

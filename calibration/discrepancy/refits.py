@@ -8,7 +8,7 @@ import numpy as np
 from calibration.discrepancy.rounds import LEAST_GAIN, groups, shares, worth_naming
 from calibration.inference.gauss_newton import Fit, fit, inverse
 from calibration.inference.noise import Whitener
-from calibration.inference.problem import FAILED, Problem, summed
+from calibration.inference.problem import FAILED, AbstractProblem, summed
 from calibration.model.extended import Parameter
 
 HALVINGS = 4
@@ -38,7 +38,7 @@ def begun(
 class Refits:
     """What all fits of a search share, so that their sums of squares compare."""
 
-    problem: Problem
+    problem: AbstractProblem
     entries: Sequence[Parameter]
     white: dict[tuple[int, str], Whitener]
     progress: Callable[[str], None]

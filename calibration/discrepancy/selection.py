@@ -30,7 +30,7 @@ from calibration.discrepancy.rounds import (
 )
 from calibration.discrepancy.scores import Score, score
 from calibration.inference.gauss_newton import Fit, fit
-from calibration.inference.problem import Problem
+from calibration.inference.problem import AbstractProblem
 from calibration.model.extended import BASE, Parameter
 from slider_jax.channels import CHANNELS, row_of
 from slider_jax.effects.library import LIBRARY
@@ -52,7 +52,9 @@ SWAPS = 2
 """Times that a rival takes the place of what was chosen, at most."""
 
 
-def directions(problem: Problem, entries: Sequence[Parameter], theta: np.ndarray, free: np.ndarray):
+def directions(
+    problem: AbstractProblem, entries: Sequence[Parameter], theta: np.ndarray, free: np.ndarray
+):
     """What each parameter does to each trial (parameters, 5, samples), per unit.
 
     Tangents at `theta`; of a parameter with a start that is at its null, the change up to there,
@@ -86,7 +88,7 @@ def directions(problem: Problem, entries: Sequence[Parameter], theta: np.ndarray
 
 
 def search(
-    problem: Problem,
+    problem: AbstractProblem,
     entries: Sequence[Parameter],
     theta: np.ndarray,
     progress: Callable[[str], None] = lambda text: None,
@@ -149,7 +151,7 @@ def _take_out_needless(refits: Refits, found: Selection, by: SelectionStep) -> N
         this.chosen, this.alike, this.taken_out = None, [], name
 
 
-def _could_be_named(problem: Problem, current: Fit, everything, step: np.ndarray) -> bool:
+def _could_be_named(problem: AbstractProblem, current: Fit, everything, step: np.ndarray) -> bool:
     """Whether a score's step changes some channel by nearly what is worth naming."""
     there = [
         y + np.tensordot(step, x, 1) for y, x in zip(current.predicted, everything, strict=True)

@@ -32,7 +32,7 @@ from calibration.experiment_design.trial_search import (
 )
 from calibration.inference.gauss_newton import inverse
 from calibration.inference.goodness import FLOOR
-from calibration.inference.problem import summed
+from calibration.inference.problem import TankProblem, summed
 from calibration.inference.uncertainty import EFFECT, SYSTEMATIC
 from calibration.measurements.records import Record
 from slider_jax.errors import InputError, SolverError
@@ -91,6 +91,7 @@ def _prediction(
     outcome: LoopOutcome, theta: np.ndarray, chosen: np.ndarray, other: np.ndarray | None = None
 ) -> TrialInformation:
     names, problem = tuple(groups(outcome.entries)), outcome.problem
+    assert isinstance(problem, TankProblem)
     sensing = SensorModel.of(outcome.experiment, _searched(outcome))
     return TrialInformation(
         outcome.experiment, names, theta, chosen, sensing, {}, problem.mesh, problem.memo, other

@@ -13,7 +13,7 @@ import numpy as np
 
 from calibration.inference.gauss_newton import Fit, inverse
 from calibration.inference.noise import Noise, Whitener
-from calibration.inference.problem import Problem
+from calibration.inference.problem import AbstractProblem
 from calibration.inference.uncertainty import by_variation, determined, interval, share_of
 from calibration.model.extended import Parameter
 from calibration.model.initial_swing import declared_spans
@@ -55,13 +55,13 @@ class Known(NamedTuple):
     to one of the channel's."""
 
     @classmethod
-    def of(cls, problem: Problem, fit: Fit) -> "Known":
+    def of(cls, problem: AbstractProblem, fit: Fit) -> "Known":
         """From the trials that were fitted: their information at their own noise, and sensors."""
         A = np.sum([x.A for x in fit.blocks], axis=0) / fit.inflation
         return cls(A, fit.free, {c: x for c in problem.channels if (x := _sensor(problem, c))})
 
 
-def _sensor(problem: Problem, channel: str) -> tuple[Noise, int] | None:
+def _sensor(problem: AbstractProblem, channel: str) -> tuple[Noise, int] | None:
     """The channel's median noise, and one in how many samples it has."""
     found = [x for (_, name), x in problem.noise.items() if name == channel]
     if not found:
@@ -170,7 +170,7 @@ def _information(experiment, trial, effects, theta, known: Known, resolution) ->
 def advise(
     experiment: Experiment,
     entries: Sequence[Parameter],
-    problem: Problem,
+    problem: AbstractProblem,
     fit: Fit,
     resolution: Resolution = COARSE,
     progress: Callable[[str], None] = lambda text: None,

@@ -15,7 +15,7 @@ from calibration.experiment_design.parameter_trial import (
 from calibration.inference.gauss_newton import Fit, fit
 from calibration.inference.goodness import FLOOR, excess, floors, rms_errors
 from calibration.inference.lbfgs import descend
-from calibration.inference.problem import Problem
+from calibration.inference.problem import TankProblem
 from calibration.inference.uncertainty import correlations, halves
 from calibration.measurements.findings import Finding
 from calibration.measurements.records import Record
@@ -38,7 +38,7 @@ class Identified(NamedTuple):
 
     experiment: Experiment
     entries: list[Parameter]
-    problem: Problem
+    problem: TankProblem
     before: list[np.ndarray]
     """Readings (5, samples) of every trial with the experiment's own numbers."""
     fit: Fit
@@ -83,9 +83,9 @@ def identify(
     refuse_unknown(effects, channels, method)
     entries = parameters(tuple(effects))
 
-    def problem_of(chosen: Sequence[Record]) -> Problem:
+    def problem_of(chosen: Sequence[Record]) -> TankProblem:
         names, seen = tuple(effects), tuple(channels)
-        return Problem.of(experiment, list(chosen), names, seen, fine, coarse)
+        return TankProblem.of(experiment, list(chosen), names, seen, fine, coarse)
 
     base = base_vector(entries, base_values(experiment))
     begun = base.copy()
@@ -107,7 +107,7 @@ def identify(
     return Identified(*found, doubt(problem, best))
 
 
-def doubt(problem: Problem, fit: Fit) -> str:
+def doubt(problem: TankProblem, fit: Fit) -> str:
     """What to know of a fit that does not explain its data; nothing of one that does."""
     left = {c: x.all for c, x in excess(problem, fit).items() if x.all > FLOOR}
     if not left:

@@ -18,7 +18,7 @@ from calibration.experiment_design.parameter_trial import Known, Proposal, best_
 from calibration.identification import parameter_ties as layouts
 from calibration.identification.parameter_ties import CONSTANT, EACH, PAPER, RAMP, ParameterTies
 from calibration.inference.gauss_newton import Fit, fit, inverse
-from calibration.inference.problem import FAILED, Problem, summed
+from calibration.inference.problem import FAILED, TankProblem, summed
 from calibration.inference.uncertainty import by_variation, determined, halves, interval
 from calibration.model.extended import Parameter
 from calibration.model.predict import COARSE, Resolution
@@ -44,7 +44,7 @@ class ByFrequency(NamedTuple):
     experiment: Experiment
     entries: list[Parameter]
     """Of one trial."""
-    problem: Problem
+    problem: TankProblem
     """Without maps."""
     frequencies: np.ndarray
     """(frequencies,) [Hz]"""
@@ -65,7 +65,7 @@ class ByFrequency(NamedTuple):
 def compare(
     experiment: Experiment,
     entries: list[Parameter],
-    problem: Problem,
+    problem: TankProblem,
     begin: Fit,
     each: Sequence[str] = layouts.FOLLOWS,
     progress: Callable[[str], None] = lambda text: None,
@@ -140,7 +140,7 @@ def _advice(found: ByFrequency, coarse: Resolution) -> dict[int, Proposal]:
     return result
 
 
-def _left_out(laid: Problem, plan: ParameterTies, found: Fit, at, place, white) -> np.ndarray:
+def _left_out(laid: TankProblem, plan: ParameterTies, found: Fit, at, place, white) -> np.ndarray:
     thetas: list[np.ndarray] = [found.theta] * len(place)
     for g in range(len(at)):
         x = _without(plan, found, at, g, place)

@@ -15,7 +15,7 @@ import optimistix as optx
 
 from calibration.inference.bounds import Bounds
 from calibration.inference.noise import Whitener
-from calibration.inference.problem import ChannelBlock, Problem, summed, total
+from calibration.inference.problem import AbstractProblem, ChannelBlock, summed, total
 from calibration.model.extended import Parameter
 
 ITERATIONS = 24
@@ -74,7 +74,7 @@ def inverse(A: np.ndarray) -> np.ndarray:
 
 
 def fit(
-    problem: Problem,
+    problem: AbstractProblem,
     entries: Sequence[Parameter],
     theta: np.ndarray,
     free: np.ndarray,

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calibration.inference.gauss_newton import Fit
-from calibration.inference.problem import Problem
+from calibration.inference.problem import AbstractProblem
 from slider_jax.channels import CHANNELS, row_of
 
 FLOOR = 1.5
@@ -21,7 +21,7 @@ class Excess(NamedTuple):
     all: float
 
 
-def excess(problem: Problem, fit: Fit) -> dict[str, Excess]:
+def excess(problem: AbstractProblem, fit: Fit) -> dict[str, Excess]:
     """How far the residual of a fit stands above the noise, channel by channel; 1 is the floor."""
     white = problem.whiteners(fit.predicted)
     residuals = problem.residuals(fit.predicted, white)
@@ -36,7 +36,7 @@ def excess(problem: Problem, fit: Fit) -> dict[str, Excess]:
     return found
 
 
-def rms_errors(problem: Problem, predicted: list[np.ndarray]) -> dict[str, float]:
+def rms_errors(problem: AbstractProblem, predicted: list[np.ndarray]) -> dict[str, float]:
     """rms of measured less predicted of every channel, in its unit, all trials together."""
     found = {}
     for channel in problem.channels:
@@ -51,7 +51,7 @@ def rms_errors(problem: Problem, predicted: list[np.ndarray]) -> dict[str, float
     return found
 
 
-def floors(problem: Problem, predicted: list[np.ndarray]) -> dict[str, float]:
+def floors(problem: AbstractProblem, predicted: list[np.ndarray]) -> dict[str, float]:
     """The rms that noise, tare and the difference of correct programs leave in every channel."""
     found = {}
     for channel in problem.channels:

@@ -18,7 +18,7 @@ import optax
 from calibration.inference.bounds import Bounds
 from calibration.inference.gauss_newton import Fit, inverse
 from calibration.inference.noise import Whitener
-from calibration.inference.problem import ChannelBlock, Problem, summed, total
+from calibration.inference.problem import AbstractProblem, ChannelBlock, summed, total
 from calibration.model.extended import Parameter
 
 ITERATIONS = 60
@@ -39,7 +39,7 @@ LONGEST = 2.0
 
 
 def descend(
-    problem: Problem,
+    problem: AbstractProblem,
     entries: Sequence[Parameter],
     theta: np.ndarray,
     free: np.ndarray,

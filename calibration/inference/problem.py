@@ -1,17 +1,18 @@
-"""What the data say of a parameter vector: white residuals and tangents, as small matrices.
+"""Fitting problems: simulated trials, whitened residuals and their normal equations.
 
-Of every trial and channel, with the white residual r and tangents J (parameters, m):
+For every trial and channel, with the whitened residual r and tangents J (parameters, m):
 
     A = J J^T,    b = J r,    c = r.r,    n samples
 
-Least squares, scores, left-out trials and classes of effects all follow from sums of these, so that
-simulation is done once for each vector and never again for a question asked of it.
+Least squares, scores, cross-validation and equivalence classes need only sums of these matrices.
+Each parameter vector is therefore simulated once.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, final
 
 import numpy as np
 
@@ -35,20 +36,20 @@ from slider_jax.experiment.load import Experiment
 
 
 class Swing(NamedTuple):
-    """The swing with which trials begin."""
+    """Initial swing of the trials."""
 
     size: float
     """Standard deviation at the tip [m]."""
     theta: np.ndarray
-    """Where what it does to the channels is taken."""
+    """Parameters at which its effect on the channels is simulated."""
 
 
 FAILED = 1e12
-"""Sum of squares of a channel whose simulation failed: worse than any that did not."""
+"""Sum of squares of a channel whose simulation failed; larger than that of any other."""
 
 
 class ChannelBlock(NamedTuple):
-    """One trial and channel at one vector."""
+    """Normal equations of one trial and channel at one parameter vector."""
 
     trial: int
     channel: str
@@ -59,12 +60,12 @@ class ChannelBlock(NamedTuple):
 
 
 def summed(blocks: Sequence[ChannelBlock]) -> tuple[np.ndarray, np.ndarray]:
-    """A and b of all blocks."""
+    """Returns the sums of A and b over all blocks."""
     return np.sum([x.A for x in blocks], axis=0), np.sum([x.b for x in blocks], axis=0)
 
 
 class Affine(NamedTuple):
-    """How a vector x makes the parameters of one trial: offset + matrix x."""
+    """Parameters of one trial as an affine function of a vector x: offset + matrix x."""
 
     offset: np.ndarray
     """(parameters,)"""
@@ -75,24 +76,112 @@ class Affine(NamedTuple):
         return self.offset + self.matrix @ x
 
 
-@dataclass(frozen=True)
-class Problem:
-    """Measured trials and the plans to predict them.
-
-    With `maps`, one a trial, the vector that is fitted makes every trial's own parameters; without,
-    it is all trials' alike.
-    """
+@dataclass(frozen=True, kw_only=True)
+class AbstractProblem(ABC):
+    """Measured trials and a simulator of their readings."""
 
     records: list[Record]
-    fine: list[TrialPlan]
-    coarse: list[TrialPlan]
     channels: tuple[str, ...]
     noise: dict[tuple[int, str], Noise]
-    mesh: Resolution = COARSE
-    """Of the tangents."""
-    maps: tuple[Affine, ...] | None = None
     memo: Memo | None = None
-    """Keeps what was simulated."""
+    """Cache of simulated readings."""
+
+    @abstractmethod
+    def _predict(self, theta: np.ndarray) -> list[np.ndarray]: ...
+
+    @abstractmethod
+    def _tangents(self, theta: np.ndarray, directions: np.ndarray) -> list[np.ndarray]: ...
+
+    @abstractmethod
+    def _secants(self, theta: np.ndarray, others: Sequence[np.ndarray]) -> list[np.ndarray]: ...
+
+    @abstractmethod
+    def spans(self) -> list[np.ndarray] | None:
+        """Returns the change of every trial's readings by the initial swing.
+
+        Shape (2, channels, samples) for every trial; None if the trials start at rest.
+        """
+
+    def predict(self, theta: np.ndarray) -> list[np.ndarray]:
+        """Returns the readings (channels, samples) of every trial."""
+        return self._cached("predict", [theta], lambda: self._predict(theta))
+
+    def tangents(self, theta: np.ndarray, directions: np.ndarray) -> list[np.ndarray]:
+        """Returns the derivatives (k, channels, samples) of every trial along k `directions`."""
+        return self._cached(
+            "tangents", [theta, directions], lambda: self._tangents(theta, directions)
+        )
+
+    def secants(self, theta: np.ndarray, others: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Returns the changes (k, channels, samples) of every trial from `theta` to k `others`."""
+        return self._cached("secants", [theta, *others], lambda: self._secants(theta, others))
+
+    def _cached(self, kind: str, arrays: Sequence[np.ndarray], make) -> list[np.ndarray]:
+        if self.memo is None:
+            return make()
+        return self.memo.kept(f"{kind} {[r.trial.file for r in self.records]}", arrays, make)
+
+    def whiteners(self, predicted: list[np.ndarray]) -> dict[tuple[int, str], Whitener]:
+        """Returns the whitener of every trial and channel.
+
+        Noise that is a share of the signal is taken from the `predicted` signal.
+        """
+        swing = self.spans()
+
+        def one(key):
+            i, channel = key
+            r = self.records[i]
+            there = r.there(channel)
+            row = row_of(channel)
+            model = np.nan_to_num(predicted[i][row][there])
+            swings = None if swing is None else swing[i][:, row, there]
+            return key, Whitener(
+                r.t[there], self.noise[key], model, channel, r.trial.frequency, swings
+            )
+
+        return dict(on_all_cores(one, list(self.noise)))
+
+    def residuals(
+        self, predicted: list[np.ndarray], white: dict[tuple[int, str], Whitener]
+    ) -> dict[tuple[int, str], np.ndarray]:
+        """Returns the whitened residuals, measured less predicted, of every trial and channel."""
+        found = {}
+        for key, whiten in white.items():
+            i, channel = key
+            row, there = row_of(channel), self.records[i].there(channel)
+            found[key] = whiten((self.records[i].values[row] - predicted[i][row])[there])[0]
+        return found
+
+    def blocks(
+        self,
+        residuals: dict[tuple[int, str], np.ndarray],
+        derivatives: list[np.ndarray],
+        white: dict[tuple[int, str], Whitener],
+    ) -> list[ChannelBlock]:
+        """Returns the matrices of every trial and channel."""
+        found = []
+        for key, r in residuals.items():
+            i, channel = key
+            there = self.records[i].there(channel)
+            J = white[key](derivatives[i][:, row_of(channel), there])
+            found.append(ChannelBlock(i, channel, J @ J.T, J @ r, float(r @ r), len(r)))
+        return found
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class TankProblem(AbstractProblem):
+    """Trials of the robot in the tank, with the plans to simulate them.
+
+    With `maps`, one for each trial, the fitted vector determines each trial's own parameters.
+    Without, the vector holds the parameters of all trials.
+    """
+
+    fine: list[TrialPlan]
+    coarse: list[TrialPlan]
+    mesh: Resolution = COARSE
+    """Resolution of the tangents."""
+    maps: tuple[Affine, ...] | None = None
     swing: Swing | None = None
 
     @classmethod
@@ -104,10 +193,10 @@ class Problem:
         channels: tuple[str, ...] | None = None,
         fine: Resolution = FINE,
         coarse: Resolution = COARSE,
-    ) -> "Problem":
-        """Lay out `records` of an experiment for the extended model with `effects`.
+    ) -> "TankProblem":
+        """Returns the problem of an experiment's `records` for the extended model with `effects`.
 
-        `channels` are those that are fitted, by default all.
+        `channels` are the fitted channels (default: all).
         """
         channels = tuple(CHANNELS) if channels is None else channels
         plans = [
@@ -123,44 +212,35 @@ class Problem:
         swing, size = None, experiment.sensors.start_swing
         if size > 0.0:
             swing = Swing(size, base_vector(parameters(effects), base_values(experiment)))
-        return cls(records, plans[0], plans[1], channels, noise, coarse, swing=swing)
+        return cls(
+            records=records,
+            channels=channels,
+            noise=noise,
+            fine=plans[0],
+            coarse=plans[1],
+            mesh=coarse,
+            swing=swing,
+        )
+
+    def spans(self) -> list[np.ndarray] | None:
+        return self._spans
 
     @cached_property
-    def spans(self) -> list[np.ndarray] | None:
-        """Change of the readings (2, channels, samples) of every trial by the initial swing."""
+    def _spans(self) -> list[np.ndarray] | None:
         swing = self.swing
         if swing is None:
             return None
-        return self._kept(
+        return self._cached(
             f"swing {swing.size}",
             [swing.theta],
             lambda: on_all_cores(lambda p: spans(p, swing.theta, swing.size), self.coarse),
         )
 
-    def predict(self, theta: np.ndarray) -> list[np.ndarray]:
-        """Readings (channels, samples) of every trial."""
-        return self._kept("predict", [theta], lambda: self._predict(theta))
-
-    def tangents(self, theta: np.ndarray, directions: np.ndarray) -> list[np.ndarray]:
-        """Derivatives (k, channels, samples) of every trial."""
-        return self._kept(
-            "tangents", [theta, directions], lambda: self._tangents(theta, directions)
-        )
-
-    def secants(self, theta: np.ndarray, others: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Changes (k, channels, samples) of every trial from `theta` to each of k `others`."""
-        return self._kept("secants", [theta, *others], lambda: self._secants(theta, others))
-
-    def _kept(self, what: str, arrays: Sequence[np.ndarray], make) -> list[np.ndarray]:
-        if self.memo is None:
-            return make()
-        return self.memo.kept(f"{what} {[r.trial.file for r in self.records]}", arrays, make)
-
     def _predict(self, theta: np.ndarray) -> list[np.ndarray]:
         return self.predict_each(self._own(theta))
 
     def predict_each(self, thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Readings (channels, samples) of every trial at its own parameters."""
+        """Returns the readings (channels, samples) of every trial at its own parameters."""
         pairs = list(zip(self.fine, thetas, strict=True))
         return on_all_cores(lambda pair: predict(*pair), pairs)
 
@@ -192,52 +272,8 @@ class Problem:
         """Every trial's own parameters."""
         return [theta] * len(self.fine) if self.maps is None else [m.at(theta) for m in self.maps]
 
-    def whiteners(self, predicted: list[np.ndarray]) -> dict[tuple[int, str], Whitener]:
-        """Of every trial and channel; what is a share of the signal is of the `predicted` one."""
-
-        swing = self.spans
-
-        def one(key):
-            i, channel = key
-            r = self.records[i]
-            there = r.there(channel)
-            row = row_of(channel)
-            model = np.nan_to_num(predicted[i][row][there])
-            swings = None if swing is None else swing[i][:, row, there]
-            return key, Whitener(
-                r.t[there], self.noise[key], model, channel, r.trial.frequency, swings
-            )
-
-        return dict(on_all_cores(one, list(self.noise)))
-
-    def residuals(
-        self, predicted: list[np.ndarray], white: dict[tuple[int, str], Whitener]
-    ) -> dict[tuple[int, str], np.ndarray]:
-        """White residuals, measured less predicted, of every trial and channel."""
-        found = {}
-        for key, whiten in white.items():
-            i, channel = key
-            row, there = row_of(channel), self.records[i].there(channel)
-            found[key] = whiten((self.records[i].values[row] - predicted[i][row])[there])[0]
-        return found
-
-    def blocks(
-        self,
-        residuals: dict[tuple[int, str], np.ndarray],
-        derivatives: list[np.ndarray],
-        white: dict[tuple[int, str], Whitener],
-    ) -> list[ChannelBlock]:
-        """The matrices of every trial and channel."""
-        found = []
-        for key, r in residuals.items():
-            i, channel = key
-            there = self.records[i].there(channel)
-            J = white[key](derivatives[i][:, row_of(channel), there])
-            found.append(ChannelBlock(i, channel, J @ J.T, J @ r, float(r @ r), len(r)))
-        return found
-
 
 def total(residuals: dict[tuple[int, str], np.ndarray]) -> float:
-    """Sum of squares of all white residuals; failed ones count as `FAILED`."""
+    """Returns the sum of squares of all whitened residuals; failed channels count as `FAILED`."""
     parts = [float(r @ r) for r in residuals.values()]
     return sum(x if np.isfinite(x) else FAILED for x in parts)

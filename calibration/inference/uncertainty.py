@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from calibration.inference.gauss_newton import Fit, inverse
-from calibration.inference.problem import Problem, summed
+from calibration.inference.problem import AbstractProblem, summed
 from calibration.model.extended import Parameter
 from slider_jax.channels import BUILT_IN, CHANNELS
 
@@ -39,7 +39,7 @@ def interval(fit: Fit, entries: Sequence[Parameter], index: int) -> tuple[float,
     return value, value - 1.96 * error, value + 1.96 * error
 
 
-def halves(problem: Problem, fit: Fit) -> Fit:
+def halves(problem: AbstractProblem, fit: Fit) -> Fit:
     """The fit with `apart` and `widening`: halves are the forces' means over a trial, and the rest.
 
     The tares are freed, and one linear step is taken. By Hausman's test the step has the variance
@@ -67,7 +67,9 @@ def halves(problem: Problem, fit: Fit) -> Fit:
     return fit._replace(apart=np.where(beyond, step, 0.0), widening=np.where(beyond, ratio, 1.0))
 
 
-def _normal(problem: Problem, fit: Fit, along: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def _normal(
+    problem: AbstractProblem, fit: Fit, along: list[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
     white = problem.whiteners(fit.predicted)
     return summed(problem.blocks(problem.residuals(fit.predicted, white), along, white))
 

@@ -5,11 +5,17 @@ from dataclasses import replace
 
 from calibration.discrepancy.close_loop import LEAST_TRIALS, LoopOutcome, conclude
 from calibration.inference.cache import Memo
-from calibration.inference.problem import Problem
+from calibration.inference.problem import AbstractProblem
 from calibration.measurements.records import Record
 from calibration.model.extended import base_values
 from calibration.pressure_logs.audit import audit_logs
-from calibration.pressure_logs.problem import FREE, LogProblem, built_in, log_candidates, log_record
+from calibration.pressure_logs.problem import (
+    FREE,
+    PressureLogProblem,
+    built_in,
+    log_candidates,
+    log_record,
+)
 from calibration.pressure_logs.read import ManifoldLog
 from slider_jax.errors import InputError
 
@@ -35,10 +41,10 @@ def close_loop_on_logs(
     experiment = built_in(logs[0], None, {})
     found = [log_record(log, built_in(log, None, {})) for log in logs]
 
-    def problem_of(chosen: Sequence[Record]) -> Problem:
+    def problem_of(chosen: Sequence[Record]) -> AbstractProblem:
         used = {id(r) for r in chosen}
         picked = [log for log, r in zip(logs, found, strict=True) if id(r) in used]
-        return replace(LogProblem.of_logs(picked, names), memo=memo)
+        return replace(PressureLogProblem.of_logs(picked, names), memo=memo)
 
     base = base_values(experiment)
     held = list(range(1, len(logs), 2))

@@ -6,6 +6,7 @@ Every log runs freely from its first measured sample and sees only the command a
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import final
 
 import equinox as eqx
 import jax
@@ -14,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from calibration.inference.noise import declared
-from calibration.inference.problem import Problem
+from calibration.inference.problem import AbstractProblem
 from calibration.measurements.records import Record
 from calibration.model.extended import Extended, candidates, parameters
 from calibration.model.predict import DIRECTIONS
@@ -86,17 +87,18 @@ class LogDrive(eqx.Module):
     start: Float[Array, " logs"]
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
-class LogProblem(Problem):
-    """A `Problem` of logs. The library's effects that are at their null are left out of a run."""
+class PressureLogProblem(AbstractProblem):
+    """Pressure logs as trials. A simulation omits the effects that are at their null."""
 
     logs: list[ManifoldLog]
     base: Extended
     drive: LogDrive
 
     @classmethod
-    def of_logs(cls, logs: Sequence[ManifoldLog], names: Sequence[str]) -> "LogProblem":
-        """Lay out logs for the extended model with the effects `names`."""
+    def of_logs(cls, logs: Sequence[ManifoldLog], names: Sequence[str]) -> "PressureLogProblem":
+        """Returns the problem of logs for the extended model with the effects `names`."""
         experiments = [built_in(log, None, {}) for log in logs]
         found = [log_record(log, x) for log, x in zip(logs, experiments, strict=True)]
         row = row_of(CHANNEL)
@@ -115,7 +117,17 @@ class LogProblem(Problem):
         trial = experiments[0].trials[0]
         taken = {n: jnp.asarray(x) for n, x in conditions(experiments[0], trial).items()}
         base = Extended(to_model(experiments[0], trial), taken, tuple(names))
-        return cls(found, [], [], (CHANNEL,), noise, logs=list(logs), base=base, drive=drive)
+        return cls(
+            records=found,
+            channels=(CHANNEL,),
+            noise=noise,
+            logs=list(logs),
+            base=base,
+            drive=drive,
+        )
+
+    def spans(self) -> None:
+        """Returns None: a log has no initial swing."""
 
     def _predict(self, theta: np.ndarray) -> list[np.ndarray]:
         moved = self._moved(theta)

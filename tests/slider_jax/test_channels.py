@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calibration.inference.noise import declared
-from calibration.inference.problem import Problem
+from calibration.inference.problem import TankProblem
 from calibration.measurements.records import records
 from calibration.model.predict import Resolution, plan, predict
 from slider_jax.channels import BUILT_IN, CHANNELS, columns, register, row_of
@@ -78,7 +78,7 @@ def test_a_channel_outside_the_package_is_simulated_read_and_fitted(marked):
     off = predicted[row_of("marker")] - run.columns["marker_m"]
     assert np.abs(off).max() < 0.1 * np.ptp(run.columns["marker_m"])
 
-    problem = Problem.of(experiment, found, (), fine=resolution, coarse=resolution)
+    problem = TankProblem.of(experiment, found, (), fine=resolution, coarse=resolution)
     assert problem.channels == (*BUILT_IN, "marker")
     residuals = problem.residuals([predicted], problem.whiteners([predicted]))
     assert np.isfinite(residuals[0, "marker"]).all() and residuals[0, "marker"].any()

@@ -7,7 +7,7 @@ import numpy as np
 
 from calibration.experiment_design import parameter_trial as design
 from calibration.inference import problem as evidence
-from calibration.inference.problem import Problem
+from calibration.inference.problem import TankProblem
 from calibration.measurements.records import Record
 from calibration.measurements.synthetic import ROBOT, START
 from calibration.model.predict import Resolution
@@ -99,4 +99,4 @@ def measured(experiment, thetas, seed):
 
 
 def problem_of(experiment, records, effects=()):
-    return Problem.of(experiment, records, effects, fine=MESH, coarse=MESH)
+    return TankProblem.of(experiment, records, effects, fine=MESH, coarse=MESH)

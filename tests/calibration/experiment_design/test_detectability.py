@@ -28,7 +28,7 @@ from calibration.experiment_design.pair_distance import pairs_of, separate
 from calibration.experiment_design.trial_search import SearchEffort, limits_of, trial_toml
 from calibration.inference.cache import Memo
 from calibration.inference.noise import Whitener
-from calibration.inference.problem import ChannelBlock, Problem
+from calibration.inference.problem import ChannelBlock, TankProblem
 from calibration.measurements.records import Record
 from calibration.model.extended import BASE, candidates
 from calibration.model.predict import Resolution, predict, tangents
@@ -80,7 +80,9 @@ def gain(still, effect, size, seed):
     f = still.information
     theta, group = f.theta.copy(), groups(f.entries)[effect]
     theta[group] += size
-    problem = Problem.of(f.experiment, measured(still, theta, seed), EFFECTS, CHANNELS, MESH, MESH)
+    problem = TankProblem.of(
+        f.experiment, measured(still, theta, seed), EFFECTS, CHANNELS, MESH, MESH
+    )
     predicted = problem.predict(f.theta)
     white = problem.whiteners(predicted)
     residuals = problem.residuals(predicted, white)

@@ -29,7 +29,7 @@ from calibration.experiment_design.next_experiment import next_experiment
 from calibration.experiment_design.trial_search import SearchEffort, limits_of
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.goodness import Excess
-from calibration.inference.problem import Problem
+from calibration.inference.problem import TankProblem
 from calibration.measurements.records import Record
 from calibration.model.extended import BASE, base_vector, parameters
 from slider_jax.channels import CHANNELS
@@ -53,9 +53,9 @@ def tank(tmp_path_factory):
         Record(trial, t, np.zeros((5, len(t))))
         for trial, t in zip(experiment.trials, samples, strict=True)
     ]
-    plans = Problem.of(experiment, empty, EFFECTS, CHANNELS, MESH, MESH)
+    plans = TankProblem.of(experiment, empty, EFFECTS, CHANNELS, MESH, MESH)
     found = [Record(r.trial, r.t, y) for r, y in zip(empty, plans.predict(theta), strict=True)]
-    return experiment, Problem.of(experiment, found, EFFECTS, CHANNELS, MESH, MESH), theta
+    return experiment, TankProblem.of(experiment, found, EFFECTS, CHANNELS, MESH, MESH), theta
 
 
 def fitted(tank, theta, free, weight=1.0):

@@ -27,9 +27,9 @@ def tank(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    of = evidence.Problem.of
+    of = evidence.TankProblem.of
     monkeypatch.setattr(
-        identify.Problem, "of", lambda e, r, n, c, fine, coarse: of(e, r, n, c, MESH, MESH)
+        identify.TankProblem, "of", lambda e, r, n, c, fine, coarse: of(e, r, n, c, MESH, MESH)
     )
 
 

@@ -61,9 +61,9 @@ def runs():
 
 @pytest.fixture
 def quick(monkeypatch):
-    of, best = evidence.Problem.of, design.best_trial
+    of, best = evidence.TankProblem.of, design.best_trial
     monkeypatch.setattr(
-        identify.Problem, "of", lambda e, r, n, c, fine, coarse: of(e, r, n, c, MESH, MESH)
+        identify.TankProblem, "of", lambda e, r, n, c, fine, coarse: of(e, r, n, c, MESH, MESH)
     )
     monkeypatch.setattr(design, "best_trial", lambda *given: best(*given[:6], MESH))
 

@@ -8,7 +8,7 @@ from calibration.identification import identify
 from calibration.inference import lbfgs as descent
 from calibration.inference.gauss_newton import fit
 from calibration.inference.lbfgs import descend
-from calibration.inference.problem import Problem
+from calibration.inference.problem import TankProblem
 from calibration.measurements.records import records
 from calibration.measurements.synthetic import START, Truth, trials, write_tank
 from calibration.model.extended import base_vector, parameters
@@ -64,7 +64,7 @@ def test_both_methods_find_the_same_optimum_of_the_beam(tmp_path):
     runs = [run | {"duration": 0.8} for run in trials(5, count=5)[2:]]
     experiment = load(write_tank(tmp_path, Truth(TRUTH, {}), runs, 0, numerics=TANK))
     entries, free = parameters(()), np.arange(4)
-    problem = Problem.of(experiment, records(experiment), (), fine=MESH, coarse=MESH)
+    problem = TankProblem.of(experiment, records(experiment), (), fine=MESH, coarse=MESH)
     begun = base_vector(entries, START)
     white = problem.whiteners(problem.predict(begun))
     one = fit(problem, entries, begun, free, white=white)

@@ -7,7 +7,7 @@ import pytest
 
 from calibration.inference.gauss_newton import fit
 from calibration.inference.noise import Noise
-from calibration.inference.problem import Problem
+from calibration.inference.problem import AbstractProblem
 from calibration.inference.uncertainty import halves, interval
 from calibration.measurements.records import Record
 from calibration.model.extended import Parameter
@@ -27,14 +27,20 @@ def force(mean, varying):
 
 
 @dataclass(frozen=True)
-class Drag(Problem):
+class Drag(AbstractProblem):
     """thrust = a (1 + 0.3 sin)."""
 
-    def predict(self, theta):
+    def _predict(self, theta):
         return [force(theta[0], theta[0])] * TRIALS
 
-    def tangents(self, theta, directions):
+    def _tangents(self, theta, directions):
         return [directions[0, 0] * force(1.0, 1.0)[None]] * TRIALS
+
+    def _secants(self, theta, others):
+        return self._tangents(theta, np.stack(others) - theta)
+
+    def spans(self):
+        return None
 
 
 def fitted(seed: int, varying: float):
@@ -49,7 +55,7 @@ def fitted(seed: int, varying: float):
         noise = rng.normal(0.0, TARE) + rng.normal(0.0, 0.05, len(T))
         found.append(Record(trial, T, np.where(shown, force(1.0, varying) + noise, np.nan)))
     noise = {(i, "thrust"): Noise(0.05, tare=TARE) for i in range(TRIALS)}
-    problem = Drag(found, [], [], ("thrust",), noise)
+    problem = Drag(records=found, channels=("thrust",), noise=noise)
     return halves(problem, fit(problem, ENTRIES, np.array([1.0]), np.arange(1)))
 
 

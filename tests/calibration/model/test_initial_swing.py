@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from calibration.inference.noise import Noise, Whitener, declared
-from calibration.inference.problem import Problem
+from calibration.inference.problem import TankProblem
 from calibration.measurements.records import Record
 from calibration.model.initial_swing import first_mode, spans
 from calibration.model.predict import Resolution, plan, predict
@@ -88,7 +88,7 @@ def test_a_trial_that_began_swinging_is_explained_once_that_is_declared(
     tip = begun(p, 8e-4, -4e-3)
     moved[4] = np.interp(p.at, p.step_times, tip) + 5e-5 * rng.normal(size=len(p.at))
     record = Record(experiment.trials[0], p.at, moved)
-    problem = Problem.of(experiment, [record], (), ("tip",), MESH, MESH)
+    problem = TankProblem.of(experiment, [record], (), ("tip",), MESH, MESH)
     white = problem.whiteners(problem.predict(THETA))
     (r,) = problem.residuals(problem.predict(THETA), white).values()
     assert least < np.mean(r**2) < most
