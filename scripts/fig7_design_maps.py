@@ -1,9 +1,9 @@
-"""The paper's design maps (its Fig. 7): steady speed over a tail's length and stiffness or phase.
+"""The paper's design maps (Fig. 7): steady speed over the tail's length and stiffness or phase.
 
     python scripts/fig7_design_maps.py results/fig7
 
-writes fig7.png, fig7.txt with the paper's findings beside what the maps say of them, and fig7.json
-with all numbers. A run that was stopped goes on when its command is given again.
+writes fig7.png, fig7.txt (checks of the paper's statements) and fig7.json (all numbers). An
+interrupted run resumes when you repeat the command.
 """
 
 import argparse
@@ -32,16 +32,16 @@ from slider_jax.sweep.sweep import Axis, Sweep, run_sweep
 
 SWIMMER = Path(__file__).resolve().parent.parent / "docs" / "swimmer.toml"
 STIFFNESS = (3e-5, 0.038)
-"""Least and largest EI of the tail [N m^2]; assumed. From one as soft as the best of 20 mm needs to
-one as stiff as the body."""
+"""Smallest and largest EI of the tail [N m^2]; assumed. The best tail of 20 mm needs the smallest;
+the largest is the body's."""
 STEPS_PER_STRIDE = 100
 """With 300, speeds change by less than 0.05 %."""
 
 
 def sweeps(swimmer: Experiment, points: int) -> dict[str, Sweep]:
-    """Maps a and b of `swimmer` with `points` values along each axis and those that are shown."""
+    """Return the sweeps of maps a and b, with `points` values and the plotted ones on each axis."""
     if points < 4:
-        raise InputError.value("--points", points, "4 or more, so that a phase is negative")
+        raise InputError.value("--points", points, "4 or more, to include a negative phase")
     lengths = _with(np.linspace(SHOWN_LENGTHS[0], SHOWN_LENGTHS[-1], points), SHOWN_LENGTHS)
     axes = {
         "a": Axis("robot.EI_tail", tuple(map(float, np.geomspace(*STIFFNESS, points)))),
@@ -55,25 +55,25 @@ def sweeps(swimmer: Experiment, points: int) -> dict[str, Sweep]:
 
 
 def _with(values: np.ndarray, more: tuple[float, ...]) -> tuple[float, ...]:
-    """Both, rising, each once."""
+    """Return the union of both, sorted."""
     return tuple(map(float, np.unique(np.round([*values, *more], 9))))
 
 
 def map_of_sweep(sweep: Sweep, name: str, folder: Path) -> Map:
-    """The map of a sweep; finished parts of it are kept in `folder`/partial."""
+    """Run a sweep and return its map; finished parts are in `folder`/partial."""
     folder.mkdir(exist_ok=True)
     count = {"done": 0, "all": 0}
 
-    def tell():
+    def show():
         print(f"\rmap {name}: {count['done']} of {count['all']} parts", end="", file=sys.stderr)
 
     def begin(parts, done):
         count.update(done=done, all=parts)
-        tell()
+        show()
 
     def step():
         count["done"] += 1
-        tell()
+        show()
 
     table = run_sweep(sweep, folder, begin, step)
     print(file=sys.stderr)
@@ -82,7 +82,7 @@ def map_of_sweep(sweep: Sweep, name: str, folder: Path) -> Map:
 
 
 def lines_of(found: list[StatementCheck]) -> str:
-    """The findings as text."""
+    """Return the checks as text."""
     return "\n".join(
         f"{number}. {x.claim}: {x.verdict}\n   measured: {x.measured}\n   rule: {x.rule}"
         for number, x in enumerate(found, 1)
@@ -90,11 +90,16 @@ def lines_of(found: list[StatementCheck]) -> str:
 
 
 def main(argv: list[str] | None = None) -> int:
-    asked = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    asked.add_argument("folder", type=Path, metavar="OUT_DIR")
-    asked.add_argument("--points", type=int, default=17, metavar="N", help="along each axis")
-    asked.add_argument("--swimmer", type=Path, default=SWIMMER, metavar="FILE", help="experiment")
-    given = asked.parse_args(argv)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path, metavar="OUT_DIR", help="folder for the results")
+    parser.add_argument(
+        "--points", type=int, default=17, metavar="N", help="values along each axis (default: 17)"
+    )
+    parser.add_argument(
+        "--swimmer", type=Path, default=SWIMMER, metavar="FILE",
+        help="experiment file (default: docs/swimmer.toml)",
+    )  # fmt: skip
+    given = parser.parse_args(argv)
     enable_float64()
     swimmer = load(given.swimmer)
     tasks = sweeps(swimmer, given.points)
@@ -132,7 +137,7 @@ def main(argv: list[str] | None = None) -> int:
         write_text(stage / "fig7.txt", text)
     for folder in parts.values():
         shutil.rmtree(folder / "partial", ignore_errors=True)
-        with suppress(OSError):  # something else lies there
+        with suppress(OSError):  # the folder holds other files
             folder.rmdir()
     print(text, end="")
     return 0

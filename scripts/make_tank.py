@@ -1,10 +1,11 @@
-"""A tank experiment with a known answer, to try the loop on before your own data are there.
+"""Write a synthetic tank experiment with a known effect, to try `slider close-loop` without data.
 
     python scripts/make_tank.py results/tank --effect valve_delay.delay=0.02
     slider close-loop results/tank/experiment.toml --out results/found
 
-The effect is in the data and not in the file. Parameters of the base model are drawn; what was put
-in is written to DIR/truth.json, which the loop does not read. `slider effects` lists what there is.
+The measured data contain the effect; the experiment file does not name it. Parameters of the base
+model are sampled. DIR/truth.json contains all true values; the loop does not read it.
+`slider effects` lists the effects.
 """
 
 import argparse
@@ -21,16 +22,18 @@ from slider_jax.precision import enable_float64
 
 
 def effects_of(given: list[str]) -> dict[str, dict[str, float]]:
-    """Parameters by effect, from texts like "valve_delay.delay=0.02"."""
+    """Return parameters by effect, from texts like "valve_delay.delay=0.02"."""
     found: dict[str, dict[str, float]] = {}
     for text in given:
         label, _, number = text.partition("=")
         effect, _, name = label.partition(".")
         if effect not in LIBRARY:
-            raise InputError(f"--effect {text}: unknown effect {effect}; see slider effects")
+            raise InputError(
+                f"--effect {text}: unknown effect {effect}; `slider effects` lists them"
+            )
         priors = LIBRARY[effect].priors()
         if name not in priors:
-            raise InputError(f"--effect {text}: {effect} has {', '.join(priors)}")
+            raise InputError(f"--effect {text}: allowed parameters are {', '.join(priors)}")
         try:
             value = float(number)
         except ValueError:
@@ -43,20 +46,22 @@ def effects_of(given: list[str]) -> dict[str, dict[str, float]]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    asked = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    asked.add_argument("folder", type=Path, metavar="DIR")
-    asked.add_argument("--effect", action="append", default=[], metavar="EFFECT.PARAMETER=NUMBER")
-    asked.add_argument("--seed", type=int, default=0)
-    asked.add_argument("--trials", type=int, default=8)
-    asked.add_argument("--seconds", type=float, default=1.0, help="scale of the durations")
-    given = asked.parse_args(argv)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add = parser.add_argument
+    add("folder", type=Path, metavar="DIR", help="folder for the experiment")
+    add("--effect", action="append", default=[], metavar="EFFECT.PARAMETER=NUMBER",
+        help="effect in the data, in SI units; repeat for more (default: none)")  # fmt: skip
+    add("--seed", type=int, default=0, help="seed of the random numbers (default: 0)")
+    add("--trials", type=int, default=8, help="number of trials (default: 8)")
+    add("--seconds", type=float, default=1.0, help="factor on all durations (default: 1)")
+    given = parser.parse_args(argv)
     enable_float64()
     base = base_parameters(np.random.default_rng(given.seed))
     truth = Truth(base, effects_of(given.effect))
     runs = trials(given.seed, given.trials, given.seconds)
     path = write_tank(given.folder, truth, runs, given.seed)
     write_json(given.folder / "truth.json", truth._asdict())
-    print(f"{path} and {len(runs)} trials; the answer is in {given.folder / 'truth.json'}")
+    print(f"wrote {path} and {len(runs)} trials; true values: {given.folder / 'truth.json'}")
     return 0
 
 

@@ -1,9 +1,9 @@
-"""The paper's table of its optimum beside this model's, and what the difference hangs on.
+"""The paper's table of its optimum beside this model's, and its sensitivity to the model.
 
     python scripts/table_performance.py results/table
 
-prints the table, the tail slope by several definitions of the wavelength, and the same after one
-change of the model at a time; writes table.json and table.png. About five minutes.
+prints the table, the tail slope by several definitions of the wavelength, and both after single
+changes of the model. It writes table.json and table.png. The run takes about five minutes.
 """
 
 import argparse
@@ -32,14 +32,14 @@ from slider_jax.swimming.report import swim_table
 
 STATED, OWN = PUBLISHED["tail_slope"].model, PUBLISHED["shape_tail_slope"].model
 LENGTHS_PER_S = 0.59
-"""Measured."""
+"""Measured speed of the paper's optimum in body lengths per second."""
 HEAD_FIXED = 365e3
-"""[Pa], of the head-fixed test: the paper's Q_set over its K_Q."""
+"""Pressure [Pa] of the head-fixed test: the paper's Q_set divided by its K_Q."""
 AGAIN = ", resistance calibrated"
 
 
 def content_of(row: SteadyRow) -> dict[str, Any]:
-    """A row for table.json."""
+    """Return a row of table.json."""
     found = {name: float(x) for name, x in performance_columns(row.performance).items()}
     return found | {
         "head_drag_area_m2": row.area,
@@ -50,7 +50,7 @@ def content_of(row: SteadyRow) -> dict[str, Any]:
 
 
 def line(name: str, x: dict[str, Any]) -> str:
-    """A change of the model, and what it gives."""
+    """Return the line of one change of the model."""
     slopes = x["tail_slopes"]
     return (
         f"{name:48}{1e4 * x['head_drag_area_m2']:8.1f}{1e2 * x['speed_m_per_s']:8.1f}"
@@ -61,20 +61,22 @@ def line(name: str, x: dict[str, Any]) -> str:
 
 
 def report_lines(content: dict[str, Any]) -> list[str]:
-    """What is printed."""
+    """Return the lines of the printed report."""
     swims, held_head = content["swims"], content["head_clamped"]
     here = swims[next(iter(CHANGES))]
     lines = [swim_table(here, PUBLISHED)]
     lengths = content["lengths_per_s"]
     measured = f"{LENGTHS_PER_S:12}{lengths / LENGTHS_PER_S:8.2f}"
     lines += [f"{'lengths per second':34}{lengths:10.4g}{'':22}{measured}", ""]
-    lines += [f"{'tail slope by wavelength from the':40}{'mm':>8}{'slope':>8}{'/ ' + str(OWN):>8}"]
+    lines += [
+        f"{'tail slope by definition of wavelength':40}{'mm':>8}{'slope':>8}{'/ ' + str(OWN):>8}"
+    ]
     for name, wavelength in here["wavelengths_m"].items():
         slope = here["tail_slopes"][name]
         lines.append(f"{name:40}{1e3 * wavelength:8.4g}{slope:8.3f}{slope / OWN:8.2f}")
     rms = here["rms_tail_slope"]
     lines += [
-        f"{'itself, root mean square':40}{'':8}{rms:8.3f}{rms / STATED:8.2f} (/ {STATED})",
+        f"{'root mean square slope':40}{'':8}{rms:8.3f}{rms / STATED:8.2f} (/ {STATED})",
         "",
     ]
     lines.append(
@@ -94,7 +96,7 @@ def report_lines(content: dict[str, Any]) -> list[str]:
 
 
 def plot_tail_slopes(content: dict[str, Any], rows: dict[str, SteadyRow], path: Path) -> None:
-    """Tail slopes by change and definition, and the midlines of three models."""
+    """Plot tail slopes by change and definition, and the midlines of three models."""
     swims, chosen = content["swims"], [next(iter(CHANGES)), *(n + AGAIN for n in RECALIBRATED[:2])]
     figure, axes = new_figure(1, 2, figsize=(12, 7), width_ratios=(3, 2))
     slopes, shapes = axes
@@ -121,14 +123,14 @@ def plot_tail_slopes(content: dict[str, Any], rows: dict[str, SteadyRow], path: 
     shapes.set_aspect("equal")
     shapes.set_ylim(-310.0, 75.0)
     shapes.set_xlabel("along the course, tail on the left (mm)")
-    shapes.set_ylabel("across, each model 130 mm below the one before (mm)")
+    shapes.set_ylabel("across, each model 130 mm below the previous one (mm)")
     save_figure(figure, path)
 
 
 def main(argv: list[str] | None = None) -> int:
-    asked = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    asked.add_argument("folder", type=Path, metavar="OUT_DIR")
-    given = asked.parse_args(argv)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path, metavar="OUT_DIR", help="folder for the results")
+    given = parser.parse_args(argv)
     enable_float64()
     experiment = optimum()
     frequency, model = free_swimmer(experiment, experiment.trials[0])
@@ -163,7 +165,7 @@ def main(argv: list[str] | None = None) -> int:
         write_json(stage / "table.json", content)
         plot_tail_slopes(content, rows, stage / "table.png")
     print("\n".join(report_lines(content)))
-    print(f"table.json and table.png are in {given.folder}", file=sys.stderr)
+    print(f"wrote table.json and table.png to {given.folder}", file=sys.stderr)
     return 0
 
 

@@ -1,4 +1,4 @@
-"""`slider climb`: the robot pinned to a wall, in air."""
+"""`slider climb`: climbing a wall in air."""
 
 import sys
 from pathlib import Path
@@ -26,23 +26,24 @@ def climb(
     link: Value = 0.03,
     cap: Value = 172.3e3,
 ) -> None:
-    """Climb a wall with each trial's drive, pinned through a cross-link at alternating sides.
+    """Simulate climbing a wall with each trial's drive.
 
-    In air, with weight; of the water's forces there are none. It goes on until strides repeat, and
-    tells of the last 15. Without a file: the built-in robot at 2 Hz. DIR gets climb.json (all
-    figures, settings, versions) and, of every trial, <its name>_climb.png, <its name>_climb.csv
-    and a film, <its name>_climb.gif.
+    The ends of a cross-link at the head are pinned alternately. Climbing is simulated in air:
+    weight acts, hydrodynamic forces and the carriage clamp are omitted. The simulation runs until
+    strides repeat and reports the last 15. It writes climb.json (all values, settings and versions)
+    to DIR, and for each trial NAME: NAME_climb.png, NAME_climb.csv and the film NAME_climb.gif.
 
     Args:
-        experiment: experiment file (.toml); its trials' towing, heaving and water have no say.
-        out: folder for the results; made if missing, files of the same name are replaced.
+        experiment: experiment file (.toml); towing, heaving and water of its trials are ignored
+            (default: the built-in robot at 2 Hz).
+        out: folder for the results; created if missing. Existing files are replaced.
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
-        trial: this trial alone, from 0.
-        pin_phase: when the left end is pinned, fraction of a period after the front chamber's
-            pressure is set positive; the right one is half a period later. By default the fastest
-            of 16.
-        link: length of the cross-link [m].
-        cap: highest set pressure [Pa]; amplitudes beyond it are cut.
+        trial: number of the only trial to run, counted from 0 (default: all trials).
+        pin_phase: delay from the front chamber's positive pressure step to pinning the left end,
+            as a fraction of a period; the right end is pinned half a period later (default: the
+            fastest of 16 phases).
+        link: length of the cross-link, in m.
+        cap: highest set pressure, in Pa; larger amplitudes are reduced to it.
     """
     from slider_jax.cli.progress import Progress
     from slider_jax.climbing.climb import climb_record, simulate_climb as climb_wall
@@ -93,4 +94,4 @@ def climb(
             "versions": versions(),
         }
         write_json(stage / "climb.json", content)
-    print(f"climb.json, picture, film and strides of each trial are in {out}", file=sys.stderr)
+    print(f"wrote climb.json, and picture, film and table of each trial, to {out}", file=sys.stderr)

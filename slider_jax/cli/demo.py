@@ -8,14 +8,15 @@ from slider_jax.cli.options import Folder
 
 
 def demo(out: Folder = Path("slider_demo")) -> None:
-    """Run the paper's head-fixed sweep, 0.4 to 7.0 Hz in 34 steps, and compare.
+    """Run the paper's head-fixed frequency sweep, 0.4 to 7.0 Hz in 34 steps, and compare.
 
-    DIR gets sweep.csv, thrust_against_frequency.png (as the paper's Fig. 4), and for 1 and 4.8 Hz
-    series_*.csv and stride_*.png (as its Figs. 5 and 6), and settings.json. The chambers' spans and
-    pressures, which the paper leaves out, are assumed; the settings say so.
+    The command writes sweep.csv, thrust_against_frequency.png (like the paper's Fig. 4) and
+    settings.json to DIR. For 1 and 4.8 Hz it also writes series_*.csv and stride_*.png (like the
+    paper's Figs. 5 and 6). The paper does not state the chambers' spans and pressures;
+    settings.json lists the assumed values.
 
     Args:
-        out: folder for the results; made if missing, files of the same name are replaced.
+        out: folder for the results; created if missing. Existing files are replaced.
     """
     from slider_jax.cli.progress import Progress
     from slider_jax.io.files import output_folder
@@ -23,10 +24,10 @@ def demo(out: Folder = Path("slider_demo")) -> None:
     from slider_jax.reproduction.frequency_sweep_report import comparison, write_frequency_sweep
 
     output_folder(out)
-    settings, begun = FrequencySweepSettings(), time.perf_counter()
+    settings, started = FrequencySweepSettings(), time.perf_counter()
     with Progress(f"{len(settings.frequencies)} frequencies", "stride") as progress:
         sweep = run_frequency_sweep(settings, progress.begin, progress.step)
     write_frequency_sweep(sweep, settings, out)
     print(comparison(sweep, settings))
-    seconds = time.perf_counter() - begun
-    print(f"results are in {out} ({seconds:.0f} s)", file=sys.stderr)
+    seconds = time.perf_counter() - started
+    print(f"wrote the results to {out} ({seconds:.0f} s)", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""`slider optimize`: tail and gait of a swimmer, and one tail to swim and to climb with."""
+"""`slider optimize`: the fastest swimmer, and one tail for swimming and climbing."""
 
 import sys
 import time
@@ -10,11 +10,11 @@ import tyro
 from slider_jax.cli.options import Folder, MaybeExperiment, ModelFile, Range, Whole
 from slider_jax.errors import InputError
 
-Address = Annotated[str, tyro.conf.arg(metavar="HOST:PORT")]
+Address = Annotated[str, tyro.conf.arg(metavar="HOST:PORT", help_behavior_hint="")]
 
 
 def _begin(coordinator: str, processes: int, process: int):
-    """Start JAX on all cores of all processes; returns the module that knows them."""
+    """Start JAX on all cores of all processes; return the module that evaluates populations."""
     from slider_jax.batch.chunks import available_cores
     from slider_jax.optimise import population as evaluation
 
@@ -22,7 +22,8 @@ def _begin(coordinator: str, processes: int, process: int):
         raise InputError.value("--process", process, f"0 to {processes - 1}")
     if (processes > 1) != bool(coordinator):
         raise InputError(
-            f"--processes {processes}: more than one need --coordinator HOST:PORT, and one has none"
+            f"--processes {processes}: several processes need --coordinator HOST:PORT, and a "
+            "single process must not have it"
         )
     evaluation.start_devices(available_cores(), coordinator, processes, process)
     return evaluation
@@ -32,28 +33,30 @@ def _check(generations: int, steps_per_stride: int, seed: int) -> None:
     if generations < 1:
         raise InputError.value("--generations", generations, "1 or more")
     if steps_per_stride < 20 or steps_per_stride % 2:
-        raise InputError.value("--steps-per-stride", steps_per_stride, "an even number from 20")
+        raise InputError.value(
+            "--steps-per-stride", steps_per_stride, "an even number of at least 20"
+        )
     if not 0 <= seed < 2**32:
         raise InputError.value("--seed", seed, "0 to 4294967295")
 
 
 class _Report:
-    """A line on stderr after every generation, of the process that speaks."""
+    """Prints a line on stderr after every generation, in the first process only."""
 
-    def __init__(self, generations: int, speaks: bool):
-        self._generations, self._speaks, self._begun = generations, speaks, time.monotonic()
+    def __init__(self, generations: int, prints: bool):
+        self._generations, self._prints, self._started = generations, prints, time.monotonic()
 
     def __call__(
-        self, generation, seconds: float, words: str, name: str = "", generations: int = 0
+        self, generation, seconds: float, text: str, name: str = "", generations: int = 0
     ) -> None:
-        if not self._speaks:
+        if not self._prints:
             return
         whole = generations or self._generations
         left = (whole - 1 - generation.number) * seconds
         of = f" of {name}" if name else ""
         print(
-            f"{time.monotonic() - self._begun:6.0f} s  {name + ': ' if name else ''}generation "
-            f"{generation.number + 1} of {whole}: {words}, {generation.failed} failed; "
+            f"{time.monotonic() - self._started:6.0f} s  {name + ': ' if name else ''}generation "
+            f"{generation.number + 1} of {whole}: {text}, {generation.failed} failed; "
             f"{left:.0f} s left{of}",
             file=sys.stderr,
             flush=True,
@@ -62,7 +65,7 @@ class _Report:
 
 def _kept(out: Path) -> None:
     if any(out.glob("**/checkpoint.npz")):
-        print(f"what was found is kept in {out}; add --resume to go on", file=sys.stderr)
+        print(f"checkpoints are in {out}; add --resume to continue", file=sys.stderr)
 
 
 def optimize_swim(
@@ -86,35 +89,36 @@ def optimize_swim(
     processes: Whole = 1,
     process: Whole = 0,
 ) -> None:
-    """Seek the fastest steady swimmer over drive and tail.
+    """Optimise drive and tail for the largest steady swimming speed.
 
-    Six variables: frequency [Hz], amplitudes of the set pressure in front and rear chamber [Pa],
-    phase of the rear one, length [m] and EI [N m^2] of the tail. DIR gets checkpoint.npz after
-    every generation, and at the end best.toml, an experiment that `slider swim` takes,
-    optimum.json (history, settings, versions) and optimum.png.
+    The six variables are the frequency, the set pressure amplitudes of both chambers, the phase of
+    the rear chamber, and the tail's length and bending stiffness EI. The command writes
+    checkpoint.npz to DIR after every generation. At the end it writes optimum.json (history,
+    settings, versions), optimum.png and best.toml, an experiment for `slider swim`.
 
     Args:
-        experiment: file (.toml) that gives the rest of the robot and water; its first trial is to
-            have a square wave, in whose place the drive that is sought comes. By default the
-            paper's robot, with form drag at the head that was calibrated on its measured speed.
-        out: folder for the results; made if missing.
+        experiment: experiment file (.toml) with the other properties of robot and water. Its first
+            trial must have a square wave, which the optimised drive replaces (default: the paper's
+            robot, with form drag at the head calibrated on its measured speed).
+        out: folder for the results; created if missing.
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
-        algorithm: the paper's genetic algorithm; the best of spread members that climb along their
-            gradients; or CMA-ES.
-        population: members of a generation.
-        generations: how many are evaluated, those before a stop among them.
-        seed: of all that is drawn.
-        resume: go on with the search that DIR holds, if any.
-        frequency: bounds [Hz].
-        front: bounds [Pa].
-        rear: bounds [Pa].
-        phase: bounds, of a period.
-        tail_length: bounds [m].
-        EI_tail: bounds [N m^2].
-        steps_per_stride: time steps of a stride.
-        coordinator: of several processes, where the first of them listens; not needed under SLURM.
-        processes: how many there are.
-        process: which of them this is, from 0.
+        algorithm: optimiser: the paper's genetic algorithm, gradient ascent from the best of many
+            scattered designs, or CMA-ES.
+        population: number of individuals in a generation.
+        generations: total number of generations, including those before an interruption.
+        seed: seed of the random numbers.
+        resume: continue the optimisation in DIR, if there is one.
+        frequency: bounds of the stride frequency, in Hz (default: 1 7).
+        front: bounds of the front chamber's pressure amplitude, in Pa (default: 50e3 448e3).
+        rear: bounds of the rear chamber's pressure amplitude, in Pa (default: 50e3 448e3).
+        phase: bounds of the rear chamber's delay, as a fraction of a period (default: -0.5 0.5).
+        tail_length: bounds of the tail's length, in m (default: 0.02 0.1).
+        EI_tail: bounds of the tail's bending stiffness, in N m^2 (default: 0.001 0.038).
+        steps_per_stride: number of time steps in a stride, an even number.
+        coordinator: host and port where the first of several processes listens; not needed under
+            SLURM (default: none).
+        processes: number of processes.
+        process: number of this process, counted from 0.
     """
     evaluation = _begin(coordinator, processes, process)
     from slider_jax.io.files import input_file, output_folder
@@ -126,11 +130,11 @@ def optimize_swim(
     bounds = {"frequency": frequency, "front": front, "rear": rear, "phase": phase,
               "tail_length": tail_length, "EI_tail": EI_tail}  # fmt: skip
     task = swim_search.Task.of(given_or(optimum, experiment, model), bounds, steps_per_stride)
-    algorithm_of = make_optimiser(algorithm, population, 6)
+    optimiser = make_optimiser(algorithm, population, 6)
     output_folder(out)
     report = _Report(generations, evaluation.is_first())
 
-    def said(generation, seconds: float) -> None:
+    def on_generation(generation, seconds: float) -> None:
         report(
             generation, seconds,
             f"best {1e2 * generation.best:.2f} cm/s, mean {1e2 * generation.mean:.2f}",
@@ -138,19 +142,19 @@ def optimize_swim(
 
     try:
         found = swim_search.search_fastest(
-            task, algorithm_of, population, generations, seed, out, resume, said
+            task, optimiser, population, generations, seed, out, resume, on_generation
         )
     except KeyboardInterrupt:
         _kept(out)
         raise
     if evaluation.is_first():
-        print("gradient and Hessian at the best ...", file=sys.stderr)
+        print("computing gradient and Hessian at the best design ...", file=sys.stderr)
         inputs = [input_file(p) for p in (experiment, model) if p is not None]
         for line in swim_search.optimum_summary(
             swim_search.write_optimum(task, found, out, inputs)
         ):
             print(line)
-        print(f"best.toml, optimum.json and optimum.png are in {out}", file=sys.stderr)
+        print(f"wrote best.toml, optimum.json and optimum.png to {out}", file=sys.stderr)
     evaluation.barrier("results are written")
 
 
@@ -172,32 +176,35 @@ def optimize_multimodal(
     processes: Whole = 1,
     process: Whole = 0,
 ) -> None:
-    """Seek one tail for swimming and climbing, each with a drive of its own: the paper's Fig. 9.
+    """Optimise one tail for swimming and climbing, with a drive for each task (the paper's Fig. 9).
 
-    eta(beta) = beta E_swim/E_swim,only + (1 - beta) E_climb/E_climb,only, with the Froude
-    efficiency of swimming and m g U/P of climbing. First each task alone, then along beta from the
-    best that is known. DIR gets a folder with a checkpoint for every search, and at the end
-    multimodal.json, multimodal.png, and for every beta two experiments that `slider swim` and
-    `slider climb` take.
+    The objective is eta(beta) = beta E_swim/E_swim,only + (1 - beta) E_climb/E_climb,only. E_swim
+    is the Froude efficiency of swimming, and E_climb is m g U/P of climbing. The command optimises
+    each task alone and then each beta, starting from the best known design. It writes to DIR:
+    multimodal.json, multimodal.png, and for each beta an experiment for `slider swim` and one for
+    `slider climb`. Each optimisation has a folder with a checkpoint.
 
     Args:
-        experiment: file (.toml) that gives the rest of the robot and water; its first trial is to
-            have a square wave, in whose place the drive that is sought comes. By default the
-            paper's robot, with form drag at the head that was calibrated on its measured speed.
-        out: folder for the results; made if missing.
+        experiment: experiment file (.toml) with the other properties of robot and water. Its first
+            trial must have a square wave, which the optimised drive replaces (default: the paper's
+            robot, with form drag at the head calibrated on its measured speed).
+        out: folder for the results; created if missing.
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
-        betas: evenly spread values from 0, climbing alone, to 1, swimming alone.
-        algorithm: of the searches for one task alone; along beta it is CMA-ES.
-        population: members of a generation of a task alone; along beta a quarter of them.
-        generations: of a task alone; along beta half as many.
-        seed: of all that is drawn.
-        resume: go on with the searches that DIR holds, if any.
-        tail_length: bounds [m].
-        EI_tail: bounds [N m^2].
-        steps_per_stride: time steps of a swimming stride; a climbing one has a third more.
-        coordinator: of several processes, where the first of them listens; not needed under SLURM.
-        processes: how many there are.
-        process: which of them this is, from 0.
+        betas: number of evenly spaced values of beta from 0 (climbing alone) to 1 (swimming alone).
+        algorithm: optimiser for one task alone; the optimisations between use CMA-ES.
+        population: number of individuals in a generation for one task alone; the optimisations
+            between use a quarter of it.
+        generations: number of generations for one task alone; the optimisations between use half.
+        seed: seed of the random numbers.
+        resume: continue the optimisation in DIR, if there is one.
+        tail_length: bounds of the tail's length, in m (default: 0.02 0.1).
+        EI_tail: bounds of the tail's bending stiffness, in N m^2 (default: 0.001 0.038).
+        steps_per_stride: number of time steps in a swimming stride, an even number; a climbing
+            stride has a third more.
+        coordinator: host and port where the first of several processes listens; not needed under
+            SLURM (default: none).
+        processes: number of processes.
+        process: number of this process, counted from 0.
     """
     evaluation = _begin(coordinator, processes, process)
     from slider_jax.io.files import input_file, output_folder
@@ -209,7 +216,7 @@ def optimize_multimodal(
 
     _check(generations, steps_per_stride, seed)
     if not 2 <= betas <= 101:
-        raise InputError.value("--betas", betas, "2 to 101: both ends, and values between")
+        raise InputError.value("--betas", betas, "2 to 101, including both ends")
     make_optimiser(algorithm, population, 6)
     effort = FrontEffort(algorithm, population, generations, seed)
     modes = TwoTasks.of(
@@ -218,22 +225,22 @@ def optimize_multimodal(
     output_folder(out)
     report = _Report(generations, evaluation.is_first())
 
-    def said(name: str, generation, seconds: float) -> None:
+    def on_generation(name: str, generation, seconds: float) -> None:
         whole = generations if name.endswith("_only") else effort.between[1]
         score = f"E_{name.split('_')[0]}" if "only" in name else "eta"
-        words = f"best {score} {generation.best:.4f}, mean {generation.mean:.4f}"
-        report(generation, seconds, words, name, whole)
+        text = f"best {score} {generation.best:.4f}, mean {generation.mean:.4f}"
+        report(generation, seconds, text, name, whole)
 
     try:
-        found = search_front(modes, betas, effort, out, resume, said)
+        found = search_front(modes, betas, effort, out, resume, on_generation)
     except KeyboardInterrupt:
         _kept(out)
         raise
     if evaluation.is_first():
-        print("every design once more, on the experiment's own mesh ...", file=sys.stderr)
+        print("repeating every design on the experiment's own mesh ...", file=sys.stderr)
         inputs = [input_file(p) for p in (experiment, model) if p is not None]
         content = multimodal_report.write_front(modes, found, effort._asdict(), out, inputs)
         for line in multimodal_report.front_summary(content):
             print(line)
-        print(f"multimodal.json, multimodal.png and experiments are in {out}", file=sys.stderr)
+        print(f"wrote multimodal.json, multimodal.png and experiments to {out}", file=sys.stderr)
     evaluation.barrier("results are written")

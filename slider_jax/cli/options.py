@@ -46,14 +46,23 @@ def _numbers(words: list[str]) -> tuple[float, ...]:
     return tuple(map(float, words))
 
 
+_DEFAULT_IN_HELP = tyro.conf.arg(help_behavior_hint="")
+"""For None, whose meaning the help text states: tyro would add "(default: None)"."""
 Folder = Annotated[Path, tyro.conf.arg(metavar="DIR")]
 MaybeFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
 MaybeExperiment = Annotated[
-    tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="EXPERIMENT.toml")
+    tyro.conf.Positional[Path | None],
+    tyro.conf.arg(metavar="EXPERIMENT.toml", help_behavior_hint=""),
 ]
-ModelFile = Annotated[Path | None, tyro.conf.arg(metavar="MODEL.toml")]
+ModelFile = Annotated[
+    Path | None, tyro.conf.arg(metavar="MODEL.toml", help_behavior_hint="(default: none)")
+]
 Seconds = Annotated[float | None, _read_by(_number, "S", "a number of seconds")]
-Range = Annotated[tuple[float, float] | None, _read_by(_numbers, "LOW HIGH", "two numbers", 2)]
+Range = Annotated[
+    tuple[float, float] | None,
+    _read_by(_numbers, "LOW HIGH", "two numbers", 2),
+    _DEFAULT_IN_HELP,
+]
 Pressures = Annotated[
     tuple[float, ...] | None, _read_by(_numbers, "PA", "pressures in Pa, such as 250e3", "*")
 ]
@@ -62,9 +71,9 @@ Frequencies = Annotated[
 ]
 _VALUE, _WHOLE = _read_by(_number, "X", "a number"), _read_by(_whole, "N", "a whole number")
 Value = Annotated[float, _VALUE]
-MaybeValue = Annotated[float | None, _VALUE]
+MaybeValue = Annotated[float | None, _VALUE, _DEFAULT_IN_HELP]
 Whole = Annotated[int, _WHOLE]
-MaybeWhole = Annotated[int | None, _WHOLE]
+MaybeWhole = Annotated[int | None, _WHOLE, _DEFAULT_IN_HELP]
 
 
 def chosen_trials(trials: tuple, number: int | None) -> tuple:

@@ -1,4 +1,4 @@
-"""`slider sweep`: one or two fields of an experiment over ranges."""
+"""`slider sweep`: vary one or two fields of an experiment."""
 
 import shutil
 import sys
@@ -31,30 +31,32 @@ def sweep(
     steps_per_stride: Whole = 300,
     swim: bool = False,
 ) -> None:
-    """Simulate one trial over one or two ranges and write a table and a plot.
+    """Simulate one trial for evenly spaced values of one or two fields.
 
-    DIR gets sweep.csv (a row a member: means of the steady strides), sweep.json (settings and
-    versions) and sweep.png. A run that was stopped goes on when its command is given again, and one
-    that is there is not computed again.
+    The command writes sweep.csv (one row for each point: means over the steady strides), sweep.json
+    (settings and versions) and sweep.png to DIR. An interrupted run resumes when you repeat the
+    command. A complete result with the same settings is not computed again.
 
     Args:
-        experiment: the experiment file (.toml).
-        field: the number to sweep, e.g. trials.0.frequency, robot.EI_tail, numerics.nodes.
-        start: its first value, SI.
-        stop: its last value, SI.
-        count: how many values, evenly spaced.
-        out: folder for the results; made if missing.
-        field2: a second number, for a contour plot.
-        start2: its first value, SI.
-        stop2: its last value, SI.
-        count2: how many values of the second.
+        experiment: experiment file (.toml).
+        field: field to vary, for example trials.0.frequency, robot.EI_tail or numerics.nodes.
+        start: first value of the field, in SI units.
+        stop: last value of the field, in SI units.
+        count: number of evenly spaced values of the field.
+        out: folder for the results; created if missing.
+        field2: second field to vary, for a contour plot (default: none).
+        start2: first value of the second field, in SI units.
+        stop2: last value of the second field, in SI units.
+        count2: number of evenly spaced values of the second field.
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
-        trial: which trial is run, from 0; by default that of a field trials.N..., else 0.
-        strides: strides run.
-        transient: strides left out of the means.
-        steps_per_stride: time steps of a stride, a multiple of 20; follows a swept numerics.step.
-        swim: set the robot free, and tell what its steady stride comes to; --strides and
-            --transient have no say.
+        trial: number of the trial to simulate, counted from 0 (default: N if the field is
+            trials.N..., otherwise 0).
+        strides: number of strides to simulate.
+        transient: number of initial strides that the means exclude.
+        steps_per_stride: number of time steps in a stride, a multiple of 20; if numerics.step is
+            varied, it sets this number instead.
+        swim: simulate free swimming and report the steady stride; --strides and --transient are
+            then ignored.
     """
     from slider_jax.cli.progress import Progress
     from slider_jax.experiment.load import load
@@ -80,34 +82,34 @@ def sweep(
     output_folder(out)
     if is_written(task, out):
         print(
-            f"{out / 'sweep.csv'} holds the {len(task.points)} members of this sweep already, with "
-            f"the same settings and versions; to run it again, delete {out / 'sweep.json'}",
+            f"{out / 'sweep.csv'} already holds all {len(task.points)} points of this sweep, with "
+            f"the same settings and versions; delete {out / 'sweep.json'} to run it again",
             file=sys.stderr,
         )
         return
     try:
-        with Progress(f"{len(task.points)} members", "stride") as progress:
+        with Progress(f"{len(task.points)} points", "stride") as progress:
 
             def begin(total, done):
                 if done:
-                    said = f"taking up {done // strides} of {total // strides} chunks done before"
-                    print(said, file=sys.stderr)
+                    text = f"resuming: {done // strides} of {total // strides} chunks are complete"
+                    print(text, file=sys.stderr)
                 progress.begin(total, done)
 
             table = run_sweep(task, out, begin, progress.step)
     except KeyboardInterrupt:
         print(
-            f"finished chunks are kept in {out / 'partial'}; give the same command again to go on",
+            f"finished chunks are in {out / 'partial'}; repeat the same command to resume",
             file=sys.stderr,
         )
         raise
     write_sweep(task, table, out, experiment)
     shutil.rmtree(out / "partial")
-    print(f"{len(task.points)} members are in {out / 'sweep.csv'}", file=sys.stderr)
+    print(f"wrote {len(task.points)} points to {out / 'sweep.csv'}", file=sys.stderr)
 
 
 def _trial(axes) -> int:
-    """The trial that a field names."""
+    """Return the number of the trial that an axis varies, otherwise 0."""
     for axis in axes:
         parts = axis.field.split(".")
         if parts[0] == "trials" and len(parts) > 1 and parts[1].isdigit():

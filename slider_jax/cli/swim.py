@@ -1,4 +1,4 @@
-"""`slider swim`: the robot set free."""
+"""`slider swim`: free swimming."""
 
 import sys
 from pathlib import Path
@@ -20,17 +20,18 @@ def swim(
     model: ModelFile = None,
     trial: MaybeWhole = None,
 ) -> None:
-    """Swim freely with each trial's drive: from rest until the stride repeats, and as a root.
+    """Simulate free swimming with each trial's drive and report the steady speed.
 
-    Without a file: the paper's optimum, with form drag at the head that was calibrated on its
-    measured speed. DIR gets swim.json (all figures, settings, versions) and, of every trial,
-    <its name>_swim.png and <its name>_swim.csv, one steady stride.
+    The steady speed is computed twice: by root finding, and by swimming from rest until strides
+    repeat. The command writes swim.json (all values, settings and versions) to DIR. For each trial
+    NAME it also writes NAME_swim.png and NAME_swim.csv, which contain one steady stride.
 
     Args:
-        experiment: experiment file (.toml); its trials' towing and heaving have no say.
-        out: folder for the results; made if missing, files of the same name are replaced.
+        experiment: experiment file (.toml); towing and heaving of its trials are ignored (default:
+            the paper's optimum, with form drag at the head calibrated on its measured speed).
+        out: folder for the results; created if missing. Existing files are replaced.
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
-        trial: this trial alone, from 0.
+        trial: number of the only trial to run, counted from 0 (default: all trials).
     """
     from slider_jax.io.files import input_file, staged, versions, write_csv, write_json
     from slider_jax.swimming.free_swim import (
@@ -46,7 +47,7 @@ def swim(
     published = PUBLISHED if experiment is None else {}
     if experiment is not None:
         refuse_own_folder(out, given.folder)
-    for x in trials:  # all that cannot be swum is told before anything is computed
+    for x in trials:  # report every invalid trial before the first computation
         free_swimmer(given, x)
     rows = []
     with staged(out) as stage:
@@ -71,4 +72,4 @@ def swim(
             "versions": versions(),
         }
         write_json(stage / "swim.json", content)
-    print(f"swim.json, a picture and a stride of each trial are in {out}", file=sys.stderr)
+    print(f"wrote swim.json, and a picture and a table of each trial, to {out}", file=sys.stderr)

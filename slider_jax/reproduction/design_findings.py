@@ -1,4 +1,4 @@
-"""What the paper states of its design maps (its Fig. 7), decided one by one from maps of speed."""
+"""Checks of the paper's statements on its design maps (Fig. 7) against maps of speed."""
 
 from typing import NamedTuple
 
@@ -15,27 +15,27 @@ from slider_jax.reproduction.design_maps import (
 )
 
 POOR = 0.5
-"""A speed is poor against another one if it is less than this part of it. Ours."""
+"""A speed counts as poor if it is less than this fraction of the other; our choice."""
 
 
 class StatementCheck(NamedTuple):
-    """One of the paper's statements against the maps."""
+    """Result of checking one of the paper's statements."""
 
     claim: str
     rule: str
-    """How it is decided."""
+    """Criterion of the check."""
     measured: str
     agrees: bool | None
-    """Where the points that decide it were found; None if nowhere."""
+    """Whether the maps agree with the claim; None if the points needed have no steady speed."""
 
     @property
     def verdict(self) -> str:
-        """In words."""
+        """`agrees` as a text."""
         return {True: "agrees", False: "does not agree", None: "not decided"}[self.agrees]
 
 
 def interior_optimum(over_stiffness: Map) -> StatementCheck:
-    """Whether speed falls off to both sides of the best stiffness."""
+    """Check whether the speed has an interior maximum over stiffness at every length."""
     lengths, peaks = over_stiffness.lengths, best_stiffness(over_stiffness)
     inside = np.array([np.nan if p.inside is None else p.inside for p in peaks])
     best = np.where(np.isnan(inside), np.nan, [1e3 * p.x for p in peaks])
@@ -43,91 +43,93 @@ def interior_optimum(over_stiffness: Map) -> StatementCheck:
     ends = lengths[inside == 0.0]
     return StatementCheck(
         "there is a best stiffness for every tail length",
-        f"at every length the fastest stiffness of {low:g} to {high:g} mN m^2 is neither end's",
-        f"best {_told(lengths, best, '.2g')} (mN m^2)"
-        + (f"; an end's for {_mm(ends)}" if ends.size else ""),
+        f"at every length the fastest stiffness is inside the range {low:g} to {high:g} mN m^2",
+        f"best {_text(lengths, best, '.2g')} (mN m^2)"
+        + (f"; at an end of the range for {_mm(ends)}" if ends.size else ""),
         _everywhere(inside == 1.0, inside),
     )
 
 
 def short_tails_phase(over_phase: Map) -> StatementCheck:
-    """Whether the best phase of short tails, those of the shorter half, is the paper's."""
+    """Check whether the best phase of the shorter half of the tails is the paper's."""
     short = _short(over_phase)
     lengths, best = over_phase.lengths[short], _tops(over_phase)[0][short]
     off = best - BEST_PHASE
     far = lengths[np.abs(off) > TOLERANCE]
     return StatementCheck(
         f"the best phase is near {BEST_PHASE:g} for short tails",
-        f"within {TOLERANCE:g} of it for every tail up to {_mm(MARKED_LENGTH)}",
-        f"best {_told(lengths, best, '.3f')}; off by {_told(lengths, off, '+.3f')}"
-        + (f"; too far for {_mm(far)}" if far.size else ""),
+        f"it differs by at most {TOLERANCE:g} for every tail up to {_mm(MARKED_LENGTH)}",
+        f"best {_text(lengths, best, '.3f')}; difference {_text(lengths, off, '+.3f')}"
+        + (f"; too large for {_mm(far)}" if far.size else ""),
         _everywhere(np.abs(off) <= TOLERANCE, best),
     )
 
 
 def negative_is_slower(over_phase: Map) -> StatementCheck:
-    """Whether a rear chamber that is early is worse than one that is neither early nor late."""
+    """Check whether the swimmer is slower if the rear chamber leads than if both act together."""
     phases = over_phase.across
     negative = over_phase.speed[:, (phases < 0.0) & (phases > -0.5)]
     lead = over_phase.at(0.0) - np.max(negative, axis=1)
     return StatementCheck(
         "negative phase is slower",
-        "at every length every negative phase is slower than phase 0; -0.5 is 0.5 again",
-        "the fastest of them is behind by "
-        + f"{_told(over_phase.lengths, 1e2 * lead, '.1f')} (cm/s)",
+        "at every length every negative phase is slower than phase 0; -0.5 is excluded, as it "
+        "equals 0.5",
+        "the fastest negative phase is slower by "
+        + f"{_text(over_phase.lengths, 1e2 * lead, '.1f')} (cm/s)",
         _everywhere(lead > 0.0, lead),
     )
 
 
 def half_is_poor(over_phase: Map) -> StatementCheck:
-    """Whether the chambers in opposition are far slower than a travelling wave."""
+    """Check whether chambers in antiphase are much slower than at the paper's good phase."""
     _, good, poor = (over_phase.at(phase) for phase in MARKED)
     both = np.isfinite(poor + good)
     slow, fast = (
-        _told(over_phase.lengths, 1e2 * np.where(both, x, np.nan), ".1f") for x in (poor, good)
+        _text(over_phase.lengths, 1e2 * np.where(both, x, np.nan), ".1f") for x in (poor, good)
     )
     return StatementCheck(
-        f"phase {MARKED[2]:g} is poor against {MARKED[1]:g}",
-        f"at every length its speed is less than {POOR:g} of that at {MARKED[1]:g}",
-        f"{slow}, against {fast} (cm/s)",
+        f"phase {MARKED[2]:g} is poor compared with {MARKED[1]:g}",
+        f"at every length its speed is less than {POOR:g} times that at {MARKED[1]:g}",
+        f"{slow}, compared with {fast} (cm/s)",
         _everywhere(poor < POOR * good, poor + good),
     )
 
 
 def long_tails_gain_less(over_phase: Map) -> StatementCheck:
-    """Whether phase matters less to the longer half of the tails."""
+    """Check whether the best phase increases the speed less for the longer half of the tails."""
     gain, short = _tops(over_phase)[1] - over_phase.at(0.0), _short(over_phase)
     found = np.isfinite(gain)
     parts = (gain[found & part] for part in (~short, short))
     long_mean, short_mean = (1e2 * float(np.mean(x)) if x.size else np.nan for x in parts)
     return StatementCheck(
         "longer tails gain less from phase",
-        "the best phase's speed less that of phase 0 is less on average over tails longer than "
+        "the mean gain in speed from phase 0 to the best phase is smaller over tails longer than "
         f"{_mm(MARKED_LENGTH)} than over the others",
-        f"{long_mean:.1f} against {short_mean:.1f}; "
-        f"{_told(over_phase.lengths, 1e2 * gain, '.1f')} (cm/s)",
+        f"{long_mean:.1f} compared with {short_mean:.1f}; "
+        f"{_text(over_phase.lengths, 1e2 * gain, '.1f')} (cm/s)",
         _everywhere(long_mean < short_mean, long_mean - short_mean),
     )
 
 
 def slice_of_phase(over_phase: Map) -> list[StatementCheck]:
-    """The paper's slice: its best phase, the order of its three points, and negative phase."""
+    """Check the paper's slice: best phase, order of the three points, and negative phases."""
     one = over_phase.slice_at(MARKED_LENGTH)
     (top,), (speed,) = _tops(one)
     none, good, poor = (float(one.at(phase)[0]) for phase in MARKED)
     of_slice = f"tail of {_mm(one.lengths)}: "
-    told = zip(MARKED, (none, good, poor), strict=True)
+    points = zip(MARKED, (none, good, poor), strict=True)
     return [
         StatementCheck(
             f"{of_slice}the best phase is {BEST_PHASE:g}",
-            f"within {TOLERANCE:g} of it",
-            f"{top:.3f}, off by {top - BEST_PHASE:+.3f}; {1e2 * speed:.1f} cm/s there",
+            f"the best phase differs by at most {TOLERANCE:g}",
+            f"{top:.3f}, difference {top - BEST_PHASE:+.3f}; {1e2 * speed:.1f} cm/s at that phase",
             _everywhere(np.abs(top - BEST_PHASE) <= TOLERANCE, top),
         ),
         StatementCheck(
-            f"{of_slice}phase {MARKED[2]:g} is slower than {MARKED[0]:g} than {MARKED[1]:g}",
-            "in that order",
-            ", ".join(f"{1e2 * x:.1f} cm/s at {phase:g}" for phase, x in told),
+            f"{of_slice}phase {MARKED[2]:g} is slower than {MARKED[0]:g}, and {MARKED[0]:g} is "
+            f"slower than {MARKED[1]:g}",
+            "the three speeds are in that order",
+            ", ".join(f"{1e2 * x:.1f} cm/s at {phase:g}" for phase, x in points),
             _everywhere(poor < none < good, poor + none + good),
         ),
         negative_is_slower(one)._replace(claim=f"{of_slice}negative phase is slower"),
@@ -135,7 +137,7 @@ def slice_of_phase(over_phase: Map) -> list[StatementCheck]:
 
 
 def findings(over_stiffness: Map, over_phase: Map) -> list[StatementCheck]:
-    """All of them."""
+    """Return the results of all checks."""
     return [
         interior_optimum(over_stiffness),
         short_tails_phase(over_phase),
@@ -147,7 +149,7 @@ def findings(over_stiffness: Map, over_phase: Map) -> list[StatementCheck]:
 
 
 def _tops(over_phase: Map) -> tuple[np.ndarray, np.ndarray]:
-    """Best phases, and their speeds; NaN where a neighbour of the best point is missing."""
+    """Return best phases and their speeds; NaN where a neighbour of the best point is missing."""
     peaks = best_phase(over_phase)
     known = [p.inside is not None for p in peaks]
     best, speed = (np.array([getattr(p, name) for p in peaks]) for name in "xy")
@@ -159,7 +161,7 @@ def _short(over_phase: Map) -> np.ndarray:
 
 
 def _everywhere(condition, needed) -> bool | None:
-    """Whether a condition holds wherever what it needs was found; None where that is nowhere."""
+    """Return whether a condition holds wherever `needed` is finite; None if it never is."""
     found = np.isfinite(needed)
     return bool(np.all(np.asarray(condition)[found])) if found.any() else None
 
@@ -168,10 +170,10 @@ def _mm(lengths) -> str:
     return ", ".join(f"{1e3 * x:.3g}" for x in np.atleast_1d(lengths)) + " mm"
 
 
-def _told(lengths: np.ndarray, values, form: str) -> str:
-    """A value for a single tail; for more, those of the shortest and the longest, and the range.
+def _text(lengths: np.ndarray, values, form: str) -> str:
+    """Return one value, or the values of the shortest and longest tail and the range.
 
-    Lengths whose value is missing are named.
+    The text also lists lengths whose value is missing.
     """
     values, found = np.asarray(values, float), np.isfinite(values)
     lost = f"; missing for {_mm(lengths[~found])}" if not found.all() else ""
@@ -181,4 +183,4 @@ def _told(lengths: np.ndarray, values, form: str) -> str:
     first, last, low, high = (format(v, form) for v in (x[0], x[-1], np.min(x), np.max(x)))
     if len(x) == 1:
         return first + lost
-    return f"{first} at {_mm(at[0])} to {last} at {_mm(at[-1])}, {low} to {high} in all{lost}"
+    return f"{first} at {_mm(at[0])} to {last} at {_mm(at[-1])}, {low} to {high} overall{lost}"

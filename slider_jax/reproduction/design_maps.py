@@ -1,7 +1,7 @@
-"""Maps of speed over a tail's length and one thing more, and the best of every length.
+"""Maps of speed over the tail's length and a second variable, and the maximum at each length.
 
-Speeds are head first [m/s], so that a swimmer that goes tail first counts as slower than one that
-stands still; NaN is where no steady speed was found.
+Speeds [m/s] are positive if the head leads, so a swimmer whose tail leads has a negative speed. NaN
+means that no steady speed was found.
 """
 
 from typing import NamedTuple
@@ -9,44 +9,45 @@ from typing import NamedTuple
 import numpy as np
 
 BEST_PHASE, TOLERANCE = 0.15, 0.05
-"""The paper's best phase of short tails [of a period], and how far off still counts as near."""
+"""The paper's best phase of short tails, and the largest difference that counts as near, both as
+fractions of a period."""
 MARKED = (0.0, 0.2, 0.5)
 """Phases of the points that the paper compares."""
 MARKED_LENGTH = 0.06
-"""Of the tail [m] in the slice that has them."""
+"""Length of the tail [m] in the slice with these points."""
 
 
 class Map(NamedTuple):
-    """Speed over the tail's length and one thing more."""
+    """Speed over the tail's length and a second variable."""
 
     lengths: np.ndarray
-    """(n,) [m], rising"""
+    """(n,) [m], increasing"""
     across: np.ndarray
-    """(m,), rising: the tail's stiffness [N m^2], or the phase of the rear chamber."""
+    """(m,), increasing: the tail's stiffness [N m^2], or the phase of the rear chamber."""
     speed: np.ndarray
     """(n, m) [m/s]"""
 
     def at(self, value: float) -> np.ndarray:
-        """Speeds (n,) where `across` is nearest to `value`."""
+        """Return the speeds (n,) where `across` is nearest to `value`."""
         return self.speed[:, int(np.argmin(np.abs(self.across - value)))]
 
     def slice_at(self, length: float) -> "Map":
-        """The one length nearest to `length` [m]."""
+        """Return the map at the one length nearest to `length` [m]."""
         i = int(np.argmin(np.abs(self.lengths - length)))
         return Map(self.lengths[i : i + 1], self.across, self.speed[i : i + 1])
 
 
 class Peak(NamedTuple):
-    """Where a curve is highest."""
+    """Maximum of a curve."""
 
     x: float
     y: float
     inside: bool | None
-    """Whether it falls off to both sides; None where a point that would tell is missing."""
+    """Whether the curve decreases on both sides; None if a neighbouring point is missing."""
 
 
 def peak(x: np.ndarray, y: np.ndarray) -> Peak:
-    """The top of the parabola through a curve's best point and the two beside it."""
+    """Return the maximum of the parabola through a curve's best point and its two neighbours."""
     if not np.isfinite(y).any():
         return Peak(np.nan, np.nan, None)
     i = int(np.nanargmax(y))
@@ -56,17 +57,17 @@ def peak(x: np.ndarray, y: np.ndarray) -> Peak:
     if np.isnan(y[i - 1 : i + 2]).any():
         return best._replace(inside=None)
     a, b, c = np.polyfit(x[i - 1 : i + 2] - x[i], y[i - 1 : i + 2], 2)
-    if not a < 0.0:  # all three alike
+    if not a < 0.0:  # all three are equal
         return best
     return Peak(float(x[i] - 0.5 * b / a), float(c - 0.25 * b**2 / a), True)
 
 
 def best_stiffness(over_stiffness: Map) -> list[Peak]:
-    """Of every length, the fastest stiffness [N m^2]; the parabola is over its logarithm."""
+    """Return the fastest stiffness [N m^2] at each length; the parabola is over its logarithm."""
     found = [peak(np.log(over_stiffness.across), row) for row in over_stiffness.speed]
     return [p._replace(x=float(np.exp(p.x))) for p in found]
 
 
 def best_phase(over_phase: Map) -> list[Peak]:
-    """Of every length, the fastest phase."""
+    """Return the fastest phase at each length."""
     return [peak(over_phase.across, row) for row in over_phase.speed]

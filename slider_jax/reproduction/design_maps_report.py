@@ -1,4 +1,4 @@
-"""The picture of the design maps: two maps and their slices, like the paper's Fig. 7."""
+"""Picture of the design maps: two maps and their slices, like the paper's Fig. 7."""
 
 from pathlib import Path
 
@@ -17,13 +17,13 @@ from slider_jax.reproduction.design_maps import (
 from slider_jax.sweep.report import plot_contours
 
 SHOWN_LENGTHS = (0.02, 0.04, 0.06, 0.08, 0.10)
-"""Of the slices [m]."""
+"""Tail lengths of the slices [m]."""
 STIFFNESS, PHASE = "stiffness EI of the tail (mN m²)", "phase of the rear chamber (of a period)"
 LENGTH, SPEED = "length of the tail (mm)", "steady speed, head first (cm/s)"
 
 
 def plot_design_maps(over_stiffness: Map, over_phase: Map, title: str, path: Path) -> None:
-    """Write the four panels; where no steady speed was found, maps are hatched and slices gap."""
+    """Write the picture; where no steady speed was found, maps are hatched and slices have gaps."""
     figure, ((a, b), (c, d)) = new_figure(2, 2, figsize=(11, 8.6))
     _draw_map(figure, a, over_stiffness, best_stiffness(over_stiffness), 1e3)
     a.set(yscale="log", ylabel=STIFFNESS)
@@ -44,14 +44,12 @@ def plot_design_maps(over_stiffness: Map, over_phase: Map, title: str, path: Pat
         ax.set_title(f"{letter}: {name}", loc="left", fontsize="medium")
     lost = sum(int(np.isnan(x.speed).sum()) for x in (over_stiffness, over_phase))
     note = f"; hatched: no steady speed found, {lost} points" if lost else ""
-    figure.suptitle(
-        f"{title}\ncircles and triangles: the best of a length{note}", fontsize="medium"
-    )
+    figure.suptitle(f"{title}\ncircles and triangles: maximum at a length{note}", fontsize="medium")
     save_figure(figure, path)
 
 
 def _draw_map(figure, ax, drawn: Map, peaks: list[Peak], factor: float) -> None:
-    """`factor`: from SI to the unit shown of what is across."""
+    """Draw a map and its maxima; `factor` converts the second variable to its displayed unit."""
     lengths, best = 1e3 * drawn.lengths, factor * np.array([p.x for p in peaks])
     ax.patch.set(hatch="////", facecolor="w", edgecolor="0.6")
     plot_contours(figure, ax, lengths, factor * drawn.across, 1e2 * drawn.speed.T, SPEED)
@@ -75,7 +73,7 @@ def _draw_slices(ax, drawn: Map, peaks: list[Peak], factor: float) -> None:
 
 
 def _mark(ax, over_phase: Map) -> None:
-    """The paper's three points on its slice, and its best phase."""
+    """Mark the paper's three points on its slice, and its best phase."""
     one = over_phase.slice_at(MARKED_LENGTH)
     speeds = [1e2 * float(one.at(phase)[0]) for phase in MARKED]
     ax.plot(MARKED, speeds, "ko", ms=6, zorder=5, clip_on=False)

@@ -1,4 +1,4 @@
-"""The paper's head-fixed frequency sweep: one vmapped rollout of all its frequencies."""
+"""The paper's head-fixed frequency sweep, as one vmapped rollout of all frequencies."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -18,10 +18,11 @@ SHOWN = (1.0, 4.8)
 
 
 class FrequencySweepSettings(eqx.Module):
-    """What the sweep runs; the defaults are the demo's.
+    """Settings of the sweep; the defaults are the demo's.
 
-    At 400 and at 500 steps a stride every mean thrust of the sweep is the same to 0.02 mN. Steps
-    per stride are a multiple of 20: edges of both chambers and poses then fall on steps.
+    With 400 and with 500 steps per stride, each mean thrust of the sweep differs by at most
+    0.02 mN. Steps per stride must be a multiple of 20, so that pressure edges and poses fall on
+    time steps.
     """
 
     robot: Robot = Robot()
@@ -34,7 +35,7 @@ class FrequencySweepSettings(eqx.Module):
 
 
 class Series(NamedTuple):
-    """One frequency over all strides: arrays over the steps, (steps,) unless a shape is given."""
+    """Time series of one frequency over all strides, (steps,) unless a shape is given."""
 
     t: np.ndarray
     """[s]"""
@@ -53,14 +54,14 @@ class Series(NamedTuple):
 
 
 class FrequencySweep(NamedTuple):
-    """The result: `table` has a column (F,) for each quantity, named with its unit."""
+    """Result of the sweep; `table` has a column (F,) for each quantity, named with its unit."""
 
     table: dict[str, np.ndarray]
     stride_thrust: np.ndarray
     """(F, strides): mean thrust [N] of every stride, transient ones included."""
     shown: dict[float, Series]
     ok: np.ndarray
-    """(F,) False where a step did not converge; its row is NaN."""
+    """(F,) False where a time step did not converge; that row is NaN."""
 
 
 def run_frequency_sweep(
@@ -68,9 +69,9 @@ def run_frequency_sweep(
     on_begin: Callable[[int], None] = lambda strides: None,
     on_stride: Callable[[], None] = lambda: None,
 ) -> FrequencySweep:
-    """Run the sweep on all cores, chunk by chunk and stride by stride.
+    """Run the sweep on all cores and return its result.
 
-    `on_begin(n)` is called once, n chunk-strides being to come, and `on_stride()` after each.
+    `on_begin(n)` is called once with the number of chunk-strides, and `on_stride()` after each.
     """
     frequencies = np.asarray(settings.frequencies, float)
     plan = Plan(settings.steps_per_stride, settings.strides, settings.numerics)

@@ -12,7 +12,7 @@ from slider_jax.reproduction.frequency_sweep import FrequencySweep, FrequencySwe
 def thrust_against_frequency(
     sweep: FrequencySweep, settings: FrequencySweepSettings, path: Path
 ) -> None:
-    """Like the paper's Fig. 4: mean thrust of steady strides, bars of one standard deviation."""
+    """Plot mean thrust with bars of one standard deviation of strides, like the paper's Fig. 4."""
     table = sweep.table
     f, mean = table["frequency_Hz"], 1e3 * table["thrust_mean_N"]
     figure, ax = new_figure(figsize=(8, 4.8))
@@ -27,10 +27,10 @@ def thrust_against_frequency(
         ms=4,
         lw=1.2,
         capsize=3,
-        label="simulated, mean and s.d. of strides",
+        label="simulated, mean and standard deviation of strides",
     )
-    at, there = paper.THRUST_AT, 1e3 * paper.THRUST_THERE
-    ax.plot(at, there, "C3*", ms=14, label=f"paper: about {there:.0f} mN near {at:g} Hz")
+    at, thrust = paper.THRUST_AT, 1e3 * paper.THRUST_THERE
+    ax.plot(at, thrust, "C3*", ms=14, label=f"paper: about {thrust:.0f} mN near {at:g} Hz")
     ax.axvline(
         paper.MINIMUM_NEAR,
         color="C3",
@@ -50,15 +50,15 @@ def _subtitle(settings: FrequencySweepSettings) -> str:
     a = settings.assumed
     front = 1e-3 * float(a.amplitude)
     return (
-        f"head fixed, still water; assumed: +-{front:g} kPa set in front, "
-        f"+-{front * float(a.rear_ratio):g} kPa in the rear {float(a.phase):g} of a stride later"
+        f"head fixed, still water; assumed: front chamber +-{front:g} kPa, rear chamber "
+        f"+-{front * float(a.rear_ratio):g} kPa, delayed by {float(a.phase):g} of a stride"
     )
 
 
 def stride_in_detail(
     frequency: float, series: Series, settings: FrequencySweepSettings, path: Path
 ) -> None:
-    """Like the paper's Figs. 5 and 6: midlines of the last stride, and three strides in time."""
+    """Plot midlines of the last stride and three strides over time, like the paper's Figs. 5, 6."""
     figure, _ = new_figure(figsize=(10, 8.5))
     figure.clear()
     grid = figure.add_gridspec(3, 2, height_ratios=(1.3, 1.0, 1.0))

@@ -1,4 +1,4 @@
-"""What the demo writes and says: files, and a table beside what the paper states."""
+"""Files of the demo, and its table beside the paper's values."""
 
 import dataclasses
 from pathlib import Path
@@ -22,13 +22,13 @@ ASSUMED = {
     "EA_body, EA_tail": "5 kN: the paper gives none; strains stay below 1e-3",
     "C_d, m_a": "4 and 0 below 2 Hz, 3 and 1 above 3 Hz, linear between",
 }
-"""What is ours in the demo, and why."""
+"""Assumed values of the demo, with reasons."""
 
 
 def write_frequency_sweep(
     sweep: FrequencySweep, settings: FrequencySweepSettings, folder: Path
 ) -> None:
-    """Write tables, pictures and settings, all or none of them."""
+    """Write tables, pictures and settings; if one fails, none is written."""
     with staged(folder) as stage:
         write_csv(stage / "sweep.csv", sweep.table)
         thrust_against_frequency(sweep, settings, stage / "thrust_against_frequency.png")
@@ -61,11 +61,11 @@ def _at(sweep: FrequencySweep, name: str, frequency: float) -> float:
 
 
 def comparison(sweep: FrequencySweep, settings: FrequencySweepSettings) -> str:
-    """The table that the demo prints: what the paper states, what is found, what differs."""
+    """Return the demo's table: the paper's values, this model's, and whether they agree."""
     table, f = sweep.table, sweep.table["frequency_Hz"]
     thrust, recoil = 1e3 * table["thrust_mean_N"], 1e3 * table["recoil_peak_N"]
     if np.isnan(thrust).all():
-        return "no frequency could be solved; see settings.json"
+        return "no frequency converged; see settings.json"
     low, top = int(np.nanargmin(thrust)), int(np.nanargmax(thrust))
     least, most = f"{thrust[low]:.1f} mN at {f[low]:g} Hz", f"{thrust[top]:.1f} mN at {f[top]:g} Hz"
     at = paper.THRUST_AT
@@ -97,21 +97,21 @@ def comparison(sweep: FrequencySweep, settings: FrequencySweepSettings) -> str:
     widths = [max(len(row[column]) for row in rows) for column in range(4)]
     lines = ["  ".join(x.ljust(w) for x, w in zip(row, widths, strict=True)) for row in rows]
     negative = f[thrust < 0.0]
-    said = [
+    notes = [
         f"The largest mean thrust is {most}; the largest recoil {np.nanmax(recoil):.0f} mN "
         f"at {f[int(np.nanargmax(recoil))]:g} Hz.",
         f"Mean thrust is negative from {negative.min():g} to {negative.max():g} Hz."
         if negative.size
-        else "Mean thrust is nowhere negative.",
+        else "Mean thrust is negative at no frequency.",
         f"Means are over {settings.strides - settings.transient} strides after "
-        f"{settings.transient} tailbeats. Pressures, chamber spans, damping and axial stiffness "
-        "are assumed (settings.json). Amplitude and delay were chosen to meet the first two lines, "
-        "which are therefore no test; where a figure differs from the paper's, either what is "
-        "assumed or the model may be why.",
+        f"{settings.transient} transient strides. Pressures, chamber spans, damping and axial "
+        "stiffness are assumed (settings.json). Amplitude and delay were chosen to match the first "
+        "two lines, so these do not test the model. Where a figure differs from the paper's, the "
+        "cause may be an assumed parameter or the model itself.",
     ]
     if not sweep.ok.all():
-        said.append(f"Not solved: {', '.join(f'{x:g} Hz' for x in f[~sweep.ok])}.")
-    return "\n".join([*(line.rstrip() for line in lines), "", *said])
+        notes.append(f"Not converged: {', '.join(f'{x:g} Hz' for x in f[~sweep.ok])}.")
+    return "\n".join([*(line.rstrip() for line in lines), "", *notes])
 
 
 def _verdict(agrees: bool) -> str:

@@ -1,4 +1,4 @@
-"""What the paper's table of its optimum could hang on: one change of the model at a time."""
+"""Sensitivity of the paper's table of its optimum to single changes of the model."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -23,10 +23,10 @@ from slider_jax.swimming.performance import Performance, Stride, steady_stride
 from slider_jax.swimming.steady_state import SteadySettings
 
 K_Q_OF_THE_TIP = 1.623e-6
-"""[m^3], with which 45 kPa in both chambers moves the tip of the paper's table's robot by 102 mm,
-as the paper says of K_Q; 3.4 times that of its Q_set = 175 mN m at 365 kPa."""
+"""K_Q [m^3] with which 45 kPa in both chambers move the tip by 102 mm, the paper's figure for K_Q.
+It is 3.4 times the value from the paper's Q_set = 175 mN m at 365 kPa."""
 PASSED, KEPT = 12, 4
-"""Strides of a robot whose head is held: until it is steady, and over which its thrust is taken."""
+"""Strides of a robot with clamped head: until it is steady, and for the mean thrust."""
 
 
 def _robot(**changed: Any) -> Callable[[Model], Model]:
@@ -78,7 +78,7 @@ CHANGES: dict[str, Callable[[Model], Model]] = {
     "chambers over the whole body": _robot(front_chamber=(0.0, 0.149), rear_chamber=(0.149, 0.298)),
     "twice the axial resistance": _effect("head_drag", area=2.0 * HEAD_DRAG),
 }
-"""Each changes one thing of the model of the paper's optimum."""
+"""Single changes of the model of the paper's optimum, by name."""
 RECALIBRATED = (NO_LAG, TIP_K_Q, SOFT_TAIL)
 """Changes after which the axial resistance is calibrated again."""
 
@@ -89,13 +89,13 @@ class SteadyRow(NamedTuple):
     performance: Performance
     stride: Stride
     area: float
-    """Of the head's form drag [m^2]."""
+    """Form-drag area of the head [m^2]."""
     wavelengths: dict[str, float]
-    """[m], by definition."""
+    """Wavelength [m] by definition."""
     rms_tail_slope: float
 
     def slopes(self) -> dict[str, float]:
-        """A_t over a quarter of each wavelength."""
+        """Return A_t over a quarter of each wavelength."""
         half = float(self.performance.tail_amplitude)
         return {k: float(obs.tail_slope(half, x)) for k, x in self.wavelengths.items()}
 
@@ -104,7 +104,7 @@ _steadily = eqx.filter_jit(steady_stride)
 
 
 def _arrays(model: Model) -> Model:
-    """All numbers as arrays, so that one program serves all models of one structure."""
+    """Return the model with numbers as arrays, so that all changes share one compiled program."""
     return jax.tree.map(lambda x: jnp.asarray(x, float), model)
 
 
@@ -118,18 +118,19 @@ def _row(
 
 
 def steady_row(model: Model, frequency: float, search: SteadySettings) -> SteadyRow:
-    """The steady stride. Raises `SolverError` where there is none."""
+    """Return the steady stride. Raises `SolverError` if there is none."""
     model = _arrays(model)
     stride, found, ok = jax.device_get(_steadily(model, jnp.asarray(frequency, float), search))
     if not bool(ok):
-        raise SolverError("no steady speed was found, or a step did not converge")
+        raise SolverError("no steady speed was found, or a time step did not converge")
     return _row(model, frequency, stride, found, search)
 
 
 def calibrated(model: Model, frequency: float, speed: float, search: SteadySettings) -> SteadyRow:
-    """The same with the area of its head's form drag for which it swims at `speed` [m/s], to 0.2 %.
+    """Return the steady stride with the head's form-drag area fitted to `speed` [m/s], to 0.2 %.
 
-    By a secant in the logarithms, begun as if drag alone balanced a thrust that is given.
+    A secant method in the logarithms finds the area. The first slope assumes that only this drag
+    balances a constant thrust. Raises `SolverError` if no area is found.
     """
     rows: list[SteadyRow] = []
     area, power = float(next(e.area for e in model.effects if isinstance(e, HeadDrag))), -0.5
@@ -143,7 +144,7 @@ def calibrated(model: Model, frequency: float, speed: float, search: SteadySetti
             far = np.log(float(rows[-1].performance.speed) / float(before.performance.speed))
             power = min(far / np.log(area / before.area), -0.2)
         area *= float(np.exp(np.clip(-off / power, -1.5, 1.5)))
-    raise SolverError(f"no area of head_drag was found that gives {speed:g} m/s")
+    raise SolverError(f"no head_drag area gives {speed:g} m/s within 12 iterations")
 
 
 @eqx.filter_jit
@@ -160,12 +161,12 @@ def _held(model: Model, frequency, search: SteadySettings):
 def clamped_performance(
     model: Model, frequency: float, tow_speed: float, search: SteadySettings
 ) -> dict[str, float]:
-    """Head clamped and towed at `tow_speed` [m/s]: mean thrust, and the shape that is left."""
+    """Return mean thrust and shape with the head clamped and towed at `tow_speed` [m/s]."""
     model = _arrays(replace(model, support=Clamped(tow_speed=tow_speed)))
     seen, ok = jax.device_get(_held(model, jnp.asarray(frequency), search))
     t, midline, thrust = seen
     if not bool(ok):
-        raise SolverError("a step did not converge with the head held")
+        raise SolverError("a time step did not converge with the head clamped")
     y = midline[:, 1] - midline[:, 1].mean(axis=0)
     s = make_mesh(model.body, search.numerics).grid.s
     mode = obs.fundamental_mode(jnp.asarray(y), jnp.asarray(t), frequency)
@@ -183,7 +184,7 @@ def clamped_performance(
 def head_fixed_thrust(
     change: str, amplitude: float, optimum: Model, search: SteadySettings
 ) -> float:
-    """Mean thrust [N] of the paper's head-fixed test at 4.8 Hz after one of `CHANGES`."""
+    """Return the mean thrust [N] of the paper's head-fixed test at 4.8 Hz after a change."""
     f = paper.THRUST_AT
     fixed = paper.head_fixed(f, Robot(), paper.Assumed(amplitude=amplitude))
     model = CHANGES[change](replace(optimum, robot=fixed.robot, drive=fixed.drive))

@@ -1,4 +1,4 @@
-"""Other ways to read a wavelength, or the tail's slope, off one stride of a swimmer."""
+"""Wavelength and tail slope of a swimmer's stride, by several definitions."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -8,7 +8,10 @@ from slider_jax.swimming.performance import Stride
 
 
 def on_course(stride: Stride) -> tuple[np.ndarray, np.ndarray]:
-    """Places (steps, nodes) [m] along the mean velocity, and to its left less their mean."""
+    """Return positions (steps, nodes) [m] along and left of the course.
+
+    The positions to the left have zero mean over the stride.
+    """
     x, y = np.moveaxis(np.asarray(stride.midline), 1, 0)
     along = np.asarray(stride.velocity).mean(axis=0)
     along = along / np.hypot(*along) * np.sign(along @ np.asarray(stride.ahead))
@@ -17,10 +20,10 @@ def on_course(stride: Stride) -> tuple[np.ndarray, np.ndarray]:
 
 
 def zeros_wavelength(y: np.ndarray, s: np.ndarray) -> float:
-    """Twice the mean distance [m] between neighbouring zeros of shapes y (times, points) at `s`.
+    """Return twice the mean distance [m] between neighbouring zeros of shapes y (times, points).
 
-    A shape counts by its mean square, as all cross the axis while a standing wave turns over. NaN
-    where none has two zeros.
+    The weight of a shape is its mean square, because near the turning point of a standing wave
+    all points cross the axis. Returns NaN if no shape has two zeros. `s` (points,) is in m.
     """
     lengths, weights = [], []
     for row in y:
@@ -33,19 +36,22 @@ def zeros_wavelength(y: np.ndarray, s: np.ndarray) -> float:
 
 
 def without_recoil(y: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Shapes (times, points) less the straight line that fits each of them best."""
+    """Return shapes (times, points) minus the straight line fitted to each."""
     line = np.stack([np.ones_like(s), s], axis=1)
     return y - (line @ np.linalg.lstsq(line, y.T, rcond=None)[0]).T
 
 
 def rms_tail_slope(along: np.ndarray, across: np.ndarray) -> float:
-    """Root mean square over the stride of dy/dx [-] at the tail's end: needs no wavelength."""
+    """Return the root mean square of dy/dx [-] at the tail's end over the stride."""
     slope = np.diff(across[:, :2])[:, 0] / np.diff(along[:, :2])[:, 0]
     return float(np.sqrt(((slope - slope.mean()) ** 2).mean()))
 
 
 def wavelengths(stride: Stride, s: np.ndarray, frequency: float) -> dict[str, float]:
-    """Wavelength [m] of one stride by each definition; those by phase are negative headwards."""
+    """Return the wavelength [m] of a stride by each definition.
+
+    Wavelengths from the phase are negative for a wave towards the head.
+    """
     along, y = on_course(stride)
     t = jnp.asarray(stride.t)
 

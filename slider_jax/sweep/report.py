@@ -1,4 +1,4 @@
-"""What a sweep of fields writes: the table, its record, and a line or contour plot."""
+"""Files of a sweep: the table, its record, and a line or contour plot."""
 
 import json
 from pathlib import Path
@@ -25,7 +25,7 @@ DRAWN_OF_SWIMMERS = (
 
 
 def plotted_columns(sweep: Sweep) -> tuple[tuple[str, str, float], ...]:
-    """What is drawn of a sweep."""
+    """Return the columns to plot: name, label with unit, factor from SI."""
     return DRAWN_OF_SWIMMERS if sweep.swim else DRAWN
 
 
@@ -33,7 +33,7 @@ FILES = ("sweep.csv", "sweep.json", "sweep.png")
 
 
 def is_written(sweep: Sweep, folder: Path) -> bool:
-    """Whether `folder` holds the whole result of this very sweep, versions included."""
+    """Return whether `folder` holds the complete result of this sweep with the same versions."""
     if not all((folder / name).is_file() for name in FILES):
         return False
     try:
@@ -44,7 +44,7 @@ def is_written(sweep: Sweep, folder: Path) -> bool:
 
 
 def write_sweep(sweep: Sweep, table: dict[str, np.ndarray], folder: Path, source: Path) -> None:
-    """Write sweep.csv, sweep.json and sweep.png, all or none of them."""
+    """Write sweep.csv, sweep.json and sweep.png; if one fails, none is written."""
     settings = sweep.settings()
     failed = np.flatnonzero(np.isnan(table[plotted_columns(sweep)[0][0]]))
     record = {
@@ -66,14 +66,14 @@ _POWERS = str.maketrans({"2": "²", "3": "³", "^": None})
 
 
 def _axis(axis: Axis) -> tuple[np.ndarray, str]:
-    """The values of an axis in the unit that pictures show, and its label."""
+    """Return the values of an axis in its displayed unit, and its label."""
     unit, factor = _SHOWN.get(axis.unit, (axis.unit.translate(_POWERS), 1.0))
     label = f"{axis.field} ({unit})" if unit else axis.field
     return factor * np.asarray(axis.values), label
 
 
 def plot_sweep(sweep: Sweep, table: dict[str, np.ndarray], path: Path) -> None:
-    """Lines over one field, or filled contours over two; a member that failed is left out."""
+    """Plot lines over one field or filled contours over two; failed points are omitted."""
     figure, axes = new_figure(2, 2, figsize=(10, 7), sharex=True)
     x, along = _axis(sweep.axes[0])
     for ax, (name, label, factor) in zip(axes.flat, plotted_columns(sweep), strict=True):
@@ -93,19 +93,19 @@ def plot_sweep(sweep: Sweep, table: dict[str, np.ndarray], path: Path) -> None:
     averaged = f"last {sweep.strides - sweep.transient} of {sweep.strides} strides"
     figure.suptitle(
         f"{sweep.experiment.name}, {trial.file}: "
-        f"{'set free, one steady stride' if sweep.swim else averaged}",
+        f"{'free swimming, one steady stride' if sweep.swim else averaged}",
         fontsize="medium",
     )
     save_figure(figure, path)
 
 
 def plot_contours(figure, ax, x: np.ndarray, y: np.ndarray, values: np.ndarray, label: str) -> None:
-    """Round, labelled levels in black, and three colours from each to the next."""
+    """Plot labelled contour lines at round levels, with three colours between two levels."""
     from matplotlib.ticker import MaxNLocator
 
     low, high = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)
     if not low < high:
-        ax.text(0.5, 0.5, f"{label}: no two values differ", ha="center", transform=ax.transAxes)
+        ax.text(0.5, 0.5, f"{label}: all values are equal", ha="center", transform=ax.transAxes)
         return
     round_levels = MaxNLocator(7, steps=[1, 2, 5, 10]).tick_values(low, high)
     fine = np.linspace(round_levels[0], round_levels[-1], 3 * (len(round_levels) - 1) + 1)
@@ -114,5 +114,7 @@ def plot_contours(figure, ax, x: np.ndarray, y: np.ndarray, values: np.ndarray, 
     lines = ax.contour(x, y, grid, levels=round_levels, colors="k", linewidths=0.6)
     for text in ax.clabel(lines, fontsize=8, fmt="%g"):
         place = (ax.transData + ax.transAxes.inverted()).transform(text.get_position())
-        text.set_visible(bool(np.all((0.05 < place) & (place < 0.95))))  # else cut by the frame
+        text.set_visible(
+            bool(np.all((0.05 < place) & (place < 0.95)))
+        )  # the frame would cut the others
     figure.colorbar(drawn, ax=ax, label=label, ticks=round_levels).add_lines(lines)

@@ -1,4 +1,4 @@
-"""One or two fields of an experiment over ranges: a table that a killed run takes up again."""
+"""Sweeps over one or two fields of an experiment; an interrupted sweep resumes."""
 
 import hashlib
 import json
@@ -31,7 +31,7 @@ class Axis(NamedTuple):
 
     @classmethod
     def spaced(cls, field: str, start: float, stop: float, count: int) -> "Axis":
-        """`count` values evenly from `start` to `stop`."""
+        """Return the axis with `count` evenly spaced values. Raises `InputError` if invalid."""
         if count < 2:
             raise InputError.value(f"--count of {field}", count, "2 or more values")
         if not np.isfinite([start, stop]).all() or start == stop:
@@ -42,20 +42,20 @@ class Axis(NamedTuple):
 
     @property
     def unit(self) -> str:
-        """The field's unit, or nothing."""
+        """Unit of the field; empty if it has none."""
         _, field = field_at(Experiment, self.field.split("."))
         quantity = quantity_of(field)
         return quantity.unit if quantity else ""
 
     @property
     def column(self) -> str:
-        """The field's name in a table, with its unit."""
+        """Name of the field's column in a table, with the unit."""
         unit = self.unit.replace(" ", "_").replace("/", "_per_").replace("^", "")
         return f"{self.field}_{unit}" if unit and " of " not in self.unit else self.field
 
 
 class Sweep(NamedTuple):
-    """A sweep to run: the experiment, one or two axes, the trial that is run, and how."""
+    """The experiment, the axes, the trial and the settings of a sweep."""
 
     experiment: Experiment
     axes: tuple[Axis, ...]
@@ -64,16 +64,16 @@ class Sweep(NamedTuple):
     transient: int = 3
     steps_per_stride: int = 300
     swim: bool = False
-    """Whether the robot is set free, and what is found is of its steady stride."""
+    """Whether the robot swims freely; the results then describe its steady stride."""
 
     @property
     def points(self) -> list[tuple[float, ...]]:
-        """Values of the axes for every member; the last axis runs fastest."""
+        """Values of the axes at every point; the last axis varies fastest."""
         grids = np.meshgrid(*(axis.values for axis in self.axes), indexing="ij")
         return [tuple(map(float, row)) for row in np.stack([g.ravel() for g in grids], axis=1)]
 
     def settings(self) -> dict[str, Any]:
-        """Everything that the result depends on, in JSON's types."""
+        """Return everything that the result depends on, as JSON types."""
         content = {
             "experiment": self.experiment.model_dump(),
             "fields": {axis.field: axis.values for axis in self.axes},
@@ -88,24 +88,24 @@ class Sweep(NamedTuple):
 
 
 def digest(settings: dict[str, Any]) -> str:
-    """sha256 of settings."""
+    """Return the SHA-256 checksum of settings."""
     return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
 
 
 class Group(NamedTuple):
-    """Points of a sweep that one compiled program serves."""
+    """Points of a sweep that share one compiled program."""
 
     plan: Plan
     members: Member
     """Stacked along a first axis."""
     points: np.ndarray
-    """Their places in the sweep."""
+    """Indices of the points in the sweep."""
 
 
 def groups_of(sweep: Sweep) -> list[Group]:
-    """The members by what is compiled for them; a field of numerics makes more than one group.
+    """Return the points grouped by compiled program; only fields of numerics need several.
 
-    Raises `InputError` for a field that cannot be swept.
+    Raises `InputError` for a field that cannot be varied.
     """
     _check(sweep)
     cases = [_case(sweep, point) for point in sweep.points]
@@ -116,9 +116,9 @@ def groups_of(sweep: Sweep) -> list[Group]:
         leaves = zip(jax.tree.leaves(member), jax.tree.leaves(changed), strict=True)
         if plan == other_plan and all(np.array_equal(a, b) for a, b in leaves):
             raise InputError(
-                f"--field {axis.field}: changes nothing in the strides of trial {sweep.trial}; "
-                "allowed are numbers of robot, parameters, water, effects, numerics, and of the "
-                "trial itself (--trial)"
+                f"--field {axis.field}: this field does not affect the strides of trial "
+                f"{sweep.trial}; allowed are numbers of robot, parameters, water, effects, "
+                "numerics, and of the trial itself (--trial)"
             )
     plans = list(dict.fromkeys(plan for plan, _ in cases))
     indices = [np.array([i for i, case in enumerate(cases) if case[0] == x]) for x in plans]
@@ -134,7 +134,7 @@ def _check(sweep: Sweep) -> None:
         raise InputError.value("--trial, or N of trials.N", sweep.trial, f"0 to {len(trials) - 1}")
     if trials[sweep.trial].waveform == "recorded":
         raise InputError(
-            f"--trial {sweep.trial}: is driven by a recording, which has no strides; allowed are "
+            f"--trial {sweep.trial}: the drive is a recording, which has no strides; allowed are "
             "square, sine and trapezoid waves"
         )
     if not 0 <= sweep.transient < sweep.strides:
@@ -148,13 +148,13 @@ def _check(sweep: Sweep) -> None:
     for axis in sweep.axes:
         if axis.field.startswith("trials.") and axis.field.endswith(".duration"):
             raise InputError(
-                f"--field {axis.field}: a sweep runs whole strides whatever the duration; "
-                "--strides says how many, --transient how many of them are left out of the means"
+                f"--field {axis.field}: a sweep ignores the duration; --strides sets the number of "
+                "strides, and --transient how many of them the means exclude"
             )
 
 
 def _case(sweep: Sweep, point: tuple[float, ...]) -> tuple[Plan, Member]:
-    """How a point is run, and its robot."""
+    """Return the settings and the robot of a point."""
     values = {
         axis.field: _whole(axis.field, value) for axis, value in zip(sweep.axes, point, strict=True)
     }
@@ -163,7 +163,7 @@ def _case(sweep: Sweep, point: tuple[float, ...]) -> tuple[Plan, Member]:
     assert f is not None
     if "numerics.step" in values:
         steps = POSES * max(2, int(np.ceil(1.0 / (f * values["numerics.step"] * POSES) - 1e-9)))
-    # A swept length keeps the cells that the given one has, so that members share a program.
+    # The cells follow the given robot, so that points with other lengths share a program.
     meshed = experiment.model_copy(update={"robot": sweep.experiment.robot})
     plan = Plan(steps, sweep.strides, *to_numerics(meshed))
     model = to_model(experiment, sweep.trial)
@@ -171,25 +171,25 @@ def _case(sweep: Sweep, point: tuple[float, ...]) -> tuple[Plan, Member]:
 
 
 def _whole(field: str, value: float) -> float | int:
-    """`value` as an integer where the field is one."""
+    """Return `value`, converted to an integer if the field is one."""
     _, info = field_at(Experiment, field.split("."))
     if info is None or info.annotation is not int:
         return value
     if not value.is_integer():
         raise InputError.value(
-            f"--field {field}", f"{value:g}", "whole numbers", "choose --count so that they are"
+            f"--field {field}", f"{value:g}", "whole numbers", "choose another --count"
         )
     return int(value)
 
 
 class Chunk(NamedTuple):
-    """A part of a group that is run at once, and its file."""
+    """A part of a group that is computed at once, and its file."""
 
     group: int
     members: np.ndarray
-    """Which of the group's; the last one may be repeated to fill the chunk."""
+    """Indices in the group; the last one may be repeated to fill the chunk."""
     points: np.ndarray
-    """Their places in the sweep, repeated ones left out."""
+    """Indices in the sweep, without repetitions."""
     file: Path
 
 
@@ -210,17 +210,17 @@ def run_sweep(
     on_begin: Callable[[int, int], None] = lambda strides, done: None,
     on_stride: Callable[[], None] = lambda: None,
 ) -> dict[str, np.ndarray]:
-    """Run what `folder`/partial does not hold yet, and return the whole table, a row a member.
+    """Run a sweep and return its table, with one row for each point.
 
-    `on_begin(strides, done)`: chunk-strides in all, and those already there; `on_stride()` after
-    each new one. Finished chunks are files, so a killed run goes on where it was. Raises
-    `InputError` if `partial` was begun with other settings.
+    Finished chunks are files in `folder`/partial, so an interrupted sweep resumes. `on_begin` gets
+    the total number of chunk-strides and the number already complete; `on_stride` is called after
+    each new one. Raises `InputError` if `partial` has other settings.
     """
     groups, partial = groups_of(sweep), folder / "partial"
     chunks = _chunks(groups, _take_up(sweep, partial), partial)
-    left = [i for i, chunk in enumerate(chunks) if not chunk.file.exists()]
+    remaining = [i for i, chunk in enumerate(chunks) if not chunk.file.exists()]
     strides = 1 if sweep.swim else sweep.strides
-    on_begin(len(chunks) * strides, (len(chunks) - len(left)) * strides)
+    on_begin(len(chunks) * strides, (len(chunks) - len(remaining)) * strides)
     compiled: dict[int, Any] = {}
     locks = [threading.Lock() for _ in groups]
 
@@ -240,7 +240,7 @@ def run_sweep(
             rows = steady_quantities(plan, batch, runs, sweep.transient)
         write_json(chunk.file, {name: x[: len(chunk.points)] for name, x in rows.items()})
 
-    for _ in in_threads(work, left, min(available_cores(), max(1, len(left)))):
+    for _ in in_threads(work, remaining, min(available_cores(), max(1, len(remaining)))):
         pass
     return _gathered(sweep, groups, chunks)
 
@@ -259,15 +259,15 @@ def _gathered(sweep: Sweep, groups: list[Group], chunks: list[Chunk]) -> dict[st
 
 
 def _take_up(sweep: Sweep, partial: Path) -> int:
-    """Begin `partial`, or check that it is of this sweep. Returns its chunks' largest size."""
+    """Create `partial`, or check its settings. Returns the largest size of its chunks."""
     settings, record = sweep.settings(), partial / "settings.json"
     if record.exists():
         found = json.loads(record.read_text())
         if found["sha256"] != digest(settings):
             differ = [k for k in settings if settings[k] != found["settings"].get(k)]
             raise InputError(
-                f"{partial}: holds an unfinished sweep with other settings ({', '.join(differ)}); "
-                "finish it with those, delete that folder, or give another --out"
+                f"{partial}: this folder holds an unfinished sweep with other settings "
+                f"({', '.join(differ)}); finish it, delete the folder, or give another --out"
             )
         return int(found["chunk"])
     size = chunks_of(len(sweep.points), LARGEST_CHUNK, available_cores()).size

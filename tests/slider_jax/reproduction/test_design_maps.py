@@ -100,11 +100,15 @@ FALSE = [
     (
         short_tails_phase,
         over_phase([0.15, 0.15, 0.22, 0.4, 0.4]),
-        r"\+0.070 in all; too far for 60",
+        r"\+0.070 overall; too large for 60",
     ),
     (negative_is_slower, over_phase([0.1, 0.1, 0.1, 0.1, -0.06]), "-.* at 100 mm"),
-    (half_is_poor, over_phase([0.15, 0.15, 0.35, 0.15, 0.15]), "25.5 in all, against"),
-    (long_tails_gain_less, over_phase(0.15, curvature=np.arange(1.0, 6.0)), "10.1 against 4.5"),
+    (half_is_poor, over_phase([0.15, 0.15, 0.35, 0.15, 0.15]), "25.5 overall, compared with"),
+    (
+        long_tails_gain_less,
+        over_phase(0.15, curvature=np.arange(1.0, 6.0)),
+        "10.1 compared with 4.5",
+    ),
 ]
 
 

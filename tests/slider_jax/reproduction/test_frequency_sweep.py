@@ -101,7 +101,7 @@ def test_a_frequency_that_failed_is_nan_and_named(sweep):
     failed = sweep._replace(
         table=sweep.table | {"thrust_mean_N": nan}, ok=np.array([False, True, True])
     )
-    assert "Not solved: 1 Hz" in comparison(failed, TINY)
+    assert "Not converged: 1 Hz" in comparison(failed, TINY)
 
 
 def test_an_absurd_member_fails_alone(sweep):

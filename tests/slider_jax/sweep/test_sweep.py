@@ -188,12 +188,12 @@ def test_what_is_done_is_said_and_not_done_again(
     assert [p.name for p in out.iterdir()] == ["partial"]
 
     assert main(command) == 0
-    assert "taking up 2 of 3 chunks done before" in capsys.readouterr().err
+    assert "resuming: 2 of 3 chunks are complete" in capsys.readouterr().err
     assert len(calls) == 4
     written = (out / "sweep.json").stat().st_mtime_ns
 
     assert main(command) == 0
-    assert "holds the 5 members of this sweep already" in capsys.readouterr().err
+    assert "already holds all 5 points of this sweep" in capsys.readouterr().err
     assert len(calls) == 4 and (out / "sweep.json").stat().st_mtime_ns == written
 
     assert main([*command, "--transient", "2"]) == 0  # another sweep, in place of it
@@ -226,8 +226,11 @@ def test_two_fields_from_the_command_line(experiment, tmp_path, one_core_chunks_
         ({"--field": "robot.EI_fin"}, "no such field"),
         ({"--field": "robot"}, "robot"),
         ({"--field": "trials.0.waveform"}, "waveform"),
-        ({"--field": "trials.0.duration", "--from": "1", "--to": "2"}, "--strides says how many"),
-        ({"--field": "sensors.tip_noise", "--from": "0", "--to": "0.01"}, "changes nothing in"),
+        ({"--field": "trials.0.duration", "--from": "1", "--to": "2"}, "--strides sets the number"),
+        (
+            {"--field": "sensors.tip_noise", "--from": "0", "--to": "0.01"},
+            "does not affect the strides",
+        ),
         ({"--field": "numerics.nodes", "--from": "11", "--to": "14"}, "given 12.5; allowed whole"),
         ({"--field": "numerics.nodes", "--from": "3", "--to": "5"}, "numerics.nodes: given 3"),
         ({"--field": "robot.body_length", "--from": "300", "--to": "400"}, "metres"),
