@@ -44,7 +44,7 @@ def sweep(
         stop: last value of the field, in SI units.
         count: number of evenly spaced values of the field.
         out: folder for the results; created if missing.
-        field2: second field to vary, for a contour plot (default: none).
+        field2: second field to vary, for a contour plot.
         start2: first value of the second field, in SI units.
         stop2: last value of the second field, in SI units.
         count2: number of evenly spaced values of the second field.

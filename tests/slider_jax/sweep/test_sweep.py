@@ -167,7 +167,9 @@ def without_physics(monkeypatch, one_core_chunks_of_two):
     names = ("thrust_mean_N", "recoil_rms_N", "tip_half_range_m", "chamber_power_W")
     monkeypatch.setattr(sweeping, "compile_programs", lambda *args: None)
     monkeypatch.setattr(sweeping, "march", lambda *args: None)
-    monkeypatch.setattr(sweeping, "steady", lambda *args: {name: np.ones(2) for name in names})
+    monkeypatch.setattr(
+        sweeping, "steady_quantities", lambda *args: {name: np.ones(2) for name in names}
+    )
 
 
 def test_what_is_done_is_said_and_not_done_again(
@@ -184,7 +186,7 @@ def test_what_is_done_is_said_and_not_done_again(
 
     monkeypatch.setattr(sweeping, "march", march)
     assert main(command) == 130
-    assert "give the same command again to go on" in capsys.readouterr().err
+    assert "repeat the same command to resume" in capsys.readouterr().err
     assert [p.name for p in out.iterdir()] == ["partial"]
 
     assert main(command) == 0

@@ -182,7 +182,7 @@ def test_bad_options_are_refused(tmp_path, capsys):
         (["--generations", "0"], "--generations: given 0; allowed 1 or more"),
         (["--seed", "-1"], "--seed: given -1; allowed 0 to"),
         (["--process", "1"], "--process: given 1; allowed 0 to 0"),
-        (["--processes", "2"], "more than one need --coordinator HOST:PORT"),
+        (["--processes", "2"], "several processes need --coordinator HOST:PORT"),
         (
             ["--steps-per-stride", "3"],
             "--steps-per-stride: given 3; allowed an even number",
