@@ -106,7 +106,7 @@ def _instead(refits: Refits, found: Selection, this: SelectionStep, rival: str) 
     """
     assert this.chosen is not None
     others = [n for n in found.effects if n not in (this.chosen, rival)]
-    if LIBRARY[rival].instead in {LIBRARY[n].instead for n in others} - {""}:
+    if LIBRARY[rival].replaces_law in {LIBRARY[n].replaces_law for n in others} - {""}:
         return None
     members, final = groups(refits.entries), found.final
     group, place = members[rival], members[this.chosen]

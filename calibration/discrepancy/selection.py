@@ -161,8 +161,8 @@ def _could_be_named(problem: AbstractProblem, current: Fit, everything, step: np
 
 
 def _can_join(name: str, effects: list[str]) -> bool:
-    taken = {LIBRARY[n].instead for n in effects} - {""}
-    return name not in effects and LIBRARY[name].instead not in taken
+    taken = {LIBRARY[n].replaces_law for n in effects} - {""}
+    return name not in effects and LIBRARY[name].replaces_law not in taken
 
 
 def _round(refits: Refits, current: Fit, rest: Sequence[str]) -> SelectionStep:

@@ -40,7 +40,7 @@ def split(search: Selection) -> list[str]:
 
     One that takes the place of a law is not such a part of a cause.
     """
-    kinds = {name: LIBRARY[name] for name in search.effects if not LIBRARY[name].instead}
+    kinds = {name: LIBRARY[name] for name in search.effects if not LIBRARY[name].replaces_law}
     places = [kind.place() for kind in kinds.values()]
     return [name for name, kind in kinds.items() if places.count(kind.place()) > 1]
 

@@ -27,9 +27,6 @@ BASE = {
 }
 """Parameters of the base model that are identified, with the range that is searched."""
 
-NOT_CANDIDATES = ("gravity", "head_added_mass")
-"""Effects that a horizontal tank with a clamped head cannot have."""
-
 
 class Parameter(NamedTuple):
     """An entry of the vector: `effect` is "" for the base model's own."""
@@ -55,7 +52,7 @@ def parameters(effects: Sequence[str]) -> list[Parameter]:
 
 def candidates() -> list[str]:
     """Names of the effects that a residual may be traced to."""
-    return [name for name in LIBRARY if name not in NOT_CANDIDATES]
+    return [name for name, kind in LIBRARY.items() if kind.is_candidate]
 
 
 class Extended(eqx.Module):

@@ -35,8 +35,6 @@ CHANNEL = "p_front"
 """Channel that a log's one pressure is taken for."""
 FREE = ("k",)
 """Parameters of the base model that a pressure log can show."""
-OF_THE_REAR = ("rear_valve_delay", "lag_mismatch")
-"""Effects on a chamber that a log does not hold."""
 
 
 def log_candidates() -> list[str]:
@@ -46,7 +44,7 @@ def log_candidates() -> list[str]:
         for name in candidates()
         if issubclass(LIBRARY[name], (Command, Flow, Instrument))
         and "pressure" in LIBRARY[name].sensors
-        and name not in OF_THE_REAR
+        and not LIBRARY[name].rear_only
     ]
 
 

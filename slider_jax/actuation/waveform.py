@@ -2,6 +2,7 @@
 
 import math
 from abc import abstractmethod
+from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -143,3 +144,49 @@ class Held(Waveform):
         t_break = jnp.where(breaks, self.times[following], t1)
         after = jnp.where(breaks, after, before)
         return Segment(t0, t_break, t1, before, before, after, after)
+
+
+class Delayed(Waveform):
+    """`wave`, later by `delay` [s]; what it would give before t = 0 is zero."""
+
+    wave: Waveform
+    delay: Scalar
+
+    def segment(self, t0, t1):
+        early = self.wave.segment(jnp.where(t0 > self.delay, t0 - self.delay, 0.0), t1 - self.delay)
+        smooth = early.t_break >= early.t1
+        before = t1 <= self.delay
+        # Also at no delay, where it takes no time: so the start moves with the delay from null on.
+        starts = ((t0 < self.delay) | ((t0 == self.delay) & smooth)) & (t1 > self.delay)
+
+        def choose(inside, beginning):
+            return jnp.where(before, 0.0, jnp.where(starts, beginning, inside))
+
+        # Where it starts within the step, the break is the start: no edge falls so soon after. A
+        # wave that is zero at its start has its first edge for a start.
+        late = ~smooth & (early.a0 == 0.0)
+        break_at = jnp.where(starts & ~late, self.delay, early.t_break + self.delay)
+        return Segment(
+            t0,
+            jnp.where(before, t1, break_at),
+            t1,
+            choose(early.a0, 0.0),
+            choose(early.a1, 0.0),
+            choose(early.b0, jnp.where(smooth, early.a0, early.b0)),
+            choose(early.b1, early.b1),
+        )
+
+
+class Shaped(Waveform):
+    """curve(wave); exact for straight curves and for set pressures that are constant in steps.
+
+    `curve` takes and gives a set pressure [Pa]; it is a pytree, as a method of an effect is.
+    """
+
+    wave: Waveform
+    curve: Callable[[Array], Array]
+
+    def segment(self, t0, t1):
+        x = self.wave.segment(t0, t1)
+        ends = (self.curve(p) for p in (x.a0, x.a1, x.b0, x.b1))
+        return Segment(x.t0, x.t_break, x.t1, *ends)

@@ -1,11 +1,12 @@
-"""What an effect is: one physical cause, its parameters as leaves, and the one method that adds it.
+"""Base classes of the effects: one physical cause, with its parameters and one method that adds it.
 
-A model is a list of effects; the solver never knows which. Every effect enters at one of the places
-below, each a class with one abstract method. An effect's parameters are declared with `parameter`:
-its null value, at which the effect vanishes, and the range that one would believe before looking at
-data, with the reason.
+A model holds a list of effects, and the solver treats them all alike. Every effect enters the model
+at one of the places below. Each place is a class with one abstract method. `parameter` declares a
+parameter of an effect: its null value, at which the effect vanishes, and its prior range, with the
+reason for the range.
 """
 
+import math
 import re
 from abc import abstractmethod
 from dataclasses import fields
@@ -22,10 +23,10 @@ from slider_jax.beam.parameters import Robot
 
 
 class Prior(NamedTuple):
-    """What is believed of a parameter before data: `low` to `high`, vanishing at `null`.
+    """Prior range of a parameter, `low` to `high`; the effect vanishes at `null`.
 
-    `start` is where an effect has to be tried whose tangent at its null does not tell what it does
-    at its size: a threshold, a limit, another law.
+    `start` is the value at which the loop first tries the effect. Effects need one if their tangent
+    at the null does not predict their action at full size: a threshold, a limit, another law.
     """
 
     null: float
@@ -39,7 +40,7 @@ class Prior(NamedTuple):
 def parameter(
     null: float, low: float, high: float, unit: str, why: str, start: float | None = None
 ) -> Any:
-    """Declare an effect's parameter, as `Prior`; made without a value it is at its null."""
+    """Return the field of an effect's parameter with this `Prior`; its default is the null."""
     return eqx.field(default=null, metadata={"prior": Prior(null, low, high, unit, why, start)})
 
 
@@ -47,28 +48,39 @@ class Effect(eqx.Module):
     """One physical cause. Its docstring gives the equation and the source."""
 
     title: ClassVar[str] = ""
-    """What it is, in the words of a report."""
+    """Name of the effect in reports."""
+    order: ClassVar[float] = math.inf
+    """Position in lists and rankings. Effects without one come last, sorted by name."""
     sensors: ClassVar[tuple[str, ...]] = ("thrust", "recoil", "tip")
-    """Channels that can see it, of pressure, thrust, recoil, tip."""
-    resists: ClassVar[bool] = False
-    """Whether it is a force density that resists motion along the body, which drag across it and
-    added mass do not."""
-    instead: ClassVar[str] = ""
-    """What of the model it takes the place of, if it does; one effect at most can."""
+    """Sensors that can detect the effect, of pressure, thrust, recoil, tip."""
+    in_every_model: ClassVar[bool] = False
+    """Whether every model contains it, so that it is not in the library."""
+    is_candidate: ClassVar[bool] = True
+    """Whether the loop may add it to explain a residual. False for effects that a horizontal tank
+    with a clamped head cannot have."""
+    rear_only: ClassVar[bool] = False
+    """Whether it acts on the rear chamber only, so that a log of one chamber cannot show it."""
+    lacks_weight: ClassVar[bool] = False
+    """Whether it adds inertia without the weight, so that climbing in air cannot include it."""
+    resists_axially: ClassVar[bool] = False
+    """Whether it is a force density that resists motion along the body. Normal drag and added mass
+    do not."""
+    replaces_law: ClassVar[str] = ""
+    """Part of the model that it replaces, or empty. A model holds at most one effect for a part."""
 
     @classmethod
     def name(cls) -> str:
-        """The class's name in lower case with underscores, as files and reports write it."""
+        """Return the class's name in lower case with underscores, as in files and reports."""
         return re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
 
     @classmethod
     def place(cls) -> str:
-        """Where it enters: the name of its place among the classes below."""
+        """Return the name of the class below that says where the effect enters the model."""
         return next(kind.__name__ for kind in cls.__mro__[1:] if kind.__module__ == __name__)
 
     @classmethod
     def priors(cls) -> dict[str, Prior]:
-        """The parameters that may be identified, by name."""
+        """Return the priors of the parameters that can be identified, by parameter name."""
         return {f.name: f.metadata["prior"] for f in fields(cls) if "prior" in f.metadata}
 
 
@@ -76,34 +88,35 @@ class ForceDensity(Effect):
     """A force per length on the body."""
 
     in_air: ClassVar[bool] = False
-    """Whether it is there without water."""
+    """Whether the force also acts in air."""
 
     @abstractmethod
     def force(self, x: Section) -> tuple[Array, Array]:
-        """(F_tau, F_n) [N/m] on a section of the body."""
+        """Return the force per length (F_tau, F_n) [N/m] on a section of the body."""
 
 
 class BendingMoment(Effect):
-    """A moment inside the body beside the elastic and viscous one, with a memory of its own."""
+    """A moment inside the body, added to the elastic and viscous moments; it may have memory."""
 
     @abstractmethod
     def moment(self, x: Section, memory: Array, dt: Array) -> tuple[Array, Array]:
-        """Moment [N m] in the cells, counted as EI kappa is, and the memory at the stage's end.
+        """Return the moment (cells,) [N m] and the memory (cells,) at the end of the stage.
 
-        `memory` (cells,) is what (value - memory)/dt subtracts; the new value must follow from the
-        section in closed form. An effect without memory hands it back.
+        The moment has the sign of EI kappa. The time derivative of the effect's state is
+        (value - memory)/dt, and the new value must follow from the section in closed form. An
+        effect without memory returns `memory` unchanged.
         """
 
 
 MOUNT_LAG = 1e-3
-"""[s] of a mounting, a spring with a dashpot beside it: x + MOUNT_LAG dx/dt = -c load.
+"""Time constant [s] of a mounting, a spring parallel to a dashpot: x + MOUNT_LAG dx/dt = -c load.
 
-A loss factor of 0.03 at 5 Hz, as of bolted joints. It also bounds the tangent at c = 0,
-where a bare spring would follow every wave front of the body."""
+It gives a loss factor of 0.03 at 5 Hz, typical of bolted joints. It also bounds the tangent at
+c = 0, where a spring alone would follow every wave front of the body."""
 
 
 class HeadRates(NamedTuple):
-    """Rates of the head's load as a mounting follows it, lagging by `MOUNT_LAG`."""
+    """Rates of the load on the head, filtered with the time constant `MOUNT_LAG`."""
 
     T_t: Array
     """dT/dt [N/s]"""
@@ -114,88 +127,88 @@ class HeadRates(NamedTuple):
 
 
 class Mounting(Effect):
-    """What gives way between carriage and head."""
+    """A compliance between carriage and head."""
 
     @abstractmethod
     def give(self, rates: HeadRates) -> tuple[Array, Array, Array]:
-        """Velocity (tau, n) [m/s] and turning rate [rad/s] of the head relative to the carriage."""
+        """Return the head's velocity (tau, n) [m/s] and rotation rate [rad/s] on the carriage."""
 
 
 class BodyChange(Effect):
-    """The body is not as it was measured."""
+    """A difference between the body and its measured parameters."""
 
     @abstractmethod
     def change(self, robot: Robot) -> Robot:
-        """The robot as it is, from the robot as it was measured."""
+        """Return the actual robot, given the measured robot."""
 
 
 class Command(Effect):
-    """What becomes of a set pressure before the valves act on it."""
+    """A change of the set pressure before the valves act on it."""
 
     @abstractmethod
     def command(self, wave: Waveform, chamber: int) -> Waveform:
-        """The waveform that the valves follow; `chamber` is 0 for the front, 1 for the rear."""
+        """Return the waveform that the valves follow; `chamber` is 0 for front, 1 for rear."""
 
 
 class Chamber(NamedTuple):
-    """The chambers and their valves at one instant: front and rear, each entry (2,)."""
+    """State of the chambers and their valves at one instant; entries are (2,), front and rear."""
 
     p: Array
     """[Pa]"""
     p_set: Array
     """[Pa]"""
     k: Array
-    """Time constant [s] of the lag; a number."""
+    """Time constant [s] of the lag, a scalar."""
     rear: np.ndarray
     """1 for the rear chamber, 0 for the front one."""
     side: Array
-    """Sign of the pressure, which it keeps while a step lasts."""
+    """Sign of the pressure, constant during a step."""
 
     @property
     def filling(self) -> Array:
-        """Whether |p| grows."""
+        """Whether |p| increases."""
         return self.side * (self.p_set - self.p) >= 0.0
 
 
 class Flow(Effect):
-    """What changes the flow into a chamber."""
+    """A change of the flow into a chamber."""
 
     @abstractmethod
     def rate(self, rate: Array, x: Chamber) -> Array:
-        """dp/dt [Pa/s] from that of the model without the effect.
+        """Return dp/dt [Pa/s], given the `rate` [Pa/s] of the model without the effect.
 
-        It may differ between filling and venting; steps are split where p passes through zero.
+        It may differ between filling and venting, because steps are split where p is zero.
         """
 
     def replaces(self) -> Array | bool:
-        """Whether the lag has no say in the rate."""
+        """Return whether the rate is independent of the lag."""
         return False
 
 
 class ActingPressure(Effect):
-    """Between the pressure at the sensor and the pressure that bends the body; may remember."""
+    """A difference between the measured pressure and the pressure that bends the body."""
 
     @abstractmethod
     def act(
         self, p: Float[Array, "2"], memory: Float[Array, "2 2"], dt: Array
     ) -> tuple[Array, Array]:
-        """Acting pressures (2,) [Pa] of front and rear at `p`, `dt` [s] later, and the new memory.
+        """Return the acting pressures (2,) [Pa] of front and rear after `dt` [s], and the memory.
 
-        `memory` is the effect's own state (2,) and the pressure (2,) it was given before; both are
-        the pressure at the start. An effect without memory hands it back.
+        `memory` holds the effect's state (2,) and the previous pressure (2,). Both equal the
+        pressure at the start. An effect without memory returns `memory` unchanged.
         """
 
 
 class WaterMotion(Effect):
-    """Motion of the water that the body does not make."""
+    """Motion of the water that the body does not cause."""
 
     @abstractmethod
     def velocity(self, t: Array) -> tuple[Array, Array]:
-        """(U_x, U_y) [m/s] at `t` [s], uniform along the body."""
+        """Return the water velocity (U_x, U_y) [m/s] at `t` [s], uniform along the body."""
 
 
 class Readings(NamedTuple):
-    """What the sensors read, on the evenly spaced times of a rollout; each (n,)."""
+    """Sensor readings at the evenly spaced times of a rollout; each entry is (n,)."""
 
     t: Array
     """[s]"""
@@ -212,20 +225,33 @@ class Readings(NamedTuple):
 
 
 class Instrument(Effect):
-    """What a sensor makes of what it measures."""
+    """An error of a sensor."""
 
     @abstractmethod
     def read(self, true: Readings) -> Readings:
-        """What is recorded when `true` is there; t stays."""
+        """Return the recorded readings, given the `true` ones; `t` stays."""
+
+    def read_sample(self, true: Readings, read: Readings) -> Readings:
+        """Return the recorded reading (scalars) of the last sample of `true`.
+
+        `read` holds the recorded readings of the samples before it. Only an instrument whose
+        reading depends on its earlier readings needs them, and must define this method.
+        """
+        return last_sample(self.read(true))
+
+
+def last_sample(readings: Readings) -> Readings:
+    """Return the last sample of a series, as scalars."""
+    return Readings(*(x[-1] for x in readings))
 
 
 def of_place(effects: tuple[Effect, ...], place: type) -> tuple:
-    """The effects that enter at a place, in order."""
+    """Return the effects that enter at a place, in order."""
     return tuple(effect for effect in effects if isinstance(effect, place))
 
 
 def total_force(effects: tuple[Effect, ...], x: Section) -> tuple[Array, Array]:
-    """Sum of the effects' force densities [N/m]."""
+    """Return the sum (F_tau, F_n) of the effects' force densities [N/m]."""
     zero = jnp.zeros_like(x.V_n)
     parts = [effect.force(x) for effect in of_place(effects, ForceDensity)]
     return sum((p[0] for p in parts), zero), sum((p[1] for p in parts), zero)

@@ -1,143 +1,90 @@
-"""Every effect by name: what a file may add to a model, and what a residual may be traced to."""
+"""All effects by name. Discovery finds them: an effect is one file in a folder beside this one."""
 
+import importlib
+import importlib.util
+import inspect
+import sys
+from pathlib import Path
+from pkgutil import walk_packages
+from types import ModuleType
+
+from slider_jax import effects
 from slider_jax.effects.base import Effect
-from slider_jax.effects.body.axial_flexibility import AxialFlexibility
-from slider_jax.effects.body.body_stiffness import BodyStiffness
-from slider_jax.effects.body.carried_mass import CarriedMass
-from slider_jax.effects.body.clamp_compliance import ClampCompliance
-from slider_jax.effects.body.cubic_elasticity import CubicElasticity
-from slider_jax.effects.body.gravity import Gravity
-from slider_jax.effects.body.internal_friction import InternalFriction
-from slider_jax.effects.body.material_damping import MaterialDamping
-from slider_jax.effects.body.pressure_stiffening import PressureStiffening
-from slider_jax.effects.body.rest_curvature import RestCurvature
-from slider_jax.effects.body.stiffening import Stiffening
-from slider_jax.effects.body.stress_relaxation import StressRelaxation
-from slider_jax.effects.body.surge_compliance import SurgeCompliance
-from slider_jax.effects.body.sway_compliance import SwayCompliance
-from slider_jax.effects.body.tail_stiffness import TailStiffness
-from slider_jax.effects.body.tip_mass import TipMass
-from slider_jax.effects.pneumatics.actuator_cubic import ActuatorCubic
-from slider_jax.effects.pneumatics.actuator_hysteresis import ActuatorHysteresis
-from slider_jax.effects.pneumatics.actuator_quadratic import ActuatorQuadratic
-from slider_jax.effects.pneumatics.actuator_saturation import ActuatorSaturation
-from slider_jax.effects.pneumatics.chamber_crosstalk import ChamberCrosstalk
-from slider_jax.effects.pneumatics.chamber_expansion import ChamberExpansion
-from slider_jax.effects.pneumatics.chamber_mismatch import ChamberMismatch
-from slider_jax.effects.pneumatics.choked_flow import ChokedFlow
-from slider_jax.effects.pneumatics.fill_vent_asymmetry import FillVentAsymmetry
-from slider_jax.effects.pneumatics.firmware_valves import FirmwareValves
-from slider_jax.effects.pneumatics.flow_exponent import FlowExponent
-from slider_jax.effects.pneumatics.lag_mismatch import LagMismatch
-from slider_jax.effects.pneumatics.leakage import Leakage
-from slider_jax.effects.pneumatics.line_lag import LineLag
-from slider_jax.effects.pneumatics.orifice_flow import OrificeFlow
-from slider_jax.effects.pneumatics.pulsed_valves import PulsedValves
-from slider_jax.effects.pneumatics.rate_limit import RateLimit
-from slider_jax.effects.pneumatics.rear_valve_delay import RearValveDelay
-from slider_jax.effects.pneumatics.regulator_gain import RegulatorGain
-from slider_jax.effects.pneumatics.regulator_offset import RegulatorOffset
-from slider_jax.effects.pneumatics.supply_cap import SupplyCap
-from slider_jax.effects.pneumatics.supply_limit import SupplyLimit
-from slider_jax.effects.pneumatics.valve_deadband import ValveDeadband
-from slider_jax.effects.pneumatics.valve_delay import ValveDelay
-from slider_jax.effects.pneumatics.valve_overlap import ValveOverlap
-from slider_jax.effects.sensors.camera_delay import CameraDelay
-from slider_jax.effects.sensors.camera_scale import CameraScale
-from slider_jax.effects.sensors.force_clock_offset import ForceClockOffset
-from slider_jax.effects.sensors.force_crosstalk import ForceCrosstalk
-from slider_jax.effects.sensors.force_gain import ForceGain
-from slider_jax.effects.sensors.force_resonance import ForceResonance
-from slider_jax.effects.sensors.force_sensor_lag import ForceSensorLag
-from slider_jax.effects.sensors.hose_load import HoseLoad
-from slider_jax.effects.sensors.pressure_gain import PressureGain
-from slider_jax.effects.sensors.pressure_offset import PressureOffset
-from slider_jax.effects.sensors.pressure_ripple import PressureRipple
-from slider_jax.effects.sensors.pressure_sensor_lag import PressureSensorLag
-from slider_jax.effects.water.axial_added_mass import AxialAddedMass
-from slider_jax.effects.water.head_added_mass import HeadAddedMass
-from slider_jax.effects.water.head_drag import HeadDrag
-from slider_jax.effects.water.keulegan_carpenter_drag import KeuleganCarpenterDrag
-from slider_jax.effects.water.linear_drag import LinearDrag
-from slider_jax.effects.water.tail_added_mass import TailAddedMass
-from slider_jax.effects.water.tail_drag import TailDrag
-from slider_jax.effects.water.tangential_friction import TangentialFriction
-from slider_jax.effects.water.tank_current import TankCurrent
-from slider_jax.effects.water.tank_seiche import TankSeiche
-from slider_jax.effects.water.thinned_friction import ThinnedFriction
-from slider_jax.effects.water.tow_speed_error import TowSpeedError
+from slider_jax.errors import InputError
 
-LIBRARY: dict[str, type[Effect]] = {
-    effect.name(): effect
-    for effect in (
-        # command, flow, acting pressure
-        ValveDelay,
-        RegulatorGain,
-        RegulatorOffset,
-        SupplyLimit,
-        SupplyCap,
-        RearValveDelay,
-        FillVentAsymmetry,
-        LagMismatch,
-        ChokedFlow,
-        RateLimit,
-        ValveDeadband,
-        ValveOverlap,
-        Leakage,
-        FlowExponent,
-        OrificeFlow,
-        FirmwareValves,
-        PulsedValves,
-        ChamberExpansion,
-        LineLag,
-        ActuatorSaturation,
-        ActuatorQuadratic,
-        ActuatorCubic,
-        ChamberMismatch,
-        ChamberCrosstalk,
-        ActuatorHysteresis,
-        # body and mounting
-        BodyStiffness,
-        TailStiffness,
-        MaterialDamping,
-        CarriedMass,
-        AxialFlexibility,
-        Stiffening,
-        CubicElasticity,
-        PressureStiffening,
-        StressRelaxation,
-        InternalFriction,
-        RestCurvature,
-        ClampCompliance,
-        SwayCompliance,
-        SurgeCompliance,
-        # water
-        Gravity,
-        TangentialFriction,
-        ThinnedFriction,
-        HeadDrag,
-        HeadAddedMass,
-        LinearDrag,
-        TailDrag,
-        TailAddedMass,
-        AxialAddedMass,
-        TipMass,
-        KeuleganCarpenterDrag,
-        TankCurrent,
-        TowSpeedError,
-        TankSeiche,
-        # instruments
-        PressureGain,
-        PressureOffset,
-        PressureRipple,
-        PressureSensorLag,
-        ForceGain,
-        HoseLoad,
-        ForceCrosstalk,
-        ForceSensorLag,
-        ForceResonance,
-        ForceClockOffset,
-        CameraDelay,
-        CameraScale,
-    )
-}
+
+def defined_effects(module: ModuleType) -> list[type[Effect]]:
+    """Return the concrete effects that `module` defines: subclasses of a place, none abstract."""
+    kinds = [x for x in vars(module).values() if isinstance(x, type) and issubclass(x, Effect)]
+    kinds = [x for x in kinds if x.__module__ == module.__name__ and not inspect.isabstract(x)]
+    return [x for x in kinds if Effect not in (x, *x.__bases__)]
+
+
+def _built_in() -> dict[str, type[Effect]]:
+    """Return the effects of the package's folders that a model may have, by name, in order."""
+    found = [m.name for m in walk_packages(effects.__path__, f"{effects.__name__}.")]
+    modules = [importlib.import_module(name) for name in found if name != __name__]
+    kinds = [kind for module in modules for kind in defined_effects(module)]
+    kinds.sort(key=lambda kind: (kind.order, kind.name()))
+    return {kind.name(): kind for kind in kinds if not kind.in_every_model}
+
+
+LIBRARY: dict[str, type[Effect]] = _built_in()
+
+
+def load_effects(path: Path) -> list[str]:
+    """Add the effects that the Python file `path` defines to `LIBRARY`, and return their names.
+
+    The file runs as Python code, so load only files that you trust. Raises `InputError`, and adds
+    nothing, if the file cannot be imported or defines no effect, or if an effect has no title, no
+    parameter, a parameter whose null is outside its prior range, or a name that exists.
+    """
+    module_name = f"_effects_of_{path.stem}"
+    spec = importlib.util.spec_from_file_location(module_name, path)
+    if spec is None or spec.loader is None:
+        raise InputError(f"{path}: is not a Python file; give a file whose name ends in .py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[module_name] = module  # where dataclasses look up the annotations of fields
+    try:
+        spec.loader.exec_module(module)
+        kinds = defined_effects(module)
+        _check_effects(path, kinds)
+    except InputError:
+        raise
+    except SyntaxError as error:
+        raise InputError(f"{path}: line {error.lineno}: invalid Python: {error.msg}") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except Exception as error:  # the file's own code may raise anything
+        kind = type(error).__name__
+        raise InputError(f"{path}: cannot be imported: {kind}: {error}") from error
+    finally:
+        del sys.modules[module_name]
+    LIBRARY.update({kind.name(): kind for kind in kinds})
+    return [kind.name() for kind in kinds]
+
+
+def _check_effects(path: Path, kinds: list[type[Effect]]) -> None:
+    """Raise `InputError` if the library cannot take the effects of a file."""
+    if not kinds:
+        raise InputError(
+            f"{path}: defines no effect; define a class derived from a base class of "
+            "slider_jax.effects, with its abstract method"
+        )
+    for kind in kinds:
+        where = f"{path}: {kind.__name__}"
+        if kind.name() in LIBRARY:
+            raise InputError(f"{where}: the effect {kind.name()!r} exists; rename the class")
+        if not kind.title:
+            raise InputError(f'{where}: has no title; add title = "its name in reports"')
+        if not kind.priors():
+            raise InputError(
+                f"{where}: has no parameter with a null and a prior; declare a field with "
+                "parameter(null, low, high, unit, why)"
+            )
+        for name, prior in kind.priors().items():
+            if not (prior.low <= prior.null <= prior.high and prior.low < prior.high):
+                raise InputError(
+                    f"{where}.{name}: given null {prior.null:g}, prior {prior.low:g} to "
+                    f"{prior.high:g}; allowed low < high with the null inside the range"
+                )

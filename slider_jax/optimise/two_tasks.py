@@ -76,7 +76,7 @@ class TwoTasks(NamedTuple):
         plan = ClimbPlan(10, 15, steps + steps % 2, numerics, scheme)
         model = to_model(experiment, 0)
         to_climber(model, 1.0, 0.0)
-        if not any(effect.resists for effect in model.effects):
+        if not any(effect.resists_axially for effect in model.effects):
             raise InputError(
                 "effects: no effect resists motion along the body, so no swimmer reaches a steady "
                 "speed; add an effect such as head_drag"

@@ -8,10 +8,6 @@ import numpy as np
 from jaxtyping import Array
 
 from slider_jax.effects import Instrument, Readings
-from slider_jax.effects.sensors.force_resonance import ForceResonance
-from slider_jax.effects.sensors.force_sensor_lag import ForceSensorLag
-from slider_jax.effects.sensors.pressure_sensor_lag import PressureSensorLag
-from slider_jax.effects.sensors.series import lagged
 from slider_jax.experiment.schema import SensorsTable
 
 
@@ -34,22 +30,8 @@ def constant_past(effect: Instrument, first: Readings, h: float, samples: int) -
 def read_now(effect: Instrument, past: Past, true: Readings) -> tuple[Readings, Past]:
     """The reading of the next input `true` (scalars), and the new past."""
     shown = jax.tree.map(_append, past.shown, true)
-    if not isinstance(effect, (ForceSensorLag, PressureSensorLag, ForceResonance)):
-        now = jax.tree.map(lambda x: x[-1], effect.read(shown))  # needs no previous readings
-    else:
-        pressure = isinstance(effect, PressureSensorLag)
-        names = ("p_front", "p_rear") if pressure else ("thrust", "recoil")
-        now = true._replace(**{name: _follow(effect, past, shown, name) for name in names})
+    now = effect.read_sample(shown, past.read)
     return now, Past(shown, jax.tree.map(_append, past.read, now))
-
-
-def _follow(effect: Instrument, past: Past, shown: Readings, name: str) -> Array:
-    """The reading of one channel, computed from the inputs and the previous readings."""
-    x, y, t = getattr(shown, name), getattr(past.read, name), shown.t
-    if isinstance(effect, ForceResonance):
-        return effect.follow((y[-1], y[-2], y[-3]), x[-1], t[-1] - t[-2])
-    assert isinstance(effect, (ForceSensorLag, PressureSensorLag))
-    return lagged(x[-2:], t[-2:], effect.tau, y[-1])[-1]
 
 
 def _append(series: Array, x: Array) -> Array:

@@ -101,7 +101,7 @@ def _from_rest(
 
 def resisting(model: Model) -> str:
     """Return the names of the effects that resist motion along the body."""
-    return ", ".join(e.name() for e in model.effects if e.resists)
+    return ", ".join(e.name() for e in model.effects if e.resists_axially)
 
 
 def _check(carry: Carry) -> None:
@@ -150,7 +150,7 @@ def simulate_free_swim(
     speeds, pace, carry, repeats = _from_rest(model, f, search, 2 * AT_ONCE, most)
     if not found:
         stride, seen = _seen(model, f, carry, search)
-    own = tuple(e for e in model.effects if not e.resists)
+    own = tuple(e for e in model.effects if not e.resists_axially)
     unresisted, gaining = None, np.nan
     if len(own) < len(model.effects):
         progress(f"swimming from rest without {resisting(model)}")

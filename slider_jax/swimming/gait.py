@@ -11,7 +11,6 @@ from slider_jax.beam.parameters import G, Scalar
 from slider_jax.dynamics.model import Drive, Model
 from slider_jax.effects.base import ForceDensity, Mounting, WaterMotion, of_place
 from slider_jax.effects.body.gravity import Gravity
-from slider_jax.effects.body.tip_mass import TipMass
 from slider_jax.errors import InputError
 from slider_jax.experiment.schema import Trial
 from slider_jax.supports import Free, PinnedLink
@@ -71,10 +70,12 @@ def to_climber(
     omitted. Pressure amplitudes are limited to `cap` [Pa]. Raises `InputError` for a mass at the
     tail's tip, because its weight is unknown.
     """
-    if of_place(model.effects, TipMass):
-        raise InputError(
-            "effects: given tip_mass, which has inertia but no weight here; remove it to climb"
-        )
+    for effect in model.effects:
+        if effect.lacks_weight:
+            raise InputError(
+                f"effects: given {effect.name()}, which has inertia but no weight here; "
+                "remove it to climb"
+            )
     if gait is not None:
         model = driven(model, gait)
     front, rear = _capped(model.drive.front, cap), _capped(model.drive.rear, cap)

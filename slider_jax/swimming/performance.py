@@ -91,7 +91,7 @@ def next_stride(model: Model, frequency, carry: Carry, search: SteadySettings) -
 
     def saved(x: Snapshot):
         cell, grid = x.section(), x.mesh.grid
-        resisting = tuple(e for e in x.stage.effects if e.resists)
+        resisting = tuple(e for e in x.stage.effects if e.resists_axially)
         F = jnp.stack(to_plane(*total_force(resisting, cell), cell.phi))
         resistance = grid.integral((1.0 + cell.strain) * F)
         return obs.midline(x), velocity_and_heading(x), resistance, jnp.sum(obs.chamber_power(x))

@@ -16,6 +16,7 @@ class AxialFlexibility(BodyChange):
     """
 
     title = "the body stretches"
+    order = 300
 
     compliance: Scalar = parameter(
         0.0, 0.0, 4e-3, "1/N", "walls that bend with EI = 0.038 at 8 mm from the middle have 2e-3"

@@ -15,6 +15,7 @@ class BodyStiffness(BodyChange):
     """
 
     title = "the body is stiffer or softer"
+    order = 260
 
     x: Scalar = parameter(
         0.0, -0.3, 0.4, "-", "a bend test is good to a tenth; age, tubes and a sleeve stiffen"

@@ -16,6 +16,7 @@ class CarriedMass(BodyChange):
     """
 
     title = "mass carried along by the body"
+    order = 290
 
     dm: Scalar = parameter(
         0.0, 0.0, 0.4, "kg/m", "water in 4 cm^2 of folds; sensors and tubes weigh about 0.05"

@@ -17,6 +17,7 @@ class ClampCompliance(Mounting):
     """
 
     title = "the clamp turns under load"
+    order = 370
 
     compliance: Scalar = parameter(
         0.0, 0.0, 3.0, "rad/(N m)", "rigid to as soft as a third of the body (EI/L = 0.1 N m/rad)"

@@ -14,6 +14,7 @@ class CubicElasticity(BendingMoment):
     """
 
     title = "body and tail stiffen as they bend"
+    order = 320
 
     b: Scalar = parameter(
         0.0,

@@ -18,6 +18,8 @@ class Gravity(ForceDensity):
     """
 
     title = "weight"
+    order = 400
+    is_candidate = False
     in_air = True
 
     g: Scalar = parameter(0.0, 0.0, 9.81, "m/s^2", "9.81 in air; nearly neutral in water")

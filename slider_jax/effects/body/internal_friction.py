@@ -22,6 +22,7 @@ class InternalFriction(BendingMoment):
     """
 
     title = "dry friction inside the body"
+    order = 350
 
     z_c: Scalar = parameter(
         0.0, 0.0, 0.03, "N m", "up to a quarter of the chambers' 0.12 N m at 250 kPa"

@@ -16,6 +16,7 @@ class MaterialDamping(BodyChange):
     """
 
     title = "the material damps more or less"
+    order = 280
 
     x: Scalar = parameter(
         0.0, -0.9, 4.0, "-", "rubber's damping is known to a factor: batch, temperature, rate"

@@ -16,6 +16,7 @@ class PressureStiffening(BendingMoment):
     """
 
     title = "pressure stiffens the body"
+    order = 330
 
     c: Scalar = parameter(
         0.0, -5e-8, 2e-7, "N m^2/Pa", "from a third less to twice the stiffness at 250 kPa"

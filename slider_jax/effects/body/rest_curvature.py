@@ -14,6 +14,7 @@ class RestCurvature(BendingMoment):
     """
 
     title = "the body is bent at rest"
+    order = 360
 
     m_0: Scalar = parameter(
         0.0, -0.03, 0.03, "N m", "walls unequal by a tenth, or a set of 0.8 1/m from storage"

@@ -15,6 +15,7 @@ class Stiffening(BendingMoment):
     """
 
     title = "the body stiffens as it bends"
+    order = 310
 
     beta: Scalar = parameter(
         0.0, -2e-4, 2e-3, "N m^4", "half of EI kappa where kappa = 3 1/m; softens by a twentieth"

@@ -16,6 +16,7 @@ class StressRelaxation(BendingMoment):
     """
 
     title = "stress relaxes"
+    order = 340
 
     E_1: Scalar = parameter(
         0.0, 0.0, 0.02, "N m^2", "silicone and sleeves relax by a tenth to a half of EI = 0.038"

@@ -17,6 +17,7 @@ class SurgeCompliance(Mounting):
     """
 
     title = "the mounting yields lengthwise"
+    order = 390
 
     compliance: Scalar = parameter(
         0.0,

@@ -17,6 +17,7 @@ class SwayCompliance(Mounting):
     """
 
     title = "the mounting yields sideways"
+    order = 380
 
     compliance: Scalar = parameter(
         0.0, 0.0, 1e-3, "m/N", "a thin strut, 1 kN/m, at most; a stiff stand has 1e-5", 1e-4

@@ -16,6 +16,7 @@ class TailStiffness(BodyChange):
     """
 
     title = "the tail is stiffer or softer"
+    order = 270
 
     x: Scalar = parameter(
         0.0, -0.5, 0.8, "-", "a sixth in thickness is a half in EI; a joint's overlap stiffens"

@@ -19,6 +19,8 @@ class TipMass(ForceDensity):
     """
 
     title = "a mass at the tail's tip"
+    order = 490
+    lacks_weight = True
 
     mass: Scalar = parameter(
         0.0, 0.0, 5e-3, "kg", "a marker of plastic weighs 1 g, more with glue; the tail 50 g"

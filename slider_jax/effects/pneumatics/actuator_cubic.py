@@ -15,6 +15,7 @@ class ActuatorCubic(ActingPressure):
     """
 
     title = "the moment departs from the pressure's line at high pressure"
+    order = 220
 
     q: Scalar = parameter(
         0.0, -4e-12, 6e-12, "1/Pa^2", "at 330 kPa two fifths less, or two thirds more"

@@ -20,6 +20,7 @@ class ActuatorHysteresis(ActingPressure):
     """
 
     title = "hysteresis of the actuators"
+    order = 250
 
     amplitude: Scalar = parameter(
         0.0, 0.0, 50e3, "Pa", "loops of elastomer bending actuators are up to a third of the stroke"

@@ -17,6 +17,7 @@ class ActuatorQuadratic(ActingPressure):
     """
 
     title = "the actuators' moment grows faster than the pressure"
+    order = 210
 
     quadratic: Scalar = parameter(
         0.0, 0.0, 3e-6, "1/Pa", "the moment per pressure at most doubles at 330 kPa"

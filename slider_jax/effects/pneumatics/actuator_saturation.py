@@ -17,6 +17,7 @@ class ActuatorSaturation(ActingPressure):
     """
 
     title = "the actuators' moment saturates"
+    order = 200
 
     inverse: Scalar = parameter(0.0, 0.0, 3e-6, "1/Pa", "half of the moment is lost at 330 kPa")
     """c, inverse of the pressure at which half is lost."""

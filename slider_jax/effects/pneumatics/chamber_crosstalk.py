@@ -16,6 +16,7 @@ class ChamberCrosstalk(ActingPressure):
     """
 
     title = "each chamber also bends the other's span"
+    order = 240
 
     share: Scalar = parameter(
         0.0, -0.1, 0.3, "-", "spans touch at 1 cm of 13 and share a skin; a little either way"

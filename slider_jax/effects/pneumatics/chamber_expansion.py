@@ -19,6 +19,7 @@ class ChamberExpansion(Flow):
     """
 
     title = "chambers expand under pressure"
+    order = 180
     sensors = ("pressure", "thrust", "recoil", "tip")
 
     expansion: Scalar = parameter(

@@ -17,6 +17,7 @@ class ChamberMismatch(ActingPressure):
     """
 
     title = "front and rear chambers bend differently"
+    order = 230
 
     difference: Scalar = parameter(0.0, -0.3, 0.3, "-", "hand-made chambers differ by a few tenths")
     """d, half the difference of the two K_Q over their mean."""

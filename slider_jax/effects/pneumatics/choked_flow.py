@@ -17,6 +17,7 @@ class ChokedFlow(Flow):
     """
 
     title = "flow through the valves is choked"
+    order = 90
     sensors = ("pressure", "thrust", "recoil", "tip")
 
     inverse: Scalar = parameter(

@@ -16,6 +16,7 @@ class FillVentAsymmetry(Flow):
     """
 
     title = "filling and venting take different times"
+    order = 70
     sensors = ("pressure", "thrust", "recoil", "tip")
 
     ratio: Scalar = parameter(

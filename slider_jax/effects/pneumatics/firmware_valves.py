@@ -4,7 +4,7 @@ from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import parameter
 from slider_jax.effects.pneumatics.chamber_expansion import ATMOSPHERE
 from slider_jax.effects.pneumatics.orifice_flow import characteristic
-from slider_jax.effects.pneumatics.pwm import ValvePair
+from slider_jax.effects.valve_pair import ValvePair
 
 
 class FirmwareValves(ValvePair):
@@ -14,14 +14,15 @@ class FirmwareValves(ValvePair):
         dp/dt =  c_v u (p_a + |p|) psi(p_a/(p_a + |p|))    venting, of the sign of p_set - p
         psi(r) = sqrt(1 - ((r - b)/(1 - b))^2),    1 for r < b
 
-    u is the firmware's duty for the error (`pwm.opening`), P_s = p_a + p_s the supply's absolute
-    pressure. Flow is choked, independent of the pressure downstream, below the ratio b: a vent's
-    rate is then proportional to the absolute pressure. At c_f = 0 the lag is left as it is; the lag
-    has no say otherwise. Source: ISO 6358-1 (2013), Pneumatic fluid power: determination of
+    u is the firmware's duty for the error (`valve_pair.opening`). P_s = p_a + p_s is the absolute
+    pressure of the supply. Below the pressure ratio b the flow is choked: it does not depend on the
+    pressure downstream, so a vent's rate is proportional to the absolute pressure. At c_f = 0 the
+    lag stays; at c_f > 0 the valves replace it. Source: ISO 6358-1 (2013), Pneumatic fluid power: determination of
     flow-rate characteristics of components; firmware: bvanstratum/SoftSnakePressureControl.
     """
 
     title = "pulsed valves of the firmware, choked or not"
+    order = 160
 
     fill: Scalar = parameter(
         0.0,

@@ -2,7 +2,7 @@
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Flow, parameter
-from slider_jax.effects.smooth import magnitude
+from slider_jax.effects.functions import magnitude
 
 
 class FlowExponent(Flow):
@@ -16,6 +16,7 @@ class FlowExponent(Flow):
     """
 
     title = "flow grows less than the pressure difference"
+    order = 140
     sensors = ("pressure", "thrust", "recoil", "tip")
 
     exponent: Scalar = parameter(0.0, 0.0, 0.5, "-", "laminar to turbulent")

@@ -14,6 +14,8 @@ class LagMismatch(Flow):
     """
 
     title = "the rear chamber has another lag"
+    order = 80
+    rear_only = True
     sensors = ("pressure", "thrust", "recoil", "tip")
 
     x: Scalar = parameter(

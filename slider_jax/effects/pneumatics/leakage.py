@@ -14,6 +14,7 @@ class Leakage(Flow):
     """
 
     title = "leakage of the chambers"
+    order = 130
     sensors = ("pressure", "thrust", "recoil", "tip")
 
     leak: Scalar = parameter(

@@ -17,6 +17,7 @@ class LineLag(ActingPressure):
     """
 
     title = "lag of the line to the chamber"
+    order = 190
 
     tau: Scalar = parameter(
         0.0, 0.0, 0.05, "s", "a metre of thin tube into a bladder takes 5 to 50 ms"

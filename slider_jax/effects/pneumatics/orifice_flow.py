@@ -33,6 +33,7 @@ class OrificeFlow(Flow):
     """
 
     title = "compressible flow through the valves"
+    order = 150
     sensors = ("pressure", "thrust", "recoil", "tip")
 
     share: Scalar = parameter(0.0, 0.0, 1.0, "-", "linear lag to orifice")

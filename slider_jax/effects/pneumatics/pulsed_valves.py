@@ -4,7 +4,7 @@ import jax.numpy as jnp
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import parameter
-from slider_jax.effects.pneumatics.pwm import ValvePair
+from slider_jax.effects.valve_pair import ValvePair
 
 
 class PulsedValves(ValvePair):
@@ -18,6 +18,7 @@ class PulsedValves(ValvePair):
     """
 
     title = "pulsed valves of the firmware, laminar"
+    order = 170
 
     fill: Scalar = parameter(
         0.0,

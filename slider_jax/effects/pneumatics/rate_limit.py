@@ -2,7 +2,7 @@
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Flow, parameter
-from slider_jax.effects.smooth import limited
+from slider_jax.effects.functions import limited
 
 
 class RateLimit(Flow):
@@ -16,6 +16,7 @@ class RateLimit(Flow):
     """
 
     title = "the flow has a hard limit"
+    order = 100
     sensors = ("pressure", "thrust", "recoil", "tip")
 
     inverse: Scalar = parameter(

@@ -1,8 +1,8 @@
 """Dead time of the rear chamber's valve beyond that of the front's."""
 
+from slider_jax.actuation.waveform import Delayed
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Command, parameter
-from slider_jax.effects.pneumatics.valve_delay import Delayed
 
 
 class RearValveDelay(Command):
@@ -15,6 +15,8 @@ class RearValveDelay(Command):
     """
 
     title = "the rear valve acts later than the front valve"
+    order = 60
+    rear_only = True
     sensors = ("pressure", "thrust", "recoil", "tip")
 
     delay: Scalar = parameter(

@@ -1,8 +1,8 @@
 """A regulator whose span is off."""
 
+from slider_jax.actuation.waveform import Shaped
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Command, parameter
-from slider_jax.effects.pneumatics.shaped import Shaped
 
 
 class RegulatorGain(Command):
@@ -15,6 +15,7 @@ class RegulatorGain(Command):
     """
 
     title = "gain of the regulator"
+    order = 20
     sensors = ("pressure", "thrust", "recoil", "tip")
 
     gain: Scalar = parameter(

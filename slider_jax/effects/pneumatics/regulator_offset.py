@@ -1,8 +1,8 @@
 """A regulator whose zero is off."""
 
+from slider_jax.actuation.waveform import Shaped
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Command, parameter
-from slider_jax.effects.pneumatics.shaped import Shaped
 
 
 class RegulatorOffset(Command):
@@ -16,6 +16,7 @@ class RegulatorOffset(Command):
     """
 
     title = "zero of the regulator"
+    order = 30
     sensors = ("pressure", "thrust", "recoil", "tip")
 
     offset: Scalar = parameter(

@@ -1,9 +1,9 @@
 """A supply whose pressure is lower than what is asked of it."""
 
+from slider_jax.actuation.waveform import Shaped
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Command, parameter
-from slider_jax.effects.pneumatics.shaped import Shaped
-from slider_jax.effects.smooth import limited
+from slider_jax.effects.functions import limited
 
 
 class SupplyCap(Command):
@@ -17,6 +17,7 @@ class SupplyCap(Command):
     """
 
     title = "the supply caps the set pressure"
+    order = 50
     sensors = ("pressure", "thrust", "recoil", "tip")
 
     inverse: Scalar = parameter(

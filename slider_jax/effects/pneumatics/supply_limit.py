@@ -2,9 +2,9 @@
 
 import jax.numpy as jnp
 
+from slider_jax.actuation.waveform import Shaped
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Command, parameter
-from slider_jax.effects.pneumatics.shaped import Shaped
 
 
 class SupplyLimit(Command):
@@ -18,6 +18,7 @@ class SupplyLimit(Command):
     """
 
     title = "the supply cannot reach the set pressure"
+    order = 40
     sensors = ("pressure", "thrust", "recoil", "tip")
 
     inverse: Scalar = parameter(

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Flow, parameter
-from slider_jax.effects.smooth import SHARP, magnitude
+from slider_jax.effects.functions import SHARP, magnitude
 
 
 class ValveDeadband(Flow):
@@ -18,6 +18,7 @@ class ValveDeadband(Flow):
     """
 
     title = "deadband of the valves"
+    order = 110
     sensors = ("pressure", "thrust", "recoil", "tip")
 
     band: Scalar = parameter(

@@ -15,6 +15,7 @@ class ValveOverlap(Flow):
     """
 
     title = "overlap of the valves"
+    order = 120
     sensors = ("pressure", "thrust", "recoil", "tip")
 
     band: Scalar = parameter(0.0, 0.0, 40e3, "Pa", "an eighth of the largest set pressure", 8e3)

@@ -2,7 +2,7 @@
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Instrument, parameter
-from slider_jax.effects.sensors.series import delayed
+from slider_jax.effects.functions import delayed
 
 
 class CameraDelay(Instrument):
@@ -15,6 +15,7 @@ class CameraDelay(Instrument):
     """
 
     title = "dead time of the camera"
+    order = 640
     sensors = ("tip",)
 
     delay: Scalar = parameter(

@@ -14,6 +14,7 @@ class CameraScale(Instrument):
     """
 
     title = "scale of the camera"
+    order = 650
     sensors = ("tip",)
 
     gain: Scalar = parameter(

@@ -2,7 +2,7 @@
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Instrument, parameter
-from slider_jax.effects.sensors.series import delayed
+from slider_jax.effects.functions import delayed
 
 
 class ForceClockOffset(Instrument):
@@ -15,6 +15,7 @@ class ForceClockOffset(Instrument):
     """
 
     title = "clock of the force sensor is off"
+    order = 630
     sensors = ("thrust", "recoil")
 
     delay: Scalar = parameter(

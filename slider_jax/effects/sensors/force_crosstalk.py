@@ -17,6 +17,7 @@ class ForceCrosstalk(Instrument):
     """
 
     title = "force sensor turned against the robot"
+    order = 600
     sensors = ("thrust", "recoil")
 
     angle: Scalar = parameter(0.0, -0.1, 0.1, "rad", "mounted by eye: within some 5 degrees")

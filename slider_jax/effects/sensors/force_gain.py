@@ -14,6 +14,7 @@ class ForceGain(Instrument):
     """
 
     title = "gain of the force sensor"
+    order = 580
     sensors = ("thrust", "recoil")
 
     gain: Scalar = parameter(

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from slider_jax.beam.parameters import Scalar
-from slider_jax.effects.base import Instrument, parameter
+from slider_jax.effects.base import Instrument, last_sample, parameter
 
 
 class ForceResonance(Instrument):
@@ -25,6 +25,7 @@ class ForceResonance(Instrument):
     """
 
     title = "resonance of the force sensor"
+    order = 620
     sensors = ("thrust", "recoil")
 
     mass_over_stiffness: Scalar = parameter(
@@ -55,3 +56,10 @@ class ForceResonance(Instrument):
 
         both = jax.vmap(series)(jnp.stack([true.thrust, true.recoil]))
         return true._replace(thrust=both[0], recoil=both[1])
+
+    def read_sample(self, true, read):
+        def sample(x, y):
+            return self.follow((y[-1], y[-2], y[-3]), x[-1], true.t[-1] - true.t[-2])
+
+        thrust, recoil = sample(true.thrust, read.thrust), sample(true.recoil, read.recoil)
+        return last_sample(true)._replace(thrust=thrust, recoil=recoil)

@@ -1,8 +1,8 @@
 """A force sensor that follows late: amplifier or filter."""
 
 from slider_jax.beam.parameters import Scalar
-from slider_jax.effects.base import Instrument, parameter
-from slider_jax.effects.sensors.series import lagged
+from slider_jax.effects.base import Instrument, last_sample, parameter
+from slider_jax.effects.functions import lagged, lagged_sample
 
 
 class ForceSensorLag(Instrument):
@@ -15,6 +15,7 @@ class ForceSensorLag(Instrument):
     """
 
     title = "lag of the force sensor"
+    order = 610
     sensors = ("thrust", "recoil")
 
     tau: Scalar = parameter(
@@ -26,4 +27,10 @@ class ForceSensorLag(Instrument):
         return true._replace(
             thrust=lagged(true.thrust, true.t, self.tau),
             recoil=lagged(true.recoil, true.t, self.tau),
+        )
+
+    def read_sample(self, true, read):
+        return last_sample(true)._replace(
+            thrust=lagged_sample(true.thrust, true.t, self.tau, read.thrust),
+            recoil=lagged_sample(true.recoil, true.t, self.tau, read.recoil),
         )

@@ -14,6 +14,7 @@ class HoseLoad(Instrument):
     """
 
     title = "the hoses push on the force sensor"
+    order = 590
     sensors = ("thrust", "recoil")
 
     along: Scalar = parameter(

@@ -14,6 +14,7 @@ class PressureGain(Instrument):
     """
 
     title = "gain of the pressure sensors"
+    order = 540
     sensors = ("pressure",)
 
     gain: Scalar = parameter(

@@ -14,6 +14,7 @@ class PressureOffset(Instrument):
     """
 
     title = "zero of the pressure sensors"
+    order = 550
     sensors = ("pressure",)
 
     offset: Scalar = parameter(0.0, -20e3, 20e3, "Pa", "zero drift of 2 % of a sensor for 1 MPa")

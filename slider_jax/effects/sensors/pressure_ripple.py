@@ -18,6 +18,7 @@ class PressureRipple(Instrument):
     """
 
     title = "periodic error of the pressures' converter"
+    order = 560
     sensors = ("pressure",)
 
     a: Scalar = parameter(0.0, -6e3, 6e3, "Pa", "six codes of 0.93 kPa")

@@ -1,8 +1,8 @@
 """Pressure sensors that follow late."""
 
 from slider_jax.beam.parameters import Scalar
-from slider_jax.effects.base import Instrument, parameter
-from slider_jax.effects.sensors.series import lagged
+from slider_jax.effects.base import Instrument, last_sample, parameter
+from slider_jax.effects.functions import lagged, lagged_sample
 
 
 class PressureSensorLag(Instrument):
@@ -16,6 +16,7 @@ class PressureSensorLag(Instrument):
     """
 
     title = "lag of the pressure sensors"
+    order = 570
     sensors = ("pressure",)
 
     tau: Scalar = parameter(
@@ -27,4 +28,10 @@ class PressureSensorLag(Instrument):
         return true._replace(
             p_front=lagged(true.p_front, true.t, self.tau),
             p_rear=lagged(true.p_rear, true.t, self.tau),
+        )
+
+    def read_sample(self, true, read):
+        return last_sample(true)._replace(
+            p_front=lagged_sample(true.p_front, true.t, self.tau, read.p_front),
+            p_rear=lagged_sample(true.p_rear, true.t, self.tau, read.p_rear),
         )

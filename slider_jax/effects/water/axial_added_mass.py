@@ -16,6 +16,7 @@ class AxialAddedMass(ForceDensity):
     """
 
     title = "water carried along the axis"
+    order = 480
 
     m_t: Scalar = parameter(
         0.0, 0.0, 0.3, "kg/m", "0.03 for a smooth body of 0.7 kg/m; tubes and seams drag more"

@@ -17,6 +17,7 @@ class NormalDrag(ForceDensity):
     """
 
     title = "drag of the crossflow"
+    in_every_model = True
 
     C_d: Scalar = parameter(
         0.0, 0.0, 6.0, "-", "2 for a plate in steady flow, more at small strokes"

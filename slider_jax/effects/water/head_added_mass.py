@@ -22,6 +22,8 @@ class HeadAddedMass(ForceDensity):
     """
 
     title = "added mass that begins at the head"
+    order = 440
+    is_candidate = False
 
     m_a: Scalar = parameter(
         0.0, 0.0, 1.5, "-", "that of the body where its head is blunt, less where flow separates"

@@ -18,7 +18,8 @@ class HeadDrag(ForceDensity):
     """
 
     title = "form drag of the head"
-    resists = True
+    order = 430
+    resists_axially = True
 
     area: Scalar = parameter(
         0.0, 0.0, 3e-3, "m^2", "0.9e-3 for a blunt end of 30 by 30 mm; tubes and a fitting add"

@@ -26,6 +26,7 @@ class KeuleganCarpenterDrag(ForceDensity):
     """
 
     title = "drag coefficient that falls with amplitude"
+    order = 500
 
     C: Scalar = parameter(
         0.0, 0.0, 10.0, "-", "8 for a sharp-edged plate; rounded edges and a constant part take off"

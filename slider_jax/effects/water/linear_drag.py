@@ -17,6 +17,7 @@ class LinearDrag(ForceDensity):
     """
 
     title = "drag linear in the crossflow"
+    order = 450
 
     c: Scalar = parameter(
         0.0, 0.0, 5.0, "N s/m^2", "0.7 by Stokes at 30 mm and 5 Hz; waves and tubes add to it"

@@ -26,6 +26,7 @@ class ReactiveForce(ForceDensity):
     """
 
     title = "reactive force of the added mass"
+    in_every_model = True
 
     m_a: Scalar = parameter(
         0.0, 0.0, 1.5, "-", "1 for a thin plate in potential flow, less separated"

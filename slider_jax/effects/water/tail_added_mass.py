@@ -22,6 +22,7 @@ class TailAddedMass(ForceDensity):
     """
 
     title = "another added mass on the tail"
+    order = 470
 
     m_a: Scalar = parameter(
         0.0, -0.5, 0.8, "-", "1 for a sheet, less where flow separates; the body's walls are thick"

@@ -18,6 +18,7 @@ class TailDrag(ForceDensity):
     """
 
     title = "another drag on the tail"
+    order = 460
 
     C: Scalar = parameter(
         0.0, -2.0, 3.0, "-", "plates and round bodies differ by 1 in steady flow, more in strokes"

@@ -17,7 +17,8 @@ class TangentialFriction(ForceDensity):
     """
 
     title = "friction along the skin"
-    resists = True
+    order = 410
+    resists_axially = True
 
     C_t: Scalar = parameter(
         0.0, 0.0, 0.2, "-", "0.005 for a smooth plate, more with tubes, seams, a clamp"

@@ -16,6 +16,7 @@ class TankCurrent(WaterMotion):
     """
 
     title = "the tank's water drifts"
+    order = 510
 
     U_x: Scalar = parameter(
         0.0, -0.2, 0.2, "m/s", "the robot's own jet runs at 0.2 m/s and comes back in a small tank"

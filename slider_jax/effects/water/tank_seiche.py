@@ -19,6 +19,7 @@ class TankSeiche(WaterMotion):
     """
 
     title = "the tank's water sloshes"
+    order = 530
 
     a_cos: Scalar = parameter(0.0, -0.02, 0.02, "m/s", "the surface is seen to move by some mm")
     """At t = 0."""

@@ -4,7 +4,7 @@ import equinox as eqx
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import ForceDensity, parameter
-from slider_jax.effects.smooth import magnitude
+from slider_jax.effects.functions import magnitude
 
 SLOW = 1e-3
 """Crossflow [m/s] below which the root is rounded off."""
@@ -22,7 +22,8 @@ class ThinnedFriction(ForceDensity):
     """
 
     title = "friction under a thinned boundary layer"
-    resists = True
+    order = 420
+    resists_axially = True
 
     c: Scalar = parameter(
         0.0, 0.0, 3.0, "-", "1 for a smooth round cylinder; a flat section has more skin"

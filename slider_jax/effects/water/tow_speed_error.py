@@ -17,6 +17,7 @@ class TowSpeedError(WaterMotion):
     """
 
     title = "the carriage's speed is off"
+    order = 520
 
     gain: Scalar = parameter(
         0.0, -0.2, 0.2, "-", "steps lost by a motor, a wheel of another diameter: up to a fifth"

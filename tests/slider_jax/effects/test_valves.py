@@ -9,11 +9,11 @@ from slider_jax.effects.pneumatics.fill_vent_asymmetry import FillVentAsymmetry
 from slider_jax.effects.pneumatics.firmware_valves import FirmwareValves
 from slider_jax.effects.pneumatics.lag_mismatch import LagMismatch
 from slider_jax.effects.pneumatics.pulsed_valves import PulsedValves
-from slider_jax.effects.pneumatics.pwm import FULL, WIDEST
 from slider_jax.effects.pneumatics.rate_limit import RateLimit
 from slider_jax.effects.pneumatics.supply_cap import SupplyCap
 from slider_jax.effects.pneumatics.valve_deadband import ValveDeadband
 from slider_jax.effects.pneumatics.valve_overlap import ValveOverlap
+from slider_jax.effects.valve_pair import FULL, WIDEST
 from tests.support.chambers import A, K, chambers, held, relaxation, square, strides
 
 OPEN = (WIDEST - 0.05) / 0.95

@@ -32,7 +32,7 @@ class ValvePair(Flow):
     """
 
     sensors = ("pressure", "thrust", "recoil", "tip")
-    instead = "lag"
+    replaces_law = "lag"
 
     fill: eqx.AbstractVar[Scalar]
     dead: eqx.AbstractVar[Scalar]
