@@ -17,8 +17,8 @@ class FirmwareValves(ValvePair):
     u is the firmware's duty for the error (`valve_pair.opening`). P_s = p_a + p_s is the absolute
     pressure of the supply. Below the pressure ratio b the flow is choked: it does not depend on the
     pressure downstream, so a vent's rate is proportional to the absolute pressure. At c_f = 0 the
-    lag stays; at c_f > 0 the valves replace it. Source: ISO 6358-1 (2013), Pneumatic fluid power: determination of
-    flow-rate characteristics of components; firmware: bvanstratum/SoftSnakePressureControl.
+    lag stays; at c_f > 0 the valves replace it. Source: ISO 6358-1 (2013), Pneumatic fluid power:
+    determination of flow-rate characteristics of components; firmware: bvanstratum/SoftSnakePressureControl.
     """
 
     title = "pulsed valves of the firmware, choked or not"
