@@ -18,7 +18,8 @@ class FirmwareValves(ValvePair):
     pressure of the supply. Below the pressure ratio b the flow is choked: it does not depend on the
     pressure downstream, so a vent's rate is proportional to the absolute pressure. At c_f = 0 the
     lag stays; at c_f > 0 the valves replace it. Source: ISO 6358-1 (2013), Pneumatic fluid power:
-    determination of flow-rate characteristics of components; firmware: bvanstratum/SoftSnakePressureControl.
+    determination of flow-rate characteristics of components; firmware:
+    bvanstratum/SoftSnakePressureControl.
     """
 
     title = "pulsed valves of the firmware, choked or not"
