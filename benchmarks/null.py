@@ -11,9 +11,9 @@ from tanks import draw, noisy, problem_of, simulated
 from calibration.discrepancy import report
 from calibration.discrepancy.close_loop import LoopOutcome, choose_held_out, conclude
 from calibration.discrepancy.selection import directions
-from calibration.inference.gauss_newton import fit
+from calibration.inference.gauss_newton import fit_gauss_newton
 from calibration.inference.problem import AbstractProblem, TankProblem
-from calibration.inference.uncertainty import halves, interval
+from calibration.inference.uncertainty import confidence_interval, hausman_check
 from calibration.measurements.records import Record
 from calibration.model.extended import BASE, base_values, base_vector, candidates, parameters
 
@@ -54,10 +54,10 @@ def summary(outcome: LoopOutcome, truth: Mapping[str, float]) -> dict[str, Any]:
             cover[p.name]["noise_error"] = float(np.sqrt(outcome.final.covariance[place, place]))
     return {
         "verdict": outcome.verdict,
-        "effects": report.effects(outcome),
-        "nearest": report.nearest(outcome),
-        "where": report.unexplained(outcome),
-        "candidates": [row for row in report.ranking(outcome) if "explained" in row],
+        "effects": report.effect_records(outcome),
+        "nearest": report.nearest_effects(outcome),
+        "where": report.residual_records(outcome),
+        "candidates": [row for row in report.candidate_records(outcome) if "explained" in row],
         "parameters": cover,
         "converged": outcome.final.converged,
     }
@@ -99,7 +99,9 @@ def replicates(seed: int, progress) -> dict[str, Any]:
     progress("calibrating without noise")
     quiet = [replace(r, values=y) for r, y in zip(noisy(tank, true, 0), true, strict=True)]
     laid = problem_of(tank, names, memo)(quiet)
-    best = fit(laid, entries, base_vector(entries, base), np.arange(len(BASE)), progress)
+    best = fit_gauss_newton(
+        laid, entries, base_vector(entries, base), np.arange(len(BASE)), progress
+    )
     progress("tangents along everything")
     slopes = directions(laid, entries, best.theta, best.free)
     parts = {r.trial.file: i for i, r in enumerate(quiet)}
@@ -142,7 +144,11 @@ def covered(seed: int, progress) -> dict[str, Any]:
     found = noisy(tank, simulated(tank, {}, names=()), seed)
     laid = problem_of(tank, ())(found)
     begun = base_vector(entries, base_values(tank.experiment))
-    best = halves(laid, fit(laid, entries, begun, np.arange(len(BASE))))
+    best = hausman_check(laid, fit_gauss_newton(laid, entries, begun, np.arange(len(BASE))))
     progress("calibrated")
     names = enumerate(p.name for p in entries)
-    return {"parameters": {n: told(interval(best, entries, i), tank.truth[n]) for i, n in names}}
+    return {
+        "parameters": {
+            n: told(confidence_interval(best, entries, i), tank.truth[n]) for i, n in names
+        }
+    }

@@ -25,7 +25,7 @@ from sklearn.preprocessing import StandardScaler
 from calibration.discrepancy.rounds import groups, scored
 from calibration.discrepancy.scores import drop, solve
 from calibration.discrepancy.selection import directions
-from calibration.inference.gauss_newton import Fit, fit, inverse
+from calibration.inference.gauss_newton import Fit, fit_gauss_newton, inverse
 from calibration.inference.problem import AbstractProblem, summed
 from calibration.model.extended import Parameter
 from slider_jax.channels import CHANNELS
@@ -81,7 +81,7 @@ def refitted(s: Start, names: Sequence[str]) -> Fit:
             theta[i] = prior.start
         elif s.entries[i].effect and theta[i] == prior.null:
             theta[i] += 0.02 * (prior.high - prior.low)
-    return fit(s.problem, s.entries, theta, free, white=s.white)
+    return fit_gauss_newton(s.problem, s.entries, theta, free, white=s.white)
 
 
 def oracle(s: Start, truth: Sequence[str]) -> Said:

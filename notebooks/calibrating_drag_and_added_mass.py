@@ -29,8 +29,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import slider_jax as sj
-from calibration.identification.identify import identify, table
-from calibration.inference.uncertainty import correlations, determined, interval
+from calibration.identification.identify import identify_parameters, parameter_table
+from calibration.inference.uncertainty import confidence_interval, correlations, determined
 from calibration.model.predict import Resolution
 from slider_jax.channels import row_of
 from slider_jax.experiment import load as experiments
@@ -63,8 +63,8 @@ for trial in tank.trials:
 # channels of all trials at once, by forward derivatives through the simulation.
 
 # %%
-found = identify(tank, progress=print, fine=mesh, coarse=mesh)
-print(table(found))
+found = identify_parameters(tank, progress=print, fine=mesh, coarse=mesh)
+print(parameter_table(found))
 
 # %%
 shown = int(np.argmax([len(r.t) for r in found.problem.records]))
@@ -104,7 +104,7 @@ ellipse = np.sqrt(5.99 * values) * np.stack([np.cos(turn), np.sin(turn)], axis=1
 figure, ax = plt.subplots(figsize=(4.6, 3.8), layout="constrained")
 ax.plot(*(centre + ellipse).T, label="noise, 95 %")
 ax.plot(*centre, "C0o", ms=4)
-low_high = np.array([interval(found.fit, found.entries, i)[1:] for i in pair])
+low_high = np.array([confidence_interval(found.fit, found.entries, i)[1:] for i in pair])
 ax.errorbar(
     *centre[:, None],
     xerr=np.abs(low_high[0] - centre[0])[:, None],
@@ -127,12 +127,14 @@ print(f"correlation of C_d and m_a: {correlations(found.fit)[pair[0], pair[1]]:.
 # data fix it: where they do not, none is given.
 
 # %%
-alone = identify(tank, channels=("thrust",), progress=lambda text: None, fine=mesh, coarse=mesh)
-print(table(alone))
+alone = identify_parameters(
+    tank, channels=("thrust",), progress=lambda text: None, fine=mesh, coarse=mesh
+)
+print(parameter_table(alone))
 wider = {}
 for i, label in enumerate(labels):
-    _, low, high = interval(alone.fit, alone.entries, i)
-    _, least, most = interval(found.fit, found.entries, i)
+    _, low, high = confidence_interval(alone.fit, alone.entries, i)
+    _, least, most = confidence_interval(found.fit, found.entries, i)
     wider[label] = (high - low) / (most - least)
     told = "" if determined(alone.entries[i], low, high) else ", not determined"
     print(f"{label}: interval {wider[label]:.1f} times as wide as with all channels{told}")

@@ -30,8 +30,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import slider_jax as sj
-from calibration.identification.identify import identify, table
-from calibration.inference.uncertainty import interval
+from calibration.identification.identify import identify_parameters, parameter_table
+from calibration.inference.uncertainty import confidence_interval
 from calibration.model.predict import Resolution
 from rig.cli.settings import rig_of
 from rig.cli.shared import opened, trials_of, with_counts
@@ -152,13 +152,13 @@ print(f"the manifold's clock runs at {clock.rate:.6f} of the computer's")
 
 # %%
 mesh = Resolution(21, 60, 4.0e-3)
-fitted = identify(
+fitted = identify_parameters(
     experiments.load(measured / "experiment.toml"), progress=print, fine=mesh, coarse=mesh
 )
-print(table(fitted))
+print(parameter_table(fitted))
 if not own:
     for i, entry in enumerate(fitted.entries):
-        value, low, high = interval(fitted.fit, fitted.entries, i)
+        value, low, high = confidence_interval(fitted.fit, fitted.entries, i)
         print(f"{entry.label}: the tank has {truth[entry.label]:g}, found {value:.4g}")
 
 # %%

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from calibration.pressure_logs.identify import PAPER_K, Identification, identify, rms
+from calibration.pressure_logs.identify import PAPER_K, Identification, identify_lag, rms
 from calibration.pressure_logs.lag import PLAUSIBLE
 from calibration.pressure_logs.read import PSI_AT_ZERO, PSI_PER_COUNT, read_log
 from calibration.pressure_logs.text import describe, verdict
@@ -55,14 +55,14 @@ def manifold(
         for finding in log.findings:
             print(f"{log.path.name}: {finding}", file=sys.stderr)
     print(f"fitting {len(records)} logs ...", file=sys.stderr)
-    found = identify(records)
+    found = identify_lag(records)
     said = describe(found)
     with staged(out) as stage:
-        write_json(stage / "manifold.json", report(found, said))
-        write_text(stage / "model.toml", model_toml(found))
+        write_json(stage / "manifold.json", lag_record(found, said))
+        write_text(stage / "model.toml", lag_model_toml(found))
         if plot:
             _draw(found, stage)
-    print("\n".join([said[0], "", table(found), "", *said[1:]]))
+    print("\n".join([said[0], "", lag_table(found), "", *said[1:]]))
     print(f"manifold.json, model.toml{' and pictures' if plot else ''} are in {out}")
 
 
@@ -90,7 +90,7 @@ def _draw(found: Identification, folder: Path) -> None:
             progress.to(number, len(found.logs))
 
 
-def report(found: Identification, said: list[str]) -> dict[str, Any]:
+def lag_record(found: Identification, said: list[str]) -> dict[str, Any]:
     """The content of manifold.json; k in s, pressures in psi."""
     return {
         "pooled": {
@@ -138,7 +138,7 @@ def report(found: Identification, said: list[str]) -> dict[str, Any]:
     }
 
 
-def model_toml(found: Identification) -> str:
+def lag_model_toml(found: Identification) -> str:
     """A model file with the k of all logs."""
     k = found.k
     names = ", ".join(x.log.path.name for x in found.logs)
@@ -152,7 +152,7 @@ def model_toml(found: Identification) -> str:
     )
 
 
-def table(found: Identification) -> str:
+def lag_table(found: Identification) -> str:
     """The result as text, one log a line."""
     lines = [
         f"{'log':<16}{'Hz':>7}{'samples':>9}{'k ms':>7}{'95 % interval':>16}{'widening':>10}"

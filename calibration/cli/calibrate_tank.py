@@ -42,7 +42,7 @@ def tank(
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
     """
     from calibration.identification import identify as single
-    from calibration.identification.per_frequency import refuse_unknown
+    from calibration.identification.per_frequency import check_labels
     from calibration.model.extended import parameters
     from slider_jax.experiment.load import load
     from slider_jax.io.files import input_file, staged, tentative_folder, write_json, write_text
@@ -53,14 +53,17 @@ def tank(
         print(f"{time.monotonic() - begun:5.0f} s  {text}", file=sys.stderr, flush=True)
 
     loaded = load(experiment, model)
-    single.refuse_unknown(also, channels, method)
+    single.check_names(also, channels, method)
     if per_frequency:
-        refuse_unknown(each, parameters(also))
+        check_labels(each, parameters(also))
     with tentative_folder(out):
-        found = single.identify(loaded, also, channels, say, method=method)
+        found = single.identify_parameters(loaded, also, channels, say, method=method)
         with staged(out) as stage:
-            content, text = single.content(found, input_file(experiment)), single.model_file(found)
-            told = [single.table(found)]
+            content, text = (
+                single.identification_record(found, input_file(experiment)),
+                single.identified_model(found),
+            )
+            told = [single.parameter_table(found)]
             if per_frequency:
                 more, text, table = _by_frequency(found, each, say, stage)
                 text = f"# {found.doubt}\n{text}" if found.doubt else text
@@ -79,6 +82,10 @@ def _by_frequency(found, each, say, stage: Path):
     from slider_jax.io.files import write_csv
 
     compared = compare(found.experiment, found.entries, found.problem, found.fit, each, say)
-    write_csv(stage / "per_frequency.csv", report.columns(compared, each))
+    write_csv(stage / "per_frequency.csv", report.frequency_columns(compared, each))
     report.picture(compared, each, stage / "per_frequency.png")
-    return report.content(compared), report.model_file(compared, each), report.table(compared)
+    return (
+        report.per_frequency_record(compared),
+        report.per_frequency_model(compared, each),
+        report.per_frequency_table(compared),
+    )

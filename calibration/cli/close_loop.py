@@ -33,7 +33,7 @@ def close_loop(
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
     """
     from calibration.discrepancy.page import loop_page
-    from calibration.discrepancy.report import model_toml, sizes, skill
+    from calibration.discrepancy.report import error_lines, loop_model_toml, parameter_lines
     from calibration.inference.cache import inputs as made_from, resumable
     from slider_jax.experiment.load import Experiment
     from slider_jax.io.files import staged, write_json, write_text
@@ -55,9 +55,9 @@ def close_loop(
         outcome, told = of(given, inputs, memo, say, seconds)
         with staged(out) as stage:
             write_json(stage / "report.json", told)
-            write_text(stage / "model.toml", model_toml(outcome))
+            write_text(stage / "model.toml", loop_model_toml(outcome))
             write_text(stage / "report.html", loop_page(outcome, told))
-    print("\n".join([told["said"], *sizes(told), *skill(told)]))
+    print("\n".join([told["said"], *parameter_lines(told), *error_lines(told)]))
     if told["next_experiment"]:
         print(f"Next: {told['next_experiment']['said']}")
     print(f"report.html, report.json and model.toml are in {out}", file=sys.stderr)
@@ -103,14 +103,14 @@ def _logs(paths: tuple[Path, ...]):
 
 
 def _of_experiment(experiment, inputs, memo, say, seconds) -> tuple[Any, dict[str, Any]]:
-    from calibration.discrepancy.close_loop import close_loop as close
-    from calibration.discrepancy.report import report
+    from calibration.discrepancy.close_loop import close_loop_on_trials
+    from calibration.discrepancy.report import loop_record
     from calibration.experiment_design.next_experiment import next_experiment
     from slider_jax.io.files import input_file
 
-    outcome = close(experiment, progress=say, memo=memo)
+    outcome = close_loop_on_trials(experiment, progress=say, memo=memo)
     following = next_experiment(outcome, say)
-    return outcome, report(outcome, seconds(), input_file(inputs[0]), following)
+    return outcome, loop_record(outcome, seconds(), input_file(inputs[0]), following)
 
 
 def _of_logs(logs, inputs, memo, say, seconds) -> tuple[Any, dict[str, Any]]:

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from calibration.pressure_logs.problem import built_in
+from calibration.pressure_logs.problem import log_experiment
 from calibration.pressure_logs.read import PA_PER_PSI, ManifoldLog, read_log
 from calibration.pressure_logs.residual_shape import whole_cycles
 from slider_jax.actuation import FirstOrderLag, Recorded
@@ -58,7 +58,7 @@ def simulate_log(
     log = read_log(path)
     for finding in log.findings:
         print(f"{path.name}: {finding}", file=sys.stderr)
-    experiment = built_in(log, model, NUMERICS)
+    experiment = log_experiment(log, model, NUMERICS)
     with staged(out) as stage:
         with Progress(path.stem, "sample") as progress:
             columns = drive_robot(log, experiment, drive, progress.to)

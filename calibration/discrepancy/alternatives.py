@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calibration.discrepancy.refits import Refits, begun
+from calibration.discrepancy.refits import Refits, initial_theta
 from calibration.discrepancy.rounds import (
     SHARE,
     Alternative,
@@ -19,7 +19,7 @@ from calibration.discrepancy.rounds import (
     SelectionStep,
     groups,
 )
-from calibration.discrepancy.scores import alikeness
+from calibration.discrepancy.scores import tangent_cosine
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.goodness import FLOOR, excess
 from calibration.inference.problem import ChannelBlock
@@ -34,7 +34,7 @@ CONTENDS = 0.8
 something of another cause as well while that was missing."""
 
 
-def alike(
+def equivalent_effects(
     best: Refit,
     this: SelectionStep,
     judged: Mapping[str, np.ndarray],
@@ -52,12 +52,12 @@ def alike(
         for s in this.scores
         if s.name not in refitted
         and s.gain > SHARE * this.scores[0].gain
-        and alikeness(judged[best.name], judged[s.name], current.free, blocks) > ALIKE
+        and tangent_cosine(judged[best.name], judged[s.name], current.free, blocks) > ALIKE
     ]
     return same + parallel
 
 
-def judge_rivals(refits: Refits, found: Selection) -> None:
+def judge_alternatives(refits: Refits, found: Selection) -> None:
     """Fits every round's rivals in the place of what it chose, and makes its class of those fits.
 
     One that cannot be fitted stays what the round had it for. Where more than noise is left all do.
@@ -77,7 +77,7 @@ def judge_rivals(refits: Refits, found: Selection) -> None:
         this.alike = [n for n, x in this.rivals.items() if not x.is_worse] + unjudged
 
 
-def better_rival(found: Selection) -> tuple[SelectionStep, str] | None:
+def better_alternative(found: Selection) -> tuple[SelectionStep, str] | None:
     """A round and the rival that is to take the place of what it chose.
 
     It must have been refitted in that round too, and trials that were left out have agreed on it.
@@ -122,5 +122,5 @@ def _instead(refits: Refits, found: Selection, this: SelectionStep, rival: str) 
     else:
         step = next(s.step for r in rounds for s in r.scores if s.name == rival)
         own = np.isin(np.arange(len(theta)), group)
-        start = begun(refits.entries, theta, group, np.where(own, step, 0.0))
+        start = initial_theta(refits.entries, theta, group, np.where(own, step, 0.0))
     return refits.joined(theta, start, np.concatenate([rest, group]))

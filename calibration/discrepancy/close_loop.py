@@ -8,13 +8,13 @@ import numpy as np
 from calibration.audit.audit import audit_measurements
 from calibration.audit.prediction import outliers
 from calibration.discrepancy.rounds import Selection
-from calibration.discrepancy.selection import search
-from calibration.discrepancy.verdict import NAMED, decide
+from calibration.discrepancy.selection import select_effects
+from calibration.discrepancy.verdict import NAMED, reach_verdict
 from calibration.inference.cache import Memo
-from calibration.inference.gauss_newton import Fit, fit
+from calibration.inference.gauss_newton import Fit, fit_gauss_newton
 from calibration.inference.goodness import Excess, excess, floors, rms_errors
 from calibration.inference.problem import AbstractProblem, TankProblem
-from calibration.inference.uncertainty import halves, interval
+from calibration.inference.uncertainty import confidence_interval, hausman_check
 from calibration.measurements.findings import Finding
 from calibration.measurements.records import Record
 from calibration.model.extended import (
@@ -75,7 +75,7 @@ class LoopOutcome:
 
     def interval(self, index: int) -> tuple[float, float, float]:
         """Value and 95 % interval of an entry that was fitted."""
-        return interval(self.final, self.entries, index)
+        return confidence_interval(self.final, self.entries, index)
 
 
 def choose_held_out(found: Sequence[Record], kept: Collection[str] = ()) -> list[int]:
@@ -99,7 +99,7 @@ def choose_held_out(found: Sequence[Record], kept: Collection[str] = ()) -> list
     return sorted(held)
 
 
-def close_loop(
+def close_loop_on_trials(
     experiment: Experiment,
     effects: Sequence[str] | None = None,
     progress: Callable[[str], None] = lambda text: None,
@@ -132,7 +132,7 @@ def close_loop(
     found = audited.records
     held = choose_held_out(found, kept)
     outcome = conclude(experiment, names, found, held, problem_of, base, tuple(BASE), progress)
-    strange = strangers(outcome)
+    strange = outlier_trials(outcome)
     named = {x.trial for x in strange}
     rest = [r for r in found if r.trial.file not in named]
     if strange and len(rest) >= LEAST_TRIALS:
@@ -143,7 +143,7 @@ def close_loop(
     return replace(outcome, audit=[*audited.findings, *strange])
 
 
-def strangers(outcome: LoopOutcome) -> list[Finding]:
+def outlier_trials(outcome: LoopOutcome) -> list[Finding]:
     """Trials whose residual no effect explains and no other trial shares."""
     each = excess(outcome.problem, outcome.nearest or outcome.final)
     trials = [r.trial for r in outcome.problem.records]
@@ -165,10 +165,10 @@ def conclude(
     seen = [r for i, r in enumerate(found) if i not in held]
     everything = problem_of(found)
     problem = problem_of(seen) if held else everything
-    result = search(problem, entries, base_vector(entries, base), progress, base_names)
+    result = select_effects(problem, entries, base_vector(entries, base), progress, base_names)
     before = excess(problem, result.base)
     after = excess(problem, result.final) if result.effects else before
-    verdict = decide(result, entries, before, after)
+    verdict = reach_verdict(result, entries, before, after)
     named = verdict in NAMED
     best = result.final if named else result.base
     hidden = None
@@ -177,10 +177,14 @@ def conclude(
         rest = problem_of([found[i] for i in held])
         hidden = _errors(rest, *(rest.predict(f.theta) for f in (result.base, best)))
     progress("refitting to all trials")
-    final = halves(everything, fit(everything, entries, best.theta, best.free, progress))
+    final = hausman_check(
+        everything, fit_gauss_newton(everything, entries, best.theta, best.free, progress)
+    )
     nearest = None
     if result.effects and not named:
-        nearest = fit(everything, entries, result.final.theta, result.final.free, progress)
+        nearest = fit_gauss_newton(
+            everything, entries, result.final.theta, result.final.free, progress
+        )
     used = _errors(problem, result.base.predicted, best.predicted)
     return LoopOutcome(
         experiment,

@@ -14,7 +14,7 @@ PHASES = 8
 """Parts of a stride that are told apart."""
 
 
-def where(
+def locate_residuals(
     records: Sequence[Record], predicted: Sequence[np.ndarray], left: dict[str, Excess]
 ) -> list[dict[str, Any]]:
     """Of every channel that stands above the floor: how far, in which trials, when in the stride.
@@ -36,7 +36,7 @@ def where(
                 "frequency_Hz": trials[worst].frequency,
                 "amplitude_Pa": trials[worst].amplitude,
                 "tow_speed_m_per_s": trials[worst].tow_speed,
-                "in_worst_trial": when(seen, channel, predicted[worst][row]),
+                "in_worst_trial": residual_timing(seen, channel, predicted[worst][row]),
                 "grows_with": {
                     "frequency": trend([t.frequency for t in trials], x.trials),
                     "amplitude": trend([t.amplitude for t in trials], x.trials),
@@ -48,7 +48,7 @@ def where(
     return found
 
 
-def when(record: Record, channel: str, model: np.ndarray) -> dict[str, Any]:
+def residual_timing(record: Record, channel: str, model: np.ndarray) -> dict[str, Any]:
     """When in a trial the residual of a channel is largest.
 
     `phase` is the eighth of the drive's period, counted from t = 0, that holds `share` of the
@@ -99,8 +99,8 @@ def trend(settings: Sequence[float | None], squares: np.ndarray) -> float | None
     return float(found.statistic) if found.pvalue < 0.05 else None
 
 
-def said(x: dict[str, Any]) -> str:
-    """One entry of `where` in a sentence."""
+def residual_text(x: dict[str, Any]) -> str:
+    """One entry of `locate_residuals` in a sentence."""
     text = f"{x['channel']}: {x['mean_square_over_noise']:.3g} times its floor"
     here = x["in_worst_trial"]
     worst = f"worst in {x['worst_trial']}"

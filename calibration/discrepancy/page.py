@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from calibration.discrepancy.close_loop import LoopOutcome
-from calibration.discrepancy.localise import said
+from calibration.discrepancy.localise import residual_text
 from calibration.discrepancy.rounds import AGREE, UNALIKE
 from calibration.inference.goodness import FLOOR
 from calibration.reporting.html import embedded_png, render_page
@@ -50,7 +50,7 @@ def loop_page(outcome: LoopOutcome, record: dict[str, Any]) -> str:
             [x["trial"], x["kind"], x["channel"] or "", x["detail"], x["action"]]
             for x in record["audit"]
         ],
-        residuals=[said(x) for x in record["unexplained"]],
+        residuals=[residual_text(x) for x in record["unexplained"]],
     )
 
 

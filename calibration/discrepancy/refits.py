@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.discrepancy.rounds import LEAST_GAIN, groups, shares, worth_naming
-from calibration.inference.gauss_newton import Fit, fit, inverse
+from calibration.discrepancy.rounds import LEAST_GAIN, groups, relative_changes, worth_naming
+from calibration.inference.gauss_newton import Fit, fit_gauss_newton, inverse
 from calibration.inference.noise import Whitener
 from calibration.inference.problem import FAILED, AbstractProblem, summed
 from calibration.model.extended import Parameter
@@ -18,7 +18,7 @@ SURE = 10.0
 linearised model has it."""
 
 
-def begun(
+def initial_theta(
     entries: Sequence[Parameter], theta: np.ndarray, group: np.ndarray, step: np.ndarray
 ) -> np.ndarray:
     """Where the refit with an effect begins: at its starts, or a score's `step` from theta."""
@@ -45,11 +45,11 @@ class Refits:
 
     def sizes(self, before: Fit, after: Fit) -> dict[str, float]:
         """By what share of its rms every channel changes from one fit to another."""
-        return shares(self.problem.channels, before.predicted, after.predicted)
+        return relative_changes(self.problem.channels, before.predicted, after.predicted)
 
     def fit(self, theta: np.ndarray, free: np.ndarray) -> Fit:
         """The fit of the entries `free` from theta."""
-        return fit(self.problem, self.entries, theta, free, self.progress, self.white)
+        return fit_gauss_newton(self.problem, self.entries, theta, free, self.progress, self.white)
 
     def null(self, theta: np.ndarray, group: np.ndarray) -> np.ndarray:
         """theta with the entries `group` at their null."""

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from calibration.discrepancy.close_loop import Errors, LoopOutcome
-from calibration.discrepancy.localise import where
+from calibration.discrepancy.localise import locate_residuals
 from calibration.discrepancy.rounds import SelectionStep
 from calibration.discrepancy.verdict import at_bounds, split
 from calibration.inference.goodness import FLOOR
@@ -16,7 +16,7 @@ from slider_jax.effects.library import LIBRARY
 from slider_jax.io.files import versions
 
 
-def report(
+def loop_record(
     outcome: LoopOutcome,
     seconds: float,
     source: dict[str, Any],
@@ -27,9 +27,9 @@ def report(
     trials, given = outcome.problem.records, base_values(outcome.experiment)
     return {
         "verdict": outcome.verdict,
-        "said": sentence(outcome),
-        "effects": effects(outcome),
-        "nearest": nearest(outcome),
+        "said": verdict_text(outcome),
+        "effects": effect_records(outcome),
+        "nearest": nearest_effects(outcome),
         "parameters": {
             p.name: _interval(outcome, "", p.name)
             | {"given": given[p.name], "without_effects": outcome.search.base.theta[i]}
@@ -39,8 +39,8 @@ def report(
         "errors": _table(outcome.used),
         "held_out": _table(held) if held else {},
         "held_out_trials": [trials[i].trial.file for i in outcome.held],
-        "candidates": ranking(outcome),
-        "unexplained": unexplained(outcome),
+        "candidates": candidate_records(outcome),
+        "unexplained": residual_records(outcome),
         "audit": [x.told() for x in outcome.audit],
         "next_experiment": following,
         "units": {name: CHANNELS[name].unit for name in CHANNELS},
@@ -52,7 +52,7 @@ def report(
     }
 
 
-def effects(outcome: LoopOutcome) -> list[dict[str, Any]]:
+def effect_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
     """Every effect that was added, what it cannot be told from, its rivals and parameters."""
     found = []
     for this in outcome.search.rounds:
@@ -79,7 +79,7 @@ def effects(outcome: LoopOutcome) -> list[dict[str, Any]]:
     return found
 
 
-def nearest(outcome: LoopOutcome) -> list[dict[str, Any]]:
+def nearest_effects(outcome: LoopOutcome) -> list[dict[str, Any]]:
     """Effects that came nearest to a residual that none explains; they are not in the model."""
     names = [] if outcome.effects else outcome.search.effects
     return [{"name": n, "title": LIBRARY[n].title, "where": LIBRARY[n].place()} for n in names]
@@ -104,7 +104,7 @@ def _table(errors: Errors) -> dict[str, dict[str, float]]:
     }
 
 
-def ranking(outcome: LoopOutcome) -> list[dict[str, Any]]:
+def candidate_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
     """All candidates of all rounds, best first, and why each was left."""
     rows = []
     for number, this in enumerate(outcome.search.rounds, start=1):
@@ -119,13 +119,13 @@ def ranking(outcome: LoopOutcome) -> list[dict[str, Any]]:
     return rows
 
 
-def unexplained(outcome: LoopOutcome) -> list[dict[str, Any]]:
+def residual_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
     """Where the residual of the last fit stands above the floor on the trials it was fitted to."""
     seen = [r for i, r in enumerate(outcome.problem.records) if i not in outcome.held]
-    return where(seen, outcome.chosen.predicted, outcome.excess_after)
+    return locate_residuals(seen, outcome.chosen.predicted, outcome.excess_after)
 
 
-def sentence(outcome: LoopOutcome) -> str:
+def verdict_text(outcome: LoopOutcome) -> str:
     """The verdict in a sentence."""
     names = outcome.search.effects
     titles = ", ".join(f"{LIBRARY[n].title} ({n})" for n in names)
@@ -135,7 +135,7 @@ def sentence(outcome: LoopOutcome) -> str:
         case "identified":
             return f"The model lacked: {titles}."
         case "class":
-            rivals = ", ".join(n for e in effects(outcome) for n in e["class"])
+            rivals = ", ".join(n for e in effect_records(outcome) for n in e["class"])
             return (
                 f"The model lacked: {titles}; these data cannot tell "
                 f"{'it' if len(names) == 1 else 'these'} from {rivals}."
@@ -156,7 +156,7 @@ def sentence(outcome: LoopOutcome) -> str:
     return "Inconclusive: a candidate explains more than chance, but the trials do not agree on it."
 
 
-def sizes(told: dict[str, Any]) -> list[str]:
+def parameter_lines(told: dict[str, Any]) -> list[str]:
     """A line for each parameter of what was added."""
     lines = []
     for effect in told["effects"]:
@@ -165,7 +165,7 @@ def sizes(told: dict[str, Any]) -> list[str]:
     return lines
 
 
-def skill(told: dict[str, Any]) -> list[str]:
+def error_lines(told: dict[str, Any]) -> list[str]:
     """A line for each channel's error on the trials held out, or where none was, on all."""
     errors, of = told["held_out"] or told["errors"], "held out" if told["held_out"] else "all"
     return [
@@ -175,9 +175,9 @@ def skill(told: dict[str, Any]) -> list[str]:
     ]
 
 
-def model_toml(outcome: LoopOutcome) -> str:
+def loop_model_toml(outcome: LoopOutcome) -> str:
     """The calibrated model with its effects, for `slider simulate --model`."""
     final = outcome.final
     return parameter_toml(
-        sentence(outcome), outcome.entries, final.theta, outcome.effects, final.free
+        verdict_text(outcome), outcome.entries, final.theta, outcome.effects, final.free
     )

@@ -128,7 +128,7 @@ def scored(entries: Sequence[Parameter]) -> dict[str, np.ndarray]:
     return found
 
 
-def shares(
+def relative_changes(
     channels: Sequence[str], before: Sequence[np.ndarray], after: Sequence[np.ndarray]
 ) -> dict[str, float]:
     """rms of the change in every channel over its rms, all trials (5, samples) together."""

@@ -94,7 +94,7 @@ def score(
     return Score(name, float(gain), len(group), p, step[group], errors, step, np.asarray(left_out))
 
 
-def alikeness(
+def tangent_cosine(
     first: np.ndarray, second: np.ndarray, free: np.ndarray, blocks: Sequence[ChannelBlock]
 ) -> float:
     """Largest |cos| between two candidates' tangents once the free parameters are projected out.

@@ -16,8 +16,12 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from calibration.discrepancy.alternatives import alike, better_rival, judge_rivals
-from calibration.discrepancy.refits import HALVINGS, Refits, begun
+from calibration.discrepancy.alternatives import (
+    better_alternative,
+    equivalent_effects,
+    judge_alternatives,
+)
+from calibration.discrepancy.refits import HALVINGS, Refits, initial_theta
 from calibration.discrepancy.rounds import (
     SHARE,
     Refit,
@@ -25,11 +29,11 @@ from calibration.discrepancy.rounds import (
     SelectionStep,
     agreement,
     groups,
+    relative_changes,
     scored,
-    shares,
 )
 from calibration.discrepancy.scores import Score, score
-from calibration.inference.gauss_newton import Fit, fit
+from calibration.inference.gauss_newton import Fit, fit_gauss_newton
 from calibration.inference.problem import AbstractProblem
 from calibration.model.extended import BASE, Parameter
 from slider_jax.channels import CHANNELS, row_of
@@ -87,7 +91,7 @@ def directions(
     return found
 
 
-def search(
+def select_effects(
     problem: AbstractProblem,
     entries: Sequence[Parameter],
     theta: np.ndarray,
@@ -100,15 +104,15 @@ def search(
     """
     free = np.array([i for i, p in enumerate(entries) if not p.effect and p.name in base_names])
     progress("calibrating the base model")
-    first = fit(problem, entries, theta, free, progress)
+    first = fit_gauss_newton(problem, entries, theta, free, progress)
     white = problem.whiteners(first.predicted)
-    base = fit(problem, entries, first.theta, free, progress, white)
+    base = fit_gauss_newton(problem, entries, first.theta, free, progress, white)
     refits = Refits(problem, entries, white, progress)
     found = Selection(base, base, [], [])
     for swaps in range(SWAPS + 1):
         _add(refits, found)
-        judge_rivals(refits, found)
-        swap = better_rival(found)
+        judge_alternatives(refits, found)
+        swap = better_alternative(found)
         if swap is None or swaps == SWAPS:
             break
         this, rival = swap
@@ -156,7 +160,7 @@ def _could_be_named(problem: AbstractProblem, current: Fit, everything, step: np
     there = [
         y + np.tensordot(step, x, 1) for y, x in zip(current.predicted, everything, strict=True)
     ]
-    changes = shares(problem.channels, current.predicted, there)
+    changes = relative_changes(problem.channels, current.predicted, there)
     return any(change > NEARLY * CHANNELS[c].discrepancy for c, change in changes.items())
 
 
@@ -188,7 +192,7 @@ def _round(refits: Refits, current: Fit, rest: Sequence[str]) -> SelectionStep:
         return this
     best = min(accepted, key=lambda t: t.fit.square)
     this.chosen = best.name
-    this.alike = alike(best, this, judged, current, blocks)
+    this.alike = equivalent_effects(best, this, judged, current, blocks)
     return this
 
 
@@ -206,7 +210,7 @@ def _likely(scores: list[Score], entries, judged) -> list[Score]:
 
 def _tried(refits: Refits, current: Fit, s: Score) -> Refit | None:
     group = groups(refits.entries)[s.name]
-    start = begun(refits.entries, current.theta, group, s.step)
+    start = initial_theta(refits.entries, current.theta, group, s.step)
     refitted = refits.joined(current.theta, start, np.concatenate([current.free, group]))
     if refitted is None:
         return None

@@ -51,7 +51,7 @@ def explained(before: float, after: float) -> float:
     return float((stood - stands) / stood) if stood > 0.0 else 0.0
 
 
-def decide(
+def reach_verdict(
     search: Selection,
     entries: Sequence[Parameter],
     before: dict[str, Excess],

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from calibration.discrepancy.close_loop import LoopOutcome, close_loop
-from calibration.discrepancy.report import report
+from calibration.discrepancy.close_loop import LoopOutcome, close_loop_on_trials
+from calibration.discrepancy.report import loop_record
 from calibration.discrepancy.verdict import CLASS, IDENTIFIED, NOTHING
 from calibration.experiment_design.next_experiment import next_experiment
 from calibration.experiment_design.trial_search import TrialLimits
@@ -66,7 +66,7 @@ def campaign(
     budget: int = BUDGET,
     limits: Callable[[Experiment], TrialLimits] | None = None,
     say: Say = lambda text: None,
-    close: Callable[..., LoopOutcome] = close_loop,
+    close: Callable[..., LoopOutcome] = close_loop_on_trials,
 ) -> Campaign:
     """Closes the loop on the experiment `path` again and again, at most `budget` trials in all.
 
@@ -93,7 +93,7 @@ def campaign(
         with resumable(out, inputs((path,), experiment.folder)) as memo:
             outcome = close(experiment, progress=say, memo=memo, kept=_chosen(out))
             following = next_experiment(outcome, say, limits(experiment) if limits else None)
-            told = report(outcome, 0.0, input_file(path), following)
+            told = loop_record(outcome, 0.0, input_file(path), following)
             write_json(out / f"round_{count:02d}.json", told)
         rounds.append(
             CampaignRound(

@@ -23,7 +23,7 @@ from scipy.stats import chi2
 
 from calibration.discrepancy.alternatives import ALIKE
 from calibration.discrepancy.rounds import LEAST_GAIN, scored
-from calibration.discrepancy.scores import alikeness
+from calibration.discrepancy.scores import tangent_cosine
 from calibration.discrepancy.selection import CHANCE
 from calibration.experiment_design.information import (
     ChannelInformation,
@@ -167,7 +167,7 @@ def _pairs(A, names, members, free, entries) -> tuple[np.ndarray, np.ndarray]:
             if lost[i] or lost[j]:
                 continue
             first, second = members[names[i]], members[names[j]]
-            cos = 1.0 if i == j else alikeness(first, second, free, as_block(A))
+            cos = 1.0 if i == j else tangent_cosine(first, second, free, as_block(A))
             alike[i, j] = alike[j, i] = min(cos, 1.0)
             opposed[i, j] = opposed[j, i] = i != j and _opposed(A, first, second, free, entries)
     return alike, opposed

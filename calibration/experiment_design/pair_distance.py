@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from calibration.discrepancy.scores import alikeness
+from calibration.discrepancy.scores import tangent_cosine
 from calibration.experiment_design.information import (
     ChannelInformation,
     TrialInformation,
@@ -58,7 +58,7 @@ def pairs_of(
             _distance(A, one, np.concatenate([free, other]), sizes[first]),
             _distance(A, other, np.concatenate([free, one]), sizes[second]),
         )
-        cos = min(alikeness(one, other, free, as_block(A)), 1.0)
+        cos = min(tangent_cosine(one, other, free, as_block(A)), 1.0)
         found.append(Pair(first, second, cos, float(np.sqrt(min(ways)))))
     return found
 

@@ -14,7 +14,12 @@ import numpy as np
 from calibration.inference.gauss_newton import Fit, inverse
 from calibration.inference.noise import Noise, Whitener
 from calibration.inference.problem import AbstractProblem
-from calibration.inference.uncertainty import by_variation, determined, interval, share_of
+from calibration.inference.uncertainty import (
+    by_variation,
+    confidence_interval,
+    determined,
+    share_of,
+)
 from calibration.model.extended import Parameter
 from calibration.model.initial_swing import declared_spans
 from calibration.model.predict import (
@@ -179,7 +184,7 @@ def advise(
     open_ones = [
         int(i)
         for i in fit.free
-        if not determined(entries[i], *interval(fit, entries, int(i))[1:])
+        if not determined(entries[i], *confidence_interval(fit, entries, int(i))[1:])
         and by_variation(fit, int(i)) is None  # else more of the same data would not agree
     ]
     candidates = feasible(experiment) if open_ones else []

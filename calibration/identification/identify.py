@@ -12,11 +12,11 @@ from calibration.experiment_design.parameter_trial import (
     described,
     proposal_sentence,
 )
-from calibration.inference.gauss_newton import Fit, fit
+from calibration.inference.gauss_newton import Fit, fit_gauss_newton
 from calibration.inference.goodness import FLOOR, excess, floors, rms_errors
-from calibration.inference.lbfgs import descend
+from calibration.inference.lbfgs import fit_lbfgs
 from calibration.inference.problem import TankProblem
-from calibration.inference.uncertainty import correlations, halves
+from calibration.inference.uncertainty import correlations, hausman_check
 from calibration.measurements.findings import Finding
 from calibration.measurements.records import Record
 from calibration.model.extended import Parameter, base_values, base_vector, parameters
@@ -28,7 +28,7 @@ from slider_jax.errors import InputError, did_you_mean
 from slider_jax.experiment.load import Experiment
 from slider_jax.io.files import versions
 
-METHODS = {"lm": fit, "lbfgs": descend}
+METHODS = {"lm": fit_gauss_newton, "lbfgs": fit_lbfgs}
 MANY = 12
 """Free parameters from which on L-BFGS is taken where no method is named."""
 
@@ -51,8 +51,8 @@ class Identified(NamedTuple):
     """What to know of a fit that does not explain its data, or nothing."""
 
 
-def refuse_unknown(effects: Sequence[str], channels: Sequence[str], method: str) -> None:
-    """Raises `InputError` for a name that `identify` does not know."""
+def check_names(effects: Sequence[str], channels: Sequence[str], method: str) -> None:
+    """Raises `InputError` for a name that `identify_parameters` does not know."""
     if method not in (*METHODS, "auto"):
         raise InputError(f"--method {method}: unknown; allowed auto, {', '.join(METHODS)}")
     for name in effects:
@@ -66,7 +66,7 @@ def refuse_unknown(effects: Sequence[str], channels: Sequence[str], method: str)
             raise InputError(f"--channels {name}: unknown; allowed {', '.join(CHANNELS)}")
 
 
-def identify(
+def identify_parameters(
     experiment: Experiment,
     effects: Sequence[str] = (),
     channels: Sequence[str] = BUILT_IN,
@@ -80,7 +80,7 @@ def identify(
     `method` is "lm", "lbfgs", or "auto": L-BFGS from `MANY` parameters on. Raises `InputError` for
     an unknown effect, channel or method, and where no measured trial can be used.
     """
-    refuse_unknown(effects, channels, method)
+    check_names(effects, channels, method)
     entries = parameters(tuple(effects))
 
     def problem_of(chosen: Sequence[Record]) -> TankProblem:
@@ -101,7 +101,7 @@ def identify(
     if method == "auto":
         method = "lbfgs" if len(entries) >= MANY else "lm"
     best = METHODS[method](problem, entries, begun, np.arange(len(entries)), progress)
-    best = halves(problem, best)
+    best = hausman_check(problem, best)
     advice = advise(experiment, entries, problem, best, coarse, progress)
     found = experiment, entries, problem, before, best, method, advice, audited.findings
     return Identified(*found, doubt(problem, best))
@@ -119,7 +119,7 @@ def doubt(problem: TankProblem, fit: Fit) -> str:
     )
 
 
-def content(found: Identified, source: dict[str, Any]) -> dict[str, Any]:
+def identification_record(found: Identified, source: dict[str, Any]) -> dict[str, Any]:
     """The content of calibration.json."""
     before, after = (rms_errors(found.problem, y) for y in (found.before, found.fit.predicted))
     floor = floors(found.problem, found.fit.predicted)
@@ -145,7 +145,7 @@ def content(found: Identified, source: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def table(found: Identified) -> str:
+def parameter_table(found: Identified) -> str:
     """What was identified, a line a parameter."""
     lines = []
     for i, p in enumerate(found.entries):
@@ -165,7 +165,7 @@ def table(found: Identified) -> str:
     return "\n".join(lines)
 
 
-def model_file(found: Identified) -> str:
+def identified_model(found: Identified) -> str:
     """The calibrated model, for `slider simulate --model`."""
     effects = list(dict.fromkeys(p.effect for p in found.entries if p.effect))
     said = f"Identified from {len(found.problem.records)} trials of {found.experiment.name}."

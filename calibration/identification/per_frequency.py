@@ -17,9 +17,14 @@ from calibration.discrepancy.scores import solve
 from calibration.experiment_design.parameter_trial import Known, Proposal, best_trial, feasible
 from calibration.identification import parameter_ties as layouts
 from calibration.identification.parameter_ties import CONSTANT, EACH, PAPER, RAMP, ParameterTies
-from calibration.inference.gauss_newton import Fit, fit, inverse
+from calibration.inference.gauss_newton import Fit, fit_gauss_newton, inverse
 from calibration.inference.problem import FAILED, TankProblem, summed
-from calibration.inference.uncertainty import by_variation, determined, halves, interval
+from calibration.inference.uncertainty import (
+    by_variation,
+    confidence_interval,
+    determined,
+    hausman_check,
+)
 from calibration.model.extended import Parameter
 from calibration.model.predict import COARSE, Resolution
 from slider_jax.errors import InputError, did_you_mean
@@ -76,7 +81,7 @@ def compare(
     `each` are labels of the parameters that may differ from frequency to frequency. Raises
     `InputError` for an unknown one, for a trial without a frequency, or for one frequency only.
     """
-    refuse_unknown(each, entries)
+    check_labels(each, entries)
     at, place = layouts.frequencies([r.trial for r in problem.records])
     if len(at) < 2:
         raise InputError(
@@ -95,7 +100,9 @@ def compare(
         progress(f"fitting {plan.name.replace('_', ' ')} values")
         laid = replace(problem, maps=plan.maps)
         free = np.arange(len(plan.entries))
-        found = halves(laid, fit(laid, plan.entries, plan.start, free, progress, white))
+        found = hausman_check(
+            laid, fit_gauss_newton(laid, plan.entries, plan.start, free, progress, white)
+        )
         missed = None
         if len(at) >= LEAST_FREQUENCIES:
             missed = _left_out(laid, plan, found, at, place, white)
@@ -104,7 +111,7 @@ def compare(
     return outcome._replace(advice=_advice(outcome, coarse))
 
 
-def refuse_unknown(each: Sequence[str], entries: Sequence[Parameter]) -> None:
+def check_labels(each: Sequence[str], entries: Sequence[Parameter]) -> None:
     """Raises `InputError` for a label of `each` that is not identified."""
     known = [p.label for p in entries]
     for label in each:
@@ -120,7 +127,7 @@ def _advice(found: ByFrequency, coarse: Resolution) -> dict[int, Proposal]:
     known, result = Known.of(found.problem, best), dict[int, Proposal]()
     for i, p in enumerate(plan.entries):
         g = int(plan.group[i])
-        if g < 0 or determined(p, *interval(best, plan.entries, i)[1:]):
+        if g < 0 or determined(p, *confidence_interval(best, plan.entries, i)[1:]):
             continue
         if by_variation(best, i) is not None:  # more of the same data would not agree
             continue
@@ -192,7 +199,7 @@ def values(way: Way, label: str) -> list[tuple[float, float, float, bool]]:
     found = []
     for i, p in enumerate(way.layout.entries):
         if p.label == label:
-            value, low, high = interval(way.fit, way.layout.entries, i)
+            value, low, high = confidence_interval(way.fit, way.layout.entries, i)
             found.append((value, low, high, determined(p, low, high)))
     return found
 
@@ -205,7 +212,7 @@ _WORDS = {
 }
 
 
-def sentence(found: ByFrequency) -> str:
+def comparison_text(found: ByFrequency) -> str:
     """What the comparison says, in a sentence."""
     if found.chosen is None:
         return (

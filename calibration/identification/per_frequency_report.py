@@ -8,17 +8,17 @@ import numpy as np
 
 from calibration.experiment_design.parameter_trial import described, proposal_sentence
 from calibration.identification.parameter_ties import CONSTANT, EACH, FOLLOWS, PAPER, RAMP
-from calibration.identification.per_frequency import ByFrequency, Way, sentence, values
+from calibration.identification.per_frequency import ByFrequency, Way, comparison_text, values
 from calibration.inference.uncertainty import correlations
 from calibration.reporting.parameters import parameter_record, parameter_text, parameter_toml
 from slider_jax.io.figures import new_figure, save_figure
 from slider_jax.paper import RAMP_END, RAMP_START, force_coefficients
 
 
-def content(found: ByFrequency) -> dict[str, Any]:
+def per_frequency_record(found: ByFrequency) -> dict[str, Any]:
     """What calibration.json says of it."""
     return {
-        "said": sentence(found),
+        "said": comparison_text(found),
         "chosen": found.chosen,
         "frequencies_Hz": found.frequencies,
         "trials": [
@@ -56,7 +56,7 @@ def _way(way: Way) -> dict[str, Any]:
     }
 
 
-def columns(found: ByFrequency, each: Sequence[str]) -> dict[str, np.ndarray]:
+def frequency_columns(found: ByFrequency, each: Sequence[str]) -> dict[str, np.ndarray]:
     """per_frequency.csv: a row a frequency; a blank value is not determined by these data."""
     table = {"frequency_Hz": found.frequencies}
     table["trials"] = np.bincount(found.place).astype(float)
@@ -72,7 +72,7 @@ def columns(found: ByFrequency, each: Sequence[str]) -> dict[str, np.ndarray]:
     return table
 
 
-def table(found: ByFrequency) -> str:
+def per_frequency_table(found: ByFrequency) -> str:
     """The comparison in words: a line an entry of the values by frequency, then what is best."""
     way, lines = found.ways[EACH], []
     for i, (p, label) in enumerate(zip(way.layout.entries, way.layout.labels, strict=True)):
@@ -81,10 +81,10 @@ def table(found: ByFrequency) -> str:
         )
         if i in found.advice:
             lines.append(f"{'':<28} {proposal_sentence(p, found.advice[i])}")
-    return "\n".join([*lines, "", sentence(found)])
+    return "\n".join([*lines, "", comparison_text(found)])
 
 
-def model_file(found: ByFrequency, each: Sequence[str]) -> str:
+def per_frequency_model(found: ByFrequency, each: Sequence[str]) -> str:
     """The model that explains the data best, for `slider simulate --model`.
 
     A ramp with other values at its ends, and values by frequency, become a table of C_d and m_a.
@@ -95,12 +95,14 @@ def model_file(found: ByFrequency, each: Sequence[str]) -> str:
     effects = list(dict.fromkeys(p.effect for p in found.entries if p.effect))
     if way.layout.name == EACH and not set(each) <= set(FOLLOWS):
         constant = found.ways[CONSTANT]
-        said = sentence(found) + " A model file has no place for these: constant values."
+        said = comparison_text(found) + " A model file has no place for these: constant values."
         return parameter_toml(said, constant.layout.entries, constant.fit.theta, effects)
     if way.layout.name == CONSTANT:
-        return parameter_toml(sentence(found), entries, theta, effects)
+        return parameter_toml(comparison_text(found), entries, theta, effects)
     common = [i for i, p in enumerate(entries) if p.label not in FOLLOWS]
-    text = parameter_toml(sentence(found), [entries[i] for i in common], theta[common], effects)
+    text = parameter_toml(
+        comparison_text(found), [entries[i] for i in common], theta[common], effects
+    )
     if way.layout.name == PAPER:
         return text.replace("[parameters]\n", '[parameters]\nforce_coefficients = "ramp"\n')
     lines = ["[parameters]", 'force_coefficients = "table"']

@@ -73,7 +73,7 @@ def inverse(A: np.ndarray) -> np.ndarray:
     return (vectors / np.maximum(values, 1e-12)) @ vectors.T / np.outer(size, size)
 
 
-def fit(
+def fit_gauss_newton(
     problem: AbstractProblem,
     entries: Sequence[Parameter],
     theta: np.ndarray,

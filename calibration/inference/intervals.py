@@ -57,7 +57,7 @@ def student(freedom: float) -> float:
     return float(stdtrit(max(freedom, 1.0), 0.5 + 0.5 * CONFIDENCE))
 
 
-def interval(log_value: float, evidence: Evidence) -> Interval:
+def record_interval(log_value: float, evidence: Evidence) -> Interval:
     """Interval of a least-squares fit to one record.
 
     The sandwich s^2 tau J.J / H^2 in log x, with tau the residual's `correlation_time` and H the
@@ -80,13 +80,13 @@ def pooled_interval(log_value: float, evidence: Sequence[Evidence]) -> Interval:
     """
     records = len(evidence)
     if records == 1:
-        return interval(log_value, evidence[0])
+        return record_interval(log_value, evidence[0])
     pulls = sum((float(e.tangent @ e.residual) / len(e.residual)) ** 2 for e in evidence)
     return _pooled(log_value, evidence, records / (records - 1) * pulls, student(records - 1.0))
 
 
 def within_interval(log_value: float, evidence: Sequence[Evidence]) -> Interval:
-    """Interval of the value common to just these records: as `interval`, summed over them.
+    """Interval of the value common to just these records: as `record_interval`, summed over them.
 
     Says nothing of how far another record would lie from these.
     """

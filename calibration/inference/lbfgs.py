@@ -38,7 +38,7 @@ LONGEST = 2.0
 """Of a step in each bounded variable: from 0.5 of a range to 0.88 of it."""
 
 
-def descend(
+def fit_lbfgs(
     problem: AbstractProblem,
     entries: Sequence[Parameter],
     theta: np.ndarray,

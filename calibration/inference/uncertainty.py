@@ -31,7 +31,9 @@ def share_of(p: Parameter) -> float:
     return EFFECT if p.effect else SYSTEMATIC[p.name]
 
 
-def interval(fit: Fit, entries: Sequence[Parameter], index: int) -> tuple[float, float, float]:
+def confidence_interval(
+    fit: Fit, entries: Sequence[Parameter], index: int
+) -> tuple[float, float, float]:
     """Value and 95 % interval of the entry `index`, which was fitted."""
     place = int(np.flatnonzero(fit.free == index)[0])
     value, p = float(fit.theta[index]), entries[index]
@@ -39,7 +41,7 @@ def interval(fit: Fit, entries: Sequence[Parameter], index: int) -> tuple[float,
     return value, value - 1.96 * error, value + 1.96 * error
 
 
-def halves(problem: AbstractProblem, fit: Fit) -> Fit:
+def hausman_check(problem: AbstractProblem, fit: Fit) -> Fit:
     """The fit with `apart` and `widening`: halves are the forces' means over a trial, and the rest.
 
     The tares are freed, and one linear step is taken. By Hausman's test the step has the variance

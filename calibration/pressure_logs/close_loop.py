@@ -12,8 +12,8 @@ from calibration.pressure_logs.audit import audit_logs
 from calibration.pressure_logs.problem import (
     FREE,
     PressureLogProblem,
-    built_in,
     log_candidates,
+    log_experiment,
     log_record,
 )
 from calibration.pressure_logs.read import ManifoldLog
@@ -38,8 +38,8 @@ def close_loop_on_logs(
         )
     logs = sorted(logs, key=lambda log: log.frequency)
     names = tuple(log_candidates() if effects is None else effects)
-    experiment = built_in(logs[0], None, {})
-    found = [log_record(log, built_in(log, None, {})) for log in logs]
+    experiment = log_experiment(logs[0], None, {})
+    found = [log_record(log, log_experiment(log, None, {})) for log in logs]
 
     def problem_of(chosen: Sequence[Record]) -> AbstractProblem:
         used = {id(r) for r in chosen}

@@ -9,8 +9,8 @@ import numpy as np
 from calibration.inference.intervals import (
     Evidence,
     Interval,
-    interval,
     pooled_interval,
+    record_interval,
     within_interval,
 )
 from calibration.pressure_logs.lag import PLAUSIBLE, Batch, fit_each, fit_pooled, residuals_at
@@ -87,7 +87,7 @@ class Identification:
         return rms(values[whole_cycles(result.log)] if settled else values) ** 2
 
 
-def identify(logs: Sequence[ManifoldLog], reference_k: float = PAPER_K) -> Identification:
+def identify_lag(logs: Sequence[ManifoldLog], reference_k: float = PAPER_K) -> Identification:
     """Fit the lag to every log and to all; `before` is at `reference_k` [s].
 
     Raises `InputError` where the logs together do not fix k.
@@ -109,7 +109,7 @@ def identify(logs: Sequence[ManifoldLog], reference_k: float = PAPER_K) -> Ident
     results = [
         LogResult(
             log=log,
-            k=interval(float(each.log_k[i]), own[i]),
+            k=record_interval(float(each.log_k[i]), own[i]),
             converged=bool(each.converged[i]),
             before=before[i, :n],
             after=own[i].residual,

@@ -48,7 +48,7 @@ def log_candidates() -> list[str]:
     ]
 
 
-def built_in(log: ManifoldLog, model: Path | None, numerics: dict[str, float]) -> Experiment:
+def log_experiment(log: ManifoldLog, model: Path | None, numerics: dict[str, float]) -> Experiment:
     """The built-in robot, C_d and m_a on the paper's ramp at the log's frequency, overridden."""
     robot = asdict(Robot())
     K_Q = robot.pop("K_Q")
@@ -97,7 +97,7 @@ class PressureLogProblem(AbstractProblem):
     @classmethod
     def of_logs(cls, logs: Sequence[ManifoldLog], names: Sequence[str]) -> "PressureLogProblem":
         """Returns the problem of logs for the extended model with the effects `names`."""
-        experiments = [built_in(log, None, {}) for log in logs]
+        experiments = [log_experiment(log, None, {}) for log in logs]
         found = [log_record(log, x) for log, x in zip(logs, experiments, strict=True)]
         row = row_of(CHANNEL)
         noise = {

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from calibration.discrepancy.close_loop import LoopOutcome
-from calibration.discrepancy.report import report
+from calibration.discrepancy.report import loop_record
 from calibration.pressure_logs.read import PA_PER_PSI, ManifoldLog
 from slider_jax.experiment.load import Experiment, assemble
 from slider_jax.io.files import input_file
@@ -69,7 +69,7 @@ def log_report(
 ) -> dict[str, Any]:
     """The content of report.json; `seconds()` since the loop began."""
     inputs = [input_file(log.path) for log in logs]
-    told = report(outcome, 0.0, {"logs": inputs})
+    told = loop_record(outcome, 0.0, {"logs": inputs})
     told["errors_psi"] = {
         part: {c: {k: v / PA_PER_PSI for k, v in row.items()} for c, row in told[part].items()}
         for part in ("errors", "held_out")

@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 
 from calibration.inference.gauss_newton import Fit
-from calibration.inference.uncertainty import by_variation, determined, interval
+from calibration.inference.uncertainty import by_variation, confidence_interval, determined
 from calibration.model.extended import Parameter
 
 
 def parameter_record(fit: Fit, entries: Sequence[Parameter], index: int) -> dict[str, Any]:
     """A fitted parameter as reports say it: no value where the data do not fix one, and of the
     interval what lies in the prior range."""
-    p, (value, low, high) = entries[index], interval(fit, entries, index)
+    p, (value, low, high) = entries[index], confidence_interval(fit, entries, index)
     said = {"value": value, "low": low, "high": high, "unit": p.prior.unit}
     if not determined(p, low, high):
         low, high = (float(np.clip(x, p.prior.low, p.prior.high)) for x in (low, high))

@@ -53,7 +53,7 @@ def loop(
     """
     from calibration.discrepancy.close_loop import LEAST_TRIALS
     from calibration.discrepancy.page import loop_page
-    from calibration.discrepancy.report import model_toml
+    from calibration.discrepancy.report import loop_model_toml
     from calibration.experiment_design.campaign import campaign
     from calibration.experiment_design.trial_search import TrialLimits, limits_of
     from rig.cli.settings import rig_of
@@ -105,7 +105,7 @@ def loop(
     found = campaign(path, capture, out, budget, within, say)
     rounds = {"rounds": [asdict(x) for x in found.rounds], "settled": found.settled}
     write_json(out / "report.json", found.report | rounds)
-    write_text(out / "model.toml", model_toml(found.outcome))
+    write_text(out / "model.toml", loop_model_toml(found.outcome))
     write_text(out / "report.html", loop_page(found.outcome, found.report))
     for x in found.rounds:
         print(f"{x.trials:2} trials: {x.said}")

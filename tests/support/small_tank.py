@@ -22,4 +22,4 @@ MESH = Resolution(13, 40, 4.0e-3)
 
 def closed(folder, effects, seed=0):
     path = write_tank(folder, Truth(BASE, effects), RUNS, seed, numerics=TANK)
-    return closing.close_loop(experiment.load(path), CANDIDATES, fine=MESH, coarse=MESH)
+    return closing.close_loop_on_trials(experiment.load(path), CANDIDATES, fine=MESH, coarse=MESH)

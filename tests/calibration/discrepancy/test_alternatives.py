@@ -5,10 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.discrepancy.alternatives import AS_MUCH, CONTENDS, better_rival, judge_rivals
+from calibration.discrepancy.alternatives import (
+    AS_MUCH,
+    CONTENDS,
+    better_alternative,
+    judge_alternatives,
+)
 from calibration.discrepancy.refits import Refits
 from calibration.discrepancy.rounds import Agreement
-from calibration.discrepancy.selection import search
+from calibration.discrepancy.selection import select_effects
 from calibration.inference.goodness import FLOOR
 from calibration.model.extended import Parameter
 from slider_jax.effects import Prior
@@ -28,7 +33,7 @@ WITH_SOMETHING_OF_THE_CURRENT = ONE + 0.04 * CURRENT + 0.05 * OTHER
 def searched(truth, rival, **more):
     """With a `rival` (trials, samples) of the first effect, which is `ONE`."""
     sums = Sums(truth, np.stack([BASE, ONE, rival, CURRENT]), **more)
-    return search(sums, ENTRIES, np.zeros(4), base_names=("k",))
+    return select_effects(sums, ENTRIES, np.zeros(4), base_names=("k",))
 
 
 def test_a_rival_that_explains_nearly_as_much_is_told_apart_at_the_end():
@@ -70,29 +75,29 @@ def test_the_right_rival_takes_the_place_of_the_wrong_one_that_came_first(seed):
 def test_where_more_than_noise_is_left_no_rival_is_judged():
     sums = Sums((1.0, 0.5, 0.0, 0.3), np.stack([BASE, ONE, ONE + 0.1 * OTHER, CURRENT]))
     sums.y += 1.2 * np.sin(np.arange(SAMPLES))
-    found = search(sums, ENTRIES, np.zeros(4), base_names=("k",))
+    found = select_effects(sums, ENTRIES, np.zeros(4), base_names=("k",))
     assert FLOOR < found.final.inflation < 2.0
     assert found.rounds[0].alike == ["pulsed_valves"] and not found.rounds[0].rivals
 
 
 def test_what_is_needed_beside_a_rival_is_told_from_it():
     sums = Sums((1.0, 0.5, 0.0, 0.3), np.stack([BASE, ONE, OTHER, CURRENT]))
-    found = search(sums, ENTRIES, np.zeros(4), base_names=("k",))
+    found = select_effects(sums, ENTRIES, np.zeros(4), base_names=("k",))
     first = found.rounds[0]
     assert first.chosen == "firmware_valves" and not first.rivals
     first.alike = ["tank_current"]
-    judge_rivals(Refits(sums, ENTRIES, {}, print), found)
-    assert better_rival(found) is None and not first.alike
+    judge_alternatives(Refits(sums, ENTRIES, {}, print), found)
+    assert better_alternative(found) is None and not first.alike
     assert set(first.rivals["tank_current"].fit.free) == {0, 3}
 
 
 def test_a_rival_whose_law_another_effect_has_taken_stays_one():
     sums = Sums((1.0, 0.5, 0.0, 0.3), np.stack([BASE, ONE, OTHER, CURRENT]))
-    found = search(sums, ENTRIES, np.zeros(4), base_names=("k",))
+    found = select_effects(sums, ENTRIES, np.zeros(4), base_names=("k",))
     second = found.rounds[1]
     assert second.chosen == "tank_current"
     second.alike = ["pulsed_valves"]
-    judge_rivals(Refits(sums, ENTRIES, {}, print), found)
+    judge_alternatives(Refits(sums, ENTRIES, {}, print), found)
     assert second.alike == ["pulsed_valves"] and not second.rivals
 
 
@@ -101,17 +106,17 @@ def test_a_better_rival_on_which_the_trials_did_not_agree_stays_where_it_is():
     first = found.rounds[0]
     ((name, x),) = first.rivals.items()
     first.rivals[name] = x._replace(loss=-x.loss)
-    assert better_rival(found) == (first, name)
+    assert better_alternative(found) == (first, name)
     first.tried = [replace(t, agreement=Agreement(0.0, 1.0)) for t in first.tried]
-    assert better_rival(found) is None
+    assert better_alternative(found) is None
 
 
 def test_what_was_judged_counts_no_more_where_noise_is_left():
     sums = Sums((1.0, 0.5, 0.0, 0.3), np.stack([BASE, ONE, ONE + 0.1 * OTHER, CURRENT]))
-    found = search(sums, ENTRIES, np.zeros(4), base_names=("k",))
+    found = select_effects(sums, ENTRIES, np.zeros(4), base_names=("k",))
     first = found.rounds[0]
     ((name, x),) = first.rivals.items()
     first.rivals[name] = x._replace(loss=-x.loss)
     sums.y += 1.2 * np.sin(np.arange(SAMPLES))
-    judge_rivals(Refits(sums, ENTRIES, {}, print), found)
-    assert not first.rivals and better_rival(found) is None
+    judge_alternatives(Refits(sums, ENTRIES, {}, print), found)
+    assert not first.rivals and better_alternative(found) is None

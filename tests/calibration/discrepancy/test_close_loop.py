@@ -7,7 +7,12 @@ import pytest
 
 from calibration.discrepancy import close_loop as closing
 from calibration.discrepancy.page import loop_page
-from calibration.discrepancy.report import model_toml, report, sizes, skill
+from calibration.discrepancy.report import (
+    error_lines,
+    loop_model_toml,
+    loop_record,
+    parameter_lines,
+)
 from calibration.measurements.synthetic import Truth, write_tank
 from slider_jax.errors import InputError
 from slider_jax.experiment import load as experiment
@@ -53,7 +58,7 @@ def test_trials_it_never_saw_are_predicted_at_the_floor(delayed):
 
 
 def test_the_report_is_whole_and_the_model_runs(delayed, tmp_path):
-    told = json.loads(json.dumps(report(delayed, 1.0, SOURCE), default=float))
+    told = json.loads(json.dumps(loop_record(delayed, 1.0, SOURCE), default=float))
     assert told["verdict"] == "identified" and told["effects"][0]["name"] == "valve_delay"
     assert set(told["parameters"]) == {"C_d", "m_a", "k", "K_Q"}
     k = told["parameters"]["k"]
@@ -65,14 +70,14 @@ def test_the_report_is_whole_and_the_model_runs(delayed, tmp_path):
     html = loop_page(delayed, told)
     assert html.count("data:image/png") == 2 and "valve_delay" in html
     assert "Verdict: identified. From tank.toml (sha256 abcdefabcdef)" in html
-    (line,) = sizes(told)
+    (line,) = parameter_lines(told)
     assert line.startswith("valve_delay.delay = 0.0") and line.endswith(") s")
-    assert skill(told)[0].startswith("p_front, trials held out: rms ")
+    assert error_lines(told)[0].startswith("p_front, trials held out: rms ")
     tried = [x for x in told["candidates"] if "explained" in x]
     assert html.count(">chosen<") == 1 and html.count("<td>1: ") == len(tried) > 0
     assert "without the effects" in html and "above it" not in html
     assert told["audit"] == [] and "No fault was found in the data" in html
-    (tmp_path / "model.toml").write_text(model_toml(delayed))
+    (tmp_path / "model.toml").write_text(loop_model_toml(delayed))
     file = delayed.experiment.folder / "experiment.toml"
     again = experiment.load(file, tmp_path / "model.toml")
     assert again.effects[0].name == "valve_delay"
@@ -86,7 +91,9 @@ def test_the_order_of_the_trials_and_the_noise_change_no_verdict(delayed, tmp_pa
     text = turned.read_text()
     head, *trials_told = text.split("[[trials]]")
     turned.write_text("[[trials]]".join([head, *(x + "\n" for x in reversed(trials_told))]))
-    again = closing.close_loop(experiment.load(turned), CANDIDATES, fine=MESH, coarse=MESH)
+    again = closing.close_loop_on_trials(
+        experiment.load(turned), CANDIDATES, fine=MESH, coarse=MESH
+    )
     assert (again.verdict, again.search.effects) == (delayed.verdict, delayed.search.effects)
     np.testing.assert_allclose(again.final.theta, delayed.final.theta, rtol=1e-5)
     for seed in (5, 6):
@@ -97,8 +104,8 @@ def test_the_order_of_the_trials_and_the_noise_change_no_verdict(delayed, tmp_pa
 def test_what_none_of_the_candidates_explains_is_said_to_be_unexplained(tmp_path):
     outcome = closed(tmp_path / "odd", {"stiffening": {"beta": 5e-4}}, 2)
     assert outcome.verdict == "unexplained"
-    told = report(outcome, 1.0, {})
-    assert told["effects"] == [] and "[[effects]]" not in model_toml(outcome)
+    told = loop_record(outcome, 1.0, {})
+    assert told["effects"] == [] and "[[effects]]" not in loop_model_toml(outcome)
     assert told["unexplained"] and outcome.used.after == outcome.used.before
     assert [x["name"] for x in told["nearest"]] == outcome.search.effects
 
@@ -106,4 +113,4 @@ def test_what_none_of_the_candidates_explains_is_said_to_be_unexplained(tmp_path
 def test_too_few_trials_are_refused(tmp_path):
     path = write_experiment(tmp_path / "two", runs=MADE_UP[:2])
     with pytest.raises(InputError, match="holds 2 measured trials"):
-        closing.close_loop(experiment.load(path), ())
+        closing.close_loop_on_trials(experiment.load(path), ())

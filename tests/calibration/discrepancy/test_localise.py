@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.discrepancy.localise import said, trend, when, where
+from calibration.discrepancy.localise import locate_residuals, residual_text, residual_timing, trend
 from calibration.inference.goodness import Excess
 from calibration.measurements.records import Record
 from slider_jax.experiment.schema import Trial
@@ -20,15 +20,17 @@ def record(residual, frequency=1.0, amplitude=1e5):
 
 
 def test_the_part_of_the_stride_that_holds_the_residual_is_found():
-    found = when(record(np.where((T % 1.0 > 0.4) & (T % 1.0 < 0.48), 0.3, 0.0)), "thrust", MODEL)
+    found = residual_timing(
+        record(np.where((T % 1.0 > 0.4) & (T % 1.0 < 0.48), 0.3, 0.0)), "thrust", MODEL
+    )
     assert found["phase"] == [0.375, 0.5] and found["share"] == pytest.approx(1.0)
     assert found["mean"] == pytest.approx(np.sqrt(0.08), rel=0.05)
 
 
 def test_a_residual_of_the_growing_reading_is_told_from_one_of_the_falling():
     growing = MODEL * np.gradient(MODEL) > 0.0
-    assert when(record(0.1 * growing), "thrust", MODEL)["growing"] > 0.95
-    assert when(record(0.1 * ~growing), "thrust", MODEL)["growing"] < 0.05
+    assert residual_timing(record(0.1 * growing), "thrust", MODEL)["growing"] > 0.95
+    assert residual_timing(record(0.1 * ~growing), "thrust", MODEL)["growing"] < 0.05
 
 
 def test_what_grows_with_a_setting_is_said():
@@ -36,12 +38,12 @@ def test_what_grows_with_a_setting_is_said():
     records = [record(0.1 * f, f, a) for f, a in enumerate(amplitudes, start=1)]
     squares = np.array([2.0, 5.0, 9.0, 20.0, 30.0])
     left = {"thrust": Excess(squares, 13.2), "tip": Excess(np.ones(5), 1.1)}
-    (found,) = where(records, [np.tile(MODEL, (5, 1))] * 5, left)
+    (found,) = locate_residuals(records, [np.tile(MODEL, (5, 1))] * 5, left)
     assert (found["channel"], found["worst_trial"]) == ("thrust", "5.csv")
     grows = found["grows_with"]
     assert grows["frequency"] == pytest.approx(1.0)
     assert grows["amplitude"] is None and grows["tow_speed"] is None
-    text = said(found)
+    text = residual_text(found)
     assert "thrust: 13.2 times its floor, worst in 5.csv (5 Hz, 100 kPa)" in text
     assert "grows with frequency" in text and "amplitude" not in text.split(";", 1)[1]
 
@@ -49,7 +51,7 @@ def test_what_grows_with_a_setting_is_said():
 def test_the_frequency_of_a_hum_is_found_between_missing_samples():
     r = record(0.1 * np.sin(2.0 * np.pi * 13.0 * T + 0.3))
     r.values[2, np.arange(len(T)) % 7 == 0] = np.nan
-    found = when(r, "thrust", MODEL)
+    found = residual_timing(r, "thrust", MODEL)
     assert found["peak_Hz"] == pytest.approx(13.0, abs=0.2) and found["peak_share"] > 0.95
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calibration.discrepancy.rounds import agreement
-from calibration.discrepancy.scores import alikeness, score, solve
+from calibration.discrepancy.scores import score, solve, tangent_cosine
 from calibration.inference.bounds import Bounds
 from calibration.inference.gauss_newton import _linear_optimum, inverse
 from calibration.inference.problem import ChannelBlock, summed
@@ -78,9 +78,9 @@ def test_chance_gains_are_chi_squared_and_counted_for_every_candidate():
 
 def test_alike_are_those_whose_tangents_differ_by_the_free_ones_only():
     data = blocks(*rows())
-    assert alikeness(np.array([2]), RIVAL, FREE, data) > 0.999
-    assert alikeness(np.array([3]), RIVAL, FREE, data) < 0.5
-    assert alikeness(GROUP, RIVAL, FREE, data) > 0.999
+    assert tangent_cosine(np.array([2]), RIVAL, FREE, data) > 0.999
+    assert tangent_cosine(np.array([3]), RIVAL, FREE, data) < 0.5
+    assert tangent_cosine(GROUP, RIVAL, FREE, data) > 0.999
 
 
 def test_a_direction_that_the_data_do_not_see_is_said_to_be_unknown():

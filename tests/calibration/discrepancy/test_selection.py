@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.discrepancy.selection import search
+from calibration.discrepancy.selection import select_effects
 from calibration.model.extended import Parameter
 from slider_jax.effects import Prior
 from tests.support.sums import Sums
@@ -16,7 +16,7 @@ ENTRIES = [Parameter("", "k", Prior(np.nan, -50.0, 50.0, "-", ""))] + [
 
 
 def searched(truth):
-    return search(Sums(truth), ENTRIES, np.zeros(5), base_names=("k",))
+    return select_effects(Sums(truth), ENTRIES, np.zeros(5), base_names=("k",))
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calibration.discrepancy.rounds import Selection, SelectionStep
-from calibration.discrepancy.verdict import decide, explained
+from calibration.discrepancy.verdict import explained, reach_verdict
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.goodness import Excess
 from calibration.model.extended import base_vector, parameters
@@ -20,7 +20,7 @@ def verdict(before: float, after: float, effects=("valve_delay",), alike=(), con
     rounds = [SelectionStep([], [], name, list(alike)) for name in effects]
     search = Selection(fit, fit, list(effects), rounds)
     told = [{"tip": Excess(np.full(4, x), x)} for x in (before, after)]
-    return decide(search, ENTRIES, *told)
+    return reach_verdict(search, ENTRIES, *told)
 
 
 def test_a_channel_at_its_floor_asks_for_nothing():

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from calibration.discrepancy.close_loop import close_loop
+from calibration.discrepancy.close_loop import close_loop_on_trials
 from calibration.experiment_design import campaign as module
 from calibration.experiment_design.campaign import campaign
 from calibration.experiment_design.trial_search import limits_of
@@ -123,7 +123,7 @@ def test_what_is_measured_is_not_measured_again(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_a_hidden_delay_is_named_within_the_budget(tmp_path):
     path, capture, captured = tank(tmp_path, {"valve_delay": {"delay": 0.02}}, 4, seed=3)
-    close = partial(close_loop, effects=CANDIDATES, fine=MESH, coarse=MESH)
+    close = partial(close_loop_on_trials, effects=CANDIDATES, fine=MESH, coarse=MESH)
 
     def still(given):
         return limits_of(given, {"tow_speed": (0.0, 0.0)})

@@ -10,7 +10,7 @@ from scipy.stats import norm
 
 from calibration.discrepancy.alternatives import ALIKE
 from calibration.discrepancy.rounds import LEAST_GAIN, groups
-from calibration.discrepancy.scores import alikeness, score
+from calibration.discrepancy.scores import score, tangent_cosine
 from calibration.experiment_design.detectability import (
     POWER,
     at_limits,
@@ -232,7 +232,7 @@ def test_the_trial_that_is_proposed_does_what_it_says(still, towed, tmp_path):
     assert trial_toml(experiment.trials[2]) == towed["toml"]
     f, before, members, _ = at_limits(still, ("carried_mass", "axial_added_mass"))
     A = before + information(replace(f, experiment=experiment).trial(experiment.trials[2]))
-    cos = alikeness(*members.values(), np.arange(4), as_block(A))
+    cos = tangent_cosine(*members.values(), np.arange(4), as_block(A))
     assert cos == pytest.approx(towed["pairs"][0]["cos_after"], rel=1e-9)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from calibration.discrepancy.close_loop import Errors, LoopOutcome
 from calibration.discrepancy.page import loop_page
-from calibration.discrepancy.report import report
+from calibration.discrepancy.report import loop_record
 from calibration.discrepancy.rounds import (
     LEAST_GAIN,
     Agreement,
@@ -187,7 +187,7 @@ def test_rivals_are_reported(tank):
         [], tried, "carried_mass", [], {"axial_added_mass": worse}, None, "tip_mass"
     )
     done = outcome(tank, "identified", final, [this])
-    told = report(done, 1.0, {"path": "tank.toml", "sha256": "0"}, {})
+    told = loop_record(done, 1.0, {"path": "tank.toml", "sha256": "0"}, {})
     (effect,) = told["effects"]
     assert effect["in_place_of"] == "tip_mass"
     assert effect["rivals"] == [
@@ -232,7 +232,7 @@ def test_no_trial_is_proposed_where_none_would_narrow_an_interval(tank):
     done = outcome(tank, "nothing_missing", final)
     found = next_experiment(done)
     assert found["trial"] is None and "would not narrow" in found["said"]
-    told = report(done, 1.0, {"path": "tank.toml", "sha256": "0"}, found)
+    told = loop_record(done, 1.0, {"path": "tank.toml", "sha256": "0"}, found)
     assert told["next_experiment"] is found
     html = loop_page(done, told | {"candidates": []})
     assert "<h2>Next experiment</h2>" in html and "above it" not in html

@@ -9,10 +9,10 @@ import pytest
 from calibration.audit.audit import Audited
 from calibration.experiment_design import parameter_trial as design
 from calibration.identification import identify, parameter_ties as layouts, per_frequency
-from calibration.identification.per_frequency import compare, sentence, values
-from calibration.identification.per_frequency_report import model_file
+from calibration.identification.per_frequency import compare, comparison_text, values
+from calibration.identification.per_frequency_report import per_frequency_model
 from calibration.inference import problem as evidence
-from calibration.inference.gauss_newton import fit
+from calibration.inference.gauss_newton import fit_gauss_newton
 from calibration.inference.uncertainty import SYSTEMATIC
 from calibration.measurements.synthetic import ROBOT, START, Truth, trials, write_tank
 from calibration.model.extended import base_vector, parameters
@@ -83,14 +83,14 @@ def test_the_way_that_made_the_readings_is_chosen(monkeypatch):
     ):
         thetas = [np.array([C_d, m_a, 0.075, 4.5e-7]) for C_d, m_a in truth]
         found = compared(experiment, entries, closed.measured(experiment, thetas, seed))
-        print(sentence(found))
+        print(comparison_text(found))
         assert found.chosen == chosen
         each = found.ways["per_frequency"]
         for row, name in enumerate(("C_d", "m_a")):
             for (value, low, high, _), true in zip(values(each, name), truth, strict=True):
                 half = 0.5 * (high - low)
                 assert abs(value - true[row]) < 1.5 * half
-        model = tomllib.loads(model_file(found, ("C_d", "m_a")))["parameters"]
+        model = tomllib.loads(per_frequency_model(found, ("C_d", "m_a")))["parameters"]
         if chosen == "ramp":
             given = [(x["frequency"], x["C_d"], x["m_a"]) for x in model["coefficients"]]
             assert np.array(given) == pytest.approx(np.array([(2, 3, 0.2), (3, 4.5, 0.7)]), rel=0.1)
@@ -116,7 +116,7 @@ def test_too_few_frequencies_decide_nothing(monkeypatch):
     records = closed.measured(experiment, thetas, 0)
     found = compared(experiment, entries, records)
     assert found.chosen is None and found.used.layout.name == "constant"
-    assert "is not told by 3 frequencies" in sentence(found)
+    assert "is not told by 3 frequencies" in comparison_text(found)
     with pytest.raises(InputError, match="--each C_D: not identified; allowed C_d, m_a"):
         compared(experiment, entries, records, each=("C_D",))
     one = [r for r in records if r.trial.frequency == 1.0]
@@ -126,7 +126,7 @@ def test_too_few_frequencies_decide_nothing(monkeypatch):
 
 def compared(experiment, entries, records, each=("C_d", "m_a")):
     problem = closed.problem_of(experiment, records)
-    begun = fit(problem, entries, base_vector(entries, START), np.arange(len(entries)))
+    begun = fit_gauss_newton(problem, entries, base_vector(entries, START), np.arange(len(entries)))
     return compare(experiment, entries, problem, begun, each)
 
 
@@ -197,12 +197,12 @@ def test_the_proposed_trial_does_what_was_promised(monkeypatch):
     entries, free, theta = parameters(()), np.arange(4), np.array([3.0, 0.8, 0.075, 4.5e-7])
     seen = closed.measured(experiment, [theta] * 3, 0)
     few = closed.problem_of(experiment, seen[:1])
-    one = fit(few, entries, theta, free)
+    one = fit_gauss_newton(few, entries, theta, free)
     candidates = [seen[2].trial, seen[1].trial]
     known = design.Known.of(few, one)
     found = design.best_trial(experiment, entries, one.theta, [0, 1], candidates, known)
     assert found[1].trial.frequency == 5.0
-    after = fit(closed.problem_of(experiment, seen[:2]), entries, one.theta, free)
+    after = fit_gauss_newton(closed.problem_of(experiment, seen[:2]), entries, one.theta, free)
     width = 1.96 * np.hypot(np.sqrt(after.covariance[1, 1]), SYSTEMATIC["m_a"] * after.theta[1])
     print("promised", found[1].half_width, "found", width)
     assert found[1].half_width == pytest.approx(width, rel=0.1)
@@ -220,11 +220,11 @@ def test_a_proposed_trial_adds_to_the_data_at_hand(monkeypatch):
     entries, free, theta = parameters(()), np.arange(4), np.array([3.0, 0.8, 0.075, 4.5e-7])
     seen = closed.measured(experiment, [theta] * 2, 0)
     few = closed.problem_of(experiment, seen[:1])
-    one = fit(few, entries, theta, free)
+    one = fit_gauss_newton(few, entries, theta, free)
     known = design.Known.of(few, one)
     found = design.best_trial(experiment, entries, one.theta, [1], [seen[1].trial], known)
-    after = fit(closed.problem_of(experiment, seen), entries, one.theta, free)
-    second = fit(closed.problem_of(experiment, seen[1:]), entries, one.theta, free)
+    after = fit_gauss_newton(closed.problem_of(experiment, seen), entries, one.theta, free)
+    second = fit_gauss_newton(closed.problem_of(experiment, seen[1:]), entries, one.theta, free)
 
     def width(x):
         return 1.96 * np.hypot(np.sqrt(x.covariance[1, 1]), SYSTEMATIC["m_a"] * x.theta[1])
@@ -241,9 +241,12 @@ def test_a_frequency_that_is_left_out_has_no_say(monkeypatch):
               [(3.0, 0.6), (3.0, 0.6), (3.3, 0.7), (3.0, 0.6)]]  # fmt: skip
     records = closed.measured(experiment, thetas, 2)
     problem = closed.problem_of(experiment, records)
-    every, free = fit(problem, entries, base_vector(entries, START), np.arange(4)), np.arange(4)
+    every, free = (
+        fit_gauss_newton(problem, entries, base_vector(entries, START), np.arange(4)),
+        np.arange(4),
+    )
     rest = closed.problem_of(experiment, [r for i, r in enumerate(records) if i != 2])
-    alone = fit(rest, entries, base_vector(entries, START), free)
+    alone = fit_gauss_newton(rest, entries, base_vector(entries, START), free)
     at, place = layouts.frequencies(experiment.trials)
     plan = layouts.constant(entries, every.theta, 4)
     without = per_frequency._without(plan, every, at, 2, place)
@@ -272,12 +275,12 @@ def test_what_is_not_determined_gets_the_trial_that_would(monkeypatch):
     theta = np.array([3.0, 0.8, 0.075, 4.5e-7])
     records = closed.measured(experiment, [theta] * 2, 0)[:1]
     monkeypatch.setattr(identify, "audit_measurements", lambda *_: Audited(records, []))
-    found = identify.identify(experiment)
-    said = identify.content(found, {})["parameters"]["m_a"]
+    found = identify.identify_parameters(experiment)
+    said = identify.identification_record(found, {})["parameters"]["m_a"]
     assert said["value"] is None and said["not_determined_by_these_data"]
     assert said["determined_by"]["trial"]["frequency"] == 4.0
-    assert "not determined by these data" in identify.table(found)
-    assert "at 4 Hz, 60 kPa" in identify.table(found)
+    assert "not determined by these data" in identify.parameter_table(found)
+    assert "at 4 Hz, 60 kPa" in identify.parameter_table(found)
 
 
 def test_feasible_trials_stay_within_the_experiment(tmp_path):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from calibration.inference.gauss_newton import fit
+from calibration.inference.gauss_newton import fit_gauss_newton
 from calibration.inference.problem import FAILED, ChannelBlock
 from calibration.model.extended import Parameter
 from slider_jax.effects import Prior
@@ -49,7 +49,7 @@ class Curve:
 def test_a_fit_ends_within_a_share_of_a_standard_error(lack, share):
     """A seventh; two thirds where the model leaves many times the noise."""
     problem = Curve(lack)
-    found = fit(problem, ENTRIES, np.array([3.5, 2.0]), np.arange(2))
+    found = fit_gauss_newton(problem, ENTRIES, np.array([3.5, 2.0]), np.arange(2))
     best = least_squares(lambda x: curve(x) - problem.y, TRUTH, xtol=1e-14, gtol=1e-14)
     error = np.sqrt(np.diag(found.covariance))
     assert found.converged
@@ -70,20 +70,20 @@ class Wall(Curve):
 
 def test_a_step_that_cannot_be_simulated_is_shortened():
     problem = Wall()
-    found = fit(problem, ENTRIES, np.array([0.3, 0.3]), np.arange(2))
+    found = fit_gauss_newton(problem, ENTRIES, np.array([0.3, 0.3]), np.arange(2))
     assert problem.beyond and found.converged
     np.testing.assert_allclose(found.theta, TRUTH, rtol=0.1)
 
 
 def test_a_start_that_cannot_be_simulated_is_told_and_not_raised():
-    found = fit(Wall(), ENTRIES, np.array([1.0, 1.2]), np.arange(2))
+    found = fit_gauss_newton(Wall(), ENTRIES, np.array([1.0, 1.2]), np.arange(2))
     assert not found.converged and found.square >= FAILED
 
 
 def test_without_finite_tangents_nothing_has_converged():
     problem = Curve()
     problem.tangents = lambda theta, directions: [np.full((2, len(T)), np.nan)]
-    found = fit(problem, ENTRIES, TRUTH, np.arange(2))
+    found = fit_gauss_newton(problem, ENTRIES, TRUTH, np.arange(2))
     assert not found.converged and np.isinf(found.covariance).all()
 
 
@@ -92,4 +92,4 @@ def test_a_step_that_only_makes_it_worse_is_not_the_end(monkeypatch):
         "calibration.inference.gauss_newton._linear_optimum",
         lambda A, b, start, bounds: start - 0.5,
     )
-    assert not fit(Curve(), ENTRIES, np.array([1.0, 0.9]), np.arange(2)).converged
+    assert not fit_gauss_newton(Curve(), ENTRIES, np.array([1.0, 0.9]), np.arange(2)).converged

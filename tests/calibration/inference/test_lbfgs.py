@@ -6,8 +6,8 @@ import pytest
 from calibration.audit.audit import Audited
 from calibration.identification import identify
 from calibration.inference import lbfgs as descent
-from calibration.inference.gauss_newton import fit
-from calibration.inference.lbfgs import descend
+from calibration.inference.gauss_newton import fit_gauss_newton
+from calibration.inference.lbfgs import fit_lbfgs
 from calibration.inference.problem import TankProblem
 from calibration.measurements.records import records
 from calibration.measurements.synthetic import START, Truth, trials, write_tank
@@ -40,8 +40,8 @@ def test_both_methods_find_the_same_optimum(monkeypatch, effects):
     problem = closed.problem_of(experiment, closed.measured(experiment, [truth] * 4, 1), effects)
     begun, free = base_vector(entries, START), np.arange(len(entries))
     white = problem.whiteners(problem.predict(begun))
-    one = fit(problem, entries, begun, free, white=white)
-    two = descend(problem, entries, begun, free, white=white)
+    one = fit_gauss_newton(problem, entries, begun, free, white=white)
+    two = fit_lbfgs(problem, entries, begun, free, white=white)
     print(len(entries), "apart", apart(one, two).max(), "squares", one.square, two.square)
     assert one.converged and two.converged
     assert apart(one, two).max() < 0.1
@@ -55,7 +55,7 @@ def test_a_descent_that_is_cut_short_says_so(monkeypatch):
     experiment, entries = closed.experiment_of((0.8, 3.0)), parameters(())
     records = closed.measured(experiment, [base_vector(entries, TRUTH)] * 2, 1)
     begun = base_vector(entries, START)
-    found = descend(closed.problem_of(experiment, records), entries, begun, np.arange(4))
+    found = fit_lbfgs(closed.problem_of(experiment, records), entries, begun, np.arange(4))
     assert not found.converged
 
 
@@ -67,8 +67,8 @@ def test_both_methods_find_the_same_optimum_of_the_beam(tmp_path):
     problem = TankProblem.of(experiment, records(experiment), (), fine=MESH, coarse=MESH)
     begun = base_vector(entries, START)
     white = problem.whiteners(problem.predict(begun))
-    one = fit(problem, entries, begun, free, white=white)
-    two = descend(problem, entries, begun, free, white=white)
+    one = fit_gauss_newton(problem, entries, begun, free, white=white)
+    two = fit_lbfgs(problem, entries, begun, free, white=white)
     print("apart", apart(one, two), "squares", one.square, two.square)
     assert one.converged and two.converged
     assert np.all(apart(one, two) < 0.1)
@@ -84,10 +84,10 @@ def test_many_parameters_take_the_descent(monkeypatch, effects, given, taken):
     truth = base_vector(parameters(effects), TRUTH)
     found = closed.measured(experiment, [truth] * 4, 1)
     monkeypatch.setattr(identify, "audit_measurements", lambda *_: Audited(found, []))
-    result = identify.identify(experiment, effects, method=given)
+    result = identify.identify_parameters(experiment, effects, method=given)
     assert result.method == taken and result.fit.converged
 
 
 def test_an_unknown_method_is_refused():
     with pytest.raises(InputError, match="--method newton: unknown; allowed auto, lm, lbfgs"):
-        identify.identify(closed.experiment_of((1.0,)), method="newton")
+        identify.identify_parameters(closed.experiment_of((1.0,)), method="newton")

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from calibration.inference.gauss_newton import fit
+from calibration.inference.gauss_newton import fit_gauss_newton
 from calibration.inference.noise import Noise
 from calibration.inference.problem import AbstractProblem
-from calibration.inference.uncertainty import halves, interval
+from calibration.inference.uncertainty import confidence_interval, hausman_check
 from calibration.measurements.records import Record
 from calibration.model.extended import Parameter
 from calibration.reporting.parameters import parameter_record, parameter_text
@@ -56,7 +56,7 @@ def fitted(seed: int, varying: float):
         found.append(Record(trial, T, np.where(shown, force(1.0, varying) + noise, np.nan)))
     noise = {(i, "thrust"): Noise(0.05, tare=TARE) for i in range(TRIALS)}
     problem = Drag(records=found, channels=("thrust",), noise=noise)
-    return halves(problem, fit(problem, ENTRIES, np.array([1.0]), np.arange(1)))
+    return hausman_check(problem, fit_gauss_newton(problem, ENTRIES, np.array([1.0]), np.arange(1)))
 
 
 def test_halves_that_agree_leave_the_interval_alone():
@@ -69,7 +69,7 @@ def test_halves_that_agree_leave_the_interval_alone():
 @pytest.mark.parametrize("varying", [0.6, 1.4])
 def test_halves_that_disagree_are_told_and_widen_it(varying):
     found = fitted(0, varying)
-    value, low, high = interval(found, ENTRIES, 0)
+    value, low, high = confidence_interval(found, ENTRIES, 0)
     assert found.apart[0] + value == pytest.approx(varying, abs=0.06)
     assert found.widening[0] > 3.0 and low < 1.0 < high
     narrow = found._replace(apart=None, widening=1.0)
@@ -77,4 +77,4 @@ def test_halves_that_disagree_are_told_and_widen_it(varying):
     assert said["by_variation_alone"] == pytest.approx(varying, abs=0.06)
     assert "what varies of the forces alone" in parameter_text(said)
     assert "forces" not in parameter_text(parameter_record(narrow, ENTRIES, 0))
-    assert high - low > 2.0 * np.diff(interval(narrow, ENTRIES, 0)[1:])[0]
+    assert high - low > 2.0 * np.diff(confidence_interval(narrow, ENTRIES, 0)[1:])[0]

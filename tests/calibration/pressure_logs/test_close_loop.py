@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.discrepancy.report import model_toml
+from calibration.discrepancy.report import loop_model_toml
 from calibration.inference.cache import Memo, resumable
 from calibration.pressure_logs.close_loop import close_loop_on_logs
 from calibration.pressure_logs.read import read_log
@@ -75,7 +75,7 @@ def test_rivals_are_told_and_leave_more(outcome):
 def test_going_on_gives_what_an_undisturbed_run_gives(outcome, logs):
     again = close_loop_on_logs(logs, NAMES)
     np.testing.assert_array_equal(again.final.theta, outcome.final.theta)
-    assert model_toml(again) == model_toml(outcome)
+    assert loop_model_toml(again) == loop_model_toml(outcome)
 
 
 def test_logs_of_a_lag_lack_nothing(tmp_path):

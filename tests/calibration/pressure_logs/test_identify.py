@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from calibration.cli import simulate_log
-from calibration.inference.intervals import Evidence, correlation_time, interval, noise_floor
-from calibration.pressure_logs.identify import identify, rms
+from calibration.inference.intervals import Evidence, correlation_time, noise_floor, record_interval
+from calibration.pressure_logs.identify import identify_lag, rms
 from calibration.pressure_logs.lag import (
     Batch,
     fit_each,
@@ -81,7 +81,7 @@ def test_slope_and_curvature_are_those_of_the_sum_of_squares():
 @pytest.mark.parametrize("k", [0.03, 0.087, 0.3])
 def test_a_known_lag_is_recovered_within_its_interval(k):
     fit = fit_each(Batch.of([made(k=k, noise=NOISE, seed=3)]))
-    found = interval(float(fit.log_k[0]), evidence(fit))
+    found = record_interval(float(fit.log_k[0]), evidence(fit))
     assert bool(fit.converged[0]) and found.fixed
     assert found.low < k < found.high
     assert found.high < 1.02 * found.low
@@ -101,7 +101,7 @@ def test_the_interval_covers_under_correlated_noise_where_the_naive_one_does_not
     fit = fit_each(Batch.of(logs))
     held = naive = 0
     for i in range(len(logs)):
-        found = interval(float(fit.log_k[i]), evidence(fit, i))
+        found = record_interval(float(fit.log_k[i]), evidence(fit, i))
         off = abs(math.log(k / found.value))
         width = math.log(found.high / found.value)
         held += off < width
@@ -136,8 +136,10 @@ def test_a_log_fits_the_same_alone_and_beside_longer_ones():
 
 
 def test_logs_that_disagree_widen_the_common_interval():
-    alike = identify([made(k=0.1, frequency=f, seed=i) for i, f in enumerate((1.0, 1.1, 1.2))])
-    apart = identify([made(k=k, frequency=f) for k, f in ((0.08, 1.0), (0.1, 1.1), (0.13, 1.2))])
+    alike = identify_lag([made(k=0.1, frequency=f, seed=i) for i, f in enumerate((1.0, 1.1, 1.2))])
+    apart = identify_lag(
+        [made(k=k, frequency=f) for k, f in ((0.08, 1.0), (0.1, 1.1), (0.13, 1.2))]
+    )
     assert alike.k.low < 0.1 < alike.k.high < 1.1 * alike.k.low
     assert apart.k.high > 1.5 * apart.k.low
     assert apart.k.high / apart.k.low > 1.2 * apart.within.high / apart.within.low
@@ -148,7 +150,7 @@ def test_logs_that_disagree_widen_the_common_interval():
 
 
 def test_what_the_lag_leaves_is_the_noise_where_the_lag_is_the_law():
-    found = identify([made(k=0.15, noise=NOISE)])
+    found = identify_lag([made(k=0.15, noise=NOISE)])
     assert found.pooled_rmse("after") == pytest.approx(found.floor, rel=0.1)
     assert found.pooled_rmse("before") > 5.0 * found.floor
     assert verdict(found).startswith("A lag of 150 ms explains this log: ")
@@ -184,7 +186,7 @@ def test_gain_and_phase_of_a_true_lag_ask_for_the_same_k():
 def test_a_log_in_which_nothing_moves_is_refused():
     still = made(amplitude=0.0)
     with pytest.raises(InputError, match="do not fix the lag k"):
-        identify([still])
+        identify_lag([still])
 
 
 def test_calibrate_manifold_end_to_end(tmp_path, capsys):
@@ -289,7 +291,7 @@ def test_a_bad_model_file_is_named(tmp_path, short_log, capsys, text, said):
 
 def test_the_lag_does_not_explain_the_rigs_logs(data):
     logs = [read_log(path) for path in sorted((data / "manifold").glob("*.txt"))]
-    found = identify(logs)
+    found = identify_lag(logs)
     assert 8.0 < found.pooled_rmse("before") < 8.8
     assert 5.4 < found.pooled_rmse("pooled") < 5.9
     assert 0.15 < found.floor < 0.3
