@@ -21,8 +21,8 @@ from calibration.measurements.synthetic import (
     START,
     Sensors,
     base_parameters,
-    measured,
     trials,
+    with_sensor_noise,
 )
 from calibration.model.extended import BASE, base_values, base_vector, candidates, parameters
 from calibration.model.predict import COARSE, Resolution, on_all_cores, plan, predict
@@ -113,7 +113,7 @@ def noisy(tank: Tank, true: Sequence[np.ndarray], seed: int) -> list[Record]:
     for trial, y in zip(tank.experiment.trials, true, strict=True):
         t = np.arange(y.shape[1]) / tank.experiment.sensors.sample_rate
         named = {"t_s": t} | {CHANNELS[c].column: row for c, row in zip(CHANNELS, y, strict=True)}
-        columns = measured(named, Sensors(), rng)
+        columns = with_sensor_noise(named, Sensors(), rng)
         found.append(Record(trial, t, np.stack([columns[CHANNELS[c].column] for c in CHANNELS])))
     return found
 

@@ -117,7 +117,7 @@ BUILT_IN = tuple(CHANNELS)
 """Names of the channels of this file, which the rig and its live stream have too."""
 
 
-def columns() -> tuple[str, ...]:
+def channel_columns() -> tuple[str, ...]:
     """Columns of a trial's CSV file, measured or simulated: the time and every channel's."""
     return TIME, *(channel.column for channel in CHANNELS.values())
 
@@ -127,7 +127,7 @@ def row_of(name: str) -> int:
     return list(CHANNELS).index(name)
 
 
-def readings(x: Snapshot) -> dict[str, Array]:
+def true_readings(x: Snapshot) -> dict[str, Array]:
     """True reading of every channel, in SI units."""
     return {name: channel.observe(x) for name, channel in CHANNELS.items()}
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calibration.measurements.findings import Finding
-from slider_jax.channels import columns
+from slider_jax.channels import channel_columns
 from slider_jax.errors import InputError
 from slider_jax.io.toml import read_bytes
 
@@ -86,14 +86,14 @@ def _check_header(name: str, header: list[str]) -> list[Finding]:
     if "t_s" not in header:
         detail = f"the first line names no column t_s; it holds {', '.join(header)[:80]}"
         raise unusable(name, "missing_column", detail)
-    twice = sorted({x for x in columns() if header.count(x) > 1})
+    twice = sorted({x for x in channel_columns() if header.count(x) > 1})
     if twice:
         detail = f"the first line names {', '.join(twice)} more than once"
         raise unusable(name, "missing_column", detail)
     findings = []
-    for column in columns()[1:]:
+    for column in channel_columns()[1:]:
         if column not in header:
-            other = [x for x in header if x not in columns()]
+            other = [x for x in header if x not in channel_columns()]
             beside = f"; unknown to this program: {', '.join(other)[:80]}" if other else ""
             detail = f"the file has no column {column}{beside}; the others are used"
             findings.append(Finding(name, "missing_column", column, None, None, detail, "used"))
@@ -124,8 +124,8 @@ def _whole_rows(name, header, numbered) -> tuple[list[list[str]], list[Finding]]
 
 def _numbers(name, header, rows) -> tuple[np.ndarray, list[Finding]]:
     """(6, rows) in the order of `channels.columns`."""
-    table, findings = np.full((len(columns()), len(rows)), np.nan), []
-    for i, column in enumerate(columns()):
+    table, findings = np.full((len(channel_columns()), len(rows)), np.nan), []
+    for i, column in enumerate(channel_columns()):
         if column not in header:
             continue
         at, wrong = header.index(column), []

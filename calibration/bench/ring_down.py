@@ -26,6 +26,8 @@ from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.statics import Loads, at_rest_under, release
 from slider_jax.effects import NormalDrag
 from slider_jax.errors import InputError
+from slider_jax.experiment.prepare import StepGrid
+from slider_jax.simulation.trial import run_chunks
 
 AIR_DRAG = (2.0, 0.7)
 """C_d of the crossflow in air and its standard deviation: 2 for a plate in steady flow, more at
@@ -102,11 +104,6 @@ def decay_of(t: np.ndarray, tip: np.ndarray) -> Decay:
     return Decay(float(found[3]), float(found[2]))
 
 
-class _Clock(NamedTuple):
-    h: float
-    blocks: int
-
-
 def _model(theta, robot: Robot, density):
     """The robot in air for (log alpha, log stiffness, load, C_d in air)."""
     alpha, stiffness = jnp.exp(theta[0]), jnp.exp(theta[1])
@@ -160,16 +157,20 @@ def _with_tangents(function: Callable, arguments, directions):
     return jax.vmap(along, out_axes=(None, 0))(directions)
 
 
-def _series(theta: np.ndarray, robot, density: float, clock: _Clock, numerics: Numerics):
+def _series(theta: np.ndarray, robot, density: float, grid: StepGrid, numerics: Numerics):
     """Tip (n + 1,) [m] from the release on, and its tangents (4, n + 1)."""
     x, d, rho = jnp.asarray(theta), jnp.eye(len(theta)), jnp.asarray(density)
     (carry, tip), (d_carry, d_tip) = _begin(x, d, robot, rho, numerics)
-    values, slopes, h = [np.asarray(tip)[None]], [np.asarray(d_tip)[:, None]], jnp.asarray(clock.h)
-    for i in range(clock.blocks):
-        t0 = jnp.asarray(clock.h * BLOCK * i)
+    h = jnp.asarray(grid.h)
+
+    def advance(done: int, state):
+        carry, d_carry = state
+        t0 = jnp.asarray(grid.h * done)
         (carry, tip), (d_carry, d_tip) = _advance(x, carry, d, d_carry, robot, rho, h, t0, numerics)
-        values.append(np.asarray(tip))
-        slopes.append(np.asarray(d_tip))
+        return (tip, d_tip), (carry, d_carry)
+
+    parts, _ = run_chunks(advance, (carry, d_carry), grid.steps, BLOCK)
+    values, slopes = zip((tip[None], d_tip[:, None]), *parts, strict=True)
     return np.concatenate(values), np.concatenate(slopes, axis=1)
 
 
@@ -187,15 +188,15 @@ def fit_ring_down(
     decay = decay_of(record.t, record.tip)
     h = 1.0 / (decay.frequency * STEPS)
     blocks = int(np.ceil((record.t[-1] + 0.25 / decay.frequency) / (h * BLOCK)))
-    clock = _Clock(h, blocks)
+    grid = StepGrid(h, BLOCK * blocks)
     density = record.air_density
-    at = clock.h * np.arange(BLOCK * blocks + 1)
+    at = grid.times
 
     def predicted(x):
         """Tip at the record's times and its tangents for x = (theta, delay, zero)."""
-        value, slope = _series(x[:4], robot, density, clock, numerics)
+        value, slope = _series(x[:4], robot, density, grid, numerics)
         t = record.t - x[4]
-        rate = np.where(t < 0.0, 0.0, np.interp(t, at, np.gradient(value, clock.h)))
+        rate = np.where(t < 0.0, 0.0, np.interp(t, at, np.gradient(value, grid.h)))
         columns = [np.interp(t, at, s) for s in slope] + [-rate, np.ones_like(t)]
         return np.interp(t, at, value) + x[5], np.stack(columns, axis=1)
 
@@ -210,7 +211,7 @@ def fit_ring_down(
         return function
 
     noise = record.noise or 0.02 * float(np.std(record.tip))
-    start = _start(record, decay, robot, density, clock, numerics)
+    start = _start(record, decay, robot, density, grid, numerics)
     least = minimise(linearised(noise), start)
     if record.noise is None:
         noise = max(float(np.std(least.residual[:-1])) * noise, 1e-7)
@@ -235,7 +236,7 @@ def fit_ring_down(
     )
 
 
-def _start(record: RingDown, decay: Decay, robot, density, clock, numerics) -> np.ndarray:
+def _start(record: RingDown, decay: Decay, robot, density, grid, numerics) -> np.ndarray:
     """Stiffness, load and alpha whose simulated record has the measured one's first tip and decay.
 
     The simulation starts from a guess; what is off in its frequency, tip and rate is then mended.
@@ -245,8 +246,8 @@ def _start(record: RingDown, decay: Decay, robot, density, clock, numerics) -> n
     alpha = max(decay.damping_time, LEAST_DAMPING)
     theta = np.array([np.log(alpha), 0.0, 3.0 * EI * first / length**3, AIR_DRAG[0]])
     for _ in range(2):
-        tip, _ = _series(theta, robot, density, clock, numerics)
-        t = clock.h * np.arange(len(tip))
+        tip, _ = _series(theta, robot, density, grid, numerics)
+        t = grid.h * np.arange(len(tip))
         seen = t <= record.t[-1]
         found = decay_of(t[seen], tip[seen])
         factor = (decay.frequency / found.frequency) ** 2

@@ -5,7 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,21 +13,18 @@ from calibration.pressure_logs.problem import log_experiment
 from calibration.pressure_logs.read import PA_PER_PSI, ManifoldLog, read_log
 from calibration.pressure_logs.residual_shape import whole_cycles
 from slider_jax.actuation import FirstOrderLag, Recorded
-from slider_jax.beam.parameters import Numerics
-from slider_jax.channels import CHANNELS, TIME, readings, recorded_series
+from slider_jax.channels import CHANNELS, TIME, recorded_series
 from slider_jax.cli.progress import Progress
-from slider_jax.dynamics.model import Drive, Model
-from slider_jax.dynamics.rollout import TimeGrid, rollout
-from slider_jax.dynamics.step import at_rest
-from slider_jax.dynamics.time_schemes import Scheme
+from slider_jax.dynamics.model import Drive
+from slider_jax.dynamics.step import Carry, at_rest
 from slider_jax.errors import SolverError
 from slider_jax.experiment.load import (
     Experiment,
     drag_and_added_mass,
-    to_model,
-    to_numerics,
 )
+from slider_jax.experiment.prepare import divided, prepare
 from slider_jax.io.files import input_file, staged, versions, write_csv, write_json
+from slider_jax.simulation.trial import SavedSeries, advance_chunk, run_chunks
 
 CHUNK = 125
 """Samples per call of the compiled program."""
@@ -64,7 +60,7 @@ def simulate_log(
             columns = drive_robot(log, experiment, drive, progress.to)
         formats = {TIME: ".3f"} | {x.column: x.digits for x in CHANNELS.values()}
         write_csv(stage / f"{path.stem}.csv", columns, formats)
-        told = summary(log, experiment, model, drive, columns)
+        told = log_summary(log, experiment, model, drive, columns)
         write_json(stage / "summary.json", told)
         if plot:
             from calibration.pressure_logs.plots import plot_driven
@@ -79,13 +75,6 @@ def simulate_log(
     )
 
 
-@eqx.filter_jit
-def _advance(model: Model, h, t0, begin, numerics: Numerics, scheme: Scheme, every: int):
-    times = TimeGrid(h, CHUNK * every, t0)
-    run = rollout(model, times, readings, numerics, scheme, begin=begin, checkpoint=False)
-    return jax.tree.map(lambda x: x[every - 1 :: every], run.saved), run.final
-
-
 def drive_robot(
     log: ManifoldLog, experiment: Experiment, drive: str, progress=lambda done, total: None
 ) -> dict[str, np.ndarray]:
@@ -98,41 +87,41 @@ def drive_robot(
     whole = -(-count // CHUNK) * CHUNK
     at = log.period * np.arange(whole + 1)
     set_point = np.interp(at, log.t, record)
-    every = int(np.ceil(log.period / experiment.numerics.step * (1.0 - 1e-9)))
-    h = log.period / every
-    numerics, scheme = to_numerics(experiment)
-    base = to_model(experiment, 0)
+    prepared = prepare(experiment, sample_times=log.t, as_meant=True)
+    h = divided(log.period, experiment.numerics.step)
+    every = round(log.period / h)
+    base, numerics = prepared.model, prepared.numerics
     if drive == "measured":  # no lag; a zero one shares the compiled program
         base = replace(base, pressure_law=FirstOrderLag(jnp.asarray(0.0, float)))
-    pressures = (jnp.asarray(log.pressure_Pa[0]),) * 2
-    base = replace(
-        base, drive=replace(base.drive, start_front=pressures[0], start_rear=pressures[1])
-    )
-    carry = at_rest(base, numerics)
-    chunks: list[dict[str, Any]] = [
-        {
-            **dict.fromkeys(CHANNELS, np.zeros(1)),
-            "p_front": np.array(pressures[:1]),
-            "p_rear": np.array(pressures[1:]),
-        }
-    ]
-    for first in range(0, whole, CHUNK):
+    start = jnp.asarray(log.pressure_Pa[0])
+    base = replace(base, drive=replace(base.drive, start_front=start, start_rear=start))
+    save = SavedSeries(prepared.channels)
+
+    def advance(first: int, carry: Carry):
         span = slice(first, first + CHUNK + 1)
         wave = Recorded(jnp.asarray(at[span]), jnp.asarray(set_point[span]))
-        model = replace(base, drive=Drive(wave, wave))
-        saved, carry = _advance(
-            model, jnp.asarray(h), jnp.asarray(at[first]), carry, numerics, scheme, every
+        model, t0 = replace(base, drive=Drive(wave, wave)), jnp.asarray(at[first])
+        saved, carry = advance_chunk(
+            model, jnp.asarray(h), t0, carry, save, numerics, prepared.scheme, CHUNK * every
         )
-        chunks.append(jax.tree.map(np.asarray, saved))
+        return jax.tree.map(lambda x: np.asarray(x)[every - 1 :: every], saved), carry
+
+    def after(done: int, saved, carry: Carry) -> None:
         failed_at = float(carry.failed_at)
-        if failed_at < log.t[-1] + 0.5 * h or not np.isfinite(chunks[-1]["recoil"]).all():
+        if failed_at < log.t[-1] + 0.5 * h or not np.isfinite(saved["recoil"]).all():
             raise SolverError(
-                f"{log.path}: the step to t = {min(failed_at, at[span][-1]):.6g} s (length "
+                f"{log.path}: the step to t = {min(failed_at, at[done]):.6g} s (length "
                 f"{h:.3g} s) did not converge; check K_Q, stiffness and lag in the model file: the "
                 "chambers may bend the body further than it can go"
             )
-        progress(min(first + CHUNK + 1, len(log.t)), len(log.t))
-    series = {name: np.concatenate([c[name] for c in chunks]) for name in chunks[0]}
+        progress(min(done + 1, len(log.t)), len(log.t))
+
+    parts, _ = run_chunks(advance, at_rest(base, numerics), whole, CHUNK, after)
+    initial = save.start(base, np.zeros((2, 1)))
+    series = {
+        name: np.concatenate([first[None], *(part[name] for part in parts)])
+        for name, first in initial.items()
+    }
     true = {name: jnp.asarray(values) for name, values in series.items()}
     read = recorded_series(base.effects, jnp.asarray(at), true)
     kept = np.round(log.t / log.period).astype(int)
@@ -140,7 +129,7 @@ def drive_robot(
     return {TIME: log.t} | columns
 
 
-def summary(
+def log_summary(
     log: ManifoldLog,
     experiment: Experiment,
     model: Path | None,

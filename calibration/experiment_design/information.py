@@ -258,7 +258,7 @@ def finite_starts(f: TrialInformation) -> dict[int, float]:
     Those with a start are taken at it. Judged on the experiment's shortest trial. One that cannot
     be simulated there keeps its tangent.
     """
-    p = min((f.plan(t) for t in f.experiment.trials), key=lambda p: p.steps)
+    p = min((f.plan(t) for t in f.experiment.trials), key=lambda p: p.grid.steps)
     y = predict(p, f.theta)
     scale = np.std(y, axis=1)[:, None]
     scale = np.where(scale > 0.0, scale, 1.0)

@@ -33,6 +33,7 @@ from calibration.model.predict import (
 )
 from slider_jax.channels import CHANNELS, row_of
 from slider_jax.experiment.load import Experiment
+from slider_jax.experiment.prepare import prepare
 
 
 class Swing(NamedTuple):
@@ -199,8 +200,9 @@ class TankProblem(AbstractProblem):
         `channels` are the fitted channels (default: all).
         """
         channels = tuple(CHANNELS) if channels is None else channels
+        prepared = [prepare(experiment, r.trial, sample_times=r.t) for r in records]
         plans = [
-            [plan(experiment, r.trial, effects, resolution, r.t) for r in records]
+            [plan(experiment, trial, effects, resolution) for trial in prepared]
             for resolution in (fine, coarse)
         ]
         noise = {

@@ -6,7 +6,7 @@ import numpy as np
 
 from slider_jax.channels import CHANNELS, row_of
 from slider_jax.errors import InputError
-from slider_jax.experiment.load import Experiment, measured
+from slider_jax.experiment.load import Experiment, read_measured
 from slider_jax.experiment.schema import Trial
 
 
@@ -33,7 +33,7 @@ def records(experiment: Experiment) -> list[Record]:
     """The trials whose files are there. Raises `InputError` for none, or for a damaged file."""
     found = []
     for trial in experiment.trials:
-        columns = measured(experiment, trial)
+        columns = read_measured(experiment, trial)
         if columns is None:
             continue
         n = len(columns["t_s"])

@@ -13,7 +13,7 @@ import numpy as np
 
 from slider_jax.experiment.load import assemble
 from slider_jax.io.files import write_csv, write_text
-from slider_jax.simulation.trial import simulate
+from slider_jax.simulation.trial import simulate_trial
 
 NUMERICS = {"nodes": 81, "step": 1e-3, "scheme": "sdirk2", "tolerance": 1e-9}
 """Of the simulated tank."""
@@ -107,13 +107,13 @@ def write_tank(
     experiment = assemble(inside, folder.name, folder)
     rng = np.random.default_rng(seed)
     for trial in experiment.trials:
-        columns = measured(simulate(experiment, trial).columns, sensors, rng)
+        columns = with_sensor_noise(simulate_trial(experiment, trial).columns, sensors, rng)
         write_csv(folder / trial.file, columns, {"t_s": ".4f", "p_front_Pa": ".0f"})
     write_text(folder / "experiment.toml", _toml(told | {"trials": list(runs)}))
     return folder / "experiment.toml"
 
 
-def measured(
+def with_sensor_noise(
     true: Mapping[str, np.ndarray], sensors: Sensors, rng: np.random.Generator
 ) -> dict[str, np.ndarray]:
     """What the sensors record of one trial."""

@@ -19,16 +19,18 @@ from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest
 from slider_jax.dynamics.time_schemes import SCHEMES, SDIRK2, Scheme
 from slider_jax.effects import Readings
-from slider_jax.experiment.load import (
-    Experiment,
-    conditions,
-    sample_times,
-    to_model,
-    to_numerics,
+from slider_jax.experiment.load import Experiment, conditions
+from slider_jax.experiment.playback import LONGEST_STEP
+from slider_jax.experiment.prepare import (
+    PreparedTrial,
+    StepGrid,
+    divided,
+    prepare,
+    sample,
+    step_grid,
 )
-from slider_jax.experiment.playback import LONGEST_STEP, played
 from slider_jax.experiment.schema import Trial
-from slider_jax.simulation.sampling import edge_steps, half_period_steps, nearest_steps, sample
+from slider_jax.simulation.trial import run_chunks
 
 BLOCK = 500
 """Steps and samples a call of a compiled program: trials of all lengths share programs."""
@@ -63,55 +65,38 @@ class TrialPlan:
     extended: Extended
     numerics: Numerics
     scheme: Scheme
-    h: float
-    steps: int
-    edges: np.ndarray
+    grid: StepGrid
     at: np.ndarray
     """Sample times (n,) [s]."""
-
-    @property
-    def step_times(self) -> np.ndarray:
-        return self.h * np.arange(self.steps + 1)
 
 
 def plan(
     experiment: Experiment,
-    trial: Trial,
+    trial: Trial | PreparedTrial,
     effects: tuple[str, ...],
     resolution: Resolution,
     at: np.ndarray | None = None,
 ) -> TrialPlan:
     """Lay a trial out in time and space, sampled at `at` (n,) [s], by default as its file is.
 
-    Raises `InputError` for a trial that cannot be used.
+    A prepared trial has its sample times already. Raises `InputError` for a trial that cannot be
+    used.
     """
-    model, was = to_model(experiment, trial), played(experiment, trial)
-    if was is not None:
-        model = replace(model, drive=was.drive)
-    if at is None:
-        at = sample_times(experiment, trial)
+    if isinstance(trial, Trial):
+        trial = prepare(experiment, trial, sample_times=at)
+    prepared, trial, at = trial, trial.trial, trial.sample_times
     robot = experiment.robot
     cells = split_cells(resolution.nodes, robot.tail_length, robot.body_length)
-    numerics = replace(to_numerics(experiment)[0], tail_cells=cells[0], body_cells=cells[1])
+    numerics = replace(prepared.numerics, tail_cells=cells[0], body_cells=cells[1])
+    longest, spacing = resolution.step, None
     if trial.frequency is None:
-        h, edges = _even(at, resolution.step), None
+        spacing = float(np.median(np.diff(at)))
     else:
-        longest = min(resolution.step, 1.0 / (trial.frequency * resolution.per_stride))
-        half = half_period_steps(trial.frequency, longest, trial.phase)
-        h, edges = 0.5 / (trial.frequency * half), half
-    steps = int(np.ceil(at[-1] / h * (1.0 - 1e-9)))
-    if was is not None and was.edges is not None:
-        ends = nearest_steps(steps, h, was.edges)
-    else:
-        ends = np.array([0, steps]) if edges is None else edge_steps(steps, edges, trial.phase)
+        longest = min(longest, 1.0 / (trial.frequency * resolution.per_stride))
+    grid = step_grid(trial, longest, at[-1], spacing, prepared.played)
     taken = {name: jnp.asarray(x, float) for name, x in conditions(experiment, trial).items()}
-    extended, scheme = Extended(model, taken, effects), SCHEMES[resolution.scheme]
-    return TrialPlan(trial, extended, numerics, scheme, h, steps, ends, at)
-
-
-def _even(at: np.ndarray, longest: float) -> float:
-    spacing = float(np.median(np.diff(at)))
-    return spacing / np.ceil(spacing / longest * (1.0 - 1e-9))
+    extended = Extended(prepared.model, taken, effects, prepared.channels)
+    return TrialPlan(trial, extended, numerics, SCHEMES[resolution.scheme], grid, at)
 
 
 def _chunk(extended: Extended, theta, carry: Carry, h, t0, numerics: Numerics, scheme: Scheme):
@@ -190,7 +175,7 @@ def _chambers_along(extended: Extended, theta, t, d_theta):
 
 def _sample_grid(at: np.ndarray) -> np.ndarray:
     """Even times from 0 on that hold the sample times `at`, padded to a whole number of blocks."""
-    spacing = _even(at, LONGEST_STEP)
+    spacing = divided(float(np.median(np.diff(at))), LONGEST_STEP)
     before = np.ceil(at[0] / spacing - 1e-9)
     n = -(-(round((at[-1] - at[0]) / spacing) + int(before) + 2) // BLOCK) * BLOCK
     t = at[0] + spacing * (np.arange(n) - before)
@@ -204,8 +189,8 @@ def _sampled(p: TrialPlan, body: np.ndarray, pressures: np.ndarray, t: np.ndarra
     `body` (..., channels - 2, steps) is interpolated; `pressures` (..., 2, n) hold those times `t`.
     """
     lead = body.shape[:-2]
-    flat = body.reshape(-1, body.shape[-1])[:, : p.steps + 1].T
-    at_samples = sample(p.step_times, flat, p.at, p.edges).T.reshape(*lead, -1, len(p.at))
+    flat = body.reshape(-1, body.shape[-1])[:, : p.grid.steps + 1].T
+    at_samples = sample(p.grid.times, flat, p.at, p.grid.edges).T.reshape(*lead, -1, len(p.at))
     # Not from t[0], which is 0 and may be nearer to t[1] than the others to each other.
     index = 1 + np.round((p.at - t[1]) / (t[2] - t[1])).astype(int)
     index = np.clip(index, 0, len(t) - 1)
@@ -215,9 +200,9 @@ def _sampled(p: TrialPlan, body: np.ndarray, pressures: np.ndarray, t: np.ndarra
 def predict(p: TrialPlan, theta: np.ndarray) -> np.ndarray:
     """Readings (channels, samples) of a trial; NaN from the time on at which a step failed."""
     series, failed_at = _series(p, jnp.asarray(theta))
-    t = p.h * np.arange(len(series))
+    t = p.grid.h * np.arange(len(series))
     read = np.array(_recorded(p.extended, jnp.asarray(theta), jnp.asarray(t), series))
-    read[:, t >= failed_at - 0.5 * p.h] = np.nan
+    read[:, t >= failed_at - 0.5 * p.grid.h] = np.nan
     grid = _sample_grid(p.at)
     pressures = _chambers(p.extended, jnp.asarray(theta), jnp.asarray(grid))
     return _sampled(p, read, np.asarray(pressures), grid)
@@ -226,13 +211,15 @@ def predict(p: TrialPlan, theta: np.ndarray) -> np.ndarray:
 def _series(p: TrialPlan, theta) -> tuple[Array, float]:
     """True series (n, channels) with the start, and when a step failed or inf [s]."""
     carry = _begin(p.extended, theta, p.numerics)
-    parts = [jnp.concatenate([carry.chambers.p, jnp.zeros(len(p.extended.channels) - 2)])[None]]
-    h = jnp.asarray(p.h)
-    for done in range(0, p.steps, BLOCK):
-        t0 = jnp.asarray(p.h * done)
-        saved, carry = _advance(p.extended, theta, carry, h, t0, p.numerics, p.scheme)
-        parts.append(saved)
-    return jnp.concatenate(parts), float(carry.failed_at)
+    start = jnp.concatenate([carry.chambers.p, jnp.zeros(len(p.extended.channels) - 2)])[None]
+    h = jnp.asarray(p.grid.h)
+
+    def advance(done: int, carry: Carry):
+        t0 = jnp.asarray(p.grid.h * done)
+        return _advance(p.extended, theta, carry, h, t0, p.numerics, p.scheme)
+
+    parts, carry = run_chunks(advance, carry, p.grid.steps, BLOCK)
+    return jnp.concatenate([start, *parts]), float(carry.failed_at)
 
 
 def tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) -> np.ndarray:
@@ -242,7 +229,7 @@ def tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) -> np.ndar
     padded[:k] = directions
     at, grid = jnp.asarray(theta), _sample_grid(p.at)
     series, _ = _series(p, at)
-    t = jnp.asarray(p.h * np.arange(len(series)))
+    t = jnp.asarray(p.grid.h * np.arange(len(series)))
     parts = []
     for first in range(0, len(padded), DIRECTIONS):
         d = jnp.asarray(padded[first : first + DIRECTIONS])
@@ -260,7 +247,7 @@ def perturbed(p: TrialPlan, theta: np.ndarray, d_carry: Carry, begun: np.ndarray
     """
     at = jnp.asarray(theta)
     series, _ = _series(p, at)
-    t, none = jnp.asarray(p.h * np.arange(len(series))), jnp.zeros((DIRECTIONS, len(theta)))
+    t, none = jnp.asarray(p.grid.h * np.arange(len(series))), jnp.zeros((DIRECTIONS, len(theta)))
     d_series = _carried_along(p, at, none, d_carry).at[:, 0].set(begun)
     read = np.asarray(_recorded_along(p.extended, at, t, series, none, d_series))
     grid = _sample_grid(p.at)
@@ -273,17 +260,21 @@ def _series_along(p: TrialPlan, theta, d_theta) -> Array:
 
 
 def _carried_along(p: TrialPlan, theta, d_theta, d_carry) -> Array:
-    carry = _begin(p.extended, theta, p.numerics)
     others = len(p.extended.channels) - 2
-    parts = [jnp.pad(d_carry.chambers.p, ((0, 0), (0, others)))[:, None]]
-    h = jnp.asarray(p.h)
-    for done in range(0, p.steps, BLOCK):
-        t0 = jnp.asarray(p.h * done)
+    start = jnp.pad(d_carry.chambers.p, ((0, 0), (0, others)))[:, None]
+    h = jnp.asarray(p.grid.h)
+
+    def advance(done: int, state):
+        carry, d_carry = state
+        t0 = jnp.asarray(p.grid.h * done)
         carry, (d_saved, d_carry) = _advance_along(
             p.extended, theta, carry, d_theta, d_carry, h, t0, p.numerics, p.scheme
         )
-        parts.append(d_saved)
-    return jnp.concatenate(parts, axis=1)
+        return d_saved, (carry, d_carry)
+
+    state = _begin(p.extended, theta, p.numerics), d_carry
+    parts, _ = run_chunks(advance, state, p.grid.steps, BLOCK)
+    return jnp.concatenate([start, *parts], axis=1)
 
 
 def on_all_cores(work, items: list) -> list:

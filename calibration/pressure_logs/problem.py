@@ -27,7 +27,8 @@ from slider_jax.dynamics.model import Drive
 from slider_jax.dynamics.pressures import chamber_history, start_chambers
 from slider_jax.effects import Command, Flow, Instrument, Readings
 from slider_jax.effects.library import LIBRARY
-from slider_jax.experiment.load import Experiment, assemble, conditions, to_model
+from slider_jax.experiment.load import Experiment, assemble, conditions
+from slider_jax.experiment.prepare import prepare
 from slider_jax.experiment.schema import SensorsTable
 from slider_jax.paper import PRESSURE_LAG
 
@@ -112,9 +113,9 @@ class PressureLogProblem(AbstractProblem):
             jnp.asarray(np.stack(command)),
             jnp.asarray([log.pressure_Pa[0] for log in logs]),
         )
-        trial = experiments[0].trials[0]
-        taken = {n: jnp.asarray(x) for n, x in conditions(experiments[0], trial).items()}
-        base = Extended(to_model(experiments[0], trial), taken, tuple(names))
+        first = prepare(experiments[0], sample_times=logs[0].t, as_meant=True)
+        taken = {n: jnp.asarray(x) for n, x in conditions(experiments[0], first.trial).items()}
+        base = Extended(first.model, taken, tuple(names), first.channels)
         return cls(
             records=found,
             channels=(CHANNEL,),

@@ -13,8 +13,8 @@ from slider_jax.experiment.load import Experiment, assemble
 from slider_jax.io.files import input_file
 from slider_jax.observables.strides import stride_means
 from slider_jax.paper import PRESSURE_LAG
-from slider_jax.simulation.effect_signature import FREQUENCY, built_in
-from slider_jax.simulation.trial import simulate
+from slider_jax.simulation.effect_signature import FREQUENCY, built_in_experiment
+from slider_jax.simulation.trial import simulate_trial
 
 
 class Consequence(NamedTuple):
@@ -32,15 +32,15 @@ def consequence(parameters: Mapping[str, float], effects: list[dict]) -> Consequ
 
     Both as an experiment file has them. Raises `SolverError` where a step fails.
     """
-    experiment = built_in()
+    experiment = built_in_experiment()
     content = experiment.model_dump() | {"effects": effects}
     content["parameters"] = content["parameters"] | dict(parameters)
     return _last_stride(assemble(content, "built-in robot", experiment.folder))
 
 
 def _last_stride(experiment: Experiment) -> Consequence:
-    run = simulate(experiment)
-    half = run.clock.half_period
+    run = simulate_trial(experiment)
+    half = run.grid.half_period
     assert half is not None
     last = slice(len(run.t) - 2 * half, len(run.t))
     thrust = stride_means(jnp.asarray(run.series["thrust"][1:]), 2 * half)
@@ -54,7 +54,7 @@ def _last_stride(experiment: Experiment) -> Consequence:
 
 def compared(models: Mapping[str, tuple[Mapping[str, float], list[dict]]]) -> dict:
     """`consequence` of several models by name, with the drive that they share."""
-    trial = built_in().trials[0]
+    trial = built_in_experiment().trials[0]
     return {
         "frequency_Hz": FREQUENCY,
         "waveform": trial.waveform,

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from slider_jax import observables as obs
 from slider_jax.beam.parameters import Numerics
-from slider_jax.channels import readings
+from slider_jax.channels import true_readings
 from slider_jax.dynamics.model import Model, make_mesh
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest
@@ -55,8 +55,8 @@ class Programs(NamedTuple):
 
 
 def saved_quantities(x: Snapshot) -> dict[str, Array]:
-    """Quantities saved at every step: `readings`, `power` [W] and `midline` (2, nodes) [m]."""
-    return readings(x) | {
+    """Quantities saved at every step: `true_readings`, `power` [W] and `midline` (2, nodes) [m]."""
+    return true_readings(x) | {
         "power": jnp.sum(obs.chamber_power(x)),
         "midline": obs.midline(x) - x.head[:, None],
     }

@@ -139,9 +139,13 @@ def _draw(name: str, out: Path, path: Path | None) -> None:
     from slider_jax.cli.progress import Progress
     from slider_jax.experiment.load import load
     from slider_jax.io.files import staged
-    from slider_jax.simulation.effect_signature import built_in, fingerprint, plot_fingerprint
+    from slider_jax.simulation.effect_signature import (
+        built_in_experiment,
+        fingerprint,
+        plot_fingerprint,
+    )
 
-    experiment = built_in() if path is None else load(path)
+    experiment = built_in_experiment() if path is None else load(path)
     with staged(out) as stage:
         with Progress(name, "step") as progress:
             found = fingerprint(experiment, name, progress.to)

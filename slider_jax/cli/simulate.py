@@ -60,42 +60,39 @@ def simulate(
 def _simulate_experiment(experiment, path, model, out, plot, animate) -> None:
     from slider_jax.channels import CHANNELS, TIME
     from slider_jax.cli.progress import Progress
-    from slider_jax.experiment.load import measured, to_model
-    from slider_jax.experiment.playback import played
+    from slider_jax.experiment.prepare import prepare
     from slider_jax.io.files import staged, write_csv, write_json
     from slider_jax.simulation.plots import plot_run
-    from slider_jax.simulation.summary import summary, trial_summary
-    from slider_jax.simulation.trial import simulate as simulate_trial
+    from slider_jax.simulation.summary import simulation_summary, trial_summary
+    from slider_jax.simulation.trial import simulate_prepared
 
     if out.resolve() == experiment.folder.resolve():
         raise InputError(
             f"--out {out}: is the experiment's own folder, where trials' files hold measured data; "
             "give another"
         )
-    for trial in experiment.trials:  # every file is checked before anything is computed
-        measured(experiment, trial)
-        to_model(experiment, trial)
-        played(experiment, trial)
+    # Every file is checked before anything is computed.
+    prepared = [prepare(experiment, trial) for trial in experiment.trials]
     formats = {TIME: ".9g"} | {x.column: x.digits for x in CHANNELS.values()}
     results, shape = [], plot or animate
     with staged(out) as stage:
-        for trial in experiment.trials:
-            begun = time.perf_counter()
-            with Progress(trial.file, "step") as progress:
-                run = simulate_trial(experiment, trial, shape=shape, progress=progress.to)
+        for each in prepared:
+            started, file = time.perf_counter(), each.trial.file
+            with Progress(file, "step") as progress:
+                run = simulate_prepared(each, shape=shape, progress=progress.to)
             result = trial_summary(experiment, run)
             results.append(result)
-            write_csv(stage / trial.file, run.columns, formats)
+            write_csv(stage / file, run.columns, formats)
             if plot:
-                plot_run(run, measured(experiment, trial), result["rmse_to_measured"], stage)
+                plot_run(run, result["rmse_to_measured"], stage)
             if animate:
                 from slider_jax.simulation.animation import animate_run
 
-                with Progress(trial.file, "frame", "film of the last two strides") as progress:
+                with Progress(file, "frame", "film of the last two strides") as progress:
                     animate_run(run, stage, progress.to)
-            for line in _lines(result, time.perf_counter() - begun):
+            for line in _lines(result, time.perf_counter() - started):
                 print(line, file=sys.stderr)
-        write_json(stage / "summary.json", summary(experiment, results, path, model))
+        write_json(stage / "summary.json", simulation_summary(experiment, results, path, model))
     print(f"{len(results)} trials and summary.json are in {out}", file=sys.stderr)
 
 

@@ -23,8 +23,8 @@ from slider_jax.dynamics.model import Model
 from slider_jax.dynamics.step import Carry
 from slider_jax.errors import SolverError
 from slider_jax.experiment.load import Experiment, to_model, to_numerics
+from slider_jax.experiment.prepare import half_period_steps
 from slider_jax.experiment.schema import Trial
-from slider_jax.simulation.sampling import half_period_steps
 from slider_jax.swimming.free_swim import steady_settings
 from slider_jax.swimming.gait import CAP, LINK, stride_frequency, to_climber
 from slider_jax.swimming.performance import names_with_units

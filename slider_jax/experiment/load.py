@@ -275,7 +275,7 @@ def to_model(experiment: Experiment, trial: Trial | int = 0) -> Model:
     return jax.tree.map(lambda x: jnp.asarray(x, float), model)
 
 
-def measured(experiment: Experiment, trial: Trial) -> dict[str, np.ndarray] | None:
+def read_measured(experiment: Experiment, trial: Trial) -> dict[str, np.ndarray] | None:
     """The trial's measured columns, or None if its file is not there. Blank cells are NaN.
 
     Only `t_s` must be there; the others are returned if they are. Raises `InputError` for a file
@@ -298,12 +298,3 @@ def measured(experiment: Experiment, trial: Trial) -> dict[str, np.ndarray] | No
             "rates need an experiment file each"
         )
     return columns
-
-
-def sample_times(experiment: Experiment, trial: Trial) -> np.ndarray:
-    """Times [s] at which a trial is sampled: its file's own, else the sensors' rate."""
-    columns = measured(experiment, trial)
-    if columns is not None:
-        return columns["t_s"]
-    rate = experiment.sensors.sample_rate
-    return np.arange(int(np.floor(trial.duration * rate + 1e-9)) + 1) / rate

@@ -37,7 +37,7 @@ class PlayedDrive(NamedTuple):
     """Times [s] at which a square wave jumped; None of another wave."""
 
 
-def played(experiment: Experiment, trial: Trial) -> PlayedDrive | None:
+def read_played(experiment: Experiment, trial: Trial) -> PlayedDrive | None:
     """What NAME.played.csv beside a trial's file says; None where there is none.
 
     Raises `InputError` for one that does not cover the trial, is not in pascal, or is of a drive

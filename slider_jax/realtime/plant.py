@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from slider_jax.actuation import FirstOrderLag, Held
 from slider_jax.beam.parameters import grid_of
 from slider_jax.beam.state import node_positions
-from slider_jax.channels import BUILT_IN, readings
+from slider_jax.channels import BUILT_IN, true_readings
 from slider_jax.dynamics.model import Drive, Model
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.step import Carry, at_rest
@@ -167,7 +167,7 @@ class Plant:
         run = rollout(
             driven,
             TimeGrid(self.step, 1, t),
-            readings,
+            true_readings,
             self._numerics,
             self._scheme,
             begin=state.carry,

@@ -87,10 +87,10 @@ def _scene(run: TrialRun, steps: np.ndarray):
 
 def _frames(run: TrialRun) -> np.ndarray:
     """Steps shown: the last strides, evenly."""
-    half = run.clock.half_period
-    stride = 2 * half if half else round(1.0 / run.clock.h)
-    begin = max(0, run.clock.steps - STRIDES * stride)
-    return np.linspace(begin, run.clock.steps, STRIDES * FRAMES_PER_STRIDE + 1).round().astype(int)
+    half = run.grid.half_period
+    stride = 2 * half if half else round(1.0 / run.grid.h)
+    begin = max(0, run.grid.steps - STRIDES * stride)
+    return np.linspace(begin, run.grid.steps, STRIDES * FRAMES_PER_STRIDE + 1).round().astype(int)
 
 
 def _cell_centres(line: np.ndarray) -> np.ndarray:

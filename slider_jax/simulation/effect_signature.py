@@ -17,7 +17,7 @@ from slider_jax.errors import SolverError
 from slider_jax.experiment.load import Experiment, assemble
 from slider_jax.io.figures import new_figure, save_figure
 from slider_jax.simulation.plots import title
-from slider_jax.simulation.trial import TrialRun, simulate
+from slider_jax.simulation.trial import TrialRun, simulate_trial
 
 FREQUENCY = 4.8
 """Of the built-in robot's drive [Hz]."""
@@ -64,7 +64,7 @@ class Fingerprint(NamedTuple):
         return {name: float(np.sqrt(np.mean(x**2))) for name, x in self.left(trace).items()}
 
 
-def built_in() -> Experiment:
+def built_in_experiment() -> Experiment:
     """The built-in robot at 4.8 Hz as the demo runs it, long enough to be steady."""
     robot, assumed = asdict(Robot()), paper.Assumed()
     K_Q = robot.pop("K_Q")
@@ -114,7 +114,7 @@ def fingerprint(
         content = experiment.model_dump()
         content["effects"] = [*content["effects"], {"name": effect, **at}]
         prolonged = assemble(content, effect, experiment.folder)
-        return simulate(prolonged, progress=told, as_meant=True)
+        return simulate_trial(prolonged, progress=told, as_meant=True)
 
     without = run(0)
     shown = _last_stride(without)
@@ -123,8 +123,8 @@ def fingerprint(
         size, with_it = _largest(partial(run, number), name, prior)
         traces.append(Trace(name, size, prior.unit, _cut(with_it, shown)))
     along = without.t[shown]
-    if without.clock.half_period is not None:
-        along = (along - along[0]) / (2 * without.clock.half_period * without.clock.h)
+    if without.grid.half_period is not None:
+        along = (along - along[0]) / (2 * without.grid.half_period * without.grid.h)
     return Fingerprint(effect, without, along, _cut(without, shown), tuple(traces))
 
 
@@ -142,9 +142,9 @@ def _largest(run: Callable[..., TrialRun], name: str, prior: Prior) -> tuple[flo
 
 def _last_stride(run: TrialRun) -> slice:
     """Steps of the last whole stride, both ends included; the last second without a frequency."""
-    half = run.clock.half_period
-    length = 2 * half if half else round(1.0 / run.clock.h)
-    end = run.clock.steps // length * length if half else run.clock.steps
+    half = run.grid.half_period
+    length = 2 * half if half else round(1.0 / run.grid.h)
+    end = run.grid.steps // length * length if half else run.grid.steps
     return slice(max(0, end - length), end + 1)
 
 
@@ -178,7 +178,7 @@ def plot_fingerprint(found: Fingerprint, path: Path) -> None:
             ax.margins(x=0.0)
     above = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "fontsize": "small"}
     axes[0, 0].legend(ncols=1 + len(found.traces), frameon=False, **above)
-    steady = found.run.clock.half_period is not None
+    steady = found.run.grid.half_period is not None
     for ax in axes[-1]:
         ax.set_xlabel("phase of the last stride (-)" if steady else "time (s)")
     figure.align_ylabels()

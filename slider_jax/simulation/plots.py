@@ -8,8 +8,6 @@ from slider_jax.channels import CHANNELS
 from slider_jax.io.figures import new_figure, save_figure
 from slider_jax.simulation.trial import TrialRun
 
-Columns = dict[str, np.ndarray]
-
 
 def title(run: TrialRun) -> str:
     """What was done in the trial, in a line."""
@@ -25,20 +23,19 @@ def title(run: TrialRun) -> str:
     return f"{stem}: {drive}, tow {trial.tow_speed:g} m/s"
 
 
-def plot_run(
-    run: TrialRun, measured: Columns | None, rmse: dict[str, float] | None, folder: Path
-) -> None:
+def plot_run(run: TrialRun, rmse: dict[str, float] | None, folder: Path) -> None:
     """Write `<stem>.png` (time series, measured ones under them) and `<stem>_midlines.png`.
 
     `rmse`: simulated minus measured, by column, in SI.
     """
     stem = Path(run.trial.file).stem
-    plot_series(run, measured or {}, rmse or {}, folder / f"{stem}.png")
+    plot_series(run, rmse or {}, folder / f"{stem}.png")
     plot_midlines(run, folder / f"{stem}_midlines.png")
 
 
-def plot_series(run: TrialRun, measured: Columns, rmse: dict[str, float], path: Path) -> None:
+def plot_series(run: TrialRun, rmse: dict[str, float], path: Path) -> None:
     """Pressures, thrust, recoil and tip against time; measured samples, if any, in grey."""
+    measured = run.prepared.measured or {}
     figure, axes = new_figure(len(CHANNELS), 1, figsize=(9, 10), sharex=True)
     for ax, channel in zip(axes, CHANNELS.values(), strict=True):
         name, unit, factor = channel.column, channel.plot_unit, channel.plot_factor
@@ -67,10 +64,10 @@ def last_stride(run: TrialRun, frames: int, closed: bool = False) -> np.ndarray:
 
     `closed` includes the stride's end, which is its beginning again.
     """
-    half = run.clock.half_period
-    length = 2 * half if half else round(1.0 / run.clock.h)
-    begin = max(0, run.clock.steps - length)
-    return np.linspace(begin, run.clock.steps, frames, endpoint=closed).round().astype(int)
+    half = run.grid.half_period
+    length = 2 * half if half else round(1.0 / run.grid.h)
+    begin = max(0, run.grid.steps - length)
+    return np.linspace(begin, run.grid.steps, frames, endpoint=closed).round().astype(int)
 
 
 def plot_midlines(run: TrialRun, path: Path) -> None:

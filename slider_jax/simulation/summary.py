@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from slider_jax.channels import CHANNELS
-from slider_jax.experiment.load import Experiment, drag_and_added_mass, measured
+from slider_jax.experiment.load import Experiment, drag_and_added_mass
 from slider_jax.io.files import input_file, versions
 from slider_jax.simulation.trial import TrialRun
 
@@ -30,7 +30,7 @@ STEADY, STEADY_THRUST = 0.01, 1e-3
 
 def window(run: TrialRun) -> tuple[slice, int]:
     """Steps of the averaged window (start left out, end kept), and its whole strides."""
-    half, steps = run.clock.half_period, run.clock.steps
+    half, steps = run.grid.half_period, run.grid.steps
     if half is None:
         return slice(steps // 2 + 1, steps + 1), 0
     strides = steps // (2 * half)
@@ -42,12 +42,12 @@ def window(run: TrialRun) -> tuple[slice, int]:
 
 def settled(run: TrialRun) -> tuple[bool | None, str]:
     """Whether the trial's end is periodic (None: not known), and what to say where it is not."""
-    half, steps, duration = run.clock.half_period, run.clock.steps, run.trial.duration
+    half, steps, duration = run.grid.half_period, run.grid.steps, run.trial.duration
     if half is None:
         return None, ""
     stride = 2 * half
     if steps < stride:
-        period = stride * run.clock.h
+        period = stride * run.grid.h
         return None, f"shorter than one stride ({period:.3g} s): means are over the whole trial"
     if steps < 2 * stride:
         return None, "shorter than two strides: too short to say whether it is periodic"
@@ -67,9 +67,9 @@ def settled(run: TrialRun) -> tuple[bool | None, str]:
     )
 
 
-def rmse_to_measured(experiment: Experiment, run: TrialRun) -> dict[str, float] | None:
+def rmse_to_measured(run: TrialRun) -> dict[str, float] | None:
     """Root mean square of simulated minus measured for each column of the trial's file, if any."""
-    columns = measured(experiment, run.trial)
+    columns = run.prepared.measured
     if columns is None:
         return None
     names = [channel.column for channel in CHANNELS.values()]
@@ -89,7 +89,7 @@ def trial_summary(experiment: Experiment, run: TrialRun) -> dict[str, Any]:
     per_stride = thrust.reshape(strides, -1).mean(axis=1) if strides else np.array([])
     C_d, m_a = drag_and_added_mass(experiment, run.trial)
     periodic, warning = settled(run)
-    averaged = "second half" if run.clock.half_period is None else "whole trial"
+    averaged = "second half" if run.grid.half_period is None else "whole trial"
     if strides:
         averaged = "last stride" if strides == 1 else f"last {strides} strides"
     return {
@@ -108,14 +108,14 @@ def trial_summary(experiment: Experiment, run: TrialRun) -> dict[str, Any]:
         "tip_half_range_m": 0.5 * np.ptp(tip),
         "periodic": periodic,
         "warnings": [warning] if warning else [],
-        "rmse_to_measured": rmse_to_measured(experiment, run),
-        "step_s": run.clock.h,
-        "steps": run.clock.steps,
+        "rmse_to_measured": rmse_to_measured(run),
+        "step_s": run.grid.h,
+        "steps": run.grid.steps,
         "factorisations": run.factorisations,
     }
 
 
-def summary(
+def simulation_summary(
     experiment: Experiment, trials: list[dict[str, Any]], path: Path, model: Path | None
 ) -> dict[str, Any]:
     """The content of summary.json; `trials` as by `trial_summary`."""

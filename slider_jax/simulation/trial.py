@@ -1,8 +1,8 @@
 """One trial of an experiment, from its drive to what its sensors would read."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -11,21 +11,20 @@ import numpy as np
 from jaxtyping import Array
 
 from slider_jax import observables as obs
-from slider_jax.actuation import Recorded
 from slider_jax.beam.parameters import Numerics, grid_of
 from slider_jax.beam.state import node_positions, to_plane
-from slider_jax.channels import CHANNELS, TIME, Channel, recorded_series
+from slider_jax.channels import TIME, Channel, recorded_series
 from slider_jax.dynamics.model import Model
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest
 from slider_jax.dynamics.time_schemes import Scheme
 from slider_jax.effects import total_force
 from slider_jax.errors import SolverError
-from slider_jax.experiment.load import Experiment, sample_times, to_model, to_numerics
-from slider_jax.experiment.playback import LONGEST_STEP, PlayedDrive, played
+from slider_jax.experiment.load import Experiment
+from slider_jax.experiment.prepare import PreparedTrial, StepGrid, prepare, sample
 from slider_jax.experiment.schema import Trial
-from slider_jax.simulation.sampling import edge_steps, half_period_steps, nearest_steps, sample
 
+State = TypeVar("State")
 CHUNK = 250
 """Steps per call of the compiled program: one program serves trials of every length."""
 
@@ -65,51 +64,6 @@ class SavedSeries:
         return values
 
 
-@dataclass(frozen=True)
-class StepGrid:
-    """A trial's time grid: `steps` of `h` [s]; `half_period` of them to half a stride, if any."""
-
-    h: float
-    steps: int
-    half_period: int | None = None
-    phase: float = 0.0
-    played: np.ndarray | None = None
-    """Edges of a square wave as it was played [s]."""
-
-    @property
-    def edges(self) -> np.ndarray:
-        """Step indices between which the drive is smooth."""
-        if self.played is not None:
-            return nearest_steps(self.steps, self.h, self.played)
-        if self.half_period is None:
-            return np.array([0, self.steps])
-        return edge_steps(self.steps, self.half_period, self.phase)
-
-
-def clock(
-    experiment: Experiment, trial: Trial, model: Model, was: PlayedDrive | None = None
-) -> StepGrid:
-    """Steps locked to the stride, or to the samples of a recorded drive."""
-    longest = experiment.numerics.step
-    if was is not None:
-        longest = min(longest, LONGEST_STEP)
-    if isinstance(model.drive.front, Recorded):
-        times = np.asarray(model.drive.front.times)
-        spacing = (times[-1] - times[0]) / (len(times) - 1)
-        h = spacing / np.ceil(spacing / longest * (1.0 - 1e-9))
-        return StepGrid(h, _whole(trial.duration / h))
-    if trial.frequency is None:
-        return StepGrid(longest, _whole(trial.duration / longest))
-    half = half_period_steps(trial.frequency, longest, trial.phase)
-    h = 0.5 / (trial.frequency * half)
-    edges = None if was is None else was.edges
-    return StepGrid(h, _whole(trial.duration / h), half, trial.phase, edges)
-
-
-def _whole(steps: float) -> int:
-    return max(4, int(np.ceil(steps * (1.0 - 1e-9))))
-
-
 @eqx.filter_jit
 def _begin(model: Model, numerics: Numerics) -> tuple[Carry, jax.Array]:
     """At rest relative to the clamp, and the midline (2, nodes) [m] from the head."""
@@ -120,7 +74,7 @@ def _begin(model: Model, numerics: Numerics) -> tuple[Carry, jax.Array]:
 
 
 @eqx.filter_jit
-def _advance(
+def advance_chunk(
     model: Model,
     h: jax.Array,
     t0: jax.Array,
@@ -129,21 +83,38 @@ def _advance(
     numerics: Numerics,
     scheme: Scheme,
     steps: int,
-):
-    """`steps` more steps of `h` [s] from `t0` [s]: what was saved, and what carries on."""
+) -> tuple[Any, Carry]:
+    """`steps` more steps of `h` [s] from `t0` [s]: the saved series, and the carry at the end."""
     times = TimeGrid(h, steps, t0)
     run = rollout(model, times, save, numerics, scheme, begin=begin, checkpoint=False)
     return run.saved, run.final
 
 
+def run_chunks(
+    advance: Callable[[int, State], tuple[Any, State]],
+    carry: State,
+    steps: int,
+    chunk: int,
+    after: Callable[[int, Any, State], None] = lambda done, saved, carry: None,
+) -> tuple[list[Any], State]:
+    """Run at least `steps` steps from `carry`, `chunk` a call: all saved parts, and the last carry.
+
+    `advance(done, carry)` runs one more chunk after `done` steps: its saved series and its carry.
+    `after(done, saved, carry)` is called with them after each chunk, with at most `steps` done.
+    """
+    parts = []
+    for done in range(0, steps, chunk):
+        saved, carry = advance(done, carry)
+        parts.append(saved)
+        after(min(done + chunk, steps), saved, carry)
+    return parts, carry
+
+
 @dataclass(frozen=True)
 class TrialRun:
-    """A simulated trial. Times and series on the steps start with the initial state."""
+    """A simulated trial. Series on the steps start with the initial state."""
 
-    trial: Trial
-    clock: StepGrid
-    t: np.ndarray
-    """(steps + 1,) [s]."""
+    prepared: PreparedTrial
     series: dict[str, np.ndarray]
     """What `SavedSeries` keeps, each (steps + 1, ...); channels as the sensors record them."""
     columns: dict[str, np.ndarray]
@@ -151,67 +122,77 @@ class TrialRun:
     factorisations: int
     """Of the Jacobian, in all."""
 
+    @property
+    def trial(self) -> Trial:
+        return self.prepared.trial
 
-def simulate(
-    experiment: Experiment,
-    trial: Trial | int = 0,
+    @property
+    def grid(self) -> StepGrid:
+        return self.prepared.grid
+
+    @property
+    def t(self) -> np.ndarray:
+        """(steps + 1,) [s]."""
+        return self.grid.times
+
+
+def simulate_trial(
+    experiment: Experiment, trial: Trial | int = 0, *, as_meant: bool = False, **options: Any
+) -> TrialRun:
+    """`prepare` one trial and simulate it, with the options of `simulate_prepared`."""
+    return simulate_prepared(prepare(experiment, trial, as_meant=as_meant), **options)
+
+
+def simulate_prepared(
+    prepared: PreparedTrial,
     *,
     shape: bool = False,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
     chunk: int = CHUNK,
-    as_meant: bool = False,
 ) -> TrialRun:
-    """Simulate one trial and sample it at the trial's own times.
+    """Simulate one trial and sample it at its sample times.
 
-    Where it is known how the drive was played, it is driven so (`slider_jax.experiment.playback`),
-    unless
-    `as_meant`. The robot starts straight and at rest relative to the clamp, no force on it. With
-    `shape`, midlines, moments and forces are kept too. `progress(steps done, steps in all)` is
-    called now and then. Trials of one waveform and mesh share one compiled program. Raises
-    `SolverError` naming trial, time and step if a step does not converge, `InputError` if the
-    trial's files cannot be used.
+    The robot starts straight and at rest relative to the clamp, with no force on it. With `shape`,
+    midlines, moments and forces are kept too. `progress(steps done, steps in all)` is called after
+    each chunk. Trials of one waveform and mesh share one compiled program. Raises `SolverError`
+    naming trial, time and step if a step does not converge.
     """
-    if isinstance(trial, int):
-        trial = experiment.trials[trial]
-    model, at = to_model(experiment, trial), sample_times(experiment, trial)
-    was = None if as_meant else played(experiment, trial)
-    if was is not None:
-        model = replace(model, drive=was.drive)
-    numerics, scheme = to_numerics(experiment)
-    grid = clock(experiment, trial, model, was)
-    channels = tuple(CHANNELS.values())
-    save = SavedSeries(channels, shape)
-    carry, line = _begin(model, numerics)
-    initial = save.start(model, np.asarray(line))
-    chunks = []
-    for done in range(0, grid.steps, chunk):
+    model, numerics, grid = prepared.model, prepared.numerics, prepared.grid
+    save = SavedSeries(prepared.channels, shape)
+    start, line = _begin(model, numerics)
+    h = jnp.asarray(grid.h)
+
+    def advance(done: int, carry: Carry):
         t0 = jnp.asarray(grid.h * done)
-        saved, carry = _advance(
-            model, jnp.asarray(grid.h), t0, carry, save, numerics, scheme, chunk
-        )
-        chunks.append(jax.tree.map(np.asarray, saved))
+        saved, carry = advance_chunk(model, h, t0, carry, save, numerics, prepared.scheme, chunk)
+        return jax.tree.map(np.asarray, saved), carry
+
+    def after(done: int, saved, carry: Carry) -> None:
         if float(carry.failed_at) < grid.h * (grid.steps + 0.5):
-            raise _failure(trial, grid, float(carry.failed_at))
-        if progress is not None:
-            progress(min(done + chunk, grid.steps), grid.steps)
+            raise _failure(prepared, float(carry.failed_at))
+        progress(done, grid.steps)
+
+    parts, carry = run_chunks(advance, start, grid.steps, chunk, after)
     series = {
-        name: np.concatenate([initial[name][None], *(c[name] for c in chunks)])[: grid.steps + 1]
-        for name in chunks[0]
+        name: np.concatenate([first[None], *(part[name] for part in parts)])[: grid.steps + 1]
+        for name, first in save.start(model, np.asarray(line)).items()
     }
-    t = grid.h * np.arange(grid.steps + 1)
-    true = {x.name: jnp.asarray(series[x.name]) for x in channels}
+    t, at = grid.times, prepared.sample_times
+    true = {x.name: jnp.asarray(series[x.name]) for x in prepared.channels}
     read = recorded_series(model.effects, jnp.asarray(t), true)
     series |= {name: np.asarray(values) for name, values in read.items()}
     bad = ~np.isfinite(series["recoil"])
     if bad.any():
-        raise _failure(trial, grid, float(t[np.argmax(bad)]))
-    columns = {TIME: at} | {x.column: sample(t, series[x.name], at, grid.edges) for x in channels}
-    return TrialRun(trial, grid, t, series, columns, int(carry.factorisations))
+        raise _failure(prepared, float(t[np.argmax(bad)]))
+    edges = grid.edges
+    columns = {x.column: sample(t, series[x.name], at, edges) for x in prepared.channels}
+    return TrialRun(prepared, series, {TIME: at} | columns, int(carry.factorisations))
 
 
-def _failure(trial: Trial, grid: StepGrid, t: float) -> SolverError:
+def _failure(prepared: PreparedTrial, t: float) -> SolverError:
+    h = prepared.grid.h
     return SolverError(
-        f"{trial.file}: the step to t = {t:.6g} s (length {grid.h:.3g} s) did not converge; try a "
-        f"shorter one (--step {0.5 * grid.h:.2g}), and check amplitude, K_Q and stiffness: the "
+        f"{prepared.trial.file}: the step to t = {t:.6g} s (length {h:.3g} s) did not converge; "
+        f"try a shorter one (--step {0.5 * h:.2g}), and check amplitude, K_Q and stiffness: the "
         "chambers may bend the body further than it can go"
     )

@@ -9,12 +9,12 @@ from calibration.inference.noise import declared
 from calibration.inference.problem import TankProblem
 from calibration.measurements.records import records
 from calibration.model.predict import Resolution, plan, predict
-from slider_jax.channels import BUILT_IN, CHANNELS, columns, register, row_of
+from slider_jax.channels import BUILT_IN, CHANNELS, channel_columns, register, row_of
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
 from slider_jax.io.csv import read_csv
 from slider_jax.simulation.summary import trial_summary
-from slider_jax.simulation.trial import simulate
+from slider_jax.simulation.trial import simulate_trial
 from tests.support.experiments import write
 
 MID_BODY = '''
@@ -38,7 +38,7 @@ def marked(tmp_path_factory):
     """The small experiment with the channel of a file in a temporary folder; its simulated run."""
     folder = tmp_path_factory.mktemp("marked")
     path = write(folder)
-    plain = simulate(load(path))
+    plain = simulate_trial(load(path))
     (folder / "mid_body.py").write_text(MID_BODY)
     spec = importlib.util.spec_from_file_location("mid_body", folder / "mid_body.py")
     spec.loader.exec_module(importlib.util.module_from_spec(spec))
@@ -49,8 +49,8 @@ def marked(tmp_path_factory):
 def test_a_channel_outside_the_package_is_simulated_read_and_fitted(marked):
     folder, path, plain = marked
     experiment = load(path)
-    run = simulate(experiment)
-    assert columns()[-1] == "marker_m" and "marker_m" not in plain.columns
+    run = simulate_trial(experiment)
+    assert channel_columns()[-1] == "marker_m" and "marker_m" not in plain.columns
     for name in plain.columns:  # the other channels do not change
         np.testing.assert_allclose(run.columns[name], plain.columns[name], rtol=1e-9, atol=1e-12)
     ratio = np.ptp(run.columns["marker_m"]) / np.ptp(run.columns["tip_m"])
@@ -64,7 +64,7 @@ def test_a_channel_outside_the_package_is_simulated_read_and_fitted(marked):
         header=",".join(measured),
         comments="",
     )
-    errors = trial_summary(experiment, simulate(experiment))["rmse_to_measured"]
+    errors = trial_summary(experiment, simulate_trial(experiment))["rmse_to_measured"]
     assert errors["marker_m"] == pytest.approx(1e-3, rel=1e-6)
     assert errors["tip_m"] < 1e-12
 

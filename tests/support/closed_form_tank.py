@@ -12,7 +12,8 @@ from calibration.measurements.records import Record
 from calibration.measurements.synthetic import ROBOT, START
 from calibration.model.predict import Resolution
 from slider_jax.channels import CHANNELS
-from slider_jax.experiment.load import assemble, sample_times
+from slider_jax.experiment.load import assemble
+from slider_jax.experiment.prepare import prepare
 
 MESH = Resolution(11, 20, 1e-2)
 NOISE = {"p_front": 700.0, "p_rear": 700.0, "thrust": 0.01, "recoil": 0.01, "tip": 5e-4}
@@ -89,7 +90,7 @@ def measured(experiment, thetas, seed):
     """Records of the trials at their own parameters, with noise and a gain for every channel."""
     rng, found = np.random.default_rng(seed), []
     for trial, theta in zip(experiment.trials, thetas, strict=True):
-        t = sample_times(experiment, trial)
+        t = prepare(experiment, trial).sample_times
         values = np.array(readings(trial, t, theta))
         for row, name in enumerate(CHANNELS):
             values[row] *= 1.0 + CHANNELS[name].gain * rng.normal()

@@ -6,7 +6,7 @@ import numpy as np
 
 from calibration.audit.audit import audit_measurements
 from calibration.measurements.synthetic import ROBOT, START, slow_noise
-from slider_jax.channels import columns as channel_columns
+from slider_jax.channels import channel_columns
 from slider_jax.experiment import load as experiment
 from slider_jax.io.files import write_csv, write_text
 

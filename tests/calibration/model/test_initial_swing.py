@@ -37,7 +37,7 @@ def begun(p, place, speed):
         return moved.at[..., 1, :].add(speed * mode.place)
 
     carry = with_motion(at_rest(model, p.numerics), change)
-    times = TimeGrid(p.h, p.steps)
+    times = TimeGrid(p.grid.h, p.grid.steps)
     run = rollout(model, times, tip, p.numerics, p.scheme, begin=carry)
     return np.concatenate([[place], np.asarray(run.saved)])
 
@@ -49,7 +49,7 @@ def test_what_it_does_to_the_tip_is_what_a_trial_that_begins_so_shows(tmp_path, 
     unit = np.array([1.0, float(mode.frequency)])[which]
     step = np.eye(2)[which] * 1e-5 * unit
     there, back = begun(p, *step), begun(p, *-step)
-    expected = np.interp(p.at, p.step_times, (there - back) / 2.0)
+    expected = np.interp(p.at, p.grid.times, (there - back) / 2.0)
     found = spans(p, THETA, 1e-5)[which, 4]
     assert np.abs(found - expected).max() < 0.02 * np.abs(expected).max()
 
@@ -86,7 +86,7 @@ def test_a_trial_that_began_swinging_is_explained_once_that_is_declared(
     experiment, p = laid(tmp_path, **{"sensors.tip_noise": 5e-5, "sensors.start_swing": size})
     rng, moved = np.random.default_rng(5), predict(p, THETA)
     tip = begun(p, 8e-4, -4e-3)
-    moved[4] = np.interp(p.at, p.step_times, tip) + 5e-5 * rng.normal(size=len(p.at))
+    moved[4] = np.interp(p.at, p.grid.times, tip) + 5e-5 * rng.normal(size=len(p.at))
     record = Record(experiment.trials[0], p.at, moved)
     problem = TankProblem.of(experiment, [record], (), ("tip",), MESH, MESH)
     white = problem.whiteners(problem.predict(THETA))

@@ -16,7 +16,7 @@ from slider_jax.channels import BUILT_IN, CHANNELS
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load, to_model
 from slider_jax.realtime.plant import Plant
-from slider_jax.simulation.trial import simulate
+from slider_jax.simulation.trial import simulate_trial
 from tests.support.experiments import write
 from tests.support.live_stream import RATE, SENSORS, Streaming, only, set_pressures
 
@@ -338,7 +338,7 @@ tau = 0.01
         ("[[trials]]", effects + "\n[[trials]]"),
     )
     experiment = load(write(tmp_path, *changes))
-    run = simulate(experiment, 0)
+    run = simulate_trial(experiment, 0)
     t = run.columns["t_s"][1:]
     set_pressure = np.asarray(set_pressures(to_model(experiment, 0).drive, t))
     true = np.stack([run.columns[c.column][1:] for c in CHANNELS.values()])

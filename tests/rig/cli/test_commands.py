@@ -88,7 +88,7 @@ def test_a_run_leaves_an_experiments_folder(measured):
 
 
 def test_the_simulator_reads_the_folder(measured):
-    from slider_jax.experiment.load import load, measured as columns_of
+    from slider_jax.experiment.load import load, read_measured as columns_of
 
     experiment = load(measured[1] / "experiment.toml")
     columns = columns_of(experiment, experiment.trials[0])

@@ -10,11 +10,11 @@ from slider_jax.errors import InputError
 from slider_jax.experiment.load import (
     drag_and_added_mass,
     load,
-    measured,
-    sample_times,
+    read_measured,
     to_model,
     to_numerics,
 )
+from slider_jax.experiment.prepare import prepare
 from tests.support.experiments import write
 
 
@@ -153,14 +153,14 @@ def test_with_values_is_validated(tmp_path):
 
 def test_sample_times_are_the_records_own_or_the_sensors_rate(tmp_path):
     experiment = load(write(tmp_path))
-    np.testing.assert_allclose(sample_times(experiment, experiment.trials[0]), np.arange(376) / 500)
+    np.testing.assert_allclose(prepare(experiment).sample_times, np.arange(376) / 500)
     own = np.cumsum([0.0, 0.0020, 0.0021, 0.0019, 0.0020])
     text = "\n".join(["t_s,tip_m", *(f"{t},{'' if i % 2 else t}" for i, t in enumerate(own))])
     (tmp_path / "trial_00.csv").write_text(text.replace("\n", "\r\n"))
-    np.testing.assert_allclose(sample_times(experiment, experiment.trials[0]), own)
-    columns = measured(experiment, experiment.trials[0])
+    np.testing.assert_allclose(prepare(experiment).sample_times, own)
+    columns = read_measured(experiment, experiment.trials[0])
     np.testing.assert_array_equal(np.isnan(columns["tip_m"]), [False, True, False, True, False])
-    assert measured(experiment, experiment.trials[1]) is None
+    assert read_measured(experiment, experiment.trials[1]) is None
 
 
 def test_every_experiment_of_the_measured_data_loads(data):
@@ -169,5 +169,5 @@ def test_every_experiment_of_the_measured_data_loads(data):
     for path in paths:
         experiment = load(path)
         for trial in experiment.trials:
-            assert measured(experiment, trial)["t_s"][0] == 0.0
+            assert read_measured(experiment, trial)["t_s"][0] == 0.0
             to_model(experiment, trial)

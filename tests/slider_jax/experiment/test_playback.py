@@ -9,9 +9,9 @@ from slider_jax.actuation import FirstOrderLag, Held, pressure_history
 from slider_jax.effects.pneumatics.valve_delay import ValveDelay
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
-from slider_jax.experiment.playback import played as read_played
+from slider_jax.experiment.playback import read_played as read_played
 from slider_jax.io.files import write_csv
-from slider_jax.simulation.trial import simulate
+from slider_jax.simulation.trial import simulate_trial
 from tests.support.experiments import write
 
 K, STEP = 0.087, 5e-4
@@ -59,9 +59,9 @@ def lagged(at, t, sets, k=K):
 
 def test_one_that_was_played_as_meant_changes_nothing(tmp_path):
     experiment = load(write(tmp_path)).with_values({"numerics.step": 2e-3})
-    before = simulate(experiment, 0).columns
+    before = simulate_trial(experiment, 0).columns
     played(tmp_path, *meant(experiment.trials[0]))
-    after = simulate(experiment, 0).columns
+    after = simulate_trial(experiment, 0).columns
     for name, x in before.items():
         np.testing.assert_allclose(after[name], x, atol=2e-9 * np.abs(x).max())
 
@@ -72,7 +72,7 @@ def test_edges_are_where_they_were_played_between_steps_too(tmp_path):
     t, front, rear = meant(trial, late=1.7e-3)
     t[2] += 0.9e-3
     played(tmp_path, t, front, rear)
-    found = simulate(experiment, 0).columns
+    found = simulate_trial(experiment, 0).columns
     laid = plan(experiment, trial, (), Resolution(11, 40, 5e-3))
     fitted = predict(laid, np.array([3.0, 1.0, K, 4.79e-7]))
     for i, (name, sets) in enumerate((("p_front_Pa", front), ("p_rear_Pa", rear))):
@@ -125,7 +125,7 @@ def test_forces_do_not_mind_where_between_steps_an_edge_falls(tmp_path):
     errors = []
     for late in (2e-3, 0.75e-3, 1.25e-3):
         played(tmp_path, *meant(experiment.trials[0], late))
-        rough, exact = (simulate(x, 0).columns["recoil_N"] for x in (experiment, fine))
+        rough, exact = (simulate_trial(x, 0).columns["recoil_N"] for x in (experiment, fine))
         errors.append((rough - exact) / exact.std())
     # 1.5 mN of 0.5 N is the step's own, wherever edges fall.
     assert max(np.std(x) for x in errors) < 1.25 * min(np.std(x) for x in errors) < 0.005
@@ -136,7 +136,7 @@ def test_a_trial_of_which_nothing_is_told_is_driven_as_meant(tmp_path):
     experiment = load(write(tmp_path))
     played(tmp_path, *meant(experiment.trials[0], late=2e-3))
     assert read_played(experiment, experiment.trials[1]) is None
-    late, as_meant = (simulate(experiment, 0, as_meant=x).columns for x in (False, True))
+    late, as_meant = (simulate_trial(experiment, 0, as_meant=x).columns for x in (False, True))
     assert np.abs(late["p_front_Pa"] - as_meant["p_front_Pa"]).max() > 1e3
 
 
@@ -158,4 +158,4 @@ def test_a_file_that_cannot_be_is_refused(tmp_path, t, front, said):
     experiment = load(write(tmp_path))
     played(tmp_path, t, front, front)
     with pytest.raises(InputError, match=said.replace("(", r"\(")):
-        simulate(experiment, 0)
+        simulate_trial(experiment, 0)

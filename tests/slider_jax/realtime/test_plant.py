@@ -14,7 +14,7 @@ from slider_jax.experiment.schema import SensorsTable
 from slider_jax.realtime.causality import Held, check_commands
 from slider_jax.realtime.plant import Plant
 from slider_jax.realtime.sensors import SensorNoise
-from slider_jax.simulation.trial import simulate
+from slider_jax.simulation.trial import simulate_trial
 from tests.support.experiments import write
 
 H = 0.005
@@ -67,10 +67,10 @@ def set_pressures(trial, steps):
 
 
 def assert_equals_the_simulation(plant, experiment, trial, rtol=1e-10):
-    run = simulate(experiment, trial)
-    assert run.clock.h == pytest.approx(H, rel=1e-12)
+    run = simulate_trial(experiment, trial)
+    assert run.grid.h == pytest.approx(H, rel=1e-12)
     readings = [plant.begin(trial)]
-    for asked in set_pressures(run.trial, run.clock.steps):
+    for asked in set_pressures(run.trial, run.grid.steps):
         readings.append(plant.advance(asked, H))
     assert readings[-1].ok
     np.testing.assert_allclose([x.t for x in readings], run.t, atol=1e-12)

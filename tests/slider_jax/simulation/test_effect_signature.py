@@ -13,7 +13,7 @@ from slider_jax.effects.library import LIBRARY
 from slider_jax.errors import SolverError
 from slider_jax.experiment.load import load
 from slider_jax.simulation import effect_signature as prints
-from slider_jax.simulation.effect_signature import built_in, fingerprint, typical
+from slider_jax.simulation.effect_signature import built_in_experiment, fingerprint, typical
 from tests.support.experiments import write
 
 
@@ -111,9 +111,9 @@ def test_the_fingerprint_is_of_one_whole_steady_stride(gain):
 
 
 def test_without_a_frequency_the_last_second_is_shown():
-    run = SimpleNamespace(clock=SimpleNamespace(half_period=None, h=0.004, steps=700))
+    run = SimpleNamespace(grid=SimpleNamespace(half_period=None, h=0.004, steps=700))
     assert prints._last_stride(run) == slice(450, 701)
-    run.clock.steps = 100
+    run.grid.steps = 100
     assert prints._last_stride(run) == slice(0, 101)
 
 
@@ -152,6 +152,6 @@ def test_the_command_draws_the_picture_and_says_how_large_the_change_is(gain, ca
 
 
 def test_the_built_in_robot_is_a_valid_experiment():
-    experiment = built_in()
+    experiment = built_in_experiment()
     assert experiment.trials[0].frequency == prints.FREQUENCY
     assert experiment.trials[0].duration == pytest.approx(prints.STRIDES / prints.FREQUENCY)

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from slider_jax.channels import columns as channel_columns
+from slider_jax.channels import channel_columns
 from slider_jax.cli.main import main
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
+from slider_jax.experiment.prepare import edge_steps, half_period_steps, sample
 from slider_jax.io.files import staged, write_csv, write_json
-from slider_jax.simulation.sampling import edge_steps, half_period_steps, sample
 from slider_jax.simulation.summary import settled, trial_summary, window
-from slider_jax.simulation.trial import CHUNK, simulate
+from slider_jax.simulation.trial import CHUNK, simulate_trial
 from tests.support.experiments import write
 
-run_trial = functools.partial(simulate, shape=True)  # one compiled program for all tests
+run_trial = functools.partial(simulate_trial, shape=True)  # one compiled program for all tests
 
 
 def _read(path):
@@ -134,7 +134,7 @@ def test_measured_pressure_in_place_of_the_lag_gives_the_same_forces(simulated, 
     )
     shutil.copy(out / "trial_00.csv", tmp_path / "drive.csv")
     played, original = run_trial(load(path), 0), _read(out / "trial_00.csv")
-    assert played.clock.h == pytest.approx(0.002)
+    assert played.grid.h == pytest.approx(0.002)
     assert trial_summary(load(path), played)["averaged"] == "second half"
     for name, part in (
         ("p_front_Pa", 1e-5),
@@ -160,7 +160,7 @@ def test_same_result_whatever_the_number_of_chunks(tmp_path):
     """The state and the pressures carried from chunk to chunk are all there is to carry."""
     experiment = load(write(tmp_path))
     whole = run_trial(experiment, 0)
-    assert 100 < whole.clock.steps < CHUNK
+    assert 100 < whole.grid.steps < CHUNK
     split = run_trial(experiment, 0, chunk=37)
     for name in ("p_front", "p_rear", "recoil", "tip"):
         scale = np.abs(whole.series[name]).max()
@@ -174,7 +174,7 @@ def test_window_is_half_of_the_whole_strides_and_ends_with_the_trial(tmp_path):
     assert strides == 2  # of 5.6
     summary = trial_summary(experiment, run)
     assert summary["averaged_to_s"] - summary["averaged_from_s"] == pytest.approx(2 / 4.0)
-    assert summary["averaged_to_s"] == pytest.approx(1.4, abs=run.clock.h)
+    assert summary["averaged_to_s"] == pytest.approx(1.4, abs=run.grid.h)
     assert summary["mean_thrust_N"] == pytest.approx(run.series["thrust"][span].mean())
     assert summary["thrust_std_N"] > 0.0
 
@@ -216,8 +216,10 @@ def test_a_trial_is_periodic_if_its_last_two_strides_agree(short, thrust, growth
 
 def test_trials_of_less_than_two_strides_say_so(short):
     def cut(strides):
-        steps = round(strides * 2 * short.clock.half_period)
-        return dataclasses.replace(short, clock=dataclasses.replace(short.clock, steps=steps))
+        steps = round(strides * 2 * short.grid.half_period)
+        grid = dataclasses.replace(short.grid, steps=steps)
+        prepared = dataclasses.replace(short.prepared, grid=grid)
+        return dataclasses.replace(short, prepared=prepared)
 
     assert settled(cut(1.9)) == (
         None,
@@ -226,7 +228,7 @@ def test_trials_of_less_than_two_strides_say_so(short):
     periodic, warning = settled(cut(0.8))
     assert periodic is None
     assert "shorter than one stride (0.25 s): means are over the whole trial" in warning
-    assert window(cut(0.8)) == (slice(1, cut(0.8).clock.steps + 1), 0)
+    assert window(cut(0.8)) == (slice(1, cut(0.8).grid.steps + 1), 0)
 
 
 def test_a_trial_that_is_not_periodic_warns_on_stderr_and_in_the_summary(tmp_path, capsys):
