@@ -147,7 +147,7 @@ class Held(Waveform):
 
 
 class Delayed(Waveform):
-    """`wave`, later by `delay` [s]; what it would give before t = 0 is zero."""
+    """`wave`, delayed by `delay` [s]; zero until its start."""
 
     wave: Waveform
     delay: Scalar
@@ -156,14 +156,14 @@ class Delayed(Waveform):
         early = self.wave.segment(jnp.where(t0 > self.delay, t0 - self.delay, 0.0), t1 - self.delay)
         smooth = early.t_break >= early.t1
         before = t1 <= self.delay
-        # Also at no delay, where it takes no time: so the start moves with the delay from null on.
+        # A start at t0 also counts at zero delay, so that the tangent there moves the start.
         starts = ((t0 < self.delay) | ((t0 == self.delay) & smooth)) & (t1 > self.delay)
 
         def choose(inside, beginning):
             return jnp.where(before, 0.0, jnp.where(starts, beginning, inside))
 
-        # Where it starts within the step, the break is the start: no edge falls so soon after. A
-        # wave that is zero at its start has its first edge for a start.
+        # If the wave starts within the step, the break is the start, because no edge follows in
+        # the same step. A wave that is zero at first starts at its first edge.
         late = ~smooth & (early.a0 == 0.0)
         break_at = jnp.where(starts & ~late, self.delay, early.t_break + self.delay)
         return Segment(
@@ -178,9 +178,10 @@ class Delayed(Waveform):
 
 
 class Shaped(Waveform):
-    """curve(wave); exact for straight curves and for set pressures that are constant in steps.
+    """curve(wave); exact for linear curves and for piecewise constant set pressures.
 
-    `curve` takes and gives a set pressure [Pa]; it is a pytree, as a method of an effect is.
+    `curve` maps a set pressure [Pa] to a set pressure [Pa]. It is a pytree, such as a method of an
+    effect.
     """
 
     wave: Waveform

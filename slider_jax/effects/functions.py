@@ -7,24 +7,24 @@ from jaxtyping import Array, Float
 from slider_jax.beam.parameters import Scalar
 
 SHARP = 32
-"""Exponent of a limit: at nine tenths of it 0.1 % are missing, at the limit itself 2 %."""
+"""Exponent of a limit. The result is 0.1 % too small at nine tenths of the limit, 2 % at it."""
 
 
 def magnitude(x: Array, width: float) -> Array:
-    """|x|, rounded below `width`: sqrt(x^2 + width^2)."""
+    """Return |x|, rounded below `width`: sqrt(x^2 + width^2)."""
     return jnp.sqrt(x**2 + width**2)
 
 
 def limited(x: Array, inverse: Array) -> Array:
-    """x, held between -1/inverse and 1/inverse: x/(1 + |inverse x|^32)^(1/32)."""
+    """Return x limited to -1/inverse and 1/inverse: x/(1 + |inverse x|^32)^(1/32)."""
     return x / (1.0 + (inverse * x) ** SHARP) ** (1.0 / SHARP)
 
 
 def delayed(x: Float[Array, " n"], t: Float[Array, " n"], delay: Scalar) -> Float[Array, " n"]:
-    """x(t - delay) at the times `t` [s], for either sign; x stays as it is beyond its ends.
+    """Return x(t - delay) at the times `t` [s]; the delay may be negative, and x has constant ends.
 
-    Cubic Hermite between samples with central differences for slopes, so that the derivative to
-    the delay is continuous where samples are passed, and at zero.
+    The interpolation is cubic Hermite with central differences as slopes, so the derivative with
+    respect to the delay is continuous at the samples and at zero.
     """
     last = x.shape[0] - 1
     place = jnp.arange(last + 1.0) - delay / (t[1] - t[0])
@@ -40,16 +40,16 @@ def delayed(x: Float[Array, " n"], t: Float[Array, " n"], delay: Scalar) -> Floa
 def lagged(
     x: Float[Array, " n"], t: Float[Array, " n"], tau: Scalar, start: Array | None = None
 ) -> Float[Array, " n"]:
-    """y of tau dy/dt = x - y, from y = `start`, or x, at first; exact for x linear between samples.
+    """Return y of tau dy/dt = x - y from y = `start` (default: x); exact for x linear in a step.
 
-    Over a step dt, with e = exp(-dt/tau) and the mean m = (1 - e) tau/dt of the decay,
+    For a step dt, with e = exp(-dt/tau) and m = (1 - e) tau/dt, the mean of the decay,
 
         y_1 = e y_0 + (1 - e) x_0 + (1 - m) (x_1 - x_0)
 
-    Equal to x at tau = 0, with the derivative of a slow x, -dx/dt, there.
+    At tau = 0 the result is x, and its derivative with respect to tau is that of a slow x, -dx/dt.
     """
     dt = t[1] - t[0]
-    # Of the decay nothing is left in float64 at tau < dt/500; m is then tau/dt.
+    # For tau < dt/500 the decay e is zero in float64, and m = tau/dt.
     slow = tau > dt / 500.0
     exponent = dt / jnp.where(slow, tau, dt)
     e = jnp.where(slow, jnp.exp(-exponent), 0.0)
@@ -57,7 +57,7 @@ def lagged(
 
     def body(y, ends):
         x_0, x_1 = ends
-        # x_1 less what lags behind it: exact at tau = 0.
+        # Written as x_1 minus the lag, which is exact at tau = 0.
         y = x_1 + e * (y - x_0) - m * (x_1 - x_0)
         return y, y
 

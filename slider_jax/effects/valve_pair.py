@@ -1,4 +1,4 @@
-"""Two valves that the firmware pulses: what its laws of flow share."""
+"""Base class of the effects that model the two valves pulsed by the firmware."""
 
 from abc import abstractmethod
 
@@ -10,25 +10,25 @@ from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Chamber, Flow
 
 FULL = 25 * 932.8
-"""Error [Pa] from which on the firmware opens a valve as far as it does: 10 a code, at most 250."""
+"""Error [Pa] of the largest duty: 25 codes, because the firmware adds 10 a code up to 250."""
 WIDEST = 250.0 / 255.0
-"""Duty of a valve that is open as far as the firmware opens it."""
+"""Largest duty that the firmware sets."""
 
 
 def opening(error: Array, dead: Scalar) -> Array:
-    """Share of full flow of the valve that an error [Pa] opens.
+    """Return the share of full flow through the valve that an error [Pa] opens.
 
-    The duty min(250, 10 |error in codes|)/255, of which the share `dead` opens nothing. Source:
-    the public repository bvanstratum/SoftSnakePressureControl.
+    The duty is min(250, 10 |error in codes|)/255. A duty below `dead` opens nothing. Source: the
+    public repository bvanstratum/SoftSnakePressureControl.
     """
     duty = WIDEST * jnp.minimum(jnp.abs(error) / FULL, 1.0)
     return jnp.maximum(duty - dead, 0.0) / (1.0 - dead)
 
 
 class ValvePair(Flow):
-    """A valve to the supply and one to the room, opened by the duty, take the place of the lag.
+    """A valve to the supply and a valve to the room, opened by the duty, replace the lag.
 
-    With `fill` = 0, its null, the lag is left as it is.
+    At the null, `fill` = 0, the lag is unchanged.
     """
 
     sensors = ("pressure", "thrust", "recoil", "tip")
@@ -39,7 +39,7 @@ class ValvePair(Flow):
 
     @abstractmethod
     def flows(self, p: Array) -> tuple[Array, Array]:
-        """|dp/dt| [Pa/s] of the open fill and vent valve at the pressure p >= 0 [Pa]."""
+        """Return |dp/dt| [Pa/s] of the open fill and vent valves at the pressure p >= 0 [Pa]."""
 
     def rate(self, rate: Array, x: Chamber) -> Array:
         fill, vent = self.flows(jnp.abs(x.p))

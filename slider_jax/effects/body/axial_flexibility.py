@@ -7,7 +7,7 @@ from slider_jax.effects.base import BodyChange, parameter
 
 
 class AxialFlexibility(BodyChange):
-    """Compliance along the actuated body, in series with its own.
+    """Additional axial compliance of the actuated body, in series with its own.
 
         1/EA_body -> 1/EA_body + c
 
@@ -19,7 +19,7 @@ class AxialFlexibility(BodyChange):
     order = 300
 
     compliance: Scalar = parameter(
-        0.0, 0.0, 4e-3, "1/N", "walls that bend with EI = 0.038 at 8 mm from the middle have 2e-3"
+        0.0, 0.0, 4e-3, "1/N", "2e-3 for walls 8 mm from the midline with EI = 0.038 N m^2"
     )
     """c, strain per force."""
 

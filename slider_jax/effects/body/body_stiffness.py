@@ -1,4 +1,4 @@
-"""A body stiffer or softer than it was measured."""
+"""A body stiffer or softer than measured."""
 
 import dataclasses
 
@@ -7,7 +7,7 @@ from slider_jax.effects.base import BodyChange, parameter
 
 
 class BodyStiffness(BodyChange):
-    """Bending stiffness of the actuated body.
+    """A change of the bending stiffness of the actuated body.
 
         EI_body -> EI_body (1 + x)
 
@@ -18,7 +18,7 @@ class BodyStiffness(BodyChange):
     order = 260
 
     x: Scalar = parameter(
-        0.0, -0.3, 0.4, "-", "a bend test is good to a tenth; age, tubes and a sleeve stiffen"
+        0.0, -0.3, 0.4, "-", "bend tests err by a tenth; age, tubes and a sleeve stiffen"
     )
     """Relative change."""
 

@@ -1,4 +1,4 @@
-"""Mass that moves with the body and was not weighed."""
+"""Unweighed mass that moves with the body."""
 
 import dataclasses
 
@@ -7,11 +7,11 @@ from slider_jax.effects.base import BodyChange, parameter
 
 
 class CarriedMass(BodyChange):
-    """Water held in folds, sensors, tubes, spread evenly over body and tail.
+    """Water held in folds, sensors and tubes, distributed evenly over body and tail.
 
         m -> m + dm
 
-    It acts along the body as well as across it, unlike the water's added mass.
+    Unlike added mass of the water, it acts both along and across the body.
     Source: balance of momentum; Newman, J. N. (1977), Marine Hydrodynamics, MIT Press, ch. 4.
     """
 

@@ -1,4 +1,4 @@
-"""A clamp that turns under the moment of the body."""
+"""A clamp that rotates under the bending moment."""
 
 import jax.numpy as jnp
 
@@ -7,20 +7,20 @@ from slider_jax.effects.base import Mounting, parameter
 
 
 class ClampCompliance(Mounting):
-    """The head turns against the carriage like a spring of stiffness 1/c.
+    """The head rotates relative to the carriage, held by a spring of stiffness 1/c.
 
-        phi_head - phi_carriage = -c M_head,    M lagging as `MOUNT_LAG` says
+        phi_head - phi_carriage = -c M_head,    M filtered with `MOUNT_LAG`
 
-    M at the head is what the clamp puts on the body, positive where it bends the body to positive
-    curvature; the body turns the clamp the other way. Source: Euler-Bernoulli beam on an elastic
+    M_head is the moment of the clamp on the body, positive if it bends the body to positive
+    curvature. The body turns the clamp the other way. Source: Euler-Bernoulli beam on an elastic
     support, e.g. Blevins, R. D. (1979), Formulas for natural frequency and mode shape, ch. 8.
     """
 
-    title = "the clamp turns under load"
+    title = "the clamp rotates under load"
     order = 370
 
     compliance: Scalar = parameter(
-        0.0, 0.0, 3.0, "rad/(N m)", "rigid to as soft as a third of the body (EI/L = 0.1 N m/rad)"
+        0.0, 0.0, 3.0, "rad/(N m)", "from rigid to a third of the body's EI/L = 0.1 N m/rad"
     )
     """c, the inverse of the clamp's stiffness [N m/rad]."""
 

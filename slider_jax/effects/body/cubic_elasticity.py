@@ -1,15 +1,15 @@
-"""A material whose stress is not in proportion to its strain."""
+"""A material with nonlinear elasticity."""
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import BendingMoment, parameter
 
 
 class CubicElasticity(BendingMoment):
-    """Body and tail stiffen as they bend, in proportion to their own stiffness.
+    """Body and tail stiffen with curvature, in proportion to their own stiffness.
 
         M = EI kappa (1 + b kappa^2)
 
-    `Stiffening` is of the actuated body alone. b below zero softens. Source: Nayfeh, A. H. and
+    `Stiffening` acts on the actuated body only. A negative b softens. Source: Nayfeh, A. H. and
     Mook, D. T. (1979), Nonlinear Oscillations, Wiley, ch. 2.
     """
 
@@ -21,9 +21,9 @@ class CubicElasticity(BendingMoment):
         -0.005,
         0.1,
         "m^2",
-        "twice the stiffness where kappa = 3 1/m; softens by a tenth",
+        "doubles the stiffness at kappa = 3 1/m; softens by a tenth",
     )
-    """Relative growth of the stiffness per square of the curvature."""
+    """Relative increase of the stiffness per squared curvature."""
 
     def moment(self, x, memory, dt):
         return x.EI * self.b * x.kappa**3, memory

@@ -8,12 +8,12 @@ from slider_jax.effects.base import ForceDensity, parameter
 
 
 class Gravity(ForceDensity):
-    """Weight per unit length, less buoyancy, along -x: a climbing body has its head up the x axis.
+    """Weight minus buoyancy per unit length, along -x; the x axis points up along a climber.
 
         (F_x, F_y) = (-m g/(1 + eps), 0)
 
-    m is per unstretched length. In water use the reduced g (1 - rho A/m); SLIDER
-    is near neutral there. Source: Archimedes' principle, e.g. Batchelor, G. K. (1967), An
+    m is the mass per unstretched length. In water use the reduced g (1 - rho A/m); there the robot
+    is nearly neutrally buoyant. Source: Archimedes' principle, e.g. Batchelor, G. K. (1967), An
     Introduction to Fluid Dynamics, Cambridge University Press, section 1.4.
     """
 

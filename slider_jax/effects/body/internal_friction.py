@@ -7,16 +7,16 @@ from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import BendingMoment, parameter
 
 CREEP = 1.0
-"""w [1/(m s)], a hundredth of the bending rate of a stride."""
+"""w [1/(m s)], 1 % of the curvature rate in a stride, small enough to leave the friction dry."""
 
 
 class InternalFriction(BendingMoment):
-    """Dahl's friction of tubes, sleeve and chambers that rub in the actuated body.
+    """Dahl's friction between tubes, sleeve and chambers of the actuated body.
 
         M = EI kappa + z_c q,    kappa_c dq/dt = d(kappa)/dt - |d(kappa)/dt| q
 
-    q goes from -1 to 1 within a few kappa_c of bending and is the memory. |r| is
-    sqrt(r^2 + w^2), smooth and dissipative: the friction creeps away where the body rests.
+    The memory q changes from -1 to 1 within a few kappa_c of bending. |r| is sqrt(r^2 + w^2), which
+    is smooth and dissipative: the friction decays slowly while the body is at rest.
     Source: Dahl, P. R. (1976), Solid friction damping of mechanical vibrations, AIAA J. 14,
     1675-1682.
     """
@@ -27,9 +27,9 @@ class InternalFriction(BendingMoment):
     z_c: Scalar = parameter(
         0.0, 0.0, 0.03, "N m", "up to a quarter of the chambers' 0.12 N m at 250 kPa"
     )
-    """The moment of friction."""
+    """Friction moment."""
     kappa_c: Scalar = eqx.field(default=0.3)
-    """Curvature [1/m] that turns the friction round; a tenth of a stride's."""
+    """Curvature [1/m] that reverses the friction; a tenth of the curvature in a stride."""
 
     def moment(self, x, memory, dt):
         speed = jnp.sqrt(x.kappa_t**2 + CREEP**2)

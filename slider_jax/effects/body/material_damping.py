@@ -1,4 +1,4 @@
-"""More or less damping in the material."""
+"""A change of the damping of the material."""
 
 import dataclasses
 
@@ -11,7 +11,7 @@ class MaterialDamping(BodyChange):
 
         alpha -> alpha (1 + x)
 
-    Nothing changes where the robot's alpha is zero.
+    It has no effect if the robot's alpha is zero.
     Source: Christensen, R. M. (1982), Theory of Viscoelasticity, 2nd ed., Academic Press, ch. 1.
     """
 
@@ -19,7 +19,7 @@ class MaterialDamping(BodyChange):
     order = 280
 
     x: Scalar = parameter(
-        0.0, -0.9, 4.0, "-", "rubber's damping is known to a factor: batch, temperature, rate"
+        0.0, -0.9, 4.0, "-", "rubber's damping varies by a factor with batch, temperature and rate"
     )
     """Relative change."""
 

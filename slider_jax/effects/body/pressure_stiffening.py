@@ -1,4 +1,4 @@
-"""A body that pressure makes stiffer."""
+"""A body that stiffens under pressure."""
 
 import jax.numpy as jnp
 
@@ -7,11 +7,11 @@ from slider_jax.effects.base import BendingMoment, parameter
 
 
 class PressureStiffening(BendingMoment):
-    """Chambers under pressure add to the stiffness where they are.
+    """A chamber under pressure increases the stiffness along its span.
 
         M = EI kappa + c |p| kappa
 
-    p is the pressure of the chamber at the cell. Source: Comer, R. L. and Levy, S. (1963),
+    p is the pressure of the chamber that spans the cell. Source: Comer, R. L. and Levy, S. (1963),
     Deflections of an inflated circular-cylindrical cantilever beam, AIAA J. 1, 1652-1655.
     """
 

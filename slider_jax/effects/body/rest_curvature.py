@@ -1,15 +1,15 @@
-"""A body that is bent at rest."""
+"""A body with rest curvature."""
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import BendingMoment, parameter
 
 
 class RestCurvature(BendingMoment):
-    """The actuated body, without pressure, has the curvature m_0/EI.
+    """The actuated body has the curvature m_0/EI without pressure.
 
         M = EI kappa - m_0
 
-    A rollout from rest starts straight and springs to it.
+    A rollout from rest starts straight and then bends to this curvature.
     Source: Audoly, B. and Pomeau, Y. (2010), Elasticity and Geometry, Oxford, ch. 3.
     """
 
@@ -17,9 +17,9 @@ class RestCurvature(BendingMoment):
     order = 360
 
     m_0: Scalar = parameter(
-        0.0, -0.03, 0.03, "N m", "walls unequal by a tenth, or a set of 0.8 1/m from storage"
+        0.0, -0.03, 0.03, "N m", "walls that differ by a tenth, or a storage set of 0.8 1/m"
     )
-    """Moment that would straighten it; positive bends like positive pressure."""
+    """Moment that would straighten the body; positive values bend it like positive pressure."""
 
     def moment(self, x, memory, dt):
         return -(1.0 - x.in_tail) * self.m_0, memory

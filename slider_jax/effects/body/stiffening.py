@@ -5,22 +5,22 @@ from slider_jax.effects.base import BendingMoment, parameter
 
 
 class Stiffening(BendingMoment):
-    """Cubic elasticity of the actuated body: walls of rubber that are stretched far, or folds.
+    """Cubic elasticity of the actuated body, from strongly stretched rubber walls or folds.
 
         M = EI kappa + beta kappa^3
 
-    The first odd term after the linear one. beta below zero softens; the body stays stable where
-    3 |beta| kappa^2 < EI. Source: Nayfeh, A. H. and Mook, D. T. (1979), Nonlinear Oscillations,
-    Wiley, ch. 2.
+    It is the first odd term after the linear one. A negative beta softens; the body stays stable
+    while 3 |beta| kappa^2 < EI. Source: Nayfeh, A. H. and Mook, D. T. (1979), Nonlinear
+    Oscillations, Wiley, ch. 2.
     """
 
     title = "the body stiffens as it bends"
     order = 310
 
     beta: Scalar = parameter(
-        0.0, -2e-4, 2e-3, "N m^4", "half of EI kappa where kappa = 3 1/m; softens by a twentieth"
+        0.0, -2e-4, 2e-3, "N m^4", "half of EI kappa at kappa = 3 1/m; softens by a twentieth"
     )
-    """Of the cubic term."""
+    """Coefficient of the cubic term."""
 
     def moment(self, x, memory, dt):
         return (1.0 - x.in_tail) * self.beta * x.kappa**3, memory

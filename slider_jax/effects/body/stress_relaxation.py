@@ -1,4 +1,4 @@
-"""Stress that relaxes while a bend is held."""
+"""Stress that relaxes at constant curvature."""
 
 import equinox as eqx
 
@@ -7,11 +7,11 @@ from slider_jax.effects.base import BendingMoment, parameter
 
 
 class StressRelaxation(BendingMoment):
-    """Standard linear solid: a spring and a dashpot in line, beside the actuated body's EI.
+    """Standard linear solid: a spring and a dashpot in series, parallel to the body's EI.
 
         M = EI kappa + E_1 q,    dq/dt = d(kappa)/dt - q/tau
 
-    q is the curvature that the spring of this arm feels; it is the memory.
+    The memory q is the curvature of the spring in this arm.
     Source: Christensen, R. M. (1982), Theory of Viscoelasticity, 2nd ed., Academic Press, ch. 1.
     """
 
@@ -23,7 +23,7 @@ class StressRelaxation(BendingMoment):
     )
     """Stiffness of the arm."""
     tau: Scalar = eqx.field(default=0.1)
-    """Relaxation time [s]; in a stride of 0.2 s the default neither follows nor stands still."""
+    """Relaxation time [s]; the default relaxes partly within a stride of 0.2 s."""
 
     def moment(self, x, memory, dt):
         q = (memory + dt * x.kappa_t) / (1.0 + dt / self.tau)

@@ -1,4 +1,4 @@
-"""A mounting that yields lengthwise."""
+"""A mounting that yields axially."""
 
 import jax.numpy as jnp
 
@@ -7,16 +7,16 @@ from slider_jax.effects.base import Mounting, parameter
 
 
 class SurgeCompliance(Mounting):
-    """The head moves along tau against the carriage like a spring of stiffness 1/c.
+    """The head moves along tau relative to the carriage, held by a spring of stiffness 1/c.
 
-        V_tau - V_tau,carriage = -c dT/dt,    T lagging as `MOUNT_LAG` says
+        V_tau - V_tau,carriage = -c dT/dt,    T filtered with `MOUNT_LAG`
 
-    T at the head is what the mounting puts on the body; the spring carries -T, the thrust, and
-    gives way along it. Source: Meirovitch, L. (2001), Fundamentals of Vibrations, McGraw-Hill,
+    T is the force of the mounting on the head. The spring carries -T, the thrust, and yields in
+    its direction. Source: Meirovitch, L. (2001), Fundamentals of Vibrations, McGraw-Hill,
     ch. 1.
     """
 
-    title = "the mounting yields lengthwise"
+    title = "the mounting yields axially"
     order = 390
 
     compliance: Scalar = parameter(
@@ -24,7 +24,7 @@ class SurgeCompliance(Mounting):
         0.0,
         3e-4,
         "m/N",
-        "a soft sensor or strut, 3 kN/m; softer, the robot would bounce",
+        "a soft sensor or strut has 3 kN/m; softer ones would let the robot bounce",
         3e-5,
     )
     """c, the inverse of the mounting's stiffness [N/m]."""

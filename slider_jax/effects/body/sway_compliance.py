@@ -1,4 +1,4 @@
-"""A mounting that yields sideways."""
+"""A mounting that yields laterally."""
 
 import jax.numpy as jnp
 
@@ -7,16 +7,16 @@ from slider_jax.effects.base import Mounting, parameter
 
 
 class SwayCompliance(Mounting):
-    """The head moves along n against the carriage like a spring of stiffness 1/c.
+    """The head moves along n relative to the carriage, held by a spring of stiffness 1/c.
 
-        V_n - V_n,carriage = -c dN/dt,    N lagging as `MOUNT_LAG` says
+        V_n - V_n,carriage = -c dN/dt,    N filtered with `MOUNT_LAG`
 
-    N at the head is what the mounting puts on the body; the spring carries -N, the recoil, and
-    gives way along it. Source: Meirovitch, L. (2001), Fundamentals of Vibrations, McGraw-Hill,
+    N is the force of the mounting on the head. The spring carries -N, the recoil, and yields in
+    its direction. Source: Meirovitch, L. (2001), Fundamentals of Vibrations, McGraw-Hill,
     ch. 1.
     """
 
-    title = "the mounting yields sideways"
+    title = "the mounting yields laterally"
     order = 380
 
     compliance: Scalar = parameter(

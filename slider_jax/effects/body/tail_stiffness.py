@@ -1,4 +1,4 @@
-"""A tail stiffer or softer than it was measured."""
+"""A tail stiffer or softer than measured."""
 
 import dataclasses
 
@@ -7,11 +7,11 @@ from slider_jax.effects.base import BodyChange, parameter
 
 
 class TailStiffness(BodyChange):
-    """Bending stiffness of the passive tail.
+    """A change of the bending stiffness of the passive tail.
 
         EI_tail -> EI_tail (1 + x)
 
-    Source: Euler-Bernoulli beam; EI goes with the cube of a sheet's thickness, Gere, J. M. and
+    Source: Euler-Bernoulli beam; EI scales with the cube of a sheet's thickness, Gere, J. M. and
     Timoshenko, S. P. (1997), Mechanics of Materials, 4th ed., ch. 5.
     """
 
@@ -19,7 +19,7 @@ class TailStiffness(BodyChange):
     order = 270
 
     x: Scalar = parameter(
-        0.0, -0.5, 0.8, "-", "a sixth in thickness is a half in EI; a joint's overlap stiffens"
+        0.0, -0.5, 0.8, "-", "EI varies by half per sixth of thickness; a joint's overlap stiffens"
     )
     """Relative change."""
 

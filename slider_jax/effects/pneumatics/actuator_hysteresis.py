@@ -1,4 +1,4 @@
-"""Actuators that remember which way their pressure came."""
+"""Hysteresis of the actuators."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -8,15 +8,14 @@ from slider_jax.effects.base import ActingPressure, parameter
 
 
 class ActuatorHysteresis(ActingPressure):
-    """Friction in the walls holds the moment back, on the way up and on the way down.
+    """Friction in the walls delays the moment while pressure rises and while it falls.
 
         p_act = p - A z,    w dz/dt = dp/dt - |dp/dt| z
 
-    z tends to the sign of dp/dt within a few w of pressure, so that a wide loop is 2 A high; it
-    depends on the way that p took, not on time, and is stepped exactly:
-    z_1 = s + (z_0 - s) exp(-|dp|/w) with s the sign of dp. Source: Wen, Y.-K. (1976), Method for
-    random vibration of hysteretic systems, J. Eng. Mech. Div. ASCE 102, 249-263, with exponent 1
-    and one slope.
+    z approaches the sign of dp/dt within a few w of pressure, so a wide loop is 2 A high. It
+    depends on the path of p, not on time. The step is exact: z_1 = s + (z_0 - s) exp(-|dp|/w),
+    where s is the sign of dp. Source: Wen, Y.-K. (1976), Method for random vibration of hysteretic
+    systems, J. Eng. Mech. Div. ASCE 102, 249-263, with exponent 1 and one slope.
     """
 
     title = "hysteresis of the actuators"
@@ -27,7 +26,7 @@ class ActuatorHysteresis(ActingPressure):
     )
     """A, half the height of a wide loop."""
     width: Scalar = eqx.field(default=50e3)
-    """w [Pa], over which a reversal is forgotten."""
+    """w [Pa], the change of pressure over which z reverses."""
 
     def act(self, p, memory, dt):
         # The memory is p - w z: at the start it is p, and z is zero.

@@ -1,4 +1,4 @@
-"""An actuator that bends more and more for more pressure."""
+"""An actuator whose moment grows faster than its pressure."""
 
 import jax.numpy as jnp
 
@@ -7,11 +7,11 @@ from slider_jax.effects.base import ActingPressure, parameter
 
 
 class ActuatorQuadratic(ActingPressure):
-    """The moment has a quadratic part: the chambers' cross-section and its lever arm swell.
+    """The moment has a quadratic part, because the chambers' section and lever arm grow.
 
         p_act = p (1 + q |p|)
 
-    To first order the opposite of `ActuatorSaturation`, told from it by its sign. Source:
+    To first order it is `ActuatorSaturation` with the opposite sign. Source:
     Polygerinos, P. et al. (2015), Modeling of soft fiber-reinforced bending actuators, IEEE Trans.
     Robot. 31, 778-789.
     """

@@ -1,4 +1,4 @@
-"""An actuator that bends less and less for more pressure."""
+"""An actuator whose moment grows more slowly than its pressure."""
 
 import jax.numpy as jnp
 
@@ -7,20 +7,20 @@ from slider_jax.effects.base import ActingPressure, parameter
 
 
 class ActuatorSaturation(ActingPressure):
-    """The moment grows less than in proportion to the pressure.
+    """The moment saturates with the pressure.
 
         p_act = p/(1 + c |p|)
 
-    At p = 1/c half is lost. Source: torque of fibre-reinforced bending actuators, whose walls take
-    up a growing share, Polygerinos, P. et al. (2015), Modeling of soft fiber-reinforced bending
-    actuators, IEEE Trans. Robot. 31, 778-789.
+    At p = 1/c half of the moment is lost. Source: torque of fibre-reinforced bending actuators,
+    whose walls carry an increasing share, Polygerinos, P. et al. (2015), Modeling of soft
+    fiber-reinforced bending actuators, IEEE Trans. Robot. 31, 778-789.
     """
 
     title = "the actuators' moment saturates"
     order = 200
 
     inverse: Scalar = parameter(0.0, 0.0, 3e-6, "1/Pa", "half of the moment is lost at 330 kPa")
-    """c, inverse of the pressure at which half is lost."""
+    """c, inverse of the pressure at which half of the moment is lost."""
 
     def act(self, p, memory, dt):
         return p / (1.0 + self.inverse * jnp.abs(p)), memory

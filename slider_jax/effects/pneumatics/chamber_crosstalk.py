@@ -1,4 +1,4 @@
-"""Chambers that bend each other's span."""
+"""Chambers that also bend each other's span."""
 
 import jax.numpy as jnp
 
@@ -19,7 +19,7 @@ class ChamberCrosstalk(ActingPressure):
     order = 240
 
     share: Scalar = parameter(
-        0.0, -0.1, 0.3, "-", "spans touch at 1 cm of 13 and share a skin; a little either way"
+        0.0, -0.1, 0.3, "-", "spans share 1 cm of 13 and the skin; small values of either sign"
     )
     """c, share of a chamber's moment in the span of the other."""
 

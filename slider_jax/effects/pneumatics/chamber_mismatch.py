@@ -1,4 +1,4 @@
-"""Front and rear chambers that are not alike."""
+"""A difference between front and rear chambers."""
 
 import jax.numpy as jnp
 
@@ -7,7 +7,7 @@ from slider_jax.effects.base import ActingPressure, parameter
 
 
 class ChamberMismatch(ActingPressure):
-    """The front chamber bends the body more than the rear one, at the same mean.
+    """The front chamber bends the body more than the rear chamber; their mean is unchanged.
 
         p_act = ((1 + d) p_front, (1 - d) p_rear)
 
@@ -19,7 +19,9 @@ class ChamberMismatch(ActingPressure):
     title = "front and rear chambers bend differently"
     order = 230
 
-    difference: Scalar = parameter(0.0, -0.3, 0.3, "-", "hand-made chambers differ by a few tenths")
+    difference: Scalar = parameter(
+        0.0, -0.3, 0.3, "-", "hand-made chambers differ by tens of percent"
+    )
     """d, half the difference of the two K_Q over their mean."""
 
     def act(self, p, memory, dt):

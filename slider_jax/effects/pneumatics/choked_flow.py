@@ -1,4 +1,4 @@
-"""Valves that pass no more than their sonic flow."""
+"""Valves limited by sonic flow."""
 
 import jax.numpy as jnp
 
@@ -7,13 +7,13 @@ from slider_jax.effects.base import Flow, parameter
 
 
 class ChokedFlow(Flow):
-    """The faster a chamber should fill, the more the valve falls short of it.
+    """The valve reduces the flow smoothly towards a largest rate.
 
         dp/dt = r/(1 + c |r|),    r = (p_set - p)/k
 
-    |dp/dt| stays below R = 1/c. At sonic speed in the throat the mass flow depends on the pressure
-    upstream alone and no longer grows with the difference. Source: ISO 6358-1 (2013), Pneumatic
-    fluid power: determination of flow-rate characteristics of components.
+    |dp/dt| stays below R = 1/c. At sonic speed in the throat the mass flow depends only on the
+    upstream pressure and no longer increases with the pressure difference. Source: ISO 6358-1
+    (2013), Pneumatic fluid power: determination of flow-rate characteristics of components.
     """
 
     title = "flow through the valves is choked"
@@ -21,7 +21,7 @@ class ChokedFlow(Flow):
     sensors = ("pressure", "thrust", "recoil", "tip")
 
     inverse: Scalar = parameter(
-        0.0, 0.0, 1e-6, "s/Pa", "reversing 250 kPa at k = 87 ms asks for 6 MPa/s; down to 1 MPa/s"
+        0.0, 0.0, 1e-6, "s/Pa", "reversing 250 kPa at k = 87 ms needs 6 MPa/s; R is 1 MPa/s or more"
     )
     """c = 1/R, the inverse of the largest rate."""
 

@@ -1,4 +1,4 @@
-"""Filling and venting at different time constants."""
+"""Different time constants for filling and venting."""
 
 import jax.numpy as jnp
 
@@ -7,10 +7,10 @@ from slider_jax.effects.base import Flow, parameter
 
 
 class FillVentAsymmetry(Flow):
-    """A chamber vents to the room slower than it fills from the supply, or faster.
+    """A chamber vents more slowly, or faster, than it fills.
 
-        dp/dt = (p_set - p)/k        while |p| grows
-        dp/dt = (p_set - p)/(r k)    while |p| falls
+        dp/dt = (p_set - p)/k        while |p| increases
+        dp/dt = (p_set - p)/(r k)    while |p| decreases
 
     Source: charge and discharge of a volume, Beater, P. (2007), Pneumatic Drives, Springer.
     """

@@ -1,4 +1,4 @@
-"""The rig's own valves: pulsed by its firmware, choked when the pressures ask for it."""
+"""The rig's valves, pulsed by its firmware, with choked or subsonic flow."""
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import parameter
@@ -8,10 +8,10 @@ from slider_jax.effects.valve_pair import ValvePair
 
 
 class FirmwareValves(ValvePair):
-    """Two pulsed valves, one to the supply and one to the room, take the place of the lag.
+    """Two pulsed valves, one to the supply and one to the room, replace the lag.
 
-        dp/dt =  c_f u P_s psi((p_a + |p|)/P_s)            filling, of the sign of p_set - p
-        dp/dt =  c_v u (p_a + |p|) psi(p_a/(p_a + |p|))    venting, of the sign of p_set - p
+        dp/dt =  c_f u P_s psi((p_a + |p|)/P_s)            filling, with the sign of p_set - p
+        dp/dt =  c_v u (p_a + |p|) psi(p_a/(p_a + |p|))    venting, with the sign of p_set - p
         psi(r) = sqrt(1 - ((r - b)/(1 - b))^2),    1 for r < b
 
     u is the firmware's duty for the error (`valve_pair.opening`). P_s = p_a + p_s is the absolute
@@ -30,22 +30,22 @@ class FirmwareValves(ValvePair):
         0.0,
         8.0,
         "1/s",
-        "0.1 l by a valve of 1 mm fills in a fraction of a second",
+        "a valve of 1 mm fills 0.1 l in a fraction of a second",
         1.5,
     )
-    """c_f, choked flow of the fill valve over volume."""
+    """c_f, choked flow of the fill valve divided by the volume."""
     vent: Scalar = parameter(
-        1.5, 0.05, 8.0, "1/s", "0.1 l by a valve of 1 mm empties in a fraction of a second"
+        1.5, 0.05, 8.0, "1/s", "a valve of 1 mm empties 0.1 l in a fraction of a second"
     )
-    """c_v, of the vent valve."""
+    """c_v of the vent valve."""
     supply: Scalar = parameter(
-        450e3, 200e3, 1.1e6, "Pa", "regulators and compressors of laboratories, gauge"
+        450e3, 200e3, 1.1e6, "Pa", "laboratory regulators and compressors, gauge"
     )
-    """p_s, gauge."""
+    """Supply pressure p_s, gauge."""
     critical: Scalar = parameter(0.3, 0.1, 0.6, "-", "0.2 to 0.5 for valves, 0.528 for a nozzle")
-    """b."""
+    """Critical pressure ratio b."""
     dead: Scalar = parameter(0.05, 0.0, 0.5, "-", "pulses too short to lift the armature")
-    """Duty below which a valve stays shut."""
+    """Duty below which a valve stays closed."""
 
     def flows(self, p):
         inside, supply = ATMOSPHERE + p, ATMOSPHERE + self.supply

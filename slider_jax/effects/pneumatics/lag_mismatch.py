@@ -1,11 +1,11 @@
-"""Chambers that do not fill alike."""
+"""Different time constants of the two chambers."""
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Flow, parameter
 
 
 class LagMismatch(Flow):
-    """The rear chamber follows with another time constant: its hose is longer.
+    """The rear chamber has a different time constant, for instance because its hose is longer.
 
         dp/dt = (p_set - p)/k          front
         dp/dt = (p_set - p)/(k (1 + x))    rear
@@ -13,7 +13,7 @@ class LagMismatch(Flow):
     Source: charge of a volume through a line, Beater, P. (2007), Pneumatic Drives, Springer.
     """
 
-    title = "the rear chamber has another lag"
+    title = "the rear chamber has a different lag"
     order = 80
     rear_only = True
     sensors = ("pressure", "thrust", "recoil", "tip")

@@ -9,7 +9,7 @@ class Leakage(Flow):
 
         dp/dt = (p_set - p)/k - q p
 
-    The steady pressure is p_set/(1 + q k), reached with the rate 1/k + q. Source: laminar leak of a
+    The pressure approaches p_set/(1 + q k) at the rate 1/k + q. Source: laminar leak of a
     volume, Andersen, B. W. (1967), The analysis and design of pneumatic systems, Wiley.
     """
 
@@ -18,9 +18,9 @@ class Leakage(Flow):
     sensors = ("pressure", "thrust", "recoil", "tip")
 
     leak: Scalar = parameter(
-        0.0, 0.0, 3.0, "1/s", "sound chambers hold for minutes, a torn seam for a third of a second"
+        0.0, 0.0, 3.0, "1/s", "intact chambers hold for minutes, a torn seam for 0.3 s"
     )
-    """q = 1/tau, inverse of the time in which a shut chamber empties."""
+    """q = 1/tau, inverse of the time constant of a closed chamber's pressure."""
 
     def rate(self, rate, x):
         return rate - self.leak * x.p

@@ -7,11 +7,11 @@ from slider_jax.effects.base import ActingPressure, parameter
 
 
 class LineLag(ActingPressure):
-    """The chamber follows the sensor's end of its tube with a first-order lag.
+    """The chamber pressure y follows the sensor's pressure p with a first-order lag.
 
-        tau dy/dt = p - y,    y acts
+        tau dy/dt = p - y
 
-    Exact for p linear in a step: with e = exp(-dt/tau) and the decay's mean m = (1 - e) tau/dt,
+    The step is exact for p linear in time: with e = exp(-dt/tau) and m = (1 - e) tau/dt,
     y_1 = p_1 + e (y_0 - p_0) - m (p_1 - p_0). Source: pressure transmission in tubes, Holman, J. P.
     (2012), Experimental Methods for Engineers, 8th ed., McGraw-Hill, ch. 6.
     """
@@ -26,7 +26,7 @@ class LineLag(ActingPressure):
 
     def act(self, p, memory, dt):
         y, before = memory
-        # Of the decay nothing is left in float64 at tau < dt/500; m is then tau/dt.
+        # For tau < dt/500 the decay e is zero in float64, and m = tau/dt.
         slow = self.tau > dt / 500.0
         exponent = dt / jnp.where(slow, self.tau, dt)
         e = jnp.where(slow, jnp.exp(-exponent), 0.0)

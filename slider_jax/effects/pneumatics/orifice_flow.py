@@ -1,4 +1,4 @@
-"""Flow of a compressible gas through the open valve."""
+"""Compressible flow through the open valve."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,7 +10,7 @@ from slider_jax.effects.pneumatics.chamber_expansion import ATMOSPHERE
 
 
 def characteristic(ratio: Array, b: Scalar) -> Array:
-    """Flow over the choked flow at the pressure ratio r of downstream over upstream.
+    """Return the flow divided by the choked flow at the ratio r of downstream to upstream pressure.
 
     psi(r) = sqrt(1 - ((r - b)/(1 - b))^2) for r > b,    1 below
     """
@@ -21,23 +21,23 @@ def characteristic(ratio: Array, b: Scalar) -> Array:
 
 
 class OrificeFlow(Flow):
-    """The valve opens in proportion to the error, and passes what the pressures across it allow.
+    """The valve opens in proportion to the error; its flow is that of a compressible gas.
 
         dp/dt = (1 - w + w c) (p_set - p)/k
         c = psi((p_a + |p|)/(p_a + p_s))                            filling, supply to chamber
         c = (p_a + |p|)/(p_a + p_s) psi(p_a/(p_a + |p|))            venting, chamber to room
 
-    psi is the unchoked characteristic sqrt(1 - ((r - b)/(1 - b))^2), and 1 below the critical ratio
-    b; p_s is the supply's gauge pressure. Source: ISO 6358-1 (2013), Pneumatic fluid power:
-    determination of flow-rate characteristics of components.
+    psi(r) = sqrt(1 - ((r - b)/(1 - b))^2) for subsonic flow, and 1 below the critical ratio b. p_s
+    is the supply's gauge pressure. Source: ISO 6358-1 (2013), Pneumatic fluid power: determination
+    of flow-rate characteristics of components.
     """
 
     title = "compressible flow through the valves"
     order = 150
     sensors = ("pressure", "thrust", "recoil", "tip")
 
-    share: Scalar = parameter(0.0, 0.0, 1.0, "-", "linear lag to orifice")
-    """w, share of the orifice's characteristic."""
+    share: Scalar = parameter(0.0, 0.0, 1.0, "-", "from the linear lag to an orifice")
+    """w, share of orifice flow."""
     supply: Scalar = eqx.field(default=600e3)
     """p_s [Pa]."""
     critical: Scalar = eqx.field(default=0.3)

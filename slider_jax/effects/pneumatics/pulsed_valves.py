@@ -1,4 +1,4 @@
-"""Pulsed valves whose flow goes with the pressure difference."""
+"""Pulsed valves with laminar flow."""
 
 import jax.numpy as jnp
 
@@ -8,10 +8,10 @@ from slider_jax.effects.valve_pair import ValvePair
 
 
 class PulsedValves(ValvePair):
-    """As `FirmwareValves`, with laminar flow in place of the orifice's.
+    """`FirmwareValves` with laminar flow instead of orifice flow.
 
-        dp/dt = c_f u (p_s - |p|)    filling, of the sign of p_set - p
-        dp/dt = c_v u |p|            venting, of the sign of p_set - p
+        dp/dt = c_f u (p_s - |p|)    filling, with the sign of p_set - p
+        dp/dt = c_v u |p|            venting, with the sign of p_set - p
 
     Source: laminar restriction, Andersen, B. W. (1967), The analysis and design of pneumatic
     systems, Wiley; firmware: bvanstratum/SoftSnakePressureControl.
@@ -25,20 +25,20 @@ class PulsedValves(ValvePair):
         0.0,
         10.0,
         "1/s",
-        "0.1 l by a valve of 1 mm fills in a fraction of a second",
+        "a valve of 1 mm fills 0.1 l in a fraction of a second",
         1.5,
     )
-    """c_f, of the fill valve."""
+    """c_f of the fill valve."""
     vent: Scalar = parameter(
-        2.0, 0.05, 10.0, "1/s", "0.1 l by a valve of 1 mm empties in a fraction of a second"
+        2.0, 0.05, 10.0, "1/s", "a valve of 1 mm empties 0.1 l in a fraction of a second"
     )
-    """c_v, of the vent valve."""
+    """c_v of the vent valve."""
     supply: Scalar = parameter(
-        600e3, 200e3, 1.1e6, "Pa", "regulators and compressors of laboratories, gauge"
+        600e3, 200e3, 1.1e6, "Pa", "laboratory regulators and compressors, gauge"
     )
-    """p_s, gauge."""
+    """Supply pressure p_s, gauge."""
     dead: Scalar = parameter(0.05, 0.0, 0.5, "-", "pulses too short to lift the armature")
-    """Duty below which a valve stays shut."""
+    """Duty below which a valve stays closed."""
 
     def flows(self, p):
         return self.fill * jnp.maximum(self.supply - p, 0.0), self.vent * p

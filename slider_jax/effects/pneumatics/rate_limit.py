@@ -1,4 +1,4 @@
-"""A flow that the smallest passage limits."""
+"""A hard limit of the flow."""
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Flow, parameter
@@ -6,12 +6,12 @@ from slider_jax.effects.functions import limited
 
 
 class RateLimit(Flow):
-    """The lag as long as it asks for less than the largest flow, and that flow otherwise.
+    """The rate is that of the lag up to a largest rate.
 
         dp/dt = min(max((p_set - p)/k, -R), R)
 
-    Its corners are rounded by `limited`. `ChokedFlow` falls short of the lag from the beginning;
-    this one not before its limit. Source: saturation of a valve, Beater, P. (2007), Pneumatic
+    `limited` rounds the corners. `ChokedFlow` reduces every rate; this effect acts only near its
+    limit. Source: saturation of a valve, Beater, P. (2007), Pneumatic
     Drives, Springer.
     """
 
@@ -20,7 +20,7 @@ class RateLimit(Flow):
     sensors = ("pressure", "thrust", "recoil", "tip")
 
     inverse: Scalar = parameter(
-        0.0, 0.0, 2e-6, "s/Pa", "reversing 250 kPa at k = 87 ms asks for 6 MPa/s; down to 0.5", 4e-7
+        0.0, 0.0, 2e-6, "s/Pa", "6 MPa/s reverse 250 kPa at k = 87 ms; R is 0.5 MPa/s or more", 4e-7
     )
     """1/R, the inverse of the largest rate."""
 

@@ -1,4 +1,4 @@
-"""Dead time of the rear chamber's valve beyond that of the front's."""
+"""Additional dead time of the rear chamber's valve."""
 
 from slider_jax.actuation.waveform import Delayed
 from slider_jax.beam.parameters import Scalar
@@ -6,11 +6,11 @@ from slider_jax.effects.base import Command, parameter
 
 
 class RearValveDelay(Command):
-    """The rear chamber's valve follows its command later than the front chamber's.
+    """The rear chamber's valve reacts later than the front chamber's valve.
 
         p_set,valve(t) = p_set(t - delay) in the rear chamber
 
-    One-sided: a command that starts at t = 0 cannot come earlier. Source: solenoid valves'
+    The delay cannot be negative, because the command starts at t = 0. Source: solenoid valves'
     switching times, Beater, P. (2007), Pneumatic Drives, Springer, ch. 5.
     """
 
@@ -20,9 +20,9 @@ class RearValveDelay(Command):
     sensors = ("pressure", "thrust", "recoil", "tip")
 
     delay: Scalar = parameter(
-        0.0, 0.0, 0.03, "s", "one valve of a pair may take its whole switching time longer"
+        0.0, 0.0, 0.03, "s", "one valve may be later by its whole switching time"
     )
-    """Dead time beyond that of the front chamber."""
+    """Dead time minus that of the front chamber."""
 
     def command(self, wave, chamber):
         return Delayed(wave, self.delay) if chamber == 1 else wave

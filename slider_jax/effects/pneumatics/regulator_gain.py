@@ -1,4 +1,4 @@
-"""A regulator whose span is off."""
+"""Gain error of the regulator."""
 
 from slider_jax.actuation.waveform import Shaped
 from slider_jax.beam.parameters import Scalar
@@ -6,12 +6,12 @@ from slider_jax.effects.base import Command, parameter
 
 
 class RegulatorGain(Command):
-    """The valves work towards a set pressure that is too large by a factor.
+    """The set pressure at the valves is too large by a factor.
 
         p_set,valve = (1 + g) p_set
 
-    The sensors read what the chambers have, so p follows. Source: static sensitivity, Doebelin,
-    E. O. (2003), Measurement Systems, 5th ed., McGraw-Hill, ch. 3.
+    The sensors read the actual pressure, so the measured p changes too. Source: static sensitivity,
+    Doebelin, E. O. (2003), Measurement Systems, 5th ed., McGraw-Hill, ch. 3.
     """
 
     title = "gain of the regulator"
@@ -19,12 +19,12 @@ class RegulatorGain(Command):
     sensors = ("pressure", "thrust", "recoil", "tip")
 
     gain: Scalar = parameter(
-        0.0, -0.2, 0.2, "-", "analogue regulators are good to a few percent, worse under flow"
+        0.0, -0.2, 0.2, "-", "analogue regulators err by a few percent, more under flow"
     )
     """g, relative error of the span."""
 
     def curve(self, p_set):
-        """What reaches the valves [Pa]."""
+        """Return the set pressure at the valves [Pa]."""
         return (1.0 + self.gain) * p_set
 
     def command(self, wave, chamber):

@@ -1,4 +1,4 @@
-"""A regulator whose zero is off."""
+"""Zero error of the regulator."""
 
 from slider_jax.actuation.waveform import Shaped
 from slider_jax.beam.parameters import Scalar
@@ -6,26 +6,24 @@ from slider_jax.effects.base import Command, parameter
 
 
 class RegulatorOffset(Command):
-    """The valves of both chambers work towards a set pressure that is too large by an amount.
+    """The set pressure at the valves of both chambers is too large by a constant.
 
         p_set,valve = p_set + p_0
 
-    The side of positive pressure then fills further than the other. The sensors read what the
-    chambers have, so p follows. Source: zero drift, Doebelin, E. O. (2003), Measurement Systems,
-    5th ed., McGraw-Hill, ch. 3.
+    The side of positive pressure then reaches a higher pressure than the other side. The sensors
+    read the actual pressure, so the measured p changes too. Source: zero drift, Doebelin, E. O.
+    (2003), Measurement Systems, 5th ed., McGraw-Hill, ch. 3.
     """
 
     title = "zero of the regulator"
     order = 30
     sensors = ("pressure", "thrust", "recoil", "tip")
 
-    offset: Scalar = parameter(
-        0.0, -20e3, 20e3, "Pa", "zero error of 2 % of a regulator for 1 MPa, of either side's"
-    )
-    """p_0."""
+    offset: Scalar = parameter(0.0, -20e3, 20e3, "Pa", "zero error of 2 % for a regulator of 1 MPa")
+    """Offset p_0."""
 
     def curve(self, p_set):
-        """What reaches the valves [Pa]."""
+        """Return the set pressure at the valves [Pa]."""
         return p_set + self.offset
 
     def command(self, wave, chamber):

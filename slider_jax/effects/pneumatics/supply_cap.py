@@ -1,4 +1,4 @@
-"""A supply whose pressure is lower than what is asked of it."""
+"""A supply pressure below the set pressure."""
 
 from slider_jax.actuation.waveform import Shaped
 from slider_jax.beam.parameters import Scalar
@@ -7,12 +7,12 @@ from slider_jax.effects.functions import limited
 
 
 class SupplyCap(Command):
-    """The regulator gives what is asked, up to the pressure of the supply.
+    """The regulator delivers the set pressure up to the pressure of the supply.
 
         p_set,valve = min(max(p_set, -P), P)
 
-    Its corners are rounded by `limited`. `SupplyLimit` droops from the beginning; this one not
-    before its limit. Source: Andersen, B. W. (1967), The analysis and design of pneumatic systems,
+    `limited` rounds the corners. `SupplyLimit` reduces every set pressure; this effect acts only
+    near its limit. Source: Andersen, B. W. (1967), The analysis and design of pneumatic systems,
     Wiley.
     """
 
@@ -23,10 +23,10 @@ class SupplyCap(Command):
     inverse: Scalar = parameter(
         0.0, 0.0, 8e-6, "1/Pa", "compressors of such rigs hold 125 kPa or more", 3.5e-6
     )
-    """1/P."""
+    """1/P, inverse of the supply pressure."""
 
     def curve(self, p_set):
-        """What reaches the valves [Pa]."""
+        """Return the set pressure at the valves [Pa]."""
         return limited(p_set, self.inverse)
 
     def command(self, wave, chamber):

@@ -8,12 +8,12 @@ from slider_jax.effects.base import Command, parameter
 
 
 class SupplyLimit(Command):
-    """The regulator's pressure droops the more, the nearer it is to that of the supply.
+    """The regulator's pressure droops as the set pressure approaches the supply pressure.
 
         p_set,valve = p_set/(1 + c |p_set|)
 
-    It never exceeds 1/c, the supply's pressure. A hard limit far away would have no tangent; this
-    one begins with -c |p_set| p_set. Source: regulator droop, Andersen, B. W. (1967), The analysis
+    It never exceeds the supply pressure 1/c. Unlike a hard limit, the effect has a tangent at its
+    null: -c |p_set| p_set. Source: regulator droop, Andersen, B. W. (1967), The analysis
     and design of pneumatic systems, Wiley.
     """
 
@@ -27,7 +27,7 @@ class SupplyLimit(Command):
     """c = 1/p_supply."""
 
     def curve(self, p_set):
-        """What reaches the valves [Pa]."""
+        """Return the set pressure at the valves [Pa]."""
         return p_set / (1.0 + self.inverse * jnp.abs(p_set))
 
     def command(self, wave, chamber):

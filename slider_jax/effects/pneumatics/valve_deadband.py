@@ -1,4 +1,4 @@
-"""Valves that stay shut at a small error."""
+"""Valves that stay closed at a small error."""
 
 import jax.numpy as jnp
 
@@ -8,12 +8,12 @@ from slider_jax.effects.functions import SHARP, magnitude
 
 
 class ValveDeadband(Flow):
-    """No flow while the error is within a band, the lag's flow outside.
+    """The valves are closed within a band of the error; outside it the lag is unchanged.
 
         dp/dt = e/k exp(-(d/|e|)^32),    e = p_set - p
 
-    Half of the flow is left at |e| = 1.01 d, one part in a billion at 0.9 d: the pressure stops
-    short of its set point by the band. `ValveOverlap` lacks d of the flow outside too. Source:
+    Half of the flow remains at |e| = 1.01 d, and 1e-9 of it at 0.9 d. The pressure therefore stops
+    at the band before its set point. `ValveOverlap` also reduces the flow outside the band. Source:
     on-off control of a pressure, Beater, P. (2007), Pneumatic Drives, Springer.
     """
 
@@ -22,7 +22,7 @@ class ValveDeadband(Flow):
     sensors = ("pressure", "thrust", "recoil", "tip")
 
     band: Scalar = parameter(
-        0.0, 0.0, 40e3, "Pa", "an eighth of the largest set pressure; shorter pulses open nothing",
+        0.0, 0.0, 40e3, "Pa", "an eighth of the largest set pressure; short pulses open nothing",
         12e3,
     )  # fmt: skip
     """d, half the width of the band."""

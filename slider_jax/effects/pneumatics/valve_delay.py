@@ -6,7 +6,7 @@ from slider_jax.effects.base import Command, parameter
 
 
 class ValveDelay(Command):
-    """The valves follow the command a dead time later.
+    """The valves follow the command after a dead time.
 
         p_set,valve(t) = p_set(t - delay)
 
@@ -18,7 +18,7 @@ class ValveDelay(Command):
     sensors = ("pressure", "thrust", "recoil", "tip")
 
     delay: Scalar = parameter(
-        0.0, 0.0, 0.06, "s", "5 to 30 ms to switch, and the controller's cycle"
+        0.0, 0.0, 0.06, "s", "switching takes 5 to 30 ms, and the controller's cycle adds to it"
     )
     """Dead time."""
 

@@ -7,7 +7,7 @@ from slider_jax.effects.base import Flow, parameter
 
 
 class ValveOverlap(Flow):
-    """The flow lacks what the overlap of the spool takes.
+    """The overlap of the spool reduces the error that opens the valve.
 
         dp/dt = sign(e) max(|e| - d, 0)/k,    e = p_set - p
 
@@ -19,7 +19,7 @@ class ValveOverlap(Flow):
     sensors = ("pressure", "thrust", "recoil", "tip")
 
     band: Scalar = parameter(0.0, 0.0, 40e3, "Pa", "an eighth of the largest set pressure", 8e3)
-    """d, the error below which the valve is shut."""
+    """d, the error below which the valve is closed."""
 
     def rate(self, rate, x):
         e = x.p_set - x.p

@@ -1,0 +1,1 @@
+"""Effects of the sensors; may import `effects` and the rooms below it."""

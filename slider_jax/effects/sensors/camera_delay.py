@@ -1,4 +1,4 @@
-"""Dead time of the camera."""
+"""Delay of the camera."""
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Instrument, parameter
@@ -6,12 +6,12 @@ from slider_jax.effects.functions import delayed
 
 
 class CameraDelay(Instrument):
-    """The tip is recorded with time stamps that are late.
+    """The time stamps of the tip are late.
 
         tip_read(t) = tip(t - delay)
 
-    Cubic between samples. Source: dead-time elements, Doebelin, E. O. (2003), Measurement Systems,
-    5th ed., McGraw-Hill, ch. 3.
+    The interpolation between samples is cubic. Source: dead-time elements, Doebelin, E. O. (2003),
+    Measurement Systems, 5th ed., McGraw-Hill, ch. 3.
     """
 
     title = "dead time of the camera"
@@ -21,7 +21,7 @@ class CameraDelay(Instrument):
     delay: Scalar = parameter(
         0.0, 0.0, 0.1, "s", "exposure and transfer: up to a few frames of a 30 to 60 Hz camera"
     )
-    """By how much the stamps are late [s]."""
+    """Delay of the time stamps [s]."""
 
     def read(self, true):
         return true._replace(tip=delayed(true.tip, true.t, self.delay))

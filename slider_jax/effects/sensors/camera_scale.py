@@ -1,11 +1,11 @@
-"""Scale of the camera's picture."""
+"""An error of the camera's scale."""
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Instrument, parameter
 
 
 class CameraScale(Instrument):
-    """Metres per pixel are off.
+    """The scale in metres per pixel has an error.
 
         tip_read = (1 + g) tip
 
@@ -18,7 +18,7 @@ class CameraScale(Instrument):
     sensors = ("tip",)
 
     gain: Scalar = parameter(
-        0.0, -0.1, 0.1, "-", "a ruler in another plane than the tip, or seen through the surface"
+        0.0, -0.1, 0.1, "-", "a ruler outside the plane of the tip, or seen through the surface"
     )
     """g, relative error of the scale."""
 

@@ -6,22 +6,22 @@ from slider_jax.effects.functions import delayed
 
 
 class ForceClockOffset(Instrument):
-    """The force samples carry time stamps that are late against those of the pressure.
+    """The time stamps of the forces are late relative to those of the pressures.
 
         F_read(t) = F(t - delay)
 
-    Cubic between samples. Source: dead-time elements, Doebelin, E. O. (2003), Measurement Systems,
-    5th ed., McGraw-Hill, ch. 3.
+    The interpolation between samples is cubic. Source: dead-time elements, Doebelin, E. O. (2003),
+    Measurement Systems, 5th ed., McGraw-Hill, ch. 3.
     """
 
-    title = "clock of the force sensor is off"
+    title = "clock offset of the force sensor"
     order = 630
     sensors = ("thrust", "recoil")
 
     delay: Scalar = parameter(
         0.0, -0.03, 0.03, "s", "two recorders started by hand or by software: tens of ms"
     )
-    """By how much the stamps are late, negative where early [s]."""
+    """Delay of the time stamps [s]; negative if they are early."""
 
     def read(self, true):
         return true._replace(

@@ -1,4 +1,4 @@
-"""A force sensor that is turned against the robot."""
+"""A force sensor rotated relative to the robot."""
 
 import jax.numpy as jnp
 
@@ -7,7 +7,7 @@ from slider_jax.effects.base import Instrument, parameter
 
 
 class ForceCrosstalk(Instrument):
-    """The sensor's axes are turned by an angle a, counted as phi is, against the clamp's.
+    """The sensor's axes are rotated by an angle a, in the sense of phi, from the clamp's axes.
 
         thrust_read = cos a thrust + sin a recoil
         recoil_read = cos a recoil - sin a thrust
@@ -16,12 +16,12 @@ class ForceCrosstalk(Instrument):
     (2003), Measurement Systems, 5th ed., McGraw-Hill, ch. 5.
     """
 
-    title = "force sensor turned against the robot"
+    title = "force sensor rotated relative to the robot"
     order = 600
     sensors = ("thrust", "recoil")
 
-    angle: Scalar = parameter(0.0, -0.1, 0.1, "rad", "mounted by eye: within some 5 degrees")
-    """a [rad]."""
+    angle: Scalar = parameter(0.0, -0.1, 0.1, "rad", "mounting by eye is good to 5 degrees")
+    """Angle a [rad]."""
 
     def read(self, true):
         cos, sin = jnp.cos(self.angle), jnp.sin(self.angle)

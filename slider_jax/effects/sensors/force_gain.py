@@ -1,11 +1,11 @@
-"""Gain of the force sensor."""
+"""Gain error of the force sensor."""
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Instrument, parameter
 
 
 class ForceGain(Instrument):
-    """Both forces are read too large by the same factor.
+    """The readings of both forces are too large by the same factor.
 
         thrust_read = (1 + g) thrust,    recoil_read = (1 + g) recoil
 
@@ -18,7 +18,7 @@ class ForceGain(Instrument):
     sensors = ("thrust", "recoil")
 
     gain: Scalar = parameter(
-        0.0, -0.15, 0.15, "-", "calibrations with weights drift by a few percent, mounts take more"
+        0.0, -0.15, 0.15, "-", "calibrations with weights drift by a few percent; mounts add more"
     )
     """g, relative error of the sensitivity."""
 

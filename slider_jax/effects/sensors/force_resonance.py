@@ -1,4 +1,4 @@
-"""A force sensor that rings with what is mounted on it."""
+"""A force sensor that resonates with the mass mounted on it."""
 
 import equinox as eqx
 import jax
@@ -10,14 +10,14 @@ from slider_jax.effects.base import Instrument, last_sample, parameter
 
 
 class ForceResonance(Instrument):
-    """The sensor is a spring under a mass, the robot's head and its bracket.
+    """The sensor is a spring that carries a mass, the robot's head and its bracket.
 
         c (F_read'' + b F_read') + F_read = F
 
-    c = mass over stiffness = 1/omega^2: the natural frequency is 1/(2 pi sqrt(c)). The damping rate
-    b is fixed, so that the damping ratio is b sqrt(c)/2, and the reading is smooth in c at its
-    null: F - c (F'' + b F'). In time by Houbolt's backward differences, second order and stable for
-    any step: what rings too fast for the samples follows the force.
+    c = mass over stiffness = 1/omega^2, so the natural frequency is 1/(2 pi sqrt(c)). The damping
+    rate b is fixed: the damping ratio is b sqrt(c)/2, and the reading near the null is smooth in c,
+    F - c (F'' + b F'). The time scheme is Houbolt's backward difference, second order and stable
+    for any step. A resonance too fast for the samples follows the force.
 
     Source: second-order instruments, Doebelin, E. O. (2003), Measurement Systems, 5th ed.,
     McGraw-Hill, ch. 3; Houbolt, J. C. (1950), A recurrence matrix solution for the dynamic response
@@ -29,14 +29,14 @@ class ForceResonance(Instrument):
     sensors = ("thrust", "recoil")
 
     mass_over_stiffness: Scalar = parameter(
-        0.0, 0.0, 1e-4, "s^2", "a sensor stiff to one that rings with the head at 16 Hz"
+        0.0, 0.0, 1e-4, "s^2", "from a stiff sensor to a resonance with the head at 16 Hz"
     )
     """c [s^2]."""
     damping_rate: Scalar = eqx.field(default=20.0)
-    """b [1/s]; 0.1 of critical at 16 Hz."""
+    """b [1/s]; the default is 0.1 of critical damping at 16 Hz."""
 
     def follow(self, before: tuple[Array, Array, Array], F: Array, dt: Array) -> Array:
-        """The reading for the force F [N], from those one, two and three samples `dt` [s] ago."""
+        """Return the reading [N] at the force F [N]; `before` are the last three, latest first."""
         inertia = self.mass_over_stiffness / dt**2
         damping = self.mass_over_stiffness * self.damping_rate / (6.0 * dt)
         x1, x2, x3 = before

@@ -1,4 +1,4 @@
-"""A force sensor that follows late: amplifier or filter."""
+"""Lag of the force sensor, from its amplifier or filter."""
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Instrument, last_sample, parameter
@@ -10,8 +10,8 @@ class ForceSensorLag(Instrument):
 
         tau dF_read/dt = F - F_read
 
-    Exact for a force that is linear between samples. Source: first-order instruments, Doebelin,
-    E. O. (2003), Measurement Systems, 5th ed., McGraw-Hill, ch. 3.
+    It is exact for a force that is linear between samples. Source: first-order instruments,
+    Doebelin, E. O. (2003), Measurement Systems, 5th ed., McGraw-Hill, ch. 3.
     """
 
     title = "lag of the force sensor"

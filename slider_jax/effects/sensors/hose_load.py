@@ -1,11 +1,11 @@
-"""Hoses that cross the force sensor."""
+"""Hoses that bypass the force sensor."""
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Instrument, parameter
 
 
 class HoseLoad(Instrument):
-    """Pressurised hoses straighten, and push on what they are led to.
+    """Pressurised hoses straighten and push on the force sensor.
 
         thrust_read = thrust + a (p_front + p_rear),    recoil_read = recoil + b (p_front + p_rear)
 
@@ -18,13 +18,13 @@ class HoseLoad(Instrument):
     sensors = ("thrust", "recoil")
 
     along: Scalar = parameter(
-        0.0, -4e-7, 4e-7, "N/Pa", "0.1 N at 250 kPa of a soft hose of 4 mm that is led well"
+        0.0, -4e-7, 4e-7, "N/Pa", "0.1 N at 250 kPa for a well guided soft hose of 4 mm"
     )
-    """a."""
+    """Coefficient a of the thrust."""
     across: Scalar = parameter(
-        0.0, -4e-7, 4e-7, "N/Pa", "0.1 N at 250 kPa of a soft hose of 4 mm that is led well"
+        0.0, -4e-7, 4e-7, "N/Pa", "0.1 N at 250 kPa for a well guided soft hose of 4 mm"
     )
-    """b."""
+    """Coefficient b of the recoil."""
 
     def read(self, true):
         p = true.p_front + true.p_rear

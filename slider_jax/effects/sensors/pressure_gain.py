@@ -1,11 +1,11 @@
-"""Gain of the pressure sensors."""
+"""Gain error of the pressure sensors."""
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Instrument, parameter
 
 
 class PressureGain(Instrument):
-    """Both pressures are read too large by the same factor.
+    """The readings of both pressures are too large by the same factor.
 
         p_read = (1 + g) p
 
@@ -18,7 +18,7 @@ class PressureGain(Instrument):
     sensors = ("pressure",)
 
     gain: Scalar = parameter(
-        0.0, -0.1, 0.1, "-", "sensors of a few percent and their supply voltage"
+        0.0, -0.1, 0.1, "-", "sensors and their supply voltage err by a few percent"
     )
     """g, relative error of the sensitivity."""
 

@@ -1,11 +1,11 @@
-"""Zero of the pressure sensors."""
+"""Zero error of the pressure sensors."""
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Instrument, parameter
 
 
 class PressureOffset(Instrument):
-    """Both pressures are read too large by the same amount.
+    """The readings of both pressures are too large by the same amount.
 
         p_read = p + p_0
 
@@ -17,7 +17,7 @@ class PressureOffset(Instrument):
     order = 550
     sensors = ("pressure",)
 
-    offset: Scalar = parameter(0.0, -20e3, 20e3, "Pa", "zero drift of 2 % of a sensor for 1 MPa")
+    offset: Scalar = parameter(0.0, -20e3, 20e3, "Pa", "zero drift of 2 % for a sensor of 1 MPa")
     """p_0 [Pa]."""
 
     def read(self, true):

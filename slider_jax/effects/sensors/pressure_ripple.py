@@ -1,4 +1,4 @@
-"""A converter whose steps are not of one height."""
+"""An analogue-to-digital converter with unequal steps."""
 
 import math
 
@@ -10,21 +10,21 @@ from slider_jax.effects.base import Instrument, parameter
 
 
 class PressureRipple(Instrument):
-    """The pressures' converter errs periodically in its code: a weight of one of its bits is off.
+    """The pressure converter has a periodic error, because the weight of one bit is wrong.
 
         p_read = p + a sin(2 pi p/P) + b cos(2 pi p/P)
 
     Source: integral nonlinearity of converters, IEEE Std 1241-2010.
     """
 
-    title = "periodic error of the pressures' converter"
+    title = "periodic error of the pressure converter"
     order = 560
     sensors = ("pressure",)
 
     a: Scalar = parameter(0.0, -6e3, 6e3, "Pa", "six codes of 0.93 kPa")
-    """Of the sine."""
+    """Amplitude of the sine."""
     b: Scalar = parameter(0.0, -6e3, 6e3, "Pa", "six codes of 0.93 kPa")
-    """Of the cosine."""
+    """Amplitude of the cosine."""
     period: Scalar = eqx.field(default=32 * 932.8)
     """P [Pa]; 32 codes, the fifth bit of the rig's converter."""
 

@@ -1,4 +1,4 @@
-"""Pressure sensors that follow late."""
+"""Lag of the pressure sensors."""
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Instrument, last_sample, parameter
@@ -6,13 +6,13 @@ from slider_jax.effects.functions import lagged, lagged_sample
 
 
 class PressureSensorLag(Instrument):
-    """Both pressures pass a first-order low-pass: the sensor's own tube, or a filter.
+    """Both pressures pass a first-order low-pass filter: the sensor's tube or its electronics.
 
         tau dp_read/dt = p - p_read
 
-    Exact for a pressure that is linear between samples. The body feels p, not p_read. Source:
-    first-order instruments, Doebelin, E. O. (2003), Measurement Systems, 5th ed., McGraw-Hill,
-    ch. 3.
+    It is exact for a pressure that is linear between samples. The pressure on the body is p, not
+    p_read. Source: first-order instruments, Doebelin, E. O. (2003), Measurement Systems, 5th ed.,
+    McGraw-Hill, ch. 3.
     """
 
     title = "lag of the pressure sensors"
@@ -20,7 +20,7 @@ class PressureSensorLag(Instrument):
     sensors = ("pressure",)
 
     tau: Scalar = parameter(
-        0.0, 0.0, 0.05, "s", "thin tubes to the sensors and filters against noise: to tens of ms"
+        0.0, 0.0, 0.05, "s", "thin tubes to the sensors and noise filters lag by tens of ms"
     )
     """Time constant [s]."""
 

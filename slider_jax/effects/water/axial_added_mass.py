@@ -1,4 +1,4 @@
-"""Water that the body takes along its own axis."""
+"""Added mass along the body axis."""
 
 import jax.numpy as jnp
 
@@ -7,19 +7,19 @@ from slider_jax.effects.base import ForceDensity, parameter
 
 
 class AxialAddedMass(ForceDensity):
-    """Inertia of water that follows the body along tau but not across it.
+    """Inertia of water that follows the axial motion of the body only.
 
         F_tau = -m_t (du_tau/dt - omega u_n)
 
-    Source: Newman, J. N. (1977), Marine Hydrodynamics, MIT Press, ch. 4: a slender ellipsoid has
-    a few per cent of its displaced mass.
+    Source: Newman, J. N. (1977), Marine Hydrodynamics, MIT Press, ch. 4: for a slender ellipsoid it
+    is a few per cent of the displaced mass.
     """
 
-    title = "water carried along the axis"
+    title = "added mass along the axis"
     order = 480
 
     m_t: Scalar = parameter(
-        0.0, 0.0, 0.3, "kg/m", "0.03 for a smooth body of 0.7 kg/m; tubes and seams drag more"
+        0.0, 0.0, 0.3, "kg/m", "0.03 for a smooth body of 0.7 kg/m; tubes and seams carry more"
     )
     """Added mass per length."""
 

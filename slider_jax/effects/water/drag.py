@@ -8,7 +8,7 @@ from slider_jax.effects.base import ForceDensity, parameter
 
 
 class NormalDrag(ForceDensity):
-    """Separated crossflow past the body's height.
+    """Drag of the separated crossflow.
 
         F_n = -rho C_d H |u_n| u_n / 2
 

@@ -1,4 +1,4 @@
-"""Where the added mass begins: what the reactive force leaves at a blunt head."""
+"""Added-mass force at a blunt head, where the added mass begins."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,16 +9,17 @@ from slider_jax.effects.water.reactive import ReactiveForce
 
 
 class HeadAddedMass(ForceDensity):
-    """The fluxes of `ReactiveForce` at the head, as at the leading edge of a slender wing.
+    """Momentum fluxes of `ReactiveForce` at the head, as at the leading edge of a slender wing.
 
         F_n   = -m_A u_tau u_n delta(s - L)
         F_tau =  m_A u_n^2/2 delta(s - L)
         m_A   =  m_a pi rho H^2/4
 
-    The water before the head has no momentum across it, so a body whose height begins at once takes
-    it up there. A clamped head has u_n = 0 and feels nothing. The force acts in the cell at the
-    head. Source: Lighthill, M. J. (1971), as `ReactiveForce`; Jones, R. T. (1946), Properties of
-    low-aspect-ratio pointed wings at speeds below and above the speed of sound, NACA Report 835.
+    The water ahead of the body has no lateral momentum. At a blunt head the water gains its
+    momentum at once. A clamped head has u_n = 0, so the force is zero. The force acts in the cell
+    at the head. Source: Lighthill, M. J. (1971), as `ReactiveForce`; Jones, R. T. (1946),
+    Properties of low-aspect-ratio pointed wings at speeds below and above the speed of sound, NACA
+    Report 835.
     """
 
     title = "added mass that begins at the head"
@@ -26,7 +27,7 @@ class HeadAddedMass(ForceDensity):
     is_candidate = False
 
     m_a: Scalar = parameter(
-        0.0, 0.0, 1.5, "-", "that of the body where its head is blunt, less where flow separates"
+        0.0, 0.0, 1.5, "-", "that of the body for a blunt head, less if the flow separates"
     )
     """Added-mass coefficient at the head."""
     density: Scalar = eqx.field(default=1000.0)

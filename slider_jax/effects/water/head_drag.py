@@ -1,4 +1,4 @@
-"""Form drag of the head, and of what hangs there."""
+"""Form drag of the head and its attachments."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -8,13 +8,13 @@ from slider_jax.effects.base import ForceDensity, parameter
 
 
 class HeadDrag(ForceDensity):
-    """Pressure drag of a blunt front end, of a fitting on it, or of tubes that it pulls.
+    """Pressure drag of a blunt front end, its fitting, or the tubes that it pulls.
 
         F_tau = -rho A |u_tau| u_tau / 2 delta(s - L)
 
     A is the drag area, coefficient times frontal area; the force acts in the cell at the head.
     Source: Hoerner, S. F. (1965), Fluid-Dynamic Drag, ch. 3: 0.8 to 1.2 on the frontal area of
-    blunt bodies, 0.2 of rounded ones.
+    blunt bodies, 0.2 for rounded ones.
     """
 
     title = "form drag of the head"
@@ -22,7 +22,7 @@ class HeadDrag(ForceDensity):
     resists_axially = True
 
     area: Scalar = parameter(
-        0.0, 0.0, 3e-3, "m^2", "0.9e-3 for a blunt end of 30 by 30 mm; tubes and a fitting add"
+        0.0, 0.0, 3e-3, "m^2", "0.9e-3 for a blunt end of 30 by 30 mm; tubes and fittings add"
     )
     """A, drag coefficient times frontal area."""
     density: Scalar = eqx.field(default=1000.0)

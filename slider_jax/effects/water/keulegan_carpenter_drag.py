@@ -1,4 +1,4 @@
-"""Drag of small strokes, whose coefficient falls with their amplitude."""
+"""Drag whose coefficient decreases with the stroke amplitude."""
 
 import math
 
@@ -9,31 +9,31 @@ from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import ForceDensity, parameter
 
 SMALLEST = 0.3
-"""KC below which the coefficient stays; a plate's stroke of a twentieth of its height."""
+"""Smallest KC, to bound the coefficient: strokes of a twentieth of the plate's height."""
 
 
 class KeuleganCarpenterDrag(ForceDensity):
-    """Drag of a plate that oscillates at f, beyond that of a constant coefficient.
+    """Drag of a plate oscillating at f, added to the drag with a constant coefficient.
 
         F_n = -rho C KC^(-1/3) H |u_n| u_n / 2
         KC  = U/(f H),    U^2 = u_n^2 + (du_n/dt)^2/(2 pi f)^2
 
-    U is the amplitude of u_n where it is a sine. KC is kept above 0.3, smoothly.
-    Source: Keulegan, G. H. and Carpenter, L. H. (1958), Forces on cylinders and plates in an
-    oscillating fluid, J. Res. Natl. Bur. Stand. 60, 423-440; the power and C = 8 are of Graham, J.
-    M. R. (1980), The forces on sharp-edged cylinders in oscillatory flow at low Keulegan-Carpenter
-    numbers, J. Fluid Mech. 97, 331-346.
+    For a sinusoidal u_n, U is its amplitude. A smooth limit keeps KC above 0.3. Source: Keulegan,
+    G. H. and Carpenter, L. H. (1958), Forces on cylinders and plates in an oscillating fluid, J.
+    Res. Natl. Bur. Stand. 60, 423-440; the power and C = 8 are from Graham, J. M. R. (1980), The
+    forces on sharp-edged cylinders in oscillatory flow at low Keulegan-Carpenter numbers, J. Fluid
+    Mech. 97, 331-346.
     """
 
-    title = "drag coefficient that falls with amplitude"
+    title = "drag coefficient that decreases with amplitude"
     order = 500
 
     C: Scalar = parameter(
-        0.0, 0.0, 10.0, "-", "8 for a sharp-edged plate; rounded edges and a constant part take off"
+        0.0, 0.0, 10.0, "-", "8 for a sharp-edged plate; less with rounded edges or a constant part"
     )
     """Drag coefficient at KC = 1."""
     stride_frequency: Scalar = eqx.field(default=5.0)
-    """f [Hz], of the trial."""
+    """Drive frequency f [Hz] of the trial."""
     density: Scalar = eqx.field(default=1000.0)
     """rho [kg/m^3]."""
 

@@ -1,4 +1,4 @@
-"""Drag that goes with the speed of the crossflow."""
+"""Drag proportional to the crossflow."""
 
 import jax.numpy as jnp
 
@@ -7,12 +7,12 @@ from slider_jax.effects.base import ForceDensity, parameter
 
 
 class LinearDrag(ForceDensity):
-    """Viscous drag of the crossflow, which remains where strokes are too small to separate.
+    """Viscous drag of the crossflow, dominant if strokes are too small for separation.
 
         F_n = -c u_n
 
     Source: Stokes, G. G. (1851), On the effect of the internal friction of fluids on the motion of
-    pendulums, Trans. Camb. Phil. Soc. 9, 8-106; for a cylinder of diameter D oscillating at f,
+    pendulums, Trans. Camb. Phil. Soc. 9, 8-106; for a cylinder of diameter D that oscillates at f,
     c = 2 pi^(3/2) mu (D^2 f/nu)^(1/2) at first order.
     """
 

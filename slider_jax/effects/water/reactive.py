@@ -1,4 +1,4 @@
-"""Lighthill's reactive force: the water's added mass carried along by the body (LAEBT)."""
+"""Lighthill's reactive force of the added mass (LAEBT)."""
 
 import math
 
@@ -9,7 +9,7 @@ from slider_jax.effects.base import ForceDensity, parameter
 
 
 class ReactiveForce(ForceDensity):
-    """Large-amplitude elongated-body theory, all three terms, per unit length.
+    """Large-amplitude elongated-body theory with all three terms, per unit length.
 
     f = -[ d(m_A u_n n)/dt - d(m_A u_tau u_n n)/ds + d(m_A u_n^2/2 tau)/ds ], with
     d(tau)/ds = kappa n, d(n)/ds = -kappa tau, d(n)/dt = -omega tau:
@@ -18,7 +18,7 @@ class ReactiveForce(ForceDensity):
         F_tau = -m_A ( -u_n omega + u_tau u_n kappa + u_n du_n/ds ) - dm_A/ds u_n^2/2
         m_A   = m_a pi rho H^2/4
 
-    The robot's height is uniform, so dm_A/ds = 0 there; no point force acts at its blunt head: see
+    The robot's height is uniform, so dm_A/ds = 0. No point force acts at its blunt head; see
     docs/decisions.md.
 
     Source: Lighthill, M. J. (1971), Large-amplitude elongated-body theory of fish locomotion, Proc.
@@ -29,14 +29,14 @@ class ReactiveForce(ForceDensity):
     in_every_model = True
 
     m_a: Scalar = parameter(
-        0.0, 0.0, 1.5, "-", "1 for a thin plate in potential flow, less separated"
+        0.0, 0.0, 1.5, "-", "1 for a thin plate in potential flow, less if the flow separates"
     )
     """Added-mass coefficient."""
     density: Scalar = eqx.field(default=1000.0)
     """rho [kg/m^3]."""
 
     def added_mass(self, height):
-        """m_A [kg/m] of a section of `height` [m]."""
+        """Return m_A [kg/m] of a section of `height` [m]."""
         return self.m_a * math.pi * self.density * height**2 / 4.0
 
     def force(self, x):

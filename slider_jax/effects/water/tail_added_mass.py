@@ -1,4 +1,4 @@
-"""Another added mass on the tail."""
+"""A different added mass on the tail."""
 
 import equinox as eqx
 
@@ -8,10 +8,10 @@ from slider_jax.effects.water.reactive import ReactiveForce
 
 
 class TailAddedMass(ForceDensity):
-    """Reactive force of added mass on the tail beyond that of the whole body.
+    """Reactive force of the difference in added mass between tail and body.
 
-    The terms of `ReactiveForce` along the tail, and what its fluxes leave at the joint, where the
-    added mass begins, as lift does at the leading edge of a slender wing:
+    The terms of `ReactiveForce` act along the tail. At the joint, where the added mass begins, its
+    momentum fluxes leave a point force, like lift at the leading edge of a slender wing:
 
         F_n   = -m_A u_tau u_n delta(s - s_joint)
         F_tau =  m_A u_n^2/2 delta(s - s_joint)
@@ -21,13 +21,13 @@ class TailAddedMass(ForceDensity):
     low-aspect-ratio pointed wings at speeds below and above the speed of sound, NACA Report 835.
     """
 
-    title = "another added mass on the tail"
+    title = "the tail has a different added mass"
     order = 470
 
     m_a: Scalar = parameter(
-        0.0, -0.5, 0.8, "-", "1 for a sheet, less where flow separates; the body's walls are thick"
+        0.0, -0.5, 0.8, "-", "1 for a sheet, less if the flow separates; the body's walls are thick"
     )
-    """Added-mass coefficient of the tail less that of the body."""
+    """Added-mass coefficient of the tail minus that of the body."""
     density: Scalar = eqx.field(default=1000.0)
     """rho [kg/m^3]."""
 

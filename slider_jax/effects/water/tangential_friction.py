@@ -1,4 +1,4 @@
-"""Friction of the water along the body."""
+"""Skin friction along the body."""
 
 import equinox as eqx
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""Water of the tank that sloshes."""
+"""Sloshing of the water in the tank."""
 
 import math
 
@@ -14,19 +14,19 @@ class TankSeiche(WaterMotion):
 
         U_x = a_cos cos(2 pi f t) + a_sin sin(2 pi f t),    (2 pi f)^2 = g k tanh(k h),  k = pi/l
 
-    for a tank of length l and depth h. Its pressure on the displaced water is left out.
+    for a tank of length l and depth h. The wave's pressure gradient on the body is omitted.
     Source: Lamb, H. (1932), Hydrodynamics, 6th ed., ch. IX.
     """
 
     title = "the tank's water sloshes"
     order = 530
 
-    a_cos: Scalar = parameter(0.0, -0.02, 0.02, "m/s", "the surface is seen to move by some mm")
-    """At t = 0."""
-    a_sin: Scalar = parameter(0.0, -0.02, 0.02, "m/s", "the surface is seen to move by some mm")
-    """A quarter of a period later."""
+    a_cos: Scalar = parameter(0.0, -0.02, 0.02, "m/s", "the surface visibly moves by some mm")
+    """Velocity amplitude of the cosine."""
+    a_sin: Scalar = parameter(0.0, -0.02, 0.02, "m/s", "the surface visibly moves by some mm")
+    """Velocity amplitude of the sine."""
     frequency: Scalar = eqx.field(default=0.76)
-    """f [Hz]; the default is of a tank 1 m long and 0.3 m deep."""
+    """f [Hz]; the default is for a tank 1 m long and 0.3 m deep."""
 
     def velocity(self, t):
         angle = 2.0 * math.pi * self.frequency * t

@@ -1,4 +1,4 @@
-"""Friction along the body under a boundary layer that the crossflow keeps thin."""
+"""Axial friction under a boundary layer that the crossflow thins."""
 
 import equinox as eqx
 
@@ -7,7 +7,7 @@ from slider_jax.effects.base import ForceDensity, parameter
 from slider_jax.effects.functions import magnitude
 
 SLOW = 1e-3
-"""Crossflow [m/s] below which the root is rounded off."""
+"""Crossflow [m/s] below which the root is rounded, so that its derivative stays finite."""
 
 
 class ThinnedFriction(ForceDensity):
@@ -15,9 +15,9 @@ class ThinnedFriction(ForceDensity):
 
         F_tau = -2.7 c rho (nu H |u_n|)^(1/2) u_tau
 
-    The crossflow carries the boundary layer off, so that friction grows with it: the thinning that
-    Lighthill and Bone made responsible for the large drag of swimming fish. |u_n| is rounded below
-    1 mm/s. Source: Taylor, G. (1952), Analysis of the swimming of long and narrow animals, Proc. R.
+    The crossflow removes the boundary layer, so friction increases with the crossflow. Lighthill
+    and Bone explain the large drag of swimming fish by this thinning. |u_n| is rounded below 1
+    mm/s. Source: Taylor, G. (1952), Analysis of the swimming of long and narrow animals, Proc. R.
     Soc. A 214, 158-183, for a circular section (c = 1).
     """
 
@@ -26,9 +26,9 @@ class ThinnedFriction(ForceDensity):
     resists_axially = True
 
     c: Scalar = parameter(
-        0.0, 0.0, 3.0, "-", "1 for a smooth round cylinder; a flat section has more skin"
+        0.0, 0.0, 3.0, "-", "1 for a smooth round cylinder; a flat section has more surface"
     )
-    """Friction over Taylor's."""
+    """Ratio of the friction to Taylor's value."""
     viscosity: Scalar = eqx.field(default=1.0e-6)
     """nu [m^2/s]."""
     density: Scalar = eqx.field(default=1000.0)

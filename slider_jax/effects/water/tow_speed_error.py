@@ -1,4 +1,4 @@
-"""A gantry that does not run at the speed it was told."""
+"""A gantry that does not run at its declared speed."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -8,7 +8,7 @@ from slider_jax.effects.base import WaterMotion, parameter
 
 
 class TowSpeedError(WaterMotion):
-    """The carriage is faster than declared, which the robot feels as water that comes towards it.
+    """The carriage moves faster than declared; for the robot this is a flow from ahead.
 
         U_x = -g U_tow
 
@@ -16,15 +16,15 @@ class TowSpeedError(WaterMotion):
     ch. 3.
     """
 
-    title = "the carriage's speed is off"
+    title = "the carriage's speed has an error"
     order = 520
 
     gain: Scalar = parameter(
-        0.0, -0.2, 0.2, "-", "steps lost by a motor, a wheel of another diameter: up to a fifth"
+        0.0, -0.2, 0.2, "-", "lost motor steps or a wrong wheel diameter: up to a fifth"
     )
     """g, relative error of the speed."""
     tow_speed: Scalar = eqx.field(default=0.1)
-    """U_tow [m/s], of the trial."""
+    """Tow speed U_tow [m/s] of the trial."""
 
     def velocity(self, t):
         zero = jnp.zeros_like(t)
