@@ -50,7 +50,7 @@ MOUNTINGS = (SurgeCompliance, SwayCompliance)
 
 
 def settled(effects, tail_load=None, dt=1e9, **robot):
-    """Unknowns (6, N) of the clamped rod `dt` [s] after it lay straight, in one stage."""
+    """Return the unknowns (6, N) of the clamped rod one step `dt` [s] after it was straight."""
     model = uniform(L, effects=effects)
     model = dataclasses.replace(model, robot=arrays(dataclasses.replace(model.robot, **robot)))
     model = dataclasses.replace(model, robot=model.body)
@@ -66,7 +66,7 @@ def settled(effects, tail_load=None, dt=1e9, **robot):
 
 
 def end_load(T=0.0, N=0.0, M=0.0):
-    """What the tail's end carries, along with it."""
+    """Load at the tail's end, in axes that rotate with the tail."""
     return lambda phi: jnp.stack([T + 0.0 * phi, N + 0.0 * phi, M + 0.0 * phi])
 
 
@@ -115,7 +115,7 @@ def test_damping_slows_a_body_without_mass():
     np.testing.assert_allclose(y[5, 0], C * L / EI / (1.0 + 1.5 * alpha / dt), rtol=1e-9)
 
 
-def test_carried_mass_weighs():
+def test_carried_mass_adds_to_the_inertia():
     y = settled((CarriedMass(0.2), Gravity(9.81)))
     np.testing.assert_allclose(y[0, -1], (0.7 + 0.2) * 9.81 * L, rtol=1e-5)
 
@@ -215,7 +215,7 @@ def test_the_tail_in_a_stream_has_the_lift_of_a_slender_wing():
 
 
 def test_tail_added_mass_balances_the_momentum_of_its_water():
-    """Lighthill's own form: d/dt of the momentum along the tail, and what leaves at the tip."""
+    """Lighthill's form: d/dt of the momentum along the tail, plus the flux at the tip."""
     m_a, phi, omega, omega_t = 0.7, 0.4, 3.0, 20.0
     V, A = jnp.asarray([0.3, -0.2]), jnp.asarray([2.0, 1.0])
     m_A = m_a * math.pi * RHO * H**2 / 4.0
@@ -238,7 +238,7 @@ def test_tail_added_mass_balances_the_momentum_of_its_water():
     np.testing.assert_allclose(found, exact, atol=1e-3 * np.linalg.norm(exact))
 
 
-def test_axial_added_mass_is_flung_outwards_by_a_turning_rod():
+def test_axial_added_mass_on_a_rotating_rod_has_a_centrifugal_force():
     m_t, omega = 0.1, 3.0
     F_tau, F_n, _ = resultant(AxialAddedMass(m_t), rigid(omega=omega, omega_t=5.0, phi=0.3))
     np.testing.assert_allclose(F_tau, -m_t * omega**2 * L**2 / 2.0, rtol=1e-9)
@@ -266,8 +266,8 @@ def test_a_tip_mass_resists_with_all_of_its_mass(numerics):
     np.testing.assert_allclose(to_plane(F_tau, F_n, phi), [-mass * a for a in A], rtol=1e-9)
 
 
-def test_a_tip_mass_turns_at_the_radius_of_its_middle():
-    """Spread over three cells exactly; flung outwards, and slow to turn."""
+def test_a_tip_mass_rotates_at_the_radius_of_its_centre():
+    """The mass covers three cells exactly; it has a centrifugal force and rotational inertia."""
     mass, omega, omega_t, length = 3e-3, 4.0, 30.0, 3.0 * TAIL / 20.0
     x = rigid(phi=0.3, omega=omega, omega_t=omega_t, V=(0.4, 0.1))
     F_tau, _, moment = resultant(TipMass(mass, length), x)
@@ -315,7 +315,7 @@ def test_a_current_pushes_a_rigid_rod():
     np.testing.assert_allclose(recoil, 0.5 * RHO * C_d * H * L * U_y * abs(U_y), rtol=1e-6)
 
 
-def test_a_seiche_carries_water_to_and_fro():
+def test_a_seiche_moves_water_back_and_forth():
     """A parcel's path over half a period and back; the phase is where it turns."""
     a_cos, a_sin, f = 0.012, 0.005, 0.5
     seiche = arrays(TankSeiche(a_cos, a_sin, f))
@@ -328,7 +328,7 @@ def test_a_seiche_carries_water_to_and_fro():
     np.testing.assert_allclose([path.max(), path[1000], path[-1]], [stroke, stroke, 0.0], atol=1e-8)
 
 
-def test_the_seiches_frequency_is_of_a_tank_of_one_metre():
+def test_the_default_seiche_frequency_is_that_of_a_tank_of_one_metre():
     k = math.pi / 1.0
     f = math.sqrt(9.81 * k * math.tanh(k * 0.3)) / (2.0 * math.pi)
     assert abs(TankSeiche().frequency - f) < 0.005
@@ -337,7 +337,7 @@ def test_the_seiches_frequency_is_of_a_tank_of_one_metre():
 # Mounting
 
 
-def test_the_mounting_gives_way_along_the_robots_push():
+def test_the_mounting_yields_in_the_direction_of_the_load():
     """A push on the tail moves the head forward, a load to the side moves it there."""
     surge, sway, dt = 2e-4, 5e-4, 1e3
     effects = (SurgeCompliance(surge), SwayCompliance(sway))
@@ -349,7 +349,7 @@ def test_the_mounting_gives_way_along_the_robots_push():
 
 
 def test_the_mounting_is_passive():
-    """The robot's work on it over a swim: c load^2/2 in springs, the rest lost in dashpots."""
+    """Its work over a swim is c load^2/2 in the springs; the dashpots dissipate the rest."""
     compliance = np.array([2e-4, 5e-4])
     effects = (NormalDrag(3.0), ReactiveForce(1.0))
     effects = (*effects, *(kind(c) for kind, c in zip(MOUNTINGS, compliance, strict=True)))

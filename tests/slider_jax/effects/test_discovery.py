@@ -93,7 +93,7 @@ def test_a_missing_file_and_a_file_of_another_kind_are_refused(tmp_path):
 
 
 def test_the_library_holds_one_effect_for_each_file_of_a_place():
-    """A file that discovery passes over would be an effect that nobody can name."""
+    """Discovery misses no file."""
     folder = Path(effects.__file__).parent
     files = {path.stem for path in folder.glob("*/*.py")} - {"__init__"}
     assert files - set(LIBRARY) == {"drag", "reactive"}  # parts of every model

@@ -24,7 +24,7 @@ from slider_jax.supports import Clamped
 from tests.support.helpers import SMALL, arrays
 
 SENSORS = ("pressure", "pressure", "thrust", "recoil", "tip")
-"""Of the rows of `readings`."""
+"""Sensors of the rows of `readings`."""
 ENTRIES = [(name, parameter) for name, kind in LIBRARY.items() for parameter in kind.priors()]
 PRIORS = [LIBRARY[name].priors()[parameter] for name, parameter in ENTRIES]
 NULL = np.array([prior.null for prior in PRIORS])
@@ -32,7 +32,7 @@ TIMES = TimeGrid.per_stride(4.0, 60, 1)
 
 
 def readings(effects):
-    """(5, steps + 1): the sensors of a towed robot from rest, edges of the drive off the steps."""
+    """(5, steps + 1): the sensors of a towed robot from rest; drive edges between steps."""
     model = Model(
         Robot(),
         (NormalDrag(3.0), ReactiveForce(1.0), *effects),
@@ -70,7 +70,7 @@ def _moved(theta, direction):
 
 @cache
 def value_and_tangent(entry, steps=0.0):
-    """Readings (5, n), one entry at its null + `steps` prior ranges, and the tangent per range."""
+    """Readings (5, n) with one entry `steps` prior ranges off its null, and their tangent."""
     along = np.zeros_like(NULL)
     along[entry] = PRIORS[entry].high - PRIORS[entry].low
     return tuple(np.asarray(x) for x in _moved(jnp.asarray(NULL + steps * along), along))
@@ -90,27 +90,29 @@ def differs(found):
     return largest(found - bare()) > 1e-12 * largest(bare())
 
 
-def not_as_without(names):
-    """Those of the effects that change a reading at their null, by halving."""
+def changing_at_null(names):
+    """Return the effects that change a reading at their null, found by bisection."""
     found = np.asarray(jax.jit(lambda: readings(tuple(LIBRARY[name]() for name in names)))())
     if not differs(found).any():
         return []
     half = len(names) // 2
-    return not_as_without(names[:half]) + not_as_without(names[half:]) if half else names
+    return changing_at_null(names[:half]) + changing_at_null(names[half:]) if half else names
 
 
-def test_at_their_nulls_the_effects_leave_every_reading_as_it_is():
+def test_effects_at_their_nulls_change_no_reading():
     if differs(value_and_tangent(0)[0]).any():
-        pytest.fail(f"changes a reading at the null: {not_as_without(list(LIBRARY))}")
+        pytest.fail(f"changes a reading at the null: {changing_at_null(list(LIBRARY))}")
 
 
-AFAR = {name for (name, _), prior in zip(ENTRIES, PRIORS, strict=True) if prior.start is not None}
-"""Effects that are tried at a size, as their tangent at the null does not tell."""
-OF_A_FREE_HEAD = {"head_added_mass"}
-NEAR = [i for i, (name, _) in enumerate(ENTRIES) if name not in AFAR | OF_A_FREE_HEAD]
+WITH_START = {
+    name for (name, _), prior in zip(ENTRIES, PRIORS, strict=True) if prior.start is not None
+}
+"""Effects with a start, because their tangent at the null does not predict their action."""
+FREE_HEAD_ONLY = {"head_added_mass"}
+AT_NULL = [i for i, (name, _) in enumerate(ENTRIES) if name not in WITH_START | FREE_HEAD_ONLY]
 
 
-@pytest.fixture(params=NEAR, ids=[".".join(ENTRIES[i]) for i in NEAR])
+@pytest.fixture(params=AT_NULL, ids=[".".join(ENTRIES[i]) for i in AT_NULL])
 def entry(request):
     return request.param
 
@@ -126,8 +128,8 @@ def at_start(name, entry, steps=0.0):
     return tuple(np.asarray(x) for x in _moved(jnp.asarray(theta + steps * along), along))
 
 
-@pytest.mark.parametrize("name", sorted(AFAR))
-def test_effect_tried_at_its_start_is_seen_by_the_declared_sensors_alone(name):
+@pytest.mark.parametrize("name", sorted(WITH_START))
+def test_effect_at_its_start_changes_only_the_declared_sensors(name):
     mine = [i for i, (other, _) in enumerate(ENTRIES) if other == name]
     change = at_start(name, mine[0])[0] - bare()
     share = largest(change) / largest(bare())
@@ -137,9 +139,9 @@ def test_effect_tried_at_its_start_is_seen_by_the_declared_sensors_alone(name):
     assert share[~declared].max(initial=0.0) <= 1e-9 * share.max()
 
 
-@pytest.mark.parametrize("name", sorted(AFAR))
+@pytest.mark.parametrize("name", sorted(WITH_START))
 def test_tangents_at_the_start_are_the_finite_differences(name):
-    """Looser than at a null: a limit's corner lies between two steps."""
+    """Less strict than at a null, because the corner of a limit is between two steps."""
     for i in (i for i, (other, _) in enumerate(ENTRIES) if other == name):
         step = 1e-4
         tangent = at_start(name, i)[1]
@@ -150,8 +152,8 @@ def test_tangents_at_the_start_are_the_finite_differences(name):
         assert (off <= allowed).all(), (ENTRIES[i], off, allowed)
 
 
-def test_tangent_at_the_null_is_seen_by_the_declared_sensors_alone(entry):
-    """Per prior range: finite, and above a millionth of the readings somewhere it should be."""
+def test_tangent_at_the_null_changes_only_the_declared_sensors(entry):
+    """Per prior range, the tangent is finite and exceeds 1e-6 of a declared sensor's reading."""
     tangent = value_and_tangent(entry)[1]
     assert np.isfinite(tangent).all()
     share = largest(tangent) / largest(bare())
@@ -161,7 +163,7 @@ def test_tangent_at_the_null_is_seen_by_the_declared_sensors_alone(entry):
 
 
 def difference(entry, step):
-    """Second order: central, or to one side where the null is an end of the range."""
+    """Second-order difference: central, or one-sided if the null is an end of the range."""
 
     def value(steps):
         return value_and_tangent(entry, steps * step)[0]
@@ -174,7 +176,7 @@ def difference(entry, step):
 
 
 def test_tangent_at_the_null_is_the_finite_difference(entry):
-    """The shorter step is for what is linear in its parameter over the least part of its range."""
+    """The shorter step is for effects that are linear only in a small part of their range."""
     tangent = value_and_tangent(entry)[1]
     allowed = 1e-3 * largest(tangent) + 1e-9 * largest(bare())
     off = [largest(difference(entry, step) - tangent) for step in (2e-4, 2e-6)]

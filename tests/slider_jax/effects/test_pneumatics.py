@@ -34,7 +34,7 @@ FLOWS = [
 ]
 
 
-def test_supply_is_never_exceeded_and_gives_half_at_its_own_pressure():
+def test_supply_pressure_is_never_exceeded_and_is_half_at_its_own_set_pressure():
     t, p_supply = np.linspace(0.0, 40.0 * K, 200), 4e5
     final = [relaxation(SupplyLimit(1.0 / p_supply), 0.0, p, t)[-1] for p in (1e3, 4e5, -4e5, 4e8)]
     np.testing.assert_allclose(final, [1e3, 2e5, -2e5, 4e5], rtol=3e-3)
@@ -50,7 +50,7 @@ def test_regulator_gain_and_offset_superpose_on_the_linear_lag():
     np.testing.assert_allclose(got - plain, np.stack([shift, shift], 1), atol=1e-6)
 
 
-def test_rear_valve_delay_shifts_the_rear_chamber_alone():
+def test_rear_valve_delay_shifts_only_the_rear_chamber():
     t, late = strides(100), 3
     plain = square([], t).p
     got = square([RearValveDelay(late * t[1])], t).p
@@ -61,7 +61,7 @@ def test_rear_valve_delay_shifts_the_rear_chamber_alone():
 
 @pytest.mark.parametrize("effect", FLOWS, ids=lambda e: e.name())
 def test_flow_converges_for_steps_that_the_loop_takes(effect):
-    """At 114 steps a stride, 4 ms, against steps of a sixteenth of it.
+    """The loop takes 114 steps a stride, 4 ms; the reference steps are a sixteenth of that.
 
     An orifice's flow ends with a square root as the chamber empties; 1e-4 is 25 Pa.
     """
@@ -130,7 +130,7 @@ def test_orifice_is_the_lag_while_filling_is_choked():
     np.testing.assert_allclose(p - 60e3, 440e3 * (1.0 - np.exp(-t / K)), rtol=1e-6)
 
 
-def test_choked_venting_goes_with_the_absolute_pressure():
+def test_choked_venting_is_proportional_to_the_absolute_pressure():
     """dx/dt = -x (x + D)/(k S) with x = p - p_set, D = p_set + p_a, S = p_s + p_a: logistic."""
     p_set, start, S = 50e3, 500e3, 600e3 + ATMOSPHERE
     D, t = p_set + ATMOSPHERE, np.linspace(0.0, 0.07, 71)
@@ -187,7 +187,7 @@ def acting(effect, p_front, p_rear):
 
 
 def test_saturation_loses_half_and_the_quadratic_part_doubles_at_the_inverse():
-    """Both odd, both with nothing to say at small pressures, and opposite to first order."""
+    """Both are odd, vanish at small pressures, and have opposite signs to first order."""
     less, more = ActuatorSaturation(1.0 / A), ActuatorQuadratic(1.0 / A)
     np.testing.assert_allclose(acting(less, A, -A), [A / 2.0, -A / 2.0])
     np.testing.assert_allclose(acting(more, A, -A), [2.0 * A, -2.0 * A])
@@ -224,7 +224,7 @@ def test_crosstalk_bends_the_span_of_the_empty_chamber():
 
 
 def triangle(per_branch, duration):
-    """Times, and a pressure from 0 that runs straight between A and -A three times."""
+    """Times, and a triangular pressure from 0 between A and -A, three times."""
     corners = A * np.array([0.0, 1.0, -1.0, 1.0, -1.0, 1.0])
     at = np.concatenate([[0.0], np.arange(0.5, 5.0)]) * duration
     wave = Recorded(jnp.asarray(at), jnp.asarray(corners))
@@ -248,8 +248,8 @@ def test_hysteresis_settles_into_its_closed_loop_at_any_speed_and_step():
     np.testing.assert_allclose(loops[0], loops[2], rtol=1e-9)
 
 
-def test_hysteresis_takes_the_work_of_its_loop():
-    """Pressure on a volume that goes with the acting pressure: 4 A_h (A - w tanh(A/w)) a loop."""
+def test_hysteresis_dissipates_the_work_of_its_loop():
+    """Work on a volume proportional to the acting pressure: 4 A_h (A - w tanh(A/w)) a loop."""
     height, w = 30e3, 50e3
     t, wave = triangle(60, 1.0)
     got = chambers([ActuatorHysteresis(height)], wave, wave, t, law=Ideal())

@@ -24,13 +24,13 @@ TURN = 2.0 * np.pi
 
 
 def made_of(value, t):
-    """Readings whose channels are value(t), at sizes of their own."""
+    """Readings whose channels are value(t) times a factor for each channel."""
     shape = value(t)
     return Readings(t, 2e5 * shape, -1e5 * shape, 0.3 * shape, 0.8 * shape, 0.02 * shape)
 
 
 def untouched(effect, true, read):
-    """The channels that the effect leaves alone are bit for bit the same, and t."""
+    """Check that t and the other channels are bitwise unchanged."""
     seen = ("p_front", "p_rear") if "pressure" in effect.sensors else ()
     for name in ("t", *CHANNELS):
         if name not in (*seen, *effect.sensors):
@@ -54,14 +54,14 @@ SERIES = made_of(lambda t: jnp.sin(9.0 * t) + 0.3 * jnp.cos(31.0 * t), jnp.linsp
         (PressureGain(0.02), {"p_front": 1.02, "p_rear": 1.02}),
     ],
 )
-def test_a_gain_scales_its_own_channels_alone(effect, expected):
+def test_a_gain_scales_only_its_own_channels(effect, expected):
     read = effect.read(SERIES)
     for name, factor in expected.items():
         np.testing.assert_allclose(getattr(read, name), factor * getattr(SERIES, name), rtol=1e-14)
     untouched(effect, SERIES, read)
 
 
-def test_an_offset_lifts_both_pressures():
+def test_an_offset_shifts_both_pressures():
     read = PressureOffset(3e3).read(SERIES)
     for name in ("p_front", "p_rear"):
         np.testing.assert_allclose(
@@ -70,7 +70,7 @@ def test_an_offset_lifts_both_pressures():
     untouched(PressureOffset, SERIES, read)
 
 
-def test_a_turned_sensor_reads_the_components_along_its_own_axes():
+def test_a_rotated_sensor_reads_the_components_along_its_own_axes():
     read = ForceCrosstalk(0.3).read(SERIES)
     along, across = to_body((SERIES.thrust, SERIES.recoil), 0.3)
     np.testing.assert_allclose(read.thrust, along, rtol=1e-13, atol=1e-15)

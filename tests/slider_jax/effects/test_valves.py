@@ -1,4 +1,4 @@
-"""Valves, limits and hoses that take the place of the lag's flow, each against its closed form."""
+"""Valves, limits and hoses that change or replace the lag, each against its closed form."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ from slider_jax.effects.valve_pair import FULL, WIDEST
 from tests.support.chambers import A, K, chambers, held, relaxation, square, strides
 
 OPEN = (WIDEST - 0.05) / 0.95
-"""Share of full flow that an error above `FULL` opens, of a valve that needs a duty of 0.05."""
+"""Share of full flow at an error above `FULL`, for a valve that opens at a duty of 0.05."""
 
 
 @pytest.mark.parametrize(
@@ -34,7 +34,7 @@ OPEN = (WIDEST - 0.05) / 0.95
     ids=lambda x: x.name() if hasattr(x, "name") else "",
 )
 def test_converges_for_steps_that_the_loop_takes(effect, allowed):
-    """At 114 steps a stride, 4 ms, against steps of a sixteenth of it; 1e-3 is 250 Pa."""
+    """The loop takes 114 steps a stride, 4 ms; the reference, a sixteenth. 1e-3 is 250 Pa."""
     coarse, fine = square([effect], strides(114)).p, square([effect], strides(16 * 114)).p
     off = np.max(np.abs(coarse - fine[::16])) / A
     assert np.max(np.abs(coarse - square([], strides(114)).p)) > 0.005 * A
@@ -62,13 +62,13 @@ def test_deadband_is_the_lag_until_it_stops_short_of_the_set_point():
     np.testing.assert_allclose(inside, inside[0], rtol=1e-6)
 
 
-def test_overlap_settles_where_the_valve_shuts():
+def test_overlap_settles_where_the_valve_closes():
     d, t = 20e3, np.linspace(0.0, 0.8, 401)
     exact = (A - d) * (1.0 - np.exp(-t / K))
     np.testing.assert_allclose(relaxation(ValveOverlap(d), 0.0, A, t), exact, rtol=1e-5, atol=1e-3)
 
 
-def test_limited_flow_rises_in_a_line_and_ends_as_the_lag():
+def test_limited_flow_is_linear_in_time_and_then_follows_the_lag():
     R, t = 1e6, np.linspace(0.0, 0.6, 601)
     p = relaxation(RateLimit(1.0 / R), 0.0, A, t)
     turn = (A - R * K) / R
@@ -76,7 +76,7 @@ def test_limited_flow_rises_in_a_line_and_ends_as_the_lag():
     np.testing.assert_allclose(p, exact, atol=4e-3 * A)
 
 
-def test_cap_leaves_what_is_below_it():
+def test_cap_does_not_change_set_pressures_below_it():
     t = np.linspace(0.0, 30.0 * K, 200)
     final = [relaxation(SupplyCap(1.0 / 2e5), 0.0, p, t)[-1] for p in (1.5e5, 3e5, -3e5)]
     np.testing.assert_allclose(final, [1.5e5, 2e5, -2e5], rtol=1e-5)
@@ -111,8 +111,8 @@ def test_firmware_opens_in_proportion_up_to_its_widest():
 
 
 @pytest.mark.parametrize("valves", [FirmwareValves(fill=1.5), PulsedValves(fill=1.5)])
-def test_the_lag_has_no_say_beside_valves_that_replace_it(valves):
-    """Also where its time constant is a fraction of the step."""
+def test_the_lag_does_not_affect_valves_that_replace_it(valves):
+    """This holds even if its time constant is a fraction of the step."""
     t = strides(57)
     slow, quick = (square([valves], t, law=FirstOrderLag(k)).p for k in (0.2, 0.002))
     np.testing.assert_array_equal(slow, quick)
