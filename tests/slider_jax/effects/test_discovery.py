@@ -10,8 +10,8 @@ from slider_jax import effects
 from slider_jax.effects.library import LIBRARY, load_effects
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import assemble
-from slider_jax.simulation.effect_signature import built_in
-from slider_jax.simulation.trial import simulate
+from slider_jax.simulation.effect_signature import built_in_experiment
+from slider_jax.simulation.trial import simulate_trial
 from tests.support.data import ROOT
 
 FILE = '''"""Friction along the body."""
@@ -45,11 +45,11 @@ def library():
 
 def simulated_thrust(c):
     """Thrust (n,) [N] of the built-in robot, towed on a coarse mesh, with the effect of `FILE`."""
-    content = built_in().model_dump()
+    content = built_in_experiment().model_dump()
     content["numerics"] |= {"nodes": 11, "step": 5e-3}
     content["trials"] = [content["trials"][0] | {"duration": 0.1, "tow_speed": 0.2}]
     content["effects"] = [{"name": "wall_friction", "c": c}]
-    return simulate(assemble(content, "test", Path()), as_meant=True).series["thrust"]
+    return simulate_trial(assemble(content, "test", Path()), as_meant=True).series["thrust"]
 
 
 def test_an_effect_of_one_file_outside_the_package_acts_in_an_experiment(tmp_path):
