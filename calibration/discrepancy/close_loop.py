@@ -1,4 +1,4 @@
-"""Close the loop on an experiment: from measured trials to a verdict and a better model."""
+"""Closes the loop on an experiment: from measured trials to a verdict and a better model."""
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
@@ -9,6 +9,7 @@ from calibration.audit.audit import audit_measurements
 from calibration.audit.prediction import outliers
 from calibration.discrepancy.rounds import Selection
 from calibration.discrepancy.selection import select_effects
+from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
 from calibration.discrepancy.verdict import NAMED, reach_verdict
 from calibration.inference.cache import Memo
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton
@@ -28,12 +29,10 @@ from calibration.model.extended import (
 from calibration.model.predict import COARSE, FINE, Resolution
 from slider_jax.experiment.load import Experiment
 
-LEAST_TRIALS = 3
-
 
 @dataclass(frozen=True)
 class Errors:
-    """rms of measured less predicted, and the floor, of every channel in its unit."""
+    """rms of measured minus predicted and the noise floor of every channel, in its unit."""
 
     before: dict[str, float]
     after: dict[str, float]
@@ -42,7 +41,7 @@ class Errors:
 
 @dataclass(frozen=True)
 class LoopOutcome:
-    """Everything that closing the loop found."""
+    """The result of the loop on one experiment."""
 
     experiment: Experiment
     entries: list[Parameter]
@@ -57,34 +56,39 @@ class LoopOutcome:
     excess_before: dict[str, Excess]
     excess_after: dict[str, Excess]
     held: list[int]
-    """Trials that the search did not see, by their place in `problem.records`."""
+    """Held-out trials, as indices of `problem.records`."""
     audit: list[Finding] = field(default_factory=list)
-    """What is wrong with the data, and what was done about it."""
+    """Faults of the data and what was done about them."""
     nearest: Fit | None = None
-    """Where the search found effects that are not named: the model with them, on all trials."""
+    """The model with effects that were found but not named, fitted to all trials."""
 
     @property
     def effects(self) -> list[str]:
-        """Effects that were added to the model: those found, if the verdict names them."""
+        """Effects added to the model: those found, if the verdict names them."""
         return self.search.effects if self.verdict in NAMED else []
 
     @property
     def chosen(self) -> Fit:
-        """The chosen model on the trials that the search saw."""
+        """The chosen model on the trials that were not held out."""
         return self.search.final if self.effects else self.search.base
 
     def interval(self, index: int) -> tuple[float, float, float]:
-        """Value and 95 % interval of an entry that was fitted."""
+        """Returns value and 95 % interval of a fitted entry."""
         return confidence_interval(self.final, self.entries, index)
 
 
-def choose_held_out(found: Sequence[Record], kept: Collection[str] = ()) -> list[int]:
-    """A quarter of the trials, spread over the frequencies but not their ends; none of too few.
+def choose_held_out(
+    found: Sequence[Record],
+    kept: Collection[str] = (),
+    settings: SelectionSettings = DEFAULT_SETTINGS,
+) -> list[int]:
+    """Returns the indices of a quarter of the trials; none if there are too few.
 
-    Of towed trials and of those in still water at least two stay, where there are as many: an
-    effect that only they can see needs them. Those of the files `kept` stay.
+    They are spread over the frequencies, without the lowest and highest. At least two towed trials
+    and two in still water are not held out, if there are as many: an effect that acts only on them
+    needs them. Trials of the files `kept` are never held out.
     """
-    if len(found) < 2 * LEAST_TRIALS:
+    if len(found) < 2 * settings.min_trials:
         return []
     order = sorted(range(len(found)), key=lambda i: (found[i].trial.frequency or 0.0, i))
     towed = [found[i].trial.tow_speed != 0.0 for i in range(len(found))]
@@ -107,12 +111,13 @@ def close_loop_on_trials(
     coarse: Resolution = COARSE,
     memo: Memo | None = None,
     kept: Collection[str] = (),
+    settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> LoopOutcome:
-    """Search what the model of `experiment` lacks on its measured trials.
+    """Returns the effects that the model of `experiment` lacks on its measured trials.
 
-    `effects` are the candidates' names, all of the library by default. Residuals are computed at
-    the resolution `fine`, tangents at `coarse`. Trials of the files `kept` are not held out. Raises
-    `InputError` where fewer than `LEAST_TRIALS` trials can be used.
+    `effects` are the candidates' names (default: the whole library). Residuals are computed at the
+    resolution `fine`, tangents at `coarse`. Trials of the files `kept` are not held out. Raises
+    `InputError` if fewer than `settings.min_trials` trials can be used.
     """
 
     def problem_of(chosen: Sequence[Record]) -> AbstractProblem:
@@ -122,29 +127,33 @@ def close_loop_on_trials(
     names = tuple(candidates() if effects is None else effects)
     entries = parameters(names)
     base = base_values(experiment)
-    begun = base_vector(entries, base)
+    initial = base_vector(entries, base)
     progress("auditing the data")
     audited = audit_measurements(
-        experiment, LEAST_TRIALS, lambda few: problem_of(few).predict(begun)
+        experiment, settings.min_trials, lambda few: problem_of(few).predict(initial)
     )
     for finding in audited.findings:
         progress(str(finding))
-    found = audited.records
-    held = choose_held_out(found, kept)
-    outcome = conclude(experiment, names, found, held, problem_of, base, tuple(BASE), progress)
-    strange = outlier_trials(outcome)
-    named = {x.trial for x in strange}
-    rest = [r for r in found if r.trial.file not in named]
-    if strange and len(rest) >= LEAST_TRIALS:
-        for finding in strange:
+
+    def outcome_of(records: Sequence[Record]) -> LoopOutcome:
+        held = choose_held_out(records, kept, settings)
+        return conclude(
+            experiment, names, records, held, problem_of, base, tuple(BASE), progress, settings
+        )
+
+    outcome = outcome_of(audited.records)
+    outlying = outlier_trials(outcome)
+    named = {x.trial for x in outlying}
+    rest = [r for r in audited.records if r.trial.file not in named]
+    if outlying and len(rest) >= settings.min_trials:
+        for finding in outlying:
             progress(str(finding))
-        held = choose_held_out(rest, kept)
-        outcome = conclude(experiment, names, rest, held, problem_of, base, tuple(BASE), progress)
-    return replace(outcome, audit=[*audited.findings, *strange])
+        outcome = outcome_of(rest)
+    return replace(outcome, audit=[*audited.findings, *outlying])
 
 
 def outlier_trials(outcome: LoopOutcome) -> list[Finding]:
-    """Trials whose residual no effect explains and no other trial shares."""
+    """Returns the trials whose residual no effect explains and no other trial shares."""
     each = excess(outcome.problem, outcome.nearest or outcome.final)
     trials = [r.trial for r in outcome.problem.records]
     return outliers(trials, {c: x.trials for c, x in each.items()})
@@ -159,13 +168,16 @@ def conclude(
     base: dict[str, float],
     base_names: Sequence[str],
     progress: Callable[[str], None],
+    settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> LoopOutcome:
-    """Search, decide, predict what was held out, and refit to everything."""
+    """Selects effects, reaches a verdict, predicts held-out trials and refits to all trials."""
     entries = parameters(names)
     seen = [r for i, r in enumerate(found) if i not in held]
     everything = problem_of(found)
     problem = problem_of(seen) if held else everything
-    result = select_effects(problem, entries, base_vector(entries, base), progress, base_names)
+    result = select_effects(
+        problem, entries, base_vector(entries, base), progress, base_names, settings
+    )
     before = excess(problem, result.base)
     after = excess(problem, result.final) if result.effects else before
     verdict = reach_verdict(result, entries, before, after)
@@ -173,7 +185,7 @@ def conclude(
     best = result.final if named else result.base
     hidden = None
     if held:
-        progress("predicting the trials that were held out")
+        progress("predicting the held-out trials")
         rest = problem_of([found[i] for i in held])
         hidden = _errors(rest, *(rest.predict(f.theta) for f in (result.base, best)))
     progress("refitting to all trials")

@@ -1,4 +1,4 @@
-"""Where a residual acts: channel, trials and their settings, part of the stride, frequency."""
+"""Locates a residual: channel, trials and their settings, phase of the stride, frequency."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -6,24 +6,28 @@ from typing import Any
 import numpy as np
 from scipy.stats import spearmanr
 
-from calibration.inference.goodness import FLOOR, Excess
+from calibration.inference.goodness import Excess
 from calibration.measurements.records import Record
 from slider_jax.channels import row_of
 
 PHASES = 8
-"""Parts of a stride that are told apart."""
+"""Phase bins of a stride."""
 
 
 def locate_residuals(
-    records: Sequence[Record], predicted: Sequence[np.ndarray], left: dict[str, Excess]
+    records: Sequence[Record],
+    predicted: Sequence[np.ndarray],
+    left: dict[str, Excess],
+    noise_floor: float,
 ) -> list[dict[str, Any]]:
-    """Of every channel that stands above the floor: how far, in which trials, when in the stride.
+    """Returns, for each channel above the noise floor, by how much, in which trials and when.
 
-    `left` is the excess of `predicted`, the readings (5, samples) of every trial of `records`.
+    `left` is the excess of `predicted`, the readings (channels, samples) of every trial of
+    `records`.
     """
     found = []
     for channel, x in left.items():
-        if x.all <= FLOOR:
+        if x.all <= noise_floor:
             continue
         row, worst = row_of(channel), int(np.nanargmax(x.trials))
         trials = [r.trial for r in records]
@@ -49,34 +53,34 @@ def locate_residuals(
 
 
 def residual_timing(record: Record, channel: str, model: np.ndarray) -> dict[str, Any]:
-    """When in a trial the residual of a channel is largest.
+    """Returns when in a trial the residual of a channel is largest.
 
-    `phase` is the eighth of the drive's period, counted from t = 0, that holds `share` of the
-    residual's square (an eighth would be even); `growing` the share of it while the model's reading
-    moves away from its mean; `mean` the residual's mean over its rms; `peak_Hz` the frequency of
-    the sine that takes most of the rest, `peak_share` of its square.
+    `phase` is the eighth of the drive's period, from t = 0, with the largest `share` of the squared
+    residual. `growing` is the share while the model's reading moves away from its mean, `mean` the
+    residual's mean over its rms. `peak_Hz` is the frequency of the sine that explains most of the
+    rest, `peak_share` of its square.
     """
     there = record.there(channel)
     r = (record.values[row_of(channel)] - model)[there]
     square = r**2 / max(float(np.sum(r**2)), 1e-300)
     away = (model - model.mean()) * np.gradient(model) > 0.0
-    told = {
+    timing = {
         "growing": float(square[away[there]].sum()),
         "mean": float(r.mean() / np.sqrt(max(float(np.mean(r**2)), 1e-300))),
     } | _strongest(record.t[there], r)
     if record.trial.frequency is None:
-        return told
+        return timing
     part = np.floor(PHASES * ((record.t[there] * record.trial.frequency) % 1.0)).astype(int)
     count = np.bincount(part, minlength=PHASES)
     shares = np.bincount(part, square, minlength=PHASES)
     even = np.divide(shares, count, out=np.zeros(PHASES), where=count > 0)
     peak = int(np.argmax(even))
     span = [peak / PHASES, (peak + 1) / PHASES]
-    return told | {"phase": span, "share": float(even[peak] / max(even.sum(), 1e-300))}
+    return timing | {"phase": span, "share": float(even[peak] / max(even.sum(), 1e-300))}
 
 
 def _strongest(t: np.ndarray, r: np.ndarray) -> dict[str, float]:
-    """The sine that takes most of a residual's square; missing samples are interpolated."""
+    """Returns the sine that explains most of a squared residual; fills gaps by interpolation."""
     even = np.arange(t[0], t[-1], float(np.median(np.diff(t))))
     y = np.interp(even, t, r - r.mean())
     power = np.abs(np.fft.rfft(y, 4 * len(y)))[1:] ** 2
@@ -87,9 +91,9 @@ def _strongest(t: np.ndarray, r: np.ndarray) -> dict[str, float]:
 
 
 def trend(settings: Sequence[float | None], squares: np.ndarray) -> float | None:
-    """Rank correlation of the trials' mean squares with a setting.
+    """Returns the rank correlation of the trials' mean squares with a setting.
 
-    None of fewer than five trials, or where chance would give it in one of twenty.
+    None for fewer than five trials or a p-value of at least 0.05.
     """
     x = np.array([np.nan if s is None else s for s in settings], float)
     there = np.isfinite(x) & np.isfinite(squares)
@@ -100,8 +104,8 @@ def trend(settings: Sequence[float | None], squares: np.ndarray) -> float | None
 
 
 def residual_text(x: dict[str, Any]) -> str:
-    """One entry of `locate_residuals` in a sentence."""
-    text = f"{x['channel']}: {x['mean_square_over_noise']:.3g} times its floor"
+    """Returns one entry of `locate_residuals` as a sentence."""
+    text = f"{x['channel']}: {x['mean_square_over_noise']:.3g} times its noise floor"
     here = x["in_worst_trial"]
     worst = f"worst in {x['worst_trial']}"
     settings = [
@@ -114,9 +118,9 @@ def residual_text(x: dict[str, Any]) -> str:
     text += f", {worst}"
     if "phase" in here:
         low, high = here["phase"]
-        text += f", most at {low:.3g} to {high:.3g} of the stride"
-    text += f", {here['peak_share']:.0%} of it at {here['peak_Hz']:.3g} Hz"
-    text += f"; {here['growing']:.0%} of it while the reading moves away from its mean"
+        text += f", largest at {low:.3g} to {high:.3g} of the stride"
+    text += f", {here['peak_share']:.0%} of its square at {here['peak_Hz']:.3g} Hz"
+    text += f"; {here['growing']:.0%} of its square while the reading moves away from its mean"
     for name, rank in x["grows_with"].items():
         if rank is not None:
             word = "grows" if rank > 0 else "falls"

@@ -6,8 +6,6 @@ import numpy as np
 
 from calibration.discrepancy.close_loop import LoopOutcome
 from calibration.discrepancy.localise import residual_text
-from calibration.discrepancy.rounds import AGREE, UNALIKE
-from calibration.inference.goodness import FLOOR
 from calibration.reporting.html import embedded_png, render_page
 from calibration.reporting.parameters import widened
 from slider_jax.channels import CHANNELS, row_of
@@ -18,7 +16,7 @@ SHOWN_STRIDES = 3.0
 
 def loop_page(outcome: LoopOutcome, record: dict[str, Any]) -> str:
     """Returns report.html of a loop; `record` is the content of report.json."""
-    known = dict(record["parameters"])
+    known, settings = dict(record["parameters"]), outcome.search.settings
     for effect in record["effects"]:
         known |= {f"{effect['name']}.{n}": x for n, x in effect["parameters"].items()}
     head, before = ["parameter", "value", "95 % interval", "unit", "started from"], ["given"]
@@ -31,8 +29,8 @@ def loop_page(outcome: LoopOutcome, record: dict[str, Any]) -> str:
         sources=_sources(record["input"]),
         errors=_errors(record["errors"]),
         held_out=_errors(record["held_out"] or {}),
-        floor_ratio=np.sqrt(FLOOR),
-        above=[c for c, x in record["left_over_noise"].items() if x**2 > FLOOR],
+        floor_ratio=np.sqrt(settings.noise_floor),
+        above=[c for c, x in record["left_over_noise"].items() if x**2 > settings.noise_floor],
         readings_png=embedded_png(readings_figure(outcome)),
         scores_png=embedded_png(score_figure(record)),
         parameter_head=head,
@@ -41,8 +39,8 @@ def loop_page(outcome: LoopOutcome, record: dict[str, Any]) -> str:
             for name, x in known.items()
         ],
         widened=[(name, widened(x)) for name, x in known.items() if "by_variation_alone" in x],
-        agree=AGREE,
-        unalike=UNALIKE,
+        agree=settings.left_out_t,
+        unalike=settings.wilcoxon_p,
         refits=_refits(record["candidates"]),
         alternatives=_alternatives(record["effects"]),
         consequence=_consequence(record["consequence"]) if "consequence" in record else [],

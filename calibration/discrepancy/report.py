@@ -1,5 +1,6 @@
 """The outcome as report.json and model.toml."""
 
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,6 @@ from calibration.discrepancy.close_loop import Errors, LoopOutcome
 from calibration.discrepancy.localise import locate_residuals
 from calibration.discrepancy.rounds import SelectionStep
 from calibration.discrepancy.verdict import at_bounds, split
-from calibration.inference.goodness import FLOOR
 from calibration.model.extended import base_values
 from calibration.reporting.parameters import parameter_record, parameter_text, parameter_toml
 from slider_jax.channels import CHANNELS
@@ -22,7 +22,10 @@ def loop_record(
     source: dict[str, Any],
     following: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """The content of report.json; `source` names the input, `following` the next experiment."""
+    """Returns the content of report.json.
+
+    `source` names the input and `following` is the next experiment.
+    """
     held = outcome.held_out
     trials, given = outcome.problem.records, base_values(outcome.experiment)
     return {
@@ -49,17 +52,18 @@ def loop_record(
         "input": source,
         "versions": versions(),
         "settings": outcome.experiment.model_dump(),
+        "selection_settings": asdict(outcome.search.settings),
     }
 
 
 def effect_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
-    """Every effect that was added, what it cannot be told from, its rivals and parameters."""
-    found = []
+    """Returns every added effect with its equivalence class, alternatives and parameters."""
+    found, settings = [], outcome.search.settings
     for this in outcome.search.rounds:
         if this.chosen is None or this.chosen not in outcome.effects:
             continue
         kind = LIBRARY[this.chosen]
-        tried = next(t for t in this.tried if t.name == this.chosen)
+        refit = next(t for t in this.refitted if t.name == this.chosen)
         found.append(
             {
                 "name": this.chosen,
@@ -67,29 +71,39 @@ def effect_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
                 "class": _class(outcome, this),
                 "in_place_of": this.replaced,
                 "rivals": [
-                    {"name": n, "loss": x.loss, "channels": x.sizes, "told_apart": x.is_worse}
-                    for n, x in this.rivals.items()
+                    {
+                        "name": n,
+                        "loss": x.loss,
+                        "channels": x.sizes,
+                        "told_apart": settings.worth_naming(x.loss, x.sizes),
+                    }
+                    for n, x in this.alternatives.items()
                 ],
                 "parameters": {p: _interval(outcome, this.chosen, p) for p in kind.priors()},
                 "where": kind.place(),
-                "channels": {c: share for c, share in tried.sizes.items() if share > 1e-4},
-                "gain": tried.gain,
+                "channels": {c: share for c, share in refit.sizes.items() if share > 1e-4},
+                "gain": refit.gain,
             }
         )
     return found
 
 
 def nearest_effects(outcome: LoopOutcome) -> list[dict[str, Any]]:
-    """Effects that came nearest to a residual that none explains; they are not in the model."""
+    """Returns the effects nearest to a residual that none explains; they are not in the model."""
     names = [] if outcome.effects else outcome.search.effects
     return [{"name": n, "title": LIBRARY[n].title, "where": LIBRARY[n].place()} for n in names]
 
 
 def _class(outcome: LoopOutcome, this: SelectionStep) -> list[str]:
-    """What an added effect cannot be told from: rivals, and what it may share its cause with."""
-    left = any(x.all > FLOOR for x in outcome.excess_after.values())
-    parts = split(outcome.search) if left else []
-    return this.alike + [n for n in parts if this.chosen in parts and n != this.chosen]
+    """Returns the equivalent effects of an added one, and those that may share its cause."""
+    parts = split(outcome.search) if _above_floor(outcome) else []
+    return this.equivalent + [n for n in parts if this.chosen in parts and n != this.chosen]
+
+
+def _above_floor(outcome: LoopOutcome) -> list[str]:
+    """Returns the channels whose residual exceeds the noise floor."""
+    floor = outcome.search.settings.noise_floor
+    return [c for c, x in outcome.excess_after.items() if x.all > floor]
 
 
 def _interval(outcome: LoopOutcome, effect: str, name: str) -> dict[str, Any]:
@@ -105,14 +119,14 @@ def _table(errors: Errors) -> dict[str, dict[str, float]]:
 
 
 def candidate_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
-    """All candidates of all rounds, best first, and why each was left."""
+    """Returns all candidates of all rounds, best first, with the tests of those refitted."""
     rows = []
     for number, this in enumerate(outcome.search.rounds, start=1):
-        tried = {t.name: t for t in this.tried}
+        refitted = {t.name: t for t in this.refitted}
         for s in this.scores:
             row = {"round": number, "name": s.name, "score": s.gain, "p": s.p}
-            if s.name in tried:
-                t = tried[s.name]
+            if s.name in refitted:
+                t = refitted[s.name]
                 row |= {"explained": t.gain, "sizes": t.sizes, "worth_naming": t.worth_naming}
                 row["left_out_trials_agree"], row["left_out_trials_chance"] = t.agreement
             rows.append(row | {"chosen": s.name == this.chosen})
@@ -120,63 +134,65 @@ def candidate_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
 
 
 def residual_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
-    """Where the residual of the last fit stands above the floor on the trials it was fitted to."""
+    """Returns where the final fit's residual exceeds the noise floor on the fitted trials."""
     seen = [r for i, r in enumerate(outcome.problem.records) if i not in outcome.held]
-    return locate_residuals(seen, outcome.chosen.predicted, outcome.excess_after)
+    floor = outcome.search.settings.noise_floor
+    return locate_residuals(seen, outcome.chosen.predicted, outcome.excess_after, floor)
 
 
 def verdict_text(outcome: LoopOutcome) -> str:
-    """The verdict in a sentence."""
+    """Returns the verdict as a sentence."""
     names = outcome.search.effects
     titles = ", ".join(f"{LIBRARY[n].title} ({n})" for n in names)
     match outcome.verdict:
         case "nothing_missing":
-            return "Nothing is missing at the precision of these data: the residual is noise."
+            return "The model lacks nothing at the precision of these data: the residual is noise."
         case "identified":
             return f"The model lacked: {titles}."
         case "class":
-            rivals = ", ".join(n for e in effect_records(outcome) for n in e["class"])
+            others = ", ".join(n for e in effect_records(outcome) for n in e["class"])
             return (
-                f"The model lacked: {titles}; these data cannot tell "
-                f"{'it' if len(names) == 1 else 'these'} from {rivals}."
+                f"The model lacked: {titles}. These data cannot discriminate between "
+                f"{'it' if len(names) == 1 else 'these'} and {others}."
             )
         case "unexplained":
-            channels = ", ".join(c for c, x in outcome.excess_after.items() if x.all > FLOOR)
-            said = "Something is missing"
-            said += f" in {channels}" if channels else ""
-            said += ", and none of the candidates explains it."
+            channels = ", ".join(_above_floor(outcome))
+            text = "The model lacks an effect"
+            text += f" in {channels}" if channels else ""
+            text += ", and no candidate explains the residual."
             edge = at_bounds(outcome.search, outcome.entries)
             if edge:
-                said += f" At the edge of what is believed of it: {', '.join(edge)}."
+                text += f" At a bound of the prior range: {', '.join(edge)}."
             elif names:
-                said += f" The nearest, {titles}, leaves too much of it."
-            return said
+                text += f" The nearest candidate, {titles}, leaves too large a residual."
+            return text
     if not outcome.search.final.converged:
-        return "Inconclusive: the last fit did not converge."
-    return "Inconclusive: a candidate explains more than chance, but the trials do not agree on it."
+        return "Inconclusive: the final fit did not converge."
+    return "Inconclusive: a candidate has a significant gain, but the held-out trials disagree."
 
 
-def parameter_lines(told: dict[str, Any]) -> list[str]:
-    """A line for each parameter of what was added."""
+def parameter_lines(record: dict[str, Any]) -> list[str]:
+    """Returns a line for each parameter of the added effects."""
     lines = []
-    for effect in told["effects"]:
+    for effect in record["effects"]:
         for name, x in effect["parameters"].items():
             lines.append(f"{effect['name']}.{name} = {parameter_text(x)}")
     return lines
 
 
-def error_lines(told: dict[str, Any]) -> list[str]:
-    """A line for each channel's error on the trials held out, or where none was, on all."""
-    errors, of = told["held_out"] or told["errors"], "held out" if told["held_out"] else "all"
+def error_lines(record: dict[str, Any]) -> list[str]:
+    """Returns a line for each channel's error on the held-out trials, or on all if none was."""
+    held = record["held_out"]
+    errors, trials = held or record["errors"], "held-out trials" if held else "all trials"
     return [
-        f"{c}, trials {of}: rms {x['before']:.3g} before, {x['after']:.3g} after, "
-        f"floor {x['floor']:.3g} {told['units'][c]}"
+        f"{c}, {trials}: rms {x['before']:.3g} before, {x['after']:.3g} after, "
+        f"noise floor {x['floor']:.3g} {record['units'][c]}"
         for c, x in errors.items()
     ]
 
 
 def loop_model_toml(outcome: LoopOutcome) -> str:
-    """The calibrated model with its effects, for `slider simulate --model`."""
+    """Returns the calibrated model with its effects, for `slider simulate --model`."""
     final = outcome.final
     return parameter_toml(
         verdict_text(outcome), outcome.entries, final.theta, outcome.effects, final.free

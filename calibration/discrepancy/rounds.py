@@ -1,4 +1,4 @@
-"""What a search has found: its rounds, and what was tried in each."""
+"""The record of a selection: its steps, the refitted candidates and their alternatives."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -8,38 +8,27 @@ import numpy as np
 from scipy.stats import wilcoxon
 
 from calibration.discrepancy.scores import Score
+from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
 from calibration.inference.gauss_newton import Fit
 from calibration.model.extended import Parameter
-from slider_jax.channels import CHANNELS, row_of
-
-LEAST_GAIN = 20.0
-"""Smallest gain of a refitted candidate that counts, in units of the residual's mean square."""
-SHARE = 0.5
-"""A candidate is refitted if its score is at least so much of the best one's."""
-AGREE = 2.0
-"""Mean over the left-out trials of what `Score.left_out` says, over its standard error, from which
-on they agree, beside a gain beyond chance: were it all, 6 % of chance with five trials and 9 % with
-three. Factors are averaged, not drops: a trial that is far off has no greater say."""
-UNALIKE = 0.07
-"""They agree as well where Wilcoxon's signed ranks say so, at this probability of chance: where all
-improve, four of four or more, but some by far more than others."""
+from slider_jax.channels import row_of
 
 
 class Agreement(NamedTuple):
-    """Whether trials that were left out foresaw a candidate's gain on each other."""
+    """Cross-validation of a candidate: how consistently it improves held-out trials."""
 
     mean: float
-    """Mean of `Score.left_out` over its standard error."""
+    """t-statistic of the log gains `Score.left_out`: their mean over its standard error."""
     chance: float
-    """Probability of their signed ranks by chance."""
+    """p-value of Wilcoxon's signed-rank test on them."""
 
-    @property
-    def agreed(self) -> bool:
-        return bool(self.mean > AGREE or self.chance < UNALIKE)
+    def agreed(self, settings: SelectionSettings = DEFAULT_SETTINGS) -> bool:
+        """Returns whether the held-out trials agree that the candidate improves them."""
+        return bool(self.mean > settings.left_out_t or self.chance < settings.wilcoxon_p)
 
 
 def agreement(left_out: np.ndarray) -> Agreement:
-    """Of the logarithms `Score.left_out` (trials,)."""
+    """Returns the agreement of the log gains `Score.left_out` (trials,)."""
     n = len(left_out)
     spread = float(left_out.std(ddof=1)) / np.sqrt(n) if n > 1 else np.inf
     mean = float(left_out.mean()) / max(spread, 1e-300)
@@ -48,90 +37,76 @@ def agreement(left_out: np.ndarray) -> Agreement:
 
 @dataclass(frozen=True)
 class Refit:
-    """A candidate that was refitted jointly with everything before it."""
+    """A candidate refitted jointly with the base model and the effects chosen before it."""
 
     name: str
     fit: Fit
     gain: float
     """Drop of the sum of squares, in units of its own mean square."""
     sizes: dict[str, float]
-    """rms of what it changes in each channel, as a share of the channel's rms."""
+    """rms of its change of each channel, as a share of the channel's rms."""
     agreement: Agreement
-
-    @property
-    def worth_naming(self) -> bool:
-        return worth_naming(self.gain, self.sizes)
-
-
-def worth_naming(gain: float, sizes: dict[str, float]) -> bool:
-    """Whether an effect of so much gain changes some channel by so much that it is to be named."""
-    return gain > LEAST_GAIN and any(sizes[c] > CHANNELS[c].discrepancy for c in sizes)
+    worth_naming: bool
+    """Whether gain and sizes exceed the naming threshold."""
 
 
 class Alternative(NamedTuple):
-    """The last fit of a search with a rival in the place of what was chosen."""
+    """The final fit with an alternative effect substituted for the chosen one."""
 
     fit: Fit
     loss: float
-    """By how much the sum of squares is larger, in units of the last fit's mean square."""
+    """Increase of the sum of squares, in units of the final fit's mean square."""
     sizes: dict[str, float]
-    """rms of what the two fits differ by in each channel, as a share of the channel's rms."""
-
-    @property
-    def is_worse(self) -> bool:
-        return worth_naming(self.loss, self.sizes)
-
-    @property
-    def is_better(self) -> bool:
-        return worth_naming(-self.loss, self.sizes)
+    """rms difference of the two fits in each channel, as a share of the channel's rms."""
 
 
 @dataclass
 class SelectionStep:
-    """One round of the search."""
+    """One round of the selection."""
 
     scores: list[Score]
-    tried: list[Refit] = field(default_factory=list)
+    refitted: list[Refit] = field(default_factory=list)
     chosen: str | None = None
-    alike: list[str] = field(default_factory=list)
-    """Names that cannot be told from the chosen one."""
-    rivals: dict[str, Alternative] = field(default_factory=dict)
-    """Those that were judged at the end, in the class or not."""
+    equivalent: list[str] = field(default_factory=list)
+    """Effects that these data cannot discriminate from the chosen one."""
+    alternatives: dict[str, Alternative] = field(default_factory=dict)
+    """Effects substituted for the chosen one after the selection, equivalent or not."""
     taken_out: str | None = None
-    """What was chosen, until a later round left it nothing to explain."""
+    """Effect that was chosen here and removed when a later round made it unnecessary."""
     replaced: str | None = None
-    """What was chosen, until a rival took its place."""
+    """Effect that was chosen here before an alternative replaced it."""
 
 
 @dataclass
 class Selection:
-    """The whole search: the fit of the base model, the rounds, and the last fit."""
+    """A whole selection: the fit of the base model, the rounds and the final fit."""
 
     base: Fit
     final: Fit
     effects: list[str]
     rounds: list[SelectionStep]
+    settings: SelectionSettings = DEFAULT_SETTINGS
 
 
 def groups(entries: Sequence[Parameter]) -> dict[str, np.ndarray]:
-    """Indices of every effect's parameters."""
+    """Returns the indices of every effect's parameters."""
     names = dict.fromkeys(p.effect for p in entries if p.effect)
     return {n: np.array([i for i, p in enumerate(entries) if p.effect == n]) for n in names}
 
 
 def scored(entries: Sequence[Parameter]) -> dict[str, np.ndarray]:
-    """Indices of every effect's parameters by which it is scored: those with a start, or all."""
+    """Returns the indices of the parameters that score each effect: those with a start, or all."""
     found = {}
     for name, group in groups(entries).items():
-        begun = [i for i in group if entries[i].prior.start is not None]
-        found[name] = np.array(begun) if begun else group
+        started = [i for i in group if entries[i].prior.start is not None]
+        found[name] = np.array(started) if started else group
     return found
 
 
 def relative_changes(
     channels: Sequence[str], before: Sequence[np.ndarray], after: Sequence[np.ndarray]
 ) -> dict[str, float]:
-    """rms of the change in every channel over its rms, all trials (5, samples) together."""
+    """Returns the rms change of every channel over its rms, all trials together."""
     found = {}
     for channel in channels:
         row = row_of(channel)

@@ -1,13 +1,13 @@
-"""Which effects could explain a residual: scores of candidates from one linearisation.
+"""Scores of candidate effects from one linearisation.
 
-With r the white residual after the fit of the free parameters F, J_F their tangents and G those of
-a candidate, all stacked over trials and channels, the candidate is judged by what is left of G when
-J_F is projected out:
+Let r be the whitened residual after the fit of the free parameters F, J_F their tangents and G a
+candidate's tangents, all stacked over trials and channels. The score uses the part of G that is
+orthogonal to J_F:
 
     G' = G - P_F G,    gain = b' A'^-1 b',    A' = G'.G',    b' = G'.r
 
-the drop of the sum of squares when candidate and free parameters move together, and by how much it
-drops on trials that were left out of both.
+The gain is the reduction of the sum of squares when candidate and free parameters move together.
+Cross-validation gives the reduction on each trial when both are fitted to the other trials.
 """
 
 from collections.abc import Sequence
@@ -16,17 +16,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
+from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
 from calibration.inference.gauss_newton import inverse
 from calibration.inference.problem import ChannelBlock, summed
 
-UNSEEN = 1e-3
-"""A trial sees a candidate that changes it by so much of what it does to the one that it changes
-most, in squares, or by `FAINT` times the residual's mean square."""
-FAINT = 4.0
-
 
 class Score(NamedTuple):
-    """A candidate's linear score beside the free parameters."""
+    """A candidate's linear score, fitted together with the free parameters."""
 
     name: str
     gain: float
@@ -41,24 +37,24 @@ class Score(NamedTuple):
     step: np.ndarray
     """Change of all entries (parameters,)."""
     left_out: np.ndarray
-    """By what factor the candidate lowers the sum of squares of a trial when it alone was left out
-    of the fit, as a logarithm: above 0 where the others foresaw it. Of trials that can see it."""
+    """Cross-validated log gain of each trial that the candidate changes: log of the factor by which
+    the candidate lowers the held-out trial's sum of squares. Positive if it improves the trial."""
 
 
 def solve(A: np.ndarray, b: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Least-squares step of the entries `index`, zero elsewhere."""
+    """Returns the least-squares step of the entries `index`, zero elsewhere."""
     step = np.zeros(len(b))
     step[index] = inverse(A[np.ix_(index, index)]) @ b[index]
     return step
 
 
 def drop(blocks: Sequence[ChannelBlock], step: np.ndarray) -> float:
-    """By how much a step lowers the sum of squares of `blocks`."""
+    """Returns the reduction of the sum of squares of `blocks` by a step."""
     return sum(2.0 * step @ x.b - step @ x.A @ step for x in blocks)
 
 
 def remaining(blocks: Sequence[ChannelBlock], step: np.ndarray) -> float:
-    """Sum of squares of `blocks` after a step."""
+    """Returns the sum of squares of `blocks` after a step."""
     return max(sum(x.c for x in blocks) - drop(blocks, step), 1e-300)
 
 
@@ -69,10 +65,11 @@ def score(
     blocks: Sequence[ChannelBlock],
     unit: float,
     many: int,
+    settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> Score:
-    """Score the candidate whose entries are `group`, beside the free ones.
+    """Returns the score of the candidate whose entries are `group`, given the free entries.
 
-    `unit` is the residual's mean square; `many` the number of candidates that are tried.
+    `unit` is the residual's mean square and `many` the number of candidates.
     """
     A, b = summed(blocks)
     both = np.concatenate([free, group])
@@ -83,7 +80,7 @@ def score(
     for x in blocks:
         seen[x.trial] += float(step[group] @ x.A[np.ix_(group, group)] @ step[group])
     left_out = []
-    least = min(UNSEEN * max(seen.values()), FAINT * unit)
+    least = min(settings.visible_share * max(seen.values()), settings.visible_gain * unit)
     for trial in sorted(i for i in seen if seen[i] >= least):
         others = [x for x in blocks if x.trial != trial]
         held = [x for x in blocks if x.trial == trial]
@@ -97,9 +94,9 @@ def score(
 def tangent_cosine(
     first: np.ndarray, second: np.ndarray, free: np.ndarray, blocks: Sequence[ChannelBlock]
 ) -> float:
-    """Largest |cos| between two candidates' tangents once the free parameters are projected out.
+    """Returns the largest |cos| between two candidates' tangents, free parameters projected out.
 
-    1 where these data cannot tell the two apart.
+    It is 1 if these data cannot discriminate between the two.
     """
     A, _ = summed(blocks)
     inner = inverse(A[np.ix_(free, free)])

@@ -1,15 +1,16 @@
-"""Which effects the data ask for: fit, score all candidates, refit the best few, keep one, repeat.
+"""Forward-backward selection of effects: fit, score all, refit the best, keep one, repeat.
 
-A candidate is kept where its gain is beyond chance for the number of candidates tried, the trials
-that were left out agree, and what it changes is large enough to be worth a name: larger than what
-two correct programs of one model differ by, declared in `slider_jax.channels` before any data.
+A candidate is kept if its gain is significant for the number of candidates, the held-out trials
+agree, and it changes some channel by more than the model-discretisation discrepancy. That
+discrepancy is declared in `slider_jax.channels` before any data.
 
-One that was kept is taken out again where a later one leaves it nothing that is worth a name: while
-two causes are missing, a wrong one that resembles one of them and has something of the other can
-explain more than either. Source: Zhang, T. (2011), Adaptive forward-backward greedy algorithm for
-learning sparse representations, IEEE Trans. Inf. Theory 57, 4689-4708.
+A kept effect is removed again if the effects chosen later make it unnecessary. While two causes are
+missing, a wrong effect that resembles both can explain more than either. Source: Zhang, T. (2011),
+Adaptive forward-backward greedy algorithm for learning sparse representations, IEEE Trans. Inf.
+Theory 57, 4689-4708.
 
-At the end rivals are put in its place (`rivals`): one that fits better stays there.
+After the selection, alternatives are substituted for the chosen effects (`alternatives`). An
+alternative that fits better replaces the chosen effect.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,9 +22,8 @@ from calibration.discrepancy.alternatives import (
     equivalent_effects,
     judge_alternatives,
 )
-from calibration.discrepancy.refits import HALVINGS, Refits, initial_theta
+from calibration.discrepancy.refits import Refits, initial_theta
 from calibration.discrepancy.rounds import (
-    SHARE,
     Refit,
     Selection,
     SelectionStep,
@@ -33,37 +33,26 @@ from calibration.discrepancy.rounds import (
     scored,
 )
 from calibration.discrepancy.scores import Score, score
+from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton
 from calibration.inference.problem import AbstractProblem
 from calibration.model.extended import BASE, Parameter
 from slider_jax.channels import CHANNELS, row_of
 from slider_jax.effects.library import LIBRARY
 
-CHANCE = 1e-3
-"""Largest probability of a gain by chance, candidates counted."""
-SHORT_LIST = 5
-"""Candidates of each kind that are refitted in a round."""
-SHARE_AFAR = 0.2
-"""As `SHARE`, of a candidate that is scored at a size of its own (`Prior.start`), where less can be
-told."""
-NEARLY = 0.7
-"""A candidate is refitted if its score promises so much of what is worth naming."""
-MOST = 3
-"""Effects that are added at most."""
-ROUNDS = 5
-"""Rounds at most, with those whose effect was taken out again."""
-SWAPS = 2
-"""Times that a rival takes the place of what was chosen, at most."""
-
 
 def directions(
-    problem: AbstractProblem, entries: Sequence[Parameter], theta: np.ndarray, free: np.ndarray
-):
-    """What each parameter does to each trial (parameters, 5, samples), per unit.
+    problem: AbstractProblem,
+    entries: Sequence[Parameter],
+    theta: np.ndarray,
+    free: np.ndarray,
+    settings: SelectionSettings = DEFAULT_SETTINGS,
+) -> list[np.ndarray]:
+    """Returns each parameter's change of each trial (parameters, channels, samples), per unit.
 
-    Tangents at `theta`; of a parameter with a start that is at its null, the change up to there,
-    halved while it cannot be simulated. Zero for the other parameters of such an effect, and along
-    what has no finite tangent.
+    These are tangents at `theta`. For a parameter with a `Prior.start` they are the change from the
+    null to that start, which is halved while it cannot be simulated. They are zero for the other
+    parameters of such an effect, and for parameters without a finite tangent.
     """
     judged = np.unique(np.concatenate([free, *scored(entries).values()]))
     afar = [i for i in judged if entries[i].prior.start is not None and i not in free]
@@ -76,7 +65,7 @@ def directions(
     for x, tangents in zip(found, along, strict=True):
         x[near] = np.where(lost[:, None, None], 0.0, tangents)
     size = {i: entries[i].prior.start - entries[i].prior.null for i in afar}
-    for _ in range(HALVINGS):
+    for _ in range(settings.max_halvings):
         if not size:
             break
         order = list(size)
@@ -97,38 +86,40 @@ def select_effects(
     theta: np.ndarray,
     progress: Callable[[str], None] = lambda text: None,
     base_names: Sequence[str] = tuple(BASE),
+    settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> Selection:
-    """Search the effects of `entries` for what the base model lacks on the problem's trials.
+    """Selects the effects of `entries` that the base model lacks on the problem's trials.
 
-    Of the base model the parameters `base_names` are fitted.
+    `base_names` are the fitted parameters of the base model.
     """
     free = np.array([i for i, p in enumerate(entries) if not p.effect and p.name in base_names])
     progress("calibrating the base model")
     first = fit_gauss_newton(problem, entries, theta, free, progress)
     white = problem.whiteners(first.predicted)
     base = fit_gauss_newton(problem, entries, first.theta, free, progress, white)
-    refits = Refits(problem, entries, white, progress)
-    found = Selection(base, base, [], [])
-    for swaps in range(SWAPS + 1):
+    refits = Refits(problem, entries, white, progress, settings)
+    found = Selection(base, base, [], [], settings)
+    for swaps in range(settings.max_swaps + 1):
         _add(refits, found)
         judge_alternatives(refits, found)
         swap = better_alternative(found)
-        if swap is None or swaps == SWAPS:
+        if swap is None or swaps == settings.max_swaps:
             break
-        this, rival = swap
+        this, better = swap
         assert this.chosen is not None
-        progress(f"{rival} takes the place of {this.chosen}")
-        found.effects = [rival if n == this.chosen else n for n in found.effects]
-        found.final = this.rivals[rival].fit
-        this.alike = [this.chosen, *(n for n in this.alike if n != rival)]
-        this.chosen, this.replaced = rival, this.chosen
-        _take_out_needless(refits, found, this)
+        progress(f"{better} replaces {this.chosen}")
+        found.effects = [better if n == this.chosen else n for n in found.effects]
+        found.final = this.alternatives[better].fit
+        this.equivalent = [this.chosen, *(n for n in this.equivalent if n != better)]
+        this.chosen, this.replaced = better, this.chosen
+        _remove_unnecessary(refits, found, this)
     return found
 
 
 def _add(refits: Refits, found: Selection) -> None:
-    """Effects, one a round, until there is none to be named."""
-    while len(found.effects) < MOST and len(found.rounds) < ROUNDS:
+    """Adds one effect a round until no candidate exceeds the naming threshold."""
+    settings = refits.settings
+    while len(found.effects) < settings.max_effects and len(found.rounds) < settings.max_rounds:
         rest = [n for n in groups(refits.entries) if _can_join(n, found.effects)]
         if not rest:
             break
@@ -138,12 +129,15 @@ def _add(refits: Refits, found: Selection) -> None:
         if this.chosen is None:
             break
         found.effects.append(this.chosen)
-        found.final = next(t.fit for t in this.tried if t.name == this.chosen)
-        _take_out_needless(refits, found, this)
+        found.final = next(t.fit for t in this.refitted if t.name == this.chosen)
+        _remove_unnecessary(refits, found, this)
 
 
-def _take_out_needless(refits: Refits, found: Selection, by: SelectionStep) -> None:
-    """What is no longer needed beside what the round `by` chose, which takes over its rivals."""
+def _remove_unnecessary(refits: Refits, found: Selection, by: SelectionStep) -> None:
+    """Removes effects that the choice of the round `by` makes unnecessary.
+
+    That round takes over their equivalent effects.
+    """
     for name in [n for n in found.effects if n != by.chosen]:
         less = refits.without(found.final, name)
         if less is None:
@@ -151,17 +145,19 @@ def _take_out_needless(refits: Refits, found: Selection, by: SelectionStep) -> N
         found.final = less
         found.effects.remove(name)
         this = next(r for r in found.rounds if r.chosen == name)
-        by.alike += [n for n in this.alike if n not in (by.chosen, *by.alike)]
-        this.chosen, this.alike, this.taken_out = None, [], name
+        known = (by.chosen, *by.equivalent)
+        by.equivalent += [n for n in this.equivalent if n not in known]
+        this.chosen, this.equivalent, this.taken_out = None, [], name
 
 
-def _could_be_named(problem: AbstractProblem, current: Fit, everything, step: np.ndarray) -> bool:
-    """Whether a score's step changes some channel by nearly what is worth naming."""
-    there = [
+def _could_be_named(refits: Refits, current: Fit, everything, step: np.ndarray) -> bool:
+    """Returns whether a score's step changes some channel by nearly the naming threshold."""
+    changed = [
         y + np.tensordot(step, x, 1) for y, x in zip(current.predicted, everything, strict=True)
     ]
-    changes = relative_changes(problem.channels, current.predicted, there)
-    return any(change > NEARLY * CHANNELS[c].discrepancy for c, change in changes.items())
+    changes = relative_changes(refits.problem.channels, current.predicted, changed)
+    share = refits.settings.naming_share
+    return any(change > share * CHANNELS[c].discrepancy for c, change in changes.items())
 
 
 def _can_join(name: str, effects: list[str]) -> bool:
@@ -171,49 +167,54 @@ def _can_join(name: str, effects: list[str]) -> bool:
 
 def _round(refits: Refits, current: Fit, rest: Sequence[str]) -> SelectionStep:
     problem, entries, progress = refits.problem, refits.entries, refits.progress
+    settings = refits.settings
     residuals = problem.residuals(current.predicted, refits.white)
-    everything = directions(problem, entries, current.theta, current.free)
+    everything = directions(problem, entries, current.theta, current.free, settings)
     blocks = problem.blocks(residuals, everything, refits.white)
     unit, judged = current.inflation, scored(entries)
-    scores = [score(n, judged[n], current.free, blocks, unit, len(rest)) for n in rest]
+    many = len(rest)
+    scores = [score(n, judged[n], current.free, blocks, unit, many, settings) for n in rest]
     scores.sort(key=lambda s: -s.gain)
     this = SelectionStep(scores)
-    for s in _likely(scores, entries, judged):
-        if not _could_be_named(problem, current, everything, s.step):
+    for s in _likely(scores, refits, judged):
+        if not _could_be_named(refits, current, everything, s.step):
             continue
         progress(f"refitting with {s.name}")
-        tried = _tried(refits, current, s)
-        if tried is None:
-            progress(f"{s.name} cannot be simulated from where its refit would begin: left out")
+        refit = _refit(refits, current, s)
+        if refit is None:
+            progress(f"{s.name} is skipped: the start of its refit cannot be simulated")
         else:
-            this.tried.append(tried)
-    accepted = [t for t in this.tried if t.worth_naming and t.agreement.agreed]
+            this.refitted.append(refit)
+    accepted = [t for t in this.refitted if t.worth_naming and t.agreement.agreed(settings)]
     if not accepted:
         return this
     best = min(accepted, key=lambda t: t.fit.square)
     this.chosen = best.name
-    this.alike = equivalent_effects(best, this, judged, current, blocks)
+    this.equivalent = equivalent_effects(best, this, judged, current, blocks, settings)
     return this
 
 
-def _likely(scores: list[Score], entries, judged) -> list[Score]:
-    """Candidates that are worth a refit, the short list of those near and of those afar."""
+def _likely(scores: list[Score], refits: Refits, judged) -> list[Score]:
+    """Returns the candidates to refit: short lists of those scored by tangents and at a size."""
+    entries, settings = refits.entries, refits.settings
     best = scores[0].gain
 
     def of(least: float, afar: bool) -> list[Score]:
-        found = [s for s in scores if s.p < CHANCE and s.gain > least * best]
+        found = [s for s in scores if s.p < settings.false_alarm_p and s.gain > least * best]
         kind = [s for s in found if (entries[judged[s.name][0]].prior.start is not None) == afar]
-        return kind[:SHORT_LIST]
+        return kind[: settings.short_list]
 
-    return sorted([*of(SHARE, False), *of(SHARE_AFAR, True)], key=lambda s: -s.gain)
+    short = [*of(settings.min_score_share, False), *of(settings.min_score_share_far, True)]
+    return sorted(short, key=lambda s: -s.gain)
 
 
-def _tried(refits: Refits, current: Fit, s: Score) -> Refit | None:
+def _refit(refits: Refits, current: Fit, s: Score) -> Refit | None:
     group = groups(refits.entries)[s.name]
-    start = initial_theta(refits.entries, current.theta, group, s.step)
+    start = initial_theta(refits, current.theta, group, s.step)
     refitted = refits.joined(current.theta, start, np.concatenate([current.free, group]))
     if refitted is None:
         return None
     gain = (current.square - refitted.square) / refitted.inflation
     sizes = refits.sizes(current, refitted)
-    return Refit(s.name, refitted, gain, sizes, agreement(s.left_out))
+    named = refits.settings.worth_naming(gain, sizes)
+    return Refit(s.name, refitted, gain, sizes, agreement(s.left_out), named)

@@ -21,10 +21,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.stats import chi2
 
-from calibration.discrepancy.alternatives import ALIKE
-from calibration.discrepancy.rounds import LEAST_GAIN, scored
+from calibration.discrepancy.rounds import scored
 from calibration.discrepancy.scores import tangent_cosine
-from calibration.discrepancy.selection import CHANCE
+from calibration.discrepancy.settings import DEFAULT_SETTINGS
 from calibration.experiment_design.information import (
     ChannelInformation,
     TrialInformation,
@@ -104,7 +103,10 @@ class Matrix:
 
 def required_gain(freedom: int, many: int) -> float:
     """The gain from which on the search finds one of `many` candidates."""
-    return max(LEAST_GAIN, float(chi2.isf(CHANCE / many, freedom)))
+    return max(
+        DEFAULT_SETTINGS.min_gain,
+        float(chi2.isf(DEFAULT_SETTINGS.false_alarm_p / many, freedom)),
+    )
 
 
 def detectability_matrix(
@@ -198,8 +200,8 @@ def _side(prior: Prior) -> int:
 def classes(
     names: Sequence[str], alike: np.ndarray, opposed: np.ndarray, found: set[str]
 ) -> list[list[str]]:
-    """Groups of the effects `found` that cannot be told apart, linked by |cos| > `ALIKE`."""
-    linked = (np.nan_to_num(alike) > ALIKE) & ~opposed
+    """Groups of the effects `found` that cannot be told apart: |cos| above `parallel_cosine`."""
+    linked = (np.nan_to_num(alike) > DEFAULT_SETTINGS.parallel_cosine) & ~opposed
     there = np.array([name in found for name in names])
     linked &= there[:, None] & there
     count, label = connected_components(coo_array(linked), directed=False)

@@ -7,9 +7,7 @@ import numpy as np
 from scipy.cluster.hierarchy import leaves_list, linkage
 from scipy.spatial.distance import squareform
 
-from calibration.discrepancy.alternatives import ALIKE
-from calibration.discrepancy.rounds import LEAST_GAIN
-from calibration.discrepancy.selection import CHANCE
+from calibration.discrepancy.settings import DEFAULT_SETTINGS
 from calibration.experiment_design.detectability import Limit, Matrix, required_gain
 from calibration.experiment_design.information import FINITE_START
 from calibration.model.extended import candidates
@@ -34,7 +32,9 @@ NOTES = {
 def detectability_record(m: Matrix, source: dict[str, Any]) -> dict[str, Any]:
     """The content of matrix.json; `source` names the input."""
     experiment, sensing = m.information.experiment, m.information.sensing
-    signs = np.argwhere(np.triu(m.opposed) & (np.nan_to_num(m.alike) > ALIKE))
+    signs = np.argwhere(
+        np.triu(m.opposed) & (np.nan_to_num(m.alike) > DEFAULT_SETTINGS.parallel_cosine)
+    )
     return {
         "name": experiment.name,
         "limits": [_row(x) for x in m.limits],
@@ -44,11 +44,11 @@ def detectability_record(m: Matrix, source: dict[str, Any]) -> dict[str, Any]:
         "alike": m.alike,
         "channels": {c: noise._asdict() for c, noise in sensing.noise.items()},
         "thresholds": {
-            "least_gain": LEAST_GAIN,
-            "chance": CHANCE,
+            "least_gain": DEFAULT_SETTINGS.min_gain,
+            "chance": DEFAULT_SETTINGS.false_alarm_p,
             "candidates": len(candidates()),
             "gain_of_one_parameter": required_gain(1, len(candidates())),
-            "alike": ALIKE,
+            "alike": DEFAULT_SETTINGS.parallel_cosine,
             "gain_of_a_trial": {name: x.gain for name, x in CHANNELS.items()},
             "discrepancy": {name: x.discrepancy for name, x in CHANNELS.items()},
         },
@@ -93,11 +93,16 @@ def matrix_table(m: Matrix) -> str:
         lines.append(f"* judged at {FINITE_START:.0%} of its range: its tangent says too little")
     lines.append("")
     if m.classes:
-        lines.append(f"cannot be told apart by this experiment (|cos| > {ALIKE:g}):")
+        lines.append(
+            "cannot be told apart by this experiment "
+            f"(|cos| > {DEFAULT_SETTINGS.parallel_cosine:g}):"
+        )
         lines += [f"  {', '.join(group)}" for group in m.classes]
     else:
         lines.append("every effect that it detects it can tell from the others")
-    signs = np.argwhere(np.triu(m.opposed) & (np.nan_to_num(m.alike) > ALIKE))
+    signs = np.argwhere(
+        np.triu(m.opposed) & (np.nan_to_num(m.alike) > DEFAULT_SETTINGS.parallel_cosine)
+    )
     lines += [f"  told apart by the sign alone: {m.names[i]}, {m.names[j]}" for i, j in signs]
     lines.append(f"counted: {', '.join(m.information.sensing.noise)}")
     return "\n".join(lines)

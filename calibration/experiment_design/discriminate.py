@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from calibration.discrepancy.rounds import LEAST_GAIN
+from calibration.discrepancy.settings import DEFAULT_SETTINGS
 from calibration.experiment_design.information import (
     ChannelInformation,
     TrialInformation,
@@ -52,7 +52,7 @@ class Distance(NamedTuple):
     @property
     def of_enough(self) -> float:
         """1 where they are just told apart."""
-        return min(self.sigmas**2 / LEAST_GAIN, self.channel[1] ** 2)
+        return min(self.sigmas**2 / DEFAULT_SETTINGS.min_gain, self.channel[1] ** 2)
 
     @property
     def channel(self) -> tuple[str, float]:

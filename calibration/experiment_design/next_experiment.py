@@ -31,7 +31,6 @@ from calibration.experiment_design.trial_search import (
     trial_toml,
 )
 from calibration.inference.gauss_newton import inverse
-from calibration.inference.goodness import FLOOR
 from calibration.inference.problem import TankProblem, summed
 from calibration.inference.uncertainty import EFFECT, SYSTEMATIC
 from calibration.measurements.records import Record
@@ -52,7 +51,7 @@ def next_experiment(
 
     `limits` are those of the experiment's own trials by default.
     """
-    left = any(x.all > FLOOR for x in outcome.excess_after.values())
+    left = any(x.all > outcome.search.settings.noise_floor for x in outcome.excess_after.values())
     if outcome.verdict in (UNEXPLAINED, INCONCLUSIVE) or (outcome.verdict == CLASS and left):
         return _again(outcome)
     try:
@@ -105,7 +104,7 @@ def _split(
     found = _none("No trial is proposed: none of the rivals can be fitted in the place of another.")
     last, trials = outcome.search.final, [r.trial for r in _searched(outcome)]
     for this in outcome.search.rounds:
-        fits = {n: this.rivals[n].fit for n in this.alike if n in this.rivals}
+        fits = {n: this.alternatives[n].fit for n in this.equivalent if n in this.alternatives}
         if not this.chosen or not fits:
             continue
         ways = {

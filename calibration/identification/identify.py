@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from calibration.audit.audit import audit_measurements
+from calibration.discrepancy.settings import DEFAULT_SETTINGS
 from calibration.experiment_design.parameter_trial import (
     Proposal,
     advise,
@@ -13,7 +14,7 @@ from calibration.experiment_design.parameter_trial import (
     proposal_sentence,
 )
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton
-from calibration.inference.goodness import FLOOR, excess, floors, rms_errors
+from calibration.inference.goodness import excess, floors, rms_errors
 from calibration.inference.lbfgs import fit_lbfgs
 from calibration.inference.problem import TankProblem
 from calibration.inference.uncertainty import correlations, hausman_check
@@ -109,7 +110,9 @@ def identify_parameters(
 
 def doubt(problem: TankProblem, fit: Fit) -> str:
     """What to know of a fit that does not explain its data; nothing of one that does."""
-    left = {c: x.all for c, x in excess(problem, fit).items() if x.all > FLOOR}
+    left = {
+        c: x.all for c, x in excess(problem, fit).items() if x.all > DEFAULT_SETTINGS.noise_floor
+    }
     if not left:
         return ""
     channels = ", ".join(f"{c} at {np.sqrt(x):.2g} times its noise" for c, x in left.items())

@@ -8,10 +8,6 @@ from calibration.inference.gauss_newton import Fit
 from calibration.inference.problem import AbstractProblem
 from slider_jax.channels import CHANNELS, row_of
 
-FLOOR = 1.5
-"""Mean square of a channel's white residual up to which it is at the floor: programs that agree
-leave up to 1.3."""
-
 
 class Excess(NamedTuple):
     """Mean squares of a channel's white residuals, all together and of every trial; NaN where it

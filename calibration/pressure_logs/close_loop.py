@@ -3,7 +3,8 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from calibration.discrepancy.close_loop import LEAST_TRIALS, LoopOutcome, conclude
+from calibration.discrepancy.close_loop import LoopOutcome, conclude
+from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
 from calibration.inference.cache import Memo
 from calibration.inference.problem import AbstractProblem
 from calibration.measurements.records import Record
@@ -25,15 +26,17 @@ def close_loop_on_logs(
     effects: Sequence[str] | None = None,
     progress: Callable[[str], None] = lambda text: None,
     memo: Memo | None = None,
+    settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> LoopOutcome:
-    """Search what the pressure lag lacks on the rig's logs.
+    """Returns the effects that the pressure-lag model lacks on the rig's logs.
 
-    In order of frequency the first, third, fifth log and so on are searched, the others held out.
-    Raises `InputError` where there are fewer than five.
+    In order of frequency, every second log is held out. Raises `InputError` if there are fewer than
+    five logs.
     """
-    if len(logs) < 2 * LEAST_TRIALS - 1:
+    least = 2 * settings.min_trials - 1
+    if len(logs) < least:
         raise InputError(
-            f"{len(logs)} logs given; tracing an effect needs {2 * LEAST_TRIALS - 1} or more, at "
+            f"{len(logs)} logs given; tracing an effect needs {least} or more, at "
             "different frequencies: every other one is held out"
         )
     logs = sorted(logs, key=lambda log: log.frequency)
@@ -52,5 +55,5 @@ def close_loop_on_logs(
     findings = audit_logs(logs)
     for finding in findings:
         progress(str(finding))
-    outcome = conclude(experiment, names, found, held, problem_of, base, FREE, progress)
+    outcome = conclude(experiment, names, found, held, problem_of, base, FREE, progress, settings)
     return replace(outcome, audit=findings)

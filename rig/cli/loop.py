@@ -51,9 +51,9 @@ def loop(
         amplitude: lowest and highest set pressure of theirs, Pa; never above the rig's limits.
         phase: lowest and highest phase of the rear chamber of theirs, fraction of a period.
     """
-    from calibration.discrepancy.close_loop import LEAST_TRIALS
     from calibration.discrepancy.page import loop_page
     from calibration.discrepancy.report import loop_model_toml
+    from calibration.discrepancy.settings import DEFAULT_SETTINGS
     from calibration.experiment_design.campaign import campaign
     from calibration.experiment_design.trial_search import TrialLimits, limits_of
     from rig.cli.settings import rig_of
@@ -64,9 +64,11 @@ def loop(
 
     settings = rig_of(rig)
     given = load(experiment)
-    if len(given.trials) < LEAST_TRIALS:
+    if len(given.trials) < DEFAULT_SETTINGS.min_trials:
         raise InputError.value(
-            f"{experiment}: trials", len(given.trials), f"{LEAST_TRIALS} or more to begin with"
+            f"{experiment}: trials",
+            len(given.trials),
+            f"{DEFAULT_SETTINGS.min_trials} or more to begin with",
         )
     if any(trial.clamp_moves or trial.tow_speed for trial in given.trials):
         raise InputError(f"{experiment}: a clamp moves; allowed trials whose clamp rests")

@@ -72,7 +72,7 @@ def test_the_report_is_whole_and_the_model_runs(delayed, tmp_path):
     assert "Verdict: identified. From tank.toml (sha256 abcdefabcdef)" in html
     (line,) = parameter_lines(told)
     assert line.startswith("valve_delay.delay = 0.0") and line.endswith(") s")
-    assert error_lines(told)[0].startswith("p_front, trials held out: rms ")
+    assert error_lines(told)[0].startswith("p_front, held-out trials: rms ")
     tried = [x for x in told["candidates"] if "explained" in x]
     assert html.count(">chosen<") == 1 and html.count("<td>1: ") == len(tried) > 0
     assert "without the effects" in html and "above it" not in html

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from calibration.discrepancy.localise import locate_residuals, residual_text, residual_timing, trend
+from calibration.discrepancy.settings import DEFAULT_SETTINGS
 from calibration.inference.goodness import Excess
 from calibration.measurements.records import Record
 from slider_jax.experiment.schema import Trial
@@ -38,13 +39,15 @@ def test_what_grows_with_a_setting_is_said():
     records = [record(0.1 * f, f, a) for f, a in enumerate(amplitudes, start=1)]
     squares = np.array([2.0, 5.0, 9.0, 20.0, 30.0])
     left = {"thrust": Excess(squares, 13.2), "tip": Excess(np.ones(5), 1.1)}
-    (found,) = locate_residuals(records, [np.tile(MODEL, (5, 1))] * 5, left)
+    (found,) = locate_residuals(
+        records, [np.tile(MODEL, (5, 1))] * 5, left, DEFAULT_SETTINGS.noise_floor
+    )
     assert (found["channel"], found["worst_trial"]) == ("thrust", "5.csv")
     grows = found["grows_with"]
     assert grows["frequency"] == pytest.approx(1.0)
     assert grows["amplitude"] is None and grows["tow_speed"] is None
     text = residual_text(found)
-    assert "thrust: 13.2 times its floor, worst in 5.csv (5 Hz, 100 kPa)" in text
+    assert "thrust: 13.2 times its noise floor, worst in 5.csv (5 Hz, 100 kPa)" in text
     assert "grows with frequency" in text and "amplitude" not in text.split(";", 1)[1]
 
 

@@ -133,4 +133,4 @@ def test_a_trial_that_cannot_see_a_candidate_has_no_say():
     ],
 )
 def test_trials_agree_on_average_or_one_by_one(left_out, agreed):
-    assert agreement(np.array(left_out)).agreed is agreed
+    assert agreement(np.array(left_out)).agreed() is agreed

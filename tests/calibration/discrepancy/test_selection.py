@@ -40,7 +40,7 @@ def test_a_wrong_effect_that_came_first_is_taken_out_again():
     assert set(found.effects) == {"tank_current", "force_gain"}
     np.testing.assert_allclose(found.final.theta, truth, atol=0.02)
     assert found.final.theta[2] == 0.0 and 2 not in found.final.free
-    assert not any(r.alike for r in found.rounds)
+    assert not any(r.equivalent for r in found.rounds)
 
 
 def test_an_effect_that_is_still_needed_stays():

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from calibration.discrepancy.alternatives import ALIKE
-from calibration.discrepancy.rounds import LEAST_GAIN, groups
+from calibration.discrepancy.rounds import groups
 from calibration.discrepancy.scores import score, tangent_cosine
+from calibration.discrepancy.settings import DEFAULT_SETTINGS
 from calibration.experiment_design.detectability import (
     POWER,
     at_limits,
@@ -94,8 +94,8 @@ def gain(still, effect, size, seed):
 @pytest.mark.parametrize("effect", ["axial_added_mass", "pressure_gain"])
 def test_three_times_the_limit_is_found_in_noise_and_nothing_is_not(still, effect):
     size = limit_of(still, effect).significant
-    assert gain(still, effect, 3.0 * size, seed=1) > 3.0 * LEAST_GAIN
-    assert gain(still, effect, 0.0, seed=2) < LEAST_GAIN
+    assert gain(still, effect, 3.0 * size, seed=1) > 3.0 * DEFAULT_SETTINGS.min_gain
+    assert gain(still, effect, 0.0, seed=2) < DEFAULT_SETTINGS.min_gain
 
 
 @pytest.mark.slow
@@ -217,7 +217,7 @@ def test_mass_and_axial_added_mass_look_alike_in_still_water_and_a_towed_trial_i
     still, towed
 ):
     (pair,) = towed["pairs"]
-    assert pair["cos_before"] > ALIKE
+    assert pair["cos_before"] > DEFAULT_SETTINGS.parallel_cosine
     assert towed["trial"]["tow_speed"] > 0.1
     (without,) = proposed(still, (0.0, 0.0))["pairs"]
     assert pair["cos_after"] < 0.9 < without["cos_after"]

@@ -9,7 +9,6 @@ from calibration.discrepancy.close_loop import Errors, LoopOutcome
 from calibration.discrepancy.page import loop_page
 from calibration.discrepancy.report import loop_record
 from calibration.discrepancy.rounds import (
-    LEAST_GAIN,
     Agreement,
     Alternative,
     Refit,
@@ -17,6 +16,7 @@ from calibration.discrepancy.rounds import (
     SelectionStep,
     groups,
 )
+from calibration.discrepancy.settings import DEFAULT_SETTINGS
 from calibration.experiment_design import next_experiment as module
 from calibration.experiment_design.discriminate import TIMES, distance
 from calibration.experiment_design.information import (
@@ -130,7 +130,7 @@ def test_a_class_that_nothing_makes_smaller_says_so(tank):
 
 def test_a_class_whose_rivals_were_not_fitted_proposes_nothing(tank):
     found = classed(tank, None)
-    found.search.rounds[0].rivals.clear()
+    found.search.rounds[0].alternatives.clear()
     told = next_experiment(found, effort=FEW)
     assert told["trial"] is None and "none of the rivals can be fitted" in told["said"]
 
@@ -182,7 +182,7 @@ def test_a_measured_trial_is_foreseen_at_the_times_of_its_record(tank):
 def test_rivals_are_reported(tank):
     final = fitted(tank, tank[2], np.concatenate([FREE, MASS]))
     worse = Alternative(final, 88.0, {"tip": 0.01})
-    tried = [Refit("carried_mass", final, 99.0, {"tip": 0.02}, Agreement(9.0, 0.01))]
+    tried = [Refit("carried_mass", final, 99.0, {"tip": 0.02}, Agreement(9.0, 0.01), True)]
     this = SelectionStep(
         [], tried, "carried_mass", [], {"axial_added_mass": worse}, None, "tip_mass"
     )
@@ -212,7 +212,10 @@ def test_a_rival_is_as_far_as_its_model_cannot_follow():
     left = J[:, 2] - J[:, :2] @ step
     assert found.shares["tip"] == pytest.approx(np.sqrt(left @ left / square), rel=1e-9)
     assert found.of_enough == pytest.approx(
-        min(rest[0] / LEAST_GAIN, (found.shares["tip"] / CHANNELS["tip"].discrepancy) ** 2)
+        min(
+            rest[0] / DEFAULT_SETTINGS.min_gain,
+            (found.shares["tip"] / CHANNELS["tip"].discrepancy) ** 2,
+        )
     )
 
 

@@ -66,7 +66,7 @@ def test_held_out_logs_are_predicted_to_the_noise(outcome):
 
 
 def test_rivals_are_told_and_leave_more(outcome):
-    tried = {t.name: t for t in outcome.search.rounds[0].tried}
+    tried = {t.name: t for t in outcome.search.rounds[0].refitted}
     assert "pulsed_valves" in tried
     best = tried.pop("firmware_valves")
     assert all(t.fit.square > 3.0 * best.fit.square for t in tried.values())
