@@ -27,7 +27,7 @@ def call_of(command: Callable[..., Any], words: Sequence[str], name: str) -> Cal
         return partial(command, *arguments, **options)
 
     def refuse(event: tyro_errors.ParseErrorEvent) -> None:
-        raise InputError(f"{sentence(event)}; see slider {name} --help")
+        raise InputError(f"{error_line(event)}; see slider {name} --help")
 
     style = tyro.conf.configure(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff)
     with tyro_errors.on_parse_error(refuse):
@@ -52,7 +52,7 @@ def _refuse_unknown_options(function: Callable[..., Any], words: Sequence[str]) 
             )
 
 
-def sentence(event: tyro_errors.ParseErrorEvent) -> str:
+def error_line(event: tyro_errors.ParseErrorEvent) -> str:
     """Returns one line that says what is wrong with the arguments."""
     match event:
         case tyro_errors.MissingArgs():

@@ -8,7 +8,7 @@ import pytest
 from tyro import _errors as tyro_errors
 
 from slider_jax.cli.main import main
-from slider_jax.cli.parse import sentence
+from slider_jax.cli.parse import error_line
 
 RUN = ("rig", "run", "x.toml", "--port", "x", "--out", "y")
 SIMULATE = ("simulate", "x.toml", "--out", "y")
@@ -63,7 +63,7 @@ def test_the_events_of_tyro_have_the_fields_that_messages_use():
 
 
 def test_an_event_that_is_unknown_still_gives_one_line():
-    assert sentence(tyro_errors.ParseErrorEvent("slider")) == "invalid arguments"
+    assert error_line(tyro_errors.ParseErrorEvent("slider")) == "invalid arguments"
 
 
 @pytest.mark.parametrize(
