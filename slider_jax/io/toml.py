@@ -17,7 +17,7 @@ TableType = TypeVar("TableType", bound=BaseModel)
 
 
 def read_bytes(path: Path) -> bytes:
-    """The content of an input file, or an error that says why there is none."""
+    """The content of an input file. Raises `InputError` with the reason if it cannot be read."""
     if path.is_dir():
         raise InputError(f"{path}: is a folder; give the file in it")
     try:
@@ -29,7 +29,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file; an error names line and column."""
+    """The tables of a TOML file. Raises `InputError` with the line and column."""
     try:
         text = read_bytes(path).decode("utf-8")
         return tomllib.loads(text)
@@ -40,20 +40,20 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def _unit_advice(text: str, error: tomllib.TOMLDecodeError) -> str:
-    """For a number with a unit behind it, which is how most numbers are mistyped."""
+    """Advice for a number that a unit follows, the most common mistake; otherwise empty."""
     at = re.search(r"at line (\d+)", str(error))
     lines = text.split("\n")
     line = lines[int(at[1]) - 1] if at and int(at[1]) <= len(lines) else ""
     number = re.search(r"=\s*([-+]?\d[\d_.]*(?:[eE][-+]?\d+)?)\s*([^\W\d_][^\s#]*)", line)
     if not number:
         return ""
-    return f"; numbers have no unit, but are in SI: {number[1]} without {number[2]}, converted"
+    return f"; numbers are in SI without a unit: convert {number[1]} and remove {number[2]}"
 
 
 def field_at(
     table: type[BaseModel], location: Sequence[str | int]
 ) -> tuple[type[BaseModel], FieldInfo | None]:
-    """The innermost table of a place such as ("trials", 0, "phase"), and the field at its end."""
+    """The innermost table and the field of a location such as ("trials", 0, "phase")."""
     field = None
     for part in location:
         if str(part).isdigit():
@@ -68,7 +68,7 @@ def field_at(
 
 
 def quantity_of(field: FieldInfo | None) -> Quantity | None:
-    """The unit and range of a field, if it is a number that has them."""
+    """The unit and range of a field, or None if it has none."""
     candidates = list(field.metadata) if field is not None else []
     for inner in getattr(getattr(field, "annotation", None), "__args__", ()):
         candidates += getattr(inner, "__metadata__", ())
@@ -76,7 +76,7 @@ def quantity_of(field: FieldInfo | None) -> Quantity | None:
 
 
 def _message(table: type[BaseModel], error: Any) -> str:
-    """One pydantic error in our words."""
+    """The message for one error of pydantic."""
     location = tuple(part for part in error["loc"] if not str(part).startswith("function-"))
     where = ".".join(str(part) for part in location)
     owner, field = field_at(table, location)
@@ -111,12 +111,12 @@ def _message(table: type[BaseModel], error: Any) -> str:
 
 
 def validate(table: type[TableType], content: Any, source: str) -> TableType:
-    """`content` as a `table`; the error names `source`, the key, what is allowed."""
+    """`content` as a `table`. Raises `InputError` with `source`, the key and the allowed values."""
     try:
         return table.model_validate(content)
     except ValidationError as failure:
         errors = failure.errors(include_url=False)
-        # A misspelt key is both unknown and missing: say the former first.
+        # A misspelt key is both unknown and missing; the error for the unknown key comes first.
         errors.sort(key=lambda error: error["type"] != "extra_forbidden")
         messages = [_message(table, error) for error in errors]
         more = f" (and {len(messages) - 1} more after it)" if len(messages) > 1 else ""

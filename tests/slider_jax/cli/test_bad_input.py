@@ -13,7 +13,7 @@ TOML_CASES = {
     "not TOML": (("C_d = 3.0", "C_d = = 3.0"), ("not valid TOML", "line 16, column 7")),
     "number with a unit": (
         ("amplitude = 150000.0", "amplitude = 150 kPa"),
-        ("not valid TOML", "numbers have no unit, but are in SI: 150 without kPa, converted"),
+        ("not valid TOML", "numbers are in SI without a unit: convert 150 and remove kPa"),
     ),
     "key given twice": (("m_a = 1.0", "C_d = 1.0"), ("not valid TOML", "line 17")),
     "unknown table": (("[sensors]", "[sensor]"), ("sensor: unknown key", "did you mean sensors?")),
