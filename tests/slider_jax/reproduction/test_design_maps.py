@@ -207,7 +207,7 @@ def test_a_stopped_script_goes_on_and_writes_all(swimmer, tmp_path, capsys, monk
 
     monkeypatch.setattr(sweeping, "available_cores", lambda: 1)
     monkeypatch.setattr(sweeping, "compile_swim", lambda plan, _: lambda batch: (batch, None))
-    monkeypatch.setattr(sweeping, "table_of", stopped_at_the_second)
+    monkeypatch.setattr(sweeping, "performance_table", stopped_at_the_second)
     with pytest.raises(KeyboardInterrupt):
         main(command)
     assert [p.name for p in out.iterdir()] == ["map_a"]

@@ -167,7 +167,9 @@ def without_physics(monkeypatch, one_core_chunks_of_two):
     names = ("thrust_mean_N", "recoil_rms_N", "tip_half_range_m", "chamber_power_W")
     monkeypatch.setattr(sweeping, "compile_programs", lambda *args: None)
     monkeypatch.setattr(sweeping, "march", lambda *args: None)
-    monkeypatch.setattr(sweeping, "steady", lambda *args: {name: np.ones(2) for name in names})
+    monkeypatch.setattr(
+        sweeping, "steady_quantities", lambda *args: {name: np.ones(2) for name in names}
+    )
 
 
 def test_what_is_done_is_said_and_not_done_again(
