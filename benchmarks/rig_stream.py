@@ -20,7 +20,7 @@ import numpy as np
 from rig.manifold.driver import Manifold
 from rig.manifold.limits import PressureLimits
 from rig.manifold.serial_port import open_port
-from rig.recording.decode import readings
+from rig.recording.decode import decode_readings
 from rig.recording.reader import read_recording
 from rig.scheduling import real_time
 from rig.simulated.rig import SimulatedRig
@@ -56,7 +56,7 @@ def measure(seconds: float, folder: Path) -> dict[str, float | int | str]:
             cpu, wall = _cpu() - cpu, time.monotonic() - begun
             lost, doubled, damaged = manifold.lost, manifold.duplicated, manifold.damaged
     stream = read_recording(path).streams["manifold"]
-    kept = readings(zip(stream.host_ns.tolist(), stream.pieces(), strict=True))
+    kept = decode_readings(zip(stream.host_ns.tolist(), stream.pieces(), strict=True))
     late = 1e3 * captured.played.lateness
     return {
         "seconds": seconds,

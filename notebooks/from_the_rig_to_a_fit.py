@@ -36,9 +36,9 @@ from calibration.model.predict import Resolution
 from rig.cli.settings import rig_of
 from rig.cli.shared import opened, trials_of, with_counts
 from rig.recording.clock import align
-from rig.recording.decode import readings
+from rig.recording.decode import decode_readings
 from rig.recording.reader import read_recording
-from rig.trial.session import run
+from rig.trial.session import run_trials
 from slider_jax.experiment import load as experiments
 from slider_jax.optimise.design_space import to_toml
 
@@ -113,7 +113,7 @@ with ExitStack() as stack:
     settings = with_counts(rig_of(rig_file))
     machine = stack.enter_context(opened(port, settings))
     table_of_trials, trials = trials_of(path)
-    told = run(trials, machine, measured, {"rig": settings.model_dump(mode="json")})
+    told = run_trials(trials, machine, measured, {"rig": settings.model_dump(mode="json")})
 (measured / "experiment.toml").write_bytes(path.read_bytes())
 for trial in told:
     print(
@@ -130,7 +130,7 @@ for trial in told:
 
 # %%
 stream = read_recording(measured / "recordings" / f"{trials[0].name}.h5").streams["manifold"]
-found = readings(zip(stream.host_ns.tolist(), stream.pieces(), strict=True))
+found = decode_readings(zip(stream.host_ns.tolist(), stream.pieces(), strict=True))
 clock = align(found.device_s, found.host_s)
 late = 1e3 * (found.host_s - clock.to_host(found.device_s))
 figure, axes = plt.subplots(2, 1, figsize=(9, 5), layout="constrained")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 
-def write_text(path: Path, text: str) -> None:
+def save_text(path: Path, text: str) -> None:
     """`text` to `path`, all of it or nothing."""
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=".tmp-", suffix=path.suffix)
     try:
@@ -24,13 +24,13 @@ def write_text(path: Path, text: str) -> None:
         raise
 
 
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
+def save_json(path: Path, content: Mapping[str, Any]) -> None:
     """Raises `ValueError` for a number that is not finite."""
-    write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
+    save_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
 
 
-def write_csv(path: Path, columns: Mapping[str, np.ndarray]) -> None:
+def save_csv(path: Path, columns: Mapping[str, np.ndarray]) -> None:
     """Columns (n,) by name with unit; a NaN is a blank cell."""
     cells = [["" if math.isnan(x) else f"{x:.9g}" for x in v.tolist()] for v in columns.values()]
     rows = [",".join(columns), *(",".join(row) for row in zip(*cells, strict=True))]
-    write_text(path, "\n".join(rows) + "\n")
+    save_text(path, "\n".join(rows) + "\n")

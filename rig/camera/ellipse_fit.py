@@ -58,7 +58,7 @@ def model(q: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.n
     return background + amplitude * level, np.stack(slopes, axis=1)
 
 
-def fit(
+def fit_ellipse(
     x: np.ndarray, y: np.ndarray, values: np.ndarray, start: SoftEllipse
 ) -> tuple[SoftEllipse, float] | None:
     """The ellipse nearest to `values` (n,) at the pixels seen, by Levenberg and Marquardt's steps,

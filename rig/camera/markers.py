@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rig.camera.ellipse_fit import fit, start_at
+from rig.camera.ellipse_fit import fit_ellipse, start_at
 from rig.camera.opencv import opencv
 
 MARGIN = 10
@@ -114,7 +114,7 @@ def _measure(
         seen = free & _wider(cv2, own, 7)
         if np.sum(seen) < FEWEST:
             return None
-        fitted = fit(x[seen], y[seen], cover[seen], start_at(center, covariance, mass))
+        fitted = fit_ellipse(x[seen], y[seen], cover[seen], start_at(center, covariance, mass))
         if fitted is None or fitted[1] > look.error:
             return None
         ellipse = fitted[0]

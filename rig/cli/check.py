@@ -8,7 +8,9 @@ from slider_jax.cli.options import Value
 from slider_jax.errors import InputError
 
 
-def check(port: Port, rig: RigFile = None, pressure: Value = 50e3, out: Path | None = None) -> int:
+def rig_check(
+    port: Port, rig: RigFile = None, pressure: Value = 50e3, out: Path | None = None
+) -> int:
     """Check rate and line, answer times, noise at rest, and how each chamber fills and holds.
 
     A force sensor that the rig file names is listened to for a second before. Each chamber is set
@@ -28,7 +30,7 @@ def check(port: Port, rig: RigFile = None, pressure: Value = 50e3, out: Path | N
     from rig.manifold.serial_port import open_port
     from rig.protocol.messages import CHANNELS
     from rig.scheduling import real_time
-    from rig.trial.health_check import Collector, check as check_rig, check_force
+    from rig.trial.health_check import Collector, check_force, check_manifold
     from slider_jax.io.files import output_folder, write_json
 
     if not pressure >= 1e3:
@@ -54,7 +56,7 @@ def check(port: Port, rig: RigFile = None, pressure: Value = 50e3, out: Path | N
     ):
         manifold.configure(limits)
         ident = manifold.ident
-        found = check_rig(
+        found = check_manifold(
             manifold, collector, pressure, lambda text: print(f"{text} ...", file=sys.stderr)
         )
     assert ident is not None

@@ -11,7 +11,7 @@ from slider_jax.cli.options import Folder, Frequencies
 from slider_jax.errors import InputError
 
 
-def log(
+def rig_log(
     frequencies: tyro.conf.Positional[Frequencies],
     port: Port,
     out: Folder,

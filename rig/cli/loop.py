@@ -23,7 +23,7 @@ from slider_jax.cli.options import Folder, Range, Whole
 from slider_jax.errors import InputError
 
 
-def loop(
+def rig_loop(
     experiment: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="EXPERIMENT.toml")],
     port: Port,
     out: Folder,
@@ -57,7 +57,7 @@ def loop(
     from calibration.experiment_design.campaign import campaign
     from calibration.experiment_design.trial_search import TrialLimits, limits_of
     from rig.cli.settings import rig_of
-    from rig.trial.session import run as run_trials
+    from rig.trial.session import run_trials
     from slider_jax.experiment.load import Experiment, load
     from slider_jax.experiment.schema import Trial
     from slider_jax.io.files import output_folder, write_json, write_text

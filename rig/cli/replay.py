@@ -13,14 +13,14 @@ from rig.force.sensor import SensorMounting
 from rig.force.stream_reader import force_reader
 from rig.recording.reader import Recording, read_recording
 from rig.recording.recover import extent
-from rig.recording.table import Columns, columns
+from rig.recording.table import Columns, trial_columns
 from rig.trial.session import RECORDINGS, told_beside, write_trial
 from slider_jax.cli.options import MaybeFolder, Value
 from slider_jax.errors import InputError
 from slider_jax.io.toml import validate
 
 
-def replay(
+def rig_replay(
     recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR|RECORDING.h5")],
     out: MaybeFolder = None,
     rig: RigFile = None,
@@ -136,7 +136,7 @@ def _read(trial: _Trial, given: RigTable | None, path: Path) -> tuple[Columns, l
     if settings.camera is not None and "camera" in trial.recording.streams:
         _, readers["camera"] = camera_of(settings.camera)
     analogue = tuple(x.sensor() for x in settings.analogue)
-    read = columns(trial.recording, trial.begun_ns, trial.seconds, readers, analogue)
+    read = trial_columns(trial.recording, trial.begun_ns, trial.seconds, readers, analogue)
     missing = [name for name in trial.columns if name not in read.values]
     return read, [f"{', '.join(missing)} left out: no sensor of it is named"] if missing else []
 

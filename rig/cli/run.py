@@ -23,7 +23,7 @@ MOST_LOST = 0.01
 """Share of a trial's readings."""
 
 
-def run(
+def rig_run(
     experiment: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="EXPERIMENT.toml")],
     port: Port,
     out: Folder,
@@ -51,7 +51,7 @@ def run(
     """
     from rig.cli.settings import rig_of
     from rig.manifold.limits import PressureLimits
-    from rig.trial.session import finished, run as run_trials
+    from rig.trial.session import finished, run_trials
     from slider_jax.io.files import input_file, output_folder
 
     if out.resolve() == experiment.resolve().parent:

@@ -36,14 +36,14 @@ LEAST_SWING = 1e-4
 """Of the tip before a trial [m]: what is less is not declared."""
 
 
-def ports() -> None:
+def rig_ports() -> None:
     """List this computer's serial ports: name, description, serial number."""
-    from rig.manifold.serial_port import ports as found
+    from rig.manifold.serial_port import serial_ports
 
-    there = found()
-    for port in there:
+    available = serial_ports()
+    for port in available:
         print(f"{port.name}  {port.description}  {port.serial_number}".rstrip())
-    if not there:
+    if not available:
         print("no serial ports; plug the manifold in, or start `slider rig simulate`")
 
 

@@ -16,7 +16,7 @@ from slider_jax.errors import InputError
 RIG_FILE, FORCE_NOISE, TIP_NOISE = Path("simulated_rig.toml"), 2e-3, 2e-5
 
 
-def simulate(
+def rig_simulate(
     experiment: MaybeExperiment = None,
     rig_file: Annotated[Path, tyro.conf.arg(metavar="RIG.toml")] = RIG_FILE,
     model: ModelFile = None,

@@ -37,7 +37,7 @@ SAYS = 2.0
 """Between lines, where there is no terminal [s]."""
 
 
-def watch(
+def rig_watch(
     experiment: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="EXPERIMENT.toml")],
     port: Port,
     rig: RigFile = None,

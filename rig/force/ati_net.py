@@ -96,9 +96,9 @@ class NetCalibration:
         return counts / np.repeat([self.counts_per_N, self.counts_per_Nm], 3)
 
     def forces(self, host_ns: Sequence[int], datagrams: Sequence[bytes]) -> Forces:
-        """The forces of one stream; raises `RigError` as `rig.force.ati_rdt.table` and
+        """The forces of one stream; raises `RigError` as `rig.force.ati_rdt.record_table` and
         `Records.times`."""
-        records = rdt.table(host_ns, datagrams)
+        records = rdt.record_table(host_ns, datagrams)
         wrench = self.wrench(records.counts)
         wrench[~records.present] = np.nan
         return Forces(records.times(), wrench, records.doubtful, records.findings())

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.errors import RigError
-from rig.recording.sample_clock import sample_times
+from rig.recording.sample_clock import host_sample_times
 
 PORT = 49152
 STOP, START, BIAS = 0, 2, 0x42
@@ -159,7 +159,7 @@ class Records:
         if len(self.seq) == 1:
             return self.host_ns
         at = self.present
-        return sample_times(self.seq[at], self.host_ns[at], self.rate, self.seq)
+        return host_sample_times(self.seq[at], self.host_ns[at], self.rate, self.seq)
 
     @property
     def stuck(self) -> np.ndarray:
@@ -192,7 +192,7 @@ class Records:
         return tuple(told)
 
 
-def table(host_ns: Sequence[int] | np.ndarray, datagrams: Sequence[bytes]) -> Records:
+def record_table(host_ns: Sequence[int] | np.ndarray, datagrams: Sequence[bytes]) -> Records:
     """The records of one stream, from arrival times [ns] and datagrams in order of arrival.
 
     What was lost before the first number or after the last cannot be seen. Raises `RigError` if

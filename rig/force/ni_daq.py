@@ -28,7 +28,7 @@ from rig.force.sensor import (
     check_positive,
     unit_in_si,
 )
-from rig.recording.sample_clock import sample_times
+from rig.recording.sample_clock import host_sample_times
 
 _FIRST = struct.Struct("<Q")
 FULL = 0.995
@@ -120,7 +120,7 @@ class GaugeCalibration:
         if saturated.any():
             told.append(f"{saturated.sum()} samples saturated")
         arrived = np.asarray(host_ns, np.int64)
-        times = sample_times(last, arrived, self.rate, number)
+        times = host_sample_times(last, arrived, self.rate, number)
         return Forces(times, self.wrench(volts), saturated, tuple(told))
 
 

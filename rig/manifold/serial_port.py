@@ -33,7 +33,7 @@ class SerialPortInfo(NamedTuple):
     serial_number: str
 
 
-def ports() -> list[SerialPortInfo]:
+def serial_ports() -> list[SerialPortInfo]:
     """All serial ports, by name."""
     return [
         SerialPortInfo(port.device, port.description or "", port.serial_number or "")
@@ -72,7 +72,7 @@ def _why(name: str, error: Exception) -> str:
     if number is None and (told := re.search(r"\((\d+), ", str(error))):
         number = int(told[1])
     if number == errno.ENOENT or (os.name == "posix" and not os.path.exists(name)):
-        there = ", ".join(port.name for port in ports()) or "none"
+        there = ", ".join(port.name for port in serial_ports()) or "none"
         return f"--port {name}: no such port; there are: {there}; is it plugged in?"
     if number in (errno.EACCES, errno.EPERM):
         return (

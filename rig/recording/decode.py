@@ -37,7 +37,7 @@ class DecodedReadings(NamedTuple):
         return p[:, 0] - p[:, 1], p[:, 2] - p[:, 3]
 
 
-def readings(pieces: Iterable[tuple[int, bytes]]) -> DecodedReadings:
+def decode_readings(pieces: Iterable[tuple[int, bytes]]) -> DecodedReadings:
     """From (host time [ns], bytes) as they came. What is before the first end of a frame is not
     counted as damage, for a recording may begin within one."""
     decoder, begun = Decoder(), False

@@ -9,7 +9,7 @@ LATEST = 0.5
 """Samples of which half came later than this [s] were not taken at the rate that is claimed."""
 
 
-def sample_times(
+def host_sample_times(
     number: np.ndarray, arrived_ns: np.ndarray, rate: float, at: np.ndarray
 ) -> np.ndarray:
     """Host times [ns], int64, of the samples numbered `at`.

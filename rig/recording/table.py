@@ -9,7 +9,7 @@ import numpy as np
 from rig.errors import RigError
 from rig.protocol.messages import CHANNELS
 from rig.recording.clock import ClockFit, align
-from rig.recording.decode import DecodedReadings, readings
+from rig.recording.decode import DecodedReadings, decode_readings
 from rig.recording.reader import Recording, Stream
 
 ORDER = ("t_s", "p_front_Pa", "p_rear_Pa", "thrust_N", "recoil_N", "tip_m")
@@ -81,7 +81,7 @@ class Columns(NamedTuple):
     told: dict[str, Any]
 
 
-def columns(
+def trial_columns(
     recording: Recording,
     begun_ns: int,
     duration: float,
@@ -95,7 +95,7 @@ def columns(
     without readings.
     """
     came = recording.streams["manifold"]
-    found = readings(zip(came.host_ns.tolist(), came.pieces(), strict=True))
+    found = decode_readings(zip(came.host_ns.tolist(), came.pieces(), strict=True))
     if len(found.seq) < 2:
         raise RigError(
             f"recording: {len(found.seq)} readings of the manifold, {found.damaged} damaged "

@@ -190,7 +190,7 @@ def _as_json(path: Path | str, asked: Mapping[str, Any]) -> str:
         raise RigError(f"recording {path}: settings are not JSON ({error})") from None
 
 
-def main() -> None:
+def write_from_stdin() -> None:
     """What the process does: a line of JSON, then pieces until the end of the standard input."""
     # These are for the program: it tells when to end.
     for name in ("SIGINT", "SIGHUP", "SIGTERM"):
@@ -230,4 +230,4 @@ def _record(asked: Mapping[str, Any], source: BinaryIO, say: Callable[..., None]
 
 
 if __name__ == "__main__":
-    main()
+    write_from_stdin()

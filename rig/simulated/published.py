@@ -74,7 +74,7 @@ class PublishedFirmware:
         return float(number[0]) if number else None
 
 
-def replay(log: bytes, period_us: int = PERIOD_US) -> Callable[[float, int], Script]:
+def replay_log(log: bytes, period_us: int = PERIOD_US) -> Callable[[float, int], Script]:
     """A log's own text, byte for byte, a row every `period_us` (0: all at once).
 
     Whatever frequency is asked for: give its own.

@@ -85,7 +85,7 @@ class Collector:
         return rows
 
 
-def check(
+def check_manifold(
     manifold: Manifold,
     collector: Collector,
     pressure: float,

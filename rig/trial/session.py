@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 
 from rig.errors import RigError
-from rig.files import write_csv, write_json
+from rig.files import save_csv, save_json
 from rig.force.sensor import ForceSource
 from rig.manifold.driver import Manifold
 from rig.manifold.limits import PressureLimits
 from rig.recording.reader import read_recording
-from rig.recording.table import Analogue, Columns, Reader, columns
+from rig.recording.table import Analogue, Columns, Reader, trial_columns
 from rig.trial.capture import Captured, PlannedTrial, RecordedInstrument, Switches, Timing, capture
 from rig.trial.settling import Stillness, noise_of
 
@@ -57,7 +57,7 @@ class Rig:
     """So long at most, for what the analogue sensors measure to come to rest [s]."""
 
 
-def run(
+def run_trials(
     trials: Sequence[PlannedTrial],
     rig: Rig,
     folder: Path,
@@ -99,12 +99,12 @@ def one(
         trial, rig.manifold, rig.switches, rig.instruments, path, rig.limits, settings, rig.timing,
         lambda phase, t: watch(trial.name, phase, t),
     )  # fmt: skip
-    read = columns(
+    read = trial_columns(
         read_recording(path), captured.played.begun_ns, trial.duration, rig.readers, rig.analogue
     )
     told = _told(trial, captured, read) | {"settings": settings, "versions": _versions()}
     write_trial(folder, trial.name, read)
-    write_json(path.with_suffix(".json"), told)
+    save_json(path.with_suffix(".json"), told)
     return told
 
 
@@ -114,8 +114,8 @@ def write_trial(folder: Path, name: str, read: Columns) -> None:
     if read.played is None:
         played.unlink(missing_ok=True)
     else:
-        write_csv(played, read.played)
-    write_csv(folder / f"{name}.csv", read.values)
+        save_csv(played, read.played)
+    save_csv(folder / f"{name}.csv", read.values)
 
 
 def start_swing(told: Sequence[dict[str, Any]]) -> float:

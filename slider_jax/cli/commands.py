@@ -1,4 +1,4 @@
-"""The table of subcommands: where each one's function is, so that nothing else has to import it."""
+"""The table of subcommands. It names each function as text, so that only a used one is imported."""
 
 from collections.abc import Callable
 from importlib import import_module
@@ -6,96 +6,116 @@ from typing import Any, NamedTuple
 
 
 class Subcommand(NamedTuple):
-    """A subcommand: `module:function`, imported only when it is asked for, and a line of help.
+    """A subcommand: its `module:function`, imported only when it runs, and its line of help.
 
-    The function's signature is the command line, by tyro; it returns None or an exit code.
+    tyro builds the command line from the function's signature. It returns None or an exit code.
     """
 
     target: str
     help: str
     alone: bool = False
-    """Of a group's own command: whether it runs without arguments, and takes bare words."""
+    """Whether a group's own command runs without arguments and takes positional arguments."""
     jax: bool = True
-    """Whether it needs JAX, which the computer beside a tank may lack."""
+    """Whether the command needs JAX, which may not be installed on the rig's computer."""
 
 
 COMMANDS = {
     "simulate": Subcommand(
-        "slider_jax.cli.simulate:simulate", "an experiment, or a pressure log, to thrust"
+        "slider_jax.cli.simulate:simulate",
+        "simulates an experiment's trials, or the thrust of a pressure log",
     ),
-    "demo": Subcommand("slider_jax.cli.demo:demo", "the paper's frequency sweep, no input needed"),
+    "demo": Subcommand(
+        "slider_jax.cli.demo:demo", "simulates the paper's frequency sweep; needs no input"
+    ),
     "sweep": Subcommand(
-        "slider_jax.cli.sweep:sweep", "one or two fields of an experiment over ranges"
+        "slider_jax.cli.sweep:sweep", "varies one or two fields of an experiment over ranges"
     ),
-    "swim": Subcommand("slider_jax.cli.swim:swim", "the robot set free, and its steady speed"),
-    "climb": Subcommand("slider_jax.cli.climb:climb", "the robot pinned to a wall, in air"),
+    "swim": Subcommand(
+        "slider_jax.cli.swim:swim", "simulates free swimming and computes the steady speed"
+    ),
+    "climb": Subcommand(
+        "slider_jax.cli.climb:climb", "simulates climbing in air, pinned to a wall"
+    ),
     "optimize swim": Subcommand(
-        "slider_jax.cli.optimize:optimize_swim", "tail and gait for the fastest swimming"
+        "slider_jax.cli.optimize:optimize_swim", "optimises tail and gait for the fastest swimming"
     ),
     "optimize multimodal": Subcommand(
-        "slider_jax.cli.optimize:optimize_multimodal", "one tail to swim and to climb with"
+        "slider_jax.cli.optimize:optimize_multimodal",
+        "optimises one tail for both swimming and climbing",
     ),
     "close-loop": Subcommand(
-        "calibration.cli.close_loop:close_loop", "what a model lacks, from measured trials"
+        "calibration.cli.close_loop:close_loop",
+        "finds the effects that a model lacks, from measured trials",
     ),
     "lamprey": Subcommand(
-        "calibration.cli.lamprey:lamprey", "a swimming animal's midlines, weighed by the model"
+        "calibration.cli.lamprey:lamprey",
+        "computes a swimming animal's axial force balance from its midlines",
     ),
     "published": Subcommand(
-        "calibration.cli.published:published", "the paper's swimming speeds against its equations"
+        "calibration.cli.published:published",
+        "compares the paper's swimming speeds with its equations",
     ),
     "effects matrix": Subcommand(
         "calibration.cli.effects_matrix:effects_matrix",
-        "which of them an experiment could find and separate",
+        "computes which effects an experiment can detect and discriminate",
     ),
     "effects": Subcommand(
-        "slider_jax.cli.effects:effects",
-        "what a model may lack, and what it does to the sensors",
+        "slider_jax.cli.effects:list_effects",
+        "lists the effects that a model may lack and how sensors show them",
         alone=True,
     ),
     "calibrate manifold": Subcommand(
-        "calibration.cli.calibrate:manifold", "the pressure lag from the rig's own logs"
+        "calibration.cli.calibrate:manifold", "fits the pressure lag to the rig's own logs"
     ),
     "calibrate statics": Subcommand(
-        "calibration.cli.calibrate_statics:statics", "EI, damping and K_Q from a bench, in air"
+        "calibration.cli.calibrate_statics:statics",
+        "fits EI, damping and K_Q to bench tests in air",
     ),
     "calibrate": Subcommand(
-        "calibration.cli.calibrate_tank:tank", "C_d, m_a, k and K_Q from measured trials"
+        "calibration.cli.calibrate_tank:tank", "fits C_d, m_a, k and K_Q to measured trials"
     ),
-    "rig ports": Subcommand("rig.cli.shared:ports", "this computer's serial ports", jax=False),
+    "rig ports": Subcommand(
+        "rig.cli.shared:rig_ports", "lists this computer's serial ports", jax=False
+    ),
     "rig check": Subcommand(
-        "rig.cli.check:check", "line, noise and leaks of a rig, in a minute", jax=False
+        "rig.cli.check:rig_check",
+        "checks a rig's serial line, noise and leaks in a minute",
+        jax=False,
     ),
     "rig run": Subcommand(
-        "rig.cli.run:run", "an experiment's trials on the rig, recorded", jax=False
+        "rig.cli.run:rig_run", "runs and records an experiment's trials on the rig", jax=False
     ),
-    "rig log": Subcommand("rig.cli.log:log", "pressure logs of the published firmware", jax=False),
+    "rig log": Subcommand(
+        "rig.cli.log:rig_log", "records pressure logs of the published firmware", jax=False
+    ),
     "rig replay": Subcommand(
-        "rig.cli.replay:replay",
-        "a recording's columns anew, or at its own pace",
+        "rig.cli.replay:rig_replay",
+        "recomputes a recording's columns, or plays it back",
         jax=False,
     ),
     "rig watch": Subcommand(
-        "rig.cli.watch:watch", "the calibrated model beside a running rig, with alarm"
+        "rig.cli.watch:rig_watch", "runs the calibrated model beside the rig and raises alarms"
     ),
-    "rig loop": Subcommand("rig.cli.loop:loop", "measure and close the loop until it is settled"),
+    "rig loop": Subcommand(
+        "rig.cli.loop:rig_loop", "measures trials and closes the loop until the class is final"
+    ),
     "rig simulate": Subcommand(
-        "rig.cli.simulate:simulate",
-        "a rig that is not there, to try all this on",
+        "rig.cli.simulate:rig_simulate",
+        "simulates a rig, to try the commands without hardware",
         jax=False,
     ),
 }
 
 SIMULATE_LOG = "calibration.cli.simulate_log:simulate_log"
-"""What `slider simulate` calls for a pressure log."""
+"""The function that `slider simulate` calls for a pressure log."""
 
 
 def function_of(target: str) -> Callable[..., Any]:
-    """The function that a `module:function` of the table names; its module is imported now."""
+    """Imports the module of a `module:function` and returns the function."""
     module, function = target.split(":")
     return getattr(import_module(module), function)
 
 
 def rig_error() -> type[Exception]:
-    """What the commands of the rig raise for one clear message."""
+    """Returns the exception class that the rig's commands raise for invalid input."""
     return import_module("rig.errors").RigError

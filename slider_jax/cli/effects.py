@@ -40,7 +40,7 @@ PLACES = (
 ExperimentFile = Annotated[Path | None, tyro.conf.arg(metavar="EXPERIMENT.toml")]
 
 
-def effects(
+def list_effects(
     name: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="NAME")] = None,
     out: MaybeFolder = None,
     experiment: ExperimentFile = None,

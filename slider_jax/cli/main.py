@@ -14,7 +14,7 @@ _GROUPS = {name.split()[0] for name in COMMANDS if " " in name} - {
 
 
 def usage(group: str = "") -> str:
-    """The list of subcommands, or of those of a `group` such as "calibrate"."""
+    """Returns the list of subcommands, or those of a `group` such as "calibrate"."""
     shown = {name: x for name, x in COMMANDS.items() if name.startswith(group)}
     width = max(map(len, shown))
     lines = [f"  {name:<{width}}  {command.help}" for name, command in shown.items()]
@@ -23,11 +23,11 @@ def usage(group: str = "") -> str:
 
 
 def prepare_jax() -> None:
-    """float64, and compiled programs kept between runs under the user's cache folder.
+    """Enables float64 and keeps compiled programs between runs in the user's cache folder.
 
-    `JAX_COMPILATION_CACHE_DIR` chooses another folder; `SLIDER_CACHE=off` keeps none.
+    `JAX_COMPILATION_CACHE_DIR` names another folder; `SLIDER_CACHE=off` disables the cache.
     """
-    # No log of XLA's: its alarm at a long compilation reads as a fault. Errors are raised.
+    # XLA logs a warning at a long compilation that looks like a fault. Errors are raised anyway.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     from slider_jax.precision import enable_float64
 
@@ -43,12 +43,12 @@ def prepare_jax() -> None:
 
 
 def find(arguments: Sequence[str]) -> tuple[str, list[str]]:
-    """The subcommand that `arguments` begin with, and what is left of them."""
+    """Returns the subcommand that `arguments` begin with, and the remaining arguments."""
     words = list(arguments)
     for name in COMMANDS:
         parts = name.split()
         rest = words[len(parts) :]
-        # A bare word after a group's own command is a mistyped command of it, not a file.
+        # After a group's own command, a word that names no file is a mistyped subcommand.
         mistyped = name in _GROUPS and rest and rest[0].isalpha() and not Path(rest[0]).exists()
         if words[: len(parts)] == parts and not mistyped:
             return name, rest
@@ -61,8 +61,8 @@ def find(arguments: Sequence[str]) -> tuple[str, list[str]]:
     )
 
 
-def run(arguments: Sequence[str]) -> int:
-    """Run one command and return its exit code; input and solver errors are raised."""
+def run_command(arguments: Sequence[str]) -> int:
+    """Runs one command and returns its exit code. Raises input and solver errors."""
     name, rest = find(arguments)
     if COMMANDS[name].jax:
         prepare_jax()
@@ -72,7 +72,7 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def _notes(error: BaseException) -> list[str]:
-    """What else went wrong on the way out."""
+    """Returns the notes on an error: further failures while the command stopped."""
     return list(getattr(error, "__notes__", ()))
 
 
@@ -93,7 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"slider {__version__}")
         return 0
     try:
-        return run(arguments)
+        return run_command(arguments)
     except (InputError, SolverError, rig_error()) as error:
         print("\n".join([f"slider: error: {error}", *_notes(error)]), file=sys.stderr)
         return 2

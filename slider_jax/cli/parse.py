@@ -1,59 +1,41 @@
-"""A command's words to the call that they ask for; bad ones to one message."""
+"""From a command line's arguments to the call that they ask for, or to one error message."""
 
 import inspect
-import io
-import os
-import re
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr
+from collections.abc import Callable, Sequence
 from functools import partial, wraps
 from typing import Any
 
 import tyro
 
+# The events behind tyro's error boxes. The module is private: tests/slider_jax/cli/test_parse.py
+# fails if a new version of tyro changes what is used here.
+from tyro import _errors as tyro_errors
+
 from slider_jax.errors import InputError, did_you_mean
 
 
 def call_of(command: Callable[..., Any], words: Sequence[str], name: str) -> Callable[[], Any]:
-    """`command` with the arguments that `words` give it.
+    """Returns `command` with the arguments in `words`, ready to be called.
 
-    Raises `InputError` for words that cannot be used, and `SystemExit` after `--help`.
+    Raises `InputError` for invalid arguments, and `SystemExit` after `--help`.
     """
     _refuse_unknown_options(command, words)
 
-    # Built, not run: what the command itself says on stderr is not held back.
+    # tyro builds the call and does not run it, so that only parsing can reach the hook.
     @wraps(command)
     def call(*arguments: Any, **options: Any) -> Callable[[], Any]:
         return partial(command, *arguments, **options)
 
+    def refuse(event: tyro_errors.ParseErrorEvent) -> None:
+        raise InputError(f"{error_line(event)}; see slider {name} --help")
+
     style = tyro.conf.configure(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff)
-    said = io.StringIO()
-    try:
-        with _unwrapped(words), redirect_stderr(said):
-            return tyro.cli(style(call), args=words, prog=f"slider {name}")
-    except SystemExit as end:
-        if end.code == 2:
-            raise InputError(f"{in_one_line(said.getvalue())}; see slider {name} --help") from None
-        raise
-
-
-@contextmanager
-def _unwrapped(words: Sequence[str]) -> Iterator[None]:
-    """A line of tyro's is as long as it needs, lest what was given is broken; help is laid out."""
-    before = os.environ.get("COLUMNS")
-    if not {"-h", "--help"} & set(words):
-        os.environ["COLUMNS"] = "99999"
-    try:
-        yield
-    finally:
-        if before is not None:
-            os.environ["COLUMNS"] = before
-        elif "COLUMNS" in os.environ:
-            del os.environ["COLUMNS"]
+    with tyro_errors.on_parse_error(refuse):
+        return tyro.cli(style(call), args=words, prog=f"slider {name}")
 
 
 def _refuse_unknown_options(function: Callable[..., Any], words: Sequence[str]) -> None:
-    """tyro takes what follows an unknown option for its value, and then misses a file."""
+    """tyro reads the word after an unknown option as its value, and then reports a missing file."""
     allowed = ["--help"]
     for name, parameter in inspect.signature(function).parameters.items():
         notes = getattr(parameter.annotation, "__metadata__", ())
@@ -64,34 +46,39 @@ def _refuse_unknown_options(function: Callable[..., Any], words: Sequence[str]) 
     for word in words:
         option = word.split("=")[0].replace("_", "-")
         if option.startswith("--") and option not in allowed:
-            shown = option if option.isprintable() else repr(option)
             advice = did_you_mean(option, allowed)
-            raise InputError(f"{shown}: unknown option; allowed {', '.join(allowed)}{advice}")
+            raise InputError(
+                f"{_printable(option)}: unknown option; allowed {', '.join(allowed)}{advice}"
+            )
 
 
-def in_one_line(box: str) -> str:
-    """What is in a box of tyro's: its sentence, or the names of what is missing.
+def error_line(event: tyro_errors.ParseErrorEvent) -> str:
+    """Returns one line that says what is wrong with the arguments."""
+    match event:
+        case tyro_errors.MissingArgs():
+            return f"{', '.join(_label(x.arg, True) for x in event.missing_arguments)}: missing"
+        case tyro_errors.UnrecognizedArgs():
+            return f"not understood: {' '.join(map(_printable, event.tokens))}"
+        case tyro_errors.InvalidChoice():
+            allowed = ", ".join(event.choices)
+            return f"{_label(event.argument)}: given {event.value!r}; allowed {allowed}"
+        case tyro_errors.BadValue():
+            return f"{_label(event.argument)}: value missing"
+        case tyro_errors.InstantiationFailure():
+            text = " ".join(event.message.split("\n"))
+            text = text.removesuffix(" Expected 1 values.").rstrip(".")
+            return f"{_label(event.argument)}: {text}" if event.argument else text
+    return "invalid arguments"
 
-    With UTF-8 a box is framed, otherwise ruled:
 
-        ╭─ Value error ─────────────╮         Value error
-        │ Error parsing --step: ... │         -------------------------
-        │ ───────────────────────── │          Error parsing --step: ...
-        │ For full helptext, ...    │         -------------------------
-        ╰───────────────────────────╯          For full helptext, ...
-    """
-    plain = re.sub(r"\x1b\[[0-9;]*m", "", box)
-    rows = [row.strip("│╭╮╰╯").rstrip() for row in plain.splitlines()]
-    rules = [i for i, row in enumerate(rows) if re.fullmatch(r" *[─-]{2,}", row)]
-    framed = plain.startswith("╭")
-    begin, end = (1, 0) if framed else (2, 1)  # title, and its rule; which rule ends it
-    if len(rules) <= end or not rows[begin : rules[end]]:
-        return plain.strip()
-    rows = rows[begin : rules[end]]
-    if rows[0].strip().startswith("Missing from"):
-        depth = len(rows[0]) - len(rows[0].lstrip()) + 4
-        names = [row.strip() for row in rows if re.match(rf" {{{depth}}}\S", row)]
-        return f"{', '.join(names)}: missing"
-    sentence = " ".join(row.strip() for row in rows).removesuffix(" Expected 1 values.")
-    sentence = sentence.replace("Unrecognized options:", "not understood:")
-    return sentence.removeprefix("Error parsing ").rstrip(".")
+def _label(argument: Any, with_value: bool = False) -> str:
+    """Returns the argument as the help shows it: `FILE`, `--out`, or `--out DIR` with its value."""
+    metavar = str(argument.lowered.metavar)
+    if argument.is_positional():
+        return metavar
+    option = "/".join(argument.lowered.name_or_flags)
+    return f"{option} {metavar}" if with_value else option
+
+
+def _printable(word: str) -> str:
+    return word if word.isprintable() else repr(word)

@@ -8,7 +8,10 @@ from contextlib import contextmanager
 
 from tests.support.data import ROOT
 
-WITHOUT_JAX = "import sys; sys.modules['jax'] = None; "
+HIDDEN = ("jax", "jaxlib", "equinox", "lineax", "optimistix", "diffrax", "optax")
+
+WITHOUT_JAX = f"import sys; sys.modules.update(dict.fromkeys({HIDDEN})); "
+"""An import of a hidden package raises ModuleNotFoundError."""
 
 MAIN = "from slider_jax.cli.main import main; sys.exit(main(sys.argv[1:]))"
 

@@ -6,7 +6,7 @@ import threading
 import numpy as np
 import pytest
 
-from rig.camera.ellipse_fit import SoftEllipse, fit, model
+from rig.camera.ellipse_fit import SoftEllipse, fit_ellipse, model
 from rig.camera.marker_records import pack_record, read_records
 from rig.camera.markers import Marker, find_markers
 from rig.camera.opencv import opencv
@@ -162,7 +162,7 @@ def test_an_ellipse_of_which_half_is_seen_is_found_whole():
     x, y = x[seen], y[seen]
     values = model(np.array(true), x, y)[0]
     start = SoftEllipse(13.0, 10.0, 0.2, 0.0, 0.2, 8.0, 0.8, 0.0)
-    found, error = fit(x, y, values, start)
+    found, error = fit_ellipse(x, y, values, start)
     np.testing.assert_allclose(found, true, rtol=1e-3, atol=1e-4)
     assert error < 1e-3
 

@@ -45,6 +45,22 @@ def measured(rig):
     return done, out
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--help",),
+        ("rig", "--help"),
+        ("rig", "ports"),
+        *(("rig", x, "--help") for x in ("check", "run", "log", "replay", "simulate")),
+    ],
+)
+def test_the_rigs_commands_start_without_jax(words):
+    """The other tests of this file run check, run, log, replay and simulate without JAX."""
+    done = slider(*words)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout
+
+
 def test_a_check_names_the_firmware_and_finds_nothing(rig):
     port, folder = rig
     rig_file = folder / "simulated_rig.toml"

@@ -14,7 +14,7 @@ from rig.force import ati_rdt as rdt
 from rig.force.ati_net import NetCalibration, NetForce
 from rig.force.ni_daq import GaugeCalibration, GaugeForce
 from rig.force.sensor import SensorMounting
-from rig.recording.sample_clock import sample_times
+from rig.recording.sample_clock import host_sample_times
 from rig.simulated.bench import OnHost
 from rig.simulated.force_sensor import COUNTS, LossyNetwork, SimulatedForceBox, SimulatedForceSensor
 from rig.simulated.rig import STEP, SimulatedRig
@@ -70,7 +70,7 @@ def sampled_s(records):
 def test_a_minute_with_two_percent_lost_and_reordered_is_put_in_place_without_a_shift():
     line = LossyNetwork(drop=0.02, reorder=0.02, duplicate=0.01, seed=3)
     host_ns, datagrams = virtual_stream(60.0, line, drift=120e-6, jitter=0.4e-3)
-    records = rdt.table(host_ns, datagrams)
+    records = rdt.record_table(host_ns, datagrams)
     assert len(line.dropped) > 1000 and line.late > 1000 and line.doubled > 400
     np.testing.assert_array_equal(records.missing, within(line.dropped, records))
     assert records.duplicates == line.doubled
@@ -88,14 +88,14 @@ def test_a_drifting_clock_is_followed_for_ten_minutes(drift):
     number = np.arange(0, 600_000, 10)
     sampled = 7.0 + number / RATE / (1 + drift)
     arrived = sampled + 0.2e-3 + random.exponential(1e-3, len(number))
-    told = sample_times(number, np.rint(1e9 * arrived).astype(np.int64), RATE, number)
+    told = host_sample_times(number, np.rint(1e9 * arrived).astype(np.int64), RATE, number)
     assert np.abs(1e-9 * told - sampled - 0.2e-3).max() < 0.1e-3
 
 
 def test_which_single_records_are_missing_is_told_as_runs():
     _, datagrams = virtual_stream(0.02, LossyNetwork())
     kept = [d for k, d in enumerate(datagrams) if k not in (3, 7, 8, 9)]
-    records = rdt.table(range(len(kept)), kept)
+    records = rdt.record_table(range(len(kept)), kept)
     assert records.gaps == [(4, 4), (8, 10)]
     assert records.missing.tolist() == [4, 8, 9, 10]
     assert not records.counts[3].any() and records.counts[4, 2] > 0
@@ -104,7 +104,7 @@ def test_which_single_records_are_missing_is_told_as_runs():
 def test_a_copy_that_comes_behind_others_is_a_duplicate_and_not_late():
     _, datagrams = virtual_stream(0.006, LossyNetwork())
     came = [datagrams[k] for k in (0, 1, 3, 1, 2, 4, 5)]
-    records, tally = rdt.table([10**6 * k for k in range(7)], came), rdt.Tally()
+    records, tally = rdt.record_table([10**6 * k for k in range(7)], came), rdt.Tally()
     for datagram in came:
         tally.count(*struct.unpack_from(">I4xI", datagram))
     assert (records.late, records.duplicates) == (tally.late, tally.duplicates) == (1, 1)
@@ -114,7 +114,7 @@ def test_a_copy_that_comes_behind_others_is_a_duplicate_and_not_late():
 def test_the_live_tally_agrees_with_the_table():
     line = LossyNetwork(drop=0.05, reorder=0.05, duplicate=0.05, seed=8)
     host_ns, datagrams = virtual_stream(3.0, line)
-    records, tally = rdt.table(host_ns, datagrams), rdt.Tally()
+    records, tally = rdt.record_table(host_ns, datagrams), rdt.Tally()
     for datagram in datagrams:
         tally.count(*struct.unpack_from(">I4xI", datagram))
     before = set(range(1, int(records.seq[0])))
@@ -129,7 +129,7 @@ def test_numbers_roll_over_at_32_bits():
         fields = list(rdt.RECORD.unpack(box.record(k, k / RATE)))
         fields[0], fields[1] = (start + k) % 2**32, (2**32 - 20 + 7 * k) % 2**32
         datagrams.append(rdt.RECORD.pack(*fields))
-    records = rdt.table([10**6 * k for k in range(11)], datagrams[:4] + datagrams[5:])
+    records = rdt.record_table([10**6 * k for k in range(11)], datagrams[:4] + datagrams[5:])
     assert records.gaps == [(start + 4, start + 4)]
     assert records.rate == RATE
 
@@ -151,13 +151,13 @@ def test_a_new_stream_within_a_recording_is_refused():
     one = virtual_stream(0.1, LossyNetwork())
     two = virtual_stream(0.1, LossyNetwork(), start=51.0, seed=2)
     with pytest.raises(RigError, match="datagram 100: given number 1, as if a new stream began"):
-        rdt.table(one[0] + two[0], one[1] + two[1])
+        rdt.record_table(one[0] + two[0], one[1] + two[1])
 
 
 def test_a_burst_that_no_clock_explains_is_refused():
     _, datagrams = virtual_stream(5.0, LossyNetwork())
     with pytest.raises(RigError, match="half of 5000 samples came .* late and more, by .* 1000 Hz"):
-        rdt.table(range(5000), datagrams).times()
+        rdt.record_table(range(5000), datagrams).times()
 
 
 @pytest.mark.parametrize("size", [0, 35, 72])
@@ -165,12 +165,12 @@ def test_a_record_of_a_wrong_size_is_refused(size):
     _, datagrams = virtual_stream(0.01, LossyNetwork())
     datagrams[4] = bytes(size)
     with pytest.raises(RigError, match=f"datagram 4: given a datagram of {size} bytes; .* 36"):
-        rdt.table(range(10), datagrams)
+        rdt.record_table(range(10), datagrams)
 
 
 def test_an_empty_recording_is_refused():
     with pytest.raises(RigError, match="no records"):
-        rdt.table([], [])
+        rdt.record_table([], [])
 
 
 def test_a_stuck_sensor_is_told_and_a_quiet_one_is_not():
@@ -324,7 +324,7 @@ def streamed(seconds, rate, line, **settings):
         force.check()
         force.stop()
         assert sensor.requests[-1] == rdt.STOP
-    return rdt.table(host_ns, datagrams), start, force
+    return rdt.record_table(host_ns, datagrams), start, force
 
 
 def assert_located(records, start, line):
@@ -417,7 +417,7 @@ def test_a_second_start_gets_a_stream_of_its_own():
             force.start(lambda now, datagram, kept=datagrams: kept.append(datagram))
             time.sleep(0.1)
             force.stop()
-            streams.append(rdt.table(range(len(datagrams)), datagrams))
+            streams.append(rdt.record_table(range(len(datagrams)), datagrams))
     assert [stream.seq[0] for stream in streams] == [1, 1]
 
 

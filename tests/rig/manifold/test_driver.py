@@ -21,7 +21,7 @@ from rig.simulated.tank import BenchTank
 from rig.simulated.terminal import in_thread
 from rig.trial.capture import PlannedTrial, Switch, Switches, Timing
 from rig.trial.player import play, schedule
-from rig.trial.session import RECORDINGS, Rig, run
+from rig.trial.session import RECORDINGS, Rig, run_trials
 from rig.trial.waveform import SegmentDrive, chambers
 
 LIMITS = PressureLimits.of([250e3])
@@ -49,7 +49,7 @@ def recorded(tmp_path, trials, mischief=LineFaults(noise=100.0), settings=None):
     with in_thread(SimulatedRig(BenchTank(), mischief=mischief)) as served:
         rig = rig_on(served.path)
         with rig.manifold:
-            return run(trials, rig, tmp_path, settings or {})
+            return run_trials(trials, rig, tmp_path, settings or {})
 
 
 def columns_of(path):

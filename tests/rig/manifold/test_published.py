@@ -14,7 +14,7 @@ from rig.errors import RigError
 from rig.manifold.published import PublishedManifold
 from rig.manifold.serial_port import PortLost, open_port
 from rig.protocol.published import Dialogue, Done, Header, LogRow, Question, pascal
-from rig.simulated.published import PublishedFirmware, generate, replay
+from rig.simulated.published import PublishedFirmware, generate, replay_log
 from rig.simulated.terminal import BACKLOG, in_process, in_thread
 from tests.support.synthetic_log import log_lines
 
@@ -95,7 +95,7 @@ def record(port, frequency, **keywords):
 
 
 def record_in_virtual_time(log, frequency, pieces=lambda: 4096, **keywords):
-    wire = Wire(PublishedFirmware(replay(log, **keywords)), pieces)
+    wire = Wire(PublishedFirmware(replay_log(log, **keywords)), pieces)
     return record(wire, frequency, clock=wire.ns)
 
 
@@ -151,7 +151,7 @@ def test_rows_come_at_the_times_at_which_they_are_sent():
 
 def test_tests_follow_each_other_on_one_port():
     log = made()
-    wire = Wire(PublishedFirmware(replay(log)))
+    wire = Wire(PublishedFirmware(replay_log(log)))
     manifold = PublishedManifold(wire, clock=wire.ns)
     for _ in range(3):
         pieces = []
@@ -189,7 +189,7 @@ def test_all_real_logs_pass_through_a_terminal_byte_for_byte(data):
 
 
 def _replayed(log, period_us):
-    return PublishedFirmware(replay(log, period_us))
+    return PublishedFirmware(replay_log(log, period_us))
 
 
 def _no_device():
@@ -292,7 +292,7 @@ def test_counts_become_pascals_as_in_the_reader_of_logs():
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -1.0, 0.0, 0.05, 50.0])
 def test_a_frequency_that_is_not_allowed_never_goes_on_the_wire(bad):
-    wire = Wire(PublishedFirmware(replay(made())))
+    wire = Wire(PublishedFirmware(replay_log(made())))
     with pytest.raises(RigError, match=r"frequency: given .* Hz; allowed 0\.1 to 5 Hz"):
         record(wire, bad, clock=wire.ns)
     assert wire.sent == b""
@@ -316,7 +316,7 @@ HEAD = made()[: made().index(b"\r1,") + 1]
         ),
         (Says((0, b"Hz? ")), "no row for 5 s after the answer, and no `done`; .*supply valve"),
         (Says((0, b"Hz? "), (300_000, HEAD + ROW), (310_000, b"Hz?\r")), r"it said 'Hz\?'"),
-        (PublishedFirmware(replay(made(frequency=1.0))), "asked for 2 Hz, .* 1 Hz: .*no stop"),
+        (PublishedFirmware(replay_log(made(frequency=1.0))), "asked for 2 Hz, .* 1 Hz: .*no stop"),
     ],
 )
 def test_what_does_not_go_as_it_should_is_told_and_the_port_closed(device, message):
@@ -330,7 +330,7 @@ def test_an_error_of_the_sink_is_not_taken_for_a_lost_port():
     def full(at, piece):
         raise OSError("No space left on device")
 
-    wire = Wire(PublishedFirmware(replay(made())))
+    wire = Wire(PublishedFirmware(replay_log(made())))
     with pytest.raises(OSError, match="No space"):
         PublishedManifold(wire, clock=wire.ns).run(2.0, sink=full)
     assert not wire.open
@@ -338,7 +338,7 @@ def test_an_error_of_the_sink_is_not_taken_for_a_lost_port():
 
 def test_a_program_that_was_not_run_for_a_while_records_on():
     """The rows wait in the buffer meanwhile."""
-    wire = Wire(PublishedFirmware(replay(made())))
+    wire = Wire(PublishedFirmware(replay_log(made())))
 
     def slow(at, row):
         if row.number == 100:
@@ -359,7 +359,7 @@ def test_a_read_that_takes_long_is_not_taken_for_silence():
                 size = 1
             return super().read(size)
 
-    wire = Stalls(PublishedFirmware(replay(made())))
+    wire = Stalls(PublishedFirmware(replay_log(made())))
     assert record(wire, 2.0, clock=wire.ns)[0].findings == ()
 
 
@@ -380,7 +380,7 @@ def test_a_question_right_behind_done_is_the_next_test_s(end, last_end):
 
 
 def test_a_port_unplugged_in_mid_test_is_told():
-    with in_thread(PublishedFirmware(replay(made()))) as served:
+    with in_thread(PublishedFirmware(replay_log(made()))) as served:
         port = open_port(served.path)
         seen = []
 
@@ -461,7 +461,7 @@ def test_a_test_made_of_a_plant_reads_as_a_log_of_the_firmware(tmp_path):
 
 def test_the_simulated_firmware_hears_nothing_in_mid_test():
     """What was sent meanwhile answers the next question, as in the original."""
-    firmware = PublishedFirmware(replay(made()))
+    firmware = PublishedFirmware(replay_log(made()))
     said = firmware.tick(0) + firmware.feed(b"2.0\n", 1000)
     for now in range(1000, 5_000_000, 1000):
         if now == 500_000:

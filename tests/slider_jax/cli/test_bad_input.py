@@ -261,7 +261,7 @@ def test_a_group_of_commands_lists_them(words, capsys):
     except SystemExit as left:  # the help of the group's own command follows
         assert left.code == 0 and words[-1] == "--help"
     said = capsys.readouterr().out
-    assert "calibrate manifold  the pressure lag" in said and "sweep" not in said
+    assert "calibrate manifold  fits the pressure lag" in said and "sweep" not in said
 
 
 def test_unknown_option(tmp_path, capsys):

@@ -25,7 +25,7 @@ from slider_jax.precision import enable_float64
 from slider_jax.optimise.population import Evaluation, start_devices
 enable_float64()
 cores, coordinator, processes, process, out = sys.argv[1:]
-begin(int(cores), coordinator, int(processes), int(process))
+start_devices(int(cores), coordinator, int(processes), int(process))
 import jax, numpy as np
 import jax.numpy as jnp
 from tests.slider_jax.optimise.test_population import MEMBERS, OBJECTIVES
