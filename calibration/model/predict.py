@@ -82,9 +82,11 @@ def plan(
     A prepared trial has its sample times already. Raises `InputError` for a trial that cannot be
     used.
     """
-    if isinstance(trial, Trial):
-        trial = prepare(experiment, trial, sample_times=at)
-    prepared, trial, at = trial, trial.trial, trial.sample_times
+    if isinstance(trial, PreparedTrial):
+        prepared = trial
+    else:
+        prepared = prepare(experiment, trial, sample_times=at)
+    trial, at = prepared.trial, prepared.sample_times
     robot = experiment.robot
     cells = split_cells(resolution.nodes, robot.tail_length, robot.body_length)
     numerics = replace(prepared.numerics, tail_cells=cells[0], body_cells=cells[1])

@@ -60,7 +60,7 @@ def short_report(request, monkeypatch):
             found = outcome.verdict
             return {"verdict": found, "said": found, "next_experiment": following}
 
-        monkeypatch.setattr(module, "report", told)
+        monkeypatch.setattr(module, "loop_record", told)
 
 
 def following(trial_file):
