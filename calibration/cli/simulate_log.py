@@ -60,16 +60,17 @@ def simulate_log(
             columns = drive_robot(log, experiment, drive, progress.to)
         formats = {TIME: ".3f"} | {x.column: x.digits for x in CHANNELS.values()}
         write_csv(stage / f"{path.stem}.csv", columns, formats)
-        told = log_summary(log, experiment, model, drive, columns)
-        write_json(stage / "summary.json", told)
+        record = log_summary(log, experiment, model, drive, columns)
+        write_json(stage / "summary.json", record)
         if plot:
             from calibration.pressure_logs.plots import plot_driven
 
             plot_driven(log, columns, stage / f"{path.stem}.png")
     print(
-        f"{path.stem}: mean thrust {1e3 * told['mean_thrust_N']:.2f} mN, recoil "
-        f"{1e3 * told['recoil_rms_N']:.1f} mN rms, tip +-{1e3 * told['tip_half_range_m']:.2f} mm; "
-        f"pressure off the measured by {told['pressure_rmse_psi']:.2f} psi rms; "
+        f"{path.stem}: mean thrust {1e3 * record['mean_thrust_N']:.2f} mN, recoil "
+        f"{1e3 * record['recoil_rms_N']:.1f} mN rms, "
+        f"tip +-{1e3 * record['tip_half_range_m']:.2f} mm; "
+        f"pressure off the measured by {record['pressure_rmse_psi']:.2f} psi rms; "
         f"{path.stem}.csv and summary.json are in {out}",
         file=sys.stderr,
     )
@@ -80,13 +81,13 @@ def drive_robot(
 ) -> dict[str, np.ndarray]:
     """The columns of a trial at the log's sample times. `progress(samples done, all)` is called.
 
-    Where the log misses samples, the drive is linear between those that are there.
+    The drive is interpolated linearly where the log misses samples.
     """
-    record = log.pressure_Pa if drive == "measured" else log.command_Pa
+    driven_by = log.pressure_Pa if drive == "measured" else log.command_Pa
     count = round(log.t[-1] / log.period)
     whole = -(-count // CHUNK) * CHUNK
     at = log.period * np.arange(whole + 1)
-    set_point = np.interp(at, log.t, record)
+    set_point = np.interp(at, log.t, driven_by)
     prepared = prepare(experiment, sample_times=log.t, as_meant=True)
     h = divided(log.period, experiment.numerics.step)
     every = round(log.period / h)

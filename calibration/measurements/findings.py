@@ -1,4 +1,4 @@
-"""What an audit found: one fault of the data, and what was done about it."""
+"""Findings of an audit: a fault of the data, and the action taken."""
 
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
@@ -14,9 +14,9 @@ class Finding(NamedTuple):
     | action | what was done |
     |---|---|
     | `masked` | the samples are treated as missing |
-    | `mended` | put right, as `detail` says |
+    | `mended` | corrected, as `detail` says |
     | `left out` | the whole trial is not used |
-    | `used` | nothing: to be known |
+    | `used` | none; the finding is for information |
     | `refused` | the whole experiment cannot be used |
     """
 
@@ -27,7 +27,7 @@ class Finding(NamedTuple):
     from_s: float | None
     to_s: float | None
     detail: str
-    """A plain sentence."""
+    """One sentence for the report."""
     action: Action
 
     def told(self) -> dict[str, Any]:
@@ -39,7 +39,7 @@ class Finding(NamedTuple):
 
 
 def left_out(findings: Sequence[Finding]) -> set[str]:
-    """Files of the trials that are not used."""
+    """Files of the trials that are left out."""
     return {x.trial for x in findings if x.action == "left out"}
 
 
@@ -50,13 +50,13 @@ def stretches(bad: np.ndarray) -> list[tuple[int, int]]:
 
 
 def masked(
-    trial: str, kind: str, channel: str, t: np.ndarray, bad: np.ndarray, said: str
+    trial: str, kind: str, channel: str, t: np.ndarray, bad: np.ndarray, text: str
 ) -> Finding:
-    """The finding on the samples `bad` (n,) of a channel, taken at `t` (n,) [s]."""
+    """The finding that the samples `bad` (n,) of a channel at `t` (n,) [s] are masked."""
     runs, count = stretches(bad), int(bad.sum())
     where = f"from {t[runs[0][0]]:.4g} to {t[runs[-1][1]]:.4g} s"
     many = f" in {len(runs)} stretches" if len(runs) > 1 else ""
-    detail = f"{said}: {count} samples{many} {where} are not used"
+    detail = f"{text}: {count} samples{many} {where} are not used"
     return Finding(
         trial, kind, channel, float(t[runs[0][0]]), float(t[runs[-1][1]]), detail, "masked"
     )

@@ -25,12 +25,12 @@ class Record:
         return np.isfinite(self.values[row_of(channel)])
 
     def has(self, channel: str) -> bool:
-        """Whether there is enough of a channel to be compared."""
+        """Whether the channel has enough samples to be compared, 20 or more."""
         return int(self.there(channel).sum()) >= 20
 
 
 def records(experiment: Experiment) -> list[Record]:
-    """The trials whose files are there. Raises `InputError` for none, or for a damaged file."""
+    """The trials whose files exist. Raises `InputError` for none, or for a damaged file."""
     found = []
     for trial in experiment.trials:
         columns = read_measured(experiment, trial)

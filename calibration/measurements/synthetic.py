@@ -1,8 +1,7 @@
 """Tank experiments with a known answer: simulated, then measured by imperfect sensors.
 
-The robot is simulated on another grid and with another step than those of
-`calibration.model.predict`, so
-that an answer is never found by repeating the same arithmetic.
+The simulation uses another mesh and another step than `calibration.model.predict`, so that a fit
+cannot succeed by repeating the same arithmetic.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,7 +15,7 @@ from slider_jax.io.files import write_csv, write_text
 from slider_jax.simulation.trial import simulate_trial
 
 NUMERICS = {"nodes": 81, "step": 1e-3, "scheme": "sdirk2", "tolerance": 1e-9}
-"""Of the simulated tank."""
+"""Mesh and step of the simulated tank."""
 ROBOT = {
     "body_length": 0.3, "tail_length": 0.07, "linear_density": 0.7, "EI_body": 0.038,
     "EI_tail": 0.0058, "damping_time": 0.002, "height": 0.03,
@@ -27,7 +26,7 @@ CAMERA_EVERY = 5
 
 
 class Sensors(NamedTuple):
-    """What the sensors add: standard deviations in SI units, and shares."""
+    """Noise of the sensors: standard deviations in SI units, and shares."""
 
     pressure_noise: float = 700.0
     force_noise: float = 0.02
@@ -40,12 +39,12 @@ class Sensors(NamedTuple):
     """Share by which a force channel's gain differs from trial to trial; not declared."""
 
     def declared(self) -> dict[str, float]:
-        """What an experiment file says of them."""
+        """The values that the experiment file declares."""
         return {k: v for k, v in self._asdict().items() if k != "gain_drift"}
 
 
 class Truth(NamedTuple):
-    """What is put in."""
+    """The true parameters of a synthetic tank."""
 
     parameters: Mapping[str, float]
     effects: Mapping[str, Mapping[str, float]]
@@ -53,7 +52,7 @@ class Truth(NamedTuple):
 
 
 def base_parameters(rng: np.random.Generator) -> dict[str, float]:
-    """C_d, m_a, k and K_Q, drawn."""
+    """Random C_d, m_a, k and K_Q."""
     return {
         "C_d": float(rng.uniform(2.4, 4.2)), "m_a": float(rng.uniform(0.45, 0.95)),
         "k": float(rng.uniform(0.06, 0.11)), "K_Q": float(rng.uniform(4.2e-7, 5.2e-7)),
@@ -61,7 +60,7 @@ def base_parameters(rng: np.random.Generator) -> dict[str, float]:
 
 
 def trials(seed: int, count: int = 8, seconds: float = 1.0) -> list[dict[str, Any]]:
-    """Square waves of 0.6 to 6 Hz, drawn in amplitude, phase and tow speed.
+    """Square waves of 0.6 to 6 Hz with random amplitude, phase and tow speed.
 
     `seconds` scales their durations, which are 5 s at 0.6 Hz and 2 s from 3 Hz on.
     """
@@ -92,31 +91,31 @@ def write_tank(
 ) -> Path:
     """Simulate, measure and write an experiment; returns the path of its experiment.toml.
 
-    The file says nothing of the effects, and starts from `START`.
+    The file omits the effects and starts from the parameters `START`.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    told = {
+    declared = {
         "name": folder.name, "robot": ROBOT, "parameters": START, "sensors": sensors.declared(),
     }  # fmt: skip
-    inside = told | {
+    true = declared | {
         "parameters": dict(truth.parameters),
         "effects": [{"name": name, **values} for name, values in truth.effects.items()],
         "numerics": dict(numerics),
         "trials": [dict(run) for run in runs],
     }
-    experiment = assemble(inside, folder.name, folder)
+    experiment = assemble(true, folder.name, folder)
     rng = np.random.default_rng(seed)
     for trial in experiment.trials:
         columns = with_sensor_noise(simulate_trial(experiment, trial).columns, sensors, rng)
         write_csv(folder / trial.file, columns, {"t_s": ".4f", "p_front_Pa": ".0f"})
-    write_text(folder / "experiment.toml", _toml(told | {"trials": list(runs)}))
+    write_text(folder / "experiment.toml", _toml(declared | {"trials": list(runs)}))
     return folder / "experiment.toml"
 
 
 def with_sensor_noise(
     true: Mapping[str, np.ndarray], sensors: Sensors, rng: np.random.Generator
 ) -> dict[str, np.ndarray]:
-    """What the sensors record of one trial."""
+    """The columns of one trial with the sensors' noise added."""
     t = true["t_s"]
     n = len(t)
     columns = {"t_s": t}

@@ -1,7 +1,7 @@
-"""The extended model: every effect of the library present at its null, its parameters one vector.
+"""The extended model: all candidate effects at their null, with all parameters in one vector.
 
-One compiled program then serves every candidate, alone or together: a refit with another set of
-effects moves other entries of the same vector, and a tangent is one JVP along an entry.
+One compiled program serves every candidate, alone or combined: a refit with another set of effects
+changes other entries of the same vector, and a tangent is one JVP along an entry.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ BASE = {
     "k": Prior(np.nan, 0.005, 0.5, "s", "valves and hoses of such rigs"),
     "K_Q": Prior(np.nan, 1e-8, 1e-5, "m^3", "area times lever arm of a chamber of this size"),
 }
-"""Parameters of the base model that are identified, with the range that is searched."""
+"""Identified parameters of the base model, with their search ranges."""
 
 
 class Parameter(NamedTuple):
@@ -60,7 +60,7 @@ class Extended(eqx.Module):
 
     base: Model
     conditions: dict[str, Array]
-    """What effects take from the trial, by the names of their fields."""
+    """Values that effects take from the trial, by the names of their fields."""
     effects: tuple[str, ...] = eqx.field(static=True)
     channels: tuple[Channel, ...] = eqx.field(
         static=True, default_factory=lambda: tuple(CHANNELS.values())

@@ -1,10 +1,10 @@
-"""What is left of a robot's swing when a trial begins, as noise.
+"""The robot's residual swing at the start of a trial, treated as noise.
 
-Drag that grows with the square of speed damps a small swing slowly: with amplitude A it falls as
-1/t. A trial therefore begins with some of it, of a phase that nothing tells. The swing is that of
-the first bending mode, by its shape under a load that is even along the body; its two amplitudes,
-of place and of speed, are noise of the size that the experiment declares, and what they do to each
-channel is taken from the model.
+Drag that grows with the square of speed damps a small swing slowly: its amplitude falls as 1/t. A
+trial therefore begins with some swing, of unknown phase. The swing has the shape of the first
+bending mode, approximated by the deflection under a uniform load. Its two amplitudes, of position
+and of speed, are noise of the size that the experiment declares. The model gives their effect on
+each channel.
 """
 
 from typing import NamedTuple
@@ -25,18 +25,18 @@ from slider_jax.experiment.load import Experiment
 
 
 class Mode(NamedTuple):
-    """The shape of a swing, the tip's place being 1 m to the left of straight."""
+    """The shape of a swing whose tip is 1 m to the left of straight."""
 
     angle: Float[Array, " nodes"]
     """[rad]"""
     place: Float[Array, " nodes"]
-    """Along n [m]."""
+    """Lateral displacement [m]."""
     frequency: Float[Array, ""]
     """[rad/s], by Rayleigh's quotient."""
 
 
 def first_mode(model: Model, numerics: Numerics) -> Mode:
-    """Of the clamped body in water, bent as by a load that is even along it."""
+    """The first mode of the clamped body in water: its deflection under a uniform load."""
     mesh = make_mesh(model.body, numerics)
     grid, structure = mesh.grid, mesh.structure
     curvature = grid.mid(grid.s) ** 2 / structure.EI
@@ -62,7 +62,7 @@ def _along(model: Model, numerics: Numerics):
     """Tangents of the initial carry by place and speed, padded to `DIRECTIONS`; the frequency."""
     mode, carry = first_mode(model, numerics), at_rest(model, numerics)
 
-    def begun(place, speed):
+    def initial(place, speed):
         def change(rows):
             moved = rows.at[..., 2, :].add(place * mode.angle)
             return moved.at[..., 1, :].add(speed * mode.place)
@@ -70,24 +70,26 @@ def _along(model: Model, numerics: Numerics):
         return eqx.filter(with_motion(carry, change), eqx.is_inexact_array)
 
     zero, unit = jnp.zeros(()), jnp.eye(2, DIRECTIONS)
-    return jax.vmap(lambda d: jax.jvp(begun, (zero, zero), (d[0], d[1]))[1])(unit.T), mode.frequency
+    return jax.vmap(lambda d: jax.jvp(initial, (zero, zero), (d[0], d[1]))[1])(
+        unit.T
+    ), mode.frequency
 
 
 def spans(p: TrialPlan, theta: np.ndarray, size: float) -> np.ndarray:
-    """Readings (2, channels, samples) of a tip's swing of `size` [m], by its place and its speed.
+    """Changes (2, channels, samples) of the readings by the tip's initial position and speed.
 
-    About the trial at `theta`, both as standard deviations; 0 where they are not finite, as from a
-    step on that failed.
+    Each is one standard deviation of a swing of `size` [m], linearised about the trial at `theta`;
+    0 where it is not finite, as after a step that failed.
     """
     d_carry, frequency = _along(p.extended.at(jnp.asarray(theta)), p.numerics)
-    begun = np.zeros((DIRECTIONS, len(CHANNELS)))
-    begun[0, row_of("tip")] = 1.0
-    found = perturbed(p, theta, d_carry, begun)[:2]
+    initial = np.zeros((DIRECTIONS, len(CHANNELS)))
+    initial[0, row_of("tip")] = 1.0
+    changes = perturbed(p, theta, d_carry, initial)[:2]
     scale = np.array([size, size * float(frequency)])
-    return np.nan_to_num(found * scale[:, None, None], posinf=0.0, neginf=0.0)
+    return np.nan_to_num(changes * scale[:, None, None], posinf=0.0, neginf=0.0)
 
 
 def declared_spans(experiment: Experiment, p: TrialPlan, theta: np.ndarray) -> np.ndarray | None:
-    """`spans` of the swing that an experiment declares; None where it declares none."""
+    """`spans` of the swing that an experiment declares; None if it declares none."""
     size = experiment.sensors.start_swing
     return spans(p, theta, size) if size > 0.0 else None

@@ -1,4 +1,4 @@
-"""What the sensors of a trial would read for a parameter vector, and the tangents of it."""
+"""Predicted sensor readings of a trial for a parameter vector, and their tangents."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -33,16 +33,16 @@ from slider_jax.experiment.schema import Trial
 from slider_jax.simulation.trial import run_chunks
 
 BLOCK = 500
-"""Steps and samples a call of a compiled program: trials of all lengths share programs."""
+"""Steps and samples per call of a compiled program, so that trials of all lengths share it."""
 DIRECTIONS = 8
-"""Tangents a call of the compiled program."""
+"""Tangents per call of the compiled program."""
 
 
 @dataclass(frozen=True)
 class Resolution:
     """Mesh, step and scheme: `nodes`, at least `per_stride` steps a stride, none over `step` [s].
 
-    An experiment's own [numerics] do not matter here, where errors are compared with noise.
+    It replaces an experiment's own [numerics], so that errors stay small against the noise.
     """
 
     nodes: int
@@ -52,9 +52,9 @@ class Resolution:
 
 
 FINE = Resolution(101, 200, 2.0e-3)
-"""For residuals. What 51 nodes leave looks like a tail softer by 2.5 %, and was found as that."""
+"""For residuals. With 51 nodes, the discretisation error was identified as a 2.5 % softer tail."""
 COARSE = Resolution(31, 80, 4.0e-3)
-"""For tangents, which need a tenth of the digits."""
+"""For tangents, which need only a tenth of the accuracy."""
 
 
 @dataclass(frozen=True)
@@ -241,16 +241,16 @@ def tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) -> np.ndar
     return np.concatenate(parts)[:k]
 
 
-def perturbed(p: TrialPlan, theta: np.ndarray, d_carry: Carry, begun: np.ndarray) -> np.ndarray:
+def perturbed(p: TrialPlan, theta: np.ndarray, d_carry: Carry, initial: np.ndarray) -> np.ndarray:
     """Derivatives (`DIRECTIONS`, channels, samples) of the readings by the trial's initial state.
 
-    `d_carry` are the state's tangents, with a leading axis; `begun` (`DIRECTIONS`, channels) those
-    of the readings at t = 0. The initial pressures do not change.
+    `d_carry` holds the state's tangents, with a leading axis, and `initial` (`DIRECTIONS`,
+    channels) those of the readings at t = 0. The initial pressures do not change.
     """
     at = jnp.asarray(theta)
     series, _ = _series(p, at)
     t, none = jnp.asarray(p.grid.h * np.arange(len(series))), jnp.zeros((DIRECTIONS, len(theta)))
-    d_series = _carried_along(p, at, none, d_carry).at[:, 0].set(begun)
+    d_series = _carried_along(p, at, none, d_carry).at[:, 0].set(initial)
     read = np.asarray(_recorded_along(p.extended, at, t, series, none, d_series))
     grid = _sample_grid(p.at)
     return _sampled(p, read, np.zeros((DIRECTIONS, 2, len(grid))), grid)

@@ -1,4 +1,4 @@
-"""`slider simulate`: an experiment, or a pressure log of the rig, to thrust."""
+"""`slider simulate`: simulates an experiment, or the robot on a pressure log of the rig."""
 
 import sys
 import time
@@ -23,7 +23,7 @@ def simulate(
     scheme: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
     drive: Literal["set", "measured"] = "set",
 ) -> None:
-    """Simulate every trial of an experiment and write what its sensors would read.
+    """Simulate every trial of an experiment and write its sensors' readings.
 
     DIR/<trial's file name> gets the columns t_s, p_front_Pa, p_rear_Pa, thrust_N, recoil_N, tip_m
     at the trial's own sample times; DIR/summary.json the cycle means, settings and versions.
@@ -99,15 +99,15 @@ def _simulate_experiment(experiment, path, model, out, plot, animate) -> None:
 def _lines(result, seconds: float) -> list[str]:
     from slider_jax.channels import CHANNELS
 
-    said = [_line(result, seconds)]
+    lines = [_line(result, seconds)]
     if off := result["rmse_to_measured"]:
         errors = [
             f"{x.label} {x.plot_factor * off[x.column]:.3g} {x.plot_unit}"
             for x in CHANNELS.values()
             if x.column in off
         ]
-        said.append(f"{result['file']}  rms off the measured: {', '.join(errors)}")
-    return said + [f"{result['file']}  warning: {text}" for text in result["warnings"]]
+        lines.append(f"{result['file']}  rms off the measured: {', '.join(errors)}")
+    return lines + [f"{result['file']}  warning: {text}" for text in result["warnings"]]
 
 
 def _line(result, seconds: float) -> str:

@@ -35,7 +35,7 @@ from slider_jax.supports import Clamped
 
 
 class Experiment(ExperimentTable):
-    """A validated experiment; `folder` is where its trials' files lie."""
+    """A validated experiment; `folder` holds its trials' files."""
 
     _folder: Path = PrivateAttr(default=Path("."))
 
@@ -75,8 +75,8 @@ def load(path: Path | str, model: Path | str | None = None) -> Experiment:
     """Read and check an experiment file, with the overrides of a model file if one is given.
 
     A model file may hold `[robot]` and `[parameters]`, any of their keys, and `[[effects]]`, which
-    are added. C_d and m_a there take the place of `force_coefficients = "ramp"` or `"table"`, and
-    these of them.
+    are added. C_d and m_a in it replace `force_coefficients = "ramp"` or `"table"`, and the
+    other way round.
     Raises `InputError` naming file and key.
     """
     path = Path(path)
@@ -113,7 +113,7 @@ def assemble(
 
 
 def conditions(experiment: Experiment, trial: Trial) -> dict[str, float]:
-    """What effects take from a trial: fields of these names are of it where none are given."""
+    """Values that effects take from a trial, for fields of these names that the file leaves out."""
     return {
         "density": experiment.robot.water_density,
         "stride_frequency": trial.frequency or 1.0,
@@ -140,11 +140,11 @@ def _effect(table: EffectTable, where: str, taken: dict[str, float] | None = Non
 
 
 LONGEST_RECORD = 20.0
-"""A recorded drive may last so many times as long as its trial; a longer one is not in seconds."""
+"""Longest recorded drive, in durations of its trial; the times of a longer one are not seconds."""
 
 
 def check_pascal(path: Path, columns: dict[str, np.ndarray], names: tuple[str, ...]) -> None:
-    """Raise `InputError` where the largest pressure of these columns together cannot be one."""
+    """Raise `InputError` if the largest value of these columns cannot be a pressure in Pa."""
     largest = max(float(np.abs(columns[name]).max()) for name in names)
     if largest > 2e6 or 0.0 < largest < 1e3:
         raise InputError.value(
@@ -276,10 +276,10 @@ def to_model(experiment: Experiment, trial: Trial | int = 0) -> Model:
 
 
 def read_measured(experiment: Experiment, trial: Trial) -> dict[str, np.ndarray] | None:
-    """The trial's measured columns, or None if its file is not there. Blank cells are NaN.
+    """The trial's measured columns, or None if its file does not exist. Blank cells are NaN.
 
-    Only `t_s` must be there; the others are returned if they are. Raises `InputError` for a file
-    that is damaged or at odds with the experiment.
+    Only `t_s` is required; the other columns are returned if the file has them. Raises
+    `InputError` for a file that is damaged or contradicts the experiment.
     """
     path = experiment.folder / trial.file
     if not path.exists():
@@ -291,10 +291,10 @@ def read_measured(experiment: Experiment, trial: Trial) -> dict[str, np.ndarray]
             f"{path}: samples from {times[0]:g} to {times[-1]:g} s; trial {trial.file} runs from 0 "
             f"to duration = {trial.duration:g} s"
         )
-    rate, said = 1.0 / float(np.median(np.diff(times))), experiment.sensors.sample_rate
-    if "sensors" in experiment.model_fields_set and abs(rate - said) > 0.05 * said:
+    rate, declared = 1.0 / float(np.median(np.diff(times))), experiment.sensors.sample_rate
+    if "sensors" in experiment.model_fields_set and abs(rate - declared) > 0.05 * declared:
         raise InputError(
-            f"{path}: sampled at {rate:.6g} Hz; sensors.sample_rate says {said:g} Hz; mixed sample "
-            "rates need an experiment file each"
+            f"{path}: sampled at {rate:.6g} Hz; sensors.sample_rate says {declared:g} Hz; mixed "
+            "sample rates need an experiment file each"
         )
     return columns

@@ -1,9 +1,9 @@
-"""A trial's drive as it was played: which set pressures the valves were told, and when.
+"""The drive as it was played: the set pressures that the valves followed, and when.
 
-A computer beside a tank is late by what its other work, the line and the manifold's own loop make
-of it, differently at every edge. A millisecond at an edge of 400 kPa is some kilopascal for as long
-as the chamber fills, many times the sensors' noise, and to be had for nothing where the manifold
-says what it followed.
+The computer beside a tank switches late: its other work, the line and the manifold's own loop delay
+each edge differently. At an edge of 400 kPa, a delay of 1 ms changes the pressure by several
+kilopascals while the chamber fills, many times the sensors' noise. Where the manifold reports the
+commands that it followed, this error is removed.
 """
 
 from pathlib import Path
@@ -22,23 +22,23 @@ from slider_jax.io.csv import read_csv
 COLUMNS = ("t_s", "set_front_Pa", "set_rear_Pa")
 """Each row's signed set pressures hold from its time on; the last row is the trial's end."""
 LEAST_ROWS = 64
-"""Changes are padded to a power of two from here on: trials share compiled programs."""
+"""Changes are padded to a power of two, at least this, so that trials share compiled programs."""
 LONGEST_STEP = 2.5e-3
-"""Of a simulation that is driven so [s]."""
+"""Longest step of a simulation with a played drive [s]."""
 CELL = 5e-3
-"""Changes of a smooth wave are seen so far apart [s], which a chamber's lag cannot tell."""
+"""Changes of a smooth wave are averaged over this time [s], which a chamber's lag hides."""
 
 
 class PlayedDrive(NamedTuple):
-    """How a trial was driven."""
+    """The drive that a trial was run with."""
 
     drive: Drive
     edges: np.ndarray | None
-    """Times [s] at which a square wave jumped; None of another wave."""
+    """Times [s] at which a square wave jumped; None for another waveform."""
 
 
 def read_played(experiment: Experiment, trial: Trial) -> PlayedDrive | None:
-    """What NAME.played.csv beside a trial's file says; None where there is none.
+    """The drive in NAME.played.csv beside a trial's file; None without that file.
 
     Raises `InputError` for one that does not cover the trial, is not in pascal, or is of a drive
     with another amplitude than the trial's.

@@ -1,4 +1,4 @@
-"""What an experiment file may say: tables, keys, units and plausible ranges."""
+"""Schema of an experiment file: tables, keys, units and plausible ranges."""
 
 from pathlib import PurePath
 from typing import Annotated, Any, Literal

@@ -32,7 +32,7 @@ def animate_run(
 
 
 def _scene(run: TrialRun, steps: np.ndarray):
-    """The figure, the artists in it that move, and what moves them to a step."""
+    """The figure, its moving artists, and the function that moves them to a step."""
     from matplotlib.collections import LineCollection
 
     line, moment = 1e3 * run.series["midline"], 1e3 * run.series["moment"]

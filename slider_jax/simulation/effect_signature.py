@@ -1,4 +1,4 @@
-"""What an effect leaves on the sensors: one stride with it, less the same stride without it."""
+"""An effect's signature in the sensors: one stride with it, minus the same stride without it."""
 
 from collections.abc import Callable
 from dataclasses import asdict
@@ -20,11 +20,11 @@ from slider_jax.simulation.plots import title
 from slider_jax.simulation.trial import TrialRun, simulate_trial
 
 FREQUENCY = 4.8
-"""Of the built-in robot's drive [Hz]."""
+"""Drive frequency of the built-in robot [Hz]."""
 STRIDES = 8
-"""At least so many are run, so that the last is steady."""
+"""Fewest strides that are simulated, so that the last one is steady."""
 SMALLER = 3
-"""A size at which the robot cannot be simulated is halved at most so often."""
+"""How often a size at which the robot cannot be simulated is halved at most."""
 
 Series = dict[str, np.ndarray]
 
@@ -52,15 +52,15 @@ class Fingerprint(NamedTuple):
     along: np.ndarray
     """Phase of the stride; time [s] where the drive has no frequency."""
     without: Series
-    """Of the columns of `CHANNELS`, SI."""
+    """By column of `CHANNELS`, in SI units."""
     traces: tuple[Trace, ...]
 
     def left(self, trace: Trace) -> Series:
-        """With the effect less without it, by column, SI."""
+        """With the effect minus without it, by column, in SI units."""
         return {name: trace.series[name] - x for name, x in self.without.items()}
 
     def rms(self, trace: Trace) -> dict[str, float]:
-        """Root mean square of what is left, by column, SI."""
+        """Root mean square of the change, by column, in SI units."""
         return {name: float(np.sqrt(np.mean(x**2))) for name, x in self.left(trace).items()}
 
 
@@ -94,10 +94,10 @@ def typical(prior: Prior) -> float:
 def fingerprint(
     experiment: Experiment, effect: str, progress: Callable[[int, int], None] | None = None
 ) -> Fingerprint:
-    """The effect of one parameter after the other on the experiment's first trial.
+    """The effect of each parameter in turn on the experiment's first trial.
 
-    Parameters are at the end of their prior ranges, or as near to it as can be simulated. A trial
-    of fewer than eight strides is prolonged. Raises `SolverError` where no size can be simulated.
+    A parameter is at the end of its prior range, or as near to it as can be simulated. A trial of
+    fewer than eight strides is prolonged. Raises `SolverError` if no size can be simulated.
     """
     trial = experiment.trials[0]
     if trial.frequency is not None:
@@ -106,7 +106,7 @@ def fingerprint(
     priors = LIBRARY[effect].priors()
 
     def run(number: int, **values: float) -> TrialRun:
-        def told(done: int, total: int) -> None:
+        def report(done: int, total: int) -> None:
             if progress is not None:
                 progress(number * total + done, (1 + len(priors)) * total)
 
@@ -114,7 +114,7 @@ def fingerprint(
         content = experiment.model_dump()
         content["effects"] = [*content["effects"], {"name": effect, **at}]
         prolonged = assemble(content, effect, experiment.folder)
-        return simulate_trial(prolonged, progress=told, as_meant=True)
+        return simulate_trial(prolonged, progress=report, as_meant=True)
 
     without = run(0)
     shown = _last_stride(without)
@@ -152,21 +152,21 @@ def _cut(run: TrialRun, shown: slice) -> Series:
     return {channel.column: run.series[name][shown] for name, channel in CHANNELS.items()}
 
 
-def plot_fingerprint(found: Fingerprint, path: Path) -> None:
+def plot_fingerprint(shown: Fingerprint, path: Path) -> None:
     """Draw each channel without and with the effect, and beside it the difference."""
-    kind = LIBRARY[found.effect]
+    kind = LIBRARY[shown.effect]
     figure, axes = new_figure(len(CHANNELS), 2, figsize=(11, 10), sharex=True)
     for (left, right), channel in zip(axes, CHANNELS.values(), strict=True):
         name, unit, factor = channel.column, channel.plot_unit, channel.plot_factor
-        left.plot(found.along, factor * found.without[name], color="0.65", lw=2.2, label="without")
-        said = []
-        for number, trace in enumerate(found.traces):
-            colour, change = f"C{number}", factor * found.left(trace)[name]
-            left.plot(found.along, factor * trace.series[name], colour, lw=1.1, label=trace.label)
-            right.plot(found.along, change, colour, lw=1.1)
-            said.append(f"{factor * found.rms(trace)[name]:.4g}")
-        unseen = all(not found.left(trace)[name].any() for trace in found.traces)
-        size = "unchanged" if unseen else f"{', '.join(said)} {unit} rms"
+        left.plot(shown.along, factor * shown.without[name], color="0.65", lw=2.2, label="without")
+        sizes = []
+        for number, trace in enumerate(shown.traces):
+            colour, change = f"C{number}", factor * shown.left(trace)[name]
+            left.plot(shown.along, factor * trace.series[name], colour, lw=1.1, label=trace.label)
+            right.plot(shown.along, change, colour, lw=1.1)
+            sizes.append(f"{factor * shown.rms(trace)[name]:.4g}")
+        unseen = all(not shown.left(trace)[name].any() for trace in shown.traces)
+        size = "unchanged" if unseen else f"{', '.join(sizes)} {unit} rms"
         right.set_title(size, fontsize="small", loc="right")
         if unseen:
             right.set_ylim(-1.0, 1.0)
@@ -177,10 +177,10 @@ def plot_fingerprint(found: Fingerprint, path: Path) -> None:
             ax.axhline(0.0, color="k", lw=0.4)
             ax.margins(x=0.0)
     above = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "fontsize": "small"}
-    axes[0, 0].legend(ncols=1 + len(found.traces), frameon=False, **above)
-    steady = found.run.grid.half_period is not None
+    axes[0, 0].legend(ncols=1 + len(shown.traces), frameon=False, **above)
+    steady = shown.run.grid.half_period is not None
     for ax in axes[-1]:
         ax.set_xlabel("phase of the last stride (-)" if steady else "time (s)")
     figure.align_ylabels()
-    figure.suptitle(f"{found.effect}: {kind.title}\n{title(found.run)}", fontsize="medium")
+    figure.suptitle(f"{shown.effect}: {kind.title}\n{title(shown.run)}", fontsize="medium")
     save_figure(figure, path)

@@ -1,4 +1,4 @@
-"""Pictures of a simulated trial: what the sensors read, and midlines over the last stride."""
+"""Plots of a simulated trial: the sensors' readings, and midlines over the last stride."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from slider_jax.simulation.trial import TrialRun
 
 
 def title(run: TrialRun) -> str:
-    """What was done in the trial, in a line."""
+    """The trial's drive and tow speed, in one line."""
     trial = run.trial
     stem = Path(trial.file).stem
     if trial.waveform == "recorded":
@@ -41,11 +41,11 @@ def plot_series(run: TrialRun, rmse: dict[str, float], path: Path) -> None:
         name, unit, factor = channel.column, channel.plot_unit, channel.plot_factor
         ax.plot(run.columns["t_s"], factor * run.columns[name], "C0", lw=1.0, label="simulated")
         if name in rmse:
-            there = np.isfinite(measured[name])
-            t, values = measured["t_s"][there], factor * measured[name][there]
+            finite = np.isfinite(measured[name])
+            t, values = measured["t_s"][finite], factor * measured[name][finite]
             ax.plot(t, values, color="0.65", lw=1.8, zorder=1.5, label="measured")
-            said = f"rms difference {factor * rmse[name]:.3g} {unit}"
-            ax.set_title(said, fontsize="small", loc="right")
+            text = f"rms difference {factor * rmse[name]:.3g} {unit}"
+            ax.set_title(text, fontsize="small", loc="right")
         ax.set_ylabel(f"{channel.label} ({unit})")
         ax.axhline(0.0, color="k", lw=0.4)
         ax.margins(x=0.0)

@@ -1,4 +1,4 @@
-"""What is said of a simulated trial in few numbers, and the record of how it was made."""
+"""The summary of simulated trials: cycle means, warnings, and the record of settings and inputs."""
 
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ DEFINITIONS = {
 }
 
 STEADY, STEADY_THRUST = 0.01, 1e-3
-"""A stride is like the one before it within this fraction, or this many newtons of thrust."""
+"""Two strides are equal within this fraction, or within this difference of mean thrust [N]."""
 
 
 def window(run: TrialRun) -> tuple[slice, int]:
@@ -41,7 +41,7 @@ def window(run: TrialRun) -> tuple[slice, int]:
 
 
 def settled(run: TrialRun) -> tuple[bool | None, str]:
-    """Whether the trial's end is periodic (None: not known), and what to say where it is not."""
+    """Whether the trial's end is periodic (None: unknown), and a warning if it is not."""
     half, steps, duration = run.grid.half_period, run.grid.steps, run.trial.duration
     if half is None:
         return None, ""
@@ -54,15 +54,17 @@ def settled(run: TrialRun) -> tuple[bool | None, str]:
     ends = steps - stride, steps
     before, last = (run.series["thrust"][i - stride + 1 : i + 1].mean() for i in ends)
     range_before, range_last = (np.ptp(run.series["tip"][i - stride : i + 1]) for i in ends)
-    said = []
+    changes = []
     if abs(last - before) > max(STEADY_THRUST, STEADY * abs(last)):
-        said.append(f"mean thrust from {1e3 * before:.2f} to {1e3 * last:.2f} mN")
+        changes.append(f"mean thrust from {1e3 * before:.2f} to {1e3 * last:.2f} mN")
     if abs(range_last - range_before) > STEADY * range_last:
-        said.append(f"range of the tip from {1e3 * range_before:.2f} to {1e3 * range_last:.2f} mm")
-    if not said:
+        changes.append(
+            f"range of the tip from {1e3 * range_before:.2f} to {1e3 * range_last:.2f} mm"
+        )
+    if not changes:
         return True, ""
     return False, (
-        f"not yet periodic: over its last two strides {' and '.join(said)}; run longer "
+        f"not yet periodic: over its last two strides {' and '.join(changes)}; run longer "
         f"(duration = {2.0 * duration:.3g})"
     )
 

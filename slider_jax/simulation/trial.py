@@ -1,4 +1,4 @@
-"""One trial of an experiment, from its drive to what its sensors would read."""
+"""Simulates one trial of an experiment, from its drive to its sensors' readings."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ CHUNK = 250
 
 @dataclass(frozen=True)
 class SavedSeries:
-    """What is kept of every step: each channel's true reading, and for pictures the shape.
+    """The series saved at every step: each channel's true reading, and the shape for plots.
 
     With `shape`, in the plane: `midline` (2, nodes) [m] relative to the head, `moment` (nodes,)
     [N m], and `force` (2, cells), the effects' force per length on the body [N/m].
@@ -53,7 +53,7 @@ class SavedSeries:
         }
 
     def start(self, model: Model, midline: np.ndarray) -> dict[str, np.ndarray]:
-        """The same of the initial state: straight, no force yet. `midline` (2, nodes) [m]."""
+        """The same for the initial state: straight, no force. `midline` (2, nodes) [m]."""
         values = {x.name: np.asarray(x.start(midline), float) for x in self.channels}
         values["p_front"] = np.asarray(model.drive.start_front)
         values["p_rear"] = np.asarray(model.drive.start_rear)
@@ -120,7 +120,7 @@ class TrialRun:
     columns: dict[str, np.ndarray]
     """The CSV columns, (samples,) each: t_s and every channel's, at the trial's sample times."""
     factorisations: int
-    """Of the Jacobian, in all."""
+    """Number of factorisations of the Jacobian."""
 
     @property
     def trial(self) -> Trial:
