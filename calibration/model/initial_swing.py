@@ -70,9 +70,8 @@ def _along(model: Model, numerics: Numerics):
         return eqx.filter(with_motion(carry, change), eqx.is_inexact_array)
 
     zero, unit = jnp.zeros(()), jnp.eye(2, DIRECTIONS)
-    return jax.vmap(lambda d: jax.jvp(initial, (zero, zero), (d[0], d[1]))[1])(
-        unit.T
-    ), mode.frequency
+    along = jax.vmap(lambda d: jax.jvp(initial, (zero, zero), (d[0], d[1]))[1])(unit.T)
+    return along, mode.frequency
 
 
 def spans(p: TrialPlan, theta: np.ndarray, size: float) -> np.ndarray:

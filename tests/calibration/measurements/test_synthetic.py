@@ -34,7 +34,7 @@ def test_the_effect_is_in_the_data_and_not_in_the_file(tmp_path):
     ("text", "message"),
     [
         ("no_such.x=1", "unknown effect no_such"),
-        ("valve_delay.x=1", "valve_delay has delay"),
+        ("valve_delay.x=1", "allowed parameters are delay"),
         ("valve_delay.delay=soon", "EFFECT.PARAMETER=NUMBER"),
         ("valve_delay.delay=20", "allowed 0 to 0.06 s"),
     ],
