@@ -73,13 +73,13 @@ def test_every_command_has_an_example():
 
 
 def test_linked_files_exist():
-    for document in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]:
+    for document in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]:
         for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", document.read_text()):
             assert (document.parent / target).exists(), f"{document.name}: {target}"
 
 
 def test_the_skeleton_of_an_effect_runs_and_brakes_by_its_closed_form():
-    skeleton, use = blocks("docs/adding_an_effect.md", "python")[:2]
+    skeleton, use = blocks("docs/how-to/adding_an_effect.md", "python")[:2]
     names = {}
     exec(compile(skeleton, "skeleton", "exec"), names)
     exec(compile(use, "use", "exec"), names)

@@ -1,6 +1,6 @@
 """What host and manifold say to each other: the messages of protocol 1, and their bytes.
 
-A message is a type byte and its fields, little endian; [docs/rig_protocol.md] has the table.
+A message is a type byte and its fields, little endian: docs/reference/rig_protocol.md.
 Pressures are whole pascals (gauge), so that none can be NaN.
 """
 

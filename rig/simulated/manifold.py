@@ -36,7 +36,7 @@ Pressures = tuple[int, ...]
 
 
 class ManifoldCore:
-    """The state machine of docs/rig_protocol.md. Times are the device's microseconds."""
+    """The state machine of docs/reference/rig_protocol.md. Times are the device's microseconds."""
 
     def __init__(
         self,

@@ -16,7 +16,8 @@ class PinnedLink(Support):
 
         V_tau - sigma (l_p/2) omega = 0,    V_n = 0,    M + sigma (l_p/2) T = 0
 
-    (V + omega x r = 0 with r = sigma (l_p/2) n; the paper writes Omega x r, see docs/decisions.md.)
+    (V + omega x r = 0 with r = sigma (l_p/2) n; the paper writes Omega x r, see
+    docs/explanation/decisions.md.)
     sigma is +1 in the first half of every period 1/`frequency` [s] and -1 in the second half.
     `phase` delays the periods by a fraction of a period. With `frequency` = 0, sigma is always +1.
     sigma is constant in a step: a switch takes effect at the nearest end of a step.

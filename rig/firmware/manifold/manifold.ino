@@ -1,4 +1,4 @@
-// A manifold of four chambers on a Teensy 4.x: the board's side of docs/rig_protocol.md.
+// A manifold of four chambers on a Teensy 4.x: the board's side of docs/reference/rig_protocol.md.
 // Read rig/firmware/README.md before you flash it: pins, valves without current, what to calibrate.
 
 #include <Watchdog_t4.h>  // comes with Teensyduino

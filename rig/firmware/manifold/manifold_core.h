@@ -1,4 +1,4 @@
-// What a manifold does with the bytes it gets: the state machine of docs/rig_protocol.md, without a board.
+// What a manifold does with the bytes it gets: the state machine of docs/reference/rig_protocol.md, without a board.
 // rig/simulated/manifold.py is its twin; tests/rig/firmware/test_core.py holds them together byte for byte.
 #pragma once
 

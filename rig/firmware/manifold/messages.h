@@ -1,4 +1,4 @@
-// What host and manifold say to each other: protocol 1, docs/rig_protocol.md; rig/protocol/messages.py is its twin.
+// What host and manifold say to each other: protocol 1, docs/reference/rig_protocol.md; rig/protocol/messages.py is its twin.
 #pragma once
 
 #include <cstddef>

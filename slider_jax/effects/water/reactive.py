@@ -19,7 +19,7 @@ class ReactiveForce(ForceDensity):
         m_A   = m_a pi rho H^2/4
 
     The robot's height is uniform, so dm_A/ds = 0. No point force acts at its blunt head; see
-    docs/decisions.md.
+    docs/explanation/decisions.md.
 
     Source: Lighthill, M. J. (1971), Large-amplitude elongated-body theory of fish locomotion, Proc.
     R. Soc. B 179, 125-138; the paper's equations for F_a.

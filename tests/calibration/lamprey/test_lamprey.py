@@ -296,7 +296,8 @@ def test_the_command_writes_its_report(tmp_path, capsys, monkeypatch, weighed):
 
 
 def test_the_measured_lamprey(data):
-    """What the record says; the draws' figures are in docs/real_animals_and_published_speeds.md."""
+    """What the record says; the draws' figures are in
+    docs/explanation/real_animals_and_published_speeds.md."""
     folder = data / "lamprey"
     if not folder.is_dir():
         pytest.skip("the lamprey's midlines are absent; set SLIDER_DATA to a folder with lamprey/")

@@ -34,7 +34,7 @@ LEARNED = 8.5
 """[s] after which the twin watches."""
 SHARE = 0.5
 """Of a core, with this suite's quick compilation, on a machine that others share: 0.24 to 0.35 were
-seen. A ceiling of ours (docs/decisions.md); what a user feels is how late the model is."""
+seen. A ceiling of ours (docs/explanation/decisions.md); the user feels how late the model is."""
 
 
 @pytest.fixture(scope="module")
