@@ -10,6 +10,7 @@ from calibration.bench.statics import DETERMINED, UNITS, BenchEstimate, ShapeFit
 from calibration.bench.tables import Bench, Shapes
 from slider_jax.io.figures import new_figure, save_figure
 from slider_jax.io.files import versions
+from slider_jax.io.toml import significant, toml_text
 
 DEFINITIONS = {
     "interval": "95 %, from the scatter of the tables about the fit, or from the declared "
@@ -150,11 +151,12 @@ def statics_table(found: Statics) -> str:
 def statics_model_file(found: Statics) -> str:
     """What is determined, for `slider simulate --model`."""
     known = {n: x.value for n, x in found.parameters.items() if x.determined}
-    lines = [f"# Identified on the bench: {found.bench.table.name}."]
-    robot = [f"{n} = {v:.9g}   # {UNITS[n]}" for n, v in known.items() if n != "K_Q"]
-    lines += ["[robot]", *robot] if robot else []
-    lines += ["[parameters]", f"K_Q = {known['K_Q']:.9g}   # m^3"] if "K_Q" in known else []
-    return "\n".join(lines) + "\n"
+    tables = {
+        table: {n: significant(x) for n, x in known.items() if (n == "K_Q") == own}
+        for table, own in (("robot", False), ("parameters", True))
+    }
+    comment = f"Identified on the bench: {found.bench.table.name}."
+    return toml_text({k: x for k, x in tables.items() if x}, comment, UNITS)
 
 
 def pictures(found: Statics, folder: Path) -> None:

@@ -14,6 +14,7 @@ from slider_jax.cli.options import Folder
 from slider_jax.cli.progress import Progress
 from slider_jax.errors import InputError
 from slider_jax.io.files import input_file, staged, versions, write_json, write_text
+from slider_jax.io.toml import significant, toml_text
 
 DEFINITIONS = {
     "rmse": "root mean square over all samples of measured minus free run; the free run starts at "
@@ -142,14 +143,14 @@ def lag_model_toml(found: Identification) -> str:
     """A model file with the k of all logs."""
     k = found.k
     names = ", ".join(x.log.path.name for x in found.logs)
-    return (
-        f"# {verdict(found)}\n"
-        f"# Pressure lag from {len(found.logs)} logs by slider calibrate manifold: {names}\n"
-        f"# 95 % interval {k.low:.4f} to {k.high:.4f} s; free-run RMSE "
+    comment = (
+        f"{verdict(found)}\n"
+        f"Pressure lag from {len(found.logs)} logs by slider calibrate manifold: {names}\n"
+        f"95 % interval {k.low:.4f} to {k.high:.4f} s; free-run RMSE "
         f"{found.pooled_rmse('before'):.2f} psi before, {found.pooled_rmse('pooled'):.2f} after, "
-        f"noise {found.floor:.2f}\n"
-        f"[parameters]\nk = {k.value:.6g}   # s\n"
+        f"noise {found.floor:.2f}"
     )
+    return toml_text({"parameters": {"k": significant(k.value, 6)}}, comment, {"k": "s"})
 
 
 def lag_table(found: Identification) -> str:

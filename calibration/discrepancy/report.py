@@ -10,10 +10,11 @@ from calibration.discrepancy.localise import locate_residuals
 from calibration.discrepancy.rounds import SelectionStep
 from calibration.discrepancy.verdict import at_bounds, split
 from calibration.model.extended import base_values
-from calibration.reporting.parameters import parameter_record, parameter_text, parameter_toml
+from calibration.reporting.parameters import model_tables, parameter_record, parameter_text
 from slider_jax.channels import CHANNELS
 from slider_jax.effects.library import LIBRARY
 from slider_jax.io.files import versions
+from slider_jax.io.toml import toml_text
 
 
 def loop_record(
@@ -193,7 +194,7 @@ def error_lines(record: dict[str, Any]) -> list[str]:
 
 def loop_model_toml(outcome: LoopOutcome) -> str:
     """Returns the calibrated model with its effects, for `slider simulate --model`."""
-    final = outcome.final
-    return parameter_toml(
-        verdict_text(outcome), outcome.entries, final.theta, outcome.effects, final.free
-    )
+    entries, final = outcome.entries, outcome.final
+    kept = [i for i, p in enumerate(entries) if p.effect or i in final.free]
+    tables = model_tables([entries[i] for i in kept], final.theta[kept], outcome.effects)
+    return toml_text(tables, verdict_text(outcome))

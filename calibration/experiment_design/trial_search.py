@@ -20,7 +20,7 @@ from calibration.model.predict import on_all_cores
 from slider_jax.errors import InputError, SolverError
 from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.schema import Trial
-from slider_jax.io.toml import quantity_of, validate
+from slider_jax.io.toml import quantity_of, toml_text, validate
 
 STRIDES, LONGEST, LEAST = 6.0, 2.0, 2.0
 """A trial lasts `STRIDES` strides, but at most `LONGEST` seconds, and at least `LEAST` strides."""
@@ -216,8 +216,4 @@ def as_table(trial: Trial) -> dict[str, Any]:
 
 def trial_toml(trial: Trial) -> str:
     """A trial as a table to add to an experiment file."""
-    lines = ["[[trials]]"]
-    for key, value in as_table(trial).items():
-        if value is not None:
-            lines.append(f'{key} = "{value}"' if isinstance(value, str) else f"{key} = {value!r}")
-    return "\n".join(lines) + "\n"
+    return toml_text({"trials": [{k: x for k, x in as_table(trial).items() if x is not None}]})

@@ -22,12 +22,13 @@ from calibration.measurements.findings import Finding
 from calibration.measurements.records import Record
 from calibration.model.extended import Parameter, base_values, base_vector, parameters
 from calibration.model.predict import COARSE, FINE, Resolution
-from calibration.reporting.parameters import parameter_record, parameter_text, parameter_toml
+from calibration.reporting.parameters import model_tables, parameter_record, parameter_text
 from slider_jax.channels import BUILT_IN, CHANNELS
 from slider_jax.effects.library import LIBRARY
 from slider_jax.errors import InputError, did_you_mean
 from slider_jax.experiment.load import Experiment
 from slider_jax.io.files import versions
+from slider_jax.io.toml import toml_text
 
 METHODS = {"lm": fit_gauss_newton, "lbfgs": fit_lbfgs}
 MANY = 12
@@ -173,4 +174,4 @@ def identified_model(found: Identified) -> str:
     effects = list(dict.fromkeys(p.effect for p in found.entries if p.effect))
     said = f"Identified from {len(found.problem.records)} trials of {found.experiment.name}."
     said = f"{said} {found.doubt}".strip()
-    return parameter_toml(said, found.entries, found.fit.theta, effects)
+    return toml_text(model_tables(found.entries, found.fit.theta, effects), said)

@@ -10,8 +10,9 @@ from calibration.experiment_design.parameter_trial import described, proposal_se
 from calibration.identification.parameter_ties import CONSTANT, EACH, FOLLOWS, PAPER, RAMP
 from calibration.identification.per_frequency import ByFrequency, Way, comparison_text, values
 from calibration.inference.uncertainty import correlations
-from calibration.reporting.parameters import parameter_record, parameter_text, parameter_toml
+from calibration.reporting.parameters import model_tables, parameter_record, parameter_text
 from slider_jax.io.figures import new_figure, save_figure
+from slider_jax.io.toml import significant, toml_text
 from slider_jax.paper import RAMP_END, RAMP_START, force_coefficients
 
 
@@ -96,28 +97,24 @@ def per_frequency_model(found: ByFrequency, each: Sequence[str]) -> str:
     if way.layout.name == EACH and not set(each) <= set(FOLLOWS):
         constant = found.ways[CONSTANT]
         said = comparison_text(found) + " A model file has no place for these: constant values."
-        return parameter_toml(said, constant.layout.entries, constant.fit.theta, effects)
+        return toml_text(model_tables(constant.layout.entries, constant.fit.theta, effects), said)
     if way.layout.name == CONSTANT:
-        return parameter_toml(comparison_text(found), entries, theta, effects)
+        return toml_text(model_tables(entries, theta, effects), comparison_text(found))
     common = [i for i, p in enumerate(entries) if p.label not in FOLLOWS]
-    text = parameter_toml(
-        comparison_text(found), [entries[i] for i in common], theta[common], effects
-    )
-    if way.layout.name == PAPER:
-        return text.replace("[parameters]\n", '[parameters]\nforce_coefficients = "ramp"\n')
-    lines = ["[parameters]", 'force_coefficients = "table"']
-    head, rest = text.split("[parameters]\n")
-    own, _, after = rest.partition("\n\n[[effects]]")
-    lines += [own.rstrip("\n")]
-    for f, C_d, m_a in coefficients(found):
-        lines += ["", "[[parameters.coefficients]]"]
-        lines += [
-            f"frequency = {f:.9g}",
-            f"C_d = {max(C_d, 0.0):.9g}",
-            f"m_a = {max(m_a, 0.0):.9g}",
+    tables = model_tables([entries[i] for i in common], theta[common], effects)
+    law: dict[str, Any] = {"force_coefficients": "ramp"}
+    if way.layout.name != PAPER:
+        rows = [
+            {
+                "frequency": significant(f),
+                "C_d": significant(max(C_d, 0.0)),
+                "m_a": significant(max(m_a, 0.0)),
+            }
+            for f, C_d, m_a in coefficients(found)
         ]
-    body = head + "\n".join(lines) + "\n"
-    return body + (f"\n[[effects]]{after}" if after else "")
+        law = {"force_coefficients": "table", "coefficients": rows}
+    tables["parameters"] = tables["parameters"] | law
+    return toml_text(tables, comparison_text(found))
 
 
 def coefficients(found: ByFrequency) -> list[tuple[float, float, float]]:

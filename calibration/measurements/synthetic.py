@@ -12,6 +12,7 @@ import numpy as np
 
 from slider_jax.experiment.load import assemble
 from slider_jax.io.files import write_csv, write_text
+from slider_jax.io.toml import toml_text
 from slider_jax.simulation.trial import simulate_trial
 
 NUMERICS = {"nodes": 81, "step": 1e-3, "scheme": "sdirk2", "tolerance": 1e-9}
@@ -108,7 +109,7 @@ def write_tank(
     for trial in experiment.trials:
         columns = with_sensor_noise(simulate_trial(experiment, trial).columns, sensors, rng)
         write_csv(folder / trial.file, columns, {"t_s": ".4f", "p_front_Pa": ".0f"})
-    write_text(folder / "experiment.toml", _toml(declared | {"trials": list(runs)}))
+    write_text(folder / "experiment.toml", toml_text(declared | {"trials": list(runs)}))
     return folder / "experiment.toml"
 
 
@@ -143,26 +144,3 @@ def slow_noise(t: np.ndarray, time: float, rng: np.random.Generator) -> np.ndarr
     for i in range(1, len(t)):
         values[i] = keep[i] * values[i - 1] + np.sqrt(1.0 - keep[i] ** 2) * fresh[i]
     return values
-
-
-def _toml(content: Mapping[str, Any]) -> str:
-    """Plain values, tables of them, and lists of tables, as TOML."""
-
-    def value(x: Any) -> str:
-        if isinstance(x, str):
-            return f'"{x}"'
-        if isinstance(x, (list, tuple)):
-            return "[" + ", ".join(map(value, x)) + "]"
-        return repr(x)
-
-    def lines(table: Mapping[str, Any]) -> list[str]:
-        return [f"{key} = {value(x)}" for key, x in table.items()]
-
-    out = lines({k: v for k, v in content.items() if not isinstance(v, (dict, list))})
-    for key, x in content.items():
-        if isinstance(x, dict):
-            out += ["", f"[{key}]", *lines(x)]
-        elif isinstance(x, list):
-            for table in x:
-                out += ["", f"[[{key}]]", *lines(table)]
-    return "\n".join(out) + "\n"

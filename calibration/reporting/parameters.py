@@ -8,6 +8,7 @@ import numpy as np
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.uncertainty import by_variation, confidence_interval, determined
 from calibration.model.extended import Parameter
+from slider_jax.io.toml import significant
 
 
 def parameter_record(fit: Fit, entries: Sequence[Parameter], index: int) -> dict[str, Any]:
@@ -38,25 +39,14 @@ def widened(x: dict[str, Any]) -> str:
     )
 
 
-def parameter_toml(
-    said: str,
-    entries: Sequence[Parameter],
-    theta: np.ndarray,
-    effects: Sequence[str],
-    free: np.ndarray | None = None,
-) -> str:
-    """A model file with the base parameters and `effects`, under the comment `said`.
-
-    Of the base parameters those in `free`, by default all.
-    """
-    lines = [f"# {said}", "[parameters]"]
-    pairs = list(zip(entries, theta, strict=True))
-    lines += [
-        f"{p.name} = {x:.9g}"
-        for i, (p, x) in enumerate(pairs)
-        if not p.effect and (free is None or i in free)
+def model_tables(
+    entries: Sequence[Parameter], theta: np.ndarray, effects: Sequence[str]
+) -> dict[str, Any]:
+    """Return the tables of a model file: the base parameters in `entries`, and `effects`."""
+    values = {(p.effect, p.name): significant(x) for p, x in zip(entries, theta, strict=True)}
+    parts = [
+        {name: x for (effect, name), x in values.items() if effect == which}
+        for which in ("", *effects)
     ]
-    for name in effects:
-        lines += ["", "[[effects]]", f'name = "{name}"']
-        lines += [f"{p.name} = {x:.9g}" for p, x in pairs if p.effect == name]
-    return "\n".join(lines) + "\n"
+    lacking = [{"name": name} | part for name, part in zip(effects, parts[1:], strict=True)]
+    return {"parameters": parts[0]} | ({"effects": lacking} if lacking else {})

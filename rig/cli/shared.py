@@ -1,6 +1,5 @@
 """`slider rig`: what its commands share, and the list of ports."""
 
-import re
 import shutil
 import signal
 import sys
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+import tomlkit
 import tyro
 
 from rig.cli.settings import CameraTable, ForceTable, RigTable
@@ -28,7 +28,7 @@ from slider_jax.errors import InputError
 from slider_jax.experiment.schema import ExperimentTable, Trial as TrialTable
 from slider_jax.io.csv import read_csv
 from slider_jax.io.files import write_bytes, write_text
-from slider_jax.io.toml import read_toml, validate
+from slider_jax.io.toml import read_toml, significant, validate
 
 Port = Annotated[str, tyro.conf.arg(metavar="PORT")]
 RigFile = Annotated[Path | None, tyro.conf.arg(metavar="RIG.toml")]
@@ -94,15 +94,10 @@ def declare_swing(path: Path, told: list[dict[str, Any]]) -> None:
     declared = validate(ExperimentTable, read_toml(path), str(path)).sensors.start_swing
     if swing <= max(2.0 * declared, LEAST_SWING):
         return
-    line = f"start_swing = {swing:.2g}  # m, measured at rest"
-    text = path.read_text()
-    if re.search(r"^start_swing\s*=", text, re.M):
-        text = re.sub(r"^start_swing\s*=.*$", line, text, count=1, flags=re.M)
-    elif re.search(r"^\[sensors\]", text, re.M):
-        text = re.sub(r"^\[sensors\].*$", rf"\g<0>\n{line}", text, count=1, flags=re.M)
-    else:
-        text = f"{text.rstrip()}\n\n[sensors]\n{line}\n"
-    write_text(path, text)
+    document = tomlkit.parse(path.read_text())
+    sensors = document.setdefault("sensors", {})
+    sensors["start_swing"] = tomlkit.item(significant(swing, 2)).comment("m, measured at rest")
+    write_text(path, tomlkit.dumps(document))
     print(f"{path}: the tip swung by {swing:.2g} m before the trials: declared", file=sys.stderr)
 
 

@@ -1,14 +1,17 @@
-"""Reading and validation of TOML files; an error names the place and the allowed values."""
+"""Reading, validation and writing of TOML; an error names the place and the allowed values."""
 
 import difflib
 import re
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeVar
 
+import tomlkit
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
+from tomlkit.items import Table
 
 from slider_jax.errors import InputError
 from slider_jax.io.units import Quantity
@@ -37,6 +40,30 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from None
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path}: not valid TOML: {error}{_unit_advice(text, error)}") from None
+
+
+def toml_text(
+    content: Mapping[str, Any], comment: str = "", units: Mapping[str, str] = MappingProxyType({})
+) -> str:
+    """Return values, tables and lists of tables as the text of a TOML file.
+
+    Each line of `comment` becomes a comment line at the top. `units` gives the unit of a key in a
+    table; it follows the key's value as a comment.
+    """
+    document = tomlkit.document()
+    for line in comment.splitlines():
+        document.add(tomlkit.comment(line))
+    for name, value in content.items():
+        document.add(name, tomlkit.item(value))
+    for table in (x for x in document.values() if isinstance(x, Table)):
+        for name in table.keys() & units.keys():
+            table.item(name).comment(units[name])
+    return tomlkit.dumps(document)
+
+
+def significant(value: float, digits: int = 9) -> float:
+    """Return the number that a file gets: rounded to so many significant digits."""
+    return float(f"{value:.{digits}g}")
 
 
 def _unit_advice(text: str, error: tomllib.TOMLDecodeError) -> str:

@@ -1,6 +1,5 @@
 """Designs of a swimmer: bounds of the design variables, models, and experiment files."""
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple
@@ -14,7 +13,7 @@ from slider_jax.dynamics.model import Model
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment, coefficients_at, to_model
 from slider_jax.experiment.schema import RobotTable, Trial
-from slider_jax.io.toml import quantity_of
+from slider_jax.io.toml import quantity_of, significant, toml_text
 from slider_jax.swimming.gait import Gait, to_swimmer
 from slider_jax.swimming.steady_state import SteadySettings, find_steady, steady_speed
 
@@ -144,33 +143,15 @@ def with_gait(experiment: Experiment, gait: Gait) -> Experiment:
 
     The time step is shortened if the gait's frequency requires it.
     """
-    f, front, rear, phase, tail_length, EI_tail = (float(f"{float(x):.10g}") for x in gait)
+    f, front, rear, phase, tail_length, EI_tail = (significant(x, 10) for x in gait)
     first = {"waveform": "square", "frequency": f, "amplitude": front, "phase": phase,
              "rear_ratio": rear / front, "initial": None}  # fmt: skip
-    step = min(experiment.numerics.step, float(f"{0.0499 / f:.6g}"))
+    step = min(experiment.numerics.step, significant(0.0499 / f, 6))
     values = {"robot.tail_length": tail_length, "robot.EI_tail": EI_tail, "numerics.step": step,
               "trials": [experiment.trials[0].model_dump() | first]}  # fmt: skip
     return experiment.with_values(values, "design")
 
 
 def to_toml(experiment: Experiment, comment: str = "") -> str:
-    """An experiment as a file; what is at its default is left out."""
-    content = experiment.model_dump(exclude_defaults=True, exclude_none=True)
-    lines = [f"# {line}" for line in comment.splitlines()]
-    tables = {k: x for k, x in content.items() if isinstance(x, dict)}
-    lists = {k: x for k, x in content.items() if isinstance(x, (list, tuple))}
-    lines += [f"{k} = {_toml(x)}" for k, x in content.items() if k not in tables | lists]
-    for name, table in tables.items():
-        rows = table.pop("coefficients", ())
-        lines += ["", f"[{name}]", *(f"{k} = {_toml(x)}" for k, x in table.items())]
-        for row in rows:
-            lines += ["", f"[[{name}.coefficients]]", *(f"{k} = {x!r}" for k, x in row.items())]
-    for name, found in lists.items():
-        for row in found:
-            lines += ["", f"[[{name}]]", *(f"{k} = {_toml(x)}" for k, x in row.items())]
-    return "\n".join(lines) + "\n"
-
-
-def _toml(value: Any) -> str:
-    # Text, numbers, booleans and lists of them are written in TOML as in JSON.
-    return json.dumps(value, ensure_ascii=False)
+    """Return an experiment as the text of its file; values at their defaults are left out."""
+    return toml_text(experiment.model_dump(exclude_defaults=True, exclude_none=True), comment)
