@@ -22,7 +22,7 @@ from rig.manifold.limits import PressureLimits
 from rig.manifold.serial_port import open_port
 from rig.recording.decode import decode_readings
 from rig.recording.reader import read_recording
-from rig.scheduling import real_time
+from rig.scheduling import real_time_priority
 from rig.simulated.rig import SimulatedRig
 from rig.simulated.tank import BenchTank
 from rig.simulated.terminal import in_process
@@ -46,7 +46,7 @@ def measure(seconds: float, folder: Path) -> dict[str, float | int | str]:
     path = folder / "stream.h5"
     switches = Switches(Switch(), Switch())
     drive = SegmentDrive("sine", 1.3, 150e3, phase=0.15)
-    with real_time() as priority, in_process(device) as served:
+    with real_time_priority() as priority, in_process(device) as served:
         with Manifold(open_port(served.path), *switches) as manifold:
             cpu, begun = _cpu(), time.monotonic()
             captured = capture(

@@ -1,4 +1,4 @@
-"""The lab's side of the tank: commands to the pneumatics, readings of the sensors, recordings.
+"""Programs for the lab's tank: pressure commands, sensor readings and recordings.
 
-It needs neither JAX nor the simulator, so that it runs on the small computer beside the tank.
+The package needs neither JAX nor the simulator, so it runs on the small computer beside the tank.
 """

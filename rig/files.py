@@ -1,4 +1,4 @@
-"""Files beside the recordings, written under a temporary name and renamed."""
+"""Atomic writing of the files beside a recording."""
 
 import json
 import math
@@ -12,25 +12,24 @@ import numpy as np
 
 
 def save_text(path: Path, text: str) -> None:
-    """`text` to `path`, all of it or nothing."""
+    """Write `text` to a temporary file beside `path`, then rename it: no file is half-written."""
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=".tmp-", suffix=path.suffix)
     try:
         with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
             file.write(text)
         os.chmod(name, 0o644)
         os.replace(name, path)
-    except BaseException:
+    finally:
         Path(name).unlink(missing_ok=True)
-        raise
 
 
 def save_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Raises `ValueError` for a number that is not finite."""
+    """Write `content` to `path` as JSON. Raises `ValueError` for a number that is not finite."""
     save_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
 
 
 def save_csv(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    """Columns (n,) by name with unit; a NaN is a blank cell."""
+    """Write `columns` (name with unit -> values (n,)) to `path`. A NaN becomes an empty cell."""
     cells = [["" if math.isnan(x) else f"{x:.9g}" for x in v.tolist()] for v in columns.values()]
     rows = [",".join(columns), *(",".join(row) for row in zip(*cells, strict=True))]
     save_text(path, "\n".join(rows) + "\n")

@@ -1,32 +1,33 @@
-"""Before others on a busy computer, where the system allows it."""
+"""Thread priorities on a busy computer, where the operating system allows them."""
 
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-STREAMS, BEHIND = 2, 1
-"""Who commands and listens goes before who writes it down, and both before ordinary programs."""
+STREAM_PRIORITY, RECORDER_PRIORITY = 2, 1
+"""The threads that command and read go before the recorder; both go before ordinary programs."""
 NICE = -10
-"""Gets nine tenths of a core that an ordinary program wants too."""
+"""With this niceness a program gets nine tenths of a core that an ordinary program also wants."""
 
 
 @contextmanager
-def real_time(level: int = STREAMS) -> Iterator[str]:
-    """This thread, and those it starts in the block, run before all ordinary ones, if allowed.
+def real_time_priority(level: int = STREAM_PRIORITY) -> Iterator[str]:
+    """Run this thread, and the threads it starts in the block, before all ordinary ones.
 
-    A stream of 500 readings and 200 commands a second needs little time, but needs it at once: a
-    manifold vents after 0.1 s without a command. On Linux the right comes with the `rtprio` limit
-    of /etc/security/limits.conf. `level` is `STREAMS` or `BEHIND`. Yields what it got.
+    A stream of 500 readings and 200 commands a second needs little processor time, but needs it at
+    once: a manifold vents after 0.1 s without a command. On Linux, the `rtprio` limit of
+    /etc/security/limits.conf grants the permission. `level` is `STREAM_PRIORITY` or
+    `RECORDER_PRIORITY`. Yields "real time", or "ordinary" if the system does not allow it.
     """
     if not hasattr(os, "sched_setscheduler"):
         yield "ordinary"
         return
-    with _under(os.SCHED_RR, level) as allowed:
+    with _scheduled(os.SCHED_RR, level) as allowed:
         yield "real time" if allowed else "ordinary"
 
 
-def others_too() -> None:
-    """Within `real_time`, the same for threads that were there before, such as a library's own."""
+def share_priority_with_all_threads() -> None:
+    """Give this thread's priority to all existing threads of the program, such as a library's."""
     if not os.path.isdir("/proc/self/task"):
         return
     policy, param = os.sched_getscheduler(0), os.sched_getparam(0)
@@ -35,12 +36,12 @@ def others_too() -> None:
             os.sched_setscheduler(int(thread), policy, param)
 
 
-def prefer() -> None:
-    """This program's threads, and those that they start, get more of a busy computer, if allowed.
+def raise_priority() -> None:
+    """Lower the niceness of this program's threads, and of those they start, if allowed.
 
-    For what computes much. Run before all others, that has kept the system's own threads waiting,
-    which are ordinary ones and carry a port's bytes: readings stopped. On Linux the right comes
-    with the `nice` limit of /etc/security/limits.conf.
+    This is for programs that compute much. With real-time priority such a program kept the
+    system's own threads waiting. Those are ordinary threads that carry a port's bytes, and the
+    readings stopped. On Linux, the `nice` limit of /etc/security/limits.conf grants the permission.
     """
     if not hasattr(os, "setpriority"):
         return
@@ -50,22 +51,22 @@ def prefer() -> None:
 
 
 @contextmanager
-def ordinary() -> Iterator[bool]:
-    """What is started in the block does not inherit `real_time`; yields whether this thread has it.
+def ordinary_priority() -> Iterator[bool]:
+    """Start programs in the block without `real_time_priority`. Yields whether this thread has it.
 
-    A program that starts computes for some tenths of a second, and of those that run before all
-    others each may keep the rest waiting for 0.1 s.
+    A starting program computes for some tenths of a second. With real-time priority it could keep
+    all other programs waiting for 0.1 s.
     """
     if not hasattr(os, "sched_setscheduler") or os.sched_getscheduler(0) == os.SCHED_OTHER:
         yield False
         return
-    with _under(os.SCHED_OTHER, 0):
+    with _scheduled(os.SCHED_OTHER, 0):
         yield True
 
 
 @contextmanager
-def _under(policy: int, level: int) -> Iterator[bool]:
-    """This thread in the block; yields whether that is allowed."""
+def _scheduled(policy: int, level: int) -> Iterator[bool]:
+    """Set this thread's policy and priority in the block; yields whether the system allows it."""
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
         os.sched_setscheduler(0, policy, os.sched_param(level))

@@ -29,7 +29,7 @@ def rig_check(
     from rig.manifold.limits import PressureLimits, checked
     from rig.manifold.serial_port import open_port
     from rig.protocol.messages import CHANNELS
-    from rig.scheduling import real_time
+    from rig.scheduling import real_time_priority
     from rig.trial.health_check import Collector, check_force, check_manifold
     from slider_jax.io.files import output_folder, write_json
 
@@ -45,13 +45,13 @@ def rig_check(
     forces = None
     if settings.force is not None:
         print("force sensor ...", file=sys.stderr)
-        with signals_as_ctrl_c(), real_time(), force_of(settings.force)[0] as source:
+        with signals_as_ctrl_c(), real_time_priority(), force_of(settings.force)[0] as source:
             mounting = SensorMounting(settings.force.thrust, settings.force.recoil)
             forces = check_force(source, mounting)
     collector = Collector()
     with (
         signals_as_ctrl_c(),
-        real_time(),
+        real_time_priority(),
         Manifold(open_port(port), on_reading=collector) as manifold,
     ):
         manifold.configure(limits)

@@ -14,7 +14,7 @@ from rig.force.sensor import ForceSource, SensorMounting
 from rig.manifold.driver import Manifold
 from rig.manifold.limits import PressureLimits
 from rig.manifold.serial_port import open_port
-from rig.scheduling import real_time
+from rig.scheduling import real_time_priority
 from rig.trial.capture import PlannedTrial
 from rig.trial.live_stream import LiveStream
 from rig.trial.player import play
@@ -85,7 +85,7 @@ class Playing:
         manifold = Manifold(
             open_port(self._port), on_reading=stream.reading, on_follows=stream.follows
         )
-        with real_time(), manifold as m:
+        with real_time_priority(), manifold as m:
             stream.manifold = m
             m.configure(limits)
             with _forces(self._settings, stream) as self._force:

@@ -20,7 +20,7 @@ from rig.force.stream_reader import force_reader
 from rig.manifold.driver import Manifold
 from rig.manifold.limits import PressureLimits
 from rig.recording.table import Reader
-from rig.scheduling import real_time
+from rig.scheduling import real_time_priority
 from rig.trial.capture import PlannedTrial, RecordedInstrument, Switch, Switches, Timing
 from rig.trial.session import Rig, start_swing
 from rig.trial.waveform import SegmentDrive
@@ -174,7 +174,7 @@ def opened(port: str, table: RigTable) -> Iterator[Rig]:
     switches = Switches(Switch(), Switch())
     with ExitStack() as stack:
         stack.enter_context(signals_as_ctrl_c())
-        stack.enter_context(real_time())
+        stack.enter_context(real_time_priority())
         instruments: dict[str, RecordedInstrument] = {}
         readers: dict[str, Reader] = {}
         force = None

@@ -48,7 +48,7 @@ def rig_simulate(
         seed: of all chance.
         published: the authors' published firmware instead, with one chamber, for `slider rig log`.
     """
-    from rig.scheduling import others_too, real_time
+    from rig.scheduling import real_time_priority, share_priority_with_all_threads
     from rig.simulated.bench import running
     from rig.simulated.line_faults import LineFaults
     from rig.simulated.rig import SimulatedRig
@@ -89,8 +89,8 @@ def rig_simulate(
         flipped=flipped, dropped=dropped, noise=noise, tip_noise=tip_noise, seed=seed
     )
     simulated = SimulatedRig(tank, mischief=mischief)
-    with real_time(), running(simulated, force_noise, at, seed) as rig:
-        others_too()
+    with real_time_priority(), running(simulated, force_noise, at, seed) as rig:
+        share_priority_with_all_threads()
         if rig_file.exists():
             print(f"{rig_file} is replaced: it was of another simulated rig", file=sys.stderr)
         write_text(rig_file, rig.settings())
@@ -109,7 +109,7 @@ def rig_simulate(
 
 
 def _serve_published(noise: float, seed: int) -> None:
-    from rig.scheduling import real_time
+    from rig.scheduling import real_time_priority
     from rig.simulated.published import PublishedFirmware, generate
     from rig.simulated.tank import BenchChamber
     from rig.simulated.terminal import Terminal
@@ -123,7 +123,7 @@ def _serve_published(noise: float, seed: int) -> None:
         file=sys.stderr,
         flush=True,
     )
-    with real_time():
+    with real_time_priority():
         terminal.serve(lambda: False)
 
 

@@ -16,7 +16,7 @@ from rig.cli.playback import Playing
 from rig.cli.settings import rig_of
 from rig.cli.shared import Port, RigFile, signals_as_ctrl_c, to_play, with_counts
 from rig.recording.table import in_unit
-from rig.scheduling import prefer
+from rig.scheduling import raise_priority
 from rig.trial.live_stream import CHANNELS_OUT, LiveReadings
 from slider_jax.channels import BUILT_IN
 from slider_jax.cli.options import MaybeFolder, ModelFile, Seconds, Whole, chosen_trials
@@ -77,7 +77,7 @@ def rig_watch(
         raise InputError.value("--seconds", f"{duration:g}", "more than 0")
     print("compiling the model ...", file=sys.stderr, flush=True)
     twin = Twin.of(loaded, chosen)
-    prefer()
+    raise_priority()
     if duration < twin.judges_after:
         print(
             f"the trial ends after {duration:g} s, before the bands are learned: nothing will be "

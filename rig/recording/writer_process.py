@@ -19,7 +19,7 @@ from typing import Any, BinaryIO
 
 from rig.errors import RigError
 from rig.recording.writer import MOST_WAITING, STREAMS, Load, Recorder
-from rig.scheduling import BEHIND, ordinary, real_time
+from rig.scheduling import RECORDER_PRIORITY, ordinary_priority, real_time_priority
 
 HAND_OVER = 0.02
 """Between what is handed to the process [s]; what a killed program can lose."""
@@ -54,7 +54,7 @@ class ProcessRecorder:
             "settings": dict(settings or {}),
         }
         # A program of its own, not a fork or a spawn: those run the caller's main module again.
-        with ordinary() as asked["real_time"]:
+        with ordinary_priority() as asked["real_time"]:
             text = _as_json(path, asked)
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "rig.recording.writer_process"],
@@ -204,7 +204,7 @@ def write_from_stdin() -> None:
 
     source = sys.stdin.buffer
     asked = json.loads(source.readline())
-    with real_time(BEHIND) if asked["real_time"] else nullcontext():
+    with real_time_priority(RECORDER_PRIORITY) if asked["real_time"] else nullcontext():
         _record(asked, source, say)
 
 

@@ -13,7 +13,7 @@ from rig.manifold.driver import Manifold
 from rig.manifold.limits import PressureLimits, chamber
 from rig.manifold.serial_port import open_port
 from rig.recording.table import Analogue
-from rig.scheduling import real_time
+from rig.scheduling import real_time_priority
 from rig.simulated.line_faults import LineFaults
 from rig.simulated.manifold import ManifoldCore
 from rig.simulated.rig import TIP_PER_VOLT, SimulatedRig
@@ -32,7 +32,7 @@ TIP = Analogue("tip_m", 1, TIP_PER_VOLT)
 @pytest.fixture(autouse=True)
 def first_of_all():
     """Other tests beside these must not be taken for a host that fell silent."""
-    with real_time():
+    with real_time_priority():
         yield
 
 

@@ -15,7 +15,7 @@ from rig.manifold.limits import PressureLimits
 from rig.manifold.serial_port import PortLost, open_port
 from rig.protocol.frames import decode
 from rig.protocol.messages import Event, ManifoldState
-from rig.scheduling import real_time
+from rig.scheduling import real_time_priority
 from rig.simulated.line_faults import LineFaults
 from rig.simulated.rig import SimulatedRig
 from rig.simulated.tank import BenchTank
@@ -68,7 +68,7 @@ class Watched:
 @pytest.fixture(autouse=True)
 def first_of_all():
     """Other tests beside these must not be taken for a host that fell silent."""
-    with real_time():
+    with real_time_priority():
         yield
 
 
