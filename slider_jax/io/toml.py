@@ -56,8 +56,9 @@ def toml_text(
     for name, value in content.items():
         document.add(name, tomlkit.item(value))
     for table in (x for x in document.values() if isinstance(x, Table)):
-        for name in table.keys() & units.keys():
-            table.item(name).comment(units[name])
+        for name, value in table.items():
+            if name in units:
+                value.comment(units[name])
     return tomlkit.dumps(document)
 
 

@@ -143,7 +143,7 @@ def with_gait(experiment: Experiment, gait: Gait) -> Experiment:
 
     The time step is shortened if the gait's frequency requires it.
     """
-    f, front, rear, phase, tail_length, EI_tail = (significant(x, 10) for x in gait)
+    f, front, rear, phase, tail_length, EI_tail = (significant(float(x), 10) for x in gait)
     first = {"waveform": "square", "frequency": f, "amplitude": front, "phase": phase,
              "rear_ratio": rear / front, "initial": None}  # fmt: skip
     step = min(experiment.numerics.step, significant(0.0499 / f, 6))
