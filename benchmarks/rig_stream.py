@@ -26,7 +26,7 @@ from rig.scheduling import real_time_priority
 from rig.simulated.rig import SimulatedRig
 from rig.simulated.tank import BenchTank
 from rig.simulated.terminal import in_process
-from rig.trial.capture import PlannedTrial, Switch, Switches, Timing, capture
+from rig.trial.capture import ManifoldSinks, PlannedTrial, SwitchableSink, TrialTiming, record_trial
 from rig.trial.waveform import SegmentDrive
 
 
@@ -44,14 +44,14 @@ def _cpu() -> float:
 def measure(seconds: float, folder: Path) -> dict[str, float | int | str]:
     """A trial of so many seconds."""
     path = folder / "stream.h5"
-    switches = Switches(Switch(), Switch())
+    switches = ManifoldSinks(SwitchableSink(), SwitchableSink())
     drive = SegmentDrive("sine", 1.3, 150e3, phase=0.15)
     with real_time_priority() as priority, in_process(device) as served:
         with Manifold(open_port(served.path), *switches) as manifold:
             cpu, begun = _cpu(), time.monotonic()
-            captured = capture(
+            captured = record_trial(
                 PlannedTrial("stream", drive, seconds), manifold, switches, {}, path,
-                PressureLimits.of([250e3]), {}, Timing(),
+                PressureLimits.of([250e3]), {}, TrialTiming(),
             )  # fmt: skip
             cpu, wall = _cpu() - cpu, time.monotonic() - begun
             lost, doubled, damaged = manifold.lost, manifold.duplicated, manifold.damaged

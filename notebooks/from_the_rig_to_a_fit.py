@@ -33,9 +33,9 @@ import slider_jax as sj
 from calibration.identification.identify import identify_parameters, parameter_table
 from calibration.inference.uncertainty import confidence_interval
 from calibration.model.predict import Resolution
-from rig.cli.settings import rig_of
-from rig.cli.shared import opened, trials_of, with_counts
-from rig.recording.clock import align
+from rig.cli.settings import load_rig
+from rig.cli.shared import load_trials, open_rig, with_force_counts
+from rig.recording.clock import fit_clock
 from rig.recording.decode import decode_readings
 from rig.recording.reader import read_recording
 from rig.trial.session import run_trials
@@ -110,9 +110,9 @@ with ExitStack() as stack:
         )
         stack.callback(simulated.terminate)
         port = simulated.stdout.readline().split()[1]
-    settings = with_counts(rig_of(rig_file))
-    machine = stack.enter_context(opened(port, settings))
-    table_of_trials, trials = trials_of(path)
+    settings = with_force_counts(load_rig(rig_file))
+    machine = stack.enter_context(open_rig(port, settings))
+    table_of_trials, trials = load_trials(path)
     told = run_trials(trials, machine, measured, {"rig": settings.model_dump(mode="json")})
 (measured / "experiment.toml").write_bytes(path.read_bytes())
 for trial in told:
@@ -131,7 +131,7 @@ for trial in told:
 # %%
 stream = read_recording(measured / "recordings" / f"{trials[0].name}.h5").streams["manifold"]
 found = decode_readings(zip(stream.host_ns.tolist(), stream.pieces(), strict=True))
-clock = align(found.device_s, found.host_s)
+clock = fit_clock(found.device_s, found.host_s)
 late = 1e3 * (found.host_s - clock.to_host(found.device_s))
 figure, axes = plt.subplots(2, 1, figsize=(9, 5), layout="constrained")
 axes[0].plot(found.device_s - found.device_s[0], late, ".", ms=2)

@@ -12,8 +12,8 @@ from rig.camera.scale import Scale, tip_excursion
 from rig.camera.source import Camera, Frame, Source, record_markers
 from rig.camera.tracking import Tracker, order_at_rest
 from rig.errors import RigError
-from rig.recording.reader import Stream
-from rig.recording.table import Reader, SampledColumns
+from rig.recording.reader import RecordedStream
+from rig.recording.table import SampledColumns, StreamReader
 
 Sink = Callable[[int, bytes], None]
 LOOKS = 20
@@ -106,10 +106,10 @@ def _least_distance(places: np.ndarray) -> float:
     return float(apart.min())
 
 
-def camera_reader(scale: Scale) -> Reader:
+def camera_reader(scale: Scale) -> StreamReader:
     """tip_m of a camera's stream: the tip's distance from the line of the robot at rest."""
 
-    def read(stream: Stream) -> SampledColumns:
+    def read(stream: RecordedStream) -> SampledColumns:
         tracks = read_records(stream.pieces())
         if not len(tracks.number):
             raise RigError("camera: its recording has no frame; see that it runs, and record again")

@@ -22,15 +22,15 @@ def rig_check(
         pressure: set pressure of the test [Pa].
         out: JSON file for what was found; its folder is made if missing.
     """
-    from rig.cli.settings import rig_of
-    from rig.cli.shared import force_of, signals_as_ctrl_c
+    from rig.cli.settings import load_rig
+    from rig.cli.shared import open_force_sensor, signals_as_ctrl_c
     from rig.force.sensor import SensorMounting
     from rig.manifold.driver import Manifold
     from rig.manifold.limits import PressureLimits, checked
     from rig.manifold.serial_port import open_port
     from rig.protocol.messages import CHANNELS
     from rig.scheduling import real_time_priority
-    from rig.trial.health_check import Collector, check_force, check_manifold
+    from rig.trial.health_check import ReadingCollector, check_force, check_manifold
     from slider_jax.io.files import output_folder, write_json
 
     if not pressure >= 1e3:
@@ -39,16 +39,20 @@ def rig_check(
         if out.is_dir():
             raise InputError(f"--out {out}: is a folder; give a file, as {out / 'check.json'}")
         output_folder(out.parent)
-    settings = rig_of(rig)
+    settings = load_rig(rig)
     limits = PressureLimits.of(settings.manifold.limits)
     checked((pressure,) * 4, limits)
     forces = None
     if settings.force is not None:
         print("force sensor ...", file=sys.stderr)
-        with signals_as_ctrl_c(), real_time_priority(), force_of(settings.force)[0] as source:
+        with (
+            signals_as_ctrl_c(),
+            real_time_priority(),
+            open_force_sensor(settings.force)[0] as source,
+        ):
             mounting = SensorMounting(settings.force.thrust, settings.force.recoil)
             forces = check_force(source, mounting)
-    collector = Collector()
+    collector = ReadingCollector()
     with (
         signals_as_ctrl_c(),
         real_time_priority(),

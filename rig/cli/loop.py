@@ -14,10 +14,10 @@ from rig.cli.shared import (
     RigFile,
     StatusLine,
     declare_swing,
-    opened,
-    take_experiment,
-    to_play,
-    with_counts,
+    install_experiment,
+    open_rig,
+    planned_trial,
+    with_force_counts,
 )
 from slider_jax.cli.options import Folder, Range, Whole
 from slider_jax.errors import InputError
@@ -56,13 +56,13 @@ def rig_loop(
     from calibration.discrepancy.settings import DEFAULT_SETTINGS
     from calibration.experiment_design.campaign import campaign
     from calibration.experiment_design.trial_search import TrialLimits, limits_of
-    from rig.cli.settings import rig_of
+    from rig.cli.settings import load_rig
     from rig.trial.session import run_trials
     from slider_jax.experiment.load import Experiment, load
     from slider_jax.experiment.schema import Trial
     from slider_jax.io.files import output_folder, write_json, write_text
 
-    settings = rig_of(rig)
+    settings = load_rig(rig)
     given = load(experiment)
     if len(given.trials) < DEFAULT_SETTINGS.min_trials:
         raise InputError.value(
@@ -83,11 +83,11 @@ def rig_loop(
         return own._replace(amplitude=(min(low, highest / behind), min(high, highest / behind)))
 
     within(given)  # ranges that cannot be are told at once
-    settings = with_counts(settings)
+    settings = with_force_counts(settings)
     folder = output_folder(out) / "measured"
     folder.mkdir(exist_ok=True)
     path = folder / "experiment.toml"
-    take_experiment(experiment, folder)
+    install_experiment(experiment, folder)
     begun = time.monotonic()
 
     def say(text: str) -> None:
@@ -96,8 +96,8 @@ def rig_loop(
     def capture(trials: tuple[Trial, ...]) -> None:
         # Opened anew for each round: between them the manifold is vented and its port free.
         with ExitStack() as stack:
-            machine = stack.enter_context(opened(port, settings))
-            played = [to_play(trial, path) for trial in trials]
+            machine = stack.enter_context(open_rig(port, settings))
+            played = [planned_trial(trial, path) for trial in trials]
             live = StatusLine(machine, len(played))
             told = {"rig": settings.model_dump(mode="json")}
             found = run_trials(played, machine, folder, told, live)

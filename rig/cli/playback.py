@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from rig.cli.settings import ForceTable, RigTable
-from rig.cli.shared import force_of
+from rig.cli.shared import open_force_sensor
 from rig.force import ati_rdt as rdt
 from rig.force.sensor import ForceSource, SensorMounting
 from rig.manifold.driver import Manifold
@@ -17,10 +17,10 @@ from rig.manifold.serial_port import open_port
 from rig.scheduling import real_time_priority
 from rig.trial.capture import PlannedTrial
 from rig.trial.live_stream import LiveStream
-from rig.trial.player import play
+from rig.trial.player import play_drive
 
 
-class Playing:
+class DrivePlayer:
     """A drive played for `duration` [s] in a thread of its own, before all others.
 
     A context: at its end everything is vented. `stream` has what comes meanwhile. Raises `RigError`
@@ -46,7 +46,7 @@ class Playing:
             raise self._failure
         return not self._thread.is_alive()
 
-    def __enter__(self) -> "Playing":
+    def __enter__(self) -> "DrivePlayer":
         try:
             self._thread.start()
             while not self._begun.wait(0.05) and self._thread.is_alive():
@@ -93,7 +93,7 @@ class Playing:
                 self._begun.set()
                 rate = self._settings.manifold.commands_per_second
                 try:
-                    play(stream, self._trial.drive, self._trial.duration, rate, self._tick)
+                    play_drive(stream, self._trial.drive, self._trial.duration, rate, self._tick)
                 except BaseException as error:
                     m.stop_after(error)
                     raise
@@ -119,7 +119,7 @@ def _forces(settings: RigTable, stream: LiveStream) -> AbstractContextManager[Fo
 
 @contextmanager
 def _forces_of(table: ForceTable, stream: LiveStream) -> Iterator[ForceSource]:
-    source, _ = force_of(table)
+    source, _ = open_force_sensor(table)
     mounting, box = SensorMounting(table.thrust, table.recoil), rdt.BoxTime()
 
     def sink(host_ns: int, datagram: bytes) -> None:

@@ -7,14 +7,14 @@ from typing import Annotated, NamedTuple
 import tyro
 
 from rig.cli.settings import RigTable
-from rig.cli.shared import RigFile, calibration_of, camera_of, trials_of
+from rig.cli.shared import RigFile, force_calibration, load_trials, marker_camera
 from rig.errors import RigError
 from rig.force.sensor import SensorMounting
 from rig.force.stream_reader import force_reader
+from rig.recording.decode import drive_span
 from rig.recording.reader import Recording, read_recording
-from rig.recording.recover import extent
-from rig.recording.table import Columns, trial_columns
-from rig.trial.session import RECORDINGS, told_beside, write_trial
+from rig.recording.table import TrialColumns, trial_columns
+from rig.trial.session import RECORDINGS, read_trial_record, write_trial
 from slider_jax.cli.options import MaybeFolder, Value
 from slider_jax.errors import InputError
 from slider_jax.io.toml import validate
@@ -56,7 +56,7 @@ def rig_replay(
 
 
 def _anew(folder: Path, out: Path, rig: Path | None) -> int:
-    from rig.cli.settings import rig_of
+    from rig.cli.settings import load_rig
     from rig.cli.shared import copy_experiment
     from slider_jax.cli.options import refuse_own_folder
     from slider_jax.io.files import staged
@@ -65,10 +65,10 @@ def _anew(folder: Path, out: Path, rig: Path | None) -> int:
     paths = sorted((folder / RECORDINGS).glob("*.h5"))
     if not paths:
         raise InputError(f"{folder}: holds no {RECORDINGS}/*.h5; give a folder of slider rig run")
-    given = rig_of(rig) if rig is not None else None
+    given = load_rig(rig) if rig is not None else None
     experiment, meant = folder / "experiment.toml", dict[str, float]()
     if experiment.exists():
-        meant = {x.name: x.duration for x in trials_of(experiment)[1]}
+        meant = {x.name: x.duration for x in load_trials(experiment)[1]}
     left_out = 0
     with staged(out) as stage:
         for path in paths:
@@ -103,20 +103,20 @@ class _Trial(NamedTuple):
 def _trial(path: Path, meant: dict[str, float]) -> _Trial:
     """Also of a run that was killed in it, of which nothing else tells. `meant` [s] is how long the
     experiment's trials are, by name."""
-    recording, told = read_recording(path), told_beside(path)
+    recording, told = read_recording(path), read_trial_record(path)
     if told is not None:
         return _Trial(
             recording, told["begun_host_ns"], told["duration_s"], tuple(told["range"]), ()
         )
-    found = extent(recording)
+    found = drive_span(recording)
     seconds = min(found.seconds, meant.get(path.stem.split(".unfinished-")[0], found.seconds))
     cut = f"unfinished: {seconds:.2f} s of its drive were recorded"
     return _Trial(recording, found.begun_ns, seconds, (), (cut,))
 
 
-def _read(trial: _Trial, given: RigTable | None, path: Path) -> tuple[Columns, list[str]]:
-    """Columns as the `given` rig has them, or else as the rig was when it was recorded; and what
-    is not among them any more."""
+def _read(trial: _Trial, given: RigTable | None, path: Path) -> tuple[TrialColumns, list[str]]:
+    """Return the columns by the `given` rig, else by the recorded rig; and a finding if columns
+    of the original run are missing."""
     there = trial.recording.settings.get("rig", {})
     recorded = validate(RigTable, there, f"{path}: its settings")
     settings = recorded if given is None else given
@@ -132,9 +132,9 @@ def _read(trial: _Trial, given: RigTable | None, path: Path) -> tuple[Columns, l
                 "--rig with counts_per_N and counts_per_Nm"
             )
         mounting = SensorMounting(force.thrust, force.recoil)
-        readers["force"] = force_reader(calibration_of(force), mounting)
+        readers["force"] = force_reader(force_calibration(force), mounting)
     if settings.camera is not None and "camera" in trial.recording.streams:
-        _, readers["camera"] = camera_of(settings.camera)
+        _, readers["camera"] = marker_camera(settings.camera)
     analogue = tuple(x.sensor() for x in settings.analogue)
     read = trial_columns(trial.recording, trial.begun_ns, trial.seconds, readers, analogue)
     missing = [name for name in trial.columns if name not in read.values]

@@ -11,15 +11,15 @@ from rig.cli.shared import (
     RigFile,
     StatusLine,
     declare_swing,
-    opened,
-    take_experiment,
-    trials_of,
-    with_counts,
+    install_experiment,
+    load_trials,
+    open_rig,
+    with_force_counts,
 )
 from slider_jax.cli.options import Folder, Pressures
 from slider_jax.errors import InputError
 
-MOST_LOST = 0.01
+MAX_LOST = 0.01
 """Share of a trial's readings."""
 
 
@@ -49,29 +49,29 @@ def rig_run(
         limit: highest set pressure [Pa] of all chambers, or of the four; 250e3 by default.
         force: address of an ATI Net F/T box; its other settings are the rig file's.
     """
-    from rig.cli.settings import rig_of
+    from rig.cli.settings import load_rig
     from rig.manifold.limits import PressureLimits
-    from rig.trial.session import finished, run_trials
+    from rig.trial.session import finished_record, run_trials
     from slider_jax.io.files import input_file, output_folder
 
     if out.resolve() == experiment.resolve().parent:
         raise InputError(f"--out {out}: is the experiment's own folder; give another")
-    table, trials = trials_of(experiment)
+    table, trials = load_trials(experiment)
     changes: dict[str, dict[str, Any]] = {}
     if limit is not None:
         PressureLimits.of(limit, "--limit")
         changes["manifold"] = {"limits": list(limit)}
     if force is not None:
         changes["force"] = {"host": force}
-    settings = rig_of(rig, changes)
+    settings = load_rig(rig, changes)
     for trial in table.trials:
         if trial.tow_speed or trial.clamp_moves:
             moves = "is towed" if trial.tow_speed else "moves"
             print(f"{trial.file}: its clamp {moves}: see to that", file=sys.stderr)
-    settings = with_counts(settings)
+    settings = with_force_counts(settings)
     source = input_file(experiment)
     told = {"experiment_sha256": source["sha256"], "rig": settings.model_dump(mode="json")}
-    with opened(port, settings) as machine:
+    with open_rig(port, settings) as machine:
         if not machine.readers and not machine.analogue:
             print("no --rig with sensors: pressures alone are measured", file=sys.stderr)
         ident = machine.manifold.ident
@@ -88,8 +88,8 @@ def rig_run(
         folder = output_folder(out)
         # Nothing is written where a trial is refused; what was added at rest stays.
         for shot in trials:
-            finished(folder, shot, told)
-        take_experiment(experiment, folder)
+            finished_record(folder, shot, told)
+        install_experiment(experiment, folder)
         live = StatusLine(machine, len(trials))
         try:
             found = run_trials(trials, machine, folder, told, live)
@@ -110,7 +110,7 @@ def rig_run(
                 "in the rig file, then `slider rig replay --rig`"
             )
         said = "; ".join(findings) or "no findings"
-        poor += told_of["readings_lost"] > MOST_LOST * told_of["readings"]
+        poor += told_of["readings_lost"] > MAX_LOST * told_of["readings"]
         print(f"{told_of['trial']}.csv  {told_of['rows']} rows, commands within "
               f"{1e3 * told_of['command_late_99_s']:.1f} ms: {said}")  # fmt: skip
     if poor:

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from rig.recording.table import Analogue
+from rig.recording.table import AnalogueSensor
 from slider_jax.errors import InputError
 from slider_jax.experiment.schema import FROM_LIST, Table, _fail
 from slider_jax.io.toml import read_toml, validate
@@ -79,9 +79,9 @@ class AnalogueTable(Table):
     scale: float
     zero: float | None = None
 
-    def sensor(self) -> Analogue:
+    def sensor(self) -> AnalogueSensor:
         """As the rig has it."""
-        return Analogue(self.column, self.input, self.scale, self.zero)
+        return AnalogueSensor(self.column, self.input, self.scale, self.zero)
 
 
 class RigTable(Table):
@@ -103,7 +103,7 @@ class RigTable(Table):
         return self
 
 
-def rig_of(path: Path | None, changes: dict[str, Any] | None = None) -> RigTable:
+def load_rig(path: Path | None, changes: dict[str, Any] | None = None) -> RigTable:
     """The rig of a file, or the defaults; `changes` are tables of the command line's own.
 
     Raises `InputError`, naming file and key.

@@ -19,9 +19,15 @@ from rig.force.sensor import ForceSource, SensorMounting
 from rig.force.stream_reader import force_reader
 from rig.manifold.driver import Manifold
 from rig.manifold.limits import PressureLimits
-from rig.recording.table import Reader
+from rig.recording.table import StreamReader
 from rig.scheduling import real_time_priority
-from rig.trial.capture import PlannedTrial, RecordedInstrument, Switch, Switches, Timing
+from rig.trial.capture import (
+    ManifoldSinks,
+    PlannedTrial,
+    RecordedInstrument,
+    SwitchableSink,
+    TrialTiming,
+)
 from rig.trial.session import Rig, start_swing
 from rig.trial.waveform import SegmentDrive
 from slider_jax.errors import InputError
@@ -47,21 +53,21 @@ def rig_ports() -> None:
         print("no serial ports; plug the manifold in, or start `slider rig simulate`")
 
 
-def trials_of(path: Path) -> tuple[ExperimentTable, list[PlannedTrial]]:
+def load_trials(path: Path) -> tuple[ExperimentTable, list[PlannedTrial]]:
     """An experiment file, and its trials as they are played. Raises `InputError`."""
     experiment = validate(ExperimentTable, read_toml(path), str(path))
-    return experiment, [to_play(x, path) for x in experiment.trials]
+    return experiment, [planned_trial(x, path) for x in experiment.trials]
 
 
 def copy_experiment(path: Path, folder: Path) -> None:
     """An experiment file, as experiment.toml, and the drives that it names, into a folder."""
-    table, _ = trials_of(path)
+    table, _ = load_trials(path)
     write_bytes(folder / "experiment.toml", path.read_bytes())
     for name in {x.drive_file for x in table.trials if x.drive_file}:
         write_bytes(folder / name, (path.parent / name).read_bytes())
 
 
-def take_experiment(path: Path, folder: Path) -> None:
+def install_experiment(path: Path, folder: Path) -> None:
     """An experiment file into a folder, unless it is there already with what was added to it:
     trials, and what the tip swung by.
 
@@ -101,7 +107,7 @@ def declare_swing(path: Path, told: list[dict[str, Any]]) -> None:
     print(f"{path}: the tip swung by {swing:.2g} m before the trials: declared", file=sys.stderr)
 
 
-def to_play(trial: TrialTable, path: Path) -> PlannedTrial:
+def planned_trial(trial: TrialTable, path: Path) -> PlannedTrial:
     """A trial as it is played. Raises `InputError` for one that a rig cannot play."""
     name = Path(trial.file).stem
     if trial.waveform != "recorded":
@@ -124,33 +130,33 @@ def to_play(trial: TrialTable, path: Path) -> PlannedTrial:
     return PlannedTrial(name, drive, trial.duration)
 
 
-def with_counts(settings: RigTable) -> RigTable:
+def with_force_counts(settings: RigTable) -> RigTable:
     """The same with its force sensor's counts, from the box's own page where the file has none.
 
     They are recorded with the rest, so that a recording can be read anew without the box.
     """
     if settings.force is None:
         return settings
-    found = calibration_of(settings.force)
+    found = force_calibration(settings.force)
     counts = {"counts_per_N": found.counts_per_N, "counts_per_Nm": found.counts_per_Nm}
     return settings.model_copy(update={"force": settings.force.model_copy(update=counts)})
 
 
-def calibration_of(table: ForceTable) -> NetCalibration:
+def force_calibration(table: ForceTable) -> NetCalibration:
     """As the table says, or else the box's own page."""
     if table.counts_per_N is not None and table.counts_per_Nm is not None:
         return NetCalibration(table.counts_per_N, table.counts_per_Nm)
     return NetCalibration.fetch(table.host, table.page_port)
 
 
-def force_of(table: ForceTable) -> tuple[ForceSource, Reader]:
+def open_force_sensor(table: ForceTable) -> tuple[ForceSource, StreamReader]:
     """A force sensor, opened, and how its stream is read."""
-    calibration = calibration_of(table)
+    calibration = force_calibration(table)
     source = NetForce(table.host, calibration, table.port)
     return source, force_reader(calibration, SensorMounting(table.thrust, table.recoil))
 
 
-def camera_of(table: CameraTable) -> tuple[RecordedInstrument, Reader]:
+def marker_camera(table: CameraTable) -> tuple[RecordedInstrument, StreamReader]:
     """A camera, and how its stream is read."""
     from rig.camera.instrument import MarkerCamera, Sight, camera_reader
     from rig.camera.scale import Scale
@@ -163,7 +169,7 @@ def camera_of(table: CameraTable) -> tuple[RecordedInstrument, Reader]:
 
 
 @contextmanager
-def opened(port: str, table: RigTable) -> Iterator[Rig]:
+def open_rig(port: str, table: RigTable) -> Iterator[Rig]:
     """The rig of a table, from the port's opening to its stop, whichever way the block ends.
 
     SIGTERM and SIGHUP end the block as Ctrl-C does, so that they vent too.
@@ -171,23 +177,25 @@ def opened(port: str, table: RigTable) -> Iterator[Rig]:
     from rig.manifold.serial_port import open_port
 
     settings = table.manifold
-    switches = Switches(Switch(), Switch())
+    switches = ManifoldSinks(SwitchableSink(), SwitchableSink())
     with ExitStack() as stack:
         stack.enter_context(signals_as_ctrl_c())
         stack.enter_context(real_time_priority())
         instruments: dict[str, RecordedInstrument] = {}
-        readers: dict[str, Reader] = {}
+        readers: dict[str, StreamReader] = {}
         force = None
         if table.force is not None:
-            force, readers["force"] = force_of(table.force)
+            force, readers["force"] = open_force_sensor(table.force)
             instruments["force"] = force
             stack.callback(force.close)
         if table.camera is not None:
-            instruments["camera"], readers["camera"] = camera_of(table.camera)
+            instruments["camera"], readers["camera"] = marker_camera(table.camera)
             stack.callback(instruments["camera"].close)
         manifold = stack.enter_context(Manifold(open_port(port), *switches))
         analogue = tuple(x.sensor() for x in table.analogue)
-        timing = Timing(settings.quiet, settings.after, settings.commands_per_second, settings.fade)
+        timing = TrialTiming(
+            settings.quiet, settings.after, settings.commands_per_second, settings.fade
+        )
         yield Rig(
             manifold, switches, PressureLimits.of(settings.limits), instruments, readers, force,
             analogue,

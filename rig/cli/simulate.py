@@ -4,15 +4,24 @@ import os
 import sys
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import tyro
 
 from rig.simulated.bench import MADE_UP
+from rig.simulated.tank import Measured
 from slider_jax.cli.options import MaybeExperiment, ModelFile, Value, Whole
 from slider_jax.errors import InputError
 
+if TYPE_CHECKING:
+    from slider_jax.realtime.plant import Plant
+
+SUPPLY_PRESSURE = 600e3
+"""Gauge pressure of the simulated supply [Pa]."""
+PLANT_STEP = 1e-3
+"""Time step of the simulated robot [s]. With 2 ms, each pressure step causes a spike of 0.1 N in
+the recoil."""
 RIG_FILE, FORCE_NOISE, TIP_NOISE = Path("simulated_rig.toml"), 2e-3, 2e-5
 
 
@@ -137,6 +146,19 @@ def _refuse_other(rig_file: Path) -> None:
         )
 
 
+class RobotTank:
+    """A `rig.simulated.tank.Tank` of an experiment's robot, water and effects."""
+
+    def __init__(self, plant: "Plant"):
+        self._plant = plant
+
+    def advance(self, set_pressures: tuple[int, ...] | None, seconds: float) -> Measured:
+        """As `Tank.advance`."""
+        found = self._plant.advance(set_pressures or [None] * 4, seconds)
+        a, b, c, d = (float(p) for p in found.pressures)
+        return Measured((a, b, c, d), SUPPLY_PRESSURE, found.thrust_N, found.recoil_N, found.tip_m)
+
+
 def _fault(text: str) -> tuple[str, float, float]:
     try:
         name, rest = text.split("=")
@@ -159,10 +181,10 @@ def _tank(experiment: Path | None, model: Path | None, faults: list[str]):
         if hasattr(os, "sched_setaffinity"):
             # XLA hands so small a step to its threads, which takes twice the time.
             os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-        from rig.cli.simulated_tank import RobotTank
         from slider_jax.cli.main import prepare_jax
         from slider_jax.experiment.load import load
         from slider_jax.realtime.faults import with_fault
+        from slider_jax.realtime.plant import Plant
 
         prepare_jax()
         loaded = load(experiment, model)
@@ -173,10 +195,10 @@ def _tank(experiment: Path | None, model: Path | None, faults: list[str]):
                 file=sys.stderr,
             )
         print("compiling the simulated robot ...", file=sys.stderr, flush=True)
-        robot = RobotTank(loaded)
+        plant = Plant(loaded, step=PLANT_STEP)
         for name in faults:
-            with_fault(robot.plant.faults, name, 0.1)
-        return robot, robot.plant.inject
+            with_fault(plant.faults, name, 0.1)
+        return RobotTank(plant), plant.inject
     if model is not None:
         raise InputError(f"--model {model}: given without an experiment; give both")
     bench = BenchTank()

@@ -12,10 +12,10 @@ import tyro
 
 from calibration.twin.stream import Samples
 from calibration.twin.twin import Twin, TwinBlock
-from rig.cli.playback import Playing
-from rig.cli.settings import rig_of
-from rig.cli.shared import Port, RigFile, signals_as_ctrl_c, to_play, with_counts
-from rig.recording.table import in_unit
+from rig.cli.playback import DrivePlayer
+from rig.cli.settings import load_rig
+from rig.cli.shared import Port, RigFile, planned_trial, signals_as_ctrl_c, with_force_counts
+from rig.recording.table import format_value
 from rig.scheduling import raise_priority
 from rig.trial.live_stream import CHANNELS_OUT, LiveReadings
 from slider_jax.channels import BUILT_IN
@@ -68,10 +68,10 @@ def rig_watch(
     (chosen,) = chosen_trials(loaded.trials, trial)
     if chosen.tow_speed or chosen.clamp_moves:
         print(f"{chosen.file}: its clamp moves: see to that", file=sys.stderr)
-    settings = with_counts(rig_of(rig))
+    settings = with_force_counts(load_rig(rig))
     if settings.camera is not None:
         print("the camera is not watched: its tip is told after a trial only", file=sys.stderr)
-    played = to_play(chosen, experiment)
+    played = planned_trial(chosen, experiment)
     duration = played.duration if seconds is None else seconds
     if not duration > 0.0:
         raise InputError.value("--seconds", f"{duration:g}", "more than 0")
@@ -85,7 +85,7 @@ def rig_watch(
             file=sys.stderr,
         )
     told = WatchLog()
-    playing = Playing(port, settings, played, duration)
+    playing = DrivePlayer(port, settings, played, duration)
     try:
         with signals_as_ctrl_c(), playing:
             while not playing.ended:
@@ -152,7 +152,7 @@ class WatchLog:
     def _misfitting(self) -> str:
         names = dict(zip(BUILT_IN, CHANNELS_OUT, strict=True))
         found = ", ".join(
-            f"{name} by {in_unit(names[name], rms)} ({100.0 * share:.0f} % of the model's)"
+            f"{name} by {format_value(names[name], rms)} ({100.0 * share:.0f} % of the model's)"
             for name, (rms, share) in self.misfits.items()
         )
         return (

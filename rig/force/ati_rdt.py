@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.errors import RigError
-from rig.recording.sample_clock import host_sample_times
+from rig.recording.clock import host_sample_times
 
 PORT = 49152
 STOP, START, BIAS = 0, 2, 0x42

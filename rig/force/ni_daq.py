@@ -28,7 +28,7 @@ from rig.force.sensor import (
     check_positive,
     unit_in_si,
 )
-from rig.recording.sample_clock import host_sample_times
+from rig.recording.clock import host_sample_times
 
 _FIRST = struct.Struct("<Q")
 FULL = 0.995

@@ -14,7 +14,7 @@ import numpy as np
 
 from rig.errors import RigError
 
-MOST_DRIFT = 1e-3
+MAX_DRIFT = 1e-3
 """Rates of two sound clocks differ by less; a quartz keeps 2e-4."""
 PIECE = 60.0
 """Over so long a rate counts as constant [s]."""
@@ -22,6 +22,9 @@ _SHORT = 10.0
 """Over less than this jitter hides a rate [s]."""
 _BLOCK = 0.5
 """The on-line fit keeps one arrival of each such stretch [s]."""
+
+LATEST = 0.5
+"""Samples of which half came later than this [s] were not taken at the rate that is claimed."""
 
 
 def host_ns() -> int:
@@ -61,29 +64,29 @@ class ClockFit(NamedTuple):
         return host[left] + slope[left] * (x - knots[left])
 
 
-def align(device_s: np.ndarray, host_s: np.ndarray) -> ClockFit:
+def fit_clock(device_s: np.ndarray, host_s: np.ndarray) -> ClockFit:
     """Fit the times of a device (n,) to the times of arrival at the host (n,), both [s].
 
     Records longer than `PIECE` are fitted piece by piece, since a quartz changes with temperature.
     Raises `RigError` for arrays that do not match, for a device time that falls (the device
-    restarted, see `segments`), and for rates that differ by `MOST_DRIFT` and more.
+    restarted, see `segments`), and for rates that differ by `MAX_DRIFT` and more.
     """
     x, y = np.asarray(device_s, float), np.asarray(host_s, float)
     if x.ndim != 1 or x.shape != y.shape or not x.size:
         raise RigError.value("clock", f"arrays {x.shape} and {y.shape}", "two of (n,), n > 0")
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise RigError.value("clock", "times that are not finite", "finite ones; leave those out")
-    if len(segments(x)) > 1:
-        at = segments(x)[1].start
+    if len(split_at_restarts(x)) > 1:
+        at = split_at_restarts(x)[1].start
         raise RigError(
             f"clock: device time falls from {x[at - 1]:g} s to {x[at]:g} s at sample {at}: "
-            "the device restarted; align each of segments() by itself"
+            "the device restarted; align each of split_at_restarts() by itself"
         )
     length = x[-1] - x[0]
-    if length >= _SHORT and abs(_line_below(x, y).drift) >= MOST_DRIFT:
+    if length >= _SHORT and abs(_line_below(x, y).drift) >= MAX_DRIFT:
         raise RigError(
             f"clock: {length:g} s of the device take {y[-1] - y[0]:g} s of the host; allowed "
-            f"a difference of {1e6 * MOST_DRIFT:g} ppm; give both in seconds, and of one run"
+            f"a difference of {1e6 * MAX_DRIFT:g} ppm; give both in seconds, and of one run"
         )
     pieces = max(1, min(round(length / PIECE), x.size // 2))
     pairs = zip(np.array_split(x, pieces), np.array_split(y, pieces), strict=True)
@@ -137,14 +140,14 @@ class RunningClock:
         return np.asarray(self._line.at(np.asarray(device_s, float)))
 
 
-def segments(device_s: np.ndarray) -> list[slice]:
+def split_at_restarts(device_s: np.ndarray) -> list[slice]:
     """The runs between restarts of the device, at which its time falls."""
     falls = np.flatnonzero(np.diff(device_s) < 0) + 1
     ends = [0, *falls.tolist(), len(device_s)]
     return [slice(a, b) for a, b in zip(ends, ends[1:], strict=False)]
 
 
-def unwrap(counts: np.ndarray, modulus: int) -> np.ndarray:
+def unwrap_counter(counts: np.ndarray, modulus: int) -> np.ndarray:
     """Counts (n,) of a counter that starts again from 0 at `modulus`, as ones that go on (int64).
 
     A step of more than half the modulus is a wrap; a smaller one backwards stays (reordered
@@ -154,6 +157,25 @@ def unwrap(counts: np.ndarray, modulus: int) -> np.ndarray:
     half = modulus // 2
     steps = (np.diff(counts) + half) % modulus - half
     return np.concatenate([counts[:1], counts[:1] + np.cumsum(steps)])
+
+
+def host_sample_times(
+    number: np.ndarray, arrived_ns: np.ndarray, rate: float, at: np.ndarray
+) -> np.ndarray:
+    """Host times [ns], int64, of the samples numbered `at`.
+
+    `number` (n,), rising, are the samples that arrived at `arrived_ns` (n,); `rate` [Hz] is the
+    sensor's, right to what crystals differ. Raises `RigError` where they did not come at that rate.
+    """
+    start = arrived_ns.min()  # so that a double holds nanoseconds
+    clock = fit_clock((number - number[0]) / rate, 1e-9 * (arrived_ns - start))
+    if clock.late_median > LATEST:
+        raise RigError(
+            f"force sensor: half of {len(number)} samples came {clock.late_median:.2g} s late and "
+            f"more, by a rate of {rate:.5g} Hz; see that the sensor is set to that rate, and that "
+            "this computer is not too busy to receive them"
+        )
+    return start + np.rint(1e9 * clock.to_host((at - number[0]) / rate)).astype(np.int64)
 
 
 class _Line(NamedTuple):
@@ -168,7 +190,7 @@ class _Line(NamedTuple):
 
 
 def _line_below(x: np.ndarray, y: np.ndarray) -> _Line:
-    """The highest line below the points, by its mean, of drifts up to `MOST_DRIFT`.
+    """The highest line below the points, by its mean, of drifts up to `MAX_DRIFT`.
 
     For a given drift it rests on one point; its mean is concave in the drift, and greatest where
     it rests on points on both sides of the mean time: those two are closed in upon. A short record
@@ -180,13 +202,13 @@ def _line_below(x: np.ndarray, y: np.ndarray) -> _Line:
     def rest(drift: float) -> int:
         return int(np.argmin(v - drift * u))
 
-    left, right = rest(-MOST_DRIFT), rest(MOST_DRIFT)
+    left, right = rest(-MAX_DRIFT), rest(MAX_DRIFT)
     if left == right and x[-1] - x[0] < _SHORT:
         drift = 0.0
     elif u[left] >= 0.0:
-        drift = -MOST_DRIFT
+        drift = -MAX_DRIFT
     elif u[right] <= 0.0:
-        drift, left = MOST_DRIFT, right
+        drift, left = MAX_DRIFT, right
     else:
         while True:
             drift = float((v[right] - v[left]) / (u[right] - u[left]))

@@ -10,11 +10,10 @@ import h5py
 import numpy as np
 
 from rig.errors import RigError
-from rig.recording.swmr import open_to_read
-from rig.recording.writer import CRC_OF_NOTHING, SCHEMA
+from rig.recording.writer import CRC_OF_NOTHING, SCHEMA, open_to_read
 
 
-class Stream(NamedTuple):
+class RecordedStream(NamedTuple):
     """What came on one stream: (pieces,) arrays and the bytes."""
 
     host_ns: np.ndarray
@@ -36,7 +35,7 @@ class Stream(NamedTuple):
 class Recording(NamedTuple):
     """All streams of a trial, by name, and what was known when it began."""
 
-    streams: dict[str, Stream]
+    streams: dict[str, RecordedStream]
     settings: dict[str, Any]
     versions: dict[str, str]
     wall_ns_at_host_0: int
@@ -46,9 +45,9 @@ class Recording(NamedTuple):
 
 
 def read_recording(path: Path | str) -> Recording:
-    """The recording at `path`, of which a part may be missing at the end (`Stream.trimmed`).
+    """Return the recording at `path`; its end may be missing (see `RecordedStream.trimmed`).
 
-    Raises `RigError` if there is no such file, or it is no recording, torn, or of a newer schema.
+    Raises `RigError` if the file is missing, torn, of a newer schema, or not a recording.
     """
     path = Path(path)
     try:
@@ -83,7 +82,7 @@ def _read(file: h5py.File) -> Recording:
     )
 
 
-def _stream(group: h5py.Group) -> Stream:
+def _stream(group: h5py.Group) -> RecordedStream:
     index = group["index"][:]  # before the bytes, which may be growing
     data = group["bytes"][:].tobytes()
     good, end, crc = 0, 0, CRC_OF_NOTHING
@@ -95,7 +94,7 @@ def _stream(group: h5py.Group) -> Stream:
             break
         good, end = good + 1, next_end
     pieces, size = group["lost"][:].tolist()
-    return Stream(
+    return RecordedStream(
         index[:good, 0],
         index[:good, 1],
         data[:end],

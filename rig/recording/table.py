@@ -8,9 +8,9 @@ import numpy as np
 
 from rig.errors import RigError
 from rig.protocol.messages import CHANNELS
-from rig.recording.clock import ClockFit, align
+from rig.recording.clock import ClockFit, fit_clock
 from rig.recording.decode import DecodedReadings, decode_readings
-from rig.recording.reader import Recording, Stream
+from rig.recording.reader import RecordedStream, Recording
 
 ORDER = ("t_s", "p_front_Pa", "p_rear_Pa", "thrust_N", "recoil_N", "tip_m")
 """Of the columns in a trial's file."""
@@ -36,7 +36,7 @@ class SampledColumns(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Analogue:
+class AnalogueSensor:
     """A sensor on one of the manifold's analogue inputs, such as a laser on the tail's tip.
 
     column = scale (voltage - zero), `input` 1 to 3, `scale` per volt, `zero` [V]; a `zero` of None
@@ -60,17 +60,17 @@ class Analogue:
         return self.scale * (volts - (self.zero or 0.0))
 
 
-def in_unit(column: str, x: float) -> str:
+def format_value(column: str, x: float) -> str:
     """A value of a column in words, lengths in mm and pressures in kPa."""
     unit = column.rsplit("_", 1)[-1]
     factor, shown = {"m": (1e3, "mm"), "Pa": (1e-3, "kPa")}.get(unit, (1.0, unit))
     return f"{factor * x:.3g} {shown}"
 
 
-Reader = Callable[[Stream], SampledColumns]
+StreamReader = Callable[[RecordedStream], SampledColumns]
 
 
-class Columns(NamedTuple):
+class TrialColumns(NamedTuple):
     """A trial's file, and what has to be known about it."""
 
     values: dict[str, np.ndarray]
@@ -85,9 +85,9 @@ def trial_columns(
     recording: Recording,
     begun_ns: int,
     duration: float,
-    instruments: dict[str, Reader],
-    analogue: tuple[Analogue, ...] = (),
-) -> Columns:
+    instruments: dict[str, StreamReader],
+    analogue: tuple[AnalogueSensor, ...] = (),
+) -> TrialColumns:
     """The drive's rows, t_s from `begun_ns` [host ns] to `duration` [s].
 
     Forces and tip are told from what they are in the quiet before the drive; pressures as they
@@ -101,14 +101,14 @@ def trial_columns(
             f"recording: {len(found.seq)} readings of the manifold, {found.damaged} damaged "
             "frames; check the line with `slider rig check`"
         )
-    clock = align(found.device_s, found.host_s)
+    clock = fit_clock(found.device_s, found.host_s)
     t = clock.to_host(found.device_s) - begun_ns * 1e-9
     rows, quiet = (t >= 0.0) & (t <= duration), t < 0.0
     if rows.sum() < 2:
         raise RigError("recording: no readings of the manifold during the drive; record it again")
     front, rear = found.pressures()
     values = {"t_s": t[rows], "p_front_Pa": front[rows], "p_rear_Pa": rear[rows]}
-    rest: dict[str, Rest] = {
+    rest: dict[str, RestStatistics] = {
         name: _rest(p[quiet]) for name, p in (("p_front_Pa", front), ("p_rear_Pa", rear))
     }
     moves: tuple[str, ...] = ()
@@ -135,10 +135,12 @@ def trial_columns(
         at = samples.t - begun_ns * 1e-9
         for column, signal in samples.columns.items():
             rest[column] = _rest(signal[at < 0.0])
-            values[column] = at_rows(t[rows], at, signal - rest[column].mean, samples.continuous)
+            values[column] = resample_at_rows(
+                t[rows], at, signal - rest[column].mean, samples.continuous
+            )
         findings += samples.findings
     values = {name: values[name] for name in (*ORDER, *values) if name in values}
-    return Columns(values, played, _told(recording, found, clock, values, rest, findings))
+    return TrialColumns(values, played, _told(recording, found, clock, values, rest, findings))
 
 
 def _played(
@@ -162,7 +164,7 @@ def _played(
     return {"t_s": at, "set_front_Pa": front, "set_rear_Pa": rear}
 
 
-class Rest(NamedTuple):
+class RestStatistics(NamedTuple):
     """What a sensor read in the quiet; 0 where there is none."""
 
     mean: float = 0.0
@@ -171,12 +173,12 @@ class Rest(NamedTuple):
     """Standard deviation of what one reading does not share with the next."""
 
 
-def _rest(signal: np.ndarray) -> Rest:
+def _rest(signal: np.ndarray) -> RestStatistics:
     there = signal[np.isfinite(signal)]
     if len(there) < 3:
-        return Rest()
+        return RestStatistics()
     noise = float(np.diff(there).std() / np.sqrt(2.0))
-    return Rest(float(there.mean()), float(there.std()), noise)
+    return RestStatistics(float(there.mean()), float(there.std()), noise)
 
 
 def _moves(column: str, quiet: np.ndarray, drive: np.ndarray, noise: float) -> tuple[str, ...]:
@@ -187,12 +189,12 @@ def _moves(column: str, quiet: np.ndarray, drive: np.ndarray, noise: float) -> t
     if before <= max(NOT_STILL * over, NOISES * noise / np.sqrt(AVERAGED)):
         return ()
     return (
-        f"{column} was not at rest before the drive: it went over {in_unit(column, before)}, in "
-        f"the drive over {in_unit(column, over)}; give a longer pause or fade",
+        f"{column} was not at rest before the drive: its range was {format_value(column, before)} "
+        f"(during the drive {format_value(column, over)}); set a longer pause or fade",
     )
 
 
-def at_rows(
+def resample_at_rows(
     rows: np.ndarray, at: np.ndarray, signal: np.ndarray, continuous: bool = True
 ) -> np.ndarray:
     """(n,) a signal (m,), sampled at times `at` (m,), at the times of `rows` (n,), all [s].
@@ -235,7 +237,7 @@ def _told(
     found: DecodedReadings,
     clock: ClockFit,
     values: dict[str, np.ndarray],
-    rest: dict[str, Rest],
+    rest: dict[str, RestStatistics],
     findings: tuple[str, ...],
 ) -> dict[str, Any]:
     unkept = {name: stream.lost[0] for name, stream in recording.streams.items() if stream.lost[0]}

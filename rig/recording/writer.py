@@ -14,6 +14,7 @@ can read it at any moment, also when its writer is gone. Bytes go to the disk be
 and the CRC tells whether they belong together.
 """
 
+import ctypes
 import json
 import os
 import platform
@@ -30,15 +31,16 @@ from zlib import crc32
 
 import h5py
 import numpy as np
+from h5py import h5f, h5p
+from h5py._objects import phil
 
 from rig.errors import RigError
-from rig.recording.swmr import open_to_write
 
 SCHEMA = 1
 STREAMS = ("manifold", "force", "camera", "commands")
 FLUSH_EVERY = 0.05
 """Between flushes [s]; what a killed recorder can lose."""
-MOST_WAITING = 64 * 2**20
+MAX_WAITING = 64 * 2**20
 """Bytes of one stream that may wait for the disk; what comes on top is counted as lost."""
 CRC_OF_NOTHING = 1
 """Where the CRC begins: from 0 an index of zeros would pass for pieces without bytes."""
@@ -46,8 +48,12 @@ _BYTES_A_CHUNK, _ROWS_A_CHUNK = 16384, 512
 """A quarter of a second of a manifold or more: a flush writes the last chunk anew, which is less
 work than making one, and with 4096 and 64 each made one."""
 
+_ATTEMPTS = 27
+"""HDF5 reads what looks damaged again, as a writer may be at it, and waits twice as long each time:
+0.1 s in all. Its own hundred times would never end on a torn file."""
 
-class Load(NamedTuple):
+
+class RecorderLoad(NamedTuple):
     """How a recorder keeps up; counts are of pieces, of all streams unless told otherwise."""
 
     recorded: dict[str, int]
@@ -55,7 +61,7 @@ class Load(NamedTuple):
     lost: dict[str, int]
     """Came but could not be kept, by stream: too many were waiting, or the recorder had ended."""
     waiting: int
-    most_waiting: int
+    max_waiting: int
     slowest_flush: float
     """Longest time from one flush to the end of the next [s]; `FLUSH_EVERY` if all is well."""
 
@@ -63,11 +69,11 @@ class Load(NamedTuple):
 class _Stream:
     """What waits for the disk, and the datasets where it goes. Tallies are of pieces and bytes."""
 
-    def __init__(self, group: h5py.Group, most_waiting: int) -> None:
+    def __init__(self, group: h5py.Group, max_waiting: int) -> None:
         self.bytes, self.index, self.tally = group["bytes"], group["index"], group["lost"]
         self.lock = threading.Lock()
         self.waiting: list[tuple[int, bytes]] = []
-        self.size, self.most = 0, most_waiting
+        self.size, self.most = 0, max_waiting
         self.came = self.recorded = self.lost = self.told = (0, 0)
         self.crc = CRC_OF_NOTHING
 
@@ -133,13 +139,13 @@ class Recorder:
         streams: Iterable[str] = STREAMS,
         settings: Mapping[str, Any] | None = None,
         on_failure: Callable[[RigError], None] = lambda failure: None,
-        most_waiting: int = MOST_WAITING,
+        max_waiting: int = MAX_WAITING,
     ) -> None:
         self.path = Path(path)
         _create(self.path, tuple(streams), settings or {})
         self._file = open_to_write(self.path)
         self._streams = {
-            name: _Stream(group, most_waiting) for name, group in self._file["streams"].items()
+            name: _Stream(group, max_waiting) for name, group in self._file["streams"].items()
         }
         self._on_failure = on_failure
         self._failure: RigError | None = None
@@ -158,10 +164,10 @@ class Recorder:
             raise RigError.value("stream", repr(stream), ", ".join(self._streams))
         return self._streams[stream].put
 
-    def load(self) -> Load:
+    def load(self) -> RecorderLoad:
         """How the recorder keeps up."""
         streams = self._streams.items()
-        return Load(
+        return RecorderLoad(
             {name: stream.recorded[0] for name, stream in streams},
             {name: stream.lost[0] for name, stream in streams},
             sum(len(stream.waiting) for _, stream in streams),
@@ -235,6 +241,26 @@ def _close_without_disk(file: h5py.File) -> None:
         os.dup2(memory, file.id.get_vfd_handle())
         os.close(memory)
         file.close()
+
+
+def open_to_write(path: Path) -> h5py.File:
+    """For SWMR at once: h5py's way is a plain opening first, which a kill turns into a bar."""
+    return _open_swmr(path, h5f.ACC_RDWR | h5f.ACC_SWMR_WRITE)
+
+
+def open_to_read(path: Path) -> h5py.File:
+    """Also while it is written, and after its writer was killed."""
+    return _open_swmr(path, h5f.ACC_RDONLY | h5f.ACC_SWMR_READ)
+
+
+def _open_swmr(path: Path, flags: int) -> h5py.File:
+    access = h5p.create(h5p.FILE_ACCESS)
+    access.set_libver_bounds(h5f.LIBVER_LATEST, h5f.LIBVER_LATEST)
+    access.set_file_locking(False, True)  # locks would shut out whoever comes while another opens
+    with phil, suppress(AttributeError):  # not in h5py; on Windows there is no way to it
+        hdf5 = ctypes.PyDLL(h5p.__file__)
+        hdf5.H5Pset_metadata_read_attempts(ctypes.c_int64(access.id), ctypes.c_uint(_ATTEMPTS))
+    return h5py.File(h5f.open(str(path).encode(), flags, access))
 
 
 def _append(dataset: h5py.Dataset, start: int, rows: np.ndarray) -> None:

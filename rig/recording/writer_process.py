@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from rig.errors import RigError
-from rig.recording.writer import MOST_WAITING, STREAMS, Load, Recorder
+from rig.recording.writer import MAX_WAITING, STREAMS, Recorder, RecorderLoad
 from rig.scheduling import RECORDER_PRIORITY, ordinary_priority, real_time_priority
 
 HAND_OVER = 0.02
@@ -39,12 +39,12 @@ class ProcessRecorder:
         path: Path | str,
         streams: Iterable[str] = STREAMS,
         settings: Mapping[str, Any] | None = None,
-        most_waiting: int = MOST_WAITING,
+        max_waiting: int = MAX_WAITING,
     ) -> None:
-        self.path, self._names, self._most = Path(path), tuple(streams), most_waiting
+        self.path, self._names, self._most = Path(path), tuple(streams), max_waiting
         self._lock, self._waiting, self._size = threading.Lock(), list[bytes](), 0
         self._failure: RigError | None = None
-        self._load: Load | None = None
+        self._load: RecorderLoad | None = None
         self._told, self._closed = False, False
         self._started, self._ended = threading.Event(), threading.Event()
         self._ending = threading.Event()
@@ -92,7 +92,7 @@ class ProcessRecorder:
 
         return put
 
-    def load(self) -> Load:
+    def load(self) -> RecorderLoad:
         """How it kept up; once it is closed."""
         assert self._load is not None
         return self._load
@@ -157,7 +157,7 @@ class ProcessRecorder:
             if said["word"] == "started":
                 self._started.set()
             elif said["word"] == "ended":
-                self._load = Load(**said["content"])
+                self._load = RecorderLoad(**said["content"])
                 self._ended.set()
             else:
                 self._fail(said["content"])

@@ -1,12 +1,12 @@
 """What a recorded manifold said, said again at its own pace."""
 
-from rig.recording.reader import Stream
+from rig.recording.reader import RecordedStream
 
 
 class Replay:
     """A device that sends a recording's stream, and hears nothing. Silent at its end."""
 
-    def __init__(self, stream: Stream, speed: float = 1.0):
+    def __init__(self, stream: RecordedStream, speed: float = 1.0):
         start = int(stream.host_ns[0]) if len(stream.host_ns) else 0
         self._due = [(int(t) - start) / (1000 * speed) for t in stream.host_ns]
         self._pieces, self._next = stream.pieces(), 0

@@ -12,9 +12,9 @@ import numpy as np
 from rig.errors import RigError
 from rig.manifold.driver import Manifold
 from rig.manifold.limits import PressureLimits
-from rig.recording.writer import Load
+from rig.recording.writer import RecorderLoad
 from rig.recording.writer_process import ProcessRecorder
-from rig.trial.player import RATE, PlaybackRecord, play, wait_until
+from rig.trial.player import RATE, PlaybackRecord, play_drive, wait_until
 from rig.trial.waveform import SegmentDrive
 
 Sink = Callable[[int, bytes], None]
@@ -40,7 +40,7 @@ class RecordedInstrument(Protocol):
         ...
 
 
-class Timing(NamedTuple):
+class TrialTiming(NamedTuple):
     """Of a trial [s], and its commands a second."""
 
     quiet: float = 1.0
@@ -68,14 +68,14 @@ class PlannedTrial:
             raise RigError(f"trial {self.name}: {error}") from None
 
 
-class Captured(NamedTuple):
+class RecordedTrial(NamedTuple):
     """A trial that is on disk."""
 
     played: PlaybackRecord
-    load: Load
+    load: RecorderLoad
 
 
-class Switch:
+class SwitchableSink:
     """A sink that can be connected to another one, and drops what comes while it is not."""
 
     def __init__(self) -> None:
@@ -87,28 +87,28 @@ class Switch:
             to(host_ns, piece)
 
 
-class Switches(NamedTuple):
+class ManifoldSinks(NamedTuple):
     """Where the manifold's bytes go, in and out."""
 
-    came: Switch
-    went: Switch
+    came: SwitchableSink
+    went: SwitchableSink
 
     def disconnect(self) -> None:
         """What comes from now on is dropped."""
         self.came.to = self.went.to = None
 
 
-def capture(
+def record_trial(
     trial: PlannedTrial,
     manifold: Manifold,
-    switches: Switches,
+    switches: ManifoldSinks,
     instruments: dict[str, RecordedInstrument],
     path: Path,
     limits: PressureLimits,
     settings: dict[str, Any],
-    timing: Timing = Timing(),
+    timing: TrialTiming = TrialTiming(),
     watch: Callable[[str, float], None] = lambda phase, t: None,
-) -> Captured:
+) -> RecordedTrial:
     """Records a trial to `path`; `instruments` are by the name of their stream.
 
     Its end, whichever it is, vents the manifold before anything else. `watch` hears, a hundred
@@ -150,7 +150,7 @@ def capture(
             wait("quiet", timing.quiet)
             try:
                 manifold.arm()
-                played = play(
+                played = play_drive(
                     manifold, trial.drive, trial.duration, timing.rate, on_tick, timing.fade
                 )
             except BaseException as error:
@@ -158,4 +158,4 @@ def capture(
                 raise
             manifold.stop()
             wait("after", timing.after)
-    return Captured(played, recorder.load())
+    return RecordedTrial(played, recorder.load())

@@ -25,7 +25,7 @@ FORCE_RATE = 1000.0
 """Records a second of a force sensor, of which `RESOLVED` have to come."""
 
 
-class ChamberHeld(NamedTuple):
+class ChamberCheck(NamedTuple):
     """One chamber at a set pressure."""
 
     name: str
@@ -39,7 +39,7 @@ class ChamberHeld(NamedTuple):
     """Largest pressure that another chamber came to meanwhile [Pa]."""
 
 
-class Check(NamedTuple):
+class ManifoldCheck(NamedTuple):
     """What was found."""
 
     rate: float
@@ -52,7 +52,7 @@ class Check(NamedTuple):
     """(8,) standard deviations at rest, in the channels' units."""
     offset: np.ndarray
     """(8,) means at rest."""
-    held: list[ChamberHeld]
+    held: list[ChamberCheck]
     findings: list[str]
 
 
@@ -69,7 +69,7 @@ class ForceCheck(NamedTuple):
     findings: list[str]
 
 
-class Collector:
+class ReadingCollector:
     """Readings with their times of arrival, from the reader's thread."""
 
     def __init__(self) -> None:
@@ -87,10 +87,10 @@ class Collector:
 
 def check_manifold(
     manifold: Manifold,
-    collector: Collector,
+    collector: ReadingCollector,
     pressure: float,
     say: Callable[[str], None] = lambda text: None,
-) -> Check:
+) -> ManifoldCheck:
     """A check with each chamber in turn at `pressure` [Pa]; the limits are set already.
 
     `collector` is what the manifold gives its readings to. Raises `RigError`.
@@ -134,7 +134,9 @@ def check_manifold(
     if manifold.lost or manifold.damaged:
         findings.append(f"{manifold.lost} readings lost, {manifold.damaged} frames damaged")
     noise, offset = channels.std(axis=0), channels.mean(axis=0)
-    return Check(rate, manifold.lost, manifold.damaged, trips, noise, offset, held, findings)
+    return ManifoldCheck(
+        rate, manifold.lost, manifold.damaged, trips, noise, offset, held, findings
+    )
 
 
 def check_force(source: ForceSource, mounting: SensorMounting, seconds: float = 1.0) -> ForceCheck:
@@ -173,7 +175,7 @@ def _hold(manifold: Manifold, seconds: float, command: Callable[[], object]) -> 
         time.sleep(0.01)
 
 
-def _round_trips(manifold: Manifold, collector: Collector) -> np.ndarray:
+def _round_trips(manifold: Manifold, collector: ReadingCollector) -> np.ndarray:
     trips = []
     for _ in range(COMMANDS):
         collector.take()
@@ -189,7 +191,9 @@ def _round_trips(manifold: Manifold, collector: Collector) -> np.ndarray:
     return np.array(trips)
 
 
-def _held(manifold: Manifold, collector: Collector, chamber: int, pressure: float) -> ChamberHeld:
+def _held(
+    manifold: Manifold, collector: ReadingCollector, chamber: int, pressure: float
+) -> ChamberCheck:
     pressures = [pressure if i == chamber else 0.0 for i in range(len(CHAMBERS))]
     collector.take()
     begun = time.monotonic_ns()
@@ -204,4 +208,4 @@ def _held(manifold: Manifold, collector: Collector, chamber: int, pressure: floa
     rise = float(t[above[0]]) if len(above) else float("nan")
     others = float(np.delete(p, chamber, axis=1)[t > 0.8 * HOLD].max())
     _hold(manifold, 0.5, lambda: manifold.set((0.0, 0.0, 0.0, 0.0)))
-    return ChamberHeld(CHAMBERS[chamber], pressure, reached, rise, others)
+    return ChamberCheck(CHAMBERS[chamber], pressure, reached, rise, others)

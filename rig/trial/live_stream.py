@@ -11,7 +11,7 @@ import numpy as np
 from rig.manifold.driver import Manifold
 from rig.protocol.messages import Follows, ManifoldState, Reading
 from rig.recording.clock import RunningClock
-from rig.recording.table import ORDER, Analogue, at_rows
+from rig.recording.table import ORDER, AnalogueSensor, resample_at_rows
 
 CHANNELS_OUT = ORDER[1:]
 LATEST = 0.05
@@ -45,7 +45,7 @@ class LiveStream:
     Readings count while the valves follow set pressures.
     """
 
-    def __init__(self, analogue: tuple[Analogue, ...] = (), has_force: bool = False):
+    def __init__(self, analogue: tuple[AnalogueSensor, ...] = (), has_force: bool = False):
         self._analogue, self._has_force = analogue, has_force
         self._lock = Lock()
         self._commands: dict[int, Pressures] = {}
@@ -106,7 +106,7 @@ class LiveStream:
                 measured[CHANNELS_OUT.index(sensor.column), i] = sensor.signal(np.array(p))
         if n and self._has_force:
             for i in (1, 2):
-                measured[1 + i] = at_rows(np.array(at), forces[0], forces[i])
+                measured[1 + i] = resample_at_rows(np.array(at), forces[0], forces[i])
             del self._forces[: int(np.searchsorted(forces[0], at[-1] - BEHIND))]
         return LiveReadings(device, set_pressure, measured, arrived)
 

@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from rig.recording.clock import host_ns
-from rig.trial.waveform import SegmentDrive, chambers
+from rig.trial.waveform import SegmentDrive, chamber_pressures
 
 RATE = 200.0
 """Commands a second."""
@@ -29,7 +29,7 @@ class PlaybackRecord(NamedTuple):
     """(commands,) [s] from when each was due until it was on the wire."""
 
 
-def schedule(drive: SegmentDrive, duration: float, rate: float = RATE) -> np.ndarray:
+def command_times(drive: SegmentDrive, duration: float, rate: float = RATE) -> np.ndarray:
     """Times [s] of all commands, from 0 and before `duration`."""
     even = np.arange(int(np.ceil(duration * rate))) / rate
     even = even[even < duration]
@@ -39,7 +39,7 @@ def schedule(drive: SegmentDrive, duration: float, rate: float = RATE) -> np.nda
     return times[np.append(np.diff(times) > 1e-6, True)]
 
 
-def play(
+def play_drive(
     manifold: Settable,
     drive: SegmentDrive,
     duration: float,
@@ -53,14 +53,14 @@ def play(
     of at once swings for a minute, where only drag that grows with the square of speed damps it.
     """
     end = duration + fade
-    times = schedule(drive, end, rate)
+    times = command_times(drive, end, rate)
     lateness = np.empty(len(times))
     start = time.monotonic() + 0.002
     begun = host_ns() + round((start - time.monotonic()) * 1e9)
     for i, t in enumerate(times):
         left = 1.0 if t < duration else cos(0.5 * pi * (t - duration) / fade) ** 2
         front, rear = drive.segments(t)
-        pressures = chambers(left * front, left * rear)
+        pressures = chamber_pressures(left * front, left * rear)
         wait_until(start + t)
         manifold.set(pressures)
         lateness[i] = time.monotonic() - (start + t)

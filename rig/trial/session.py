@@ -19,9 +19,16 @@ from rig.force.sensor import ForceSource
 from rig.manifold.driver import Manifold
 from rig.manifold.limits import PressureLimits
 from rig.recording.reader import read_recording
-from rig.recording.table import Analogue, Columns, Reader, trial_columns
-from rig.trial.capture import Captured, PlannedTrial, RecordedInstrument, Switches, Timing, capture
-from rig.trial.settling import Stillness, noise_of
+from rig.recording.table import AnalogueSensor, StreamReader, TrialColumns, trial_columns
+from rig.trial.capture import (
+    ManifoldSinks,
+    PlannedTrial,
+    RecordedInstrument,
+    RecordedTrial,
+    TrialTiming,
+    record_trial,
+)
+from rig.trial.settling import Stillness, sensor_noise
 
 RANGES = {"thrust_N": 1.0, "recoil_N": 1.0, "tip_m": 0.08}
 """What sensors range over in a trial, where none tells yet."""
@@ -43,14 +50,14 @@ class Rig:
     """What trials are run with. Instruments and their readers are by the name of their stream."""
 
     manifold: Manifold
-    switches: Switches
+    switches: ManifoldSinks
     limits: PressureLimits
     instruments: dict[str, RecordedInstrument]
-    readers: dict[str, Reader]
+    readers: dict[str, StreamReader]
     force: ForceSource | None = None
     """That of the instruments, for who wants to show its latest sample."""
-    analogue: tuple[Analogue, ...] = ()
-    timing: Timing = Timing()
+    analogue: tuple[AnalogueSensor, ...] = ()
+    timing: TrialTiming = TrialTiming()
     pause: float = 2.0
     """Between trials, for the water to come to rest [s]: so long at least."""
     longest_pause: float = 60.0
@@ -76,16 +83,16 @@ def run_trials(
     recordings.mkdir(parents=True, exist_ok=True)
     found: list[dict[str, Any]] = []
     for trial in trials:
-        told = finished(folder, trial, settings)
+        told = finished_record(folder, trial, settings)
         if told is None:
-            rest(rig, found[-1] if found else None, partial(watch, trial.name))
-            told = one(trial, rig, folder, settings, watch)
+            wait_for_rest(rig, found[-1] if found else None, partial(watch, trial.name))
+            told = run_trial(trial, rig, folder, settings, watch)
             done(trial, told)
         found.append(told)
     return found
 
 
-def one(
+def run_trial(
     trial: PlannedTrial,
     rig: Rig,
     folder: Path,
@@ -95,7 +102,7 @@ def one(
     """Runs a trial, and writes its files."""
     path = folder / RECORDINGS / f"{trial.name}.h5"
     _keep(path)
-    captured = capture(
+    captured = record_trial(
         trial, rig.manifold, rig.switches, rig.instruments, path, rig.limits, settings, rig.timing,
         lambda phase, t: watch(trial.name, phase, t),
     )  # fmt: skip
@@ -108,7 +115,7 @@ def one(
     return told
 
 
-def write_trial(folder: Path, name: str, read: Columns) -> None:
+def write_trial(folder: Path, name: str, read: TrialColumns) -> None:
     """NAME.csv, and NAME.played.csv with the drive as it was played, where that is known."""
     played = folder / f"{name}.played.csv"
     if read.played is None:
@@ -128,7 +135,9 @@ def start_swing(told: Sequence[dict[str, Any]]) -> float:
     return float(np.sqrt(max([0.0, *squares])))
 
 
-def rest(rig: Rig, before: dict[str, Any] | None, watch: Callable[[str, float], None]) -> None:
+def wait_for_rest(
+    rig: Rig, before: dict[str, Any] | None, watch: Callable[[str, float], None]
+) -> None:
     """Waits, vented, for the robot to come to rest, and raises what happens meanwhile.
 
     `before` is what is told of the trial before, of a first one nothing; `watch` hears what is
@@ -138,7 +147,7 @@ def rest(rig: Rig, before: dict[str, Any] | None, watch: Callable[[str, float], 
     rig.manifold.configure(rig.limits)
     begun = time.monotonic()
     ranges = before["range"] if before else RANGES
-    noise = before["at_rest_noise"] if before else noise_of(rig.manifold, rig.analogue)
+    noise = before["at_rest_noise"] if before else sensor_noise(rig.manifold, rig.analogue)
     still = Stillness(rig.analogue, ranges, noise)
     while (waited := time.monotonic() - begun) < rig.longest_pause or waited < rig.pause:
         if waited >= rig.pause and still.reached:
@@ -151,17 +160,19 @@ def rest(rig: Rig, before: dict[str, Any] | None, watch: Callable[[str, float], 
         watch(f"pause{until}{f' {rig.longest_pause:g} s at most,' if until else ''}", waited)
 
 
-def finished(folder: Path, trial: PlannedTrial, settings: dict[str, Any]) -> dict[str, Any] | None:
+def finished_record(
+    folder: Path, trial: PlannedTrial, settings: dict[str, Any]
+) -> dict[str, Any] | None:
     """What an earlier run told of a trial that it finished; None if there is none.
 
     Raises `RigError` if it had another drive or other settings then.
     """
     path = folder / RECORDINGS / f"{trial.name}.json"
-    told = told_beside(path.with_suffix(".h5"))
+    told = read_trial_record(path.with_suffix(".h5"))
     if told is None:
         return None
     before = {"trial": {key: told[key] for key in ("duration_s", "drive")}}
-    if differ := differing(told["settings"] | before, settings | {"trial": _drive(trial)}):
+    if differ := changed_settings(told["settings"] | before, settings | {"trial": _drive(trial)}):
         raise RigError(
             f"{path}: trial {trial.name} is there already, run with another {', '.join(differ)}; "
             "give another --out, or the same settings to go on"
@@ -179,7 +190,7 @@ def _drive(trial: PlannedTrial) -> dict[str, Any]:
     return {"duration_s": trial.duration, "drive": drive}
 
 
-def differing(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
+def changed_settings(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
     """Full names of the settings that are not the same any more, `MAY_CHANGE` left aside."""
     # As JSON, in which tuples are lists.
     a, b = _flat(before), _flat(json.loads(json.dumps(now)))
@@ -195,7 +206,7 @@ def _flat(tables: dict[str, Any], name: str = "") -> dict[str, Any]:
     return found
 
 
-def told_beside(recording: Path) -> dict[str, Any] | None:
+def read_trial_record(recording: Path) -> dict[str, Any] | None:
     """What the run told of a recording; None of one that it did not end. Raises `RigError`."""
     path = recording.with_suffix(".json")
     try:
@@ -223,7 +234,7 @@ def _keep(path: Path) -> None:
         count += 1
 
 
-def _told(trial: PlannedTrial, captured: Captured, read: Columns) -> dict[str, Any]:
+def _told(trial: PlannedTrial, captured: RecordedTrial, read: TrialColumns) -> dict[str, Any]:
     late = captured.played.lateness
     late_99 = float(np.percentile(late, 99))
     findings = list(read.told["findings"])

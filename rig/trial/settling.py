@@ -8,7 +8,7 @@ import numpy as np
 
 from rig.manifold.driver import Manifold
 from rig.protocol.messages import Reading
-from rig.recording.table import Analogue, in_unit
+from rig.recording.table import AnalogueSensor, format_value
 
 WINDOW = 2.5
 """A slow swing shows itself within so long [s]."""
@@ -23,7 +23,7 @@ class Stillness:
     the `noise` of a reading, by column."""
 
     def __init__(
-        self, sensors: Sequence[Analogue], ranges: dict[str, float], noise: dict[str, float]
+        self, sensors: Sequence[AnalogueSensor], ranges: dict[str, float], noise: dict[str, float]
     ):
         self._sensors = [x for x in sensors if ranges.get(x.column, 0.0) > 0.0]
         self._allowed = [
@@ -52,8 +52,8 @@ class Stillness:
         """Of which sensor it is waited that it is still, in words; nothing once all are."""
         moved = self._moved() if self._seen else np.zeros(len(self._sensors))
         return "".join(
-            f", until {sensor.column} moves by less than {in_unit(sensor.column, allowed)} "
-            f"(now {in_unit(sensor.column, x)}),"
+            f", until {sensor.column} moves by less than {format_value(sensor.column, allowed)} "
+            f"(now {format_value(sensor.column, x)}),"
             for sensor, x, allowed in zip(self._sensors, moved, self._allowed, strict=True)
             if x > allowed
         )
@@ -63,7 +63,9 @@ class Stillness:
         return np.ptp(np.array([x for _, x in self._seen]), axis=0)
 
 
-def noise_of(manifold: Manifold, sensors: Sequence[Analogue], count: int = 50) -> dict[str, float]:
+def sensor_noise(
+    manifold: Manifold, sensors: Sequence[AnalogueSensor], count: int = 50
+) -> dict[str, float]:
     """Standard deviation of what one reading of a sensor does not share with the next, by column.
 
     Of `count` readings, or as many as come in a second; a slow swing does not count.

@@ -93,9 +93,9 @@ class SegmentDrive:
         if not duration > 0.0:
             raise RigError.value("duration", f"{duration:g}", "more than 0 s")
         for front, rear in extremes:
-            checked(chambers(float(front), float(rear)), limits)
+            checked(chamber_pressures(float(front), float(rear)), limits)
 
 
-def chambers(front: float, rear: float) -> tuple[float, float, float, float]:
+def chamber_pressures(front: float, rear: float) -> tuple[float, float, float, float]:
     """Gauge pressures (4,) [Pa] of the chambers for signed ones of the segments."""
     return max(front, 0.0), max(-front, 0.0), max(rear, 0.0), max(-rear, 0.0)

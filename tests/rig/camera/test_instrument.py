@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rig.errors import RigError
-from rig.recording.reader import Stream
+from rig.recording.reader import RecordedStream
 
 pytest.importorskip("cv2", reason="opencv is not installed")
 
@@ -40,8 +40,8 @@ def recorded(scene, sight):
     time.sleep(0.1)
     camera.stop()
     host_ns, content = zip(*pieces, strict=True)
-    return Stream(np.array(host_ns), np.cumsum([len(x) for x in content]), b"".join(content),
-                  (0, 0), (0, 0))  # fmt: skip
+    ends = np.cumsum([len(x) for x in content])
+    return RecordedStream(np.array(host_ns), ends, b"".join(content), (0, 0), (0, 0))
 
 
 SIGHT = Sight(5, (310.0, 120.0))

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from calibration.pressure_logs.read import read_log
-from rig.cli.shared import declare_swing, take_experiment
+from rig.cli.shared import declare_swing, install_experiment
 from rig.errors import RigError
 from rig.protocol.frames import encode
 from rig.protocol.messages import Reading, SetPressures
+from rig.recording.decode import drive_span
 from rig.recording.reader import read_recording
-from rig.recording.recover import extent
-from rig.recording.table import Analogue
+from rig.recording.table import AnalogueSensor
 from rig.recording.writer import Recorder
-from rig.trial.session import differing
+from rig.trial.session import changed_settings
 from rig.trial.settling import Stillness
 from slider_jax.cli.main import main
 from slider_jax.errors import InputError
@@ -151,7 +151,7 @@ def test_a_run_killed_before_its_drive_has_none(tmp_path):
     with Recorder(path, ("manifold", "commands")) as recorder:
         recorder.sink("commands")(1, encode(SetPressures(1, 0, 0, 0, 0)))
     with pytest.raises(RigError, match="its drive had not begun when the run ended"):
-        extent(read_recording(path))
+        drive_span(read_recording(path))
 
 
 SENSORS = "[sensors]  # of the lab\npressure_noise = 10.0\n"
@@ -172,21 +172,21 @@ def test_what_the_tip_swung_by_is_declared_and_the_folder_stays_the_experiments(
     given, path = tmp_path / "given.toml", tmp_path / "out" / "experiment.toml"
     given.write_text(EXPERIMENT.format(duration=1.0).replace("[[trials]]", f"{sensors}[[trials]]"))
     path.parent.mkdir()
-    take_experiment(given, path.parent)
+    install_experiment(given, path.parent)
     told = {"at_rest_deviation": {"tip_m": 5e-4}, "at_rest_noise": {"tip_m": 3e-4}}
     declare_swing(path, [told])
     assert re.findall(r"start_swing = (\S+)", path.read_text()) == [after]
     assert "noise = 10.0" in path.read_text() or not sensors
     added = path.read_text() + '\n[[trials]]\nfile = "b.csv"\nfrequency = 1.0\namplitude = 1e4\n'
     path.write_text(added + "duration = 1.0\n")
-    take_experiment(given, path.parent)
+    install_experiment(given, path.parent)
     assert path.read_text() == added + "duration = 1.0\n"
     given.write_text(given.read_text().replace("C_d = 2.0", "C_d = 2.1"))
     (path.parent / "b.csv").touch()
     with pytest.raises(InputError, match=r"holds b\.csv, which .*given\.toml does not name"):
-        take_experiment(given, path.parent)
+        install_experiment(given, path.parent)
     (path.parent / "b.csv").unlink()
-    take_experiment(given, path.parent)
+    install_experiment(given, path.parent)
     assert path.read_text() == given.read_text()
 
 
@@ -295,7 +295,9 @@ def test_a_run_goes_on_with_a_rig_at_another_address():
     told = {"rig": {"force": {"host": "a", "port": 1, "thrust": "+Fx"}}}
     moved = {"rig": {"force": {"host": "b", "port": 2, "thrust": "+Fx"}}}
     turned = {"rig": {"force": {"host": "a", "port": 1, "thrust": "-Fx"}}}
-    assert differing(told, moved) == [] and differing(told, turned) == ["rig.force.thrust"]
+    assert changed_settings(told, moved) == [] and changed_settings(told, turned) == [
+        "rig.force.thrust"
+    ]
 
 
 def test_a_log_is_taken_of_the_simulated_published_firmware(tmp_path):
@@ -309,7 +311,7 @@ def test_a_log_is_taken_of_the_simulated_published_firmware(tmp_path):
 
 
 def test_a_pause_says_what_it_waits_for():
-    sensor = Analogue("tip_m", 1, 0.1)
+    sensor = AnalogueSensor("tip_m", 1, 0.1)
     still = Stillness((sensor,), {"tip_m": 0.08}, {"tip_m": 0.0})
     for i in range(200):
         volts = 1e6 * (0.02 * np.sin(i))

@@ -14,7 +14,7 @@ from rig.force import ati_rdt as rdt
 from rig.force.ati_net import NetCalibration, NetForce
 from rig.force.ni_daq import GaugeCalibration, GaugeForce
 from rig.force.sensor import SensorMounting
-from rig.recording.sample_clock import host_sample_times
+from rig.recording.clock import host_sample_times
 from rig.simulated.bench import OnHost
 from rig.simulated.force_sensor import COUNTS, LossyNetwork, SimulatedForceBox, SimulatedForceSensor
 from rig.simulated.rig import STEP, SimulatedRig

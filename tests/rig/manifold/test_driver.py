@@ -12,21 +12,21 @@ from rig.errors import RigError
 from rig.manifold.driver import Manifold
 from rig.manifold.limits import PressureLimits, chamber
 from rig.manifold.serial_port import open_port
-from rig.recording.table import Analogue
+from rig.recording.table import AnalogueSensor
 from rig.scheduling import real_time_priority
 from rig.simulated.line_faults import LineFaults
 from rig.simulated.manifold import ManifoldCore
 from rig.simulated.rig import TIP_PER_VOLT, SimulatedRig
 from rig.simulated.tank import BenchTank
 from rig.simulated.terminal import in_thread
-from rig.trial.capture import PlannedTrial, Switch, Switches, Timing
-from rig.trial.player import play, schedule
+from rig.trial.capture import ManifoldSinks, PlannedTrial, SwitchableSink, TrialTiming
+from rig.trial.player import command_times, play_drive
 from rig.trial.session import RECORDINGS, Rig, run_trials
-from rig.trial.waveform import SegmentDrive, chambers
+from rig.trial.waveform import SegmentDrive, chamber_pressures
 
 LIMITS = PressureLimits.of([250e3])
-QUICK = Timing(quiet=0.3, after=0.1, fade=0.0)
-TIP = Analogue("tip_m", 1, TIP_PER_VOLT)
+QUICK = TrialTiming(quiet=0.3, after=0.1, fade=0.0)
+TIP = AnalogueSensor("tip_m", 1, TIP_PER_VOLT)
 
 
 @pytest.fixture(autouse=True)
@@ -38,7 +38,7 @@ def first_of_all():
 
 def rig_on(port, **changes):
     """A manifold and what trials need; use it within the manifold's context."""
-    switches = Switches(Switch(), Switch())
+    switches = ManifoldSinks(SwitchableSink(), SwitchableSink())
     manifold = Manifold(open_port(port), *switches)
     return Rig(
         manifold, switches, LIMITS, {}, {}, analogue=(TIP,), timing=QUICK, pause=0.05, **changes
@@ -135,10 +135,10 @@ def test_a_drive_dies_away_after_its_trial():
             sent.append(pressures)
             return 0
 
-    play(Valves(), SegmentDrive("square", 5.0, 100e3), 0.2, 200.0, fade=0.2)
+    play_drive(Valves(), SegmentDrive("square", 5.0, 100e3), 0.2, 200.0, fade=0.2)
     size = [max(p) for p in sent]
     # Rounding makes 220.00000000000003 commands of 1.1 s.
-    assert schedule(SegmentDrive("sine", 5.0, 100e3), 1.1)[-1] < 1.0999
+    assert command_times(SegmentDrive("sine", 5.0, 100e3), 1.1)[-1] < 1.0999
     assert len(sent) == 80 and size[:40] == [100e3] * 40
     after = np.array(size[40:])
     assert np.all(np.diff(after) < 0.0) and after[0] == 100e3 and after[-1] < 0.01 * 100e3
@@ -205,14 +205,14 @@ def test_a_bad_line_loses_readings_and_says_so(tmp_path):
 def test_an_edge_beside_an_even_time_is_not_missed():
     """At 1.50000015 s, where an even command is due at 1.5 s."""
     drive = SegmentDrive("square", 0.3333333, 1e5)
-    times = schedule(drive, 2.0)
+    times = command_times(drive, 2.0)
     switched = next(t for t in times if drive.segments(t)[0] < 0.0)
     assert switched - 0.5 / 0.3333333 < 1e-9 and np.diff(times).min() > 1e-6
 
 
 def test_edges_of_a_square_wave_are_commanded_at_their_own_times():
     drive = SegmentDrive("square", 4.8, 1e5, phase=0.15)
-    times = schedule(drive, 1.0)
+    times = command_times(drive, 1.0)
     for t in drive.edges(1.0):
         before, after = drive.segments(t - 1e-7), drive.segments(t)
         assert t == 0.0 or before != after or t == pytest.approx(0.15 / 4.8)
@@ -244,7 +244,7 @@ def test_a_recorded_drive_is_linear_between_its_samples():
         "recorded", times=np.array([0.0, 1.0]), recorded=np.array([[0, 10], [4, -10.0]])
     )
     assert drive.segments(0.25) == (1.0, 5.0)
-    assert chambers(*drive.segments(1.0)) == (4.0, 0.0, 0.0, 10.0)
+    assert chamber_pressures(*drive.segments(1.0)) == (4.0, 0.0, 0.0, 10.0)
     with pytest.raises(RigError, match="has a NaN"):
         SegmentDrive("recorded", times=np.array([0.0, 1.0]), recorded=np.full((2, 2), np.nan))
 

@@ -20,14 +20,14 @@ from rig.simulated.line_faults import LineFaults
 from rig.simulated.rig import SimulatedRig
 from rig.simulated.tank import BenchTank
 from rig.simulated.terminal import in_thread
-from rig.trial.capture import PlannedTrial, Switch, Switches, Timing, capture
+from rig.trial.capture import ManifoldSinks, PlannedTrial, SwitchableSink, TrialTiming, record_trial
 from rig.trial.waveform import SegmentDrive
 from tests.support.data import ROOT
 from tests.support.rig_experiment import EXPERIMENT, HEARS_CTRL_C
 
 WITHIN = 0.15
 LIMITS = PressureLimits.of([250e3])
-QUICK = Timing(quiet=0.2, after=0.1, fade=0.0)
+QUICK = TrialTiming(quiet=0.2, after=0.1, fade=0.0)
 DRIVE = SegmentDrive("square", 5.0, 200e3)
 
 
@@ -126,11 +126,11 @@ def test_a_killed_trial_vents(device, tmp_path):
 
 def recorded(port, tmp_path, duration=60.0, watch=lambda phase, t: None):
     """A trial in this process."""
-    switches = Switches(Switch(), Switch())
+    switches = ManifoldSinks(SwitchableSink(), SwitchableSink())
     with Manifold(open_port(port), *switches) as manifold:
         trial = PlannedTrial("a", DRIVE, duration)
         path = tmp_path / "a.h5"
-        return capture(trial, manifold, switches, {}, path, LIMITS, {}, QUICK, watch)
+        return record_trial(trial, manifold, switches, {}, path, LIMITS, {}, QUICK, watch)
 
 
 def test_an_error_in_the_program_vents(device, tmp_path):
@@ -216,7 +216,7 @@ def test_a_line_that_is_dead_vents(tmp_path):
 
 def test_a_pressure_above_the_limit_is_never_on_the_wire(device, tmp_path):
     watched, served = device
-    switches, went = Switches(Switch(), Switch()), []
+    switches, went = ManifoldSinks(SwitchableSink(), SwitchableSink()), []
     switches.went.to = lambda at, piece: went.append(piece)
     with Manifold(open_port(served.path), *switches) as manifold:
         manifold.configure(LIMITS)
@@ -235,9 +235,9 @@ def test_a_pressure_above_the_limit_is_never_on_the_wire(device, tmp_path):
 
 def test_a_trial_above_the_limit_does_not_begin(device, tmp_path):
     watched, served = device
-    switches = Switches(Switch(), Switch())
+    switches = ManifoldSinks(SwitchableSink(), SwitchableSink())
     with Manifold(open_port(served.path), *switches) as manifold:
         trial = PlannedTrial("a", SegmentDrive("sine", 1.0, 250e3, rear_ratio=1.01), 1.0)
         with pytest.raises(RigError, match="rear_left: given 252500 Pa; allowed 0 to its limit"):
-            capture(trial, manifold, switches, {}, tmp_path / "a.h5", LIMITS, {}, QUICK)
+            record_trial(trial, manifold, switches, {}, tmp_path / "a.h5", LIMITS, {}, QUICK)
     assert not (tmp_path / "a.h5").exists() and watched.highest == 0

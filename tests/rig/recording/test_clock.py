@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rig.errors import RigError
-from rig.recording.clock import RunningClock, align, host_ns, segments, unwrap
+from rig.recording.clock import RunningClock, fit_clock, host_ns, split_at_restarts, unwrap_counter
 
 MILLISECOND = 1e-3
 
@@ -29,7 +29,7 @@ def arrivals(seed, seconds=600.0, ppm=200.0, wander_ppm=0.0, start=5000.0003):
 
 
 def worst(device, host, true):
-    return np.max(np.abs(align(device, host).to_host(device) - true))
+    return np.max(np.abs(fit_clock(device, host).to_host(device) - true))
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -37,7 +37,7 @@ def worst(device, host, true):
 def test_a_clock_that_drifts_200_ppm_is_aligned_within_a_millisecond_over_ten_minutes(seed, ppm):
     device, host, true = arrivals(seed, ppm=ppm)
     assert abs((device[-1] - device[0]) - (true[-1] - true[0])) > 0.1
-    fit = align(device, host)
+    fit = fit_clock(device, host)
     assert np.max(np.abs(fit.to_host(device) - true)) < 0.1 * MILLISECOND
     assert fit.rate == pytest.approx(1.0 / (1.0 + ppm * 1e-6), abs=1e-6)
     assert fit.offset == pytest.approx(true[0] - device[0] * fit.rate, abs=MILLISECOND)
@@ -75,18 +75,18 @@ def test_the_line_is_the_one_that_trying_all_pairs_finds(seed):
             line = y[i] + slope * (x - x[i])
             if np.all(y - line > -1e-12):
                 highest = max(highest, np.mean(line))
-    assert align(x, y).to_host(x.mean()) == pytest.approx(highest, abs=1e-12)
+    assert fit_clock(x, y).to_host(x.mean()) == pytest.approx(highest, abs=1e-12)
 
 
 def test_one_arrival_fixes_the_offset_alone():
-    fit = align([3.0], [10.0])
+    fit = fit_clock([3.0], [10.0])
     assert fit.rate == pytest.approx(1.0, abs=1e-12)
     assert fit.to_host(5.0) == pytest.approx(12.0)
 
 
 def test_times_beyond_the_record_follow_its_ends():
     x = np.arange(0.0, 300.0, 0.1)
-    fit = align(x, 100.0 + 1.0001 * x)
+    fit = fit_clock(x, 100.0 + 1.0001 * x)
     np.testing.assert_allclose(fit.to_host([-50.0, 350.0]), [49.995, 450.035], atol=1e-9)
 
 
@@ -119,11 +119,11 @@ def test_a_device_that_restarts_is_refused_where_it_does_and_aligned_in_segments
     device = np.concatenate([np.arange(50.0, 60.0, 0.01), np.arange(0.0, 20.0, 0.01)])
     host = np.arange(device.size) * 0.01 + 500.0
     with pytest.raises(RigError, match="falls from 59.99 s to 0 s at sample 1000.*segments"):
-        align(device, host)
-    first, second = segments(device)
+        fit_clock(device, host)
+    first, second = split_at_restarts(device)
     assert (first, second) == (slice(0, 1000), slice(1000, 3000))
-    assert align(device[first], host[first]).offset == pytest.approx(450.0)
-    assert align(device[second], host[second]).offset == pytest.approx(510.0)
+    assert fit_clock(device[first], host[first]).offset == pytest.approx(450.0)
+    assert fit_clock(device[second], host[second]).offset == pytest.approx(510.0)
 
 
 @pytest.mark.parametrize(
@@ -138,15 +138,15 @@ def test_a_device_that_restarts_is_refused_where_it_does_and_aligned_in_segments
 )
 def test_times_that_cannot_be_aligned_are_refused(device, host, words):
     with pytest.raises(RigError, match=words):
-        align(device, host)
+        fit_clock(device, host)
 
 
 def test_a_counter_that_wraps_goes_on_and_one_that_restarts_falls():
     true = np.arange(0, 70000, 7)
-    np.testing.assert_array_equal(unwrap(true % 2**10, 2**10), true)
+    np.testing.assert_array_equal(unwrap_counter(true % 2**10, 2**10), true)
     counts = np.array([2**32 - 2, 2**32 - 1, 1, 0, 2], np.uint32)
-    assert (unwrap(counts, 2**32) - 2**32).tolist() == [-2, -1, 1, 0, 2]
-    assert len(segments(unwrap(np.array([5, 900_000, 0, 7]), 2**32))) == 2
+    assert (unwrap_counter(counts, 2**32) - 2**32).tolist() == [-2, -1, 1, 0, 2]
+    assert len(split_at_restarts(unwrap_counter(np.array([5, 900_000, 0, 7]), 2**32))) == 2
 
 
 def test_the_host_clock_does_not_fall():

@@ -141,7 +141,7 @@ def test_a_recording_is_read_while_the_same_process_writes_it(tmp_path):
 
 
 def test_what_does_not_fit_is_counted_and_the_rest_is_kept(tmp_path):
-    with Recorder(tmp_path / "a.h5", ["camera", "force"], most_waiting=1000) as recorder:
+    with Recorder(tmp_path / "a.h5", ["camera", "force"], max_waiting=1000) as recorder:
         recorder.sink("camera")(1, bytes(1001))
         recorder.sink("camera")(2, b"small")
         recorder.sink("force")(3, bytes(1000))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rig.protocol.messages import Follows, Reading
-from rig.recording.table import Analogue
+from rig.recording.table import AnalogueSensor
 from rig.trial.live_stream import LiveStream
 
 ZERO_NS = 10**12
@@ -92,7 +92,7 @@ def test_a_change_that_was_lost_on_the_line_is_known_by_the_readings_commands():
 
 
 def test_a_voltage_is_a_tip():
-    live = stream(analogue=(Analogue("tip_m", 1, 0.1, 0.5),))
+    live = stream(analogue=(AnalogueSensor("tip_m", 1, 0.1, 0.5),))
     arrives(live, 0, tip=700_000)
     assert live.take().measured[4] == pytest.approx([0.02])
 

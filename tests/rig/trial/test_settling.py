@@ -5,14 +5,14 @@ import pytest
 
 from rig.protocol.frames import encode
 from rig.protocol.messages import Arm, ManifoldState, Reading, SetLimits, SetPressures
-from rig.recording.table import Analogue, _moves
+from rig.recording.table import AnalogueSensor, _moves
 from rig.simulated.line_faults import LineFaults
 from rig.simulated.manifold import ManifoldCore
 from rig.simulated.rig import SimulatedRig
 from rig.simulated.tank import Measured
-from rig.trial.settling import STILL, WINDOW, Stillness, noise_of
+from rig.trial.settling import STILL, WINDOW, Stillness, sensor_noise
 
-TIP, RANGE = Analogue("tip_m", 1, 0.1), 0.08
+TIP, RANGE = AnalogueSensor("tip_m", 1, 0.1), 0.08
 
 
 def reading(tip):
@@ -153,8 +153,8 @@ def test_before_the_first_trial_noise_is_told_from_a_swing():
 
     def found(white):
         swing = Read(lambda t: 0.01 * np.cos(20 * t) + white * rng.normal())
-        return noise_of(swing, (TIP,), 200)["tip_m"]
+        return sensor_noise(swing, (TIP,), 200)["tip_m"]
 
     assert found(0.0) < 1e-5
     assert found(3e-4) == pytest.approx(3e-4, rel=0.2)
-    assert noise_of(Read(lambda t: 0.0), ()) == {}
+    assert sensor_noise(Read(lambda t: 0.0), ()) == {}
