@@ -142,11 +142,12 @@ def test_no_test_imports_from_another_test_and_tests_mirror_the_rooms():
         assert place[:2] in rooms or len(place) < 2 or place == ("rig", "firmware"), name
 
 
-def test_a_public_class_name_is_defined_once():
+@pytest.mark.parametrize("kind", [ast.ClassDef, ast.FunctionDef])
+def test_a_public_name_is_defined_once(kind):
     homes = defaultdict(list)
     for name, path in every_module().items():
         for node in ast.parse(path.read_text()).body:
-            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+            if isinstance(node, kind) and not node.name.startswith("_"):
                 homes[node.name].append(name)
     assert {name: where for name, where in homes.items() if len(where) > 1} == {}
 
