@@ -1,0 +1,53 @@
+"""Page of the effects library: name, equation, source, parameters and prior ranges."""
+
+import inspect
+
+from slider_jax.cli.effects import PLACES, place_of
+from slider_jax.effects import Prior
+from slider_jax.effects.library import LIBRARY
+
+PAGE = "reference/effects.md"
+
+
+def _parameter(name: str, prior: Prior) -> str:
+    unit = "" if prior.unit == "-" else prior.unit
+    return f"| `{name}` | {prior.null:g} | {prior.low:g} to {prior.high:g} | {unit} | {prior.why} |"
+
+
+def _effect(name: str) -> list[str]:
+    kind = LIBRARY[name]
+    return [
+        *(f"### `{name}`", "", f"**{kind.title}**. Sensors: {', '.join(kind.sensors)}.", ""),
+        *("```text", inspect.getdoc(kind) or "", "```", ""),
+        *("| parameter | null value | prior range | unit | reason |", "|---|---|---|---|---|"),
+        *(_parameter(parameter, prior) for parameter, prior in kind.priors().items()),
+        "",
+    ]
+
+
+def pages() -> dict[str, str]:
+    """Return the page of the effects library, by path."""
+    lines = [
+        "# Effects library",
+        "",
+        f"The library has {len(LIBRARY)} effects. `slider effects` lists them, and `slider effects",
+        "NAME --out DIR` draws what one changes on each sensor. A table in an experiment or model",
+        "file adds an effect to the model:",
+        "",
+        "```toml",
+        "[[effects]]",
+        'name = "valve_delay"',
+        "delay = 0.02",
+        "```",
+        "",
+        "At its null value a parameter removes the effect. The prior range is the range that",
+        "calibration searches. [Adding an effect](../how-to/adding_an_effect.md) explains how to",
+        "write another one.",
+        "",
+    ]
+    for place in PLACES:
+        names = [name for name, kind in LIBRARY.items() if place_of(kind) is place]
+        if names:
+            lines += [f"## {place.__name__}", "", inspect.getdoc(place) or "", ""]
+            lines += [line for name in names for line in _effect(name)]
+    return {PAGE: "\n".join(lines)}

@@ -1,0 +1,192 @@
+"""Page of the file formats: every key of the TOML files from the schemas, and the CSV columns."""
+
+import tomllib
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
+
+from annotated_types import Ge, Le, MaxLen, MinLen
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from calibration.bench.tables import StaticsTable
+from rig.cli.settings import RigTable
+from slider_jax.channels import CHANNELS, TIME
+from slider_jax.experiment.schema import ExperimentTable
+from slider_jax.io.toml import quantity_of
+
+PAGE = "reference/file_formats.md"
+KEYS = Path(__file__).with_name("file_keys.toml")
+FILES: dict[str, tuple[type[BaseModel], str]] = {
+    "Experiment file": (
+        ExperimentTable,
+        "Describes a robot and its trials. [experiment.toml](../experiment.toml) is a complete "
+        "example. Most commands read it.",
+    ),
+    "Bench file": (
+        StaticsTable,
+        "Describes bench measurements in air, for `slider calibrate statics`. "
+        "[bench.toml](../bench.toml) is a complete example.",
+    ),
+    "Rig file": (
+        RigTable,
+        "Describes the lab's hardware, for `slider rig`. [The rig](../how-to/rig.md#the-rig-file) "
+        "has a complete example.",
+    ),
+}
+"""Heading, schema and purpose of each TOML file."""
+
+
+def descriptions() -> dict[str, dict[str, str]]:
+    """Return the description of each key, by the name of the schema's class and the key."""
+    return tomllib.loads(KEYS.read_text(encoding="utf-8"))
+
+
+def inner_table(field: FieldInfo) -> type[BaseModel] | None:
+    """Return the schema of a key that holds a table or an array of tables, or None."""
+    kinds = (field.annotation, *get_args(field.annotation))
+    tables = [x for x in kinds if isinstance(x, type) and issubclass(x, BaseModel)]
+    return tables[0] if tables else None
+
+
+def tables(table: type[BaseModel], path: str = "") -> dict[str, type[BaseModel]]:
+    """Return the tables of a file by their TOML header; the top level's header is empty."""
+    found = {path: table}
+    for key, field in table.model_fields.items():
+        inner = inner_table(field)
+        if inner is not None:
+            name = f"{path.strip('[]')}.{key}" if path else key
+            found |= tables(inner, f"[[{name}]]" if _is_list(field) else f"[{name}]")
+    return found
+
+
+def _is_list(field: FieldInfo) -> bool:
+    return get_origin(field.annotation) is tuple
+
+
+def _kind(annotation: Any) -> str:
+    """Return the type of a value in the terms of TOML."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return "table"
+    origin, inner = get_origin(annotation), get_args(annotation)
+    if origin is Literal:
+        return ", ".join(f"`{x}`" for x in inner)
+    if origin is tuple:
+        items = [_kind(x) for x in inner if x is not Ellipsis]
+        size = "" if Ellipsis in inner else f"{len(items)} "
+        return f"array of {size}{items[0]}s"
+    if inner and hasattr(annotation, "__metadata__"):
+        return _kind(inner[0])
+    if inner:
+        return " or ".join(_kind(x) for x in inner if x is not type(None))
+    return {float: "number", int: "integer", str: "string", bool: "boolean"}.get(annotation, "any")
+
+
+def _allowed(field: FieldInfo) -> str:
+    """Return the range and unit of a key."""
+    quantity = quantity_of(field)
+    for inner in get_args(field.annotation):
+        for item in getattr(inner, "__metadata__", ()):
+            quantity = quantity or (item if hasattr(item, "allowed") else None)
+    if quantity is not None:
+        return quantity.allowed
+    low = [x.ge for x in field.metadata if isinstance(x, Ge)]
+    high = [x.le for x in field.metadata if isinstance(x, Le)]
+    if low and high:
+        return f"{low[0]} to {high[0]}"
+    least = [x.min_length for x in field.metadata if isinstance(x, MinLen)]
+    most = [x.max_length for x in field.metadata if isinstance(x, MaxLen)]
+    limits = [f"at least {x}" for x in least] + [f"at most {x}" for x in most]
+    return ", ".join(limits)
+
+
+def _default(field: FieldInfo) -> str:
+    if field.is_required():
+        return "required"
+    value = field.default
+    if isinstance(value, BaseModel) or value in (None, ()):
+        return "none" if value in (None, ()) else "all defaults"
+    if isinstance(value, bool):
+        return f"`{str(value).lower()}`"
+    if isinstance(value, tuple):
+        return f"`[{', '.join(f'{x:g}' for x in value)}]`"
+    return f"`{value:g}`" if isinstance(value, float) else f"`{value}`"
+
+
+def _rows(table: type[BaseModel], texts: dict[str, str]) -> list[str]:
+    lines = ["| key | type | range and unit | default | description |", "|---|---|---|---|---|"]
+    for key, field in table.model_fields.items():
+        cells = (f"`{key}`", _kind(field.annotation), _allowed(field), _default(field), texts[key])
+        lines.append(f"| {' | '.join(cells)} |")
+    return lines
+
+
+def _csv() -> list[str]:
+    lines = [
+        "## Measured trial",
+        "",
+        "A CSV file beside the experiment file, named by the trial's key `file`: one line with the",
+        "column names, then one line for each sample. Only the time is required. A blank cell is a",
+        "missing sample. `slider simulate` writes files of the same format.",
+        "",
+        "| column | unit | content |",
+        "|---|---|---|",
+        f"| `{TIME}` | s | time since the set pressure began, from rest |",
+    ]
+    lines += [f"| `{x.column}` | {x.unit} | {x.label} |" for x in CHANNELS.values()]
+    return [
+        *lines,
+        "",
+        "A pressure is the difference between the two sides of a chamber, with the sign of the set",
+        "pressure. Thrust is the force of the robot on its clamp, positive head first. Recoil is",
+        "the lateral force, positive to the robot's left. The tip's displacement is measured from",
+        "the straight robot, positive to the left.",
+        "",
+        "## Played drive",
+        "",
+        "`NAME.played.csv` beside `NAME.csv` records the set pressures that the valves followed.",
+        "`slider rig run` writes this file. If the file exists, it replaces the trial's waveform.",
+        "",
+        "| column | unit | content |",
+        "|---|---|---|",
+        "| `t_s` | s | time from which the row's pressures apply; the last row ends the trial |",
+        "| `set_front_Pa` | Pa | set pressure of the front chamber |",
+        "| `set_rear_Pa` | Pa | set pressure of the rear chamber |",
+        "",
+        "## Recorded drive",
+        "",
+        "The CSV file named by the trial's key `drive_file`, with evenly spaced samples of `t_s`,",
+        "`p_front_Pa` and `p_rear_Pa` that cover the trial.",
+    ]
+
+
+def pages() -> dict[str, str]:
+    """Return the page of the file formats, by path."""
+    texts, shown = descriptions(), set()
+    lines = [
+        "# File formats",
+        "",
+        "All files use SI units. A number outside its range, an unknown key or a damaged file is",
+        "refused with one line that names the file, the key and the allowed values. The ranges",
+        "detect wrong units, for example millimetres or kilopascals.",
+    ]
+    for heading, (schema, purpose) in FILES.items():
+        lines += ["", f"## {heading}", "", purpose]
+        for name, table in tables(schema).items():
+            lines += ["", f"### {f'`{name}`' if name else 'Top level'}", ""]
+            if table in shown:
+                lines.append(f"The keys of `{name}` are those of `{name}` in an experiment file.")
+            else:
+                lines += _rows(table, texts[table.__name__])
+            shown.add(table)
+    lines += [
+        "",
+        "## Model file",
+        "",
+        "A TOML file for the option `--model`. It overrides an experiment file. The calibration",
+        "commands write one. It may hold `name`, any keys of `[robot]` and `[parameters]`, and",
+        "`[[effects]]` tables, which are added to the experiment's. `C_d` and `m_a` in a model",
+        "file replace `force_coefficients`, and the reverse.",
+        "",
+        *_csv(),
+    ]
+    return {PAGE: "\n".join([*lines, ""])}

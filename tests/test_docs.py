@@ -1,0 +1,114 @@
+"""The documentation site covers every command, file key and public module, and has no dead link."""
+
+import inspect
+import re
+from pathlib import PurePosixPath
+
+import pytest
+import tyro
+
+from docs.generate import api, command_line, effects, file_formats
+from slider_jax.cli.commands import COMMANDS, function_of
+from slider_jax.effects.library import LIBRARY
+from slider_jax.errors import did_you_mean
+from tests.support.data import ROOT
+
+GENERATED = {
+    path: text
+    for generator in (api, command_line, effects, file_formats)
+    for path, text in generator.pages().items()
+}
+WRITTEN = {
+    path.relative_to(ROOT / "docs").as_posix(): path.read_text(encoding="utf-8")
+    for path in sorted((ROOT / "docs").rglob("*.md"))
+}
+LINK = re.compile(r"\]\(([^)#\s]*)(?:#([^)\s]*))?\)")
+
+
+def prose(text):
+    """A page without its code blocks."""
+    return re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+
+
+def anchors(text):
+    """Anchors of a page's headings, as mkdocs makes them."""
+    headings = re.findall(r"^#+ (.*)$", prose(text), re.MULTILINE)
+    plain = [re.sub(r"[^\w\s-]", "", x.replace("`", "")).strip().lower() for x in headings]
+    return {re.sub(r"[-\s]+", "-", x) for x in plain}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_is_on_the_site_with_every_option(name):
+    page = GENERATED[command_line.PAGE]
+    section = page.split(f"\n## slider {name}\n")[1].split("\n## ")[0]
+    for option, parameter in inspect.signature(
+        function_of(COMMANDS[name].target)
+    ).parameters.items():
+        notes = getattr(parameter.annotation, "__metadata__", ())
+        if tyro.conf.Positional not in notes:
+            option = next((x.name for x in notes if getattr(x, "name", None)), option)
+            negated = "no-" if parameter.default is True else ""
+            assert f"--{negated}{option.replace('_', '-')}" in section, option
+
+
+def test_every_key_of_the_files_has_a_description():
+    texts = file_formats.descriptions()
+    schemas = {
+        table.__name__: set(table.model_fields)
+        for schema, _ in file_formats.FILES.values()
+        for table in file_formats.tables(schema).values()
+    }
+    assert {name: set(keys) for name, keys in texts.items()} == schemas
+    page = GENERATED[file_formats.PAGE]
+    for keys in texts.values():
+        for key, text in keys.items():
+            assert text.endswith(".") and any(
+                f"| `{key}` |" in line and text in line for line in page.splitlines()
+            ), key
+
+
+def test_units_and_defaults_are_those_of_the_schema():
+    page = GENERATED[file_formats.PAGE]
+    for line in (
+        "| `EI_body` | number | 0.0001 to 100 N m^2 | required | Bending stiffness of the body. |",
+        "| `step` | number | 1e-05 to 0.02 s | `0.001` |",
+        "| `front_chamber` | array of 2 numbers | 0 to 3 m | required |",
+        "| `markers` | integer | 2 to 50 | required |",
+        "| `ring_down` | array of tables | at most 1 | none |",
+    ):
+        assert line in page, line
+
+
+def test_every_public_module_and_every_effect_is_on_the_site():
+    page = "\n".join(GENERATED.values())
+    for package in api.PACKAGES:
+        for path in (ROOT / package).rglob("*.py"):
+            name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+            if not path.stem.startswith("_"):
+                assert f"::: {name}\n" in page, name
+    for name, kind in LIBRARY.items():
+        section = GENERATED[effects.PAGE].split(f"\n### `{name}`\n")[1].split("\n### ")[0]
+        assert kind.title in section
+        assert all(f"| `{parameter}` |" in section for parameter in kind.priors())
+
+
+def test_every_page_is_in_the_navigation():
+    text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    for path in {**WRITTEN, **GENERATED}:
+        assert path in text or path.startswith(api.FOLDER), path
+
+
+def test_no_link_of_the_site_is_dead():
+    pages = WRITTEN | GENERATED
+    for path, text in pages.items():
+        for target, anchor in LINK.findall(prose(text)):
+            if "://" in target:
+                continue
+            parts = []
+            for part in (PurePosixPath(path).parent / target).parts if target else ():
+                parts = parts[:-1] if part == ".." else [*parts, part]
+            name = "/".join(parts) or path
+            assert name in pages or (ROOT / "docs" / name).is_file(), f"{path}: {target}"
+            if anchor and name in pages:
+                known = anchors(pages[name])
+                assert anchor in known, f"{path}: #{anchor}{did_you_mean(anchor, known)}"
