@@ -23,7 +23,7 @@ from summary import summed_up
 from tanks import closed, draw, limits, noisy, problem_of, simulated
 
 from calibration.discrepancy.close_loop import LoopOutcome, choose_held_out
-from calibration.inference.goodness import floors, rms_errors
+from calibration.inference.goodness import noise_floors, rms_errors
 from calibration.inference.problem import AbstractProblem
 from calibration.model.extended import candidates
 from slider_jax.effects.library import LIBRARY
@@ -134,7 +134,7 @@ def run(case: Case, compared: bool, progress) -> dict[str, Any]:
     laid = problem_of(tank, names, memo)
     seen = laid([r for i, r in enumerate(found) if i not in held])
     rest = laid([found[i] for i in held])
-    floor = floors(rest, [true[i] for i in held])
+    floor = noise_floors(rest, [true[i] for i in held])
     told["held_out_over_floor"] = {
         "refit only": ratio(rest, rest.predict(outcome.search.base.theta), floor),
         "loop": ratio(rest, rest.predict(outcome.chosen.theta), floor),

@@ -34,7 +34,7 @@ def close_loop(
     """
     from calibration.discrepancy.page import loop_page
     from calibration.discrepancy.report import error_lines, loop_model_toml, parameter_lines
-    from calibration.inference.cache import inputs as made_from, resumable
+    from calibration.inference.cache import input_settings as made_from, resumable
     from slider_jax.experiment.load import Experiment
     from slider_jax.io.files import staged, write_json, write_text
 

@@ -52,7 +52,7 @@ def effects_matrix(
         plot_matrix,
     )
     from calibration.experiment_design.trial_search import TrialLimits, limits_of
-    from calibration.inference.cache import inputs, resumable
+    from calibration.inference.cache import input_settings, resumable
     from slider_jax.experiment.load import load
     from slider_jax.io.files import input_file, staged, write_json, write_text
 
@@ -73,7 +73,7 @@ def effects_matrix(
         print(f"{time.monotonic() - begun:5.0f} s  {text}", file=sys.stderr, flush=True)
 
     files = (experiment, *([model] if model else []))
-    with resumable(out, inputs(files, loaded.folder)) as memo:
+    with resumable(out, input_settings(files, loaded.folder)) as memo:
         say("compiling")
         names = tuple(dict.fromkeys((*effects, *separate))) or None
         found = matrix_of(loaded, names, say, memo=memo)

@@ -13,7 +13,7 @@ from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
 from calibration.discrepancy.verdict import NAMED, reach_verdict
 from calibration.inference.cache import Memo
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton
-from calibration.inference.goodness import Excess, excess, floors, rms_errors
+from calibration.inference.goodness import Excess, excess, noise_floors, rms_errors
 from calibration.inference.problem import AbstractProblem, TankProblem
 from calibration.inference.uncertainty import confidence_interval, hausman_check
 from calibration.measurements.findings import Finding
@@ -215,4 +215,6 @@ def conclude(
 
 
 def _errors(problem: AbstractProblem, before: list[np.ndarray], after: list[np.ndarray]) -> Errors:
-    return Errors(rms_errors(problem, before), rms_errors(problem, after), floors(problem, after))
+    return Errors(
+        rms_errors(problem, before), rms_errors(problem, after), noise_floors(problem, after)
+    )

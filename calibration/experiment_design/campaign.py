@@ -14,7 +14,7 @@ from calibration.discrepancy.report import loop_record
 from calibration.discrepancy.verdict import CLASS, IDENTIFIED, NOTHING
 from calibration.experiment_design.next_experiment import next_experiment
 from calibration.experiment_design.trial_search import TrialLimits
-from calibration.inference.cache import inputs, resumable
+from calibration.inference.cache import input_settings, resumable
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment, load
 from slider_jax.experiment.schema import Trial
@@ -90,7 +90,7 @@ def campaign(
             capture(tuple(missing))
         count = len(experiment.trials)
         say(f"closing the loop on {count} trials")
-        with resumable(out, inputs((path,), experiment.folder)) as memo:
+        with resumable(out, input_settings((path,), experiment.folder)) as memo:
             outcome = close(experiment, progress=say, memo=memo, kept=_chosen(out))
             following = next_experiment(outcome, say, limits(experiment) if limits else None)
             told = loop_record(outcome, 0.0, input_file(path), following)

@@ -16,7 +16,7 @@ import numpy as np
 
 from calibration.inference.cache import Memo
 from calibration.inference.gauss_newton import inverse
-from calibration.inference.noise import Noise, Whitener, declared
+from calibration.inference.noise import Noise, Whitener, channel_noise
 from calibration.inference.problem import ChannelBlock
 from calibration.measurements.records import Record, records
 from calibration.model.extended import BASE, Parameter, base_vector, parameters
@@ -68,14 +68,14 @@ class SensorModel:
             recorded = [r for r in found if r.has(channel)]
             if recorded:
                 each = [
-                    declared(experiment.sensors, channel, r.values[row_of(channel)])
+                    channel_noise(experiment.sensors, channel, r.values[row_of(channel)])
                     for r in recorded
                 ]
                 noise[channel] = sorted(each)[len(each) // 2]
                 share = np.mean([r.there(channel).mean() for r in recorded])
                 every[channel] = max(1, round(1.0 / float(share)))
             elif not found and _is_declared(experiment, channel):
-                noise[channel] = declared(experiment.sensors, channel, np.zeros(2))
+                noise[channel] = channel_noise(experiment.sensors, channel, np.zeros(2))
                 every[channel] = 1
         if not noise:
             raise InputError(
@@ -181,7 +181,7 @@ class TrialInformation:
             return make()
         steps = np.array(sorted(self.secants.items()), float)
         name = f"foresee {trial.model_dump_json()} {self.effects} {self.coarse}"
-        return self.memo.kept(name, [self.theta, self.chosen, steps], make)
+        return self.memo.cached(name, [self.theta, self.chosen, steps], make)
 
     def _other(self, trial: Trial, p: TrialPlan) -> np.ndarray | None:
         """Readings (5, n) of the other model."""
@@ -191,7 +191,7 @@ class TrialInformation:
         if self.memo is None:
             return predict(p, other)
         name = f"foresee other {trial.model_dump_json()} {self.effects} {self.coarse}"
-        return self.memo.kept(name, [other], lambda: [predict(p, other)])[0]
+        return self.memo.cached(name, [other], lambda: [predict(p, other)])[0]
 
     def _along(self, p: TrialPlan, y: np.ndarray) -> np.ndarray:
         """(k, 5, n); NaN along what cannot be simulated."""

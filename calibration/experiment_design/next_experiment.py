@@ -32,7 +32,7 @@ from calibration.experiment_design.trial_search import (
 )
 from calibration.inference.gauss_newton import inverse
 from calibration.inference.problem import TankProblem, summed
-from calibration.inference.uncertainty import EFFECT, SYSTEMATIC
+from calibration.inference.uncertainty import BASE_DISCREPANCY, EFFECT_DISCREPANCY
 from calibration.measurements.records import Record
 from slider_jax.errors import InputError, SolverError
 
@@ -129,7 +129,7 @@ def _narrowed(
     own = [entries[i] for i in final.free]
     floor = np.array(
         [
-            (EFFECT if p.effect else SYSTEMATIC[p.name]) * abs(final.theta[i])
+            (EFFECT_DISCREPANCY if p.effect else BASE_DISCREPANCY[p.name]) * abs(final.theta[i])
             for i, p in zip(final.free, own, strict=True)
         ]
     )

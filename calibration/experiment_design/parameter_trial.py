@@ -15,10 +15,10 @@ from calibration.inference.gauss_newton import Fit, inverse
 from calibration.inference.noise import Noise, Whitener
 from calibration.inference.problem import AbstractProblem
 from calibration.inference.uncertainty import (
-    by_variation,
     confidence_interval,
     determined,
-    share_of,
+    discretisation_share,
+    value_by_variation,
 )
 from calibration.model.extended import Parameter
 from calibration.model.initial_swing import declared_spans
@@ -149,7 +149,7 @@ def best_trial(
             continue
         first = int(np.argmin(column))
         p, value = entries[index], float(theta[index])
-        half = 1.96 * float(np.hypot(np.sqrt(column[first]), share_of(p) * value))
+        half = 1.96 * float(np.hypot(np.sqrt(column[first]), discretisation_share(p) * value))
         best[index] = Proposal(candidates[first], half, determined(p, value - half, value + half))
     return best
 
@@ -185,7 +185,7 @@ def advise(
         int(i)
         for i in fit.free
         if not determined(entries[i], *confidence_interval(fit, entries, int(i))[1:])
-        and by_variation(fit, int(i)) is None  # else more of the same data would not agree
+        and value_by_variation(fit, int(i)) is None  # else more of the same data would not agree
     ]
     candidates = feasible(experiment) if open_ones else []
     if not candidates:

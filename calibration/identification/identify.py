@@ -14,7 +14,7 @@ from calibration.experiment_design.parameter_trial import (
     proposal_sentence,
 )
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton
-from calibration.inference.goodness import excess, floors, rms_errors
+from calibration.inference.goodness import excess, noise_floors, rms_errors
 from calibration.inference.lbfgs import fit_lbfgs
 from calibration.inference.problem import TankProblem
 from calibration.inference.uncertainty import correlations, hausman_check
@@ -126,7 +126,7 @@ def doubt(problem: TankProblem, fit: Fit) -> str:
 def identification_record(found: Identified, source: dict[str, Any]) -> dict[str, Any]:
     """The content of calibration.json."""
     before, after = (rms_errors(found.problem, y) for y in (found.before, found.fit.predicted))
-    floor = floors(found.problem, found.fit.predicted)
+    floor = noise_floors(found.problem, found.fit.predicted)
     labels = [p.label for p in found.entries]
     return {
         "parameters": {
@@ -159,7 +159,7 @@ def parameter_table(found: Identified) -> str:
         if i in found.advice:
             lines.append(f"{'':<28} {proposal_sentence(p, found.advice[i])}")
     before, after = (rms_errors(found.problem, y) for y in (found.before, found.fit.predicted))
-    floor = floors(found.problem, found.fit.predicted)
+    floor = noise_floors(found.problem, found.fit.predicted)
     lines += [
         f"{c:<28} rms {before[c]:.3g} before, {after[c]:.3g} after, floor {floor[c]:.3g} "
         f"{CHANNELS[c].unit}"

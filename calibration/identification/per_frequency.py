@@ -20,10 +20,10 @@ from calibration.identification.parameter_ties import CONSTANT, EACH, PAPER, RAM
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton, inverse
 from calibration.inference.problem import FAILED, TankProblem, summed
 from calibration.inference.uncertainty import (
-    by_variation,
     confidence_interval,
     determined,
     hausman_check,
+    value_by_variation,
 )
 from calibration.model.extended import Parameter
 from calibration.model.predict import COARSE, Resolution
@@ -129,7 +129,7 @@ def _advice(found: ByFrequency, coarse: Resolution) -> dict[int, Proposal]:
         g = int(plan.group[i])
         if g < 0 or determined(p, *confidence_interval(best, plan.entries, i)[1:]):
             continue
-        if by_variation(best, i) is not None:  # more of the same data would not agree
+        if value_by_variation(best, i) is not None:  # more of the same data would not agree
             continue
         here = np.flatnonzero((plan.group < 0) | (plan.group == g))
         other = np.flatnonzero((plan.group >= 0) & (plan.group != g))

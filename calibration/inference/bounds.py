@@ -1,4 +1,4 @@
-"""Bounds of parameters as invertible transforms to the whole line."""
+"""Parameter bounds as invertible transforms to the real line."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -10,15 +10,18 @@ from calibration.model.extended import Parameter
 
 
 class Bounds(NamedTuple):
-    """theta = low + (high - low)/(1 + exp(-z)), entry by entry; a logit of what is known."""
+    """Logistic transform theta = low + (high - low)/(1 + exp(-z)) of every parameter."""
 
     low: Float[Array, " parameters"]
     high: Float[Array, " parameters"]
 
     @classmethod
     def of(cls, entries: Sequence[Parameter]) -> "Bounds":
-        """The prior ranges. A null at an end is let pass by a twentieth of the range, so that an
-        effect that is absent is found at its null and not beside it."""
+        """Return the prior ranges as bounds.
+
+        A range that ends at the effect's null is extended by a twentieth beyond it. Then the fit
+        of an absent effect can reach the null, which it would otherwise only approach.
+        """
         low, high = [], []
         for p in entries:
             slack = 0.05 * (p.prior.high - p.prior.low) if p.effect else 0.0
@@ -26,11 +29,11 @@ class Bounds(NamedTuple):
             high.append(p.prior.high + (slack if p.prior.null == p.prior.high else 0.0))
         return cls(jnp.asarray(low), jnp.asarray(high))
 
-    def inside(self, z):
-        """theta of z."""
+    def theta_of(self, z):
+        """Return the parameters (parameters,) of z (parameters,)."""
         return self.low + (self.high - self.low) / (1.0 + jnp.exp(-z))
 
-    def outside(self, theta):
-        """z of a theta within the bounds, kept off them by a millionth of the range."""
+    def z_of(self, theta):
+        """Return z of theta, after moving theta at least a millionth of the range inwards."""
         share = jnp.clip((theta - self.low) / (self.high - self.low), 1e-6, 1.0 - 1e-6)
         return jnp.log(share / (1.0 - share))

@@ -1,4 +1,4 @@
-"""What was simulated before a run was stopped, so that the next one goes on from there."""
+"""Cache of simulated readings, so that an interrupted run can resume."""
 
 import hashlib
 import json
@@ -20,14 +20,17 @@ from slider_jax.io.files import input_file, replacing, tentative_folder, version
 
 @dataclass(frozen=True)
 class Memo:
-    """A folder of arrays by what they were made from. A file that cannot be read is made anew."""
+    """A folder that caches computed arrays under a digest of their inputs."""
 
     folder: Path
 
-    def kept(
+    def cached(
         self, name: str, arrays: Sequence[np.ndarray], make: Callable[[], list[np.ndarray]]
     ) -> list[np.ndarray]:
-        """`make()`, or what it gave before under the same name and arrays."""
+        """Return the cached result for `name` and `arrays`, or else compute it by `make`.
+
+        A file that cannot be read is computed again.
+        """
         digest = hashlib.sha256(name.encode())
         for array in arrays:
             digest.update(np.ascontiguousarray(array).tobytes())
@@ -43,8 +46,8 @@ class Memo:
         return made
 
 
-def code() -> str:
-    """Digest of the program's own sources."""
+def source_digest() -> str:
+    """Return the SHA-256 digest of the program's source files."""
     digest = hashlib.sha256()
     for package in (slider_jax, calibration):
         for path in sorted(Path(str(package.__file__)).parent.rglob("*.py")):
@@ -52,28 +55,29 @@ def code() -> str:
     return digest.hexdigest()
 
 
-def inputs(paths: Sequence[Path], folder: Path | None = None) -> dict[str, Any]:
-    """Settings of a run on the files `paths`, and on the tables of an experiment's `folder`."""
+def input_settings(paths: Sequence[Path], folder: Path | None = None) -> dict[str, Any]:
+    """Return the settings of a run: digests of the files `paths` and of the tables in `folder`."""
     tables = sorted(folder.glob("*.csv")) if folder else []
     return {"inputs": [input_file(p) for p in (*paths, *tables)]}
 
 
 @contextmanager
 def resumable(out: Path, settings: dict[str, Any]) -> Iterator[Memo]:
-    """A memo under `out` for a run with these settings, taken away when the run succeeds.
+    """Yield a cache under `out` for a run with these settings; delete it when the run succeeds.
 
-    A run of the same settings and program finds what a stopped one left; others begin anew.
+    A run with the same settings and program resumes from the cache of an interrupted run.
     """
-    told = json.dumps(settings | {"versions": versions(), "code": code()}, sort_keys=True)
-    name = f".unfinished-{hashlib.sha256(told.encode()).hexdigest()[:16]}"
+    versioned = settings | {"versions": versions(), "code": source_digest()}
+    key = hashlib.sha256(json.dumps(versioned, sort_keys=True).encode()).hexdigest()
+    name = f".unfinished-{key[:16]}"
     with tentative_folder(out) as parent:
         folder = parent / name
         if folder.exists():
-            print(f"going on with what a stopped run left in {folder}", file=sys.stderr)
+            print(f"resuming the interrupted run from {folder}", file=sys.stderr)
         for other in sorted(parent.glob(".unfinished-*")):
             if other != folder:
-                said = "left by a run on other data or by another program"
-                print(f"{other}: {said}; may be deleted if none runs", file=sys.stderr)
+                cause = "from an interrupted run with other data or another program version"
+                print(f"{other}: {cause}; delete it if that run has ended", file=sys.stderr)
         folder.mkdir(exist_ok=True)
         try:
             yield Memo(folder)

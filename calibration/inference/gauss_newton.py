@@ -1,8 +1,8 @@
-"""Least squares of the extended model to measured trials, over any of its parameters.
+"""Least-squares fit of the extended model to measured trials by Gauss-Newton steps.
 
-Each outer iteration simulates the trials, takes forward tangents along the free parameters, and
-hands the small matrices to optimistix's Levenberg-Marquardt, which finds the best vector of the
-linearised model within the bounds; a step that makes the sum of squares worse is halved.
+Each iteration simulates the trials and their forward tangents along the free parameters.
+Optimistix's Levenberg-Marquardt then minimises the linearised sum of squares within the bounds. A
+step that does not lower the simulated sum of squares is shortened.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,55 +18,57 @@ from calibration.inference.noise import Whitener
 from calibration.inference.problem import AbstractProblem, ChannelBlock, summed, total
 from calibration.model.extended import Parameter
 
-ITERATIONS = 24
-"""Outer iterations at most; most fits take 3 to 6, those of another law more."""
-STILL = 0.02
-"""A fit ends where the next step would lower the sum of squares by less than so many times the
-residual's mean square: it lies within a seventh of a standard error."""
-FAR, ROUGH = 20.0, 0.5
-"""Of a model that leaves more than `FAR` times its noise's variance something is missing, and it is
-fitted to within `ROUGH` of the mean square, two thirds of a standard error: it converges slowly,
-and what is found missing is fitted with it again."""
+MAX_ITERATIONS = 24
+"""Most fits take 3 to 6 iterations; fits with an effect that replaces a law take more."""
+GAIN_TOLERANCE = 0.02
+"""A fit ends if the next step would lower the sum of squares by less than this multiple of the
+residual's mean square. The parameters are then within a seventh of a standard error."""
+POOR_FIT, ROUGH_GAIN_TOLERANCE = 20.0, 0.5
+"""A mean square above `POOR_FIT` means that the model lacks an effect. Such a fit converges slowly
+and is repeated with the missing effect, so it ends at the rough tolerance: two thirds of a standard
+error."""
 
 
 class Fit(NamedTuple):
-    """The outcome, at `theta`, with `free` (k,) its indices that were fitted."""
+    """A fitted parameter vector with its residual and linearisation."""
 
     theta: np.ndarray
     free: np.ndarray
+    """Indices (k,) of the fitted entries of `theta`."""
     square: float
-    """Sum of squares of the white residuals."""
+    """Sum of squares of the whitened residuals."""
     samples: int
     blocks: list[ChannelBlock]
     """Linearised at `theta`, along the `free` entries only."""
     predicted: list[np.ndarray]
     converged: bool
-    apart: np.ndarray | None = None
-    """By how much what varies of the forces asks for other values (k,), where beyond chance."""
+    difference: np.ndarray | None = None
+    """Significant shift (k,) of the fitted entries if only the forces' variation is used, else 0.
+    None before `uncertainty.hausman_check`."""
     widening: np.ndarray | float = 1.0
-    """Factor (k,) on the standard errors, which the two halves' difference asks for."""
+    """Factor (k,) on the standard errors that accounts for `difference`."""
 
     @property
     def inflation(self) -> float:
-        """Mean square of the white residuals: 1 where the noise is as declared, at least 1."""
+        """Mean square of the whitened residuals, at least 1: 1 if the noise is as declared."""
         return max(1.0, self.square / max(self.samples - len(self.free), 1))
 
     @property
     def covariance(self) -> np.ndarray:
-        """Of the free entries (k, k), by the least squares' normal matrix and `inflation`."""
+        """Covariance (k, k) of the free entries: the inverse normal matrix times `inflation`."""
         A, _ = summed(self.blocks)
         return self.inflation * inverse(A) if np.isfinite(A).all() else np.full(A.shape, np.inf)
 
     @property
     def errors(self) -> np.ndarray:
-        """Standard errors of the free entries (k,), widened."""
+        """Standard errors (k,) of the free entries, times `widening`."""
         return np.sqrt(np.diag(self.covariance)) * self.widening
 
 
 def inverse(A: np.ndarray) -> np.ndarray:
-    """Inverse of a normal matrix after scaling to a unit diagonal.
+    """Return the inverse of a normal matrix, computed after scaling to a unit diagonal.
 
-    A direction that the data do not see gets a variance of 1e12 times its scale.
+    A direction that the data do not determine gets a variance of 1e12 times its scale.
     """
     size = np.sqrt(np.where(np.diag(A) > 0.0, np.diag(A), 1.0))
     values, vectors = np.linalg.eigh(A / np.outer(size, size))
@@ -81,11 +83,11 @@ def fit_gauss_newton(
     progress: Callable[[str], None] = lambda text: None,
     white: dict[tuple[int, str], Whitener] | None = None,
 ) -> Fit:
-    """Fit the entries `free` (indices) of the vector, from `theta` on; the others stay.
+    """Return the fit of the entries `free` (indices) of `theta`; the other entries stay.
 
-    A step that cannot be simulated is shortened; from a start that cannot be, or without finite
-    tangents, the fit has not converged.
-    Sums of squares of two fits compare only if they share `white`, by default that of the start.
+    A step that cannot be simulated is shortened. The fit does not converge if the start cannot be
+    simulated or has no finite tangents. Sums of squares of two fits are comparable only if the
+    fits share `white` (default: the whiteners at the start).
     """
     bounds = Bounds.of([entries[i] for i in free])
     directions = np.eye(len(theta))[free]
@@ -94,7 +96,7 @@ def fit_gauss_newton(
     residuals = problem.residuals(predicted, white)
     square, converged = total(residuals), False
     samples = sum(len(r) for r in residuals.values())
-    for iteration in range(ITERATIONS):
+    for iteration in range(MAX_ITERATIONS):
         blocks = problem.blocks(residuals, problem.tangents(theta, directions), white)
         A, b = summed(blocks)
         if not (np.isfinite(A).all() and np.isfinite(b).all()):
@@ -102,7 +104,7 @@ def fit_gauss_newton(
         wanted = _linear_optimum(A, b, theta[free], bounds)
         unit = max(1.0, square / max(samples, 1))
         step = wanted - theta[free]
-        enough = unit * (STILL if unit < FAR else ROUGH)
+        enough = unit * (GAIN_TOLERANCE if unit < POOR_FIT else ROUGH_GAIN_TOLERANCE)
         progress(f"iteration {iteration + 1}: sum of squares {square:.6g}")
         if 0.0 <= 2.0 * step @ b - step @ A @ step < enough:
             converged = True
@@ -131,21 +133,21 @@ def fit_gauss_newton(
 def _solve(root, rhs, start, bounds):
     def residual(z, args):
         root, rhs, start = args
-        return root @ (bounds.inside(z) - start) - rhs
+        return root @ (bounds.theta_of(z) - start) - rhs
 
     solution = optx.least_squares(
         residual,
         optx.LevenbergMarquardt(rtol=1e-9, atol=1e-9),
-        bounds.outside(start),
+        bounds.z_of(start),
         args=(root, rhs, start),
         max_steps=200,
         throw=False,
     )
-    return bounds.inside(solution.value)
+    return bounds.theta_of(solution.value)
 
 
 def _linear_optimum(A, b, start, bounds: Bounds) -> np.ndarray:
-    """The vector within the bounds that minimises (x - start) A (x - start) - 2 b (x - start)."""
+    """Return the x within the bounds that minimises (x - start) A (x - start) - 2 b (x - start)."""
     size = np.sqrt(np.where(np.diag(A) > 0.0, np.diag(A), 1.0))
     values, vectors = np.linalg.eigh(A / np.outer(size, size))
     kept = np.maximum(values, 1e-12 * values.max())

@@ -1,4 +1,4 @@
-"""How well a fit explains the data: its residual against the noise floor."""
+"""Residual of a fit compared with the noise floor."""
 
 from typing import NamedTuple
 
@@ -10,15 +10,16 @@ from slider_jax.channels import CHANNELS, row_of
 
 
 class Excess(NamedTuple):
-    """Mean squares of a channel's white residuals, all together and of every trial; NaN where it
-    lacks the channel."""
+    """Mean squares of a channel's whitened residuals."""
 
     trials: np.ndarray
+    """(trials,) of every trial; NaN if the trial lacks the channel."""
     all: float
+    """Of all trials together."""
 
 
 def excess(problem: AbstractProblem, fit: Fit) -> dict[str, Excess]:
-    """How far the residual of a fit stands above the noise, channel by channel; 1 is the floor."""
+    """Return the mean squares of a fit's whitened residuals by channel; noise alone gives 1."""
     white = problem.whiteners(fit.predicted)
     residuals = problem.residuals(fit.predicted, white)
     found = {}
@@ -33,22 +34,25 @@ def excess(problem: AbstractProblem, fit: Fit) -> dict[str, Excess]:
 
 
 def rms_errors(problem: AbstractProblem, predicted: list[np.ndarray]) -> dict[str, float]:
-    """rms of measured less predicted of every channel, in its unit, all trials together."""
+    """Return the rms of measured minus predicted by channel, in its unit, all trials together."""
     found = {}
     for channel in problem.channels:
         row = row_of(channel)
-        apart = [
+        errors = [
             (r.values[row] - y[row])[r.there(channel)]
             for r, y in zip(problem.records, predicted, strict=True)
             if r.has(channel)
         ]
-        if apart:
-            found[channel] = float(np.sqrt(np.mean(np.concatenate(apart) ** 2)))
+        if errors:
+            found[channel] = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
     return found
 
 
-def floors(problem: AbstractProblem, predicted: list[np.ndarray]) -> dict[str, float]:
-    """The rms that noise, tare and the difference of correct programs leave in every channel."""
+def noise_floors(problem: AbstractProblem, predicted: list[np.ndarray]) -> dict[str, float]:
+    """Return the noise floor of every channel, in its unit.
+
+    It is the rms of noise, tare and model-discretisation discrepancy.
+    """
     found = {}
     for channel in problem.channels:
         row, parts = row_of(channel), []

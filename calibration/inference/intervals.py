@@ -1,4 +1,4 @@
-"""How well data fix a parameter when the residual is correlated, and what noise is under it."""
+"""Confidence intervals of a parameter with a correlated residual, and the white-noise estimate."""
 
 import math
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ CONFIDENCE = 0.95
 
 
 class Interval(NamedTuple):
-    """A positive parameter with its 95 % interval, and what the correlation did to it."""
+    """A positive parameter with its 95 % interval for correlated residuals."""
 
     value: float
     low: float
@@ -19,16 +19,16 @@ class Interval(NamedTuple):
     effective: float
     """Effective number of samples."""
     widening: float
-    """Width in the logarithm over that of the naive interval: every sample independent."""
+    """Width in log x over the width of the interval that takes all samples as independent."""
 
     @property
     def fixed(self) -> bool:
-        """Whether the data fix the value at all: within a factor of ten."""
+        """Whether the interval is narrower than a factor of ten."""
         return self.high < 10.0 * self.low
 
 
-class Evidence(NamedTuple):
-    """What one record says of log x at the fit: r, J = dr/d(log x), H = d^2(r.r/2)/d(log x)^2."""
+class RecordDerivatives(NamedTuple):
+    """One record at the fit: r, J = dr/d(log x), H = d^2(r.r/2)/d(log x)^2."""
 
     residual: np.ndarray
     tangent: np.ndarray
@@ -36,10 +36,10 @@ class Evidence(NamedTuple):
 
 
 def correlation_time(residual: np.ndarray) -> float:
-    """Samples per independent sample: 1 + 2 sum of the autocorrelation up to its first zero.
+    """Return the number of samples per independent sample of a residual (n,).
 
-    Of the residual about its mean. What repeats every cycle is correlated for ever; this counts
-    about four to six independent values in a cycle of it instead of its thousands of samples.
+    It is 1 + 2 times the sum of the autocorrelation, about the mean, up to its first zero. A
+    residual that repeats in every cycle then counts as four to six independent values a cycle.
     """
     x = residual - residual.mean()
     n = len(x)
@@ -52,64 +52,70 @@ def correlation_time(residual: np.ndarray) -> float:
     return float(1.0 + 2.0 * rho[1 : below[0] if below.size else n].sum())
 
 
-def student(freedom: float) -> float:
-    """Two-sided Student quantile of `CONFIDENCE`."""
+def student_quantile(freedom: float) -> float:
+    """Return the two-sided Student quantile of `CONFIDENCE`."""
     return float(stdtrit(max(freedom, 1.0), 0.5 + 0.5 * CONFIDENCE))
 
 
-def record_interval(log_value: float, evidence: Evidence) -> Interval:
-    """Interval of a least-squares fit to one record.
+def record_interval(log_value: float, record: RecordDerivatives) -> Interval:
+    """Return the interval of a least-squares fit to one record.
 
-    The sandwich s^2 tau J.J / H^2 in log x, with tau the residual's `correlation_time` and H the
-    true curvature: where the model is wrong the residual is large and J.J alone is not that.
+    Its variance is the sandwich s^2 tau J.J / H^2 in log x, with tau the residual's
+    `correlation_time`. H is the true curvature: J.J differs from it if the residual is large.
     """
-    r, J, H = evidence
+    r, J, H = record
     n, time = len(r), correlation_time(r)
     effective = max(n / time, 2.0)
     s2, JJ = float(r @ r) / max(n - 1, 1), float(J @ J)
-    naive = student(n - 1.0) * math.sqrt(s2 / JJ) if JJ else math.inf
+    naive = student_quantile(n - 1.0) * math.sqrt(s2 / JJ) if JJ else math.inf
     deviation = math.sqrt(s2 * time * JJ) / H if H > 0.0 else math.inf
-    return _around(log_value, student(effective - 1.0) * deviation, naive, effective)
+    return _around(log_value, student_quantile(effective - 1.0) * deviation, naive, effective)
 
 
-def pooled_interval(log_value: float, evidence: Sequence[Evidence]) -> Interval:
-    """Interval of the value common to records that weigh the same, as a sample of such records.
+def pooled_interval(log_value: float, records: Sequence[RecordDerivatives]) -> Interval:
+    """Return the interval of a common value, with the records as a sample of all such records.
 
-    The sandwich with one cluster a record: the spread of their pulls J.r/n on the common value,
-    Student with records - 1 degrees of freedom. With one record, that record's own interval.
+    All records have the same weight. The variance is the sandwich with one cluster a record: the
+    spread of their scores J.r/n. Student's quantile has len(records) - 1 degrees of freedom. For a
+    single record this is `record_interval`.
     """
-    records = len(evidence)
-    if records == 1:
-        return record_interval(log_value, evidence[0])
-    pulls = sum((float(e.tangent @ e.residual) / len(e.residual)) ** 2 for e in evidence)
-    return _pooled(log_value, evidence, records / (records - 1) * pulls, student(records - 1.0))
+    count = len(records)
+    if count == 1:
+        return record_interval(log_value, records[0])
+    squares = sum((float(x.tangent @ x.residual) / len(x.residual)) ** 2 for x in records)
+    quantile = student_quantile(count - 1.0)
+    return _pooled(log_value, records, count / (count - 1) * squares, quantile)
 
 
-def within_interval(log_value: float, evidence: Sequence[Evidence]) -> Interval:
-    """Interval of the value common to just these records: as `record_interval`, summed over them.
+def within_interval(log_value: float, records: Sequence[RecordDerivatives]) -> Interval:
+    """Return the interval of a common value for these records alone.
 
-    Says nothing of how far another record would lie from these.
+    It is `record_interval` summed over them and does not predict the value of a further record.
     """
-    pulls = sum(_variance(e) * correlation_time(e.residual) for e in evidence)
-    return _pooled(log_value, evidence, pulls, student(_effective(evidence) - 1.0))
+    variance = sum(_score_variance(x) * correlation_time(x.residual) for x in records)
+    quantile = student_quantile(_effective_samples(records) - 1.0)
+    return _pooled(log_value, records, variance, quantile)
 
 
-def _variance(e: Evidence) -> float:
-    """Of a record's pull J.r/n, were its samples independent."""
-    return float(e.residual @ e.residual) * float(e.tangent @ e.tangent) / len(e.residual) ** 3
+def _score_variance(x: RecordDerivatives) -> float:
+    """Return the variance of a record's score J.r/n if its samples were independent."""
+    return float(x.residual @ x.residual) * float(x.tangent @ x.tangent) / len(x.residual) ** 3
 
 
-def _effective(evidence: Sequence[Evidence]) -> float:
-    return sum(max(len(e.residual) / correlation_time(e.residual), 2.0) for e in evidence)
+def _effective_samples(records: Sequence[RecordDerivatives]) -> float:
+    return sum(max(len(x.residual) / correlation_time(x.residual), 2.0) for x in records)
 
 
-def _pooled(log_value: float, evidence: Sequence[Evidence], pulls: float, t: float) -> Interval:
-    """The interval from the variance of the pulls' sum and its Student quantile."""
-    H = sum(e.curvature / len(e.residual) for e in evidence)
-    JJ = sum(float(e.tangent @ e.tangent) / len(e.residual) for e in evidence)
-    width = t * math.sqrt(pulls) / H if H > 0.0 else math.inf
-    naive = student(1e9) * math.sqrt(sum(map(_variance, evidence))) / JJ if JJ else math.inf
-    return _around(log_value, width, naive, _effective(evidence))
+def _pooled(
+    log_value: float, records: Sequence[RecordDerivatives], variance: float, quantile: float
+) -> Interval:
+    """Return the interval from the `variance` of the summed scores and its Student quantile."""
+    H = sum(x.curvature / len(x.residual) for x in records)
+    JJ = sum(float(x.tangent @ x.tangent) / len(x.residual) for x in records)
+    width = quantile * math.sqrt(variance) / H if H > 0.0 else math.inf
+    spread = math.sqrt(sum(map(_score_variance, records)))
+    naive = student_quantile(1e9) * spread / JJ if JJ else math.inf
+    return _around(log_value, width, naive, _effective_samples(records))
 
 
 def _around(log_value: float, width: float, naive: float, effective: float) -> Interval:
@@ -120,10 +126,10 @@ def _around(log_value: float, width: float, naive: float, effective: float) -> I
 
 
 def noise_floor(values: np.ndarray, order: int = 4) -> float:
-    """Standard deviation of the white noise in `values`, from their differences of `order`.
+    """Return the standard deviation of the white noise in `values` (n,).
 
-    Differences cancel what is smooth over a few samples; white noise passes with the variance
-    binomial(2 order, order).
+    Differences of `order` cancel a signal that is smooth over a few samples. They multiply the
+    variance of white noise by binomial(2 order, order).
     """
     d = np.diff(values, order)
     return float(np.sqrt(np.mean(d**2) / math.comb(2 * order, order)))

@@ -1,11 +1,10 @@
-"""Least squares of many parameters by L-BFGS, without inverting what the data hardly see.
+"""Least-squares fit of many parameters by L-BFGS.
 
-The gradient of the sum of squares is -2 J r of the same forward tangents that
-`calibration.inference.gauss_newton`
-takes; optax's L-BFGS makes the direction, in the bounded variables scaled to unit curvature each,
-and a backtracking line search on the simulated sum of squares the step. Nearly parallel tangents,
-of which a library of effects is full, make Gauss and Newton's step long and wild; here the last few
-gradients alone shape it.
+The gradient of the sum of squares is -2 J r, with the same forward tangents J as in `gauss_newton`.
+Optax's L-BFGS computes the direction in the unbounded variables, each scaled to unit curvature. A
+backtracking line search on the simulated sum of squares computes the step. Many effects have nearly
+parallel tangents. They make a Gauss-Newton step long and inaccurate, but not an L-BFGS step, which
+does not invert the normal matrix.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,21 +20,21 @@ from calibration.inference.noise import Whitener
 from calibration.inference.problem import AbstractProblem, ChannelBlock, summed, total
 from calibration.model.extended import Parameter
 
-ITERATIONS = 60
-"""Gradients at most."""
+MAX_GRADIENTS = 60
+"""Largest number of gradients."""
 MEMORY = 20
-"""Gradients that shape a direction."""
-CLOSE = 0.003
-"""The descent ends where the linearised model promises a smaller gain, in units of the residual's
-mean square: every parameter is then within 0.06 standard errors of its optimum."""
-STALE = 2.0
-"""Factor by which a variable's curvature may change, as its root, before the memory is dropped."""
-SUFFICIENT = 1e-4
-"""Share of the gain promised by the slope that a step must bring."""
-SHARES = (1.0, 0.3, 0.1, 0.03, 0.01)
-"""Of a direction, tried in this order."""
-LONGEST = 2.0
-"""Of a step in each bounded variable: from 0.5 of a range to 0.88 of it."""
+"""Number of past gradients that L-BFGS uses."""
+PREDICTED_GAIN_TOLERANCE = 0.003
+"""The fit ends if the linearised model predicts a smaller gain, in units of the residual's mean
+square. Every parameter is then within 0.06 standard errors of its optimum."""
+MAX_SCALE_CHANGE = 2.0
+"""Factor by which the root of a variable's curvature may change before L-BFGS restarts."""
+ARMIJO_SHARE = 1e-4
+"""Share of the gain predicted by the slope that a step must reach (Armijo's condition)."""
+STEP_SHARES = (1.0, 0.3, 0.1, 0.03, 0.01)
+"""Shares of a direction that the line search tries, in this order."""
+MAX_STEP = 2.0
+"""Largest step of each unbounded variable; it moves a parameter from 0.5 to 0.88 of its range."""
 
 
 def fit_lbfgs(
@@ -46,7 +45,7 @@ def fit_lbfgs(
     progress: Callable[[str], None] = lambda text: None,
     white: dict[tuple[int, str], Whitener] | None = None,
 ) -> Fit:
-    """Fit the entries `free` (indices) of the vector, from `theta` on, as `fit` does."""
+    """Return the fit of the entries `free` of `theta`; arguments as in `fit_gauss_newton`."""
     bounds = Bounds.of([entries[i] for i in free])
     directions = np.eye(len(theta))[free]
     predicted = problem.predict(theta)
@@ -54,39 +53,41 @@ def fit_lbfgs(
     residuals = problem.residuals(predicted, white)
     square, converged = total(residuals), False
     optimiser = optax.scale_by_lbfgs(memory_size=MEMORY, scale_init_precond=False)
-    z = np.asarray(bounds.outside(jnp.asarray(theta[free])))
+    z = np.asarray(bounds.z_of(jnp.asarray(theta[free])))
     scale, state = np.ones_like(z), None
     blocks: list[ChannelBlock] = []
-    for iteration in range(ITERATIONS):
+    for iteration in range(MAX_GRADIENTS):
         blocks = problem.blocks(residuals, problem.tangents(theta, directions), white)
         A, b = summed(blocks)
         unit = max(1.0, square / max(sum(x.n for x in blocks), 1))
         stretch = _stretch(bounds, z)
         A_z, gradient = A * np.outer(stretch, stretch), -2.0 * b * stretch
-        promised = 0.25 * float(gradient @ inverse(A_z) @ gradient)
-        progress(f"iteration {iteration + 1}: sum of squares {square:.6g}, to gain {promised:.3g}")
-        if promised < CLOSE * unit:
+        gain = 0.25 * float(gradient @ inverse(A_z) @ gradient)
+        text = f"sum of squares {square:.6g}, predicted gain {gain:.3g}"
+        progress(f"iteration {iteration + 1}: {text}")
+        if gain < PREDICTED_GAIN_TOLERANCE * unit:
             converged = True
             break
         now = np.sqrt(np.maximum(2.0 * np.diag(A_z), 1e-12))
-        fresh = state is None or bool(np.any(np.abs(np.log(now / scale)) > np.log(STALE)))
+        change = np.abs(np.log(now / scale))
+        fresh = state is None or bool(np.any(change > np.log(MAX_SCALE_CHANGE)))
         if fresh:
             scale, state = now, optimiser.init(jnp.asarray(z * now))
         with jax.numpy_dtype_promotion("standard"):  # optax mixes widths of integers
             updates, state = optimiser.update(
                 jnp.asarray(gradient / scale), state, jnp.asarray(z * scale)
             )
-        step = np.clip(-np.asarray(updates) / scale, -LONGEST, LONGEST)
+        step = np.clip(-np.asarray(updates) / scale, -MAX_STEP, MAX_STEP)
         slope = float(gradient @ step)
-        if slope >= 0.0:  # clipping turned it uphill
-            step = np.clip(-gradient / scale**2, -LONGEST, LONGEST)
+        if slope >= 0.0:  # clipping can turn a descent direction uphill
+            step = np.clip(-gradient / scale**2, -MAX_STEP, MAX_STEP)
             slope = float(gradient @ step)
-        for share in SHARES:
+        for share in STEP_SHARES:
             tried = theta.copy()
-            tried[free] = np.asarray(bounds.inside(jnp.asarray(z + share * step)))
+            tried[free] = np.asarray(bounds.theta_of(jnp.asarray(z + share * step)))
             y = problem.predict(tried)
             found = problem.residuals(y, white)
-            if total(found) < square + SUFFICIENT * share * slope:
+            if total(found) < square + ARMIJO_SHARE * share * slope:
                 break
         else:
             if fresh:
@@ -99,6 +100,6 @@ def fit_lbfgs(
 
 
 def _stretch(bounds: Bounds, z: np.ndarray) -> np.ndarray:
-    """d(theta)/dz."""
+    """Return d(theta)/dz (parameters,)."""
     share = 1.0 / (1.0 + np.exp(-z))
     return np.asarray(bounds.high - bounds.low) * share * (1.0 - share)

@@ -1,10 +1,9 @@
-"""The noise of a channel, and residuals made white by it.
+"""Noise model of a channel, and the whitening of residuals.
 
-A sensor's noise is white (with the quantisation's share), slow (correlated over `slow_time`), and a
-tare that is constant over a trial. Beside it stand two shares of the signal itself that no sensor
-declares: a gain that differs from trial to trial, and what two correct programs of one model still
-differ by. Both are declared here, before any data are looked at; an effect smaller than they are
-cannot be named.
+A sensor's noise has three parts: white noise (with quantisation), slow noise correlated over
+`slow_time`, and a tare that is constant over a trial. Two further parts are shares of the signal: a
+gain that differs between trials, and the model-discretisation discrepancy. `slider_jax.channels`
+declares both before any data. The loop cannot name an effect that is smaller.
 """
 
 from typing import NamedTuple
@@ -17,13 +16,14 @@ from slider_jax.channels import CHANNELS
 from slider_jax.experiment.schema import SensorsTable
 
 DISCREPANCY_TIME = 0.02
-"""Correlation time within a stride [s] of the difference between two correct programs: the beam's,
-not the drive's."""
-STRIDES = 10.0
-"""Strides over which that difference stays the same, so that they do not average it out. After one
-stride 0.86 to 0.94 of it is the same."""
-LONGEST = 1250
-"""Samples of a series that are whitened at once; longer ones are averaged in groups first."""
+"""Correlation time of the model-discretisation discrepancy within a stride [s]: that of the beam,
+not of the drive."""
+DISCREPANCY_STRIDES = 10.0
+"""Strides over which the discrepancy stays correlated, so that strides do not average it out.
+Measured after one stride: a correlation of 0.86 to 0.94."""
+MAX_SAMPLES = 1250
+"""Most samples of a whitened series, which bounds the Cholesky factor; longer series are averaged
+in groups."""
 
 
 class Noise(NamedTuple):
@@ -35,10 +35,11 @@ class Noise(NamedTuple):
     tare: float = 0.0
 
 
-def declared(sensors: SensorsTable, channel: str, values: np.ndarray) -> Noise:
-    """Noise that an experiment declares for a channel; white noise is measured where it does not.
+def channel_noise(sensors: SensorsTable, channel: str, values: np.ndarray) -> Noise:
+    """Return the noise that an experiment declares for a channel.
 
-    The quantisation is read off the data: the least step between their values.
+    If it declares no white noise, this is estimated from the measured `values` (n,). The smallest
+    step between values gives the quantisation of a pressure.
     """
     key, kind = CHANNELS[channel].noise, CHANNELS[channel].kind
     white = getattr(sensors, key) if key else 0.0
@@ -46,17 +47,17 @@ def declared(sensors: SensorsTable, channel: str, values: np.ndarray) -> Noise:
     if white == 0.0:
         white = max(noise_floor(there), 1e-9 * max(float(np.ptp(there)), 1e-12))
     elif kind == "pressure":
-        white = float(np.hypot(white, quantum(there) / np.sqrt(12.0)))
+        white = float(np.hypot(white, quantisation_step(there) / np.sqrt(12.0)))
     if kind == "camera":
-        # Where the robot still swings, its place at rest is not that of the moment.
+        # While the robot still swings, its initial position is not its rest position.
         return Noise(white, tare=sensors.start_swing)
     if kind == "force":
         return Noise(white, sensors.force_slow_noise, sensors.force_slow_time, sensors.force_tare)
     return Noise(white)
 
 
-def quantum(values: np.ndarray) -> float:
-    """The step that all differences of the values are multiples of, or 0 where there is none."""
+def quantisation_step(values: np.ndarray) -> float:
+    """Return the step of which all differences of the values are multiples, or 0 if none exists."""
     steps = np.diff(np.unique(values))
     steps = steps[steps > 1e-12 * max(float(np.ptp(values)), 1e-300)]
     if not steps.size:
@@ -67,12 +68,12 @@ def quantum(values: np.ndarray) -> float:
 
 
 class Whitener:
-    """Makes series of one trial and channel white: independent, of unit variance.
+    """Whitens series of one trial and channel: independent samples of unit variance.
 
-    `t` (n,) [s] are the times of the samples that are there; `model` (n,) the model's series, which
-    scales what is a share of the signal; `frequency` [Hz] the drive's, with which the difference of
-    correct programs comes back. Tare and gain are marginalised, and so are `spans` (k, n): series
-    of unknown size, each as its standard deviation.
+    `t` (n,) [s] are the sample times. `model` (n,) is the model's series; it scales the noise that
+    is a share of the signal. With the drive's `frequency` [Hz], the model-discretisation
+    discrepancy repeats. Tare, gain and `spans` (k, n) are marginalised: a span is a series of
+    unknown size, given as its standard deviation.
     """
 
     def __init__(
@@ -84,14 +85,15 @@ class Whitener:
         frequency: float | None = None,
         spans: np.ndarray | None = None,
     ):
-        self._group = max(1, int(np.ceil(len(t) / LONGEST)))
+        self._group = max(1, int(np.ceil(len(t) / MAX_SAMPLES)))
         n = len(t) // self._group * self._group
         self._n = n
         centre, y = self._averaged(t[None])[0], self._averaged(model[None])[0]
         rms = float(np.std(y)) if len(y) > 1 else 0.0
-        apart = np.abs(centre[:, None] - centre[None])
-        cov = noise.slow**2 * np.exp(-apart / noise.slow_time)
-        cov += (CHANNELS[channel].discrepancy * rms) ** 2 * _difference(apart, frequency)
+        lag = np.abs(centre[:, None] - centre[None])
+        cov = noise.slow**2 * np.exp(-lag / noise.slow_time)
+        scale = CHANNELS[channel].discrepancy * rms
+        cov += scale**2 * _discrepancy_correlation(lag, frequency)
         cov += noise.tare**2 + CHANNELS[channel].gain ** 2 * np.outer(y, y)
         if spans is not None:
             unknown = self._averaged(spans)
@@ -103,18 +105,18 @@ class Whitener:
         return series[:, : self._n].reshape(len(series), -1, self._group).mean(axis=2)
 
     def __call__(self, series: np.ndarray) -> np.ndarray:
-        """White series (k, m) of `series` (k, n); what is not finite stays so."""
+        """Return the whitened series (k, m) of `series` (k, n); non-finite values stay."""
         averaged = self._averaged(np.atleast_2d(series))
         return solve_triangular(self._factor, averaged.T, lower=True, check_finite=False).T
 
 
-def _difference(apart: np.ndarray, frequency: float | None) -> np.ndarray:
-    """Correlation of the difference of correct programs at times so far `apart` [s].
+def _discrepancy_correlation(lag: np.ndarray, frequency: float | None) -> np.ndarray:
+    """Return the correlation of the model-discretisation discrepancy at a time `lag` [s].
 
-    Exponential in the chord of the stride's circle, so that it comes back after a stride, and
-    slowly forgotten over strides.
+    It is exponential in the chord of the phase circle, so that it returns after each stride, and
+    decays slowly over strides.
     """
     if not frequency:
-        return np.exp(-apart / DISCREPANCY_TIME)
-    chord = np.abs(np.sin(np.pi * frequency * apart)) / (np.pi * frequency)
-    return np.exp(-chord / DISCREPANCY_TIME - apart * frequency / STRIDES)
+        return np.exp(-lag / DISCREPANCY_TIME)
+    chord = np.abs(np.sin(np.pi * frequency * lag)) / (np.pi * frequency)
+    return np.exp(-chord / DISCREPANCY_TIME - lag * frequency / DISCREPANCY_STRIDES)

@@ -4,8 +4,8 @@ For every trial and channel, with the whitened residual r and tangents J (parame
 
     A = J J^T,    b = J r,    c = r.r,    n samples
 
-Least squares, scores, cross-validation and equivalence classes need only sums of these matrices.
-Each parameter vector is therefore simulated once.
+Least squares, scores, cross-validation and equivalence classes need only sums of these matrices. So
+each parameter vector is simulated once.
 """
 
 from abc import ABC, abstractmethod
@@ -17,7 +17,7 @@ from typing import NamedTuple, final
 import numpy as np
 
 from calibration.inference.cache import Memo
-from calibration.inference.noise import Noise, Whitener, declared
+from calibration.inference.noise import Noise, Whitener, channel_noise
 from calibration.measurements.records import Record
 from calibration.model.extended import base_values, base_vector, parameters
 from calibration.model.initial_swing import spans
@@ -61,7 +61,7 @@ class ChannelBlock(NamedTuple):
 
 
 def summed(blocks: Sequence[ChannelBlock]) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the sums of A and b over all blocks."""
+    """Return the sums of A and b over all blocks."""
     return np.sum([x.A for x in blocks], axis=0), np.sum([x.b for x in blocks], axis=0)
 
 
@@ -98,32 +98,32 @@ class AbstractProblem(ABC):
 
     @abstractmethod
     def spans(self) -> list[np.ndarray] | None:
-        """Returns the change of every trial's readings by the initial swing.
+        """Return the change of every trial's readings by the initial swing.
 
         Shape (2, channels, samples) for every trial; None if the trials start at rest.
         """
 
     def predict(self, theta: np.ndarray) -> list[np.ndarray]:
-        """Returns the readings (channels, samples) of every trial."""
+        """Return the readings (channels, samples) of every trial."""
         return self._cached("predict", [theta], lambda: self._predict(theta))
 
     def tangents(self, theta: np.ndarray, directions: np.ndarray) -> list[np.ndarray]:
-        """Returns the derivatives (k, channels, samples) of every trial along k `directions`."""
+        """Return the derivatives (k, channels, samples) of every trial along k `directions`."""
         return self._cached(
             "tangents", [theta, directions], lambda: self._tangents(theta, directions)
         )
 
     def secants(self, theta: np.ndarray, others: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Returns the changes (k, channels, samples) of every trial from `theta` to k `others`."""
+        """Return the changes (k, channels, samples) of every trial from `theta` to k `others`."""
         return self._cached("secants", [theta, *others], lambda: self._secants(theta, others))
 
     def _cached(self, kind: str, arrays: Sequence[np.ndarray], make) -> list[np.ndarray]:
         if self.memo is None:
             return make()
-        return self.memo.kept(f"{kind} {[r.trial.file for r in self.records]}", arrays, make)
+        return self.memo.cached(f"{kind} {[r.trial.file for r in self.records]}", arrays, make)
 
     def whiteners(self, predicted: list[np.ndarray]) -> dict[tuple[int, str], Whitener]:
-        """Returns the whitener of every trial and channel.
+        """Return the whitener of every trial and channel.
 
         Noise that is a share of the signal is taken from the `predicted` signal.
         """
@@ -145,7 +145,7 @@ class AbstractProblem(ABC):
     def residuals(
         self, predicted: list[np.ndarray], white: dict[tuple[int, str], Whitener]
     ) -> dict[tuple[int, str], np.ndarray]:
-        """Returns the whitened residuals, measured less predicted, of every trial and channel."""
+        """Return the whitened residuals, measured less predicted, of every trial and channel."""
         found = {}
         for key, whiten in white.items():
             i, channel = key
@@ -159,7 +159,7 @@ class AbstractProblem(ABC):
         derivatives: list[np.ndarray],
         white: dict[tuple[int, str], Whitener],
     ) -> list[ChannelBlock]:
-        """Returns the matrices of every trial and channel."""
+        """Return the matrices of every trial and channel."""
         found = []
         for key, r in residuals.items():
             i, channel = key
@@ -172,17 +172,14 @@ class AbstractProblem(ABC):
 @final
 @dataclass(frozen=True, kw_only=True)
 class TankProblem(AbstractProblem):
-    """Trials of the robot in the tank, with the plans to simulate them.
-
-    With `maps`, one for each trial, the fitted vector determines each trial's own parameters.
-    Without, the vector holds the parameters of all trials.
-    """
+    """Trials of the robot in the tank, with the plans to simulate them."""
 
     fine: list[TrialPlan]
     coarse: list[TrialPlan]
     mesh: Resolution = COARSE
     """Resolution of the tangents."""
     maps: tuple[Affine, ...] | None = None
+    """Maps from the fitted vector to each trial's parameters; None if all trials share them."""
     swing: Swing | None = None
 
     @classmethod
@@ -195,7 +192,7 @@ class TankProblem(AbstractProblem):
         fine: Resolution = FINE,
         coarse: Resolution = COARSE,
     ) -> "TankProblem":
-        """Returns the problem of an experiment's `records` for the extended model with `effects`.
+        """Return the problem of an experiment's `records` for the extended model with `effects`.
 
         `channels` are the fitted channels (default: all).
         """
@@ -206,7 +203,7 @@ class TankProblem(AbstractProblem):
             for resolution in (fine, coarse)
         ]
         noise = {
-            (i, channel): declared(experiment.sensors, channel, r.values[row_of(channel)])
+            (i, channel): channel_noise(experiment.sensors, channel, r.values[row_of(channel)])
             for i, r in enumerate(records)
             for channel in channels
             if r.has(channel)
@@ -242,15 +239,15 @@ class TankProblem(AbstractProblem):
         return self.predict_each(self._own(theta))
 
     def predict_each(self, thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Returns the readings (channels, samples) of every trial at its own parameters."""
+        """Return the readings (channels, samples) of every trial at its own parameters."""
         pairs = list(zip(self.fine, thetas, strict=True))
         return on_all_cores(lambda pair: predict(*pair), pairs)
 
     def _secants(self, theta: np.ndarray, others: Sequence[np.ndarray]) -> list[np.ndarray]:
         def one(job):
-            laid, here, there = job
-            begin = predict(laid, here)
-            return np.stack([predict(laid, other) - begin for other in there])
+            plan, here, there = job
+            begin = predict(plan, here)
+            return np.stack([predict(plan, other) - begin for other in there])
 
         each = zip(*(self._own(other) for other in others), strict=True)
         return on_all_cores(one, list(zip(self.coarse, self._own(theta), each, strict=True)))
@@ -260,22 +257,22 @@ class TankProblem(AbstractProblem):
             return on_all_cores(lambda p: tangents(p, theta, directions), self.coarse)
 
         def one(job):
-            laid, own, along = job
+            plan, own, along = job
             moved = np.flatnonzero(np.any(along != 0.0, axis=1))
-            found = np.zeros((len(along), len(CHANNELS), len(laid.at)))
+            found = np.zeros((len(along), len(CHANNELS), len(plan.at)))
             if moved.size:
-                found[moved] = tangents(laid, own, along[moved])
+                found[moved] = tangents(plan, own, along[moved])
             return found
 
         along = [directions @ m.matrix.T for m in self.maps]
         return on_all_cores(one, list(zip(self.coarse, self._own(theta), along, strict=True)))
 
     def _own(self, theta: np.ndarray) -> list[np.ndarray]:
-        """Every trial's own parameters."""
+        """Return every trial's own parameters."""
         return [theta] * len(self.fine) if self.maps is None else [m.at(theta) for m in self.maps]
 
 
 def total(residuals: dict[tuple[int, str], np.ndarray]) -> float:
-    """Returns the sum of squares of all whitened residuals; failed channels count as `FAILED`."""
+    """Return the sum of squares of all whitened residuals; failed channels count as `FAILED`."""
     parts = [float(r @ r) for r in residuals.values()]
     return sum(x if np.isfinite(x) else FAILED for x in parts)

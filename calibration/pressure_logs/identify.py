@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.inference.intervals import (
-    Evidence,
     Interval,
+    RecordDerivatives,
     pooled_interval,
     record_interval,
     within_interval,
@@ -121,6 +121,9 @@ def identify_lag(logs: Sequence[ManifoldLog], reference_k: float = PAPER_K) -> I
     return Identification(tuple(results), k, within)
 
 
-def _evidence(fit, counts: Sequence[int]) -> list[Evidence]:
+def _evidence(fit, counts: Sequence[int]) -> list[RecordDerivatives]:
     residual, tangent, H = (np.asarray(x) for x in (fit.residual, fit.tangent, fit.curvature))
-    return [Evidence(residual[i, :n], tangent[i, :n], float(H[i])) for i, n in enumerate(counts)]
+    return [
+        RecordDerivatives(residual[i, :n], tangent[i, :n], float(H[i]))
+        for i, n in enumerate(counts)
+    ]

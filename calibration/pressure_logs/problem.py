@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from calibration.inference.noise import declared
+from calibration.inference.noise import channel_noise
 from calibration.inference.problem import AbstractProblem
 from calibration.measurements.records import Record
 from calibration.model.extended import Extended, candidates, parameters
@@ -102,7 +102,7 @@ class PressureLogProblem(AbstractProblem):
         found = [log_record(log, x) for log, x in zip(logs, experiments, strict=True)]
         row = row_of(CHANNEL)
         noise = {
-            (i, CHANNEL): declared(SensorsTable(), CHANNEL, r.values[row])
+            (i, CHANNEL): channel_noise(SensorsTable(), CHANNEL, r.values[row])
             for i, r in enumerate(found)
         }
         n = max(round(log.t[-1] / log.period) for log in logs) + 1

@@ -1,4 +1,4 @@
-"""Renders a report page from its template: one HTML file with its tables and pictures inside."""
+"""Report pages from templates: one HTML file with its tables and pictures inside."""
 
 import base64
 import io
@@ -16,12 +16,12 @@ TEMPLATES = Environment(
 
 
 def render_page(template: str, **content: Any) -> str:
-    """Returns the page of a template in `templates/`; it escapes every text of `content`."""
+    """Return the page of a template in `templates/`; it escapes every text of `content`."""
     return TEMPLATES.get_template(template).render(content)
 
 
 def embedded_png(figure) -> str:
-    """Returns a matplotlib figure as a base64 PNG and closes the figure."""
+    """Return a matplotlib figure as a base64 PNG and closes the figure."""
     import matplotlib.pyplot as plt
 
     buffer = io.BytesIO()

@@ -1,4 +1,4 @@
-"""Fitted parameters as reports and model files show them."""
+"""Fitted parameters as records, texts and model files."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -6,36 +6,37 @@ from typing import Any
 import numpy as np
 
 from calibration.inference.gauss_newton import Fit
-from calibration.inference.uncertainty import by_variation, confidence_interval, determined
+from calibration.inference.uncertainty import confidence_interval, determined, value_by_variation
 from calibration.model.extended import Parameter
 from slider_jax.io.toml import significant
 
 
 def parameter_record(fit: Fit, entries: Sequence[Parameter], index: int) -> dict[str, Any]:
-    """A fitted parameter as reports say it: no value where the data do not fix one, and of the
-    interval what lies in the prior range."""
+    """Return the record of a fitted parameter.
+
+    If the data do not determine it, its value is None and its interval is clipped to the prior.
+    """
     p, (value, low, high) = entries[index], confidence_interval(fit, entries, index)
-    said = {"value": value, "low": low, "high": high, "unit": p.prior.unit}
+    record = {"value": value, "low": low, "high": high, "unit": p.prior.unit}
     if not determined(p, low, high):
         low, high = (float(np.clip(x, p.prior.low, p.prior.high)) for x in (low, high))
-        said |= {"value": None, "low": low, "high": high, "not_determined_by_these_data": True}
-    alone = by_variation(fit, index)
-    return said | ({} if alone is None else {"by_variation_alone": alone})
+        record |= {"value": None, "low": low, "high": high, "not_determined_by_these_data": True}
+    alone = value_by_variation(fit, index)
+    return record | ({} if alone is None else {"by_variation_alone": alone})
 
 
 def parameter_text(x: dict[str, Any]) -> str:
-    """A parameter as `parameter_record`: value and interval, or that there is none."""
+    """Return a `parameter_record` as text: value and 95 % interval."""
     within = f"({x['low']:.4g} to {x['high']:.4g}) {x['unit']}"
     value = "not determined by these data" if x["value"] is None else f"{x['value']:.4g}"
-    said = f"{value}  {within}"
-    return said + (f"; {widened(x)}" if "by_variation_alone" in x else "")
+    return f"{value}  {within}" + (f"; {widened(x)}" if "by_variation_alone" in x else "")
 
 
 def widened(x: dict[str, Any]) -> str:
-    """Why the interval is wider than the noise asks for."""
+    """Return the reason for a widened interval."""
     return (
-        f"by what varies of the forces alone {x['by_variation_alone']:.4g}, which is farther "
-        "off than chance: the interval is widened for it"
+        f"without the forces' means the value is {x['by_variation_alone']:.4g}; this difference "
+        "is significant, so the interval is widened"
     )
 
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calibration.inference.noise import declared
+from calibration.inference.noise import channel_noise
 from calibration.twin.faults import SUSPECTS
 from slider_jax.channels import BUILT_IN, CHANNELS
 from slider_jax.experiment.schema import SensorsTable
@@ -124,7 +124,7 @@ class Bands:
         noise = SMALL * np.maximum(size, 1e-12)
         for i, channel in enumerate(BUILT_IN):
             if np.isfinite(values[i]).sum() >= FEW:
-                found = declared(sensors, channel, values[i])
+                found = channel_noise(sensors, channel, values[i])
                 noise[i] = max(noise[i], math.hypot(found.white, found.slow))
         share = np.array([math.hypot(CHANNELS[c].gain, CHANNELS[c].discrepancy) for c in BUILT_IN])
         return cls(noise, share, size)

@@ -5,7 +5,7 @@ import importlib.util
 import numpy as np
 import pytest
 
-from calibration.inference.noise import declared
+from calibration.inference.noise import channel_noise
 from calibration.inference.problem import TankProblem
 from calibration.measurements.records import records
 from calibration.model.predict import Resolution, plan, predict
@@ -69,7 +69,7 @@ def test_a_channel_outside_the_package_is_simulated_read_and_fitted(marked):
     assert errors["tip_m"] < 1e-12
 
     found = records(experiment)
-    noise = declared(experiment.sensors, "marker", found[0].values[row_of("marker")])
+    noise = channel_noise(experiment.sensors, "marker", found[0].values[row_of("marker")])
     assert 0.0 < noise.white and noise.tare == 0.0
     resolution = Resolution(11, 60, 4e-3)
     theta = np.array([3.0, 1.0, 0.087, 4.79e-7])

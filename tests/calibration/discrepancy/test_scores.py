@@ -111,7 +111,7 @@ def test_the_bounded_optimum_is_free_inside_and_at_the_bound_outside():
 def test_bounds_are_invertible():
     bounds = Bounds.of([Parameter("", "k", Prior(np.nan, 0.005, 0.5, "s", ""))])
     theta = np.array([0.087])
-    np.testing.assert_allclose(bounds.inside(bounds.outside(theta)), theta, rtol=1e-12)
+    np.testing.assert_allclose(bounds.theta_of(bounds.z_of(theta)), theta, rtol=1e-12)
 
 
 def test_a_trial_that_cannot_see_a_candidate_has_no_say():

@@ -13,7 +13,7 @@ from calibration.identification.per_frequency import compare, comparison_text, v
 from calibration.identification.per_frequency_report import per_frequency_model
 from calibration.inference import problem as evidence
 from calibration.inference.gauss_newton import fit_gauss_newton
-from calibration.inference.uncertainty import SYSTEMATIC
+from calibration.inference.uncertainty import BASE_DISCREPANCY
 from calibration.measurements.synthetic import ROBOT, START, Truth, trials, write_tank
 from calibration.model.extended import base_vector, parameters
 from calibration.model.predict import Resolution
@@ -106,7 +106,7 @@ def test_values_by_frequency_fit_what_no_ramp_fits(monkeypatch):
     found = compared(experiment, entries, closed.measured(experiment, thetas, 0))
     fits = {n: w.fit.square / w.fit.samples for n, w in found.ways.items()}
     assert fits["per_frequency"] < 1.3 < 2.0 < fits["constant"]
-    assert all(w.fit.apart is not None for w in found.ways.values())  # halves were compared
+    assert all(w.fit.difference is not None for w in found.ways.values())  # halves were compared
 
 
 def test_too_few_frequencies_decide_nothing(monkeypatch):
@@ -203,7 +203,9 @@ def test_the_proposed_trial_does_what_was_promised(monkeypatch):
     found = design.best_trial(experiment, entries, one.theta, [0, 1], candidates, known)
     assert found[1].trial.frequency == 5.0
     after = fit_gauss_newton(closed.problem_of(experiment, seen[:2]), entries, one.theta, free)
-    width = 1.96 * np.hypot(np.sqrt(after.covariance[1, 1]), SYSTEMATIC["m_a"] * after.theta[1])
+    width = 1.96 * np.hypot(
+        np.sqrt(after.covariance[1, 1]), BASE_DISCREPANCY["m_a"] * after.theta[1]
+    )
     print("promised", found[1].half_width, "found", width)
     assert found[1].half_width == pytest.approx(width, rel=0.1)
     assert found[1].half_width < 0.7 * 1.96 * np.sqrt(one.covariance[1, 1])
@@ -227,7 +229,7 @@ def test_a_proposed_trial_adds_to_the_data_at_hand(monkeypatch):
     second = fit_gauss_newton(closed.problem_of(experiment, seen[1:]), entries, one.theta, free)
 
     def width(x):
-        return 1.96 * np.hypot(np.sqrt(x.covariance[1, 1]), SYSTEMATIC["m_a"] * x.theta[1])
+        return 1.96 * np.hypot(np.sqrt(x.covariance[1, 1]), BASE_DISCREPANCY["m_a"] * x.theta[1])
 
     assert found[1].half_width == pytest.approx(width(after), rel=0.05)
     assert width(after) < 0.9 * min(width(one), width(second))

@@ -1,4 +1,4 @@
-"""Where a fit ends, on a curve whose optimum SciPy knows."""
+"""Convergence of the Gauss-Newton fit on a curve, compared with SciPy's optimum."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def curve(theta):
 
 
 class Curve:
-    """What `fit` asks of a problem: noise of unit variance, and `lack` that no curve explains."""
+    """A problem with noise of unit variance and a sine of amplitude `lack` outside the model."""
 
     def __init__(self, lack=0.0):
         rng = np.random.default_rng(0)
@@ -47,7 +47,7 @@ class Curve:
 
 @pytest.mark.parametrize(("lack", "share"), [(0.0, 0.15), (5.0, 0.15), (8.0, 0.72)])
 def test_a_fit_ends_within_a_share_of_a_standard_error(lack, share):
-    """A seventh; two thirds where the model leaves many times the noise."""
+    """The share is a seventh, or two thirds if the residual is many times the noise."""
     problem = Curve(lack)
     found = fit_gauss_newton(problem, ENTRIES, np.array([3.5, 2.0]), np.arange(2))
     best = least_squares(lambda x: curve(x) - problem.y, TRUTH, xtol=1e-14, gtol=1e-14)
@@ -58,7 +58,7 @@ def test_a_fit_ends_within_a_share_of_a_standard_error(lack, share):
 
 
 class Wall(Curve):
-    """Beyond k = 1 nothing can be simulated."""
+    """A curve that cannot be simulated for k > 1."""
 
     beyond = 0
 
@@ -75,19 +75,19 @@ def test_a_step_that_cannot_be_simulated_is_shortened():
     np.testing.assert_allclose(found.theta, TRUTH, rtol=0.1)
 
 
-def test_a_start_that_cannot_be_simulated_is_told_and_not_raised():
+def test_a_start_that_cannot_be_simulated_does_not_converge_and_raises_nothing():
     found = fit_gauss_newton(Wall(), ENTRIES, np.array([1.0, 1.2]), np.arange(2))
     assert not found.converged and found.square >= FAILED
 
 
-def test_without_finite_tangents_nothing_has_converged():
+def test_a_fit_without_finite_tangents_does_not_converge():
     problem = Curve()
     problem.tangents = lambda theta, directions: [np.full((2, len(T)), np.nan)]
     found = fit_gauss_newton(problem, ENTRIES, TRUTH, np.arange(2))
     assert not found.converged and np.isinf(found.covariance).all()
 
 
-def test_a_step_that_only_makes_it_worse_is_not_the_end(monkeypatch):
+def test_a_fit_without_an_improving_step_does_not_converge(monkeypatch):
     monkeypatch.setattr(
         "calibration.inference.gauss_newton._linear_optimum",
         lambda A, b, start, bounds: start - 0.5,

@@ -1,11 +1,11 @@
-"""L-BFGS finds what Levenberg and Marquardt find, by gradients alone."""
+"""L-BFGS and Gauss-Newton return the same optimum."""
 
 import numpy as np
 import pytest
 
 from calibration.audit.audit import Audited
 from calibration.identification import identify
-from calibration.inference import lbfgs as descent
+from calibration.inference import lbfgs
 from calibration.inference.gauss_newton import fit_gauss_newton
 from calibration.inference.lbfgs import fit_lbfgs
 from calibration.inference.problem import TankProblem
@@ -24,68 +24,66 @@ MANY = ("leakage", "tangential_friction", "camera_scale", "force_gain", "tail_dr
         "linear_drag", "tip_mass", "tank_current")  # fmt: skip
 
 
-def apart(one, two):
-    """Distance of two fits in standard errors, entry by entry."""
+def difference(one, two):
+    """Return the difference of two fits in standard errors, for each entry."""
     return np.abs(one.theta - two.theta)[one.free] / np.sqrt(np.diag(one.covariance))
 
 
 @pytest.mark.parametrize("effects", [(), MANY])
-def test_both_methods_find_the_same_optimum(monkeypatch, effects):
-    """From a far start, with 4 and with 12 or more parameters: within 0.1 standard errors."""
+def test_both_methods_return_the_same_optimum(monkeypatch, effects):
+    """From a distant start with 4 or 12 parameters, they agree within 0.1 standard errors."""
     closed.replace_the_beam(monkeypatch)
     experiment = closed.experiment_of((0.8, 1.5, 3.0, 5.0))
     entries = parameters(effects)
     truth = base_vector(entries, TRUTH)
     truth[4:] += 0.2 * np.array([p.prior.high - p.prior.low for p in entries[4:]])
     problem = closed.problem_of(experiment, closed.measured(experiment, [truth] * 4, 1), effects)
-    begun, free = base_vector(entries, START), np.arange(len(entries))
-    white = problem.whiteners(problem.predict(begun))
-    one = fit_gauss_newton(problem, entries, begun, free, white=white)
-    two = fit_lbfgs(problem, entries, begun, free, white=white)
-    print(len(entries), "apart", apart(one, two).max(), "squares", one.square, two.square)
+    initial, free = base_vector(entries, START), np.arange(len(entries))
+    white = problem.whiteners(problem.predict(initial))
+    one = fit_gauss_newton(problem, entries, initial, free, white=white)
+    two = fit_lbfgs(problem, entries, initial, free, white=white)
     assert one.converged and two.converged
-    assert apart(one, two).max() < 0.1
+    assert difference(one, two).max() < 0.1
     assert two.square == pytest.approx(one.square, abs=0.02 * one.inflation)
-    assert np.abs(begun - one.theta)[0] > 3.0 * np.sqrt(one.covariance[0, 0])
+    assert np.abs(initial - one.theta)[0] > 3.0 * np.sqrt(one.covariance[0, 0])
 
 
-def test_a_descent_that_is_cut_short_says_so(monkeypatch):
+def test_a_fit_at_the_gradient_limit_does_not_converge(monkeypatch):
     closed.replace_the_beam(monkeypatch)
-    monkeypatch.setattr(descent, "ITERATIONS", 2)
+    monkeypatch.setattr(lbfgs, "MAX_GRADIENTS", 2)
     experiment, entries = closed.experiment_of((0.8, 3.0)), parameters(())
     records = closed.measured(experiment, [base_vector(entries, TRUTH)] * 2, 1)
-    begun = base_vector(entries, START)
-    found = fit_lbfgs(closed.problem_of(experiment, records), entries, begun, np.arange(4))
+    initial = base_vector(entries, START)
+    found = fit_lbfgs(closed.problem_of(experiment, records), entries, initial, np.arange(4))
     assert not found.converged
 
 
 @pytest.mark.slow
-def test_both_methods_find_the_same_optimum_of_the_beam(tmp_path):
+def test_both_methods_return_the_same_optimum_for_the_beam(tmp_path):
     runs = [run | {"duration": 0.8} for run in trials(5, count=5)[2:]]
     experiment = load(write_tank(tmp_path, Truth(TRUTH, {}), runs, 0, numerics=TANK))
     entries, free = parameters(()), np.arange(4)
     problem = TankProblem.of(experiment, records(experiment), (), fine=MESH, coarse=MESH)
-    begun = base_vector(entries, START)
-    white = problem.whiteners(problem.predict(begun))
-    one = fit_gauss_newton(problem, entries, begun, free, white=white)
-    two = fit_lbfgs(problem, entries, begun, free, white=white)
-    print("apart", apart(one, two), "squares", one.square, two.square)
+    initial = base_vector(entries, START)
+    white = problem.whiteners(problem.predict(initial))
+    one = fit_gauss_newton(problem, entries, initial, free, white=white)
+    two = fit_lbfgs(problem, entries, initial, free, white=white)
     assert one.converged and two.converged
-    assert np.all(apart(one, two) < 0.1)
+    assert np.all(difference(one, two) < 0.1)
 
 
 @pytest.mark.parametrize(
-    ("effects", "given", "taken"),
+    ("effects", "method", "used"),
     [((), "auto", "lm"), (MANY, "auto", "lbfgs"), ((), "lbfgs", "lbfgs"), (MANY, "lm", "lm")],
 )
-def test_many_parameters_take_the_descent(monkeypatch, effects, given, taken):
+def test_lbfgs_is_the_default_for_many_parameters(monkeypatch, effects, method, used):
     closed.replace_the_beam(monkeypatch)
     experiment = closed.experiment_of((0.8, 1.5, 3.0, 5.0))
     truth = base_vector(parameters(effects), TRUTH)
     found = closed.measured(experiment, [truth] * 4, 1)
     monkeypatch.setattr(identify, "audit_measurements", lambda *_: Audited(found, []))
-    result = identify.identify_parameters(experiment, effects, method=given)
-    assert result.method == taken and result.fit.converged
+    result = identify.identify_parameters(experiment, effects, method=method)
+    assert result.method == used and result.fit.converged
 
 
 def test_an_unknown_method_is_refused():

@@ -1,4 +1,4 @@
-"""Whether the mean of a force and what varies of it ask for the same parameter."""
+"""Hausman's test: the forces' means against their variation."""
 
 from dataclasses import dataclass
 
@@ -44,7 +44,7 @@ class Drag(AbstractProblem):
 
 
 def fitted(seed: int, varying: float):
-    """On data whose mean asks for a = 1 and whose variation asks for `varying`."""
+    """Return the tested fit to data with a = 1 in the mean and a = `varying` in the variation."""
     rng = np.random.default_rng(seed)
     trial = Trial.model_validate(
         {"file": "a.csv", "frequency": 1.0, "amplitude": 1e5, "duration": 2.0}
@@ -59,22 +59,22 @@ def fitted(seed: int, varying: float):
     return hausman_check(problem, fit_gauss_newton(problem, ENTRIES, np.array([1.0]), np.arange(1)))
 
 
-def test_halves_that_agree_leave_the_interval_alone():
+def test_consistent_data_do_not_widen_the_interval():
     found = [fitted(seed, 1.0) for seed in range(20)]
-    widened = [float(f.widening[0]) for f in found if f.apart[0] != 0.0]
-    assert all((f.widening[0] > 1.0) == (f.apart[0] != 0.0) for f in found)
+    widened = [float(f.widening[0]) for f in found if f.difference[0] != 0.0]
+    assert all((f.widening[0] > 1.0) == (f.difference[0] != 0.0) for f in found)
     assert len(widened) <= 3 and all(x < 3.5 for x in widened)
 
 
 @pytest.mark.parametrize("varying", [0.6, 1.4])
-def test_halves_that_disagree_are_told_and_widen_it(varying):
+def test_a_disagreement_is_recorded_and_widens_the_interval(varying):
     found = fitted(0, varying)
     value, low, high = confidence_interval(found, ENTRIES, 0)
-    assert found.apart[0] + value == pytest.approx(varying, abs=0.06)
+    assert found.difference[0] + value == pytest.approx(varying, abs=0.06)
     assert found.widening[0] > 3.0 and low < 1.0 < high
-    narrow = found._replace(apart=None, widening=1.0)
-    said = parameter_record(found, ENTRIES, 0)
-    assert said["by_variation_alone"] == pytest.approx(varying, abs=0.06)
-    assert "what varies of the forces alone" in parameter_text(said)
+    narrow = found._replace(difference=None, widening=1.0)
+    record = parameter_record(found, ENTRIES, 0)
+    assert record["by_variation_alone"] == pytest.approx(varying, abs=0.06)
+    assert "without the forces' means" in parameter_text(record)
     assert "forces" not in parameter_text(parameter_record(narrow, ENTRIES, 0))
     assert high - low > 2.0 * np.diff(confidence_interval(narrow, ENTRIES, 0)[1:])[0]

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from calibration.inference.noise import Noise, Whitener, declared
+from calibration.inference.noise import Noise, Whitener, channel_noise
 from calibration.inference.problem import TankProblem
 from calibration.measurements.records import Record
 from calibration.model.initial_swing import first_mode, spans
@@ -97,5 +97,5 @@ def test_a_trial_that_began_swinging_is_explained_once_that_is_declared(
 def test_the_place_at_rest_is_not_that_of_the_moment():
     tip = np.random.default_rng(1).normal(size=300)
     sensors = SensorsTable(tip_noise=1e-4, start_swing=3e-4)
-    assert declared(sensors, "tip", tip).tare == 3e-4
-    assert declared(sensors, "p_front", tip).tare == 0.0
+    assert channel_noise(sensors, "tip", tip).tare == 3e-4
+    assert channel_noise(sensors, "p_front", tip).tare == 0.0

@@ -95,10 +95,10 @@ def test_too_few_logs_are_refused(logs):
 
 def test_what_was_torn_is_made_anew(tmp_path):
     memo = Memo(tmp_path)
-    memo.kept("a", [], lambda: [np.arange(1000.0)])
+    memo.cached("a", [], lambda: [np.arange(1000.0)])
     (file,) = tmp_path.iterdir()
     file.write_bytes(file.read_bytes()[:-100])
-    (found,) = memo.kept("a", [], lambda: [np.arange(1000.0)])
+    (found,) = memo.cached("a", [], lambda: [np.arange(1000.0)])
     np.testing.assert_array_equal(found, np.arange(1000.0))
 
 

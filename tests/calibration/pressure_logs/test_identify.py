@@ -12,7 +12,12 @@ import numpy as np
 import pytest
 
 from calibration.cli import simulate_log
-from calibration.inference.intervals import Evidence, correlation_time, noise_floor, record_interval
+from calibration.inference.intervals import (
+    RecordDerivatives,
+    correlation_time,
+    noise_floor,
+    record_interval,
+)
 from calibration.pressure_logs.identify import identify_lag, rms
 from calibration.pressure_logs.lag import (
     Batch,
@@ -43,7 +48,7 @@ def made(k=0.1, frequency=1.0, cycles=2.0, extra=None, **keywords):
 
 
 def evidence(fit, i=0):
-    return Evidence(
+    return RecordDerivatives(
         np.asarray(fit.residual[i]), np.asarray(fit.tangent[i]), float(fit.curvature[i])
     )
 
