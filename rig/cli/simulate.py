@@ -94,10 +94,10 @@ def rig_simulate(
 
     # Manifold and force sensor are threads: by default one may keep the other waiting for 5 ms.
     sys.setswitchinterval(2e-4)
-    mischief = LineFaults(
+    line_faults = LineFaults(
         flipped=flipped, dropped=dropped, noise=noise, tip_noise=tip_noise, seed=seed
     )
-    simulated = SimulatedRig(tank, mischief=mischief)
+    simulated = SimulatedRig(tank, faults=line_faults)
     with real_time_priority(), running(simulated, force_noise, at, seed) as rig:
         share_priority_with_all_threads()
         if rig_file.exists():

@@ -28,16 +28,16 @@ class LineFaults:
 class FaultyLine:
     """Damages bytes as a `LineFaults` says, and counts how many it touched."""
 
-    mischief: LineFaults
+    faults: LineFaults
     touched: int = 0
     _random: Random = field(init=False)
 
     def __post_init__(self) -> None:
-        self._random = Random(self.mischief.seed)
+        self._random = Random(self.faults.seed)
 
     def damage(self, piece: bytes) -> bytes:
         """What arrives of a piece."""
-        m = self.mischief
+        m = self.faults
         share = m.flipped + m.dropped + m.inserted
         if not share or not piece:
             return piece

@@ -28,15 +28,15 @@ class SimulatedRig:
         self,
         tank: Tank,
         core: ManifoldCore | None = None,
-        mischief: LineFaults = LineFaults(),
+        faults: LineFaults = LineFaults(),
         new_core: Callable[[], ManifoldCore] = ManifoldCore,
     ):
-        self.core, self.tank, self.mischief = core or new_core(), tank, mischief
+        self.core, self.tank, self.faults = core or new_core(), tank, faults
         self._new_core = new_core
         self._in, self._out, self._random = (
-            FaultyLine(mischief),
-            FaultyLine(mischief),
-            Random(mischief.seed),
+            FaultyLine(faults),
+            FaultyLine(faults),
+            Random(faults.seed),
         )
         self._begun: int | None = None
         self._at, self._reset, self._held = 0, False, b""
@@ -63,7 +63,7 @@ class SimulatedRig:
         while self._at <= now_us:
             since = (self._at - self._begun) * 1e-6
             before = self.core.set_pressures
-            if self.mischief.reset_at is not None and since >= self.mischief.reset_at:
+            if self.faults.reset_at is not None and since >= self.faults.reset_at:
                 if not self._reset:
                     self.core, self._reset = self._new_core(), True
             if self._at > self._begun:
@@ -120,20 +120,20 @@ class SimulatedRig:
         return a, b, c, d
 
     def _channels(self, state: Measured, since: float) -> tuple[int, ...]:
-        noise = self.mischief.noise
+        noise = self.faults.noise
         chambers = [p + self._random.gauss(0.0, noise) if noise else p for p in state.chambers]
-        shaken = self.mischief.tip_noise
+        shaken = self.faults.tip_noise
         place = state.tip + (self._random.gauss(0.0, shaken) if shaken else 0.0)
         tip = round(1e6 * place / TIP_PER_VOLT)
         channels = [*(round(p) for p in chambers), round(state.supply), tip, 0, 0]
-        stuck = self.mischief.stuck
+        stuck = self.faults.stuck
         if stuck is not None and since >= stuck[1]:
             self._stuck = channels[stuck[0]] if self._stuck is None else self._stuck
             channels[stuck[0]] = self._stuck
         return tuple(channels)
 
     def _late(self, said: bytes, now_us: int) -> bytes:
-        silent, begun = self.mischief.silent, self._begun or now_us
+        silent, begun = self.faults.silent, self._begun or now_us
         if silent is not None and silent[0] <= (now_us - begun) * 1e-6 < silent[1]:
             self._held += said
             return b""

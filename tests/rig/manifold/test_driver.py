@@ -45,8 +45,8 @@ def rig_on(port, **changes):
     )
 
 
-def recorded(tmp_path, trials, mischief=LineFaults(noise=100.0), settings=None):
-    with in_thread(SimulatedRig(BenchTank(), mischief=mischief)) as served:
+def recorded(tmp_path, trials, faults=LineFaults(noise=100.0), settings=None):
+    with in_thread(SimulatedRig(BenchTank(), faults=faults)) as served:
         rig = rig_on(served.path)
         with rig.manifold:
             return run_trials(trials, rig, tmp_path, settings or {})
@@ -190,9 +190,9 @@ def test_a_run_that_was_stopped_goes_on_with_what_is_missing(tmp_path):
 
 
 def test_a_bad_line_loses_readings_and_says_so(tmp_path):
-    mischief = LineFaults(flipped=1e-4, dropped=1e-4, inserted=1e-4)
+    faults = LineFaults(flipped=1e-4, dropped=1e-4, inserted=1e-4)
     (told,) = recorded(
-        tmp_path, [PlannedTrial("a", SegmentDrive("sine", 2.0, 50e3), 1.0)], mischief
+        tmp_path, [PlannedTrial("a", SegmentDrive("sine", 2.0, 50e3), 1.0)], faults
     )
     assert told["readings_lost"] > 0 and told["frames_damaged"] > 0
     assert any("lost" in x for x in told["findings"])

@@ -34,8 +34,8 @@ DRIVE = SegmentDrive("square", 5.0, 200e3)
 class Watched:
     """A simulated rig that notes when it was last told something, and when it vents."""
 
-    def __init__(self, mischief=LineFaults()):
-        self.rig = SimulatedRig(BenchTank(), mischief=mischief)
+    def __init__(self, faults=LineFaults()):
+        self.rig = SimulatedRig(BenchTank(), faults=faults)
         self.vented, self.armed, self.heard = 0, threading.Event(), 0
         self.highest = 0
 
