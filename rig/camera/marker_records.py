@@ -31,20 +31,6 @@ class Tracks(NamedTuple):
     quality: np.ndarray
     """(frames, markers)"""
 
-    @property
-    def dropped(self) -> np.ndarray:
-        """Numbers of the frames that are missing, from 0 to the last one recorded."""
-        return np.setdiff1d(np.arange(self.number.max(initial=-1) + 1), self.number)
-
-    def every_frame(self) -> "Tracks":
-        """The same with a row for each frame from 0 on: NaN, and time 0, where it was dropped."""
-        frames, markers = self.number.max(initial=-1) + 1, self.xy.shape[1]
-        source_ns, quality = np.zeros(frames, np.int64), np.zeros((frames, markers))
-        xy = np.full((frames, markers, 2), np.nan)
-        source_ns[self.number] = self.source_ns
-        xy[self.number], quality[self.number] = self.xy, self.quality
-        return Tracks(np.arange(frames), source_ns, xy, quality)
-
 
 def read_records(records: Iterable[bytes]) -> Tracks:
     """Arrays of records. Raises `RigError` for a torn one, or one of another number of markers."""

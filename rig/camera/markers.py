@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rig.camera.ellipse_fit import fit_ellipse, start_at
-from rig.camera.opencv import opencv
+from rig.errors import RigError
 
 MARGIN = 10
 """Of the patch around a marker [px]."""
@@ -60,9 +60,20 @@ class Marker(NamedTuple):
     """1 for the same on both sides of its centre, 0 for all on one side."""
 
 
+def import_opencv() -> Any:
+    """The module cv2. Raises `RigError` where it is not installed."""
+    try:
+        import cv2
+    except ImportError:
+        raise RigError(
+            "camera: OpenCV is not installed; install it with pip install opencv-python-headless"
+        ) from None
+    return cv2
+
+
 def find_markers(image: np.ndarray, look: Look = Look()) -> list[Marker]:
     """The markers of an image, BGR uint8 (height, width, 3), in no order."""
-    cv2 = opencv()
+    cv2 = import_opencv()
     hsv = cv2.cvtColor(image, cv2.COLOR_BGR2HSV)
     low, high = (look.hue[0], look.saturation, look.value), (look.hue[1], 255, 255)
     blue = cv2.inRange(hsv, low, high)

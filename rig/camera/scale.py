@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rig.camera.opencv import opencv
+from rig.camera.markers import import_opencv
 from rig.errors import RigError
 
 MISFIT = 0.005
@@ -73,7 +73,7 @@ def straighten(px: np.ndarray, lens: Lens | None) -> np.ndarray:
     flat = np.ascontiguousarray(px.reshape(-1, 1, 2))
     # NaN goes in as a place in the image, and comes out again below.
     filled = np.where(np.isnan(flat), lens.matrix[:2, 2], flat)
-    straight = opencv().undistortPoints(filled, *lens, P=lens.matrix).reshape(px.shape)
+    straight = import_opencv().undistortPoints(filled, *lens, P=lens.matrix).reshape(px.shape)
     return np.where(np.isnan(px), np.nan, straight)
 
 
@@ -112,7 +112,7 @@ def scale_of_checkerboard(
     `corners` are the inner ones along and across, `square` [m] is the side of one. x runs along the
     board. Raises `RigError` if it is not found, or tilted.
     """
-    cv2 = opencv()
+    cv2 = import_opencv()
     gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     found, px = cv2.findChessboardCornersSB(gray, corners)
     if not found:
@@ -140,7 +140,7 @@ def scale_of_aruco(
     `markers` along and across, of `side` and `gap` [m], numbered from 0. Half of them have to be
     seen. Raises `RigError` if they are not, or the board is tilted.
     """
-    aruco = opencv().aruco
+    aruco = import_opencv().aruco
     if not hasattr(aruco, dictionary):
         raise RigError.value("camera: ArUco dictionary", dictionary, "OpenCV's, as DICT_4X4_50")
     words = aruco.getPredefinedDictionary(getattr(aruco, dictionary))

@@ -13,8 +13,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from rig.camera.marker_records import pack_record
-from rig.camera.markers import Look, find_markers
-from rig.camera.opencv import opencv
+from rig.camera.markers import Look, find_markers, import_opencv
 from rig.camera.tracking import Tracker
 from rig.errors import RigError
 
@@ -65,7 +64,7 @@ class OpenCvSource:
     """
 
     def __init__(self, source: Path | str | int, fps: float | None = None):
-        cv2 = self._cv2 = opencv()
+        cv2 = self._cv2 = import_opencv()
         self.live = isinstance(source, int)
         self.name = f"camera {source}" if self.live else str(source)
         if not isinstance(source, int) and not Path(source).is_file():

@@ -26,7 +26,7 @@ def rig_check(
     from rig.cli.shared import open_force_sensor, signals_as_ctrl_c
     from rig.force.sensor import SensorMounting
     from rig.manifold.driver import Manifold
-    from rig.manifold.limits import PressureLimits, checked
+    from rig.manifold.limits import PressureLimits, checked_pressures
     from rig.manifold.serial_port import open_port
     from rig.protocol.messages import CHANNELS
     from rig.scheduling import real_time_priority
@@ -41,7 +41,7 @@ def rig_check(
         output_folder(out.parent)
     settings = load_rig(rig)
     limits = PressureLimits.of(settings.manifold.limits)
-    checked((pressure,) * 4, limits)
+    checked_pressures((pressure,) * 4, limits)
     forces = None
     if settings.force is not None:
         print("force sensor ...", file=sys.stderr)

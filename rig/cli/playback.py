@@ -128,7 +128,7 @@ def _forces_of(table: ForceTable, stream: LiveStream) -> Iterator[ForceSource]:
         if at is None:
             return
         wrench = source.calibration.wrench(np.array(counts))
-        if rdt.unsound(status):
+        if rdt.is_invalid(status):
             wrench = np.full(6, np.nan)
         thrust, recoil = mounting.thrust_and_recoil(wrench)
         stream.force(host_ns, at, float(thrust), float(recoil))

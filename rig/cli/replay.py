@@ -9,8 +9,7 @@ import tyro
 from rig.cli.settings import RigTable
 from rig.cli.shared import RigFile, force_calibration, load_trials, marker_camera
 from rig.errors import RigError
-from rig.force.sensor import SensorMounting
-from rig.force.stream_reader import force_reader
+from rig.force.sensor import SensorMounting, force_reader
 from rig.recording.decode import drive_span
 from rig.recording.reader import Recording, read_recording
 from rig.recording.table import TrialColumns, trial_columns
@@ -142,11 +141,11 @@ def _read(trial: _Trial, given: RigTable | None, path: Path) -> tuple[TrialColum
 
 
 def _again(path: Path, speed: float) -> None:
-    from rig.simulated.replay import Replay
+    from rig.simulated.bench import ReplayDevice
     from rig.simulated.terminal import Terminal
 
     stream = read_recording(path).streams["manifold"]
-    device = Replay(stream, speed)
+    device = ReplayDevice(stream, speed)
     terminal = Terminal(device)
     print(f"port {terminal.path}", flush=True)
     seconds = (stream.host_ns[-1] - stream.host_ns[0]) * 1e-9 / speed if len(stream.ends) else 0.0

@@ -15,8 +15,7 @@ import tyro
 
 from rig.cli.settings import CameraTable, ForceTable, RigTable
 from rig.force.ati_net import NetCalibration, NetForce
-from rig.force.sensor import ForceSource, SensorMounting
-from rig.force.stream_reader import force_reader
+from rig.force.sensor import ForceSource, SensorMounting, force_reader
 from rig.manifold.driver import Manifold
 from rig.manifold.limits import PressureLimits
 from rig.recording.table import StreamReader

@@ -10,7 +10,7 @@ import numpy as np
 import tyro
 
 from rig.simulated.bench import MADE_UP
-from rig.simulated.tank import Measured
+from rig.simulated.tank import TankState
 from slider_jax.cli.options import MaybeExperiment, ModelFile, Value, Whole
 from slider_jax.errors import InputError
 
@@ -58,9 +58,8 @@ def rig_simulate(
         published: the authors' published firmware instead, with one chamber, for `slider rig log`.
     """
     from rig.scheduling import real_time_priority, share_priority_with_all_threads
-    from rig.simulated.bench import running
-    from rig.simulated.line_faults import LineFaults
-    from rig.simulated.rig import SimulatedRig
+    from rig.simulated.bench import serve_rig
+    from rig.simulated.rig import LineFaults, SimulatedRig
     from slider_jax.io.files import write_text
 
     for name, share in (("--flipped", flipped), ("--dropped", dropped)):
@@ -98,7 +97,7 @@ def rig_simulate(
         flipped=flipped, dropped=dropped, noise=noise, tip_noise=tip_noise, seed=seed
     )
     simulated = SimulatedRig(tank, faults=line_faults)
-    with real_time_priority(), running(simulated, force_noise, at, seed) as rig:
+    with real_time_priority(), serve_rig(simulated, force_noise, at, seed) as rig:
         share_priority_with_all_threads()
         if rig_file.exists():
             print(f"{rig_file} is replaced: it was of another simulated rig", file=sys.stderr)
@@ -119,11 +118,13 @@ def rig_simulate(
 
 def _serve_published(noise: float, seed: int) -> None:
     from rig.scheduling import real_time_priority
-    from rig.simulated.published import PublishedFirmware, generate
+    from rig.simulated.published import PublishedFirmware, simulate_frequency_test
     from rig.simulated.tank import BenchChamber
     from rig.simulated.terminal import Terminal
 
-    terminal = Terminal(PublishedFirmware(generate(BenchChamber(noise=noise, seed=seed))))
+    terminal = Terminal(
+        PublishedFirmware(simulate_frequency_test(BenchChamber(noise=noise, seed=seed)))
+    )
     print(f"port {terminal.path}", flush=True)
     print(
         f"from another terminal, for example:\n"
@@ -152,11 +153,11 @@ class RobotTank:
     def __init__(self, plant: "Plant"):
         self._plant = plant
 
-    def advance(self, set_pressures: tuple[int, ...] | None, seconds: float) -> Measured:
+    def advance(self, set_pressures: tuple[int, ...] | None, seconds: float) -> TankState:
         """As `Tank.advance`."""
         found = self._plant.advance(set_pressures or [None] * 4, seconds)
         a, b, c, d = (float(p) for p in found.pressures)
-        return Measured((a, b, c, d), SUPPLY_PRESSURE, found.thrust_N, found.recoil_N, found.tip_m)
+        return TankState((a, b, c, d), SUPPLY_PRESSURE, found.thrust_N, found.recoil_N, found.tip_m)
 
 
 def _fault(text: str) -> tuple[str, float, float]:

@@ -18,7 +18,7 @@ from rig.force.sensor import (
     Forces,
     ForceSource,
     Health,
-    Reader,
+    ReaderThread,
     Sink,
     check_positive,
     unit_in_si,
@@ -124,9 +124,9 @@ class NetForce(ForceSource):
         self.name = f"force sensor {host}:{port}"
         self.patience = patience
         """Longest silence [s] at the start, and in the stream."""
-        self.tally = rdt.Tally()
+        self.tally = rdt.StreamTally()
         self._last: tuple[int, tuple[int, ...]] | None = None
-        self._reader: Reader | None = None
+        self._reader: ReaderThread | None = None
         self._sink: Sink
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         # The kernel takes some 0.7 kB a record, and gives what its own limit allows.
@@ -147,7 +147,7 @@ class NetForce(ForceSource):
 
     def _send(self, command: int) -> None:
         try:
-            self._socket.send(rdt.request(command))
+            self._socket.send(rdt.request_bytes(command))
         except OSError as error:
             raise self._unreachable(error.strerror or str(error)) from None
 
@@ -170,7 +170,7 @@ class NetForce(ForceSource):
     def start(self, sink: Sink) -> None:
         """As `ForceSource.start`; a stream that an earlier run left is ended first."""
         self.stop()
-        self.tally, self._last, self._sink = rdt.Tally(), None, sink
+        self.tally, self._last, self._sink = rdt.StreamTally(), None, sink
         for _ in range(TRIES):
             self._send(rdt.STOP)
             quiet_by = time.monotonic() + self.patience
@@ -187,7 +187,7 @@ class NetForce(ForceSource):
         def receive() -> bytes | None:
             return pieces.pop() if pieces else self._receive()
 
-        self._reader = Reader(self.name, receive, self._take, self.patience)
+        self._reader = ReaderThread(self.name, receive, self._take, self.patience)
 
     def bias(self) -> None:
         """The box itself subtracts it from then on, until it is switched off."""
@@ -217,7 +217,7 @@ class NetForce(ForceSource):
             return
         for _ in range(2 * TRIES):
             try:
-                self._socket.send(rdt.request(rdt.STOP))
+                self._socket.send(rdt.request_bytes(rdt.STOP))
             except OSError:
                 pass  # a box that is gone needs no stopping
             if self._reader.end(0.25):

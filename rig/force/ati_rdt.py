@@ -26,7 +26,7 @@ RECORD = struct.Struct(">III6i")
 _FIELDS = np.dtype([("rdt", ">u4"), ("ft", ">u4"), ("status", ">u4"), ("counts", ">i4", 6)])
 
 
-def request(command: int, count: int = 0) -> bytes:
+def request_bytes(command: int, count: int = 0) -> bytes:
     """The bytes of a command; a `count` of 0 streams until stopped."""
     return struct.pack(">HHI", 0x1234, command, count)
 
@@ -42,20 +42,20 @@ def check_size(datagram: bytes, where: str) -> None:
         )
 
 
-def faulty(status):
+def has_box_error(status):
     """True where a status, a number or an array, tells of more than saturation or a threshold."""
     return (status & ~(ERROR | SATURATED | LATCHED) != 0) | (status == ERROR)
 
 
-def unsound(status):
+def is_invalid(status):
     """True where a record is no measurement: saturated, or the box tells an error."""
-    return (status & SATURATED != 0) | faulty(status)
+    return (status & SATURATED != 0) | has_box_error(status)
 
 
 def status_text(status: int) -> str:
     """What a status says; empty if it says no error."""
     told = ["saturated"] if status & SATURATED else []
-    if faulty(status):
+    if has_box_error(status):
         told.append("an error of the box, see System Status Code in its manual")
     return f"status {status:#010x}: {', '.join(told)}" if told else ""
 
@@ -78,7 +78,7 @@ class BoxTime:
         return self._counts / INTERNAL_RATE
 
 
-class Tally:
+class StreamTally:
     """Counts of a stream while it runs, record by record."""
 
     def __init__(self) -> None:
@@ -93,7 +93,7 @@ class Tally:
         """Take one record. A box numbers the records of a stream from 1."""
         self.received += 1
         self.saturated += bool(status & SATURATED)
-        if faulty(status):
+        if has_box_error(status):
             self.fault = status
         step = (rdt_seq - self._highest + 2**31) % 2**32 - 2**31
         number = self._highest + step
@@ -175,7 +175,7 @@ class Records:
     @property
     def doubtful(self) -> np.ndarray:
         """(n,) True where saturated, stuck, or the box told an error."""
-        return self.stuck | unsound(self.status)
+        return self.stuck | is_invalid(self.status)
 
     def findings(self) -> tuple[str, ...]:
         """What a user should know of, a sentence each."""

@@ -23,7 +23,7 @@ from rig.force.sensor import (
     Forces,
     ForceSource,
     Health,
-    Reader,
+    ReaderThread,
     Sink,
     check_positive,
     unit_in_si,
@@ -141,7 +141,7 @@ class GaugeForce(ForceSource):
             ) from None
         self.name, self.patience = f"force sensor {channels}", patience
         self._error: type[Exception] = nidaqmx.errors.Error
-        self._reader: Reader | None = None
+        self._reader: ReaderThread | None = None
         self._recent: deque[np.ndarray] = deque(maxlen=round(BIAS / BLOCK))
         self._last: tuple[int, np.ndarray] | None = None
         self._count = self._saturated = 0
@@ -203,7 +203,7 @@ class GaugeForce(ForceSource):
             self._task.start()
         except self._error as error:
             raise self._refused(error) from None
-        self._reader = Reader(self.name, self._receive, self._take, self.patience)
+        self._reader = ReaderThread(self.name, self._receive, self._take, self.patience)
         end = time.monotonic() + self.patience
         while self._last is None and time.monotonic() < end:
             time.sleep(0.002)

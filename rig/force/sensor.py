@@ -21,6 +21,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from rig.errors import RigError
+from rig.recording.reader import RecordedStream
+from rig.recording.table import SampledColumns, StreamReader
 
 AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 Sink = Callable[[int, bytes], None]
@@ -156,7 +158,7 @@ class ForceSource(ABC):
 
 
 @dataclass
-class Reader:
+class ReaderThread:
     """A thread that hands on what `receive` returns until it is told to end.
 
     `receive` waits a short time and returns None if nothing came. What it, or `take`, raises ends
@@ -213,3 +215,16 @@ class Reader:
         """End the thread though more comes."""
         self._abandoned.set()
         self._thread.join()
+
+
+def force_reader(calibration: Calibration, mounting: SensorMounting) -> StreamReader:
+    """thrust_N and recoil_N of a force sensor's stream."""
+
+    def read(stream: RecordedStream) -> SampledColumns:
+        forces = calibration.forces(stream.host_ns.tolist(), stream.pieces())
+        sound = np.where(forces.doubtful[:, None], np.nan, forces.wrench)
+        thrust, recoil = mounting.thrust_and_recoil(sound)
+        columns = {"thrust_N": thrust, "recoil_N": recoil}
+        return SampledColumns(forces.t_ns * 1e-9, columns, forces.findings)
+
+    return read

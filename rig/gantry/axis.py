@@ -13,9 +13,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from rig.errors import RigError
-from rig.gantry.drift import GantryPass, drift
 from rig.gantry.profile import Profile
-from rig.manifold.serial_port import Readable, piece_from
+from rig.gantry.speed_search import GantryPass, fit_drift
+from rig.manifold.serial_port import Readable, read_piece
 
 HOLD, RESET, STATUS = b"!", b"\x18", b"?"
 PAUSE = 0.05
@@ -227,7 +227,7 @@ class GantryAxis:
 
     def _receive(self) -> bytes:
         try:
-            return piece_from(self._port)
+            return read_piece(self._port)
         except OSError as error:
             raise _gone(error) from None
 
@@ -248,18 +248,18 @@ def _gone(error: OSError) -> RigError:
     )
 
 
-def passes(
+def gantry_measurement(
     axis: GantryAxis,
     travel: float,
     film: Callable[[Callable[[], float]], tuple[np.ndarray, np.ndarray]],
     settle: float,
     stride: float,
 ) -> Callable[[float], GantryPass | None]:
-    """The measurement that `find_speed` wants: one pass of the gantry over `travel` [m], and back.
+    """Return the `measure` of `find_swimming_speed`: one pass over `travel` [m], and back.
 
-    `film` starts robot and camera, calls what it is given (which makes the pass), and returns the
-    times [s, on the axis' clock] and places [m, ahead of the camera, NaN where lost] of the marker.
-    The first `settle` seconds after the start are left out of the run; `stride` is a period [s].
+    `film` starts robot and camera, calls its argument, which makes the pass, and returns the track
+    of the marker: times [s, on the axis' clock] and positions [m, ahead of the camera, NaN where
+    the marker is lost]. The first `settle` seconds are ignored; `stride` is a stride's period [s].
     """
 
     def measure(speed: float) -> GantryPass | None:
@@ -268,6 +268,6 @@ def passes(
         began = axis.started
         axis.run(profile, back=True)
         start = began + max(profile.ramp, settle)
-        return drift(t, x, start, began + profile.ramp + profile.cruise, stride)
+        return fit_drift(t, x, start, began + profile.ramp + profile.cruise, stride)
 
     return measure

@@ -7,9 +7,8 @@ from contextlib import suppress
 import serial
 
 from rig.errors import RigError
-from rig.manifold.serial_port import PortLost, piece_from
-from rig.protocol.frames import Decoder, encode
-from rig.protocol.messages import Message
+from rig.manifold.serial_port import PortLost, read_piece
+from rig.protocol.messages import FrameDecoder, Message, encode_frame
 from rig.recording.clock import host_ns
 
 Sink = Callable[[int, bytes], None]
@@ -39,7 +38,7 @@ class Connection:
         """Messages."""
         self._port, self._take, self._failed = port, take, failed
         self._sink, self._sent = sink, sent
-        self._decoder, self._ends = Decoder(), threading.Event()
+        self._decoder, self._ends = FrameDecoder(), threading.Event()
         self._thread = threading.Thread(target=self._listen, name="manifold", daemon=True)
 
     @property
@@ -62,7 +61,7 @@ class Connection:
 
     def write(self, message: Message) -> None:
         """Raises `PortLost`."""
-        frame = encode(message)
+        frame = encode_frame(message)
         try:
             self._port.write(frame)
         except (serial.SerialException, OSError) as error:
@@ -100,7 +99,7 @@ class Connection:
         begun = False
         while not self._ends.is_set():
             try:
-                piece = piece_from(self._port)
+                piece = read_piece(self._port)
             except (serial.SerialException, OSError, TypeError) as error:
                 # TypeError: pyserial's, where the port is closed meanwhile.
                 if not self._ends.is_set():

@@ -10,7 +10,7 @@ import serial
 
 from rig.errors import RigError
 from rig.manifold.connection import VENTS, Connection, Sink
-from rig.manifold.limits import PressureLimits, checked
+from rig.manifold.limits import PressureLimits, checked_pressures
 from rig.manifold.serial_port import PortLost
 from rig.protocol.messages import (
     CHAMBERS,
@@ -160,7 +160,7 @@ class Manifold:
     def set(self, pressures: Sequence[float]) -> int:
         """Set gauge pressures (4,) [Pa]; returns the command's number. Raises `RigError`."""
         self.check()
-        values = checked(pressures, self.limits)
+        values = checked_pressures(pressures, self.limits)
         return self._tell(lambda seq: SetPressures(seq, *values))
 
     def heartbeat(self) -> None:
@@ -181,7 +181,7 @@ class Manifold:
             raise RigError.value("waveform", f"{len(samples)} samples", allowed)
         if not 500e-6 <= period <= 1.0:
             raise RigError.value("waveform's period", f"{period:g} s", "0.0005 to 1 s")
-        values = [checked(sample, self.limits) for sample in samples]
+        values = [checked_pressures(sample, self.limits) for sample in samples]
         self._ask(lambda seq: WaveBegin(seq, len(values), round(period * 1e6)))
         for first in range(0, len(values), SAMPLES_A_PIECE):
             flat = tuple(p for row in values[first : first + SAMPLES_A_PIECE] for p in row)

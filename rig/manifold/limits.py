@@ -47,7 +47,9 @@ class PressureLimits(NamedTuple):
         return self
 
 
-def checked(pressures: Sequence[float], limits: PressureLimits) -> tuple[int, int, int, int]:
+def checked_pressures(
+    pressures: Sequence[float], limits: PressureLimits
+) -> tuple[int, int, int, int]:
     """Set gauge pressures (4,) in whole pascals, as the wire has them. Raises `RigError`.
 
     What is above a limit is an error, not cut: a gait that was cut is another gait.
@@ -63,10 +65,3 @@ def checked(pressures: Sequence[float], limits: PressureLimits) -> tuple[int, in
             )
     a, b, c, d = (int(p) for p in pressures)
     return a, b, c, d
-
-
-def chamber(name: str) -> int:
-    """The place of a chamber by its name. Raises `RigError`."""
-    if name not in CHAMBERS:
-        raise RigError.value("chamber", repr(name), ", ".join(CHAMBERS))
-    return CHAMBERS.index(name)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import serial
 
 from rig.errors import RigError
-from rig.manifold.serial_port import BAUD, PortLost, piece_from
+from rig.manifold.serial_port import BAUD, PortLost, read_piece
 from rig.protocol.published import Dialogue, Done, Event, Header, LogRow, Question
 
 FREQUENCIES = (0.1, 5.0)
@@ -110,7 +110,7 @@ class PublishedManifold:
         while would take that for the firmware's silence.
         """
         try:
-            piece = piece_from(self._port)
+            piece = read_piece(self._port)
         except OSError as error:
             raise self._gone(error) from None
         now = self._clock()

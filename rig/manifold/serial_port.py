@@ -54,7 +54,7 @@ def open_port(name: str, baud: int = BAUD) -> serial.Serial:
     return port
 
 
-def piece_from(port: Readable) -> bytes:
+def read_piece(port: Readable) -> bytes:
     """What came, waiting for it as long as the port's reads do; as a rule whole frames or lines.
 
     Asked for what waits, or else for a byte, a frame would come in two pieces, its first byte

@@ -7,6 +7,9 @@ Pressures are whole pascals (gauge), so that none can be NaN.
 import struct
 from enum import IntEnum
 from typing import NamedTuple
+from zlib import crc32
+
+from cobs import cobs
 
 PROTOCOL = 1
 CHAMBERS = ("front_left", "front_right", "rear_left", "rear_right")
@@ -217,12 +220,12 @@ _CODES = {kind: code for code, (kind, _) in _TABLE.items()}
 _SAMPLE = struct.Struct("<4i")
 
 
-def code_of(kind: type) -> int:
+def type_byte(kind: type) -> int:
     """The type byte of a kind of message."""
     return _CODES[kind]
 
 
-def pack(message: Message) -> bytes:
+def pack_message(message: Message) -> bytes:
     """Type byte and fields. Raises `struct.error` for a number that its field cannot hold."""
     code = _CODES[type(message)]
     layout = _LAYOUTS[code][1]
@@ -234,7 +237,7 @@ def pack(message: Message) -> bytes:
     return bytes([code]) + layout.pack(*message)
 
 
-def unpack(body: bytes) -> Message | None:
+def unpack_message(body: bytes) -> Message | None:
     """The message of these bytes; None if there is none such."""
     if not body or body[0] not in _LAYOUTS:
         return None
@@ -254,3 +257,49 @@ def unpack(body: bytes) -> Message | None:
         seq, device_us, state, command, *channels = values
         return Reading(seq, device_us, state, command, tuple(channels))
     return kind(*values)
+
+
+LONGEST_FRAME = 192
+"""Most bytes between two zeros: more are noise."""
+
+
+def encode_frame(message: Message) -> bytes:
+    """The frame of a message."""
+    body = pack_message(message)
+    return cobs.encode(body + crc32(body).to_bytes(4, "little")) + b"\0"
+
+
+def decode_frame(frame: bytes) -> Message | None:
+    """The message of the bytes before a zero; None where they are damaged."""
+    try:
+        content = cobs.decode(frame)
+    except cobs.DecodeError:
+        return None
+    body, check = content[:-4], content[-4:]
+    if len(check) != 4 or crc32(body).to_bytes(4, "little") != check:
+        return None
+    return unpack_message(body)
+
+
+class FrameDecoder:
+    """Messages of a stream of bytes, in pieces of any size; what is damaged is counted."""
+
+    def __init__(self) -> None:
+        self.damaged = 0
+        """Runs of bytes between zeros that were no message."""
+        self._rest, self._noise = b"", False
+
+    def feed(self, piece: bytes) -> list[Message]:
+        """The messages that end in this piece."""
+        *frames, self._rest = (self._rest + piece).split(b"\0")
+        found = []
+        for frame in frames:
+            message = None if self._noise or len(frame) > LONGEST_FRAME else decode_frame(frame)
+            if message is not None:
+                found.append(message)
+            elif frame or self._noise:
+                self.damaged += 1
+            self._noise = False
+        if len(self._rest) > LONGEST_FRAME:
+            self._rest, self._noise = b"", True
+        return found

@@ -36,7 +36,7 @@ _QUESTION = re.compile(r"freq|hz", re.I)
 _END = re.compile(rb"\r\n|\r|\n")
 
 
-def pascal(counts: float) -> float:
+def counts_to_pascal(counts: float) -> float:
     """Gauge pressure [Pa] of ADC `counts`."""
     return PA_PER_PSI * (PSI_PER_COUNT * counts + PSI_AT_ZERO)
 
@@ -70,12 +70,12 @@ class LogRow(NamedTuple):
     @property
     def command_Pa(self) -> float:
         """Set gauge pressure [Pa]."""
-        return pascal(self.command)
+        return counts_to_pascal(self.command)
 
     @property
     def pressure_Pa(self) -> float:
         """Measured gauge pressure [Pa]."""
-        return pascal(self.pressure)
+        return counts_to_pascal(self.pressure)
 
 
 class Done(NamedTuple):

@@ -6,8 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.errors import RigError
-from rig.protocol.frames import Decoder
-from rig.protocol.messages import CHANNELS, Arm, Event, Follows, Reading, SetPressures
+from rig.protocol.messages import CHANNELS, Arm, Event, Follows, FrameDecoder, Reading, SetPressures
 from rig.recording.reader import Recording
 
 
@@ -42,7 +41,7 @@ class DecodedReadings(NamedTuple):
 def decode_readings(pieces: Iterable[tuple[int, bytes]]) -> DecodedReadings:
     """From (host time [ns], bytes) as they came. What is before the first end of a frame is not
     counted as damage, for a recording may begin within one."""
-    decoder, begun = Decoder(), False
+    decoder, begun = FrameDecoder(), False
     found: list[tuple[float, Reading]] = []
     events: list[tuple[float, Event]] = []
     follows: list[Follows] = []
@@ -96,7 +95,7 @@ class DriveSpan(NamedTuple):
 
 def drive_span(recording: Recording) -> DriveSpan:
     """Of the drive in a recording, by its commands. Raises `RigError` where it has not begun."""
-    decoder, armed = Decoder(), False
+    decoder, armed = FrameDecoder(), False
     went, came = recording.streams["commands"], recording.streams["manifold"]
     for host_ns, piece in zip(went.host_ns.tolist(), went.pieces(), strict=True):
         for message in decoder.feed(piece):

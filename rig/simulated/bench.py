@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rig.recording.reader import RecordedStream
 from rig.simulated.force_sensor import SimulatedForceBox, SimulatedForceSensor
 from rig.simulated.rig import STEP, TIP_PER_VOLT, SimulatedRig
 from rig.simulated.terminal import Terminal
@@ -20,7 +21,7 @@ PATIENCE = 0.2
 """Longest that a force waits for its tank [s]."""
 
 
-class OnHost:
+class HostClockedRig:
     """A rig whose device time is known on the host's clock, once it runs."""
 
     def __init__(self, rig: SimulatedRig, at: Callable[[float], None] = lambda seconds: None):
@@ -61,7 +62,7 @@ class OnHost:
         return 1e-9 * (zero + 1000 * (reached + STEP * steps - BEFORE))
 
 
-class Running(NamedTuple):
+class ServedRig(NamedTuple):
     """Where a simulated rig is found."""
 
     port: str
@@ -84,22 +85,47 @@ class Running(NamedTuple):
 
 
 @contextmanager
-def running(
+def serve_rig(
     rig: SimulatedRig,
     force_noise: float = 2e-3,
     at: Callable[[float], None] = lambda seconds: None,
     seed: int = 0,
-) -> Iterator[Running]:
+) -> Iterator[ServedRig]:
     """The rig in threads of this process, until the block ends. `force_noise` [N]."""
-    device, ends = OnHost(rig, at), threading.Event()
+    device, ends = HostClockedRig(rig, at), threading.Event()
     terminal = Terminal(device)
     sensor = SimulatedForceSensor(SimulatedForceBox(device.wrench, noise=force_noise, seed=seed))
     sensor.begins = device.on_step
     thread = threading.Thread(target=terminal.serve, args=(ends.is_set,), daemon=True)
     thread.start()
     try:
-        yield Running(terminal.path, sensor, sensor.serve_page())
+        yield ServedRig(terminal.path, sensor, sensor.serve_page())
     finally:
         ends.set()
         thread.join()
         sensor.close()
+
+
+class ReplayDevice:
+    """A device that sends a recording's stream, and hears nothing. Silent at its end."""
+
+    def __init__(self, stream: RecordedStream, speed: float = 1.0):
+        start = int(stream.host_ns[0]) if len(stream.host_ns) else 0
+        self._due = [(int(t) - start) / (1000 * speed) for t in stream.host_ns]
+        self._pieces, self._next = stream.pieces(), 0
+
+    @property
+    def ended(self) -> bool:
+        """Whether all is said."""
+        return self._next == len(self._pieces)
+
+    def feed(self, piece: bytes, now_us: int) -> bytes:
+        """Nothing is answered."""
+        return b""
+
+    def tick(self, now_us: int) -> bytes:
+        """What was said up to then."""
+        first = self._next
+        while not self.ended and self._due[self._next] <= now_us:
+            self._next += 1
+        return b"".join(self._pieces[first : self._next])

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.camera.opencv import opencv
+from rig.camera.markers import import_opencv
 from rig.camera.source import Shot
 from rig.errors import RigError
 
@@ -55,7 +55,7 @@ class Scene:
 
     def image(self, number: int) -> np.ndarray:
         """The frame, BGR uint8 (height, width, 3)."""
-        cv2 = opencv()
+        cv2 = import_opencv()
         rng = np.random.default_rng([self.seed, number])
         light = _water(self.size, number / self.fps, self.seed)
         open_for = self.exposure * np.linspace(-0.5, 0.5, 17 if self.exposure else 1)
@@ -99,7 +99,7 @@ def write_video(path: Path | str, scene: Scene) -> None:
     """The scene as an AVI without loss (FFV1); a dropped frame is an empty chunk, as in recorders'
     files, so that the others keep their times.
     """
-    cv2 = opencv()
+    cv2 = import_opencv()
     path = Path(path)
     temporary = path.with_name(f".tmp-{path.name}")
     height, width = scene.size
@@ -154,14 +154,14 @@ def _water(size: tuple[int, int], t: float, seed: int) -> np.ndarray:
     bright = 1 + 0.12 * swell + 0.25 * caustics
     colour = np.array([138.0, 120.0, 72.0], np.float32)
     field = bright[..., None] * colour
-    return opencv().resize(field, size[::-1], interpolation=opencv().INTER_CUBIC)
+    return import_opencv().resize(field, size[::-1], interpolation=import_opencv().INTER_CUBIC)
 
 
 def _draw_body(light: np.ndarray, places: np.ndarray, radius: float) -> None:
     """A dark band along the markers, narrower than a marker at the tip."""
     points = np.rint(places * 16).astype(int).tolist()
     cover = np.zeros(light.shape[:2], np.uint8)
-    cv2 = opencv()
+    cv2 = import_opencv()
     widths = np.linspace(1.6, 3.4, len(points))[1:] * radius
     for start, end, width in zip(points, points[1:], widths, strict=False):
         cv2.line(cover, start, end, 255, round(width), cv2.LINE_AA, 4)

@@ -218,8 +218,8 @@ class Swimmer:
 
 @dataclass
 class SimulatedFilm:
-    """The camera on a `GrblAxis` above a `Swimmer`: what `rig.gantry.axis.passes` wants as its
-    film."""
+    """The camera on a `GrblAxis` above a `Swimmer`: the `film` of
+    `rig.gantry.axis.gantry_measurement`."""
 
     axis: GrblAxis
     swimmer: Swimmer

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-from rig.protocol.frames import Decoder, encode
 from rig.protocol.messages import (
     PROTOCOL,
     WATCHDOG,
@@ -12,6 +11,7 @@ from rig.protocol.messages import (
     Cause,
     Event,
     Follows,
+    FrameDecoder,
     Heartbeat,
     Hello,
     Ident,
@@ -24,7 +24,8 @@ from rig.protocol.messages import (
     WaveBegin,
     WavePiece,
     WavePlay,
-    code_of,
+    encode_frame,
+    type_byte,
 )
 
 HARD_LIMITS = (500_000, 500_000, 500_000, 500_000)
@@ -49,7 +50,7 @@ class ManifoldCore:
         self.state = ManifoldState.BOOT
         self._ident = Ident(protocol, *version, longest, rate, *hard_limits)
         self._hard, self._longest, self._period = hard_limits, longest, 1_000_000 // rate
-        self._decoder, self._foreign = Decoder(), 0
+        self._decoder, self._foreign = FrameDecoder(), 0
         self._limits: Pressures = (0, 0, 0, 0)
         self._set: Pressures = (0, 0, 0, 0)
         self._command = self._readings = self._heard = self._changes = 0
@@ -76,7 +77,7 @@ class ManifoldCore:
                 said += self._obey(message, now_us)
             else:
                 self._foreign += 1
-        return b"".join(map(encode, said))
+        return b"".join(map(encode_frame, said))
 
     def came_until(self, now_us: int, fed_us: int) -> None:
         """What was fed at `fed_us`, if it was sound, may have come as late as this."""
@@ -101,7 +102,7 @@ class ManifoldCore:
             )
             self._readings = (self._readings + 1) % 2**32
             self._due += self._period
-        return b"".join(map(encode, said))
+        return b"".join(map(encode_frame, said))
 
     def _watch(self, now_us: int) -> list[Message]:
         silence = now_us - self._heard
@@ -213,7 +214,7 @@ class ManifoldCore:
 
     @staticmethod
     def _ack(message: Message, answer: Answer = Answer.DONE, detail: int = 0) -> Ack:
-        return Ack(message[0], code_of(type(message)), answer, detail)
+        return Ack(message[0], type_byte(type(message)), answer, detail)
 
 
 def _outside(pressures: Pressures, limits: Pressures) -> tuple[Answer, int] | None:

@@ -90,7 +90,7 @@ def replay_log(log: bytes, period_us: int = PERIOD_US) -> Callable[[float, int],
     return test
 
 
-def generate(plant: Plant, cycles: int = 10) -> Callable[[float, int], Script]:
+def simulate_frequency_test(plant: Plant, cycles: int = 10) -> Callable[[float, int], Script]:
     """A test of `plant` under the firmware's sine and its valve law, a row every `PERIOD_US`.
 
     The duty is min(250, 10 |error|), error in counts, of the fill valve if the error is positive,

@@ -2,11 +2,11 @@
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from random import Random
 
-from rig.simulated.line_faults import FaultyLine, LineFaults
 from rig.simulated.manifold import ManifoldCore
-from rig.simulated.tank import Measured, Tank
+from rig.simulated.tank import Tank, TankState
 
 Set = tuple[int, ...] | None
 STEP = 1_000
@@ -16,6 +16,57 @@ TIP_PER_VOLT = 0.1
 STALL = 20_000
 """Of a program that was not run for longer, what came meanwhile acts so soon after it stood still
 [us]. For the watchdog it came last of all, for it may have."""
+
+
+@dataclass(frozen=True)
+class LineFaults:
+    """Shares of bytes flipped, dropped and inserted, either way; and what happens at times [s]."""
+
+    flipped: float = 0.0
+    dropped: float = 0.0
+    inserted: float = 0.0
+    reset_at: float | None = None
+    """The manifold starts anew."""
+    silent: tuple[float, float] | None = None
+    """From when to when it sends nothing; all of it comes at the end, late."""
+    stuck: tuple[int, float] | None = None
+    """A channel, and from when it reads the same."""
+    noise: float = 0.0
+    """Standard deviation of the chambers' pressures [Pa]."""
+    tip_noise: float = 0.0
+    """Of the tip's place [m]."""
+    seed: int = 0
+
+
+@dataclass
+class FaultyLine:
+    """Damages bytes as a `LineFaults` says, and counts how many it touched."""
+
+    faults: LineFaults
+    touched: int = 0
+    _random: Random = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._random = Random(self.faults.seed)
+
+    def damage(self, piece: bytes) -> bytes:
+        """What arrives of a piece."""
+        m = self.faults
+        share = m.flipped + m.dropped + m.inserted
+        if not share or not piece:
+            return piece
+        arrived = bytearray()
+        for byte in piece:
+            chance = self._random.random()
+            if chance >= share:
+                arrived.append(byte)
+                continue
+            self.touched += 1
+            if chance < m.flipped:
+                arrived.append(byte ^ (1 << self._random.randrange(8)))
+            elif chance < m.flipped + m.inserted:
+                arrived += bytes([self._random.randrange(256), byte])
+        return bytes(arrived)
 
 
 class SimulatedRig:
@@ -41,7 +92,7 @@ class SimulatedRig:
         self._begun: int | None = None
         self._at, self._reset, self._held = 0, False, b""
         self._stuck: int | None = None
-        self._states: deque[tuple[int, Measured]] = deque(maxlen=256)
+        self._states: deque[tuple[int, TankState]] = deque(maxlen=256)
         self._followed: list[tuple[int, Set]] = []
 
     def feed(self, piece: bytes, now_us: int) -> bytes:
@@ -80,14 +131,14 @@ class SimulatedRig:
         """Up to when the tank's state is known."""
         return self._states[-1][0] if self._states else 0
 
-    def measured(self, now_us: int) -> Measured:
+    def measured(self, now_us: int) -> TankState:
         """The tank's true values at a time within the last quarter of a second.
 
         Linear between its steps, and beyond the last one for no longer than one.
         """
         states = list(self._states)
         if not states:
-            return Measured((0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
+            return TankState((0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
         after = next((i for i in range(len(states) - 1, 0, -1) if states[i - 1][0] <= now_us), 0)
         if after == 0:
             return states[0][1]
@@ -99,7 +150,7 @@ class SimulatedRig:
 
         p = [between(x, y) for x, y in zip(a.chambers, b.chambers, strict=True)]
         rest = (between(x, y) for x, y in zip(a[1:], b[1:], strict=True))
-        return Measured((p[0], p[1], p[2], p[3]), *rest)
+        return TankState((p[0], p[1], p[2], p[3]), *rest)
 
     def _mean_set(self) -> Set:
         """Over the step that ends at the tank's time; what holds then and comes later is kept."""
@@ -119,7 +170,7 @@ class SimulatedRig:
         a, b, c, d = (round(p) for p in total)
         return a, b, c, d
 
-    def _channels(self, state: Measured, since: float) -> tuple[int, ...]:
+    def _channels(self, state: TankState, since: float) -> tuple[int, ...]:
         noise = self.faults.noise
         chambers = [p + self._random.gauss(0.0, noise) if noise else p for p in state.chambers]
         shaken = self.faults.tip_noise

@@ -5,7 +5,7 @@ from random import Random
 from typing import NamedTuple, Protocol
 
 
-class Measured(NamedTuple):
+class TankState(NamedTuple):
     """True values at one instant."""
 
     chambers: tuple[float, float, float, float]
@@ -23,7 +23,7 @@ class Measured(NamedTuple):
 class Tank(Protocol):
     """A robot in water, or in what stands for it."""
 
-    def advance(self, set_pressures: tuple[int, ...] | None, seconds: float) -> Measured:
+    def advance(self, set_pressures: tuple[int, ...] | None, seconds: float) -> TankState:
         """Its state so much later, under set gauge pressures (4,) [Pa]; None vents all."""
         ...
 
@@ -44,7 +44,7 @@ class BenchTank:
         self._p = [0.0, 0.0, 0.0, 0.0]
         self._tip = 0.0
 
-    def advance(self, set_pressures: tuple[int, ...] | None, seconds: float) -> Measured:
+    def advance(self, set_pressures: tuple[int, ...] | None, seconds: float) -> TankState:
         """Exact for set pressures that are held over the step; the tail to first order."""
         wanted = set_pressures or (0, 0, 0, 0)
         for i, target in enumerate(wanted):
@@ -55,7 +55,7 @@ class BenchTank:
         aim = self.gain * (a - b + c - d)
         self._tip = aim + (self._tip - aim) * exp(-seconds / self.tail)
         speed = (aim - self._tip) / self.tail
-        return Measured((a, b, c, d), self.supply, 2.0 * speed**2, -1e-6 * (a - b), self._tip)
+        return TankState((a, b, c, d), self.supply, 2.0 * speed**2, -1e-6 * (a - b), self._tip)
 
 
 class BenchChamber:

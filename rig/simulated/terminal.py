@@ -35,7 +35,7 @@ class Device(Protocol):
         ...
 
 
-class Served(NamedTuple):
+class ServedDevice(NamedTuple):
     """A device that runs."""
 
     path: str
@@ -104,7 +104,7 @@ class Terminal:
 
 
 @contextmanager
-def in_thread(device: Device, backlog: int = BACKLOG) -> Iterator[Served]:
+def in_thread(device: Device, backlog: int = BACKLOG) -> Iterator[ServedDevice]:
     """The device in a thread of this process."""
     terminal, end = Terminal(device, backlog), threading.Event()
     thread = threading.Thread(target=terminal.serve, args=(end.is_set,), name="device", daemon=True)
@@ -115,7 +115,7 @@ def in_thread(device: Device, backlog: int = BACKLOG) -> Iterator[Served]:
 
     thread.start()
     try:
-        yield Served(terminal.path, unplug)
+        yield ServedDevice(terminal.path, unplug)
     finally:
         unplug()
 
@@ -123,7 +123,7 @@ def in_thread(device: Device, backlog: int = BACKLOG) -> Iterator[Served]:
 @contextmanager
 def in_process(
     make: Callable[..., Device], *arguments: object, backlog: int = BACKLOG
-) -> Iterator[Served]:
+) -> Iterator[ServedDevice]:
     """The device `make(*arguments)` in a process of its own, which ends with this one.
 
     `make` is a module's function or class, for the process is a fresh one. Raises `RigError` if
@@ -151,7 +151,7 @@ def in_process(
             raise RigError(
                 "simulated device: did not start; what it wrote above says why"
             ) from None
-        yield Served(path, unplug)
+        yield ServedDevice(path, unplug)
     finally:
         unplug()
 

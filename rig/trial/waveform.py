@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from rig.errors import RigError
-from rig.manifold.limits import PressureLimits, checked
+from rig.manifold.limits import PressureLimits, checked_pressures
 
 Waveform = Literal["square", "sine", "trapezoid", "recorded"]
 
@@ -93,7 +93,7 @@ class SegmentDrive:
         if not duration > 0.0:
             raise RigError.value("duration", f"{duration:g}", "more than 0 s")
         for front, rear in extremes:
-            checked(chamber_pressures(float(front), float(rear)), limits)
+            checked_pressures(chamber_pressures(float(front), float(rear)), limits)
 
 
 def chamber_pressures(front: float, rear: float) -> tuple[float, float, float, float]:

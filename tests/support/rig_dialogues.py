@@ -5,13 +5,13 @@ from random import Random
 
 import numpy as np
 
-from rig.protocol.frames import Decoder, encode
 from rig.protocol.messages import (
     Ack,
     Answer,
     Arm,
     Cause,
     Event,
+    FrameDecoder,
     Heartbeat,
     Hello,
     Ident,
@@ -23,15 +23,16 @@ from rig.protocol.messages import (
     WaveBegin,
     WavePiece,
     WavePlay,
-    code_of,
-    pack,
+    encode_frame,
+    pack_message,
+    type_byte,
 )
 from rig.simulated.manifold import ManifoldCore
 from tests.support.firmware_host import Reply
 
 HARD = (400_000, 300_000, 200_000, 100_000)
 LONGEST = 12
-START = pack(Ident(1, 3, 2, 1, LONGEST, 500, *HARD))[1:]
+START = pack_message(Ident(1, 3, 2, 1, LONGEST, 500, *HARD))[1:]
 
 
 def channels_of(*values):
@@ -80,7 +81,7 @@ class Dialogue:
 
     def _talk(self):
         for message in self._messages():
-            frame = bytearray(encode(message))
+            frame = bytearray(encode_frame(message))
             if self.random.random() < 0.05:
                 frame[self.random.randrange(len(frame))] = self.random.randrange(256)
             if self.random.random() < 0.02:
@@ -163,7 +164,7 @@ class Dialogue:
 def visited(replies):
     """How often the replies hold each (kind of message, its code)."""
     count = Counter()
-    for message in Decoder().feed(b"".join(reply.said for reply in replies)):
+    for message in FrameDecoder().feed(b"".join(reply.said for reply in replies)):
         match message:
             case Reading():
                 count["state", ManifoldState(message.state)] += 1
@@ -189,5 +190,5 @@ def everything():
         WavePiece: (done, state, place, *refused),
         WavePlay: (done, state, place),
     }
-    met = {(code_of(kind), answer) for kind, some in answers.items() for answer in some}
+    met = {(type_byte(kind), answer) for kind, some in answers.items() for answer in some}
     return met | {("state", s) for s in ManifoldState} | {("event", c) for c in Cause} | {"ident"}

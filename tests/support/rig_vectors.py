@@ -1,6 +1,6 @@
 """Every message and its frame, byte for byte, for all who speak the protocol.
 
-The frames were made by plain COBS and zlib, apart from `rig.protocol.frames`.
+The frames were made by plain COBS and zlib, apart from `rig.protocol.messages`.
 """
 
 from rig.protocol.messages import (

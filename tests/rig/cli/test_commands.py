@@ -11,8 +11,7 @@ import pytest
 from calibration.pressure_logs.read import read_log
 from rig.cli.shared import declare_swing, install_experiment
 from rig.errors import RigError
-from rig.protocol.frames import encode
-from rig.protocol.messages import Reading, SetPressures
+from rig.protocol.messages import Reading, SetPressures, encode_frame
 from rig.recording.decode import drive_span
 from rig.recording.reader import read_recording
 from rig.recording.table import AnalogueSensor
@@ -149,7 +148,7 @@ def test_what_a_killed_run_recorded_is_read_anew(measured, tmp_path):
 def test_a_run_killed_before_its_drive_has_none(tmp_path):
     path = tmp_path / "a.h5"
     with Recorder(path, ("manifold", "commands")) as recorder:
-        recorder.sink("commands")(1, encode(SetPressures(1, 0, 0, 0, 0)))
+        recorder.sink("commands")(1, encode_frame(SetPressures(1, 0, 0, 0, 0)))
     with pytest.raises(RigError, match="its drive had not begun when the run ended"):
         drive_span(read_recording(path))
 
@@ -206,19 +205,19 @@ def test_a_recording_is_read_anew_with_other_axes(measured, tmp_path):
 
 def test_what_a_manifold_said_is_said_again(measured, tmp_path):
     from rig.manifold.serial_port import open_port
-    from rig.protocol.frames import Decoder
+    from rig.protocol.messages import FrameDecoder
 
     recording = measured[1] / "recordings" / "a.h5"
     with served("rig", "replay", recording, "--speed", "0.5", cwd=tmp_path) as port:
         time.sleep(0.5)
-        line, decoder, found = open_port(port), Decoder(), []
+        line, decoder, found = open_port(port), FrameDecoder(), []
         end = time.monotonic() + 3.0
         while time.monotonic() < end:
             found += [m for m in decoder.feed(line.read(4096)) if isinstance(m, Reading)]
         line.close()
     # From the first on, however late the program opens the port.
     first = read_recording(recording).streams["manifold"].pieces()
-    begun = next(m for m in Decoder().feed(b"".join(first)) if isinstance(m, Reading))
+    begun = next(m for m in FrameDecoder().feed(b"".join(first)) if isinstance(m, Reading))
     assert found[0].seq - begun.seq <= 5
     assert len(found) > 200 and np.all(np.diff([m.seq for m in found]) == 1)
 

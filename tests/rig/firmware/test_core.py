@@ -10,7 +10,6 @@ import pytest
 from cobs import cobs
 
 from calibration.pressure_logs.read import read_log
-from rig.protocol.frames import Decoder, decode, encode
 from rig.protocol.messages import (
     Ack,
     Answer,
@@ -18,6 +17,7 @@ from rig.protocol.messages import (
     Cause,
     Event,
     Follows,
+    FrameDecoder,
     Heartbeat,
     Hello,
     Ident,
@@ -29,8 +29,10 @@ from rig.protocol.messages import (
     WaveBegin,
     WavePiece,
     WavePlay,
-    pack,
-    unpack,
+    decode_frame,
+    encode_frame,
+    pack_message,
+    unpack_message,
 )
 from rig.simulated.manifold import ManifoldCore
 from tests.support.firmware_host import SKETCH, ask, build, compiler, sanitizers
@@ -85,13 +87,13 @@ def test_every_message_has_the_same_bytes_in_both_languages(program):
     }
     for message, text in VECTORS:
         frame = bytes.fromhex(text)
-        assert encode(message) == frame
-        assert decode(frame[:-1]) == message
-    made = ask(program, [(b"E", 0, pack(message)) for message, _ in VECTORS])
+        assert encode_frame(message) == frame
+        assert decode_frame(frame[:-1]) == message
+    made = ask(program, [(b"E", 0, pack_message(message)) for message, _ in VECTORS])
     assert [reply.said.hex() for reply in made] == [text for _, text in VECTORS]
     stream = b"".join(bytes.fromhex(text) for _, text in VECTORS)
     (heard,) = ask(program, [(b"D", 0, stream)])
-    assert bodies(heard.said) == [pack(message) for message, _ in VECTORS]
+    assert bodies(heard.said) == [pack_message(message) for message, _ in VECTORS]
     assert heard.damaged == 0
 
 
@@ -138,12 +140,12 @@ def some_frame(random, number):
             Event(number, 5, high),
         )
     )
-    return encode(message)
+    return encode_frame(message)
 
 
 def fuzz(program, count):
     """Damages `count` frames; what both decoders made of them is what arrived whole."""
-    random, rng, decoder = Random(1), np.random.default_rng(2), Decoder()
+    random, rng, decoder = Random(1), np.random.default_rng(2), FrameDecoder()
     whole = damaged = 0
     for first in range(0, count, 20_000):
         frames = [some_frame(random, first + i) for i in range(min(20_000, count - first))]
@@ -157,12 +159,12 @@ def fuzz(program, count):
             for i in range(0, len(stream), 997)
             for message in decoder.feed(stream[i : i + 997])
         ]
-        assert [encode(message)[:-1] for message in twin] == sound
+        assert [encode_frame(message)[:-1] for message in twin] == sound
         assert decoder.damaged - before == len(runs) - len(sound)
         pieces = [(b"D", 0, stream[i : i + 50_000]) for i in range(0, len(stream), 50_000)]
         replies = ask(program, pieces)
         heard = [body for reply in replies for body in bodies(reply.said)]
-        assert [unpack(body) for body in heard] == twin
+        assert [unpack_message(body) for body in heard] == twin
         assert replies[-1].damaged == decoder.damaged - before
         whole, damaged = whole + len(sound), damaged + len(runs) - len(sound)
     assert whole > 0.5 * count and damaged > 0.2 * count
@@ -179,9 +181,9 @@ def test_of_a_million_fuzzed_frames_none_that_is_damaged_is_taken(program):
 
 def test_noise_of_any_length_is_one_damaged_run(program):
     lengths = (1, 191, 192, 193, 1000)
-    stream = b"".join(b"\7" * length + b"\0\0" + encode(Arm(length)) for length in lengths)
+    stream = b"".join(b"\7" * length + b"\0\0" + encode_frame(Arm(length)) for length in lengths)
     (reply,) = ask(program, [(b"D", 0, stream)])
-    assert bodies(reply.said) == [pack(Arm(length)) for length in lengths]
+    assert bodies(reply.said) == [pack_message(Arm(length)) for length in lengths]
     assert reply.damaged == len(lengths)
 
 
@@ -197,9 +199,9 @@ def test_a_frame_of_192_bytes_is_read_and_none_longer(program):
 
 
 def test_a_frame_cut_short_is_not_mended_by_the_one_before(program):
-    frame = framed(pack(Arm(3)))
+    frame = framed(pack_message(Arm(3)))
     (reply,) = ask(program, [(b"D", 0, frame + frame[:-2] + b"\0")])
-    assert bodies(reply.said) == [pack(Arm(3))]
+    assert bodies(reply.said) == [pack_message(Arm(3))]
     assert reply.damaged == 1
 
 
@@ -219,13 +221,13 @@ def backlog(program, passes):
     """A host that reads nothing for so many readings, then stops: what it finds."""
     idle = channels_of(*range(8))
     waiting = [(b"B", 2000 * i, idle) for i in range(passes + 1)]
-    stop = (b"F", 2000 * passes, encode(Stop(9)))
+    stop = (b"F", 2000 * passes, encode_frame(Stop(9)))
     return ask(program, [(b"I", 0, START), *waiting, stop])[-1]
 
 
 def test_a_host_that_reads_nothing_for_two_seconds_loses_nothing(program):
     reply = backlog(program, 1000)
-    event, *readings, ack, stopped = Decoder().feed(reply.said)
+    event, *readings, ack, stopped = FrameDecoder().feed(reply.said)
     assert [r.seq for r in readings] == list(range(1000))
     assert [r.device_us for r in readings] == [2000 * i for i in range(1, 1001)]
     assert (event.cause, stopped.cause) == (Cause.RESET, Cause.STOPPED)
@@ -234,7 +236,7 @@ def test_a_host_that_reads_nothing_for_two_seconds_loses_nothing(program):
 
 
 def test_a_full_ring_drops_whole_readings_and_still_answers(program):
-    reply, decoder = backlog(program, 2000), Decoder()
+    reply, decoder = backlog(program, 2000), FrameDecoder()
     _, *readings, ack, stopped = decoder.feed(reply.said)
     assert [r.seq for r in readings] == list(range(len(readings)))
     assert reply.lost == 2000 - len(readings) > 0

@@ -2,17 +2,18 @@
 
 import pytest
 
-from rig.protocol.frames import Decoder, encode
 from rig.protocol.messages import (
     Arm,
     Cause,
     Event,
+    FrameDecoder,
     Heartbeat,
     ManifoldState,
     Reading,
     SetLimits,
     SetPressures,
     Stop,
+    encode_frame,
 )
 from tests.support.firmware_host import build, run_sketch, sanitizers
 
@@ -31,7 +32,7 @@ def program(tmp_path_factory):
 
 
 def commands(*messages):
-    return b"".join(encode(message) for message in messages)
+    return b"".join(encode_frame(message) for message in messages)
 
 
 ARMED = commands(SetLimits(1, *(200_000,) * 4), Arm(2), SetPressures(3, 100_000, 100_000, 0, 500))
@@ -39,7 +40,7 @@ ARMED = commands(SetLimits(1, *(200_000,) * 4), Arm(2), SetPressures(3, 100_000,
 
 def heard(passes):
     """Messages of all passes but `setup`."""
-    return Decoder().feed(b"".join(p.said for p in passes[1:]))
+    return FrameDecoder().feed(b"".join(p.said for p in passes[1:]))
 
 
 def test_all_vents_are_open_before_the_first_pass(program):

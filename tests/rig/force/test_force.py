@@ -15,7 +15,7 @@ from rig.force.ati_net import NetCalibration, NetForce
 from rig.force.ni_daq import GaugeCalibration, GaugeForce
 from rig.force.sensor import SensorMounting
 from rig.recording.clock import host_sample_times
-from rig.simulated.bench import OnHost
+from rig.simulated.bench import HostClockedRig
 from rig.simulated.force_sensor import COUNTS, LossyNetwork, SimulatedForceBox, SimulatedForceSensor
 from rig.simulated.rig import STEP, SimulatedRig
 from rig.simulated.tank import BenchTank
@@ -104,7 +104,7 @@ def test_which_single_records_are_missing_is_told_as_runs():
 def test_a_copy_that_comes_behind_others_is_a_duplicate_and_not_late():
     _, datagrams = virtual_stream(0.006, LossyNetwork())
     came = [datagrams[k] for k in (0, 1, 3, 1, 2, 4, 5)]
-    records, tally = rdt.record_table([10**6 * k for k in range(7)], came), rdt.Tally()
+    records, tally = rdt.record_table([10**6 * k for k in range(7)], came), rdt.StreamTally()
     for datagram in came:
         tally.count(*struct.unpack_from(">I4xI", datagram))
     assert (records.late, records.duplicates) == (tally.late, tally.duplicates) == (1, 1)
@@ -114,7 +114,7 @@ def test_a_copy_that_comes_behind_others_is_a_duplicate_and_not_late():
 def test_the_live_tally_agrees_with_the_table():
     line = LossyNetwork(drop=0.05, reorder=0.05, duplicate=0.05, seed=8)
     host_ns, datagrams = virtual_stream(3.0, line)
-    records, tally = rdt.record_table(host_ns, datagrams), rdt.Tally()
+    records, tally = rdt.record_table(host_ns, datagrams), rdt.StreamTally()
     for datagram in datagrams:
         tally.count(*struct.unpack_from(">I4xI", datagram))
     before = set(range(1, int(records.seq[0])))
@@ -142,9 +142,9 @@ def test_the_box_s_own_time_goes_on_over_the_roll_and_leaves_out_what_comes_late
                      pytest.approx(0.004)]  # fmt: skip
 
 
-def test_a_record_without_a_measurement_is_unsound():
-    assert not rdt.unsound(0) and not rdt.unsound(rdt.LATCHED)
-    assert rdt.unsound(rdt.SATURATED) and rdt.unsound(rdt.ERROR)
+def test_a_record_without_a_measurement_is_invalid():
+    assert not rdt.is_invalid(0) and not rdt.is_invalid(rdt.LATCHED)
+    assert rdt.is_invalid(rdt.SATURATED) and rdt.is_invalid(rdt.ERROR)
 
 
 def test_a_new_stream_within_a_recording_is_refused():
@@ -208,7 +208,7 @@ def test_saturation_is_marked_where_it_happened():
     ],
 )
 def test_a_status_is_told_in_words(status, faulty, text):
-    assert rdt.faulty(status) == faulty
+    assert rdt.has_box_error(status) == faulty
     assert rdt.status_text(status).startswith(text) and bool(text) == bool(rdt.status_text(status))
 
 
@@ -361,14 +361,14 @@ def test_a_real_minute_is_located_and_timed():
 
 
 def test_a_request_is_eight_bytes_and_its_count_is_kept():
-    assert rdt.request(rdt.START, 5) == bytes.fromhex("1234 0002 00000005")
-    assert rdt.request(rdt.BIAS) == bytes.fromhex("1234 0042 00000000")
+    assert rdt.request_bytes(rdt.START, 5) == bytes.fromhex("1234 0002 00000005")
+    assert rdt.request_bytes(rdt.BIAS) == bytes.fromhex("1234 0042 00000000")
     with (
         SimulatedForceSensor(SimulatedForceBox(at_rest)) as sensor,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as plain,
     ):
         plain.settimeout(1.0)
-        plain.sendto(rdt.request(rdt.START, 5), (sensor.host, sensor.port))
+        plain.sendto(rdt.request_bytes(rdt.START, 5), (sensor.host, sensor.port))
         numbers = [rdt.RECORD.unpack(plain.recv(64))[0] for _ in range(5)]
         assert numbers == [1, 2, 3, 4, 5]
         plain.settimeout(0.1)
@@ -665,7 +665,7 @@ def test_a_card_with_five_inputs_is_refused(monkeypatch):
 @pytest.mark.parametrize("late_us", [0, 79, 921])
 def test_a_simulated_record_waits_for_no_step_but_its_own(late_us):
     """The tank's steps begin whenever the first tick comes."""
-    device, start = OnHost(SimulatedRig(BenchTank())), time.monotonic_ns()
+    device, start = HostClockedRig(SimulatedRig(BenchTank())), time.monotonic_ns()
 
     def tick():
         device.tick((time.monotonic_ns() - start) // 1000)

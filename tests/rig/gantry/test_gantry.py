@@ -13,10 +13,9 @@ import pytest
 import serial
 
 from rig.errors import RigError
-from rig.gantry.axis import GantryAxis, GantryLimits, passes
-from rig.gantry.drift import GantryPass, drift
+from rig.gantry.axis import GantryAxis, GantryLimits, gantry_measurement
 from rig.gantry.profile import Profile
-from rig.gantry.speed_search import StopReason, find_speed
+from rig.gantry.speed_search import GantryPass, StopReason, find_swimming_speed, fit_drift
 from rig.simulated.gantry import GrblAxis, SimulatedFilm, Swimmer
 
 LAB = GantryLimits(0.0, 2.5, 0.6, 0.5)
@@ -77,7 +76,7 @@ def test_the_ripple_of_the_stride_does_not_shift_the_drift():
     """Whatever part of a stride the cruise cuts; end minus start would be off by 10 mm."""
     t, x = track()
     for end in (5.0, 5.1, 5.2, 5.33):
-        run = drift(t, x, 1.0, end, 0.4)
+        run = fit_drift(t, x, 1.0, end, 0.4)
         assert run.displacement_m / run.cruise_time_s == pytest.approx(0.03, rel=1e-9)
         assert run.lost == 0 and run.frames == pytest.approx(60 * (end - 1.0), abs=2)
 
@@ -85,7 +84,7 @@ def test_the_ripple_of_the_stride_does_not_shift_the_drift():
 def test_single_lost_frames_are_counted_and_do_not_shift_the_drift():
     t, x = track()
     x[70:300:7] = np.nan
-    run = drift(t, x, 1.0, 7.0, 0.4)
+    run = fit_drift(t, x, 1.0, 7.0, 0.4)
     assert run.lost == np.isnan(x[(t >= 1.0) & (t <= 7.0)]).sum() == 33
     assert run.displacement_m / run.cruise_time_s == pytest.approx(0.03, rel=1e-9)
 
@@ -94,7 +93,7 @@ def test_a_robot_that_leaves_the_view_counts_until_it_left():
     t, x = track(rate=0.2)
     x[t > 3.0] = np.nan
     x[-5:] = 40.0  # something else in the view
-    run = drift(t, x, 1.0, 8.0, 0.4)
+    run = fit_drift(t, x, 1.0, 8.0, 0.4)
     assert run.cruise_time_s == pytest.approx(2.0, abs=0.02)
     assert run.displacement_m == pytest.approx(0.2 * run.cruise_time_s, rel=1e-9)
 
@@ -103,7 +102,7 @@ def test_a_robot_that_leaves_the_view_counts_until_it_left():
 def test_a_marker_that_is_not_seen_for_two_strides_from_the_start_is_lost(seen):
     t, x = track()
     x[(t < seen[0]) | (t > seen[1])] = np.nan
-    assert drift(t, x, 1.0, 7.0, 0.4) is None
+    assert fit_drift(t, x, 1.0, 7.0, 0.4) is None
 
 
 # --- the search, on plain functions --------------------------------------------------------------
@@ -128,7 +127,7 @@ def bent(zero, sharp):
 
 
 def search(measure, first=0.2, limits=(0.02, 0.6), budget=12, **more):
-    return find_speed(measure, first, limits, TOLERANCE, SCALE, budget, **more)
+    return find_swimming_speed(measure, first, limits, TOLERANCE, SCALE, budget, **more)
 
 
 @pytest.mark.parametrize("zero", [0.05, 0.1, 0.2, 0.35, 0.5])
@@ -257,7 +256,7 @@ def test_the_budget_is_kept_and_lost_runs_count():
 def test_what_cannot_be_searched_is_refused_before_a_run(what, message):
     keywords = {"first": 0.2, "limits": (0.02, 0.6), "tolerance_px": 1.0, "scale": SCALE} | what
     with pytest.raises(RigError, match=message):
-        find_speed(lambda v: pytest.fail("a run was made"), **keywords)
+        find_swimming_speed(lambda v: pytest.fail("a run was made"), **keywords)
 
 
 # --- the axis on the wire ------------------------------------------------------------------------
@@ -385,8 +384,8 @@ def test_no_search_asks_the_axis_for_more_than_its_limits():
                 film = SimulatedFilm(
                     line.axis, Swimmer(random.uniform(0.05, 0.6)), lambda: line.now_us
                 )
-                measure = passes(axis, random.uniform(0.5, 3.0), film, 1.0, 0.4)
-                find_speed(measure, random.uniform(low, high), (low, high), 1.0, SCALE)
+                measure = gantry_measurement(axis, random.uniform(0.5, 3.0), film, 1.0, 0.4)
+                find_swimming_speed(measure, random.uniform(low, high), (low, high), 1.0, SCALE)
         except RigError as error:
             assert re.match("gantry (speed|move|travel): given", str(error))
             with gantry(line) as axis:  # it may stand anywhere
@@ -587,7 +586,7 @@ def bench(speed, seed=0, travel=2.4, **more):
     robot = Swimmer(speed, **swimmer)
     film = SimulatedFilm(line.axis, robot, lambda: line.now_us, seed=seed, **more)
     axis = gantry(line)
-    return axis, passes(axis, travel, film, 2.5, robot.stride), line
+    return axis, gantry_measurement(axis, travel, film, 2.5, robot.stride), line
 
 
 def accuracy(speed):
@@ -601,7 +600,7 @@ def test_the_search_through_the_axis_finds_the_speed_to_the_cameras_noise(speed,
     """From 20 to 30 % off, in four runs or fewer, with frames that lose the marker."""
     axis, measure, line = bench(speed, seed=int(1e3 * speed))
     with axis:
-        found = find_speed(measure, guess * speed, (0.03, 0.6), 0.2, SCALE)
+        found = find_swimming_speed(measure, guess * speed, (0.03, 0.6), 0.2, SCALE)
     assert found.stopped is StopReason.CONVERGED
     assert abs(found.speed - speed) < min(accuracy(speed), found.uncertainty)
     assert len(found.history) <= 4 and sum(run.lost for _, run in found.history) > 0
@@ -617,7 +616,7 @@ def test_a_robot_that_turns_scatters_and_hides_is_found_within_the_uncertainty()
     for seed in range(16):
         axis, measure, _ = bench(0.25, seed, turn=0.01, scatter=0.005, blind=1 / 7)
         with axis:
-            found.append(find_speed(measure, 0.2, (0.03, 0.6), 1.0, SCALE, budget=20))
+            found.append(find_swimming_speed(measure, 0.2, (0.03, 0.6), 1.0, SCALE, budget=20))
     assert sum(run is None for f in found for _, run in f.history) > 5
     assert {f.stopped for f in found} == {StopReason.LOST, StopReason.NOISE}
     assert sum(f.settled for f in found) >= 10
@@ -635,7 +634,7 @@ def test_ctrl_c_in_a_search_stops_the_axis():
 
     with pytest.raises(KeyboardInterrupt), axis:
         line.trip = trip
-        find_speed(measure, 0.25, (0.03, 0.6), 1.0, SCALE)
+        find_swimming_speed(measure, 0.25, (0.03, 0.6), 1.0, SCALE)
     assert line.axis.state == "Idle" and line.axis.speed(line.now_us) == 0.0
     assert 1.0 < line.axis.place(line.now_us) < 1.1
     assert line.sent[-1][1] == b"\x18"
@@ -650,7 +649,7 @@ def ideal(speed, seed):
         t = np.arange(0.0, profile.duration, 1 / 60)
         x = robot.swim(t, random) - profile.position(t) + 0.2 * SCALE * random.normal(size=len(t))
         x[np.abs(x) > 0.5] = np.nan
-        return drift(t, x, max(2.5, profile.ramp), profile.ramp + profile.cruise, robot.stride)
+        return fit_drift(t, x, max(2.5, profile.ramp), profile.ramp + profile.cruise, robot.stride)
 
     return measure
 
@@ -671,7 +670,7 @@ def test_newton_takes_fewer_runs_than_bisection_or_a_fixed_sweep_of_equal_accura
     for speed in SPEEDS:
         for seed in range(10):
             guess = (0.7 if seed % 2 else 1.2) * speed
-            found = find_speed(ideal(speed, seed), guess, (0.03, 0.6), 0.2, SCALE)
+            found = find_swimming_speed(ideal(speed, seed), guess, (0.03, 0.6), 0.2, SCALE)
             assert found.settled and abs(found.speed - speed) < accuracy(speed)
             newton.append(len(found.history))
         bisection.append(math.ceil(math.log2(0.57 / 2 / accuracy(speed))))

@@ -10,13 +10,12 @@ import pytest
 
 from rig.errors import RigError
 from rig.manifold.driver import Manifold
-from rig.manifold.limits import PressureLimits, chamber
+from rig.manifold.limits import PressureLimits
 from rig.manifold.serial_port import open_port
 from rig.recording.table import AnalogueSensor
 from rig.scheduling import real_time_priority
-from rig.simulated.line_faults import LineFaults
 from rig.simulated.manifold import ManifoldCore
-from rig.simulated.rig import TIP_PER_VOLT, SimulatedRig
+from rig.simulated.rig import TIP_PER_VOLT, LineFaults, SimulatedRig
 from rig.simulated.tank import BenchTank
 from rig.simulated.terminal import in_thread
 from rig.trial.capture import ManifoldSinks, PlannedTrial, SwitchableSink, TrialTiming
@@ -191,9 +190,7 @@ def test_a_run_that_was_stopped_goes_on_with_what_is_missing(tmp_path):
 
 def test_a_bad_line_loses_readings_and_says_so(tmp_path):
     faults = LineFaults(flipped=1e-4, dropped=1e-4, inserted=1e-4)
-    (told,) = recorded(
-        tmp_path, [PlannedTrial("a", SegmentDrive("sine", 2.0, 50e3), 1.0)], faults
-    )
+    (told,) = recorded(tmp_path, [PlannedTrial("a", SegmentDrive("sine", 2.0, 50e3), 1.0)], faults)
     assert told["readings_lost"] > 0 and told["frames_damaged"] > 0
     assert any("lost" in x for x in told["findings"])
     found = columns_of(tmp_path / "a.csv")
@@ -292,12 +289,6 @@ def test_a_limit_above_the_firmwares_is_refused():
 def test_limits_that_cannot_be_are_refused(given, message):
     with pytest.raises(RigError, match=message):
         PressureLimits.of(given)
-
-
-def test_a_wrong_chamber_is_told_which_there_are():
-    assert chamber("rear_left") == 2
-    with pytest.raises(RigError, match="given 'tail'; allowed front_left, front_right"):
-        chamber("tail")
 
 
 def test_a_port_that_is_missing_busy_or_no_port_is_told(tmp_path):

@@ -13,8 +13,8 @@ from calibration.pressure_logs.synthetic import COUNT, PERIOD, Valves
 from rig.errors import RigError
 from rig.manifold.published import PublishedManifold
 from rig.manifold.serial_port import PortLost, open_port
-from rig.protocol.published import Dialogue, Done, Header, LogRow, Question, pascal
-from rig.simulated.published import PublishedFirmware, generate, replay_log
+from rig.protocol.published import Dialogue, Done, Header, LogRow, Question, counts_to_pascal
+from rig.simulated.published import PublishedFirmware, replay_log, simulate_frequency_test
 from rig.simulated.terminal import BACKLOG, in_process, in_thread
 from tests.support.synthetic_log import log_lines
 
@@ -284,10 +284,10 @@ def test_what_follows_done_is_left_for_the_next_test():
 
 
 def test_counts_become_pascals_as_in_the_reader_of_logs():
-    assert pascal(300.0) == pytest.approx(PA_PER_PSI * psi(300.0))
+    assert counts_to_pascal(300.0) == pytest.approx(PA_PER_PSI * psi(300.0))
     row = LogRow(1, 0, 250, 91.02, -197.98, 289)
-    assert row.pressure_Pa == pascal(289)
-    assert row.command_Pa == pascal(91.02)
+    assert row.pressure_Pa == counts_to_pascal(289)
+    assert row.command_Pa == counts_to_pascal(91.02)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -1.0, 0.0, 0.05, 50.0])
@@ -439,7 +439,7 @@ class Chamber:
 
 def test_a_test_made_of_a_plant_reads_as_a_log_of_the_firmware(tmp_path):
     chamber = Chamber()
-    wire = Wire(PublishedFirmware(generate(chamber, cycles=3)))
+    wire = Wire(PublishedFirmware(simulate_frequency_test(chamber, cycles=3)))
     outcome, recorded, rows = record(wire, 2.0, clock=wire.ns)
     assert outcome.findings == ()
     path = tmp_path / "made.txt"

@@ -13,11 +13,9 @@ from rig.errors import RigError
 from rig.manifold.driver import Manifold
 from rig.manifold.limits import PressureLimits
 from rig.manifold.serial_port import PortLost, open_port
-from rig.protocol.frames import decode
-from rig.protocol.messages import Event, ManifoldState
+from rig.protocol.messages import Event, ManifoldState, decode_frame
 from rig.scheduling import real_time_priority
-from rig.simulated.line_faults import LineFaults
-from rig.simulated.rig import SimulatedRig
+from rig.simulated.rig import LineFaults, SimulatedRig
 from rig.simulated.tank import BenchTank
 from rig.simulated.terminal import in_thread
 from rig.trial.capture import ManifoldSinks, PlannedTrial, SwitchableSink, TrialTiming, record_trial
@@ -192,7 +190,7 @@ def test_a_vent_whose_reason_is_lost_on_the_line_is_noticed(tmp_path):
 
         def _look(self, said):
             wire = b"".join(frame + b"\0" for frame in super()._look(said).split(b"\0")[:-1]
-                            if not isinstance(decode(frame), Event))  # fmt: skip
+                            if not isinstance(decode_frame(frame), Event))  # fmt: skip
             return wire
 
     watched = Mute()

@@ -2,7 +2,6 @@
 
 import pytest
 
-from rig.protocol.frames import Decoder, encode
 from rig.protocol.messages import (
     Ack,
     Answer,
@@ -10,6 +9,7 @@ from rig.protocol.messages import (
     Cause,
     Event,
     Follows,
+    FrameDecoder,
     Heartbeat,
     Hello,
     Ident,
@@ -21,6 +21,7 @@ from rig.protocol.messages import (
     WaveBegin,
     WavePiece,
     WavePlay,
+    encode_frame,
 )
 from rig.simulated.manifold import ManifoldCore
 
@@ -32,7 +33,7 @@ class Bench:
     """A core, its clock, and what it said that was no reading."""
 
     def __init__(self, *messages):
-        self.core, self.now, self._decoder = ManifoldCore(), 0, Decoder()
+        self.core, self.now, self._decoder = ManifoldCore(), 0, FrameDecoder()
         self.readings = []
         self.said = self._heard(self.core.tick(0, REST))
         for message in messages:
@@ -44,7 +45,7 @@ class Bench:
         return [m for m in found if not isinstance(m, Reading)]
 
     def say(self, message):
-        self.said = self._heard(self.core.feed(encode(message), self.now))
+        self.said = self._heard(self.core.feed(encode_frame(message), self.now))
         return self.said
 
     def wait(self, seconds, channels=REST, step=1000):
@@ -131,7 +132,7 @@ def test_any_sound_frame_keeps_it_going_and_noise_does_not():
     assert bench.core.state == ManifoldState.ARMED
     for _ in range(3):
         bench.wait(0.04)
-        bench.core.feed(b"\x07noise\0" + encode(Event(1, 2, 3)), bench.now)
+        bench.core.feed(b"\x07noise\0" + encode_frame(Event(1, 2, 3)), bench.now)
     assert bench.core.state == ManifoldState.FAULT and bench.core.damaged == 6
 
 

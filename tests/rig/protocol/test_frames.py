@@ -6,12 +6,13 @@ import zlib
 
 import pytest
 
-from rig.manifold.serial_port import piece_from
-from rig.protocol.frames import LONGEST, Decoder, decode, encode
+from rig.manifold.serial_port import read_piece
 from rig.protocol.messages import (
+    LONGEST_FRAME,
     Ack,
     Arm,
     Event,
+    FrameDecoder,
     Heartbeat,
     Hello,
     Ident,
@@ -22,8 +23,10 @@ from rig.protocol.messages import (
     WaveBegin,
     WavePiece,
     WavePlay,
-    pack,
-    unpack,
+    decode_frame,
+    encode_frame,
+    pack_message,
+    unpack_message,
 )
 
 EACH = (
@@ -69,9 +72,9 @@ def damaged(frames, share, random):
 
 @pytest.mark.parametrize("message", EACH, ids=lambda m: type(m).__name__)
 def test_every_message_comes_back_from_its_frame(message):
-    frame = encode(message)
-    assert frame[-1] == 0 and 0 not in frame[:-1] and len(frame) <= LONGEST + 1
-    assert decode(frame[:-1]) == message
+    frame = encode_frame(message)
+    assert frame[-1] == 0 and 0 not in frame[:-1] and len(frame) <= LONGEST_FRAME + 1
+    assert decode_frame(frame[:-1]) == message
 
 
 def test_a_frame_is_what_the_protocol_page_says():
@@ -79,58 +82,59 @@ def test_a_frame_is_what_the_protocol_page_says():
     body = bytes([0x03, 0x02, 0x01])
     check = struct.pack("<I", zlib.crc32(body))
     assert 0 not in check
-    assert encode(Arm(0x0102)) == bytes([8]) + body + check + b"\0"
+    assert encode_frame(Arm(0x0102)) == bytes([8]) + body + check + b"\0"
 
 
 @pytest.mark.parametrize("size", [1, 2, 7, 1000])
 def test_messages_come_whole_from_pieces_of_any_size(size):
-    wire = b"".join(map(encode, EACH))
-    decoder, found = Decoder(), []
+    wire = b"".join(map(encode_frame, EACH))
+    decoder, found = FrameDecoder(), []
     for i in range(0, len(wire), size):
         found += decoder.feed(wire[i : i + size])
     assert found == list(EACH) and decoder.damaged == 0
 
 
 @pytest.mark.parametrize(
-    "body", [b"", b"\x55", b"\x03\x01", pack(Arm(1)) + b"\0", b"\x08\0\0\0\0", b"\x82" + bytes(10)]
+    "body",
+    [b"", b"\x55", b"\x03\x01", pack_message(Arm(1)) + b"\0", b"\x08\0\0\0\0", b"\x82" + bytes(10)],
 )
 def test_unknown_types_and_lengths_are_no_messages(body):
-    assert unpack(body) is None
+    assert unpack_message(body) is None
 
 
 def test_no_bit_of_a_frame_can_flip_unseen():
     for message in EACH:
-        frame = encode(message)
+        frame = encode_frame(message)
         for bit in range(8 * (len(frame) - 1)):
             wire = bytearray(frame)
             wire[bit // 8] ^= 1 << bit % 8
-            decoder = Decoder()
+            decoder = FrameDecoder()
             assert decoder.feed(bytes(wire)) == [] and decoder.damaged >= 1
 
 
 def test_after_damage_the_stream_is_back_within_two_frames():
     sound = readings(3)
-    for cut in range(len(encode(sound[0]))):
-        wire = encode(sound[0])[:cut] + encode(sound[1]) + encode(sound[2])
-        decoder = Decoder()
+    for cut in range(len(encode_frame(sound[0]))):
+        wire = encode_frame(sound[0])[:cut] + encode_frame(sound[1]) + encode_frame(sound[2])
+        decoder = FrameDecoder()
         found = decoder.feed(wire)
         assert found[-1] == sound[2] and len(found) >= 1
         assert decoder.damaged == (0 if cut == 0 else 1)
 
 
 def test_noise_without_an_end_is_dropped_and_counted_once():
-    decoder = Decoder()
+    decoder = FrameDecoder()
     for _ in range(100):
         assert decoder.feed(bytes([7]) * 50) == []
-    assert len(decoder._rest) <= LONGEST
-    assert decoder.feed(b"\0" + encode(Arm(1))) == [Arm(1)] and decoder.damaged == 1
+    assert len(decoder._rest) <= LONGEST_FRAME
+    assert decoder.feed(b"\0" + encode_frame(Arm(1))) == [Arm(1)] and decoder.damaged == 1
 
 
 def fuzzed(count, seed, share=0.01):
     """(frames, of them touched, found, damaged count) of readings on a bad line."""
     chance, sent = random.Random(seed), readings(count)
-    wire, touched = damaged([encode(m) for m in sent], share, chance)
-    decoder, found = Decoder(), []
+    wire, touched = damaged([encode_frame(m) for m in sent], share, chance)
+    decoder, found = FrameDecoder(), []
     at = 0
     while at < len(wire):
         size = chance.randrange(1, 400)
@@ -179,6 +183,6 @@ class Late:
 
 
 def test_a_frame_is_one_piece():
-    frames = [encode(Heartbeat(i)) for i in range(3)]
+    frames = [encode_frame(Heartbeat(i)) for i in range(3)]
     port = Late(*frames)
-    assert [piece_from(port) for _ in range(4)] == [*frames, b""]
+    assert [read_piece(port) for _ in range(4)] == [*frames, b""]

@@ -3,13 +3,11 @@
 import numpy as np
 import pytest
 
-from rig.protocol.frames import encode
-from rig.protocol.messages import Arm, ManifoldState, Reading, SetLimits, SetPressures
+from rig.protocol.messages import Arm, ManifoldState, Reading, SetLimits, SetPressures, encode_frame
 from rig.recording.table import AnalogueSensor, _moves
-from rig.simulated.line_faults import LineFaults
 from rig.simulated.manifold import ManifoldCore
-from rig.simulated.rig import SimulatedRig
-from rig.simulated.tank import Measured
+from rig.simulated.rig import LineFaults, SimulatedRig
+from rig.simulated.tank import TankState
 from rig.trial.settling import STILL, WINDOW, Stillness, sensor_noise
 
 TIP, RANGE = AnalogueSensor("tip_m", 1, 0.1), 0.08
@@ -75,7 +73,7 @@ class Followed:
 
     def advance(self, set_pressures, seconds):
         self.sets.append(set_pressures)
-        return Measured((0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
+        return TankState((0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
 
 
 class Told(ManifoldCore):
@@ -122,14 +120,14 @@ def test_a_simulated_manifold_that_was_not_run_does_not_blame_its_host():
     """A command waited while the program stood still for 200 ms."""
     rig = SimulatedRig(Followed())
     for message in (SetLimits(1, *[100_000] * 4), Arm(2), SetPressures(3, 1, 1, 1, 1)):
-        rig.feed(encode(message), 0)
+        rig.feed(encode_frame(message), 0)
     for now in range(0, 39_000, 1000):
         rig.tick(now)
-    rig.feed(encode(SetPressures(4, 2, 2, 2, 2)), 238_000)
+    rig.feed(encode_frame(SetPressures(4, 2, 2, 2, 2)), 238_000)
     for now in range(238_000, 290_000, 1000):
         rig.tick(now)
         if now == 250_000:
-            rig.feed(encode(SetPressures(5, 3, 3, 3, 3)), now)
+            rig.feed(encode_frame(SetPressures(5, 3, 3, 3, 3)), now)
     assert rig.core.state == ManifoldState.ARMED and rig.core.set_pressures == (3, 3, 3, 3)
     # A host that is silent is still found out, by the time that the program makes up for.
     rig.tick(600_000)
