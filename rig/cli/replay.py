@@ -79,7 +79,7 @@ def _anew(folder: Path, out: Path, rig: Path | None) -> int:
                 print(f"{path.name}: left out: {error}", file=sys.stderr)
                 continue
             write_trial(stage, path.stem, read)
-            said = [*trial.findings, *missing, *read.told["findings"]]
+            said = [*trial.findings, *missing, *read.record["findings"]]
             print(f"{path.stem}.csv  {'; '.join(said) or 'no findings'}")
         if left_out == len(paths):
             raise InputError(f"{folder}: no recording could be read; nothing is written")

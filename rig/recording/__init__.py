@@ -1,2 +1,2 @@
-"""Writes all readings of a trial to HDF5 so that a killed process loses little, and reads them
-back. May import `protocol`."""
+"""Writes all readings of a trial to an HDF5 file that survives a killed process, and reads it.
+May import `protocol`."""

@@ -1,10 +1,10 @@
-"""One clock for all streams: the host's monotonic one, and devices' clocks laid against it.
+"""Converts device times to the host's monotonic clock, which is common to all streams.
 
-What a device sends arrives late, by a time that jitters but is never negative: arrivals lie above
-the line that is the device's clock. It is found as the highest line below all of them, by the sum
-of distances: the edge of their lower convex hull that spans their mean device time (Moon, Skelly
-and Towsley, "Estimation and removal of clock skew from network delay measurements", INFOCOM 1999).
-The least delay of all cannot be known, and counts as none.
+A message arrives after a delay that varies but is never negative. Plotted against device time,
+arrivals are therefore above the line of the device's clock. The estimate is the highest line below
+all arrivals, by the sum of distances. That line is the edge of their lower convex hull that spans
+the mean device time (Moon, Skelly and Towsley, "Estimation and removal of clock skew from network
+delay measurements", INFOCOM 1999). The smallest delay is unobservable and taken as zero.
 """
 
 import time
@@ -15,49 +15,49 @@ import numpy as np
 from rig.errors import RigError
 
 MAX_DRIFT = 1e-3
-"""Rates of two sound clocks differ by less; a quartz keeps 2e-4."""
+"""Largest accepted difference of two clock rates; a quartz keeps 2e-4."""
 PIECE = 60.0
-"""Over so long a rate counts as constant [s]."""
+"""Duration over which a clock's rate is taken as constant [s]."""
 _SHORT = 10.0
-"""Over less than this jitter hides a rate [s]."""
+"""In a shorter record the delay's jitter hides the rate [s]."""
 _BLOCK = 0.5
-"""The on-line fit keeps one arrival of each such stretch [s]."""
+"""The on-line fit keeps one arrival for each interval of this duration [s]."""
 
-LATEST = 0.5
-"""Samples of which half came later than this [s] were not taken at the rate that is claimed."""
+MAX_MEDIAN_DELAY = 0.5
+"""Largest median delay of samples [s]; a larger one shows that the sensor has another rate."""
 
 
 def host_ns() -> int:
-    """The host's clock [ns]: never set back, and the same in all processes of the machine."""
+    """Return the host's time [ns]; it never decreases and is the same in all processes."""
     return time.monotonic_ns()
 
 
 class ClockFit(NamedTuple):
-    """The host's time against the device's: straight between knots, and beyond them."""
+    """Host time as a function of device time: linear between knots, extrapolated beyond them."""
 
     device_s: np.ndarray
     """(knots,) device times [s]"""
     host_s: np.ndarray
     """(knots,) host times [s]"""
     late_median: float
-    """Half of the arrivals were later than this, by the fit [s]."""
+    """Median delay of the arrivals after the fit [s]."""
     late_99: float
-    """One arrival in a hundred was later than this [s]."""
-    early_most: float
-    """The earliest arrival was before its time by this [s]: rates change within a piece."""
+    """99th percentile of the delay [s]."""
+    early_max: float
+    """Largest negative delay [s]; above 0 if the rate changes within a piece of the record."""
 
     @property
     def rate(self) -> float:
-        """Host seconds a device second, over the whole record."""
+        """Host seconds per device second, over the whole record."""
         return float((self.host_s[-1] - self.host_s[0]) / (self.device_s[-1] - self.device_s[0]))
 
     @property
     def offset(self) -> float:
-        """Host time at device time 0 [s]."""
+        """Host time [s] at device time 0."""
         return float(self.to_host(0.0))
 
     def to_host(self, device_s: np.ndarray | float) -> np.ndarray:
-        """Host times [s] of device times [s]."""
+        """Return the host times [s] of device times [s]."""
         x, (knots, host) = np.asarray(device_s, float), self[:2]
         left = np.clip(np.searchsorted(knots, x) - 1, 0, len(knots) - 2)
         slope = np.diff(host) / np.diff(knots)
@@ -65,28 +65,28 @@ class ClockFit(NamedTuple):
 
 
 def fit_clock(device_s: np.ndarray, host_s: np.ndarray) -> ClockFit:
-    """Fit the times of a device (n,) to the times of arrival at the host (n,), both [s].
+    """Return the clock fit of device times (n,) to arrival times at the host (n,), both [s].
 
-    Records longer than `PIECE` are fitted piece by piece, since a quartz changes with temperature.
-    Raises `RigError` for arrays that do not match, for a device time that falls (the device
-    restarted, see `segments`), and for rates that differ by `MAX_DRIFT` and more.
+    Records longer than `PIECE` are fitted in pieces, because a quartz drifts with temperature.
+    Raises `RigError` if the shapes differ, if device time decreases (the device restarted, see
+    `split_at_restarts`), or if the rates differ by `MAX_DRIFT` or more.
     """
     x, y = np.asarray(device_s, float), np.asarray(host_s, float)
     if x.ndim != 1 or x.shape != y.shape or not x.size:
         raise RigError.value("clock", f"arrays {x.shape} and {y.shape}", "two of (n,), n > 0")
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
-        raise RigError.value("clock", "times that are not finite", "finite ones; leave those out")
+        raise RigError.value("clock", "times that are not finite", "finite times; omit the others")
     if len(split_at_restarts(x)) > 1:
         at = split_at_restarts(x)[1].start
         raise RigError(
-            f"clock: device time falls from {x[at - 1]:g} s to {x[at]:g} s at sample {at}: "
-            "the device restarted; align each of split_at_restarts() by itself"
+            f"clock: device time decreases from {x[at - 1]:g} s to {x[at]:g} s at sample {at}: "
+            "the device restarted; fit each slice of split_at_restarts() separately"
         )
     length = x[-1] - x[0]
     if length >= _SHORT and abs(_line_below(x, y).drift) >= MAX_DRIFT:
         raise RigError(
             f"clock: {length:g} s of the device take {y[-1] - y[0]:g} s of the host; allowed "
-            f"a difference of {1e6 * MAX_DRIFT:g} ppm; give both in seconds, and of one run"
+            f"a difference of {1e6 * MAX_DRIFT:g} ppm; give both in seconds, from one run"
         )
     pieces = max(1, min(round(length / PIECE), x.size // 2))
     pairs = zip(np.array_split(x, pieces), np.array_split(y, pieces), strict=True)
@@ -104,22 +104,22 @@ def fit_clock(device_s: np.ndarray, host_s: np.ndarray) -> ClockFit:
     late = y - fit.to_host(x)
     median, most = np.quantile(late, (0.5, 0.99))
     return fit._replace(
-        late_median=float(median), late_99=float(most), early_most=float(max(0.0, -late.min()))
+        late_median=float(median), late_99=float(most), early_max=float(max(0.0, -late.min()))
     )
 
 
 class RunningClock:
-    """`align` on line, over the last `PIECE` seconds, in bounded memory and time."""
+    """An on-line `fit_clock` over the last `PIECE` seconds, in bounded memory and time."""
 
     def __init__(self) -> None:
         self.resets = 0
-        """How often device time fell: the device restarted, and the fit began anew."""
+        """Number of device restarts, at which device time decreases and the fit starts again."""
         self._blocks: dict[int, tuple[float, float]] = {}
         self._last = -np.inf
         self._line: _Line | None = None
 
     def add(self, device_s: float, host_s: float) -> None:
-        """What the device sent at `device_s` arrived at `host_s`, both [s]."""
+        """Add a message that was sent at `device_s` and arrived at `host_s`, both [s]."""
         if device_s < self._last:
             self.resets += 1
             self._blocks.clear()
@@ -132,26 +132,26 @@ class RunningClock:
                 del self._blocks[oldest]
 
     def to_host(self, device_s: np.ndarray | float) -> np.ndarray:
-        """Host times [s] of device times [s]. Raises `RigError` before the first `add`."""
+        """Return the host times [s] of device times [s]. Raises `RigError` before any `add`."""
         if not self._blocks:
-            raise RigError("clock: nothing has arrived yet; add a pair of times first")
+            raise RigError("clock: no message has arrived yet; add a pair of times first")
         if self._line is None:
             self._line = _line_below(*np.array(list(self._blocks.values())).T)
         return np.asarray(self._line.at(np.asarray(device_s, float)))
 
 
 def split_at_restarts(device_s: np.ndarray) -> list[slice]:
-    """The runs between restarts of the device, at which its time falls."""
-    falls = np.flatnonzero(np.diff(device_s) < 0) + 1
-    ends = [0, *falls.tolist(), len(device_s)]
+    """Return the slices between restarts of the device, at which its time decreases."""
+    restarts = np.flatnonzero(np.diff(device_s) < 0) + 1
+    ends = [0, *restarts.tolist(), len(device_s)]
     return [slice(a, b) for a, b in zip(ends, ends[1:], strict=False)]
 
 
 def unwrap_counter(counts: np.ndarray, modulus: int) -> np.ndarray:
-    """Counts (n,) of a counter that starts again from 0 at `modulus`, as ones that go on (int64).
+    """Return the counts (n,) of a counter that restarts from 0 at `modulus`, unwrapped (int64).
 
-    A step of more than half the modulus is a wrap; a smaller one backwards stays (reordered
-    packets, or a restart).
+    A step larger than half the modulus is a wrap. A smaller backward step is kept: it is a
+    reordered packet or a restart.
     """
     counts = np.asarray(counts).astype(np.int64)
     half = modulus // 2
@@ -162,47 +162,53 @@ def unwrap_counter(counts: np.ndarray, modulus: int) -> np.ndarray:
 def host_sample_times(
     number: np.ndarray, arrived_ns: np.ndarray, rate: float, at: np.ndarray
 ) -> np.ndarray:
-    """Host times [ns], int64, of the samples numbered `at`.
+    """Return the host times [ns], int64, of the samples numbered `at`, from numbers and rate.
 
-    `number` (n,), rising, are the samples that arrived at `arrived_ns` (n,); `rate` [Hz] is the
-    sensor's, right to what crystals differ. Raises `RigError` where they did not come at that rate.
+    `number` (n,) are the increasing numbers of the samples that arrived at `arrived_ns` (n,).
+    `rate` is the sensor's sampling rate [Hz], exact up to the tolerance of its quartz. Raises
+    `RigError` if the samples did not arrive at that rate.
     """
-    start = arrived_ns.min()  # so that a double holds nanoseconds
+    start = arrived_ns.min()  # subtracted, so that float64 resolves nanoseconds
     clock = fit_clock((number - number[0]) / rate, 1e-9 * (arrived_ns - start))
-    if clock.late_median > LATEST:
+    if clock.late_median > MAX_MEDIAN_DELAY:
         raise RigError(
-            f"force sensor: half of {len(number)} samples came {clock.late_median:.2g} s late and "
-            f"more, by a rate of {rate:.5g} Hz; see that the sensor is set to that rate, and that "
-            "this computer is not too busy to receive them"
+            f"force sensor: the median delay of {len(number)} samples at {rate:.5g} Hz is "
+            f"{clock.late_median:.2g} s; allowed up to {MAX_MEDIAN_DELAY:g} s; set the sensor to "
+            "that rate, or stop other programs if the computer is too busy"
         )
     return start + np.rint(1e9 * clock.to_host((at - number[0]) / rate)).astype(np.int64)
 
 
 class _Line(NamedTuple):
+    """A line of host time against device time [s]."""
+
     middle: float
+    """Device time of the line's reference point."""
     host: float
-    """Where the line is at `middle`."""
+    """Host time at `middle`."""
     drift: float
-    """Its slope less 1."""
+    """Slope minus 1."""
 
     def at(self, device_s: Any) -> Any:
         return self.host + (1.0 + self.drift) * (device_s - self.middle)
 
 
 def _line_below(x: np.ndarray, y: np.ndarray) -> _Line:
-    """The highest line below the points, by its mean, of drifts up to `MAX_DRIFT`.
+    """Return the line below all points with the highest mean, for drifts up to `MAX_DRIFT`.
 
-    For a given drift it rests on one point; its mean is concave in the drift, and greatest where
-    it rests on points on both sides of the mean time: those two are closed in upon. A short record
-    that rests on one point at any drift tells none: 0.
+    For a given drift the line touches one point. The line's mean is a concave function of the
+    drift, with its maximum where the line touches points on both sides of the mean time. The loop
+    narrows down to these two points. The drift of a short record is 0 if all lines touch the same
+    point.
     """
     middle = x.mean()
     u, v = x - middle, y - x
 
-    def rest(drift: float) -> int:
+    def touched(drift: float) -> int:
+        """Return the index of the point that the line of this drift touches."""
         return int(np.argmin(v - drift * u))
 
-    left, right = rest(-MAX_DRIFT), rest(MAX_DRIFT)
+    left, right = touched(-MAX_DRIFT), touched(MAX_DRIFT)
     if left == right and x[-1] - x[0] < _SHORT:
         drift = 0.0
     elif u[left] >= 0.0:
@@ -212,7 +218,7 @@ def _line_below(x: np.ndarray, y: np.ndarray) -> _Line:
     else:
         while True:
             drift = float((v[right] - v[left]) / (u[right] - u[left]))
-            lower = rest(drift)
+            lower = touched(drift)
             if v[lower] - drift * u[lower] >= v[left] - drift * u[left] or lower == right:
                 break
             if u[lower] < 0.0:

@@ -1,4 +1,4 @@
-"""The manifold's stream as arrays: what it read, and what was lost or damaged on the way."""
+"""Decodes the manifold's recorded streams: readings, numbers of losses, the drive's span."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -11,56 +11,59 @@ from rig.recording.reader import Recording
 
 
 class DecodedReadings(NamedTuple):
-    """(n,) arrays by sequence number, n readings that came."""
+    """The n distinct readings that arrived, sorted by sequence number: arrays of shape (n,)."""
 
     seq: np.ndarray
-    """Counted on where the manifold's 32 bits roll over."""
+    """Sequence number, unwrapped where the manifold's 32-bit counter wraps."""
     host_s: np.ndarray
-    """Arrival, host's monotonic clock [s]."""
+    """Arrival time on the host's monotonic clock [s]."""
     device_s: np.ndarray
-    """When they were due, the manifold's clock [s]."""
+    """Scheduled time on the manifold's clock [s]."""
     state: np.ndarray
     command: np.ndarray
-    """Number of the set pressures that were followed."""
+    """Sequence number of the set pressures that the manifold followed."""
     channels: np.ndarray
-    """(n, 8) as in `CHANNELS`."""
+    """(n, 8) in the order and units of `CHANNELS`."""
     lost: int
     duplicated: int
     damaged: int
     events: list[tuple[float, Event]]
-    """With the host's time of arrival [s]."""
+    """Pairs of arrival time on the host's clock [s] and event."""
     follows: list[Follows]
-    """The set pressures that were followed, one after the other."""
+    """Changes of the set pressures that the manifold followed, in order of arrival."""
 
     def pressures(self) -> tuple[np.ndarray, np.ndarray]:
-        """Signed pressures (n,) of the front and the rear segment [Pa]: left less right."""
+        """Return the signed pressures (n,) of the front and rear segment, left minus right [Pa]."""
         p = self.channels
         return p[:, 0] - p[:, 1], p[:, 2] - p[:, 3]
 
 
 def decode_readings(pieces: Iterable[tuple[int, bytes]]) -> DecodedReadings:
-    """From (host time [ns], bytes) as they came. What is before the first end of a frame is not
-    counted as damage, for a recording may begin within one."""
-    decoder, begun = FrameDecoder(), False
-    found: list[tuple[float, Reading]] = []
+    """Return the readings in a stream of (host time [ns], bytes).
+
+    Bytes before the end of the first frame are not counted as damaged, because a recording may
+    start within a frame.
+    """
+    decoder, in_step = FrameDecoder(), False
+    received: list[tuple[float, Reading]] = []
     events: list[tuple[float, Event]] = []
     follows: list[Follows] = []
     for host_ns, piece in pieces:
-        if not begun:
+        if not in_step:
             _, end, piece = piece.partition(b"\0")
-            begun = bool(end)
-        if not begun:
+            in_step = bool(end)
+        if not in_step:
             continue
         for message in decoder.feed(piece):
             if isinstance(message, Reading):
-                found.append((host_ns * 1e-9, message))
+                received.append((host_ns * 1e-9, message))
             elif isinstance(message, Event):
                 events.append((host_ns * 1e-9, message))
             elif isinstance(message, Follows):
                 follows.append(message)
     number, last = 0, None
     kept: dict[int, tuple[float, Reading]] = {}
-    for host_s, reading in found:
+    for host_s, reading in received:
         if last is not None:
             step = (reading.seq - last) % 2**32
             number += step if step < 2**31 else step - 2**32
@@ -77,7 +80,7 @@ def decode_readings(pieces: Iterable[tuple[int, bytes]]) -> DecodedReadings:
         np.array([r.command for _, r in rows], np.int64),
         np.array([r.channels for _, r in rows], float).reshape(len(rows), len(CHANNELS)),
         lost=int(seq[-1] - seq[0] + 1 - len(seq)) if len(seq) else 0,
-        duplicated=len(found) - len(rows),
+        duplicated=len(received) - len(rows),
         damaged=decoder.damaged,
         events=events,
         follows=follows,
@@ -85,22 +88,25 @@ def decode_readings(pieces: Iterable[tuple[int, bytes]]) -> DecodedReadings:
 
 
 class DriveSpan(NamedTuple):
-    """Of a drive that was recorded."""
+    """When the drive began in a recording, and its duration."""
 
     begun_ns: int
     """Host time of its first command [ns]."""
     seconds: float
-    """From then to the last that came of the manifold [s]."""
+    """Time from the first command to the manifold's last bytes [s]."""
 
 
 def drive_span(recording: Recording) -> DriveSpan:
-    """Of the drive in a recording, by its commands. Raises `RigError` where it has not begun."""
+    """Return the span of the drive, from the recorded commands of an interrupted run.
+
+    Raises `RigError` if the drive had not begun.
+    """
     decoder, armed = FrameDecoder(), False
-    went, came = recording.streams["commands"], recording.streams["manifold"]
-    for host_ns, piece in zip(went.host_ns.tolist(), went.pieces(), strict=True):
+    sent, received = recording.streams["commands"], recording.streams["manifold"]
+    for host_ns, piece in zip(sent.host_ns.tolist(), sent.pieces(), strict=True):
         for message in decoder.feed(piece):
             armed = armed or isinstance(message, Arm)
             if armed and isinstance(message, SetPressures):
-                last = int(came.host_ns[-1]) if len(came.host_ns) else host_ns
+                last = int(received.host_ns[-1]) if len(received.host_ns) else host_ns
                 return DriveSpan(host_ns, max(1e-9 * (last - host_ns), 0.0))
-    raise RigError("recording: its drive had not begun when the run ended; record it again")
+    raise RigError("recording: the run ended before the drive began; record the trial again")

@@ -1,5 +1,4 @@
-"""Reads what `rig.recording.writer` wrote: while it is written, after its end, and after it was
-killed."""
+"""Reads recordings of `rig.recording.writer`: finished, being written, or cut off by a kill."""
 
 import json
 from pathlib import Path
@@ -14,26 +13,26 @@ from rig.recording.writer import CRC_OF_NOTHING, SCHEMA, open_to_read
 
 
 class RecordedStream(NamedTuple):
-    """What came on one stream: (pieces,) arrays and the bytes."""
+    """The bytes of one stream, in pieces as they arrived; the arrays have the shape (pieces,)."""
 
     host_ns: np.ndarray
-    """Host time of each piece [ns]."""
+    """Arrival time of each piece on the host's clock [ns]."""
     ends: np.ndarray
-    """Where each piece ends in `data`."""
+    """Offset in `data` at which each piece ends."""
     data: bytes
     lost: tuple[int, int]
-    """Pieces and bytes that came but that the recorder could not keep."""
+    """Pieces and bytes that arrived but that the recorder could not write."""
     trimmed: tuple[int, int]
-    """Pieces and bytes at the end of the file that are not whole, and left out here."""
+    """Incomplete pieces and bytes at the end of the file, which are omitted here."""
 
     def pieces(self) -> list[bytes]:
-        """Each piece as it came."""
+        """Return each piece as it arrived."""
         starts = [0, *self.ends.tolist()]
         return [self.data[a:b] for a, b in zip(starts, starts[1:], strict=False)]
 
 
 class Recording(NamedTuple):
-    """All streams of a trial, by name, and what was known when it began."""
+    """All streams of a trial by name, and the settings and versions stored at its start."""
 
     streams: dict[str, RecordedStream]
     settings: dict[str, Any]
@@ -41,7 +40,7 @@ class Recording(NamedTuple):
     wall_ns_at_host_0: int
     """Unix time [ns] of host time 0."""
     closed: bool
-    """The recorder ended as it should; else it was killed, its disk failed, or it still runs."""
+    """True if the recorder ended normally; False if it was killed, its disk failed, or it runs."""
 
 
 def read_recording(path: Path | str) -> Recording:
@@ -62,14 +61,14 @@ def read_recording(path: Path | str) -> Recording:
                 return _read(file)
     except (OSError, RuntimeError, KeyError, ValueError) as error:
         raise RigError(
-            f"recording {path}: is torn, or no recording at all ({error}); give a file that "
-            "the rig's recorder wrote, and all of it"
+            f"recording {path}: is incomplete or not a recording ({error}); give a complete file "
+            "that the rig's recorder wrote"
         ) from None
     if schema > SCHEMA:
         raise RigError.value(
             f"recording {path}: schema", schema, f"up to {SCHEMA}", "read it with a newer version"
         )
-    raise RigError(f"recording {path}: is HDF5, but not one of the rig's recorder; give another")
+    raise RigError(f"recording {path}: is an HDF5 file but not a recording; give a recording")
 
 
 def _read(file: h5py.File) -> Recording:
@@ -83,7 +82,7 @@ def _read(file: h5py.File) -> Recording:
 
 
 def _stream(group: h5py.Group) -> RecordedStream:
-    index = group["index"][:]  # before the bytes, which may be growing
+    index = group["index"][:]  # read before the bytes, to which a running recorder appends
     data = group["bytes"][:].tobytes()
     good, end, crc = 0, 0, CRC_OF_NOTHING
     for _, next_end, next_crc in index.tolist():

@@ -1,4 +1,4 @@
-"""A recorded trial as the columns that calibration reads: all channels at the manifold's times."""
+"""Converts a recorded trial to the columns of its CSV file, at the manifold's times."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,34 +13,34 @@ from rig.recording.decode import DecodedReadings, decode_readings
 from rig.recording.reader import RecordedStream, Recording
 
 ORDER = ("t_s", "p_front_Pa", "p_rear_Pa", "thrust_N", "recoil_N", "tip_m")
-"""Of the columns in a trial's file."""
+"""Order of the columns in a trial's file."""
 AVERAGED = 25
-"""Readings of the quiet that are averaged before it is asked whether they move."""
-NOISES = 5.0
-"""Standard deviations of such a mean that noise may make of a range."""
-NOT_STILL = 0.02
-"""A sensor that moves in the quiet by more of its range in the drive is told of."""
-FURTHEST = 0.006
-"""A gap in an instrument's samples that is longer is a gap in its column [s]."""
+"""Number of readings at rest that are averaged before testing for motion."""
+MAX_NOISE_RANGE = 5.0
+"""Range of these means that noise may cause, in standard deviations of a mean."""
+MAX_REST_RANGE = 0.02
+"""Range at rest above which a sensor counts as moving, as a fraction of its range in the drive."""
+MAX_GAP = 0.006
+"""Longest interval between an instrument's samples that is interpolated [s]."""
 
 
 class SampledColumns(NamedTuple):
-    """What an instrument measured: host times (n,) [s], and values (n,) of each column."""
+    """An instrument's samples: host times (n,) [s], and values (n,) of each column."""
 
     t: np.ndarray
     columns: dict[str, np.ndarray]
-    """NaN where a sample is lost or doubtful."""
+    """NaN for lost or invalid samples."""
     findings: tuple[str, ...]
     continuous: bool = True
-    """Sampled faster than the manifold reads; else a value is given at the nearest row only."""
+    """True if sampled faster than the manifold; else each value goes to the nearest row only."""
 
 
 @dataclass(frozen=True)
 class AnalogueSensor:
-    """A sensor on one of the manifold's analogue inputs, such as a laser on the tail's tip.
+    """A sensor on an analogue input of the manifold, such as a laser that measures the tail's tip.
 
-    column = scale (voltage - zero), `input` 1 to 3, `scale` per volt, `zero` [V]; a `zero` of None
-    is what it reads in the quiet before the drive.
+    column = scale (voltage - zero), with `input` 1 to 3, `scale` [unit / V] and `zero` [V].
+    A `zero` of None is the mean voltage at rest before the drive.
     """
 
     column: str
@@ -52,16 +52,16 @@ class AnalogueSensor:
         if self.input not in (1, 2, 3):
             raise RigError.value("analogue input", self.input, "1, 2 or 3")
         if not np.isfinite(self.scale) or self.scale == 0.0:
-            raise RigError.value("analogue scale", self.scale, "a finite number that is not 0")
+            raise RigError.value("analogue scale", self.scale, "a finite number except 0")
 
     def signal(self, channels: np.ndarray) -> np.ndarray:
-        """(...) of readings' channels (..., 8), in the column's unit; from 0 V without a `zero`."""
+        """Return values (...) for channels (..., 8), with 0 V for a `zero` of None."""
         volts = 1e-6 * channels[..., CHANNELS.index(f"in_{self.input}_uV")]
         return self.scale * (volts - (self.zero or 0.0))
 
 
 def format_value(column: str, x: float) -> str:
-    """A value of a column in words, lengths in mm and pressures in kPa."""
+    """Return a column's value as text with its unit, lengths in mm and pressures in kPa."""
     unit = column.rsplit("_", 1)[-1]
     factor, shown = {"m": (1e3, "mm"), "Pa": (1e-3, "kPa")}.get(unit, (1.0, unit))
     return f"{factor * x:.3g} {shown}"
@@ -71,14 +71,15 @@ StreamReader = Callable[[RecordedStream], SampledColumns]
 
 
 class TrialColumns(NamedTuple):
-    """A trial's file, and what has to be known about it."""
+    """The columns of a trial's files and the record of their quality."""
 
     values: dict[str, np.ndarray]
-    """t_s, p_front_Pa, p_rear_Pa and what instruments give, (n,) each."""
+    """t_s, p_front_Pa, p_rear_Pa and the instruments' columns, (n,) each."""
     played: dict[str, np.ndarray] | None
-    """t_s, set_front_Pa, set_rear_Pa: the signed set pressures that were followed from t_s on, the
-    last row the trial's end. None where they are not known."""
-    told: dict[str, Any]
+    """t_s, set_front_Pa, set_rear_Pa: the signed set pressures that the manifold followed from t_s
+    on. The last row is the trial's end. None if changes were not recorded."""
+    record: dict[str, Any]
+    """Losses, delays, ranges, statistics at rest and findings, for the trial's JSON file."""
 
 
 def trial_columns(
@@ -88,24 +89,23 @@ def trial_columns(
     instruments: dict[str, StreamReader],
     analogue: tuple[AnalogueSensor, ...] = (),
 ) -> TrialColumns:
-    """The drive's rows, t_s from `begun_ns` [host ns] to `duration` [s].
+    """Return the columns from the drive's start at `begun_ns` (host time [ns]) to `duration` [s].
 
-    Forces and tip are told from what they are in the quiet before the drive; pressures as they
-    were read. `instruments` are by the name of their stream. Raises `RigError` for a recording
-    without readings.
+    The means at rest before the drive are subtracted from forces and tip, not from pressures.
+    `instruments` has the reader of each stream by name. Raises `RigError` without readings.
     """
-    came = recording.streams["manifold"]
-    found = decode_readings(zip(came.host_ns.tolist(), came.pieces(), strict=True))
+    received = recording.streams["manifold"]
+    found = decode_readings(zip(received.host_ns.tolist(), received.pieces(), strict=True))
     if len(found.seq) < 2:
         raise RigError(
             f"recording: {len(found.seq)} readings of the manifold, {found.damaged} damaged "
-            "frames; check the line with `slider rig check`"
+            "frames; allowed 2 readings or more; check the connection with `slider rig check`"
         )
     clock = fit_clock(found.device_s, found.host_s)
     t = clock.to_host(found.device_s) - begun_ns * 1e-9
     rows, quiet = (t >= 0.0) & (t <= duration), t < 0.0
     if rows.sum() < 2:
-        raise RigError("recording: no readings of the manifold during the drive; record it again")
+        raise RigError("recording: no readings of the manifold during the drive; repeat the trial")
     front, rear = found.pressures()
     values = {"t_s": t[rows], "p_front_Pa": front[rows], "p_rear_Pa": rear[rows]}
     rest: dict[str, RestStatistics] = {
@@ -118,17 +118,13 @@ def trial_columns(
         moves += _moves(sensor.column, signal[quiet], signal[rows], rest[sensor.column].noise)
         tare = rest[sensor.column].mean if sensor.zero is None else 0.0
         values[sensor.column] = (signal - tare)[rows]
-    played = _played(found, clock, begun_ns, duration)
-    findings = _of_line(found, clock) + moves
+    played = _played_drive(found, clock, begun_ns, duration)
+    findings = _manifold_findings(found, clock) + moves
     if played is None:
         findings += (
-            "not all set pressures that the manifold followed were told, so that the drive counts "
-            "as it was meant: "
-            + (
-                "some were lost on the line"
-                if found.follows
-                else "flash the firmware in rig/firmware"
-            ),
+            "the manifold did not report all set pressures that it followed; the planned drive is "
+            "used instead: "
+            + ("some reports were lost" if found.follows else "flash the firmware in rig/firmware"),
         )
     for name, read in instruments.items():
         samples = read(recording.streams[name])
@@ -140,22 +136,25 @@ def trial_columns(
             )
         findings += samples.findings
     values = {name: values[name] for name in (*ORDER, *values) if name in values}
-    return TrialColumns(values, played, _told(recording, found, clock, values, rest, findings))
+    record = _quality_record(recording, found, clock, values, rest, findings)
+    return TrialColumns(values, played, record)
 
 
-def _played(
+def _played_drive(
     found: DecodedReadings, clock: ClockFit, begun_ns: int, duration: float
 ) -> dict[str, np.ndarray] | None:
+    """Return the columns of the played drive, or None if a change before `duration` was lost."""
     if not found.follows:
         return None
     sets = np.array([x[2:] for x in found.follows], float)
     t = clock.to_host(np.array([1e-6 * x.device_us for x in found.follows])) - begun_ns * 1e-9
-    # Up to the first change behind the trial: what is lost of its fade does not matter.
+    # Up to the first change after the trial: losses in the fade do not matter.
     needed = int(np.searchsorted(t, duration)) + 1
     steps = np.diff([x.number for x in found.follows[:needed]]) % 2**16
     if t[0] > 0.0 or (steps != 1).any():
         return None
-    # What holds at the start and at the end are rows there; of changes at one time the last holds.
+    # The first row is the value at t = 0, the last row that at the end. Of changes at the same time
+    # only the last is kept.
     before, within = np.flatnonzero(t <= 0.0)[-1], np.flatnonzero((t > 0.0) & (t < duration))
     within = within[np.append(np.diff(t[within]) > 0.0, True)[: len(within)]]
     rows = np.concatenate([[before], within, [within[-1] if len(within) else before]])
@@ -165,28 +164,29 @@ def _played(
 
 
 class RestStatistics(NamedTuple):
-    """What a sensor read in the quiet; 0 where there is none."""
+    """Statistics of a sensor at rest before the drive; 0 without readings."""
 
     mean: float = 0.0
     deviation: float = 0.0
+    """Standard deviation of the readings."""
     noise: float = 0.0
-    """Standard deviation of what one reading does not share with the next."""
+    """Standard deviation of the noise that is independent between consecutive readings."""
 
 
 def _rest(signal: np.ndarray) -> RestStatistics:
-    there = signal[np.isfinite(signal)]
-    if len(there) < 3:
+    valid = signal[np.isfinite(signal)]
+    if len(valid) < 3:
         return RestStatistics()
-    noise = float(np.diff(there).std() / np.sqrt(2.0))
-    return RestStatistics(float(there.mean()), float(there.std()), noise)
+    noise = float(np.diff(valid).std() / np.sqrt(2.0))
+    return RestStatistics(float(valid.mean()), float(valid.std()), noise)
 
 
 def _moves(column: str, quiet: np.ndarray, drive: np.ndarray, noise: float) -> tuple[str, ...]:
-    """What is to be told of a sensor that should have been at rest in the quiet."""
+    """Return a finding if a sensor moved before the drive, else none."""
     pieces = np.array_split(quiet, max(1, len(quiet) // AVERAGED))
     before = float(np.ptp([x.mean() for x in pieces if x.size] or [0.0]))
     over = float(np.ptp(drive))
-    if before <= max(NOT_STILL * over, NOISES * noise / np.sqrt(AVERAGED)):
+    if before <= max(MAX_REST_RANGE * over, MAX_NOISE_RANGE * noise / np.sqrt(AVERAGED)):
         return ()
     return (
         f"{column} was not at rest before the drive: its range was {format_value(column, before)} "
@@ -197,21 +197,22 @@ def _moves(column: str, quiet: np.ndarray, drive: np.ndarray, noise: float) -> t
 def resample_at_rows(
     rows: np.ndarray, at: np.ndarray, signal: np.ndarray, continuous: bool = True
 ) -> np.ndarray:
-    """(n,) a signal (m,), sampled at times `at` (m,), at the times of `rows` (n,), all [s].
+    """Return a signal (m,), sampled at times `at` (m,) [s], at the times of `rows` (n,) [s].
 
-    NaN where it has no sample near enough; see `SampledColumns.continuous`.
+    The result is NaN without a sample nearby; see `SampledColumns.continuous`.
     """
-    there = np.isfinite(signal)
-    if there.sum() < 2:
+    valid = np.isfinite(signal)
+    if valid.sum() < 2:
         return np.full(len(rows), np.nan)
-    at, signal = at[there], signal[there]
+    at, signal = at[valid], signal[valid]
     order = np.argsort(at, kind="stable")
     at, signal = at[order], signal[order]
     after = np.clip(np.searchsorted(at, rows), 1, len(at) - 1)
     value = np.interp(rows, at, signal, left=np.nan, right=np.nan)
     if continuous:
-        return np.where(at[after] - at[after - 1] <= FURTHEST, value, np.nan)
-    # Between frames nothing is known: the row nearest to each gets its value, moved there.
+        return np.where(at[after] - at[after - 1] <= MAX_GAP, value, np.nan)
+    # The signal between frames is unknown: only the row nearest to a frame gets a value, which is
+    # interpolated to the row's time.
     nearest = np.clip(np.searchsorted(rows, at), 1, len(rows) - 1)
     nearest -= (at - rows[nearest - 1]) < (rows[nearest] - at)
     known = np.zeros(len(rows), bool)
@@ -219,20 +220,20 @@ def resample_at_rows(
     return np.where(known, value, np.nan)
 
 
-def _of_line(found: DecodedReadings, clock: ClockFit) -> tuple[str, ...]:
+def _manifold_findings(found: DecodedReadings, clock: ClockFit) -> tuple[str, ...]:
     findings = []
     if found.lost:
         findings.append(f"{found.lost} readings of the manifold were lost")
     if found.damaged:
-        findings.append(f"{found.damaged} frames of the manifold came damaged, and were dropped")
-    if clock.early_most > 1e-3:
+        findings.append(f"{found.damaged} damaged frames of the manifold were dropped")
+    if clock.early_max > 1e-3:
         findings.append(
-            f"the manifold's clock is not even: a reading is {1e3 * clock.early_most:.1f} ms early"
+            f"the manifold's clock is uneven: a reading is {1e3 * clock.early_max:.1f} ms early"
         )
     return tuple(findings)
 
 
-def _told(
+def _quality_record(
     recording: Recording,
     found: DecodedReadings,
     clock: ClockFit,
@@ -240,9 +241,9 @@ def _told(
     rest: dict[str, RestStatistics],
     findings: tuple[str, ...],
 ) -> dict[str, Any]:
-    unkept = {name: stream.lost[0] for name, stream in recording.streams.items() if stream.lost[0]}
-    if unkept:
-        findings += (f"the disk was too slow for {unkept}",)
+    unwritten = {name: x.lost[0] for name, x in recording.streams.items() if x.lost[0]}
+    if unwritten:
+        findings += (f"the disk was too slow; pieces lost by stream: {unwritten}",)
     return {
         "readings": len(found.seq),
         "rows": len(values["t_s"]),

@@ -1,17 +1,18 @@
-"""One HDF5 file a trial: the bytes of every stream as they came, and when; safe against kill -9.
+"""Writes one HDF5 file per trial with the received bytes and their times, safe against kill -9.
 
-| in the file | what |
+A piece is the bytes of one read.
+
+| in the file | content |
 |---|---|
 | attributes | `schema`; `settings`, `versions` (JSON); `wall_ns_at_host_0` (Unix time [ns]) |
-| `closed` | 1 once the recorder has ended as it should |
-| `streams/NAME/bytes` | uint8 (bytes,): the pieces end to end |
-| `streams/NAME/index` | int64 (pieces, 3): host time [ns], end, CRC-32 of all up to there |
-| `streams/NAME/lost` | int64 (2,): pieces and bytes that came but could not be kept |
+| `closed` | 1 after the recorder has ended normally |
+| `streams/NAME/bytes` | uint8 (bytes,): the concatenated pieces |
+| `streams/NAME/index` | int64 (pieces, 3): host time [ns], end, CRC-32 of all bytes up to the end |
+| `streams/NAME/lost` | int64 (2,): pieces and bytes that arrived but could not be written |
 
-The file follows HDF5's rules for a single writer and many readers (SWMR), so that
-`rig.recording.reader`
-can read it at any moment, also when its writer is gone. Bytes go to the disk before their index,
-and the CRC tells whether they belong together.
+The file follows HDF5's rules for a single writer and many readers (SWMR). `rig.recording.reader`
+can therefore read it at any time, even if the writer was killed. Bytes are written before their
+index; the CRC shows whether they match.
 """
 
 import ctypes
@@ -21,12 +22,13 @@ import platform
 import re
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from importlib import metadata
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 from zlib import crc32
 
 import h5py
@@ -39,66 +41,67 @@ from rig.errors import RigError
 SCHEMA = 1
 STREAMS = ("manifold", "force", "camera", "commands")
 FLUSH_EVERY = 0.05
-"""Between flushes [s]; what a killed recorder can lose."""
+"""Time between flushes [s]; a killed recorder loses at most the data of this time."""
 MAX_WAITING = 64 * 2**20
-"""Bytes of one stream that may wait for the disk; what comes on top is counted as lost."""
+"""Largest number of bytes of a stream that wait for the disk; further pieces count as lost."""
 CRC_OF_NOTHING = 1
-"""Where the CRC begins: from 0 an index of zeros would pass for pieces without bytes."""
+"""Initial value of the CRC. With 0, an index of zeros would look like pieces without bytes."""
 _BYTES_A_CHUNK, _ROWS_A_CHUNK = 16384, 512
-"""A quarter of a second of a manifold or more: a flush writes the last chunk anew, which is less
-work than making one, and with 4096 and 64 each made one."""
-
+"""HDF5 chunk sizes, for at least 0.25 s of the manifold's stream. A flush rewrites the last chunk,
+which costs less than a new chunk; with 4096 and 64, each flush created one."""
 _ATTEMPTS = 27
-"""HDF5 reads what looks damaged again, as a writer may be at it, and waits twice as long each time:
-0.1 s in all. Its own hundred times would never end on a torn file."""
+"""Attempts of HDF5 to read metadata that a writer may be changing. The wait doubles each time, to
+0.1 s in total. With the default of 100, an incomplete file would block readers."""
 
 
 class RecorderLoad(NamedTuple):
-    """How a recorder keeps up; counts are of pieces, of all streams unless told otherwise."""
+    """The load of a recorder; all counts are numbers of pieces."""
 
     recorded: dict[str, int]
-    """On disk, by stream."""
+    """Pieces on disk, by stream."""
     lost: dict[str, int]
-    """Came but could not be kept, by stream: too many were waiting, or the recorder had ended."""
+    """Pieces not written, by stream, because too many were waiting or the recorder had ended."""
     waiting: int
+    """Pieces of all streams that wait for the disk."""
     max_waiting: int
+    """Maximum of `waiting` so far."""
     slowest_flush: float
-    """Longest time from one flush to the end of the next [s]; `FLUSH_EVERY` if all is well."""
+    """Longest time from one flush to the end of the next [s]; `FLUSH_EVERY` on a fast disk."""
 
 
 class _Stream:
-    """What waits for the disk, and the datasets where it goes. Tallies are of pieces and bytes."""
+    """A stream's waiting pieces and its datasets. Tallies are (pieces, bytes)."""
 
     def __init__(self, group: h5py.Group, max_waiting: int) -> None:
         self.bytes, self.index, self.tally = group["bytes"], group["index"], group["lost"]
         self.lock = threading.Lock()
         self.waiting: list[tuple[int, bytes]] = []
-        self.size, self.most = 0, max_waiting
-        self.came = self.recorded = self.lost = self.told = (0, 0)
+        self.size, self.max_size = 0, max_waiting
+        self.received = self.recorded = self.lost = self.written_lost = (0, 0)
         self.crc = CRC_OF_NOTHING
 
     def put(self, host_ns: int, piece: bytes) -> None:
         with self.lock:
-            self.came = _more(self.came, piece)
-            if self.size + len(piece) > self.most:
-                self.lost = _more(self.lost, piece)
+            self.received = _add_piece(self.received, piece)
+            if self.size + len(piece) > self.max_size:
+                self.lost = _add_piece(self.lost, piece)
             else:
                 self.waiting.append((host_ns, bytes(piece)))
                 self.size += len(piece)
 
     def shut(self) -> None:
-        """From now on all that comes is lost."""
+        """Count all further pieces as lost."""
         with self.lock:
-            self.most = -1
+            self.max_size = -1
 
     def give_up(self) -> None:
-        """All that is not on disk is lost."""
+        """Count all pieces that are not on disk as lost."""
         with self.lock:
-            self.waiting, self.size, self.most = [], 0, -1
-            self.lost = (self.came[0] - self.recorded[0], self.came[1] - self.recorded[1])
+            self.waiting, self.size, self.max_size = [], 0, -1
+            self.lost = (self.received[0] - self.recorded[0], self.received[1] - self.recorded[1])
 
     def write(self) -> None:
-        """To disk: bytes, then the index of them."""
+        """Write the waiting bytes to disk, then their index."""
         with self.lock:
             pieces, self.waiting, self.size = self.waiting, [], 0
             lost = self.lost
@@ -112,25 +115,51 @@ class _Stream:
             _append(self.bytes, start, np.frombuffer(content, np.uint8))
             _append(self.index, count, np.array(rows, np.int64))
             self.recorded, self.crc = (count + len(pieces), end), crc
-        if lost != self.told:
+        if lost != self.written_lost:
             self.tally[:] = lost
             self.tally.flush()
-            self.told = lost
+            self.written_lost = lost
 
 
-def _more(tally: tuple[int, int], piece: bytes) -> tuple[int, int]:
+def _add_piece(tally: tuple[int, int], piece: bytes) -> tuple[int, int]:
     return tally[0] + 1, tally[1] + len(piece)
 
 
-class Recorder:
-    """Records named streams to `path` until closed; a context manager.
+class AbstractRecorder(ABC):
+    """A context manager that closes itself at the end and raises its failure once."""
 
-    `settings` is anything JSON can hold. `on_failure` is called once, at once and in the recorder's
-    own thread, when the disk fails (full, gone): the place to vent. Nothing that was recorded
-    before suffers from that.
+    _failure: RigError | None = None
+    _raised = False
 
-    Raises `RigError` if `path` exists or cannot be made, for settings that are not JSON, and for
-    names that are not letters.
+    @abstractmethod
+    def close(self) -> None:
+        """Write the waiting pieces and end. Raises `RigError`."""
+
+    def _raise_failure(self) -> None:
+        if self._failure is not None and not self._raised:
+            self._raised = True
+            raise self._failure
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        try:
+            self.close()
+        except RigError as failure:
+            if error is None:
+                raise
+            error.add_note(str(failure))
+
+
+class Recorder(AbstractRecorder):
+    """A context manager that records named streams to `path` until it is closed.
+
+    `settings` is stored as JSON. If the disk fails, the recorder's thread calls `on_failure` once
+    and immediately, for example to vent; the data recorded before are kept.
+
+    Raises `RigError` if `path` exists or cannot be created, if `settings` is not JSON, or if a
+    stream's name is not an identifier.
     """
 
     def __init__(
@@ -148,55 +177,40 @@ class Recorder:
             name: _Stream(group, max_waiting) for name, group in self._file["streams"].items()
         }
         self._on_failure = on_failure
-        self._failure: RigError | None = None
-        self._told = False
-        self._most_waiting, self._slowest = 0, 0.0
+        self._max_waiting, self._slowest = 0, 0.0
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
         self._thread.start()
 
     def sink(self, stream: str) -> Callable[[int, bytes], None]:
-        """`sink(host_ns, piece)` records a piece; any thread may call it, and it never waits.
+        """Return a function `sink(host_ns, piece)` that records a piece.
 
-        Raises `RigError` for a stream that was not named at the start.
+        Any thread may call it; it never waits. Raises `RigError` for an unknown stream.
         """
         if stream not in self._streams:
             raise RigError.value("stream", repr(stream), ", ".join(self._streams))
         return self._streams[stream].put
 
     def load(self) -> RecorderLoad:
-        """How the recorder keeps up."""
+        """Return the recorder's present load."""
         streams = self._streams.items()
         return RecorderLoad(
             {name: stream.recorded[0] for name, stream in streams},
             {name: stream.lost[0] for name, stream in streams},
             sum(len(stream.waiting) for _, stream in streams),
-            self._most_waiting,
+            self._max_waiting,
             self._slowest,
         )
 
     def check(self) -> None:
-        """Raises the disk's failure as `RigError`, if there was one and it was not raised yet."""
-        if self._failure and not self._told:
-            self._told = True
-            raise self._failure
+        """Raise the disk's failure as `RigError`, once."""
+        self._raise_failure()
 
     def close(self) -> None:
-        """Write what waits, and end. Raises as `check`; a second call does nothing."""
+        """Write the waiting pieces and end; raises as `check`. A second call does nothing."""
         self._ending.set()
         self._thread.join()
         self.check()
-
-    def __enter__(self) -> "Recorder":
-        return self
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        try:
-            self.close()
-        except RigError as failure:
-            if error is None:
-                raise
-            error.add_note(str(failure))
 
     def _work(self) -> None:
         last = time.monotonic()
@@ -214,16 +228,15 @@ class Recorder:
             self._fail(error)
 
     def _write(self) -> None:
-        self._most_waiting = max(self._most_waiting, self.load().waiting)
+        self._max_waiting = max(self._max_waiting, self.load().waiting)
         for stream in self._streams.values():
             stream.write()
 
     def _fail(self, error: Exception) -> None:
         found = re.search(r"errno = (\d+)", str(error))
         self._failure = RigError(
-            f"{self.path}: cannot be written any more "
-            f"({os.strerror(int(found[1])) if found else error}); what it holds is kept; "
-            "make room on the disk, or record to another one"
+            f"{self.path}: writing failed ({os.strerror(int(found[1])) if found else error}); the "
+            "data written so far are kept; make room on the disk or use another one"
         )
         try:
             self._on_failure(self._failure)
@@ -234,8 +247,10 @@ class Recorder:
 
 
 def _close_without_disk(file: h5py.File) -> None:
-    """Let HDF5 write its last words to memory: with a disk that fails it could not close, and would
-    crash the process at its end."""
+    """Close the file, with HDF5's last writes redirected to memory.
+
+    On a failed disk HDF5 cannot close the file, and would crash the process at its end.
+    """
     with suppress(Exception):
         memory = os.memfd_create("recorder")
         os.dup2(memory, file.id.get_vfd_handle())
@@ -244,20 +259,23 @@ def _close_without_disk(file: h5py.File) -> None:
 
 
 def open_to_write(path: Path) -> h5py.File:
-    """For SWMR at once: h5py's way is a plain opening first, which a kill turns into a bar."""
+    """Return the file, opened to write in SWMR mode from the start.
+
+    h5py opens a file normally before it switches to SWMR; a kill in between would block readers.
+    """
     return _open_swmr(path, h5f.ACC_RDWR | h5f.ACC_SWMR_WRITE)
 
 
 def open_to_read(path: Path) -> h5py.File:
-    """Also while it is written, and after its writer was killed."""
+    """Return the file, opened to read, also if it is being written or its writer was killed."""
     return _open_swmr(path, h5f.ACC_RDONLY | h5f.ACC_SWMR_READ)
 
 
 def _open_swmr(path: Path, flags: int) -> h5py.File:
     access = h5p.create(h5p.FILE_ACCESS)
     access.set_libver_bounds(h5f.LIBVER_LATEST, h5f.LIBVER_LATEST)
-    access.set_file_locking(False, True)  # locks would shut out whoever comes while another opens
-    with phil, suppress(AttributeError):  # not in h5py; on Windows there is no way to it
+    access.set_file_locking(False, True)  # a lock would make simultaneous openings fail
+    with phil, suppress(AttributeError):  # h5py lacks this function; Windows does not export it
         hdf5 = ctypes.PyDLL(h5p.__file__)
         hdf5.H5Pset_metadata_read_attempts(ctypes.c_int64(access.id), ctypes.c_uint(_ATTEMPTS))
     return h5py.File(h5f.open(str(path).encode(), flags, access))
@@ -270,13 +288,10 @@ def _append(dataset: h5py.Dataset, start: int, rows: np.ndarray) -> None:
 
 
 def _create(path: Path, streams: tuple[str, ...], settings: Mapping[str, Any]) -> None:
-    """The empty recording, all of it at once."""
+    """Write an empty recording to `path`, atomically."""
     if not streams or len(set(streams)) < len(streams) or not all(map(str.isidentifier, streams)):
-        raise RigError.value("streams", streams, "names of letters, each once")
-    try:
-        text = json.dumps(settings, allow_nan=False)
-    except (TypeError, ValueError) as error:
-        raise RigError(f"recording {path}: settings are not JSON ({error})") from None
+        raise RigError.value("streams", streams, "identifiers without repetition")
+    text = settings_json(path, settings)
     image = BytesIO()
     with h5py.File(image, "w", libver="latest") as file:
         file.attrs["schema"] = SCHEMA
@@ -297,17 +312,26 @@ def _create(path: Path, streams: tuple[str, ...], settings: Mapping[str, Any]) -
     try:
         if path.exists():
             raise RigError(
-                f"recording {path}: exists already; no recording is overwritten: give another name"
+                f"recording {path}: exists already; recordings are never overwritten; give another "
+                "name"
             )
         temporary.write_bytes(image.getvalue())
         os.replace(temporary, path)
     except OSError as error:
         raise RigError(
-            f"recording {path}: cannot be made ({error.strerror}); give another place"
+            f"recording {path}: cannot be created ({error.strerror}); give another folder"
         ) from None
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+def settings_json(path: Path | str, settings: Mapping[str, Any]) -> str:
+    """Return `settings` as JSON. Raises `RigError`, which names the recording at `path`."""
+    try:
+        return json.dumps(settings, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise RigError(f"recording {path}: settings are not JSON ({error})") from None
 
 
 def _versions() -> dict[str, str]:
@@ -319,6 +343,6 @@ def _versions() -> dict[str, str]:
     }
     try:
         versions["slider-jax"] = metadata.version("slider-jax")
-    except metadata.PackageNotFoundError:  # run from its source
+    except metadata.PackageNotFoundError:  # not installed
         pass
     return versions

@@ -1,8 +1,8 @@
-"""The recorder in a process of its own.
+"""Runs the recorder in a separate process.
 
-Beside a program that fills the disk, one command in a hundred was 30 to 43 ms late with the
-recorder in the commands' own process, 14 ms with this, 7 to 19 ms without any. And the pieces of a
-program that is killed are written to the last.
+While another program fills the disk, the 99th percentile of the commands' lateness is 30 to 43 ms
+with the recorder in the commands' process, 14 ms with this one, and 7 to 19 ms without a recorder.
+All pieces that this process has received are written even if the program is killed.
 """
 
 import json
@@ -18,20 +18,27 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from rig.errors import RigError
-from rig.recording.writer import MAX_WAITING, STREAMS, Recorder, RecorderLoad
+from rig.recording.writer import (
+    MAX_WAITING,
+    STREAMS,
+    AbstractRecorder,
+    Recorder,
+    RecorderLoad,
+    settings_json,
+)
 from rig.scheduling import RECORDER_PRIORITY, ordinary_priority, real_time_priority
 
 HAND_OVER = 0.02
-"""Between what is handed to the process [s]; what a killed program can lose."""
+"""Time between transfers to the process [s]; a kill loses at most the data of this time."""
 PATIENCE = 60.0
-"""Most time that it takes to start, and to write what waits at the end [s]."""
+"""Longest time for starting, and for writing the waiting pieces at the end [s]."""
 _HEAD = struct.Struct("<BqI")
 
 
-class ProcessRecorder:
-    """As `rig.recording.writer.Recorder`: a context manager with a sink for each stream.
+class ProcessRecorder(AbstractRecorder):
+    """A `rig.recording.writer.Recorder` in a separate process, with the same sinks and errors.
 
-    Raises `RigError` where that does, and in `check` and `close` if the process ended by itself.
+    `check` and `close` also raise `RigError` if the process has ended unexpectedly.
     """
 
     def __init__(
@@ -43,19 +50,18 @@ class ProcessRecorder:
     ) -> None:
         self.path, self._names, self._most = Path(path), tuple(streams), max_waiting
         self._lock, self._waiting, self._size = threading.Lock(), list[bytes](), 0
-        self._failure: RigError | None = None
         self._load: RecorderLoad | None = None
-        self._told, self._closed = False, False
+        self._closed = False
         self._started, self._ended = threading.Event(), threading.Event()
         self._ending = threading.Event()
-        asked: dict[str, Any] = {
+        request: dict[str, Any] = {
             "path": str(self.path),
             "streams": self._names,
             "settings": dict(settings or {}),
         }
-        # A program of its own, not a fork or a spawn: those run the caller's main module again.
-        with ordinary_priority() as asked["real_time"]:
-            text = _as_json(path, asked)
+        # A new program, because `multiprocessing` would run the caller's main module again.
+        with ordinary_priority() as request["real_time"]:
+            text = settings_json(path, request)
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "rig.recording.writer_process"],
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE,
@@ -68,7 +74,7 @@ class ProcessRecorder:
         self._threads[0].start()
         self._write(text.encode() + b"\n")
         if not self._started.wait(PATIENCE):
-            self._fail(f"{self.path}: the recorder has not started in {PATIENCE:g} s")
+            self._fail(f"{self.path}: the recorder did not start within {PATIENCE:g} s")
         if self._failure is not None:
             self._end_process()
             raise self._failure
@@ -76,11 +82,11 @@ class ProcessRecorder:
 
     @property
     def pid(self) -> int | None:
-        """Of the process."""
+        """Identifier of the process."""
         return self._process.pid
 
     def sink(self, stream: str) -> Callable[[int, bytes], None]:
-        """`sink(host_ns, piece)` records a piece; any thread may call it, and it never waits."""
+        """Return a function `sink(host_ns, piece)`, as `Recorder.sink`."""
         if stream not in self._names:
             raise RigError.value("stream", repr(stream), ", ".join(self._names))
         number = self._names.index(stream)
@@ -93,44 +99,29 @@ class ProcessRecorder:
         return put
 
     def load(self) -> RecorderLoad:
-        """How it kept up; once it is closed."""
+        """Return the recorder's load; allowed after `close` only."""
         assert self._load is not None
         return self._load
 
     def check(self) -> None:
-        """Raises what went wrong, once."""
+        """Raise the first failure as `RigError`, once."""
         if self._size > self._most and self._failure is None:
             self._failure = RigError(
-                f"{self.path}: the disk is too slow, {self._size >> 20} MiB wait for it; record to "
-                "another one"
+                f"{self.path}: the disk is too slow, {self._size >> 20} MiB are waiting; record to "
+                "another disk"
             )
-        if self._failure is not None and not self._told:
-            self._told = True
-            raise self._failure
+        self._raise_failure()
 
     def close(self) -> None:
-        """Everything to disk, and the process's end. Raises as `check`."""
+        """Write the waiting pieces and end the process; raises as `check`."""
         if not self._closed:
             self._closed = True
             self._ending.set()
             self._threads[1].join(PATIENCE)
             if not self._ended.wait(PATIENCE):
-                self._fail(f"{self.path}: the recorder has not ended in {PATIENCE:g} s")
+                self._fail(f"{self.path}: the recorder did not end within {PATIENCE:g} s")
             self._end_process()
-        if self._failure is not None and not self._told:
-            self._told = True
-            raise self._failure
-
-    def __enter__(self) -> "ProcessRecorder":
-        return self
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        try:
-            self.close()
-        except RigError as failure:
-            if error is None:
-                raise
-            error.add_note(str(failure))
+        self._raise_failure()
 
     def _feed(self) -> None:
         ends = False
@@ -144,7 +135,7 @@ class ProcessRecorder:
             self._process.stdin.close()
 
     def _write(self, content: bytes) -> None:
-        """Nothing is raised: that the process has ended is heard by `_listen`."""
+        """Write to the process; `_listen` reports it if the process has ended."""
         assert self._process.stdin is not None
         with suppress(OSError, ValueError):
             self._process.stdin.write(content)
@@ -153,17 +144,17 @@ class ProcessRecorder:
     def _listen(self) -> None:
         assert self._process.stdout is not None
         for line in self._process.stdout:
-            said = json.loads(line)
-            if said["word"] == "started":
+            message = json.loads(line)
+            if message["kind"] == "started":
                 self._started.set()
-            elif said["word"] == "ended":
-                self._load = RecorderLoad(**said["content"])
+            elif message["kind"] == "ended":
+                self._load = RecorderLoad(**message["content"])
                 self._ended.set()
             else:
-                self._fail(said["content"])
+                self._fail(message["content"])
         if not self._ended.is_set():
             self._fail(
-                f"{self.path}: the recorder's process has ended by itself; what it wrote is kept"
+                f"{self.path}: the recorder's process ended unexpectedly; the data so far are kept"
             )
         self._started.set()
         self._ended.set()
@@ -183,50 +174,43 @@ class ProcessRecorder:
         self._process.stdout.close()
 
 
-def _as_json(path: Path | str, asked: Mapping[str, Any]) -> str:
-    try:
-        return json.dumps(asked, allow_nan=False)
-    except (TypeError, ValueError) as error:
-        raise RigError(f"recording {path}: settings are not JSON ({error})") from None
-
-
 def write_from_stdin() -> None:
-    """What the process does: a line of JSON, then pieces until the end of the standard input."""
-    # These are for the program: it tells when to end.
+    """Read a request (a line of JSON), then record pieces until the end of the standard input."""
+    # The program handles these signals and closes the standard input.
     for name in ("SIGINT", "SIGHUP", "SIGTERM"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     lock = threading.Lock()
 
-    def say(word: str, content: Any = None) -> None:
+    def send(kind: str, content: Any = None) -> None:
         with lock, suppress(OSError):
-            print(json.dumps({"word": word, "content": content}), flush=True)
+            print(json.dumps({"kind": kind, "content": content}), flush=True)
 
     source = sys.stdin.buffer
-    asked = json.loads(source.readline())
-    with real_time_priority(RECORDER_PRIORITY) if asked["real_time"] else nullcontext():
-        _record(asked, source, say)
+    request = json.loads(source.readline())
+    with real_time_priority(RECORDER_PRIORITY) if request["real_time"] else nullcontext():
+        _record(request, source, send)
 
 
-def _record(asked: Mapping[str, Any], source: BinaryIO, say: Callable[..., None]) -> None:
+def _record(request: Mapping[str, Any], source: BinaryIO, send: Callable[..., None]) -> None:
     try:
         recorder = Recorder(
-            asked["path"], asked["streams"], asked["settings"],
-            lambda failure: say("failed", str(failure)),
+            request["path"], request["streams"], request["settings"],
+            lambda failure: send("failed", str(failure)),
         )  # fmt: skip
     except RigError as refusal:
-        say("refused", str(refusal))
+        send("refused", str(refusal))
         return
-    say("started")
-    sinks = [recorder.sink(name) for name in asked["streams"]]
+    send("started")
+    sinks = [recorder.sink(name) for name in request["streams"]]
     while len(head := source.read(_HEAD.size)) == _HEAD.size:
         number, host_ns, size = _HEAD.unpack(head)
         piece = source.read(size)
         if len(piece) == size:
             sinks[number](host_ns, piece)
-    with suppress(RigError):  # said when it came
+    with suppress(RigError):  # was sent when it occurred
         recorder.close()
-    say("ended", recorder.load()._asdict())
+    send("ended", recorder.load()._asdict())
 
 
 if __name__ == "__main__":

@@ -237,14 +237,14 @@ def _keep(path: Path) -> None:
 def _told(trial: PlannedTrial, captured: RecordedTrial, read: TrialColumns) -> dict[str, Any]:
     late = captured.played.lateness
     late_99 = float(np.percentile(late, 99))
-    findings = list(read.told["findings"])
+    findings = list(read.record["findings"])
     if late_99 > LATE:
         findings.append(
             f"one command in a hundred was {1e3 * late_99:.1f} ms late: the computer is too busy"
         )
-    if read.told["late_median_s"] > LATE_READINGS:
+    if read.record["late_median_s"] > LATE_READINGS:
         findings.append(
-            f"readings came {1e3 * read.told['late_median_s']:.0f} ms late in the middle: the "
+            f"readings came {1e3 * read.record['late_median_s']:.0f} ms late in the middle: the "
             "computer is too busy, and forces may be a millisecond or two off the pressures"
         )
     if captured.load.slowest_flush > SLOW:
@@ -260,7 +260,7 @@ def _told(trial: PlannedTrial, captured: RecordedTrial, read: TrialColumns) -> d
         "command_late_99_s": late_99,
         "command_late_most_s": float(late.max()),
         "recorder_slowest_flush_s": captured.load.slowest_flush,
-        **read.told,
+        **read.record,
         "findings": findings,
     }
 

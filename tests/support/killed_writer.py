@@ -1,4 +1,4 @@
-"""A recorder in a process of its own, for tests that kill it."""
+"""A program with a recorder, for tests that kill it."""
 
 import os
 import subprocess
@@ -24,10 +24,10 @@ for stream in (("manifold", 500), ("force", 1000)):
     threading.Thread(target=feed, args=stream, daemon=True).start()
 time.sleep(60.0)
 """
-"""Records two streams, and says on standard output when each piece was handed over."""
+"""Records two streams and prints the host time of each piece."""
 
 
-def start(code, *arguments, **keywords):
+def start_program(code, *arguments, **keywords):
     return subprocess.Popen(
         [sys.executable, "-c", code, *map(str, arguments)],
         env={**os.environ, "PYTHONPATH": str(ROOT)},
@@ -36,5 +36,15 @@ def start(code, *arguments, **keywords):
 
 
 def sent(name, count):
-    """The first pieces of a stream of `WRITER`."""
+    """Return the first `count` pieces of a stream of `WRITER`."""
     return [b"%s %d;" % (name.encode(), i) for i in range(count)]
+
+
+def printed_times(path):
+    """Return {stream: host times [ns]} from the output of `WRITER`, without an incomplete line."""
+    times = {"manifold": [], "force": []}
+    for line in path.read_text().splitlines(keepends=True):
+        if line.endswith("\n"):
+            name, ns = line.split()
+            times[name].append(int(ns))
+    return times

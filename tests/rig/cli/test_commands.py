@@ -246,7 +246,7 @@ def test_what_a_manifold_said_is_said_again(measured, tmp_path):
         (("simulate", "--inject", "leak_front_left=nan@1"), "0 or more each"),
         (("replay", "{here}"), "--out: given nothing"),
         (("replay", "{here}", "--out", "{out}"), "holds no recordings/*.h5"),
-        (("replay", "{exp}"), "is torn, or no recording"),
+        (("replay", "{exp}"), "is incomplete or not a recording"),
         (("log", "9", "--port", "x", "--out", "{out}"), "frequencies: given 9; allowed 0.1 to 5"),
     ],
 )

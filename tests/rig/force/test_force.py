@@ -156,7 +156,7 @@ def test_a_new_stream_within_a_recording_is_refused():
 
 def test_a_burst_that_no_clock_explains_is_refused():
     _, datagrams = virtual_stream(5.0, LossyNetwork())
-    with pytest.raises(RigError, match="half of 5000 samples came .* late and more, by .* 1000 Hz"):
+    with pytest.raises(RigError, match="median delay of 5000 samples at 1000 Hz is"):
         rdt.record_table(range(5000), datagrams).times()
 
 

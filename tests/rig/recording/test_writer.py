@@ -1,4 +1,4 @@
-"""Recordings: what was put in comes out, whoever kills what, and what is missing is told."""
+"""Recordings keep all data through kills and disk failures, and count what is missing."""
 
 import json
 import os
@@ -14,48 +14,47 @@ import pytest
 from rig.errors import RigError
 from rig.recording.reader import read_recording
 from rig.recording.writer import Recorder
-from tests.support.killed_writer import WRITER, sent, start
+from tests.support.killed_writer import WRITER, printed_times, sent, start_program
 
 RATES = {"manifold": 500, "force": 1000}
 
 
 def kill_after(path, delay):
-    """(recording, {stream: host times handed over}) of a writer killed `delay` s after it began."""
-    with open(path.with_suffix(".out"), "wb") as out, start(WRITER, path, stdout=out) as writer:
+    """Return (recording, {stream: printed times}) of a writer killed after `delay` s."""
+    with (
+        open(path.with_suffix(".out"), "wb") as out,
+        start_program(WRITER, path, stdout=out) as writer,
+    ):
         while not path.exists():
             assert writer.poll() is None
             time.sleep(0.001)
         time.sleep(delay)
         writer.send_signal(signal.SIGKILL)
-    handed = {name: [] for name in RATES}
-    for line in path.with_suffix(".out").read_text().splitlines(keepends=True):
-        if line.endswith("\n"):
-            name, ns = line.split()
-            handed[name].append(int(ns))
-    return read_recording(path), handed
+    return read_recording(path), printed_times(path.with_suffix(".out"))
 
 
 def missing_after_kills(folder, kills, seed):
-    """The most [s] that is missing of any stream, of writers killed at random moments.
+    """Return the longest time [s] that any stream lacks when writers are killed at random moments.
 
-    In pieces at the stream's rate, so that a machine too busy to run the writer counts for nothing.
+    The time is the number of missing pieces over the stream's rate, which is independent of the
+    machine's load.
     """
-    worst = 0.0
+    longest = 0.0
     for i, delay in enumerate(np.random.default_rng(seed).uniform(0.0, 1.2, kills)):
-        recording, handed = kill_after(folder / f"{i}.h5", delay)
+        recording, sent_times = kill_after(folder / f"{i}.h5", delay)
         assert not recording.closed
         assert recording.settings == {"trial": 1}
-        for name, times in handed.items():
+        for name, times in sent_times.items():
             stream = recording.streams[name]
             count = len(stream.host_ns)
             assert stream.pieces() == sent(name, count)
             assert stream.host_ns[: len(times)].tolist() == times[:count]
             assert stream.lost == (0, 0)
-            worst = max(worst, (len(times) - count) / RATES[name])
-    return worst
+            longest = max(longest, (len(times) - count) / RATES[name])
+    return longest
 
 
-def test_what_was_put_in_comes_out(tmp_path):
+def test_a_recording_returns_all_pieces_times_and_settings(tmp_path):
     pieces = [os.urandom(n) for n in (1, 0, 5000, 3, 70000)]
     settings = {"rate": 500, "names": ["a", "ü"], "text": "x" * 100_000}
     with Recorder(tmp_path / "a.h5", settings=settings) as recorder:
@@ -100,20 +99,20 @@ def test_threads_that_share_a_stream_lose_nothing(tmp_path):
     assert recorder.load().lost == {"manifold": 0}
 
 
-def test_a_recorder_killed_at_any_moment_leaves_all_but_the_last_fifth_of_a_second(tmp_path):
+def test_a_recorder_killed_at_any_moment_loses_at_most_a_fifth_of_a_second(tmp_path):
     assert missing_after_kills(tmp_path, 5, seed=0) <= 0.2
 
 
 @pytest.mark.slow
-def test_fifty_killed_recorders_leave_all_but_the_last_fifth_of_a_second(tmp_path):
-    worst = missing_after_kills(tmp_path, 50, seed=1)
-    print(f"\nworst of 50: {1000 * worst:.0f} ms missing")
-    assert worst <= 0.2
+def test_fifty_killed_recorders_lose_at_most_a_fifth_of_a_second(tmp_path):
+    longest = missing_after_kills(tmp_path, 50, seed=1)
+    print(f"\nmost missing in 50 recordings: {1000 * longest:.0f} ms")
+    assert longest <= 0.2
 
 
 def test_a_recording_is_read_while_it_is_written(tmp_path):
     path, counts = tmp_path / "a.h5", []
-    with start(WRITER, path, stdout=subprocess.DEVNULL) as writer:
+    with start_program(WRITER, path, stdout=subprocess.DEVNULL) as writer:
         try:
             deadline = time.monotonic() + 30.0
             while not path.exists() and time.monotonic() < deadline:
@@ -140,7 +139,7 @@ def test_a_recording_is_read_while_the_same_process_writes_it(tmp_path):
     assert read_recording(tmp_path / "a.h5").closed
 
 
-def test_what_does_not_fit_is_counted_and_the_rest_is_kept(tmp_path):
+def test_pieces_beyond_the_limit_are_counted_and_the_others_are_kept(tmp_path):
     with Recorder(tmp_path / "a.h5", ["camera", "force"], max_waiting=1000) as recorder:
         recorder.sink("camera")(1, bytes(1001))
         recorder.sink("camera")(2, b"small")
@@ -152,7 +151,7 @@ def test_what_does_not_fit_is_counted_and_the_rest_is_kept(tmp_path):
     assert streams["force"].lost == (0, 0)
 
 
-def test_what_comes_after_the_end_counts_as_lost(tmp_path):
+def test_pieces_after_the_end_count_as_lost(tmp_path):
     recorder = Recorder(tmp_path / "a.h5", ["force"])
     sink = recorder.sink("force")
     sink(1, b"in time")
@@ -176,35 +175,36 @@ def exchange(memory, file):
     resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
 os.dup2 = exchange
 
-told, raised, i = [], 0, 0
-with Recorder(sys.argv[1], ["force"], on_failure=told.append) as recorder:
+failures, raised, i = [], 0, 0
+with Recorder(sys.argv[1], ["force"], on_failure=failures.append) as recorder:
     resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, most))
-    while not told:
+    while not failures:
         for i in range(i, i + 100):
             recorder.sink("force")(i, b"force %d;" % i)
         i += 1
-        while not told and recorder.load().recorded["force"] < i:
+        while not failures and recorder.load().recorded["force"] < i:
             time.sleep(0.001)
     for _ in range(3):
         try:
             recorder.check()
         except RigError as error:
-            raised += error is told[0]
+            raised += error is failures[0]
 load = recorder.load()
-print(len(told), raised, load.recorded["force"], load.recorded["force"] + load.lost["force"] - i)
-print(told[0])
+recorded, lost = load.recorded["force"], load.lost["force"]
+print(len(failures), raised, recorded, recorded + lost - i)
+print(failures[0])
 """
-"""A limit on the size of files stands for the full disk; memory in its place has none."""
+"""A limit on the file size simulates a full disk; the file in memory has no such limit."""
 
 
-def test_a_full_disk_is_told_once_and_leaves_what_was_recorded(tmp_path):
+def test_a_full_disk_is_reported_once_and_the_recorded_data_are_kept(tmp_path):
     path = tmp_path / "a.h5"
-    with start(FULL_DISK, path, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+    with start_program(FULL_DISK, path, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         out, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (0, b"")
     counts, message = out.decode().splitlines()
-    told, raised, recorded, unaccounted = map(int, counts.split())
-    assert (told, raised, unaccounted) == (1, 1, 0)
+    failures, raised, recorded, unaccounted = map(int, counts.split())
+    assert (failures, raised, unaccounted) == (1, 1, 0)
     assert str(path) in message and "File too large" in message and "make room" in message
     recording = read_recording(path)
     assert not recording.closed
@@ -213,13 +213,13 @@ def test_a_full_disk_is_told_once_and_leaves_what_was_recorded(tmp_path):
 
 
 class Broken:
-    """Datasets of a disk that is gone."""
+    """A dataset on a removed disk."""
 
     def resize(self, *_, **__):
         raise OSError("file write failed: errno = 5, error message")
 
 
-def test_a_failure_is_raised_on_closing_or_noted_on_the_error_that_came_before(tmp_path):
+def test_a_failure_is_raised_on_closing_or_noted_on_an_earlier_error(tmp_path):
     failures = []
 
     def broken(name):
@@ -247,23 +247,23 @@ def test_a_recording_is_never_overwritten(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "keywords", "words"),
+    ("name", "keywords", "message"),
     [
-        ("no/a.h5", {}, "No such file or directory.*another place"),
+        ("no/a.h5", {}, "No such file or directory.*another folder"),
         ("a.h5", {"settings": {"x": float("nan")}}, "settings are not JSON"),
         ("a.h5", {"settings": {"x": {1, 2}}}, "settings are not JSON"),
-        ("a.h5", {"streams": ["a/b"]}, "names of letters"),
-        ("a.h5", {"streams": ["force", "force"]}, "each once"),
+        ("a.h5", {"streams": ["a/b"]}, "identifiers"),
+        ("a.h5", {"streams": ["force", "force"]}, "without repetition"),
         ("a.h5", {"streams": []}, "streams: given"),
     ],
 )
-def test_a_recording_that_cannot_be_made_is_refused(tmp_path, name, keywords, words):
-    with pytest.raises(RigError, match=words):
+def test_invalid_paths_settings_and_stream_names_are_refused(tmp_path, name, keywords, message):
+    with pytest.raises(RigError, match=message):
         Recorder(tmp_path / name, **keywords)
     assert os.listdir(tmp_path) == []
 
 
-def test_a_stream_without_a_place_is_refused(tmp_path):
+def test_an_unknown_stream_is_refused(tmp_path):
     with Recorder(tmp_path / "a.h5") as recorder:
         with pytest.raises(RigError, match="given 'water'; allowed camera, commands, force"):
             recorder.sink("water")
@@ -271,7 +271,7 @@ def test_a_stream_without_a_place_is_refused(tmp_path):
 
 @pytest.fixture
 def recorded(tmp_path):
-    """A recording of 300 pieces of "force" that a test may damage."""
+    """Return the path of a recording with 300 pieces of "force"."""
     path = tmp_path / "a.h5"
     with Recorder(path, ["force"]) as recorder:
         for i, piece in enumerate(sent("force", 300)):
@@ -279,7 +279,7 @@ def recorded(tmp_path):
     return path
 
 
-def test_an_index_ahead_of_its_bytes_is_trimmed_and_told(recorded):
+def test_an_index_longer_than_its_bytes_is_trimmed_and_counted(recorded):
     with h5py.File(recorded, "r+") as file:
         file["streams/force/bytes"].resize(len(b"".join(sent("force", 200))) + 4, axis=0)
     stream = read_recording(recorded).streams["force"]
@@ -287,7 +287,7 @@ def test_an_index_ahead_of_its_bytes_is_trimmed_and_told(recorded):
     assert stream.trimmed == (100, 4)
 
 
-def test_bytes_ahead_of_their_index_are_trimmed_and_told(recorded):
+def test_bytes_without_an_index_are_trimmed_and_counted(recorded):
     with h5py.File(recorded, "r+") as file:
         file["streams/force/index"].resize(299, axis=0)
     stream = read_recording(recorded).streams["force"]
@@ -296,7 +296,7 @@ def test_bytes_ahead_of_their_index_are_trimmed_and_told(recorded):
 
 
 @pytest.mark.parametrize("row", [(0, 0, 0), (7, 0, 0), (7, 10**9, 5), (-1, -1, -1)])
-def test_an_index_that_was_not_written_whole_is_trimmed(recorded, row):
+def test_a_partly_written_index_is_trimmed(recorded, row):
     with h5py.File(recorded, "r+") as file:
         file["streams/force/index"][250] = row
     stream = read_recording(recorded).streams["force"]
@@ -310,14 +310,14 @@ def test_an_end_beyond_the_bytes_is_trimmed(recorded):
     assert read_recording(recorded).streams["force"].pieces() == sent("force", 299)
 
 
-def test_bytes_that_were_changed_are_not_taken_for_what_came(recorded):
+def test_changed_bytes_are_trimmed(recorded):
     with h5py.File(recorded, "r+") as file:
         at = len(b"".join(sent("force", 123))) + 2
         file["streams/force/bytes"][at] ^= 1
     assert read_recording(recorded).streams["force"].pieces() == sent("force", 123)
 
 
-def test_a_recording_cut_anywhere_gives_its_beginning_or_an_error(recorded):
+def test_a_truncated_recording_gives_its_beginning_or_an_error(recorded):
     whole, errors = recorded.read_bytes(), 0
     lengths = range(0, len(whole), len(whole) // 30)
     for length in lengths:
@@ -325,7 +325,7 @@ def test_a_recording_cut_anywhere_gives_its_beginning_or_an_error(recorded):
         try:
             stream = read_recording(recorded).streams["force"]
         except RigError as error:
-            assert "is torn, or no recording" in str(error)
+            assert "is incomplete or not a recording" in str(error)
             errors += 1
         else:
             assert stream.pieces() == sent("force", len(stream.host_ns))
@@ -340,15 +340,15 @@ def test_a_recording_of_a_newer_schema_is_refused(recorded):
         read_recording(recorded)
 
 
-def test_files_that_are_no_recordings_are_refused(tmp_path):
+def test_other_files_are_refused(tmp_path):
     with pytest.raises(RigError, match="No such file"):
         read_recording(tmp_path / "none.h5")
     with pytest.raises(RigError, match="Is a directory"):
         read_recording(tmp_path)
     (tmp_path / "text.h5").write_text(json.dumps({"schema": 1}))
-    with pytest.raises(RigError, match="is torn, or no recording"):
+    with pytest.raises(RigError, match="is incomplete or not a recording"):
         read_recording(tmp_path / "text.h5")
     with h5py.File(tmp_path / "other.h5", "w", libver="latest") as file:
         file["x"] = 1
-    with pytest.raises(RigError, match="is HDF5, but not one of the rig's"):
+    with pytest.raises(RigError, match="is an HDF5 file but not a recording"):
         read_recording(tmp_path / "other.h5")

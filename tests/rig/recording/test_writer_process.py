@@ -1,4 +1,4 @@
-"""The recorder's own process: nothing is lost by its program's death, and its own is told."""
+"""The recorder's process survives a killed program, and its own end is reported."""
 
 import os
 import signal
@@ -10,7 +10,7 @@ import pytest
 from rig.errors import RigError
 from rig.recording.reader import read_recording
 from rig.recording.writer_process import ProcessRecorder
-from tests.support.killed_writer import WRITER, sent, start
+from tests.support.killed_writer import WRITER, printed_times, sent, start_program
 
 PROGRAM = WRITER.replace(
     "rig.recording.writer import Recorder",
@@ -18,7 +18,7 @@ PROGRAM = WRITER.replace(
 )
 
 
-def test_what_was_put_in_comes_out(tmp_path):
+def test_a_recording_returns_all_pieces_times_and_settings(tmp_path):
     path = tmp_path / "a.h5"
     with ProcessRecorder(path, ("manifold", "force"), {"x": 1}) as recorder:
         sinks = [recorder.sink(name) for name in ("manifold", "force")]
@@ -41,11 +41,11 @@ def test_a_recording_is_never_overwritten(tmp_path):
     assert path.read_text() == "mine"
 
 
-def test_its_own_death_is_told_and_leaves_what_was_written(tmp_path):
+def test_a_killed_recorder_is_reported_and_the_written_data_are_kept(tmp_path):
     path = tmp_path / "a.h5"
     recorder = ProcessRecorder(path, ("manifold",))
     sink, begun = recorder.sink("manifold"), time.monotonic()
-    with pytest.raises(RigError, match="has ended by itself"):
+    with pytest.raises(RigError, match="ended unexpectedly"):
         count = 0
         while time.monotonic() - begun < 10.0:
             sink(time.monotonic_ns(), b"x")
@@ -55,15 +55,15 @@ def test_its_own_death_is_told_and_leaves_what_was_written(tmp_path):
                 os.kill(recorder.pid, signal.SIGKILL)
             recorder.check()
             time.sleep(0.005)
-    with_raised = time.monotonic() - begun
+    raised_after = time.monotonic() - begun
     recorder.close()
     found = read_recording(path).streams["manifold"]
-    assert 1e-9 * (killed - found.host_ns[-1]) < 0.2 and with_raised < 8.0
+    assert 1e-9 * (killed - found.host_ns[-1]) < 0.2 and raised_after < 8.0
 
 
-def test_what_a_killed_program_handed_over_is_written(tmp_path):
+def test_all_pieces_that_a_killed_program_sent_are_written(tmp_path):
     path, out = tmp_path / "a.h5", tmp_path / "out"
-    with open(out, "wb") as file, start(PROGRAM, path, stdout=file) as program:
+    with open(out, "wb") as file, start_program(PROGRAM, path, stdout=file) as program:
         while not path.exists():
             assert program.poll() is None
             time.sleep(0.01)
@@ -73,19 +73,14 @@ def test_what_a_killed_program_handed_over_is_written(tmp_path):
     while not read_recording(path).closed:
         assert time.monotonic() < end
         time.sleep(0.05)
-    handed = {"manifold": [], "force": []}
-    for line in out.read_text().splitlines(keepends=True):
-        if line.endswith("\n"):
-            name, ns = line.split()
-            handed[name].append(int(ns))
-    for name, times in handed.items():
+    for name, times in printed_times(out).items():
         stream = read_recording(path).streams[name]
         assert stream.pieces() == sent(name, len(stream.host_ns)) and len(times) > 300
         assert 1e-9 * (times[-1] - stream.host_ns[-1]) < 0.2
         assert np.all(np.diff(stream.host_ns) > 0)
 
 
-def test_ctrl_c_is_left_to_the_program(tmp_path):
+def test_the_recorder_ignores_signals_that_the_program_handles(tmp_path):
     with ProcessRecorder(tmp_path / "a.h5", ("manifold",)) as recorder:
         for number in (signal.SIGINT, signal.SIGHUP):
             os.kill(recorder.pid, number)

@@ -61,8 +61,8 @@ def test_a_trial_that_did_not_begin_from_rest_says_so():
     drive = 0.04 * np.sin(20 * t)
     noise = 1e-3 * np.random.default_rng(0).normal(size=500)
     assert _moves("tip_m", noise, drive, 1e-3) == _moves("tip_m", noise, noise, 1e-3) == ()
-    (said,) = _moves("tip_m", 2e-3 * np.sin(6 * t) + noise, drive, 1e-3)
-    assert "tip_m was not at rest before the drive" in said and "longer pause" in said
+    (finding,) = _moves("tip_m", 2e-3 * np.sin(6 * t) + noise, drive, 1e-3)
+    assert "tip_m was not at rest before the drive" in finding and "longer pause" in finding
 
 
 class Followed:
