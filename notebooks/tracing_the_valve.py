@@ -30,9 +30,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import slider_jax as sj
-from calibration.pressure_logs.close_loop import close_loop_on_logs
+from calibration.pressure_logs.close_loop import close_loop_on_logs, thrust_change
 from calibration.pressure_logs.read import PA_PER_PSI, psi, read_log
-from calibration.pressure_logs.report import consequence_of
 from calibration.pressure_logs.synthetic import write_logs
 
 sj.enable_float64()
@@ -189,7 +188,7 @@ print(f"strongest period {period[inside][np.argmax(power[1:][inside])]:.1f} code
 # The same robot, driven by a square wave at 4.8 Hz, with each pressure model.
 
 # %%
-table = consequence_of(outcome)
+table = thrust_change(outcome)
 for name in ("lag of the paper", "lag that fits the logs best", "with what was found"):
     x = table[name]
     print(

@@ -9,7 +9,7 @@ import tyro
 from calibration.pressure_logs.identify import PAPER_K, Identification, identify_lag, rms
 from calibration.pressure_logs.lag import PLAUSIBLE
 from calibration.pressure_logs.read import PSI_AT_ZERO, PSI_PER_COUNT, read_log
-from calibration.pressure_logs.text import describe, verdict
+from calibration.pressure_logs.text import describe_lag, lag_verdict
 from slider_jax.cli.options import Folder
 from slider_jax.cli.progress import Progress
 from slider_jax.errors import InputError
@@ -57,7 +57,7 @@ def manifold(
             print(f"{log.path.name}: {finding}", file=sys.stderr)
     print(f"fitting {len(records)} logs ...", file=sys.stderr)
     found = identify_lag(records)
-    said = describe(found)
+    said = describe_lag(found)
     with staged(out) as stage:
         write_json(stage / "manifold.json", lag_record(found, said))
         write_text(stage / "model.toml", lag_model_toml(found))
@@ -144,7 +144,7 @@ def lag_model_toml(found: Identification) -> str:
     k = found.k
     names = ", ".join(x.log.path.name for x in found.logs)
     comment = (
-        f"{verdict(found)}\n"
+        f"{lag_verdict(found)}\n"
         f"Pressure lag from {len(found.logs)} logs by slider calibrate manifold: {names}\n"
         f"95 % interval {k.low:.4f} to {k.high:.4f} s; free-run RMSE "
         f"{found.pooled_rmse('before'):.2f} psi before, {found.pooled_rmse('pooled'):.2f} after, "

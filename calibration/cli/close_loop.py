@@ -114,8 +114,7 @@ def _of_experiment(experiment, inputs, memo, say, seconds) -> tuple[Any, dict[st
 
 
 def _of_logs(logs, inputs, memo, say, seconds) -> tuple[Any, dict[str, Any]]:
-    from calibration.pressure_logs.close_loop import close_loop_on_logs
-    from calibration.pressure_logs.report import log_report
+    from calibration.pressure_logs.close_loop import close_loop_on_logs, log_report
 
     outcome = close_loop_on_logs(logs, progress=say, memo=memo)
     say("simulating what this changes for thrust")

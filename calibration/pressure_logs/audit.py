@@ -1,12 +1,10 @@
-"""The audit of the rig's pressure logs: what the instrument does that no pneumatics can.
+"""Audit of the rig's pressure logs: faults of the instrument, such as codes of unequal width.
 
-Is every code of a quantised sensor read as often as its neighbours?
-
-A converter whose codes are not equally wide reads the narrow ones too seldom, and, as each stands
-for less pressure, with more noise in counts. Signals make uneven histograms too: the null is made
-of the same logs, smoothed, given white noise and rounded anew, so that it holds all that the signal
-does. Both signs must show at one period: the density waves by more than any null's does, and the
-noise is high where the density is low.
+A converter reads a code that is too narrow too seldom. The noise in counts is larger there, because
+a count is a smaller pressure. Signals also make uneven histograms. The null distribution therefore
+uses the same logs, smoothed, with new white noise and rounding. The codes are unequal if two
+criteria hold at one period: the density varies more than in every null sample, and the noise is
+high where the density is low.
 """
 
 from collections.abc import Sequence
@@ -20,72 +18,61 @@ from calibration.measurements.findings import Action, Finding, masked
 from calibration.pressure_logs.read import PSI_PER_COUNT, ManifoldLog
 
 PERIODS = np.geomspace(3.0, 48.0, 400)
-"""In codes, that are looked at."""
-
-
-SMOOTH = 12.0
-"""Codes over which a histogram is smoothed to say what it should be."""
-
-
-SETTLE = 8.0
-"""Samples over which a log is smoothed to make a null."""
-
-
+"""Periods of the density that are examined [codes]."""
+HISTOGRAM_WIDTH = 12.0
+"""Smoothing width [codes] that gives the expected histogram."""
+SIGNAL_WIDTH = 8.0
+"""Smoothing width [samples] of a log in a null sample."""
 LEAST_COUNT = 8.0
-"""Expected readings of a code from which on it is looked at."""
-
-
+"""Expected readings below which a code is ignored."""
 NULLS = 40
-
-
+"""Null samples."""
 RARE = 0.5
-"""A code is rare that is read less often than this share of what it should be."""
-
-
+"""A code is rare if it is read less often than this share of its expected readings."""
 OPPOSED = -0.8
-"""Correlation of log density and log noise over the wave's phase below which widths differ."""
+"""Codes are unequal if log density and log noise correlate below this over the wave's phase."""
 
 
 class CodeDensity(NamedTuple):
-    """The unevenness of a sensor's codes."""
+    """The density of a sensor's codes: how often each is read, over how often it should be."""
 
     amplitude: float
-    """Share by which the density waves about what it should be, at its strongest period."""
+    """Relative amplitude of the density at its strongest period."""
     null: np.ndarray
-    """(nulls,) the same of smooth signals with the same noise, at their strongest periods."""
+    """(nulls,) amplitudes of the null samples at their strongest periods."""
     period: float
-    """Codes."""
+    """Strongest period [codes]."""
     opposed: float
-    """Correlation of log density with log noise over the wave's phase: -1 if widths make both."""
+    """Correlation of log density with log noise over the wave's phase; -1 for unequal widths."""
     dnl: float
-    """Largest error of a code's width over the phase of the wave, in codes."""
+    """Largest error of a code's width over the wave's phase [codes]."""
     inl: float
-    """Half the range of a reading's error, in codes: the widths' errors summed over the wave."""
+    """Half the range of a reading's error [codes]: the cumulative sum of the width errors."""
     missing: list[int]
-    """Codes that should have been read and never were."""
+    """Codes with expected readings that were never read."""
     rare: list[int]
-    """Codes read less than `RARE` times as often as they should be."""
+    """Codes read less often than `RARE` times their expected readings."""
 
     @property
     def significance(self) -> float:
-        """By how many standard deviations of the null the amplitude exceeds its mean."""
+        """The amplitude minus the null's mean, in standard deviations of the null."""
         return float((self.amplitude - self.null.mean()) / max(float(self.null.std()), 1e-12))
 
     @property
     def uneven(self) -> bool:
-        """Whether the codes are not equally wide."""
+        """Whether the codes have unequal widths."""
         return self.amplitude > 1.5 * float(self.null.max()) and self.opposed < OPPOSED
 
 
 def code_density(
     series: Sequence[np.ndarray], seed: int = 0, nulls: int = NULLS
 ) -> CodeDensity | None:
-    """Test readings of one sensor, each of `series` (n,) a log in order of time, in whole codes.
+    """Return the code density of one sensor from its readings (n,) in whole codes, one per log.
 
-    None where there are too few readings of too few codes to say anything. The result is the same
-    for the same `seed`.
+    Returns None if the readings or their codes are too few. `seed` determines the `nulls` null
+    samples.
     """
-    logs = [np.asarray(x, float) for x in series if len(x) > 4 * SETTLE]
+    logs = [np.asarray(x, float) for x in series if len(x) > 4 * SIGNAL_WIDTH]
     if not logs or any((x != np.round(x)).any() for x in logs):
         return None
     codes, seen, expected = _histogram(logs)
@@ -111,17 +98,17 @@ def code_density(
 
 
 def _null(logs: Sequence[np.ndarray], rng: np.random.Generator) -> list[np.ndarray]:
-    """Smooth signals like the logs, with white noise of the logs' size, in codes."""
+    """Return the smoothed logs with new white noise of the same size, in codes."""
     found = []
     for x in logs:
         noise = float(np.sqrt(max(np.mean(np.diff(x, 4) ** 2) / 70.0 - 1.0 / 12.0, 0.0)))
-        smooth = gaussian_filter1d(x, SETTLE, mode="nearest")
+        smooth = gaussian_filter1d(x, SIGNAL_WIDTH, mode="nearest")
         found.append(np.round(smooth + noise * rng.normal(size=len(x))))
     return found
 
 
 def _histogram(logs: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Codes, how often each is read, and how often it should be by its neighbours."""
+    """Return the codes, their readings, and the readings expected from neighbouring codes."""
     low = int(min(x.min() for x in logs))
     high = int(max(x.max() for x in logs))
     codes = np.arange(low, high + 1)
@@ -129,12 +116,12 @@ def _histogram(logs: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.n
     for x in logs:
         counts = np.bincount((x - low).astype(int), minlength=len(codes)).astype(float)
         seen += counts
-        expected += gaussian_filter1d(counts, SMOOTH, mode="constant")
+        expected += gaussian_filter1d(counts, HISTOGRAM_WIDTH, mode="constant")
     return codes, seen, expected
 
 
 def _strongest(codes: np.ndarray, seen: np.ndarray, expected: np.ndarray) -> tuple[float, float]:
-    """Amplitude in relative density, and length [codes], of the strongest period."""
+    """Return relative amplitude and length [codes] of the density's strongest period."""
     looked = expected > LEAST_COUNT
     x, share = codes[looked], seen[looked] / expected[looked] - 1.0
     weight = np.minimum(expected[looked], np.median(expected[looked]))
@@ -153,13 +140,13 @@ def _over_phase(
     expected: np.ndarray,
     period: float,
 ) -> tuple[np.ndarray, float]:
-    """Relative density (bins,) over the wave's phase, and its log's correlation with log noise."""
+    """Return the density (bins,) over the wave's phase and its log's correlation with log noise."""
     bins = max(min(12, int(period)), 3)
     phase = ((codes % period) / period * bins).astype(int)
     noise, many = np.zeros(len(codes)), np.zeros(len(codes))
     for x in logs:
-        # The code is told by other samples than the noise: a reading that its own noise carried
-        # to a rare code would make noise and rareness go together.
+        # Code and noise come from different samples: a large noise may carry its own sample to a
+        # rare code, which would correlate noise and density.
         at = np.round(0.5 * (x[:-4] + x[4:]) - codes[0]).astype(int)
         np.add.at(noise, at, np.abs(np.diff(x[1:-1], 2)))
         np.add.at(many, at, 1.0)
@@ -177,19 +164,19 @@ def _over_phase(
 
 FULL_DUTY, DUTY_PER_COUNT = 250.0, 10.0
 """The firmware's law: duty = min(250, 10 |error in counts|), to one valve or the other."""
-DUTY_OFF = 1.5
-"""Rounding of the duty, in its unit."""
-MOST_OFF = 0.01
-"""Share of the samples that may break the law before it is told."""
-MOST_JITTER = 1.0
-"""Error of the sample times, in samples, before it is told."""
+DUTY_ERROR = 1.5
+"""Largest rounding error of the duty, in its unit."""
+MAX_ERROR_SHARE = 0.01
+"""Share of the samples that may break the law without a finding."""
+MAX_JITTER = 1.0
+"""Largest error of the sample times without a finding [samples]."""
 
 
 def audit_logs(logs: Sequence[ManifoldLog], seed: int = 0) -> list[Finding]:
-    """What is wrong with the logs as an instrument wrote them, and with the sensor they share.
+    """Return the faults of the logs and of their common sensor.
 
-    Rows that were mended on reading, readings at the end of the converter's range, valve duties at
-    odds with the firmware's law, sample times at odds with the command, and codes of unequal width.
+    The audit lists repaired rows, clipped readings, valve duties that contradict the firmware's
+    law, sample times that contradict the command, and codes of unequal width.
     """
     findings = []
     for log in logs:
@@ -202,23 +189,23 @@ def audit_logs(logs: Sequence[ManifoldLog], seed: int = 0) -> list[Finding]:
     if density is not None and density.uneven:
         names = ", ".join(log.path.name for log in logs)
         findings.append(
-            Finding(names, "code_density", "pressure", None, None, words(density), "used")
+            Finding(names, "code_density", "pressure", None, None, _unequal(density), "used")
         )
     return findings
 
 
-def words(found: CodeDensity) -> str:
-    """The unevenness of the pressure codes in a sentence, in counts and psi."""
+def _unequal(found: CodeDensity) -> str:
+    """Return a sentence on the unequal pressure codes, in counts and psi."""
     rare = f"; {len(found.rare)} codes are rare" if found.rare else ""
     rare += f", {len(found.missing)} missing" if found.missing else ""
     return (
-        "the pressure codes are not equally wide: their density waves by "
+        "the pressure codes have unequal widths: their density varies by "
         f"{found.amplitude:.0%} with a period of {found.period:.1f} counts "
-        f"({found.significance:.0f} standard deviations beyond smooth signals with the same "
+        f"({found.significance:.0f} standard deviations above smooth signals with the same "
         "noise), and the noise is high where the density is low (correlation "
-        f"{found.opposed:.2f}){rare}. A width is off by up to {found.dnl:.2f} counts, a reading "
-        f"by up to {found.inl:.1f} counts or {found.inl * PSI_PER_COUNT:.2f} psi: the converter, "
-        "no pneumatics"
+        f"{found.opposed:.2f}){rare}. The error of a width is up to {found.dnl:.2f} counts and of "
+        f"a reading up to {found.inl:.1f} counts or {found.inl * PSI_PER_COUNT:.2f} psi: the "
+        "cause is the converter, not the pneumatics"
     )
 
 
@@ -227,28 +214,28 @@ def _clipped(log: ManifoldLog) -> list[Finding]:
     if not bad.any():
         return []
     ends = " and ".join(f"{x:.0f}" for x in sorted(set(log.pressure[bad][[0, -1]])))
-    said = f"the pressure is clipped near {ends} counts"
-    return [masked(log.path.name, "clipped", "pressure", log.t, bad, said)]
+    text = f"the pressure is clipped near {ends} counts"
+    return [masked(log.path.name, "clipped", "pressure", log.t, bad, text)]
 
 
 def _duties(log: ManifoldLog) -> list[Finding]:
-    """Valve duties that are not what the firmware makes of the error in the same row."""
+    """Return a finding if valve duties contradict the error of their own row."""
     error = log.command - log.pressure
     law = np.minimum(FULL_DUTY, DUTY_PER_COUNT * np.abs(error))
     fill, vent = np.where(error > 0.0, law, 0.0), np.where(error > 0.0, 0.0, law)
-    off = (np.abs(log.fill - fill) > DUTY_OFF) | (np.abs(log.vent - vent) > DUTY_OFF)
-    if off.mean() <= MOST_OFF:
+    wrong = (np.abs(log.fill - fill) > DUTY_ERROR) | (np.abs(log.vent - vent) > DUTY_ERROR)
+    if wrong.mean() <= MAX_ERROR_SHARE:
         return []
-    first = float(log.t[np.argmax(off)])
+    first = float(log.t[np.argmax(wrong)])
     detail = (
-        f"{off.mean():.1%} of the valve duties are not min(250, 10 |error|) of their own row, "
-        f"first at {first:.3f} s: the columns are not of one instant, or the firmware is another"
+        f"{wrong.mean():.1%} of the valve duties differ from min(250, 10 |error|) of their own "
+        f"row, first at {first:.3f} s: the columns have different times, or the firmware differs"
     )
     return [Finding(log.path.name, "duty", "valves", first, None, detail, "used")]
 
 
 def _times(log: ManifoldLog) -> list[Finding]:
-    """Sample times against the command, which the firmware computes from its clock as a sine."""
+    """Return a finding if the command, a sine of the firmware's clock, contradicts the times."""
     turn = 2.0 * np.pi * log.frequency * log.t
     columns = np.stack([np.cos(turn), np.sin(turn), np.ones_like(turn)], axis=1)
     a, b, c = np.linalg.lstsq(columns, log.command)[0]
@@ -258,10 +245,10 @@ def _times(log: ManifoldLog) -> list[Finding]:
         return []
     late = (log.command - columns @ np.array([a, b, c]))[steep] / slope[steep]
     worst = float(np.abs(late).max()) / log.period
-    if worst <= MOST_JITTER:
+    if worst <= MAX_JITTER:
         return []
     detail = (
-        f"the command is up to {1e3 * worst * log.period:.1f} ms off the sine of the header at the "
-        "times of its samples: samples were lost or late"
+        f"the command is up to {1e3 * worst * log.period:.1f} ms late or early against the sine "
+        "of the header: samples are missing or late"
     )
     return [Finding(log.path.name, "clock", "t_s", None, None, detail, "used")]

@@ -1,9 +1,14 @@
-"""Closes the loop on the rig's pressure logs."""
+"""Closes the loop on the rig's pressure logs; its report adds the effect on thrust."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
 
 from calibration.discrepancy.close_loop import LoopOutcome, conclude
+from calibration.discrepancy.report import loop_record
 from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
 from calibration.inference.cache import Memo
 from calibration.inference.problem import AbstractProblem
@@ -17,8 +22,14 @@ from calibration.pressure_logs.problem import (
     log_experiment,
     log_record,
 )
-from calibration.pressure_logs.read import ManifoldLog
+from calibration.pressure_logs.read import PA_PER_PSI, ManifoldLog
 from slider_jax.errors import InputError
+from slider_jax.experiment.load import assemble
+from slider_jax.io.files import input_file
+from slider_jax.observables.strides import stride_means
+from slider_jax.paper import PRESSURE_LAG
+from slider_jax.simulation.effect_signature import FREQUENCY, built_in_experiment
+from slider_jax.simulation.trial import simulate_trial
 
 
 def close_loop_on_logs(
@@ -28,25 +39,25 @@ def close_loop_on_logs(
     memo: Memo | None = None,
     settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> LoopOutcome:
-    """Returns the effects that the pressure-lag model lacks on the rig's logs.
+    """Return the effects that the pressure-lag model lacks on the rig's logs.
 
-    In order of frequency, every second log is held out. Raises `InputError` if there are fewer than
-    five logs.
+    `effects` are the candidates' names (default: all effects that a log can show). Every second
+    log, in order of frequency, is held out. Raises `InputError` for fewer than five logs.
     """
     least = 2 * settings.min_trials - 1
     if len(logs) < least:
         raise InputError(
-            f"{len(logs)} logs given; tracing an effect needs {least} or more, at "
-            "different frequencies: every other one is held out"
+            f"{len(logs)} logs given; the search for an effect needs {least} or more, at different "
+            "frequencies, because it holds out every second log"
         )
     logs = sorted(logs, key=lambda log: log.frequency)
     names = tuple(log_candidates() if effects is None else effects)
     experiment = log_experiment(logs[0], None, {})
-    found = [log_record(log, log_experiment(log, None, {})) for log in logs]
+    records = [log_record(log, log_experiment(log, None, {})) for log in logs]
 
     def problem_of(chosen: Sequence[Record]) -> AbstractProblem:
         used = {id(r) for r in chosen}
-        picked = [log for log, r in zip(logs, found, strict=True) if id(r) in used]
+        picked = [log for log, r in zip(logs, records, strict=True) if id(r) in used]
         return replace(PressureLogProblem.of_logs(picked, names), memo=memo)
 
     base = base_values(experiment)
@@ -55,5 +66,68 @@ def close_loop_on_logs(
     findings = audit_logs(logs)
     for finding in findings:
         progress(str(finding))
-    outcome = conclude(experiment, names, found, held, problem_of, base, FREE, progress, settings)
+    outcome = conclude(experiment, names, records, held, problem_of, base, FREE, progress, settings)
     return replace(outcome, audit=findings)
+
+
+def log_report(
+    outcome: LoopOutcome, logs: Sequence[ManifoldLog], seconds: Callable[[], float]
+) -> dict[str, Any]:
+    """Return the content of report.json; `seconds()` is the time since the loop began [s]."""
+    record = loop_record(outcome, 0.0, {"logs": [input_file(log.path) for log in logs]})
+    record["errors_psi"] = {
+        part: {c: {k: v / PA_PER_PSI for k, v in row.items()} for c, row in record[part].items()}
+        for part in ("errors", "held_out")
+    }
+    record["consequence"] = thrust_change(outcome)
+    record["seconds"] = seconds()
+    return record
+
+
+def thrust_change(outcome: LoopOutcome) -> dict[str, Any]:
+    """Return the built-in robot's thrust at 4.8 Hz with three pressure models.
+
+    The models are the paper's lag, the lag that fits best, and the model with the found effects.
+    """
+    k = [p.label for p in outcome.entries].index("k")
+    effects = []
+    for name in outcome.effects:
+        values = {
+            p.name: float(x)
+            for p, x in zip(outcome.entries, outcome.final.theta, strict=True)
+            if p.effect == name
+        }
+        effects.append({"name": name, **values})
+    best, final = float(outcome.search.base.theta[k]), float(outcome.final.theta[k])
+    trial = built_in_experiment().trials[0]
+    return {
+        "frequency_Hz": FREQUENCY,
+        "waveform": trial.waveform,
+        "amplitude_Pa": trial.amplitude,
+        "robot": "built-in",
+        "lag of the paper": built_in_last_stride({"k": PRESSURE_LAG}, []),
+        "lag that fits the logs best": built_in_last_stride({"k": best}, []),
+        "with what was found": built_in_last_stride({"k": final}, effects),
+    }
+
+
+def built_in_last_stride(parameters: Mapping[str, float], effects: list[dict]) -> dict[str, float]:
+    """Return the last stride of the built-in robot at `FREQUENCY`, with a given pressure model.
+
+    `parameters` and `effects` replace the robot's, in the format of an experiment file. Raises
+    `SolverError` if a step fails.
+    """
+    experiment = built_in_experiment()
+    content = experiment.model_dump() | {"effects": effects}
+    content["parameters"] = content["parameters"] | dict(parameters)
+    run = simulate_trial(assemble(content, "built-in robot", experiment.folder))
+    half = run.grid.half_period
+    assert half is not None
+    last = slice(len(run.t) - 2 * half, len(run.t))
+    thrust = stride_means(jnp.asarray(run.series["thrust"][1:]), 2 * half)
+    return {
+        "mean_thrust_N": float(thrust[-1]),
+        "recoil_rms_N": float(np.sqrt(np.mean(run.series["recoil"][last] ** 2))),
+        "tip_half_range_m": 0.5 * float(np.ptp(run.series["tip"][last])),
+        "pressure_half_range_Pa": 0.5 * float(np.ptp(run.series["p_front"][last])),
+    }

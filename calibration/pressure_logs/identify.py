@@ -1,4 +1,4 @@
-"""Identification of the pressure lag from a set of logs, and what is left when it is done."""
+"""The pressure lag of a set of logs, with residuals and confidence intervals."""
 
 import math
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from calibration.inference.intervals import (
     record_interval,
     within_interval,
 )
-from calibration.pressure_logs.lag import PLAUSIBLE, Batch, fit_each, fit_pooled, residuals_at
+from calibration.pressure_logs.lag import PLAUSIBLE, LogBatch, fit_each, fit_pooled, residuals_at
 from calibration.pressure_logs.read import ManifoldLog, psi
 from calibration.pressure_logs.residual_shape import ResidualShape, shape_of, whole_cycles
 from slider_jax.errors import InputError
@@ -23,62 +23,62 @@ PAPER_K = 0.087
 
 
 def rms(values: np.ndarray) -> float:
-    """Root mean square."""
+    """Return the root mean square of `values`."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
 @dataclass(frozen=True)
 class LogResult:
-    """One log: its own k, and the residuals [psi], measured minus free run, one a sample."""
+    """One log with its own k, and its residuals [psi] (samples,), measured minus free run."""
 
     log: ManifoldLog
     k: Interval
     converged: bool
     before: np.ndarray
-    """At the paper's k."""
+    """Residual at the paper's k."""
     after: np.ndarray
-    """At the log's own k."""
+    """Residual at the log's own k."""
     pooled: np.ndarray
-    """At the k of all logs."""
+    """Residual at the common k of all logs."""
     shape: ResidualShape
-    """Of `after`."""
+    """Shape of `after`."""
 
     @property
     def fixed(self) -> bool:
-        """Whether this log fixes k, inside the range searched."""
+        """Whether this log determines k, inside the search range."""
         return self.converged and self.k.fixed and PLAUSIBLE[0] < self.k.value < PLAUSIBLE[1]
 
     @property
     def rms_held(self) -> float:
-        """RMSE [psi] of a pressure that never leaves its first sample: what any model must beat."""
+        """RMSE [psi] of a constant pressure at the first sample; a useful model has a lower one."""
         measured = psi(self.log.pressure)
         return rms(measured - measured[0])
 
 
 @dataclass(frozen=True)
 class Identification:
-    """All logs and the k common to them."""
+    """All logs and their common k."""
 
     logs: tuple[LogResult, ...]
     k: Interval
-    """As a sample of logs like these: holds how far the logs disagree."""
+    """For the population of such logs: the interval includes the spread between logs."""
     within: Interval
-    """Of these logs alone."""
+    """For these logs only."""
 
     def pooled_rmse(self, which: str, settled: bool = False) -> float:
-        """Root of the mean over logs of each log's mean square [psi]: every log weighs the same.
+        """Return the root of the mean over logs of their mean squares [psi]: equal weights.
 
-        `which` is `before`, `after` or `pooled`; `settled` leaves the first cycle out.
+        `which` is `before`, `after` or `pooled`; `settled` omits the first cycle.
         """
         return math.sqrt(np.mean([self._square(x, which, settled) for x in self.logs]))
 
     def sample_rmse(self, which: str) -> float:
-        """Root of the mean square over all samples of all logs [psi]: long logs weigh more."""
+        """Return the root mean square over all samples of all logs [psi]: long logs weigh more."""
         return rms(np.concatenate([getattr(x, which) for x in self.logs]))
 
     @property
     def floor(self) -> float:
-        """White noise of the sensor [psi], pooled as `pooled_rmse` is."""
+        """White noise of the sensor [psi], pooled with equal weights of the logs."""
         return rms(np.array([x.shape.floor for x in self.logs]))
 
     @staticmethod
@@ -88,11 +88,11 @@ class Identification:
 
 
 def identify_lag(logs: Sequence[ManifoldLog], reference_k: float = PAPER_K) -> Identification:
-    """Fit the lag to every log and to all; `before` is at `reference_k` [s].
+    """Fit the lag to every log and to all together; `before` is at `reference_k` [s].
 
-    Raises `InputError` where the logs together do not fix k.
+    Raises `InputError` if the logs together do not determine k.
     """
-    batch = Batch.of(logs)
+    batch = LogBatch.of(logs)
     each = fit_each(batch)
     common = fit_pooled(batch) if len(logs) > 1 else each
     before = np.asarray(residuals_at(reference_k, batch))
@@ -102,9 +102,9 @@ def identify_lag(logs: Sequence[ManifoldLog], reference_k: float = PAPER_K) -> I
     k, within = pooled_interval(log_k, shared), within_interval(log_k, shared)
     if not (bool(np.all(common.converged)) and within.fixed):
         raise InputError(
-            f"{', '.join(log.path.name for log in logs)}: these logs do not fix the lag k "
+            f"{', '.join(log.path.name for log in logs)}: these logs do not determine the lag k "
             f"(interval {within.low:.3g} to {within.high:.3g} s, allowed within a factor of 10); "
-            "give logs in which command and pressure move, over more cycles or frequencies"
+            "give logs with a larger pressure change, more cycles or more frequencies"
         )
     results = [
         LogResult(

@@ -1,4 +1,4 @@
-"""The pressure lag k from logs: free run and least squares by gradient."""
+"""The pressure lag k from logs: the free run of a lag, and its least-squares fit by gradient."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -15,25 +15,26 @@ from slider_jax.actuation import FirstOrderLag, Recorded
 from slider_jax.actuation.waveform import Segment
 
 PLAUSIBLE = (0.01, 1.0)
-"""Range of k [s] that is searched, set before looking at data: a valve to a leaking long hose."""
-BLOCK = 1024
+"""Search range of k [s], chosen before the data were seen: from a bare valve to a long hose that
+leaks."""
+BLOCK = 1024  # samples
 _STARTS = np.linspace(np.log(PLAUSIBLE[0]), np.log(PLAUSIBLE[1]), 25)
 
 
-class Batch(eqx.Module):
-    """Logs side by side, padded to the longest: arrays (logs, samples), in psi."""
+class LogBatch(eqx.Module):
+    """Logs padded to equal length: arrays (logs, samples), in psi."""
 
     set_point: Segment
-    """What the command does between samples: (logs, samples - 1)."""
+    """The command between samples: (logs, samples - 1)."""
     pressure: Float[Array, "logs samples"]
-    there: Float[Array, "logs samples"]
-    """1 where there is a sample, 0 in the padding."""
+    weight: Float[Array, "logs samples"]
+    """1 for a sample, 0 for padding."""
 
     @classmethod
-    def of(cls, logs: Sequence[ManifoldLog]) -> "Batch":
-        """The batch of `logs`; the padding holds the last command and weighs nothing.
+    def of(cls, logs: Sequence[ManifoldLog]) -> "LogBatch":
+        """Return the batch of `logs`; the padding repeats the last command with weight 0.
 
-        Padded to a whole number of `BLOCK`s, so that sets of similar logs share compiled programs.
+        The length is a multiple of `BLOCK`, so that sets of similar logs share compiled programs.
         """
         longest = -(-max(len(log.t) for log in logs) // BLOCK) * BLOCK
         after = np.arange(1, longest + 1)
@@ -56,14 +57,14 @@ class Batch(eqx.Module):
 
 
 def set_points(t: Float[Array, " n"], command: Float[Array, " n"]) -> Segment:
-    """What a sampled command does between its samples: linear."""
+    """Return the linear segments between the samples `command` at times `t` [s]."""
     return jax.vmap(Recorded(t, command).segment)(t[:-1], t[1:])
 
 
 def free_run(k, set_point: Segment, start) -> Float[Array, " n"]:
-    """Pressure that a lag of `k` [s] makes of the command from `start` on, in the command's unit.
+    """Return the pressure of a lag of `k` [s] under the command, in the command's unit.
 
-    The measurement enters at the first sample only.
+    The free run begins at the pressure `start` and uses no later measurement.
     """
     law = FirstOrderLag(k)
     first = jnp.asarray(start)
@@ -76,21 +77,24 @@ def free_run(k, set_point: Segment, start) -> Float[Array, " n"]:
     return jnp.concatenate([first[None], rest])
 
 
-def residual_psi(log_k, log: Batch) -> Float[Array, " n"]:
-    """Measured minus free run [psi] of one log (a `Batch` without its first axis); 0 in padding."""
-    return log.there * (log.pressure - free_run(jnp.exp(log_k), log.set_point, log.pressure[0]))
+def residual_psi(log_k, log: LogBatch) -> Float[Array, " n"]:
+    """Return measured minus free run [psi] of one log, 0 in the padding.
+
+    `log` is a `LogBatch` without its first axis.
+    """
+    return log.weight * (log.pressure - free_run(jnp.exp(log_k), log.set_point, log.pressure[0]))
 
 
 class LagFit(NamedTuple):
-    """log k, and at that k what every log says: arrays (logs, samples) and (logs,)."""
+    """log k, and statistics of every log at that k: arrays (logs, samples) and (logs,)."""
 
     log_k: Array
     residual: Array
     """Measured minus free run [psi]."""
     tangent: Array
-    """Its derivative to log k [psi]."""
+    """Derivative of the residual with respect to log k [psi]."""
     curvature: Array
-    """Second derivative to log k of half the sum of squares [psi^2]."""
+    """Second derivative of half the sum of squares with respect to log k [psi^2]."""
     converged: Array
 
 
@@ -98,7 +102,7 @@ _SOLVER: optx.AbstractLeastSquaresSolver = optx.LevenbergMarquardt(rtol=1e-7, at
 
 
 def _solve(residual, start, args):
-    # Linearising the scan would store every step of it; one tangent beside it stores nothing.
+    # Linearising the scan would store each of its steps; forward-mode JVP stores none.
     @jax.custom_jvp
     def with_tangent(x, args):
         return residual(x, args)
@@ -115,7 +119,7 @@ def _solve(residual, start, args):
     return solution.value, solution.result == optx.RESULTS.successful
 
 
-def _statistics(log_k, log: Batch):
+def _statistics(log_k, log: LogBatch):
     def slope(x):
         residual, tangent = jax.jvp(lambda z: residual_psi(z, log), (x,), (jnp.ones_like(x),))
         return residual @ tangent, (residual, tangent)
@@ -126,52 +130,53 @@ def _statistics(log_k, log: Batch):
     return residual, tangent, curvature
 
 
-def _scaled(log_k, log: Batch):
-    """The residual whose sum of squares is the mean square over the log's samples."""
-    return residual_psi(log_k, log) / jnp.sqrt(jnp.sum(log.there))
+def _scaled(log_k, log: LogBatch):
+    """Return the residual scaled so that its sum of squares is the log's mean square."""
+    return residual_psi(log_k, log) / jnp.sqrt(jnp.sum(log.weight))
 
 
-def _profile(batch: Batch):
-    """Mean square [psi^2] at each start: shape (starts, logs)."""
+def _profile(batch: LogBatch):
+    """Return the mean square [psi^2] at each start: shape (starts, logs)."""
     each = jax.vmap(lambda x, log: jnp.sum(_scaled(x, log) ** 2), (None, 0))
     return jax.lax.map(lambda x: each(x, batch), jnp.asarray(_STARTS))
 
 
-def _lowest_dip(square):
-    """The start with the lowest mean square among those lower than both neighbours, else of all.
+def _lowest_minimum(square):
+    """Return the start at the lowest local minimum of the mean square, else at the lowest value.
 
-    A lag that is longer than the log only keeps the starting pressure, which may fit well for a
-    start near the mean, and says nothing of the lag: the edge of the range is no dip.
+    The edges of the range are no local minima: a lag longer than the log keeps the first pressure,
+    which fits well if that is near the mean, but does not identify the lag.
     """
     inner = square[1:-1]
-    dip = (inner < square[:-2]) & (inner < square[2:])
-    dips = jnp.where(dip, inner, jnp.inf)
-    index = jnp.where(jnp.any(dip), 1 + jnp.argmin(dips), jnp.argmin(square))
+    is_minimum = (inner < square[:-2]) & (inner < square[2:])
+    minima = jnp.where(is_minimum, inner, jnp.inf)
+    index = jnp.where(jnp.any(is_minimum), 1 + jnp.argmin(minima), jnp.argmin(square))
     return jnp.asarray(_STARTS)[index]
 
 
 @jax.jit
-def fit_each(batch: Batch) -> LagFit:
-    """k of every log by itself.
+def fit_each(batch: LogBatch) -> LagFit:
+    """Return k of every log separately.
 
-    Levenberg-Marquardt on forward tangents, from the lowest dip of a scan of `PLAUSIBLE`.
+    Levenberg-Marquardt with forward tangents starts at the lowest local minimum of a scan over
+    `PLAUSIBLE`.
     """
-    start = jax.vmap(_lowest_dip, 1)(_profile(batch))
+    start = jax.vmap(_lowest_minimum, 1)(_profile(batch))
     log_k, converged = jax.vmap(lambda x, log: _solve(_scaled, x, log))(start, batch)
     residual, tangent, curvature = jax.vmap(_statistics)(log_k, batch)
     return LagFit(log_k, residual, tangent, curvature, converged)
 
 
 @jax.jit
-def fit_pooled(batch: Batch) -> LagFit:
-    """One k for all logs: the least mean of the logs' mean squares, so that all weigh the same."""
-    start = _lowest_dip(jnp.mean(_profile(batch), axis=1))
+def fit_pooled(batch: LogBatch) -> LagFit:
+    """Return one k for all logs, which minimises the mean of their mean squares."""
+    start = _lowest_minimum(jnp.mean(_profile(batch), axis=1))
     log_k, converged = _solve(jax.vmap(_scaled, (None, 0)), start, batch)
     residual, tangent, curvature = jax.vmap(_statistics, (None, 0))(log_k, batch)
     return LagFit(log_k, residual, tangent, curvature, converged)
 
 
 @jax.jit
-def residuals_at(k, batch: Batch) -> Float[Array, "logs samples"]:
-    """Measured minus free run [psi] of every log at a given k [s]."""
+def residuals_at(k, batch: LogBatch) -> Float[Array, "logs samples"]:
+    """Return measured minus free run [psi] of every log at a given k [s]."""
     return jax.vmap(lambda log: residual_psi(jnp.log(k), log))(batch)

@@ -1,4 +1,4 @@
-"""Pictures of the identification of the pressure lag, and of a log driving the robot."""
+"""Figures of the pressure lag's identification, and of the robot driven by a log."""
 
 import math
 from collections.abc import Mapping
@@ -15,13 +15,13 @@ _FILL, _VENT = "tab:red", "tab:green"
 
 
 def plot_log(result: LogResult, reference_k: float, path: Path, cycles: float = 2.5) -> None:
-    """Command, measured and free runs over the first `cycles`, and what is left of them."""
+    """Plot command, measurement, free runs and residuals over the first `cycles`."""
     log = result.log
     here = log.t <= cycles / log.frequency
     t, measured = log.t[here], psi(log.pressure)[here]
     figure, (top, low) = new_figure(2, 1, figsize=(9.0, 6.0), sharex=True, height_ratios=[3, 2])
     after = f"lag, k = {1e3 * result.k.value:.0f} ms (this log's best)"
-    before = f"lag, k = {1e3 * reference_k:.0f} ms (paper)"
+    before = f"lag, k = {1e3 * reference_k:.0f} ms (paper's)"
     top.plot(t, psi(log.command)[here], "--", color=_COMMAND, label="command")
     top.plot(t, measured, color=_MEASURED, lw=1.8, label="measured")
     for residual, colour, label in (
@@ -52,7 +52,7 @@ def _legend_below(axes, columns: int) -> None:
 
 
 def plot_phase(found: Identification, path: Path) -> None:
-    """Each log's residual against the phase of its command, by which valve works."""
+    """Plot each log's residual against the command's phase, coloured by the open valve."""
     count = len(found.logs)
     across = min(count, 4)
     down = math.ceil(count / across)
@@ -65,8 +65,8 @@ def plot_phase(found: Identification, path: Path) -> None:
         phase = _phase(log)
         filling = log.command > log.pressure
         for here, colour, label in (
-            (filling, _FILL, "fill valve works"),
-            (~filling, _VENT, "vent valve works"),
+            (filling, _FILL, "fill valve open"),
+            (~filling, _VENT, "vent valve open"),
         ):
             axis.plot(phase[here], result.after[here], ".", ms=1.2, color=colour, label=label)
         axis.axhline(0.0, color="0.4", lw=0.7)
@@ -74,7 +74,7 @@ def plot_phase(found: Identification, path: Path) -> None:
         axis.set_xlim(0.0, 1.0)
     for axis in axes[:, 0]:
         axis.set_ylabel("measured - free run (psi)", fontsize=9)
-    for axis in axes.flat[max(0, count - across) : count]:  # the lowest of each column
+    for axis in axes.flat[max(0, count - across) : count]:  # bottom axis of each column
         axis.tick_params(labelbottom=True)
         axis.set_xlabel("phase of the command (cycles)", fontsize=9)
     handles, labels = axes.flat[0].get_legend_handles_labels()
@@ -85,7 +85,7 @@ def plot_phase(found: Identification, path: Path) -> None:
 
 
 def _phase(log: ManifoldLog) -> np.ndarray:
-    """Fraction of a cycle since the command last rose through its mean."""
+    """Return the phase (samples,) in cycles since the command rose through its mean."""
     turn = 2.0 * math.pi * log.frequency * log.t
     x = log.command - log.command.mean()
     a, b = (x * np.cos(turn)).sum(), (x * np.sin(turn)).sum()
@@ -93,7 +93,7 @@ def _phase(log: ManifoldLog) -> np.ndarray:
 
 
 def plot_rate(found: Identification, path: Path, span: int = 10) -> None:
-    """Residual against the rate of the measured pressure: all logs, rising and falling apart."""
+    """Plot all residuals against the rate of the measured pressure, by rising and falling."""
     from matplotlib import colormaps
 
     figure, axes = new_figure(1, 2, figsize=(10.0, 4.4), sharey=True)
@@ -101,14 +101,14 @@ def plot_rate(found: Identification, path: Path, span: int = 10) -> None:
     for result, colour in zip(found.logs, colours, strict=True):
         log, p = result.log, psi(result.log.pressure)
         rate = (p[2 * span :] - p[: -2 * span]) / (log.t[2 * span :] - log.t[: -2 * span])
-        left = result.after[span:-span]
+        residual = result.after[span:-span]
         for axis, sign in zip(axes, (1.0, -1.0), strict=True):
             here = sign * rate > 0.0
             if not here.any():
                 continue
             edges = np.unique(np.quantile(rate[here], np.linspace(0.0, 1.0, 16)))
-            place = np.clip(np.searchsorted(edges, rate[here]) - 1, 0, max(len(edges) - 2, 0))
-            x, y = ([v[here][place == i].mean() for i in np.unique(place)] for v in (rate, left))
+            bins = np.clip(np.searchsorted(edges, rate[here]) - 1, 0, max(len(edges) - 2, 0))
+            x, y = ([v[here][bins == i].mean() for i in np.unique(bins)] for v in (rate, residual))
             axis.plot(x, y, ".-", color=colour, label=f"{log.frequency:g} Hz")
     for axis, title in zip(axes, ("pressure rising", "pressure falling"), strict=True):
         axis.axhline(0.0, color="0.4", lw=0.7)
@@ -121,7 +121,7 @@ def plot_rate(found: Identification, path: Path, span: int = 10) -> None:
 
 
 def plot_k(found: Identification, reference_k: float, path: Path) -> None:
-    """k of each log with its interval, what gain, phase, filling and venting ask for, and RMSE."""
+    """Plot each log's k, the k from gain, phase, filling and venting, and the RMSE."""
     figure, (left, middle, right) = new_figure(1, 3, figsize=(14.0, 4.6))
     f = np.array([x.log.frequency for x in found.logs])
     k = 1e3 * np.array([[x.k.value, x.k.low, x.k.high] for x in found.logs]).T
@@ -133,7 +133,7 @@ def plot_k(found: Identification, reference_k: float, path: Path) -> None:
         axis.set_ylabel("k (ms)")
     left.axhspan(1e3 * found.k.low, 1e3 * found.k.high, color=_AFTER, alpha=0.15)
     left.axhline(1e3 * found.k.value, color=_AFTER, label=f"all logs, {1e3 * found.k.value:.0f} ms")
-    for here, mark, label in ((fixed, "o", "one log"), (~fixed, "x", "one log, k not fixed")):
+    for here, mark, label in ((fixed, "o", "one log"), (~fixed, "x", "one log, undetermined")):
         if here.any():
             error = np.stack([k[0] - k[1], k[2] - k[0]])[:, here]
             left.errorbar(f[here], k[0, here], error, fmt=mark, color=_MEASURED, capsize=3,
@@ -143,24 +143,16 @@ def plot_k(found: Identification, reference_k: float, path: Path) -> None:
     for values, style, label in (
         ([s.k_filling for s in shapes], ("^", _FILL), "error over rate, filling"),
         ([s.k_venting for s in shapes], ("v", _VENT), "error over rate, venting"),
-        (
-            [s.measured.k_of_gain for s in shapes],
-            ("s", "tab:purple"),
-            "gain at the drive frequency",
-        ),
-        (
-            [s.measured.k_of_phase for s in shapes],
-            ("D", "tab:brown"),
-            "phase at the drive frequency",
-        ),
+        ([s.measured.k_of_gain for s in shapes], ("s", "tab:purple"), "gain of the fundamental"),
+        ([s.measured.k_of_phase for s in shapes], ("D", "tab:brown"), "phase of the fundamental"),
     ):
         middle.plot(f, 1e3 * np.array(values), style[0] + "-", color=style[1], label=label)
-    middle.set_title("k that parts of the measurement ask for", fontsize=10)
+    middle.set_title("k estimated from parts of the measurement", fontsize=10)
     for values, style, label in (
         ([rms(x.before) for x in found.logs], ("o", _BEFORE), f"lag, {1e3 * reference_k:.0f} ms"),
         ([rms(x.pooled) for x in found.logs], ("s", "tab:cyan"), "lag, k of all logs"),
         ([rms(x.after) for x in found.logs], ("o", _AFTER), "lag, each log's own k"),
-        ([x.rms_held for x in found.logs], ("_", "0.5"), "pressure held at its first sample"),
+        ([x.rms_held for x in found.logs], ("_", "0.5"), "constant first sample"),
         ([s.floor for s in shapes], ("o", "0.2"), "white noise of the sensor"),
     ):
         right.plot(f, values, style[0] + "-", color=style[1], label=label)
@@ -175,7 +167,7 @@ def plot_k(found: Identification, reference_k: float, path: Path) -> None:
 
 
 def plot_driven(log: ManifoldLog, columns: Mapping[str, np.ndarray], path: Path) -> None:
-    """What a log makes the robot do: pressure, forces at the clamp, tail."""
+    """Plot the robot driven by a log: pressure, forces at the clamp and tip."""
     figure, axes = new_figure(4, 1, figsize=(9.0, 8.5), sharex=True)
     t = columns["t_s"]
     axes[0].plot(log.t, log.command_Pa / 1e3, "--", color=_COMMAND, label="command")
@@ -191,13 +183,13 @@ def plot_driven(log: ManifoldLog, columns: Mapping[str, np.ndarray], path: Path)
         values = scale * columns[name]
         axis.plot(t, values, color=_AFTER, lw=0.9)
         axis.set_ylabel(label)
-        # The start from straight under full pressure would hide the rest.
+        # The first cycle's transient exceeds the later amplitudes.
         later = values[t >= min(1.0 / log.frequency, 0.5 * t[-1])]
         margin = 0.15 * max(np.ptp(later), 1e-9)
         axis.set_ylim(later.min() - margin, later.max() + margin)
-    axes[3].set_xlabel("time (s); the transient of the first cycle runs off the scale")
+    axes[3].set_xlabel("time (s); the first cycle's transient exceeds the scale")
     axes[0].set_title(
-        f"{log.path.name}, {log.frequency:g} Hz: pressure in both chambers off the measured by "
+        f"{log.path.name}, {log.frequency:g} Hz: pressure error "
         f"{rms(columns['p_front_Pa'] - log.pressure_Pa) / PA_PER_PSI:.2f} psi rms",
         fontsize=10,
     )

@@ -1,6 +1,7 @@
-"""The rig's pressure logs as trials: what one chamber would read for a parameter vector.
+"""The rig's pressure logs as trials, with the predicted pressure of one chamber.
 
-Every log runs freely from its first measured sample and sees only the command after it.
+The free run of a log starts at its first measured sample. After that sample it uses only the
+command.
 """
 
 from collections.abc import Sequence
@@ -33,13 +34,13 @@ from slider_jax.experiment.schema import SensorsTable
 from slider_jax.paper import PRESSURE_LAG
 
 CHANNEL = "p_front"
-"""Channel that a log's one pressure is taken for."""
+"""Channel of a log's single pressure."""
 FREE = ("k",)
-"""Parameters of the base model that a pressure log can show."""
+"""Parameters of the base model that a pressure log can identify."""
 
 
 def log_candidates() -> list[str]:
-    """Effects that a log's pressure could show: of command, flow and pressure sensor."""
+    """Return the effects that a log can show: on the command, the flow or the pressure sensor."""
     return [
         name
         for name in candidates()
@@ -50,7 +51,10 @@ def log_candidates() -> list[str]:
 
 
 def log_experiment(log: ManifoldLog, model: Path | None, numerics: dict[str, float]) -> Experiment:
-    """The built-in robot, C_d and m_a on the paper's ramp at the log's frequency, overridden."""
+    """Return the built-in robot's experiment at the log's frequency, overridden by file `model`.
+
+    C_d and m_a follow the paper's ramp. `numerics` is the [numerics] table.
+    """
     robot = asdict(Robot())
     K_Q = robot.pop("K_Q")
     content = {
@@ -72,14 +76,17 @@ def log_experiment(log: ManifoldLog, model: Path | None, numerics: dict[str, flo
 
 
 def log_record(log: ManifoldLog, experiment: Experiment) -> Record:
-    """A log as a measured trial whose only channel is `CHANNEL`."""
+    """Return a log as a measured trial with the single channel `CHANNEL`."""
     values = np.full((len(CHANNELS), len(log.t)), np.nan)
     values[row_of(CHANNEL)] = log.pressure_Pa
     return Record(experiment.trials[0], log.t, values)
 
 
 class LogDrive(eqx.Module):
-    """Commands of logs on the grid of the longest one's samples, from measured starts."""
+    """Commands [Pa] of logs at the times [s] `at`, and their first measured pressures [Pa].
+
+    All logs have as many times as the longest log.
+    """
 
     at: Float[Array, "logs n"]
     command: Float[Array, "logs n"]
@@ -89,7 +96,7 @@ class LogDrive(eqx.Module):
 @final
 @dataclass(frozen=True, kw_only=True)
 class PressureLogProblem(AbstractProblem):
-    """Pressure logs as trials. A simulation omits the effects that are at their null."""
+    """Pressure logs as trials. A simulation omits effects with all parameters at their nulls."""
 
     logs: list[ManifoldLog]
     base: Extended
@@ -97,13 +104,13 @@ class PressureLogProblem(AbstractProblem):
 
     @classmethod
     def of_logs(cls, logs: Sequence[ManifoldLog], names: Sequence[str]) -> "PressureLogProblem":
-        """Returns the problem of logs for the extended model with the effects `names`."""
+        """Return the problem of `logs` for the extended model with the effects `names`."""
         experiments = [log_experiment(log, None, {}) for log in logs]
-        found = [log_record(log, x) for log, x in zip(logs, experiments, strict=True)]
+        records = [log_record(log, x) for log, x in zip(logs, experiments, strict=True)]
         row = row_of(CHANNEL)
         noise = {
             (i, CHANNEL): channel_noise(SensorsTable(), CHANNEL, r.values[row])
-            for i, r in enumerate(found)
+            for i, r in enumerate(records)
         }
         n = max(round(log.t[-1] / log.period) for log in logs) + 1
         at = np.stack([log.period * np.arange(n) for log in logs])
@@ -117,7 +124,7 @@ class PressureLogProblem(AbstractProblem):
         taken = {n: jnp.asarray(x) for n, x in conditions(experiments[0], first.trial).items()}
         base = Extended(first.model, taken, tuple(names), first.channels)
         return cls(
-            records=found,
+            records=records,
             channels=(CHANNEL,),
             noise=noise,
             logs=list(logs),
@@ -126,19 +133,19 @@ class PressureLogProblem(AbstractProblem):
         )
 
     def spans(self) -> None:
-        """Returns None: a log has no initial swing."""
+        """Return None: a log has no initial swing."""
 
     def _predict(self, theta: np.ndarray) -> list[np.ndarray]:
         moved = self._moved(theta)
-        return self._cut(
-            np.asarray(_readings(self._with(moved), self._of(theta, moved), self.drive))
+        return self._at_samples(
+            np.asarray(_readings(self._extended(moved), self._entries(theta, moved), self.drive))
         )
 
     def _tangents(self, theta: np.ndarray, directions: np.ndarray) -> list[np.ndarray]:
         along = np.any(np.asarray(directions) != 0.0, axis=0)
         moved = self._moved(theta, along)
-        extended, at = self._with(moved), self._of(theta, moved)
-        short = np.stack([self._of(d, moved) for d in directions])
+        extended, at = self._extended(moved), self._entries(theta, moved)
+        short = np.stack([self._entries(d, moved) for d in directions])
         padded = np.zeros((-(-len(short) // DIRECTIONS) * DIRECTIONS, short.shape[1]))
         padded[: len(short)] = short
         blocks = [
@@ -146,7 +153,7 @@ class PressureLogProblem(AbstractProblem):
             for i in range(0, len(padded), DIRECTIONS)
         ]
         series = np.concatenate(blocks)[: len(short)]
-        each = [self._cut(x) for x in series]
+        each = [self._at_samples(x) for x in series]
         return [np.stack(x) for x in zip(*each, strict=True)]
 
     def _secants(self, theta: np.ndarray, others: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -155,7 +162,7 @@ class PressureLogProblem(AbstractProblem):
         return [np.stack([x[i] - here[i] for x in there]) for i in range(len(here))]
 
     def _moved(self, theta: np.ndarray, along: np.ndarray | None = None) -> tuple[str, ...]:
-        """Effects that the vector moves off their null, or that a direction would."""
+        """Return the effects with a parameter off its null in `theta` or marked in `along`."""
         found = dict.fromkeys(
             p.effect
             for i, p in enumerate(parameters(self.base.effects))
@@ -163,18 +170,18 @@ class PressureLogProblem(AbstractProblem):
         )
         return tuple(found)
 
-    def _with(self, names: tuple[str, ...]) -> Extended:
+    def _extended(self, names: tuple[str, ...]) -> Extended:
         return replace(self.base, effects=names)
 
-    def _of(self, theta: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
-        """Entries of the vector that are of the base model or of `names`."""
+    def _entries(self, theta: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
+        """Return the entries of `theta` for the base model and the effects `names`."""
         entries = parameters(self.base.effects)
         return np.array(
             [x for x, p in zip(theta, entries, strict=True) if p.effect in ("", *names)]
         )
 
-    def _cut(self, series: np.ndarray) -> list[np.ndarray]:
-        """(channels, samples) of every log from (logs, n)."""
+    def _at_samples(self, series: np.ndarray) -> list[np.ndarray]:
+        """Return (channels, samples) of every log from (logs, n)."""
         found = []
         for log, x in zip(self.logs, series, strict=True):
             values = np.full((len(CHANNELS), len(log.t)), np.nan)
@@ -184,7 +191,7 @@ class PressureLogProblem(AbstractProblem):
 
 
 def _read(extended: Extended, theta, drive: LogDrive):
-    """What the sensor reads (logs, n) [Pa]."""
+    """Return the sensor's readings (logs, n) [Pa]."""
     model = extended.at(theta)
 
     def one(at, command, start):

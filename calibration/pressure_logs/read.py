@@ -1,8 +1,8 @@
-"""Pressure-control logs of the SLIDER rig, as its firmware writes them, read and audited.
+"""Reader of the pressure logs that the firmware of the SLIDER rig writes.
 
-A log is text: a header of one `name value` pair a line, a line of column names, one row a sample,
-and a last line `done<lines>` that counts the lines before it. Lines end in CR, LF or CRLF. Source
-of the format: the public repository bvanstratum/SoftSnakePressureControl.
+A log is text: a header with one `name value` pair per line, a line of column names, one row per
+sample, and a last line `done<lines>` that counts the lines before it. Lines end in CR, LF or CRLF.
+Source of the format: the public repository bvanstratum/SoftSnakePressureControl.
 """
 
 import re
@@ -33,20 +33,20 @@ _DONE = re.compile(r"done\s*(\d*)", re.I)
 
 
 def psi(counts):
-    """Gauge pressure [psi] of ADC `counts`."""
+    """Return the gauge pressure [psi] of ADC `counts`, by the calibration of the rig's sensor."""
     return PSI_PER_COUNT * counts + PSI_AT_ZERO
 
 
 @dataclass(frozen=True)
 class ManifoldLog:
-    """One test: arrays of shape (samples,) at increasing times, and what was found on reading.
+    """One test: arrays of shape (samples,) at increasing times, and the reader's findings.
 
     | field | unit | meaning |
     |---|---|---|
     | `frequency` | Hz | of the commanded sine, from the header |
     | `period` | s | between samples, from the header |
-    | `t` | s | from the first sample kept |
-    | `command`, `pressure` | counts | set and measured pressure |
+    | `t` | s | since the first sample in the arrays |
+    | `command`, `pressure` | ADC counts | set and measured pressure |
     | `fill`, `vent` | 0 to 255 | duty of the two valves |
     """
 
@@ -72,16 +72,16 @@ class ManifoldLog:
 
     @property
     def cycles(self) -> float:
-        """How many periods of the command the samples span."""
+        """Number of periods of the command from the first to the last sample."""
         return float(self.t[-1] * self.frequency)
 
 
 def read_log(path: Path | str) -> ManifoldLog:
-    """Read a log. What can be mended is mended and told in `findings`.
+    """Read a log, repair small faults and list them in `findings`.
 
-    Raises `InputError`, naming file and line, where the rows left could mislead: no or unknown
-    columns, header without frequency or period, more than one test, too few or too many bad rows,
-    a counter that falls, a gap of more than a tenth of a cycle.
+    Raises `InputError` with file and line for faults that cannot be repaired: missing or unknown
+    columns, a header without frequency or period, more than one test, too few valid rows or too
+    many bad ones, a counter that falls, a gap longer than a tenth of a cycle.
     """
     path = Path(path)
     lines = _lines(path)
@@ -107,22 +107,22 @@ def read_log(path: Path | str) -> ManifoldLog:
 
 
 def _lines(path: Path) -> list[tuple[int, str]]:
-    """Numbered lines that are not blank."""
+    """Return the lines that are not blank, each with its number."""
     try:
         text = read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError:
         text = "\0"
     if "\0" in text:
-        raise InputError(f"{path}: is not text; give a log as the rig's firmware writes it")
+        raise InputError(f"{path}: the file is not text; give a log that the rig's firmware wrote")
     lines = [(i, s.strip()) for i, s in enumerate(re.split(r"\r\n|\r|\n", text), start=1)]
     lines = [(i, s) for i, s in lines if s]
     if not lines:
-        raise InputError(f"{path}: is empty; record the log again")
+        raise InputError(f"{path}: the file is empty; record the log again")
     return lines
 
 
 def _find_columns(path: Path, lines: list[tuple[int, str]]) -> int:
-    """Index of the line of column names."""
+    """Return the index of the line of column names."""
     named = [i for i, (_, text) in enumerate(lines) if re.match(r"[A-Za-z]\w*\s*,", text)]
     if not named:
         raise InputError(f"{path}: no line of column names; expected {','.join(COLUMNS)}")
@@ -131,13 +131,13 @@ def _find_columns(path: Path, lines: list[tuple[int, str]]) -> int:
     if names != COLUMNS:
         raise InputError(
             f"{path}: line {line}: columns {','.join(names)}; allowed {','.join(COLUMNS)}; "
-            "convert the file or give one of the rig's logs"
+            "convert the file or give a log that the rig's firmware wrote"
         )
     if len(named) > 1:
         again = lines[named[1]]
         raise InputError(
-            f"{path}: line {again[0]}: second line of column names, {again[1]!r}; "
-            "a log holds one test: split the file there"
+            f"{path}: line {again[0]}: a second line of column names, {again[1]!r}; "
+            "a log holds one test: split the file at this line"
         )
     return named[0]
 
@@ -153,7 +153,7 @@ def _header(path: Path, lines: list[tuple[int, str]]) -> tuple[dict[str, float],
             value = float(match[1])
             if name in values:
                 raise InputError(
-                    f"{path}: line {line}: {name} given twice; a log holds one test: split the file"
+                    f"{path}: line {line}: a second {name}; a log holds one test: split the file"
                 )
             if not low <= value <= high:
                 raise InputError.value(
@@ -165,7 +165,7 @@ def _header(path: Path, lines: list[tuple[int, str]]) -> tuple[dict[str, float],
             if text.count(",") == len(COLUMNS) - 1:
                 findings.append(RowFinding(line, f"stale row before the header, dropped: {text}"))
             elif not _NEW_TEST.fullmatch(text):
-                findings.append(RowFinding(line, f"header line not understood, ignored: {text!r}"))
+                findings.append(RowFinding(line, f"unknown header line, ignored: {text!r}"))
     for name, example in (("frequency", "0.250000 Hz"), ("period", "2 ms")):
         if name not in values:
             label = {"frequency": "frequency:", "period": "Sample Prd"}[name]
@@ -179,7 +179,7 @@ def _header(path: Path, lines: list[tuple[int, str]]) -> tuple[dict[str, float],
 def _body(
     path: Path, lines: list[tuple[int, str]], columns_at: int
 ) -> tuple[list[tuple[int, str]], list[RowFinding]]:
-    """The lines between the column names and `done`, and whether `done` counts them all."""
+    """Return the lines between the column names and `done`, and findings on the line count."""
     body = lines[columns_at + 1 :]
     for index, (line, text) in enumerate(body):
         if _NEW_TEST.fullmatch(text) or _HEADER["frequency"][0].fullmatch(text):
@@ -194,10 +194,10 @@ def _body(
         if done[1] and int(done[1]) != before:
             findings.append(
                 RowFinding(
-                    line, f"'{text}' counts {done[1]} lines, the file has {before} before it"
+                    line, f"'{text}' counts {done[1]} lines; the file has {before} lines before it"
                 )
             )
-        after = [later for later in body[index + 1 :]]
+        after = body[index + 1 :]
         if any(_NEW_TEST.fullmatch(later) for _, later in after):
             raise InputError(
                 f"{path}: line {after[0][0]}: a second test begins; a log holds one test: "
@@ -206,11 +206,11 @@ def _body(
         if after:
             findings.append(RowFinding(after[0][0], f"{len(after)} lines after 'done', ignored"))
         return body[:index], findings
-    return body, [RowFinding(lines[-1][0], "the file ends without 'done': it may be cut short")]
+    return body, [RowFinding(lines[-1][0], "the file ends without 'done': lines may be missing")]
 
 
 def _check_header(values: dict[str, float], rows: np.ndarray) -> list[RowFinding]:
-    """The header's count of samples and of cycles against the rows."""
+    """Return where the header's numbers of samples and of cycles differ from the rows."""
     findings = []
     last = int(rows[-1, 0])
     missing = {"start", "stop"} - values.keys()
@@ -221,31 +221,34 @@ def _check_header(values: dict[str, float], rows: np.ndarray) -> list[RowFinding
     if abs(expected - last) > 2.0:
         findings.append(
             RowFinding(
-                None, f"start, stop and period promise {expected:g} samples; the last is {last}"
+                None, f"start, stop and period give {expected:g} samples; the last sample is {last}"
             )
         )
     cycles = span * values["frequency"] / 1000.0
     if "cycles" in values and abs(cycles - values["cycles"]) > 0.05:
         findings.append(
             RowFinding(
-                None, f"start to stop is {cycles:.2f} cycles; the header says {values['cycles']:g}"
+                None, f"start to stop is {cycles:.2f} cycles; the header has {values['cycles']:g}"
             )
         )
     return findings
 
 
 def _check_frequency(frequency: float, t: np.ndarray, command: np.ndarray) -> list[RowFinding]:
-    """The header's frequency against the upward crossings of the command's mid level."""
+    """Return a finding if the upward crossings of the command's mid level contradict `frequency`.
+
+    `frequency` [Hz] is the header's.
+    """
     level = command - 0.5 * (command.max() + command.min())
     up = np.flatnonzero((level[:-1] < 0) & (level[1:] >= 0))
     if len(up) < 2:
-        return [RowFinding(None, "less than two cycles of command: its frequency is not checked")]
+        return [
+            RowFinding(None, "the command has less than two cycles: its frequency is not checked")
+        ]
     crossing = t[up] - level[up] * (t[up + 1] - t[up]) / (level[up + 1] - level[up])
     found = (len(up) - 1) / (crossing[-1] - crossing[0])
     if abs(found / frequency - 1.0) > 0.02:
         return [
-            RowFinding(
-                None, f"the command runs at {found:.4g} Hz; the header says {frequency:g} Hz"
-            )
+            RowFinding(None, f"the command has {found:.4g} Hz; the header has {frequency:g} Hz")
         ]
     return []

@@ -1,4 +1,4 @@
-"""What the residual of a periodic test looks like: where in the cycle, at which harmonics."""
+"""Shape of a periodic test's residual: its harmonics, and its means over parts of the cycle."""
 
 import math
 from typing import NamedTuple
@@ -10,11 +10,11 @@ from calibration.pressure_logs.read import ManifoldLog, psi
 
 HARMONICS = 5
 SMOOTH = 12
-"""Harmonics that stand for everything that repeats each cycle."""
+"""Number of harmonics in the periodic part of a residual."""
 
 
 class FrequencyResponse(NamedTuple):
-    """Gain and phase lag [rad] at the drive frequency, and the k [s] that a lag needs for each."""
+    """Gain and phase lag [rad] at the drive frequency, and the k [s] that gives each of them."""
 
     gain: float
     lag: float
@@ -23,10 +23,10 @@ class FrequencyResponse(NamedTuple):
 
 
 class ResidualShape(NamedTuple):
-    """A residual, measured minus model, over the whole cycles of a log, in psi where not said.
+    """A residual, measured minus model, over the whole cycles of a log, in psi unless stated.
 
-    Shares are fractions of the residual's mean square; with `mean_share` they sum to 1 up to what
-    is beyond `HARMONICS` or does not repeat.
+    Shares are fractions of the residual's mean square. They sum to 1 if the residual is periodic
+    and has no harmonic above `HARMONICS`.
     """
 
     rms: float
@@ -34,24 +34,24 @@ class ResidualShape(NamedTuple):
     mean_share: float
     harmonic_shares: tuple[float, ...]
     in_phase: float
-    """Amplitude of the fundamental along the command's."""
+    """Amplitude of the fundamental in phase with the command."""
     quadrature: float
-    """Amplitude of the fundamental a quarter cycle behind the command's."""
+    """Amplitude of the fundamental a quarter cycle behind the command."""
     not_repeating_rms: float
-    """What is left after everything that repeats each cycle."""
+    """RMS of the residual minus its periodic part."""
     mean_filling: float
-    """Mean residual where the command is above the measured pressure (the fill valve works)."""
+    """Mean residual while the command exceeds the measured pressure (fill valve open)."""
     mean_venting: float
     filling_time_share: float
     k_filling: float
-    """Apparent time constant [s], error over rate, while the fill valve works."""
+    """Apparent time constant [s], error over rate, while the fill valve is open."""
     k_venting: float
     measured: FrequencyResponse
     floor: float
 
 
 def whole_cycles(log: ManifoldLog) -> np.ndarray:
-    """Which samples lie in whole cycles, the first left out if two or more others are there."""
+    """Return the mask (samples,) of whole cycles, without the first one if there are three."""
     cycles = math.floor(log.cycles + 0.02)
     first = 1 if cycles >= 3 else 0
     turn = log.t * log.frequency
@@ -59,7 +59,10 @@ def whole_cycles(log: ManifoldLog) -> np.ndarray:
 
 
 def harmonics(t: np.ndarray, x: np.ndarray, frequency: float, count: int):
-    """Fourier series of `x` by least squares: mean, c_n of Re(c_n e^{i n w t}), and their sum."""
+    """Return the mean, the c_n of Re(c_n e^{i n w t}) and the sum of a Fourier series fit to `x`.
+
+    The fit is by least squares, with `count` harmonics of `frequency` [Hz] at times `t` [s].
+    """
     turn = 2.0 * math.pi * frequency * t[:, None] * np.arange(1, count + 1)
     basis = np.concatenate([np.ones((len(t), 1)), np.cos(turn), np.sin(turn)], axis=1)
     c, *_ = np.linalg.lstsq(basis, x, rcond=None)
@@ -74,13 +77,13 @@ def _response(omega: float, command: complex, pressure: complex) -> FrequencyRes
     return FrequencyResponse(gain, lag, k_gain, k_phase)
 
 
-def apparent_time(
+def apparent_time_constants(
     t: np.ndarray, command: np.ndarray, pressure: np.ndarray, span: int = 10
 ) -> tuple[float, float]:
-    """(filling, venting): the k [s] that best turns error into rate, dp/dt = (command - p)/k.
+    """Return the best k [s] of dp/dt = (command - p)/k while filling and while venting.
 
-    The rate is a central difference over 2 `span` samples. NaN where the pressure moves against the
-    error on the whole.
+    The rate is a central difference over 2 `span` samples. k is NaN if the mean product of error
+    and rate is not positive.
     """
     rate = (pressure[2 * span :] - pressure[: -2 * span]) / (t[2 * span :] - t[: -2 * span])
     error = (command - pressure)[span:-span]
@@ -93,17 +96,18 @@ def apparent_time(
 
 
 def shape_of(log: ManifoldLog, residual: np.ndarray) -> ResidualShape:
-    """The shape of `residual` [psi], one value a sample of `log`."""
+    """Return the shape of `residual` (samples,) [psi] of `log`."""
     here = whole_cycles(log)
     t, r = log.t[here], residual[here]
     command, pressure = psi(log.command)[here], psi(log.pressure)[here]
     square = max(float(np.mean(r**2)), 1e-300)
     mean, c, _ = harmonics(t, r, log.frequency, HARMONICS)
     _, drive, _ = harmonics(t, command, log.frequency, 1)
-    _, answer, _ = harmonics(t, pressure, log.frequency, 1)
-    _, _, repeats = harmonics(t, r, log.frequency, SMOOTH)
+    _, response, _ = harmonics(t, pressure, log.frequency, 1)
+    _, _, periodic = harmonics(t, r, log.frequency, SMOOTH)
     along = c[0] * drive[0].conjugate() / max(abs(drive[0]), 1e-300)
     filling = command > pressure
+    k_filling, k_venting = apparent_time_constants(t, command, pressure)
     return ResidualShape(
         rms=math.sqrt(square),
         mean=float(mean),
@@ -111,13 +115,13 @@ def shape_of(log: ManifoldLog, residual: np.ndarray) -> ResidualShape:
         harmonic_shares=tuple(float(abs(a) ** 2 / 2.0 / square) for a in c),
         in_phase=float(along.real),
         quadrature=float(-along.imag),
-        not_repeating_rms=float(np.sqrt(np.mean((r - repeats) ** 2))),
+        not_repeating_rms=float(np.sqrt(np.mean((r - periodic) ** 2))),
         mean_filling=_mean(r[filling]),
         mean_venting=_mean(r[~filling]),
         filling_time_share=float(np.mean(filling)),
-        k_filling=(apart := apparent_time(t, command, pressure))[0],
-        k_venting=apart[1],
-        measured=_response(2.0 * math.pi * log.frequency, drive[0], answer[0]),
+        k_filling=k_filling,
+        k_venting=k_venting,
+        measured=_response(2.0 * math.pi * log.frequency, drive[0], response[0]),
         floor=noise_floor(psi(log.pressure)),
     )
 

@@ -1,4 +1,4 @@
-"""Rows of a pressure log: parsed one by one, then checked against each other."""
+"""Rows of a pressure log: the parser of a row, and the checks across rows."""
 
 import math
 from pathlib import Path
@@ -17,13 +17,13 @@ COLUMNS = (
     "pressure",
 )
 _RANGES = ((1, 1e9), (0, 255), (0, 255), (-1e4, 1e4), (-2e4, 2e4), (0, 4095))
-MOST_BAD = 0.05
-STALE = 5
-STUCK = 25
+MAX_BAD_SHARE = 0.05  # of the rows; more means a damaged recording, not a torn line
+MAX_STALE_ROWS = 5  # a fall of the counter after them is an error
+STUCK_SAMPLES = 25  # the rig's noise of 1.7 counts does not repeat a code so often
 
 
 class RowFinding(NamedTuple):
-    """Something in the file that was mended, dropped or does not agree."""
+    """A fault of the file: a repaired or dropped row, or two numbers that contradict each other."""
 
     line: int | None
     what: str
@@ -35,24 +35,24 @@ class RowFinding(NamedTuple):
 def clean_rows(
     path: Path, lines: list[tuple[int, str]], longest_gap: float
 ) -> tuple[np.ndarray, list[RowFinding]]:
-    """Rows (samples, 6) in the order of `COLUMNS`, with a strictly increasing counter.
+    """Return the valid rows (samples, 6) in the order of `COLUMNS`, and the findings.
 
-    `longest_gap` is in samples. Raises `InputError` where more than `MOST_BAD` of the rows are bad,
-    where the counter falls or where a gap is longer.
+    The counter increases strictly. Raises `InputError` if more than `MAX_BAD_SHARE` of the rows are
+    bad, the counter falls, or a gap exceeds `longest_gap` [samples].
     """
     rows, numbers, findings = [], [], []
     for position, (line, text) in enumerate(lines):
         row = _parse(text)
         if isinstance(row, str):
-            torn = "torn last line" if position == len(lines) - 1 else "bad row"
-            findings.append(RowFinding(line, f"{torn}, dropped ({row}): {text[:60]}"))
+            kind = "incomplete last line" if position == len(lines) - 1 else "bad row"
+            findings.append(RowFinding(line, f"{kind}, dropped ({row}): {text[:60]}"))
         else:
             rows.append(row)
             numbers.append(line)
-    if len(findings) > max(1.0, MOST_BAD * len(lines)):
+    if len(findings) > max(1.0, MAX_BAD_SHARE * len(lines)):
         raise InputError(
             f"{path}: {findings[0]}; {len(findings)} of {len(lines)} rows are bad, allowed "
-            f"{MOST_BAD:.0%}; record again"
+            f"{MAX_BAD_SHARE:.0%}; record again"
         )
     table = np.array(rows, dtype=float).reshape(-1, len(COLUMNS))
     table, numbers, more = _without_stale(table, numbers)
@@ -62,7 +62,7 @@ def clean_rows(
 
 
 def _parse(text: str) -> list[float] | str:
-    """The row's six numbers, or what is wrong with it."""
+    """Return the row's six numbers, or the fault of the row as text."""
     cells = [cell.strip() for cell in text.split(",")]
     if len(cells) != len(COLUMNS):
         return f"{len(cells)} cells, expected {len(COLUMNS)}"
@@ -79,7 +79,7 @@ def _parse(text: str) -> list[float] | str:
         row.append(value)
     if row[0] != int(row[0]):
         return "N_sample is not whole"
-    # The firmware writes the three separately, so the error is a checksum of command and pressure.
+    # The firmware writes the error beside command and pressure, so it is a checksum of the row.
     if abs(row[3] - row[5] - row[4]) > 0.02:
         return "pressureError is not pressureCommanded - pressure"
     return row
@@ -88,12 +88,15 @@ def _parse(text: str) -> list[float] | str:
 def _without_stale(
     table: np.ndarray, lines: list[int]
 ) -> tuple[np.ndarray, list[int], list[RowFinding]]:
-    """Without the rows of an earlier test that the serial buffer still held at the start."""
+    """Return rows, lines and findings without stale rows.
+
+    A stale row belongs to an earlier test: the serial buffer still held it at the start.
+    """
     drop = 0
-    falls = np.flatnonzero(np.diff(table[: STALE + 1, 0]) < 0)
-    if falls.size and table[falls[-1] + 1, 0] <= STALE:
+    falls = np.flatnonzero(np.diff(table[: MAX_STALE_ROWS + 1, 0]) < 0)
+    if falls.size and table[falls[-1] + 1, 0] <= MAX_STALE_ROWS:
         drop = int(falls[-1]) + 1
-    elif len(table) > 2 * STALE:
+    elif len(table) > 2 * MAX_STALE_ROWS:
         bend = np.abs(np.diff(table[:, 3], 2))
         if bend[0] > 5.0 > 4.0 * bend[1:].max():
             drop = 1
@@ -104,12 +107,12 @@ def _without_stale(
 def _in_order(
     path: Path, table: np.ndarray, lines: list[int], longest_gap: float
 ) -> tuple[np.ndarray, list[RowFinding]]:
-    """With each counter value once; gaps are told."""
+    """Return the rows with each counter value once, and findings on repeated and missing ones."""
     if not len(table):
         return table, []
     findings = []
     if table[0, 0] != 1:
-        findings.append(RowFinding(lines[0], f"the first sample kept is number {table[0, 0]:.0f}"))
+        findings.append(RowFinding(lines[0], f"the first valid sample is number {table[0, 0]:.0f}"))
     keep = np.ones(len(table), bool)
     last = table[0, 0]
     for i in range(1, len(table)):
@@ -117,19 +120,19 @@ def _in_order(
         step = now - last
         if step == 0:
             keep[i] = False
-            findings.append(RowFinding(lines[i], f"sample {now:.0f} a second time, dropped"))
+            findings.append(RowFinding(lines[i], f"sample {now:.0f} is repeated, dropped"))
             continue
         if step < 0:
             raise InputError(
                 f"{path}: line {lines[i]}: N_sample falls from {last:.0f} to {now:.0f}; it must "
-                "increase: split the file there or remove the rows"
+                "increase: split the file at this line or remove the rows"
             )
         if step > 1:
             what = f"{step - 1:.0f} samples missing between {last:.0f} and {now:.0f}"
             if step > longest_gap:
                 raise InputError(
                     f"{path}: line {lines[i]}: {what}, more than a tenth of a cycle; "
-                    "cut the log there or record again"
+                    "cut the log at this line or record again"
                 )
             findings.append(RowFinding(lines[i], what))
         last = now
@@ -137,7 +140,7 @@ def _in_order(
 
 
 def _stuck(table: np.ndarray) -> list[RowFinding]:
-    """Runs of the same pressure that sensor noise makes impossible."""
+    """Return findings on runs of equal pressure longer than the sensor's noise allows."""
     if not len(table):
         return []
     pressure = table[:, 5]
@@ -147,5 +150,5 @@ def _stuck(table: np.ndarray) -> list[RowFinding]:
         RowFinding(None, f"pressure stuck at {pressure[a]:.0f} counts for {b - a} samples from "
                 f"sample {table[a, 0]:.0f}")
         for a, b in zip(starts, ends, strict=True)
-        if b - a >= STUCK
+        if b - a >= STUCK_SAMPLES
     ]  # fmt: skip

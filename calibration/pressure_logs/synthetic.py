@@ -1,6 +1,7 @@
-"""Logs of a chamber whose valves are known, in the format of the rig's firmware.
+"""Synthetic logs of a chamber with known valves, in the format of the rig's firmware.
 
-Integrated by explicit steps of an eighth of a sample, by other code than what is fitted to them.
+The chamber is integrated by explicit steps of an eighth of a sample. The code is independent of
+the models that are fitted to the logs.
 """
 
 import math
@@ -15,16 +16,16 @@ from calibration.pressure_logs.rows import COLUMNS
 from slider_jax.io.files import output_folder, write_bytes
 
 PERIOD = 0.002
-"""Between samples [s]."""
+"""Time between samples [s]."""
 SUBSTEPS = 8
-ROOM = 101325.0
+ATMOSPHERE = 101325.0
+"""Absolute pressure of the room [Pa]."""
 COUNT = PSI_PER_COUNT * PA_PER_PSI
 ZERO = PSI_AT_ZERO * PA_PER_PSI
 
 
 class Valves(NamedTuple):
-    """A fill and a vent valve, as `slider_jax.effects.pneumatics.firmware_valves` names their
-    numbers."""
+    """A fill and a vent valve; parameters as in `slider_jax.effects.pneumatics.firmware_valves`."""
 
     fill: float = 2.2
     vent: float = 1.9
@@ -33,25 +34,26 @@ class Valves(NamedTuple):
     dead: float = 0.2
 
     def rate(self, p: float, error: float) -> float:
-        """dp/dt [Pa/s] at the gauge pressure p and the error p_set - p [Pa]."""
+        """Return dp/dt [Pa/s] at the gauge pressure p [Pa] and the error p_set - p [Pa]."""
         duty = min(250.0, 10.0 * abs(error) / COUNT) / 255.0
         opening = max(duty - self.dead, 0.0) / (1.0 - self.dead)
-        inside, supply = ROOM + p, ROOM + self.supply
+        inside, supply = ATMOSPHERE + p, ATMOSPHERE + self.supply
         if error > 0.0:
-            return self.fill * opening * supply * self._passes(inside / supply)
-        return -self.vent * opening * inside * self._passes(ROOM / inside)
+            return self.fill * opening * supply * self._flow(inside / supply)
+        return -self.vent * opening * inside * self._flow(ATMOSPHERE / inside)
 
-    def _passes(self, ratio: float) -> float:
+    def _flow(self, ratio: float) -> float:
+        """Return the flow over the choked flow, at a pressure ratio (ISO 6358)."""
         beyond = max(0.0, (ratio - self.critical) / (1.0 - self.critical))
         return math.sqrt(max(0.0, 1.0 - beyond**2))
 
 
-def series(
+def valve_series(
     valves: Valves, frequency: float, cycles: float, noise: float, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Command and measured pressure in codes, under a sine from 0 to 54 psi.
+    """Return command and measured pressure (samples,) in codes, for a sine from 0 to 54 psi.
 
-    `noise` is the sensor's, in codes; the first pressure is without.
+    `noise` is the sensor's standard deviation in codes; the first pressure has no noise.
     """
     t = PERIOD * np.arange(round(cycles / frequency / PERIOD))
     command = np.round(290.0 + 195.0 * np.sin(2.0 * math.pi * frequency * t + 0.3), 2)
@@ -67,20 +69,17 @@ def series(
     return command, np.round((np.array(p) - ZERO) / COUNT + white)
 
 
-def rows(command: np.ndarray, pressure: np.ndarray, first: int = 1) -> list[str]:
-    """The rows as the firmware writes them: the duty is ten times the error, at most 250."""
-    found = []
-    for number, (c, p) in enumerate(zip(command, pressure, strict=True), start=first):
+def firmware_log(command: np.ndarray, pressure: np.ndarray, frequency: float) -> list[str]:
+    """Return the lines of a log as the firmware writes it, from command and pressure in codes.
+
+    The firmware's valve duty is ten times the error, at most 250.
+    """
+    body = []
+    for number, (c, p) in enumerate(zip(command, pressure, strict=True), start=1):
         error = c - p
         duty = int(min(250, 10 * abs(error)))
         fill, vent = (duty, 0) if error > 0 else (0, duty)
-        found.append(f"{number},{fill},{vent},{c:.2f},{error:.2f},{p:.0f}")
-    return found
-
-
-def lines(command: np.ndarray, pressure: np.ndarray, frequency: float) -> list[str]:
-    """A whole log."""
-    body = rows(command, pressure)
+        body.append(f"{number},{fill},{vent},{c:.2f},{error:.2f},{p:.0f}")
     cycles = len(command) * PERIOD * frequency
     head = [
         "-----NEW TEST-------",
@@ -102,12 +101,12 @@ def write_logs(
     noise: float = 1.7,
     seed: int = 0,
 ) -> list[Path]:
-    """Write a log a frequency into `folder`; returns their paths."""
+    """Write one log per frequency [Hz] to `folder` and return their paths."""
     folder = output_folder(folder)
     paths = []
     for i, f in enumerate(frequencies):
         path = folder / f"{f:g}.txt"
-        text = "\r".join(lines(*series(valves, f, cycles, noise, seed + i), f)) + "\r"
-        write_bytes(path, text.encode())
+        series = valve_series(valves, f, cycles, noise, seed + i)
+        write_bytes(path, ("\r".join(firmware_log(*series, f)) + "\r").encode())
         paths.append(path)
     return paths

@@ -1,18 +1,15 @@
-"""Logs in the rig's format, written by the tests, from a lag that the tests know."""
+"""Synthetic logs in the rig's format, from a lag that the tests choose."""
 
 import math
 from pathlib import Path
 
 import numpy as np
 
-from calibration.pressure_logs.synthetic import rows
-
-COLUMNS = "N_sample,fluidInVoltage,fluidOutVoltage,pressureCommanded,pressureError,pressure"
-PERIOD = 0.002
+from calibration.pressure_logs.synthetic import PERIOD, firmware_log
 
 
 def lagged(k, command, start, period=PERIOD):
-    """dp/dt = (c - p)/k, c linear between samples: the naive loop, with the exact exponentials."""
+    """Return dp/dt = (c - p)/k for c linear between samples, by a loop over exact solutions."""
     p = [start]
     decay = math.exp(-period / k)
     for before, after in zip(command[:-1], command[1:], strict=True):
@@ -21,10 +18,10 @@ def lagged(k, command, start, period=PERIOD):
     return np.array(p)
 
 
-def series(k=0.1, frequency=1.0, cycles=3.0, noise=1.7, seed=0, middle=290.0, amplitude=190.0):
-    """(command, pressure) in counts: a sine and what a lag makes of it, with white noise.
+def lag_series(k=0.1, frequency=1.0, cycles=3.0, noise=1.7, seed=0, middle=290.0, amplitude=190.0):
+    """Return (command, pressure) in counts: a sine, and a lag's response with white noise.
 
-    The first pressure, from which a free run starts, is without noise.
+    The first pressure, from which a free run starts, has no noise.
     """
     samples = round(cycles / frequency / PERIOD)
     t = PERIOD * np.arange(samples)
@@ -34,23 +31,12 @@ def series(k=0.1, frequency=1.0, cycles=3.0, noise=1.7, seed=0, middle=290.0, am
     return command, np.round(quiet + np.where(t > 0.0, white, 0.0))
 
 
-def log_lines(k=0.1, frequency=1.0, cycles=3.0, **keywords):
-    """All lines of a log without a fault."""
-    body = rows(*series(k, frequency, cycles, **keywords))
-    stop = 1000 + round(1000 * cycles / frequency)
-    head = [
-        "-----NEW TEST-------",
-        f"frequency:    {frequency:.6f} Hz",
-        "start time    1000 ms",
-        f"stop time     {stop} ms",
-        "Sample Prd    2 ms",
-        f"Number Cylces {cycles:g} ",
-        COLUMNS,
-    ]
-    return [*head, *body, f"done{len(head) + len(body)}"]
+def log_lines(k=0.1, frequency=1.0, **keywords):
+    """Return all lines of a log without a fault."""
+    return firmware_log(*lag_series(k, frequency, **keywords), frequency)
 
 
-def write(path: Path, lines, end="\r") -> Path:
+def write_log(path: Path, lines, end="\r") -> Path:
     """Write `lines`, each ended by `end`."""
     path.write_bytes((end.join(lines) + end).encode())
     return path

@@ -1,15 +1,15 @@
-"""The audit of the rig's logs: an uneven converter is told from uneven signals."""
+"""The audit of the rig's logs: it distinguishes unequal codes from uneven signals."""
 
 import numpy as np
 import pytest
 
 from calibration.pressure_logs.audit import audit_logs, code_density
 from calibration.pressure_logs.read import PSI_PER_COUNT, read_log
-from tests.support import synthetic_log
+from tests.support.synthetic_log import log_lines, write_log
 
 
 def signals(seed, many=5, noise=1.7):
-    """Pressures in counts, not rounded: lagged sines of several sizes, as the rig makes them."""
+    """Return unrounded pressures in counts, sines of several sizes as on the rig, and noises."""
     rng = np.random.default_rng(seed)
     found = []
     for i in range(many):
@@ -26,7 +26,7 @@ def even(seed, **keywords):
 
 
 def uneven(seed, period=31.0, error=1.5, **keywords):
-    """What a converter reads whose error is a sine of `error` counts over the codes."""
+    """Return the readings of a converter whose error is a sine of `error` counts over the codes."""
     quiet, noise = signals(seed, **keywords)
     read = []
     for x, n in zip(quiet, noise, strict=True):
@@ -36,18 +36,18 @@ def uneven(seed, period=31.0, error=1.5, **keywords):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_even_codes_are_not_called_uneven(seed):
+def test_codes_of_equal_width_give_no_finding(seed):
     found = code_density(even(seed), nulls=10)
     assert not found.uneven and found.missing == []
 
 
 @pytest.mark.parametrize("noise", [0.8, 4.0])
-def test_noise_of_another_size_makes_no_difference(noise):
+def test_equal_codes_with_other_noise_give_no_finding(noise):
     assert not code_density(even(9, noise=noise), nulls=10).uneven
 
 
 @pytest.mark.parametrize(("period", "error"), [(31.0, 1.5), (20.0, 1.2), (12.0, 0.8)])
-def test_an_uneven_converter_is_found_with_its_period_and_error(period, error):
+def test_unequal_codes_are_found_with_their_period_and_error(period, error):
     found = code_density(uneven(2, period, error), nulls=10)
     assert found.uneven and found.significance > 10.0
     assert found.period == pytest.approx(period, rel=0.05)
@@ -55,8 +55,8 @@ def test_an_uneven_converter_is_found_with_its_period_and_error(period, error):
     assert found.opposed < -0.8
 
 
-def test_a_signal_that_hops_is_no_uneven_converter():
-    """Its density waves as no smooth signal's does, but its noise does not."""
+def test_a_signal_with_steps_gives_no_finding():
+    """Its density varies more than that of smooth signals, but its noise does not vary."""
     rng = np.random.default_rng(0)
     levels = np.repeat(140.0 + 31.0 * rng.integers(0, 10, size=7000), 3)
     found = code_density([np.round(levels + 6.0 * rng.normal(size=len(levels)))], nulls=10)
@@ -70,30 +70,29 @@ def test_codes_that_are_never_read_are_listed():
     assert found.missing == [256] and 256 in found.rare
 
 
-def test_what_is_not_in_codes_or_hardly_moves_is_not_judged():
+def test_fractional_constant_or_absent_readings_have_no_code_density():
     assert code_density([np.linspace(0.0, 400.0, 5000) + 0.5], nulls=2) is None
     assert code_density([np.full(5000, 290.0)], nulls=2) is None
     assert code_density([], nulls=2) is None
 
 
 def log(folder, change=lambda x: x, **keywords):
-    lines = synthetic_log.log_lines(**keywords)
-    return read_log(synthetic_log.write(folder / "log.txt", change(lines)))
+    return read_log(write_log(folder / "log.txt", change(log_lines(**keywords))))
 
 
-def test_a_whole_log_gives_no_finding(tmp_path):
+def test_a_log_without_fault_gives_no_finding(tmp_path):
     assert audit_logs([log(tmp_path)]) == []
 
 
-def test_what_was_mended_on_reading_is_told(tmp_path):
+def test_the_repairs_of_the_reader_are_findings(tmp_path):
     found = audit_logs([log(tmp_path, lambda x: [*x[:100], x[99], *x[100:-1]])])
     assert sorted((x.kind, x.action) for x in found) == [
         ("log_row", "mended"), ("log_row", "used")
     ]  # fmt: skip
-    assert any("a second time" in x.detail for x in found)
+    assert any("is repeated" in x.detail for x in found)
 
 
-def test_duties_that_are_not_of_their_row_are_told(tmp_path):
+def test_duties_from_another_row_are_a_finding(tmp_path):
     def late(lines):
         rows = [x.split(",") for x in lines[7:-1]]
         moved = [[r[0], *b[1:3], *r[3:]] for r, b in zip(rows[1:], rows[:-1], strict=True)]
@@ -102,15 +101,15 @@ def test_duties_that_are_not_of_their_row_are_told(tmp_path):
     assert [x.kind for x in audit_logs([log(tmp_path, late)])] == ["duty"]
 
 
-def test_samples_that_were_lost_without_a_trace_are_told(tmp_path):
-    def lost(lines):  # the counter goes on as if nothing had happened
+def test_lost_samples_with_a_continuous_counter_are_a_finding(tmp_path):
+    def lost(lines):
         rows = [x.split(",", 1)[1] for x in [*lines[7:500], *lines[505:-1]]]
         return [*lines[:7], *(f"{i},{x}" for i, x in enumerate(rows, start=1)), lines[-1]]
 
     assert "clock" in [x.kind for x in audit_logs([log(tmp_path, lost)])]
 
 
-def test_a_converter_at_the_end_of_its_range_is_told(tmp_path):
+def test_a_clipped_pressure_is_a_finding(tmp_path):
     def clip(lines):
         rows = []
         for line in lines[7:-1]:
@@ -125,7 +124,7 @@ def test_a_converter_at_the_end_of_its_range_is_told(tmp_path):
     assert "clipped" in [x.kind for x in found]
 
 
-def test_the_rigs_converter_has_codes_of_unequal_width(data):
+def test_the_rigs_logs_have_codes_of_unequal_width(data):
     logs = [read_log(path) for path in sorted((data / "manifold").glob("*.txt"))]
     found = audit_logs(logs)
     assert {x.kind for x in found} == {"log_row", "code_density"}

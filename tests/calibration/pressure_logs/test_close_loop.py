@@ -1,4 +1,4 @@
-"""The loop on pressure logs whose valves the tests know."""
+"""The loop on pressure logs: from a chamber with known valves, from a lag, and from the rig."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from calibration.pressure_logs.close_loop import close_loop_on_logs
 from calibration.pressure_logs.read import read_log
 from calibration.pressure_logs.synthetic import Valves, write_logs
 from slider_jax.errors import InputError
-from tests.support.synthetic_log import log_lines, write
+from tests.support.synthetic_log import log_lines, write_log
 
 TRUTH = Valves(fill=2.4, vent=1.9, supply=420e3, critical=0.35, dead=0.1)
 NAMES = ("firmware_valves", "pulsed_valves")
@@ -26,30 +26,30 @@ class Stopped(Exception):
     pass
 
 
-def stop_at(words):
-    """Progress that ends the run at these words."""
+def stop_at(message):
+    """Return a progress function that ends the run at `message`."""
 
-    def say(text):
-        if text == words:
+    def progress(text):
+        if text == message:
             raise Stopped
 
-    return say
+    return progress
 
 
 @pytest.fixture(scope="module")
 def outcome(logs, tmp_path_factory):
-    """Stopped in the middle, and gone on with."""
+    """The outcome of a run that was interrupted and resumed."""
     memo = Memo(tmp_path_factory.mktemp("memo"))
     with pytest.raises(Stopped):
         close_loop_on_logs(logs, NAMES, stop_at("refitting with pulsed_valves"), memo)
     before = {path: path.stat().st_mtime_ns for path in memo.folder.iterdir()}
     assert len(before) > 5
     found = close_loop_on_logs(logs, NAMES, memo=memo)
-    assert {path: path.stat().st_mtime_ns for path in before} == before, "simulated again"
+    assert {path: path.stat().st_mtime_ns for path in before} == before, "a cached file changed"
     return found
 
 
-def test_the_valves_are_named_with_their_size(outcome):
+def test_the_valves_are_identified_with_their_parameters(outcome):
     assert outcome.verdict == "identified"
     assert outcome.search.effects == ["firmware_valves"]
     labels = [p.label for p in outcome.entries]
@@ -65,22 +65,22 @@ def test_held_out_logs_are_predicted_to_the_noise(outcome):
     assert hidden.after["p_front"] < 1.1 * hidden.floor["p_front"]
 
 
-def test_rivals_are_told_and_leave_more(outcome):
+def test_the_alternative_effect_is_refitted_and_has_a_larger_residual(outcome):
     tried = {t.name: t for t in outcome.search.rounds[0].refitted}
     assert "pulsed_valves" in tried
     best = tried.pop("firmware_valves")
     assert all(t.fit.square > 3.0 * best.fit.square for t in tried.values())
 
 
-def test_going_on_gives_what_an_undisturbed_run_gives(outcome, logs):
+def test_a_resumed_run_gives_the_result_of_an_uninterrupted_one(outcome, logs):
     again = close_loop_on_logs(logs, NAMES)
     np.testing.assert_array_equal(again.final.theta, outcome.final.theta)
     assert loop_model_toml(again) == loop_model_toml(outcome)
 
 
-def test_logs_of_a_lag_lack_nothing(tmp_path):
+def test_the_verdict_on_logs_of_a_lag_is_nothing_missing(tmp_path):
     made = [
-        read_log(write(tmp_path / f"{f:g}.txt", log_lines(0.12, f, noise=1.7, seed=i)))
+        read_log(write_log(tmp_path / f"{f:g}.txt", log_lines(0.12, f, noise=1.7, seed=i)))
         for i, f in enumerate(FREQUENCIES)
     ]
     found = close_loop_on_logs(made, NAMES)
@@ -93,7 +93,7 @@ def test_too_few_logs_are_refused(logs):
         close_loop_on_logs(logs[:2], NAMES)
 
 
-def test_what_was_torn_is_made_anew(tmp_path):
+def test_a_truncated_cache_file_is_recomputed(tmp_path):
     memo = Memo(tmp_path)
     memo.cached("a", [], lambda: [np.arange(1000.0)])
     (file,) = tmp_path.iterdir()
@@ -102,7 +102,7 @@ def test_what_was_torn_is_made_anew(tmp_path):
     np.testing.assert_array_equal(found, np.arange(1000.0))
 
 
-def test_a_run_that_fails_before_anything_is_simulated_leaves_nothing(tmp_path):
+def test_a_run_that_fails_before_the_first_simulation_leaves_no_folder(tmp_path):
     with pytest.raises(InputError), resumable(tmp_path / "out", {}):
-        raise InputError("what was given is wrong")
+        raise InputError("the arguments are wrong")
     assert not (tmp_path / "out").exists()

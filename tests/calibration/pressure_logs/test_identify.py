@@ -20,7 +20,7 @@ from calibration.inference.intervals import (
 )
 from calibration.pressure_logs.identify import identify_lag, rms
 from calibration.pressure_logs.lag import (
-    Batch,
+    LogBatch,
     fit_each,
     fit_pooled,
     free_run,
@@ -29,17 +29,17 @@ from calibration.pressure_logs.lag import (
 )
 from calibration.pressure_logs.read import PSI_PER_COUNT, ManifoldLog, read_log
 from calibration.pressure_logs.residual_shape import harmonics, shape_of
-from calibration.pressure_logs.text import describe, verdict
+from calibration.pressure_logs.text import describe_lag, lag_verdict
 from slider_jax.cli.main import main
 from slider_jax.errors import InputError
-from tests.support.synthetic_log import PERIOD, lagged, log_lines, series, write
+from tests.support.synthetic_log import PERIOD, lag_series, lagged, log_lines, write_log
 
 NOISE = 1.7
 
 
 def made(k=0.1, frequency=1.0, cycles=2.0, extra=None, **keywords):
-    """A log in memory; `extra` counts are added to the pressure."""
-    command, pressure = series(k, frequency, cycles, **keywords)
+    """Return a log in memory, with `extra` counts added to the pressure."""
+    command, pressure = lag_series(k, frequency, cycles, **keywords)
     if extra is not None:
         pressure = pressure + extra[: len(pressure)]
     t, idle = PERIOD * np.arange(len(command)), np.zeros(len(command))
@@ -53,14 +53,14 @@ def evidence(fit, i=0):
     )
 
 
-def test_the_free_run_follows_the_command_as_the_naive_loop_does():
-    command, _ = series(cycles=2.0)
+def test_the_free_run_equals_that_of_a_naive_loop():
+    command, _ = lag_series(cycles=2.0)
     t = PERIOD * np.arange(len(command))
     run = free_run(0.1, set_points(jnp.asarray(t), jnp.asarray(command)), 250.0)
     np.testing.assert_allclose(run, lagged(0.1, command, 250.0), rtol=1e-11)
 
 
-def test_gradient_of_the_free_run_is_the_closed_form():
+def test_the_gradient_of_the_free_run_equals_the_closed_form():
     k, start, step = 0.087, 20.0, 50.0
     t = jnp.linspace(0.0, 0.4, 201)
     points = set_points(t, jnp.full_like(t, step))
@@ -69,9 +69,9 @@ def test_gradient_of_the_free_run_is_the_closed_form():
     np.testing.assert_allclose(found, expected, atol=1e-10)
 
 
-def test_slope_and_curvature_are_those_of_the_sum_of_squares():
-    log = jax.tree.map(lambda x: x[0], Batch.of([made(k=0.15)]))
-    fit = fit_each(Batch.of([made(k=0.15)]))
+def test_slope_and_curvature_agree_with_finite_differences_of_the_sum_of_squares():
+    log = jax.tree.map(lambda x: x[0], LogBatch.of([made(k=0.15)]))
+    fit = fit_each(LogBatch.of([made(k=0.15)]))
 
     def half_square(x):
         return 0.5 * float(jnp.sum(residual_psi(x, log) ** 2))
@@ -85,16 +85,16 @@ def test_slope_and_curvature_are_those_of_the_sum_of_squares():
 
 @pytest.mark.parametrize("k", [0.03, 0.087, 0.3])
 def test_a_known_lag_is_recovered_within_its_interval(k):
-    fit = fit_each(Batch.of([made(k=k, noise=NOISE, seed=3)]))
+    fit = fit_each(LogBatch.of([made(k=k, noise=NOISE, seed=3)]))
     found = record_interval(float(fit.log_k[0]), evidence(fit))
     assert bool(fit.converged[0]) and found.fixed
     assert found.low < k < found.high
     assert found.high < 1.02 * found.low
-    assert 0.8 < found.widening < 1.3  # white noise: every sample counts
+    assert 0.8 < found.widening < 1.3  # white noise: all samples are independent
 
 
-def test_the_interval_covers_under_correlated_noise_where_the_naive_one_does_not():
-    """Noise with a memory of 50 ms, 100 logs: 95 % intervals hold the truth in 88 or more."""
+def test_the_interval_covers_the_truth_under_correlated_noise_and_the_naive_one_does_not():
+    """Noise correlated over 50 ms, 100 logs: at least 88 of the 95 % intervals hold the truth."""
     k, memory, logs = 0.1, 0.05, []
     for seed in range(100):
         random = np.random.default_rng(seed)
@@ -103,7 +103,7 @@ def test_the_interval_covers_under_correlated_noise_where_the_naive_one_does_not
         for i in range(1, 1000):
             slow[i] = keep * slow[i - 1] + math.sqrt(1 - keep**2) * random.normal()
         logs.append(made(k=k, cycles=2.0, noise=0.0, extra=10.0 * slow))
-    fit = fit_each(Batch.of(logs))
+    fit = fit_each(LogBatch.of(logs))
     held = naive = 0
     for i in range(len(logs)):
         found = record_interval(float(fit.log_k[i]), evidence(fit, i))
@@ -125,7 +125,7 @@ def test_correlation_time_of_a_known_process():
     assert correlation_time(slow) == pytest.approx(19.0, rel=0.2)
 
 
-def test_the_noise_floor_sees_white_noise_through_the_signal():
+def test_the_noise_floor_is_the_white_noise_without_the_signal():
     log = made(noise=NOISE, cycles=5.0)
     rounding = 1.0 / 12.0
     expected = PSI_PER_COUNT * math.sqrt(NOISE**2 + rounding)
@@ -133,9 +133,9 @@ def test_the_noise_floor_sees_white_noise_through_the_signal():
     assert noise_floor(np.sin(np.arange(2000) * 0.01)) < 1e-6
 
 
-def test_a_log_fits_the_same_alone_and_beside_longer_ones():
+def test_a_longer_log_in_the_batch_does_not_change_a_fit():
     short, long = made(k=0.12, cycles=1.5), made(k=0.12, cycles=4.0, seed=5)
-    alone, beside = fit_each(Batch.of([short])), fit_each(Batch.of([short, long]))
+    alone, beside = fit_each(LogBatch.of([short])), fit_each(LogBatch.of([short, long]))
     assert float(beside.log_k[0]) == pytest.approx(float(alone.log_k[0]), abs=1e-6)
     assert float(jnp.abs(beside.residual[0, len(short.t) :]).max()) == 0.0
 
@@ -149,20 +149,22 @@ def test_logs_that_disagree_widen_the_common_interval():
     assert apart.k.high > 1.5 * apart.k.low
     assert apart.k.high / apart.k.low > 1.2 * apart.within.high / apart.within.low
     assert 0.08 < apart.k.value < 0.13
-    assert any("do not overlap" in line for line in describe(apart))
-    assert "One lag of" in verdict(apart) and "does not explain these logs" in verdict(apart)
-    assert "explains these logs" in verdict(alike)
+    assert any("do not overlap" in line for line in describe_lag(apart))
+    assert "One lag of" in lag_verdict(apart) and "does not explain these logs" in lag_verdict(
+        apart
+    )
+    assert "explains these logs" in lag_verdict(alike)
 
 
-def test_what_the_lag_leaves_is_the_noise_where_the_lag_is_the_law():
+def test_the_residual_of_a_true_lag_is_the_noise():
     found = identify_lag([made(k=0.15, noise=NOISE)])
     assert found.pooled_rmse("after") == pytest.approx(found.floor, rel=0.1)
     assert found.pooled_rmse("before") > 5.0 * found.floor
-    assert verdict(found).startswith("A lag of 150 ms explains this log: ")
-    assert describe(found)[0] == verdict(found)
+    assert lag_verdict(found).startswith("A lag of 150 ms explains this log: ")
+    assert describe_lag(found)[0] == lag_verdict(found)
 
 
-def test_the_shape_finds_offset_and_harmonics():
+def test_the_shape_has_the_residuals_offset_and_harmonics():
     log = made(frequency=2.0, cycles=8.0)
     turn = 2 * math.pi * 2.0 * log.t
     shape = shape_of(log, 3.0 + 2.0 * np.cos(2 * turn) + 1.0 * np.sin(turn))
@@ -179,7 +181,7 @@ def test_the_shape_finds_offset_and_harmonics():
     assert abs(quarter.in_phase) < 0.02 * abs(c[0])
 
 
-def test_gain_and_phase_of_a_true_lag_ask_for_the_same_k():
+def test_gain_phase_and_rate_of_a_true_lag_give_its_k():
     log = made(k=0.1, frequency=1.5, cycles=8.0, noise=0.0)
     shape = shape_of(log, np.zeros(len(log.t)))
     assert shape.measured.k_of_gain == pytest.approx(0.1, rel=0.01)
@@ -188,15 +190,15 @@ def test_gain_and_phase_of_a_true_lag_ask_for_the_same_k():
     assert shape.k_venting == pytest.approx(0.1, rel=0.02)
 
 
-def test_a_log_in_which_nothing_moves_is_refused():
+def test_a_log_with_a_constant_command_is_refused():
     still = made(amplitude=0.0)
-    with pytest.raises(InputError, match="do not fix the lag k"):
+    with pytest.raises(InputError, match="do not determine the lag k"):
         identify_lag([still])
 
 
 def test_calibrate_manifold_end_to_end(tmp_path, capsys):
     paths = [
-        write(tmp_path / f"{f:g}.txt", log_lines(k=0.15, frequency=f, cycles=2.0, seed=i))
+        write_log(tmp_path / f"{f:g}.txt", log_lines(k=0.15, frequency=f, cycles=2.0, seed=i))
         for i, f in enumerate((1.0, 1.5, 2.0))
     ]
     out = tmp_path / "out"
@@ -210,19 +212,13 @@ def test_calibrate_manifold_end_to_end(tmp_path, capsys):
     assert report["pooled"]["rmse_after_psi"] < 0.1 * report["pooled"]["rmse_before_psi"]
     pictures = {path.name for path in out.glob("*.png")}
     assert pictures == {
-        *(
-            "1.png",
-            "1.5.png",
-            "2.png",
-            "k_by_frequency.png",
-            "residual_by_phase.png",
-            "residual_by_rate.png",
-        )
-    }
-    said = capsys.readouterr().out.splitlines()
-    assert said[0].startswith("One lag of 150 ms explains these logs: ")
-    assert model.splitlines()[0] == f"# {said[0]}"
-    assert "RMSE in psi" in said[2]
+        "1.png", "1.5.png", "2.png",
+        "k_by_frequency.png", "residual_by_phase.png", "residual_by_rate.png",
+    }  # fmt: skip
+    text = capsys.readouterr().out.splitlines()
+    assert text[0].startswith("One lag of 150 ms explains these logs: ")
+    assert model.splitlines()[0] == f"# {text[0]}"
+    assert "RMSE in psi" in text[2]
     assert not list(out.glob(".tmp*"))
 
 
@@ -241,10 +237,10 @@ def coarse(monkeypatch):
 def short_log(tmp_path_factory):
     folder = tmp_path_factory.mktemp("log")
     lines = log_lines(k=0.15, frequency=4.0, cycles=1.5, amplitude=90.0, middle=180.0)
-    return write(folder / "short.txt", lines)
+    return write_log(folder / "short.txt", lines)
 
 
-def test_simulate_sends_the_command_through_the_model(tmp_path, short_log, coarse):
+def test_simulate_runs_the_command_through_the_model(tmp_path, short_log, coarse):
     model = tmp_path / "model.toml"
     model.write_text("[parameters]\nk = 0.15\n")
     out = tmp_path / "out"
@@ -268,7 +264,7 @@ def test_simulate_sends_the_command_through_the_model(tmp_path, short_log, coars
     assert (out / "short.png").stat().st_size > 10_000
 
 
-def test_simulate_can_take_the_measured_pressure(tmp_path, short_log, coarse):
+def test_simulate_can_use_the_measured_pressure(tmp_path, short_log, coarse):
     out = tmp_path / "out"
     assert main(["simulate", str(short_log), "--drive", "measured", "--out", str(out)]) == 0
     columns = _columns(out / "short.csv")
@@ -276,21 +272,21 @@ def test_simulate_can_take_the_measured_pressure(tmp_path, short_log, coarse):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "wrong"),
     [
         ("[parameters]\nk = 150.0\n", "parameters.k"),
         ("[parameters]\nlag = 0.1\n", "lag"),
         ("[pressure]\nk = 0.1\n", "pressure"),
     ],
 )
-def test_a_bad_model_file_is_named(tmp_path, short_log, capsys, text, said):
+def test_the_error_names_a_bad_model_file_and_its_key(tmp_path, short_log, capsys, text, wrong):
     model = tmp_path / "model.toml"
     model.write_text(text)
     out = tmp_path / "out"
     arguments = ["simulate", str(short_log), "--model", str(model), "--out", str(out)]
     assert main(arguments) == 2
     message = capsys.readouterr().err
-    assert str(model) in message and said in message
+    assert str(model) in message and wrong in message
     assert not out.exists()
 
 
@@ -304,8 +300,8 @@ def test_the_lag_does_not_explain_the_rigs_logs(data):
     by_frequency = {x.log.frequency: x for x in found.logs}
     assert by_frequency[0.25].k.high < by_frequency[1.1667].k.low
     assert rms(by_frequency[0.25].after) < 1.5
-    # The dip of the sum of squares is the lowest of a fine scan between 10 and 500 ms.
-    batch = Batch.of([by_frequency[1.4722].log])
+    # The fit finds the lowest minimum of a fine scan of the sum of squares.
+    batch = LogBatch.of([by_frequency[1.4722].log])
     one = jax.tree.map(lambda x: x[0], batch)
     scan = jnp.log(jnp.linspace(0.05, 0.5, 91))
     square = jax.lax.map(lambda x: jnp.sum(residual_psi(x, one) ** 2), scan)

@@ -1,20 +1,21 @@
-"""The reader of the rig's logs: what is mended is told, what would mislead is refused."""
+"""The reader of the rig's logs lists the faults that it repairs and refuses the others."""
 
 import numpy as np
 import pytest
 
 from calibration.pressure_logs.read import PA_PER_PSI, psi, read_log
+from calibration.pressure_logs.rows import COLUMNS
 from slider_jax.cli.main import main
 from slider_jax.errors import InputError
-from tests.support.synthetic_log import COLUMNS, log_lines, series, write
+from tests.support.synthetic_log import lag_series, log_lines, write_log
 
 HEAD = 7
 
 
 @pytest.mark.parametrize("end", ["\r", "\n", "\r\n"])
-def test_every_line_ending_reads_the_same(tmp_path, end):
-    log = read_log(write(tmp_path / "log.txt", log_lines(), end))
-    command, pressure = series()
+def test_every_line_ending_gives_the_same_log(tmp_path, end):
+    log = read_log(write_log(tmp_path / "log.txt", log_lines(), end))
+    command, pressure = lag_series()
     np.testing.assert_allclose(log.command, command)
     np.testing.assert_allclose(log.pressure, pressure)
     np.testing.assert_allclose(log.t, 0.002 * np.arange(1500), atol=1e-12)
@@ -22,7 +23,7 @@ def test_every_line_ending_reads_the_same(tmp_path, end):
 
 
 def test_counts_become_gauge_pressure(tmp_path):
-    log = read_log(write(tmp_path / "log.txt", log_lines()))
+    log = read_log(write_log(tmp_path / "log.txt", log_lines()))
     assert psi(91.863) == pytest.approx(0.0, abs=1e-3)
     np.testing.assert_allclose(log.pressure_Pa, 6894.757 * (0.13529 * log.pressure - 12.4282))
     assert PA_PER_PSI == 6894.757
@@ -88,12 +89,12 @@ def _stuck(lines):
 
 
 @pytest.mark.parametrize(
-    ("change", "said", "line", "samples"),
+    ("change", "text", "line", "samples"),
     [
         (_stale_before_header, "stale row before the header", 1, 1500),
         (_stale_after_columns, "stale row", HEAD + 1, 1500),
         (_stale_in_place_of_the_first, "stale row", HEAD + 1, 1499),
-        (_torn, "torn last line", HEAD + 1500, 1499),
+        (_torn, "incomplete last line", HEAD + 1500, 1499),
         (_no_done, "without 'done'", HEAD + 1500, 1500),
         (_lost_lines, "counts 1600 lines", HEAD + 1501, 1500),
         (_cell("12x"), "pressureCommanded is not a number", 101, 1499),
@@ -101,22 +102,22 @@ def _stuck(lines):
         (_cell("nan"), "pressureCommanded is not finite", 101, 1499),
         (_cell("1e9"), "outside", 101, 1499),
         (_cell("100.00"), "pressureError is not pressureCommanded - pressure", 101, 1499),
-        (_duplicate, "a second time", 102, 1500),
+        (_duplicate, "is repeated", 102, 1500),
         (_gap, "10 samples missing", 101, 1490),
-        (_wrong_stop, "promise 1550 samples", None, 1500),
-        (_wrong_frequency, "the command runs at 1 Hz", None, 1500),
-        (_unknown_header_line, "header line not understood", 2, 1500),
+        (_wrong_stop, "give 1550 samples", None, 1500),
+        (_wrong_frequency, "the command has 1 Hz", None, 1500),
+        (_unknown_header_line, "unknown header line", 2, 1500),
         (_stuck, "pressure stuck at 300 counts for 3", None, 1500),
     ],
 )
-def test_what_is_mended_is_told(tmp_path, change, said, line, samples):
-    log = read_log(write(tmp_path / "log.txt", change(log_lines())))
-    matching = [x for x in log.findings if said in x.what]
+def test_a_repaired_fault_is_a_finding(tmp_path, change, text, line, samples):
+    log = read_log(write_log(tmp_path / "log.txt", change(log_lines())))
+    matching = [x for x in log.findings if text in x.what]
     assert matching, [str(x) for x in log.findings]
     assert matching[0].line == line
     assert len(log.t) == samples
-    command, _ = series()
-    # Whatever was dropped, the samples kept stand at their own times.
+    command, _ = lag_series()
+    # A dropped row does not shift the other samples in time.
     first = 1 if change is _stale_in_place_of_the_first else 0
     place = np.round(log.t / 0.002).astype(int) + first
     np.testing.assert_allclose(log.command, command[place], atol=1e-9)
@@ -134,7 +135,7 @@ BAD = {
     "empty": (lambda lines: [], "is empty"),
     "binary": (lambda lines: ["\0\1\2"], "is not text"),
     "no columns": (_without("N_sample"), "no line of column names"),
-    "unknown columns": (_replaced(COLUMNS, "t_s,p_front_Pa,p_rear_Pa"), "line 7: columns t_s"),
+    "unknown columns": (_replaced(",".join(COLUMNS), "t_s,p_rear_Pa"), "line 7: columns t_s"),
     "columns reordered": (
         _replaced("pressureError,pressure", "pressure,pressureError"),
         "line 7: columns",
@@ -142,10 +143,7 @@ BAD = {
     "no frequency": (_without("frequency"), "the header has no frequency"),
     "no period": (_without("Sample"), "the header has no period"),
     "frequency zero": (_replaced("1.000000 Hz", "0.0 Hz"), "line 2: frequency: given 0.0"),
-    "frequency twice": (
-        lambda lines: [lines[1], *lines],
-        "line 3: frequency given twice",
-    ),
+    "frequency twice": (lambda lines: [lines[1], *lines], "line 3: a second frequency"),
     "two tests": (lambda lines: [*lines[:-1], *lines], "second line of column names"),
     "two tests, no columns": (
         lambda lines: [*lines[:-1], lines[1], *lines[HEAD:]],
@@ -166,38 +164,38 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_what_would_mislead_is_refused(tmp_path, name):
-    change, said = BAD[name]
-    path = write(tmp_path / "log.txt", change(log_lines()), "\r" if name != "empty" else "")
+def test_a_fault_that_cannot_be_repaired_is_refused(tmp_path, name):
+    change, text = BAD[name]
+    path = write_log(tmp_path / "log.txt", change(log_lines()), "\r" if name != "empty" else "")
     with pytest.raises(InputError) as caught:
         read_log(path)
-    assert said in str(caught.value)
+    assert text in str(caught.value)
     assert str(path) in str(caught.value)
 
 
 @pytest.mark.parametrize("command", [["calibrate", "manifold"], ["simulate"]])
 @pytest.mark.parametrize("name", ["empty", "unknown columns", "counter falls", "absent", "folder"])
-def test_the_command_line_ends_with_one_message_and_leaves_nothing(tmp_path, capsys, command, name):
+def test_a_bad_log_ends_a_command_with_one_message_and_no_files(tmp_path, capsys, command, name):
     path = tmp_path / "log.txt"
     if name == "folder":
         path.mkdir()
     elif name != "absent":
-        write(path, BAD[name][0](log_lines()), "\r" if name != "empty" else "")
+        write_log(path, BAD[name][0](log_lines()), "\r" if name != "empty" else "")
     out = tmp_path / "out"
     assert main([*command, str(path), "--out", str(out)]) == 2
-    said = capsys.readouterr().err
-    assert said.startswith("slider: error: ") and said.count("\n") == 1
-    assert str(path) in said
+    text = capsys.readouterr().err
+    assert text.startswith("slider: error: ") and text.count("\n") == 1
+    assert str(path) in text
     assert not out.exists()
 
 
 def test_a_log_given_twice_is_refused(tmp_path, capsys):
-    path = str(write(tmp_path / "log.txt", log_lines()))
+    path = str(write_log(tmp_path / "log.txt", log_lines()))
     assert main(["calibrate", "manifold", path, path, "--out", str(tmp_path / "out")]) == 2
     assert "give each log once" in capsys.readouterr().err
 
 
-def test_the_rigs_logs_read_whole(data):
+def test_the_rigs_logs_have_only_stale_rows_as_faults(data):
     logs = [read_log(path) for path in sorted((data / "manifold").glob("*.txt"))]
     assert len(logs) == 10
     assert sum(len(log.t) for log in logs) == 53312
