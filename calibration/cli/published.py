@@ -1,4 +1,4 @@
-"""`slider published`: the paper's free-swimming speeds against its own equations."""
+"""`slider published`: compares the paper's free-swimming speeds with its own equations."""
 
 import sys
 import time
@@ -7,15 +7,21 @@ from slider_jax.cli.options import Folder
 
 
 def published(out: Folder) -> None:
-    """Free-swimming speeds of the paper: its equations, and what an effect that resists predicts.
+    """Compare the paper's free-swimming speeds with its equations and with added axial resistance.
 
-    Each effect is calibrated on one published speed and predicts the other. Takes some minutes.
-    Writes DIR/report.html (to read) and DIR/report.json (to process).
+    Each effect of axial resistance is calibrated on one published speed and predicts the other.
+    Takes some minutes. Writes DIR/report.html (to read) and DIR/report.json (to process).
 
     Args:
-        out: folder for the results; made if missing, files of the same name are replaced.
+        out: folder for the results; created if missing, files of the same name are replaced.
     """
-    from calibration.free_swimming.published_speeds import FIRST, OPTIMUM, After, after, before
+    from calibration.free_swimming.published_speeds import (
+        FIRST,
+        OPTIMUM,
+        SpeedPrediction,
+        predicted_speeds,
+        unresisted_swims,
+    )
     from calibration.free_swimming.report import (
         CrossPrediction,
         speeds_page,
@@ -24,21 +30,25 @@ def published(out: Folder) -> None:
     )
     from slider_jax.io.files import staged, write_json, write_text
 
-    begun = time.monotonic()
+    start = time.monotonic()
 
-    def say(line: str) -> None:
-        print(f"{time.monotonic() - begun:5.0f} s  {line}", file=sys.stderr, flush=True)
+    def report(line: str) -> None:
+        print(f"{time.monotonic() - start:5.0f} s  {line}", file=sys.stderr, flush=True)
 
-    def done(a: After) -> None:
-        say(f"{a.resisting} from {a.calibrated_on}: {100 * a.predicted:.1f} cm/s at {a.predicts}")
+    def done(x: SpeedPrediction) -> None:
+        report(
+            f"{x.resisting} calibrated at {x.calibrated_on} predicts "
+            f"{100 * x.predicted:.1f} cm/s at {x.predicts}"
+        )
 
     with staged(out) as stage:
-        say("from rest by the paper's equations")
-        alone = before()
+        report("simulating from rest by the paper's equations")
         outcome = CrossPrediction(
-            alone, after(FIRST, OPTIMUM, done=done), after(OPTIMUM, FIRST, done=done)
+            unresisted_swims(),
+            predicted_speeds(FIRST, OPTIMUM, done=done),
+            predicted_speeds(OPTIMUM, FIRST, done=done),
         )
-        content = speeds_record(outcome, time.monotonic() - begun)
+        content = speeds_record(outcome, time.monotonic() - start)
         write_json(stage / "report.json", content)
         write_text(stage / "report.html", speeds_page(outcome, content))
     print(speeds_table(outcome))

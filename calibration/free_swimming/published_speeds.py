@@ -1,9 +1,9 @@
-"""The paper's free-swimming speeds as data: what its own equations lack to swim at them.
+"""Compares the paper's published free-swimming speeds with its equations and added resistance.
 
-With drag across the body only, nothing resists motion along it, and the robot gains speed until
-the stroke itself gives out, far beyond what was measured. An effect that resists is
-calibrated on one published point and predicts the other; what the paper does not say of a point is
-varied, so that the prediction has an interval.
+The paper's drag acts only normal to the body, so nothing resists axial motion. In the model, the
+robot accelerates far beyond the measured speed, until its stroke no longer gives thrust. An effect
+that resists axial motion is calibrated on one published point and predicts the other. Quantities
+that the paper does not give are varied, which gives the prediction an interval.
 """
 
 import itertools
@@ -39,22 +39,22 @@ from slider_jax.swimming.steady_state import (
     velocity,
 )
 
-PLAN = SteadySettings(steps_per_stride=160)
-FARTHER = 3
-"""Times as many corrections of the speed for a swimmer that nothing resists: it ends ten times as
-fast."""
-LONG = 60
-"""Strides from rest that show whether a speed settles."""
+STEADY_SETTINGS = SteadySettings(steps_per_stride=160)
+CORRECTIONS_FACTOR = 3
+"""Factor on the number of speed corrections without resistance, where the final speed is ten times
+as high."""
+STRIDES_FROM_REST = 60
+"""Number of simulated strides from rest; enough to show whether the speed settles."""
 
 
 class PublishedPoint(NamedTuple):
-    """A published speed. `gaits` are the ways to fill in what the paper leaves open."""
+    """A published speed. `gaits` are the assumed alternatives for what the paper does not give."""
 
     name: str
     speed: float
     """[m/s]"""
     error: float
-    """[m/s]; of the first point assumed, as the paper gives none."""
+    """[m/s]; assumed for the first point, because the paper gives none."""
     gaits: dict[str, Gait]
 
 
@@ -70,7 +70,7 @@ FIRST = PublishedPoint(
         "pressures and tail of the optimum": Gait(5.0, 448e3, 414e3, 0.2, 0.053, 0.017),
     },
 )
-"""Pressures and tail are not given; all of `gaits` are assumed."""
+"""The paper does not give the pressures and the tail; all `gaits` are assumed."""
 OPTIMUM = PublishedPoint(
     "optimum: 6.3 Hz, phase 0.14",
     MEASURED_SPEED,
@@ -78,31 +78,34 @@ OPTIMUM = PublishedPoint(
     {"as the paper gives it": PAPER_GAIT},
 )
 PAPER_MODEL_AT_OPTIMUM = PUBLISHED["speed_m_per_s"].model
-"""[m/s], of the paper's own model."""
+"""Speed [m/s] of the paper's own model."""
 
-RESISTING: dict[str, Callable[[Any], Effect]] = {
+RESISTIVE_EFFECTS: dict[str, Callable[[Any], Effect]] = {
     "tangential_friction": TangentialFriction,
     "head_drag": HeadDrag,
 }
-START = {"tangential_friction": 0.1, "head_drag": 2e-3}
-"""From where coefficients are sought."""
-HEADS = {"no point force at the head": 0.0, "added mass begins at the head": 1.0}
-"""m_a of `HeadAddedMass`; the paper's local form has none."""
+INITIAL_COEFFICIENTS = {"tangential_friction": 0.1, "head_drag": 2e-3}
+"""Initial values of the secant search for a coefficient."""
+HEAD_ADDED_MASSES = {"no point force at the head": 0.0, "added mass begins at the head": 1.0}
+"""m_a of `HeadAddedMass`. The paper's local form of the reactive force has no such force."""
 
 
 def paper_swimmer(
     gait: Gait, resisting: str | None = None, coefficient: float = 0.0, head: float = 0.0
 ) -> Model:
-    """The paper's robot set free, with one effect that resists. One program serves all."""
+    """Return the paper's robot swimming freely, with at most one effect of axial resistance.
+
+    All such models have the same structure, so they share one compiled program.
+    """
     C_d, m_a = paper.force_coefficients(gait.frequency)
-    given = {name: coefficient if name == resisting else 0.0 for name in RESISTING}
+    coefficients = {name: coefficient if name == resisting else 0.0 for name in RESISTIVE_EFFECTS}
     model = Model(
         robot=Robot(tail_length=gait.tail_length, EI_tail=gait.EI_tail),
         effects=(
             NormalDrag(C_d),
             ReactiveForce(m_a),
             HeadAddedMass(head),
-            *(kind(given[name]) for name, kind in RESISTING.items()),
+            *(effect(coefficients[name]) for name, effect in RESISTIVE_EFFECTS.items()),
         ),
         pressure_law=FirstOrderLag(paper.PRESSURE_LAG),
         drive=Drive(
@@ -125,8 +128,8 @@ def _from_rest(model: Model, frequency, strides: int, plan: SteadySettings):
 _find_steady = eqx.filter_jit(find_steady)
 
 
-def steady_swim(model: Model, gait: Gait, plan: SteadySettings = PLAN) -> Steady:
-    """The steady swim, by one program for all models of one structure."""
+def steady_swim(model: Model, gait: Gait, plan: SteadySettings = STEADY_SETTINGS) -> Steady:
+    """Return the steady swim of a model from `paper_swimmer`."""
     return _find_steady(model, jnp.asarray(float(gait.frequency)), plan)
 
 
@@ -135,44 +138,44 @@ def coefficient_at(
     gait: Gait,
     resisting: str,
     head: float = 0.0,
-    plan: SteadySettings = PLAN,
+    plan: SteadySettings = STEADY_SETTINGS,
 ) -> float:
-    """The coefficient with which the robot swims steadily at a point's speed.
+    """Return the coefficient with which the robot swims steadily at a point's speed.
 
-    Raises `SolverError` where there is none.
+    Raises `SolverError` if the search finds none.
     """
 
     def coefficient(x: float) -> float:
-        return START[resisting] * float(np.exp(x))
+        return INITIAL_COEFFICIENTS[resisting] * float(np.exp(x))
 
-    def off(x: float) -> float:
-        found = steady_swim(paper_swimmer(gait, resisting, coefficient(x), head), gait, plan)
-        return float(found.speed) / point.speed - 1.0 if bool(found.ok) else np.nan
+    def relative_error(x: float) -> float:
+        swim = steady_swim(paper_swimmer(gait, resisting, coefficient(x), head), gait, plan)
+        return float(swim.speed) / point.speed - 1.0 if bool(swim.ok) else np.nan
 
-    found = root_scalar(off, method="secant", x0=0.0, x1=0.3, xtol=1e-4, maxiter=20)
-    if not found.converged or not abs(off(found.root)) < 1e-3:
+    root = root_scalar(relative_error, method="secant", x0=0.0, x1=0.3, xtol=1e-4, maxiter=20)
+    if not root.converged or not abs(relative_error(root.root)) < 1e-3:
         raise SolverError(
-            f"{resisting} at {point.name}: no coefficient gives {point.speed:g} m/s ({found.flag})"
+            f"{resisting} at {point.name}: no coefficient gives {point.speed:g} m/s ({root.flag})"
         )
-    return coefficient(found.root)
+    return coefficient(root.root)
 
 
 @dataclass(frozen=True)
-class Before:
-    """The paper's equations, set free."""
+class UnresistedSwim:
+    """Free swimming by the paper's equations without axial resistance."""
 
     point: str
     gait: str
     head: str
     by_stride: np.ndarray
-    """Speeds [m/s] of `LONG` strides from rest."""
+    """Mean speed [m/s] of each stride from rest."""
     steady: float
-    """[m/s]; infinite where none was found."""
+    """Steady speed [m/s]; infinite if the search found none."""
 
 
 @dataclass(frozen=True)
-class After:
-    """One effect calibrated on one point and predicting the other."""
+class SpeedPrediction:
+    """The speed that an effect predicts at one point after calibration on the other."""
 
     resisting: str
     head: str
@@ -186,64 +189,74 @@ class After:
     published: float
 
     @property
-    def believed(self) -> bool:
+    def in_prior(self) -> bool:
         """Whether the coefficient is within the effect's prior range."""
-        (prior,) = RESISTING[self.resisting](0.0).priors().values()
+        (prior,) = RESISTIVE_EFFECTS[self.resisting](0.0).priors().values()
         return prior.low <= self.coefficient <= prior.high
 
     @property
     def error(self) -> float:
-        """[m/s], predicted less published."""
+        """Predicted minus published speed [m/s]."""
         return self.predicted - self.published
 
 
-def before(plan: SteadySettings = PLAN, strides: int = LONG) -> list[Before]:
-    """The paper's equations at every point and gait, without and with the head's point force."""
-    found = []
-    for point, head in itertools.product((FIRST, OPTIMUM), HEADS):
+def unresisted_swims(
+    plan: SteadySettings = STEADY_SETTINGS, strides: int = STRIDES_FROM_REST
+) -> list[UnresistedSwim]:
+    """Return the swims by the paper's equations at every point and gait.
+
+    Each is simulated without and with the point force at the head.
+    """
+    swims = []
+    for point, head in itertools.product((FIRST, OPTIMUM), HEAD_ADDED_MASSES):
         for name, gait in point.gaits.items():
-            model, f = paper_swimmer(gait, head=HEADS[head]), jnp.asarray(gait.frequency)
+            model, f = (
+                paper_swimmer(gait, head=HEAD_ADDED_MASSES[head]),
+                jnp.asarray(gait.frequency),
+            )
             by_stride, ok = _from_rest(model, f, strides, plan)
             if not bool(ok):
-                raise SolverError(f"{point.name}, {name}: a step failed on the way from rest")
+                raise SolverError(f"{point.name}, {name}: a time step from rest did not converge")
             speeds = np.hypot(*np.asarray(by_stride).T)
-            farther = plan._replace(corrections=FARTHER * plan.corrections)
-            found.append(
-                Before(point.name, name, head, speeds, _speed(steady_swim(model, gait, farther)))
-            )
-    return found
+            long_plan = plan._replace(corrections=CORRECTIONS_FACTOR * plan.corrections)
+            steady = _steady_speed(steady_swim(model, gait, long_plan))
+            swims.append(UnresistedSwim(point.name, name, head, speeds, steady))
+    return swims
 
 
-def _speed(found: Steady) -> float:
-    """[m/s]; infinite where no speed is steady."""
-    if not bool(found.carry.ok):
-        raise SolverError("a step failed on the way to a steady speed")
-    return float(found.speed) if bool(found.ok) else float("inf")
+def _steady_speed(swim: Steady) -> float:
+    """Return the steady speed [m/s]; infinite if there is none."""
+    if not bool(swim.carry.ok):
+        raise SolverError("a time step of the search for a steady speed did not converge")
+    return float(swim.speed) if bool(swim.ok) else float("inf")
 
 
-def after(
+def predicted_speeds(
     calibrated: PublishedPoint,
     checked: PublishedPoint,
-    plan: SteadySettings = PLAN,
-    heads: Sequence[str] = tuple(HEADS),
-    done: Callable[[After], None] = lambda x: None,
-) -> list[After]:
-    """Every effect calibrated on one point, and what it predicts of another."""
-    found = []
-    pairs = itertools.product(RESISTING, heads, calibrated.gaits, checked.gaits)
+    plan: SteadySettings = STEADY_SETTINGS,
+    heads: Sequence[str] = tuple(HEAD_ADDED_MASSES),
+    done: Callable[[SpeedPrediction], None] = lambda x: None,
+) -> list[SpeedPrediction]:
+    """Return the speeds that each effect, calibrated on one point, predicts at another.
+
+    `done` receives each prediction when it is ready.
+    """
+    predictions = []
+    pairs = itertools.product(RESISTIVE_EFFECTS, heads, calibrated.gaits, checked.gaits)
     coefficients: dict[tuple[str, str, str], float] = {}
     for resisting, head, name, other in pairs:
         key = (resisting, head, name)
         if key not in coefficients:
             coefficients[key] = coefficient_at(
-                calibrated, calibrated.gaits[name], resisting, HEADS[head], plan
+                calibrated, calibrated.gaits[name], resisting, HEAD_ADDED_MASSES[head], plan
             )
         gait = checked.gaits[other]
-        model = paper_swimmer(gait, resisting, coefficients[key], HEADS[head])
-        speed = _speed(steady_swim(model, gait, plan))
-        found.append(
-            After(resisting, head, calibrated.name, name, coefficients[key], checked.name, other,
-                  speed, checked.speed)
+        model = paper_swimmer(gait, resisting, coefficients[key], HEAD_ADDED_MASSES[head])
+        speed = _steady_speed(steady_swim(model, gait, plan))
+        predictions.append(
+            SpeedPrediction(resisting, head, calibrated.name, name, coefficients[key],
+                            checked.name, other, speed, checked.speed)
         )  # fmt: skip
-        done(found[-1])
-    return found
+        done(predictions[-1])
+    return predictions

@@ -1,4 +1,4 @@
-"""The published speeds before and after an effect that resists, as report.json and report.html."""
+"""Writes the comparison with the published speeds as report.json and report.html."""
 
 import math
 from typing import Any, NamedTuple
@@ -10,92 +10,92 @@ from calibration.free_swimming.published_speeds import (
     FIRST,
     OPTIMUM,
     PAPER_MODEL_AT_OPTIMUM,
-    PLAN,
-    RESISTING,
-    After,
-    Before,
+    RESISTIVE_EFFECTS,
+    STEADY_SETTINGS,
+    SpeedPrediction,
+    UnresistedSwim,
 )
 from calibration.reporting.html import embedded_png, render_page
 from slider_jax.io.files import versions
 
-AS_WELL = 0.8
-"""Share of the miss from which on another resistance removes it as well."""
+EQUIVALENT_SHARE = 0.8
+"""An effect is equivalent if it removes more than this share of the error at the optimum."""
 NEXT = (
-    "The set pressures and the tail of the 5 Hz test. Towing the unpowered robot, straight, at 0.1 "
-    "to 0.4 m/s measures its resistance without any model; with the tubes off, that of its skin."
+    "Record the set pressures and the tail of the 5 Hz test. Tow the straight, unpowered robot at "
+    "0.1 to 0.4 m/s to measure its resistance without a model, with and without the tubes."
 )
 
 
 class CrossPrediction(NamedTuple):
-    """Both directions of calibrating on one point and predicting the other."""
+    """The unresisted swims, and the predictions of each point from the other."""
 
-    before: list[Before]
-    forward: list[After]
-    """Calibrated at 5 Hz, predicting the optimum."""
-    backward: list[After]
+    before: list[UnresistedSwim]
+    forward: list[SpeedPrediction]
+    """Calibrated at 5 Hz; predictions of the optimum."""
+    backward: list[SpeedPrediction]
+    """Calibrated at the optimum; predictions of the 5 Hz point."""
 
 
-def allowed() -> float:
-    """[m/s] by which a prediction may miss: twice both points' errors together."""
+def allowed_error() -> float:
+    """Return the allowed error [m/s] of a prediction: twice both points' combined error."""
     return 2.0 * math.hypot(FIRST.error, OPTIMUM.error)
 
 
-def before_error(x: CrossPrediction) -> float:
-    """[m/s] by which the steady speed of the paper's equations misses the optimum, at least."""
+def unresisted_error(x: CrossPrediction) -> float:
+    """Return the smallest error [m/s] of the unresisted steady speed at the optimum."""
     return min(b.steady for b in x.before if b.point == OPTIMUM.name) - OPTIMUM.speed
 
 
-def speeds_verdict(x: CrossPrediction) -> tuple[str, After]:
-    """The verdict, and the believed prediction nearest the published speed.
+def speeds_verdict(x: CrossPrediction) -> tuple[str, SpeedPrediction]:
+    """Return the verdict and the most accurate prediction with a coefficient in its prior range.
 
-    What the paper leaves open may be filled in several ways. Where none of them passes nothing is
-    explained; where fewer than half do, the outcome hangs on what is not known: inconclusive.
+    Each prediction uses one alternative for what the paper does not give. The verdict is
+    "unexplained" if no prediction passes, and "inconclusive" if fewer than half pass.
     """
-    believed = [a for a in x.forward if a.believed] or x.forward
-    best = min(believed, key=lambda a: abs(a.error))
+    in_prior = [a for a in x.forward if a.in_prior] or x.forward
+    best = min(in_prior, key=lambda a: abs(a.error))
     removes = {
-        n: 1.0 - min(abs(a.error) for a in x.forward if a.resisting == n) / before_error(x)
-        for n in RESISTING
+        n: 1.0 - min(abs(a.error) for a in x.forward if a.resisting == n) / unresisted_error(x)
+        for n in RESISTIVE_EFFECTS
     }
-    passing = [a for a in x.forward if a.believed and abs(a.error) <= allowed()]
+    passing = [a for a in x.forward if a.in_prior and abs(a.error) <= allowed_error()]
     if not passing:
         return UNEXPLAINED, best
     if 2 * len(passing) < sum(a.resisting == best.resisting for a in x.forward):
         return INCONCLUSIVE, best
-    others = [n for n in RESISTING if n != best.resisting and removes[n] > AS_WELL]
+    others = [n for n in RESISTIVE_EFFECTS if n != best.resisting and removes[n] > EQUIVALENT_SHARE]
     return (CLASS if others else IDENTIFIED), best
 
 
 def speeds_sentence(x: CrossPrediction) -> str:
-    """The verdict in words."""
+    """Return the verdict in sentences."""
     verdict, best = speeds_verdict(x)
     ends, steady = [b.by_stride[-1] for b in x.before], [b.steady for b in x.before]
-    said = (
-        f"Set free, the paper's equations pass {min(ends):.2f} to {max(ends):.2f} m/s in "
-        f"{len(x.before[0].by_stride)} strides and settle at {min(steady):.1f} to "
-        f"{max(steady):.1f} m/s, where the stroke itself gives out."
+    sentences = (
+        f"In free swimming, the paper's equations reach {min(ends):.2f} to {max(ends):.2f} m/s in "
+        f"{len(x.before[0].by_stride)} strides and a steady {min(steady):.1f} to "
+        f"{max(steady):.1f} m/s, because nothing resists axial motion."
     )
     predicted = [a.predicted for a in x.forward]
-    said += (
-        f" {best.resisting} calibrated at 5 Hz predicts {100 * best.predicted:.1f} cm/s at the "
-        f"optimum (published {100 * OPTIMUM.speed:.1f}, the paper's model "
-        f"{100 * PAPER_MODEL_AT_OPTIMUM:.1f}) where the 5 Hz test is taken to be {best.gait}, "
-        f"{best.head}; over all ways to fill in what the paper leaves open "
-        f"{100 * min(predicted):.1f} to "
-        f"{100 * max(predicted):.1f}."
+    sentences += (
+        f" Calibrated at 5 Hz ({best.gait}; {best.head}), {best.resisting} predicts "
+        f"{100 * best.predicted:.1f} cm/s at the optimum (published {100 * OPTIMUM.speed:.1f}, the "
+        f"paper's model {100 * PAPER_MODEL_AT_OPTIMUM:.1f} cm/s). With the alternatives for what "
+        f"the paper does not give, the prediction is {100 * min(predicted):.1f} to "
+        f"{100 * max(predicted):.1f} cm/s."
     )
     if verdict == UNEXPLAINED:
-        return said + " No value that is believed meets both points."
+        return sentences + " No coefficient within its prior range agrees with both points."
     if verdict == INCONCLUSIVE:
-        said += " Something resists, but by how much hangs on what the paper leaves open."
-    return said + " These two points cannot tell friction along the body from form drag."
+        sentences += " The resistance depends on what the paper does not give."
+    return sentences + " These points cannot discriminate between axial friction and form drag."
 
 
 def speeds_record(x: CrossPrediction, seconds: float) -> dict[str, Any]:
-    """The content of report.json."""
+    """Return the content of report.json."""
     verdict, best = speeds_verdict(x)
     alone = verdict in (IDENTIFIED, UNEXPLAINED)
-    others = [] if alone else [n for n in RESISTING if n != best.resisting]
+    others = [] if alone else [n for n in RESISTIVE_EFFECTS if n != best.resisting]
     return {
         "verdict": verdict,
         "said": speeds_sentence(x),
@@ -109,7 +109,7 @@ def speeds_record(x: CrossPrediction, seconds: float) -> dict[str, Any]:
         ],
         "errors": {
             "speed_at_optimum": {
-                "before": before_error(x), "after": abs(best.error), "floor": OPTIMUM.error,
+                "before": unresisted_error(x), "after": abs(best.error), "floor": OPTIMUM.error,
                 "unit": "m/s",
             }
         },
@@ -121,20 +121,23 @@ def speeds_record(x: CrossPrediction, seconds: float) -> dict[str, Any]:
             }
             for b in x.before
         ],
-        "after": [a.__dict__ | {"believed": a.believed} for a in [*x.forward, *x.backward]],
+        "after": [vars(a) | {"believed": a.in_prior} for a in [*x.forward, *x.backward]],
         "published": [
             {"name": p.name, "speed_m_per_s": p.speed, "error_m_per_s": p.error,
              "gaits": {n: g._asdict() for n, g in p.gaits.items()}}
             for p in (FIRST, OPTIMUM)
         ],
         "audit": [
-            "Pressures and tail of the 5 Hz test are not in the paper: assumed, three ways.",
-            "The paper gives no error for the 5 Hz speed: that of the optimum is assumed.",
+            "The paper does not give the pressures and the tail of the 5 Hz test; three "
+            "alternatives are assumed.",
+            "The paper gives no error of the 5 Hz speed; that of the optimum is assumed.",
         ],
         "next_experiment": NEXT,
         "settings": {
-            "settling_strides": PLAN.settling, "corrections": PLAN.corrections,
-            "steps_per_stride": PLAN.steps_per_stride, "nodes": PLAN.numerics.nodes,
+            "settling_strides": STEADY_SETTINGS.settling,
+            "corrections": STEADY_SETTINGS.corrections,
+            "steps_per_stride": STEADY_SETTINGS.steps_per_stride,
+            "nodes": STEADY_SETTINGS.numerics.nodes,
         },
         "seconds": seconds,
         "versions": versions(),
@@ -142,36 +145,36 @@ def speeds_record(x: CrossPrediction, seconds: float) -> dict[str, Any]:
 
 
 def _parameter(name: str) -> str:
-    (parameter,) = RESISTING[name](0.0).priors()
+    (parameter,) = RESISTIVE_EFFECTS[name](0.0).priors()
     return parameter
 
 
-def _range(found: list[After], best: After) -> dict[str, Any]:
+def _range(found: list[SpeedPrediction], best: SpeedPrediction) -> dict[str, Any]:
     values = [a.coefficient for a in found if a.resisting == best.resisting]
-    (prior,) = RESISTING[best.resisting](0.0).priors().values()
+    (prior,) = RESISTIVE_EFFECTS[best.resisting](0.0).priors().values()
     return {
         "value": best.coefficient, "low": min(values), "high": max(values), "unit": prior.unit,
-        "interval": "over what the paper leaves open",
+        "interval": "over the alternatives for what the paper does not give",
     }  # fmt: skip
 
 
-def _rows(found: list[After]) -> list[list[str]]:
+def _rows(found: list[SpeedPrediction]) -> list[list[str]]:
     return [
         [
             a.resisting, a.head, a.gait, f"{a.coefficient:.3g}",
-            "yes" if a.believed else "no", a.predicted_gait, f"{100 * a.predicted:.1f}",
+            "yes" if a.in_prior else "no", a.predicted_gait, f"{100 * a.predicted:.1f}",
             f"{100 * a.error:+.1f}",
         ]
         for a in found
     ]  # fmt: skip
 
 
-HEAD = ["effect", "head", "calibrated with", "coefficient", "in prior", "predicted with",
-        "cm/s", "off by"]  # fmt: skip
+COLUMNS = ["effect", "head", "calibrated with", "coefficient", "in prior", "predicted with",
+        "cm/s", "error (cm/s)"]  # fmt: skip
 
 
 def speeds_table(x: CrossPrediction) -> str:
-    """Predictions of the optimum in lines, for the terminal."""
+    """Return the predictions of the optimum as a table for the terminal."""
     lines = [f"{'published':<44}{100 * OPTIMUM.speed:6.1f} cm/s"]
     for a in x.forward:
         lines.append(
@@ -182,22 +185,22 @@ def speeds_table(x: CrossPrediction) -> str:
 
 
 def speeds_page(x: CrossPrediction, record: dict[str, Any]) -> str:
-    """Returns report.html; `record` is the content of report.json."""
+    """Return report.html; `record` is the content of report.json."""
     return render_page(
         "free_swimming.html",
         title="The paper's free-swimming speeds",
         record=record,
-        before_png=embedded_png(before_figure(x.before)),
-        after_png=embedded_png(after_figure(x.forward)),
-        head=HEAD,
+        before_png=embedded_png(unresisted_figure(x.before)),
+        after_png=embedded_png(prediction_figure(x.forward)),
+        head=COLUMNS,
         forward=_rows(x.forward),
         first_speed=FIRST.speed,
         backward=_rows(x.backward),
     )
 
 
-def before_figure(found: list[Before]):
-    """Speed stride by stride from rest, without resistance."""
+def unresisted_figure(found: list[UnresistedSwim]):
+    """Draw the mean speed of each stride from rest without axial resistance."""
     import matplotlib.pyplot as plt
 
     figure, axis = plt.subplots(figsize=(9, 3.8), layout="constrained")
@@ -211,8 +214,8 @@ def before_figure(found: list[Before]):
     return figure
 
 
-def after_figure(found: list[After]):
-    """Predictions beside the published speed and its error."""
+def prediction_figure(found: list[SpeedPrediction]):
+    """Draw the predictions with the published speed and its error."""
     import matplotlib.pyplot as plt
 
     figure, axis = plt.subplots(figsize=(9, 3.6), layout="constrained")

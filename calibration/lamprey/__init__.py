@@ -1,2 +1,2 @@
-"""Weighs the axial force balance of a swimming lamprey's measured midlines. May import `reporting`,
-`inference` and the rooms below them."""
+"""Evaluates the axial force balance of a swimming lamprey from its measured midlines. May import
+`reporting`, `inference` and the rooms below them."""

@@ -1,7 +1,7 @@
-"""An animal's body under a prescribed motion: what the model's own effects say acts on it.
+"""The forces that the robot model's effects predict on an animal's body under a prescribed motion.
 
-The kinematics of a measured motion are put into the `Section` that the robot's effects see, with
-depth and mass varying along the body, so that the same force densities are evaluated, not copies.
+A measured motion is converted to the `Section` that the robot's effects take as input. Depth and
+mass vary along the body. The force densities are thus those of the robot's model, not copies.
 """
 
 import math
@@ -19,47 +19,49 @@ from slider_jax.beam.state import Fields, to_body, to_plane
 from slider_jax.effects import ForceDensity
 
 VISCOSITY = 1.0e-6
-"""nu [m^2/s] of water at 20 degrees."""
-SNOUT = 0.04
-"""Share of the length over which the snout is rounded off, as an ellipse."""
-FIN = 0.6
-"""Where, in lengths from the snout, fins take over the outline."""
+"""Kinematic viscosity nu [m^2/s] of water at 20 degrees Celsius."""
+SNOUT_SHARE = 0.04
+"""The snout is rounded as an ellipse over this share of the body length."""
+FIN_START = 0.6
+"""The fins form the outline from here to the tail's end; in body lengths from the snout."""
 
 
 @dataclass(frozen=True, eq=False)
 class CrossSections:
     """The cross-sections: ellipses of the measured width and an assumed depth.
 
-    Depth is `aspect` times the width before the fins; from there it runs straight to `tail_depth`
-    (a share of the length) at the tail's end, which is blunt, as a fin is.
+    In front of the fins, the depth is `aspect` times the width. Along the fins, the depth changes
+    linearly to `tail_depth` (a share of the length) at the tail's end, which is blunt like a fin.
     """
 
-    places: np.ndarray
+    positions: np.ndarray
     """(n,) from 0 at the snout to 1 at the tail."""
     width: np.ndarray
-    """(n,) full width, in lengths."""
+    """(n,) full width, in body lengths."""
     aspect: float = 1.5
     tail_depth: float = 0.04
     density: float = 1040.0
-    """Of the animal [kg/m^3]."""
+    """Density of the animal [kg/m^3]."""
 
     def with_depth(self, aspect: float, tail_depth: float) -> "CrossSections":
-        """The same widths, another depth."""
+        """Return cross-sections with the same widths and another depth."""
         return replace(self, aspect=aspect, tail_depth=tail_depth)
 
     def at(self, from_snout: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-        """Width and depth [m] at places from 0 (snout) to 1 (tail)."""
-        width = np.interp(from_snout, self.places, self.width)
-        before = np.interp(np.minimum(from_snout, FIN), self.places, self.width) * self.aspect
-        along = np.clip((from_snout - FIN) / (1.0 - FIN), 0.0, 1.0)
+        """Return width and depth [m] at positions from 0 (snout) to 1 (tail)."""
+        width = np.interp(from_snout, self.positions, self.width)
+        before = (
+            np.interp(np.minimum(from_snout, FIN_START), self.positions, self.width) * self.aspect
+        )
+        along = np.clip((from_snout - FIN_START) / (1.0 - FIN_START), 0.0, 1.0)
         depth = before + along * (self.tail_depth - before)
-        inside = np.clip(from_snout / SNOUT, 0.0, 1.0)
+        inside = np.clip(from_snout / SNOUT_SHARE, 0.0, 1.0)
         rounded = np.sqrt(inside * (2.0 - inside))
         return width * rounded * length, depth * rounded * length
 
 
-class Body(eqx.Module):
-    """A shape laid out on the nodes of a motion: what does not change in time."""
+class AnimalBody(eqx.Module):
+    """The cross-sections on the nodes of a motion; constant in time."""
 
     structure: Structure
     width: Float[Array, " cells"]
@@ -72,17 +74,18 @@ class Body(eqx.Module):
 
     @property
     def perimeter(self) -> Float[Array, " cells"]:
-        """Of the elliptic sections [m] (Ramanujan)."""
+        """Perimeter [m] of the elliptic sections, by Ramanujan's approximation."""
         a, b = 0.5 * self.width, 0.5 * self.structure.height
         return math.pi * (3.0 * (a + b) - jnp.sqrt((3.0 * a + b) * (a + 3.0 * b)))
 
 
-def body(shape: CrossSections, s: np.ndarray) -> Body:
-    """The shape on nodes `s` [m] from the tail."""
+def body_on_nodes(shape: CrossSections, s: np.ndarray) -> AnimalBody:
+    """Return the cross-sections on nodes at distances `s` [m] from the tail."""
     ends, middle, ds = 1.0 - s / s[-1], 1.0 - 0.5 * (s[1:] + s[:-1]) / s[-1], np.diff(s)
     width, depth = shape.at(middle, s[-1])
     _, at_nodes = shape.at(ends, s[-1])
-    # m_A goes with the depth squared: this slope makes its fluxes telescope exactly.
+    # The added mass is proportional to the depth squared. With this slope, the momentum fluxes of
+    # neighbouring cells cancel exactly.
     slope = np.diff(at_nodes**2) / (2.0 * depth * ds)
     one = np.ones_like(middle)
     structure = Structure(
@@ -97,34 +100,34 @@ def body(shape: CrossSections, s: np.ndarray) -> Body:
         in_tail=0.0 * one,
         joint=0.0 * one,
     )
-    return jax.tree.map(jnp.asarray, Body(structure, jnp.asarray(width)))
+    return jax.tree.map(jnp.asarray, AnimalBody(structure, jnp.asarray(width)))
 
 
-class Prescribed(eqx.Module):
-    """A motion as effects see it: sections with a first axis of times."""
+class PrescribedMotion(eqx.Module):
+    """A motion in the form that effects take: sections whose first axis is time."""
 
-    body: Body
+    body: AnimalBody
     x: Section
 
 
-def prescribe(motion: Motion, shape: CrossSections) -> Prescribed:
-    """The sections of every instant of a motion, in water at rest."""
-    return _prescribe(jax.tree.map(jnp.asarray, motion), body(shape, motion.s))
+def prescribe(motion: Motion, shape: CrossSections) -> PrescribedMotion:
+    """Return the sections at every time of a motion, in water at rest."""
+    return _prescribe(jax.tree.map(jnp.asarray, motion), body_on_nodes(shape, motion.s))
 
 
 @jax.jit
-def _prescribe(motion: Motion, laid: Body) -> Prescribed:
+def _prescribe(motion: Motion, body: AnimalBody) -> PrescribedMotion:
     V_tau, V_n = to_body(jnp.moveaxis(motion.V, 2, 0), motion.phi)
     A_tau, A_n = to_body(jnp.moveaxis(motion.A, 2, 0), motion.phi)
-    # The components' own rates: the frame turns by omega.
+    # The body frame rotates at omega, so the rates of the components differ from A.
     rates = (A_tau + motion.omega * V_n, A_n - motion.omega * V_tau, motion.omega)
     at = jax.vmap(_section, (None, 0, 0, 0))
     values = jnp.stack([V_tau, V_n, motion.phi], axis=1)
-    return Prescribed(laid, at(laid.structure, motion.t, values, jnp.stack(rates, axis=1)))
+    return PrescribedMotion(body, at(body.structure, motion.t, values, jnp.stack(rates, axis=1)))
 
 
 def _section(structure: Structure, t, y, y_t) -> Section:
-    """One instant; `y` (3, nodes) is V_tau, V_n, phi and `y_t` its rate."""
+    """Return the sections at one time; `y` (3, nodes) is V_tau, V_n, phi and `y_t` its rate."""
     mid, mid_t = (0.5 * (v[:, 1:] + v[:, :-1]) for v in (y, y_t))
     slope, slope_t = ((v[:, 1:] - v[:, :-1]) / structure.ds for v in (y, y_t))
     dt = jnp.ones_like(t)
@@ -145,27 +148,27 @@ def _section(structure: Structure, t, y, y_t) -> Section:
 
 
 @jax.jit
-def force(effect: ForceDensity, p: Prescribed) -> Float[Array, "times 2"]:
-    """Force (x, y) [N] of one effect on the whole body at every instant."""
+def force_on_body(effect: ForceDensity, p: PrescribedMotion) -> Float[Array, "times 2"]:
+    """Return the force (x, y) [N] of one effect on the whole body at every time."""
     F_tau, F_n = jax.vmap(effect.force)(p.x)
     per_length = jnp.stack(to_plane(F_tau, F_n, p.x.phi), axis=-1)
     return jnp.sum(per_length * p.body.structure.ds[:, None], axis=1)
 
 
 @jax.jit
-def momentum(p: Prescribed) -> Float[Array, "times 2"]:
-    """Momentum (x, y) [N s] of the body itself."""
+def momentum(p: PrescribedMotion) -> Float[Array, "times 2"]:
+    """Return the momentum (x, y) [N s] of the body without its added mass."""
     return _mass_weighted(p, p.x.V_tau, p.x.V_n)
 
 
 @jax.jit
-def inertia(p: Prescribed) -> Float[Array, "times 2"]:
-    """d(momentum)/dt (x, y) [N]."""
+def inertia(p: PrescribedMotion) -> Float[Array, "times 2"]:
+    """Return d(momentum)/dt (x, y) [N]."""
     x = p.x
     return _mass_weighted(p, x.V_tau_t - x.omega * x.V_n, x.V_n_t + x.omega * x.V_tau)
 
 
-def _mass_weighted(p: Prescribed, tau, n) -> Float[Array, "times 2"]:
+def _mass_weighted(p: PrescribedMotion, tau, n) -> Float[Array, "times 2"]:
     vector = jnp.stack(to_plane(tau, n, p.x.phi), axis=-1)
     weight = p.body.structure.linear_density * p.body.structure.ds
     return jnp.sum(vector * weight[:, None], axis=1)

@@ -1,8 +1,8 @@
-"""A swimming animal weighed by the robot's model: does its axial force balance, and what if not?
+"""Compares the robot model's axial force on a swimming animal with the animal's momentum.
 
-Midlines are prescribed, the model's own effects give the force, and the mean over whole strides is
-held against the momentum gained. One mean force is one number, so several effects may close it;
-what they need to do so is told, with the interval that one animal allows.
+The measured midlines are prescribed and the model's effects give the force. Its mean over whole
+strides is compared with the momentum gained. One mean force is one number, so several effects may
+close the balance. The result states the coefficient that each effect needs, and its 95 % interval.
 """
 
 import math
@@ -15,137 +15,146 @@ import numpy as np
 from calibration.lamprey.animal import (
     VISCOSITY,
     CrossSections,
-    Prescribed,
-    force,
+    PrescribedMotion,
+    force_on_body,
     inertia,
     prescribe,
 )
 from calibration.lamprey.axial_balance import (
     CANDIDATES,
-    DRAWS,
     EFFECTS,
     MOTIONS,
+    SAMPLES,
+    BalanceSamples,
     Course,
-    Draws,
-    Ledger,
+    StrideForces,
     alternative_motions,
     central_interval,
-    ledger,
-    sample_balance,
+    forces_by_stride,
+    sample_balances,
 )
 from calibration.lamprey.midlines import Midlines, read_midlines, read_width
 from calibration.lamprey.motion import Motion, Smoothing, choose_smoothing, midline_motion
-from calibration.lamprey.strides import AnimalGait, Strides, find_strides, fundamental, gait
+from calibration.lamprey.strides import (
+    AnimalGait,
+    Strides,
+    animal_gait,
+    fundamental,
+    whole_strides,
+)
 from slider_jax import paper
 from slider_jax.effects import ForceDensity, NormalDrag, ReactiveForce
 
 WIDTH_COLUMN = "ammowidth"
-FULL_OVER_GIVEN = 2.0
-"""The widths are taken for half widths: as full ones the animal would weigh 1 g at 155 mm, where
-sea lampreys of that length weigh about 5 g."""
-POSSIBLE = 0.1
-"""An effect can close the balance where at least so many of the draws need a value within its
-prior range."""
+WIDTH_OVER_HALF_WIDTH = 2.0
+"""The file's widths are assumed to be half widths. As full widths they would give the animal of
+155 mm a mass of 1 g; sea lampreys of that length have about 5 g."""
+MIN_POSSIBLE_SHARE = 0.1
+"""An effect can close the balance if at least this share of the samples needs a coefficient within
+the effect's prior range."""
 SOURCES = ("strides", "reading", "shape", "coefficients")
 
 
 @dataclass(frozen=True)
-class Weighed:
-    """The outcome. Forces [N] along the mean course."""
+class BalanceAnalysis:
+    """The balance of one animal. Forces are in N along the mean course."""
 
     midlines: Midlines
     smoothing: Smoothing
     motion: Motion
     shape: CrossSections
-    held: Prescribed
+    prescribed: PrescribedMotion
     strides: Strides
     gait: AnimalGait
     C_d: float
     m_a: float
-    ledger: Ledger
+    forces: StrideForces
     by_source: dict[str, tuple[float, float]]
-    """95 % intervals of the imbalance where one source alone varies."""
-    draws: Draws
-    """Where all of them vary."""
-    floor: float
-    """rms over strides and readings of what reading the midlines again changes."""
-    smoothed: dict[str, tuple[Smoothing, float]]
-    """Other smoothing, and the imbalance with it."""
-    readings: list[Motion]
+    """95 % interval of the imbalance if one source of uncertainty alone varies."""
+    samples: BalanceSamples
+    """Samples in which all sources of uncertainty vary."""
+    noise_floor: float
+    """rms change [N] of a stride's imbalance between the motion and the alternative motions."""
+    other_smoothings: dict[str, tuple[Smoothing, float]]
+    """Other smoothing settings, and the mean imbalance [N] with each."""
+    alternatives: list[Motion]
+    """Motions that the same midlines allow."""
 
     @property
     def imbalance(self) -> np.ndarray:
-        """(strides,), with the paper's coefficients."""
-        return self.ledger.imbalance(self.C_d, self.m_a)
+        """Imbalance with the paper's coefficients, (strides,)."""
+        return self.forces.imbalance(self.C_d, self.m_a)
 
     @property
     def possible(self) -> dict[str, float]:
-        """By effect: in which share of the draws the value it needs is within its prior range."""
-        return {name: _within_prior(name, self.draws.closing(name)) for name in EFFECTS}
+        """Share of the samples in which each effect closes the balance within its prior range."""
+        return {name: _share_in_prior(name, self.samples.closing(name)) for name in EFFECTS}
 
     @property
     def course(self) -> Course:
         return Course(self.strides, self.gait.direction)
 
 
-def _within_prior(name: str, values: np.ndarray) -> float:
+def _share_in_prior(name: str, values: np.ndarray) -> float:
     (prior,) = EFFECTS[name].priors().values()
     return float(np.mean((values >= prior.low) & (values <= prior.high)))
 
 
-def weigh(folder: Path, seed: int = 0, draws: int = DRAWS) -> Weighed:
-    """Weigh the animal of a folder with lampreydata.csv and fishwidth.csv.
+def analyse_folder(folder: Path, seed: int = 0, samples: int = SAMPLES) -> BalanceAnalysis:
+    """Return the balance of the animal in a folder with lampreydata.csv and fishwidth.csv.
 
-    `draws` from `seed` make the intervals. Raises `InputError` on data that cannot be used.
+    The intervals use `samples` samples from `seed`. Raises `InputError` if the data are unusable.
     """
     midlines = read_midlines(folder / "lampreydata.csv")
-    places, given = read_width(folder / "fishwidth.csv", WIDTH_COLUMN)
-    return weigh_midlines(midlines, CrossSections(places, FULL_OVER_GIVEN * given), seed, draws)
+    positions, half_width = read_width(folder / "fishwidth.csv", WIDTH_COLUMN)
+    shape = CrossSections(positions, WIDTH_OVER_HALF_WIDTH * half_width)
+    return analyse_midlines(midlines, shape, seed, samples)
 
 
-def weigh_midlines(
-    midlines: Midlines, shape: CrossSections, seed: int = 0, draws: int = DRAWS
-) -> Weighed:
-    """Weigh an animal of `shape` that swims as `midlines` say; `draws` make the intervals."""
+def analyse_midlines(
+    midlines: Midlines, shape: CrossSections, seed: int = 0, samples: int = SAMPLES
+) -> BalanceAnalysis:
+    """Return the balance of an animal of `shape` that moves as `midlines` show."""
     rng = np.random.default_rng(seed)
     smoothing = choose_smoothing(midlines)
-    moved = midline_motion(midlines, smoothing)
-    strides = find_strides(moved)
-    how = gait(moved, strides, VISCOSITY)
-    course = Course(strides, how.direction)
-    C_d, m_a = (float(x) for x in paper.force_coefficients(how.frequency))
-    base = ledger(moved, shape, course)
-    others = alternative_motions(midlines, smoothing, rng, min(MOTIONS, max(2, draws // 10)))
-    pool = [moved, *others]
+    motion = midline_motion(midlines, smoothing)
+    strides = whole_strides(motion)
+    gait = animal_gait(motion, strides, VISCOSITY)
+    course = Course(strides, gait.direction)
+    C_d, m_a = (float(x) for x in paper.force_coefficients(gait.frequency))
+    forces = forces_by_stride(motion, shape, course)
+    others = alternative_motions(midlines, smoothing, rng, min(MOTIONS, max(2, samples // 10)))
+    motions = [motion, *others]
 
-    def vary(*sources: str) -> Draws:
-        return sample_balance(rng, pool, shape, course, (C_d, m_a), sources, draws)
+    def vary(*sources: str) -> BalanceSamples:
+        return sample_balances(rng, motions, shape, course, (C_d, m_a), sources, samples)
 
-    again = np.array([ledger(x, shape, course).imbalance(C_d, m_a) for x in others])
-    smoothed = {}
-    for name, other in _other_smoothing(smoothing).items():
-        there = ledger(midline_motion(midlines, other), shape, course)
-        smoothed[name] = (other, float(there.imbalance(C_d, m_a).mean()))
-    return Weighed(
+    imbalances = np.array([forces_by_stride(x, shape, course).imbalance(C_d, m_a) for x in others])
+    changes = imbalances - forces.imbalance(C_d, m_a)
+    other_smoothings = {}
+    for name, other in _other_smoothings(smoothing).items():
+        other_forces = forces_by_stride(midline_motion(midlines, other), shape, course)
+        other_smoothings[name] = (other, float(other_forces.imbalance(C_d, m_a).mean()))
+    return BalanceAnalysis(
         midlines=midlines,
         smoothing=smoothing,
-        motion=moved,
+        motion=motion,
         shape=shape,
-        held=prescribe(moved, shape),
+        prescribed=prescribe(motion, shape),
         strides=strides,
-        gait=how,
+        gait=gait,
         C_d=C_d,
         m_a=m_a,
-        ledger=base,
+        forces=forces,
         by_source={source: central_interval(vary(source).imbalance) for source in SOURCES},
-        draws=vary(*SOURCES),
-        floor=float(np.sqrt(np.mean((again - base.imbalance(C_d, m_a)) ** 2))),
-        smoothed=smoothed,
-        readings=others,
+        samples=vary(*SOURCES),
+        noise_floor=_rms(changes),
+        other_smoothings=other_smoothings,
+        alternatives=others,
     )
 
 
-def _other_smoothing(x: Smoothing) -> dict[str, Smoothing]:
+def _other_smoothings(x: Smoothing) -> dict[str, Smoothing]:
     return {
         "cutoff times 0.7": x._replace(cutoff=0.7 * x.cutoff),
         "cutoff times 1.4": x._replace(cutoff=1.4 * x.cutoff),
@@ -154,44 +163,46 @@ def _other_smoothing(x: Smoothing) -> dict[str, Smoothing]:
     }
 
 
-def balance_verdict(x: Weighed) -> tuple[str, list[str]]:
-    """The verdict, and the effects that can close the balance, likeliest first."""
-    low, high = central_interval(x.draws.imbalance)
+def balance_verdict(x: BalanceAnalysis) -> tuple[str, list[str]]:
+    """Return the verdict and the effects that can close the balance, most probable first."""
+    low, high = central_interval(x.samples.imbalance)
     if low <= 0.0 <= high:
         return "nothing_missing", []
     share = x.possible
-    able = sorted((n for n in share if share[n] >= POSSIBLE), key=lambda n: -share[n])
-    if not able:
+    candidates = sorted(
+        (n for n in share if share[n] >= MIN_POSSIBLE_SHARE), key=lambda n: -share[n]
+    )
+    if not candidates:
         return "unexplained", []
-    return ("identified" if len(able) == 1 else "class"), able
+    return ("identified" if len(candidates) == 1 else "class"), candidates
 
 
-def errors(x: Weighed, closer: str) -> dict[str, float]:
-    """rms [N] over strides of the imbalance: before, after, and what reading the midlines adds.
+def imbalance_errors(x: BalanceAnalysis, closer: str) -> dict[str, float]:
+    """Return the strides' rms imbalance [N] before and after closing, and its noise floor.
 
-    After: each stride with the coefficient of `closer` from the other strides.
+    "after": each stride uses the coefficient of the effect `closer` from the other strides.
     """
-    before, unit = x.imbalance, x.ledger.unit[closer]
+    before, unit = x.imbalance, x.forces.unit[closer]
     count = len(before)
     after = [
         before[i] - unit[i] * (before.sum() - before[i]) / (unit.sum() - unit[i])
         for i in range(count)
     ]
-    return {"before": _rms(before), "after": _rms(np.array(after)), "floor": x.floor}
+    return {"before": _rms(before), "after": _rms(np.array(after)), "floor": x.noise_floor}
 
 
 def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def small_amplitude_thrust(x: Weighed) -> float:
-    """Lighthill's thrust [N] of a wave of small amplitude, from the tail's end alone.
+def small_amplitude_thrust(x: BalanceAnalysis) -> float:
+    """Return Lighthill's mean thrust [N] of a wave of small amplitude, from the tail's end alone.
 
         T = m_A ( (dh/dt)^2 - U^2 (dh/dx)^2 ) / 2,   mean over whole strides
 
     Source: Lighthill, M. J. (1960), Note on the swimming of slender fish, J. Fluid Mech. 9, 305.
     """
-    depth = x.held.body.structure.height[0]
+    depth = x.prescribed.body.structure.height[0]
     m_A = float(ReactiveForce(x.m_a).added_mass(depth))
     side = np.array([-x.gait.direction[1], x.gait.direction[0]])
     h_t = x.motion.V[:, 0] @ side
@@ -201,12 +212,15 @@ def small_amplitude_thrust(x: Weighed) -> float:
     return float(x.strides.means(x.motion.t, rate).mean())
 
 
-def skin(x: Weighed) -> dict[str, Any]:
-    """The friction coefficient that closes the balance, on wetted area, beside flat plates'."""
-    laid = x.held.body
-    wetted = float(np.sum(laid.perimeter * laid.structure.ds))
-    outline = float(np.sum(laid.structure.height * laid.structure.ds))
-    C_t = x.draws.closing("tangential_friction")
+def skin_friction(x: BalanceAnalysis) -> dict[str, Any]:
+    """Return the skin friction coefficient that closes the balance, and those of flat plates.
+
+    The coefficient is on the wetted area.
+    """
+    body = x.prescribed.body
+    wetted = float(np.sum(body.perimeter * body.structure.ds))
+    outline = float(np.sum(body.structure.height * body.structure.ds))
+    C_t = x.samples.closing("tangential_friction")
     Re = x.gait.reynolds
     laminar, turbulent = 1.328 / math.sqrt(Re), 0.074 / Re**0.2
     C_f = 2.0 * C_t * outline / wetted
@@ -222,53 +236,60 @@ def skin(x: Weighed) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def frontal_coefficient(x: Weighed) -> tuple[float, float, float]:
-    """Drag coefficient on the largest section by which the head closes the balance, and 95 %."""
-    laid = x.held.body
-    section = float(np.max(math.pi / 4.0 * laid.width * laid.structure.height))
-    area = x.draws.closing("head_drag") / section
+def frontal_coefficient(x: BalanceAnalysis) -> tuple[float, float, float]:
+    """Return the head's drag coefficient that closes the balance, and its 95 % interval.
+
+    The coefficient is on the largest cross-section.
+    """
+    body = x.prescribed.body
+    section = float(np.max(math.pi / 4.0 * body.width * body.structure.height))
+    area = x.samples.closing("head_drag") / section
     return float(np.median(area)), *central_interval(area)
 
 
-def within_stride(x: Weighed) -> dict[str, float]:
-    """What the course of a stride could say, and whether these midlines are precise enough.
+def within_stride(x: BalanceAnalysis) -> dict[str, float]:
+    """Return axial amplitudes within a stride, which could discriminate between the candidates.
 
-    Axial quantities at twice the strides' frequency, where a symmetric swimmer's are: amplitude of
-    the model's force and of the body's inertia [N], the centre of mass's motion [m] that either
-    means, its spread over readings, and the largest motion by which two candidates differ that
-    both close the mean.
+    All are at twice the strides' frequency, as a symmetric swimmer's axial forces are:
+
+    - amplitudes of the model's force and of the body's inertia [N];
+    - the motions of the centre of mass [m] that they cause;
+    - the largest difference of this motion [m] between two candidates that close the balance;
+    - the rms change of the measured motion [m] over the alternative motions.
     """
     t, course = x.motion.t, x.course
 
-    def twice(series: np.ndarray) -> complex:
+    def second_harmonic(series: np.ndarray) -> complex:
         double = Strides(x.strides.marks, 2.0 * x.strides.phase)
         return complex(fundamental(t, (series @ course.direction)[:, None], double)[0])
 
-    per_force = 1.0 / (x.held.body.mass * (4.0 * math.pi * x.gait.frequency) ** 2)
-    base = twice(_force(x, ReactiveForce(x.m_a))) + twice(_force(x, NormalDrag(x.C_d)))
-    closing = {n: float(np.median(x.draws.closing(n))) for n in CANDIDATES}
-    added = [closing[n] * twice(_force(x, EFFECTS[n])) for n in CANDIDATES]
-    apart = max(abs(a - b) for a in added for b in added)
-    seen = twice(np.asarray(inertia(x.held)))
-    again = [twice(np.asarray(inertia(prescribe(m, x.shape)))) for m in x.readings]
-    spread = math.sqrt(np.mean(np.abs(np.array(again) - seen) ** 2))
+    def of_effect(effect: ForceDensity) -> complex:
+        return second_harmonic(np.asarray(force_on_body(effect, x.prescribed)))
+
+    per_force = 1.0 / (x.prescribed.body.mass * (4.0 * math.pi * x.gait.frequency) ** 2)
+    base = of_effect(ReactiveForce(x.m_a)) + of_effect(NormalDrag(x.C_d))
+    closing = {n: float(np.median(x.samples.closing(n))) for n in CANDIDATES}
+    added = [closing[n] * of_effect(EFFECTS[n]) for n in CANDIDATES]
+    difference = max(abs(a - b) for a in added for b in added)
+    measured = second_harmonic(np.asarray(inertia(x.prescribed)))
+    others = [second_harmonic(np.asarray(inertia(prescribe(m, x.shape)))) for m in x.alternatives]
+    spread = math.sqrt(np.mean(np.abs(np.array(others) - measured) ** 2))
     return {
         "model_force_N": abs(base),
-        "inertia_N": abs(seen),
+        "inertia_N": abs(measured),
         "model_motion_m": abs(base) * per_force,
-        "measured_motion_m": abs(seen) * per_force,
-        "motion_between_candidates_m": apart * per_force,
+        "measured_motion_m": abs(measured) * per_force,
+        "motion_between_candidates_m": difference * per_force,
         "spread_of_motion_over_readings_m": spread * per_force,
-        "misfit_of_midlines_m": misfit(x),
+        "misfit_of_midlines_m": midline_misfit(x),
     }
 
 
-def _force(x: Weighed, effect: ForceDensity) -> np.ndarray:
-    return np.asarray(force(effect, x.held))
+def midline_misfit(x: BalanceAnalysis) -> float:
+    """Return the rms distance [m] of the measured points from the smoothed body.
 
-
-def misfit(x: Weighed) -> float:
-    """rms distance [m] of measured points from the smoothed body, as far as it reaches."""
+    Points beyond the end of the smoothed body are omitted.
+    """
     L, count = x.motion.length, x.midlines.points.shape[1]
     squares = []
     for frame, length, r in zip(x.midlines.points, x.midlines.lengths, x.motion.r, strict=True):

@@ -1,21 +1,21 @@
-"""Pictures of the weighed animal."""
+"""Figures of an animal's axial force balance."""
 
 import numpy as np
 
 from calibration.lamprey.axial_balance import BASE, central_interval
-from calibration.lamprey.balance import Weighed
+from calibration.lamprey.balance import BalanceAnalysis
 
-WORDS = {
-    "strides": "differences of strides",
-    "reading": "reading of the midlines",
+SOURCE_LABELS = {
+    "strides": "differences between strides",
+    "reading": "tracing noise and smoothing",
     "shape": "depth of body and tail",
     "coefficients": "C_d and m_a",
     "all together": "all together",
 }
 
 
-def body_figure(x: Weighed):
-    """Midlines of the last whole stride with the measured points, and the outline."""
+def body_figure(x: BalanceAnalysis):
+    """Draw the midlines of the last whole stride with the measured points, and the outline."""
     import matplotlib
     import matplotlib.pyplot as plt
 
@@ -30,28 +30,28 @@ def body_figure(x: Weighed):
         left.plot(*(1e3 * x.motion.r[i].T), "-", color=colour, lw=1.0)
     left.set(aspect="equal", xlabel="x (mm)", ylabel="y (mm)")
     left.set_title("last stride: points measured, lines smoothed", loc="left", fontsize="medium")
-    laid = x.held.body
-    ahead = 1e3 * (x.motion.length - np.asarray(laid.structure.s))
-    right.plot(ahead, 1e3 * laid.structure.height, label="depth (assumed)")
-    right.plot(ahead, 1e3 * laid.width, label="width (2 x given)")
+    body = x.prescribed.body
+    ahead = 1e3 * (x.motion.length - np.asarray(body.structure.s))
+    right.plot(ahead, 1e3 * body.structure.height, label="depth (assumed)")
+    right.plot(ahead, 1e3 * body.width, label="width (2 x given)")
     right.set(xlabel="from the snout (mm)", ylabel="mm", ylim=(0.0, None))
     right.legend(fontsize="small")
     return figure
 
 
-def strides_figure(x: Weighed):
-    """Mean forces of every stride, and the momentum gained."""
+def strides_figure(x: BalanceAnalysis):
+    """Draw the mean forces of every stride and the momentum gained."""
     import matplotlib.pyplot as plt
 
     figure, axis = plt.subplots(figsize=(9, 3.6), layout="constrained")
     number = np.arange(1, x.strides.number + 1)
-    reactive = 1e3 * x.m_a * x.ledger.unit[BASE[0]]
-    drag = 1e3 * x.C_d * x.ledger.unit[BASE[1]]
+    reactive = 1e3 * x.m_a * x.forces.unit[BASE[0]]
+    drag = 1e3 * x.C_d * x.forces.unit[BASE[1]]
     for offset, values, name in (
         (-0.3, reactive, f"reactive force, m_a = {x.m_a:g}"),
         (-0.1, drag, f"axial part of the normal drag, C_d = {x.C_d:g}"),
-        (0.1, 1e3 * x.ledger.gain, "momentum gained"),
-        (0.3, 1e3 * x.imbalance, "imbalance: what is to be resisted"),
+        (0.1, 1e3 * x.forces.gain, "momentum gained"),
+        (0.3, 1e3 * x.imbalance, "imbalance"),
     ):
         axis.bar(number + offset, values, 0.2, label=name)
     axis.axhline(0.0, color="k", lw=0.6)
@@ -60,19 +60,19 @@ def strides_figure(x: Weighed):
     return figure
 
 
-def imbalance_figure(x: Weighed):
-    """The imbalance with its interval by source, and all together."""
+def imbalance_figure(x: BalanceAnalysis):
+    """Draw the intervals of the imbalance for each source of uncertainty and for all together."""
     import matplotlib.pyplot as plt
 
     figure, axis = plt.subplots(figsize=(9, 2.8), layout="constrained")
-    rows = dict(x.by_source) | {"all together": central_interval(x.draws.imbalance)}
+    rows = dict(x.by_source) | {"all together": central_interval(x.samples.imbalance)}
     for place, (name, (low, high)) in enumerate(rows.items()):
         colour = "C3" if name == "all together" else "C0"
         axis.plot([1e3 * low, 1e3 * high], [place, place], color=colour, lw=6, alpha=0.6)
     axis.axvline(1e3 * x.imbalance.mean(), color="k", lw=1.0, label="paper's coefficients")
     axis.axvline(0.0, color="k", lw=1.0, ls=":", label="balance")
     axis.set(xlabel="imbalance (mN), 95 % intervals", yticks=range(len(rows)))
-    axis.set_yticklabels([WORDS[name] for name in rows])
+    axis.set_yticklabels([SOURCE_LABELS[name] for name in rows])
     axis.margins(x=0.08)
     axis.invert_yaxis()
     axis.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))

@@ -1,7 +1,8 @@
-"""Measured midlines of a swimming animal and its widths, read from CSV and checked.
+"""Reads and checks the measured midlines and widths of a swimming animal from CSV files.
 
-`lampreydata.csv`: t [s], frame, point (1 at the head), mxmm, mymm [mm]; blank where the animal was
-not seen. `fishwidth.csv`: s (0 at the snout, 1 at the tail), and widths as shares of the length.
+`lampreydata.csv` has t [s], frame, point (1 at the head), mxmm and mymm [mm]. A cell is blank if
+the animal was not visible. `fishwidth.csv` has s (0 at the snout, 1 at the tail) and widths as
+shares of the body length.
 """
 
 from dataclasses import dataclass
@@ -12,42 +13,42 @@ import numpy as np
 from slider_jax.errors import InputError
 from slider_jax.io.csv import read_table
 
-LENGTHS = (0.02, 3.0)
-"""Lengths [m] of an animal that are believed; what lies outside is in another unit."""
-STRETCH = 0.10
-"""How far the length along a midline may be from its median before the frame is refused."""
-JUMP = 0.25
-"""How far, in lengths, the head may move between two frames."""
-FEWEST_FRAMES, FEWEST_POINTS = 20, 8
+LENGTH_RANGE = (0.02, 3.0)
+"""Plausible lengths [m] of an animal. Another length indicates another unit in the file."""
+MAX_STRETCH = 0.10
+"""Largest allowed relative deviation of a midline's length from the median length."""
+MAX_HEAD_STEP = 0.25
+"""Largest allowed motion of the head between two frames, in body lengths."""
+MIN_FRAMES, MIN_POINTS = 20, 8
 
 
 @dataclass(frozen=True)
 class Midlines:
-    """Complete frames without a gap."""
+    """Consecutive complete frames of the midline."""
 
     t: np.ndarray
     """(frames,) [s], evenly spaced."""
     points: np.ndarray
     """(frames, points, 2) [m], from head to tail."""
-    left_out: int
-    """Frames at the ends that were not complete."""
+    incomplete_frames: int
+    """Number of frames before and after these, omitted because of blank points."""
 
     @property
     def lengths(self) -> np.ndarray:
-        """(frames,) [m], along the points."""
+        """Length along the points of each frame, (frames,) [m]."""
         return np.hypot(*np.moveaxis(np.diff(self.points, axis=1), 2, 0)).sum(axis=1)
 
     @property
     def interval(self) -> float:
-        """[s] between frames."""
+        """Time between frames [s]."""
         return float(self.t[1] - self.t[0])
 
 
 def read_midlines(path: Path) -> Midlines:
-    """The longest run of complete frames in a file of midlines.
+    """Return the longest run of complete frames in a file of midlines.
 
-    Raises `InputError`, naming file and line or frame, on anything that is no evenly timed series
-    of midlines in millimetres, head first.
+    Raises `InputError` with the file and the line or frame unless the file is an evenly timed
+    series of midlines in millimetres with the head first.
     """
     table = read_table(path, ("t", "frame", "point", "mxmm", "mymm"), blank=("mxmm", "mymm"))
     frame, point = table["frame"], table["point"]
@@ -57,25 +58,27 @@ def read_midlines(path: Path) -> Midlines:
         point.reshape(len(numbers), -1), np.tile(np.arange(1.0, count + 1.0), (len(numbers), 1))
     ):
         raise InputError(
-            f"{path}: {len(frame)} rows in {len(numbers)} frames; allowed every frame once, with "
-            f"its points 1 to {count} in order"
+            f"{path}: {len(frame)} rows in {len(numbers)} frames; allowed is every frame once, "
+            f"with its points 1 to {count} in order"
         )
-    if count < FEWEST_POINTS:
-        raise InputError.value(f"{path}, column point", count, f"at least {FEWEST_POINTS} a frame")
+    if count < MIN_POINTS:
+        raise InputError.value(f"{path}, column point", count, f"at least {MIN_POINTS} a frame")
     points = 1e-3 * np.stack([table["mxmm"], table["mymm"]], axis=1).reshape(-1, count, 2)
     t = table["t"].reshape(-1, count)
     if np.ptp(t, axis=1).max() > 0.0 or np.any(np.diff(t[:, 0]) <= 0.0):
-        raise InputError(f"{path}, column t: time must be one in a frame and increase from frame "
-                         "to frame; sort the rows by frame and point")  # fmt: skip
-    run = _longest_run(np.asarray(np.isfinite(points).all(axis=(1, 2))))
-    if run.stop - run.start < FEWEST_FRAMES:
         raise InputError(
-            f"{path}: the longest run of complete frames has {run.stop - run.start}; at least "
-            f"{FEWEST_FRAMES} are needed, without a blank between them"
+            f"{path}, column t: all rows of a frame need the same time, and the time must increase "
+            "from frame to frame; sort the rows by frame and point"
         )
-    found = Midlines(t[run, 0], points[run], len(t) - (run.stop - run.start))
-    _check(path, found, numbers[run])
-    return found
+    run = _longest_run(np.asarray(np.isfinite(points).all(axis=(1, 2))))
+    if run.stop - run.start < MIN_FRAMES:
+        raise InputError(
+            f"{path}: the longest run of complete frames has {run.stop - run.start} frames; at "
+            f"least {MIN_FRAMES} consecutive frames without a blank are required"
+        )
+    midlines = Midlines(t[run, 0], points[run], len(t) - (run.stop - run.start))
+    _check(path, midlines, numbers[run])
+    return midlines
 
 
 def _longest_run(complete: np.ndarray) -> slice:
@@ -87,54 +90,57 @@ def _longest_run(complete: np.ndarray) -> slice:
     return slice(int(begins[longest]), int(ends[longest]))
 
 
-def _check(path: Path, found: Midlines, frames: np.ndarray) -> None:
-    steps = np.diff(found.t)
+def _check(path: Path, midlines: Midlines, frames: np.ndarray) -> None:
+    steps = np.diff(midlines.t)
     if np.ptp(steps) > 0.01 * np.median(steps):
         late = int(frames[1 + np.argmax(np.abs(steps - np.median(steps)))])
         raise InputError(
-            f"{path}, frame {late}: {steps.max():g} s after another, {np.median(steps):g} s "
-            "elsewhere; allowed frames at equal times; cut the file at the gap"
+            f"{path}, frame {late}: frames are up to {steps.max():g} s apart, with a median of "
+            f"{np.median(steps):g} s; allowed are equal times between frames; cut the file there"
         )
-    lengths = found.lengths
+    lengths = midlines.lengths
     length = float(np.median(lengths))
-    if not LENGTHS[0] <= length <= LENGTHS[1]:
+    if not LENGTH_RANGE[0] <= length <= LENGTH_RANGE[1]:
         raise InputError(
-            f"{path}, columns mxmm, mymm: an animal of {1e3 * length:g} mm; allowed "
-            f"{1e3 * LENGTHS[0]:g} to {1e3 * LENGTHS[1]:g}; are these millimetres?"
+            f"{path}, columns mxmm, mymm: the animal's length is {1e3 * length:g} mm; allowed "
+            f"{1e3 * LENGTH_RANGE[0]:g} to {1e3 * LENGTH_RANGE[1]:g}; give the columns in mm"
         )
     off = np.abs(lengths / length - 1.0)
-    if off.max() > STRETCH:
+    if off.max() > MAX_STRETCH:
         raise InputError(
-            f"{path}, frame {frames[np.argmax(off)]:g}: {1e3 * lengths[np.argmax(off)]:.1f} mm "
-            f"along the midline, {1e3 * length:.1f} mm in the median; allowed within "
-            f"{STRETCH:.0%}, as an animal does not stretch; leave the frame out or trace it anew"
+            f"{path}, frame {frames[np.argmax(off)]:g}: the midline is "
+            f"{1e3 * lengths[np.argmax(off)]:.1f} mm long, the median is {1e3 * length:.1f} mm; "
+            f"allowed is a difference of {MAX_STRETCH:.0%}, because an animal does not stretch; "
+            "remove the frame or trace it again"
         )
-    moved = np.hypot(*np.diff(found.points[:, 0], axis=0).T)
-    if moved.max() > JUMP * length:
+    moved = np.hypot(*np.diff(midlines.points[:, 0], axis=0).T)
+    if moved.max() > MAX_HEAD_STEP * length:
         raise InputError(
             f"{path}, frame {frames[1 + np.argmax(moved)]:g}: the head jumps by "
-            f"{1e3 * moved.max():.0f} mm; allowed {1e3 * JUMP * length:.0f} mm between frames; "
-            "is point 1 the head in every frame?"
+            f"{1e3 * moved.max():.0f} mm; allowed {1e3 * MAX_HEAD_STEP * length:.0f} mm between "
+            "frames; check that point 1 is the head in every frame"
         )
-    travelled = found.points[-1].mean(axis=0) - found.points[0].mean(axis=0)
-    ahead = np.mean(found.points[:, 0] - found.points[:, -1], axis=0)
+    travelled = midlines.points[-1].mean(axis=0) - midlines.points[0].mean(axis=0)
+    ahead = np.mean(midlines.points[:, 0] - midlines.points[:, -1], axis=0)
     if travelled @ ahead <= 0.0:
         raise InputError(
-            f"{path}, column point: the animal swims towards its last point; allowed point 1 at "
+            f"{path}, column point: the animal swims towards its last point; point 1 must be at "
             "the head; number the points from the head"
         )
 
 
 def read_width(path: Path, column: str) -> tuple[np.ndarray, np.ndarray]:
-    """(s, width): s from 0 at the snout to 1 at the tail, width as a share of the length.
+    """Return s from 0 at the snout to 1 at the tail, and the width as a share of the length.
 
-    Raises `InputError` on places that do not run from 0 to 1 or widths that are no such shares.
+    Raises `InputError` if s does not increase from 0 to 1 or a width is not a plausible share.
     """
     table = read_table(path, ("s", column))
     s, width = table["s"], table[column]
     if s[0] != 0.0 or s[-1] != 1.0 or np.any(np.diff(s) <= 0.0):
-        raise InputError(f"{path}, column s: given {s[0]:g} to {s[-1]:g}; allowed increasing from "
-                         "0 at the snout to 1 at the tail")  # fmt: skip
+        raise InputError(
+            f"{path}, column s: {s[0]:g} to {s[-1]:g}; allowed are values that increase from 0 at "
+            "the snout to 1 at the tail"
+        )
     if width.min() < 0.0 or not 0.002 < width.max() < 0.3:
         raise InputError.value(
             f"{path}, column {column}",

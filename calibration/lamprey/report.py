@@ -1,4 +1,4 @@
-"""The weighed animal as report.json, in sentences, and as report.html."""
+"""Writes an animal's axial force balance as report.json, in sentences and as report.html."""
 
 from typing import Any
 
@@ -9,21 +9,21 @@ from calibration.lamprey.axial_balance import (
     BASE,
     C_D_RANGE,
     CANDIDATES,
-    COARSER,
     EFFECTS,
     LENGTH_ERROR,
     M_A_RANGE,
+    SMOOTHING_FACTORS,
     TAIL_RANGE,
     central_interval,
 )
 from calibration.lamprey.balance import (
-    FULL_OVER_GIVEN,
     WIDTH_COLUMN,
-    Weighed,
+    WIDTH_OVER_HALF_WIDTH,
+    BalanceAnalysis,
     balance_verdict,
-    errors,
     frontal_coefficient,
-    skin,
+    imbalance_errors,
+    skin_friction,
     small_amplitude_thrust,
     within_stride,
 )
@@ -32,23 +32,26 @@ from calibration.reporting.html import embedded_png, render_page
 from slider_jax.io.files import versions
 
 NEXT = (
-    "A gliding animal (straight, no stroke) sees friction and form drag alone; two speeds of it "
-    "separate them. The thinning of the boundary layer then is what swimming adds."
+    "Measure a gliding animal (straight, no stroke) at two speeds: only friction and form drag act "
+    "on it, and the two speeds separate them. What swimming adds is the thinned boundary layer."
 )
 
 
 def interval_record(value: float, low: float, high: float, unit: str) -> dict[str, Any]:
-    """A number with its interval, as reports say it."""
+    """Return a number with its interval in the form of report.json."""
     return {"value": value, "low": low, "high": high, "unit": unit}
 
 
-def animal_record(x: Weighed, seconds: float, sources: list[dict[str, Any]]) -> dict[str, Any]:
-    """The content of report.json; `sources` names the inputs."""
-    verdict, able = balance_verdict(x)
+def animal_record(
+    x: BalanceAnalysis, seconds: float, sources: list[dict[str, Any]]
+) -> dict[str, Any]:
+    """Return the content of report.json; `sources` are the records of the input files."""
+    verdict, candidates = balance_verdict(x)
     closer = CANDIDATES[0]
-    draws = x.draws.imbalance
+    stride_errors = imbalance_errors(x, closer) | {"closed_by": closer}
+    imbalance = x.samples.imbalance
     g = x.gait
-    mean = {n: float(x.ledger.unit[n].mean()) for n in EFFECTS}
+    mean = {n: float(x.forces.unit[n].mean()) for n in EFFECTS}
     return {
         "verdict": verdict,
         "said": animal_sentence(x),
@@ -56,24 +59,26 @@ def animal_record(x: Weighed, seconds: float, sources: list[dict[str, Any]]) -> 
             "paper_coefficients": interval_record(
                 float(x.imbalance.mean()), *x.by_source["strides"], "N"
             ),
-            "all_ranges": interval_record(float(np.median(draws)), *central_interval(draws), "N"),
+            "all_ranges": interval_record(
+                float(np.median(imbalance)), *central_interval(imbalance), "N"
+            ),
             "intervals_by_source": {n: list(v) for n, v in x.by_source.items()},
-            "other_smoothing": {n: value for n, (_, value) in x.smoothed.items()},
+            "other_smoothing": {n: value for n, (_, value) in x.other_smoothings.items()},
             "by_stride": x.imbalance,
         },
         "forces": {
             "reactive_force": x.m_a * mean[BASE[0]],
             "normal_drag": x.C_d * mean[BASE[1]],
-            "momentum_gained": float(x.ledger.gain.mean()),
+            "momentum_gained": float(x.forces.gain.mean()),
             "reactive_force_at_m_a_1": mean[BASE[0]],
             "lighthill_small_amplitude": small_amplitude_thrust(x),
             "unit": "N",
         },
-        "effects": closing_effects(x, able),
+        "effects": closing_effects(x, candidates),
         "candidates": closing_candidates(x),
         "parameters": {"C_d": x.C_d, "m_a": x.m_a},
-        "errors": {"mean_axial_force_of_a_stride": errors(x, closer) | {"closed_by": closer}},
-        "skin": skin(x),
+        "errors": {"mean_axial_force_of_a_stride": stride_errors},
+        "skin": skin_friction(x),
         "head": interval_record(*frontal_coefficient(x), "-"),
         "within_stride": within_stride(x),
         "gait": {
@@ -81,9 +86,9 @@ def animal_record(x: Weighed, seconds: float, sources: list[dict[str, Any]]) -> 
             "tail_amplitude_m": g.tail_amplitude, "wavelength_m": g.wavelength,
             "wave_speed_m_per_s": g.wave_speed, "travelling_index": g.travelling_index,
             "strouhal": g.strouhal, "reynolds": g.reynolds, "length_m": x.motion.length,
-            "mass_kg": x.held.body.mass,
+            "mass_kg": x.prescribed.body.mass,
         },
-        "settings": settings(x),
+        "settings": _settings(x),
         "audit": midline_quality(x),
         "next_experiment": NEXT if verdict == "class" else None,
         "seconds": seconds,
@@ -92,11 +97,11 @@ def animal_record(x: Weighed, seconds: float, sources: list[dict[str, Any]]) -> 
     }  # fmt: skip
 
 
-def closing_effects(x: Weighed, able: list[str]) -> list[dict[str, Any]]:
-    """The effect that is named first, and those it cannot be told from."""
-    if not able:
+def closing_effects(x: BalanceAnalysis, candidates: list[str]) -> list[dict[str, Any]]:
+    """Return the most probable effect and the effects equivalent to it."""
+    if not candidates:
         return []
-    first, *others = able
+    first, *others = candidates
     return [
         {
             "name": first,
@@ -113,14 +118,14 @@ def _parameter(name: str) -> str:
     return parameter
 
 
-def _closing(x: Weighed, name: str) -> dict[str, Any]:
+def _closing(x: BalanceAnalysis, name: str) -> dict[str, Any]:
     (prior,) = EFFECTS[name].priors().values()
-    values = x.draws.closing(name)
+    values = x.samples.closing(name)
     return interval_record(float(np.median(values)), *central_interval(values), prior.unit)
 
 
-def closing_candidates(x: Weighed) -> list[dict[str, Any]]:
-    """What every effect alone would need to close the balance."""
+def closing_candidates(x: BalanceAnalysis) -> list[dict[str, Any]]:
+    """Return the coefficient with which each effect alone would close the balance."""
     share = x.possible
     rows = []
     for name in sorted(EFFECTS, key=lambda n: -share[n]):
@@ -134,80 +139,84 @@ def closing_candidates(x: Weighed) -> list[dict[str, Any]]:
     return rows
 
 
-def settings(x: Weighed) -> dict[str, Any]:
-    """What was chosen and assumed."""
+def _settings(x: BalanceAnalysis) -> dict[str, Any]:
+    """Return the chosen settings and the assumptions."""
     return {
         "smoothing": {"wavelength_L": x.smoothing.wavelength, "cutoff_Hz": x.smoothing.cutoff},
-        "width": f"{WIDTH_COLUMN} times {FULL_OVER_GIVEN:g}: taken for a half width",
+        "width": f"{WIDTH_COLUMN} times {WIDTH_OVER_HALF_WIDTH:g}: assumed to be a half width",
         "aspect": x.shape.aspect,
         "tail_depth_L": x.shape.tail_depth,
         "density_kg_per_m3": x.shape.density,
         "ranges": {
             "aspect": ASPECT_RANGE, "tail_depth_L": TAIL_RANGE, "C_d": C_D_RANGE,
-            "m_a": M_A_RANGE, "length_relative_sd": LENGTH_ERROR, "smoothing_factors": COARSER,
+            "m_a": M_A_RANGE, "length_relative_sd": LENGTH_ERROR,
+            "smoothing_factors": SMOOTHING_FACTORS,
         },
-        "draws": len(x.draws.C_d),
+        "draws": len(x.samples.C_d),
     }  # fmt: skip
 
 
-def midline_quality(x: Weighed) -> list[str]:
-    """What the midlines themselves say of their quality."""
+def midline_quality(x: BalanceAnalysis) -> list[str]:
+    """Return sentences on the quality of the midlines."""
     lengths, w = 1e3 * x.midlines.lengths, within_stride(x)
     return [
-        f"{x.midlines.left_out} frames at the ends are blank and left out.",
-        f"The traced length runs from {lengths.min():.0f} to {lengths.max():.0f} mm: where the "
-        "tail was seen to end. Distances are taken from the head, and the length is kept.",
-        f"The smoothed body is {1e3 * w['misfit_of_midlines_m']:.2f} mm rms off the points.",
+        f"{x.midlines.incomplete_frames} incomplete frames at the ends are omitted.",
+        f"The traced length is {lengths.min():.0f} to {lengths.max():.0f} mm, because the tail's "
+        "end was not always visible. The analysis measures distances from the head and keeps the "
+        "length constant.",
+        f"The smoothed body differs from the points by {1e3 * w['misfit_of_midlines_m']:.2f} mm "
+        "rms.",
     ]
 
 
-def animal_sentence(x: Weighed) -> str:
-    """The verdict in a sentence or three."""
-    verdict, able = balance_verdict(x)
-    low, high = (1e3 * v for v in central_interval(x.draws.imbalance))
+def animal_sentence(x: BalanceAnalysis) -> str:
+    """Return the verdict in up to three sentences."""
+    verdict, candidates = balance_verdict(x)
+    low, high = (1e3 * v for v in central_interval(x.samples.imbalance))
     first = 1e3 * x.imbalance.mean()
-    said = (
-        f"With the paper's coefficients (C_d {x.C_d:g}, m_a {x.m_a:g}) the model pushes this "
-        f"animal forward by {first:.2f} mN more than its momentum gains"
-        f"; with all that one animal leaves open, {low:.2f} to {high:.2f} mN (95 %)."
+    sentence = (
+        f"With the paper's coefficients (C_d {x.C_d:g}, m_a {x.m_a:g}), the model's mean forward "
+        f"force exceeds the animal's momentum gain by {first:.2f} mN ({low:.2f} to {high:.2f} mN "
+        "at 95 % with all uncertainties)."
     )
     if verdict == "nothing_missing":
-        return said + " That holds zero: nothing is missing at this precision."
+        return sentence + " The interval includes zero: no effect is missing at this precision."
     if verdict == "unexplained":
-        return said + " None of the candidates closes it with a value that is believed."
-    name, needs = able[0], _closing(x, able[0])
-    closes = (
-        f" {EFFECTS[name].title} ({name}) closes it with {_parameter(name)} = "
-        f"{needs['value']:.3g} ({needs['low']:.2g} to {needs['high']:.2g})"
+        return sentence + " No candidate closes the balance within its prior range."
+    name, needs = candidates[0], _closing(x, candidates[0])
+    sentence += (
+        f" {EFFECTS[name].title} ({name}) closes the balance with {_parameter(name)} = "
+        f"{needs['value']:.3g} ({needs['low']:.2g} to {needs['high']:.2g})."
     )
     if verdict == "identified":
-        return said + closes + "."
-    return said + closes + f"; one mean force cannot tell it from {', '.join(able[1:])}."
+        return sentence
+    others = ", ".join(candidates[1:])
+    return f"{sentence} One mean force cannot discriminate it from {others}."
 
 
-def balance_table(x: Weighed) -> str:
-    """The balance in lines, for the terminal."""
-    mean = {n: 1e3 * x.ledger.unit[n].mean() for n in BASE}
-    low, high = (1e3 * v for v in central_interval(x.draws.imbalance))
+def balance_table(x: BalanceAnalysis) -> str:
+    """Return the balance as a table for the terminal."""
+    mean = {n: 1e3 * x.forces.unit[n].mean() for n in BASE}
+    low, high = (1e3 * v for v in central_interval(x.samples.imbalance))
     rows = [
         ("reactive force", x.m_a * mean[BASE[0]]),
         ("normal drag", x.C_d * mean[BASE[1]]),
-        ("momentum gained", 1e3 * x.ledger.gain.mean()),
+        ("momentum gained", 1e3 * x.forces.gain.mean()),
         ("imbalance", 1e3 * x.imbalance.mean()),
     ]
     lines = [f"{name:<24}{value:8.2f} mN" for name, value in rows]
-    lines.append(f"{'all ranges, 95 %':<24}{low:8.2f} to {high:.2f} mN")
+    lines.append(f"{'imbalance, 95 %':<24}{low:8.2f} to {high:.2f} mN")
     for row in closing_candidates(x):
         n = row["needs"]
         lines.append(
             f"{row['name']:<24}{row['parameter']} = {n['value']:.3g} ({n['low']:.2g} to "
-            f"{n['high']:.2g} {n['unit']}); believable in {row['possible']:.0%}"
+            f"{n['high']:.2g} {n['unit']}); within the prior in {row['possible']:.0%} of samples"
         )
     return "\n".join(lines)
 
 
-def animal_page(x: Weighed, record: dict[str, Any]) -> str:
-    """Returns report.html; `record` is the content of report.json."""
+def animal_page(x: BalanceAnalysis, record: dict[str, Any]) -> str:
+    """Return report.html; `record` is the content of report.json."""
     return render_page(
         "lamprey.html",
         title="Axial force balance of a swimming lamprey",
@@ -227,18 +236,19 @@ def animal_page(x: Weighed, record: dict[str, Any]) -> str:
     )  # fmt: skip
 
 
-def _assumptions(x: Weighed) -> list[list[str]]:
-    along, in_time, (fine, coarse) = x.smoothing.wavelength, x.smoothing.cutoff, COARSER
+def _assumptions(x: BalanceAnalysis) -> list[list[str]]:
+    along, in_time, (fine, coarse) = x.smoothing.wavelength, x.smoothing.cutoff, SMOOTHING_FACTORS
     ranges: list[tuple[str, float, tuple[float, float]]] = [
         ("depth over width", x.shape.aspect, ASPECT_RANGE),
-        ("depth at the tail's end (lengths)", x.shape.tail_depth, TAIL_RANGE),
+        ("depth at the tail's end (body lengths)", x.shape.tail_depth, TAIL_RANGE),
         ("C_d", x.C_d, C_D_RANGE),
         ("m_a", x.m_a, M_A_RANGE),
-        ("smoothing along the body (lengths)", along, (along * fine, along * coarse)),
+        ("smoothing along the body (body lengths)", along, (along * fine, along * coarse)),
         ("smoothing in time (Hz)", in_time, (in_time / coarse, in_time / fine)),
     ]
     rows = [
         [name, f"{value:.3g}", f"{low:.3g} to {high:.3g}"] for name, value, (low, high) in ranges
     ]
-    rows.append(["width", f"{FULL_OVER_GIVEN:g} x {WIDTH_COLUMN}", "taken for a half width"])
+    width = f"{WIDTH_OVER_HALF_WIDTH:g} x {WIDTH_COLUMN}"
+    rows.append(["width", width, "assumed to be a half width"])
     return rows

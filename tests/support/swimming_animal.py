@@ -1,13 +1,11 @@
-"""An animal that swims with a known wave."""
+"""The exact motion of an animal that swims with a known wave."""
 
 import math
 
 import numpy as np
 
 from calibration.lamprey.animal import CrossSections
-from calibration.lamprey.motion import (
-    motion_from_angles,
-)
+from calibration.lamprey.motion import motion_from_angles
 
 SHAPE = CrossSections(np.linspace(0.0, 1.0, 11), np.linspace(0.036, 0.01, 11))
 
@@ -17,7 +15,7 @@ WAVES = 1.4
 
 
 def wave(amplitude, t, nodes=161, speed=U, grow=0.0):
-    """y = a(s) cos(k s + w t) at the head, and the angle that wave's slope: an exact motion."""
+    """Return the exact motion with the head at y = a(s) cos(k s + w t) and phi the wave's slope."""
     s = np.linspace(0.0, L, nodes)
     k, w = 2.0 * math.pi * WAVES / L, 2.0 * math.pi * F
     envelope = amplitude * (1.0 - grow * s / L)

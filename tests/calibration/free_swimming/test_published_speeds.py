@@ -1,4 +1,4 @@
-"""Free swimming: speeds that closed forms or long rollouts know, and the published ones."""
+"""Tests of free swimming: speeds known from closed forms or long rollouts, and published speeds."""
 
 import json
 import math
@@ -13,14 +13,14 @@ from calibration.free_swimming import published_speeds as published
 from calibration.free_swimming.published_speeds import (
     FIRST,
     OPTIMUM,
-    After,
-    Before,
+    SpeedPrediction,
+    UnresistedSwim,
     coefficient_at,
     paper_swimmer,
     steady_swim,
 )
 from calibration.free_swimming.report import CrossPrediction, speeds_verdict
-from calibration.lamprey.animal import force, prescribe
+from calibration.lamprey.animal import force_on_body, prescribe
 from slider_jax.beam.parameters import Numerics
 from slider_jax.cli.main import main
 from slider_jax.dynamics.step import at_rest
@@ -34,8 +34,8 @@ GAIT = OPTIMUM.gaits["as the paper gives it"]
 SWIMS = jnp.asarray(GAIT.frequency)
 
 
-def test_an_unpowered_body_coasts_as_its_friction_says():
-    """m dv/dt = -rho C_t 2 H v^2 / 2 per length: 1/v grows linearly."""
+def test_an_unpowered_body_is_decelerated_by_its_friction():
+    """m dv/dt = -rho C_t 2 H v^2 / 2 per length, so 1/v grows linearly."""
     C_t, begin, count = 0.05, 0.3, 5
     model = paper_swimmer(GAIT._replace(front=0.0, rear=0.0), "tangential_friction", C_t)
     carry = with_added_velocity(at_rest(model, QUICK.numerics), jnp.array([begin, 0.0]))
@@ -49,25 +49,25 @@ def test_an_unpowered_body_coasts_as_its_friction_says():
 
 
 @pytest.mark.slow
-def test_the_papers_equations_gain_speed_to_five_times_the_published_one_and_more(monkeypatch):
+def test_the_papers_equations_reach_more_than_five_times_the_published_speed(monkeypatch):
     monkeypatch.setattr(published, "FIRST", OPTIMUM._replace(gaits={}))
-    monkeypatch.setattr(published, "HEADS", {"none": 0.0})
-    (found,) = published.before(QUICK, strides=40)
-    print(f"{found.by_stride[-1]:.3f} m/s after 40 strides, {found.steady:.3f} m/s in the end")
-    assert np.all(np.diff(found.by_stride[10:]) > 0.0)
-    assert 1.2 < found.steady < np.inf and found.by_stride[-1] < found.steady
+    monkeypatch.setattr(published, "HEAD_ADDED_MASSES", {"none": 0.0})
+    (swim,) = published.unresisted_swims(QUICK, strides=40)
+    print(f"{swim.by_stride[-1]:.3f} m/s after 40 strides, {swim.steady:.3f} m/s when steady")
+    assert np.all(np.diff(swim.by_stride[10:]) > 0.0)
+    assert 1.2 < swim.steady < np.inf and swim.by_stride[-1] < swim.steady
 
 
 @pytest.mark.parametrize("resisting", ["tangential_friction", "head_drag"])
-def test_a_calibrated_coefficient_swims_at_the_published_speed(resisting):
-    found = coefficient_at(OPTIMUM, GAIT, resisting, plan=QUICK)
-    speed = float(steady_swim(paper_swimmer(GAIT, resisting, found), GAIT, QUICK).speed)
-    print(f"{resisting} = {found:.4g}: {speed:.4f} m/s")
+def test_with_the_calibrated_coefficient_the_robot_swims_at_the_published_speed(resisting):
+    coefficient = coefficient_at(OPTIMUM, GAIT, resisting, plan=QUICK)
+    speed = float(steady_swim(paper_swimmer(GAIT, resisting, coefficient), GAIT, QUICK).speed)
+    print(f"{resisting} = {coefficient:.4g}: {speed:.4f} m/s")
     assert speed == pytest.approx(OPTIMUM.speed, abs=1e-4)
 
 
-def test_with_the_heads_added_mass_only_the_tails_flux_is_left():
-    """Of a blunt body of uniform height, over a stride; without it the head's is missing."""
+def test_with_the_heads_added_mass_the_mean_force_is_the_tails_momentum_flux():
+    """For a blunt body of uniform height over one stride; otherwise the head's flux is added."""
     moved = wave(0.01, one_stride(96))
     held = prescribe(moved, SHAPE)
     H = 0.006
@@ -82,7 +82,8 @@ def test_with_the_heads_added_mass_only_the_tails_flux_is_left():
         return (m_A * (u_tau * u_n * n - 0.5 * u_n**2 * tau)).mean(axis=0)
 
     local, at_head = (
-        np.asarray(force(e, held)).mean(axis=0) for e in (ReactiveForce(1.0), HeadAddedMass(1.0))
+        np.asarray(force_on_body(e, held)).mean(axis=0)
+        for e in (ReactiveForce(1.0), HeadAddedMass(1.0))
     )
     print(local, at_head, -flux(0), flux(-1))
     size = np.abs(flux(0)).max()
@@ -91,12 +92,12 @@ def test_with_the_heads_added_mass_only_the_tails_flux_is_left():
 
 
 def predicted(speed, resisting="tangential_friction", coefficient=0.1):
-    return After(resisting, "h", FIRST.name, "g", coefficient, OPTIMUM.name, "o", speed,
-                 OPTIMUM.speed)  # fmt: skip
+    return SpeedPrediction(resisting, "h", FIRST.name, "g", coefficient, OPTIMUM.name, "o", speed,
+                           OPTIMUM.speed)  # fmt: skip
 
 
-def alone():
-    return [Before(OPTIMUM.name, "g", "h", np.linspace(0.0, 1.3, 60), 2.4)]
+def unresisted():
+    return [UnresistedSwim(OPTIMUM.name, "g", "h", np.linspace(0.0, 1.3, 60), 2.4)]
 
 
 @pytest.mark.parametrize(
@@ -109,27 +110,27 @@ def alone():
             "inconclusive",
         ),
         ([predicted(0.15), predicted(0.14, "head_drag", 2e-3)], "unexplained"),
-        # Right, but with more friction than is believed.
+        # The speed is right, but the friction exceeds its prior range.
         ([predicted(0.217, coefficient=0.9), predicted(0.15, "head_drag", 2e-3)], "unexplained"),
     ],
 )
 def test_the_verdict_on_the_published_speeds(predictions, verdict):
-    assert speeds_verdict(CrossPrediction(alone(), predictions, []))[0] == verdict
+    assert speeds_verdict(CrossPrediction(unresisted(), predictions, []))[0] == verdict
 
 
 def test_the_command_writes_its_report(tmp_path, capsys, monkeypatch):
-    def after(calibrated, checked, done):
-        found = [predicted(0.213), predicted(0.19, "head_drag", 2e-3)]
-        for x in found:
+    def predict(calibrated, checked, done):
+        predictions = [predicted(0.213), predicted(0.19, "head_drag", 2e-3)]
+        for x in predictions:
             done(x)
-        return found
+        return predictions
 
-    monkeypatch.setattr(published, "before", alone)
-    monkeypatch.setattr(published, "after", after)
+    monkeypatch.setattr(published, "unresisted_swims", unresisted)
+    monkeypatch.setattr(published, "predicted_speeds", predict)
     assert main(["published", "--out", str(tmp_path / "out")]) == 0
-    told = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert told["verdict"] == "class" and told["effects"][0]["class"] == ["head_drag"]
-    row = told["errors"]["speed_at_optimum"]
+    record = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert record["verdict"] == "class" and record["effects"][0]["class"] == ["head_drag"]
+    row = record["errors"]["speed_at_optimum"]
     assert row["before"] > 1.0 and row["after"] == pytest.approx(0.004)
-    assert told["said"] in capsys.readouterr().out
+    assert record["said"] in capsys.readouterr().out
     assert "data:image/png;base64" in (tmp_path / "out" / "report.html").read_text()
