@@ -42,7 +42,7 @@ sj.enable_float64()
 # %% [markdown]
 # ## The function
 #
-# The built-in robot, with form drag at its head (docs/how-to/swimming.md says why), driven at
+# The built-in robot, with form drag at its head (docs/how-to/swimming.md has the reason), driven at
 # 5 Hz by 365 kPa, the rear chamber 0.15 of a stride late. Stiffness spans a factor of 38, so its
 # logarithm is the variable.
 
