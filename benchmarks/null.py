@@ -10,7 +10,7 @@ from tanks import draw, noisy, problem_of, simulated
 
 from calibration.discrepancy import report
 from calibration.discrepancy.close_loop import LoopOutcome, choose_held_out, conclude
-from calibration.discrepancy.selection import directions
+from calibration.discrepancy.selection import effect_tangents
 from calibration.inference.gauss_newton import fit_gauss_newton
 from calibration.inference.problem import AbstractProblem, TankProblem
 from calibration.inference.uncertainty import confidence_interval, hausman_check
@@ -103,7 +103,7 @@ def replicates(seed: int, progress) -> dict[str, Any]:
         laid, entries, base_vector(entries, base), np.arange(len(BASE)), progress
     )
     progress("tangents along everything")
-    slopes = directions(laid, entries, best.theta, best.free)
+    slopes = effect_tangents(laid, entries, best.theta, best.free)
     parts = {r.trial.file: i for i, r in enumerate(quiet)}
     rows = []
     for replicate in range(REPLICATES):

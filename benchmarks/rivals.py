@@ -22,9 +22,9 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from sklearn.linear_model import lasso_path
 from sklearn.preprocessing import StandardScaler
 
-from calibration.discrepancy.rounds import groups, scored
-from calibration.discrepancy.scores import drop, solve
-from calibration.discrepancy.selection import directions
+from calibration.discrepancy.rounds import effect_entries, scoring_entries
+from calibration.discrepancy.scores import least_squares_step, square_reduction
+from calibration.discrepancy.selection import effect_tangents
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton, inverse
 from calibration.inference.problem import AbstractProblem, summed
 from calibration.model.extended import Parameter
@@ -60,7 +60,7 @@ def begin(
 ) -> Start:
     """The calibrated model's residuals and tangents along everything."""
     white = problem.whiteners(base.predicted)
-    everything = directions(problem, entries, base.theta, base.free)
+    everything = effect_tangents(problem, entries, base.theta, base.free)
     residuals = problem.residuals(base.predicted, white)
     blocks = problem.blocks(residuals, everything, white)
     return Start(problem, rest, entries, base, blocks, white, everything)
@@ -68,11 +68,11 @@ def begin(
 
 def refitted(s: Start, names: Sequence[str]) -> Fit:
     """The model with `names`, from where the linear step or their starts say."""
-    members, judged = groups(s.entries), scored(s.entries)
+    members, judged = effect_entries(s.entries), scoring_entries(s.entries)
     free = np.concatenate([s.base.free, *(members[n] for n in names)]).astype(int)
     A, b = summed(s.blocks)
     score = np.concatenate([s.base.free, *(judged[n] for n in names)]).astype(int)
-    step = solve(A, b, score)
+    step = least_squares_step(A, b, score)
     theta = s.base.theta.copy()
     for i in free:
         prior = s.entries[i].prior
@@ -92,7 +92,7 @@ def oracle(s: Start, truth: Sequence[str]) -> Said:
 
 def sparse(s: Start) -> Said:
     """The lasso over all effects' tangents."""
-    columns = np.concatenate([*scored(s.entries).values()])
+    columns = np.concatenate([*scoring_entries(s.entries).values()])
     free, trials = s.base.free, sorted({x.trial for x in s.blocks})
     A, b = summed(s.blocks)
     size = np.sqrt(np.maximum(np.diag(A), 1e-300))
@@ -147,7 +147,7 @@ def _as_rows(M: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def stepwise(s: Start) -> Said:
     """Effects added while the Bayesian information criterion falls."""
     names: list[str] = []
-    judged = scored(s.entries)
+    judged = scoring_entries(s.entries)
     samples = sum(x.n for x in s.blocks)
     current, blocks = s.base, s.blocks
 
@@ -159,8 +159,8 @@ def stepwise(s: Start) -> Said:
         gains = {}
         for name, group in judged.items():
             if name not in names:
-                step = solve(A, b, np.concatenate([current.free, group]))
-                gains[name] = drop(blocks, step)
+                step = least_squares_step(A, b, np.concatenate([current.free, group]))
+                gains[name] = square_reduction(blocks, step)
         name = max(gains, key=lambda n: gains[n])
         better = refitted(s, [*names, name])
         if criterion(better.square, len(better.free)) >= criterion(
@@ -170,7 +170,7 @@ def stepwise(s: Start) -> Said:
         names.append(name)
         current = better
         residuals = s.problem.residuals(current.predicted, s.white)
-        everything = directions(s.problem, s.entries, current.theta, current.free)
+        everything = effect_tangents(s.problem, s.entries, current.theta, current.free)
         blocks = s.problem.blocks(residuals, everything, s.white)
     return Said(names, s.rest.predict(current.theta))
 

@@ -1,2 +1,2 @@
-"""Closes the loop: scores, refits and selects effects, decides the verdict and reports it. May
-import `reporting`, `inference`, `audit` and the rooms below them."""
+"""The loop: it scores, refits and selects effects, decides the verdict and reports it. May import
+`reporting`, `inference`, `audit` and the rooms below them."""

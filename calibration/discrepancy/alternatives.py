@@ -1,10 +1,10 @@
 """Alternative effects: which of them fit as well as a chosen effect.
 
 In the round that chooses an effect, alternatives are candidates that explain as much or have
-parallel tangents. Other missing causes can then hide the difference between the two. So after the
-selection, if no residual exceeds the noise floor, each alternative is substituted for the chosen
-effect and all parameters are refitted. An alternative that fits worse by the naming threshold is
-excluded; the others form the equivalence class.
+parallel tangents. At that time another missing effect can hide the difference between alternatives.
+So they are compared again after the selection, if no residual exceeds the noise floor. Each
+alternative is substituted for the chosen effect, and all parameters are refitted. An alternative
+that fits worse by the naming threshold is excluded; the others form the equivalence class.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,7 @@ from calibration.discrepancy.rounds import (
     Refit,
     Selection,
     SelectionStep,
-    groups,
+    effect_entries,
 )
 from calibration.discrepancy.scores import tangent_cosine
 from calibration.discrepancy.settings import SelectionSettings
@@ -30,14 +30,14 @@ from slider_jax.effects.library import LIBRARY
 def equivalent_effects(
     best: Refit,
     this: SelectionStep,
-    judged: Mapping[str, np.ndarray],
+    scored: Mapping[str, np.ndarray],
     current: Fit,
     blocks: Sequence[ChannelBlock],
     settings: SelectionSettings,
 ) -> list[str]:
-    """Returns a round's candidates that explain as much as the best or have parallel tangents.
+    """Return a round's candidates that explain as much as the best or have parallel tangents.
 
-    `judged` are the entries that score each effect.
+    `scored` holds the indices of the parameters that score each effect.
     """
     enough = settings.equal_gain_share * best.gain
     same = [t.name for t in this.refitted if t is not best and t.gain > enough]
@@ -47,17 +47,17 @@ def equivalent_effects(
         for s in this.scores
         if s.name not in refitted
         and s.gain > settings.min_score_share * this.scores[0].gain
-        and tangent_cosine(judged[best.name], judged[s.name], current.free, blocks)
+        and tangent_cosine(scored[best.name], scored[s.name], current.free, blocks)
         > settings.parallel_cosine
     ]
     return same + parallel
 
 
 def judge_alternatives(refits: Refits, found: Selection) -> None:
-    """Substitutes each alternative for its round's chosen effect and updates the equivalence class.
+    """Substitute each alternative for its round's chosen effect and update the equivalence class.
 
-    An alternative that cannot be fitted stays as its round classified it. If a residual exceeds the
-    noise floor, all stay.
+    An alternative that cannot be fitted keeps the classification of its round. If a residual
+    exceeds the noise floor, all keep it.
     """
     settings = refits.settings
     for this in found.rounds:
@@ -80,7 +80,7 @@ def judge_alternatives(refits: Refits, found: Selection) -> None:
 
 
 def better_alternative(found: Selection) -> tuple[SelectionStep, str] | None:
-    """Returns a round and the alternative that fits better than its chosen effect, or None.
+    """Return a round and the alternative that fits better than its chosen effect, or None.
 
     The round must have refitted the alternative, and its held-out trials must agree on it.
     """
@@ -110,17 +110,17 @@ def _contenders(this: SelectionStep, settings: SelectionSettings) -> list[str]:
 def _substituted(
     refits: Refits, found: Selection, this: SelectionStep, alternative: str
 ) -> Fit | None:
-    """Returns the final fit with an alternative substituted for a round's chosen effect.
+    """Return the final fit with an alternative substituted for a round's chosen effect.
 
-    The alternative may be in the fit already. Returns None if another effect has replaced the same
-    law, or if the substitution cannot be simulated.
+    The alternative may be in the fit already. Return None if another effect replaces the same law,
+    or if the substitution cannot be simulated.
     """
     assert this.chosen is not None
     others = [n for n in found.effects if n not in (this.chosen, alternative)]
     if LIBRARY[alternative].replaces_law in {LIBRARY[n].replaces_law for n in others} - {""}:
         return None
-    members, final = groups(refits.entries), found.final
-    group, place = members[alternative], members[this.chosen]
+    indices, final = effect_entries(refits.entries), found.final
+    group, place = indices[alternative], indices[this.chosen]
     theta = refits.null(final.theta, place)
     rest = final.free[~np.isin(final.free, place)]
     if alternative in found.effects:

@@ -32,7 +32,7 @@ from slider_jax.experiment.load import Experiment
 
 @dataclass(frozen=True)
 class Errors:
-    """rms of measured minus predicted and the noise floor of every channel, in its unit."""
+    """Errors of the channels: rms of measured minus predicted, and noise floor, in their units."""
 
     before: dict[str, float]
     after: dict[str, float]
@@ -60,11 +60,11 @@ class LoopOutcome:
     audit: list[Finding] = field(default_factory=list)
     """Faults of the data and what was done about them."""
     nearest: Fit | None = None
-    """The model with effects that were found but not named, fitted to all trials."""
+    """The model with effects that were selected but not named, fitted to all trials."""
 
     @property
     def effects(self) -> list[str]:
-        """Effects added to the model: those found, if the verdict names them."""
+        """Effects added to the model: the selected ones, if the verdict names them."""
         return self.search.effects if self.verdict in NAMED else []
 
     @property
@@ -73,7 +73,7 @@ class LoopOutcome:
         return self.search.final if self.effects else self.search.base
 
     def interval(self, index: int) -> tuple[float, float, float]:
-        """Returns value and 95 % interval of a fitted entry."""
+        """Return value, lower and upper 95 % bound of a fitted entry."""
         return confidence_interval(self.final, self.entries, index)
 
 
@@ -82,11 +82,11 @@ def choose_held_out(
     kept: Collection[str] = (),
     settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> list[int]:
-    """Returns the indices of a quarter of the trials; none if there are too few.
+    """Return the indices of a quarter of the trials, or none if there are too few.
 
-    They are spread over the frequencies, without the lowest and highest. At least two towed trials
-    and two in still water are not held out, if there are as many: an effect that acts only on them
-    needs them. Trials of the files `kept` are never held out.
+    The trials are spread over the frequencies, without the lowest and the highest. At least two
+    towed trials and two in still water are not held out, if the data have two. The search needs
+    them for an effect that acts only on one kind. Trials of the files `kept` are never held out.
     """
     if len(found) < 2 * settings.min_trials:
         return []
@@ -113,10 +113,10 @@ def close_loop_on_trials(
     kept: Collection[str] = (),
     settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> LoopOutcome:
-    """Returns the effects that the model of `experiment` lacks on its measured trials.
+    """Return the effects that the model of `experiment` lacks on its measured trials.
 
     `effects` are the candidates' names (default: the whole library). Residuals are computed at the
-    resolution `fine`, tangents at `coarse`. Trials of the files `kept` are not held out. Raises
+    resolution `fine` and tangents at `coarse`. Trials of the files `kept` are not held out. Raise
     `InputError` if fewer than `settings.min_trials` trials can be used.
     """
 
@@ -153,7 +153,7 @@ def close_loop_on_trials(
 
 
 def outlier_trials(outcome: LoopOutcome) -> list[Finding]:
-    """Returns the trials whose residual no effect explains and no other trial shares."""
+    """Return the trials with a residual that no effect explains and no other trial has."""
     each = excess(outcome.problem, outcome.nearest or outcome.final)
     trials = [r.trial for r in outcome.problem.records]
     return outliers(trials, {c: x.trials for c, x in each.items()})
@@ -170,11 +170,11 @@ def conclude(
     progress: Callable[[str], None],
     settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> LoopOutcome:
-    """Selects effects, reaches a verdict, predicts held-out trials and refits to all trials."""
+    """Select effects, reach a verdict, predict the held-out trials and refit to all trials."""
     entries = parameters(names)
-    seen = [r for i, r in enumerate(found) if i not in held]
-    everything = problem_of(found)
-    problem = problem_of(seen) if held else everything
+    used = [r for i, r in enumerate(found) if i not in held]
+    all_trials = problem_of(found)
+    problem = problem_of(used) if held else all_trials
     result = select_effects(
         problem, entries, base_vector(entries, base), progress, base_names, settings
     )
@@ -183,30 +183,29 @@ def conclude(
     verdict = reach_verdict(result, entries, before, after)
     named = verdict in NAMED
     best = result.final if named else result.base
-    hidden = None
+    held_out = None
     if held:
         progress("predicting the held-out trials")
         rest = problem_of([found[i] for i in held])
-        hidden = _errors(rest, *(rest.predict(f.theta) for f in (result.base, best)))
+        held_out = _errors(rest, *(rest.predict(f.theta) for f in (result.base, best)))
     progress("refitting to all trials")
     final = hausman_check(
-        everything, fit_gauss_newton(everything, entries, best.theta, best.free, progress)
+        all_trials, fit_gauss_newton(all_trials, entries, best.theta, best.free, progress)
     )
     nearest = None
     if result.effects and not named:
         nearest = fit_gauss_newton(
-            everything, entries, result.final.theta, result.final.free, progress
+            all_trials, entries, result.final.theta, result.final.free, progress
         )
-    used = _errors(problem, result.base.predicted, best.predicted)
     return LoopOutcome(
         experiment,
         entries,
         verdict,
         result,
         final,
-        everything,
-        used,
-        hidden,
+        all_trials,
+        _errors(problem, result.base.predicted, best.predicted),
+        held_out,
         before,
         after if named else before,
         held,

@@ -1,4 +1,4 @@
-"""Locates a residual: channel, trials and their settings, phase of the stride, frequency."""
+"""Localisation of a residual by channel, trial, setting, phase of the stride and frequency."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -20,10 +20,10 @@ def locate_residuals(
     left: dict[str, Excess],
     noise_floor: float,
 ) -> list[dict[str, Any]]:
-    """Returns, for each channel above the noise floor, by how much, in which trials and when.
+    """Return a record of the residual of each channel above the noise floor.
 
-    `left` is the excess of `predicted`, the readings (channels, samples) of every trial of
-    `records`.
+    `predicted` are the readings (channels, samples) of every trial of `records`, and `left` is
+    their excess.
     """
     found = []
     for channel, x in left.items():
@@ -31,7 +31,6 @@ def locate_residuals(
             continue
         row, worst = row_of(channel), int(np.nanargmax(x.trials))
         trials = [r.trial for r in records]
-        seen = records[worst]
         found.append(
             {
                 "channel": channel,
@@ -40,11 +39,11 @@ def locate_residuals(
                 "frequency_Hz": trials[worst].frequency,
                 "amplitude_Pa": trials[worst].amplitude,
                 "tow_speed_m_per_s": trials[worst].tow_speed,
-                "in_worst_trial": residual_timing(seen, channel, predicted[worst][row]),
+                "in_worst_trial": residual_timing(records[worst], channel, predicted[worst][row]),
                 "grows_with": {
-                    "frequency": trend([t.frequency for t in trials], x.trials),
-                    "amplitude": trend([t.amplitude for t in trials], x.trials),
-                    "tow_speed": trend([abs(t.tow_speed) for t in trials], x.trials),
+                    "frequency": significant_trend([t.frequency for t in trials], x.trials),
+                    "amplitude": significant_trend([t.amplitude for t in trials], x.trials),
+                    "tow_speed": significant_trend([abs(t.tow_speed) for t in trials], x.trials),
                 },
                 "trials": {t.file: s for t, s in zip(trials, x.trials, strict=True)},
             }
@@ -53,12 +52,12 @@ def locate_residuals(
 
 
 def residual_timing(record: Record, channel: str, model: np.ndarray) -> dict[str, Any]:
-    """Returns when in a trial the residual of a channel is largest.
+    """Return when in a trial the residual of a channel is largest.
 
     `phase` is the eighth of the drive's period, from t = 0, with the largest `share` of the squared
-    residual. `growing` is the share while the model's reading moves away from its mean, `mean` the
-    residual's mean over its rms. `peak_Hz` is the frequency of the sine that explains most of the
-    rest, `peak_share` of its square.
+    residual. `growing` is the share while the model's reading moves away from its mean. `mean` is
+    the residual's mean over its rms. After subtraction of the mean, the sine of frequency `peak_Hz`
+    explains the largest share of the square, `peak_share`.
     """
     there = record.there(channel)
     r = (record.values[row_of(channel)] - model)[there]
@@ -80,7 +79,7 @@ def residual_timing(record: Record, channel: str, model: np.ndarray) -> dict[str
 
 
 def _strongest(t: np.ndarray, r: np.ndarray) -> dict[str, float]:
-    """Returns the sine that explains most of a squared residual; fills gaps by interpolation."""
+    """Return the sine that explains most of a squared residual; fill gaps by interpolation."""
     even = np.arange(t[0], t[-1], float(np.median(np.diff(t))))
     y = np.interp(even, t, r - r.mean())
     power = np.abs(np.fft.rfft(y, 4 * len(y)))[1:] ** 2
@@ -90,10 +89,10 @@ def _strongest(t: np.ndarray, r: np.ndarray) -> dict[str, float]:
     return {"peak_Hz": float(hertz[peak]), "peak_share": min(float(share), 1.0)}
 
 
-def trend(settings: Sequence[float | None], squares: np.ndarray) -> float | None:
-    """Returns the rank correlation of the trials' mean squares with a setting.
+def significant_trend(settings: Sequence[float | None], squares: np.ndarray) -> float | None:
+    """Return the rank correlation of the trials' mean squares with a setting.
 
-    None for fewer than five trials or a p-value of at least 0.05.
+    Return None for fewer than five trials or a p-value of at least 0.05.
     """
     x = np.array([np.nan if s is None else s for s in settings], float)
     there = np.isfinite(x) & np.isfinite(squares)
@@ -104,7 +103,7 @@ def trend(settings: Sequence[float | None], squares: np.ndarray) -> float | None
 
 
 def residual_text(x: dict[str, Any]) -> str:
-    """Returns one entry of `locate_residuals` as a sentence."""
+    """Return one entry of `locate_residuals` as a sentence."""
     text = f"{x['channel']}: {x['mean_square_over_noise']:.3g} times its noise floor"
     here = x["in_worst_trial"]
     worst = f"worst in {x['worst_trial']}"

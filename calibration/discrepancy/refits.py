@@ -1,11 +1,11 @@
-"""Refits of a fitted model with one effect added, removed or substituted."""
+"""Refits of a model with one effect added, removed or substituted."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.discrepancy.rounds import groups, relative_changes
+from calibration.discrepancy.rounds import effect_entries, relative_changes
 from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton, inverse
 from calibration.inference.noise import Whitener
@@ -16,9 +16,9 @@ from calibration.model.extended import Parameter
 def initial_theta(
     refits: "Refits", theta: np.ndarray, group: np.ndarray, step: np.ndarray
 ) -> np.ndarray:
-    """Returns the vector from which a refit with an effect starts.
+    """Return the vector from which a refit with an effect starts.
 
-    The effect's parameters start at their `Prior.start`, or else a score's `step` from theta.
+    The effect's parameters start at their `Prior.start`, or else at theta plus a score's `step`.
     """
     entries = refits.entries
     starts = [i for i in group if entries[i].prior.start is not None]
@@ -35,7 +35,7 @@ def initial_theta(
 
 @dataclass(frozen=True)
 class Refits:
-    """What all fits of a selection share, so that their sums of squares are comparable."""
+    """Refits that share problem and whiteners, so that their sums of squares are comparable."""
 
     problem: AbstractProblem
     entries: Sequence[Parameter]
@@ -44,23 +44,23 @@ class Refits:
     settings: SelectionSettings = DEFAULT_SETTINGS
 
     def sizes(self, before: Fit, after: Fit) -> dict[str, float]:
-        """Returns every channel's rms change from one fit to another, as a share of its rms."""
+        """Return every channel's rms change from one fit to another, as a share of its rms."""
         return relative_changes(self.problem.channels, before.predicted, after.predicted)
 
     def fit(self, theta: np.ndarray, free: np.ndarray) -> Fit:
-        """Returns the fit of the entries `free` from theta."""
+        """Return the fit of the entries `free` from theta."""
         return fit_gauss_newton(self.problem, self.entries, theta, free, self.progress, self.white)
 
     def null(self, theta: np.ndarray, group: np.ndarray) -> np.ndarray:
-        """Returns theta with the entries `group` at their null."""
+        """Return theta with the entries `group` at their null."""
         theta = theta.copy()
         theta[group] = [self.entries[i].prior.null for i in group]
         return theta
 
     def joined(self, theta: np.ndarray, start: np.ndarray, free: np.ndarray) -> Fit | None:
-        """Returns the fit of the entries `free` from `start`.
+        """Return the fit of the entries `free` from `start`.
 
-        While `start` cannot be simulated, it moves halfway to theta. Returns None if that fails.
+        While `start` cannot be simulated, it moves halfway to theta. Return None if that fails.
         """
         for _ in range(self.settings.max_halvings):
             found = self.fit(start, free)
@@ -70,8 +70,8 @@ class Refits:
         return None
 
     def without(self, current: Fit, name: str) -> Fit | None:
-        """Returns the fit without an effect, or None if the fit then misses a nameable effect."""
-        group = groups(self.entries)[name]
+        """Return the fit without an effect, or None if the loss exceeds the naming threshold."""
+        group = effect_entries(self.entries)[name]
         own = np.isin(current.free, group)
         null = self.null(current.theta, group)
         away = (current.theta - null)[group][np.isin(group, current.free)]

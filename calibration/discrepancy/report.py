@@ -1,4 +1,4 @@
-"""The outcome as report.json and model.toml."""
+"""The loop's outcome as report.json, model.toml and text."""
 
 from dataclasses import asdict
 from typing import Any
@@ -8,7 +8,7 @@ import numpy as np
 from calibration.discrepancy.close_loop import Errors, LoopOutcome
 from calibration.discrepancy.localise import locate_residuals
 from calibration.discrepancy.rounds import SelectionStep
-from calibration.discrepancy.verdict import at_bounds, split
+from calibration.discrepancy.verdict import effects_at_bounds, effects_at_same_place
 from calibration.model.extended import base_values
 from calibration.reporting.parameters import model_tables, parameter_record, parameter_text
 from slider_jax.channels import CHANNELS
@@ -23,9 +23,9 @@ def loop_record(
     source: dict[str, Any],
     following: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Returns the content of report.json.
+    """Return the content of report.json.
 
-    `source` names the input and `following` is the next experiment.
+    `source` names the input, `following` is the record of the next experiment.
     """
     held = outcome.held_out
     trials, given = outcome.problem.records, base_values(outcome.experiment)
@@ -58,7 +58,7 @@ def loop_record(
 
 
 def effect_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
-    """Returns every added effect with its equivalence class, alternatives and parameters."""
+    """Return every added effect with its equivalence class, alternatives and parameters."""
     found, settings = [], outcome.search.settings
     for this in outcome.search.rounds:
         if this.chosen is None or this.chosen not in outcome.effects:
@@ -90,19 +90,19 @@ def effect_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
 
 
 def nearest_effects(outcome: LoopOutcome) -> list[dict[str, Any]]:
-    """Returns the effects nearest to a residual that none explains; they are not in the model."""
+    """Return the effects that reduce an unexplained residual most; they are not in the model."""
     names = [] if outcome.effects else outcome.search.effects
     return [{"name": n, "title": LIBRARY[n].title, "where": LIBRARY[n].place()} for n in names]
 
 
 def _class(outcome: LoopOutcome, this: SelectionStep) -> list[str]:
-    """Returns the equivalent effects of an added one, and those that may share its cause."""
-    parts = split(outcome.search) if _above_floor(outcome) else []
+    """Return the equivalent effects of an added effect, and those that may share its cause."""
+    parts = effects_at_same_place(outcome.search) if _above_floor(outcome) else []
     return this.equivalent + [n for n in parts if this.chosen in parts and n != this.chosen]
 
 
 def _above_floor(outcome: LoopOutcome) -> list[str]:
-    """Returns the channels whose residual exceeds the noise floor."""
+    """Return the channels whose residual exceeds the noise floor."""
     floor = outcome.search.settings.noise_floor
     return [c for c, x in outcome.excess_after.items() if x.all > floor]
 
@@ -120,7 +120,7 @@ def _table(errors: Errors) -> dict[str, dict[str, float]]:
 
 
 def candidate_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
-    """Returns all candidates of all rounds, best first, with the tests of those refitted."""
+    """Return all candidates of all rounds, best first, with the tests of those refitted."""
     rows = []
     for number, this in enumerate(outcome.search.rounds, start=1):
         refitted = {t.name: t for t in this.refitted}
@@ -135,14 +135,14 @@ def candidate_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
 
 
 def residual_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
-    """Returns where the final fit's residual exceeds the noise floor on the fitted trials."""
-    seen = [r for i, r in enumerate(outcome.problem.records) if i not in outcome.held]
+    """Return where the final fit's residual exceeds the noise floor on the fitted trials."""
+    fitted = [r for i, r in enumerate(outcome.problem.records) if i not in outcome.held]
     floor = outcome.search.settings.noise_floor
-    return locate_residuals(seen, outcome.chosen.predicted, outcome.excess_after, floor)
+    return locate_residuals(fitted, outcome.chosen.predicted, outcome.excess_after, floor)
 
 
 def verdict_text(outcome: LoopOutcome) -> str:
-    """Returns the verdict as a sentence."""
+    """Return the verdict as a sentence."""
     names = outcome.search.effects
     titles = ", ".join(f"{LIBRARY[n].title} ({n})" for n in names)
     match outcome.verdict:
@@ -161,7 +161,7 @@ def verdict_text(outcome: LoopOutcome) -> str:
             text = "The model lacks an effect"
             text += f" in {channels}" if channels else ""
             text += ", and no candidate explains the residual."
-            edge = at_bounds(outcome.search, outcome.entries)
+            edge = effects_at_bounds(outcome.search, outcome.entries)
             if edge:
                 text += f" At a bound of the prior range: {', '.join(edge)}."
             elif names:
@@ -173,7 +173,7 @@ def verdict_text(outcome: LoopOutcome) -> str:
 
 
 def parameter_lines(record: dict[str, Any]) -> list[str]:
-    """Returns a line for each parameter of the added effects."""
+    """Return a line for each parameter of the added effects."""
     lines = []
     for effect in record["effects"]:
         for name, x in effect["parameters"].items():
@@ -182,7 +182,7 @@ def parameter_lines(record: dict[str, Any]) -> list[str]:
 
 
 def error_lines(record: dict[str, Any]) -> list[str]:
-    """Returns a line for each channel's error on the held-out trials, or on all if none was."""
+    """Return a line for each channel's error on the held-out trials, or else on all trials."""
     held = record["held_out"]
     errors, trials = held or record["errors"], "held-out trials" if held else "all trials"
     return [
@@ -193,7 +193,7 @@ def error_lines(record: dict[str, Any]) -> list[str]:
 
 
 def loop_model_toml(outcome: LoopOutcome) -> str:
-    """Returns the calibrated model with its effects, for `slider simulate --model`."""
+    """Return the calibrated model with its effects, for `slider simulate --model`."""
     entries, final = outcome.entries, outcome.final
     kept = [i for i, p in enumerate(entries) if p.effect or i in final.free]
     tables = model_tables([entries[i] for i in kept], final.theta[kept], outcome.effects)

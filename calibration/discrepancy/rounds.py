@@ -1,4 +1,4 @@
-"""The record of a selection: its steps, the refitted candidates and their alternatives."""
+"""The record of a selection: rounds, refitted candidates and alternatives."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -15,7 +15,7 @@ from slider_jax.channels import row_of
 
 
 class Agreement(NamedTuple):
-    """Cross-validation of a candidate: how consistently it improves held-out trials."""
+    """Cross-validation of a candidate: whether it improves held-out trials consistently."""
 
     mean: float
     """t-statistic of the log gains `Score.left_out`: their mean over its standard error."""
@@ -23,12 +23,12 @@ class Agreement(NamedTuple):
     """p-value of Wilcoxon's signed-rank test on them."""
 
     def agreed(self, settings: SelectionSettings = DEFAULT_SETTINGS) -> bool:
-        """Returns whether the held-out trials agree that the candidate improves them."""
+        """Return whether the held-out trials agree that the candidate improves them."""
         return bool(self.mean > settings.left_out_t or self.chance < settings.wilcoxon_p)
 
 
 def agreement(left_out: np.ndarray) -> Agreement:
-    """Returns the agreement of the log gains `Score.left_out` (trials,)."""
+    """Return the agreement of the log gains `Score.left_out` (trials,)."""
     n = len(left_out)
     spread = float(left_out.std(ddof=1)) / np.sqrt(n) if n > 1 else np.inf
     mean = float(left_out.mean()) / max(spread, 1e-300)
@@ -42,9 +42,9 @@ class Refit:
     name: str
     fit: Fit
     gain: float
-    """Drop of the sum of squares, in units of its own mean square."""
+    """Reduction of the sum of squares, in units of the refit's mean square."""
     sizes: dict[str, float]
-    """rms of its change of each channel, as a share of the channel's rms."""
+    """rms change of each channel by the candidate, as a share of the channel's rms."""
     agreement: Agreement
     worth_naming: bool
     """Whether gain and sizes exceed the naming threshold."""
@@ -79,7 +79,7 @@ class SelectionStep:
 
 @dataclass
 class Selection:
-    """A whole selection: the fit of the base model, the rounds and the final fit."""
+    """A selection: the fit of the base model, the rounds and the final fit."""
 
     base: Fit
     final: Fit
@@ -88,16 +88,19 @@ class Selection:
     settings: SelectionSettings = DEFAULT_SETTINGS
 
 
-def groups(entries: Sequence[Parameter]) -> dict[str, np.ndarray]:
-    """Returns the indices of every effect's parameters."""
+def effect_entries(entries: Sequence[Parameter]) -> dict[str, np.ndarray]:
+    """Return the indices of every effect's parameters, by effect."""
     names = dict.fromkeys(p.effect for p in entries if p.effect)
     return {n: np.array([i for i, p in enumerate(entries) if p.effect == n]) for n in names}
 
 
-def scored(entries: Sequence[Parameter]) -> dict[str, np.ndarray]:
-    """Returns the indices of the parameters that score each effect: those with a start, or all."""
+def scoring_entries(entries: Sequence[Parameter]) -> dict[str, np.ndarray]:
+    """Return the indices of the parameters that score each effect.
+
+    These are the parameters with a `Prior.start`, or all if the effect has none.
+    """
     found = {}
-    for name, group in groups(entries).items():
+    for name, group in effect_entries(entries).items():
         started = [i for i in group if entries[i].prior.start is not None]
         found[name] = np.array(started) if started else group
     return found
@@ -106,7 +109,7 @@ def scored(entries: Sequence[Parameter]) -> dict[str, np.ndarray]:
 def relative_changes(
     channels: Sequence[str], before: Sequence[np.ndarray], after: Sequence[np.ndarray]
 ) -> dict[str, float]:
-    """Returns the rms change of every channel over its rms, all trials together."""
+    """Return the rms change of every channel as a share of its rms, all trials together."""
     found = {}
     for channel in channels:
         row = row_of(channel)

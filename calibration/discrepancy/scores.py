@@ -6,8 +6,8 @@ orthogonal to J_F:
 
     G' = G - P_F G,    gain = b' A'^-1 b',    A' = G'.G',    b' = G'.r
 
-The gain is the reduction of the sum of squares when candidate and free parameters move together.
-Cross-validation gives the reduction on each trial when both are fitted to the other trials.
+The gain is the reduction of the sum of squares if candidate and free parameters are fitted
+together. Cross-validation fits both to the other trials and evaluates the reduction on each trial.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
-from calibration.inference.gauss_newton import inverse
+from calibration.inference.gauss_newton import inverse, marginal_information
 from calibration.inference.problem import ChannelBlock, summed
 
 
@@ -26,36 +26,36 @@ class Score(NamedTuple):
 
     name: str
     gain: float
-    """Drop of the sum of squares, in units of the residual's mean square."""
+    """Reduction of the sum of squares, in units of the residual's mean square."""
     freedom: int
     p: float
     """Probability of such a gain by chance, times the number of candidates, at most 1."""
     estimate: np.ndarray
-    """Change of the candidate's parameters, SI."""
+    """Change of the candidate's parameters, in SI units."""
     error: np.ndarray
     """Their standard errors."""
     step: np.ndarray
     """Change of all entries (parameters,)."""
     left_out: np.ndarray
-    """Cross-validated log gain of each trial that the candidate changes: log of the factor by which
-    the candidate lowers the held-out trial's sum of squares. Positive if it improves the trial."""
+    """Cross-validated log gain of each trial that the candidate changes visibly: log of the factor
+    by which the candidate lowers the held-out trial's sum of squares."""
 
 
-def solve(A: np.ndarray, b: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Returns the least-squares step of the entries `index`, zero elsewhere."""
+def least_squares_step(A: np.ndarray, b: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Return the least-squares step of the entries `index`, zero elsewhere."""
     step = np.zeros(len(b))
     step[index] = inverse(A[np.ix_(index, index)]) @ b[index]
     return step
 
 
-def drop(blocks: Sequence[ChannelBlock], step: np.ndarray) -> float:
-    """Returns the reduction of the sum of squares of `blocks` by a step."""
+def square_reduction(blocks: Sequence[ChannelBlock], step: np.ndarray) -> float:
+    """Return the reduction of the sum of squares of `blocks` by a step."""
     return sum(2.0 * step @ x.b - step @ x.A @ step for x in blocks)
 
 
-def remaining(blocks: Sequence[ChannelBlock], step: np.ndarray) -> float:
-    """Returns the sum of squares of `blocks` after a step."""
-    return max(sum(x.c for x in blocks) - drop(blocks, step), 1e-300)
+def square_after(blocks: Sequence[ChannelBlock], step: np.ndarray) -> float:
+    """Return the sum of squares of `blocks` after a step."""
+    return max(sum(x.c for x in blocks) - square_reduction(blocks, step), 1e-300)
 
 
 def score(
@@ -67,14 +67,16 @@ def score(
     many: int,
     settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> Score:
-    """Returns the score of the candidate whose entries are `group`, given the free entries.
+    """Return the score of the candidate whose entries are `group`, given the free entries.
 
     `unit` is the residual's mean square and `many` the number of candidates.
     """
     A, b = summed(blocks)
     both = np.concatenate([free, group])
-    step = solve(A, b, both)
-    gain = (drop(blocks, step) - drop(blocks, solve(A, b, free))) / unit
+    step = least_squares_step(A, b, both)
+    gain = (
+        square_reduction(blocks, step) - square_reduction(blocks, least_squares_step(A, b, free))
+    ) / unit
     errors = np.sqrt(unit * np.diag(inverse(A[np.ix_(both, both)])))[len(free) :]
     seen = {x.trial: 0.0 for x in blocks}
     for x in blocks:
@@ -85,8 +87,8 @@ def score(
         others = [x for x in blocks if x.trial != trial]
         held = [x for x in blocks if x.trial == trial]
         A_, b_ = summed(others) if others else (A, b)
-        with_it, without = solve(A_, b_, both), solve(A_, b_, free)
-        left_out.append(np.log(remaining(held, without) / remaining(held, with_it)))
+        with_it, without = least_squares_step(A_, b_, both), least_squares_step(A_, b_, free)
+        left_out.append(np.log(square_after(held, without) / square_after(held, with_it)))
     p = min(1.0, many * float(chi2.sf(max(gain, 0.0), len(group))))
     return Score(name, float(gain), len(group), p, step[group], errors, step, np.asarray(left_out))
 
@@ -94,20 +96,19 @@ def score(
 def tangent_cosine(
     first: np.ndarray, second: np.ndarray, free: np.ndarray, blocks: Sequence[ChannelBlock]
 ) -> float:
-    """Returns the largest |cos| between two candidates' tangents, free parameters projected out.
+    """Return the largest |cos| between two candidates' tangents, free parameters projected out.
 
     It is 1 if these data cannot discriminate between the two.
     """
-    A, _ = summed(blocks)
-    inner = inverse(A[np.ix_(free, free)])
-
-    def left(i, j):
-        return A[np.ix_(i, j)] - A[np.ix_(i, free)] @ inner @ A[np.ix_(free, j)]
+    A, n = (
+        marginal_information(summed(blocks)[0], np.concatenate([first, second]), free),
+        len(first),
+    )
 
     def root(M):
         values, vectors = np.linalg.eigh(M)
         kept = values > 1e-10 * max(values.max(), 1e-300)
         return vectors[:, kept] / np.sqrt(values[kept])
 
-    cross = root(left(first, first)).T @ left(first, second) @ root(left(second, second))
+    cross = root(A[:n, :n]).T @ A[:n, n:] @ root(A[n:, n:])
     return float(np.linalg.svd(cross, compute_uv=False)[0]) if cross.size else 0.0

@@ -1,10 +1,10 @@
-"""Forward-backward selection of effects: fit, score all, refit the best, keep one, repeat.
+"""Forward-backward selection of effects: fit, score all, refit the best, choose one, repeat.
 
-A candidate is kept if its gain is significant for the number of candidates, the held-out trials
-agree, and it changes some channel by more than the model-discretisation discrepancy. That
-discrepancy is declared in `slider_jax.channels` before any data.
+A candidate can be chosen if three conditions hold. Its gain is significant for the number of
+candidates. The held-out trials agree. It changes some channel by more than the
+model-discretisation discrepancy, which `slider_jax.channels` declares before any data.
 
-A kept effect is removed again if the effects chosen later make it unnecessary. While two causes are
+A chosen effect is removed again if effects chosen later make it unnecessary. While two effects are
 missing, a wrong effect that resembles both can explain more than either. Source: Zhang, T. (2011),
 Adaptive forward-backward greedy algorithm for learning sparse representations, IEEE Trans. Inf.
 Theory 57, 4689-4708.
@@ -28,9 +28,9 @@ from calibration.discrepancy.rounds import (
     Selection,
     SelectionStep,
     agreement,
-    groups,
+    effect_entries,
     relative_changes,
-    scored,
+    scoring_entries,
 )
 from calibration.discrepancy.scores import Score, score
 from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
@@ -41,30 +41,31 @@ from slider_jax.channels import CHANNELS, row_of
 from slider_jax.effects.library import LIBRARY
 
 
-def directions(
+def effect_tangents(
     problem: AbstractProblem,
     entries: Sequence[Parameter],
     theta: np.ndarray,
     free: np.ndarray,
     settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> list[np.ndarray]:
-    """Returns each parameter's change of each trial (parameters, channels, samples), per unit.
+    """Return the readings' change per unit of each parameter, for each trial.
 
-    These are tangents at `theta`. For a parameter with a `Prior.start` they are the change from the
-    null to that start, which is halved while it cannot be simulated. They are zero for the other
-    parameters of such an effect, and for parameters without a finite tangent.
+    Each array has the shape (parameters, channels, samples). A parameter with a `Prior.start` has
+    the secant from its null to that start; the secant is halved while it cannot be simulated. Other
+    parameters have the tangent at `theta`. Zero are the other parameters of an effect with a start
+    and parameters without a finite tangent.
     """
-    judged = np.unique(np.concatenate([free, *scored(entries).values()]))
-    afar = [i for i in judged if entries[i].prior.start is not None and i not in free]
-    near = [i for i in judged if i not in afar]
+    scored = np.unique(np.concatenate([free, *scoring_entries(entries).values()]))
+    finite = [i for i in scored if entries[i].prior.start is not None and i not in free]
+    tangential = [i for i in scored if i not in finite]
     found = [np.zeros((len(theta), *r.values.shape)) for r in problem.records]
     unit = np.eye(len(theta))
     channels = [row_of(c) for c in problem.channels]
-    along = problem.tangents(theta, unit[near])
-    lost = ~np.all([np.isfinite(x[:, channels]).all(axis=(1, 2)) for x in along], axis=0)
+    along = problem.tangents(theta, unit[tangential])
+    failed = ~np.all([np.isfinite(x[:, channels]).all(axis=(1, 2)) for x in along], axis=0)
     for x, tangents in zip(found, along, strict=True):
-        x[near] = np.where(lost[:, None, None], 0.0, tangents)
-    size = {i: entries[i].prior.start - entries[i].prior.null for i in afar}
+        x[tangential] = np.where(failed[:, None, None], 0.0, tangents)
+    size = {i: entries[i].prior.start - entries[i].prior.null for i in finite}
     for _ in range(settings.max_halvings):
         if not size:
             break
@@ -88,9 +89,9 @@ def select_effects(
     base_names: Sequence[str] = tuple(BASE),
     settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> Selection:
-    """Selects the effects of `entries` that the base model lacks on the problem's trials.
+    """Select the effects of `entries` that the base model lacks on the problem's trials.
 
-    `base_names` are the fitted parameters of the base model.
+    `base_names` are the parameters of the base model to fit.
     """
     free = np.array([i for i, p in enumerate(entries) if not p.effect and p.name in base_names])
     progress("calibrating the base model")
@@ -117,10 +118,10 @@ def select_effects(
 
 
 def _add(refits: Refits, found: Selection) -> None:
-    """Adds one effect a round until no candidate exceeds the naming threshold."""
+    """Add one effect in each round until no candidate exceeds the naming threshold."""
     settings = refits.settings
     while len(found.effects) < settings.max_effects and len(found.rounds) < settings.max_rounds:
-        rest = [n for n in groups(refits.entries) if _can_join(n, found.effects)]
+        rest = [n for n in effect_entries(refits.entries) if _can_join(n, found.effects)]
         if not rest:
             break
         refits.progress(f"round {len(found.rounds) + 1}: scoring {len(rest)} candidates")
@@ -134,9 +135,9 @@ def _add(refits: Refits, found: Selection) -> None:
 
 
 def _remove_unnecessary(refits: Refits, found: Selection, by: SelectionStep) -> None:
-    """Removes effects that the choice of the round `by` makes unnecessary.
+    """Remove effects that the choice of the round `by` makes unnecessary.
 
-    That round takes over their equivalent effects.
+    The round `by` takes over their equivalent effects.
     """
     for name in [n for n in found.effects if n != by.chosen]:
         less = refits.without(found.final, name)
@@ -150,11 +151,10 @@ def _remove_unnecessary(refits: Refits, found: Selection, by: SelectionStep) -> 
         this.chosen, this.equivalent, this.taken_out = None, [], name
 
 
-def _could_be_named(refits: Refits, current: Fit, everything, step: np.ndarray) -> bool:
-    """Returns whether a score's step changes some channel by nearly the naming threshold."""
-    changed = [
-        y + np.tensordot(step, x, 1) for y, x in zip(current.predicted, everything, strict=True)
-    ]
+def _could_be_named(refits: Refits, current: Fit, tangents, step: np.ndarray) -> bool:
+    """Return whether a score's step changes some channel by nearly the naming threshold."""
+    pairs = zip(current.predicted, tangents, strict=True)
+    changed = [y + np.tensordot(step, x, 1) for y, x in pairs]
     changes = relative_changes(refits.problem.channels, current.predicted, changed)
     share = refits.settings.naming_share
     return any(change > share * CHANNELS[c].discrepancy for c, change in changes.items())
@@ -169,20 +169,20 @@ def _round(refits: Refits, current: Fit, rest: Sequence[str]) -> SelectionStep:
     problem, entries, progress = refits.problem, refits.entries, refits.progress
     settings = refits.settings
     residuals = problem.residuals(current.predicted, refits.white)
-    everything = directions(problem, entries, current.theta, current.free, settings)
-    blocks = problem.blocks(residuals, everything, refits.white)
-    unit, judged = current.inflation, scored(entries)
+    tangents = effect_tangents(problem, entries, current.theta, current.free, settings)
+    blocks = problem.blocks(residuals, tangents, refits.white)
+    unit, scored = current.inflation, scoring_entries(entries)
     many = len(rest)
-    scores = [score(n, judged[n], current.free, blocks, unit, many, settings) for n in rest]
+    scores = [score(n, scored[n], current.free, blocks, unit, many, settings) for n in rest]
     scores.sort(key=lambda s: -s.gain)
     this = SelectionStep(scores)
-    for s in _likely(scores, refits, judged):
-        if not _could_be_named(refits, current, everything, s.step):
+    for s in _short_list(scores, refits, scored):
+        if not _could_be_named(refits, current, tangents, s.step):
             continue
         progress(f"refitting with {s.name}")
         refit = _refit(refits, current, s)
         if refit is None:
-            progress(f"{s.name} is skipped: the start of its refit cannot be simulated")
+            progress(f"skipping {s.name}: the start of its refit cannot be simulated")
         else:
             this.refitted.append(refit)
     accepted = [t for t in this.refitted if t.worth_naming and t.agreement.agreed(settings)]
@@ -190,26 +190,27 @@ def _round(refits: Refits, current: Fit, rest: Sequence[str]) -> SelectionStep:
         return this
     best = min(accepted, key=lambda t: t.fit.square)
     this.chosen = best.name
-    this.equivalent = equivalent_effects(best, this, judged, current, blocks, settings)
+    this.equivalent = equivalent_effects(best, this, scored, current, blocks, settings)
     return this
 
 
-def _likely(scores: list[Score], refits: Refits, judged) -> list[Score]:
-    """Returns the candidates to refit: short lists of those scored by tangents and at a size."""
+def _short_list(scores: list[Score], refits: Refits, scored) -> list[Score]:
+    """Return the candidates to refit: the best of those scored by tangents and by secants."""
     entries, settings = refits.entries, refits.settings
     best = scores[0].gain
 
-    def of(least: float, afar: bool) -> list[Score]:
+    def best_of(least: float, finite: bool) -> list[Score]:
         found = [s for s in scores if s.p < settings.false_alarm_p and s.gain > least * best]
-        kind = [s for s in found if (entries[judged[s.name][0]].prior.start is not None) == afar]
+        kind = [s for s in found if (entries[scored[s.name][0]].prior.start is not None) == finite]
         return kind[: settings.short_list]
 
-    short = [*of(settings.min_score_share, False), *of(settings.min_score_share_far, True)]
-    return sorted(short, key=lambda s: -s.gain)
+    tangential = best_of(settings.min_score_share, False)
+    finite = best_of(settings.min_score_share_far, True)
+    return sorted([*tangential, *finite], key=lambda s: -s.gain)
 
 
 def _refit(refits: Refits, current: Fit, s: Score) -> Refit | None:
-    group = groups(refits.entries)[s.name]
+    group = effect_entries(refits.entries)[s.name]
     start = initial_theta(refits, current.theta, group, s.step)
     refitted = refits.joined(current.theta, start, np.concatenate([current.free, group]))
     if refitted is None:

@@ -14,9 +14,9 @@ class SelectionSettings:
 
     noise_floor: float = 1.5
     """Mean square of a channel's whitened residual up to which the channel is at the noise floor.
-    Programs that agree leave up to 1.3."""
+    Between correct programs of one model it reaches 1.3."""
     min_trials: int = 3
-    """Fewest trials for a search; with fewer, cross-validation has no meaning."""
+    """Fewest trials for a selection; cross-validation needs three."""
 
     false_alarm_p: float = 1e-3
     """Largest probability of a score by chance, after correction for the number of candidates."""
@@ -31,20 +31,20 @@ class SelectionSettings:
     """A candidate is refitted if its linear step changes some channel by this share of the naming
     threshold. Below 1, because the step is only linear."""
     visible_share: float = 1e-3
-    """A trial takes part in the cross-validation of a candidate if the candidate changes it by this
-    share, in squares, of its change of the most sensitive trial ..."""
+    """A trial takes part in a candidate's cross-validation if the candidate's squared change of it
+    is at least this share of that of the most sensitive trial, or at least `visible_gain`."""
     visible_gain: float = 4.0
-    """... or by this multiple of the residual's mean square, whichever is smaller."""
+    """The squared change, in units of the residual's mean square, that suffices in any case."""
 
     min_gain: float = 20.0
-    """Smallest gain of a refitted candidate that counts."""
+    """A refitted candidate can be named only if its gain exceeds this."""
     left_out_t: float = 2.0
     """Threshold on the t-statistic of the cross-validated log gain, in addition to the significance
     test. Alone, it would accept 6 % of null candidates with five trials and 9 % with three. Log
     gains are averaged, not gains, so that one distant trial does not dominate."""
     wilcoxon_p: float = 0.07
-    """Largest p-value of Wilcoxon's signed-rank test at which the held-out trials agree as well.
-    Accepts four improvements of four, also if some are far larger than others."""
+    """Held-out trials also agree if the p-value of Wilcoxon's signed-rank test is below this. The
+    test accepts four improvements in four trials, even if one is far larger than the others."""
 
     max_effects: int = 3
     """Largest number of effects in the model."""
@@ -55,10 +55,10 @@ class SelectionSettings:
     max_halvings: int = 4
     """Largest number of sizes to try for a start that cannot be simulated."""
     initial_step_share: float = 0.02
-    """Share of a prior's range by which a refit starts off a parameter's null if the scored step is
-    zero: on the null, a bound would hold it."""
+    """Share of the prior range by which a refit starts away from a parameter's null if the scored
+    step is zero. A fit from the null itself could not leave the bound there."""
     removal_loss_factor: float = 10.0
-    """A trial removal of an effect is skipped if its linear loss exceeds this multiple of
+    """An effect is kept without a refit if the linear loss of its removal exceeds this multiple of
     `min_gain`."""
 
     parallel_cosine: float = 0.95
@@ -66,20 +66,21 @@ class SelectionSettings:
     equal_gain_share: float = 0.95
     """Share of an effect's gain above which another candidate explains as much."""
     contender_gain_share: float = 0.8
-    """Share of an effect's gain above which a candidate is compared at the end. It is below
-    `equal_gain_share` because a wrong effect can explain part of another missing cause."""
+    """Share of an effect's gain above which a candidate is compared after the selection. It is
+    below `equal_gain_share` because a wrong effect can explain part of another missing effect."""
 
     min_explained: float = 0.9
-    """Reduction of the rms above the noise floor that effects must reach to be named, if a residual
-    above the noise floor remains."""
+    """If a residual above the noise floor remains, effects are named only if they reduce its rms
+    above the floor by this share."""
     bound_margin: float = 0.01
     """Share of the prior range from its ends within which a parameter is at a bound."""
 
     def worth_naming(self, gain: float, sizes: dict[str, float]) -> bool:
-        """Returns whether an effect exceeds the naming threshold.
+        """Return whether an effect exceeds the naming threshold.
 
-        Its gain must exceed `min_gain`. One of `sizes`, the channels' rms changes as shares of
-        their rms, must exceed that channel's model-discretisation discrepancy.
+        Its gain must exceed `min_gain`. Its change of some channel must exceed that channel's
+        model-discretisation discrepancy. `sizes` are the channels' rms changes as shares of their
+        rms.
         """
         return gain > self.min_gain and any(sizes[c] > CHANNELS[c].discrepancy for c in sizes)
 

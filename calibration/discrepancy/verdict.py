@@ -1,10 +1,10 @@
-"""The verdict on a selection, one of five, and the reduction of the residual."""
+"""The verdict on a selection, one of five."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from calibration.discrepancy.rounds import Selection, scored
+from calibration.discrepancy.rounds import Selection, scoring_entries
 from calibration.inference.goodness import Excess
 from calibration.model.extended import Parameter
 from slider_jax.effects.library import LIBRARY
@@ -15,9 +15,9 @@ NAMED = (IDENTIFIED, CLASS)
 """Verdicts after which effects are added to the model."""
 
 
-def at_bounds(search: Selection, entries: Sequence[Parameter]) -> list[str]:
-    """Returns the added effects with a parameter at a bound of its prior range."""
-    found, judged = [], scored(entries)
+def effects_at_bounds(search: Selection, entries: Sequence[Parameter]) -> list[str]:
+    """Return the added effects with a parameter at a bound of its prior range."""
+    found, judged = [], scoring_entries(entries)
     for i, p in enumerate(entries):
         if p.effect not in search.effects or i not in judged[p.effect]:
             continue
@@ -28,8 +28,8 @@ def at_bounds(search: Selection, entries: Sequence[Parameter]) -> list[str]:
     return list(dict.fromkeys(found))
 
 
-def split(search: Selection) -> list[str]:
-    """Returns the added effects that act at the same place: they may share one cause.
+def effects_at_same_place(search: Selection) -> list[str]:
+    """Return the added effects that act at the same place and may have one cause.
 
     Effects that replace a law are excluded.
     """
@@ -38,13 +38,13 @@ def split(search: Selection) -> list[str]:
     return [name for name, kind in kinds.items() if places.count(kind.place()) > 1]
 
 
-def explained(before: float, after: float) -> float:
-    """Returns the reduction of a channel's rms above the noise floor, as a share.
+def rms_reduction(before: float, after: float) -> float:
+    """Return the reduction of a channel's rms above the noise floor, as a share of it.
 
-    The arguments are mean squares of the whitened residual.
+    `before` and `after` are mean squares of the whitened residual.
     """
-    stood, stands = (np.sqrt(max(x, 1.0)) - 1.0 for x in (before, after))
-    return float((stood - stands) / stood) if stood > 0.0 else 0.0
+    start, end = (np.sqrt(max(x, 1.0)) - 1.0 for x in (before, after))
+    return float((start - end) / start) if start > 0.0 else 0.0
 
 
 def reach_verdict(
@@ -53,10 +53,10 @@ def reach_verdict(
     before: dict[str, Excess],
     after: dict[str, Excess],
 ) -> str:
-    """Returns the verdict on a selection from the excess of the base fit and of the final fit.
+    """Return the verdict on a selection from the excess of the base fit and of the final fit.
 
-    A parameter at a bound indicates a cause that is not among the candidates. Two effects at one
-    place that leave a residual above the noise floor are a class of that place.
+    A parameter at a bound indicates a cause outside the candidates. Two effects at one place that
+    leave a residual above the noise floor form a class.
     """
     settings = search.settings
     left = {c: x.all for c, x in after.items() if x.all > settings.noise_floor}
@@ -67,9 +67,9 @@ def reach_verdict(
             return UNEXPLAINED
         doubtful = [t for r in search.rounds for t in r.refitted if t.worth_naming]
         return INCONCLUSIVE if doubtful else NOTHING
-    if at_bounds(search, entries):
+    if effects_at_bounds(search, entries):
         return UNEXPLAINED
-    if not all(explained(before[c].all, after[c].all) >= settings.min_explained for c in left):
+    if not all(rms_reduction(before[c].all, after[c].all) >= settings.min_explained for c in left):
         return UNEXPLAINED
     equivalent = any(r.equivalent for r in search.rounds if r.chosen)
-    return CLASS if equivalent or (left and split(search)) else IDENTIFIED
+    return CLASS if equivalent or (left and effects_at_same_place(search)) else IDENTIFIED

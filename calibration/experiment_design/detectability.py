@@ -21,7 +21,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.stats import chi2
 
-from calibration.discrepancy.rounds import scored
+from calibration.discrepancy.rounds import scoring_entries
 from calibration.discrepancy.scores import tangent_cosine
 from calibration.discrepancy.settings import DEFAULT_SETTINGS
 from calibration.experiment_design.information import (
@@ -30,11 +30,10 @@ from calibration.experiment_design.information import (
     as_block,
     channel_shares,
     information,
-    marginal_information,
     predict_information,
 )
 from calibration.inference.cache import Memo
-from calibration.inference.gauss_newton import inverse
+from calibration.inference.gauss_newton import inverse, marginal_information
 from calibration.model.extended import Parameter, candidates
 from calibration.model.predict import COARSE, Resolution
 from slider_jax.channels import CHANNELS
@@ -125,7 +124,7 @@ def detectability_matrix(
     f = predict_information(experiment, names, progress, coarse, memo)
     channels = f.trials(experiment.trials, progress)
     entries, many = f.entries, len(candidates())
-    members, free = scored(entries), np.flatnonzero([not p.effect for p in entries])
+    members, free = scoring_entries(entries), np.flatnonzero([not p.effect for p in entries])
     limits = [
         Limit(
             p,
@@ -223,7 +222,7 @@ def at_limits(m: Matrix, names: Sequence[str]) -> AtLimits:
 
     A parameter that the experiment could not find is taken at the end of its prior range.
     """
-    members, entries = scored(m.information.entries), m.information.entries
+    members, entries = scoring_entries(m.information.entries), m.information.entries
     free = np.flatnonzero([not p.effect for p in entries])
     chosen = np.concatenate([free, *(members[n] for n in names)])
     f = replace(m.information, chosen=m.information.chosen[chosen])
@@ -233,4 +232,4 @@ def at_limits(m: Matrix, names: Sequence[str]) -> AtLimits:
         ends = [typical(x.parameter.prior) - x.parameter.prior.null for x in m.limit[name]]
         found = [x.size for x in m.limit[name]]
         sizes[name] = np.sign(ends) * np.minimum(np.abs(ends), found)
-    return AtLimits(f, before, scored(f.entries), sizes)
+    return AtLimits(f, before, scoring_entries(f.entries), sizes)

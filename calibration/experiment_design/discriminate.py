@@ -24,7 +24,6 @@ from calibration.experiment_design.information import (
     TrialInformation,
     channel_shares,
     information,
-    marginal_information,
 )
 from calibration.experiment_design.trial_search import (
     SearchEffort,
@@ -34,7 +33,7 @@ from calibration.experiment_design.trial_search import (
     trial_text,
     trial_toml,
 )
-from calibration.inference.gauss_newton import inverse
+from calibration.inference.gauss_newton import inverse, marginal_information
 from slider_jax.channels import CHANNELS
 from slider_jax.experiment.schema import Trial
 

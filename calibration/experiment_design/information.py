@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 
 from calibration.inference.cache import Memo
-from calibration.inference.gauss_newton import inverse
 from calibration.inference.noise import Noise, Whitener, channel_noise
 from calibration.inference.problem import ChannelBlock
 from calibration.measurements.records import Record, records
@@ -309,9 +308,3 @@ def channel_shares(channels: Sequence[ChannelInformation], step: np.ndarray) -> 
 def as_block(A: np.ndarray) -> list[ChannelBlock]:
     """A normal matrix as the evidence that `trace` takes, without a residual."""
     return [ChannelBlock(0, "", A, np.zeros(len(A)), 0.0, 0)]
-
-
-def marginal_information(A: np.ndarray, group: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """What is left of the normal matrix of `group` once the entries `free` may move."""
-    cross = A[np.ix_(group, free)]
-    return A[np.ix_(group, group)] - cross @ inverse(A[np.ix_(free, free)]) @ cross.T

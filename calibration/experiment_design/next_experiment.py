@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from calibration.discrepancy.close_loop import LoopOutcome
-from calibration.discrepancy.rounds import groups
+from calibration.discrepancy.rounds import effect_entries
 from calibration.discrepancy.verdict import CLASS, INCONCLUSIVE, UNEXPLAINED
 from calibration.experiment_design.discriminate import split_class
 from calibration.experiment_design.information import (
@@ -89,7 +89,7 @@ def _searched(outcome: LoopOutcome) -> list[Record]:
 def _prediction(
     outcome: LoopOutcome, theta: np.ndarray, chosen: np.ndarray, other: np.ndarray | None = None
 ) -> TrialInformation:
-    names, problem = tuple(groups(outcome.entries)), outcome.problem
+    names, problem = tuple(effect_entries(outcome.entries)), outcome.problem
     assert isinstance(problem, TankProblem)
     sensing = SensorModel.of(outcome.experiment, _searched(outcome))
     return TrialInformation(

@@ -20,7 +20,6 @@ from calibration.experiment_design.information import (
     TrialInformation,
     as_block,
     information,
-    marginal_information,
 )
 from calibration.experiment_design.trial_search import (
     SearchEffort,
@@ -30,6 +29,7 @@ from calibration.experiment_design.trial_search import (
     trial_text,
     trial_toml,
 )
+from calibration.inference.gauss_newton import marginal_information
 
 APART = 3.0
 """Standard deviations from which on two effects count as told apart."""

@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calibration.discrepancy.scores import solve
+from calibration.discrepancy.scores import least_squares_step
 from calibration.experiment_design.parameter_trial import Known, Proposal, best_trial, feasible
 from calibration.identification import parameter_ties as layouts
 from calibration.identification.parameter_ties import CONSTANT, EACH, PAPER, RAMP, ParameterTies
-from calibration.inference.gauss_newton import Fit, fit_gauss_newton, inverse
+from calibration.inference.gauss_newton import Fit, fit_gauss_newton, marginal_information
 from calibration.inference.problem import FAILED, TankProblem, summed
 from calibration.inference.uncertainty import (
     confidence_interval,
@@ -133,11 +133,11 @@ def _advice(found: ByFrequency, coarse: Resolution) -> dict[int, Proposal]:
             continue
         here = np.flatnonzero((plan.group < 0) | (plan.group == g))
         other = np.flatnonzero((plan.group >= 0) & (plan.group != g))
-        across = A[np.ix_(here, other)]
-        left = A[np.ix_(here, here)] - across @ inverse(A[np.ix_(other, other)]) @ across.T
         own = plan.maps[int(np.flatnonzero(found.place == g)[0])].at(best.theta)
         candidates = feasible(found.experiment, float(found.frequencies[g]))
-        at_hand = known._replace(information=left, free=plan.member[here])
+        at_hand = known._replace(
+            information=marginal_information(A, here, other), free=plan.member[here]
+        )
         wanted = int(plan.member[i])
         proposals = best_trial(
             found.experiment, found.entries, own, [wanted], candidates, at_hand, coarse
@@ -168,7 +168,7 @@ def _without(
     others = [x for x in found.blocks if place[x.trial] != g]
     A, b = summed(others)
     index = np.flatnonzero(plan.group != g)
-    x = found.theta + solve(A, b, index)
+    x = found.theta + least_squares_step(A, b, index)
     low = np.array([p.prior.low for p in plan.entries])
     high = np.array([p.prior.high for p in plan.entries])
     x = np.clip(x, low, high)

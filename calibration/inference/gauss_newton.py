@@ -75,6 +75,12 @@ def inverse(A: np.ndarray) -> np.ndarray:
     return (vectors / np.maximum(values, 1e-12)) @ vectors.T / np.outer(size, size)
 
 
+def marginal_information(A: np.ndarray, group: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """Return the normal matrix of the entries `group` after projecting out the entries `free`."""
+    cross = A[np.ix_(group, free)]
+    return A[np.ix_(group, group)] - cross @ inverse(A[np.ix_(free, free)]) @ cross.T
+
+
 def fit_gauss_newton(
     problem: AbstractProblem,
     entries: Sequence[Parameter],

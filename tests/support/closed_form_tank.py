@@ -1,12 +1,11 @@
-"""A tank whose readings are closed forms of the parameters, in place of the beam: for tests of what
-is made of readings and tangents, in a moment and with the answer known."""
+"""A tank whose readings are closed forms of the parameters, for fast tests without the beam."""
 
 from pathlib import Path
 
 import numpy as np
 
-from calibration.experiment_design import parameter_trial as design
-from calibration.inference import problem as evidence
+from calibration.experiment_design import parameter_trial
+from calibration.inference import problem
 from calibration.inference.problem import TankProblem
 from calibration.measurements.records import Record
 from calibration.measurements.synthetic import ROBOT, START
@@ -20,9 +19,9 @@ NOISE = {"p_front": 700.0, "p_rear": 700.0, "thrust": 0.01, "recoil": 0.01, "tip
 
 
 def readings(trial, t, theta):
-    """(5, n) for theta = (C_d, m_a, k, K_Q, ...): drag grows with f, added mass with f squared.
+    """Return the readings (5, n) of a trial for theta = (C_d, m_a, k, K_Q, ...).
 
-    What is behind the base parameters adds a tone of its own to the thrust each.
+    Drag grows with f, added mass with f squared. Each further parameter adds a tone to the thrust.
     """
     C_d, m_a, k, K_Q, *rest = theta
     f, q = trial.frequency, K_Q / START["K_Q"]
@@ -50,7 +49,7 @@ def predict(plan, theta):
 
 
 def tangents(plan, theta, directions):
-    """Central differences; the readings are smooth in every parameter."""
+    """Return the derivatives (k, 5, n) by central differences."""
     h = 1e-4 * np.array([3.0, 1.0, 0.08, 4.5e-7] + [1.0] * (len(theta) - 4))
     each = [
         (predict(plan, theta + step) - predict(plan, theta - step)) / (2.0 * step.sum())
@@ -60,14 +59,14 @@ def tangents(plan, theta, directions):
 
 
 def replace_the_beam(monkeypatch):
-    """From here on trials read what `readings` says."""
-    for module in (evidence, design):
+    """Replace the simulation of trials by `readings`."""
+    for module in (problem, parameter_trial):
         monkeypatch.setattr(module, "predict", predict)
         monkeypatch.setattr(module, "tangents", tangents)
 
 
 def experiment_of(frequencies, **changes):
-    """A trial of a second for each frequency."""
+    """Return an experiment with a trial of one second for each frequency."""
     trials = [
         {
             "file": f"trial_{i:02d}.csv", "frequency": f, "amplitude": 250e3, "rear_ratio": 0.9,
@@ -87,7 +86,7 @@ def experiment_of(frequencies, **changes):
 
 
 def measured(experiment, thetas, seed):
-    """Records of the trials at their own parameters, with noise and a gain for every channel."""
+    """Return records of the trials at `thetas`, with noise and a random gain for every channel."""
     rng, found = np.random.default_rng(seed), []
     for trial, theta in zip(experiment.trials, thetas, strict=True):
         t = prepare(experiment, trial).sample_times

@@ -1,9 +1,9 @@
-"""A small simulated tank and a coarse mesh: the loop\'s tests share their compiled programs."""
+"""A small simulated tank and a coarse mesh; the loop's tests share the compiled programs."""
 
-from calibration.discrepancy import close_loop as closing
+from calibration.discrepancy.close_loop import close_loop_on_trials
 from calibration.measurements.synthetic import Truth, trials, write_tank
 from calibration.model.predict import Resolution
-from slider_jax.experiment import load as experiment
+from slider_jax.experiment.load import load
 
 CANDIDATES = ("valve_delay", "clamp_compliance", "force_gain")
 
@@ -17,9 +17,9 @@ RUNS = [run | {"duration": 0.8} for run in trials(3, count=6)[2:]] + [
 ]
 
 MESH = Resolution(13, 40, 4.0e-3)
-"""Of residuals and tangents: few programs. The tank has another step."""
+"""Mesh of residuals and tangents; the tank is simulated with another step."""
 
 
-def closed(folder, effects, seed=0):
+def close_small_tank(folder, effects, seed=0):
     path = write_tank(folder, Truth(BASE, effects), RUNS, seed, numerics=TANK)
-    return closing.close_loop_on_trials(experiment.load(path), CANDIDATES, fine=MESH, coarse=MESH)
+    return close_loop_on_trials(load(path), CANDIDATES, fine=MESH, coarse=MESH)

@@ -1,4 +1,4 @@
-"""An experiment in still water, its candidate effects and the limits of a next trial."""
+"""An experiment in still water with candidate effects and the limits of the next trial."""
 
 from calibration.model.predict import Resolution
 

@@ -1,4 +1,4 @@
-"""A problem whose predictions are sums of known series."""
+"""A fitting problem whose readings are sums of known series."""
 
 from types import SimpleNamespace
 
@@ -14,7 +14,7 @@ SHAPES[2] = SHAPES[4] + 0.25 * SHAPES[3] + 0.1 * SHAPES[2]
 
 
 class Sums:
-    """Readings are sums of shapes (parameters, trials, samples), and noise."""
+    """Readings are the sum of `shapes` (parameters, trials, samples) times parameters, and noise."""
 
     channels = ("tip",)
     maps = memo = None

@@ -1,4 +1,4 @@
-"""Which trials the search does not see."""
+"""The choice of held-out trials."""
 
 import numpy as np
 
@@ -10,14 +10,14 @@ from slider_jax.experiment.schema import Trial
 def records(towed, count=8):
     found = []
     for i, f in enumerate(np.geomspace(0.6, 6.0, count)):
-        told = {"file": f"{i}.csv", "frequency": round(float(f), 2), "amplitude": 2e5}
+        content = {"file": f"{i}.csv", "frequency": round(float(f), 2), "amplitude": 2e5}
         speed = 0.2 if i in towed else 0.0
-        trial = Trial.model_validate(told | {"duration": 2.0, "tow_speed": speed})
+        trial = Trial.model_validate(content | {"duration": 2.0, "tow_speed": speed})
         found.append(Record(trial, np.zeros(1), np.zeros((5, 1))))
     return found
 
 
-def test_a_quarter_inside_the_range_of_frequencies():
+def test_a_quarter_of_the_trials_inside_the_frequency_range_is_held_out():
     assert choose_held_out(records(towed=())) == [2, 6]
     assert choose_held_out(records(towed=range(8))) == [2, 6]
     assert choose_held_out(records(towed=(), count=5)) == []
@@ -25,7 +25,7 @@ def test_a_quarter_inside_the_range_of_frequencies():
     assert choose_held_out(records(towed=()), [third]) == [1, 6]
 
 
-def test_two_towed_trials_stay_where_there_are_two():
+def test_two_towed_trials_are_not_held_out():
     for towed in ((1, 6), (2, 6), (2, 7), (5, 6), (0, 2, 6)):
         held = choose_held_out(records(towed))
         assert held and not set(held) & {0, 7}
@@ -33,6 +33,6 @@ def test_two_towed_trials_stay_where_there_are_two():
     assert len(choose_held_out(records(towed=(5, 6)))) == 1
 
 
-def test_two_trials_in_still_water_stay_as_well():
+def test_two_trials_in_still_water_are_not_held_out():
     held = choose_held_out(records(towed=(0, 1, 3, 4, 5, 7)))
     assert not set(held) & {2, 6}

@@ -1,9 +1,14 @@
-"""Where a residual acts, on residuals whose place is known."""
+"""Localisation of known residuals."""
 
 import numpy as np
 import pytest
 
-from calibration.discrepancy.localise import locate_residuals, residual_text, residual_timing, trend
+from calibration.discrepancy.localise import (
+    locate_residuals,
+    residual_text,
+    residual_timing,
+    significant_trend,
+)
 from calibration.discrepancy.settings import DEFAULT_SETTINGS
 from calibration.inference.goodness import Excess
 from calibration.measurements.records import Record
@@ -16,11 +21,11 @@ MODEL = np.sin(2.0 * np.pi * T)
 def record(residual, frequency=1.0, amplitude=1e5):
     values = np.full((5, len(T)), np.nan)
     values[2] = MODEL + residual
-    told = {"file": f"{frequency:g}.csv", "frequency": frequency, "amplitude": amplitude}
-    return Record(Trial.model_validate(told | {"duration": 2.0}), T, values)
+    content = {"file": f"{frequency:g}.csv", "frequency": frequency, "amplitude": amplitude}
+    return Record(Trial.model_validate(content | {"duration": 2.0}), T, values)
 
 
-def test_the_part_of_the_stride_that_holds_the_residual_is_found():
+def test_the_phase_of_the_residual_is_found():
     found = residual_timing(
         record(np.where((T % 1.0 > 0.4) & (T % 1.0 < 0.48), 0.3, 0.0)), "thrust", MODEL
     )
@@ -28,13 +33,13 @@ def test_the_part_of_the_stride_that_holds_the_residual_is_found():
     assert found["mean"] == pytest.approx(np.sqrt(0.08), rel=0.05)
 
 
-def test_a_residual_of_the_growing_reading_is_told_from_one_of_the_falling():
+def test_growing_is_the_share_while_the_reading_moves_away_from_its_mean():
     growing = MODEL * np.gradient(MODEL) > 0.0
     assert residual_timing(record(0.1 * growing), "thrust", MODEL)["growing"] > 0.95
     assert residual_timing(record(0.1 * ~growing), "thrust", MODEL)["growing"] < 0.05
 
 
-def test_what_grows_with_a_setting_is_said():
+def test_a_trend_with_a_setting_is_reported():
     amplitudes = (1e5, 3e5, 2e5, 3e5, 1e5)
     records = [record(0.1 * f, f, a) for f, a in enumerate(amplitudes, start=1)]
     squares = np.array([2.0, 5.0, 9.0, 20.0, 30.0])
@@ -51,14 +56,14 @@ def test_what_grows_with_a_setting_is_said():
     assert "grows with frequency" in text and "amplitude" not in text.split(";", 1)[1]
 
 
-def test_the_frequency_of_a_hum_is_found_between_missing_samples():
+def test_the_frequency_of_a_hum_is_found_despite_missing_samples():
     r = record(0.1 * np.sin(2.0 * np.pi * 13.0 * T + 0.3))
     r.values[2, np.arange(len(T)) % 7 == 0] = np.nan
     found = residual_timing(r, "thrust", MODEL)
     assert found["peak_Hz"] == pytest.approx(13.0, abs=0.2) and found["peak_share"] > 0.95
 
 
-def test_a_setting_that_does_not_vary_has_no_trend():
-    assert trend([1.0] * 5, np.arange(5.0)) is None
-    assert trend([None, 1.0, 2.0, 3.0, 4.0], np.arange(5.0)) is None
-    assert trend([1.0, 2.0, 3.0, 4.0, 5.0], np.array([1.0, 3.0, 2.0, 5.0, 1.5])) is None
+def test_a_constant_or_uncorrelated_setting_has_no_trend():
+    assert significant_trend([1.0] * 5, np.arange(5.0)) is None
+    assert significant_trend([None, 1.0, 2.0, 3.0, 4.0], np.arange(5.0)) is None
+    assert significant_trend([1.0, 2.0, 3.0, 4.0, 5.0], np.array([1.0, 3.0, 2.0, 5.0, 1.5])) is None

@@ -1,10 +1,10 @@
-"""Scores of candidates against plain least squares on the stacked rows."""
+"""Scores of candidates, compared with least squares on the stacked rows."""
 
 import numpy as np
 import pytest
 
 from calibration.discrepancy.rounds import agreement
-from calibration.discrepancy.scores import score, solve, tangent_cosine
+from calibration.discrepancy.scores import least_squares_step, score, tangent_cosine
 from calibration.inference.bounds import Bounds
 from calibration.inference.gauss_newton import _linear_optimum, inverse
 from calibration.inference.problem import ChannelBlock, summed
@@ -12,11 +12,11 @@ from calibration.model.extended import Parameter
 from slider_jax.effects import Prior
 
 TRIALS, ROWS = 5, 60
-FREE, GROUP, RIVAL = np.array([0, 1]), np.array([2, 3]), np.array([4])
+FREE, GROUP, ALTERNATIVE = np.array([0, 1]), np.array([2, 3]), np.array([4])
 
 
 def rows(seed=0):
-    """Tangents (TRIALS, ROWS, 5) and white residuals (TRIALS, ROWS)."""
+    """Return tangents (TRIALS, ROWS, 5) and white residuals (TRIALS, ROWS)."""
     rng = np.random.default_rng(seed)
     J = rng.normal(size=(TRIALS, ROWS, 5))
     J[..., 4] = J[..., 2] + 0.5 * J[..., 0] + 1e-3 * J[..., 4]
@@ -30,17 +30,18 @@ def blocks(J, r):
     ]
 
 
-def left(J, r, columns):
-    """Sum of squares after least squares over `columns`."""
+def residual_square(J, r, columns):
+    """Return the sum of squares after least squares over `columns`."""
     flat = J[..., columns].reshape(-1, len(columns))
     return np.linalg.lstsq(flat, r.ravel(), rcond=None)[1][0]
 
 
-def test_gain_is_the_drop_of_the_joint_least_squares():
+def test_the_gain_is_the_reduction_by_joint_least_squares():
     J, r = rows()
     found = score("x", GROUP, FREE, blocks(J, r), 1.0, 10)
-    drop = left(J, r, FREE) - left(J, r, np.concatenate([FREE, GROUP]))
-    assert found.gain == pytest.approx(drop, rel=1e-9)
+    both = np.concatenate([FREE, GROUP])
+    gain = residual_square(J, r, FREE) - residual_square(J, r, both)
+    assert found.gain == pytest.approx(gain, rel=1e-9)
     flat = J[..., :4].reshape(-1, 4)
     exact = np.linalg.lstsq(flat, r.ravel(), rcond=None)[0]
     np.testing.assert_allclose(found.estimate, exact[GROUP], rtol=1e-9)
@@ -48,7 +49,7 @@ def test_gain_is_the_drop_of_the_joint_least_squares():
     np.testing.assert_allclose(found.error, errors[GROUP], rtol=1e-9)
 
 
-def test_a_left_out_trial_is_predicted_from_the_others_alone():
+def test_a_held_out_trial_is_predicted_from_the_other_trials():
     J, r = rows()
     found = score("x", GROUP, FREE, blocks(J, r), 1.0, 10)
 
@@ -63,7 +64,7 @@ def test_a_left_out_trial_is_predicted_from_the_others_alone():
     np.testing.assert_allclose(found.left_out, exact, rtol=1e-8)
 
 
-def test_chance_gains_are_chi_squared_and_counted_for_every_candidate():
+def test_null_gains_are_chi_squared_and_corrected_for_the_candidates():
     gains = []
     for seed in range(400):
         J, _ = rows(seed)
@@ -76,22 +77,22 @@ def test_chance_gains_are_chi_squared_and_counted_for_every_candidate():
     assert many.p == pytest.approx(min(1.0, 40 * one.p))
 
 
-def test_alike_are_those_whose_tangents_differ_by_the_free_ones_only():
+def test_tangents_that_differ_by_free_parameters_only_are_parallel():
     data = blocks(*rows())
-    assert tangent_cosine(np.array([2]), RIVAL, FREE, data) > 0.999
-    assert tangent_cosine(np.array([3]), RIVAL, FREE, data) < 0.5
-    assert tangent_cosine(GROUP, RIVAL, FREE, data) > 0.999
+    assert tangent_cosine(np.array([2]), ALTERNATIVE, FREE, data) > 0.999
+    assert tangent_cosine(np.array([3]), ALTERNATIVE, FREE, data) < 0.5
+    assert tangent_cosine(GROUP, ALTERNATIVE, FREE, data) > 0.999
 
 
-def test_a_direction_that_the_data_do_not_see_is_said_to_be_unknown():
+def test_a_direction_without_data_has_a_large_variance_and_no_step():
     A = np.diag([4.0, 0.0])
     assert inverse(A)[0, 0] == pytest.approx(0.25)
     assert inverse(A)[1, 1] > 1e9
-    step = solve(A, np.array([2.0, 0.0]), np.array([0, 1]))
+    step = least_squares_step(A, np.array([2.0, 0.0]), np.array([0, 1]))
     np.testing.assert_allclose(step, [0.5, 0.0])
 
 
-def test_the_bounded_optimum_is_free_inside_and_at_the_bound_outside():
+def test_the_bounded_optimum_is_exact_inside_and_at_the_bound_outside():
     entries = [
         Parameter("", "C_d", Prior(np.nan, 0.0, 10.0, "-", "")),
         Parameter("x", "delay", Prior(0.0, 0.0, 1.0, "s", "")),
@@ -114,7 +115,7 @@ def test_bounds_are_invertible():
     np.testing.assert_allclose(bounds.theta_of(bounds.z_of(theta)), theta, rtol=1e-12)
 
 
-def test_a_trial_that_cannot_see_a_candidate_has_no_say():
+def test_a_trial_without_change_is_not_cross_validated():
     J, r = rows()
     J = J.copy()
     J[2][:, GROUP] = 0.0
@@ -126,11 +127,11 @@ def test_a_trial_that_cannot_see_a_candidate_has_no_say():
     ("left_out", "agreed"),
     [
         ((0.3, 0.2, 0.4, 0.3, 0.2), True),
-        ((5.0, 0.2, 0.1, 0.2, 0.1), True),  # all improve, one by far more
-        ((0.384, 0.662, 0.03, 0.113, -0.085), False),  # on the rig's logs: worse when held out
+        ((5.0, 0.2, 0.1, 0.2, 0.1), True),  # all improve, one far more
+        ((0.384, 0.662, 0.03, 0.113, -0.085), False),  # rig logs; a held-out trial gets worse
         ((5.0, -0.2, 0.1, -0.2, 0.1), False),
         ((1.7, 1.2, 0.2), True),
     ],
 )
-def test_trials_agree_on_average_or_one_by_one(left_out, agreed):
+def test_trials_agree_by_the_mean_or_by_the_signed_ranks(left_out, agreed):
     assert agreement(np.array(left_out)).agreed() is agreed

@@ -1,10 +1,10 @@
-"""The verdict on searches whose outcome is plain."""
+"""The verdict on selections with a known outcome."""
 
 import numpy as np
 import pytest
 
 from calibration.discrepancy.rounds import Selection, SelectionStep
-from calibration.discrepancy.verdict import explained, reach_verdict
+from calibration.discrepancy.verdict import reach_verdict, rms_reduction
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.goodness import Excess
 from calibration.model.extended import base_vector, parameters
@@ -13,20 +13,20 @@ ENTRIES = parameters(("valve_delay", "tank_current"))
 BASE = {"C_d": 3.0, "m_a": 0.7, "k": 0.09, "K_Q": 4.8e-7}
 
 
-def verdict(before: float, after: float, effects=("valve_delay",), alike=(), converged=True):
-    """Of a search that found `effects`, with mean squares of the tip `before` and `after`."""
+def verdict(before: float, after: float, effects=("valve_delay",), equivalent=(), converged=True):
+    """Return the verdict for `effects` and the tip's mean squares `before` and `after`."""
     theta = base_vector(ENTRIES, BASE)
     fit = Fit(theta, np.arange(4), 1.0, 100, [], [], converged)
-    rounds = [SelectionStep([], [], name, list(alike)) for name in effects]
+    rounds = [SelectionStep([], [], name, list(equivalent)) for name in effects]
     search = Selection(fit, fit, list(effects), rounds)
-    told = [{"tip": Excess(np.full(4, x), x)} for x in (before, after)]
-    return reach_verdict(search, ENTRIES, *told)
+    excesses = [{"tip": Excess(np.full(4, x), x)} for x in (before, after)]
+    return reach_verdict(search, ENTRIES, *excesses)
 
 
-def test_a_channel_at_its_floor_asks_for_nothing():
+def test_a_residual_at_the_noise_floor_is_explained():
     assert verdict(1.1, 1.1, ()) == "nothing_missing"
     assert verdict(4.0, 1.1) == "identified"
-    assert verdict(4.0, 1.1, alike=["tank_current"]) == "class"
+    assert verdict(4.0, 1.1, equivalent=["tank_current"]) == "class"
 
 
 def test_an_effect_that_leaves_more_than_a_tenth_of_the_rms_is_not_named():
@@ -35,11 +35,11 @@ def test_an_effect_that_leaves_more_than_a_tenth_of_the_rms_is_not_named():
     assert verdict(400.0, 4.5) == "identified"
 
 
-def test_a_fit_that_did_not_converge_settles_nothing():
+def test_a_fit_that_did_not_converge_is_inconclusive():
     assert verdict(400.0, 1.0, converged=False) == "inconclusive"
 
 
-def test_what_is_explained_is_a_share_of_the_rms_above_the_floor():
-    assert explained(4.0, 1.0) == 1.0 and explained(4.0, 0.9) == 1.0
-    assert explained(4.0, 2.25) == pytest.approx(0.5)
-    assert explained(4.0, 9.0) == pytest.approx(-1.0) and explained(1.0, 1.0) == 0.0
+def test_the_reduction_is_a_share_of_the_rms_above_the_floor():
+    assert rms_reduction(4.0, 1.0) == 1.0 and rms_reduction(4.0, 0.9) == 1.0
+    assert rms_reduction(4.0, 2.25) == pytest.approx(0.5)
+    assert rms_reduction(4.0, 9.0) == pytest.approx(-1.0) and rms_reduction(1.0, 1.0) == 0.0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from calibration.discrepancy.rounds import groups
+from calibration.discrepancy.rounds import effect_entries
 from calibration.discrepancy.scores import score, tangent_cosine
 from calibration.discrepancy.settings import DEFAULT_SETTINGS
 from calibration.experiment_design.detectability import (
@@ -78,7 +78,7 @@ def measured(still, theta, seed):
 def gain(still, effect, size, seed):
     """The search's score of an effect that is there at `size`, on noisy readings."""
     f = still.information
-    theta, group = f.theta.copy(), groups(f.entries)[effect]
+    theta, group = f.theta.copy(), effect_entries(f.entries)[effect]
     theta[group] += size
     problem = TankProblem.of(
         f.experiment, measured(still, theta, seed), EFFECTS, CHANNELS, MESH, MESH
@@ -101,7 +101,7 @@ def test_three_times_the_limit_is_found_in_noise_and_nothing_is_not(still, effec
 @pytest.mark.slow
 def test_the_expected_gain_at_the_limit_is_what_the_search_asks_for(still, entries):
     A = information(still.channels)
-    i = groups(entries)["force_gain"]
+    i = effect_entries(entries)["force_gain"]
     size = limit_of(still, "force_gain").significant
     block = [ChannelBlock(0, "", A, size * A[:, i[0]], 0.0, 1)]
     found = score("force_gain", i, np.arange(4), block, 1.0, len(candidates()))
@@ -109,7 +109,7 @@ def test_the_expected_gain_at_the_limit_is_what_the_search_asks_for(still, entri
 
 
 def test_nine_of_ten_are_found_at_the_detection_limit(still, entries):
-    A, i = information(still.channels), groups(entries)["force_gain"]
+    A, i = information(still.channels), effect_entries(entries)["force_gain"]
     found = limit_of(still, "force_gain")
     # Of the two bounds the one by chance; the other is a size, passed by as much.
     size = found.significant + POWER * found.error
@@ -127,7 +127,7 @@ def test_nine_of_ten_are_found_at_the_detection_limit(still, entries):
 
 def test_what_is_worth_naming_changes_a_channel_by_what_programs_differ_by(still, entries):
     """Against least squares on the stacked rows."""
-    f, i = still.information, groups(entries)["carried_mass"][0]
+    f, i = still.information, effect_entries(entries)["carried_mass"][0]
     white, raw, signal = [], {c: [] for c in CHANNELS}, {c: [] for c in CHANNELS}
     for trial in f.experiment.trials:
         p = f.plan(trial)

@@ -14,7 +14,7 @@ from calibration.discrepancy.rounds import (
     Refit,
     Selection,
     SelectionStep,
-    groups,
+    effect_entries,
 )
 from calibration.discrepancy.settings import DEFAULT_SETTINGS
 from calibration.experiment_design import next_experiment as module
@@ -40,7 +40,7 @@ from tests.support.still_tank import EFFECTS, LIMITS, MESH, STILL
 
 FREE, FEW = np.arange(len(BASE)), SearchEffort(spread=3, rounds=0)
 ENTRIES = parameters(EFFECTS)
-MASS, FLUID = (groups(ENTRIES)[name] for name in ("carried_mass", "axial_added_mass"))
+MASS, FLUID = (effect_entries(ENTRIES)[name] for name in ("carried_mass", "axial_added_mass"))
 
 
 @pytest.fixture(scope="module")
