@@ -14,7 +14,7 @@ SHAPES[2] = SHAPES[4] + 0.25 * SHAPES[3] + 0.1 * SHAPES[2]
 
 
 class Sums:
-    """Readings are the sum of `shapes` (parameters, trials, samples) times parameters, and noise."""
+    """Readings are parameters times `shapes` (parameters, trials, samples), plus noise."""
 
     channels = ("tip",)
     maps = memo = None
