@@ -1,4 +1,4 @@
-"""One trial: quiet, the drive, quiet again; all streams in one recording, and a vent at the end."""
+"""Records one trial: rest, drive, rest; all streams go to one recording, and chambers vent last."""
 
 import time
 from collections.abc import Callable
@@ -21,47 +21,50 @@ Sink = Callable[[int, bytes], None]
 
 
 class RecordedInstrument(Protocol):
-    """What is recorded beside the manifold: a force sensor, a camera."""
+    """An instrument that is recorded beside the manifold: a force sensor or a camera."""
 
     def start(self, sink: Sink) -> None:
-        """Hands (host time [ns], bytes) to `sink` from now on."""
+        """Begin to call `sink` with (host time [ns], bytes)."""
         ...
 
     def stop(self) -> None:
-        """Ends that."""
+        """Stop calling the sink."""
         ...
 
     def check(self) -> None:
-        """Raises `RigError` where it fell silent or fails."""
+        """Raise `RigError` if the instrument failed or sends no data."""
         ...
 
     def close(self) -> None:
-        """Ends it for good."""
+        """Release the instrument."""
         ...
 
 
 class TrialTiming(NamedTuple):
-    """Of a trial [s], and its commands a second."""
+    """Durations of a trial's parts, and the rate of its commands."""
 
     quiet: float = 1.0
-    """At rest before the drive, from which tares and noise are taken."""
+    """Rest before the drive, for the sensors' tares and noise [s]."""
     after: float = 0.3
+    """Rest after the drive [s]."""
     rate: float = RATE
+    """Commands per second."""
     fade: float = 2.0
-    """After the trial, over which the drive dies away."""
+    """Time after the trial over which the drive's amplitude decreases to 0 [s]."""
 
 
 @dataclass(frozen=True)
 class PlannedTrial:
-    """What is played: `name` is that of its files, without a suffix."""
+    """A trial as the rig plays it."""
 
     name: str
+    """Name of the trial's files, without a suffix."""
     drive: SegmentDrive
     duration: float
-    """[s]"""
+    """Duration of the drive without its fade [s]."""
 
     def check(self, limits: PressureLimits) -> None:
-        """Raises `RigError`, naming the trial, if a chamber is ever asked for too much."""
+        """Raise `RigError` with the trial's name if a set pressure exceeds its chamber's limit."""
         try:
             self.drive.check(limits, self.duration)
         except RigError as error:
@@ -69,14 +72,14 @@ class PlannedTrial:
 
 
 class RecordedTrial(NamedTuple):
-    """A trial that is on disk."""
+    """How a recorded trial was played, and the recorder's load."""
 
     played: PlaybackRecord
     load: RecorderLoad
 
 
 class SwitchableSink:
-    """A sink that can be connected to another one, and drops what comes while it is not."""
+    """A sink that forwards to the sink `to`, or drops the data if `to` is None."""
 
     def __init__(self) -> None:
         self.to: Sink | None = None
@@ -88,14 +91,14 @@ class SwitchableSink:
 
 
 class ManifoldSinks(NamedTuple):
-    """Where the manifold's bytes go, in and out."""
+    """Sinks of the bytes from and to the manifold."""
 
-    came: SwitchableSink
-    went: SwitchableSink
+    received: SwitchableSink
+    sent: SwitchableSink
 
     def disconnect(self) -> None:
-        """What comes from now on is dropped."""
-        self.came.to = self.went.to = None
+        """Drop all further bytes."""
+        self.received.to = self.sent.to = None
 
 
 def record_trial(
@@ -109,10 +112,11 @@ def record_trial(
     timing: TrialTiming = TrialTiming(),
     watch: Callable[[str, float], None] = lambda phase, t: None,
 ) -> RecordedTrial:
-    """Records a trial to `path`; `instruments` are by the name of their stream.
+    """Record a trial to `path` and return how it was played.
 
-    Its end, whichever it is, vents the manifold before anything else. `watch` hears, a hundred
-    times a second or so, what is done and its time [s]. Raises `RigError`.
+    `instruments` has each instrument by the name of its stream. At the end and on every error, the
+    manifold vents before anything else. `watch` is called about 100 times a second with the phase
+    and the time since its beginning [s]. Raises `RigError`.
     """
     trial.check(limits)
     streams = ("manifold", "commands", *instruments)
@@ -140,10 +144,8 @@ def record_trial(
     with recorder:
         with ExitStack() as stack:
             stack.callback(switches.disconnect)
-            switches.came.to, switches.went.to = (
-                recorder.sink("manifold"),
-                recorder.sink("commands"),
-            )
+            switches.received.to = recorder.sink("manifold")
+            switches.sent.to = recorder.sink("commands")
             for name, instrument in instruments.items():
                 instrument.start(recorder.sink(name))
                 stack.callback(instrument.stop)

@@ -1,4 +1,4 @@
-"""Is the rig fit for a trial: rate, line, answer times, noise, how each chamber holds; forces."""
+"""Checks a rig before a trial: rate, losses, answer times, noise, each chamber, the forces."""
 
 import time
 from collections.abc import Callable
@@ -12,56 +12,60 @@ from rig.manifold.driver import Manifold
 from rig.protocol.messages import CHAMBERS, Reading
 
 ANSWER = 0.02
-"""Longest that a command's reading is waited for [s]: several may be lost before the watchdog."""
+"""Longest wait for the reading that answers a command [s]. It is short, so that several may be lost
+in a row before the watchdog vents."""
 HOLD = 1.5
-"""How long a chamber is held [s]."""
+"""Duration of each chamber's test [s]."""
 COMMANDS = 50
-"""Whose answers are timed."""
+"""Number of commands whose answers are timed."""
 LEAST_HELD = 0.95
-"""Share of a set pressure that a chamber without a leak comes to."""
-RESOLVED = 0.9
-"""Share of the announced readings that has to come."""
+"""Lowest pressure of a chamber without a leak, as a fraction of the set pressure."""
+LEAST_RECEIVED = 0.9
+"""Lowest rate of received readings or force records, as a fraction of the nominal rate."""
 FORCE_RATE = 1000.0
-"""Records a second of a force sensor, of which `RESOLVED` have to come."""
+"""Nominal rate of a force sensor, in records per second."""
 
 
 class ChamberCheck(NamedTuple):
-    """One chamber at a set pressure."""
+    """The test of one chamber at a set pressure."""
 
     name: str
     asked: float
-    """[Pa]"""
+    """Set pressure [Pa]."""
     reached: float
-    """Mean over the last fifth of the hold [Pa]."""
+    """Mean pressure over the last fifth of the test [Pa]."""
     rise: float
-    """Time to 63 % of what was reached [s]."""
+    """Time until 63 % of `reached` [s]."""
     others: float
-    """Largest pressure that another chamber came to meanwhile [Pa]."""
+    """Highest pressure of another chamber in the last fifth of the test [Pa]."""
 
 
 class ManifoldCheck(NamedTuple):
-    """What was found."""
+    """Result of a manifold's check."""
 
     rate: float
-    """Readings a second that came."""
+    """Received readings per second."""
     lost: int
+    """Number of lost readings."""
     damaged: int
+    """Number of damaged frames."""
     round_trip: np.ndarray
-    """(n,) from a command to the first reading that tells of it [s]."""
+    """(n,) time from a command to the first reading with its number [s]."""
     noise: np.ndarray
     """(8,) standard deviations at rest, in the channels' units."""
     offset: np.ndarray
-    """(8,) means at rest."""
+    """(8,) means at rest, in the channels' units."""
     held: list[ChamberCheck]
     findings: list[str]
 
 
 class ForceCheck(NamedTuple):
-    """What was found of a force sensor at rest."""
+    """Result of a force sensor's check at rest."""
 
     rate: float
-    """Records a second that came."""
+    """Received records per second."""
     lost: int
+    """Number of lost records."""
     offset: np.ndarray
     """(2,) means of thrust and recoil [N]."""
     noise: np.ndarray
@@ -70,7 +74,7 @@ class ForceCheck(NamedTuple):
 
 
 class ReadingCollector:
-    """Readings with their times of arrival, from the reader's thread."""
+    """Collects readings and their arrival times [ns] from the reader's thread."""
 
     def __init__(self) -> None:
         self.rows: list[tuple[int, Reading]] = []
@@ -79,7 +83,7 @@ class ReadingCollector:
         self.rows.append((host_ns, reading))
 
     def take(self) -> list[tuple[int, Reading]]:
-        """What has come since the last time."""
+        """Return and remove the readings since the last call."""
         rows = self.rows[: len(self.rows)]
         del self.rows[: len(rows)]
         return rows
@@ -89,46 +93,46 @@ def check_manifold(
     manifold: Manifold,
     collector: ReadingCollector,
     pressure: float,
-    say: Callable[[str], None] = lambda text: None,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> ManifoldCheck:
-    """A check with each chamber in turn at `pressure` [Pa]; the limits are set already.
+    """Return the check of a configured manifold, with each chamber in turn at `pressure` [Pa].
 
-    `collector` is what the manifold gives its readings to. Raises `RigError`.
+    `collector` receives the manifold's readings. Raises `RigError`.
     """
     assert manifold.ident is not None
-    say("at rest")
+    progress("at rest")
     collector.take()
     begun = time.monotonic()
     _hold(manifold, 2.0, lambda: None)
     seconds, quiet = time.monotonic() - begun, collector.take()
     if len(quiet) < 2:
-        raise RigError("no readings come; check the line from the manifold to the computer")
+        raise RigError("no readings arrive; check the cable from the manifold to the computer")
     channels = np.array([r.channels for _, r in quiet], float)
     rate = len(quiet) / seconds
     manifold.arm()
-    say("answer times")
+    progress("answer times")
     trips = _round_trips(manifold, collector)
     held = []
     for chamber, name in enumerate(CHAMBERS):
-        say(f"{name} at {1e-3 * pressure:g} kPa")
-        held.append(_held(manifold, collector, chamber, pressure))
+        progress(f"{name} at {1e-3 * pressure:g} kPa")
+        held.append(_check_chamber(manifold, collector, chamber, pressure))
     manifold.stop()
     findings = [
-        f"{x.name} reads {1e-3 * x.reached:.1f} kPa where {1e-3 * x.asked:.1f} are set: a leak, a "
-        "blocked valve, or the supply is too low"
+        f"{x.name} reads {1e-3 * x.reached:.1f} kPa, set are {1e-3 * x.asked:.1f}: a leak, a "
+        "blocked valve, or a low supply pressure"
         for x in held
         if x.reached < LEAST_HELD * x.asked
     ] + [
-        f"with {x.name} alone set, another chamber reads {1e-3 * x.others:.1f} kPa: lines crossed, "
-        "or a vent that does not open"
+        f"with only {x.name} pressurised, another chamber reads {1e-3 * x.others:.1f} kPa: swapped "
+        "tubes, or a vent that does not open"
         for x in held
         if x.others > 0.2 * x.asked
     ]
-    if rate < RESOLVED * manifold.ident.rate:
-        findings.append(f"{rate:.0f} readings a second come, {manifold.ident.rate} are announced")
+    if rate < LEAST_RECEIVED * manifold.ident.rate:
+        findings.append(f"{rate:.0f} readings a second arrive, {manifold.ident.rate} are expected")
     if len(trips) < COMMANDS:
         findings.append(
-            f"{COMMANDS - len(trips)} of {COMMANDS} commands were not told of within "
+            f"{COMMANDS - len(trips)} of {COMMANDS} commands were not answered within "
             f"{1e3 * ANSWER:g} ms: lost on the line, or the computer is too busy"
         )
     if manifold.lost or manifold.damaged:
@@ -140,9 +144,9 @@ def check_manifold(
 
 
 def check_force(source: ForceSource, mounting: SensorMounting, seconds: float = 1.0) -> ForceCheck:
-    """Listens to a force sensor for so long; nothing moves. Raises `RigError` if it is silent."""
-    came: list[tuple[int, bytes]] = []
-    source.start(lambda host_ns, piece: came.append((host_ns, piece)))
+    """Return the check of a force sensor at rest, over `seconds`. Raises `RigError`."""
+    received: list[tuple[int, bytes]] = []
+    source.start(lambda host_ns, piece: received.append((host_ns, piece)))
     try:
         end = time.monotonic() + seconds
         while time.monotonic() < end:
@@ -151,19 +155,19 @@ def check_force(source: ForceSource, mounting: SensorMounting, seconds: float = 
         lost = source.health().missing
     finally:
         source.stop()
-    forces = source.calibration.forces([t for t, _ in came], [piece for _, piece in came])
-    came_through = np.isfinite(forces.wrench).all(axis=1)  # the lost are NaN
-    sound = forces.wrench[came_through & ~forces.doubtful]
-    if len(sound) < 2:
-        raise RigError("the force sensor gives no sound record; see to its cable and its load")
+    forces = source.calibration.forces([t for t, _ in received], [piece for _, piece in received])
+    arrived = np.isfinite(forces.wrench).all(axis=1)  # lost records are NaN
+    valid = forces.wrench[arrived & ~forces.doubtful]
+    if len(valid) < 2:
+        raise RigError("the force sensor sends no valid record; check its cable and its load")
     span = 1e-9 * float(forces.t_ns[-1] - forces.t_ns[0])
-    rate = (int(came_through.sum()) - 1) / max(span, 1e-9)
+    rate = (int(arrived.sum()) - 1) / max(span, 1e-9)
     findings = list(forces.findings)
-    if rate < RESOLVED * FORCE_RATE:
+    if rate < LEAST_RECEIVED * FORCE_RATE:
         findings.append(
-            f"{rate:.0f} records of force a second come; set its RDT rate to {FORCE_RATE:g}"
+            f"{rate:.0f} force records a second arrive; set the sensor's RDT rate to {FORCE_RATE:g}"
         )
-    values = np.stack(mounting.thrust_and_recoil(sound))
+    values = np.stack(mounting.thrust_and_recoil(valid))
     return ForceCheck(rate, lost, values.mean(axis=1), values.std(axis=1), findings)
 
 
@@ -182,16 +186,16 @@ def _round_trips(manifold: Manifold, collector: ReadingCollector) -> np.ndarray:
         begun, seq = time.monotonic_ns(), manifold.set((0.0, 0.0, 0.0, 0.0))
         end = time.monotonic() + ANSWER
         while time.monotonic() < end:
-            came = next((t for t, r in list(collector.rows) if r.command == seq), None)
-            if came is not None:
-                trips.append(1e-9 * (came - begun))
+            arrival = next((t for t, r in list(collector.rows) if r.command == seq), None)
+            if arrival is not None:
+                trips.append(1e-9 * (arrival - begun))
                 break
             time.sleep(0.0005)
         manifold.check()
     return np.array(trips)
 
 
-def _held(
+def _check_chamber(
     manifold: Manifold, collector: ReadingCollector, chamber: int, pressure: float
 ) -> ChamberCheck:
     pressures = [pressure if i == chamber else 0.0 for i in range(len(CHAMBERS))]
@@ -202,7 +206,9 @@ def _held(
     t = np.array([1e-9 * (host_ns - begun) for host_ns, _ in rows])
     p = np.array([r.channels[:4] for _, r in rows], float)
     if not (t > 0.8 * HOLD).any():
-        raise RigError(f"no readings came while {CHAMBERS[chamber]} was held; check the line")
+        raise RigError(
+            f"no readings arrived during the test of {CHAMBERS[chamber]}; check the cable"
+        )
     reached = float(p[t > 0.8 * HOLD, chamber].mean())
     above = np.flatnonzero(p[:, chamber] >= 0.632 * reached)
     rise = float(t[above[0]]) if len(above) else float("nan")

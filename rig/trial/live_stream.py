@@ -1,4 +1,4 @@
-"""A rig's streams as they come: set and measured values at the manifold's readings."""
+"""Combines a rig's streams during a trial: set and measured values at each reading."""
 
 from bisect import bisect_right
 from collections import deque
@@ -14,35 +14,38 @@ from rig.recording.clock import RunningClock
 from rig.recording.table import ORDER, AnalogueSensor, resample_at_rows
 
 CHANNELS_OUT = ORDER[1:]
-LATEST = 0.05
-"""A force sample that is so late is not waited for [s]."""
+"""Channels of a reading, in this order."""
+MAX_FORCE_DELAY = 0.05
+"""Longest wait for a force sample [s]."""
 KEPT = 4096
-BEHIND = 0.2
-"""Force samples that are so much older than the latest reading [s] are not needed any more."""
+"""Largest number of readings, commands or force samples in memory: 4 s of forces at 1 kHz."""
+FORCE_MEMORY = 0.2
+"""Time before the latest reading for which force samples are kept [s]."""
 Pressures = tuple[float, float, float, float]
 Item = TypeVar("Item")
 Signed = tuple[float, float]
-"""Of front and rear [Pa]."""
+"""Signed pressures of the front and rear segment [Pa]."""
 
 
 class LiveReadings(NamedTuple):
-    """Readings (n,) that came since the last time."""
+    """The n readings since the last call."""
 
     device_s: np.ndarray
+    """(n,) times on the manifold's clock [s]."""
     set_pressure: np.ndarray
-    """(2, n) signed, front and rear [Pa]: the mean of what the manifold followed since the reading
-    before."""
+    """(2, n) mean signed set pressures of front and rear since the previous reading [Pa]."""
     measured: np.ndarray
-    """(5, n) as `CHANNELS_OUT`; NaN where no sensor gave a value."""
+    """(5, n) values of `CHANNELS_OUT`; NaN without a sensor."""
     arrived_ns: np.ndarray
-    """Host time of arrival [ns]."""
+    """(n,) host times of arrival [ns]."""
 
 
 class LiveStream:
-    """Puts together what threads hand in, each in its own deque; all else is `take`'s own.
+    """Combines the streams of several threads, which only append to deques.
 
-    Give `reading` and `follows` to the manifold, and itself to what plays, in the manifold's place.
-    Readings count while the valves follow set pressures.
+    Pass `reading` and `follows` to the manifold as callbacks, and the stream itself to `play_drive`
+    in place of the manifold. Readings are used only while the valves follow set pressures. Only the
+    thread that calls `take` uses the other state.
     """
 
     def __init__(self, analogue: tuple[AnalogueSensor, ...] = (), has_force: bool = False):
@@ -58,7 +61,7 @@ class LiveStream:
         self.manifold: Manifold | None = None
 
     def set(self, pressures: Pressures) -> int:
-        """Sets them on the manifold, and notes which command that was."""
+        """Send set pressures [Pa] to the manifold and return the command's number."""
         assert self.manifold is not None
         with self._lock:
             seq = self.manifold.set(pressures)
@@ -68,19 +71,19 @@ class LiveStream:
         return seq
 
     def reading(self, host_ns: int, reading: Reading) -> None:
-        """A reading and when it arrived."""
+        """Add a reading that arrived at `host_ns`."""
         self._came.append((host_ns, reading))
 
     def follows(self, change: Follows) -> None:
-        """What the valves follow from now on."""
+        """Add a change of the set pressures that the valves follow."""
         self._came.append(change)
 
     def force(self, host_ns: int, sensor_s: float, thrust: float, recoil: float) -> None:
-        """A force sample [N], by the sensor's own clock [s], and when it arrived [ns]."""
+        """Add a force sample [N] of the sensor's time [s] that arrived at `host_ns`."""
         self._forces_came.append((host_ns, sensor_s, thrust, recoil))
 
     def take(self) -> LiveReadings:
-        """What is complete: readings up to the latest force sample, if forces are measured."""
+        """Return the complete readings: up to the latest force sample, if forces are measured."""
         self._order()
         forces = np.array(self._forces).reshape(-1, 3).T
         if len(forces[0]):
@@ -90,7 +93,7 @@ class LiveStream:
             host_ns, reading, _ = self._rows[0]
             t = float(self._clock.to_host(1e-6 * reading.device_us))
             waits = self._has_force and not (len(forces[0]) and t <= forces[0, -1])
-            if waits and self._rows[-1][0] - host_ns < LATEST * 1e9:
+            if waits and self._rows[-1][0] - host_ns < MAX_FORCE_DELAY * 1e9:
                 break
             rows.append(self._rows.popleft())
             at.append(t)
@@ -107,17 +110,17 @@ class LiveStream:
         if n and self._has_force:
             for i in (1, 2):
                 measured[1 + i] = resample_at_rows(np.array(at), forces[0], forces[i])
-            del self._forces[: int(np.searchsorted(forces[0], at[-1] - BEHIND))]
+            del self._forces[: int(np.searchsorted(forces[0], at[-1] - FORCE_MEMORY))]
         return LiveReadings(device, set_pressure, measured, arrived)
 
     def _order(self) -> None:
-        """To each reading that has come the mean of what was followed since the one before."""
+        """Add to each new reading the mean set pressures since the previous reading."""
         for host_ns, sensor_s, *forces in _all_of(self._forces_came):
             self._force_clock.add(sensor_s, 1e-9 * host_ns)
             self._forces.append((sensor_s, forces[0], forces[1]))
         del self._forces[:-KEPT]
         came = list(_all_of(self._came))
-        with self._lock:  # not for longer: the player waits for it
+        with self._lock:  # briefly, because the player waits for it
             commands = dict(self._commands)
         for item in came:
             if isinstance(item, Follows):
@@ -126,49 +129,53 @@ class LiveStream:
             host_ns, reading = item
             t, resets = 1e-6 * reading.device_us, self._clock.resets
             self._clock.add(t, 1e-9 * host_ns)
-            if self._clock.resets > resets:  # nothing from before is of this clock
+            if self._clock.resets > resets:  # earlier times are of another clock
                 self._rows.clear()
                 self._followed.forget()
             if reading.state not in (ManifoldState.ARMED, ManifoldState.PLAYING):
                 continue
-            told = commands.get(reading.command)
-            if told is not None:
-                self._followed.at_reading(t, _signed(told))
+            pressures = commands.get(reading.command)
+            if pressures is not None:
+                self._followed.at_reading(t, _signed(pressures))
             self._rows.append((host_ns, reading, self._followed.mean_until(t)))
 
 
 def _all_of(came: deque[Item]) -> Iterator[Item]:
-    """What is there now, taken away; more may come meanwhile."""
+    """Yield and remove the present items; another thread may append meanwhile."""
     for _ in range(len(came)):
         yield came.popleft()
 
 
 class _Followed:
-    """Signed set pressures as they changed, in the device's time [s]."""
+    """The signed set pressures that the manifold followed, against its time [s]."""
 
     def __init__(self) -> None:
         self.forget()
 
     def forget(self) -> None:
-        """As at the beginning: nothing is set."""
+        """Return to the initial state without set pressures."""
         self._at: list[float] = [-np.inf]
         self._sets: list[Signed] = [(0.0, 0.0)]
         self._since: float | None = None
 
     def change(self, t: float, pressures: Signed) -> None:
-        if t < self._at[-1]:  # the manifold has started anew
+        """Add a change at `t`."""
+        if t < self._at[-1]:  # the manifold restarted
             self.forget()
         self._at.append(t)
         self._sets.append(pressures)
 
     def at_reading(self, t: float, pressures: Signed) -> None:
-        """What a reading says is followed. If no change told of that, it was lost on the line: it
-        came somewhere between this reading and the one before."""
+        """Add the set pressures that a reading at `t` reports.
+
+        If they are new, the report of the change was lost; the change is put halfway between this
+        reading and the previous one.
+        """
         if self._sets[-1] != pressures:
             self.change(t if self._since is None else 0.5 * (self._since + t), pressures)
 
     def mean_until(self, t: float) -> Signed:
-        """The mean since the last call's time; of the first call, what holds."""
+        """Return the mean since the last call's time, in the first call the value at `t`."""
         last = bisect_right(self._at, t) - 1
         since, self._since = self._since, t
         if since is None or not since < t:
@@ -177,7 +184,7 @@ class _Followed:
             ends = np.array([since, *(x for x in self._at if since < x <= t), t])
             held = np.array(self._sets[last + 2 - len(ends) : last + 1])
             front, rear = (np.diff(ends) @ held / (t - since)).tolist()
-        # Only what holds now, and what came early, is still needed.
+        # The value at `t` and later changes are still needed.
         del self._at[:last], self._sets[:last]
         return front, rear
 

@@ -1,4 +1,4 @@
-"""A drive is played: set pressures at an even rate, and at every edge at its own time."""
+"""Plays a drive: sends set pressures at a constant rate, and in addition at each pressure step."""
 
 import time
 from collections.abc import Callable
@@ -11,11 +11,11 @@ from rig.recording.clock import host_ns
 from rig.trial.waveform import SegmentDrive, chamber_pressures
 
 RATE = 200.0
-"""Commands a second."""
+"""Commands per second by default; a manifold vents after 0.1 s without a command."""
 
 
 class Settable(Protocol):
-    """What set pressures are sent to."""
+    """A receiver of set pressures."""
 
     def set(self, pressures: tuple[float, float, float, float], /) -> int: ...
 
@@ -24,18 +24,17 @@ class PlaybackRecord(NamedTuple):
     """How a drive was played."""
 
     begun_ns: int
-    """Host time of its t = 0 [ns]."""
+    """Host time of the drive's t = 0 [ns]."""
     lateness: np.ndarray
-    """(commands,) [s] from when each was due until it was on the wire."""
+    """(commands,) delay of each command from its scheduled time until it was sent [s]."""
 
 
 def command_times(drive: SegmentDrive, duration: float, rate: float = RATE) -> np.ndarray:
-    """Times [s] of all commands, from 0 and before `duration`."""
-    even = np.arange(int(np.ceil(duration * rate))) / rate
-    even = even[even < duration]
-    edges = drive.edges(duration)
-    times = np.union1d(even, edges)
-    # Of an edge and an even time that rounding put beside each other the later one is behind both.
+    """Return the times [s] of all commands in [0, duration)."""
+    regular = np.arange(int(np.ceil(duration * rate))) / rate
+    regular = regular[regular < duration]
+    times = np.union1d(regular, drive.edges(duration))
+    # If rounding separates a step from a regular time, the later one is after both.
     return times[np.append(np.diff(times) > 1e-6, True)]
 
 
@@ -47,10 +46,11 @@ def play_drive(
     watch: Callable[[float], None] = lambda t: None,
     fade: float = 0.0,
 ) -> PlaybackRecord:
-    """Plays it, now. `watch` hears of every command's time [s]; what it raises ends the trial.
+    """Play a drive immediately and return the commands' lateness.
 
-    After `duration` it dies away over `fade` [s], as the square of a cosine: a body that is let go
-    of at once swings for a minute, where only drag that grows with the square of speed damps it.
+    `watch` is called with each command's time [s]; its errors end the trial. After `duration` the
+    amplitude decreases over `fade` [s] as a squared cosine. After an abrupt end the body would
+    swing for a minute, because quadratic drag hardly damps small motions.
     """
     end = duration + fade
     times = command_times(drive, end, rate)
@@ -58,9 +58,9 @@ def play_drive(
     start = time.monotonic() + 0.002
     begun = host_ns() + round((start - time.monotonic()) * 1e9)
     for i, t in enumerate(times):
-        left = 1.0 if t < duration else cos(0.5 * pi * (t - duration) / fade) ** 2
+        scale = 1.0 if t < duration else cos(0.5 * pi * (t - duration) / fade) ** 2
         front, rear = drive.segments(t)
-        pressures = chamber_pressures(left * front, left * rear)
+        pressures = chamber_pressures(scale * front, scale * rear)
         wait_until(start + t)
         manifold.set(pressures)
         lateness[i] = time.monotonic() - (start + t)
@@ -70,6 +70,6 @@ def play_drive(
 
 
 def wait_until(deadline: float) -> None:
-    """Until `deadline` of `time.monotonic`."""
-    while (left := deadline - time.monotonic()) > 0.0:
-        time.sleep(left)
+    """Sleep until `time.monotonic` reaches `deadline` [s]."""
+    while (remaining := deadline - time.monotonic()) > 0.0:
+        time.sleep(remaining)

@@ -1,4 +1,4 @@
-"""An experiment on the rig, trial after trial into a folder; stopped, it can go on."""
+"""Runs an experiment's trials on the rig into a folder; an interrupted run can be resumed."""
 
 import hashlib
 import json
@@ -31,23 +31,24 @@ from rig.trial.capture import (
 from rig.trial.settling import Stillness, sensor_noise
 
 RANGES = {"thrust_N": 1.0, "recoil_N": 1.0, "tip_m": 0.08}
-"""What sensors range over in a trial, where none tells yet."""
+"""Assumed ranges of the sensors before the first trial."""
 LATE = 3e-3
-"""Commands that are later than this, one in a hundred, are told of [s]."""
+"""99th percentile of the commands' lateness above which a finding is recorded [s]."""
 LATE_READINGS = 4e-3
-"""Readings that are later than this in the middle are told of [s]: a calm computer has 0.7 ms."""
+"""Median lateness of readings above which a finding is recorded [s]; it is 0.7 ms on a computer
+without other load."""
 SLOW = 0.15
-"""Flushes of the recording that are further apart are told of [s]."""
+"""Time between flushes of the recording above which a finding is recorded [s]."""
 MAY_CHANGE = {"rig.force.host", "rig.force.port", "rig.force.page_port", "experiment_sha256"}
-"""Settings that may change before a run goes on: where an instrument is, not which; and other
-trials of the experiment."""
+"""Settings that may change before a run is resumed: an instrument's address, but not its other
+settings, and the experiment's other trials."""
 RECORDINGS = "recordings"
-"""In an experiment's folder: all that came of a trial, NAME.h5, and what is told, NAME.json."""
+"""Folder of the trials' recordings NAME.h5 and records NAME.json, in the experiment's folder."""
 
 
 @dataclass(frozen=True)
 class Rig:
-    """What trials are run with. Instruments and their readers are by the name of their stream."""
+    """The devices and settings of a run; instruments and readers by the name of their stream."""
 
     manifold: Manifold
     switches: ManifoldSinks
@@ -55,13 +56,13 @@ class Rig:
     instruments: dict[str, RecordedInstrument]
     readers: dict[str, StreamReader]
     force: ForceSource | None = None
-    """That of the instruments, for who wants to show its latest sample."""
+    """The force sensor among the instruments, for showing its latest sample."""
     analogue: tuple[AnalogueSensor, ...] = ()
     timing: TrialTiming = TrialTiming()
     pause: float = 2.0
-    """Between trials, for the water to come to rest [s]: so long at least."""
+    """Shortest pause between trials, for the water to come to rest [s]."""
     longest_pause: float = 60.0
-    """So long at most, for what the analogue sensors measure to come to rest [s]."""
+    """Longest pause, if the analogue sensors still detect motion [s]."""
 
 
 def run_trials(
@@ -70,12 +71,12 @@ def run_trials(
     folder: Path,
     settings: dict[str, Any],
     watch: Callable[[str, str, float], None] = lambda trial, phase, t: None,
-    done: Callable[[PlannedTrial, dict[str, Any]], None] = lambda trial, told: None,
 ) -> list[dict[str, Any]]:
-    """Each trial's CSV in `folder`, and what is to be known of it, in order.
+    """Run all trials, write their files to `folder`, and return their records in order.
 
-    Trials that an earlier run with the same `settings` finished are not run again. A recording that
-    one left behind unfinished is kept under another name. Raises `RigError`.
+    Trials that an earlier run with the same `settings` has finished are not repeated. An unfinished
+    recording is kept under another name. `watch` is called often with the trial's name, its phase
+    and the time in the phase [s]. Raises `RigError`.
     """
     for trial in trials:
         trial.check(rig.limits)
@@ -83,12 +84,11 @@ def run_trials(
     recordings.mkdir(parents=True, exist_ok=True)
     found: list[dict[str, Any]] = []
     for trial in trials:
-        told = finished_record(folder, trial, settings)
-        if told is None:
+        record = finished_record(folder, trial, settings)
+        if record is None:
             wait_for_rest(rig, found[-1] if found else None, partial(watch, trial.name))
-            told = run_trial(trial, rig, folder, settings, watch)
-            done(trial, told)
-        found.append(told)
+            record = run_trial(trial, rig, folder, settings, watch)
+        found.append(record)
     return found
 
 
@@ -99,37 +99,40 @@ def run_trial(
     settings: dict[str, Any],
     watch: Callable[[str, str, float], None],
 ) -> dict[str, Any]:
-    """Runs a trial, and writes its files."""
+    """Run a trial, write its files and return its record."""
     path = folder / RECORDINGS / f"{trial.name}.h5"
-    _keep(path)
+    _rename_earlier(path)
     captured = record_trial(
         trial, rig.manifold, rig.switches, rig.instruments, path, rig.limits, settings, rig.timing,
         lambda phase, t: watch(trial.name, phase, t),
     )  # fmt: skip
-    read = trial_columns(
+    columns = trial_columns(
         read_recording(path), captured.played.begun_ns, trial.duration, rig.readers, rig.analogue
     )
-    told = _told(trial, captured, read) | {"settings": settings, "versions": _versions()}
-    write_trial(folder, trial.name, read)
-    save_json(path.with_suffix(".json"), told)
-    return told
+    record = _trial_record(trial, captured, columns) | {
+        "settings": settings,
+        "versions": _versions(),
+    }
+    write_trial(folder, trial.name, columns)
+    save_json(path.with_suffix(".json"), record)
+    return record
 
 
-def write_trial(folder: Path, name: str, read: TrialColumns) -> None:
-    """NAME.csv, and NAME.played.csv with the drive as it was played, where that is known."""
+def write_trial(folder: Path, name: str, columns: TrialColumns) -> None:
+    """Write NAME.csv, and the played drive to NAME.played.csv if it is known."""
     played = folder / f"{name}.played.csv"
-    if read.played is None:
+    if columns.played is None:
         played.unlink(missing_ok=True)
     else:
-        save_csv(played, read.played)
-    save_csv(folder / f"{name}.csv", read.values)
+        save_csv(played, columns.played)
+    save_csv(folder / f"{name}.csv", columns.values)
 
 
-def start_swing(told: Sequence[dict[str, Any]]) -> float:
-    """What the tip swung by before the trials began, at most: a standard deviation [m]."""
+def start_swing(records: Sequence[dict[str, Any]]) -> float:
+    """Return the tip's largest standard deviation before a trial, without the noise [m]."""
     squares = [
         x["at_rest_deviation"]["tip_m"] ** 2 - x["at_rest_noise"]["tip_m"] ** 2
-        for x in told
+        for x in records
         if "tip_m" in x["at_rest_deviation"]
     ]
     return float(np.sqrt(max([0.0, *squares])))
@@ -138,12 +141,12 @@ def start_swing(told: Sequence[dict[str, Any]]) -> float:
 def wait_for_rest(
     rig: Rig, before: dict[str, Any] | None, watch: Callable[[str, float], None]
 ) -> None:
-    """Waits, vented, for the robot to come to rest, and raises what happens meanwhile.
+    """Wait with vented chambers until the robot is at rest. Raises `RigError`.
 
-    `before` is what is told of the trial before, of a first one nothing; `watch` hears what is
-    waited for, and since when.
+    `before` is the previous trial's record, or None for the first trial. `watch` is called with the
+    sensor that still moves and the time since the beginning [s].
     """
-    # What the manifold did before this session, such as a reset, is done with.
+    # Discards earlier events of the manifold, such as a reset.
     rig.manifold.configure(rig.limits)
     begun = time.monotonic()
     ranges = before["range"] if before else RANGES
@@ -157,31 +160,32 @@ def wait_for_rest(
         if rig.manifold.latest is not None:
             still.add(waited, rig.manifold.latest)
         until = still.waits_for
-        watch(f"pause{until}{f' {rig.longest_pause:g} s at most,' if until else ''}", waited)
+        limit = f" at most {rig.longest_pause:g} s," if until else ""
+        watch(f"pause{until}{limit}", waited)
 
 
 def finished_record(
     folder: Path, trial: PlannedTrial, settings: dict[str, Any]
 ) -> dict[str, Any] | None:
-    """What an earlier run told of a trial that it finished; None if there is none.
+    """Return the record of a trial that an earlier run has finished, or None.
 
-    Raises `RigError` if it had another drive or other settings then.
+    Raises `RigError` if that run used another drive or other settings.
     """
     path = folder / RECORDINGS / f"{trial.name}.json"
-    told = read_trial_record(path.with_suffix(".h5"))
-    if told is None:
+    record = read_trial_record(path.with_suffix(".h5"))
+    if record is None:
         return None
-    before = {"trial": {key: told[key] for key in ("duration_s", "drive")}}
-    if differ := changed_settings(told["settings"] | before, settings | {"trial": _drive(trial)}):
+    before = {"trial": {key: record[key] for key in ("duration_s", "drive")}}
+    if differ := changed_settings(record["settings"] | before, settings | {"trial": _drive(trial)}):
         raise RigError(
-            f"{path}: trial {trial.name} is there already, run with another {', '.join(differ)}; "
-            "give another --out, or the same settings to go on"
+            f"{path}: trial {trial.name} exists already, with other values of {', '.join(differ)}; "
+            "give another --out, or the same settings to resume the run"
         )
-    return told if (folder / f"{trial.name}.csv").exists() else None
+    return record if (folder / f"{trial.name}.csv").exists() else None
 
 
 def _drive(trial: PlannedTrial) -> dict[str, Any]:
-    """What a trial is told to be played with; of a recorded drive a checksum."""
+    """Return a trial's duration and drive for its record; a recorded drive has checksums."""
     plain = (str, float, int)
     drive = {key: x for key, x in asdict(trial.drive).items() if isinstance(x, plain)}
     for key in ("times", "recorded"):
@@ -191,14 +195,14 @@ def _drive(trial: PlannedTrial) -> dict[str, Any]:
 
 
 def changed_settings(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
-    """Full names of the settings that are not the same any more, `MAY_CHANGE` left aside."""
-    # As JSON, in which tuples are lists.
+    """Return the full names of the changed settings, except for those in `MAY_CHANGE`."""
+    # A round trip through JSON converts tuples to lists.
     a, b = _flat(before), _flat(json.loads(json.dumps(now)))
     return sorted(key for key in {*a, *b} - MAY_CHANGE if a.get(key) != b.get(key))
 
 
 def _flat(tables: dict[str, Any], name: str = "") -> dict[str, Any]:
-    """Values by their full names."""
+    """Return the values of nested tables by their full names."""
     found: dict[str, Any] = {}
     for key, value in tables.items():
         inner = isinstance(value, dict)
@@ -207,23 +211,23 @@ def _flat(tables: dict[str, Any], name: str = "") -> dict[str, Any]:
 
 
 def read_trial_record(recording: Path) -> dict[str, Any] | None:
-    """What the run told of a recording; None of one that it did not end. Raises `RigError`."""
+    """Return the record beside a recording, or None if its run did not end. Raises `RigError`."""
     path = recording.with_suffix(".json")
     try:
-        told = json.loads(path.read_text())
-        if {"settings", "begun_host_ns", "duration_s", "drive", "range"} <= told.keys():
-            return told
+        record = json.loads(path.read_text())
+        if {"settings", "begun_host_ns", "duration_s", "drive", "range"} <= record.keys():
+            return record
     except FileNotFoundError:
         return None
     except (OSError, ValueError, AttributeError):
         pass
     raise RigError(
-        f"{path}: cannot be read; move it away to run the trial again, or give another --out"
+        f"{path}: cannot be read; move it away to repeat the trial, or give another --out"
     )
 
 
-def _keep(path: Path) -> None:
-    """What a trial recorded before is not written over, nor what was told of it."""
+def _rename_earlier(path: Path) -> None:
+    """Rename a trial's earlier recording and record, so that they are not overwritten."""
     count = 1
     while path.exists():
         kept = path.with_name(f"{path.stem}.unfinished-{count}.h5")
@@ -234,23 +238,24 @@ def _keep(path: Path) -> None:
         count += 1
 
 
-def _told(trial: PlannedTrial, captured: RecordedTrial, read: TrialColumns) -> dict[str, Any]:
+def _trial_record(
+    trial: PlannedTrial, captured: RecordedTrial, columns: TrialColumns
+) -> dict[str, Any]:
     late = captured.played.lateness
     late_99 = float(np.percentile(late, 99))
-    findings = list(read.record["findings"])
+    findings = list(columns.record["findings"])
     if late_99 > LATE:
         findings.append(
-            f"one command in a hundred was {1e3 * late_99:.1f} ms late: the computer is too busy"
+            f"1 % of the commands were {1e3 * late_99:.1f} ms late or more: the computer is too busy"
         )
-    if read.record["late_median_s"] > LATE_READINGS:
+    if columns.record["late_median_s"] > LATE_READINGS:
         findings.append(
-            f"readings came {1e3 * read.record['late_median_s']:.0f} ms late in the middle: the "
-            "computer is too busy, and forces may be a millisecond or two off the pressures"
+            f"the readings' median delay was {1e3 * columns.record['late_median_s']:.0f} ms: the "
+            "computer is too busy, and forces may be off by 1 to 2 ms against the pressures"
         )
     if captured.load.slowest_flush > SLOW:
         findings.append(
-            f"the disk was slow: {captured.load.slowest_flush:.2f} s between two flushes, which a "
-            "kill would have lost"
+            f"the disk was slow: a kill would have lost {captured.load.slowest_flush:.2f} s of data"
         )
     return {
         "trial": trial.name,
@@ -260,7 +265,7 @@ def _told(trial: PlannedTrial, captured: RecordedTrial, read: TrialColumns) -> d
         "command_late_99_s": late_99,
         "command_late_most_s": float(late.max()),
         "recorder_slowest_flush_s": captured.load.slowest_flush,
-        **read.record,
+        **columns.record,
         "findings": findings,
     }
 

@@ -1,4 +1,4 @@
-"""Whether a robot has come to rest, by the analogue sensors: a trial begins from rest."""
+"""Detects with the analogue sensors whether the robot is at rest, as a trial must begin at rest."""
 
 import time
 from collections import deque
@@ -11,28 +11,32 @@ from rig.protocol.messages import Reading
 from rig.recording.table import AnalogueSensor, format_value
 
 WINDOW = 2.5
-"""A slow swing shows itself within so long [s]."""
-NOISES = 6.0
-"""Standard deviations of a reading's noise that some fifty of them may range over."""
-STILL = 0.005
-"""Of a sensor's range in the trial before: what moves less counts as at rest."""
+"""Duration of the readings that are tested [s]; long enough to detect a slow swing."""
+MAX_NOISE_RANGE = 6.0
+"""Range of about 50 readings that noise may cause, in standard deviations of a reading's noise."""
+MAX_REST_RANGE = 0.005
+"""Range at rest, as a fraction of a sensor's range in the previous trial."""
 
 
 class Stillness:
-    """Watches readings of a pause. Sensors are judged by their `ranges` in the trial before, and
-    the `noise` of a reading, by column."""
+    """A test for rest on the readings of a pause.
+
+    `ranges` and `noise` are each column's range in the previous trial and the standard deviation of
+    a reading's noise, in the column's unit.
+    """
 
     def __init__(
         self, sensors: Sequence[AnalogueSensor], ranges: dict[str, float], noise: dict[str, float]
     ):
         self._sensors = [x for x in sensors if ranges.get(x.column, 0.0) > 0.0]
         self._allowed = [
-            max(STILL * ranges[x.column], NOISES * noise.get(x.column, 0.0)) for x in self._sensors
+            max(MAX_REST_RANGE * ranges[x.column], MAX_NOISE_RANGE * noise.get(x.column, 0.0))
+            for x in self._sensors
         ]
         self._seen: deque[tuple[float, np.ndarray]] = deque()
 
     def add(self, t: float, reading: Reading) -> None:
-        """What was read `t` [s] after the pause began."""
+        """Add the reading at `t` [s] after the pause began."""
         channels = np.array(reading.channels, float)
         self._seen.append((t, np.array([x.signal(channels) for x in self._sensors])))
         while self._seen and self._seen[0][0] < t - WINDOW:
@@ -40,7 +44,7 @@ class Stillness:
 
     @property
     def reached(self) -> bool:
-        """At rest; also where no sensor can tell."""
+        """Whether all sensors are at rest; True without a sensor."""
         if not self._sensors:
             return True
         if not self._seen or self._seen[-1][0] - self._seen[0][0] < 0.9 * WINDOW:
@@ -49,26 +53,27 @@ class Stillness:
 
     @property
     def waits_for(self) -> str:
-        """Of which sensor it is waited that it is still, in words; nothing once all are."""
+        """The sensors that still move and their limits, as text; empty at rest."""
         moved = self._moved() if self._seen else np.zeros(len(self._sensors))
         return "".join(
-            f", until {sensor.column} moves by less than {format_value(sensor.column, allowed)} "
+            f", until the range of {sensor.column} is below {format_value(sensor.column, allowed)} "
             f"(now {format_value(sensor.column, x)}),"
             for sensor, x, allowed in zip(self._sensors, moved, self._allowed, strict=True)
             if x > allowed
         )
 
     def _moved(self) -> np.ndarray:
-        """(sensors,) the range of each over the last `WINDOW`."""
+        """Return each sensor's range over the last `WINDOW`: (sensors,)."""
         return np.ptp(np.array([x for _, x in self._seen]), axis=0)
 
 
 def sensor_noise(
     manifold: Manifold, sensors: Sequence[AnalogueSensor], count: int = 50
 ) -> dict[str, float]:
-    """Standard deviation of what one reading of a sensor does not share with the next, by column.
+    """Return the standard deviation of each column's noise, independent of a slow swing.
 
-    Of `count` readings, or as many as come in a second; a slow swing does not count.
+    It uses `count` readings, or the readings of one second if they are fewer. The noise is the part
+    that is independent between consecutive readings.
     """
     seen: dict[int, tuple[int, ...]] = {}
     end = time.monotonic() + 1.0
@@ -80,5 +85,5 @@ def sensor_noise(
     if len(seen) < 3:
         return {}
     channels = np.array(list(seen.values()), float)
-    # Second differences: of two a swing at 3 Hz and 100 times the noise would still show.
+    # First differences would contain a swing at 3 Hz of 100 times the noise; second ones do not.
     return {x.column: float(np.diff(x.signal(channels), 2).std() / np.sqrt(6.0)) for x in sensors}

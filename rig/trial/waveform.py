@@ -1,7 +1,8 @@
-"""Set pressures of a trial in time, and the chambers that they fill.
+"""Defines the set pressures of a trial as functions of time, and of each chamber.
 
-The robot's segments have a chamber on either side. A segment's signed pressure, as the simulator
-and the experiment files have it, is the left chamber's less the right one's; the other is vented.
+Each segment of the robot has a left and a right chamber. As in the simulator and the experiment
+files, a segment's signed pressure is the left chamber's pressure minus the right chamber's. Only
+one of the two is pressurised at a time.
 """
 
 from dataclasses import dataclass
@@ -18,11 +19,12 @@ Waveform = Literal["square", "sine", "trapezoid", "recorded"]
 
 @dataclass(frozen=True)
 class SegmentDrive:
-    """Signed set pressures of both segments [Pa]: `amplitude` in front, `rear_ratio` times behind.
+    """Signed set pressures of both segments, equal to the simulator's waveforms.
 
-    The rear one follows `phase` of a period later. `rise` is a trapezoid's ramp, a fraction of the
-    period. A recorded drive has `times` [s] (n,) and `recorded` [Pa] (n, 2) instead. The same as
-    the simulator's waveforms, which tests hold it against.
+    The front segment has the `amplitude` [Pa] and the `frequency` [Hz]. The rear segment has
+    `rear_ratio` times the amplitude and a delay of `phase` periods. `rise` is the duration of a
+    trapezoid's ramp in periods. A recorded drive has `times` [s] (n,) and `recorded` [Pa] (n, 2)
+    instead.
     """
 
     waveform: Waveform
@@ -37,9 +39,9 @@ class SegmentDrive:
     def __post_init__(self) -> None:
         if self.waveform == "recorded":
             if self.times is None or self.recorded is None:
-                raise RigError("drive: given nothing; a recorded one needs times and pressures")
+                raise RigError("drive: times or pressures are missing; a recorded drive needs both")
             if not (np.isfinite(self.times).all() and np.isfinite(self.recorded).all()):
-                raise RigError("drive: the recorded one has a NaN; allowed finite pressures [Pa]")
+                raise RigError("drive: the recorded drive has a NaN; allowed finite numbers")
             return
         numbers = (self.frequency, self.amplitude, self.rear_ratio, self.phase, self.rise)
         if not np.isfinite(numbers).all():
@@ -48,7 +50,7 @@ class SegmentDrive:
             raise RigError.value("drive's frequency", f"{self.frequency:g}", "0.01 to 50 Hz")
 
     def segments(self, t: float) -> tuple[float, float]:
-        """(front, rear) [Pa] at `t` [s]; 0 before the start."""
+        """Return the set pressures (front, rear) [Pa] at time `t` [s]; 0 for t < 0."""
         if t < 0.0:
             return 0.0, 0.0
         if self.waveform == "recorded":
@@ -62,7 +64,7 @@ class SegmentDrive:
         )
 
     def _shape(self, turns: float) -> float:
-        """-1 to 1."""
+        """Return the waveform's value, -1 to 1, after `turns` periods."""
         if self.waveform == "sine":
             return sin(2.0 * pi * turns)
         if self.waveform == "square":
@@ -72,24 +74,24 @@ class SegmentDrive:
         return sign * min(max((turns - half_turns / 2.0) / (0.5 * self.rise), -1.0), 1.0)
 
     def edges(self, duration: float) -> np.ndarray:
-        """Times [s] within the trial at which a set pressure jumps."""
+        """Return the times [s] in [0, duration) at which a set pressure steps."""
         if self.waveform != "square" or not self.amplitude:
             return np.empty(0)
-        # Each segment jumps at (n/2 + its phase) periods.
+        # Each segment's pressure steps at (n/2 + its phase) periods.
         shifts = np.array([0.0, self.phase % 0.5])
         halves = np.arange(int(2.0 * self.frequency * duration) + 1) / 2.0
         times = np.unique((halves[:, None] + shifts).ravel() / self.frequency)
         return times[times < duration]
 
     def check(self, limits: PressureLimits, duration: float) -> None:
-        """Raises `RigError` if a chamber is ever asked for more than its limit."""
+        """Raise `RigError` if a set pressure exceeds its chamber's limit."""
         if self.waveform == "recorded":
             assert self.recorded is not None
             extremes = [self.recorded.max(axis=0), self.recorded.min(axis=0)]
         else:
-            most = abs(self.amplitude)
-            behind = most * abs(self.rear_ratio)
-            extremes = [np.array([most, behind]), np.array([-most, -behind])]
+            front = abs(self.amplitude)
+            highest = np.array([front, front * abs(self.rear_ratio)])
+            extremes = [highest, -highest]
         if not duration > 0.0:
             raise RigError.value("duration", f"{duration:g}", "more than 0 s")
         for front, rear in extremes:
@@ -97,5 +99,5 @@ class SegmentDrive:
 
 
 def chamber_pressures(front: float, rear: float) -> tuple[float, float, float, float]:
-    """Gauge pressures (4,) [Pa] of the chambers for signed ones of the segments."""
+    """Return the four chambers' gauge pressures [Pa] from the segments' signed pressures [Pa]."""
     return max(front, 0.0), max(-front, 0.0), max(rear, 0.0), max(-rear, 0.0)

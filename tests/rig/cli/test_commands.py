@@ -81,7 +81,7 @@ def test_a_check_finds_a_leak(tmp_path):
     with served("rig", "simulate", "--inject", leak, "--noise", "0", cwd=tmp_path) as port:
         done = slider("rig", "check", "--port", port)
     assert done.returncode == 1
-    assert "rear_left reads 43.5 kPa where 50.0 are set: a leak" in done.stdout
+    assert "rear_left reads 43.5 kPa, set are 50.0: a leak" in done.stdout
     assert done.stdout.count("a leak") == 1
 
 
@@ -283,7 +283,7 @@ def test_a_check_and_a_run_end_on_a_line_that_loses_a_few_and_tell_of_it(tmp_pat
     with served("rig", "simulate", "--flipped", "0.001", cwd=tmp_path) as port:
         done = slider("rig", "check", "--port", port)
         assert done.returncode == 1, done.stderr
-        assert re.search(r"[1-9]\d* of 50 commands were not told of|frames damaged", done.stdout)
+        assert re.search(r"[1-9]\d* of 50 commands were not answered|frames damaged", done.stdout)
         assert "front_left " in done.stdout
         done = slider("rig", "run", path, "--port", port, "--out", tmp_path / "out")
     assert done.returncode == 1
@@ -309,14 +309,14 @@ def test_a_log_is_taken_of_the_simulated_published_firmware(tmp_path):
     assert np.ptp(log.pressure) > 200
 
 
-def test_a_pause_says_what_it_waits_for():
+def test_a_pause_names_the_sensor_that_still_moves():
     sensor = AnalogueSensor("tip_m", 1, 0.1)
     still = Stillness((sensor,), {"tip_m": 0.08}, {"tip_m": 0.0})
     for i in range(200):
         volts = 1e6 * (0.02 * np.sin(i))
         still.add(0.02 * i, Reading(i, 0, 2, 0, (0, 0, 0, 0, 0, volts, 0, 0)))
     assert not still.reached
-    assert still.waits_for == ", until tip_m moves by less than 0.4 mm (now 4 mm),"
+    assert still.waits_for == ", until the range of tip_m is below 0.4 mm (now 4 mm),"
 
 
 @pytest.mark.parametrize(

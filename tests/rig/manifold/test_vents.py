@@ -215,7 +215,7 @@ def test_a_line_that_is_dead_vents(tmp_path):
 def test_a_pressure_above_the_limit_is_never_on_the_wire(device, tmp_path):
     watched, served = device
     switches, went = ManifoldSinks(SwitchableSink(), SwitchableSink()), []
-    switches.went.to = lambda at, piece: went.append(piece)
+    switches.sent.to = lambda at, piece: went.append(piece)
     with Manifold(open_port(served.path), *switches) as manifold:
         manifold.configure(LIMITS)
         manifold.arm()

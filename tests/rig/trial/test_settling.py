@@ -8,7 +8,7 @@ from rig.recording.table import AnalogueSensor, _moves
 from rig.simulated.manifold import ManifoldCore
 from rig.simulated.rig import LineFaults, SimulatedRig
 from rig.simulated.tank import TankState
-from rig.trial.settling import STILL, WINDOW, Stillness, sensor_noise
+from rig.trial.settling import MAX_REST_RANGE, WINDOW, Stillness, sensor_noise
 
 TIP, RANGE = AnalogueSensor("tip_m", 1, 0.1), 0.08
 
@@ -32,7 +32,7 @@ def test_it_waits_until_a_swing_has_died_away():
     assert waited(lambda t: 0.0) == pytest.approx(WINDOW, abs=0.3)
     end = waited(lambda t: 0.01 * np.exp(-t / 5.0) * np.cos(3.0 * t))
     # Twice the amplitude is the range, at the beginning of what is looked at.
-    at = 5.0 * np.log(2 * 0.01 / (STILL * RANGE))
+    at = 5.0 * np.log(2 * 0.01 / (MAX_REST_RANGE * RANGE))
     assert at - 1.0 < end < at + WINDOW + 1.0
     assert waited(lambda t: 1e-3 * np.cos(3.0 * t)) == np.inf
 
