@@ -31,10 +31,11 @@ def prose(text):
 
 
 def anchors(text):
-    """Anchors of a page's headings, as mkdocs makes them."""
+    """Anchors of a page: of its headings, as mkdocs makes them, and those written as HTML."""
     headings = re.findall(r"^#+ (.*)$", prose(text), re.MULTILINE)
     plain = [re.sub(r"[^\w\s-]", "", x.replace("`", "")).strip().lower() for x in headings]
-    return {re.sub(r"[-\s]+", "-", x) for x in plain}
+    written = set(re.findall(r'<a id="([^"]+)"', text))
+    return written | {re.sub(r"[-\s]+", "-", x) for x in plain}
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -1,4 +1,4 @@
-"""What the README and the guide to effects show works as shown."""
+"""The examples of the README and of the how-to guides work as shown."""
 
 import json
 import re
@@ -19,9 +19,9 @@ def blocks(document, language):
     return re.findall(rf"```{language}\n(.*?)```", (ROOT / document).read_text(), re.DOTALL)
 
 
-def command(name):
-    """The README's example of a slider command, as arguments."""
-    lines = [line for block in blocks("README.md", "sh") for line in block.splitlines()]
+def command(document, name):
+    """A document's example of a slider command, as arguments."""
+    lines = [line for block in blocks(document, "sh") for line in block.splitlines()]
     found = [shlex.split(line)[1:] for line in lines if line.startswith(f"slider {name} ")]
     assert len(found) == 1, f"{len(found)} examples of slider {name}"
     return found[0]
@@ -29,7 +29,7 @@ def command(name):
 
 @pytest.fixture
 def in_copy(tmp_path, monkeypatch):
-    """A folder that holds what the README's commands name, the example on a coarser mesh."""
+    """A folder with the files that the commands name; the experiment has a coarser mesh."""
     (tmp_path / "docs").mkdir()
     text = (ROOT / "docs" / "experiment.toml").read_text()
     for fine, coarse in (("nodes = 51", "nodes = 11"), ("step = 0.001", "step = 0.005")):
@@ -41,15 +41,23 @@ def in_copy(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_the_library_example_prints_what_the_readme_says(capsys):
-    (code,) = blocks("README.md", "python")
-    exec(compile(code, "README.md", "exec"), {})
-    (said,) = re.findall(r"prints `(.*?)`", (ROOT / "README.md").read_text())
-    assert capsys.readouterr().out.strip() == said
+def test_the_readme_is_one_page_that_starts_with_two_commands():
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 150
+    install, demo = blocks("README.md", "sh")[0].splitlines()
+    assert "pip install -q -r requirements.lock -e ." in install
+    assert demo == ".venv/bin/slider demo"
+
+
+def test_the_library_example_prints_the_documented_text(capsys):
+    page = "docs/how-to/using_the_library.md"
+    (code,) = blocks(page, "python")
+    exec(compile(code, page, "exec"), {})
+    (text,) = re.findall(r"prints `(.*?)`", (ROOT / page).read_text())
+    assert capsys.readouterr().out.strip() == text
 
 
 def test_simulate_example(in_copy):
-    assert main(command("simulate")) in (None, 0)
+    assert main(command("README.md", "simulate")) in (None, 0)
     out = in_copy / "results" / "example"
     for name in ("still.csv", "towed.csv", "summary.json", "still.png", "towed_midlines.png"):
         assert (out / name).stat().st_size > 0
@@ -57,19 +65,21 @@ def test_simulate_example(in_copy):
     assert [trial["periodic"] for trial in trials] == [True, True]
 
 
-def test_sweep_example_on_fewer_members(in_copy, monkeypatch):
+def test_sweep_example_with_fewer_points(in_copy, monkeypatch):
     monkeypatch.setattr(sweep, "available_cores", lambda: 1)  # so one chunk of two
     quick = ["--strides", "2", "--transient", "1", "--steps-per-stride", "40"]
-    args = command("sweep")
+    args = command("docs/how-to/simulating.md", "sweep")
     args[args.index("--count") + 1] = "2"
     assert main([*args, *quick]) in (None, 0)
     for name in ("sweep.csv", "sweep.json", "sweep.png"):
         assert (in_copy / "results" / "tail" / name).stat().st_size > 0
 
 
-def test_every_command_has_an_example():
-    text = "\n".join(blocks("README.md", "sh"))
-    assert all(re.search(rf"slider {name}\b", text) for name in COMMANDS)
+def test_a_guide_names_every_command():
+    guides = [ROOT / "README.md", *(ROOT / "docs").glob("[he]*/*.md")]
+    text = "\n".join(path.read_text() for path in guides)
+    missing = [name for name in COMMANDS if not re.search(rf"slider {name}\b", text)]
+    assert not missing
 
 
 def test_linked_files_exist():
