@@ -1,4 +1,4 @@
-"""Streams put together as they come: what was set and read at the same instant."""
+"""The live stream combines set and measured values at each reading."""
 
 import numpy as np
 import pytest
@@ -10,8 +10,8 @@ from rig.trial.live_stream import LiveStream
 ZERO_NS = 10**12
 
 
-class Wire:
-    """Counts commands as the manifold's driver does."""
+class CommandCounter:
+    """Numbers commands as the manifold's driver does."""
 
     seq = 0
 
@@ -22,7 +22,7 @@ class Wire:
 
 def stream(**settings):
     found = LiveStream(**settings)
-    found.manifold = Wire()
+    found.manifold = CommandCounter()
     return found
 
 
@@ -34,12 +34,12 @@ def arrives(live, i, late_ms=0.2, **content):
     live.reading(ZERO_NS + int(2e6 * i + 1e6 * late_ms), reading(i, **content))
 
 
-def test_a_manifold_that_starts_anew_is_followed_anew():
+def test_after_a_restart_of_the_manifold_set_pressures_start_from_zero():
     live = stream()
     command = live.set((100.0, 0.0, 0.0, 0.0))
     follows(live, 1, 900e3, (100, 0, 0, 0))
     live.reading(ZERO_NS, Reading(7, 900_001_000, 2, command, (0,) * 8))
-    live.reading(ZERO_NS, Reading(0, 0, 0, 0, (0,) * 8))  # booted: its valves follow nothing
+    live.reading(ZERO_NS, Reading(0, 0, 0, 0, (0,) * 8))  # restarted: no set pressures
     for i in range(1, 4):
         arrives(live, i)
     follows(live, 0, 7.0, (100, 0, 0, 0))
@@ -49,7 +49,7 @@ def test_a_manifold_that_starts_anew_is_followed_anew():
     assert found.set_pressure[0] == pytest.approx([0.0, 0.0, 0.0, 50.0])
 
 
-def test_readings_count_while_the_valves_follow():
+def test_readings_are_used_only_while_the_valves_follow_set_pressures():
     live = stream()
     arrives(live, 0, p=(50, 0, 0, 0))
     live.reading(ZERO_NS, Reading(1, 2000, 1, 0, (40,) + (0,) * 7))  # vented
@@ -60,7 +60,7 @@ def follows(live, number, ms, p):
     live.follows(Follows(number, round(1000 * ms), *p))
 
 
-def test_each_reading_has_the_mean_of_what_the_manifold_followed_since_the_one_before():
+def test_each_reading_has_the_mean_set_pressure_since_the_previous_reading():
     live = stream()
     first, second = live.set((100.0, 0.0, 0.0, 30.0)), live.set((0.0, 50.0, 20.0, 0.0))
     arrives(live, 0, p=(0, 1, 0, 5))
@@ -81,7 +81,7 @@ def test_each_reading_has_the_mean_of_what_the_manifold_followed_since_the_one_b
     assert len(live.take().device_s) == 0
 
 
-def test_a_change_that_was_lost_on_the_line_is_known_by_the_readings_commands():
+def test_a_lost_change_is_inferred_from_the_command_number_of_a_reading():
     live = stream()
     first, second = live.set((100.0, 0.0, 0.0, 30.0)), live.set((0.0, 50.0, 20.0, 0.0))
     for i, command in enumerate((0, first, first, second, second)):
@@ -91,14 +91,14 @@ def test_a_change_that_was_lost_on_the_line_is_known_by_the_readings_commands():
     assert found.set_pressure[1] == pytest.approx([0.0, -15.0, -30.0, -5.0, 20.0])
 
 
-def test_a_voltage_is_a_tip():
+def test_a_voltage_is_converted_to_the_tip():
     live = stream(analogue=(AnalogueSensor("tip_m", 1, 0.1, 0.5),))
     arrives(live, 0, tip=700_000)
     assert live.take().measured[4] == pytest.approx([0.02])
 
 
-def test_forces_are_those_of_the_readings_time_and_are_waited_for():
-    """Both arrive with delays of their own; their clocks tell when they were due."""
+def test_forces_are_interpolated_at_the_times_of_the_readings():
+    """Both arrive with independent delays; their clocks give the scheduled times."""
     live = stream(has_force=True)
     late, force_late = np.random.default_rng(0).uniform(0.0, 5.0, (2, 100))
     late[::7] = force_late[::9] = 0.0
@@ -126,7 +126,7 @@ def test_a_reading_waits_for_the_force_of_its_time():
     assert found.device_s == pytest.approx([10e-3]) and found.measured[2] == pytest.approx([15.0])
 
 
-def test_no_line_is_drawn_over_lost_forces():
+def test_lost_forces_are_not_interpolated():
     live = stream(has_force=True)
     for i in range(40):
         arrives(live, i, late_ms=0.0)
@@ -137,7 +137,7 @@ def test_no_line_is_drawn_over_lost_forces():
     assert np.isfinite(thrust[21:39]).all()
 
 
-def test_forces_are_there_when_a_prompter_reading_moves_the_clock():
+def test_forces_are_kept_when_a_smaller_delay_shifts_the_clock():
     live = stream(has_force=True)
     read = 0
     for i in range(200):
@@ -148,7 +148,7 @@ def test_forces_are_there_when_a_prompter_reading_moves_the_clock():
     assert read >= 180
 
 
-def test_a_force_sensor_that_falls_silent_is_not_waited_for():
+def test_readings_do_not_wait_for_a_silent_force_sensor():
     live = stream(has_force=True)
     live.force(ZERO_NS, 0.0, 1.0, 1.0)
     for i in range(60):
