@@ -1,8 +1,8 @@
-"""One block of a live stream through the model: compiled once, its state carried from call to call.
+"""Simulates one block of a live stream; compiled once, with its state passed from call to call.
 
-Both chambers run freely from their set pressures; the body is driven by what the pressure sensors
-read. So a fault of the pressures does not show as one of the body, and the lag is judged by the
-pressures alone.
+The chambers' pressures are predicted from the set pressures. The body is driven by the measured
+pressures. So a pressure fault does not appear as a body fault, and only the pressures determine the
+lag.
 """
 
 from collections.abc import Callable
@@ -15,10 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from calibration.twin.faults import SUSPECTS
 from slider_jax import observables as obs
 from slider_jax.actuation import FirstOrderLag, Held, Ideal, Recorded
-from slider_jax.beam.parameters import Numerics
+from slider_jax.beam.parameters import Numerics, Scalar
 from slider_jax.channels import BUILT_IN, recorded
 from slider_jax.dynamics.model import Drive, Model
 from slider_jax.dynamics.pressures import advance, set_pressures
@@ -29,51 +28,90 @@ from slider_jax.effects import Command, Flow, Instrument, Readings, of_place
 from slider_jax.experiment.load import Experiment, to_model
 from slider_jax.experiment.schema import Trial
 
-VALUES = ("k", "K_Q", "EI_tail", "tail_length")
-"""Parameters along which the model's tangents are taken, in this order; the first is the lag's."""
-PAST = 100
-"""Samples of set pressures, and of what instruments read, kept from before a block: longer than
-any dead time or filter of the library at 500 Hz."""
+PARAMETERS = ("k", "K_Q", "EI_tail", "tail_length")
+"""Parameters for which the block computes derivatives, in this order; the first is the lag's."""
+HISTORY = 100
+"""Samples of set pressures and instrument inputs kept from before a block. At 500 Hz this is longer
+than any dead time or filter of the library."""
+
+
+class ChamberFault(Flow):
+    """A fault of the chambers' pneumatics on the positive and the negative side, each (2,).
+
+        dp/dt = (1 - shut) (p_set - p)/(slower k) - leak p/k
+
+    `shut` applies while |p| increases. `leak` is the leak's conductance relative to the valve's.
+    """
+
+    leak: Float[Array, "2"]
+    shut: Float[Array, "2"]
+    slower: Scalar
+
+    def rate(self, rate, x):
+        leak, shut = (jnp.where(x.side > 0.0, y[0], y[1]) for y in (self.leak, self.shut))
+        return jnp.where(x.filling, 1.0 - shut, 1.0) * rate / self.slower - leak * x.p / x.k
+
+
+class FaultHypothesis(NamedTuple):
+    """A fault that may explain the pressures, of `size`, on side 1 or -1, or on both (0)."""
+
+    cause: str
+    side: int
+    size: float
+
+    @property
+    def effect(self) -> ChamberFault:
+        on = self.size * np.array([self.side > 0, self.side < 0], float)
+        leak, shut = (on if self.cause == x else np.zeros(2) for x in ("leak", "blocked valve"))
+        slower = self.size if self.cause == "slower lag" else 1.0
+        return ChamberFault(jnp.asarray(leak), jnp.asarray(shut), jnp.asarray(slower))
+
+
+FAULT_HYPOTHESES = (
+    *(FaultHypothesis("leak", side, size) for side in (1, -1) for size in (0.15, 0.5)),
+    *(FaultHypothesis("blocked valve", side, size) for side in (1, -1) for size in (0.4, 1.0)),
+    FaultHypothesis("slower lag", 0, 1.3),
+)
 
 
 class BlockState(eqx.Module):
-    """What one block hands to the next."""
+    """The state that one block passes to the next."""
 
     values: Float[Array, " values"]
-    """`VALUES` that the state was found with."""
+    """Values of `PARAMETERS` with which the state was computed."""
     p: Float[Array, "2"]
-    """Of the lag model, running freely [Pa]."""
+    """Pressures [Pa] of the lag model from the set pressures."""
     dp: Float[Array, "2"]
-    """Its derivative to k."""
-    seen: Float[Array, "2"]
-    """Pressures that drive the body [Pa]: as read, over a gap by the lag from the last reading."""
-    faulty: Float[Array, "suspects 2"]
-    """As `p`, with each of `SUSPECTS`."""
+    """Derivative of `p` with respect to k."""
+    sensed: Float[Array, "2"]
+    """Pressures [Pa] that drive the body: measured, and predicted by the lag model over a gap."""
+    faulty: Float[Array, "faults 2"]
+    """As `p`, with each of `FAULT_HYPOTHESES`."""
     body: Carry
     d_body: Any
-    """Derivatives of `body` to all `VALUES` but k, on a leading axis."""
+    """Derivatives of `body` with respect to all `PARAMETERS` except k, on a leading axis."""
     last: Float[Array, "3"]
-    """thrust, recoil [N], tip [m] at the block's end."""
+    """thrust [N], recoil [N] and tip [m] at the block's end."""
     d_last: Float[Array, "bodies 3"]
     past: Float[Array, "past 5"]
-    """Before the instruments; empty if there are none."""
+    """Last inputs of the instruments; empty without instruments."""
     d_past: Float[Array, "values past 5"]
 
 
-class Predicted(NamedTuple):
-    """The model at the samples of a block."""
+class BlockPrediction(NamedTuple):
+    """The model's values at the samples of a block."""
 
     channels: Float[Array, "5 samples"]
-    """`BUILT_IN`."""
-    along: Float[Array, "values 5 samples"]
-    """Derivatives to `VALUES`."""
-    faulty: Float[Array, "suspects 2 samples"]
-    """Pressures [Pa] that each of `SUSPECTS` would make."""
+    """In the order of `BUILT_IN`."""
+    derivatives: Float[Array, "values 5 samples"]
+    """Derivatives with respect to `PARAMETERS`."""
+    faulty: Float[Array, "faults 2 samples"]
+    """Pressures [Pa] with each of `FAULT_HYPOTHESES`."""
 
 
 @dataclass(frozen=True)
 class BlockLayout:
-    """`samples` a block, `period` [s] apart, every `per_step` of them a step of the body."""
+    """A block of `samples` samples, `period` [s] apart; a time step of the body is `per_step`."""
 
     period: float
     samples: int
@@ -83,7 +121,7 @@ class BlockLayout:
 
 
 def live_model(experiment: Experiment, trial: Trial) -> Model:
-    """A trial's model with the experiment's lag; its drive is to come from the stream."""
+    """Return a trial's model with the experiment's lag; its drive comes from the stream."""
     wave = Recorded(jnp.zeros(2), jnp.zeros(2))
     return replace(
         to_model(experiment, trial),
@@ -92,24 +130,24 @@ def live_model(experiment: Experiment, trial: Trial) -> Model:
     )
 
 
-def values_of(experiment: Experiment) -> np.ndarray:
-    """`VALUES` of an experiment."""
+def parameter_values(experiment: Experiment) -> np.ndarray:
+    """Return the values of `PARAMETERS` of an experiment."""
     parameters, robot = experiment.parameters, experiment.robot
     return np.array([parameters.k, parameters.K_Q, robot.EI_tail, robot.tail_length])
 
 
 def initial_block_state(model: Model, layout: BlockLayout, values: np.ndarray) -> BlockState:
-    """Straight and at rest, chambers empty."""
+    """Return the state of a straight body at rest with empty chambers."""
     body = at_rest(_of_body(model, jnp.asarray(values[1:])), layout.numerics)
-    count, past = len(VALUES), PAST if of_place(model.effects, Instrument) else 0
+    count, past = len(PARAMETERS), HISTORY if of_place(model.effects, Instrument) else 0
     moving = eqx.filter(body, eqx.is_inexact_array)
     zero = jnp.zeros(2)
     return BlockState(
         values=jnp.asarray(values),
         p=zero,
         dp=zero,
-        seen=zero,
-        faulty=jnp.zeros((len(SUSPECTS), 2)),
+        sensed=zero,
+        faulty=jnp.zeros((len(FAULT_HYPOTHESES), 2)),
         body=body,
         d_body=jax.tree.map(lambda x: jnp.zeros((count - 1, *x.shape)), moving),
         last=jnp.zeros(3),
@@ -119,15 +157,14 @@ def initial_block_state(model: Model, layout: BlockLayout, values: np.ndarray) -
     )
 
 
-def compiled(
+def compile_block(
     model: Model, layout: BlockLayout, state: BlockState
-) -> Callable[..., tuple[BlockState, Predicted]]:
-    """The program of a block, compiled for models of this structure.
+) -> Callable[..., tuple[BlockState, BlockPrediction]]:
+    """Return the program of a block, compiled for models of this structure.
 
-    It takes (model, state, values (4,), t0, set_pressure (2, PAST + 1 + samples), measured pressure
-    (2, samples)): `t0` [s] is the last sample before the block, set pressures [Pa] are means since
-    the sample before and end with the block's last one, NaN stands for a pressure that was not
-    read.
+    Its arguments are (model, state, values (4,), t0, set_pressure (2, HISTORY + 1 + samples),
+    measured pressure (2, samples)). `t0` [s] is the time of the last sample before the block. A set
+    pressure [Pa] is the mean since the previous sample. A missing measured pressure is NaN.
     """
 
     def run(model, state, values, t0, set_pressure, measured):
@@ -135,12 +172,12 @@ def compiled(
 
     n = layout.samples
     arguments = (model, state, state.values, jnp.zeros(()))
-    shapes = [jax.ShapeDtypeStruct((2, m), jnp.dtype(float)) for m in (PAST + 1 + n, n)]
+    shapes = [jax.ShapeDtypeStruct((2, m), jnp.dtype(float)) for m in (HISTORY + 1 + n, n)]
     return jax.jit(run).lower(*arguments, *shapes).compile()
 
 
 def _of_body(model: Model, values: Array) -> Model:
-    """The model driven by pressures at the sensor, with all `VALUES` but k."""
+    """Return the model that the sensors' pressures drive, with all `PARAMETERS` except k."""
     K_Q, EI_tail, tail_length = values
     return replace(
         model,
@@ -153,16 +190,16 @@ def _of_body(model: Model, values: Array) -> Model:
 def _block(
     layout: BlockLayout, model: Model, state: BlockState, values, t0, set_pressure, measured
 ):
-    state = _moved(state, values)
+    state = _extrapolated(state, values)
     at = t0 + layout.period * jnp.arange(layout.samples + 1.0)
-    # A chamber takes several periods: what it makes of an edge is told by the mean over a period.
-    since = t0 + layout.period * jnp.arange(-PAST - 1.0, float(layout.samples))
+    # A chamber fills over several periods, so the mean over a period determines its response.
+    since = t0 + layout.period * jnp.arange(-HISTORY - 1.0, float(layout.samples))
     front, rear = (Held(since, x) for x in set_pressure)
     lag = FirstOrderLag(values[0])
-    state, p, dp, seen, faulty = _pressures(
+    state, p, dp, sensed, faulty = _pressures(
         layout, replace(model, drive=Drive(front, rear), pressure_law=lag), state, at, measured
     )
-    as_read = Drive(Recorded(at, seen[:, 0]), Recorded(at, seen[:, 1]))
+    as_read = Drive(Recorded(at, sensed[:, 0]), Recorded(at, sensed[:, 1]))
     state, body, d_body = _body(layout, replace(model, drive=as_read), state, t0)
     true = jnp.concatenate([p, body], axis=1)
     d_true = jnp.concatenate(
@@ -172,11 +209,11 @@ def _block(
         ]
     )
     state, read, d_read = _instruments(layout, model, state, at[1:], true, d_true)
-    return state, Predicted(read.T, jnp.swapaxes(d_read, 1, 2), jnp.moveaxis(faulty, 0, -1))
+    return state, BlockPrediction(read.T, jnp.swapaxes(d_read, 1, 2), jnp.moveaxis(faulty, 0, -1))
 
 
-def _moved(state: BlockState, values) -> BlockState:
-    """The state to first order at other `VALUES`."""
+def _extrapolated(state: BlockState, values) -> BlockState:
+    """Return the state at other values of `PARAMETERS`, to first order."""
     change = values - state.values
     moving, rest = eqx.partition(state.body, eqx.is_inexact_array)
     moved = jax.tree.map(lambda x, d: x + jnp.tensordot(change[1:], d, 1), moving, state.d_body)
@@ -186,29 +223,31 @@ def _moved(state: BlockState, values) -> BlockState:
 
 
 def _pressures(layout: BlockLayout, model: Model, state: BlockState, at, measured):
-    """The state; p, dp/dk (samples, 2), seen (samples + 1, 2), faulty (samples, suspects, 2)."""
+    """Return state; p, dp/dk (samples, 2), sensed (samples + 1, 2), faulty (samples, faults, 2)."""
     flows, law = of_place(model.effects, Flow), model.pressure_law
-    faults = jax.tree.map(lambda *x: jnp.stack(x), *(x.effect for x in SUSPECTS))
+    faults = jax.tree.map(lambda *x: jnp.stack(x), *(x.effect for x in FAULT_HYPOTHESES))
 
     def body(carry, inputs):
-        p, dp, seen, faulty = carry
+        p, dp, sensed, faulty = carry
         segment, read = inputs
         p, dp = jax.jvp(
             lambda k, p: advance(FirstOrderLag(k), flows, p, segment),
             (law.k, p),
             (jnp.ones_like(law.k), dp),
         )
-        seen = jnp.where(jnp.isfinite(read), read, advance(law, flows, seen, segment))
+        sensed = jnp.where(jnp.isfinite(read), read, advance(law, flows, sensed, segment))
         faulty = jax.vmap(lambda x, p: advance(law, (*flows, x), p, segment))(faults, faulty)
-        after = (p, dp, seen, faulty)
+        after = (p, dp, sensed, faulty)
         return after, after
 
-    carry = (state.p, state.dp, state.seen, state.faulty)
-    carry, (p, dp, seen, faulty) = jax.lax.scan(body, carry, (set_pressures(model, at), measured.T))
-    seen = jnp.concatenate([state.seen[None], seen])
+    carry = (state.p, state.dp, state.sensed, state.faulty)
+    carry, (p, dp, sensed, faulty) = jax.lax.scan(
+        body, carry, (set_pressures(model, at), measured.T)
+    )
+    sensed = jnp.concatenate([state.sensed[None], sensed])
     p_end, dp_end, seen_end, faulty_end = carry
-    state = replace(state, p=p_end, dp=dp_end, seen=seen_end, faulty=faulty_end)
-    return state, p, dp, seen, faulty
+    state = replace(state, p=p_end, dp=dp_end, sensed=seen_end, faulty=faulty_end)
+    return state, p, dp, sensed, faulty
 
 
 def _save(x: Snapshot):
@@ -216,7 +255,7 @@ def _save(x: Snapshot):
 
 
 def _body(layout: BlockLayout, model: Model, state: BlockState, t0):
-    """The state, thrust, recoil, tip (samples, 3), and their derivatives (bodies, samples, 3)."""
+    """Return state, (thrust, recoil, tip) (samples, 3) and derivatives (bodies, samples, 3)."""
     times = TimeGrid(
         jnp.asarray(layout.period * layout.per_step), layout.samples // layout.per_step, t0
     )
@@ -230,13 +269,13 @@ def _body(layout: BlockLayout, model: Model, state: BlockState, t0):
         moving_on, rest_on = eqx.partition(out.final, eqx.is_inexact_array)
         return (out.saved, moving_on), rest_on
 
-    def along(direction, d_moving):
+    def derivatives(direction, d_moving):
         return jax.jvp(run, (state.values[1:], moving), (direction, d_moving), has_aux=True)
 
-    directions = jnp.eye(len(VALUES) - 1)
-    (saved, moving), (d_saved, d_moving), rest = jax.vmap(along, out_axes=((None, None), 0, None))(
-        directions, state.d_body
-    )
+    directions = jnp.eye(len(PARAMETERS) - 1)
+    (saved, moving), (d_saved, d_moving), rest = jax.vmap(
+        derivatives, out_axes=((None, None), 0, None)
+    )(directions, state.d_body)
 
     def at_samples(last, saved):
         ends = jnp.concatenate([last[None], saved])
@@ -257,7 +296,7 @@ def _body(layout: BlockLayout, model: Model, state: BlockState, t0):
 
 
 def _instruments(layout: BlockLayout, model: Model, state: BlockState, at, true, d_true):
-    """The state, and what the instruments make of `true` (samples, 5) and its derivatives."""
+    """Return the state, the instruments' readings of `true` (samples, 5) and their derivatives."""
     past = len(state.past)
     series = jnp.concatenate([state.past, true])
     d_series = jnp.concatenate([state.d_past, d_true], axis=1)

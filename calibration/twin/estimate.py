@@ -1,4 +1,4 @@
-"""One parameter of a live stream: recursive least squares with forgetting, window by window."""
+"""Estimates one parameter from a live stream by recursive least squares with forgetting."""
 
 import math
 from dataclasses import dataclass
@@ -16,26 +16,27 @@ class ParameterEstimate(NamedTuple):
     deviation: float
 
     def with_share(self, share: float) -> "ParameterEstimate":
-        """The same with an independent deviation of a share of the value."""
+        """Return the estimate with an additional independent deviation, relative to the value."""
         return ParameterEstimate(self.value, math.hypot(self.deviation, share * self.value))
 
 
 @dataclass
-class Recursive:
-    """Least squares over windows whose weight falls by e in `memory` of them.
+class RecursiveEstimator:
+    """Least squares over windows whose weight decreases by a factor e in `memory` windows.
 
-    A window says H (theta - theta_w) = g with the residual r and tangent J at its theta_w: g = sum
-    r J/var, H = sum J^2/var. Kept are the discounted sums of H and of c = g + H theta_w, so that
-    theta = sum c/sum H, and those of c^2, c H, H^2: the spread of the windows' pulls c - H theta
-    about today's value gives its deviation, and residuals correlated within a window count once.
-    The memory grows from two windows on, so that the first ones, linearised far from the value, are
-    soon forgotten. Source: Ljung, L. (1999), System Identification, 2nd ed., ch. 11; the spread is
-    the sandwich of `calibration.inference.intervals`.
+    With residual r and derivative J at its theta_w, a window gives H (theta - theta_w) = g, where
+    g = sum r J/var and H = sum J^2/var. With c = g + H theta_w, theta = sum c/sum H, discounted.
+    The discounted sums of c^2, c H and H^2 give the spread of the gradients c - H theta and thus
+    the deviation, so residuals correlated within a window count once. The memory starts at two
+    windows and grows, because the first windows are linearised far from the final value.
+
+    Source: Ljung, L. (1999), System Identification, 2nd ed., ch. 11. The spread is the sandwich
+    estimate of `calibration.inference.intervals`.
     """
 
     value: float
     prior: float
-    """Standard deviation of the value that it starts from."""
+    """Standard deviation of the initial value."""
     low: float
     high: float
     memory: float
@@ -48,7 +49,7 @@ class Recursive:
         self._informed = 0.0
 
     def update(self, g: float, H: float) -> None:
-        """Take in a window; one without information changes nothing."""
+        """Update the value with a window; ignore a window without information."""
         if not (H > 0.0 and math.isfinite(g) and math.isfinite(H)):
             return
         keep = 1.0 - 1.0 / min(2.0 + 0.5 * self.windows, self.memory)
@@ -64,7 +65,7 @@ class Recursive:
 
     @property
     def estimate(self) -> ParameterEstimate:
-        """The value now; its deviation is the pulls' spread, or that of white noise if larger."""
+        """Value and deviation from the gradients' spread, or from white noise if that is larger."""
         if self.windows < 4:
             return ParameterEstimate(self.value, self.prior)
         cc, cH, HH = self._squares
@@ -72,25 +73,25 @@ class Recursive:
         return ParameterEstimate(self.value, min(math.sqrt(pulls) / self.H, self.prior))
 
 
-def pull_of_lag(window: Window, variance: np.ndarray) -> tuple[float, float]:
-    """g and H of `Recursive.update` for k, from the pressures of a window.
+def lag_gradient(window: Window, variance: np.ndarray) -> tuple[float, float]:
+    """Return g and H of `RecursiveEstimator.update` for k, from the pressures of a window.
 
-    Of the tangent only what a shift in time could not do as well: the set pressures change between
-    two readings, and valves have dead times.
+    The part of the derivative that a time shift could also cause is removed, because set pressures
+    change between two readings and valves have dead times.
     """
-    J = window.along[0, :2] * np.isfinite(window.residual[:2])
+    J = window.derivatives[0, :2] * np.isfinite(window.residual[:2])
     shift = np.gradient(window.model[:2], axis=1) * np.isfinite(window.residual[:2])
-    most = np.sum(shift**2, axis=1, keepdims=True)
-    J = J - shift * np.sum(shift * J, axis=1, keepdims=True) / np.maximum(most, 1e-300)
-    return _pull(J, window.residual[:2], variance[:2])
+    total = np.sum(shift**2, axis=1, keepdims=True)
+    J = J - shift * np.sum(shift * J, axis=1, keepdims=True) / np.maximum(total, 1e-300)
+    return _gradient(J, window.residual[:2], variance[:2])
 
 
-def pull_of_moment(window: Window, variance: np.ndarray) -> tuple[float, float]:
-    """g and H of `Recursive.update` for K_Q, from thrust, recoil and tip of a window."""
-    return _pull(window.along[1, 2:], window.residual[2:], variance[2:])
+def moment_gradient(window: Window, variance: np.ndarray) -> tuple[float, float]:
+    """Return g and H of `RecursiveEstimator.update` for K_Q, from thrust, recoil and tip."""
+    return _gradient(window.derivatives[1, 2:], window.residual[2:], variance[2:])
 
 
-def _pull(J: np.ndarray, r: np.ndarray, variance: np.ndarray) -> tuple[float, float]:
-    there = np.isfinite(r)
-    J, r = np.where(there, J, 0.0), np.where(there, r, 0.0)
+def _gradient(J: np.ndarray, r: np.ndarray, variance: np.ndarray) -> tuple[float, float]:
+    finite = np.isfinite(r)
+    J, r = np.where(finite, J, 0.0), np.where(finite, r, 0.0)
     return float(np.sum(J * r / variance[:, None])), float(np.sum(J * J / variance[:, None]))

@@ -1,4 +1,4 @@
-"""From readings as they come to even blocks: lost readings are bridged and marked."""
+"""Converts a stream of readings to evenly spaced blocks; fills in and marks lost readings."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -8,63 +8,63 @@ import numpy as np
 
 from slider_jax.errors import InputError
 
-LONGEST_GAP = 0.2
-"""[s] that are bridged; after a longer gap the blocks begin anew at the next reading."""
+MAX_GAP = 0.2
+"""Longest gap [s] that is filled in. After a longer gap, a new series of blocks begins."""
 
 
 class Samples(NamedTuple):
-    """Readings in the order of their device times; NaN where a sensor read nothing."""
+    """Readings in the order of their device times; NaN if a sensor read nothing."""
 
     t: np.ndarray
-    """(n,) [s], of the device's clock."""
+    """(n,) [s] on the device's clock."""
     set_pressure: np.ndarray
-    """(2, n) [Pa], front and rear, signed: the mean since the reading before. An edge between two
-    readings shows in it, and at the reading alone would not."""
+    """(2, n) [Pa], front and rear, signed: the mean since the previous reading, which includes an
+    edge between the two readings."""
     measured: np.ndarray
     """(5, n) in the order of `slider_jax.channels.BUILT_IN`: Pa, Pa, N, N, m."""
 
     def checked(self) -> "Samples":
-        """The same as float arrays. Raises `InputError` for other shapes."""
-        found = Samples(*(np.asarray(x, float) for x in self))
-        n = found.t.shape[-1] if found.t.ndim else 0
+        """Return the samples as float arrays. Raises `InputError` for other shapes."""
+        samples = Samples(*(np.asarray(x, float) for x in self))
+        n = samples.t.shape[-1] if samples.t.ndim else 0
         for name, shape in {"t": (n,), "set_pressure": (2, n), "measured": (5, n)}.items():
-            given = getattr(found, name).shape
+            given = getattr(samples, name).shape
             if given != shape:
                 raise InputError.value(
                     f"readings, {name}", f"shape {given}", f"{shape} for n = {n}"
                 )
-        return found
+        return samples
 
 
 class UniformBlock(NamedTuple):
-    """Samples of a block, evenly spaced."""
+    """Evenly spaced samples of a block."""
 
     t: np.ndarray
     """(samples,) [s]"""
     set_pressure: np.ndarray
-    """(2, samples), over what was lost the mean of all of it."""
+    """(2, samples) [Pa]; over a gap the mean of the whole gap."""
     measured: np.ndarray
-    """(5, samples), NaN where lost."""
+    """(5, samples), NaN if the reading was lost."""
     lost: np.ndarray
-    """(samples,) whether the reading was."""
-    anew: bool
-    """Whether the block does not follow the one before."""
+    """(samples,) whether the reading was lost."""
+    restarted: bool
+    """Whether a long gap precedes the block, or it is the first."""
 
 
 @dataclass
 class GapFiller:
-    """Puts readings on an even grid `period` [s] of the device's clock, `samples` a block."""
+    """Places readings on a grid of `period` [s] on the device's clock, in blocks of `samples`."""
 
     period: float
     samples: int
     lost: int = 0
-    """Readings that did not come, of gaps that were bridged."""
+    """Number of lost readings that were filled in."""
     repeated: int = 0
-    """Readings that came again, late, or without a time; they are dropped."""
+    """Number of dropped readings: repeated, out of order, or without a time."""
     gaps: int = 0
-    """Gaps too long to be bridged."""
+    """Number of gaps too long to fill in."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         self._origin: float | None = None
         self._slot = -1
         self._last = np.zeros(2)
@@ -72,7 +72,7 @@ class GapFiller:
         self._anew = True
 
     def add(self, readings: Samples) -> Iterator[UniformBlock]:
-        """The blocks that these readings complete. Raises `InputError` for wrong shapes."""
+        """Yield the blocks that these readings complete. Raises `InputError` for wrong shapes."""
         t, set_pressure, measured = readings.checked()
         for i in np.flatnonzero(np.isfinite(t)):
             self._add(float(t[i]), set_pressure[:, i], measured[:, i])
@@ -85,7 +85,7 @@ class GapFiller:
             self._origin = t
         slot = round((t - self._origin) / self.period)
         missing = slot - self._slot - 1
-        if abs(missing) > LONGEST_GAP / self.period:
+        if abs(missing) > MAX_GAP / self.period:
             self.gaps += 1
             self._rows, self._anew, self._origin, slot, missing = [], True, t, 0, 0
         if missing < 0:
@@ -106,7 +106,7 @@ class GapFiller:
     def _block(self) -> UniformBlock:
         rows, self._rows = self._rows[: self.samples], self._rows[self.samples :]
         t, set_pressure, measured, lost = zip(*rows, strict=True)
-        anew, self._anew = self._anew, False
+        restarted, self._anew = self._anew, False
         return UniformBlock(
-            np.array(t), np.array(set_pressure).T, np.array(measured).T, np.array(lost), anew
+            np.array(t), np.array(set_pressure).T, np.array(measured).T, np.array(lost), restarted
         )

@@ -1,11 +1,11 @@
-"""The live twin: a calibrated model runs beside a stream of readings.
+"""The live twin: a calibrated model that runs in parallel with a stream of readings.
 
-    twin = Twin.of(experiment)                 # compiles; before the stream starts
-    for block in twin.feed(readings):          # as they come
+    twin = Twin.of(experiment)                 # compiles the model; call it before the stream
+    for block in twin.feed(readings):          # call it whenever readings arrive
         block.model, block.residual, block.k, block.K_Q, block.alarm
 
-After `WARM_UP` the bands of the residuals are learned from some strides; then the alarm is on.
-k and K_Q follow the stream all the time, except where the residual leaves its band.
+After `WARM_UP`, the twin learns the bands of the residuals from some strides. Then it tests each
+window against the bands. It always updates k and K_Q, except while the residual exceeds its band.
 """
 
 import time
@@ -15,17 +15,22 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from calibration.model.extended import BASE
-from calibration.twin.alarm import NO_ALARM, Alarm, Bands, Watch, Window, misfits
+from calibration.twin.alarm import NO_ALARM, Alarm, Bands, SequentialTest, Window, channel_misfits
 from calibration.twin.block import (
-    PAST,
-    VALUES,
+    HISTORY,
+    PARAMETERS,
     BlockLayout,
-    compiled,
+    compile_block,
     initial_block_state,
     live_model,
-    values_of,
+    parameter_values,
 )
-from calibration.twin.estimate import ParameterEstimate, Recursive, pull_of_lag, pull_of_moment
+from calibration.twin.estimate import (
+    ParameterEstimate,
+    RecursiveEstimator,
+    lag_gradient,
+    moment_gradient,
+)
 from calibration.twin.stream import GapFiller, Samples, UniformBlock
 from slider_jax.beam.grid import split_cells
 from slider_jax.beam.parameters import Numerics
@@ -35,70 +40,74 @@ from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.schema import FEWEST_NODES, Trial
 
 WARM_UP = 2.0
-"""[s] after which the body has forgotten that it started straight, and k and K_Q are near."""
-SETTLE, SETTLE_ANEW = 0.3, 1.0
-"""[s] not judged after a gap, bridged or not: three or four lags, and the body's memory."""
-SHORT = 0.01
-"""[s] of lost readings after which there is nothing to settle."""
-DRIFT = 2.0
-"""[s] over which the mean residual of forces and tip is followed: tares drift."""
-CLOCK = 2e-3
-"""[s] by which forces may be shifted against the manifold's readings. Both clocks are laid by what
-arrives first, and on a busy computer that is later for one of them."""
-PRIOR = 0.3
-"""Standard deviation of k and K_Q before the stream, as a share."""
+"""[s] after which the straight initial shape has no influence and k and K_Q are approximate."""
+SETTLING, SETTLING_AFTER_RESTART = 0.3, 1.0
+"""[s] without a test after a filled gap (three or four pressure lags) and after a restart (the
+body's transient)."""
+NEGLIGIBLE_GAP = 0.01
+"""[s]; lost readings of up to this duration need no settling."""
+TARE_TIME = 2.0
+"""Time constant [s] with which the mean residual of forces and tip is tracked, as tares drift."""
+MAX_CLOCK_SHIFT = 2e-3
+"""Largest shift [s] between the forces' and the manifold's clocks. Each clock is aligned by its
+earliest arrival, and a busy computer may delay that of one device."""
+INITIAL_DEVIATION = 0.3
+"""Relative standard deviation of k and K_Q before the stream."""
 SYSTEMATIC_K, SYSTEMATIC_K_Q = 0.002, 0.005
-"""Shares of k and K_Q that no stream tells: the sensors' gains (`calibration.inference.noise`),
-the mesh."""
-EXCITED = 10.0
-"""Windows in which the model's pressures exceed their noise so many times tell of k and K_Q."""
+"""Relative systematic errors of k and K_Q, which no stream reduces: the sensors' gains
+(`calibration.inference.noise`) and the mesh."""
+MIN_EXCITATION = 10.0
+"""A window updates k and K_Q if the model's pressure exceeds its noise by this factor."""
 
 
 @dataclass(frozen=True)
 class TwinSettings:
-    """How a twin runs. `rate` [Hz] of the readings; one `window` [s] is a value of the test.
+    """Settings of a twin.
 
-    The mesh of the calibration (`calibration.model.predict.FINE`) would not keep up. Bands learn
-    what a
-    coarser one leaves under a regular drive, not what it leaves after an edge that came late: at
-    the tip, of 60 mm, 0.2 mm for a second with 31 nodes and steps of two readings, 0.02 with these.
+    The calibration's mesh (`calibration.model.predict.FINE`) is too slow for real time. The bands
+    include the error of a coarser mesh for a regular drive, but not its error after a delayed edge.
+    With a tip amplitude of 60 mm, that error is 0.2 mm for one second with 31 nodes and time steps
+    of two readings. It is 0.02 mm with these settings.
     """
 
     rate: float = 500.0
+    """Rate of the readings [Hz]."""
     samples: int = 10
-    """Readings a block."""
+    """Readings per block."""
     per_step: int = 1
-    """Readings a step of the body."""
+    """Readings per time step of the body."""
     nodes: int = 51
     tolerance: float = 1e-5
     window: float = 0.4
+    """Duration [s] of a window, the unit of the sequential test."""
     learn: float = 6.0
-    """[s] from which bands are learned; at least four strides are taken."""
+    """[s] from which the bands are learned; at least four strides are used."""
     memory_k: float = 20.0
-    """[s] over which k is forgotten."""
+    """Time constant [s] with which older windows lose weight in the estimate of k."""
     memory_K_Q: float = 60.0
+    """Time constant [s] for K_Q."""
 
 
 class TwinBlock(NamedTuple):
-    """What the twin says of one block of readings."""
+    """The twin's result for one block of readings."""
 
     t: np.ndarray
-    """(samples,) [s], of the device's clock."""
+    """(samples,) [s] on the device's clock."""
     model: np.ndarray
     """(5, samples) in the order of `BUILT_IN`."""
     measured: np.ndarray
     """(5, samples), NaN where nothing was read."""
     lost: np.ndarray
-    """(samples,) whether the reading was lost and bridged."""
-    judged: np.ndarray
-    """(samples,) whether the residual counts: not lost, nor just after a gap."""
+    """(samples,) whether the reading was lost and filled in."""
+    valid: np.ndarray
+    """(samples,) whether the residual is tested: neither lost nor just after a gap."""
     k: ParameterEstimate
     K_Q: ParameterEstimate
     alarm: Alarm
     watching: bool
-    """Whether the bands are learned."""
+    """Whether the bands are learned and the test runs."""
     seconds: float
-    """That the block took to compute."""
+    """Computing time of the block."""
 
     @property
     def residual(self) -> np.ndarray:
@@ -107,7 +116,7 @@ class TwinBlock(NamedTuple):
 
 
 class Twin:
-    """A model beside a stream. Made by `of`; the stream is given to `feed`."""
+    """A model in parallel with a stream. `of` creates it; `feed` takes the stream's readings."""
 
     def __init__(self, experiment: Experiment, settings: TwinSettings, trial: Trial):
         self.experiment, self.settings = experiment, settings
@@ -118,22 +127,22 @@ class Twin:
             Numerics(*cells, tolerance=settings.tolerance),
         )  # fmt: skip
         self._load(trial)
-        self._program = compiled(self._model, self.layout, self._rest)
+        self._program = compile_block(self._model, self.layout, self._rest)
         self.restart(forget=True)
 
     @classmethod
     def of(
         cls, experiment: Experiment, trial: Trial | int = 0, settings: TwinSettings = TwinSettings()
     ) -> "Twin":
-        """Compile the model of a trial, whose coefficients and carriage it takes, and try it.
+        """Return a twin with a trial's coefficients and carriage, compiled and run once.
 
-        Takes seconds. Raises `InputError` for settings that cannot be used.
+        Takes seconds. Raises `InputError` for invalid settings.
         """
         if settings.samples < 2 or settings.per_step < 1 or settings.samples % settings.per_step:
             raise InputError.value(
                 "twin settings, samples and per_step",
                 f"{settings.samples} and {settings.per_step}",
-                "a block of two readings or more, a whole number of steps",
+                "at least two readings per block, in a whole number of time steps",
             )
         if settings.nodes < FEWEST_NODES:
             allowed = f"{FEWEST_NODES} or more"
@@ -147,37 +156,39 @@ class Twin:
         return twin
 
     def begin(self, trial: Trial | int) -> None:
-        """Go on with another trial's coefficients and carriage; k and K_Q stay. Not in a stream."""
+        """Continue with another trial's coefficients and carriage, between streams; keep k, K_Q."""
         self._load(self.experiment.trials[trial] if isinstance(trial, int) else trial)
         self.restart()
 
     def restart(self, forget: bool = False) -> None:
-        """Begin the stream anew, and learn its bands anew; k and K_Q stay unless `forget`."""
+        """Prepare for a new stream and learn its bands; keep k and K_Q unless `forget` is set."""
         if forget:
             self._k = self._recursive("k", self._values[0], self.settings.memory_k)
             self._K_Q = self._recursive("K_Q", self._values[1], self.settings.memory_K_Q)
         self._state = self._rest
-        self.bridge = GapFiller(self.layout.period, self.layout.samples)
-        self._past = np.zeros((2, PAST + 1))
+        self.gap_filler = GapFiller(self.layout.period, self.layout.samples)
+        self._past = np.zeros((2, HISTORY + 1))
         self._lost_in_a_row, self._settling = 0, 0
         self._parts: list[tuple] = []
         self._windows: list[Window] = []
-        self._as_read: list[Window] = []
+        self._raw_windows: list[Window] = []
         self.misfits: dict[str, tuple[float, float]] = {}
-        """Channels that did not fit while the bands were learned: rms of what was left, in SI, and
-        its share of the model's. What is wrong by then is not judged."""
+        """Channels whose residual was too large while the bands were learned: its rms in SI units,
+        and relative to the model's rms. The test cannot detect a fault from that time."""
         self._means = 0
         self._tare = np.zeros(len(BUILT_IN))
-        self._d_tare = np.zeros((len(VALUES), len(BUILT_IN)))
-        self._watch: Watch | None = None
+        self._d_tare = np.zeros((len(PARAMETERS), len(BUILT_IN)))
+        self._test: SequentialTest | None = None
 
-    def _recursive(self, name: str, value: float, memory: float) -> Recursive:
+    def _recursive(self, name: str, value: float, memory: float) -> RecursiveEstimator:
         low, high, windows = BASE[name].low, BASE[name].high, memory / self.settings.window
-        return Recursive(float(value), PRIOR * float(value), low, high, windows)
+        return RecursiveEstimator(
+            float(value), INITIAL_DEVIATION * float(value), low, high, windows
+        )
 
     def _load(self, trial: Trial) -> None:
         experiment = self.experiment
-        self._model, self._values = live_model(experiment, trial), values_of(experiment)
+        self._model, self._values = live_model(experiment, trial), parameter_values(experiment)
         self._rest = initial_block_state(self._model, self.layout, self._values)
         strides = 4.0 / trial.frequency if trial.frequency else 0.0
         count = max(self.settings.learn, strides) / self.settings.window
@@ -187,148 +198,149 @@ class Twin:
         )
 
     def feed(self, readings: Samples) -> list[TwinBlock]:
-        """The blocks that these readings complete. Raises `InputError` for wrong shapes."""
-        return [self._block(even) for even in self.bridge.add(readings)]
+        """Return the blocks that these readings complete. Raises `InputError` for wrong shapes."""
+        return [self._block(block) for block in self.gap_filler.add(readings)]
 
-    def _block(self, even: UniformBlock) -> TwinBlock:
-        began = time.perf_counter()
-        model, along, faulty = self._predict(even)
-        judged = self._judged(even)
-        residual = np.where(judged, even.measured - model, np.nan)
-        self._parts.append(Window(residual, even.measured, model, along, faulty))
+    def _block(self, block: UniformBlock) -> TwinBlock:
+        start = time.perf_counter()
+        model, derivatives, faulty = self._predict(block)
+        valid = self._valid(block)
+        residual = np.where(valid, block.measured - model, np.nan)
+        self._parts.append(Window(residual, block.measured, model, derivatives, faulty))
         if len(self._parts) == self._in_window:
-            self._close_window(float(even.t[-1]))
-        alarm = self._watch.alarm if self._watch else NO_ALARM
+            self._close_window(float(block.t[-1]))
+        alarm = self._test.alarm if self._test else NO_ALARM
         return TwinBlock(
-            even.t, model, even.measured, even.lost, judged, self.k, self.K_Q, alarm,
-            self._watch is not None, time.perf_counter() - began,
+            block.t, model, block.measured, block.lost, valid, self.k, self.K_Q, alarm,
+            self._test is not None, time.perf_counter() - start,
         )  # fmt: skip
 
     @property
     def judges_after(self) -> float:
-        """[s] of a stream that is driven, until the bands are learned."""
+        """Duration [s] of a driven stream after which the bands are learned."""
         return sum(self._learned_by) * self.settings.window
 
     @property
     def k(self) -> ParameterEstimate:
-        """The pressure lag [s] now."""
+        """Current estimate of the pressure lag [s]."""
         return self._k.estimate.with_share(SYSTEMATIC_K)
 
     @property
     def K_Q(self) -> ParameterEstimate:
-        """Moment per pressure [m^3] now."""
+        """Current estimate of the moment per pressure [m^3]."""
         return self._K_Q.estimate.with_share(SYSTEMATIC_K_Q)
 
-    def _predict(self, even: UniformBlock) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """`Predicted` over a block; it begins anew at what is measured where the block does."""
+    def _predict(self, block: UniformBlock) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the fields of `BlockPrediction`; a restart uses measured pressures."""
         state = self._state
-        if even.anew:
-            self._past = np.repeat(even.set_pressure[:, :1], PAST + 1, axis=1)
-            p = np.nan_to_num(even.measured[:2, 0])
+        if block.restarted:
+            self._past = np.repeat(block.set_pressure[:, :1], HISTORY + 1, axis=1)
+            p = np.nan_to_num(block.measured[:2, 0])
             faulty = np.broadcast_to(p, state.faulty.shape).copy()
-            begun: dict[str, Any] = {"p": p, "dp": np.zeros(2), "seen": p, "faulty": faulty}
-            state = replace(state, **begun)
-        set_pressure = np.concatenate([self._past, even.set_pressure], axis=1)
-        self._past = set_pressure[:, -PAST - 1 :]
+            measured: dict[str, Any] = {"p": p, "dp": np.zeros(2), "sensed": p, "faulty": faulty}
+            state = replace(state, **measured)
+        set_pressure = np.concatenate([self._past, block.set_pressure], axis=1)
+        self._past = set_pressure[:, -HISTORY - 1 :]
         values = np.array([self._k.value, self._K_Q.value, *self._values[2:]])
-        t0 = np.asarray(even.t[0] - self.layout.period)
+        t0 = np.asarray(block.t[0] - self.layout.period)
         state, predicted = self._program(
-            self._model, state, values, t0, set_pressure, even.measured[:2]
+            self._model, state, values, t0, set_pressure, block.measured[:2]
         )
         if not state.body.ok:
             rest = self._rest
             state = replace(
                 state, body=rest.body, d_body=rest.d_body, last=rest.last, d_last=rest.d_last
             )
-            self._settle(SETTLE_ANEW)
+            self._settle(SETTLING_AFTER_RESTART)
         self._state = state
-        channels, along, faulty = map(np.asarray, predicted)
-        return channels, along, faulty
+        channels, derivatives, faulty = map(np.asarray, predicted)
+        return channels, derivatives, faulty
 
     def _settle(self, duration: float) -> None:
         self._settling = max(self._settling, round(duration / self.layout.period))
 
-    def _judged(self, even: UniformBlock) -> np.ndarray:
-        """(samples,) whether a sample counts."""
-        if even.anew:
-            self._settle(SETTLE_ANEW)
-        found = np.zeros(len(even.t), bool)
-        for i, lost in enumerate(even.lost):
+    def _valid(self, block: UniformBlock) -> np.ndarray:
+        """Return whether each sample is tested, (samples,)."""
+        if block.restarted:
+            self._settle(SETTLING_AFTER_RESTART)
+        valid = np.zeros(len(block.t), bool)
+        for i, lost in enumerate(block.lost):
             self._lost_in_a_row = self._lost_in_a_row + 1 if lost else 0
-            if self._lost_in_a_row > SHORT / self.layout.period:
-                self._settle(SETTLE)
-            found[i] = not lost and self._settling == 0
+            if self._lost_in_a_row > NEGLIGIBLE_GAP / self.layout.period:
+                self._settle(SETTLING)
+            valid[i] = not lost and self._settling == 0
             self._settling = max(self._settling - 1, 0) if not lost else self._settling
-        return found
+        return valid
 
     def _close_window(self, t: float) -> None:
-        """Learn from the window that is full, or judge it."""
+        """Learn from the complete window, or test it."""
         whole = Window(*(np.concatenate(x, axis=-1) for x in zip(*self._parts, strict=True)))
-        window = _of_one_clock(self._about_mean(whole), self.layout.period)
+        window = _aligned_forces(self._without_mean(whole), self.layout.period)
         self._parts = []
-        sensors, watch = self.experiment.sensors, self._watch
-        bands = watch.bands if watch else Bands.declared(sensors, [*self._windows, window])
-        driven = bool(np.any(window.size[:2] > EXCITED * bands.noise[:2]))
-        inside = watch.inside(window) if watch else np.ones(len(BUILT_IN), bool)
+        sensors, test = self.experiment.sensors, self._test
+        bands = test.bands if test else Bands.declared(sensors, [*self._windows, window])
+        driven = bool(np.any(window.size[:2] > MIN_EXCITATION * bands.noise[:2]))
+        inside = test.inside(window) if test else np.ones(len(BUILT_IN), bool)
         variance = bands.variance(window)
         if driven and inside[:2].all():
-            self._k.update(*pull_of_lag(window, variance))
+            self._k.update(*lag_gradient(window, variance))
         if driven and inside.all():
-            self._K_Q.update(*pull_of_moment(window, variance))
-        if watch:
-            watch.take(window, t)
+            self._K_Q.update(*moment_gradient(window, variance))
+        if test:
+            test.update(window, t)
         elif driven:
             self._windows.append(window)
-            # A leak shows in the mean of a pressure; forces and tip have tares.
+            # A leak changes the mean pressure. The means of forces and tip depend on tares.
             pressures = whole.residual[:2]
             residual = np.concatenate([pressures, window.residual[2:]])
-            self._as_read.append(window._replace(residual=residual))
+            self._raw_windows.append(window._replace(residual=residual))
             warm, learn = self._learned_by
             if len(self._windows) == warm + learn:
-                self._watch = Watch(Bands.learned(sensors, self._windows[warm:]))
-                self.misfits = misfits(self._as_read[warm:])
+                self._test = SequentialTest(Bands.learned(sensors, self._windows[warm:]))
+                self.misfits = channel_misfits(self._raw_windows[warm:])
 
-    def _about_mean(self, window: Window) -> Window:
-        """Residual and derivatives without their means.
+    def _without_mean(self, window: Window) -> Window:
+        """Return the window with the means of residual and derivatives subtracted.
 
-        Of forces and tip those of the last seconds; of the pressures, where a leak shows in the
-        mean, those from before the alarm was on.
+        The means of forces and tip are those of the last seconds. Those of the pressures are from
+        before the test began, because a leak changes the mean.
         """
         tare, d_tare = self._tare, self._d_tare
-        there = np.isfinite(window.residual)
-        share = there / np.maximum(there.sum(axis=1, keepdims=True), 1)
-        mean = np.sum(share * np.where(there, window.residual, 0.0), axis=1)
-        d_mean = np.sum(share * window.along, axis=2)
+        finite = np.isfinite(window.residual)
+        share = finite / np.maximum(finite.sum(axis=1, keepdims=True), 1)
+        mean = np.sum(share * np.where(finite, window.residual, 0.0), axis=1)
+        d_mean = np.sum(share * window.derivatives, axis=2)
         self._means += 1
-        gain = np.full(len(BUILT_IN), max(self.settings.window / DRIFT, 1.0 / self._means))
-        gain[:2] = 0.0 if self._watch else 1.0 / self._means
-        gain *= window.enough
+        gain = np.full(len(BUILT_IN), max(self.settings.window / TARE_TIME, 1.0 / self._means))
+        gain[:2] = 0.0 if self._test else 1.0 / self._means
+        gain *= window.sufficient
         self._tare = tare + gain * (mean - tare)
         self._d_tare = d_tare + gain * (d_mean - d_tare)
         return window._replace(
-            residual=window.residual - tare[:, None], along=window.along - d_tare[:, :, None]
+            residual=window.residual - tare[:, None],
+            derivatives=window.derivatives - d_tare[:, :, None],
         )
 
 
-def _of_one_clock(window: Window, period: float) -> Window:
-    """The window with its forces shifted by up to `CLOCK`, as fits it best, to the model's time.
+def _aligned_forces(window: Window, period: float) -> Window:
+    """Return the window with its forces shifted in time by up to `MAX_CLOCK_SHIFT`.
 
-    `along` is left what no shift could do as well.
+    The shift fits the model best. The part of `derivatives` that a shift could cause is removed.
     """
     forces = slice(2, 4)
     model, residual = window.model[forces], window.residual[forces]
     slope = np.gradient(model, period, axis=1)
-    there = np.isfinite(residual)
-    weighted = np.where(there, slope, 0.0) / np.maximum(np.mean(model**2, axis=1), 1e-300)[:, None]
-    most = float(np.sum(weighted * slope))
-    if not most > 0.0:
+    finite = np.isfinite(residual)
+    weighted = np.where(finite, slope, 0.0) / np.maximum(np.mean(model**2, axis=1), 1e-300)[:, None]
+    total = float(np.sum(weighted * slope))
+    if not total > 0.0:
         return window
-    shift = np.sum(weighted * np.where(there, residual, 0.0)) / most
-    if abs(shift) > CLOCK:  # no clock's doing
+    shift = np.sum(weighted * np.where(finite, residual, 0.0)) / total
+    if abs(shift) > MAX_CLOCK_SHIFT:  # too large for a clock error
         return window
-    along, cleared = window.along.copy(), window.residual.copy()
+    derivatives, cleared = window.derivatives.copy(), window.residual.copy()
     cleared[forces] -= shift * slope
-    along[:, forces] -= (
-        np.sum(weighted * along[:, forces], axis=(1, 2))[:, None, None] / most * slope
+    derivatives[:, forces] -= (
+        np.sum(weighted * derivatives[:, forces], axis=(1, 2))[:, None, None] / total * slope
     )
-    return window._replace(residual=cleared, along=along)
+    return window._replace(residual=cleared, derivatives=derivatives)

@@ -1,4 +1,4 @@
-"""A robot that streams: the model on a finer grid than a twin's, with faults on demand."""
+"""A simulated robot that streams readings, with a finer grid than a twin and adjustable faults."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -21,12 +21,12 @@ from slider_jax.experiment.load import to_model
 
 RATE = 500.0
 CHUNK = 250
-"""Samples a call."""
+"""Samples per call."""
 SENSORS = Sensors(gain_drift=0.0)
 
 
 class FrontFault(Flow):
-    """On the positive side of the front chamber: a leak, and a valve that is partly shut."""
+    """A leak and a partly blocked valve on the positive side of the front chamber."""
 
     leak: Scalar = 0.0
     shut: Scalar = 0.0
@@ -42,7 +42,7 @@ def _save(x):
 
 
 def set_pressures(drive, t):
-    """(2, n) front and rear: means since the reading before."""
+    """Return the front and rear means since the previous reading, (2, n)."""
 
     def mean(wave):
         x = jax.vmap(wave.segment)(t - 1.0 / RATE, t)
@@ -53,7 +53,7 @@ def set_pressures(drive, t):
 
 
 def only(readings, keep):
-    """Those that are kept; what was set meanwhile counts for the next one."""
+    """Return the kept readings; their set pressures are means since the previous kept reading."""
     runs = np.concatenate([[0], np.cumsum(keep)[:-1]])
     means = [np.bincount(runs, x) / np.bincount(runs) for x in readings.set_pressure]
     kept = int(keep.sum())
@@ -71,8 +71,8 @@ def _advance(model, carry, t0, numerics):
 class Streaming:
     """Streams the first trial of an experiment.
 
-    `drive` (of its amplitude), `leak`, `shut`, `k`, `K_Q`, `EI_tail`, `tail_length` may be changed
-    while it does; `tare` [N] is added to the forces.
+    A test may change `drive` (relative to the trial's amplitude), `leak`, `shut`, `k`, `K_Q`,
+    `EI_tail` and `tail_length` during the stream. `tare` [N] is added to the forces.
     """
 
     def __init__(self, experiment, k, K_Q, nodes=61, seed=0):
@@ -100,7 +100,7 @@ class Streaming:
         return jax.tree.map(lambda x: jnp.asarray(x, float), model)
 
     def readings(self) -> Samples:
-        """The next `CHUNK`."""
+        """Return the next `CHUNK` readings."""
         self._carry, t, set_pressure, true = _advance(
             self.model, self._carry, jnp.asarray(self.t), self.numerics
         )
@@ -117,6 +117,6 @@ class Streaming:
         return Samples(t, np.asarray(set_pressure), true)
 
     def run(self, seconds: float) -> Iterator[Samples]:
-        """Readings of `seconds` in all."""
+        """Yield the readings of the next `seconds`."""
         for _ in range(round(seconds * RATE / CHUNK)):
             yield self.readings()
