@@ -1,1 +1,1 @@
-"""The rig's commands. May import every room; only the table of commands names them."""
+"""The rig's commands. May import every room; only the table of commands refers to them."""

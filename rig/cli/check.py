@@ -1,7 +1,10 @@
-"""`slider rig check`: is a rig fit for a trial."""
+"""`slider rig check`: checks a rig before a trial."""
 
 import sys
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from rig.cli.shared import Port, RigFile
 from slider_jax.cli.options import Value
@@ -9,18 +12,24 @@ from slider_jax.errors import InputError
 
 
 def rig_check(
-    port: Port, rig: RigFile = None, pressure: Value = 50e3, out: Path | None = None
+    port: Port,
+    rig: RigFile = None,
+    pressure: Value = 50e3,
+    out: Annotated[
+        Path | None, tyro.conf.arg(metavar="CHECK.json", help_behavior_hint="(default: no file)")
+    ] = None,
 ) -> int:
-    """Check rate and line, answer times, noise at rest, and how each chamber fills and holds.
+    """Check the manifold's rate, losses, answer times and noise, and the pressure of each chamber.
 
-    A force sensor that the rig file names is listened to for a second before. Each chamber is set
-    to the pressure by itself for 1.5 s, and all vent at the end. Exit code 1 if something is found.
+    First, the force sensor of the rig file is checked for 1 s. Then each chamber alone is set to
+    the test pressure for 1.5 s. All chambers vent at the end. The exit code is 1 if there is a
+    finding.
 
     Args:
-        port: serial port of the manifold.
+        port: serial port of the manifold; `slider rig ports` lists all.
         rig: TOML file of the rig.
-        pressure: set pressure of the test [Pa].
-        out: JSON file for what was found; its folder is made if missing.
+        pressure: set pressure of the test, in Pa.
+        out: JSON file for the results; its folder is created if missing.
     """
     from rig.cli.settings import load_rig
     from rig.cli.shared import open_force_sensor, signals_as_ctrl_c
@@ -34,10 +43,12 @@ def rig_check(
     from slider_jax.io.files import output_folder, write_json
 
     if not pressure >= 1e3:
-        raise InputError.value("--pressure", f"{pressure:g}", "1000 Pa or more", "not kPa or psi")
+        raise InputError.value(
+            "--pressure", f"{pressure:g}", "1000 Pa or more", "pascal, not kPa or psi"
+        )
     if out is not None:
         if out.is_dir():
-            raise InputError(f"--out {out}: is a folder; give a file, as {out / 'check.json'}")
+            raise InputError(f"--out {out}: is a folder; give a file, such as {out / 'check.json'}")
         output_folder(out.parent)
     settings = load_rig(rig)
     limits = PressureLimits.of(settings.manifold.limits)
@@ -68,8 +79,8 @@ def rig_check(
     print(f"firmware {ident.major}.{ident.minor}.{ident.patch}, protocol {ident.protocol}")
     print(f"{found.rate:.0f} readings a second, {found.lost} lost, {found.damaged} frames damaged")
     if len(trip):
-        middle = sorted(trip)[len(trip) // 2]
-        print(f"a command is told of after {middle:.1f} ms, {trip.max():.1f} at most")
+        median = sorted(trip)[len(trip) // 2]
+        print(f"a command is answered after {median:.1f} ms (median), {trip.max():.1f} ms at most")
     for name, offset, noise in zip(CHANNELS, found.offset, found.noise, strict=True):
         print(f"{name:<20} at rest {offset:10.1f}, noise {noise:8.2f}")
     for x in found.held:
@@ -81,13 +92,11 @@ def rig_check(
     content["held"] = [x._asdict() for x in found.held]
     if forces is not None:
         print(f"force sensor: {forces.rate:.0f} records a second, {forces.lost} lost")
-        for name, offset, noise in zip(
-            ("thrust_N", "recoil_N"), forces.offset, forces.noise, strict=True
-        ):
-            print(f"{name:<20} at rest {offset:10.4f}, noise {noise:8.4f}")
+        for i, name in enumerate(("thrust_N", "recoil_N")):
+            print(f"{name:<20} at rest {forces.offset[i]:10.4f}, noise {forces.noise[i]:8.4f}")
         findings += forces.findings
         content["force"] = forces._asdict()
-    print("\n".join(findings) or "nothing is wrong")
+    print("\n".join(findings) or "no findings")
     if out is not None:
         write_json(out, content | {"findings": findings})
     return 1 if findings else 0

@@ -1,4 +1,4 @@
-"""`slider rig log`: pressure logs of a manifold with the authors' published firmware."""
+"""`slider rig log`: records pressure logs of a manifold with the authors' published firmware."""
 
 import sys
 from functools import partial
@@ -16,17 +16,17 @@ def rig_log(
     port: Port,
     out: Folder,
 ) -> None:
-    """Run the published Teensy firmware's own sine test at each frequency, and keep its logs.
+    """Run the sine test of the published Teensy firmware at each frequency, and record its logs.
 
-    DIR/<frequency>.txt is what it wrote, byte for byte, as `slider calibrate manifold` and `slider
-    close-loop` read it; what a test that broke off left is in <frequency>.unfinished. This firmware
-    has no stop and no watchdog: once a test has begun only the supply's valve ends it. Logs that
-    are there are not taken again.
+    This firmware has no stop and no watchdog: only the supply's valve ends a test that has begun.
+    DIR/<frequency>.txt is the firmware's unchanged output, for `slider calibrate manifold` and
+    `slider close-loop`. The output of an interrupted test is in DIR/<frequency>.unfinished.
+    Existing logs are not recorded again.
 
     Args:
-        frequencies: of the commanded sine [Hz].
-        port: serial port of the manifold.
-        out: folder for the logs; made if missing.
+        frequencies: frequencies of the commanded sine, in Hz, 0.1 to 5.
+        port: serial port of the manifold; `slider rig ports` lists all.
+        out: folder for the logs; created if missing.
     """
     from rig.manifold.published import FREQUENCIES, PublishedManifold
     from rig.manifold.serial_port import open_port
@@ -34,25 +34,25 @@ def rig_log(
 
     low, high = FREQUENCIES
     if not frequencies:
-        raise InputError(f"frequencies: given nothing; allowed {low:g} to {high:g} Hz")
+        raise InputError(f"frequencies: missing; give one or more from {low:g} to {high:g} Hz")
     for frequency in frequencies:
         if not low <= frequency <= high:
             raise InputError.value("frequencies", f"{frequency:g}", f"{low:g} to {high:g} Hz")
     folder = output_folder(out)
-    print("this firmware has no stop: keep a hand at the supply's valve", file=sys.stderr)
+    print("this firmware has no stop: keep a hand on the supply's valve", file=sys.stderr)
     for frequency in frequencies:
         path = folder / f"{frequency:g}.txt"
         if path.exists():
-            print(f"{path.name} is there already")
+            print(f"{path.name} exists already")
             continue
         print(f"{frequency:g} Hz ...", file=sys.stderr, flush=True)
         begun = path.with_suffix(".unfinished")
-        # Unbuffered: what came is on disk, whatever ends this program.
+        # Unbuffered, so that all received bytes are on disk if the program is killed.
         with begun.open("wb", buffering=0) as file:
             outcome = PublishedManifold(open_port(port)).run(frequency, sink=partial(_keep, file))
         begun.replace(path)
-        said = "; ".join(outcome.findings) or "no findings"
-        print(f"{path.name}  {outcome.rows} rows: {said}")
+        findings = "; ".join(outcome.findings) or "no findings"
+        print(f"{path.name}  {outcome.rows} rows: {findings}")
 
 
 def _keep(file: RawIOBase, host_ns: int, piece: bytes) -> None:

@@ -1,4 +1,4 @@
-"""`slider rig loop`: measure, find what the model lacks, choose the next trial, measure again."""
+"""`slider rig loop`: measures trials, searches for missing effects, and adds the next trial."""
 
 import sys
 import time
@@ -33,23 +33,25 @@ def rig_loop(
     amplitude: Range = None,
     phase: Range = None,
 ) -> None:
-    """Measure, find what the model lacks, add the trial that tells most, until it is settled.
+    """Measure trials, search for missing effects, and add the most informative trial.
 
-    DIR/measured becomes the experiment's folder with all trials, DIR/round_NN.json what was found
-    with each number of trials, DIR/report.html, report.json and model.toml the last word. A loop
-    that was stopped goes on when it is started again. Nothing of the rig moves while the model
-    computes; the manifold is vented.
+    This repeats until the equivalence class is final or the budget is used. DIR/measured becomes
+    the experiment's folder with all trials. DIR/round_NN.json is the result of each round;
+    report.html, report.json and model.toml are the result of the last one. An interrupted loop
+    resumes when you repeat the command. During computations the chambers are vented.
 
     Args:
-        experiment: experiment file; its trials, three or more, are run first.
-        port: serial port of the manifold.
-        out: folder for all of it; made if missing.
-        rig: TOML file of the rig: limits, pace, force sensor, analogue inputs.
-        budget: most trials, with those of the file.
-        frequency: lowest and highest frequency of the trials that are added, Hz; by default those
-            of the file, a tenth wider. So with the next two.
-        amplitude: lowest and highest set pressure of theirs, Pa; never above the rig's limits.
-        phase: lowest and highest phase of the rear chamber of theirs, fraction of a period.
+        experiment: experiment file with three or more trials, which are run first.
+        port: serial port of the manifold; `slider rig ports` lists all.
+        out: folder for the results; created if missing.
+        rig: TOML file of the rig: limits, command rate, pauses and sensors.
+        budget: largest number of trials, including those of the experiment file.
+        frequency: lowest and highest frequency of added trials, in Hz (default: the range of the
+            file's trials, widened by a tenth).
+        amplitude: lowest and highest set pressure of added trials, in Pa, up to the rig's limits
+            (default: the range of the file's trials, widened by a tenth).
+        phase: lowest and highest phase of the rear chamber in added trials, as a fraction of a
+            period (default: the range of the file's trials, widened by a tenth).
     """
     from calibration.discrepancy.page import loop_page
     from calibration.discrepancy.report import loop_model_toml
@@ -68,21 +70,22 @@ def rig_loop(
         raise InputError.value(
             f"{experiment}: trials",
             len(given.trials),
-            f"{DEFAULT_SETTINGS.min_trials} or more to begin with",
+            f"{DEFAULT_SETTINGS.min_trials} or more",
         )
     if any(trial.clamp_moves or trial.tow_speed for trial in given.trials):
-        raise InputError(f"{experiment}: a clamp moves; allowed trials whose clamp rests")
+        raise InputError(f"{experiment}: a clamp moves; allowed trials with a fixed clamp")
     allowed = {"frequency": frequency, "amplitude": amplitude, "phase": phase}
     allowed["tow_speed"] = (0.0, 0.0)
 
     def within(now: Experiment) -> TrialLimits:
-        highest = min(settings.manifold.limits)
-        behind = max([1.0, *(abs(t.rear_ratio) for t in now.trials)])
-        own = limits_of(now, allowed)
-        low, high = own.amplitude
-        return own._replace(amplitude=(min(low, highest / behind), min(high, highest / behind)))
+        # The rear chambers' pressures are `rear_ratio` times the amplitude.
+        rear_ratio = max([1.0, *(abs(t.rear_ratio) for t in now.trials)])
+        highest = min(settings.manifold.limits) / rear_ratio
+        limits = limits_of(now, allowed)
+        low, high = limits.amplitude
+        return limits._replace(amplitude=(min(low, highest), min(high, highest)))
 
-    within(given)  # ranges that cannot be are told at once
+    within(given)  # refuses invalid ranges before the rig moves
     settings = with_force_counts(settings)
     folder = output_folder(out) / "measured"
     folder.mkdir(exist_ok=True)
@@ -90,25 +93,26 @@ def rig_loop(
     install_experiment(experiment, folder)
     begun = time.monotonic()
 
-    def say(text: str) -> None:
+    def progress(text: str) -> None:
         print(f"{time.monotonic() - begun:6.0f} s  {text}", file=sys.stderr, flush=True)
 
     def capture(trials: tuple[Trial, ...]) -> None:
-        # Opened anew for each round: between them the manifold is vented and its port free.
+        # Opened for each round, so that between rounds the manifold is vented and its port free.
         with ExitStack() as stack:
             machine = stack.enter_context(open_rig(port, settings))
             played = [planned_trial(trial, path) for trial in trials]
             live = StatusLine(machine, len(played))
-            told = {"rig": settings.model_dump(mode="json")}
-            found = run_trials(played, machine, folder, told, live)
+            recorded = {"rig": settings.model_dump(mode="json")}
+            found = run_trials(played, machine, folder, recorded, live)
             live.end()
         declare_swing(path, found)
 
-    found = campaign(path, capture, out, budget, within, say)
+    found = campaign(path, capture, out, budget, within, progress)
     rounds = {"rounds": [asdict(x) for x in found.rounds], "settled": found.settled}
     write_json(out / "report.json", found.report | rounds)
     write_text(out / "model.toml", loop_model_toml(found.outcome))
     write_text(out / "report.html", loop_page(found.outcome, found.report))
     for x in found.rounds:
         print(f"{x.trials:2} trials: {x.said}")
-    print("settled" if found.settled else f"not settled with {found.rounds[-1].trials} trials")
+    final = "is final" if found.settled else "is not final"
+    print(f"with {found.rounds[-1].trials} trials, the equivalence class {final}")

@@ -1,4 +1,4 @@
-"""A drive that is played while something else looks at what comes."""
+"""Plays a drive in a thread, while the main thread processes the live stream."""
 
 import threading
 from collections.abc import Iterator
@@ -21,10 +21,10 @@ from rig.trial.player import play_drive
 
 
 class DrivePlayer:
-    """A drive played for `duration` [s] in a thread of its own, before all others.
+    """A context manager that plays a drive for `duration` [s] in a thread with real-time priority.
 
-    A context: at its end everything is vented. `stream` has what comes meanwhile. Raises `RigError`
-    at its beginning, in `ended` and at its end.
+    `stream` receives the readings and forces. At the end all chambers vent. Raises `RigError` on
+    entering, in `ended` and on leaving.
     """
 
     def __init__(self, port: str, settings: RigTable, trial: PlannedTrial, duration: float):
@@ -35,13 +35,13 @@ class DrivePlayer:
         self.stream = LiveStream(analogue, settings.force is not None)
         self._stop, self._begun = threading.Event(), threading.Event()
         self.lost = 0
-        """Readings of the manifold."""
+        """Number of the manifold's lost readings."""
         self._force: ForceSource | None = None
         self._thread = threading.Thread(target=self._play, name="player", daemon=True)
 
     @property
     def ended(self) -> bool:
-        """Whether the drive is at its end. Raises what ended it otherwise."""
+        """Whether the drive has ended. Raises the error that ended it, if any."""
         if not self._thread.is_alive() and self._failure is not None:
             raise self._failure
         return not self._thread.is_alive()
@@ -60,7 +60,7 @@ class DrivePlayer:
         self._end_after(error)
 
     def _end_after(self, error: BaseException | None) -> None:
-        """Vents; what goes wrong with that is noted on the `error` that led here, if any."""
+        """End the thread, which vents. A failure is raised, or noted on an earlier `error`."""
         self._stop.set()
         if self._thread.ident is not None:
             self._thread.join()
@@ -97,7 +97,7 @@ class DrivePlayer:
                 except BaseException as error:
                     m.stop_after(error)
                     raise
-                m.stop()  # before the force sensor takes its time to end
+                m.stop()  # before the force sensor is closed, which takes longer
 
     def _tick(self, t: float) -> None:
         assert self.stream.manifold is not None
@@ -109,11 +109,11 @@ class DrivePlayer:
 
 
 class _Ended(Exception):
-    """The drive is not to go on."""
+    """The context ended before the drive."""
 
 
 def _forces(settings: RigTable, stream: LiveStream) -> AbstractContextManager[ForceSource | None]:
-    """A context in which the force sensor's samples go to the stream."""
+    """Return a context in which the force sensor's samples, if any, go to the stream."""
     return nullcontext() if settings.force is None else _forces_of(settings.force, stream)
 
 
@@ -124,14 +124,14 @@ def _forces_of(table: ForceTable, stream: LiveStream) -> Iterator[ForceSource]:
 
     def sink(host_ns: int, datagram: bytes) -> None:
         _, ft_seq, status, *counts = rdt.RECORD.unpack(datagram)
-        at = box.seconds(ft_seq)
-        if at is None:
+        sensor_s = box.seconds(ft_seq)
+        if sensor_s is None:
             return
         wrench = source.calibration.wrench(np.array(counts))
         if rdt.is_invalid(status):
             wrench = np.full(6, np.nan)
         thrust, recoil = mounting.thrust_and_recoil(wrench)
-        stream.force(host_ns, at, float(thrust), float(recoil))
+        stream.force(host_ns, sensor_s, float(thrust), float(recoil))
 
     with source:
         source.start(sink)

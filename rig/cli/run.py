@@ -1,4 +1,4 @@
-"""`slider rig run`: an experiment's trials on the rig."""
+"""`slider rig run`: runs an experiment's trials on the rig."""
 
 import sys
 from pathlib import Path
@@ -20,7 +20,7 @@ from slider_jax.cli.options import Folder, Pressures
 from slider_jax.errors import InputError
 
 MAX_LOST = 0.01
-"""Share of a trial's readings."""
+"""Largest fraction of lost readings of a trial that counts as good."""
 
 
 def rig_run(
@@ -29,25 +29,26 @@ def rig_run(
     out: Folder,
     rig: RigFile = None,
     limit: Pressures = None,
-    force: Annotated[str | None, tyro.conf.arg(metavar="HOST")] = None,
+    force: Annotated[str | None, tyro.conf.arg(metavar="HOST", help_behavior_hint="")] = None,
 ) -> int:
-    """Run every trial of an experiment, and record it.
+    """Run and record every trial of an experiment.
 
-    All chambers vent at the end, on Ctrl-C, on an error, when the port is lost, and, by the
-    manifold's own watchdog, when this program or the computer dies. DIR becomes the experiment's
-    folder as `slider calibrate` and `slider close-loop` take it: experiment.toml, to which what the
-    tip swung by at rest is written where that declares less, and the trials' CSVs; in
-    DIR/recordings is all that came, as it came. A run that was stopped goes on with the trials
-    that are missing when it is started again. Exit code 1 if more than one reading in a hundred was
-    lost in a trial.
+    All chambers vent at the end, on Ctrl-C, on an error and when the port is lost. If this program
+    or the computer stops, the manifold's watchdog vents. DIR becomes the folder of the measured
+    experiment, for `slider calibrate` and `slider close-loop`. It contains experiment.toml and the
+    trials' CSV files. If the tip's measured swing at rest exceeds the declared one, it is written
+    to experiment.toml. DIR/recordings contains all received bytes. An interrupted run resumes with
+    the missing trials when you repeat the command. The exit code is 1 if a trial lost more than 1 %
+    of its readings.
 
     Args:
-        experiment: experiment file; its [robot] and [parameters] have no say here.
-        port: serial port of the manifold; `slider rig ports` lists them.
-        out: folder for the measured experiment; made if missing.
-        rig: TOML file of the rig: limits, pace, force sensor, analogue inputs.
-        limit: highest set pressure [Pa] of all chambers, or of the four; 250e3 by default.
-        force: address of an ATI Net F/T box; its other settings are the rig file's.
+        experiment: experiment file; its [robot] and [parameters] are not used.
+        port: serial port of the manifold; `slider rig ports` lists all.
+        out: folder for the measured experiment; created if missing.
+        rig: TOML file of the rig: limits, command rate, pauses and sensors.
+        limit: highest set pressure of all chambers or of each of the four, in Pa (default: the rig
+            file's, else 250e3).
+        force: host name or address of an ATI Net F/T box (default: the rig file's).
     """
     from rig.cli.settings import load_rig
     from rig.manifold.limits import PressureLimits
@@ -67,13 +68,13 @@ def rig_run(
     for trial in table.trials:
         if trial.tow_speed or trial.clamp_moves:
             moves = "is towed" if trial.tow_speed else "moves"
-            print(f"{trial.file}: its clamp {moves}: see to that", file=sys.stderr)
+            print(f"{trial.file}: the clamp {moves}; move it by other means", file=sys.stderr)
     settings = with_force_counts(settings)
     source = input_file(experiment)
-    told = {"experiment_sha256": source["sha256"], "rig": settings.model_dump(mode="json")}
+    recorded = {"experiment_sha256": source["sha256"], "rig": settings.model_dump(mode="json")}
     with open_rig(port, settings) as machine:
         if not machine.readers and not machine.analogue:
-            print("no --rig with sensors: pressures alone are measured", file=sys.stderr)
+            print("without --rig and sensors, only pressures are measured", file=sys.stderr)
         ident = machine.manifold.ident
         assert ident is not None
         rate = table.sensors.sample_rate
@@ -83,43 +84,45 @@ def rig_run(
                 f"{rate:g}",
                 f"{ident.rate} Hz, the manifold's",
             )
-        for shot in trials:
-            shot.check(machine.limits.within(ident))
+        for planned in trials:
+            planned.check(machine.limits.within(ident))
         folder = output_folder(out)
-        # Nothing is written where a trial is refused; what was added at rest stays.
-        for shot in trials:
-            finished_record(folder, shot, told)
+        # Checked before anything is written: a finished trial with other settings is refused.
+        for planned in trials:
+            finished_record(folder, planned, recorded)
         install_experiment(experiment, folder)
         live = StatusLine(machine, len(trials))
         try:
-            found = run_trials(trials, machine, folder, told, live)
+            records = run_trials(trials, machine, folder, recorded, live)
         except KeyboardInterrupt as stopped:
             stopped.add_note(
-                f"all chambers are told to vent; what was recorded is kept in {folder}, and the "
-                "same command goes on"
+                f"all chambers vent; the recordings are kept in {folder}; repeat the command to "
+                "resume the run"
             )
             raise
         live.end()
-    declare_swing(folder / "experiment.toml", found)
+    declare_swing(folder / "experiment.toml", records)
     poor, length = 0, table.robot.body_length + table.robot.tail_length
-    for told_of in found:
-        findings = list(told_of["findings"])
-        if (over := told_of["range"].get("tip_m", 0.0)) > 2.0 * length:
+    for record in records:
+        findings = list(record["findings"])
+        if (tip_range := record["range"].get("tip_m", 0.0)) > 2.0 * length:
             findings.append(
-                f"tip_m goes over {over:.3g} m, of a robot {length:.3g} m long: see to its scale "
-                "in the rig file, then `slider rig replay --rig`"
+                f"the range of tip_m is {tip_range:.3g} m, but the robot is {length:.3g} m long: "
+                "correct the scale in the rig file, then run `slider rig replay --rig`"
             )
-        said = "; ".join(findings) or "no findings"
-        poor += told_of["readings_lost"] > MAX_LOST * told_of["readings"]
-        print(f"{told_of['trial']}.csv  {told_of['rows']} rows, commands within "
-              f"{1e3 * told_of['command_late_99_s']:.1f} ms: {said}")  # fmt: skip
+        poor += record["readings_lost"] > MAX_LOST * record["readings"]
+        late_ms = 1e3 * record["command_late_99_s"]
+        print(
+            f"{record['trial']}.csv  {record['rows']} rows, 99 % of commands within "
+            f"{late_ms:.1f} ms: {'; '.join(findings) or 'no findings'}"
+        )
     if poor:
         print(
-            f"{poor} of {len(found)} trials lost more than one reading in a hundred: see to the "
-            f"line, then measure them again into another --out",
+            f"{poor} of {len(records)} trials lost more than 1 % of their readings: check the "
+            "cable, then repeat the trials with another --out",
             file=sys.stderr,
         )
         return 1
-    print(f"experiment.toml and the trials are in {folder}: slider close-loop "
+    print(f"experiment.toml and the trials are in {folder}; next: slider close-loop "
           f"{folder / 'experiment.toml'} --out ...", file=sys.stderr)  # fmt: skip
     return 0

@@ -1,4 +1,4 @@
-"""RIG.toml: what a lab's rig consists of, and what a file may say of it."""
+"""Defines the rig file RIG.toml: the devices of a lab's rig and their settings."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -17,7 +17,7 @@ Axis = Literal["+Fx", "-Fx", "+Fy", "-Fy", "+Fz", "-Fz"]
 
 
 class ManifoldTable(Table):
-    """[manifold]: highest set pressure of all chambers, or of each, and the pace of a trial."""
+    """[manifold]: highest set pressure of all chambers or of each, command rate and pauses."""
 
     limits: Annotated[
         tuple[Pressure, ...], FROM_LIST, FROM_NUMBER, Field(min_length=1, max_length=4)
@@ -37,9 +37,9 @@ class ManifoldTable(Table):
 
 
 class ForceTable(Table):
-    """[force]: an ATI Net F/T box, and which of its axes are thrust and recoil.
+    """[force]: an ATI Net F/T box, and its axes of thrust and recoil.
 
-    Without counts they are read from the box's own page.
+    If the counts per N and N m are missing, they are read from the box's web page.
     """
 
     host: str
@@ -54,13 +54,16 @@ class ForceTable(Table):
     def _both_counts(self) -> "ForceTable":
         if (self.counts_per_N is None) != (self.counts_per_Nm is None):
             _fail(
-                "counts_per_N", "one of the two counts", "counts_per_N and counts_per_Nm, or none"
+                "counts_per_N",
+                "one of the two counts",
+                "both or none of counts_per_N, counts_per_Nm",
             )
         return self
 
 
 class CameraTable(Table):
-    """[camera]: a device (its number) or a video, blue markers tip first, and the image's scale."""
+    """[camera]: a device's number or a video file, the number of blue markers from the tip on, and
+    the image's scale."""
 
     source: int | str
     markers: Annotated[int, Field(ge=2, le=50)]
@@ -72,7 +75,7 @@ class CameraTable(Table):
 
 
 class AnalogueTable(Table):
-    """[[analogue]]: a sensor on one of the manifold's inputs; column = scale (voltage - zero)."""
+    """[[analogue]]: a sensor on an input of the manifold; column = scale (voltage - zero)."""
 
     column: Literal["thrust_N", "recoil_N", "tip_m"]
     input: Literal[1, 2, 3]
@@ -80,12 +83,12 @@ class AnalogueTable(Table):
     zero: float | None = None
 
     def sensor(self) -> AnalogueSensor:
-        """As the rig has it."""
+        """Return the sensor of this table."""
         return AnalogueSensor(self.column, self.input, self.scale, self.zero)
 
 
 class RigTable(Table):
-    """The whole file."""
+    """All tables of a rig file."""
 
     manifold: ManifoldTable = ManifoldTable()
     force: ForceTable | None = None
@@ -98,20 +101,20 @@ class RigTable(Table):
         given += ["tip_m"] if self.camera else []
         for index, sensor in enumerate(self.analogue):
             if sensor.column in given:
-                _fail(f"analogue.{index}.column", sensor.column, "one that no other sensor gives")
+                _fail(f"analogue.{index}.column", sensor.column, "a column without another sensor")
             given.append(sensor.column)
         return self
 
 
 def load_rig(path: Path | None, changes: dict[str, Any] | None = None) -> RigTable:
-    """The rig of a file, or the defaults; `changes` are tables of the command line's own.
+    """Return the settings of a rig file, or the defaults, with `changes` of the command line.
 
-    Raises `InputError`, naming file and key.
+    `changes` has the changed keys of each table. Raises `InputError` with the file and key.
     """
     content = read_toml(path) if path is not None else {}
     if "robot" in content or "trials" in content:
         raise InputError(
-            f"--rig {path}: is an experiment file; give one of the rig, with [manifold], [force], "
+            f"--rig {path}: is an experiment file; give a rig file, with [manifold], [force], "
             "[[analogue]]"
         )
     for table, values in (changes or {}).items():

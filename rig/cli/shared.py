@@ -1,4 +1,4 @@
-"""`slider rig`: what its commands share, and the list of ports."""
+"""Functions that the rig's commands share, and `slider rig ports`."""
 
 import shutil
 import signal
@@ -36,9 +36,11 @@ from slider_jax.io.files import write_bytes, write_text
 from slider_jax.io.toml import read_toml, significant, validate
 
 Port = Annotated[str, tyro.conf.arg(metavar="PORT")]
-RigFile = Annotated[Path | None, tyro.conf.arg(metavar="RIG.toml")]
+RigFile = Annotated[
+    Path | None, tyro.conf.arg(metavar="RIG.toml", help_behavior_hint="(default: none)")
+]
 LEAST_SWING = 1e-4
-"""Of the tip before a trial [m]: what is less is not declared."""
+"""Smallest swing of the tip before a trial that is written to the experiment file [m]."""
 
 
 def rig_ports() -> None:
@@ -49,17 +51,17 @@ def rig_ports() -> None:
     for port in available:
         print(f"{port.name}  {port.description}  {port.serial_number}".rstrip())
     if not available:
-        print("no serial ports; plug the manifold in, or start `slider rig simulate`")
+        print("no serial ports; connect the manifold, or start `slider rig simulate`")
 
 
 def load_trials(path: Path) -> tuple[ExperimentTable, list[PlannedTrial]]:
-    """An experiment file, and its trials as they are played. Raises `InputError`."""
+    """Return an experiment's tables and its trials as the rig plays them. Raises `InputError`."""
     experiment = validate(ExperimentTable, read_toml(path), str(path))
     return experiment, [planned_trial(x, path) for x in experiment.trials]
 
 
 def copy_experiment(path: Path, folder: Path) -> None:
-    """An experiment file, as experiment.toml, and the drives that it names, into a folder."""
+    """Copy an experiment file, as experiment.toml, and its recorded drives to a folder."""
     table, _ = load_trials(path)
     write_bytes(folder / "experiment.toml", path.read_bytes())
     for name in {x.drive_file for x in table.trials if x.drive_file}:
@@ -67,23 +69,23 @@ def copy_experiment(path: Path, folder: Path) -> None:
 
 
 def install_experiment(path: Path, folder: Path) -> None:
-    """An experiment file into a folder, unless it is there already with what was added to it:
-    trials, and what the tip swung by.
+    """Copy an experiment file to a folder that may contain it from an earlier run.
 
-    Raises `InputError` where the folder holds trials that the file lacks.
+    An earlier copy is kept if it differs only by added trials and the measured swing. Raises
+    `InputError` if the folder has measured trials that the file lacks.
     """
-    there = folder / "experiment.toml"
-    if there.exists():
-        holds, given = (_without_swing(read_toml(x)) for x in (there, path))
-        trials, before = given.get("trials", []), holds.get("trials", [])
-        if holds | {"trials": before[: len(trials)]} == given | {"trials": trials}:
+    earlier = folder / "experiment.toml"
+    if earlier.exists():
+        present, given = (_without_swing(read_toml(x)) for x in (earlier, path))
+        trials, before = given.get("trials", []), present.get("trials", [])
+        if present | {"trials": before[: len(trials)]} == given | {"trials": trials}:
             return
-        names = {x["file"] for x in trials}
-        lacks = [x["file"] for x in before if x["file"] not in names]
-        if lacks := [name for name in lacks if (folder / name).exists()]:
+        given_files = {x["file"] for x in trials}
+        extra = [x["file"] for x in before if x["file"] not in given_files]
+        if extra := [name for name in extra if (folder / name).exists()]:
             raise InputError(
-                f"{folder}: holds {', '.join(lacks)}, which {path} does not name; give another "
-                "--out, or a file with those trials too"
+                f"{folder}: has {', '.join(extra)}, which {path} lacks; give another --out, or add "
+                "these trials to the file"
             )
     copy_experiment(path, folder)
 
@@ -93,9 +95,9 @@ def _without_swing(tables: dict[str, Any]) -> dict[str, Any]:
     return tables | ({"sensors": sensors} if sensors else {})
 
 
-def declare_swing(path: Path, told: list[dict[str, Any]]) -> None:
-    """Writes what the tip swung by before the trials into an experiment file that declares less."""
-    swing = start_swing(told)
+def declare_swing(path: Path, records: list[dict[str, Any]]) -> None:
+    """Write the tip's swing before the trials to an experiment file, if its value is smaller."""
+    swing = start_swing(records)
     declared = validate(ExperimentTable, read_toml(path), str(path)).sensors.start_swing
     if swing <= max(2.0 * declared, LEAST_SWING):
         return
@@ -103,11 +105,11 @@ def declare_swing(path: Path, told: list[dict[str, Any]]) -> None:
     sensors = document.setdefault("sensors", {})
     sensors["start_swing"] = tomlkit.item(significant(swing, 2)).comment("m, measured at rest")
     write_text(path, tomlkit.dumps(document))
-    print(f"{path}: the tip swung by {swing:.2g} m before the trials: declared", file=sys.stderr)
+    print(f"{path}: start_swing is {swing:.2g} m, as measured before the trials", file=sys.stderr)
 
 
 def planned_trial(trial: TrialTable, path: Path) -> PlannedTrial:
-    """A trial as it is played. Raises `InputError` for one that a rig cannot play."""
+    """Return a trial as the rig plays it. Raises `InputError` if its drive was measured."""
     name = Path(trial.file).stem
     if trial.waveform != "recorded":
         return PlannedTrial(
@@ -120,8 +122,8 @@ def planned_trial(trial: TrialTable, path: Path) -> PlannedTrial:
         )  # fmt: skip
     if trial.drive_is == "measured":
         raise InputError(
-            f'{path}: trial {trial.file}: drive_is = "measured"; allowed "set", for measured '
-            "pressures cannot be set"
+            f'{path}: trial {trial.file}: drive_is = "measured"; allowed "set", because the rig '
+            "cannot follow measured pressures"
         )
     columns = read_csv(path.parent / str(trial.drive_file), ("t_s", "p_front_Pa", "p_rear_Pa"))
     recorded = np.stack([columns["p_front_Pa"], columns["p_rear_Pa"]], axis=1)
@@ -130,9 +132,9 @@ def planned_trial(trial: TrialTable, path: Path) -> PlannedTrial:
 
 
 def with_force_counts(settings: RigTable) -> RigTable:
-    """The same with its force sensor's counts, from the box's own page where the file has none.
+    """Return the settings with the force sensor's counts, from the box's web page if missing.
 
-    They are recorded with the rest, so that a recording can be read anew without the box.
+    The counts are stored in recordings, so that a recording can be converted without the box.
     """
     if settings.force is None:
         return settings
@@ -142,21 +144,21 @@ def with_force_counts(settings: RigTable) -> RigTable:
 
 
 def force_calibration(table: ForceTable) -> NetCalibration:
-    """As the table says, or else the box's own page."""
+    """Return the calibration of the table, else of the box's web page."""
     if table.counts_per_N is not None and table.counts_per_Nm is not None:
         return NetCalibration(table.counts_per_N, table.counts_per_Nm)
     return NetCalibration.fetch(table.host, table.page_port)
 
 
 def open_force_sensor(table: ForceTable) -> tuple[ForceSource, StreamReader]:
-    """A force sensor, opened, and how its stream is read."""
+    """Return the opened force sensor and the reader of its stream."""
     calibration = force_calibration(table)
     source = NetForce(table.host, calibration, table.port)
     return source, force_reader(calibration, SensorMounting(table.thrust, table.recoil))
 
 
 def marker_camera(table: CameraTable) -> tuple[RecordedInstrument, StreamReader]:
-    """A camera, and how its stream is read."""
+    """Return the camera and the reader of its stream."""
     from rig.camera.instrument import MarkerCamera, Sight, camera_reader
     from rig.camera.scale import Scale
     from rig.camera.source import OpenCvSource
@@ -169,9 +171,9 @@ def marker_camera(table: CameraTable) -> tuple[RecordedInstrument, StreamReader]
 
 @contextmanager
 def open_rig(port: str, table: RigTable) -> Iterator[Rig]:
-    """The rig of a table, from the port's opening to its stop, whichever way the block ends.
+    """Open the rig of a table; when the block ends, also by an error, all chambers vent.
 
-    SIGTERM and SIGHUP end the block as Ctrl-C does, so that they vent too.
+    SIGTERM and SIGHUP end the block as Ctrl-C does.
     """
     from rig.manifold.serial_port import open_port
 
@@ -204,6 +206,8 @@ def open_rig(port: str, table: RigTable) -> Iterator[Rig]:
 
 @contextmanager
 def signals_as_ctrl_c() -> Iterator[None]:
+    """Make SIGTERM and SIGHUP raise `KeyboardInterrupt` in the block."""
+
     def interrupt(number: int, frame: object) -> None:
         raise KeyboardInterrupt
 
@@ -217,7 +221,7 @@ def signals_as_ctrl_c() -> Iterator[None]:
 
 
 class StatusLine:
-    """What goes on, in one line of a terminal; on any other stderr a line every two seconds."""
+    """The progress of a run in one line of a terminal, or a line every 2 s on another stderr."""
 
     def __init__(self, rig: Rig, total: int):
         self._rig, self._total, self._next = rig, total, 0.0
@@ -225,7 +229,7 @@ class StatusLine:
         self._count, self._name = 0, ""
 
     def __call__(self, trial: str, phase: str, t: float) -> None:
-        """Called often; says something now and then."""
+        """Print the trial, the phase and its time `t` [s], if the last line is old enough."""
         now = time.monotonic()
         if trial != self._name:
             self._name, self._count = trial, self._count + 1
@@ -233,23 +237,23 @@ class StatusLine:
             return
         self._next = now + (0.1 if self._terminal else 2.0)
         manifold = self._rig.manifold
-        said = f"{trial} ({self._count} of {self._total}), {phase} {t:5.1f} s"
+        line = f"{trial} ({self._count} of {self._total}), {phase} {t:5.1f} s"
         if manifold.latest is not None:
             p = [1e-3 * x for x in manifold.latest.channels[:4]]
-            said += f"  front {p[0] - p[1]:6.1f} rear {p[2] - p[3]:6.1f} kPa"
+            line += f"  front {p[0] - p[1]:6.1f} rear {p[2] - p[3]:6.1f} kPa"
         force = self._rig.force
         if force is not None:
             found = force.latest()
-            said += f"  Fx {found[1][0]:6.3f} N" if found is not None else ""
-            said += f"  force lost {force.health().missing}"
-        said += f"  lost {manifold.lost} damaged {manifold.damaged}"
+            line += f"  Fx {found[1][0]:6.3f} N" if found is not None else ""
+            line += f"  force lost {force.health().missing}"
+        line += f"  lost {manifold.lost} damaged {manifold.damaged}"
         if self._terminal:
             width = shutil.get_terminal_size().columns - 1
-            print(f"\r{said[:width]:<{width}}", end="", file=sys.stderr, flush=True)
+            print(f"\r{line[:width]:<{width}}", end="", file=sys.stderr, flush=True)
         else:
-            print(said, file=sys.stderr, flush=True)
+            print(line, file=sys.stderr, flush=True)
 
     def end(self) -> None:
-        """Leaves the line."""
+        """End the line on a terminal."""
         if self._terminal:
             print(file=sys.stderr)

@@ -54,7 +54,8 @@ def list_effects(
 
     Args:
         name: the effect to explain.
-        out: folder for the picture; made if missing, a file of the same name is replaced.
+        out: folder for the picture; created if missing. An existing file is replaced (default: no
+            picture).
         experiment: draw its first trial instead of the built-in robot at 4.8 Hz.
     """
     if name is None:

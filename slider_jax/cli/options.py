@@ -49,7 +49,7 @@ def _numbers(words: list[str]) -> tuple[float, ...]:
 _DEFAULT_IN_HELP = tyro.conf.arg(help_behavior_hint="")
 """For None, whose meaning the help text states: tyro would add "(default: None)"."""
 Folder = Annotated[Path, tyro.conf.arg(metavar="DIR")]
-MaybeFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
+MaybeFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")]
 MaybeExperiment = Annotated[
     tyro.conf.Positional[Path | None],
     tyro.conf.arg(metavar="EXPERIMENT.toml", help_behavior_hint=""),
@@ -57,14 +57,16 @@ MaybeExperiment = Annotated[
 ModelFile = Annotated[
     Path | None, tyro.conf.arg(metavar="MODEL.toml", help_behavior_hint="(default: none)")
 ]
-Seconds = Annotated[float | None, _read_by(_number, "S", "a number of seconds")]
+Seconds = Annotated[float | None, _read_by(_number, "S", "a number of seconds"), _DEFAULT_IN_HELP]
 Range = Annotated[
     tuple[float, float] | None,
     _read_by(_numbers, "LOW HIGH", "two numbers", 2),
     _DEFAULT_IN_HELP,
 ]
 Pressures = Annotated[
-    tuple[float, ...] | None, _read_by(_numbers, "PA", "pressures in Pa, such as 250e3", "*")
+    tuple[float, ...] | None,
+    _read_by(_numbers, "PA", "pressures in Pa, such as 250e3", "*"),
+    _DEFAULT_IN_HELP,
 ]
 Frequencies = Annotated[
     tuple[float, ...], _read_by(_numbers, "HZ ...", "frequencies in Hz, such as 1.5", "*")

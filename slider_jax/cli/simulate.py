@@ -34,7 +34,7 @@ def simulate(
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
         plot: draw time series, measured ones beside them, and midlines of each trial (PNG).
         animate: film the last two strides of each trial: midline, forces, moment (GIF).
-        step: longest time step in s (experiments only; default 0.001 or as the file says).
+        step: longest time step, in s (experiments only; default: the file's, else 0.001).
         nodes: nodes along the robot (experiments only; default 51 or as the file says).
         scheme: sdirk2 or backward_euler (experiments only).
         drive: for a log, send its command (set) or its measured pressure through the model.

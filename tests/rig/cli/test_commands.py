@@ -67,7 +67,7 @@ def test_a_check_names_the_firmware_and_finds_nothing(rig):
     done = slider(*words)
     assert done.returncode == 0, done.stderr
     assert re.search(r"force sensor: (99\d|100\d) records a second, 0 lost", done.stdout)
-    assert "firmware 1.1.0, protocol 1" in done.stdout and "nothing is wrong" in done.stdout
+    assert "firmware 1.1.0, protocol 1" in done.stdout and "no findings" in done.stdout
     found = json.loads((folder / "check.json").read_text())
     assert [x["name"] for x in found["held"]][0] == "front_left"
     assert all(abs(x["reached"] - 50e3) < 1e3 for x in found["held"])
@@ -131,7 +131,7 @@ def test_what_a_killed_run_recorded_is_read_anew(measured, tmp_path):
     done = slider("rig", "replay", folder, "--out", out)
     assert done.returncode == 1, done.stderr
     assert "unfinished: 1.00 s of its drive were recorded" in done.stdout
-    assert "b.h5: left out: recording" in done.stderr and "is torn" in done.stderr
+    assert "b.h5: not converted: recording" in done.stderr and "is incomplete" in done.stderr
     before, after = (
         np.genfromtxt(path, delimiter=",", names=True)
         for path in (measured[1] / "a.csv", out / "a.unfinished-1.csv")
@@ -149,7 +149,7 @@ def test_a_run_killed_before_its_drive_has_none(tmp_path):
     path = tmp_path / "a.h5"
     with Recorder(path, ("manifold", "commands")) as recorder:
         recorder.sink("commands")(1, encode_frame(SetPressures(1, 0, 0, 0, 0)))
-    with pytest.raises(RigError, match="its drive had not begun when the run ended"):
+    with pytest.raises(RigError, match="the run ended before the drive began"):
         drive_span(read_recording(path))
 
 
@@ -182,7 +182,7 @@ def test_what_the_tip_swung_by_is_declared_and_the_folder_stays_the_experiments(
     assert path.read_text() == added + "duration = 1.0\n"
     given.write_text(given.read_text().replace("C_d = 2.0", "C_d = 2.1"))
     (path.parent / "b.csv").touch()
-    with pytest.raises(InputError, match=r"holds b\.csv, which .*given\.toml does not name"):
+    with pytest.raises(InputError, match=r"has b\.csv, which .*given\.toml lacks"):
         install_experiment(given, path.parent)
     (path.parent / "b.csv").unlink()
     install_experiment(given, path.parent)
@@ -200,7 +200,7 @@ def test_a_recording_is_read_anew_with_other_axes(measured, tmp_path):
     )
     assert np.allclose(after["thrust_N"], -before["thrust_N"], atol=1e-12)
     assert np.array_equal(after["t_s"], before["t_s"]) and "tip_m" not in after.dtype.names
-    assert "tip_m left out: no sensor of it is named" in done.stdout
+    assert "no tip_m: the rig file has no such sensor" in done.stdout
 
 
 def test_what_a_manifold_said_is_said_again(measured, tmp_path):
@@ -244,8 +244,8 @@ def test_what_a_manifold_said_is_said_again(measured, tmp_path):
         (("run", "{exp}", "--port", "x", "--out", "{out}", "--rig", "{exp}"), "is an experiment"),
         (("check", "--port", "{exp}"), "experiment.toml: is no serial port"),
         (("simulate", "--inject", "leak_front_left=nan@1"), "0 or more each"),
-        (("replay", "{here}"), "--out: given nothing"),
-        (("replay", "{here}", "--out", "{out}"), "holds no recordings/*.h5"),
+        (("replay", "{here}"), "--out: missing"),
+        (("replay", "{here}", "--out", "{out}"), "has no recordings/*.h5"),
         (("replay", "{exp}"), "is incomplete or not a recording"),
         (("log", "9", "--port", "x", "--out", "{out}"), "frequencies: given 9; allowed 0.1 to 5"),
     ],
@@ -322,7 +322,7 @@ def test_a_pause_names_the_sensor_that_still_moves():
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ((), "trials: given 1; allowed 3 or more to begin with"),
+        ((), "trials: given 1; allowed 3 or more"),
         (("--amplitude", "2e5", "1e5"), "--amplitude: given 200000 100000; allowed LOW HIGH"),
         (("--amplitude", "100", "200"), "--amplitude: given 100; allowed 0, or 1000 to 2e+06 Pa"),
         (("--phase", "0.1"), "--phase"),

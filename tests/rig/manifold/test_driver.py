@@ -123,7 +123,7 @@ def test_a_drive_of_which_a_change_was_lost_counts_as_it_was_meant(tmp_path, mon
     monkeypatch.setattr(ManifoldCore, "_follows", forgetful)
     (told,) = recorded(tmp_path, [drive])
     assert lost and not (tmp_path / "a.played.csv").exists()
-    assert any("the drive counts as it was meant" in x for x in told["findings"])
+    assert any("the planned drive is used" in x for x in told["findings"])
 
 
 def test_a_drive_dies_away_after_its_trial():
@@ -158,7 +158,7 @@ def test_a_recorded_drive_is_known_by_its_samples(tmp_path):
     recorded(tmp_path, [PlannedTrial("a", drive(1e4), 0.3)], settings={"experiment_sha256": "1"})
     recorded(tmp_path, [PlannedTrial("a", drive(1e4), 0.3)], settings={"experiment_sha256": "2"})
     assert not list((tmp_path / RECORDINGS).glob("a.unfinished*"))
-    with pytest.raises(RigError, match=r"another trial\.drive\.recorded_sha256; give"):
+    with pytest.raises(RigError, match=r"values of trial\.drive\.recorded_sha256; give"):
         recorded(
             tmp_path, [PlannedTrial("a", drive(2e4), 0.3)], settings={"experiment_sha256": "1"}
         )
@@ -173,13 +173,13 @@ def test_a_run_that_was_stopped_goes_on_with_what_is_missing(tmp_path):
     assert [x["trial"] for x in told] == ["a", "b"]
     assert (tmp_path / RECORDINGS / "a.h5").stat().st_mtime_ns == before
     assert (tmp_path / RECORDINGS / "b.unfinished-1.h5").read_bytes() == b"half"
-    with pytest.raises(RigError, match="run with another x"):
+    with pytest.raises(RigError, match="other values of x"):
         recorded(tmp_path, trials, settings={"x": (1, 3)})
     for other in (
         SegmentDrive("sine", 2.0, 51e3),
         SegmentDrive("recorded", times=T, recorded=np.zeros((3, 2))),
     ):
-        with pytest.raises(RigError, match=r"run with another trial\.drive\."):
+        with pytest.raises(RigError, match=r"other values of trial\.drive\."):
             recorded(tmp_path, [PlannedTrial("a", other, 0.3)], settings={"x": (1, 2)})
     # What is measured again leaves what was measured before, and what was told of it.
     (tmp_path / "a.csv").unlink()
