@@ -1,4 +1,4 @@
-"""`slider rig simulate`: a rig that is not there."""
+"""`slider rig simulate`: simulates a rig, to try the commands without hardware."""
 
 import os
 import sys
@@ -34,28 +34,32 @@ def rig_simulate(
     noise: Value = 200.0,
     force_noise: Value = FORCE_NOISE,
     tip_noise: Value = TIP_NOISE,
-    inject: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FAULT=VALUE@SECONDS")] = (),
+    inject: Annotated[
+        tuple[str, ...], tyro.conf.arg(metavar="FAULT=VALUE@SECONDS", help_behavior_hint="")
+    ] = (),
     seed: Whole = 0,
     published: bool = False,
 ) -> None:
-    """Start a manifold on a pseudo-terminal and a force sensor on the network, until Ctrl-C.
+    """Simulate a manifold on a pseudo-terminal and a force sensor on the network until Ctrl-C.
 
-    No program can tell it from a rig. The port is printed, and a rig file that suits it written.
-    With an experiment the chambers and sensors are those of the simulated robot in real time, with
-    all of the file's effects; without, of a tail in air that only follows.
+    The devices use the same protocols as real ones. The command prints the port and writes a
+    matching rig file. With an experiment, it simulates the robot in water with all effects of the
+    file, in real time. Without one, the tail follows the pressures in air with a first-order lag.
 
     Args:
-        experiment: experiment file whose robot, water and effects are simulated.
-        rig_file: file to write, for `slider rig run --rig`.
+        experiment: experiment file whose robot, water and effects are simulated (default: a tail
+            in air).
+        rig_file: rig file to write, for `slider rig run --rig`.
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
-        flipped: share of the bytes on the line of which a bit is flipped.
-        dropped: share of the bytes on the line that are lost.
-        noise: standard deviation of the pressures that are read [Pa].
-        force_noise: standard deviation of the forces [N].
-        tip_noise: standard deviation of the tip's place [m].
-        inject: faults and when they begin, as leak_front_left=5@20: after 20 s, at 5 1/s.
-        seed: of all chance.
-        published: the authors' published firmware instead, with one chamber, for `slider rig log`.
+        flipped: fraction of the bytes on the serial line with a flipped bit, 0 to 0.5.
+        dropped: fraction of the bytes on the serial line that are lost, 0 to 0.5.
+        noise: standard deviation of the measured pressures, in Pa.
+        force_noise: standard deviation of the measured forces, in N.
+        tip_noise: standard deviation of the measured tip position, in m.
+        inject: faults with their values and start times, in s; leak_front_left=5@20 is a leak of
+            5 1/s from 20 s on (default: none).
+        seed: seed of the random numbers.
+        published: simulate the authors' published firmware with one chamber, for `slider rig log`.
     """
     from rig.scheduling import real_time_priority, share_priority_with_all_threads
     from rig.simulated.bench import serve_rig
@@ -64,7 +68,7 @@ def rig_simulate(
 
     for name, share in (("--flipped", flipped), ("--dropped", dropped)):
         if not 0.0 <= share <= 0.5:
-            raise InputError.value(name, f"{share:g}", "0 to 0.5, a share of the bytes")
+            raise InputError.value(name, f"{share:g}", "0 to 0.5, a fraction of the bytes")
     for name, deviation in (
         ("--noise", noise), ("--force-noise", force_noise), ("--tip-noise", tip_noise),
     ):  # fmt: skip
@@ -78,20 +82,21 @@ def rig_simulate(
         }  # fmt: skip
         if any(given.values()):
             found = ", ".join(name for name, x in given.items() if x)
-            raise InputError.value("--published", f"with {found}", "--noise and --seed beside it")
+            raise InputError.value("--published", f"with {found}", "--noise and --seed")
         _serve_published(noise, seed)
         return
     _refuse_other(rig_file)
     faults = sorted((_fault(text) for text in inject), key=lambda fault: fault[2])
-    tank, put = _tank(experiment, model, [name for name, _, _ in faults])
+    tank, inject_fault = _tank(experiment, model, [name for name, _, _ in faults])
 
     def at(seconds: float) -> None:
         while faults and seconds >= faults[0][2]:
             name, value, _ = faults.pop(0)
-            put(name, value)
+            inject_fault(name, value)
             print(f"{seconds:.1f} s: {name} is {value:g}", file=sys.stderr, flush=True)
 
-    # Manifold and force sensor are threads: by default one may keep the other waiting for 5 ms.
+    # With the default interval, the manifold's and the force sensor's threads may delay each other
+    # by 5 ms.
     sys.setswitchinterval(2e-4)
     line_faults = LineFaults(
         flipped=flipped, dropped=dropped, noise=noise, tip_noise=tip_noise, seed=seed
@@ -100,11 +105,11 @@ def rig_simulate(
     with real_time_priority(), serve_rig(simulated, force_noise, at, seed) as rig:
         share_priority_with_all_threads()
         if rig_file.exists():
-            print(f"{rig_file} is replaced: it was of another simulated rig", file=sys.stderr)
+            print(f"{rig_file} of an earlier simulated rig is replaced", file=sys.stderr)
         write_text(rig_file, rig.settings())
         print(f"port {rig.port}", flush=True)
         print(
-            f"its rig file is {rig_file}; from another terminal, for example:\n"
+            f"the rig file is {rig_file}; in another terminal, run for example:\n"
             f"  slider rig check --port {rig.port} --rig {rig_file}\n"
             f"  slider rig run {experiment or 'docs/experiment.toml'} --port {rig.port} "
             f"--rig {rig_file} --out measured\n"
@@ -127,7 +132,7 @@ def _serve_published(noise: float, seed: int) -> None:
     )
     print(f"port {terminal.path}", flush=True)
     print(
-        f"from another terminal, for example:\n"
+        f"in another terminal, run for example:\n"
         f"  slider rig log 1 2 --port {terminal.path} --out logs\n"
         "Ctrl-C ends it",
         file=sys.stderr,
@@ -138,12 +143,12 @@ def _serve_published(noise: float, seed: int) -> None:
 
 
 def _refuse_other(rig_file: Path) -> None:
-    """A rig file that somebody wrote is not written over."""
+    """Raise `InputError` if the file exists and is not of a simulated rig."""
     if rig_file.is_dir() or (
         rig_file.exists() and MADE_UP not in rig_file.read_text(errors="replace")
     ):
         raise InputError(
-            f"--rig-file {rig_file}: is there, and not one of a simulated rig; give another name"
+            f"--rig-file {rig_file}: exists, and is not of a simulated rig; give another name"
         )
 
 
@@ -154,7 +159,7 @@ class RobotTank:
         self._plant = plant
 
     def advance(self, set_pressures: tuple[int, ...] | None, seconds: float) -> TankState:
-        """As `Tank.advance`."""
+        """Implements `Tank.advance`."""
         found = self._plant.advance(set_pressures or [None] * 4, seconds)
         a, b, c, d = (float(p) for p in found.pressures)
         return TankState((a, b, c, d), SUPPLY_PRESSURE, found.thrust_N, found.recoil_N, found.tip_m)
@@ -169,18 +174,20 @@ def _fault(text: str) -> tuple[str, float, float]:
         return name, value, when
     except ValueError:
         raise InputError.value(
-            "--inject", repr(text), "FAULT=VALUE@SECONDS, 0 or more each, as leak_front_left=5@20"
+            "--inject",
+            repr(text),
+            "FAULT=VALUE@SECONDS with numbers from 0, such as leak_front_left=5@20",
         ) from None
 
 
 def _tank(experiment: Path | None, model: Path | None, faults: list[str]):
-    """What is controlled and measured, and what puts a fault into it. `faults` are to come."""
+    """Return the simulated tank and its function `inject(name, value)` for the named `faults`."""
     from rig.protocol.messages import CHAMBERS
     from rig.simulated.tank import BenchTank
 
     if experiment is not None:
         if hasattr(os, "sched_setaffinity"):
-            # XLA hands so small a step to its threads, which takes twice the time.
+            # On one core, because XLA's threads double the time of so small a step.
             os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
         from slider_jax.cli.main import prepare_jax
         from slider_jax.experiment.load import load
@@ -192,7 +199,7 @@ def _tank(experiment: Path | None, model: Path | None, faults: list[str]):
         moving = [t.file for t in loaded.trials if t.tow_speed or t.clamp_moves]
         if moving:
             print(
-                f"its clamp stands still: {', '.join(moving)} will not be measured as that says",
+                f"the simulated clamp is fixed, unlike in the trials {', '.join(moving)}",
                 file=sys.stderr,
             )
         print("compiling the simulated robot ...", file=sys.stderr, flush=True)
@@ -201,13 +208,13 @@ def _tank(experiment: Path | None, model: Path | None, faults: list[str]):
             with_fault(plant.faults, name, 0.1)
         return RobotTank(plant), plant.inject
     if model is not None:
-        raise InputError(f"--model {model}: given without an experiment; give both")
+        raise InputError(f"--model {model}: needs an experiment file; give one, or omit --model")
     bench = BenchTank()
     allowed = {f"leak_{chamber}": i for i, chamber in enumerate(CHAMBERS)}
     for name in faults:
         if name not in allowed:
             raise InputError.value(
-                "--inject", name, ", ".join(allowed), "the others need an experiment file"
+                "--inject", name, ", ".join(allowed), "other faults need an experiment file"
             )
 
     def leak(name: str, value: float) -> None:
