@@ -1,9 +1,9 @@
-"""The audit of measured trials: instrument causes before physics.
+"""The audit of measured trials: faults of instruments and files, before any fit.
 
-Files are read row by row, times put in order, sensors checked for what no physics does, pressures
-held against the drive and, where a prediction is at hand, forces and tip against it. What can be
-put right without a doubt is; a trial that cannot is left out; the others are used. Every step is
-judged against the other trials, so that what all of them share, a missing effect, is no fault.
+The audit reads the rows, sorts the times, checks the sensors, and compares the pressures with the
+drive. With a prediction it also compares forces and tip. It repairs unambiguous faults and excludes
+a trial with other faults. Most checks compare a trial with the others. A deviation that all trials
+share is therefore no fault, but may be a missing effect.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,24 +11,24 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calibration.audit import pressures as audit_drive, sensors as audit_sensors
-from calibration.audit.prediction import against_model
+from calibration.audit.prediction import check_predicted_channels
+from calibration.audit.pressures import check_pressures
 from calibration.audit.rows import Unusable, read_rows
+from calibration.audit.sensors import check_sensor
 from calibration.audit.time_stamps import regular_rows
 from calibration.measurements.findings import Finding, left_out
 from calibration.measurements.records import Record
 from slider_jax.channels import CHANNELS
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment
-from slider_jax.experiment.schema import SensorsTable
 
-MOST_SAID = 5
+MAX_LISTED = 5
 """Findings that an error message lists."""
 
 
 @dataclass(frozen=True)
 class Audited:
-    """The trials that can be used, and everything that was found."""
+    """The usable trials, and the findings on all trials."""
 
     records: list[Record]
     findings: list[Finding] = field(default_factory=list)
@@ -39,24 +39,24 @@ def audit_measurements(
     least: int = 1,
     predict: Callable[[list[Record]], Sequence[np.ndarray]] | None = None,
 ) -> Audited:
-    """Audit the measured trials of an experiment.
+    """Return the usable trials of an experiment and the findings of the audit.
 
-    `predict` gives readings (5, n) of records by the starting model; without it forces and tip are
-    checked for themselves only. Raises `InputError`, listing the findings, where fewer than `least`
-    trials are left.
+    `predict` returns the starting model's readings (5, n) of records; without it, forces and tip
+    are not compared with a prediction. Raises `InputError` with the findings if fewer than `least`
+    trials are usable.
     """
     records, findings = _read(experiment)
     rate = None
     if "sensors" in experiment.model_fields_set:
         rate = experiment.sensors.sample_rate
-    records, more = audit_drive.check_pressures(records, rate)
+    records, more = check_pressures(records, rate)
     findings += more
-    records, more = _extents(records, rate)
+    records, more = _within_duration(records, rate)
     findings += more
-    records, more = _same_twice(records)
+    records, more = _without_copies(records)
     findings += more
     if predict is not None and len(records) >= least:
-        records, more = against_model(records, predict(records))
+        records, more = check_predicted_channels(records, predict(records))
         findings += more
     order = {trial.file: i for i, trial in enumerate(experiment.trials)}
     findings.sort(key=lambda x: order[x.trial])
@@ -71,7 +71,7 @@ def _read(experiment: Experiment) -> tuple[list[Record], list[Finding]]:
     for trial in experiment.trials:
         path = experiment.folder / trial.file
         if not path.exists():
-            detail = "the file is not there: the trial counts as not measured"
+            detail = "the file does not exist: the trial counts as not measured"
             findings.append(Finding(trial.file, "missing_file", None, None, None, detail, "used"))
             continue
         try:
@@ -84,8 +84,9 @@ def _read(experiment: Experiment) -> tuple[list[Record], list[Finding]]:
             continue
         values, filled = rows.values.copy(), np.isfinite(rows.values).any(axis=0)
         for i, channel in enumerate(CHANNELS):
-            noise = declared_noise(experiment.sensors, channel)
-            values[i], more = audit_sensors.check_sensor(
+            key = CHANNELS[channel].noise
+            noise = getattr(experiment.sensors, key) if key else 0.0
+            values[i], more = check_sensor(
                 trial.file, channel, rows.t, rows.values[i], noise, filled
             )
             findings += more
@@ -93,29 +94,28 @@ def _read(experiment: Experiment) -> tuple[list[Record], list[Finding]]:
     return records, findings
 
 
-def declared_noise(sensors: SensorsTable, channel: str) -> float:
-    """One standard deviation of the white noise that is declared, 0 where none is."""
-    key = CHANNELS[channel].noise
-    return getattr(sensors, key) if key else 0.0
+def _within_duration(
+    records: Sequence[Record], rate: float | None
+) -> tuple[list[Record], list[Finding]]:
+    """Return the records without samples outside the trial's duration, and findings.
 
-
-def _extents(records: Sequence[Record], rate: float | None) -> tuple[list[Record], list[Finding]]:
-    """Without samples before the start and after the end; sample rates are compared."""
+    A finding also reports a sample rate other than the declared `rate` [Hz].
+    """
     kept, findings = [], []
     for r in records:
         name, end = r.trial.file, r.trial.duration
         dt = float(np.median(np.diff(r.t)))
         if rate and abs(1.0 / dt - rate) > 0.05 * rate:
-            detail = f"rows come at {1.0 / dt:.5g} Hz; sensors.sample_rate says {rate:g} Hz"
+            detail = f"the sample rate is {1.0 / dt:.5g} Hz; sensors.sample_rate is {rate:g} Hz"
             findings.append(Finding(name, "sample_rate", "t_s", None, None, detail, "used"))
         inside = (r.t >= -1e-9) & (r.t <= end * (1.0 + 1e-6))
         out = int(np.sum(~inside))
         if out > 2:
             span = float(r.t[~inside].min()), float(r.t[~inside].max())
-            detail = f"{out} rows lie outside the trial's 0 to {end:g} s and are not used"
+            detail = f"{out} rows are outside the trial's 0 to {end:g} s and are not used"
             findings.append(Finding(name, "outside", "t_s", *span, detail, "masked"))
         if inside.sum() < 20:
-            detail = f"fewer than 20 rows lie within the trial's 0 to {end:g} s"
+            detail = f"fewer than 20 rows are within the trial's 0 to {end:g} s"
             findings.append(Finding(name, "outside", "t_s", None, None, detail, "left out"))
             continue
         times = np.maximum(r.t[inside], 0.0)
@@ -123,16 +123,16 @@ def _extents(records: Sequence[Record], rate: float | None) -> tuple[list[Record
     return kept, findings
 
 
-def _same_twice(records: Sequence[Record]) -> tuple[list[Record], list[Finding]]:
-    """Without trials whose file is a copy of another's."""
+def _without_copies(records: Sequence[Record]) -> tuple[list[Record], list[Finding]]:
+    """Return the records without copies of another trial's readings, and findings."""
     kept: list[Record] = []
     findings = []
     for r in records:
-        twin = next((k for k in kept if _same(k.values, r.values)), None)
-        if twin is None:
+        original = next((k for k in kept if _same(k.values, r.values)), None)
+        if original is None:
             kept.append(r)
             continue
-        detail = f"the file holds the readings of {twin.trial.file} once more"
+        detail = f"the readings equal those of {original.trial.file}"
         findings.append(Finding(r.trial.file, "copied", None, None, None, detail, "left out"))
     return kept, findings
 
@@ -153,10 +153,10 @@ def _refusal(
     out = left_out(findings)
     bad = [x for x in findings if x.trial in out and x.action == "left out"]
     missing = sum(x.kind == "missing_file" for x in findings)
-    said = "; ".join(f"{x.trial}: {x.detail}" for x in bad[:MOST_SAID])
-    more = f"; and {len(bad) - MOST_SAID} more" if len(bad) > MOST_SAID else ""
-    absent = f"; {missing} files are not there" if missing else ""
+    text = "; ".join(f"{x.trial}: {x.detail}" for x in bad[:MAX_LISTED])
+    more = f"; and {len(bad) - MAX_LISTED} more" if len(bad) > MAX_LISTED else ""
+    absent = f"; {missing} files do not exist" if missing else ""
     return (
-        f"{experiment.folder}: holds {len(records)} measured trials that can be used; {least} or "
-        f"more are needed{'; ' if said else ''}{said}{more}{absent}; mend or repeat these trials"
+        f"{experiment.folder}: {len(records)} measured trials are usable; {least} or more are "
+        f"needed{'; ' if text else ''}{text}{more}{absent}; repair or repeat these trials"
     )

@@ -1,4 +1,4 @@
-"""Trials that were not run as declared: clock, frequency, phase, amplitude, start."""
+"""Trials with another clock, frequency, phase, amplitude or start than declared."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -6,83 +6,88 @@ from dataclasses import replace
 import numpy as np
 
 from calibration.audit.drive_response import (
-    ANSWERS,
+    MAX_RESIDUAL,
     NAMES,
-    Answers,
-    chambers_of,
-    finding,
-    pair,
+    DriveResponses,
+    driven_chambers,
+    rear_lag_and_ratio,
+    trial_finding,
     wrapped,
 )
 from calibration.audit.lag_response import (
     DELAYS,
     TIME_CONSTANTS,
     PeriodRatio,
-    drives,
-    fits,
-    pace,
-    surprise,
+    declared_drives,
+    fit_lags,
+    leave_one_out,
+    period_ratio,
 )
 from calibration.measurements.findings import Finding
 from calibration.measurements.records import Record
 from slider_jax.channels import BUILT_IN
 
 SKEW = 0.004
-"""Clocks that differ by less are not told from slow transients."""
-MOST_SKEW = 0.03
-"""No clock is off by more; a drive that was not the one declared is."""
+"""Relative clock error below which slow transients may be the cause."""
+MAX_SKEW = 0.03
+"""Largest relative error of a clock; a larger one means another drive than declared."""
 WRONG_DRIVE = 0.8
-"""A pressure that leaves so much at every lag and delay does not follow the drive declared,"""
+"""A pressure with a larger relative residual at every lag and delay has another drive,"""
 STRANGE, TIMES = 0.25, 6.0
-"""nor does one that leaves as much as this and as many times the other trials' median."""
+"""and so does one that exceeds the first value and is this many times the trials' median."""
 WRONG_AMPLITUDE = np.log(1.25)
 FITS = 0.1
-"""Share left up to which a pressure's delay can be told."""
+"""Largest relative residual with which a pressure's delay is determined."""
 LATE = 0.02
-"""Seconds by which a trial's times may be off those of the others."""
-OFF_PHASE = 0.05
-"""Of a period, by which the rear chamber may be off the phase declared."""
+"""Largest difference of a trial's delay from the other trials [s]."""
+WRONG_PHASE = 0.05
+"""Largest difference of the rear chamber's phase from the declared one [periods]."""
 
 
-def skewed(records: Sequence[Record], rate: float | None) -> tuple[list[Record], list[Finding]]:
-    """Clocks that run fast or slow, from the pace of the pressures."""
-    offs = [_clock(r) for r in records]
-    told = [p.off for p in offs if p is not None]
+def check_clocks(
+    records: Sequence[Record], rate: float | None
+) -> tuple[list[Record], list[Finding]]:
+    """Return the records with corrected clocks, without those left out, and findings.
+
+    The pressures' frequencies show the clock's error; `rate` [Hz] is the declared sample rate.
+    """
+    clocks = [_clock(r) for r in records]
+    known = [p.off for p in clocks if p is not None]
     kept, findings = [], []
-    for r, p in zip(records, offs, strict=True):
+    for r, p in zip(records, clocks, strict=True):
         if p is None or abs(p.off) < max(SKEW, 5.0 * p.error):
             kept.append(r)
             continue
-        alike = sum(abs(x - p.off) < 0.1 * abs(p.off) + 1e-3 for x in told)
+        alike = sum(abs(x - p.off) < 0.1 * abs(p.off) + 1e-3 for x in known)
         ticks = 1.0 / (rate * float(np.median(np.diff(r.t)))) - 1.0 if rate else np.nan
-        said = (
-            f"the pressures repeat {abs(p.off):.2%} {'faster' if p.off > 0 else 'slower'} than "
+        text = (
+            f"the pressures' frequency is {abs(p.off):.2%} {'above' if p.off > 0 else 'below'} "
             f"{r.trial.frequency:g} Hz"
         )
         both = abs(ticks - p.off) < 0.1 * abs(p.off) + 1e-3
-        if both or (alike > 2 and alike > 0.7 * len(told)):
-            why = "the sample rate is off by as much" if both else "so they do in the other trials"
-            how = f"{said}, and {why}: the clock is skewed; the times were rescaled"
-            scale = 1.0 + (ticks if both else float(np.median(told)))
+        if both or (alike > 2 and alike > 0.7 * len(known)):
+            why = "the sample rate has the same error" if both else "the other trials agree"
+            detail = f"{text}, and {why}: the clock is skewed; the times were rescaled"
+            scale = 1.0 + (ticks if both else float(np.median(known)))
             kept.append(replace(r, t=r.t * scale))
-            findings.append(finding(r, "clock_skew", "t_s", how, "mended"))
-        elif abs(p.off) < MOST_SKEW:
-            how = f"{said}: its clock is skewed, or another frequency was run than declared"
-            findings.append(finding(r, "clock_skew", "t_s", how, "left out"))
+            findings.append(trial_finding(r, "clock_skew", "t_s", detail, "mended"))
+        elif abs(p.off) < MAX_SKEW:
+            detail = f"{text}: the clock is skewed, or the drive had another frequency"
+            findings.append(trial_finding(r, "clock_skew", "t_s", detail, "left out"))
         else:
-            how = f"{said}: another frequency was run than declared{_partner(records, r)}"
-            findings.append(finding(r, "wrong_drive", "p_front, p_rear", how, "left out"))
+            detail = f"{text}: the drive had another frequency{_partner(records, r)}"
+            findings.append(trial_finding(r, "wrong_drive", "p_front, p_rear", detail, "left out"))
     return kept, findings
 
 
 def _clock(r: Record) -> PeriodRatio | None:
-    """The pace that both pressures agree on."""
+    """Return the frequency error on which both pressures agree."""
     assert r.trial.frequency is not None
     found = []
     for row in (0, 1):
         there = np.isfinite(r.values[row])
         if there.mean() > 0.5:
-            found.append(pace(r.t[there], r.values[row, there], r.trial.frequency))
+            found.append(period_ratio(r.t[there], r.values[row, there], r.trial.frequency))
     known = [p for p in found if p is not None]
     if len(known) < 2:
         return known[0] if known and not len(found) > 1 else None
@@ -93,24 +98,20 @@ def _clock(r: Record) -> PeriodRatio | None:
 
 
 def check_declared_drive(
-    records: Sequence[Record], answers: Answers
+    records: Sequence[Record], responses: DriveResponses
 ) -> tuple[list[Record], list[Finding]]:
-    """Trials whose pressures are those of another drive, or of another time, than declared."""
-    own = np.array([answers.own(i) for i in range(len(records))])
-    usual = float(np.median(own))
-    wrong = _late(records, answers, range(len(records)))
+    """Return the trials that were driven as declared, and findings on the others."""
+    least = np.array([responses.least_residual(i) for i in range(len(records))])
+    usual = float(np.median(least))
+    wrong = _late(records, responses, range(len(records)))
+    limit = min(max(WRONG_DRIVE, 2.0 * usual), max(STRANGE, TIMES * usual))
     for i, r in enumerate(records):
-        bad = [c for c in (0, 1) if np.isfinite(r.values[c]).mean() > 0.3]
-        bad = [
-            c
-            for c in bad
-            if own[i, c] > max(WRONG_DRIVE, 2.0 * usual) or own[i, c] > max(STRANGE, TIMES * usual)
-        ]
+        bad = [c for c in (0, 1) if np.isfinite(r.values[c]).mean() > 0.3 and least[i, c] > limit]
         if bad and i not in wrong:
             wrong[i] = _another_drive(records, i, bad)
     good = [i for i in range(len(records)) if i not in wrong]
-    for check_ in (_off_phase, _amplitude):
-        for i, found in check_([records[i] for i in good], answers, good).items():
+    for check in (_wrong_phase, _wrong_amplitude):
+        for i, found in check([records[i] for i in good], responses, good).items():
             wrong.setdefault(i, found)
     kept = [r for i, r in enumerate(records) if i not in wrong]
     return kept, [wrong[i] for i in sorted(wrong)]
@@ -118,56 +119,59 @@ def check_declared_drive(
 
 def _another_drive(records: Sequence[Record], i: int, bad: Sequence[int]) -> Finding:
     r, names = records[i], " and ".join(NAMES[c] for c in bad)
-    how = (
-        f"{names} cannot be the answer to the drive declared ({r.trial.frequency:g} Hz), as those "
-        f"of the other trials are{_partner(records, r)}"
+    detail = (
+        f"{names} do not respond to the declared drive ({r.trial.frequency:g} Hz), unlike in the "
+        f"other trials{_partner(records, r)}"
     )
-    return finding(r, "wrong_drive", ", ".join(BUILT_IN[c] for c in bad), how, "left out")
+    return trial_finding(r, "wrong_drive", ", ".join(BUILT_IN[c] for c in bad), detail, "left out")
 
 
 def _partner(records: Sequence[Record], r: Record) -> str:
-    """Words on the trial whose declared drive the pressures of `r` follow, if there is one."""
+    """Return a clause with the trial whose declared drive the pressures of `r` follow, if any."""
     for other in records:
-        chambers = drives(other.trial)
+        chambers = declared_drives(other.trial)
         if other is r or chambers is None:
             continue
-        left = fits(r.t, r.values[:2], chambers).left
-        if max(left[c, c].min() for c in (0, 1)) < 0.5 * STRANGE:
-            return f"; they follow that of {other.trial.file}: the files may be exchanged"
+        residual = fit_lags(r.t, r.values[:2], chambers).residual
+        if max(residual[c, c].min() for c in (0, 1)) < 0.5 * STRANGE:
+            return f"; they follow the drive of {other.trial.file}: the files may be exchanged"
     return ""
 
 
-def _late(records: Sequence[Record], answers: Answers, index: Sequence[int]) -> dict[int, Finding]:
-    """Times that are off those of the other trials, where the answers fit well enough to tell."""
+def _late(
+    records: Sequence[Record], responses: DriveResponses, index: Sequence[int]
+) -> dict[int, Finding]:
+    """Return findings on trials with another delay than the others, if the fit determines it."""
     if len(records) < 4:
         return {}
-    around = DELAYS[answers.at[1]] + np.arange(-0.2, 0.2, 0.005)
-    lag = TIME_CONSTANTS[[answers.at[0]]]
+    around = DELAYS[responses.at[1]] + np.arange(-0.2, 0.2, 0.005)
+    lag = TIME_CONSTANTS[[responses.at[0]]]
     delays, least = [], []
-    for r, chambers in zip(records, chambers_of(records), strict=True):
-        left = fits(r.t, r.values[:2], chambers, around, lag).left[[0, 1], [0, 1], 0]
-        together = np.sqrt(np.mean(left**2, axis=0))
+    for r, chambers in zip(records, driven_chambers(records), strict=True):
+        residual = fit_lags(r.t, r.values[:2], chambers, around, lag).residual[[0, 1], [0, 1], 0]
+        together = np.sqrt(np.mean(residual**2, axis=0))
         delays.append(around[together.argmin()])
         least.append(float(together.min()))
     x = np.log([[r.trial.frequency or 1.0] for r in records])
-    told = surprise(np.array(delays), x - x.mean(axis=0), np.full(1, 0.02), 2.5e-3)
+    late = leave_one_out(np.array(delays), x - x.mean(axis=0), np.full(1, 0.02), 2.5e-3)
     found = {}
     for j, r in enumerate(records):
-        off, error = told[j]
+        off, error = late[j]
         if abs(off) > max(LATE, 8.0 * error) and least[j] < max(FITS, 1.5 * np.median(least)):
-            how = (
-                f"the pressures come {1e3 * abs(off):.0f} ms {'later' if off > 0 else 'earlier'} "
-                "after the drive than in the other trials: its times are offset"
+            detail = (
+                f"the delay of the pressures is {1e3 * abs(off):.0f} ms "
+                f"{'longer' if off > 0 else 'shorter'} than in the other trials: the times are "
+                "offset"
             )
-            found[index[j]] = finding(r, "time_offset", "t_s", how, "left out")
+            found[index[j]] = trial_finding(r, "time_offset", "t_s", detail, "left out")
     return found
 
 
-def _off_phase(
-    records: Sequence[Record], answers: Answers, index: Sequence[int]
+def _wrong_phase(
+    records: Sequence[Record], responses: DriveResponses, index: Sequence[int]
 ) -> dict[int, Finding]:
-    """Rear chambers that ran at another phase than declared."""
-    pairs = [pair(r) for r in records]
+    """Return findings on rear chambers with another phase than declared."""
+    pairs = [rear_lag_and_ratio(r) for r in records]
     off = np.array(
         [
             np.nan if p is None else wrapped(p[0] - r.trial.phase) / (r.trial.frequency or 1.0)
@@ -182,38 +186,40 @@ def _off_phase(
             continue
         usual = float(np.median(rest))
         spread = float(np.median(np.abs(rest - usual)))
-        turns = wrapped((off[j] - usual) * r.trial.frequency)
-        if abs(turns) > max(OFF_PHASE, 8.0 * spread * r.trial.frequency):
-            how = (
-                f"the rear pressure follows the front by {wrapped(r.trial.phase + turns):.2f} of "
-                f"a period; declared is {r.trial.phase:g}"
+        phase = wrapped((off[j] - usual) * r.trial.frequency)
+        if abs(phase) > max(WRONG_PHASE, 8.0 * spread * r.trial.frequency):
+            detail = (
+                f"the rear pressure lags the front by {wrapped(r.trial.phase + phase):.2f} of a "
+                f"period; the declared phase is {r.trial.phase:g}"
             )
-            found[index[j]] = finding(r, "wrong_phase", "p_rear", how, "left out")
+            found[index[j]] = trial_finding(r, "wrong_phase", "p_rear", detail, "left out")
     return found
 
 
-def _amplitude(
-    records: Sequence[Record], answers: Answers, index: Sequence[int]
+def _wrong_amplitude(
+    records: Sequence[Record], responses: DriveResponses, index: Sequence[int]
 ) -> dict[int, Finding]:
-    """Drives of another amplitude than declared, both chambers alike."""
+    """Return findings on trials in which both pressures have another amplitude than declared."""
     if len(records) < 5:
         return {}
-    pair = np.array([[answers.gain(i)[c, c] for c in (0, 1)] for i in index])
-    left = np.array([max(answers.left(i)[c, c] for c in (0, 1)) for i in index])
-    whole = [j for j in range(len(index)) if (pair[j] > 0.0).all() and left[j] < ANSWERS]
-    if len(whole) < 5:
+    gain = np.array([[responses.gain(i)[c, c] for c in (0, 1)] for i in index])
+    residual = np.array([max(responses.residual(i)[c, c] for c in (0, 1)) for i in index])
+    fit = [j for j in range(len(index)) if (gain[j] > 0.0).all() and residual[j] < MAX_RESIDUAL]
+    if len(fit) < 5:
         return {}
-    size = np.log(pair[whole]).mean(axis=1)
-    trials = [records[j].trial for j in whole]
+    size = np.log(gain[fit]).mean(axis=1)
+    trials = [records[j].trial for j in fit]
     x = np.log([[t.frequency or 1.0, t.amplitude or 1.0] for t in trials])
+    deviations = leave_one_out(size, x - x.mean(axis=0), np.full(2, 0.3), 0.01)
     found = {}
-    for j, s in zip(whole, surprise(size, x - x.mean(axis=0), np.full(2, 0.3), 0.01), strict=True):
-        alike = abs(float(np.log(pair[j, 0] / pair[j, 1]))) < 0.5 * abs(s.apart)
-        if abs(s.apart) > max(WRONG_AMPLITUDE, 8.0 * s.error) and alike:
+    for j, off in zip(fit, deviations, strict=True):
+        alike = abs(float(np.log(gain[j, 0] / gain[j, 1]))) < 0.5 * abs(off.size)
+        if abs(off.size) > max(WRONG_AMPLITUDE, 8.0 * off.error) and alike:
             r = records[j]
-            how = (
-                f"both pressures are {np.exp(s.apart):.2f} times what the other trials make of the "
-                f"amplitude declared, {r.trial.amplitude:g} Pa"
+            detail = (
+                f"the gain from the declared amplitude, {r.trial.amplitude:g} Pa, to both "
+                f"pressures is {np.exp(off.size):.2f} times that of the other trials"
             )
-            found[index[j]] = finding(r, "wrong_amplitude", "p_front, p_rear", how, "left out")
+            channels = "p_front, p_rear"
+            found[index[j]] = trial_finding(r, "wrong_amplitude", channels, detail, "left out")
     return found

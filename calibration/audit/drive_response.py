@@ -1,70 +1,79 @@
-"""How the pressures of all trials answer the drives that are declared."""
+"""Response of the pressures of all trials to their declared drives."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from calibration.audit.lag_response import DeclaredDrive, Fits, drives, fits, settling_time, tone
+from calibration.audit.lag_response import (
+    DeclaredDrive,
+    LagFits,
+    declared_drives,
+    fit_lags,
+    fundamental_tone,
+    settling_time,
+)
 from calibration.measurements.findings import Action, Finding
 from calibration.measurements.records import Record
 from slider_jax.channels import BUILT_IN, CHANNELS
 
 NAMES = tuple(CHANNELS[name].column for name in BUILT_IN)
-ANSWERS = 0.6
-"""Share of its rms that a pressure leaves of the drive's response, above which it is no answer."""
+MAX_RESIDUAL = 0.6
+"""Largest residual of a pressure that responds to a drive, over the pressure's rms."""
 STRIDES = 1.2
-"""Settled strides from which on a tone can be told."""
+"""Fewest strides after settling that determine a fundamental."""
 
 
-class Answers:
-    """Fits of all trials, and the lag and delay that serve most of them."""
+class DriveResponses:
+    """Fits of all trials, and the common lag and delay that fit most of them."""
 
-    def __init__(
-        self, records: Sequence[Record], chambers: Sequence[tuple[DeclaredDrive, DeclaredDrive]]
-    ):
+    def __init__(self, records: Sequence[Record]):
+        chambers = driven_chambers(records)
         self.all = [_fitted(r, c) for r, c in zip(records, chambers, strict=True)]
-        best = np.stack([f.left.min(axis=0) for f in self.all])
-        middle = np.median(best.reshape(-1, *best.shape[2:]), axis=0)
-        lag, delay = np.unravel_index(int(middle.argmin()), middle.shape)
+        best = np.stack([f.residual.min(axis=0) for f in self.all])
+        median = np.median(best.reshape(-1, *best.shape[2:]), axis=0)
+        lag, delay = np.unravel_index(int(median.argmin()), median.shape)
         self.at = int(lag), int(delay)
-        """Index of that lag and delay."""
+        """Indices of the common lag and delay."""
 
     def gain(self, i: int) -> np.ndarray:
-        """(2 or 5, 2) of trial i: columns against drives, at that lag and delay."""
+        """Return the gains (2 or 5, 2) of trial i, columns by drives, at the common lag."""
         return self.all[i].gain[:, :, self.at[0], self.at[1]]
 
-    def left(self, i: int) -> np.ndarray:
-        """(2 or 5, 2) likewise."""
-        return self.all[i].left[:, :, self.at[0], self.at[1]]
+    def residual(self, i: int) -> np.ndarray:
+        """Return the residuals (2 or 5, 2) of trial i, columns by drives, at the common lag."""
+        return self.all[i].residual[:, :, self.at[0], self.at[1]]
 
-    def own(self, i: int) -> np.ndarray:
-        """(2,) what the pressures leave at the lag and delay that suit them best."""
-        left = self.all[i].left
-        return np.array([left[c, c].min() for c in (0, 1)])
-
-
-def _fitted(r: Record, chambers: tuple[DeclaredDrive, DeclaredDrive]) -> Fits:
-    """Fits of the pressures; of all columns where the pressures' own are no answer."""
-    found = fits(r.t, r.values[:2], chambers)
-    plain = (found.left.min(axis=(0, 2, 3)) < ANSWERS).all() and not any(tiny(r, c) for c in (0, 1))
-    return found if plain else fits(r.t, r.values, chambers)
+    def least_residual(self, i: int) -> np.ndarray:
+        """Return the residuals (2,) of the pressures of trial i, each at its best lag and delay."""
+        residual = self.all[i].residual
+        return np.array([residual[c, c].min() for c in (0, 1)])
 
 
-def tiny(r: Record, row: int) -> bool:
-    """Whether a column that should be a pressure in Pa holds numbers of another size."""
+def _fitted(r: Record, chambers: tuple[DeclaredDrive, DeclaredDrive]) -> LagFits:
+    """Return the fits of the pressures, or of all columns if the pressures do not respond."""
+    found = fit_lags(r.t, r.values[:2], chambers)
+    respond = (found.residual.min(axis=(0, 2, 3)) < MAX_RESIDUAL).all()
+    plain = respond and not any(is_tiny(r, c) for c in (0, 1))
+    return found if plain else fit_lags(r.t, r.values, chambers)
+
+
+def is_tiny(r: Record, row: int) -> bool:
+    """Return whether the numbers in a pressure's column are far too small for Pa."""
     there = r.values[row][np.isfinite(r.values[row])]
     return bool(there.size and np.abs(there).max() < 1e-3 * (r.trial.amplitude or 0.0))
 
 
-def chambers_of(records: Sequence[Record]) -> list[tuple[DeclaredDrive, DeclaredDrive]]:
-    found = [drives(r.trial) for r in records]
+def driven_chambers(records: Sequence[Record]) -> list[tuple[DeclaredDrive, DeclaredDrive]]:
+    """Return the declared drives of the trials that have any."""
+    found = [declared_drives(r.trial) for r in records]
     return [x for x in found if x is not None]
 
 
-def pair(r: Record) -> tuple[float, float] | None:
-    """The rear column's lag behind the front's (fraction of a period), and front over rear.
+def rear_lag_and_ratio(r: Record) -> tuple[float, float] | None:
+    """Return the rear pressure's lag behind the front's, and the ratio of front to rear amplitude.
 
-    None of a trial without `STRIDES` settled strides: of less a parabola passes for a tone.
+    The lag is a fraction of a period. Returns None for a trial with fewer than `STRIDES` settled
+    strides, in which a parabola resembles a fundamental.
     """
     if not r.trial.frequency or (r.t[-1] - settling_time(r.t)) * r.trial.frequency < STRIDES:
         return None
@@ -73,16 +82,18 @@ def pair(r: Record) -> tuple[float, float] | None:
         there = np.isfinite(r.values[row])
         if there.mean() < 0.5:
             return None
-        tones.append(tone(r.t[there], r.values[row, there], r.trial.frequency))
+        tones.append(fundamental_tone(r.t[there], r.values[row, there], r.trial.frequency))
     front, rear = tones
     if not front.amplitude or not rear.amplitude:
         return None
     return rear.lag - front.lag, front.amplitude / rear.amplitude
 
 
-def wrapped(turn: float) -> float:
-    return (turn + 0.5) % 1.0 - 0.5
+def wrapped(phase: float) -> float:
+    """Return a phase in periods between -0.5 and 0.5."""
+    return (phase + 0.5) % 1.0 - 0.5
 
 
-def finding(r: Record, kind: str, channel: str, how: str, action: Action) -> Finding:
-    return Finding(r.trial.file, kind, channel, float(r.t[0]), float(r.t[-1]), how, action)
+def trial_finding(r: Record, kind: str, channel: str, detail: str, action: Action) -> Finding:
+    """Return a finding on a channel of a whole trial."""
+    return Finding(r.trial.file, kind, channel, float(r.t[0]), float(r.t[-1]), detail, action)

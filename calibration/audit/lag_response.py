@@ -1,7 +1,7 @@
-"""What a lag would make of a trial's declared drive, in numpy, and how a measured pressure fits it.
+"""Response of lags to a trial's declared drive, in numpy, and its fit to measured series.
 
-Only the shape is looked at: amplitude and offset are free, and the time constant and the delay are
-the same for all trials, so that physics that all trials share is no fault.
+Amplitude and offset are free. Time constant and delay are common to all trials, so that physics
+that all trials share is no fault.
 """
 
 from typing import NamedTuple
@@ -12,19 +12,15 @@ from scipy.signal import lfilter
 from slider_jax.experiment.schema import Trial
 
 TIME_CONSTANTS = np.geomspace(0.02, 0.5, 14)
-"""Of the lag [s] that are tried."""
+"""Time constants of the lag that are compared [s]."""
 DELAYS = np.linspace(-0.01, 0.11, 13)
-"""Of the pressure behind the lag of the drive [s] that are tried."""
+"""Delays of the pressure behind the lag's response that are compared [s]."""
 SETTLED = 0.5
-"""Time [s] after which a cycle's phase says nothing of the start any more."""
-
-
-LEAST_DRIFT_ERROR = 2e-3
-"""Error [rad a cycle] of a drift that two cycles alone tell."""
-
-
-MOST_SAMPLES = 300
-"""Of a series that are fitted; of longer ones every so many."""
+"""Time after which the start no longer affects a cycle's phase [s]."""
+TWO_CYCLE_ERROR = 2e-3
+"""Error of a phase drift from only two cycles [rad per cycle]."""
+MAX_SAMPLES = 300
+"""Samples of a series that are fitted; longer series are thinned."""
 
 
 class DeclaredDrive(NamedTuple):
@@ -37,7 +33,7 @@ class DeclaredDrive(NamedTuple):
     rise: float
 
     def unit(self, t: np.ndarray) -> np.ndarray:
-        """The set pressure over its amplitude at `t` (n,) [s], 0 before the start."""
+        """Return the set pressure over its amplitude at `t` (n,) [s], 0 before the start."""
         turn = self.frequency * t - self.phase
         if self.waveform == "sine":
             value = np.sin(2.0 * np.pi * turn)
@@ -50,8 +46,8 @@ class DeclaredDrive(NamedTuple):
         return np.where(t < 0.0, 0.0, value)
 
 
-def drives(trial: Trial) -> tuple[DeclaredDrive, DeclaredDrive] | None:
-    """Front and rear of a trial; None where it has no pressure, or a recorded one."""
+def declared_drives(trial: Trial) -> tuple[DeclaredDrive, DeclaredDrive] | None:
+    """Return a trial's front and rear drive; None if it has no pressure or a recorded one."""
     f, amplitude = trial.frequency, trial.amplitude
     if trial.waveform == "recorded" or not f or not amplitude or not trial.rear_ratio:
         return None
@@ -63,7 +59,7 @@ def drives(trial: Trial) -> tuple[DeclaredDrive, DeclaredDrive] | None:
 
 
 class LagResponse:
-    """What lags make of a drive of amplitude 1, from rest."""
+    """Responses of lags to a drive of amplitude 1, from rest."""
 
     def __init__(self, drive: DeclaredDrive, duration: float, time_constants: np.ndarray):
         spacing = min(1e-3, 1.0 / (200.0 * drive.frequency))
@@ -76,39 +72,39 @@ class LagResponse:
             self._series.append(np.r_[0.0, after[:-1]])
 
     def __call__(self, lag: int, t: np.ndarray) -> np.ndarray:
-        """The response (n,) at `t` (n,) [s] with the time constant of that index."""
+        """Return the response (n,) at `t` (n,) [s] for the time constant of index `lag`."""
         return np.interp(t, self.t, self._series[lag])
 
 
-class Fits(NamedTuple):
-    """How each of m series fits the responses of both chambers, all lags and delays.
+class LagFits(NamedTuple):
+    """Fits of m series by the responses of both chambers, all lags and delays.
 
-    `gain` is signed, over the drive's amplitude; `left` is the share of the series' rms that is
-    left: both (m, 2, lags, delays).
+    `gain` is signed, over the drive's amplitude. `residual` is the residual's rms over the series'
+    rms. Both have the shape (m, 2, lags, delays).
     """
 
     gain: np.ndarray
-    left: np.ndarray
+    residual: np.ndarray
 
 
-def without_drift(t: np.ndarray, series: np.ndarray) -> np.ndarray:
-    """`series` (..., n) at `t` (n,) without the best parabola: slow drift of a mean is physics."""
+def _without_drift(t: np.ndarray, series: np.ndarray) -> np.ndarray:
+    """Return `series` (..., n) at `t` (n,) minus the best parabola, as slow drift is physics."""
     x = (t - t.mean()) / max(float(np.ptp(t)), 1e-300)
     Q = np.linalg.qr(np.stack([np.ones_like(x), x, x**2], axis=1))[0]
     return series - (series @ Q) @ Q.T
 
 
-def fits(
+def fit_lags(
     t: np.ndarray,
     values: np.ndarray,
     chambers: tuple[DeclaredDrive, DeclaredDrive],
     delays: np.ndarray = DELAYS,
     time_constants: np.ndarray = TIME_CONSTANTS,
-) -> Fits:
-    """Fit `values` (m, n), NaN where missing, at `t` (n,) [s], each beside a parabola."""
+) -> LagFits:
+    """Return the fits of `values` (m, n), NaN if missing, at `t` (n,) [s], each plus a parabola."""
     shape = (len(values), 2, len(time_constants), len(delays))
-    gain, left = np.zeros(shape), np.ones(shape)
-    every = max(1, len(t) // MOST_SAMPLES)
+    gain, residual = np.zeros(shape), np.ones(shape)
+    every = max(1, len(t) // MAX_SAMPLES)
     for j, drive in enumerate(chambers):
         response = LagResponse(drive, float(t[-1]) + 0.02, time_constants)
         for i, y in enumerate(values):
@@ -118,27 +114,27 @@ def fits(
                 continue
             at = t[there]
             R = np.stack([response(k, at - d) for k in range(shape[2]) for d in delays])
-            R, m = without_drift(at, R), without_drift(at, y[there])
+            R, m = _without_drift(at, R), _without_drift(at, y[there])
             size, along = np.einsum("ij,ij->i", R, R), R @ m
             size = np.maximum(size, 1e-12 * len(at))
             gain[i, j] = (along / size / drive.amplitude).reshape(shape[2:])
             share = np.clip(1.0 - along**2 / size / max(float(m @ m), 1e-300), 0.0, 1.0)
-            left[i, j] = np.sqrt(share).reshape(shape[2:])
-    return Fits(gain, left)
+            residual[i, j] = np.sqrt(share).reshape(shape[2:])
+    return LagFits(gain, residual)
 
 
 class PeriodRatio(NamedTuple):
-    """How much faster a series repeats than declared, as a share, and its standard error."""
+    """Relative excess of a series' frequency over the declared one, and its standard error."""
 
     off: float
     error: float
 
 
-def pace(t: np.ndarray, y: np.ndarray, frequency: float) -> PeriodRatio | None:
-    """From the drift of the fundamental's phase, cycle by cycle; None where it cannot be told.
+def period_ratio(t: np.ndarray, y: np.ndarray, frequency: float) -> PeriodRatio | None:
+    """Return the ratio from the drift of the fundamental's phase; None for less than two cycles.
 
-    What distorts every cycle alike, lag, delay or saturation, does not change it. Cycles of the
-    start are not used.
+    A distortion of every cycle, such as lag, delay or saturation, does not change the ratio. The
+    first cycles are not used.
     """
     faster, found = 1.0, None
     for _ in range(3):
@@ -172,24 +168,24 @@ def _drift(t: np.ndarray, y: np.ndarray, frequency: float) -> PeriodRatio | None
     slope = float(x @ drift) / float(x @ x)
     rest = drift - drift.mean() - slope * x
     free = max(len(x) - 2, 1)
-    error = float(np.sqrt(rest @ rest / free / (x @ x))) if len(x) > 2 else LEAST_DRIFT_ERROR
+    error = float(np.sqrt(rest @ rest / free / (x @ x))) if len(x) > 2 else TWO_CYCLE_ERROR
     return PeriodRatio(-slope / (2.0 * np.pi), error / (2.0 * np.pi))
 
 
 class Tone(NamedTuple):
-    """Amplitude and lag (fraction of a period) of a series at the declared frequency."""
+    """Amplitude and lag (fraction of a period) of a series' fundamental."""
 
     amplitude: float
     lag: float
 
 
 def settling_time(t: np.ndarray) -> float:
-    """From when on [s] a pressure repeats: `SETTLED`, but of a short trial less."""
+    """Return the time [s] from which on a pressure is periodic; less in a short trial."""
     return min(SETTLED, 0.3 * float(t[-1]))
 
 
-def tone(t: np.ndarray, y: np.ndarray, frequency: float) -> Tone:
-    """The fundamental of y (n,), by least squares beside two harmonics and a parabola."""
+def fundamental_tone(t: np.ndarray, y: np.ndarray, frequency: float) -> Tone:
+    """Return the fundamental of y (n,), from a least-squares fit with harmonics and a parabola."""
     late = t >= settling_time(t)
     turn = 2.0 * np.pi * frequency * t[late]
     waves = [f(n * turn) for n in (1, 2, 3) for f in (np.cos, np.sin)]
@@ -199,24 +195,26 @@ def tone(t: np.ndarray, y: np.ndarray, frequency: float) -> Tone:
     return Tone(float(np.hypot(a, b)), float(np.arctan2(b, a) / (2.0 * np.pi)))
 
 
-class Surprise(NamedTuple):
-    """How far a value lies from what the others say of it, and one standard deviation of that."""
+class Deviation(NamedTuple):
+    """Deviation of a value from its prediction by the other values, and its standard deviation."""
 
-    apart: float
+    size: float
     error: float
 
 
-def surprise(y: np.ndarray, x: np.ndarray, slopes: np.ndarray, floor: float) -> list[Surprise]:
-    """Each value of y (n,) against a plane through the others.
+def leave_one_out(
+    y: np.ndarray, x: np.ndarray, slopes: np.ndarray, floor: float
+) -> list[Deviation]:
+    """Return the deviation of each value of y (n,) from a plane through the other values.
 
-    `x` (n, p) is what y may depend on, `slopes` (p,) how steeply at most (one standard deviation):
-    a value at the end of the range of x surprises less. `floor` is the least scatter.
+    `x` (n, p) are the variables of the plane and `slopes` (p,) the prior standard deviations of its
+    slopes. `floor` is the smallest scatter.
     """
     found = []
     for i in range(len(y)):
         rest = np.delete(np.arange(len(y)), i)
-        middle = np.median(y[rest])
-        scatter = max(float(np.median(np.abs(y[rest] - middle))) * 1.5, floor)
+        centre = np.median(y[rest])
+        scatter = max(float(np.median(np.abs(y[rest] - centre))) * 1.5, floor)
         for _ in range(2):
             A = np.column_stack([np.ones(len(rest)), x[rest]])
             prior = np.diag(np.r_[0.0, 1.0 / slopes**2])
@@ -226,5 +224,5 @@ def surprise(y: np.ndarray, x: np.ndarray, slopes: np.ndarray, floor: float) -> 
             scatter = max(1.5 * float(np.median(off)), floor)
         here = np.r_[1.0, x[i]]
         error = float(np.sqrt(here @ cov @ here + scatter**2))
-        found.append(Surprise(float(y[i] - here @ plane), error))
+        found.append(Deviation(float(y[i] - here @ plane), error))
     return found

@@ -1,4 +1,4 @@
-"""Rows of a measured trial, read one by one: what is damaged is told and left out."""
+"""The rows of a measured trial's CSV, without damaged rows."""
 
 import csv
 import math
@@ -12,57 +12,57 @@ from slider_jax.channels import channel_columns
 from slider_jax.errors import InputError
 from slider_jax.io.toml import read_bytes
 
-MOST_BAD = 0.5
-"""A file with a larger share of bad rows is left out."""
-FEWEST_ROWS = 20
+MAX_BAD_SHARE = 0.5
+"""A file with a larger share of bad rows is excluded."""
+MIN_ROWS = 20
 
 
 class Rows(NamedTuple):
-    """Rows in the file's order: times (n,) [s as written], and (5, n) of the other columns."""
+    """Rows in the file's order: times (n,), and the other columns (5, n)."""
 
     t: np.ndarray
     values: np.ndarray
 
 
 class Unusable(Exception):
-    """A trial cannot be used; holds the finding that says why."""
+    """A trial is unusable; `finding` holds the reason."""
 
     def __init__(self, finding: Finding):
         super().__init__(str(finding))
         self.finding = finding
 
 
-def unusable(
+def unusable_trial(
     trial: str,
     kind: str,
     detail: str,
     channel: str | None = None,
     span: tuple[float | None, float | None] = (None, None),
 ) -> Unusable:
-    """The error that leaves a trial out."""
+    """Return the exception that excludes a trial."""
     return Unusable(Finding(trial, kind, channel, span[0], span[1], detail, "left out"))
 
 
 def read_rows(path: Path) -> tuple[Rows, list[Finding]]:
-    """The rows of a trial's CSV that can be read, and findings on the others.
+    """Return the readable rows of a trial's CSV, and findings on the others.
 
-    Cells that are blank or not finite numbers are NaN. Raises `Unusable` where no time column or
-    too few rows are left.
+    Cells that are blank or not finite numbers are NaN. Raises `Unusable` if the time column is
+    missing or too few rows are readable.
     """
     name = path.name
     try:
         text = read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise unusable(name, "not_text", "the file is not UTF-8 text") from None
+        raise unusable_trial(name, "not_text", "the file is not UTF-8 text") from None
     except InputError as error:
-        raise unusable(name, "not_text", f"the file cannot be read: {error}") from None
+        raise unusable_trial(name, "not_text", f"the file is not readable: {error}") from None
     try:
         rows = list(csv.reader(text.replace("\0", "\ufffd").splitlines()))
     except csv.Error as error:
-        raise unusable(name, "not_text", f"the file is not a CSV table ({error})") from None
+        raise unusable_trial(name, "not_text", f"the file is not a CSV table ({error})") from None
     numbered = [(line, row) for line, row in enumerate(rows, start=1) if row]
     if not numbered:
-        raise unusable(name, "empty", "the file is empty")
+        raise unusable_trial(name, "empty", "the file is empty")
     header = [cell.strip() for cell in numbered[0][1]]
     findings = _check_header(name, header)
     whole, more = _whole_rows(name, header, numbered[1:])
@@ -73,57 +73,55 @@ def read_rows(path: Path) -> tuple[Rows, list[Finding]]:
         detail = f"{np.sum(~timed)} rows have no time and are dropped"
         worse.append(Finding(name, "bad_cell", "t_s", None, None, detail, "masked"))
     lost = len(numbered) - 1 - int(timed.sum())
-    if lost > MOST_BAD * len(numbered) or timed.sum() < FEWEST_ROWS:
+    if lost > MAX_BAD_SHARE * len(numbered) or timed.sum() < MIN_ROWS:
         detail = (
-            f"only {timed.sum()} of {len(numbered) - 1} rows can be read; at least {FEWEST_ROWS}, "
-            f"and {1.0 - MOST_BAD:.0%} of all, are needed"
+            f"only {timed.sum()} of {len(numbered) - 1} rows are readable; at least {MIN_ROWS}, "
+            f"and {1.0 - MAX_BAD_SHARE:.0%} of all, are needed"
         )
-        raise unusable(name, "bad_row" if lost else "few_rows", detail)
+        raise unusable_trial(name, "bad_row" if lost else "few_rows", detail)
     return Rows(t[timed], table[1:, timed]), findings + more + worse
 
 
 def _check_header(name: str, header: list[str]) -> list[Finding]:
     if "t_s" not in header:
-        detail = f"the first line names no column t_s; it holds {', '.join(header)[:80]}"
-        raise unusable(name, "missing_column", detail)
-    twice = sorted({x for x in channel_columns() if header.count(x) > 1})
-    if twice:
-        detail = f"the first line names {', '.join(twice)} more than once"
-        raise unusable(name, "missing_column", detail)
+        detail = f"the first line has no column t_s; its columns are {', '.join(header)[:80]}"
+        raise unusable_trial(name, "missing_column", detail)
+    repeated = sorted({x for x in channel_columns() if header.count(x) > 1})
+    if repeated:
+        detail = f"the first line repeats {', '.join(repeated)}"
+        raise unusable_trial(name, "missing_column", detail)
     findings = []
     for column in channel_columns()[1:]:
         if column not in header:
-            other = [x for x in header if x not in channel_columns()]
-            beside = f"; unknown to this program: {', '.join(other)[:80]}" if other else ""
-            detail = f"the file has no column {column}{beside}; the others are used"
+            unknown = [x for x in header if x not in channel_columns()]
+            ignored = f"; unknown columns: {', '.join(unknown)[:80]}" if unknown else ""
+            detail = f"the file has no column {column}{ignored}; the other columns are used"
             findings.append(Finding(name, "missing_column", column, None, None, detail, "used"))
     return findings
 
 
 def _whole_rows(name, header, numbered) -> tuple[list[list[str]], list[Finding]]:
-    """Rows with as many cells as the header."""
+    """Return the rows with as many cells as the header, and findings on the others."""
     whole, findings, lines = [], [], []
     for position, (line, row) in enumerate(numbered):
         if len(row) == len(header):
             whole.append(row)
         elif position == len(numbered) - 1:
-            detail = (
-                f"the last line, {line}, is torn ({len(row)} of {len(header)} cells) and dropped"
-            )
+            detail = f"the last line, {line}, has {len(row)} of {len(header)} cells and is dropped"
             findings.append(Finding(name, "torn_line", None, None, None, detail, "masked"))
         else:
             lines.append(line)
     if lines:
         detail = (
-            f"{len(lines)} rows do not have {len(header)} cells and are dropped, first line "
-            f"{lines[0]}"
+            f"{len(lines)} rows do not have {len(header)} cells and are dropped; the first is "
+            f"line {lines[0]}"
         )
         findings.append(Finding(name, "bad_row", None, None, None, detail, "masked"))
     return whole, findings
 
 
 def _numbers(name, header, rows) -> tuple[np.ndarray, list[Finding]]:
-    """(6, rows) in the order of `channels.columns`."""
+    """Return the numbers (6, rows) in the order of `channel_columns()`, and findings."""
     table, findings = np.full((len(channel_columns()), len(rows)), np.nan), []
     for i, column in enumerate(channel_columns()):
         if column not in header:

@@ -1,29 +1,30 @@
-"""Times of a measured trial: order, repeats, gaps, units; rows laid on an even grid."""
+"""Times of a measured trial: unit, order, repeated rows, gaps, and a regular grid of rows."""
 
 from collections import Counter
 
 import numpy as np
 
-from calibration.audit.rows import Rows, unusable
+from calibration.audit.rows import Rows, unusable_trial
 from calibration.measurements.findings import Finding, stretches
 from slider_jax.experiment.schema import Trial
 
 JITTER = 0.2
-"""rms of the time stamps about an even grid, in spacings, from which on they are uneven."""
-MOST_AT_ODDS = 0.02
-"""Share of the rows that may have another row at the same time, and other values."""
+"""Largest rms of the time stamps about a regular grid, in spacings."""
+MAX_CONFLICTS = 0.02
+"""Largest share of rows that have the time of another row but other values."""
 MANY_GAPS = 20
-"""Gaps in a file from which on they are told together."""
+"""Number of gaps above which one finding describes all gaps of a file."""
 OFTEN = 0.4
-"""Share of readings that repeat the one before, from which on that is no sign of a doubled row."""
+"""Share of readings equal to the previous one, above which such a reading is no sign of a doubled
+row."""
 FROZEN = 5
-"""Rows in a row that repeat their readings: the logger stood still."""
+"""Successive repeated rows from which on the logger is stuck."""
 
 
 def regular_rows(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
-    """Rows at increasing, nearly even times, with NaN where rows are missing, and findings.
+    """Return rows at increasing, nearly regular times, and findings.
 
-    Raises `Unusable` where the times contradict each other.
+    Missing rows are NaN. Raises `Unusable` if the times contradict each other.
     """
     findings: list[Finding] = []
     for step in (_unit, _doubled, _sorted, _gaps):
@@ -33,24 +34,24 @@ def regular_rows(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
 
 
 def _unit(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
-    """Times in milliseconds or microseconds, told from the trial's duration."""
+    """Return the rows with times in s, from a comparison with the trial's duration."""
     longest = float(np.median(np.sort(rows.t)[-3:]))
     for factor, unit in ((1e3, "milliseconds"), (1e6, "microseconds")):
         if 0.5 < longest / (factor * trial.duration) < 1.2:
             detail = (
-                f"t_s runs to {longest:g}, the trial lasts {trial.duration:g} s: the times are in "
+                f"t_s ends at {longest:g}, the trial lasts {trial.duration:g} s: the times are in "
                 f"{unit} and were divided by {factor:g}"
             )
             found = Finding(trial.file, "units", "t_s", None, None, detail, "mended")
             return Rows(rows.t / factor, rows.values), [found]
     if longest > 20.0 * trial.duration:
-        detail = f"t_s runs to {longest:g}, the trial lasts {trial.duration:g} s"
-        raise unusable(trial.file, "units", detail, "t_s")
+        detail = f"t_s ends at {longest:g}, the trial lasts {trial.duration:g} s"
+        raise unusable_trial(trial.file, "units", detail, "t_s")
     return rows, []
 
 
 def _doubled(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
-    """Without rows that are there twice, and without rows that repeat the one before later on."""
+    """Return the rows without copies, and with NaN for rows that repeat the previous readings."""
     findings = []
     seen: set[bytes] = set()
     table = np.concatenate([rows.t[None], np.nan_to_num(rows.values, nan=-7e77)])
@@ -61,7 +62,7 @@ def _doubled(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
         seen.add(key)
     if not keep.all():
         at = rows.t[~keep]
-        detail = f"{np.sum(~keep)} rows are there twice, from {at.min():.4g} s on; one was kept"
+        detail = f"{np.sum(~keep)} rows are copies, from {at.min():.4g} s on, and were dropped"
         span = float(at.min()), float(at.max())
         findings.append(Finding(trial.file, "doubled_rows", None, *span, detail, "mended"))
         rows = Rows(rows.t[keep], rows.values[:, keep])
@@ -69,18 +70,18 @@ def _doubled(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
 
 
 def _stale(rows: Rows, trial: Trial, findings: list[Finding]) -> tuple[Rows, list[Finding]]:
-    """Rows whose readings are those of the row before, which noise makes impossible."""
+    """Return rows with NaN for readings equal to the previous row's, which noise excludes."""
     same = np.diff(rows.values, axis=1) == 0.0
-    # A sensor that hardly ever changes, stuck or at the end of its range, says nothing of the row.
-    telling = same & (same.mean(axis=1) < OFTEN)[:, None]
-    stale = np.r_[False, telling[2] & telling[3] & (telling.sum(axis=0) >= 3)]
+    # A sensor that is stuck or at the end of its range repeats readings in correct rows too.
+    repeated = same & (same.mean(axis=1) < OFTEN)[:, None]
+    stale = np.r_[False, repeated[2] & repeated[3] & (repeated.sum(axis=0) >= 3)]
     if not stale.any():
         return rows, findings
     at, values = rows.t[stale], rows.values.copy()
     values[:, stale] = np.nan
     frozen = max(b - a + 1 for a, b in stretches(stale)) >= FROZEN
     detail = (
-        f"{stale.sum()} rows repeat the readings of the row before"
+        f"{stale.sum()} rows repeat the readings of the previous row"
         f"{', all sensors at once' if frozen else ''}, and count as missing"
     )
     span = float(at.min()), float(at.max())
@@ -90,60 +91,60 @@ def _stale(rows: Rows, trial: Trial, findings: list[Finding]) -> tuple[Rows, lis
 
 
 def _sorted(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
-    """Rows in order of time; those that contradict each other at one time are dropped."""
+    """Return the rows in order of time, without rows with equal times and different readings."""
     findings = []
     back = np.flatnonzero(np.diff(rows.t) < 0.0)
     if back.size:
         order = np.argsort(rows.t, kind="stable")
         at = float(rows.t[back[0] + 1])
         detail = (
-            f"time runs backwards at {back.size} rows, first to {at:.4g} s; the rows were put in "
-            "order of time"
+            f"the time decreases at {back.size} rows, first to {at:.4g} s; the rows were sorted "
+            "by time"
         )
         findings.append(Finding(trial.file, "unsorted", "t_s", at, None, detail, "mended"))
         rows = Rows(rows.t[order], rows.values[:, order])
     same = np.flatnonzero(np.diff(rows.t) == 0.0)
     if not same.size:
         return rows, findings
-    at_odds = np.unique(np.r_[same, same + 1])
-    if len(at_odds) > max(4.0, MOST_AT_ODDS * len(rows.t)):
+    conflicts = np.unique(np.r_[same, same + 1])
+    if len(conflicts) > max(4.0, MAX_CONFLICTS * len(rows.t)):
         detail = (
-            f"{len(at_odds)} rows share their time with another row of other readings: the clock "
-            "was set back, or two runs are in one file"
+            f"{len(conflicts)} rows have equal times and different readings: the clock was reset, "
+            "or the file holds two runs"
         )
-        raise unusable(trial.file, "unsorted", detail, "t_s")
+        raise unusable_trial(trial.file, "unsorted", detail, "t_s")
     span = float(rows.t[same[0]]), float(rows.t[same[-1]])
-    detail = f"{len(at_odds)} rows share their time with another of other readings; dropped"
+    detail = f"{len(conflicts)} rows have equal times and different readings and were dropped"
     findings.append(Finding(trial.file, "doubled_rows", None, *span, detail, "masked"))
-    keep = np.setdiff1d(np.arange(len(rows.t)), at_odds)
+    keep = np.setdiff1d(np.arange(len(rows.t)), conflicts)
     return Rows(rows.t[keep], rows.values[:, keep]), findings
 
 
-def spacing(t: np.ndarray) -> float:
-    """The time between rows where none is missing."""
+def _spacing(t: np.ndarray) -> float:
+    """Return the time [s] between successive rows; gaps do not affect it."""
     steps = np.diff(t)
     short = float(np.quantile(steps, 0.1))
     return float(np.median(steps[(steps > 0.75 * short) & (steps < 1.25 * short)]))
 
 
 def _gaps(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
-    """Rows on every place of the even grid that fits their times."""
-    t, dt = rows.t, spacing(rows.t)
+    """Return the rows on the regular grid that fits their times, with NaN for missing rows."""
+    t, dt = rows.t, _spacing(rows.t)
     steps = np.maximum(np.round(np.diff(t) / dt).astype(int), 1)
     index = np.r_[0, np.cumsum(steps)]
     if index[-1] > 20 * len(t):
         at = float(t[np.argmax(steps)])
         detail = f"rows are {dt:.4g} s apart, but {np.diff(t).max():.4g} s after {at:.4g} s"
-        raise unusable(trial.file, "gap", detail, "t_s", (at, at + float(np.diff(t).max())))
+        raise unusable_trial(trial.file, "gap", detail, "t_s", (at, at + float(np.diff(t).max())))
     slope, first = np.polyfit(index, t, 1)
-    apart = float(np.sqrt(np.mean((t - first - slope * index) ** 2))) / slope
-    if apart > JITTER:
+    jitter = float(np.sqrt(np.mean((t - first - slope * index) ** 2))) / slope
+    if jitter > JITTER:
         common = [f"{1.0 / s:.4g}" for s, _ in Counter(np.round(np.diff(t), 5)).most_common(2) if s]
         detail = (
-            f"the time stamps are uneven, {apart:.2g} spacings rms about an even grid; the "
-            f"commonest rates are {' and '.join(common)} Hz"
+            f"the time stamps are irregular, {jitter:.2g} spacings rms about a regular grid; the "
+            f"most frequent rates are {' and '.join(common)} Hz"
         )
-        raise unusable(trial.file, "sample_rate", detail, "t_s")
+        raise unusable_trial(trial.file, "sample_rate", detail, "t_s")
     there = np.zeros(index[-1] + 1, bool)
     there[index] = True
     times = first + slope * np.arange(len(there))
@@ -157,14 +158,14 @@ def _gap_findings(trial: Trial, t: np.ndarray, there: np.ndarray, dt: float) -> 
     runs = stretches(~there)
     if len(runs) > MANY_GAPS:
         detail = (
-            f"{np.sum(~there)} of {len(there)} rows are missing at {1.0 / dt:.4g} Hz, in "
-            f"{len(runs)} places: rows were lost, or the rate was changed; the others are used"
+            f"{np.sum(~there)} of {len(there)} rows at {1.0 / dt:.4g} Hz are missing, in "
+            f"{len(runs)} gaps: rows were lost, or the rate changed; the other rows are used"
         )
         span = float(t[runs[0][0]]), float(t[runs[-1][1]])
         kind = "sample_rate" if np.mean(~there) > 0.2 else "gap"
         return [Finding(trial.file, kind, None, *span, detail, "used")]
     spans = [(float(t[a - 1]), float(t[b + 1]), b - a + 1) for a, b in runs]
-    # A clock that runs fast by a percent is no missing row: that much is left to its own check.
+    # A skewed clock shifts the end by up to 3 %; the check of the clocks reports it.
     margin = max(5.0 * dt, 0.035 * trial.duration)
     if t[0] > margin:
         spans.insert(0, (0.0, float(t[0]), int(t[0] / dt)))
@@ -172,6 +173,6 @@ def _gap_findings(trial: Trial, t: np.ndarray, there: np.ndarray, dt: float) -> 
         spans.append((float(t[-1]), trial.duration, int((trial.duration - t[-1]) / dt)))
     return [
         Finding(trial.file, "gap", None, a, b,
-                f"{n} rows are missing between {a:.4g} and {b:.4g} s; the others are used", "used")
+                f"{n} rows are missing between {a:.4g} and {b:.4g} s; the rest is used", "used")
         for a, b, n in spans
     ]  # fmt: skip

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calibration.audit.audit import audit_measurements
-from calibration.audit.prediction import outliers
+from calibration.audit.prediction import residual_outliers
 from calibration.discrepancy.rounds import Selection
 from calibration.discrepancy.selection import select_effects
 from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
@@ -156,7 +156,7 @@ def outlier_trials(outcome: LoopOutcome) -> list[Finding]:
     """Return the trials with a residual that no effect explains and no other trial has."""
     each = excess(outcome.problem, outcome.nearest or outcome.final)
     trials = [r.trial for r in outcome.problem.records]
-    return outliers(trials, {c: x.trials for c, x in each.items()})
+    return residual_outliers(trials, {c: x.trials for c, x in each.items()})
 
 
 def conclude(

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from calibration.audit.sensors import clipped, grain
+from calibration.audit.sensors import clipped, quantisation
 from calibration.measurements.findings import Action, Finding, masked
 from calibration.pressure_logs.read import PSI_PER_COUNT, ManifoldLog
 
@@ -210,7 +210,7 @@ def _unequal(found: CodeDensity) -> str:
 
 
 def _clipped(log: ManifoldLog) -> list[Finding]:
-    bad = clipped(log.pressure, grain(log.pressure, 0.0))
+    bad = clipped(log.pressure, quantisation(log.pressure, 0.0))
     if not bad.any():
         return []
     ends = " and ".join(f"{x:.0f}" for x in sorted(set(log.pressure[bad][[0, -1]])))

@@ -1,4 +1,4 @@
-"""Tank experiments that look like measured ones, made in numpy, and ways to damage their files."""
+"""Synthetic tank experiments, made in numpy, and functions that damage their files."""
 
 from pathlib import Path
 
@@ -28,7 +28,7 @@ ROW = {"p_front": 0, "p_rear": 1, "thrust": 2, "recoil": 3, "tip": 4}
 
 
 def lagged_square(t, frequency, phase, k=K, delay=0.0):
-    """A square wave through a lag, from rest, by small explicit steps and nothing else."""
+    """Return a lag's response to a square wave from rest, by small explicit steps."""
     h = 2e-4
     fine = np.arange(0.0, t[-1] + 2.0 * h, h)
     turn = frequency * (fine - delay + 0.5 * h) - phase
@@ -40,9 +40,9 @@ def lagged_square(t, frequency, phase, k=K, delay=0.0):
 
 
 def quiet(run, gain=1.0, delay=0.0, k=K):
-    """Readings (5, n) without noise: forces and tip are made up, but as in the tank.
+    """Return times and readings (5, n) without noise, with simple laws for forces and tip.
 
-    Recoil and tip go with the pressures, at the drive's frequency; thrust with their squares.
+    Recoil and tip follow the pressures, at the drive's frequency; thrust follows their squares.
     """
     f, amplitude, phase, tow, duration = run
     t = np.arange(round(duration * RATE) + 1) / RATE
@@ -59,7 +59,7 @@ def quiet(run, gain=1.0, delay=0.0, k=K):
 
 
 def readings(run, seed, **physics):
-    """Times (n,) and what the sensors record (5, n)."""
+    """Return times (n,) and readings (5, n) with noise and quantisation."""
     t, true = quiet(run, **physics)
     rng, n = np.random.default_rng(seed), len(t)
     values = true.copy()
@@ -75,7 +75,7 @@ def readings(run, seed, **physics):
 
 
 def write_experiment(folder: Path, seed: int = 0, runs=RUNS, **physics) -> Path:
-    """An experiment file and its trials; returns its path."""
+    """Write an experiment file and its trials; return the file's path."""
     folder.mkdir(parents=True, exist_ok=True)
     lines = ['name = "made up"', "[robot]"]
     lines += [f"{key} = {value}" for key, value in ROBOT.items()]
@@ -100,7 +100,7 @@ def save(path: Path, t, values) -> None:
 
 
 def read(path: Path):
-    """Times (n,) and values (5, n) of a file that is whole."""
+    """Return times (n,) and values (5, n) of an undamaged file."""
     rows = [line.split(",") for line in path.read_text().splitlines()[1:]]
     table = np.array([[float(cell or "nan") for cell in row] for row in rows])
     return table[:, 0], table[:, 1:].T.copy()
@@ -110,7 +110,7 @@ _QUIET: dict[str, tuple] = {}
 
 
 def predict(records):
-    """What a model with parameters that are a little off predicts."""
+    """Return the prediction (5, n) of records by a model with slightly wrong parameters."""
     found = []
     for r in records:
         if r.trial.file not in _QUIET:
@@ -126,7 +126,7 @@ def audited(folder, least=3):
 
 
 def alter(folder, number, change):
-    """Replace a trial's times and values by those that `change(t, values)` returns."""
+    """Replace a trial's times and values by the result of `change(t, values)`."""
     path = folder / f"trial_{number:02d}.csv"
     save(path, *change(*read(path)))
 
@@ -142,7 +142,7 @@ def kinds(found, number=None):
 
 
 def only(found, number, *expected):
-    """Nothing but the expected findings, all on one trial."""
+    """Assert that the audit has only the expected findings, all on one trial."""
     assert kinds(found, number) == list(expected)
     assert len(found.findings) == len(expected), [str(x) for x in found.findings]
 

@@ -1,4 +1,4 @@
-"""The audit: every kind of damage is named and dealt with, and whole data give no finding."""
+"""The audit reports and handles each kind of damage, and undamaged data give no finding."""
 
 import re
 
@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from calibration.audit.audit import audit_measurements
-from calibration.audit.prediction import outliers
-from calibration.audit.sensors import Grain, clipped, grain, spikes, stuck
+from calibration.audit.prediction import residual_outliers
+from calibration.audit.sensors import Quantisation, clipped, quantisation, spikes, stuck
 from slider_jax.errors import InputError
 from slider_jax.experiment import load as experiment
 from tests.support import damage
@@ -21,16 +21,16 @@ def whole(tmp_path_factory):
 
 @pytest.fixture
 def tank(whole, tmp_path):
-    """A copy of the whole experiment, to be damaged."""
+    """A copy of the undamaged experiment; a test damages the copy."""
     for file in whole.iterdir():
         (tmp_path / file.name).write_bytes(file.read_bytes())
     return tmp_path
 
 
-# Whole data
+# Undamaged data
 
 
-def test_whole_data_give_no_finding(whole):
+def test_undamaged_data_give_no_finding(whole):
     found = audited(whole)
     assert [str(x) for x in found.findings] == []
     assert len(found.records) == 8
@@ -40,14 +40,14 @@ def test_whole_data_give_no_finding(whole):
 @pytest.mark.parametrize(
     "physics", [{"delay": 0.03, "gain": 1.2}, {"k": 0.03}, {"k": 0.2, "gain": 0.8}]
 )
-def test_physics_that_all_trials_share_is_no_fault(tmp_path, physics):
+def test_a_deviation_that_all_trials_share_is_no_fault(tmp_path, physics):
     damage.write_experiment(tmp_path, 1, **physics)
     assert [str(x) for x in audited(tmp_path).findings] == []
 
 
 @pytest.mark.parametrize("name", ["open_null", "open_delay", "open_clamp", "open_skin",
                                   "blind_a", "blind_b", "blind_c"])  # fmt: skip
-def test_the_measured_sets_are_whole(data, name):
+def test_the_measured_sets_give_no_finding(data, name):
     found = audit_measurements(experiment.load(data / "sets" / name / "experiment.toml"))
     assert [str(x) for x in found.findings] == []
     assert len(found.records) == 8
@@ -57,7 +57,7 @@ def test_the_measured_sets_are_whole(data, name):
 
 
 @pytest.mark.parametrize(("number", "first", "many"), [(0, 700, 40), (3, 200, 300), (7, 600, 7)])
-def test_a_gap_is_named_and_stays_a_gap(tank, whole, number, first, many):
+def test_a_gap_is_reported_and_the_rows_stay_missing(tank, whole, number, first, many):
     def cut(lines):
         return lines[: first + 1] + lines[first + 1 + many :]
 
@@ -74,7 +74,7 @@ def test_a_gap_is_named_and_stays_a_gap(tank, whole, number, first, many):
 
 
 @pytest.mark.parametrize("end", ["start", "end"])
-def test_rows_that_are_missing_at_an_end_are_named(tank, end):
+def test_missing_rows_at_an_end_are_reported(tank, end):
     lines_of(tank, 2, lambda x: [x[0], *x[200:]] if end == "start" else x[:-200])
     found = audited(tank)
     only(found, 2, ("gap", None, "used"))
@@ -95,12 +95,12 @@ def test_doubled_rows_are_dropped(tank, whole, where):
     same_as_whole(found, whole, 4)
 
 
-def test_rows_that_repeat_the_one_before_under_new_times_are_masked(tank):
+def test_rows_with_the_readings_of_the_previous_row_are_masked(tank):
     def stale(t, values):
         values[:, 500:600:2] = values[:, 499:599:2]
         return t, values
 
-    def camera(t, values):  # the repeated rows must not change where the camera has frames
+    def camera(t, values):  # the repeated rows must not move the camera's frames
         t, values = stale(t, values)
         values[4, 1::8] = np.nan
         return t, values
@@ -112,7 +112,7 @@ def test_rows_that_repeat_the_one_before_under_new_times_are_masked(tank):
     assert len(found.records) == 8
 
 
-def test_a_logger_that_stood_still_is_told_as_stuck(tank):
+def test_rows_of_a_stuck_logger_are_masked(tank):
     def freeze(t, values):
         values[:, 400:450] = values[:, 400:401]
         return t, values
@@ -123,7 +123,7 @@ def test_a_logger_that_stood_still_is_told_as_stuck(tank):
     assert np.isnan(record(found, 1).values[:, 401:450]).all()
 
 
-def test_rows_in_another_order_are_put_in_order(tank, whole):
+def test_unsorted_rows_are_sorted(tank, whole):
     lines_of(tank, 5, lambda x: [x[0], *x[300:400], *x[1:300], *x[400:]])
     found = audited(tank)
     only(found, 5, ("unsorted", "t_s", "mended"))
@@ -152,7 +152,7 @@ TEXT = {
 
 
 @pytest.mark.parametrize("name", TEXT)
-def test_bad_rows_and_cells_are_named_and_the_rest_is_used(tank, name):
+def test_bad_rows_and_cells_are_reported_and_the_rest_is_used(tank, name):
     change, expected = TEXT[name]
     path = tank / "trial_02.csv"
     before = path.read_text()
@@ -175,7 +175,7 @@ UNREADABLE = {
 
 
 @pytest.mark.parametrize("name", UNREADABLE)
-def test_a_file_that_cannot_be_read_is_left_out(tank, name):
+def test_an_unreadable_file_is_left_out(tank, name):
     content, kind = UNREADABLE[name]
     (tank / "trial_03.csv").write_bytes(content)
     found = audited(tank)
@@ -184,14 +184,14 @@ def test_a_file_that_cannot_be_read_is_left_out(tank, name):
     assert len(found.records) == 7
 
 
-def test_a_file_that_is_not_there_is_told(tank):
+def test_a_missing_file_is_reported(tank):
     (tank / "trial_03.csv").unlink()
     found = audited(tank)
     only(found, 3, ("missing_file", None, "used"))
     assert len(found.records) == 7
 
 
-def test_a_column_that_is_not_there_is_told(tank):
+def test_a_missing_column_is_reported_with_the_unknown_ones(tank):
     lines_of(tank, 3, lambda x: [x[0].replace("tip_m", "tip_mm"), *x[1:]])
     found = audited(tank)
     only(found, 3, ("missing_column", "tip_m", "used"))
@@ -211,16 +211,16 @@ def test_too_few_trials_are_refused_with_the_reasons(tank):
         (tank / f"trial_{i:02d}.csv").write_text("hello")
     with pytest.raises(InputError) as caught:
         audited(tank)
-    said = str(caught.value)
-    assert "holds 2 measured trials that can be used; 3 or more are needed" in said
-    assert "trial_00.csv: the first line names no column t_s" in said and "\n" not in said
+    text = str(caught.value)
+    assert "2 measured trials are usable; 3 or more are needed" in text
+    assert "trial_00.csv: the first line has no column t_s" in text and "\n" not in text
 
 
 # Sensors
 
 
 @pytest.mark.parametrize(("channel", "number"), [*zip(ROW, [0, 5, 7, 2, 4], strict=True)])
-def test_a_stuck_sensor_is_masked_while_it_is_stuck(tank, channel, number):
+def test_readings_of_a_stuck_sensor_are_masked(tank, channel, number):
     row, a, b = ROW[channel], 320, 320 + (150 if channel == "tip" else 90)
 
     def stick(t, values):
@@ -236,7 +236,7 @@ def test_a_stuck_sensor_is_masked_while_it_is_stuck(tank, channel, number):
     assert np.isfinite(r.values[row, :a]).sum() == len(range(0, a, 8 if channel == "tip" else 1))
 
 
-def test_a_sensor_that_is_dead_in_a_trial_is_not_used_there(tank):
+def test_a_sensor_that_is_constant_in_a_trial_is_masked_in_that_trial(tank):
     alter(tank, 2, lambda t, v: (t, np.where(np.arange(5)[:, None] == 3, 0.01, v)))
     found = audited(tank)
     only(found, 2, ("stuck", "recoil", "masked"))
@@ -248,7 +248,7 @@ def test_a_sensor_that_is_dead_in_a_trial_is_not_used_there(tank):
     [("p_front", 0, 0.8), ("p_rear", 3, 0.7), ("thrust", 5, 0.6), ("recoil", 1, 0.5),
      ("recoil", 7, 0.8), ("tip", 0, 0.7)],
 )  # fmt: skip
-def test_a_clipped_sensor_is_masked_where_it_is_clipped(tank, channel, number, share):
+def test_clipped_readings_are_masked(tank, channel, number, share):
     row, ends = ROW[channel], []
 
     def clip(t, values):
@@ -266,7 +266,7 @@ def test_a_clipped_sensor_is_masked_where_it_is_clipped(tank, channel, number, s
     assert not np.nanmax(np.abs(left), initial=0.0) >= ends[0] * (1.0 - 1e-9)
 
 
-def test_a_pressure_that_saturates_is_no_clipped_sensor():
+def test_a_saturated_pressure_with_noise_is_not_clipped():
     rng = np.random.default_rng(0)
     for level in np.linspace(200e3, 200e3 + damage.QUANTUM, 7):
         true = np.minimum(260e3 * np.abs(np.sin(np.arange(3000) / 200.0)), level)
@@ -274,20 +274,20 @@ def test_a_pressure_that_saturates_is_no_clipped_sensor():
             read = damage.QUANTUM * np.round(
                 (true + noise * rng.normal(size=3000)) / damage.QUANTUM
             )
-            g = grain(read, noise)
+            g = quantisation(read, noise)
             assert not clipped(read, g).any() and not stuck(read, g).any(), (level, noise)
 
 
-def test_an_end_that_is_read_less_often_than_what_lies_beside_is_no_end_of_range():
+def test_an_extreme_reading_that_is_rarer_than_its_neighbour_is_not_clipped():
     """Bounded noise has a largest reading too."""
     codes = np.repeat([-2.0, -1.0, 0.0, 1.0], [100, 300, 300, 100])
     shuffled = np.random.default_rng(0).permutation(codes)
-    assert not clipped(shuffled, Grain(0.75, 1.0)).any()
-    assert clipped(np.minimum(shuffled, 0.0), Grain(0.75, 1.0)).sum() >= 400
+    assert not clipped(shuffled, Quantisation(0.75, 1.0)).any()
+    assert clipped(np.minimum(shuffled, 0.0), Quantisation(0.75, 1.0)).sum() >= 400
 
 
 @pytest.mark.parametrize("width", [1, 2, 3])
-def test_spikes_are_masked_and_nothing_else(width):
+def test_only_the_spikes_are_found(width):
     rng = np.random.default_rng(width)
     t = np.arange(2000) / 500.0
     values = 0.5 * np.sin(2 * np.pi * 3 * t) + 0.02 * rng.normal(size=2000)
@@ -298,11 +298,11 @@ def test_spikes_are_masked_and_nothing_else(width):
     expected = np.zeros(2000, bool)
     for i in at:
         expected[i : i + width] = True
-    np.testing.assert_array_equal(spikes(broken, grain(broken, 0.02)), expected)
-    assert not spikes(values, grain(values, 0.02)).any()
+    np.testing.assert_array_equal(spikes(broken, quantisation(broken, 0.02)), expected)
+    assert not spikes(values, quantisation(values, 0.02)).any()
 
 
-def test_a_spike_in_a_file_is_named(tank):
+def test_a_spike_in_a_file_is_reported_and_masked(tank):
     def spike(t, values):
         values[3, 333] = -40.0
         return t, values
@@ -313,7 +313,7 @@ def test_a_spike_in_a_file_is_named(tank):
     assert np.flatnonzero(~np.isfinite(record(found, 6).values[3])).tolist() == [333]
 
 
-# Trials that stand apart after the fit
+# Outliers after the fit
 
 
 def squares(trials, seed, worst=None, factor=1.0):
@@ -325,20 +325,20 @@ def squares(trials, seed, worst=None, factor=1.0):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_trial_that_no_fit_explains_is_an_outlier(whole, seed):
+def test_only_a_far_larger_residual_than_the_other_trials_is_an_outlier(whole, seed):
     trials = experiment.load(whole / "experiment.toml").trials
     worst = seed + 2
-    assert outliers(trials, squares(trials, seed)) == []
-    assert outliers(trials, squares(trials, seed, worst, 20.0)) == []
-    found = outliers(trials, squares(trials, seed, worst, 300.0))
+    assert residual_outliers(trials, squares(trials, seed)) == []
+    assert residual_outliers(trials, squares(trials, seed, worst, 20.0)) == []
+    found = residual_outliers(trials, squares(trials, seed, worst, 300.0))
     assert [(x.trial, x.kind, x.channel) for x in found] == [
         (trials[worst].file, "outlier", "thrust")
     ]
 
 
-def test_what_grows_with_a_setting_is_no_outlier(whole):
+def test_a_residual_that_follows_a_setting_is_no_outlier(whole):
     trials = experiment.load(whole / "experiment.toml").trials
     found = squares(trials, 0)
     found["recoil"] = np.array([t.frequency**7 for t in trials])
     found["thrust"] = np.array([200.0 if t.tow_speed else 1.0 for t in trials])
-    assert outliers(trials, found) == []
+    assert residual_outliers(trials, found) == []

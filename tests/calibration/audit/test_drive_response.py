@@ -1,9 +1,9 @@
-"""The rear pressure's lag behind the front's, from pressures that a lag makes of square waves."""
+"""The rear pressure's lag behind the front's, from a lag's response to square waves."""
 
 import numpy as np
 import pytest
 
-from calibration.audit.drive_response import pair, wrapped
+from calibration.audit.drive_response import rear_lag_and_ratio, wrapped
 from calibration.measurements.records import Record
 from slider_jax.actuation import FirstOrderLag, SquareWave
 from slider_jax.actuation.pressure import pressure_history
@@ -13,7 +13,7 @@ PHASE, RATIO = 0.3, 0.8
 
 
 def record(seconds: float) -> Record:
-    """Of a trial at 1 Hz."""
+    """Return the record of a trial at 1 Hz."""
     drive = {"frequency": 1.0, "amplitude": 1e5, "rear_ratio": RATIO, "phase": PHASE}
     trial = Trial.model_validate({"file": "a.csv", "duration": seconds} | drive)
     t = np.arange(0.0, seconds, 0.002)
@@ -25,12 +25,12 @@ def record(seconds: float) -> Record:
 
 
 @pytest.mark.parametrize("seconds", [1.8, 3.0, 6.5])
-def test_lag_and_ratio_are_those_of_the_drives(seconds):
-    lag, ratio = pair(record(seconds))
+def test_lag_and_ratio_equal_those_of_the_drives(seconds):
+    lag, ratio = rear_lag_and_ratio(record(seconds))
     print(f"{lag:.3f} of a period, {ratio:.3f}")
     assert abs(wrapped(lag - PHASE)) < 0.03
     assert ratio == pytest.approx(1.0 / RATIO, rel=0.1)
 
 
-def test_of_less_than_a_settled_stride_neither_is_told():
-    assert pair(record(1.2)) is None
+def test_less_than_a_settled_stride_gives_neither_lag_nor_ratio():
+    assert rear_lag_and_ratio(record(1.2)) is None

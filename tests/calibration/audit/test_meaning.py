@@ -1,4 +1,4 @@
-"""The audit of what a file's numbers mean: units, signs, columns, clocks, settings."""
+"""The audit of units, signs, columns, clocks and settings."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def whole(tmp_path_factory):
 
 @pytest.fixture
 def tank(whole, tmp_path):
-    """A copy of the whole experiment, to be damaged."""
+    """A copy of the undamaged experiment; a test damages the copy."""
     for file in whole.iterdir():
         (tmp_path / file.name).write_bytes(file.read_bytes())
     return tmp_path
@@ -42,7 +42,7 @@ UNITS = [
 
 @pytest.mark.parametrize("which", ["one", "all"])
 @pytest.mark.parametrize(("channel", "factor", "unit"), UNITS)
-def test_wrong_units_are_mended(tank, whole, channel, factor, unit, which):
+def test_wrong_units_are_converted(tank, whole, channel, factor, unit, which):
     numbers = range(8) if which == "all" else [4]
     for i in numbers:
         scale = np.where(np.arange(5) == ROW[channel], factor, 1.0)[:, None]
@@ -54,7 +54,7 @@ def test_wrong_units_are_mended(tank, whole, channel, factor, unit, which):
         same_as_whole(found, whole, i, ROW[channel])
 
 
-def test_both_forces_in_millinewton_everywhere_are_mended(tank, whole):
+def test_both_forces_in_millinewton_in_all_trials_are_converted(tank, whole):
     for i in range(8):
         alter(tank, i, lambda t, v: (t, v * np.array([1, 1, 1e3, 1e3, 1])[:, None]))
     found = audited(tank)
@@ -63,7 +63,7 @@ def test_both_forces_in_millinewton_everywhere_are_mended(tank, whole):
 
 
 @pytest.mark.parametrize("which", ["one", "all"])
-def test_times_in_milliseconds_are_mended(tank, whole, which):
+def test_times_in_milliseconds_are_converted(tank, whole, which):
     numbers = range(8) if which == "all" else [4]
     for i in numbers:
         alter(tank, i, lambda t, v: (1e3 * t, v))
@@ -73,7 +73,7 @@ def test_times_in_milliseconds_are_mended(tank, whole, which):
 
 
 @pytest.mark.parametrize("channel", ["p_front", "thrust", "recoil", "tip"])
-def test_a_turned_sign_is_mended(tank, whole, channel):
+def test_an_inverted_sign_is_repaired(tank, whole, channel):
     sign = np.where(np.arange(5) == ROW[channel], -1.0, 1.0)[:, None]
     alter(tank, 1, lambda t, v: (t, v * sign))
     found = audited(tank)
@@ -86,7 +86,7 @@ PAIRS = [(0, 1), (2, 3), (0, 2), (1, 3), (1, 4), (3, 4)]
 
 @pytest.mark.parametrize("which", ["one", "all"])
 @pytest.mark.parametrize("pair", PAIRS)
-def test_swapped_columns_are_put_back(tank, whole, pair, which):
+def test_swapped_columns_are_repaired(tank, whole, pair, which):
     numbers = {"one": [3 + sum(pair) % 4], "all": range(8)}[which]
     order = np.arange(5)
     order[list(pair)] = pair[::-1]
@@ -104,15 +104,15 @@ def test_swapped_columns_are_put_back(tank, whole, pair, which):
 
 
 @pytest.mark.parametrize(("off", "number"), [(-0.02, 0), (-0.006, 4), (0.006, 7), (0.025, 1)])
-def test_a_skewed_clock_whose_rate_shows_it_is_mended(tank, whole, off, number):
+def test_a_skewed_clock_with_a_skewed_rate_is_repaired(tank, whole, off, number):
     alter(tank, number, lambda t, v: (t * (1.0 + off), v))
     found = audited(tank)
     only(found, number, ("clock_skew", "t_s", "mended"))
     same_as_whole(found, whole, number)
 
 
-def test_a_skewed_clock_that_nothing_else_shows_is_left_out(tank):
-    def drift(t, values):  # the logger believes in its even rate
+def test_a_skewed_clock_with_the_declared_rate_is_left_out(tank):
+    def drift(t, values):
         late = np.interp(t, 1.01 * t, t)
         for row in range(4):
             values[row] = np.interp(late, t, values[row])
@@ -123,7 +123,7 @@ def test_a_skewed_clock_that_nothing_else_shows_is_left_out(tank):
     only(found, 4, ("clock_skew", "t_s", "left out"))
 
 
-def test_a_clock_that_is_skewed_in_all_trials_is_mended(tank, whole):
+def test_a_clock_that_is_skewed_in_all_trials_is_repaired(tank, whole):
     for i in range(8):
         alter(tank, i, lambda t, v: (1.02 * t, v))
     found = audited(tank)
@@ -132,7 +132,7 @@ def test_a_clock_that_is_skewed_in_all_trials_is_mended(tank, whole):
 
 
 @pytest.mark.parametrize("off", [0.04, -0.05, 0.15])
-def test_times_that_are_offset_are_left_out(tank, off):
+def test_a_trial_with_offset_times_is_left_out(tank, off):
     alter(tank, 3, lambda t, v: (t[t + off >= 0.0] + off, v[:, t + off >= 0.0]))
     found = audited(tank)
     assert ("time_offset", "t_s", "left out") in kinds(found, 3)
@@ -144,7 +144,7 @@ def test_an_offset_of_a_few_milliseconds_is_no_fault(tank):
     assert kinds(audited(tank)) == []
 
 
-def test_exchanged_files_are_left_out_and_the_other_is_named(tank):
+def test_exchanged_files_are_left_out_and_their_findings_name_each_other(tank):
     a, b = tank / "trial_03.csv", tank / "trial_05.csv"
     first, second = a.read_bytes(), b.read_bytes()
     a.write_bytes(second)
@@ -162,7 +162,7 @@ def test_exchanged_files_are_left_out_and_the_other_is_named(tank):
      (4, {"phase": 0.3}, "wrong_phase"), (6, {"phase": 0.15}, "wrong_phase"),
      (2, {"amplitude": 250e3}, "wrong_amplitude"), (5, {"amplitude": 150e3}, "wrong_amplitude")],
 )  # fmt: skip
-def test_settings_that_were_not_run_are_named(tank, number, changes, kind):
+def test_a_trial_with_wrong_settings_is_left_out(tank, number, changes, kind):
     loaded = experiment.load(tank / "experiment.toml")
     wrong = loaded.with_values({f"trials.{number}.{key}": x for key, x in changes.items()})
     found = audit_measurements(wrong, 3, predict)
@@ -182,7 +182,7 @@ def test_one_corrupt_trial_among_eight_is_left_out(tank, seed):
     assert len(found.records) == 7
 
 
-def test_a_force_that_resembles_nothing_is_masked(tank):
+def test_a_force_without_correlation_to_its_prediction_is_masked(tank):
     rng = np.random.default_rng(1)
 
     def noise(t, values):
@@ -195,7 +195,7 @@ def test_a_force_that_resembles_nothing_is_masked(tank):
     assert not record(found, 4).has("recoil")
 
 
-def test_another_rate_is_told_and_used(tank):
+def test_a_trial_with_another_sample_rate_is_reported_and_used(tank):
     lines_of(tank, 4, lambda x: [x[0], *x[1::2]])
     found = audited(tank)
     only(found, 4, ("sample_rate", "t_s", "used"))
