@@ -1,12 +1,12 @@
-"""An experiment for the simulated rig, and a program that hears Ctrl-C."""
+"""An experiment for the simulated rig, and a program that handles Ctrl-C."""
 
-HEARS_CTRL_C = """
+HANDLES_CTRL_C = """
 import signal, sys
 from slider_jax.cli.main import main
 signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.exit(main(sys.argv[1:]))
 """
-"""A shell's background jobs, and what they start, ignore it."""
+"""Restores the handler of SIGINT, which a shell's background jobs ignore."""
 
 EXPERIMENT = """
 name = "vents"

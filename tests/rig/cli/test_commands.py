@@ -1,4 +1,4 @@
-"""`slider rig` as a newcomer meets it: a simulated rig, a check, a run, a replay."""
+"""The commands of `slider rig` with a simulated rig: check, run, replay, log, loop."""
 
 import json
 import re
@@ -45,7 +45,7 @@ def measured(rig):
 
 
 @pytest.mark.parametrize(
-    "words",
+    "arguments",
     [
         ("--help",),
         ("rig", "--help"),
@@ -53,18 +53,18 @@ def measured(rig):
         *(("rig", x, "--help") for x in ("check", "run", "log", "replay", "simulate")),
     ],
 )
-def test_the_rigs_commands_start_without_jax(words):
-    """The other tests of this file run check, run, log, replay and simulate without JAX."""
-    done = slider(*words)
+def test_the_rigs_commands_start_without_jax(arguments):
+    """Other tests run check, run, log, replay and simulate in full without JAX."""
+    done = slider(*arguments)
     assert done.returncode == 0, done.stderr
     assert done.stdout
 
 
-def test_a_check_names_the_firmware_and_finds_nothing(rig):
+def test_a_check_prints_the_firmware_and_has_no_findings(rig):
     port, folder = rig
     rig_file = folder / "simulated_rig.toml"
-    words = ("rig", "check", "--port", port, "--rig", rig_file, "--out", folder / "check.json")
-    done = slider(*words)
+    arguments = ("rig", "check", "--port", port, "--rig", rig_file, "--out", folder / "check.json")
+    done = slider(*arguments)
     assert done.returncode == 0, done.stderr
     assert re.search(r"force sensor: (99\d|100\d) records a second, 0 lost", done.stdout)
     assert "firmware 1.1.0, protocol 1" in done.stdout and "no findings" in done.stdout
@@ -85,21 +85,21 @@ def test_a_check_finds_a_leak(tmp_path):
     assert done.stdout.count("a leak") == 1
 
 
-def test_a_run_leaves_an_experiments_folder(measured):
+def test_a_run_writes_an_experiments_folder(measured):
     done, out = measured
     assert "a.csv" in done.stdout and "slider close-loop" in done.stderr
     found = np.genfromtxt(out / "a.csv", delimiter=",", names=True)
     assert found.dtype.names == ("t_s", "p_front_Pa", "p_rear_Pa", "thrust_N", "recoil_N", "tip_m")
     assert len(found) == pytest.approx(500, abs=1) and np.isfinite(found.tolist()).all()
     assert np.abs(found["p_front_Pa"]).max() == pytest.approx(190e3, rel=0.1)
-    # As the bench's tail has it: thrust is twice the square of its tip's speed.
+    # In the simulated bench, thrust is proportional to the square of the tip's speed.
     speed = np.gradient(found["tip_m"], found["t_s"])
     assert np.corrcoef(found["thrust_N"], speed**2)[0, 1] > 0.97
-    told = json.loads((out / "recordings" / "a.json").read_text())
-    # Other tests beside this one may hold up its commands.
-    assert [x for x in told["findings"] if "too busy" not in x] == []
-    assert told["readings_lost"] == 0 and abs(told["clock_rate"] - 1.0) < 1e-3
-    assert told["settings"]["rig"]["force"]["thrust"] == "+Fx" and "h5py" in told["versions"]
+    record = json.loads((out / "recordings" / "a.json").read_text())
+    # Tests that run at the same time may delay the commands.
+    assert [x for x in record["findings"] if "too busy" not in x] == []
+    assert record["readings_lost"] == 0 and abs(record["clock_rate"] - 1.0) < 1e-3
+    assert record["settings"]["rig"]["force"]["thrust"] == "+Fx" and "h5py" in record["versions"]
 
 
 def test_the_simulator_reads_the_folder(measured):
@@ -110,9 +110,9 @@ def test_the_simulator_reads_the_folder(measured):
     assert set(columns) == {"t_s", "p_front_Pa", "p_rear_Pa", "thrust_N", "recoil_N", "tip_m"}
 
 
-def test_a_recording_is_read_anew_as_it_was(measured, tmp_path):
-    """The box's counts are in it: no box is asked, and no rig file needed."""
-    out = tmp_path / "anew"
+def test_a_replay_reproduces_the_files_of_the_run(measured, tmp_path):
+    """The recording contains the box's counts, so a replay needs neither the box nor a rig file."""
+    out = tmp_path / "converted"
     done = slider("rig", "replay", measured[1], "--out", out)
     assert done.returncode == 0, done.stderr
     assert sorted(x.name for x in out.iterdir()) == ["a.csv", "a.played.csv", "experiment.toml"]
@@ -120,9 +120,9 @@ def test_a_recording_is_read_anew_as_it_was(measured, tmp_path):
         assert (out / name).read_bytes() == (measured[1] / name).read_bytes()
 
 
-def test_what_a_killed_run_recorded_is_read_anew(measured, tmp_path):
-    """The drive's first command tells when it began."""
-    folder, out = tmp_path / "folder", tmp_path / "anew"
+def test_a_replay_converts_the_recording_of_a_killed_run(measured, tmp_path):
+    """The first command gives the beginning of the drive."""
+    folder, out = tmp_path / "folder", tmp_path / "converted"
     shutil.copytree(measured[1], folder)
     recordings = folder / "recordings"
     (recordings / "a.h5").rename(recordings / "a.unfinished-1.h5")
@@ -145,7 +145,7 @@ def test_what_a_killed_run_recorded_is_read_anew(measured, tmp_path):
     assert not (tmp_path / "nothing").exists()
 
 
-def test_a_run_killed_before_its_drive_has_none(tmp_path):
+def test_a_recording_without_a_drive_is_refused(tmp_path):
     path = tmp_path / "a.h5"
     with Recorder(path, ("manifold", "commands")) as recorder:
         recorder.sink("commands")(1, encode_frame(SetPressures(1, 0, 0, 0, 0)))
@@ -165,15 +165,13 @@ SENSORS = "[sensors]  # of the lab\npressure_noise = 10.0\n"
         (SENSORS + "start_swing = 3e-4\n", "3e-4"),
     ],
 )
-def test_what_the_tip_swung_by_is_declared_and_the_folder_stays_the_experiments(
-    sensors, after, tmp_path
-):
+def test_the_tips_swing_is_declared_and_the_folder_can_be_used_again(sensors, after, tmp_path):
     given, path = tmp_path / "given.toml", tmp_path / "out" / "experiment.toml"
     given.write_text(EXPERIMENT.format(duration=1.0).replace("[[trials]]", f"{sensors}[[trials]]"))
     path.parent.mkdir()
     install_experiment(given, path.parent)
-    told = {"at_rest_deviation": {"tip_m": 5e-4}, "at_rest_noise": {"tip_m": 3e-4}}
-    declare_swing(path, [told])
+    record = {"at_rest_deviation": {"tip_m": 5e-4}, "at_rest_noise": {"tip_m": 3e-4}}
+    declare_swing(path, [record])
     assert re.findall(r"start_swing = (\S+)", path.read_text()) == [after]
     assert "noise = 10.0" in path.read_text() or not sensors
     added = path.read_text() + '\n[[trials]]\nfile = "b.csv"\nfrequency = 1.0\namplitude = 1e4\n'
@@ -189,10 +187,12 @@ def test_what_the_tip_swung_by_is_declared_and_the_folder_stays_the_experiments(
     assert path.read_text() == given.read_text()
 
 
-def test_a_recording_is_read_anew_with_other_axes(measured, tmp_path):
+def test_a_replay_uses_other_axes_of_a_rig_file(measured, tmp_path):
     rig_file = tmp_path / "rig.toml"
-    rig_file.write_text('[force]\nhost = "none"\nthrust = "-Fx"\n')  # the counts are recorded
-    out = tmp_path / "anew"
+    rig_file.write_text(
+        '[force]\nhost = "none"\nthrust = "-Fx"\n'
+    )  # the counts are in the recording
+    out = tmp_path / "converted"
     done = slider("rig", "replay", measured[1], "--out", out, "--rig", rig_file)
     assert done.returncode == 0, done.stderr
     before, after = (
@@ -203,7 +203,7 @@ def test_a_recording_is_read_anew_with_other_axes(measured, tmp_path):
     assert "no tip_m: the rig file has no such sensor" in done.stdout
 
 
-def test_what_a_manifold_said_is_said_again(measured, tmp_path):
+def test_a_replay_sends_the_recorded_bytes_on_a_port(measured, tmp_path):
     from rig.manifold.serial_port import open_port
     from rig.protocol.messages import FrameDecoder
 
@@ -215,7 +215,7 @@ def test_what_a_manifold_said_is_said_again(measured, tmp_path):
         while time.monotonic() < end:
             found += [m for m in decoder.feed(line.read(4096)) if isinstance(m, Reading)]
         line.close()
-    # From the first on, however late the program opens the port.
+    # The replay begins when the program opens the port.
     first = read_recording(recording).streams["manifold"].pieces()
     begun = next(m for m in FrameDecoder().feed(b"".join(first)) if isinstance(m, Reading))
     assert found[0].seq - begun.seq <= 5
@@ -223,7 +223,7 @@ def test_what_a_manifold_said_is_said_again(measured, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("arguments", "message"),
     [
         (("run", "{exp}", "--port", "/dev/ttyNONE", "--out", "{out}"), "no such port"),
         (("run", "none.toml", "--port", "x", "--out", "{out}"), "none.toml: no such file"),
@@ -250,11 +250,11 @@ def test_what_a_manifold_said_is_said_again(measured, tmp_path):
         (("log", "9", "--port", "x", "--out", "{out}"), "frequencies: given 9; allowed 0.1 to 5"),
     ],
 )
-def test_bad_input_is_told_in_one_message(words, message, tmp_path):
+def test_invalid_input_is_reported_in_one_message(arguments, message, tmp_path):
     path = tmp_path / "experiment.toml"
     path.write_text(EXPERIMENT.format(duration=1.0))
     names = {"exp": path, "out": tmp_path / "out", "here": tmp_path}
-    done = slider("rig", *(word.format(**names) for word in words))
+    done = slider("rig", *(x.format(**names) for x in arguments))
     assert done.returncode == 2 and message in done.stderr, done.stderr
     assert done.stderr.startswith("slider: error: ") and not (tmp_path / "out").exists()
 
@@ -268,8 +268,8 @@ def test_a_limit_is_checked_before_anything_moves(rig, tmp_path):
     assert "trial a: set pressure of front_left: given 260000 Pa; allowed 0 to" in done.stderr
 
 
-def test_a_check_of_a_bad_line_tells_of_its_damage(tmp_path):
-    """Also where so few commands arrive that the manifold vents in mid-check."""
+def test_a_check_of_a_bad_line_reports_damaged_frames(tmp_path):
+    """Also if so few commands arrive that the manifold vents during the check."""
     with served("rig", "simulate", "--flipped", "0.04", cwd=tmp_path) as port:
         done = slider("rig", "check", "--port", port)
     assert done.returncode in (1, 2)
@@ -277,7 +277,7 @@ def test_a_check_of_a_bad_line_tells_of_its_damage(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_check_and_a_run_end_on_a_line_that_loses_a_few_and_tell_of_it(tmp_path):
+def test_a_check_and_a_run_on_a_poor_line_end_and_report_losses(tmp_path):
     path = tmp_path / "given.toml"
     path.write_text(EXPERIMENT.format(duration=1.0))
     with served("rig", "simulate", "--flipped", "0.001", cwd=tmp_path) as port:
@@ -287,19 +287,19 @@ def test_a_check_and_a_run_end_on_a_line_that_loses_a_few_and_tell_of_it(tmp_pat
         assert "front_left " in done.stdout
         done = slider("rig", "run", path, "--port", port, "--out", tmp_path / "out")
     assert done.returncode == 1
-    assert "1 of 1 trials lost more than one reading in a hundred" in done.stderr
+    assert "1 of 1 trials lost more than 1 % of their readings" in done.stderr
 
 
-def test_a_run_goes_on_with_a_rig_at_another_address():
-    told = {"rig": {"force": {"host": "a", "port": 1, "thrust": "+Fx"}}}
+def test_a_run_is_resumed_with_a_rig_at_another_address():
+    before = {"rig": {"force": {"host": "a", "port": 1, "thrust": "+Fx"}}}
     moved = {"rig": {"force": {"host": "b", "port": 2, "thrust": "+Fx"}}}
     turned = {"rig": {"force": {"host": "a", "port": 1, "thrust": "-Fx"}}}
-    assert changed_settings(told, moved) == [] and changed_settings(told, turned) == [
+    assert changed_settings(before, moved) == [] and changed_settings(before, turned) == [
         "rig.force.thrust"
     ]
 
 
-def test_a_log_is_taken_of_the_simulated_published_firmware(tmp_path):
+def test_a_log_of_the_simulated_published_firmware_is_recorded(tmp_path):
     with served("rig", "simulate", "--published", cwd=tmp_path) as port:
         done = slider("rig", "log", "5", "--port", port, "--out", tmp_path / "logs")
     assert done.returncode == 0, done.stderr
@@ -320,7 +320,7 @@ def test_a_pause_names_the_sensor_that_still_moves():
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("arguments", "message"),
     [
         ((), "trials: given 1; allowed 3 or more"),
         (("--amplitude", "2e5", "1e5"), "--amplitude: given 200000 100000; allowed LOW HIGH"),
@@ -328,13 +328,13 @@ def test_a_pause_names_the_sensor_that_still_moves():
         (("--phase", "0.1"), "--phase"),
     ],
 )
-def test_a_loop_that_cannot_be_is_refused_at_once(words, message, tmp_path, capsys):
+def test_a_loop_with_invalid_arguments_is_refused(arguments, message, tmp_path, capsys):
     path, out = tmp_path / "experiment.toml", tmp_path / "out"
     text = EXPERIMENT.format(duration=1.0)
     trial = text[text.index("[[trials]]") :]
-    for name in "bc" if words else "":
+    for name in "bc" if arguments else "":
         text += "\n" + trial.replace("a.csv", f"{name}.csv")
     path.write_text(text)
-    assert main(["rig", "loop", str(path), "--port", "x", "--out", str(out), *words]) == 2
+    assert main(["rig", "loop", str(path), "--port", "x", "--out", str(out), *arguments]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert message in line and not out.exists()

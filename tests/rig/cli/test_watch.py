@@ -1,4 +1,4 @@
-"""The model beside a simulated rig: followed in time, and an alarm when a chamber leaks."""
+"""`slider rig watch` with a simulated rig keeps up, and raises an alarm when a chamber leaks."""
 
 import json
 import os
@@ -12,18 +12,18 @@ import pytest
 
 from tests.support.command import served, slider
 from tests.support.data import ROOT
-from tests.support.rig_experiment import EXPERIMENT, HEARS_CTRL_C
+from tests.support.rig_experiment import EXPERIMENT, HANDLES_CTRL_C
 
 pytestmark = pytest.mark.slow
 LEAK = 34.0
-"""When it begins, on the rig's own clock [s]: the watch begins some seconds after the rig, and
-learns its bands for eight."""
+"""Start of the leak on the rig's clock [s]. The watch starts some seconds after the rig, and learns
+its bands for 8 s."""
 
 
 def robot_in(folder):
     path = folder / "experiment.toml"
-    told = EXPERIMENT.format(duration=60.0).replace("frequency = 5.0", "frequency = 2.5")
-    path.write_text(told + "\n[numerics]\nnodes = 51\nstep = 0.002\n")
+    text = EXPERIMENT.format(duration=60.0).replace("frequency = 5.0", "frequency = 2.5")
+    path.write_text(text + "\n[numerics]\nnodes = 51\nstep = 0.002\n")
     return path
 
 
@@ -44,9 +44,9 @@ def watched(tmp_path_factory):
 def test_a_leak_raises_an_alarm_that_names_it(watched):
     done, out = watched
     assert done.returncode == 1, done.stderr
-    told = json.loads((out / "watch.json").read_text())
-    (alarm,) = told["alarms"]
-    assert 0.0 < told["t_0_device_s"] + alarm["t_s"] - LEAK < 2.0
+    content = json.loads((out / "watch.json").read_text())
+    (alarm,) = content["alarms"]
+    assert 0.0 < content["t_0_device_s"] + alarm["t_s"] - LEAK < 2.0
     assert re.search("leak", alarm["said"]) and "front" in alarm["said"]
     assert "ALARM" in done.stdout
 
@@ -61,25 +61,25 @@ def test_the_model_keeps_up_with_the_rig(watched):
     assert rows["residual_thrust_N"][late].mean() < 0.05
 
 
-def test_a_sound_robot_gives_no_alarm_and_what_was_watched_outlives_ctrl_c(tmp_path):
+def test_a_healthy_robot_raises_no_alarm_and_ctrl_c_keeps_the_results(tmp_path):
     path, out = robot_in(tmp_path), tmp_path / "out"
     with served("rig", "simulate", path, cwd=tmp_path, code="import sys; ") as port:
         words = ("rig", "watch", path, "--port", port, "--rig", tmp_path / "simulated_rig.toml",
                  "--out", out)  # fmt: skip
         child = subprocess.Popen(
-            [sys.executable, "-c", HEARS_CTRL_C, *map(str, words)], stderr=subprocess.PIPE,
+            [sys.executable, "-c", HANDLES_CTRL_C, *map(str, words)], stderr=subprocess.PIPE,
             stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)},
         )  # fmt: skip
         for line in child.stderr:
             if re.match(r" +[234]\d\.\d s", line):
                 break
         child.send_signal(signal.SIGINT)
-        said, errors = child.communicate(timeout=60.0)
+        output, errors = child.communicate(timeout=60.0)
     assert child.returncode == 130, errors
-    assert "ms late" in said and "ALARM" not in said
-    told = json.loads((out / "watch.json").read_text())
-    assert told["alarms"] == [] and told["ended"] == "stopped"
+    assert "ms late" in output and "ALARM" not in output
+    content = json.loads((out / "watch.json").read_text())
+    assert content["alarms"] == [] and content["ended"] == "stopped"
     rows = np.genfromtxt(out / "watch.csv", delimiter=",", names=True)
     assert rows["t_s"][-1] > 20.0
-    # The pressures are followed within their noise: drives count as they were played.
+    # The model uses the played drive, so the pressures' residual is within their noise.
     assert rows["residual_p_front_Pa"][rows["t_s"] > 5.0].mean() < 1000.0

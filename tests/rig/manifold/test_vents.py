@@ -21,7 +21,7 @@ from rig.simulated.terminal import in_thread
 from rig.trial.capture import ManifoldSinks, PlannedTrial, SwitchableSink, TrialTiming, record_trial
 from rig.trial.waveform import SegmentDrive
 from tests.support.data import ROOT
-from tests.support.rig_experiment import EXPERIMENT, HEARS_CTRL_C
+from tests.support.rig_experiment import EXPERIMENT, HANDLES_CTRL_C
 
 WITHIN = 0.15
 LIMITS = PressureLimits.of([250e3])
@@ -80,7 +80,7 @@ def device():
 def start(port, tmp_path, duration):
     path = tmp_path / "experiment.toml"
     path.write_text(EXPERIMENT.format(duration=duration))
-    command = [sys.executable, "-c", HEARS_CTRL_C, "rig", "run", str(path)]
+    command = [sys.executable, "-c", HANDLES_CTRL_C, "rig", "run", str(path)]
 
     return subprocess.Popen(
         [*command, "--port", port, "--out", str(tmp_path / "out")],
