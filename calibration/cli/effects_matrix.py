@@ -1,8 +1,6 @@
-"""`slider effects matrix`: what an experiment could find and separate, before any data."""
+"""`slider effects matrix`: detection limits of effects in an experiment, before any data."""
 
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,6 +8,7 @@ import numpy as np
 import tyro
 
 from slider_jax.cli.options import Folder, ModelFile, Range
+from slider_jax.cli.progress import timed_printer
 from slider_jax.errors import InputError, did_you_mean
 
 Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")]
@@ -26,26 +25,27 @@ def effects_matrix(
     tow_speed: Range = None,
     model: ModelFile = None,
 ) -> None:
-    """Say which effects an experiment could detect, from what size on, and which look alike.
+    """Compute the detection limits of effects, and which effects an experiment cannot discriminate.
 
-    Nothing needs to be measured. A run that was stopped goes on where it was when it is started
-    again. Writes DIR/matrix.json and DIR/matrix.png. With --separate, also
-    which trial to run next to tell the effects named apart: in DIR/matrix.json, and as
-    DIR/next_trial.toml to add to the experiment. The limits of that trial are those of the
-    experiment's own trials, slightly widened, unless given.
+    The trials need not be measured. Writes DIR/matrix.json and DIR/matrix.png. With --separate, the
+    command also searches the next trial that discriminates best between the given effects, and
+    writes it to DIR/matrix.json and DIR/next_trial.toml. An interrupted run resumes when you repeat
+    the command.
 
     Args:
-        experiment: the experiment file (.toml); measured trials beside it are not needed.
-        out: folder for the results; made if missing, files of the same name are replaced.
-        effects: the effects asked about, by default those of --separate, else all.
-        separate: two or more effects that the next trial is to tell apart.
-        frequency: lowest and highest frequency of that trial, Hz.
-        amplitude: lowest and highest set pressure of that trial, Pa.
-        phase: lowest and highest phase of the rear chamber of that trial, fraction of a period.
-        tow_speed: lowest and highest tow speed of that trial, m/s.
+        experiment: experiment file (.toml); measured trials in its folder are used but not needed.
+        out: folder for the results; created if missing, files of the same name are replaced.
+        effects: names of the effects (default: those of --separate, or else all).
+        separate: names of two or more effects between which the next trial discriminates.
+        frequency: lowest and highest frequency of the next trial, in Hz (default: the range of the
+            experiment's trials, widened by 10 %).
+        amplitude: lowest and highest set pressure of the next trial, in Pa (default: as above).
+        phase: lowest and highest phase of the rear chamber in the next trial, as a fraction of a
+            period (default: as above).
+        tow_speed: lowest and highest tow speed of the next trial, in m/s (default: as above).
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
     """
-    from calibration.experiment_design.detectability import detectability_matrix as matrix_of
+    from calibration.experiment_design.detectability import detectability_matrix
     from calibration.experiment_design.detectability_report import (
         detectability_record,
         matrix_table,
@@ -59,36 +59,33 @@ def effects_matrix(
     _check("--effects", effects)
     _check("--separate", separate)
     if separate and len(set(separate)) < 2:
-        raise InputError("--separate: given one effect; allowed two or more, to be told apart")
+        raise InputError("--separate: given one effect; allowed two or more")
     given = dict(zip(TrialLimits._fields, (frequency, amplitude, phase, tow_speed), strict=True))
     for name, limits in given.items():
         if limits is not None and not separate:
             option = f"--{name.replace('_', '-')}"
-            raise InputError(f"{option}: is a limit of the next trial; give --separate too")
+            raise InputError(f"{option}: limits the next trial; allowed only with --separate")
     loaded = load(experiment, model)
     within = limits_of(loaded, given) if separate else None
-    begun = time.monotonic()
-
-    def say(text: str) -> None:
-        print(f"{time.monotonic() - begun:5.0f} s  {text}", file=sys.stderr, flush=True)
-
+    progress = timed_printer()
     files = (experiment, *([model] if model else []))
     with resumable(out, input_settings(files, loaded.folder)) as memo:
-        say("compiling")
+        progress("compiling")
         names = tuple(dict.fromkeys((*effects, *separate))) or None
-        found = matrix_of(loaded, names, say, memo=memo)
-        told = detectability_record(found, input_file(experiment))
+        found = detectability_matrix(loaded, names, progress, memo=memo)
+        record = detectability_record(found, input_file(experiment))
         if within is not None:
-            told["next_trial"] = _next(found, tuple(dict.fromkeys(separate)), within, say)
+            names = tuple(dict.fromkeys(separate))
+            record["next_trial"] = _next_trial(found, names, within, progress)
         with staged(out) as stage:
             if within is not None:
-                write_text(stage / "next_trial.toml", told["next_trial"]["toml"])
-            write_json(stage / "matrix.json", told)
+                write_text(stage / "next_trial.toml", record["next_trial"]["toml"])
+            write_json(stage / "matrix.json", record)
             plot_matrix(found, stage / "matrix.png")
     print(matrix_table(found))
     written = "matrix.json and matrix.png"
     if within is not None:
-        print("\n" + _said(told["next_trial"]))
+        print("\n" + _next_trial_text(record["next_trial"]))
         written = "matrix.json, matrix.png and next_trial.toml"
     print(f"{written} are in {out}", file=sys.stderr)
 
@@ -100,30 +97,30 @@ def _check(option: str, names: tuple[str, ...]) -> None:
     for name in names:
         if name not in allowed:
             raise InputError(
-                f"{option}: given {name!r}; allowed the names that slider effects lists, without "
+                f"{option}: given {name!r}; allowed the names that slider effects lists, except "
                 f"gravity{did_you_mean(name, allowed)}"
             )
 
 
-def _next(found: Any, names: tuple[str, ...], within: Any, say: Callable[[str], None]) -> Any:
-    from calibration.experiment_design.detectability import at_limits
-    from calibration.experiment_design.pair_distance import separate
+def _next_trial(found: Any, names: tuple[str, ...], limits: Any, progress) -> Any:
+    from calibration.experiment_design.detectability import effects_at_limits
+    from calibration.experiment_design.pair_distance import separating_trial
 
-    f, before, members, sizes = at_limits(found, names)
-    unseen = [n for n in names if not np.all(np.isfinite(sizes[n]))]
-    if unseen:
+    at_limits = effects_at_limits(found, names)
+    failed = [n for n in names if not np.all(np.isfinite(at_limits.sizes[n]))]
+    if failed:
         raise InputError(
-            f"--separate {unseen[0]}: cannot be simulated in this experiment at the size that is "
-            "tried; leave it out"
+            f"--separate {failed[0]}: cannot be simulated in this experiment at its detection "
+            "limit; omit it"
         )
-    return separate(f, before, members, sizes, within, progress=say)
+    return separating_trial(*at_limits, limits, progress=progress)
 
 
-def _said(told: dict[str, Any]) -> str:
-    lines = [told["said"], "expected, each at the size from which this experiment would find it:"]
-    for x in told["pairs"]:
+def _next_trial_text(record: dict[str, Any]) -> str:
+    lines = [record["said"], "Predicted for effects at their detection limits:"]
+    for x in record["pairs"]:
         lines.append(
             f"  {x['first']}, {x['second']}: |cos| {x['cos_before']:.3f} -> {x['cos_after']:.3f}, "
-            f"{x['sigmas_before']:.1f} -> {x['sigmas_after']:.1f} standard deviations apart"
+            f"{x['sigmas_before']:.1f} -> {x['sigmas_after']:.1f} standard deviations"
         )
-    return "\n".join([*lines, "", told["toml"].rstrip()])
+    return "\n".join([*lines, "", record["toml"].rstrip()])

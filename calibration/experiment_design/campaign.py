@@ -1,6 +1,6 @@
-"""Trial after trial until it is settled what a model lacks: capture, close the loop, choose next.
+"""Campaign: capture trials, close the loop and choose the next trial, until the verdict is final.
 
-Where the trials come from is not known here: `capture` may be a rig, a simulated one, or a program.
+The function `capture` makes the trials: it may use a rig, a simulated rig or another program.
 """
 
 import json
@@ -21,64 +21,68 @@ from slider_jax.experiment.schema import Trial
 from slider_jax.io.files import input_file, write_json, write_text
 
 Capture = Callable[[tuple[Trial, ...]], None]
-"""Makes the files of these trials, in the experiment's folder."""
-Say = Callable[[str], None]
+"""Makes the files of these trials in the experiment's folder."""
 BUDGET = 12
+"""Default limit on the number of trials."""
 
 
 @dataclass(frozen=True)
 class CampaignRound:
-    """What the loop found with so many trials."""
+    """The loop's result with a number of trials."""
 
     trials: int
     verdict: str
     effects: list[str]
     said: str
+    """The verdict as a sentence."""
     next: str
-    """What is to be measured next and why, in a sentence."""
+    """The proposed trial and its reason as a sentence."""
 
 
 @dataclass(frozen=True)
 class Campaign:
-    """All rounds, and the last one's outcome and report. `settled`: more trials are needless."""
+    """All rounds of a campaign."""
 
     rounds: list[CampaignRound]
     outcome: LoopOutcome
+    """Outcome of the last round."""
     report: dict[str, Any]
+    """Content of report.json of the last round."""
     settled: bool
+    """Whether the verdict is final."""
 
 
 def verdict_is_final(outcome: LoopOutcome, following: dict[str, Any]) -> bool:
-    """Whether no further trial can change the verdict in kind.
+    """Return whether no further trial can change the kind of the verdict.
 
-    A class is settled once no trial within the limits is predicted to make it smaller.
-    Something that is not explained, or on which trials do not agree, is not settled.
+    A class is final if no trial within the limits is predicted to make it smaller. The verdicts
+    "unexplained" and "inconclusive" are never final.
     """
     if outcome.verdict in (NOTHING, IDENTIFIED):
         return True
     return outcome.verdict == CLASS and following.get("times", 1) is None
 
 
-def campaign(
+def run_campaign(
     path: Path,
     capture: Capture,
     out: Path,
     budget: int = BUDGET,
     limits: Callable[[Experiment], TrialLimits] | None = None,
-    say: Say = lambda text: None,
+    progress: Callable[[str], None] = lambda text: None,
     close: Callable[..., LoopOutcome] = close_loop_on_trials,
 ) -> Campaign:
-    """Closes the loop on the experiment `path` again and again, at most `budget` trials in all.
+    """Close the loop on the experiment file `path` repeatedly, with at most `budget` trials.
 
-    Trials of the file that are not measured yet are captured first; each that is chosen, within
-    `limits` of the experiment, is added to the file. `close` is `close_loop`, or that with other
-    candidates or meshes. `out`/round_NN.json is each round's report. What was stopped goes on.
-    Raises `InputError` for a budget below what the experiment begins with.
+    Each round captures the trials of the file that are not measured and closes the loop by `close`.
+    Then it chooses a trial within `limits`, adds it to the file and writes `out`/round_NN.json. An
+    interrupted campaign resumes when it is called again. Raise `InputError` if the budget is
+    smaller than the number of trials in the file.
     """
     experiment = load(path)
     if budget < len(experiment.trials):
         raise InputError.value(
-            "budget", budget, f"{len(experiment.trials)} trials, with which it begins, or more"
+            "budget", budget, f"{len(experiment.trials)} (the experiment's trials) or more"
         )
     out.mkdir(parents=True, exist_ok=True)
     rounds: list[CampaignRound] = []
@@ -86,30 +90,30 @@ def campaign(
         experiment = load(path)
         missing = [t for t in experiment.trials if not (experiment.folder / t.file).exists()]
         if missing:
-            say(f"capturing {', '.join(t.file for t in missing)}")
+            progress(f"capturing {', '.join(t.file for t in missing)}")
             capture(tuple(missing))
         count = len(experiment.trials)
-        say(f"closing the loop on {count} trials")
+        progress(f"closing the loop on {count} trials")
         with resumable(out, input_settings((path,), experiment.folder)) as memo:
-            outcome = close(experiment, progress=say, memo=memo, kept=_chosen(out))
-            following = next_experiment(outcome, say, limits(experiment) if limits else None)
-            told = loop_record(outcome, 0.0, input_file(path), following)
-            write_json(out / f"round_{count:02d}.json", told)
+            outcome = close(experiment, progress=progress, memo=memo, kept=_chosen(out))
+            following = next_experiment(outcome, progress, limits(experiment) if limits else None)
+            record = loop_record(outcome, 0.0, input_file(path), following)
+            write_json(out / f"round_{count:02d}.json", record)
         rounds.append(
             CampaignRound(
-                count, outcome.verdict, list(outcome.effects), told["said"], following["said"]
+                count, outcome.verdict, list(outcome.effects), record["said"], following["said"]
             )
         )
-        say(f"{count} trials: {told['said']}")
+        progress(f"{count} trials: {record['said']}")
         done = verdict_is_final(outcome, following)
         if done or count >= budget or following["trial"] is None:
-            return Campaign(rounds, outcome, told, done)
-        say(f"next: {following['said']}")
+            return Campaign(rounds, outcome, record, done)
+        progress(f"next: {following['said']}")
         write_text(path, path.read_text().rstrip() + "\n\n" + following["toml"])
 
 
 def _chosen(out: Path) -> list[str]:
-    """Files of the trials that the rounds before chose: what they are to tell must be searched."""
+    """Return the files of trials that earlier rounds chose; the selection must use these trials."""
     reports = [json.loads(path.read_text()) for path in sorted(out.glob("round_*.json"))]
     trials = [report["next_experiment"]["trial"] for report in reports]
     return [trial["file"] for trial in trials if trial is not None]

@@ -1,4 +1,4 @@
-"""The matrix of effects as a table, as matrix.json and as a picture."""
+"""The detectability matrix as text, as matrix.json and as a picture."""
 
 from pathlib import Path
 from typing import Any
@@ -8,7 +8,11 @@ from scipy.cluster.hierarchy import leaves_list, linkage
 from scipy.spatial.distance import squareform
 
 from calibration.discrepancy.settings import DEFAULT_SETTINGS
-from calibration.experiment_design.detectability import Limit, Matrix, required_gain
+from calibration.experiment_design.detectability import (
+    DetectabilityMatrix,
+    DetectionLimit,
+    required_gain,
+)
 from calibration.experiment_design.information import FINITE_START
 from calibration.model.extended import candidates
 from slider_jax.channels import CHANNELS
@@ -16,32 +20,30 @@ from slider_jax.io.figures import new_figure, save_figure
 from slider_jax.io.files import versions
 
 NOTES = {
-    "limit": "distance from the null from which on nine of ten such experiments would find the "
-    "effect: beyond chance beside C_d, m_a, k and K_Q, and a change of some channel by more than "
-    "two correct programs differ by; half would from significant_from and worth_naming_from on. "
-    "To be named, two trials or more must see it",
-    "share_of_range": "share of the prior range that lies beyond the limit",
+    "limit": "distance from the null at which nine of ten such experiments detect the effect: its "
+    "gain is significant after C_d, m_a, k and K_Q are refitted, and its change of some channel "
+    "exceeds the model-discretisation discrepancy. Half of the experiments detect it at the larger "
+    "of significant_from and worth_naming_from. At least two trials must observe the effect",
+    "share_of_range": "share of the prior range beyond the limit",
     "limit_over_range": "limit over the distance from the null to the far end of the prior range",
-    "alike": "|cos| of what two effects leave once C_d, m_a, k and K_Q are projected out",
-    "finite_start": f"judged by a step of {FINITE_START:g} of the prior range, as the tangent at "
-    "the null says little of it",
-    "told_by_sign": "opposite changes of two parameters that cannot change sign",
+    "alike": "|cos| between two effects' tangents after projecting out C_d, m_a, k and K_Q",
+    "finite_start": f"computed with a step of {FINITE_START:g} of the prior range, because the "
+    "effect is nonlinear at the null",
+    "told_by_sign": "pairs of parallel effects whose parameters cannot change sign and act in "
+    "opposite directions",
 }
 
 
-def detectability_record(m: Matrix, source: dict[str, Any]) -> dict[str, Any]:
-    """The content of matrix.json; `source` names the input."""
+def detectability_record(m: DetectabilityMatrix, source: dict[str, Any]) -> dict[str, Any]:
+    """Return the content of matrix.json; `source` names the input."""
     experiment, sensing = m.information.experiment, m.information.sensing
-    signs = np.argwhere(
-        np.triu(m.opposed) & (np.nan_to_num(m.alike) > DEFAULT_SETTINGS.parallel_cosine)
-    )
     return {
         "name": experiment.name,
         "limits": [_row(x) for x in m.limits],
         "classes": m.classes,
-        "told_by_sign": [[m.names[i], m.names[j]] for i, j in signs],
+        "told_by_sign": _opposed_pairs(m),
         "names": m.names,
-        "alike": m.alike,
+        "alike": m.cosines,
         "channels": {c: noise._asdict() for c, noise in sensing.noise.items()},
         "thresholds": {
             "least_gain": DEFAULT_SETTINGS.min_gain,
@@ -60,7 +62,12 @@ def detectability_record(m: Matrix, source: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _row(x: Limit) -> dict[str, Any]:
+def _opposed_pairs(m: DetectabilityMatrix) -> list[list[str]]:
+    parallel = np.nan_to_num(m.cosines) > DEFAULT_SETTINGS.parallel_cosine
+    return [[m.names[i], m.names[j]] for i, j in np.argwhere(np.triu(m.opposed) & parallel)]
+
+
+def _row(x: DetectionLimit) -> dict[str, Any]:
     p = x.parameter
     return {
         "effect": p.effect,
@@ -79,59 +86,56 @@ def _row(x: Limit) -> dict[str, Any]:
     }
 
 
-def matrix_table(m: Matrix) -> str:
-    """Limits, classes, and the channels that were counted, as text."""
-    rows = [("effect", "parameter", "found from", "range that shows", "")]
+def matrix_table(m: DetectabilityMatrix) -> str:
+    """Return limits, classes and used channels as text."""
+    rows = [("effect", "parameter", "limit", "prior range", "")]
     for x in m.limits:
         unit = "" if x.parameter.prior.unit == "-" else f" {x.parameter.prior.unit}"
         size = f"{x.size:.2g}{unit}" if np.isfinite(x.size) else "-"
-        rows.append((x.parameter.effect, x.parameter.name, size, _shows(x), "*" * x.finite))
+        rows.append((x.parameter.effect, x.parameter.name, size, _range_text(x), "*" * x.finite))
     widths = [max(len(row[i]) for row in rows) for i in range(5)]
     lines = ["  ".join(f"{x:<{w}}" for x, w in zip(row, widths, strict=True)).rstrip()
              for row in rows]  # fmt: skip
     if any(x.finite for x in m.limits):
-        lines.append(f"* judged at {FINITE_START:.0%} of its range: its tangent says too little")
+        lines.append(
+            f"* computed with a step of {FINITE_START:.0%} of the prior range (nonlinear effect)"
+        )
     lines.append("")
     if m.classes:
-        lines.append(
-            "cannot be told apart by this experiment "
-            f"(|cos| > {DEFAULT_SETTINGS.parallel_cosine:g}):"
-        )
+        limit = DEFAULT_SETTINGS.parallel_cosine
+        lines.append(f"This experiment cannot discriminate between (|cos| > {limit:g}):")
         lines += [f"  {', '.join(group)}" for group in m.classes]
     else:
-        lines.append("every effect that it detects it can tell from the others")
-    signs = np.argwhere(
-        np.triu(m.opposed) & (np.nan_to_num(m.alike) > DEFAULT_SETTINGS.parallel_cosine)
-    )
-    lines += [f"  told apart by the sign alone: {m.names[i]}, {m.names[j]}" for i, j in signs]
-    lines.append(f"counted: {', '.join(m.information.sensing.noise)}")
+        lines.append("This experiment can discriminate between all effects that it detects.")
+    lines += [f"  discriminated by the sign only: {a}, {b}" for a, b in _opposed_pairs(m)]
+    lines.append(f"channels: {', '.join(m.information.sensing.noise)}")
     return "\n".join(lines)
 
 
-def _shows(x: Limit) -> str:
+def _range_text(x: DetectionLimit) -> str:
     if np.isnan(x.size):
         return "cannot be simulated"
-    return f"detectable in {x.share:.0%} of it" if x.share > 0.0 else "not detectable"
+    return f"{x.share:.0%} detectable" if x.share > 0.0 else "not detectable"
 
 
-def order(m: Matrix) -> list[int]:
-    """Places of the effects such that those alike stand together."""
+def _clustered(m: DetectabilityMatrix) -> list[int]:
+    """Return the indices of the effects, sorted so that parallel effects are neighbours."""
     if len(m.names) < 3:
         return list(range(len(m.names)))
-    apart = 1.0 - np.nan_to_num(m.alike)
-    np.fill_diagonal(apart, 0.0)
-    return [int(i) for i in leaves_list(linkage(squareform(apart, checks=False), "average"))]
+    distance = 1.0 - np.nan_to_num(m.cosines)
+    np.fill_diagonal(distance, 0.0)
+    return [int(i) for i in leaves_list(linkage(squareform(distance, checks=False), "average"))]
 
 
-def plot_matrix(m: Matrix, path: Path) -> None:
-    """Heat map of |cos|, effects alike beside each other, and the size from which each is found."""
-    places = order(m)
+def plot_matrix(m: DetectabilityMatrix, path: Path) -> None:
+    """Plot |cos| of all pairs as a heat map, and the detection limits as bars."""
+    places = _clustered(m)
     names, n = [m.names[i] for i in places], len(places)
     side = max(5.0, 0.21 * n + 2.5)
     figure, (left, right) = new_figure(
         1, 2, figsize=(side + 4.0, side), width_ratios=[side, 2.2], sharey=True
     )
-    shown = np.ma.masked_invalid(m.alike[np.ix_(places, places)])
+    shown = np.ma.masked_invalid(m.cosines[np.ix_(places, places)])
     image = left.imshow(shown, vmin=0.0, vmax=1.0, cmap="magma_r", aspect="auto")
     left.set_facecolor("0.85")
     for group in m.classes:
@@ -141,10 +145,10 @@ def plot_matrix(m: Matrix, path: Path) -> None:
                     left.plot(i, j, ".", color="white", ms=3)
     left.set_xticks(range(n), names, rotation=90, fontsize=7)
     left.set_yticks(range(n), names, fontsize=7)
-    left.set_title(f"{m.information.experiment.name}: how alike two effects look", loc="left")
+    left.set_title(f"{m.information.experiment.name}: similarity of effects", loc="left")
     bar = figure.colorbar(image, ax=left, location="bottom", shrink=0.5, pad=0.01)
     bar.set_label(
-        "|cos| once C_d, m_a, k and K_Q are projected out (-); dots: cannot be told apart",
+        "|cos| after projecting out C_d, m_a, k and K_Q (-); dots: not discriminated",
         fontsize=8,
     )
     _draw_limits(right, [min(x.relative for x in m.limit[name]) for name in names])
@@ -152,14 +156,14 @@ def plot_matrix(m: Matrix, path: Path) -> None:
 
 
 def _draw_limits(axes, shares: list[float]) -> None:
-    """Detection limits as shares of the prior range, a bar an effect; smaller is better."""
+    """Draw a bar for every effect: detection limit as a share of the prior range."""
     for row, share in enumerate(shares):
         if share < 1.0:
             axes.barh(row, 100.0 * share, color="tab:blue", height=0.7)
         else:
             axes.text(1.1e-1, row, "not detectable", fontsize=6, va="center")
-    axes.set(xscale="log", xlim=(0.1, 100.0), xlabel="of the prior range (%)")
-    axes.set_title("found from", loc="left", fontsize=10)
+    axes.set(xscale="log", xlim=(0.1, 100.0), xlabel="share of the prior range (%)")
+    axes.set_title("detection limit", loc="left", fontsize=10)
     axes.tick_params(labelleft=False)
     axes.grid(axis="x", color="0.9", lw=0.6)
     axes.set_axisbelow(True)

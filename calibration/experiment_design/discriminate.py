@@ -1,16 +1,15 @@
-"""The trial that makes a class smaller: that tells what a search found from a rival.
+"""The trial that discriminates between a chosen effect and its alternatives.
 
-At the end of a search the model was fitted with the effect that was found, and again with each
-rival in its place. Which of the two is right is not known. Where it is the former, let d be what it
-would read less what the latter would, and J the tangents of the latter, which moves as it is fitted
-again:
+After the selection, the model was fitted with the chosen effect and with each alternative. It is
+not known which of the two is true. If the first is true, let d be the difference of the two models'
+readings and J the tangents of the second model, which is refitted:
 
     lambda = min over x of |W (d + J x)|^2
 
-over the trials that there are and one more is by how much worse the latter will fit, the noncentral
-chi-square of taking it for the right one. Where it is the latter, the former follows instead. The
-larger counts: a rival with more freedom may follow whatever it is not, and still be what is right.
-`rivals` tells them apart by that and by how much the channels still differ.
+The sum is over all trials and one more. It is the expected loss of the second model: the
+noncentrality of the chi-square test against it. If the second model is true, the two exchange
+roles. The larger lambda counts: a model with more parameters may imitate the other one, but not the
+reverse. `alternatives` excludes a model by this loss and by the difference of the channels.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -29,51 +28,52 @@ from calibration.experiment_design.trial_search import (
     SearchEffort,
     TrialLimits,
     TrialSearch,
-    as_table,
+    next_trial_record,
     trial_text,
-    trial_toml,
 )
 from calibration.inference.gauss_newton import inverse, marginal_information
 from slider_jax.channels import CHANNELS
 from slider_jax.experiment.schema import Trial
 
-TIMES = 12
-"""How often a trial is predicted to be run, at most."""
+MAX_REPEATS = 12
+"""Largest number of repetitions of a trial to predict."""
 
 
-class Distance(NamedTuple):
-    """How far apart the readings put two models of which one may move."""
+class ModelDistance(NamedTuple):
+    """Distance between the readings of two models, one of them refitted."""
 
     sigmas: float
+    """Standard deviations: the root of lambda."""
     shares: dict[str, float]
-    """By what share of its rms every channel differs."""
+    """rms difference of every channel, as a share of its rms."""
 
     @property
-    def of_enough(self) -> float:
-        """1 where they are just told apart."""
+    def threshold_ratio(self) -> float:
+        """Ratio of the distance to the naming threshold, in squares; above 1 it discriminates."""
         return min(self.sigmas**2 / DEFAULT_SETTINGS.min_gain, self.channel[1] ** 2)
 
     @property
     def channel(self) -> tuple[str, float]:
-        """The channel that differs by most of what correct programs do, and by how much of it."""
+        """Channel with the largest difference over its discrepancy, and that ratio."""
         found = {c: x / CHANNELS[c].discrepancy for c, x in self.shares.items()}
         return max(found.items(), key=lambda item: item[1])
 
 
-def distance(channels: Sequence[ChannelInformation], unit: float) -> Distance:
-    """By what was channels along the moving model's parameters and, the last, towards the other.
+def model_distance(channels: Sequence[ChannelInformation], unit: float) -> ModelDistance:
+    """Return the distance between a refitted model and another one.
 
-    `unit` is the residual's mean square.
+    The directions of `channels` are the refitted model's parameters and, last, the difference
+    between the models. `unit` is the residual's mean square.
     """
     A = information(channels)
     rest, last = np.arange(len(A) - 1), np.array([len(A) - 1])
     step = np.ones(len(A))
     step[rest] = -(inverse(A[np.ix_(rest, rest)]) @ A[np.ix_(rest, last)])[:, 0]
     square = max(float(marginal_information(A, last, rest)[0, 0]), 0.0)
-    return Distance(float(np.sqrt(square / unit)), channel_shares(channels, step))
+    return ModelDistance(float(np.sqrt(square / unit)), channel_shares(channels, step))
 
 
-def split_class(
+def discriminating_trial(
     name: str,
     predictions: Mapping[str, tuple[TrialInformation, TrialInformation]],
     unit: float,
@@ -82,72 +82,68 @@ def split_class(
     effort: SearchEffort = SearchEffort(),
     progress: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
-    """The trial that soonest tells the effect `name` from one of its rivals, as reports write it.
+    """Return the record of the trial that discriminates best between an effect and an alternative.
 
-    `predictions` are those of each rival's model and of that with the effect, each towards the
-    other; `trials` those that both were fitted to, with a residual whose mean square is `unit`.
-    "times" is how often the trial must be run until a rival is told apart, None where `TIMES` are
-    not enough.
+    For each alternative to the effect `name`, `predictions` holds two models: with the alternative
+    and with the effect, each with the other as its `other`. Both were fitted to `trials` with a
+    residual of mean square `unit`. In the record, "times" is the number of repetitions until an
+    alternative is excluded, or None if `MAX_REPEATS` are too few.
     """
-    ways = [f for pair in predictions.values() for f in pair]
-    before = [f.trials(trials, progress) for f in ways]
+    models = [f for pair in predictions.values() for f in pair]
+    before = [f.trials(trials, progress) for f in models]
 
-    def after(channels: list[list[ChannelInformation]], times: int = 1) -> list[Distance]:
-        """Of each rival."""
-        found = [distance([*a, *(times * b)], unit) for a, b in zip(before, channels, strict=True)]
-        pairs = zip(found[::2], found[1::2], strict=True)
-        return [max(pair, key=lambda x: x.of_enough) for pair in pairs]
+    def after(channels: list[list[ChannelInformation]], times: int = 1) -> list[ModelDistance]:
+        """Return each alternative's distance after the trial is run `times` times."""
+        pairs = zip(before, channels, strict=True)
+        found = [model_distance([*a, *(times * b)], unit) for a, b in pairs]
+        both = zip(found[::2], found[1::2], strict=True)
+        return [max(x, key=lambda d: d.threshold_ratio) for x in both]
 
     def needed(channels: list[list[ChannelInformation]]) -> int | None:
-        counts = range(1, TIMES + 1)
-        return next((n for n in counts if any(x.of_enough > 1.0 for x in after(channels, n))), None)
+        for count in range(1, MAX_REPEATS + 1):
+            if any(x.threshold_ratio > 1.0 for x in after(channels, count)):
+                return count
+        return None
 
     def goal(channels: list[list[ChannelInformation]]) -> float:
-        """The fewest times, then how near all rivals come, then how far the trial puts them."""
-        found = np.array([x.of_enough for x in after(channels)])
+        """Return a score: first the fewest repetitions, then the mean distance."""
+        found = np.array([x.threshold_ratio for x in after(channels)])
         far = np.mean(np.minimum(found, 1.0)) + 1e-2 * np.mean(found / (1.0 + found))
-        return float(far) - 2.0 * (needed(channels) or TIMES + 1)
+        return float(far) - 2.0 * (needed(channels) or MAX_REPEATS + 1)
 
-    best = TrialSearch(ways, goal, limits).run(effort, progress)
+    best = TrialSearch(models, goal, limits).run(effort, progress)
     times = needed(best.channels)
-    now, then, at_last = (after(best.channels, n) for n in (0, 1, times or TIMES))
+    now, then, at_last = (after(best.channels, n) for n in (0, 1, times or MAX_REPEATS))
     alternatives = list(predictions)
-    first = max(range(len(alternatives)), key=lambda i: at_last[i].of_enough)
-    said = (
-        f"{trial_text(best.trial)} tells {name} from {alternatives[first]} best: "
-        f"by {_difference(now[first], then[first])}."
+    first = max(range(len(alternatives)), key=lambda i: at_last[i].threshold_ratio)
+    text = (
+        f"{trial_text(best.trial)} discriminates best between {name} and {alternatives[first]}: "
+        f"{_difference(now[first], then[first])}."
     )
     if times is None:
-        said += (
-            f" That is too little to tell them apart, as with every trial tried within the limits, "
-            f"run up to {TIMES} times."
+        text += (
+            " No trial within the limits excludes one of them, even if it is run up to "
+            f"{MAX_REPEATS} times."
         )
     elif times > 1:
-        said += f" {times} such trials would tell them apart."
+        text += f" {times} such trials would exclude one of them."
     rows = [
         {"first": name, "second": other}
         | {"sigmas_before": a.sigmas, "sigmas_after": b.sigmas}
         | {"differ_before": a.shares, "differ_after": b.shares}
         for other, a, b in zip(alternatives, now, then, strict=True)
     ]
-    return {
-        "purpose": "separate",
-        "said": said[0].upper() + said[1:],
-        "trial": as_table(best.trial),
-        "toml": trial_toml(best.trial),
-        "times": times,
-        "pairs": rows,
-        "limits": limits._asdict(),
-    }
+    return next_trial_record("separate", text, best.trial, limits) | {"times": times, "pairs": rows}
 
 
-def _difference(now: Distance, then: Distance) -> str:
+def _difference(now: ModelDistance, then: ModelDistance) -> str:
     channel, _ = then.channel
-    was, differ, programs = (
+    before, after, discrepancy = (
         100.0 * x
         for x in (now.shares[channel], then.shares[channel], CHANNELS[channel].discrepancy)
     )
     return (
-        f"{then.sigmas:.1f} standard deviations ({now.sigmas:.1f} without it) and {differ:.2g} % "
-        f"of {channel} ({was:.2g} %), where correct programs differ by {programs:.2g} %"
+        f"their distance grows from {now.sigmas:.1f} to {then.sigmas:.1f} standard deviations, and "
+        f"their difference in {channel} from {before:.2g} to {after:.2g} % (model-discretisation "
+        f"discrepancy {discrepancy:.2g} %)"
     )

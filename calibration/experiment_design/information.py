@@ -1,11 +1,11 @@
-"""What trials would say of a model's parameters, before they are run.
+"""Fisher information of trials about a model's parameters, predicted before the trials are run.
 
-Of every trial and channel, with J (k, n) the tangents of the readings along k parameters and W what
-makes the declared noise white:
+For every trial and channel, J (k, n) are the tangents of the readings y along k parameters, and W
+whitens the declared noise:
 
     A = (W J) (W J)^T,    raw = J J^T,    square = y.y
 
-A is what least squares needs, `raw` and `square` say how large a change is beside the signal y.
+A is the normal matrix of least squares. `raw` and `square` compare a change with the signal y.
 """
 
 from collections.abc import Callable, Sequence
@@ -36,28 +36,31 @@ from slider_jax.experiment.schema import Trial
 from slider_jax.simulation.effect_signature import typical
 
 FINITE_START = 0.1
-"""Share of the prior range at which a secant stands for a tangent that tells too little."""
-STRAIGHT = 0.9
-"""cos of tangent and secant below which the tangent tells too little."""
-LIKE = 1.5
-"""Factor by which their lengths may differ."""
+"""Step of a secant, as a share of the prior range. A secant replaces the tangent of an effect that
+is nonlinear at its null."""
+MIN_COSINE = 0.9
+"""An effect is nonlinear if the cosine between its tangent and secant is smaller."""
+MAX_LENGTH_RATIO = 1.5
+"""An effect is also nonlinear if the lengths of tangent and secant differ by a larger factor."""
 
 
 @dataclass(frozen=True)
 class SensorModel:
-    """The sensors of an experiment: noise of each channel, every how many samples it reads."""
+    """The sensors of an experiment."""
 
     noise: dict[str, Noise]
+    """Noise of each channel."""
     every: dict[str, int]
+    """Each channel reads one in so many samples."""
     measured: dict[str, Record]
-    """By file; their own samples count."""
+    """Measured trials by file; they keep their own samples."""
 
     @classmethod
     def of(cls, experiment: Experiment, found: Sequence[Record] | None = None) -> "SensorModel":
-        """From the measured trials `found`, else from what the experiment declares.
+        """Return the sensors of the measured trials `found`, or else those that are declared.
 
-        By default the trials' files are read. A channel without either is taken for a sensor that
-        the tank lacks. Raises `InputError` where none is left.
+        By default, the trials' files are read. A channel that is neither measured nor declared has
+        no sensor. Raise `InputError` if no channel has one.
         """
         if found is None:
             there = any((experiment.folder / t.file).exists() for t in experiment.trials)
@@ -78,13 +81,13 @@ class SensorModel:
                 every[channel] = 1
         if not noise:
             raise InputError(
-                "sensors: no noise is declared and nothing is measured; what can be detected is "
-                "judged against noise: add sensors.pressure_noise, force_noise or tip_noise"
+                "sensors: no noise is declared and no trial is measured, so no detection limit can "
+                "be computed; add sensors.pressure_noise, force_noise or tip_noise"
             )
         return cls(noise, every, {r.trial.file: r for r in found})
 
     def samples(self, trial: Trial, channel: str, n: int) -> np.ndarray:
-        """(n,) whether a sample of the channel is there."""
+        """Return which samples (n,) of a trial the channel reads."""
         if trial.file in self.measured:
             return self.measured[trial.file].there(channel)
         return np.arange(n) % self.every[channel] == 0
@@ -97,7 +100,7 @@ def _is_declared(experiment: Experiment, channel: str) -> bool:
 
 
 class ChannelInformation(NamedTuple):
-    """What one trial and channel would say along k directions: parameters, or another model."""
+    """Information of one trial and channel along k directions."""
 
     trial: int
     channel: str
@@ -109,45 +112,45 @@ class ChannelInformation(NamedTuple):
 
 @dataclass(frozen=True)
 class TrialInformation:
-    """A model, the parameters asked about, and the sensors: what is needed to foresee a trial."""
+    """Predicts the information of trials from a model, chosen parameters and sensors."""
 
     experiment: Experiment
     effects: tuple[str, ...]
-    """Of the extended model; programs are compiled for all of them."""
+    """Effects of the extended model; programs are compiled for all of them."""
     theta: np.ndarray
     chosen: np.ndarray
-    """(k,) entries of theta that the tangents are along."""
+    """(k,) indices of the parameters in theta along which the tangents are computed."""
     sensing: SensorModel
     secants: dict[int, float]
-    """Step of the entries whose tangent tells too little."""
+    """Step of each parameter whose secant replaces its tangent."""
     coarse: Resolution = COARSE
     memo: Memo | None = None
-    """Keeps what was simulated."""
+    """Cache of simulated readings."""
     other: np.ndarray | None = None
-    """Parameters of another model. What it would read less what this one does is one tangent more
-    then, the last."""
+    """Parameters of another model. The difference of its readings to this model's readings is then
+    the last direction."""
 
     @property
     def entries(self) -> list[Parameter]:
-        """The k parameters that the tangents are along."""
+        """The k chosen parameters."""
         every = parameters(self.effects)
         return [every[i] for i in self.chosen]
 
     def plan(self, trial: Trial) -> TrialPlan:
-        """The trial on its grid: a measured one's is that of its record."""
+        """Return the trial's plan; a measured trial keeps the sample times of its record."""
         record = self.sensing.measured.get(trial.file)
         at = None if record is None else record.t
         return plan(self.experiment, trial, self.effects, self.coarse, at)
 
     def trial(self, trial: Trial, number: int = 0) -> list[ChannelInformation]:
-        """What a trial would say. Raises `SolverError` where it cannot be simulated."""
+        """Return the information of a trial. Raise `SolverError` if it cannot be simulated."""
         p = self.plan(trial)
-        y, J = self._kept(trial, p)
+        y, J = self._readings(trial, p)
         other = self._other(trial, p)
         if not np.isfinite(y).all() or not (other is None or np.isfinite(other).all()):
             raise SolverError(
                 f"{trial.file}: cannot be simulated with these parameters; check K_Q, stiffness "
-                "and amplitude: the chambers may bend the body further than it can go"
+                "and amplitude: the chambers may bend the body too far"
             )
         if other is not None:
             J = np.stack([*J, other - y])
@@ -168,13 +171,16 @@ class TrialInformation:
             )
         return found
 
-    def _kept(self, trial: Trial, p: TrialPlan) -> list[np.ndarray]:
-        """Readings (5, n) of a trial and their tangents (k, 5, n); none of what did not end."""
+    def _readings(self, trial: Trial, p: TrialPlan) -> list[np.ndarray]:
+        """Return the readings (5, n) of a trial and their tangents (k, 5, n).
+
+        Without finite readings there are no tangents.
+        """
 
         def make() -> list[np.ndarray]:
             y = predict(p, self.theta)
-            fine = np.isfinite(y).all()
-            return [y, self._along(p, y) if fine else np.zeros((0, *y.shape))]
+            finite = np.isfinite(y).all()
+            return [y, self._tangents(p, y) if finite else np.zeros((0, *y.shape))]
 
         if self.memo is None:
             return make()
@@ -183,7 +189,7 @@ class TrialInformation:
         return self.memo.cached(name, [self.theta, self.chosen, steps], make)
 
     def _other(self, trial: Trial, p: TrialPlan) -> np.ndarray | None:
-        """Readings (5, n) of the other model."""
+        """Return the readings (5, n) of the other model."""
         other = self.other
         if other is None:
             return None
@@ -192,8 +198,8 @@ class TrialInformation:
         name = f"foresee other {trial.model_dump_json()} {self.effects} {self.coarse}"
         return self.memo.cached(name, [other], lambda: [predict(p, other)])[0]
 
-    def _along(self, p: TrialPlan, y: np.ndarray) -> np.ndarray:
-        """(k, 5, n); NaN along what cannot be simulated."""
+    def _tangents(self, p: TrialPlan, y: np.ndarray) -> np.ndarray:
+        """Return tangents or secants (k, 5, n); NaN if they cannot be simulated."""
         straight = [j for j, i in enumerate(self.chosen) if i not in self.secants]
         directions = np.eye(len(self.theta))[self.chosen[straight]]
         J = np.empty((len(self.chosen), len(CHANNELS), len(p.at)))
@@ -201,13 +207,13 @@ class TrialInformation:
             J[straight] = tangents(p, self.theta, directions)
         for j, i in enumerate(self.chosen):
             if i in self.secants:
-                J[j] = secant(p, self.theta, y, int(i), self.secants[i])
+                J[j] = _secant(p, self.theta, y, int(i), self.secants[i])
         return J
 
     def trials(
         self, chosen: Sequence[Trial], progress: Callable[[str], None] = lambda text: None
     ) -> list[ChannelInformation]:
-        """What trials would say, on all cores."""
+        """Return the information of all `chosen` trials, computed on all cores."""
         done: list[int] = []
 
         def one(item: tuple[int, Trial]) -> list[ChannelInformation]:
@@ -226,85 +232,86 @@ def predict_information(
     coarse: Resolution = COARSE,
     memo: Memo | None = None,
 ) -> TrialInformation:
-    """At the experiment's own parameters, along the base model's and those of `effects`.
+    """Return the predictor at the experiment's parameters, along the base model's and the effects'.
 
-    Raises `InputError` where the experiment fixes no starting values or declares no noise.
+    Raise `InputError` if the experiment fixes no values of C_d and m_a or declares no noise.
     """
     if experiment.parameters.force_coefficients == "ramp":
         raise InputError(
-            'parameters.force_coefficients: given "ramp"; allowed here "fixed": give one C_d and '
+            'parameters.force_coefficients: given "ramp"; allowed here "fixed"; give one C_d and '
             "one m_a for all trials"
         )
     names = tuple(dict.fromkeys(effects))
     entries = parameters(names)
     theta = base_vector(entries, {n: getattr(experiment.parameters, n) for n in BASE})
     chosen, sensing = np.arange(len(entries)), SensorModel.of(experiment)
-    bare = TrialInformation(experiment, names, theta, chosen, sensing, {}, coarse, memo)
-    progress("comparing tangents with finite steps")
-    return replace(bare, secants=finite_starts(bare))
+    by_tangents = TrialInformation(experiment, names, theta, chosen, sensing, {}, coarse, memo)
+    progress("comparing tangents with secants")
+    return replace(by_tangents, secants=secant_steps(by_tangents))
 
 
-def secant(p: TrialPlan, theta: np.ndarray, y: np.ndarray, entry: int, step: float) -> np.ndarray:
-    """(5, n) change of the readings, `y` at theta, per change of an entry by `step`."""
+def _secant(p: TrialPlan, theta: np.ndarray, y: np.ndarray, entry: int, step: float) -> np.ndarray:
+    """Return the change (5, n) of the readings, `y` at theta, per unit of an entry."""
     moved = theta.copy()
     moved[entry] += step
     return (predict(p, moved) - y) / step
 
 
-def finite_starts(f: TrialInformation) -> dict[int, float]:
-    """Entries whose tangent at the null says little of a tenth of the prior range, and that step.
+def secant_steps(f: TrialInformation) -> dict[int, float]:
+    """Return the steps of the parameters that need a secant.
 
-    Those with a start are taken at it. Judged on the experiment's shortest trial. One that cannot
-    be simulated there keeps its tangent.
+    These are parameters with a `Prior.start`, and those of effects that are nonlinear at the null
+    on the experiment's shortest trial. If the secant cannot be simulated, the tangent stays.
     """
     p = min((f.plan(t) for t in f.experiment.trials), key=lambda p: p.grid.steps)
     y = predict(p, f.theta)
     scale = np.std(y, axis=1)[:, None]
     scale = np.where(scale > 0.0, scale, 1.0)
-    asked = [(i, x) for i, x in zip(f.chosen, f.entries, strict=True) if x.effect]
-    if not asked:
+    pairs = [(i, x) for i, x in zip(f.chosen, f.entries, strict=True) if x.effect]
+    if not pairs:
         return {}
-    J = tangents(p, f.theta, np.eye(len(f.theta))[[i for i, _ in asked]])
+    J = tangents(p, f.theta, np.eye(len(f.theta))[[i for i, _ in pairs]])
 
     def one(item) -> tuple[int, float] | None:
         (i, x), tangent = item
         if x.prior.start is not None:
             return int(i), x.prior.start - x.prior.null
         step = FINITE_START * (typical(x.prior) - x.prior.null)
-        finite = (secant(p, f.theta, y, int(i), step) / scale).ravel()
-        return (int(i), step) if _tells_little((tangent / scale).ravel(), finite) else None
+        secant = (_secant(p, f.theta, y, int(i), step) / scale).ravel()
+        return (int(i), step) if _is_nonlinear((tangent / scale).ravel(), secant) else None
 
-    found = on_all_cores(one, list(zip(asked, J, strict=True)))
+    found = on_all_cores(one, list(zip(pairs, J, strict=True)))
     return dict(x for x in found if x is not None)
 
 
-def _tells_little(tangent: np.ndarray, finite: np.ndarray) -> bool:
-    if not np.isfinite(finite).all() or not finite.any():
+def _is_nonlinear(tangent: np.ndarray, secant: np.ndarray) -> bool:
+    if not np.isfinite(secant).all() or not secant.any():
         return False
     if not np.isfinite(tangent).all() or not tangent.any():
         return True
-    sizes = float(np.linalg.norm(tangent)), float(np.linalg.norm(finite))
-    straight = float(tangent @ finite) / (sizes[0] * sizes[1])
-    return straight < STRAIGHT or not bool(1.0 / LIKE < sizes[1] / sizes[0] < LIKE)
+    sizes = float(np.linalg.norm(tangent)), float(np.linalg.norm(secant))
+    cosine = float(tangent @ secant) / (sizes[0] * sizes[1])
+    ratio = sizes[1] / sizes[0]
+    return cosine < MIN_COSINE or not 1.0 / MAX_LENGTH_RATIO < ratio < MAX_LENGTH_RATIO
 
 
 def information(channels: Sequence[ChannelInformation]) -> np.ndarray:
-    """(k, k) normal matrix of all trials and channels."""
+    """Return the information (k, k) of all trials and channels."""
     return np.sum([x.A for x in channels], axis=0)
 
 
 def channel_shares(channels: Sequence[ChannelInformation], step: np.ndarray) -> dict[str, float]:
-    """By what share of its rms a step (k,) changes each channel, all trials together."""
-    known, found = np.flatnonzero(step), {}
+    """Return each channel's rms change by a step (k,) as a share of its rms, over all trials."""
+    moved, found = np.flatnonzero(step), {}
     for channel in dict.fromkeys(x.channel for x in channels):
         parts = [x for x in channels if x.channel == channel]
-        raw = np.sum([x.raw[np.ix_(known, known)] for x in parts], axis=0)
+        raw = np.sum([x.raw[np.ix_(moved, moved)] for x in parts], axis=0)
         square = float(np.sum([x.square for x in parts]))
-        change = max(float(step[known] @ raw @ step[known]), 0.0)
+        change = max(float(step[moved] @ raw @ step[moved]), 0.0)
         found[channel] = float(np.sqrt(change / max(square, 1e-300)))
     return found
 
 
 def as_block(A: np.ndarray) -> list[ChannelBlock]:
-    """A normal matrix as the evidence that `trace` takes, without a residual."""
+    """Return a normal matrix as `scores` expects it: a block without a residual."""
     return [ChannelBlock(0, "", A, np.zeros(len(A)), 0.0, 0)]

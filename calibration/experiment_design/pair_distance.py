@@ -1,11 +1,12 @@
-"""How far apart the readings put two effects, and the trial that puts them furthest apart.
+"""Distance between the readings of two effects, and the trial that maximises it.
 
-Between two effects a and b it is what b and the base parameters F leave of a at its size s:
+Let a be an effect of size s. A second effect b and the base parameters F are fitted to its readings
+and leave
 
     lambda = s^2 (A_aa - A_aR A_RR^-1 A_Ra),    R = F and b
 
-the noncentral chi-square of taking b for a; its root is the distance in standard deviations. Of a
-pair the smaller of both ways counts, of several pairs the smallest.
+This is the noncentrality of the chi-square test of b against a. Its root is the distance in
+standard deviations. A pair has the smaller distance of both directions.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -25,18 +26,17 @@ from calibration.experiment_design.trial_search import (
     SearchEffort,
     TrialLimits,
     TrialSearch,
-    as_table,
+    next_trial_record,
     trial_text,
-    trial_toml,
 )
 from calibration.inference.gauss_newton import marginal_information
 
-APART = 3.0
-"""Standard deviations from which on two effects count as told apart."""
+DISCRIMINATED_SIGMAS = 3.0
+"""Distance in standard deviations above which the data discriminate between two effects."""
 
 
-class Pair(NamedTuple):
-    """Two effects, and how far apart the readings put them."""
+class EffectPair(NamedTuple):
+    """Two effects with the cosine and the distance between their readings."""
 
     first: str
     second: str
@@ -44,22 +44,22 @@ class Pair(NamedTuple):
     sigmas: float
 
 
-def pairs_of(
+def effect_pairs(
     A: np.ndarray,
-    members: Mapping[str, np.ndarray],
+    indices: Mapping[str, np.ndarray],
     sizes: Mapping[str, np.ndarray],
     free: np.ndarray,
-) -> list[Pair]:
-    """All pairs of `members` (indices by name) at their `sizes`, with the information A."""
+) -> list[EffectPair]:
+    """Return all pairs of the effects in `indices` at their `sizes`, with the information A."""
     found = []
-    for first, second in combinations(members, 2):
-        one, other = members[first], members[second]
-        ways = (
+    for first, second in combinations(indices, 2):
+        one, other = indices[first], indices[second]
+        squares = (
             _distance(A, one, np.concatenate([free, other]), sizes[first]),
             _distance(A, other, np.concatenate([free, one]), sizes[second]),
         )
         cos = min(tangent_cosine(one, other, free, as_block(A)), 1.0)
-        found.append(Pair(first, second, cos, float(np.sqrt(min(ways)))))
+        found.append(EffectPair(first, second, cos, float(np.sqrt(min(squares)))))
     return found
 
 
@@ -67,35 +67,36 @@ def _distance(A: np.ndarray, group: np.ndarray, rest: np.ndarray, size: np.ndarr
     return max(float(size @ marginal_information(A, group, rest) @ size), 0.0)
 
 
-def separation_score(pairs: Sequence[Pair]) -> float:
-    """What separating maximises: the smallest distance, and a little of the mean one."""
+def separation_score(pairs: Sequence[EffectPair]) -> float:
+    """Return the objective of the search: the smallest squared distance plus 0.1 % of the mean."""
     squares = [pair.sigmas**2 for pair in pairs]
     return min(squares) + 1e-3 * float(np.mean(squares))
 
 
-def separate(
+def separating_trial(
     f: TrialInformation,
     before: np.ndarray,
-    members: Mapping[str, np.ndarray],
+    indices: Mapping[str, np.ndarray],
     sizes: Mapping[str, np.ndarray],
     limits: TrialLimits,
     effort: SearchEffort = SearchEffort(),
     progress: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
-    """The trial that tells the effects `members` apart best, as reports write it.
+    """Return the record of the trial that discriminates best between effects.
 
-    `members` are their places in `f.chosen`, `sizes` how large they are believed to be; what is
-    neither of them is free to move. `before` (k, k) is the information of the trials there are.
+    `indices` are the effects' positions in `f.chosen` and `sizes` their assumed sizes. All other
+    parameters are refitted. `before` (k, k) is the information of the existing trials.
     """
-    taken = np.concatenate(list(members.values()))
-    free = np.setdiff1d(np.arange(len(f.chosen)), taken)
+    effects = np.concatenate(list(indices.values()))
+    free = np.setdiff1d(np.arange(len(f.chosen)), effects)
 
     def goal(channels: list[list[ChannelInformation]]) -> float:
-        return separation_score(pairs_of(before + information(channels[0]), members, sizes, free))
+        A = before + information(channels[0])
+        return separation_score(effect_pairs(A, indices, sizes, free))
 
     best = TrialSearch([f], goal, limits).run(effort, progress)
     after = before + information(best.channels[0])
-    now, then = (pairs_of(A, members, sizes, free) for A in (before, after))
+    now, then = (effect_pairs(A, indices, sizes, free) for A in (before, after))
     rows = [
         {
             "first": a.first,
@@ -109,23 +110,18 @@ def separate(
     ]
     worst = min(then, key=lambda pair: pair.sigmas)
     was = next(p.sigmas for p in now if (p.first, p.second) == (worst.first, worst.second))
-    found = f"{trial_text(best.trial)} tells {_listed(list(members))} apart best: "
-    said = (
-        f"{worst.first} from {worst.second} by {worst.sigmas:.1f} standard deviations "
-        f"({was:.1f} without it)."
+    *names, last = indices
+    text = (
+        f"{trial_text(best.trial)} discriminates best between {', '.join(names)} and {last}: the "
+        f"distance between {worst.first} and {worst.second} grows from {was:.1f} to "
+        f"{worst.sigmas:.1f} standard deviations."
     )
-    if worst.sigmas < APART:
-        said += " That is too little to tell them apart: no trial within the limits does."
-    return {
-        "purpose": "separate",
-        "said": found[0].upper() + found[1:] + said,
-        "trial": as_table(best.trial),
-        "toml": trial_toml(best.trial),
+    if worst.sigmas < DISCRIMINATED_SIGMAS:
+        text += (
+            f" No trial within the limits reaches the required {DISCRIMINATED_SIGMAS:g} standard "
+            "deviations."
+        )
+    return next_trial_record("separate", text, best.trial, limits) | {
         "pairs": rows,
-        "sizes": {name: sizes[name] for name in members},
-        "limits": limits._asdict(),
+        "sizes": {name: sizes[name] for name in indices},
     }
-
-
-def _listed(names: list[str]) -> str:
-    return f"{', '.join(names[:-1])} and {names[-1]}"

@@ -1,8 +1,7 @@
-"""Which single trial would fix a parameter best, before it is run.
+"""The trial that would narrow a parameter's interval most, predicted before it is run.
 
-A trial adds its own information J J^T, from tangents at the parameters found so far and the noise
-that is declared, to that of the data at hand; the interval that follows is known before anything is
-measured.
+A trial adds its information J J^T to that of the measured data. J are the whitened tangents at the
+fitted parameters. The sum gives the interval before the trial is measured.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -13,7 +12,7 @@ import numpy as np
 
 from calibration.inference.gauss_newton import Fit, inverse
 from calibration.inference.noise import Noise, Whitener
-from calibration.inference.problem import AbstractProblem
+from calibration.inference.problem import AbstractProblem, summed
 from calibration.inference.uncertainty import (
     confidence_interval,
     determined,
@@ -34,40 +33,39 @@ from slider_jax.channels import row_of
 from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.schema import Trial
 
-FREQUENCIES, STRIDES, SHORTEST = 4, 3.0, 2.0
-"""Frequencies in the default grid; strides of a proposed trial, and its least duration [s]."""
+GRID_FREQUENCIES, GRID_STRIDES, MIN_SECONDS = 4, 3.0, 2.0
+"""Number of frequencies in the default grid, and a trial's strides and shortest duration [s]."""
 
 
 class Proposal(NamedTuple):
-    """A trial, and the interval that a parameter would have with it."""
+    """A trial, and the predicted interval of a parameter."""
 
     trial: Trial
     half_width: float
-    """Of the 95 % interval, SI."""
+    """Half width of the 95 % interval, in SI units."""
     determined: bool
-    """Whether that would be narrow enough to print a value."""
+    """Whether the interval is narrow enough to print a value."""
 
 
-class Known(NamedTuple):
-    """What is known before the trial is run."""
+class MeasuredInformation(NamedTuple):
+    """Information and sensors of the measured data."""
 
     information: np.ndarray
-    """J J^T (k, k) of the data at hand, of the free entries."""
+    """J J^T (k, k) of the free entries."""
     free: np.ndarray
-    """Indices (k,) of the entries that are identified."""
+    """Indices (k,) of the identified entries."""
     noise: Mapping[str, tuple[Noise, int]]
-    """Of every channel that is measured: its noise, and how many of the sensors' samples there are
-    to one of the channel's."""
+    """Noise of every measured channel; the channel reads one in so many samples."""
 
     @classmethod
-    def of(cls, problem: AbstractProblem, fit: Fit) -> "Known":
-        """From the trials that were fitted: their information at their own noise, and sensors."""
-        A = np.sum([x.A for x in fit.blocks], axis=0) / fit.inflation
+    def of(cls, problem: AbstractProblem, fit: Fit) -> "MeasuredInformation":
+        """Return the information and sensors of the fitted trials."""
+        A = summed(fit.blocks)[0] / fit.inflation
         return cls(A, fit.free, {c: x for c in problem.channels if (x := _sensor(problem, c))})
 
 
 def _sensor(problem: AbstractProblem, channel: str) -> tuple[Noise, int] | None:
-    """The channel's median noise, and one in how many samples it has."""
+    """Return the channel's median noise and sampling interval in samples; None if not measured."""
     found = [x for (_, name), x in problem.noise.items() if name == channel]
     if not found:
         return None
@@ -76,12 +74,12 @@ def _sensor(problem: AbstractProblem, channel: str) -> tuple[Noise, int] | None:
     return noise, max(1, round(len(there) / int(there.sum())))
 
 
-def feasible(experiment: Experiment, frequency: float | None = None) -> list[Trial]:
-    """Square-wave trials within what the experiment's own trials span.
+def feasible_trials(experiment: Experiment, frequency: float | None = None) -> list[Trial]:
+    """Return square-wave trials within the ranges of the experiment's own trials.
 
-    Four frequencies from its lowest to its highest, or the `frequency` given, its least and largest
-    amplitude, phases and tow speeds. Where it has one frequency only, half and double of it count
-    as feasible.
+    They combine four frequencies, or the given `frequency` [Hz], with the smallest and largest
+    amplitude, phase and tow speed. If the experiment has a single frequency, the range is half to
+    double of it.
     """
     driven = [x for x in experiment.trials if x.frequency is not None]
     low, high = _span(x.frequency for x in driven)
@@ -89,7 +87,8 @@ def feasible(experiment: Experiment, frequency: float | None = None) -> list[Tri
         return []
     if high < 1.05 * low:
         low, high = 0.5 * low, min(2.0 * high, 20.0)
-    frequencies = np.geomspace(low, high, FREQUENCIES) if frequency is None else [frequency]
+    grid = np.geomspace(low, high, GRID_FREQUENCIES)
+    frequencies = grid if frequency is None else [frequency]
     amplitudes = _ends(x.amplitude for x in driven)
     phases = _ends(x.phase for x in driven)
     speeds = _ends(x.tow_speed for x in driven)
@@ -102,7 +101,7 @@ def feasible(experiment: Experiment, frequency: float | None = None) -> list[Tri
             rear_ratio=ratio,
             phase=phase,
             tow_speed=speed,
-            duration=round(max(SHORTEST, STRIDES / f), 2),
+            duration=round(max(MIN_SECONDS, GRID_STRIDES / f), 2),
         )
         for f, amplitude, phase, speed in product(frequencies, amplitudes, phases, speeds)
     ]
@@ -123,27 +122,27 @@ def best_trial(
     theta: np.ndarray,
     wanted: Sequence[int],
     candidates: Sequence[Trial],
-    known: Known,
+    measured: MeasuredInformation,
     resolution: Resolution = COARSE,
 ) -> dict[int, Proposal]:
-    """For every entry of `wanted` (free indices), the candidate that narrows its interval most.
+    """Return, for every entry of `wanted` (indices), the candidate that narrows its interval most.
 
-    The interval is that of the data at hand and the candidate together, the other free entries
-    being identified as well. Candidates whose simulation fails are passed over.
+    The interval follows from the measured data and the candidate together, with all free entries
+    identified. Candidates that cannot be simulated are skipped.
     """
     effects = tuple(dict.fromkeys(p.effect for p in entries if p.effect))
 
     def added(trial: Trial) -> np.ndarray:
-        return _information(experiment, trial, effects, theta, known, resolution)
+        return _information(experiment, trial, effects, theta, measured, resolution)
 
     variances = []
     for extra in on_all_cores(added, list(candidates)):
-        sum_of = known.information + extra
-        fine = np.isfinite(sum_of).all()
-        variances.append(np.diag(inverse(sum_of)) if fine else np.full(len(sum_of), np.inf))
+        A = measured.information + extra
+        finite = np.isfinite(A).all()
+        variances.append(np.diag(inverse(A)) if finite else np.full(len(A), np.inf))
     best = {}
     for index in wanted:
-        place = int(np.flatnonzero(known.free == index)[0])
+        place = int(np.flatnonzero(measured.free == index)[0])
         column = [v[place] for v in variances]
         if not column or not np.isfinite(min(column)):
             continue
@@ -154,25 +153,27 @@ def best_trial(
     return best
 
 
-def _information(experiment, trial, effects, theta, known: Known, resolution) -> np.ndarray:
-    """J J^T (k, k) of a trial that is not yet run."""
-    laid = plan(experiment, trial, effects, resolution)
-    model = predict(laid, theta)
-    size = len(known.free)
+def _information(experiment, trial, effects, theta, measured, resolution) -> np.ndarray:
+    """Return J J^T (k, k) of a trial that is not measured."""
+    trial_plan = plan(experiment, trial, effects, resolution)
+    model = predict(trial_plan, theta)
+    size = len(measured.free)
     if not np.isfinite(model).all():
         return np.full((size, size), np.nan)
-    J = tangents(laid, theta, np.eye(len(theta))[known.free])
-    found, swing = np.zeros((size, size)), declared_spans(experiment, laid, theta)
-    for channel, (noise, every) in known.noise.items():
+    J = tangents(trial_plan, theta, np.eye(len(theta))[measured.free])
+    found, swing = np.zeros((size, size)), declared_spans(experiment, trial_plan, theta)
+    for channel, (noise, every) in measured.noise.items():
         row, at = row_of(channel), slice(None, None, every)
         swings = None if swing is None else swing[:, row, at]
-        whiten = Whitener(laid.at[at], noise, model[row, at], channel, trial.frequency, swings)
+        whiten = Whitener(
+            trial_plan.at[at], noise, model[row, at], channel, trial.frequency, swings
+        )
         white = whiten(J[:, row, at])
         found += white @ white.T
     return found
 
 
-def advise(
+def propose_trials(
     experiment: Experiment,
     entries: Sequence[Parameter],
     problem: AbstractProblem,
@@ -180,34 +181,34 @@ def advise(
     resolution: Resolution = COARSE,
     progress: Callable[[str], None] = lambda text: None,
 ) -> dict[int, Proposal]:
-    """A proposal for every fitted entry that the data do not determine."""
-    open_ones = [
+    """Return a proposal for every fitted entry that the data do not determine."""
+    wanted = [
         int(i)
         for i in fit.free
         if not determined(entries[i], *confidence_interval(fit, entries, int(i))[1:])
-        and value_by_variation(fit, int(i)) is None  # else more of the same data would not agree
+        and value_by_variation(fit, int(i)) is None  # more data would repeat the disagreement
     ]
-    candidates = feasible(experiment) if open_ones else []
+    candidates = feasible_trials(experiment) if wanted else []
     if not candidates:
         return {}
-    names = ", ".join(entries[i].label for i in open_ones)
-    progress(f"{names}: not determined; looking for the trial that would, among {len(candidates)}")
-    known = Known.of(problem, fit)
-    return best_trial(experiment, entries, fit.theta, open_ones, candidates, known, resolution)
+    names = ", ".join(entries[i].label for i in wanted)
+    progress(f"not determined: {names}; searching {len(candidates)} trials for the best one")
+    measured = MeasuredInformation.of(problem, fit)
+    return best_trial(experiment, entries, fit.theta, wanted, candidates, measured, resolution)
 
 
-def described(x: Proposal) -> dict[str, Any]:
-    """A proposal for a JSON file."""
-    kept = ("frequency", "amplitude", "rear_ratio", "phase", "tow_speed", "duration")
+def proposal_record(x: Proposal) -> dict[str, Any]:
+    """Return a proposal as in calibration.json."""
+    keys = ("frequency", "amplitude", "rear_ratio", "phase", "tow_speed", "duration")
     return {
-        "trial": {name: getattr(x.trial, name) for name in kept},
+        "trial": {name: getattr(x.trial, name) for name in keys},
         "half_width": x.half_width,
         "determined": x.determined,
     }
 
 
 def proposal_sentence(p: Parameter, x: Proposal) -> str:
-    """A proposal in a sentence."""
+    """Return a proposal as a sentence."""
     t = x.trial
     assert t.frequency is not None and t.amplitude is not None
     tow = f", towed at {t.tow_speed:g} m/s" if t.tow_speed else ", in still water"
@@ -217,5 +218,5 @@ def proposal_sentence(p: Parameter, x: Proposal) -> str:
     )
     to = f"{p.label} to ±{x.half_width:.2g} {p.prior.unit}".rstrip(" -")
     if x.determined:
-        return f"a trial of {how}, would give {to}"
-    return f"no trial within this experiment's limits determines it; the best, {how}, gives {to}"
+        return f"a trial of {how}, would determine {to}"
+    return f"no trial within this experiment's limits determines it; the best ({how}) gives {to}"

@@ -1,7 +1,7 @@
-"""The trial that, added to what there is, says most of what is asked.
+"""Search for the trial that maximises an objective of its predicted information.
 
-First evenly spread trials, then a pattern search from the best of them, over frequency, amplitude,
-phase of the rear chamber and tow speed.
+Evenly spread trials come first. A pattern search then starts from the best of them. The variables
+are frequency, amplitude, phase of the rear chamber and tow speed.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -22,17 +22,17 @@ from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.schema import Trial
 from slider_jax.io.toml import quantity_of, toml_text, validate
 
-STRIDES, LONGEST, LEAST = 6.0, 2.0, 2.0
-"""A trial lasts `STRIDES` strides, but at most `LONGEST` seconds, and at least `LEAST` strides."""
-WIDER = 0.1
-"""The experiment's own range is widened by so much at either end: of itself, or, as frequency and
-amplitude have ranges in ratios, of the value there."""
-IN_RATIOS = ("frequency", "amplitude")
+TRIAL_STRIDES, MAX_SECONDS, MIN_STRIDES = 6.0, 2.0, 2.0
+"""A trial lasts `TRIAL_STRIDES`, but at most `MAX_SECONDS`, and at least `MIN_STRIDES`."""
+WIDENING = 0.1
+"""Share by which each end of the experiment's own range is widened: a share of the end itself for
+logarithmic quantities, else of the range."""
+LOGARITHMIC = ("frequency", "amplitude")
 QUANTITIES = ("frequency", "amplitude", "phase", "tow_speed")
 
 
 class TrialLimits(NamedTuple):
-    """Ranges (low, high) that a trial may be chosen from, SI."""
+    """Allowed ranges (low, high) of a trial, in SI units."""
 
     frequency: tuple[float, float]
     amplitude: tuple[float, float]
@@ -41,34 +41,34 @@ class TrialLimits(NamedTuple):
 
 
 class SearchEffort(NamedTuple):
-    """How many trials are tried: evenly spread ones, then rounds of the pattern search."""
+    """Number of evenly spread trials, and of rounds of the pattern search."""
 
     spread: int = 24
     rounds: int = 3
 
 
 class PredictedTrial(NamedTuple):
-    """A trial that was predicted."""
+    """A trial with its predicted information."""
 
     trial: Trial
     channels: list[list[ChannelInformation]]
-    """By each of the predictions."""
+    """Information by every model."""
     value: float
-    """Of the goal, the larger the better; -inf where the trial cannot be simulated."""
+    """Objective, to be maximised; -inf if the trial cannot be simulated."""
 
 
 def limits_of(
     experiment: Experiment, given: Mapping[str, tuple[float, float] | None] | None = None
 ) -> TrialLimits:
-    """The ranges `given`, the others from the experiment's own trials, slightly widened.
+    """Return the ranges `given`, and for the others those of the experiment's own trials, widened.
 
-    Raises `InputError` for reversed ones, for those outside physics, and where there is neither.
+    Raise `InputError` for a reversed range, a value outside the allowed one, or a missing range.
     """
     ranges = []
     for name in QUANTITIES:
         option = f"--{name.replace('_', '-')}"
-        asked = (given or {}).get(name)
-        low, high = _own(experiment, name, option) if asked is None else asked
+        limits = (given or {}).get(name)
+        low, high = _own_range(experiment, name, option) if limits is None else limits
         if low > high:
             raise InputError.value(option, f"{low:g} {high:g}", "LOW HIGH, the lower one first")
         for value in (low, high):
@@ -79,49 +79,50 @@ def limits_of(
     return TrialLimits(*ranges)
 
 
-def _own(experiment: Experiment, name: str, option: str) -> tuple[float, float]:
+def _own_range(experiment: Experiment, name: str, option: str) -> tuple[float, float]:
     values = [getattr(t, name) for t in experiment.trials if t.waveform != "recorded"]
     if not values:
         raise InputError(
-            f"{option}: given nothing; the experiment has recorded drives only, so a range of its "
-            "own is missing; give LOW HIGH"
+            f"{option}: given nothing; the experiment has recorded drives only, so its trials have "
+            "no range of this quantity; give LOW HIGH"
         )
     low, high = min(values), max(values)
-    more = WIDER * ((high - low) or abs(high))
-    lower, upper = (WIDER * low, WIDER * high) if name in IN_RATIOS else (more, more)
+    more = WIDENING * ((high - low) or abs(high))
+    lower, upper = (WIDENING * low, WIDENING * high) if name in LOGARITHMIC else (more, more)
     allowed = quantity_of(Trial.model_fields[name])
     assert allowed is not None
 
     def rounded(x: float) -> float:
         return float(np.clip(float(f"{x:.3g}"), allowed.low, allowed.high))
 
-    # A tank that has never towed, or never the other way, is not taken to be able to.
+    # A tank that never towed, or never in the other direction, may not be able to.
     return rounded(low - lower if low else 0.0), rounded(high + upper if high else 0.0)
 
 
-def proposed(experiment: Experiment, limits: TrialLimits, place: np.ndarray) -> Trial:
-    """The trial at a `place` (4,) of the unit cube of the limits, in round numbers."""
+def trial_at(experiment: Experiment, limits: TrialLimits, point: np.ndarray) -> Trial:
+    """Return the trial at a `point` (4,) of the unit cube of the limits, in round numbers."""
     own = [t for t in experiment.trials if t.waveform != "recorded"]
     x = {
         name: float(np.clip(float(f"{_between(low, high, u, name):.3g}"), low, high))
-        for name, (low, high), u in zip(QUANTITIES, limits, place, strict=True)
+        for name, (low, high), u in zip(QUANTITIES, limits, point, strict=True)
     }
-    seconds = max(LEAST / x["frequency"], min(STRIDES / x["frequency"], LONGEST))
+    period = 1.0 / x["frequency"]
+    seconds = max(MIN_STRIDES * period, min(TRIAL_STRIDES * period, MAX_SECONDS))
     content: dict[str, Any] = {"waveform": own[0].waveform, "rear_ratio": own[0].rear_ratio}
     if own[0].waveform == "trapezoid":
         content["rise"] = own[0].rise
-    file = {"file": free_name(experiment), "duration": float(f"{seconds:.3g}")}
+    file = {"file": unused_file_name(experiment), "duration": float(f"{seconds:.3g}")}
     return validate(Trial, file | content | x, "next trial")
 
 
 def _between(low: float, high: float, share: float, name: str) -> float:
-    if name in IN_RATIOS and low > 0.0:
+    if name in LOGARITHMIC and low > 0.0:
         return low * (high / low) ** share
     return low + share * (high - low)
 
 
-def free_name(experiment: Experiment) -> str:
-    """A file name that neither a trial nor a file of the experiment's folder has."""
+def unused_file_name(experiment: Experiment) -> str:
+    """Return a file name that no trial and no file in the experiment's folder has."""
     taken = {t.file for t in experiment.trials}
     number = len(experiment.trials)
     while (name := f"trial_{number:02d}.csv") in taken or (experiment.folder / name).exists():
@@ -131,75 +132,75 @@ def free_name(experiment: Experiment) -> str:
 
 @dataclass(frozen=True)
 class TrialSearch:
-    """What a trial is chosen for: `goal` is of what it would say by each of the predictions."""
+    """Maximises the objective `goal` of a trial's information by every model in `predictions`."""
 
     predictions: Sequence[TrialInformation]
     goal: Callable[[list[list[ChannelInformation]]], float]
     limits: TrialLimits
 
-    def at(self, place: np.ndarray) -> PredictedTrial:
-        """The trial at a place of the unit cube."""
-        trial = proposed(self.predictions[0].experiment, self.limits, place)
+    def at(self, point: np.ndarray) -> PredictedTrial:
+        """Return the trial at a point of the unit cube."""
+        trial = trial_at(self.predictions[0].experiment, self.limits, point)
         try:
             channels = [f.trial(trial) for f in self.predictions]
         except SolverError:
             return PredictedTrial(trial, [], -np.inf)
-        fine = all(np.isfinite(information(x)).all() for x in channels)
-        return PredictedTrial(trial, channels, self.goal(channels) if fine else -np.inf)
+        finite = all(np.isfinite(information(x)).all() for x in channels)
+        return PredictedTrial(trial, channels, self.goal(channels) if finite else -np.inf)
 
     def run(
         self,
         effort: SearchEffort = SearchEffort(),
         progress: Callable[[str], None] = lambda text: None,
     ) -> PredictedTrial:
-        """The best trial. Raises `SolverError` where none within the limits can be simulated."""
+        """Return the best trial. Raise `SolverError` if none can be simulated."""
         wide = np.array([high > low for low, high in self.limits])
-        places = [np.where(wide, u, 0.0) for u in _spread(effort.spread)]
-        best, place = self._best(places, progress)
-        progress(f"{effort.spread} trials tried; the best is {trial_text(best.trial)}")
+        points = [np.where(wide, u, 0.0) for u in _spread(effort.spread)]
+        best, point = self._best(points, progress)
+        progress(f"best of {effort.spread} trials: {trial_text(best.trial)}")
         step = 0.25
         for _ in range(effort.rounds):
             moves = [s * step * np.eye(4)[i] for i in np.flatnonzero(wide) for s in (-1.0, 1.0)]
-            around = {tuple(np.clip(place + move, 0.0, 1.0)) for move in moves} - {tuple(place)}
+            around = {tuple(np.clip(point + move, 0.0, 1.0)) for move in moves} - {tuple(point)}
             if not around:
                 break
             better, there = self._best([np.array(x) for x in sorted(around)], progress)
             if better.value > best.value:
-                best, place = better, there
+                best, point = better, there
                 progress(f"better: {trial_text(best.trial)}")
             else:
                 step *= 0.5
         if not np.isfinite(best.value):
             raise SolverError(
-                "none of the trials within the limits could be simulated; give smaller ones, "
-                "of the amplitude first"
+                "no trial within the limits can be simulated; give smaller limits, first of the "
+                "amplitude"
             )
         return best
 
     def _best(
-        self, places: list[np.ndarray], progress: Callable[[str], None]
+        self, points: list[np.ndarray], progress: Callable[[str], None]
     ) -> tuple[PredictedTrial, np.ndarray]:
         done: list[PredictedTrial] = []
 
-        def one(place: np.ndarray) -> PredictedTrial:
-            found = self.at(place)
+        def one(point: np.ndarray) -> PredictedTrial:
+            found = self.at(point)
             done.append(found)
-            progress(f"trial {len(done)} of {len(places)}: {trial_text(found.trial)}")
+            progress(f"trial {len(done)} of {len(points)}: {trial_text(found.trial)}")
             return found
 
-        pairs = list(zip(on_all_cores(one, places), places, strict=True))
+        pairs = list(zip(on_all_cores(one, points), points, strict=True))
         return max(pairs, key=lambda pair: pair[0].value)
 
 
 def _spread(count: int) -> np.ndarray:
-    """(count, 4) evenly spread places of the unit cube, the same every time."""
+    """Return (count, 4) evenly spread points of the unit cube, the same in every call."""
     sequence = qmc.Halton(4, scramble=False)
     sequence.fast_forward(1)
     return sequence.random(count)
 
 
 def trial_text(trial: Trial) -> str:
-    """A trial in a few words."""
+    """Return the main settings of a trial as text."""
     if trial.frequency is None or trial.amplitude is None:
         return f"{trial.file} (recorded drive)"
     return (
@@ -208,12 +209,25 @@ def trial_text(trial: Trial) -> str:
     )
 
 
-def as_table(trial: Trial) -> dict[str, Any]:
-    """A trial's keys that are not at their defaults, and the quantities that were chosen."""
+def trial_table(trial: Trial) -> dict[str, Any]:
+    """Return a trial's keys that are not at their defaults, and the searched quantities."""
     content = trial.model_dump(exclude_defaults=True)
     return content | {name: getattr(trial, name) for name in QUANTITIES}
 
 
 def trial_toml(trial: Trial) -> str:
-    """A trial as a table to add to an experiment file."""
-    return toml_text({"trials": [{k: x for k, x in as_table(trial).items() if x is not None}]})
+    """Return a trial as a table to add to an experiment file."""
+    return toml_text({"trials": [{k: x for k, x in trial_table(trial).items() if x is not None}]})
+
+
+def next_trial_record(
+    purpose: str, text: str, trial: Trial, limits: TrialLimits | None = None
+) -> dict[str, Any]:
+    """Return the record of a proposed trial as in report.json; `text` gives the reason."""
+    record = {
+        "purpose": purpose,
+        "said": text[0].upper() + text[1:],
+        "trial": trial_table(trial),
+        "toml": trial_toml(trial),
+    }
+    return record | ({"limits": limits._asdict()} if limits else {})

@@ -9,9 +9,9 @@ from calibration.audit.audit import audit_measurements
 from calibration.discrepancy.settings import DEFAULT_SETTINGS
 from calibration.experiment_design.parameter_trial import (
     Proposal,
-    advise,
-    described,
+    proposal_record,
     proposal_sentence,
+    propose_trials,
 )
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton
 from calibration.inference.goodness import excess, noise_floors, rms_errors
@@ -104,7 +104,7 @@ def identify_parameters(
         method = "lbfgs" if len(entries) >= MANY else "lm"
     best = METHODS[method](problem, entries, begun, np.arange(len(entries)), progress)
     best = hausman_check(problem, best)
-    advice = advise(experiment, entries, problem, best, coarse, progress)
+    advice = propose_trials(experiment, entries, problem, best, coarse, progress)
     found = experiment, entries, problem, before, best, method, advice, audited.findings
     return Identified(*found, doubt(problem, best))
 
@@ -131,7 +131,7 @@ def identification_record(found: Identified, source: dict[str, Any]) -> dict[str
     return {
         "parameters": {
             p.label: parameter_record(found.fit, found.entries, i)
-            | ({"determined_by": described(found.advice[i])} if i in found.advice else {})
+            | ({"determined_by": proposal_record(found.advice[i])} if i in found.advice else {})
             for i, p in enumerate(found.entries)
         },
         "correlations": {"order": labels, "matrix": correlations(found.fit)},

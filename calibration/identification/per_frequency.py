@@ -14,7 +14,12 @@ from typing import NamedTuple
 import numpy as np
 
 from calibration.discrepancy.scores import least_squares_step
-from calibration.experiment_design.parameter_trial import Known, Proposal, best_trial, feasible
+from calibration.experiment_design.parameter_trial import (
+    MeasuredInformation,
+    Proposal,
+    best_trial,
+    feasible_trials,
+)
 from calibration.identification import parameter_ties as layouts
 from calibration.identification.parameter_ties import CONSTANT, EACH, PAPER, RAMP, ParameterTies
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton, marginal_information
@@ -124,7 +129,7 @@ def _advice(found: ByFrequency, coarse: Resolution) -> dict[int, Proposal]:
     """The trial at its own frequency that would narrow each undetermined entry most."""
     plan, best = found.ways[EACH].layout, found.ways[EACH].fit
     A = summed(best.blocks)[0] / best.inflation
-    known, result = Known.of(found.problem, best), dict[int, Proposal]()
+    known, result = MeasuredInformation.of(found.problem, best), dict[int, Proposal]()
     for i, p in enumerate(plan.entries):
         g = int(plan.group[i])
         if g < 0 or determined(p, *confidence_interval(best, plan.entries, i)[1:]):
@@ -134,7 +139,7 @@ def _advice(found: ByFrequency, coarse: Resolution) -> dict[int, Proposal]:
         here = np.flatnonzero((plan.group < 0) | (plan.group == g))
         other = np.flatnonzero((plan.group >= 0) & (plan.group != g))
         own = plan.maps[int(np.flatnonzero(found.place == g)[0])].at(best.theta)
-        candidates = feasible(found.experiment, float(found.frequencies[g]))
+        candidates = feasible_trials(found.experiment, float(found.frequencies[g]))
         at_hand = known._replace(
             information=marginal_information(A, here, other), free=plan.member[here]
         )

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from calibration.experiment_design.parameter_trial import described, proposal_sentence
+from calibration.experiment_design.parameter_trial import proposal_record, proposal_sentence
 from calibration.identification.parameter_ties import CONSTANT, EACH, FOLLOWS, PAPER, RAMP
 from calibration.identification.per_frequency import ByFrequency, Way, comparison_text, values
 from calibration.inference.uncertainty import correlations
@@ -32,7 +32,7 @@ def per_frequency_record(found: ByFrequency) -> dict[str, Any]:
         ],
         "ways": {name: _way(way) for name, way in found.ways.items()},
         "determined_by": {
-            found.ways[EACH].layout.labels[i]: described(x) for i, x in found.advice.items()
+            found.ways[EACH].layout.labels[i]: proposal_record(x) for i, x in found.advice.items()
         },
         "definitions": {
             "left_out": "sum of squares of the white residuals of every frequency's trials, "

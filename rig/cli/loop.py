@@ -56,7 +56,7 @@ def rig_loop(
     from calibration.discrepancy.page import loop_page
     from calibration.discrepancy.report import loop_model_toml
     from calibration.discrepancy.settings import DEFAULT_SETTINGS
-    from calibration.experiment_design.campaign import campaign
+    from calibration.experiment_design.campaign import run_campaign
     from calibration.experiment_design.trial_search import TrialLimits, limits_of
     from rig.cli.settings import load_rig
     from rig.trial.session import run_trials
@@ -107,7 +107,7 @@ def rig_loop(
             live.end()
         declare_swing(path, found)
 
-    found = campaign(path, capture, out, budget, within, progress)
+    found = run_campaign(path, capture, out, budget, within, progress)
     rounds = {"rounds": [asdict(x) for x in found.rounds], "settled": found.settled}
     write_json(out / "report.json", found.report | rounds)
     write_text(out / "model.toml", loop_model_toml(found.outcome))

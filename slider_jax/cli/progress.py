@@ -3,6 +3,7 @@
 import sys
 import threading
 import time
+from collections.abc import Callable
 from types import TracebackType
 
 from tqdm import tqdm
@@ -68,3 +69,13 @@ class Progress:
     @staticmethod
     def _say(line: str) -> None:
         print(line, file=sys.stderr, flush=True)
+
+
+def timed_printer() -> Callable[[str], None]:
+    """Return a function that prints a text to stderr, after the seconds since this call."""
+    start = time.monotonic()
+
+    def print_timed(text: str) -> None:
+        print(f"{time.monotonic() - start:5.0f} s  {text}", file=sys.stderr, flush=True)
+
+    return print_timed

@@ -1,4 +1,4 @@
-"""Measuring until it is settled: what is captured, what is added, and when it ends."""
+"""Campaigns: which trials are captured and added, and when the campaign ends."""
 
 import json
 import shutil
@@ -9,20 +9,22 @@ import pytest
 
 from calibration.discrepancy.close_loop import close_loop_on_trials
 from calibration.experiment_design import campaign as module
-from calibration.experiment_design.campaign import campaign
+from calibration.experiment_design.campaign import run_campaign
 from calibration.experiment_design.trial_search import limits_of
 from calibration.measurements.synthetic import Truth, write_tank
 from slider_jax.errors import InputError
-from slider_jax.experiment import load as experiment
+from slider_jax.experiment.load import load
 from tests.support.small_tank import BASE, MESH, RUNS, TANK
 
 CANDIDATES = ("valve_delay", "clamp_compliance", "tangential_friction")
 
 
 def tank(folder, effects, count, seed=0):
-    """An experiment of a hidden tank whose trials are not measured; and what measures them."""
-    whole = folder / "hidden"
-    path = write_tank(whole, Truth(BASE, effects), RUNS[:count], seed, numerics=TANK)
+    """Return an experiment without measured trials, a function that captures them, and a log.
+
+    The function captures trials of a hidden tank.
+    """
+    path = write_tank(folder / "hidden", Truth(BASE, effects), RUNS[:count], seed, numerics=TANK)
     measured = folder / "measured"
     measured.mkdir()
     shutil.copy(path, measured / "experiment.toml")
@@ -39,8 +41,8 @@ def tank(folder, effects, count, seed=0):
     return measured / "experiment.toml", capture, captured
 
 
-class Answers:
-    """A `close` that answers with given verdicts, without looking at the data."""
+class FakeLoop:
+    """Replaces `close` and returns the given verdicts, whatever the data."""
 
     def __init__(self, *verdicts):
         self.verdicts, self.counts, self.kept = list(verdicts), [], []
@@ -53,14 +55,14 @@ class Answers:
 
 @pytest.fixture(autouse=True)
 def short_report(request, monkeypatch):
-    """What a report says, where the outcome is an `Answers`' own."""
+    """Replace the report by the verdict of a `FakeLoop`."""
     if "slow" not in request.keywords:
 
-        def told(outcome, seconds, source, following):
-            found = outcome.verdict
-            return {"verdict": found, "said": found, "next_experiment": following}
+        def loop_record(outcome, seconds, source, following):
+            verdict = outcome.verdict
+            return {"verdict": verdict, "said": verdict, "next_experiment": following}
 
-        monkeypatch.setattr(module, "loop_record", told)
+        monkeypatch.setattr(module, "loop_record", loop_record)
 
 
 def following(trial_file):
@@ -68,12 +70,12 @@ def following(trial_file):
     return {"purpose": "repeat", "said": "once more", "trial": {"file": trial_file}, "toml": table}
 
 
-def test_it_measures_until_the_verdict_is_settled(tmp_path, monkeypatch):
+def test_a_campaign_measures_until_the_verdict_is_final(tmp_path, monkeypatch):
     path, capture, captured = tank(tmp_path, {}, 5)
     files = iter(["x.csv", "y.csv", "z.csv"])
     monkeypatch.setattr(module, "next_experiment", lambda *a: following(next(files)))
-    close = Answers("inconclusive", "unexplained", "nothing_missing")
-    found = campaign(path, capture, tmp_path / "out", close=close)
+    close = FakeLoop("inconclusive", "unexplained", "nothing_missing")
+    found = run_campaign(path, capture, tmp_path / "out", close=close)
     assert close.counts == [5, 6, 7] and found.settled
     assert close.kept == [[], ["x.csv"], ["x.csv", "y.csv"]]
     assert captured == [t["file"] for t in RUNS[:5]] + ["x.csv", "y.csv"]
@@ -81,53 +83,53 @@ def test_it_measures_until_the_verdict_is_settled(tmp_path, monkeypatch):
     assert json.loads((tmp_path / "out" / "round_06.json").read_text())["verdict"] == "unexplained"
 
 
-def test_it_ends_with_its_budget_unsettled(tmp_path, monkeypatch):
+def test_a_campaign_ends_at_its_budget_without_a_final_verdict(tmp_path, monkeypatch):
     path, capture, captured = tank(tmp_path, {}, 4)
     files = iter("abcdef")
     monkeypatch.setattr(module, "next_experiment", lambda *a: following(f"{next(files)}.csv"))
-    close = Answers(*["inconclusive"] * 9)
-    found = campaign(path, capture, tmp_path / "out", budget=6, close=close)
+    close = FakeLoop(*["inconclusive"] * 9)
+    found = run_campaign(path, capture, tmp_path / "out", budget=6, close=close)
     assert not found.settled and len(captured) == 6
-    with pytest.raises(InputError, match="budget: given 3; allowed 6 trials"):
-        campaign(path, capture, tmp_path / "out", budget=3, close=close)
+    with pytest.raises(InputError, match="budget: given 3; allowed 6 "):
+        run_campaign(path, capture, tmp_path / "out", budget=3, close=close)
 
 
-def test_a_class_without_a_proposal_ends_unsettled(tmp_path, monkeypatch):
+def test_a_campaign_ends_if_no_trial_is_proposed(tmp_path, monkeypatch):
     path, capture, captured = tank(tmp_path, {}, 4)
     none = {"purpose": None, "said": "none", "trial": None, "toml": ""}
     answers = iter([following("x.csv"), none])
     monkeypatch.setattr(module, "next_experiment", lambda *a: next(answers))
-    found = campaign(path, capture, tmp_path / "out", close=Answers("class", "class"))
+    found = run_campaign(path, capture, tmp_path / "out", close=FakeLoop("class", "class"))
     assert not found.settled and len(captured) == 5
 
 
-def test_a_class_that_no_number_of_trials_makes_smaller_is_settled(tmp_path, monkeypatch):
+def test_a_class_that_no_trial_makes_smaller_is_final(tmp_path, monkeypatch):
     path, capture, captured = tank(tmp_path, {}, 4)
     answers = iter([following("x.csv") | {"times": 7}, following("y.csv") | {"times": None}])
     monkeypatch.setattr(module, "next_experiment", lambda *a: next(answers))
-    found = campaign(path, capture, tmp_path / "out", close=Answers("class", "class"))
+    found = run_campaign(path, capture, tmp_path / "out", close=FakeLoop("class", "class"))
     assert found.settled and len(captured) == 5
 
 
-def test_what_is_measured_is_not_measured_again(tmp_path, monkeypatch):
+def test_measured_trials_are_not_captured_again(tmp_path, monkeypatch):
     path, capture, captured = tank(tmp_path, {}, 4)
-    capture(experiment.load(path).trials[:3])
+    capture(load(path).trials[:3])
     captured.clear()
-    close = Answers("identified")
+    close = FakeLoop("identified")
     none = {"purpose": None, "said": "none", "trial": None, "toml": ""}
     monkeypatch.setattr(module, "next_experiment", lambda *a: none)
-    campaign(path, capture, tmp_path / "out", close=close)
+    run_campaign(path, capture, tmp_path / "out", close=close)
     assert captured == [RUNS[3]["file"]]
 
 
 @pytest.mark.slow
-def test_a_hidden_delay_is_named_within_the_budget(tmp_path):
+def test_a_campaign_names_a_hidden_delay_within_its_budget(tmp_path):
     path, capture, captured = tank(tmp_path, {"valve_delay": {"delay": 0.02}}, 4, seed=3)
     close = partial(close_loop_on_trials, effects=CANDIDATES, fine=MESH, coarse=MESH)
 
     def still(given):
         return limits_of(given, {"tow_speed": (0.0, 0.0)})
 
-    found = campaign(path, capture, tmp_path / "out", budget=8, limits=still, close=close)
+    found = run_campaign(path, capture, tmp_path / "out", budget=8, limits=still, close=close)
     assert found.settled and found.outcome.effects == ["valve_delay"]
     assert len(captured) <= 8

@@ -1,4 +1,4 @@
-"""What an experiment could find and separate, on two short trials of a coarse mesh."""
+"""Detection limits and discrimination of effects, on two short trials with a coarse mesh."""
 
 import json
 from dataclasses import replace
@@ -12,9 +12,9 @@ from calibration.discrepancy.rounds import effect_entries
 from calibration.discrepancy.scores import score, tangent_cosine
 from calibration.discrepancy.settings import DEFAULT_SETTINGS
 from calibration.experiment_design.detectability import (
-    POWER,
-    at_limits,
+    DETECTION_MARGIN,
     detectability_matrix,
+    effects_at_limits,
     required_gain,
 )
 from calibration.experiment_design.detectability_report import detectability_record, matrix_table
@@ -24,7 +24,7 @@ from calibration.experiment_design.information import (
     information,
     predict_information,
 )
-from calibration.experiment_design.pair_distance import pairs_of, separate
+from calibration.experiment_design.pair_distance import effect_pairs, separating_trial
 from calibration.experiment_design.trial_search import SearchEffort, limits_of, trial_toml
 from calibration.inference.cache import Memo
 from calibration.inference.noise import Whitener
@@ -44,7 +44,7 @@ FEW = SearchEffort(spread=5, rounds=1)
 
 @pytest.fixture(scope="module")
 def still(tmp_path_factory):
-    """Of an experiment in still water, nothing measured."""
+    """The detectability matrix of an experiment in still water without data."""
     return detectability_matrix(
         load(write(tmp_path_factory.mktemp("still"), *STILL)), EFFECTS, coarse=MESH
     )
@@ -61,13 +61,13 @@ def limit_of(still, effect):
 
 
 def measured(still, theta, seed):
-    """The trials' readings at `theta`, with noise as it is declared."""
+    """Return records of the trials at `theta` with the declared noise."""
     rng, found = np.random.default_rng(seed), []
     for trial in still.information.experiment.trials:
         p = still.information.plan(trial)
         y = predict(p, theta)
         for channel, noise in still.information.sensing.noise.items():
-            # A lower-triangular factor times white noise is noise of the whitener's covariance.
+            # The covariance's Cholesky factor times white noise has the declared covariance.
             row = row_of(channel)
             white = Whitener(p.at, noise, y[row], channel, p.trial.frequency)
             y[row] += np.linalg.solve(white(np.eye(len(p.at))).T, rng.normal(size=len(p.at)))
@@ -76,7 +76,7 @@ def measured(still, theta, seed):
 
 
 def gain(still, effect, size, seed):
-    """The search's score of an effect that is there at `size`, on noisy readings."""
+    """Return the score of an effect of the true `size` on noisy readings."""
     f = still.information
     theta, group = f.theta.copy(), effect_entries(f.entries)[effect]
     theta[group] += size
@@ -92,14 +92,14 @@ def gain(still, effect, size, seed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("effect", ["axial_added_mass", "pressure_gain"])
-def test_three_times_the_limit_is_found_in_noise_and_nothing_is_not(still, effect):
+def test_an_effect_of_three_times_the_limit_is_significant_and_a_null_effect_is_not(still, effect):
     size = limit_of(still, effect).significant
     assert gain(still, effect, 3.0 * size, seed=1) > 3.0 * DEFAULT_SETTINGS.min_gain
     assert gain(still, effect, 0.0, seed=2) < DEFAULT_SETTINGS.min_gain
 
 
 @pytest.mark.slow
-def test_the_expected_gain_at_the_limit_is_what_the_search_asks_for(still, entries):
+def test_the_expected_gain_at_the_limit_is_the_required_gain(still, entries):
     A = information(still.channels)
     i = effect_entries(entries)["force_gain"]
     size = limit_of(still, "force_gain").significant
@@ -108,11 +108,10 @@ def test_the_expected_gain_at_the_limit_is_what_the_search_asks_for(still, entri
     assert found.gain == pytest.approx(required_gain(1, len(candidates())), rel=1e-6)
 
 
-def test_nine_of_ten_are_found_at_the_detection_limit(still, entries):
+def test_nine_of_ten_effects_are_detected_at_the_limit(still, entries):
     A, i = information(still.channels), effect_entries(entries)["force_gain"]
     found = limit_of(still, "force_gain")
-    # Of the two bounds the one by chance; the other is a size, passed by as much.
-    size = found.significant + POWER * found.error
+    size = found.significant + DETECTION_MARGIN * found.error
     rng = np.random.default_rng(0)
     values, vectors = np.linalg.eigh(A)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -125,8 +124,8 @@ def test_nine_of_ten_are_found_at_the_detection_limit(still, entries):
     assert passed / 600 == pytest.approx(0.9, abs=0.03)
 
 
-def test_what_is_worth_naming_changes_a_channel_by_what_programs_differ_by(still, entries):
-    """Against least squares on the stacked rows."""
+def test_a_nameable_effect_changes_a_channel_by_its_discrepancy(still, entries):
+    """The reference is least squares on the stacked rows."""
     f, i = still.information, effect_entries(entries)["carried_mass"][0]
     white, raw, signal = [], {c: [] for c in CHANNELS}, {c: [] for c in CHANNELS}
     for trial in f.experiment.trials:
@@ -150,29 +149,28 @@ def test_what_is_worth_naming_changes_a_channel_by_what_programs_differ_by(still
     assert max(shares) == pytest.approx(1.0, rel=1e-5)
 
 
-def test_a_gain_of_the_sensor_and_one_of_the_regulator_are_one_class(still):
-    """K_Q makes up for what a larger pressure bends, as the lag is linear."""
+def test_gains_of_sensor_and_regulator_form_a_class(still):
+    """K_Q compensates for a larger pressure, because the lag is linear."""
     i, j = still.names.index("pressure_gain"), still.names.index("regulator_gain")
-    assert still.alike[i, j] > 0.9999
+    assert still.cosines[i, j] > 0.9999
     assert ["pressure_gain", "regulator_gain"] in still.classes
-    assert "cannot be told apart" in matrix_table(still)
+    assert "cannot discriminate between" in matrix_table(still)
 
 
-def test_opposite_changes_are_told_apart_by_their_sign(still):
+def test_signs_discriminate_between_opposite_effects(still):
     i, j = still.names.index("actuator_saturation"), still.names.index("actuator_quadratic")
-    assert still.alike[i, j] > 0.9999 and still.opposed[i, j]
+    assert still.cosines[i, j] > 0.9999 and still.opposed[i, j]
     assert not any("actuator_quadratic" in group for group in still.classes)
-    assert "told apart by the sign alone: actuator_saturation, actuator_quadratic" in matrix_table(
-        still
-    )
+    pair = "actuator_saturation, actuator_quadratic"
+    assert f"discriminated by the sign only: {pair}" in matrix_table(still)
 
 
-def test_a_mounting_whose_tangent_says_little_gets_a_finite_start(still, entries):
+def test_a_nonlinear_effect_gets_a_secant(still, entries):
     assert {entries[i].effect for i in still.information.secants} == {"surge_compliance"}
     assert limit_of(still, "surge_compliance").finite
 
 
-def test_without_force_and_tip_sensors_the_body_cannot_be_seen(tmp_path, still):
+def test_pressure_sensors_alone_do_not_observe_the_body(tmp_path, still):
     path = write(tmp_path, ("[sensors]\n", "[sensors]\npressure_noise = 700.0\n"))
     found = detectability_matrix(load(path), EFFECTS, coarse=MESH)
     assert list(found.information.sensing.noise) == ["p_front", "p_rear"]
@@ -180,15 +178,15 @@ def test_without_force_and_tip_sensors_the_body_cannot_be_seen(tmp_path, still):
     assert limit_of(found, "pressure_gain").share > 0.5
     assert "carried_mass" not in sum(found.classes, [])
     assert "not detectable" in matrix_table(found)
-    assert np.isnan(found.alike[found.names.index("carried_mass")]).all()
+    assert np.isnan(found.cosines[found.names.index("carried_mass")]).all()
 
 
-def test_without_any_noise_it_says_what_to_declare(tmp_path):
+def test_an_experiment_without_noise_is_refused(tmp_path):
     with pytest.raises(InputError, match="add sensors.pressure_noise"):
         predict_information(load(write(tmp_path)), EFFECTS)
 
 
-def test_measured_trials_count_their_own_samples_and_a_missing_channel(tmp_path, still):
+def test_measured_trials_keep_their_samples_and_channels(tmp_path, still):
     experiment = load(write(tmp_path, *STILL))
     t = np.arange(0.0, 0.7, 0.005)
     tip = [f"{1e-3 * np.sin(x):.6f}" if i % 5 == 0 else "" for i, x in enumerate(t)]
@@ -202,41 +200,39 @@ def test_measured_trials_count_their_own_samples_and_a_missing_channel(tmp_path,
     assert found.samples(experiment.trials[1], "tip", 100).sum() == 20
 
 
-def proposed(still, tow):
+def proposal(still, tow):
     names = ("carried_mass", "axial_added_mass")
     limits = limits_of(still.information.experiment, LIMITS | {"tow_speed": tow})
-    return separate(*at_limits(still, names), limits, FEW)
+    return separating_trial(*effects_at_limits(still, names), limits, FEW)
 
 
 @pytest.fixture(scope="module")
 def towed(still):
-    return proposed(still, (0.0, 0.25))
+    return proposal(still, (0.0, 0.25))
 
 
-def test_mass_and_axial_added_mass_look_alike_in_still_water_and_a_towed_trial_is_chosen(
-    still, towed
-):
+def test_a_towed_trial_discriminates_mass_from_axial_added_mass(still, towed):
     (pair,) = towed["pairs"]
     assert pair["cos_before"] > DEFAULT_SETTINGS.parallel_cosine
     assert towed["trial"]["tow_speed"] > 0.1
-    (without,) = proposed(still, (0.0, 0.0))["pairs"]
+    (without,) = proposal(still, (0.0, 0.0))["pairs"]
     assert pair["cos_after"] < 0.9 < without["cos_after"]
     assert pair["sigmas_after"] > 1.5 * without["sigmas_after"]
 
 
-def test_the_trial_that_is_proposed_does_what_it_says(still, towed, tmp_path):
+def test_the_proposed_trial_has_the_predicted_information(still, towed, tmp_path):
     path = write(tmp_path, *STILL)
     path.write_text(f"{path.read_text()}\n{towed['toml']}")
     experiment = load(path)
     assert experiment.trials[2].tow_speed == towed["trial"]["tow_speed"]
     assert trial_toml(experiment.trials[2]) == towed["toml"]
-    f, before, members, _ = at_limits(still, ("carried_mass", "axial_added_mass"))
+    f, before, indices, _ = effects_at_limits(still, ("carried_mass", "axial_added_mass"))
     A = before + information(replace(f, experiment=experiment).trial(experiment.trials[2]))
-    cos = tangent_cosine(*members.values(), np.arange(4), as_block(A))
+    cos = tangent_cosine(*indices.values(), np.arange(4), as_block(A))
     assert cos == pytest.approx(towed["pairs"][0]["cos_after"], rel=1e-9)
 
 
-def test_a_trial_that_was_foreseen_is_not_simulated_again(still, tmp_path, monkeypatch):
+def test_a_predicted_trial_is_not_simulated_again(still, tmp_path, monkeypatch):
     f = replace(still.information, memo=Memo(tmp_path))
     trial = f.experiment.trials[0]
     first = f.trial(trial)
@@ -255,15 +251,17 @@ def test_a_trial_that_was_foreseen_is_not_simulated_again(still, tmp_path, monke
             other.trial(x)
 
 
-def test_what_no_trial_separates_is_said_so(still):
+def test_an_unreachable_discrimination_is_reported(still):
     limits = limits_of(still.information.experiment, LIMITS)
     names = ("pressure_gain", "regulator_gain")
-    found = separate(*at_limits(still, names), limits, SearchEffort(spread=2, rounds=0))
+    found = separating_trial(
+        *effects_at_limits(still, names), limits, SearchEffort(spread=2, rounds=0)
+    )
     assert found["pairs"][0]["sigmas_after"] < 0.1
-    assert "no trial within the limits does" in found["said"]
+    assert "No trial within the limits reaches" in found["said"]
 
 
-def test_limits_are_the_experiments_own_slightly_widened(still):
+def test_default_limits_are_the_ranges_of_the_trials_widened(still):
     found = limits_of(still.information.experiment)
     assert found.frequency == (2.25, 4.4)
     assert found.amplitude == (135e3, 275e3)
@@ -272,7 +270,7 @@ def test_limits_are_the_experiments_own_slightly_widened(still):
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         (["--separate", "carried_mas", "tip_mass"], "did you mean carried_mass?"),
         (["--effects", "gravity"], "--effects: given 'gravity'"),
@@ -283,55 +281,55 @@ def test_limits_are_the_experiments_own_slightly_widened(still):
         (["--tow-speed", "0", "9"], "--tow-speed: given 9; allowed -3 to 3 m/s"),
     ],
 )
-def test_bad_options_are_refused_by_name(options, said, tmp_path, capsys):
+def test_invalid_options_are_refused_by_name(options, message, tmp_path, capsys):
     pair = ["--separate", "tip_mass", "carried_mass"]
-    extra = pair if "allowed" in said and "--separate" not in options else []
+    extra = pair if "allowed" in message and "--separate" not in options else []
     out = tmp_path / "out"
     arguments = [str(write(tmp_path, *STILL)), "--out", str(out), *options, *extra]
     assert main(["effects", "matrix", *arguments]) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not out.exists()
 
 
-def test_the_command_writes_json_picture_and_a_trial(still, tmp_path, monkeypatch, capsys):
-    asked = []
+def test_the_command_writes_json_picture_and_trial(still, tmp_path, monkeypatch, capsys):
+    calls = []
 
-    def asked_for(*given, memo):
+    def fake_matrix(*arguments, memo):
         assert memo.folder.parent == out
-        asked.append(given)
+        calls.append(arguments)
         return still
 
     monkeypatch.setattr(
-        "calibration.experiment_design.detectability.detectability_matrix", asked_for
+        "calibration.experiment_design.detectability.detectability_matrix", fake_matrix
     )
     monkeypatch.setattr(
-        "calibration.experiment_design.pair_distance.separate",
-        partial(separate, effort=SearchEffort(2, 0)),
+        "calibration.experiment_design.pair_distance.separating_trial",
+        partial(separating_trial, effort=SearchEffort(2, 0)),
     )
     path, out = write(tmp_path, *STILL), tmp_path / "out"
     arguments = ["--out", str(out), "--separate", "force_gain", "carried_mass"]
     assert main(["effects", "matrix", str(path), *arguments]) == 0
-    assert asked[0][1] == ("force_gain", "carried_mass")
-    told = json.loads((out / "matrix.json").read_text())
+    assert calls[0][1] == ("force_gain", "carried_mass")
+    record = json.loads((out / "matrix.json").read_text())
     n = len(EFFECTS)
-    assert np.array(told["alike"]).shape == (n, n) and len(told["limits"]) == n
-    assert told["settings"]["name"] == "small" and "jax" in told["versions"]
+    assert np.array(record["alike"]).shape == (n, n) and len(record["limits"]) == n
+    assert record["settings"]["name"] == "small" and "jax" in record["versions"]
     assert (out / "matrix.png").stat().st_size > 1e4
-    assert (out / "next_trial.toml").read_text() == told["next_trial"]["toml"]
-    said = capsys.readouterr().out
-    assert "[[trials]]" in said and "standard deviations apart" in said
+    assert (out / "next_trial.toml").read_text() == record["next_trial"]["toml"]
+    text = capsys.readouterr().out
+    assert "[[trials]]" in text and "standard deviations" in text
 
 
-def test_json_holds_what_the_table_says(still):
-    told = detectability_record(still, {})
-    assert ["pressure_gain", "regulator_gain"] in told["classes"]
-    assert told["told_by_sign"] == [["actuator_saturation", "actuator_quadratic"]]
-    (row,) = [x for x in told["limits"] if x["effect"] == "force_gain"]
+def test_the_record_agrees_with_the_table(still):
+    record = detectability_record(still, {})
+    assert ["pressure_gain", "regulator_gain"] in record["classes"]
+    assert record["told_by_sign"] == [["actuator_saturation", "actuator_quadratic"]]
+    (row,) = [x for x in record["limits"] if x["effect"] == "force_gain"]
     decided = max(row["significant_from"], row["worth_naming_from"])
     assert row["limit"] == pytest.approx(decided + norm.ppf(0.9) * row["standard_error"], rel=1e-4)
 
 
-def test_names_after_effects_are_effects_and_matrix_is_a_command():
+def test_matrix_is_a_command_and_other_words_after_effects_are_effects():
     assert find(["effects", "matrix", "x.toml"]) == ("effects matrix", ["x.toml"])
     assert find(["effects", "gravity"]) == ("effects", ["gravity"])
     assert main(["effects"]) == 0
@@ -339,17 +337,17 @@ def test_names_after_effects_are_effects_and_matrix_is_a_command():
 
 
 @pytest.mark.parametrize("sizes", [(0.1, 2.0), (2.0, 0.1)])
-def test_the_distance_of_a_pair_is_what_least_squares_leaves_of_the_smaller(sizes):
+def test_the_distance_of_a_pair_is_the_smaller_least_squares_residual(sizes):
     J = np.random.default_rng(0).normal(size=(60, 4))
     J[:, 3] += 2.0 * J[:, 2] + J[:, 0]
-    members = {"a": np.array([2]), "b": np.array([3])}
+    indices = {"a": np.array([2]), "b": np.array([3])}
     at = {name: np.array([size]) for name, size in zip("ab", sizes, strict=True)}
-    (pair,) = pairs_of(J.T @ J, members, at, np.array([0, 1]))
+    (pair,) = effect_pairs(J.T @ J, indices, at, np.array([0, 1]))
 
-    def left(i, others, size):
+    def residual(i, others, size):
         square = np.linalg.lstsq(J[:, others], size * J[:, i], rcond=None)[1][0]
         return np.sqrt(square)
 
-    ways = left(2, [0, 1, 3], sizes[0]), left(3, [0, 1, 2], sizes[1])
-    assert pair.sigmas == pytest.approx(min(ways), rel=1e-9)
-    assert ways[0] < 0.5 * ways[1] or ways[1] < 0.5 * ways[0]
+    both = residual(2, [0, 1, 3], sizes[0]), residual(3, [0, 1, 2], sizes[1])
+    assert pair.sigmas == pytest.approx(min(both), rel=1e-9)
+    assert min(both) < 0.5 * max(both)

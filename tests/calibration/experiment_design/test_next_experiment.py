@@ -1,4 +1,4 @@
-"""What the loop proposes to measure next, for every verdict, on outcomes made by hand."""
+"""The next experiment for every verdict, on constructed outcomes."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ from calibration.discrepancy.rounds import (
 )
 from calibration.discrepancy.settings import DEFAULT_SETTINGS
 from calibration.experiment_design import next_experiment as module
-from calibration.experiment_design.discriminate import TIMES, distance
+from calibration.experiment_design.discriminate import MAX_REPEATS, model_distance
 from calibration.experiment_design.information import (
     ChannelInformation,
     SensorModel,
@@ -45,7 +45,7 @@ MASS, FLUID = (effect_entries(ENTRIES)[name] for name in ("carried_mass", "axial
 
 @pytest.fixture(scope="module")
 def tank(tmp_path_factory):
-    """A problem of two trials, noise-free, at the experiment's own parameters, and these."""
+    """An experiment, its problem of two noise-free trials, and its parameters."""
     experiment = load(write(tmp_path_factory.mktemp("next"), *STILL))
     theta = base_vector(ENTRIES, {n: getattr(experiment.parameters, n) for n in BASE})
     samples = [np.arange(int(t.duration * 200) + 1) / 200 for t in experiment.trials]
@@ -59,7 +59,7 @@ def tank(tmp_path_factory):
 
 
 def fitted(tank, theta, free, weight=1.0):
-    """A fit that ended at `theta`, its data `weight` times as informative as they are."""
+    """Return a fit at `theta` with the information of the data times `weight`."""
     _, problem, _ = tank
     predicted = [r.values for r in problem.records]
     white = problem.whiteners(predicted)
@@ -82,7 +82,7 @@ def outcome(tank, verdict, final, rounds=(), after=None):
 
 
 @pytest.mark.parametrize("verdict", ["unexplained", "inconclusive", "class"])
-def test_what_is_not_explained_is_to_be_measured_again_where_it_is_largest(tank, verdict):
+def test_the_trial_with_the_largest_residual_is_repeated(tank, verdict):
     after = {
         "thrust": Excess(np.array([2.0, np.nan]), 2.5),
         "recoil": Excess(np.array([1.0, 9.0]), 5.0),
@@ -95,64 +95,63 @@ def test_what_is_not_explained_is_to_be_measured_again_where_it_is_largest(tank,
     assert "9.0 times" in found["said"]
 
 
-def classed(tank, rival):
-    """The outcome that found a carried mass, and a class with the `rival` fit."""
+def class_outcome(tank, alternative):
+    """Return an outcome with a class of the carried mass and the fit `alternative`."""
     theta = tank[2].copy()
     theta[MASS] = 0.1
     final = fitted(tank, theta, np.concatenate([FREE, MASS]))
-    rivals = {"axial_added_mass": Alternative(rival, 0.0, {})}
-    return outcome(
-        tank, "class", final, [SelectionStep([], [], "carried_mass", list(rivals), rivals)]
-    )
+    alternatives = {"axial_added_mass": Alternative(alternative, 0.0, {})}
+    step = SelectionStep([], [], "carried_mass", list(alternatives), alternatives)
+    return outcome(tank, "class", final, [step])
 
 
-def test_a_class_asks_for_the_trial_that_makes_it_smaller(tank):
+def test_the_next_trial_makes_a_class_smaller(tank):
     theta = tank[2].copy()
     theta[FLUID] = 0.12
-    found = classed(tank, fitted(tank, theta, np.concatenate([FREE, FLUID])))
+    found = class_outcome(tank, fitted(tank, theta, np.concatenate([FREE, FLUID])))
     limits = limits_of(tank[0], LIMITS | {"tow_speed": (0.0, 0.25)})
-    told = next_experiment(found, limits=limits, effort=FEW)
-    assert told["purpose"] == "separate" and told["times"] == 1
-    (pair,) = told["pairs"]
+    record = next_experiment(found, limits=limits, effort=FEW)
+    assert record["purpose"] == "separate" and record["times"] == 1
+    (pair,) = record["pairs"]
     assert (pair["first"], pair["second"]) == ("carried_mass", "axial_added_mass")
-    assert told["trial"]["tow_speed"] > 0.1
+    assert record["trial"]["tow_speed"] > 0.1
     assert pair["sigmas_after"] > 1.3 * pair["sigmas_before"] > 0.0
-    assert f"{pair['sigmas_after']:.1f} standard deviations" in told["said"]
+    assert f"{pair['sigmas_after']:.1f} standard deviations" in record["said"]
 
 
-def test_a_class_that_nothing_makes_smaller_says_so(tank):
+def test_a_class_that_no_trial_makes_smaller_is_reported(tank):
     theta = tank[2].copy()
-    theta[MASS] = 0.1  # a rival that reads the same
-    found = classed(tank, fitted(tank, theta, np.concatenate([FREE, FLUID])))
-    told = next_experiment(found, effort=FEW)
-    assert told["times"] is None and f"run up to {TIMES} times" in told["said"]
+    theta[MASS] = 0.1  # the alternative has the same readings
+    found = class_outcome(tank, fitted(tank, theta, np.concatenate([FREE, FLUID])))
+    record = next_experiment(found, effort=FEW)
+    assert record["times"] is None and f"run up to {MAX_REPEATS} times" in record["said"]
 
 
-def test_a_class_whose_rivals_were_not_fitted_proposes_nothing(tank):
-    found = classed(tank, None)
+def test_a_class_without_fitted_alternatives_proposes_no_trial(tank):
+    found = class_outcome(tank, None)
     found.search.rounds[0].alternatives.clear()
-    told = next_experiment(found, effort=FEW)
-    assert told["trial"] is None and "none of the rivals can be fitted" in told["said"]
+    record = next_experiment(found, effort=FEW)
+    assert record["trial"] is None and "no alternative can be fitted" in record["said"]
 
 
 @pytest.fixture
 def asked(monkeypatch):
-    """What was asked of `split_class`, which makes the second class smaller and not the first."""
+    """Calls of a fake `discriminating_trial` that makes only the second class smaller."""
     calls = []
 
     def answer(name, predictions, unit, trials, *_):
         calls.append((name, list(predictions), unit, [t.file for t in trials]))
         return {"name": name, "times": 3 if len(calls) == 2 else None}
 
-    monkeypatch.setattr(module, "split_class", answer)
+    monkeypatch.setattr(module, "discriminating_trial", answer)
     return calls
 
 
-def test_the_first_class_that_a_trial_makes_smaller_is_asked_for(tank, asked):
+def test_the_trial_is_for_the_first_class_that_it_makes_smaller(tank, asked):
     final = fitted(tank, tank[2], FREE)
     rounds = [
-        SelectionStep([], [], name, [rival], {rival: Alternative(final, 0.0, {})})
-        for name, rival in (("carried_mass", "axial_added_mass"), ("force_gain", "pressure_gain"))
+        SelectionStep([], [], name, [other], {other: Alternative(final, 0.0, {})})
+        for name, other in (("carried_mass", "axial_added_mass"), ("force_gain", "pressure_gain"))
     ]
     assert next_experiment(outcome(tank, "class", final, rounds))["name"] == "force_gain"
     assert [x[:2] for x in asked] == [
@@ -160,44 +159,44 @@ def test_the_first_class_that_a_trial_makes_smaller_is_asked_for(tank, asked):
     ]  # fmt: skip
 
 
-def test_trials_that_the_search_did_not_see_are_not_counted(tank, asked):
-    whole = classed(tank, fitted(tank, tank[2], FREE))
-    next_experiment(whole)
-    next_experiment(replace(whole, held=[1]))
+def test_held_out_trials_are_not_used(tank, asked):
+    full = class_outcome(tank, fitted(tank, tank[2], FREE))
+    next_experiment(full)
+    next_experiment(replace(full, held=[1]))
     assert [x[3] for x in asked] == [["trial_00.csv", "trial_01.csv"], ["trial_00.csv"]]
 
 
-def test_a_measured_trial_is_foreseen_at_the_times_of_its_record(tank):
+def test_a_measured_trial_is_predicted_at_the_times_of_its_record(tank):
     experiment, problem, theta = tank
     record = problem.records[0]
-    some = np.delete(np.arange(len(record.t)), slice(30, 50))
-    torn = Record(record.trial, record.t[some], record.values[:, some])
-    sensing = SensorModel.of(experiment, [torn, problem.records[1]])
+    kept = np.delete(np.arange(len(record.t)), slice(30, 50))
+    with_gap = Record(record.trial, record.t[kept], record.values[:, kept])
+    sensing = SensorModel.of(experiment, [with_gap, problem.records[1]])
     channels = TrialInformation(experiment, EFFECTS, theta, FREE, sensing, {}, MESH).trial(
         record.trial
     )
     assert {x.n for x in channels} == {len(record.t) - 20}
 
 
-def test_rivals_are_reported(tank):
+def test_the_report_lists_the_alternatives(tank):
     final = fitted(tank, tank[2], np.concatenate([FREE, MASS]))
     worse = Alternative(final, 88.0, {"tip": 0.01})
-    tried = [Refit("carried_mass", final, 99.0, {"tip": 0.02}, Agreement(9.0, 0.01), True)]
+    refits = [Refit("carried_mass", final, 99.0, {"tip": 0.02}, Agreement(9.0, 0.01), True)]
     this = SelectionStep(
-        [], tried, "carried_mass", [], {"axial_added_mass": worse}, None, "tip_mass"
+        [], refits, "carried_mass", [], {"axial_added_mass": worse}, None, "tip_mass"
     )
     done = outcome(tank, "identified", final, [this])
-    told = loop_record(done, 1.0, {"path": "tank.toml", "sha256": "0"}, {})
-    (effect,) = told["effects"]
+    record = loop_record(done, 1.0, {"path": "tank.toml", "sha256": "0"}, {})
+    (effect,) = record["effects"]
     assert effect["in_place_of"] == "tip_mass"
     assert effect["rivals"] == [
         {"name": "axial_added_mass", "loss": 88.0, "channels": {"tip": 0.01}, "told_apart": True}
     ]
-    html = loop_page(done, told | {"candidates": []})
+    html = loop_page(done, record | {"candidates": []})
     assert "axial_added_mass for carried_mass" in html and "tip 1 %" in html
 
 
-def test_a_rival_is_as_far_as_its_model_cannot_follow():
+def test_the_model_distance_is_the_least_squares_residual():
     J = np.random.default_rng(2).normal(size=(400, 3))
     J[:, 2] += 2.0 * J[:, 1] + J[:, 0]
     square = float(J[:, 2] @ J[:, 2])
@@ -206,12 +205,12 @@ def test_a_rival_is_as_far_as_its_model_cannot_follow():
         ChannelInformation(i, "tip", J[half].T @ J[half], J[half].T @ J[half], 0.5 * square, 200)
         for i, half in enumerate((slice(200), slice(200, None)))
     ]
-    found = distance(channels, unit=1.0)
+    found = model_distance(channels, unit=1.0)
     assert found.sigmas == pytest.approx(np.sqrt(rest[0]), rel=1e-9)
-    assert distance(channels, unit=4.0).sigmas == pytest.approx(0.5 * found.sigmas)
-    left = J[:, 2] - J[:, :2] @ step
-    assert found.shares["tip"] == pytest.approx(np.sqrt(left @ left / square), rel=1e-9)
-    assert found.of_enough == pytest.approx(
+    assert model_distance(channels, unit=4.0).sigmas == pytest.approx(0.5 * found.sigmas)
+    residual = J[:, 2] - J[:, :2] @ step
+    assert found.shares["tip"] == pytest.approx(np.sqrt(residual @ residual / square), rel=1e-9)
+    assert found.threshold_ratio == pytest.approx(
         min(
             rest[0] / DEFAULT_SETTINGS.min_gain,
             (found.shares["tip"] / CHANNELS["tip"].discrepancy) ** 2,
@@ -219,7 +218,7 @@ def test_a_rival_is_as_far_as_its_model_cannot_follow():
     )
 
 
-def test_a_complete_model_asks_for_what_narrows_the_widest_interval(tank):
+def test_after_a_complete_model_the_next_trial_narrows_the_widest_interval(tank):
     final = fitted(tank, tank[2], FREE, weight=0.01)
     before = np.sqrt(np.diag(final.covariance))
     found = next_experiment(outcome(tank, "nothing_missing", final), effort=FEW)
@@ -230,20 +229,20 @@ def test_a_complete_model_asks_for_what_narrows_the_widest_interval(tank):
     assert Trial.model_validate(found["trial"]).frequency == found["trial"]["frequency"]
 
 
-def test_no_trial_is_proposed_where_none_would_narrow_an_interval(tank):
+def test_no_trial_is_proposed_if_none_would_narrow_an_interval(tank):
     final = fitted(tank, tank[2], FREE, weight=1e6)
     done = outcome(tank, "nothing_missing", final)
     found = next_experiment(done)
-    assert found["trial"] is None and "would not narrow" in found["said"]
-    told = loop_record(done, 1.0, {"path": "tank.toml", "sha256": "0"}, found)
-    assert told["next_experiment"] is found
-    html = loop_page(done, told | {"candidates": []})
+    assert found["trial"] is None and "would not narrow any" in found["said"]
+    record = loop_record(done, 1.0, {"path": "tank.toml", "sha256": "0"}, found)
+    assert record["next_experiment"] is found
+    html = loop_page(done, record | {"candidates": []})
     assert "<h2>Next experiment</h2>" in html and "above it" not in html
-    loud = told | {"candidates": [], "left_over_noise": {"tip": 2.0}}
+    loud = record | {"candidates": [], "left_over_noise": {"tip": 2.0}}
     assert "above it: tip." in loop_page(done, loud)
 
 
-def test_recorded_drives_alone_propose_nothing_and_say_why(tank):
+def test_no_trial_is_proposed_for_recorded_drives(tank):
     experiment, problem, theta = tank
     drive = Trial(file="a.csv", waveform="recorded", drive_file="b.csv", duration=1.0)
     recorded = experiment.model_copy(update={"trials": (drive,)})
@@ -253,11 +252,10 @@ def test_recorded_drives_alone_propose_nothing_and_say_why(tank):
     assert found["trial"] is None and "recorded drives only" in found["said"]
 
 
-def test_the_information_of_the_fit_is_that_of_the_prediction(tank):
-    """So that a trial's may be added to it."""
+def test_fit_and_prediction_have_the_same_information(tank):
     experiment, _, theta = tank
     f = TrialInformation(experiment, EFFECTS, theta, FREE, SensorModel.of(experiment), {}, MESH)
     A = information(f.trials(experiment.trials))
     final = fitted(tank, theta, FREE)
-    # The pressures' quantum is read off data alone, and these have none.
+    # These data have no quantisation, which the prediction does not know.
     np.testing.assert_allclose(np.sum([x.A for x in final.blocks], axis=0), A, rtol=1e-6)

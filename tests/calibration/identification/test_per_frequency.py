@@ -199,7 +199,7 @@ def test_the_proposed_trial_does_what_was_promised(monkeypatch):
     few = closed.problem_of(experiment, seen[:1])
     one = fit_gauss_newton(few, entries, theta, free)
     candidates = [seen[2].trial, seen[1].trial]
-    known = design.Known.of(few, one)
+    known = design.MeasuredInformation.of(few, one)
     found = design.best_trial(experiment, entries, one.theta, [0, 1], candidates, known)
     assert found[1].trial.frequency == 5.0
     after = fit_gauss_newton(closed.problem_of(experiment, seen[:2]), entries, one.theta, free)
@@ -223,7 +223,7 @@ def test_a_proposed_trial_adds_to_the_data_at_hand(monkeypatch):
     seen = closed.measured(experiment, [theta] * 2, 0)
     few = closed.problem_of(experiment, seen[:1])
     one = fit_gauss_newton(few, entries, theta, free)
-    known = design.Known.of(few, one)
+    known = design.MeasuredInformation.of(few, one)
     found = design.best_trial(experiment, entries, one.theta, [1], [seen[1].trial], known)
     after = fit_gauss_newton(closed.problem_of(experiment, seen), entries, one.theta, free)
     second = fit_gauss_newton(closed.problem_of(experiment, seen[1:]), entries, one.theta, free)
@@ -287,12 +287,12 @@ def test_what_is_not_determined_gets_the_trial_that_would(monkeypatch):
 
 def test_feasible_trials_stay_within_the_experiment(tmp_path):
     path = write_all_only(tmp_path)
-    grid = design.feasible(load(path))
+    grid = design.feasible_trials(load(path))
     given = load(path).trials
     assert {x.frequency for x in grid} == {1.0, 1.71, 2.92, 5.0}
     assert {x.tow_speed for x in grid} <= {x.tow_speed for x in given}
     assert {x.phase for x in grid} <= {x.phase for x in given}
-    assert {x.frequency for x in design.feasible(load(path), 2.4)} == {2.4}
+    assert {x.frequency for x in design.feasible_trials(load(path), 2.4)} == {2.4}
 
 
 def write_all_only(folder):
