@@ -1,4 +1,4 @@
-"""`slider climb`: climbing a wall in air."""
+"""`slider climb`: simulates climbing a wall in air."""
 
 import sys
 from pathlib import Path
@@ -94,4 +94,6 @@ def climb(
             "versions": versions(),
         }
         write_json(stage / "climb.json", content)
-    print(f"wrote climb.json, and picture, film and table of each trial, to {out}", file=sys.stderr)
+    print(
+        f"wrote climb.json, and a figure, film and table of each trial, to {out}", file=sys.stderr
+    )

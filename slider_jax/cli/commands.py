@@ -1,4 +1,4 @@
-"""The table of subcommands. It names each function as text, so that only a used one is imported."""
+"""The table of subcommands. It lists functions as text, so that only the called one is imported."""
 
 from collections.abc import Callable
 from importlib import import_module
@@ -14,7 +14,7 @@ class Subcommand(NamedTuple):
     target: str
     help: str
     alone: bool = False
-    """Whether a group's own command runs without arguments and takes positional arguments."""
+    """Whether the command has the name of a group and may run without arguments."""
     jax: bool = True
     """Whether the command needs JAX, which may not be installed on the rig's computer."""
 
@@ -57,7 +57,7 @@ COMMANDS = {
     ),
     "effects matrix": Subcommand(
         "calibration.cli.effects_matrix:effects_matrix",
-        "computes which effects an experiment can detect and discriminate",
+        "computes which effects an experiment can detect and discriminate between",
     ),
     "effects": Subcommand(
         "slider_jax.cli.effects:list_effects",
@@ -94,7 +94,8 @@ COMMANDS = {
         jax=False,
     ),
     "rig watch": Subcommand(
-        "rig.cli.watch:rig_watch", "runs the calibrated model beside the rig and raises alarms"
+        "rig.cli.watch:rig_watch",
+        "runs the calibrated model in parallel with the rig and raises alarms",
     ),
     "rig loop": Subcommand(
         "rig.cli.loop:rig_loop", "measures trials and closes the loop until the class is final"
@@ -111,11 +112,11 @@ SIMULATE_LOG = "calibration.cli.simulate_log:simulate_log"
 
 
 def function_of(target: str) -> Callable[..., Any]:
-    """Imports the module of a `module:function` and returns the function."""
+    """Import the module of a `module:function` and return the function."""
     module, function = target.split(":")
     return getattr(import_module(module), function)
 
 
 def rig_error() -> type[Exception]:
-    """Returns the exception class that the rig's commands raise for invalid input."""
+    """Return the exception class that the rig's commands raise for invalid input."""
     return import_module("rig.errors").RigError

@@ -1,4 +1,4 @@
-"""`slider demo`: the paper's head-fixed frequency sweep, with no input."""
+"""`slider demo`: simulates the paper's head-fixed frequency sweep; needs no input."""
 
 import sys
 import time

@@ -1,4 +1,4 @@
-"""`slider effects`: what the library can add to a model, and what each leaves on the sensors."""
+"""`slider effects`: lists the library's effects, and shows how each changes the sensors."""
 
 import inspect
 from pathlib import Path
@@ -35,40 +35,45 @@ PLACES = (
     WaterMotion,
     Instrument,
 )
-"""Where an effect enters, from the valves to the sensors."""
+"""The places at which an effect enters, from the valves to the sensors."""
 
-ExperimentFile = Annotated[Path | None, tyro.conf.arg(metavar="EXPERIMENT.toml")]
+NameArgument = Annotated[
+    tyro.conf.Positional[str | None], tyro.conf.arg(metavar="NAME", help_behavior_hint="")
+]
+ExperimentFile = Annotated[
+    Path | None, tyro.conf.arg(metavar="EXPERIMENT.toml", help_behavior_hint="")
+]
 
 
 def list_effects(
-    name: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="NAME")] = None,
-    out: MaybeFolder = None,
-    experiment: ExperimentFile = None,
+    name: NameArgument = None, out: MaybeFolder = None, experiment: ExperimentFile = None
 ) -> None:
-    """List the effects that a model may be given, or explain one of them.
+    """List the effects that a model may contain, or explain one of them.
 
-    Without a NAME: all effects by the place where they enter, with their parameters' prior ranges
-    and the sensors that can see them. With it: equation, source and priors. With --out too, the
-    picture DIR/NAME.png of what the effect changes in one steady stride, at the end of the prior
-    range. slider effects matrix says which of them an experiment could find.
+    Without a NAME, the command lists all effects by the place at which they enter, with the prior
+    ranges of their parameters and the sensors that they change. With a NAME, it prints the effect's
+    equation, source and priors. With --out, it also draws DIR/NAME.png: the change in one steady
+    stride at the end of the prior range. `slider effects matrix` computes which effects an
+    experiment can detect.
 
     Args:
-        name: the effect to explain.
-        out: folder for the picture; created if missing. An existing file is replaced (default: no
-            picture).
-        experiment: draw its first trial instead of the built-in robot at 4.8 Hz.
+        name: name of the effect to explain (default: list all effects).
+        out: folder for the figure; created if missing. An existing file is replaced (default: no
+            figure).
+        experiment: experiment file (.toml) whose first trial is drawn (default: the built-in robot
+            at 4.8 Hz).
     """
     if name is None:
         for option, given in {"--out": out, "--experiment": experiment}.items():
             if given is not None:
-                raise InputError(f"{option}: is for the picture of one effect; give its NAME too")
+                raise InputError(f"{option}: applies to the figure of one effect; add its NAME")
         print(listing())
         return
     if name not in LIBRARY:
-        near = did_you_mean(name, (*LIBRARY, "matrix"))  # which is a command of its own
-        raise InputError(f"NAME: given {name!r}; allowed the names that slider effects lists{near}")
+        near = did_you_mean(name, (*LIBRARY, "matrix"))  # `effects matrix` is a command
+        raise InputError(f"NAME: given {name!r}; allowed are the names in `slider effects`{near}")
     if experiment is not None and out is None:
-        raise InputError("--experiment: is for the picture; give --out DIR too")
+        raise InputError("--experiment: applies to the figure; add --out DIR")
     if out is None:
         print(explanation(name))
         return
@@ -76,12 +81,12 @@ def list_effects(
 
 
 def place_of(kind: type[Effect]) -> type[Effect]:
-    """Where an effect enters."""
+    """Return the place at which an effect enters."""
     return next(place for place in PLACES if issubclass(kind, place))
 
 
 def listing() -> str:
-    """All effects, a place at a time."""
+    """Return the list of all effects, grouped by place."""
     width = max(map(len, LIBRARY))
     lines = [f"{len(LIBRARY)} effects; slider effects NAME explains one"]
     for place in PLACES:
@@ -96,7 +101,7 @@ def listing() -> str:
 
 
 def explanation(name: str) -> str:
-    """Docstring and priors of one effect."""
+    """Return the docstring and the priors of one effect."""
     kind = LIBRARY[name]
     lines = [
         f"{name}: {kind.title}",
@@ -104,7 +109,7 @@ def explanation(name: str) -> str:
         indent(inspect.getdoc(kind) or "", "  "),
         "",
         f"enters at: {_first_line(place_of(kind))}",
-        f"seen by:   {', '.join(kind.sensors)}",
+        f"sensors:   {', '.join(kind.sensors)}",
         "",
         "parameters",
     ]
@@ -114,7 +119,8 @@ def explanation(name: str) -> str:
     for parameter, span, why in rows:
         lines.append(f"  {parameter:<{widths[0]}}  {span:<{widths[1]}}  {why}")
     given = "".join(f"\n  {key} = {_example(prior):.3g}" for key, prior in priors.items())
-    lines += ["", "in an experiment or model file", f'  [[effects]]\n  name = "{name}"{given}']
+    lines += ["", "example for an experiment or model file"]
+    lines.append(f'  [[effects]]\n  name = "{name}"{given}')
     return "\n".join(lines)
 
 
@@ -124,12 +130,12 @@ def _first_line(place: type[Effect]) -> str:
 
 def _range(prior: Prior) -> str:
     unit = "" if prior.unit == "-" else f" {prior.unit}"
-    null = "" if prior.null == 0.0 else f", none at {prior.null:g}"
+    null = "" if prior.null == 0.0 else f", no effect at {prior.null:g}"
     return f"{prior.low:g} to {prior.high:g}{unit}{null}"
 
 
 def _example(prior: Prior) -> float:
-    """A size to try: half of what is believed possible."""
+    """Return half of the typical size as an example value."""
     from slider_jax.simulation.effect_signature import typical
 
     return 0.5 * (prior.null + typical(prior))
@@ -152,13 +158,13 @@ def _draw(name: str, out: Path, path: Path | None) -> None:
             found = fingerprint(experiment, name, progress.to)
         plot_fingerprint(found, stage / f"{name}.png")
     print(explanation(name))
-    print("\nchange over the stride, rms")
+    print("\nrms change over the stride")
     for trace in found.traces:
         rms = found.rms(trace)
-        said = [
+        changes = [
             f"{x.label} {x.plot_factor * rms[x.column]:.4g} {x.plot_unit}"
             for x in CHANNELS.values()
             if rms[x.column]
         ]
-        print(f"  {trace.label}: {'; '.join(said) or 'none'}")
-    print(f"{name}.png is in {out}")
+        print(f"  {trace.label}: {'; '.join(changes) or 'none'}")
+    print(f"wrote {name}.png to {out}")

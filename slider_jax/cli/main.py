@@ -14,7 +14,7 @@ _GROUPS = {name.split()[0] for name in COMMANDS if " " in name} - {
 
 
 def usage(group: str = "") -> str:
-    """Returns the list of subcommands, or those of a `group` such as "calibrate"."""
+    """Return the list of subcommands, or those of a `group` such as "calibrate"."""
     shown = {name: x for name, x in COMMANDS.items() if name.startswith(group)}
     width = max(map(len, shown))
     lines = [f"  {name:<{width}}  {command.help}" for name, command in shown.items()]
@@ -23,7 +23,7 @@ def usage(group: str = "") -> str:
 
 
 def prepare_jax() -> None:
-    """Enables float64 and keeps compiled programs between runs in the user's cache folder.
+    """Enable float64, and keep compiled programs in the user's cache folder between runs.
 
     `JAX_COMPILATION_CACHE_DIR` names another folder; `SLIDER_CACHE=off` disables the cache.
     """
@@ -43,12 +43,12 @@ def prepare_jax() -> None:
 
 
 def find(arguments: Sequence[str]) -> tuple[str, list[str]]:
-    """Returns the subcommand that `arguments` begin with, and the remaining arguments."""
+    """Return the subcommand at the start of `arguments`, and the remaining arguments."""
     words = list(arguments)
     for name in COMMANDS:
         parts = name.split()
         rest = words[len(parts) :]
-        # After a group's own command, a word that names no file is a mistyped subcommand.
+        # A word after a group's own command is a mistyped subcommand unless it is a file.
         mistyped = name in _GROUPS and rest and rest[0].isalpha() and not Path(rest[0]).exists()
         if words[: len(parts)] == parts and not mistyped:
             return name, rest
@@ -62,7 +62,7 @@ def find(arguments: Sequence[str]) -> tuple[str, list[str]]:
 
 
 def run_command(arguments: Sequence[str]) -> int:
-    """Runs one command and returns its exit code. Raises input and solver errors."""
+    """Run one command and return its exit code. Raises input and solver errors."""
     name, rest = find(arguments)
     if COMMANDS[name].jax:
         prepare_jax()
@@ -72,12 +72,15 @@ def run_command(arguments: Sequence[str]) -> int:
 
 
 def _notes(error: BaseException) -> list[str]:
-    """Returns the notes on an error: further failures while the command stopped."""
+    """Return the notes on an error, which are further failures while the command stopped."""
     return list(getattr(error, "__notes__", ()))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point: exit code 0, 2 for a bad input or a failed solve, 130 when interrupted."""
+    """Run `slider` and return its exit code.
+
+    The code is 0, 2 for invalid input or a failed solve, or 130 after an interruption.
+    """
     arguments = sys.argv[1:] if arguments is None else arguments
     if not arguments or arguments[0] in ("-h", "--help", "help"):
         print(usage())

@@ -1,4 +1,4 @@
-"""`slider optimize`: the fastest swimmer, and one tail for swimming and climbing."""
+"""`slider optimize`: optimises the fastest swimmer, and one tail for swimming and climbing."""
 
 import sys
 import time
@@ -63,7 +63,7 @@ class _Report:
         )
 
 
-def _kept(out: Path) -> None:
+def _print_checkpoints(out: Path) -> None:
     if any(out.glob("**/checkpoint.npz")):
         print(f"checkpoints are in {out}; add --resume to continue", file=sys.stderr)
 
@@ -145,7 +145,7 @@ def optimize_swim(
             task, optimiser, population, generations, seed, out, resume, on_generation
         )
     except KeyboardInterrupt:
-        _kept(out)
+        _print_checkpoints(out)
         raise
     if evaluation.is_first():
         print("computing gradient and Hessian at the best design ...", file=sys.stderr)
@@ -234,7 +234,7 @@ def optimize_multimodal(
     try:
         found = search_front(modes, betas, effort, out, resume, on_generation)
     except KeyboardInterrupt:
-        _kept(out)
+        _print_checkpoints(out)
         raise
     if evaluation.is_first():
         print("repeating every design on the experiment's own mesh ...", file=sys.stderr)

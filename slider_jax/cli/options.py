@@ -1,4 +1,4 @@
-"""Types of command-line arguments: their names in the help, and what a bad one is told."""
+"""Types of command-line arguments with their names in the help and their error messages."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -13,9 +13,9 @@ from slider_jax.errors import InputError
 def _read_by(
     read: Callable[[list[str]], Any], metavar: str, allowed: str, count: int | Literal["*"] = 1
 ) -> PrimitiveConstructorSpec:
-    """How an argument of `count` words is read, and its `metavar` in the help.
+    """Return a tyro type for an argument of `count` words, shown as `metavar` in the help.
 
-    `read` takes the words and raises `ValueError` where they are not what is `allowed`.
+    `read` converts the words and raises `ValueError` if they are not `allowed`.
     """
 
     def instance(words: list[str]) -> Any:
@@ -47,7 +47,7 @@ def _numbers(words: list[str]) -> tuple[float, ...]:
 
 
 _DEFAULT_IN_HELP = tyro.conf.arg(help_behavior_hint="")
-"""For None, whose meaning the help text states: tyro would add "(default: None)"."""
+"""Suppresses tyro's "(default: None)" if the help text states the default."""
 Folder = Annotated[Path, tyro.conf.arg(metavar="DIR")]
 MaybeFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")]
 MaybeExperiment = Annotated[
@@ -79,7 +79,7 @@ MaybeWhole = Annotated[int | None, _WHOLE, _DEFAULT_IN_HELP]
 
 
 def chosen_trials(trials: tuple, number: int | None) -> tuple:
-    """All trials, or the one of `--trial`. Raises `InputError` if there is none such."""
+    """Return all trials, or that of `--trial`. Raises `InputError` if it does not exist."""
     if number is None:
         return trials
     if not 0 <= number < len(trials):
@@ -88,6 +88,9 @@ def chosen_trials(trials: tuple, number: int | None) -> tuple:
 
 
 def refuse_own_folder(out: Path, folder: Path) -> None:
-    """Raise `InputError` if results were to go where an experiment's measured files lie."""
+    """Raise `InputError` if results would overwrite an experiment's measured data."""
     if out.resolve() == folder.resolve():
-        raise InputError(f"--out {out}: is the experiment's own folder; give another")
+        raise InputError(
+            f"--out {out}: this is the experiment's own folder, whose files may be measured data; "
+            "give another folder"
+        )

@@ -1,30 +1,36 @@
-"""From a command line's arguments to the call that they ask for, or to one error message."""
+"""Converts a command line's arguments to a function call, or to an error message of one line."""
 
 import inspect
+import re
 from collections.abc import Callable, Sequence
 from functools import partial, wraps
 from typing import Any
 
 import tyro
 
-# The events behind tyro's error boxes. The module is private: tests/slider_jax/cli/test_parse.py
-# fails if a new version of tyro changes what is used here.
+# This private module defines the events behind tyro's error boxes.
+# tests/slider_jax/cli/test_parse.py fails if a new version of tyro changes them.
 from tyro import _errors as tyro_errors
 
 from slider_jax.errors import InputError, did_you_mean
 
 
 def call_of(command: Callable[..., Any], words: Sequence[str], name: str) -> Callable[[], Any]:
-    """Returns `command` with the arguments in `words`, ready to be called.
+    """Return a function that calls `command` with the arguments in `words`.
 
     Raises `InputError` for invalid arguments, and `SystemExit` after `--help`.
     """
     _refuse_unknown_options(command, words)
 
-    # tyro builds the call and does not run it, so that only parsing can reach the hook.
+    # tyro builds the call but does not run it, so that only parsing errors reach `refuse`.
     @wraps(command)
     def call(*arguments: Any, **options: Any) -> Callable[[], Any]:
         return partial(command, *arguments, **options)
+
+    # tyro keeps the line breaks of an argument's help text, so each text is joined to one line.
+    call.__doc__ = re.sub(r"\n {8,}", " ", inspect.getdoc(command) or "")
+    vars(call)["__signature__"] = inspect.signature(command)
+    del vars(call)["__wrapped__"]  # tyro would read the docstring of the wrapped function
 
     def refuse(event: tyro_errors.ParseErrorEvent) -> None:
         raise InputError(f"{error_line(event)}; see slider {name} --help")
@@ -35,7 +41,10 @@ def call_of(command: Callable[..., Any], words: Sequence[str], name: str) -> Cal
 
 
 def _refuse_unknown_options(function: Callable[..., Any], words: Sequence[str]) -> None:
-    """tyro reads the word after an unknown option as its value, and then reports a missing file."""
+    """Raise `InputError` for an unknown option.
+
+    tyro would take the word after it as its value and then report a missing file.
+    """
     allowed = ["--help"]
     for name, parameter in inspect.signature(function).parameters.items():
         notes = getattr(parameter.annotation, "__metadata__", ())
@@ -53,12 +62,12 @@ def _refuse_unknown_options(function: Callable[..., Any], words: Sequence[str]) 
 
 
 def error_line(event: tyro_errors.ParseErrorEvent) -> str:
-    """Returns one line that says what is wrong with the arguments."""
+    """Return one line that describes the error in the arguments."""
     match event:
         case tyro_errors.MissingArgs():
             return f"{', '.join(_label(x.arg, True) for x in event.missing_arguments)}: missing"
         case tyro_errors.UnrecognizedArgs():
-            return f"not understood: {' '.join(map(_printable, event.tokens))}"
+            return f"unexpected arguments: {' '.join(map(_printable, event.tokens))}"
         case tyro_errors.InvalidChoice():
             allowed = ", ".join(event.choices)
             return f"{_label(event.argument)}: given {event.value!r}; allowed {allowed}"
@@ -72,7 +81,7 @@ def error_line(event: tyro_errors.ParseErrorEvent) -> str:
 
 
 def _label(argument: Any, with_value: bool = False) -> str:
-    """Returns the argument as the help shows it: `FILE`, `--out`, or `--out DIR` with its value."""
+    """Return the argument as the help shows it: `FILE`, `--out`, or `--out DIR` with its value."""
     metavar = str(argument.lowered.metavar)
     if argument.is_positional():
         return metavar

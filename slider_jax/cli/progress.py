@@ -1,4 +1,4 @@
-"""How far a command has come: a bar on a terminal, plain lines on any other stderr."""
+"""Shows the progress of a command: a bar on a terminal, otherwise lines on stderr."""
 
 import sys
 import threading
@@ -9,20 +9,20 @@ from types import TracebackType
 from tqdm import tqdm
 
 PATIENCE = 2.0
-"""After so many seconds without a first report, what is done meanwhile is said [s]."""
+"""Time [s] without progress after which a line with the current activity is printed."""
 PAUSE = 10.0
-"""Between two lines [s]."""
+"""Time [s] between two lines."""
 
 
 class Progress:
-    """A context that is told what is done, from any thread. Nothing is left of a bar at its end."""
+    """A context that shows progress. Any thread may report steps. The bar is erased at the end."""
 
     def __init__(self, name: str, unit: str, first: str = "compiling"):
         self._name, self._unit = name, unit
         self._lock, self._done, self._total = threading.Lock(), 0, 0
         self._bar = tqdm(desc=f"{name}: {first}", unit=unit, leave=False, disable=None)
         self._next = time.monotonic() + PAUSE
-        self._waiting = threading.Timer(PATIENCE, self._say, (f"{name}: {first} ...",))
+        self._waiting = threading.Timer(PATIENCE, self._print, (f"{name}: {first} ...",))
         self._waiting.daemon = True
 
     def __enter__(self) -> "Progress":
@@ -40,18 +40,18 @@ class Progress:
         self._bar.close()
 
     def begin(self, total: int, done: int = 0) -> None:
-        """There is `total` to do, of which some was `done` before; the first is still to come."""
+        """Set the total number of steps, of which `done` were completed in an earlier run."""
         self._total, self._done = total, done
         self._bar.total = total
         self._bar.update(done)
 
     def step(self) -> None:
-        """One more is done."""
+        """Report one completed step."""
         with self._lock:
             self._to(self._done + 1, self._total)
 
     def to(self, done: int, total: int) -> None:
-        """`done` of `total` are done."""
+        """Report that `done` of `total` steps are complete."""
         with self._lock:
             self._to(done, total)
 
@@ -62,12 +62,12 @@ class Progress:
             self._bar.total = total
             self._bar.update(done - self._done)
         elif time.monotonic() >= self._next and done < total:
-            self._say(f"{self._name}: {done} of {total} {self._unit}s")
+            self._print(f"{self._name}: {done} of {total} {self._unit}s")
             self._next = time.monotonic() + PAUSE
         self._done = done
 
     @staticmethod
-    def _say(line: str) -> None:
+    def _print(line: str) -> None:
         print(line, file=sys.stderr, flush=True)
 
 

@@ -1,4 +1,4 @@
-"""`slider simulate`: simulates an experiment, or the robot on a pressure log of the rig."""
+"""`slider simulate`: simulates an experiment, or the robot's thrust from a pressure log."""
 
 import sys
 import time
@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import tyro
 
 from slider_jax.cli.commands import SIMULATE_LOG, function_of
-from slider_jax.cli.options import Folder, MaybeWhole, ModelFile, Seconds
+from slider_jax.cli.options import Folder, MaybeWhole, ModelFile, Seconds, refuse_own_folder
 from slider_jax.errors import InputError
 
 
@@ -20,35 +20,42 @@ def simulate(
     animate: bool = False,
     step: Seconds = None,
     nodes: MaybeWhole = None,
-    scheme: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
+    scheme: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None,
     drive: Literal["set", "measured"] = "set",
 ) -> None:
-    """Simulate every trial of an experiment and write its sensors' readings.
+    """Simulate every trial of an experiment and write the sensors' readings.
 
-    DIR/<trial's file name> gets the columns t_s, p_front_Pa, p_rear_Pa, thrust_N, recoil_N, tip_m
-    at the trial's own sample times; DIR/summary.json the cycle means, settings and versions.
+    The command writes DIR/<trial's file name> with the columns t_s, p_front_Pa, p_rear_Pa,
+    thrust_N, recoil_N and tip_m at the trial's own sample times. It also writes DIR/summary.json
+    with cycle means, settings and versions.
 
     Args:
-        input: an experiment (.toml), or one of the rig's pressure logs (any other suffix).
-        out: folder for the results; made if missing, files of the same name are replaced.
+        input: experiment file (.toml), or a pressure log of the rig (any other suffix).
+        out: folder for the results; created if missing. Existing files are replaced.
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
-        plot: draw time series, measured ones beside them, and midlines of each trial (PNG).
-        animate: film the last two strides of each trial: midline, forces, moment (GIF).
-        step: longest time step, in s (experiments only; default: the file's, else 0.001).
-        nodes: nodes along the robot (experiments only; default 51 or as the file says).
-        scheme: sdirk2 or backward_euler (experiments only).
-        drive: for a log, send its command (set) or its measured pressure through the model.
+        plot: also draw the simulated and measured time series and the midlines of each trial (PNG).
+        animate: also draw the last two strides of each trial as a film (GIF).
+        step: longest time step, in s; for experiments (default: numerics.step of the file, or
+            0.001).
+        nodes: number of nodes along the robot; for experiments (default: numerics.nodes of the
+            file, or 51).
+        scheme: time scheme, sdirk2 or backward_euler; for experiments (default: numerics.scheme of
+            the file, or sdirk2).
+        drive: input of the model for a log: its set pressure (set) or its measured pressure
+            (measured).
     """
     if input.suffix.lower() != ".toml":
         options = {"--animate": animate, "--step": step, "--nodes": nodes, "--scheme": scheme}
         for name, value in options.items():
             if value:
-                raise InputError(f"{name}: is for experiments; leave it out for a log")
+                raise InputError(f"{name}: applies to experiments; remove it for a log")
         return function_of(SIMULATE_LOG)(input, model, out, drive, plot)
     from slider_jax.experiment.load import load
 
     if drive != "set":
-        raise InputError("--drive measured: is for logs; an experiment's trials say drive_is")
+        raise InputError(
+            "--drive measured: applies to logs; set drive_is in an experiment's trials"
+        )
     experiment = load(input, model)
     settings = {"numerics.step": step, "numerics.nodes": nodes, "numerics.scheme": scheme}
     given = {key: value for key, value in settings.items() if value is not None}
@@ -66,12 +73,8 @@ def _simulate_experiment(experiment, path, model, out, plot, animate) -> None:
     from slider_jax.simulation.summary import simulation_summary, trial_summary
     from slider_jax.simulation.trial import simulate_prepared
 
-    if out.resolve() == experiment.folder.resolve():
-        raise InputError(
-            f"--out {out}: is the experiment's own folder, where trials' files hold measured data; "
-            "give another"
-        )
-    # Every file is checked before anything is computed.
+    refuse_own_folder(out, experiment.folder)
+    # All files are checked before the first simulation.
     prepared = [prepare(experiment, trial) for trial in experiment.trials]
     formats = {TIME: ".9g"} | {x.column: x.digits for x in CHANNELS.values()}
     results, shape = [], plot or animate
@@ -93,7 +96,7 @@ def _simulate_experiment(experiment, path, model, out, plot, animate) -> None:
             for line in _lines(result, time.perf_counter() - started):
                 print(line, file=sys.stderr)
         write_json(stage / "summary.json", simulation_summary(experiment, results, path, model))
-    print(f"{len(results)} trials and summary.json are in {out}", file=sys.stderr)
+    print(f"wrote {len(results)} trials and summary.json to {out}", file=sys.stderr)
 
 
 def _lines(result, seconds: float) -> list[str]:
@@ -106,7 +109,7 @@ def _lines(result, seconds: float) -> list[str]:
             for x in CHANNELS.values()
             if x.column in off
         ]
-        lines.append(f"{result['file']}  rms off the measured: {', '.join(errors)}")
+        lines.append(f"{result['file']}  rms error: {', '.join(errors)}")
     return lines + [f"{result['file']}  warning: {text}" for text in result["warnings"]]
 
 

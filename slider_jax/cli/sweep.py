@@ -1,4 +1,4 @@
-"""`slider sweep`: vary one or two fields of an experiment."""
+"""`slider sweep`: varies one or two fields of an experiment."""
 
 import shutil
 import sys
@@ -10,17 +10,17 @@ import tyro
 from slider_jax.cli.options import Folder, MaybeValue, MaybeWhole, ModelFile, Value, Whole
 from slider_jax.errors import InputError
 
-_FIELD = tyro.conf.arg(metavar="FIELD")
-
 
 def sweep(
     experiment: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="EXPERIMENT.toml")],
-    field: Annotated[str, _FIELD],
+    field: Annotated[str, tyro.conf.arg(metavar="FIELD")],
     start: Annotated[Value, tyro.conf.arg(name="from")],
     stop: Annotated[Value, tyro.conf.arg(name="to")],
     count: Whole,
     out: Folder,
-    field2: Annotated[str | None, _FIELD] = None,
+    field2: Annotated[
+        str | None, tyro.conf.arg(metavar="FIELD", help_behavior_hint="(default: none)")
+    ] = None,
     start2: Annotated[MaybeValue, tyro.conf.arg(name="from2")] = None,
     stop2: Annotated[MaybeValue, tyro.conf.arg(name="to2")] = None,
     count2: MaybeWhole = None,
@@ -45,9 +45,9 @@ def sweep(
         count: number of evenly spaced values of the field.
         out: folder for the results; created if missing.
         field2: second field to vary, for a contour plot.
-        start2: first value of the second field, in SI units.
-        stop2: last value of the second field, in SI units.
-        count2: number of evenly spaced values of the second field.
+        start2: first value of the second field, in SI units (required with --field2).
+        stop2: last value of the second field, in SI units (required with --field2).
+        count2: number of evenly spaced values of the second field (required with --field2).
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
         trial: number of the trial to simulate, counted from 0 (default: N if the field is
             trials.N..., otherwise 0).
@@ -82,8 +82,8 @@ def sweep(
     output_folder(out)
     if is_written(task, out):
         print(
-            f"{out / 'sweep.csv'} already holds all {len(task.points)} points of this sweep, with "
-            f"the same settings and versions; delete {out / 'sweep.json'} to run it again",
+            f"{out / 'sweep.csv'} already contains all {len(task.points)} points of this sweep, "
+            f"with the same settings and versions; delete {out / 'sweep.json'} to run it again",
             file=sys.stderr,
         )
         return

@@ -1,4 +1,4 @@
-"""`slider swim`: free swimming."""
+"""`slider swim`: simulates free swimming."""
 
 import sys
 from pathlib import Path
@@ -72,4 +72,4 @@ def swim(
             "versions": versions(),
         }
         write_json(stage / "swim.json", content)
-    print(f"wrote swim.json, and a picture and a table of each trial, to {out}", file=sys.stderr)
+    print(f"wrote swim.json, and a figure and a table of each trial, to {out}", file=sys.stderr)

@@ -1,9 +1,9 @@
-"""Base classes of the effects: one physical cause, with its parameters and one method that adds it.
+"""Base classes of the effects. An effect is one physical cause, with parameters and one method.
 
-A model holds a list of effects, and the solver treats them all alike. Every effect enters the model
-at one of the places below. Each place is a class with one abstract method. `parameter` declares a
-parameter of an effect: its null value, at which the effect vanishes, and its prior range, with the
-reason for the range.
+A model contains a list of effects, and the solver treats all effects alike. Every effect enters the
+model at one of the places below. Each place is a class with one abstract method. `parameter`
+declares a parameter of an effect: its null value, at which the effect vanishes, and its prior range
+with the reason for this range.
 """
 
 import math
@@ -25,8 +25,8 @@ from slider_jax.beam.parameters import Robot
 class Prior(NamedTuple):
     """Prior range of a parameter, `low` to `high`; the effect vanishes at `null`.
 
-    `start` is the value at which the loop first tries the effect. Effects need one if their tangent
-    at the null does not predict their action at full size: a threshold, a limit, another law.
+    `start` is the value at which the loop first tries the effect. It is needed if the derivative at
+    the null does not predict the effect at full size, as for a threshold, a limit or another law.
     """
 
     null: float
@@ -50,23 +50,24 @@ class Effect(eqx.Module):
     title: ClassVar[str] = ""
     """Name of the effect in reports."""
     order: ClassVar[float] = math.inf
-    """Position in lists and rankings. Effects without one come last, sorted by name."""
+    """Position in lists and rankings. Effects without a position are last, sorted by name."""
     sensors: ClassVar[tuple[str, ...]] = ("thrust", "recoil", "tip")
-    """Sensors that can detect the effect, of pressure, thrust, recoil, tip."""
+    """Sensors that can detect the effect: any of pressure, thrust, recoil and tip."""
     in_every_model: ClassVar[bool] = False
-    """Whether every model contains it, so that it is not in the library."""
+    """Whether every model contains the effect. Such an effect is not in the library."""
     is_candidate: ClassVar[bool] = True
-    """Whether the loop may add it to explain a residual. False for effects that a horizontal tank
-    with a clamped head cannot have."""
+    """Whether the loop may add the effect to explain a residual. False if the effect cannot occur
+    in a horizontal tank with a clamped head."""
     rear_only: ClassVar[bool] = False
-    """Whether it acts on the rear chamber only, so that a log of one chamber cannot show it."""
+    """Whether the effect acts only on the rear chamber, so a log of one chamber cannot show it."""
     lacks_weight: ClassVar[bool] = False
-    """Whether it adds inertia without the weight, so that climbing in air cannot include it."""
+    """Whether the effect adds inertia without weight, so climbing in air cannot include it."""
     resists_axially: ClassVar[bool] = False
-    """Whether it is a force density that resists motion along the body. Normal drag and added mass
-    do not."""
+    """Whether the effect is a force density that resists axial motion. Normal drag and added mass
+    are not."""
     replaces_law: ClassVar[str] = ""
-    """Part of the model that it replaces, or empty. A model holds at most one effect for a part."""
+    """Part of the model that the effect replaces, or empty. A model may contain only one effect for
+    each part."""
 
     @classmethod
     def name(cls) -> str:
@@ -75,7 +76,7 @@ class Effect(eqx.Module):
 
     @classmethod
     def place(cls) -> str:
-        """Return the name of the class below that says where the effect enters the model."""
+        """Return the name of the base class for the place where the effect enters the model."""
         return next(kind.__name__ for kind in cls.__mro__[1:] if kind.__module__ == __name__)
 
     @classmethod
@@ -96,7 +97,7 @@ class ForceDensity(Effect):
 
 
 class BendingMoment(Effect):
-    """A moment inside the body, added to the elastic and viscous moments; it may have memory."""
+    """An internal moment, added to the elastic and viscous moments; it may have memory."""
 
     @abstractmethod
     def moment(self, x: Section, memory: Array, dt: Array) -> tuple[Array, Array]:
@@ -111,8 +112,8 @@ class BendingMoment(Effect):
 MOUNT_LAG = 1e-3
 """Time constant [s] of a mounting, a spring parallel to a dashpot: x + MOUNT_LAG dx/dt = -c load.
 
-It gives a loss factor of 0.03 at 5 Hz, typical of bolted joints. It also bounds the tangent at
-c = 0, where a spring alone would follow every wave front of the body."""
+The loss factor is 0.03 at 5 Hz, which is typical of bolted joints. The dashpot also bounds the
+derivative at c = 0, where a spring alone would follow every wave front of the body."""
 
 
 class HeadRates(NamedTuple):
@@ -181,7 +182,7 @@ class Flow(Effect):
         """
 
     def replaces(self) -> Array | bool:
-        """Return whether the rate is independent of the lag."""
+        """Return whether the effect's rate replaces that of the lag."""
         return False
 
 
@@ -234,8 +235,8 @@ class Instrument(Effect):
     def read_sample(self, true: Readings, read: Readings) -> Readings:
         """Return the recorded reading (scalars) of the last sample of `true`.
 
-        `read` holds the recorded readings of the samples before it. Only an instrument whose
-        reading depends on its earlier readings needs them, and must define this method.
+        `read` contains the recorded readings of the previous samples. An instrument whose reading
+        depends on its previous readings must override this method.
         """
         return last_sample(self.read(true))
 

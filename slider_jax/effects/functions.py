@@ -7,7 +7,8 @@ from jaxtyping import Array, Float
 from slider_jax.beam.parameters import Scalar
 
 SHARP = 32
-"""Exponent of a limit. The result is 0.1 % too small at nine tenths of the limit, 2 % at it."""
+"""Exponent of a limit. The result is 0.1 % too small at nine tenths of the limit and 2 % too small
+at the limit."""
 
 
 def magnitude(x: Array, width: float) -> Array:
@@ -37,23 +38,32 @@ def delayed(x: Float[Array, " n"], t: Float[Array, " n"], delay: Scalar) -> Floa
     return x1 + u * (slope1 + u * (curve + u * twist))
 
 
+def lag_coefficients(tau: Scalar, dt: Array) -> tuple[Array, Array]:
+    """Return the decay e = exp(-dt/tau) of a lag in a step `dt` [s], and its mean (1 - e) tau/dt.
+
+    At tau = 0 both are zero, and the derivative of the mean with respect to tau is 1/dt.
+    """
+    # For tau < dt/500 the decay is zero in float64, and the mean is tau/dt.
+    slow = tau > dt / 500.0
+    exponent = dt / jnp.where(slow, tau, dt)
+    e = jnp.where(slow, jnp.exp(-exponent), 0.0)
+    return e, jnp.where(slow, -jnp.expm1(-exponent), 1.0) * tau / dt
+
+
 def lagged(
     x: Float[Array, " n"], t: Float[Array, " n"], tau: Scalar, start: Array | None = None
 ) -> Float[Array, " n"]:
-    """Return y of tau dy/dt = x - y from y = `start` (default: x); exact for x linear in a step.
+    """Return the solution y of tau dy/dt = x - y from y = `start` (default: the first x).
 
-    For a step dt, with e = exp(-dt/tau) and m = (1 - e) tau/dt, the mean of the decay,
+    The solution is exact if x is linear within each step.
+
+    For a step dt, with e and m from `lag_coefficients`,
 
         y_1 = e y_0 + (1 - e) x_0 + (1 - m) (x_1 - x_0)
 
     At tau = 0 the result is x, and its derivative with respect to tau is that of a slow x, -dx/dt.
     """
-    dt = t[1] - t[0]
-    # For tau < dt/500 the decay e is zero in float64, and m = tau/dt.
-    slow = tau > dt / 500.0
-    exponent = dt / jnp.where(slow, tau, dt)
-    e = jnp.where(slow, jnp.exp(-exponent), 0.0)
-    m = jnp.where(slow, -jnp.expm1(-exponent), 1.0) * tau / dt
+    e, m = lag_coefficients(tau, t[1] - t[0])
 
     def body(y, ends):
         x_0, x_1 = ends

@@ -1,4 +1,4 @@
-"""All effects by name. Discovery finds them: an effect is one file in a folder beside this one."""
+"""The library of effects by name. Discovery imports each file in the folders next to this file."""
 
 import importlib
 import importlib.util
@@ -14,14 +14,14 @@ from slider_jax.errors import InputError
 
 
 def defined_effects(module: ModuleType) -> list[type[Effect]]:
-    """Return the concrete effects that `module` defines: subclasses of a place, none abstract."""
+    """Return the concrete effects that `module` defines, which are subclasses of a place."""
     kinds = [x for x in vars(module).values() if isinstance(x, type) and issubclass(x, Effect)]
     kinds = [x for x in kinds if x.__module__ == module.__name__ and not inspect.isabstract(x)]
     return [x for x in kinds if Effect not in (x, *x.__bases__)]
 
 
 def _built_in() -> dict[str, type[Effect]]:
-    """Return the effects of the package's folders that a model may have, by name, in order."""
+    """Return the effects of the package's folders by name, without those of every model."""
     found = [m.name for m in walk_packages(effects.__path__, f"{effects.__name__}.")]
     modules = [importlib.import_module(name) for name in found if name != __name__]
     kinds = [kind for module in modules for kind in defined_effects(module)]
@@ -44,7 +44,7 @@ def load_effects(path: Path) -> list[str]:
     if spec is None or spec.loader is None:
         raise InputError(f"{path}: is not a Python file; give a file whose name ends in .py")
     module = importlib.util.module_from_spec(spec)
-    sys.modules[module_name] = module  # where dataclasses look up the annotations of fields
+    sys.modules[module_name] = module  # dataclasses look up the annotations of fields there
     try:
         spec.loader.exec_module(module)
         kinds = defined_effects(module)

@@ -10,13 +10,13 @@ from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Chamber, Flow
 
 FULL = 25 * 932.8
-"""Error [Pa] of the largest duty: 25 codes, because the firmware adds 10 a code up to 250."""
+"""Error [Pa] at the largest duty: 25 codes, because the firmware adds 10 per code up to 250."""
 WIDEST = 250.0 / 255.0
 """Largest duty that the firmware sets."""
 
 
 def opening(error: Array, dead: Scalar) -> Array:
-    """Return the share of full flow through the valve that an error [Pa] opens.
+    """Return the share of the full flow with which a pressure error [Pa] opens a valve.
 
     The duty is min(250, 10 |error in codes|)/255. A duty below `dead` opens nothing. Source: the
     public repository bvanstratum/SoftSnakePressureControl.
@@ -26,7 +26,7 @@ def opening(error: Array, dead: Scalar) -> Array:
 
 
 class ValvePair(Flow):
-    """A valve to the supply and a valve to the room, opened by the duty, replace the lag.
+    """A supply valve and a vent valve, opened by the firmware's duty, replace the lag.
 
     At the null, `fill` = 0, the lag is unchanged.
     """

@@ -1,2 +1,2 @@
-"""Steps one robot while it is driven: set pressures and readings without knowledge of the future,
-faults and noise. May import `simulation` and the rooms below it."""
+"""Simulates one robot in real time from set pressures to readings, with faults and noise. May
+import `simulation` and the rooms below it."""

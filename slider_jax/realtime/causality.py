@@ -13,7 +13,7 @@ from slider_jax.realtime.sensors import constant_past, read_now
 
 
 def check_commands(commands: tuple[Command, ...], h: float, samples: int) -> None:
-    """Raises `InputError` if the valves depend on more than the last `samples` set pressures.
+    """Raise `InputError` if the valves depend on more than the last `samples` set pressures.
 
     The check applies the effects to random set pressures, `h` [s] apart. It compares a waveform of
     the whole series with waveforms of the samples that a plant knows at each time.
@@ -22,7 +22,7 @@ def check_commands(commands: tuple[Command, ...], h: float, samples: int) -> Non
     times = jnp.asarray(h * np.arange(float(length)))
     values = jnp.asarray(np.random.default_rng(0).uniform(-1e5, 1e5, length))
 
-    def followed(commands: tuple[Command, ...], chamber: int, wave: Waveform, t: Array):
+    def segments(commands: tuple[Command, ...], chamber: int, wave: Waveform, t: Array):
         for effect in commands:
             wave = effect.command(wave, chamber)
         return jax.vmap(wave.segment)(t[:-1], t[1:])
@@ -33,7 +33,7 @@ def check_commands(commands: tuple[Command, ...], h: float, samples: int) -> Non
             known = now + jnp.arange(1 - samples, 1)
             t = times[now] + h * jnp.array([0.0, 0.3, 0.9])  # before the next sample
             waves = Held(times, values), Held(times[known], values[known])
-            return [followed(commands, chamber, wave, t) for wave in waves]
+            return [segments(commands, chamber, wave, t) for wave in waves]
 
         return jax.vmap(at)(jnp.arange(samples, 2 * samples))
 
@@ -49,7 +49,7 @@ def check_commands(commands: tuple[Command, ...], h: float, samples: int) -> Non
 
 
 def check_instrument(effect: Instrument, h: float, samples: int) -> None:
-    """Raises `InputError` if `read_now` differs from the instrument's reading of a whole series.
+    """Raise `InputError` if `read_now` differs from the instrument's reading of a whole series.
 
     The check uses a random series with steps of `h` [s]. It detects an instrument that needs future
     samples, or samples older than the last `samples`.

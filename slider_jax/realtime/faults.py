@@ -27,7 +27,7 @@ class Faults(NamedTuple):
 class ChamberFaults(Flow):
     """Blocked fill valves and leaks of single chambers.
 
-        dp/dt = (1 - b) r - q p    while |p| grows,    r - q p    while it falls
+        dp/dt = (1 - b) r - q p    while |p| increases,    r - q p    while it decreases
 
     r is dp/dt from the pressure law and all other effects. b and q belong to the chamber that holds
     p, which is the left chamber for p > 0. Source: as for `Leakage`.
@@ -46,7 +46,7 @@ class ChamberFaults(Flow):
 
 
 def no_faults(EI_tail: float) -> Faults:
-    """The values without faults; `EI_tail` [N m^2] is the tail's nominal bending stiffness."""
+    """Return the values without faults; `EI_tail` [N m^2] is the tail's nominal stiffness."""
     return Faults(np.zeros((2, 2)), np.zeros((2, 2)), np.asarray(EI_tail))
 
 
@@ -59,7 +59,7 @@ ALLOWED = {
 
 
 def with_fault(faults: Faults, name: str, value: float) -> Faults:
-    """The faults with one value changed. Raises `InputError` for a name or value not allowed."""
+    """Return the faults with one value changed. Raises `InputError` if name or value is invalid."""
     if name not in ALLOWED:
         raise InputError(
             f"fault: given {name!r}; allowed {', '.join(ALLOWED)}{did_you_mean(name, ALLOWED)}"

@@ -37,7 +37,7 @@ class PlantState(eqx.Module):
     """The state that one step passes to the next step."""
 
     carry: Carry
-    asked: Float[Array, "samples 2"]
+    commanded: Float[Array, "samples 2"]
     """Signed set pressures of the last steps, oldest first."""
     shared: Float[Array, "2"]
     """Common pressure [Pa] of a segment's two chambers, which does not bend the segment."""
@@ -66,29 +66,31 @@ class Plant:
         self._numerics, self._scheme = to_numerics(experiment)
         self._samples = int(np.ceil(LOOK_BACK / step - 1e-9)) + 4
         self._model = self._model_of(trial)
-        self._check()
-        model, faults, asked = self._model, self._faults, np.zeros(5)
-        self._compiled_rest = jax.jit(self._rest).lower(model, faults, asked[0]).compile()
-        state, _ = self._compiled_rest(model, faults, asked[0])
-        self._compiled_step = jax.jit(self._one_step).lower(model, faults, state, asked).compile()
+        self._check_effects()
+        model, faults, commanded = self._model, self._faults, np.zeros(5)
+        self._compiled_rest = jax.jit(self._rest).lower(model, faults, commanded[0]).compile()
+        state, _ = self._compiled_rest(model, faults, commanded[0])
+        self._compiled_step = (
+            jax.jit(self._one_step).lower(model, faults, state, commanded).compile()
+        )
         self.begin(trial)
         self.advance([None] * 4, step)
         self.begin(trial)
 
     def begin(self, trial: Trial | int = 0, settle: float = 0.0) -> SensorReading:
-        """Resets the plant to the start of a trial, with the trial's clamp motion and effects.
+        """Reset the plant to the start of a trial and return the reading at the start.
 
+        The plant uses the trial's clamp motion and effects, but not its drive. Faults are kept.
         The robot is straight and at rest relative to the clamp, and the chambers are empty. With
-        `settle` [s], it is in this state that long before the start and remains vented until then.
-        The trial's drive is not used. Faults are kept. Returns the reading at the start.
+        `settle`, the robot is in this state `settle` [s] before the start and vented until then.
         """
         if not 0.0 <= settle < np.inf:
             raise InputError.value("settle", settle, "a finite time of 0 s or more")
         self._model = self._model_of(trial)
-        self._done = -round(settle / self.step)
-        self._owed = 0.0
+        self._steps_done = -round(settle / self.step)
+        self._remaining = 0.0
         self.failed_at: float | None = None
-        t = np.float64(self._done * self.step)
+        t = np.float64(self._steps_done * self.step)
         self._state, packed = self._compiled_rest(self._model, self._faults, t)
         self.reading = _unpack(float(t), np.asarray(packed))
         return self.advance([None] * 4, -float(t))
@@ -96,7 +98,7 @@ class Plant:
     def advance(
         self, set_pressures: Sequence[float | None] | np.ndarray, seconds: float
     ) -> SensorReading:
-        """Runs `seconds` [s] with set gauge pressures [Pa] and returns the last reading.
+        """Simulate `seconds` [s] with set gauge pressures [Pa] and return the last reading.
 
         The chambers are in the order of `SensorReading.pressures`; None vents a chamber. Time
         advances in whole steps, each with the set pressures of the call that completes it. The
@@ -104,17 +106,19 @@ class Plant:
         until `begin`: `ok` of the readings is then false, and `failed_at` is the time [s] of that
         step. Raises `InputError` for a pressure that is negative or not finite.
         """
-        asked = np.concatenate([[0.0], _checked(set_pressures)])
-        self._owed += seconds
-        steps = int(np.floor(self._owed / self.step + 1e-6))
-        self._owed -= steps * self.step
+        commanded = np.concatenate([[0.0], _checked(set_pressures)])
+        self._remaining += seconds
+        steps = int(np.floor(self._remaining / self.step + 1e-6))
+        self._remaining -= steps * self.step
         for _ in range(steps):
             if self.failed_at is not None:
                 break
-            asked[0] = self._done * self.step
-            self._state, packed = self._compiled_step(self._model, self._faults, self._state, asked)
-            self._done += 1
-            after = _unpack(self._done * self.step, np.asarray(packed))
+            commanded[0] = self._steps_done * self.step
+            self._state, packed = self._compiled_step(
+                self._model, self._faults, self._state, commanded
+            )
+            self._steps_done += 1
+            after = _unpack(self._steps_done * self.step, np.asarray(packed))
             if after.ok:
                 self.reading = after
             else:
@@ -123,7 +127,7 @@ class Plant:
         return self.reading
 
     def inject(self, name: str, value: float) -> None:
-        """Sets a fault from the next step on; the nominal value removes the fault.
+        """Set a fault from the next step on; the nominal value removes the fault.
 
         `leak_CHAMBER` [1/s] is the leak's conductance over the capacity. `blocked_CHAMBER` is the
         missing fraction, 0 to 1, of the fill valve's flow. CHAMBER is `front_left`, for example.
@@ -138,13 +142,13 @@ class Plant:
         idle = {"waveform": "square", "frequency": trial.frequency or 1.0, "amplitude": 0.0}
         return to_model(self._experiment, trial.model_copy(update=idle))
 
-    def _check(self) -> None:
+    def _check_effects(self) -> None:
         for effect in of_place(self._model.effects, Instrument):
             check_instrument(effect, self.step, self._samples)
         check_commands(of_place(self._model.effects, Command), self.step, self._samples)
 
     def _rest(self, model: Model, faults: Faults, t: Array) -> tuple[PlantState, Array]:
-        carry = at_rest(_faulty(model, faults), self._numerics, t)
+        carry = at_rest(_with_faults(model, faults), self._numerics, t)
         grid = grid_of(model.body, self._numerics)
         line = node_positions(carry.memory.motion[2], carry.memory.strain, carry.memory.head, grid)
         zero = jnp.zeros(())
@@ -157,13 +161,13 @@ class Plant:
         return state, _pack(read, state)
 
     def _one_step(
-        self, model: Model, faults: Faults, state: PlantState, asked_at: Array
+        self, model: Model, faults: Faults, state: PlantState, time_and_commanded: Array
     ) -> tuple[PlantState, Array]:
-        t, (left, right) = asked_at[0], asked_at[1:].reshape(2, 2).T
-        asked = jnp.concatenate([state.asked[1:], (left - right)[None]])
+        t, (left, right) = time_and_commanded[0], time_and_commanded[1:].reshape(2, 2).T
+        commanded = jnp.concatenate([state.commanded[1:], (left - right)[None]])
         times = t + self.step * jnp.arange(1.0 - self._samples, 1.0)
-        drive = Drive(Held(times, asked[:, 0]), Held(times, asked[:, 1]))
-        driven = eqx.tree_at(lambda m: m.drive, _faulty(model, faults), drive)
+        drive = Drive(Held(times, commanded[:, 0]), Held(times, commanded[:, 1]))
+        driven = eqx.tree_at(lambda m: m.drive, _with_faults(model, faults), drive)
         run = rollout(
             driven,
             TimeGrid(self.step, 1, t),
@@ -181,20 +185,20 @@ class Plant:
             read, past = read_now(effect, past, read)
             pasts.append(past)
         assert isinstance(model.pressure_law, FirstOrderLag)
-        least = jnp.minimum(left, right)
-        shared = least + (state.shared - least) * jnp.exp(-self.step / model.pressure_law.k)
-        after = PlantState(run.final, asked, shared, tuple(pasts))
+        lower = jnp.minimum(left, right)
+        shared = lower + (state.shared - lower) * jnp.exp(-self.step / model.pressure_law.k)
+        after = PlantState(run.final, commanded, shared, tuple(pasts))
         return after, _pack(read, after)
 
 
-def _faulty(model: Model, faults: Faults) -> Model:
+def _with_faults(model: Model, faults: Faults) -> Model:
     robot = eqx.tree_at(lambda r: r.EI_tail, model.robot, faults.EI_tail)
     effects = (*model.effects, ChamberFaults(*map(jnp.asarray, faults[:2])))
     return eqx.tree_at(lambda m: (m.robot, m.effects), model, (robot, effects))
 
 
 def _pack(read: Readings, state: PlantState) -> Float[Array, "8"]:
-    """All values that leave the device, in one array."""
+    """Return all values that leave the device in one array."""
     values = jnp.stack([*read[1:], *state.shared])
     ok = state.carry.ok & jnp.all(jnp.isfinite(values))
     return jnp.concatenate([values, ok.astype(values.dtype)[None]])
@@ -212,12 +216,14 @@ def _unpack(t: float, packed: np.ndarray) -> SensorReading:
 
 
 def _checked(set_pressures: Sequence[float | None] | np.ndarray) -> np.ndarray:
-    asked = np.array([0.0 if p is None else p for p in set_pressures], float)
-    if asked.shape != (4,):
-        raise InputError.value("set pressures", f"{asked.size} values", "4, one for each chamber")
-    for chamber, p in zip(CHAMBERS, asked.tolist(), strict=True):
+    commanded = np.array([0.0 if p is None else p for p in set_pressures], float)
+    if commanded.shape != (4,):
+        raise InputError.value(
+            "set pressures", f"{commanded.size} values", "4, one for each chamber"
+        )
+    for chamber, p in zip(CHAMBERS, commanded.tolist(), strict=True):
         if not 0.0 <= p < np.inf:
             raise InputError.value(
                 f"set pressure of {chamber}", p, "0 or more [Pa, gauge], or None to vent"
             )
-    return asked
+    return commanded

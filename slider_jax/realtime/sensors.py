@@ -21,14 +21,14 @@ class Past(NamedTuple):
 
 
 def constant_past(effect: Instrument, first: Readings, h: float, samples: int) -> Past:
-    """The past of an instrument with constant input `first`; `samples` samples, `h` [s] apart."""
+    """Return the past of an instrument with constant input: `samples` samples, `h` [s] apart."""
     held = jax.tree.map(lambda x: jnp.broadcast_to(x, (samples,)), first)
     shown = held._replace(t=first.t + h * jnp.arange(1.0 - samples, 1.0))
     return Past(shown, effect.read(shown))
 
 
 def read_now(effect: Instrument, past: Past, true: Readings) -> tuple[Readings, Past]:
-    """The reading of the next input `true` (scalars), and the new past."""
+    """Return the reading of the next input `true` (scalars), and the new past."""
     shown = jax.tree.map(_append, past.shown, true)
     now = effect.read_sample(shown, past.read)
     return now, Past(shown, jax.tree.map(_append, past.read, now))
@@ -68,13 +68,13 @@ class SensorNoise:
         self.begin()
 
     def begin(self) -> None:
-        """Starts a new trial: samples the tare and the slow noise again."""
+        """Start a new trial: sample the tare and the slow noise again."""
         self._tare = self._sensors.force_tare * self._rng.normal(size=2)
         self._slow = self._rng.normal(size=2)
         self._t: float | None = None
 
     def add(self, x: SensorReading) -> SensorReading:
-        """The reading with noise. Times must not decrease from call to call."""
+        """Return the reading with noise. Times must not decrease from call to call."""
         sensors, rng = self._sensors, self._rng
         before = x.t if self._t is None else self._t
         keep = np.exp(-(x.t - before) / sensors.force_slow_time)

@@ -1,4 +1,4 @@
-"""How the head is held: clamped, free or pinned, one support in each file. May import `beam`."""
+"""Supports of the head: clamped, free or pinned, one support in each file. May import `beam`."""
 
 from slider_jax.supports.base import Support
 from slider_jax.supports.clamped import Clamped

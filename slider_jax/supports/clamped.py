@@ -18,8 +18,8 @@ class Clamped(Support):
         y_h = heave sin(2 pi f t),    phi_h = pitch sin(2 pi f t + pitch_phase)
 
     with `heave` [m], `pitch` [rad], f = `frequency` [Hz], `pitch_phase` [rad]. The clamp prescribes
-    the rate of phi_h instead of phi_h itself. A prescribed angle would make its rate, and thus the
-    clamp forces, only first-order accurate. The angle then has the order of the time scheme.
+    the rate of phi_h, so that rate, clamp forces and angle have the order of the time scheme. With
+    a prescribed angle, its rate and the clamp forces would only be first-order accurate.
     """
 
     tow_speed: Scalar = eqx.field(default=0.0)
@@ -29,7 +29,7 @@ class Clamped(Support):
     pitch_phase: Scalar = eqx.field(default=0.0)
 
     def carriage(self, t):
-        """The carriage's velocity (x, y) [m/s], angle [rad] and turning rate [rad/s] at `t` [s]."""
+        """Return the carriage's velocity (x, y) [m/s], angle [rad] and rate [rad/s] at `t` [s]."""
         turn = 2.0 * math.pi * self.frequency
         velocity = (jnp.asarray(self.tow_speed), self.heave * turn * jnp.cos(turn * t))
         phase = turn * t + self.pitch_phase

@@ -16,8 +16,9 @@ class PinnedLink(Support):
 
         V_tau - sigma (l_p/2) omega = 0,    V_n = 0,    M + sigma (l_p/2) T = 0
 
-    (V + omega x r = 0 with r = sigma (l_p/2) n; the paper writes Omega x r, see
-    docs/explanation/decisions.md.)
+    These follow from V + omega x r = 0 with r = sigma (l_p/2) n. The paper writes Omega x r instead
+    (docs/explanation/decisions.md).
+
     sigma is +1 in the first half of every period 1/`frequency` [s] and -1 in the second half.
     `phase` delays the periods by a fraction of a period. With `frequency` = 0, sigma is always +1.
     sigma is constant in a step: a switch takes effect at the nearest end of a step.
@@ -28,12 +29,12 @@ class PinnedLink(Support):
     phase: Scalar = eqx.field(default=0.0)
 
     def side(self, t):
-        """The sign sigma at `t` [s]."""
+        """Return the sign sigma at `t` [s]."""
         turn = self.frequency * t - self.phase
         return jnp.where((self.frequency > 0) & (turn - jnp.floor(turn) >= 0.5), -1.0, 1.0)
 
     def arm(self, t):
-        """The position sigma l_p/2 [m] of the pin along n, relative to the head."""
+        """Return the position sigma l_p/2 [m] of the pin along n, relative to the head."""
         return 0.5 * self.link_length * self.side(t)
 
     def during(self, t0, t1):

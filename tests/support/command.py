@@ -1,4 +1,4 @@
-"""The command line in a process of its own, without JAX unless asked for."""
+"""Runs the command line in a separate process, by default without JAX."""
 
 import os
 import signal
@@ -17,7 +17,7 @@ MAIN = "from slider_jax.cli.main import main; sys.exit(main(sys.argv[1:]))"
 
 
 def slider(*words, timeout=120.0, code=WITHOUT_JAX):
-    """The command in a process that has no JAX, as on a lab's small computer."""
+    """Run a command in a process without JAX, as on the rig's computer; return the process."""
     return subprocess.run(
         [sys.executable, "-c", code + MAIN, *map(str, words)], capture_output=True, text=True,
         timeout=timeout, env=os.environ | {"PYTHONPATH": str(ROOT)},
@@ -26,7 +26,7 @@ def slider(*words, timeout=120.0, code=WITHOUT_JAX):
 
 @contextmanager
 def served(*words, cwd, code=WITHOUT_JAX):
-    """A command that prints a port and runs until Ctrl-C."""
+    """Run a command that prints a port and runs until Ctrl-C; yield the port."""
     child = subprocess.Popen(
         [sys.executable, "-u", "-c", code + MAIN, *map(str, words)],
         stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=cwd,

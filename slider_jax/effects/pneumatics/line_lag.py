@@ -4,6 +4,7 @@ import jax.numpy as jnp
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import ActingPressure, parameter
+from slider_jax.effects.functions import lag_coefficients
 
 
 class LineLag(ActingPressure):
@@ -26,10 +27,6 @@ class LineLag(ActingPressure):
 
     def act(self, p, memory, dt):
         y, before = memory
-        # For tau < dt/500 the decay e is zero in float64, and m = tau/dt.
-        slow = self.tau > dt / 500.0
-        exponent = dt / jnp.where(slow, self.tau, dt)
-        e = jnp.where(slow, jnp.exp(-exponent), 0.0)
-        m = jnp.where(slow, -jnp.expm1(-exponent), 1.0) * self.tau / dt
+        e, m = lag_coefficients(self.tau, dt)
         y = p + e * (y - before) - m * (p - before)
         return y, jnp.stack([y, p])

@@ -1,4 +1,4 @@
-"""Every bad input of `slider simulate`: exit code 2, one message naming the thing, no result."""
+"""Tests of invalid input of `slider simulate`: exit code 2, a message of one line, no results."""
 
 import numpy as np
 import pytest
@@ -94,13 +94,13 @@ TOML_CASES = {
 }
 
 
-def _refused(arguments, capsys, out, *said) -> None:
-    """The command exits with 2, says each of `said` in one line, and writes nothing."""
+def _refused(arguments, capsys, out, *fragments) -> None:
+    """Check that the command exits with 2, prints one line with `fragments` and writes nothing."""
     assert main([str(argument) for argument in arguments]) == 2
     message = capsys.readouterr().err.strip()
     assert message.startswith("slider: error: ")
     assert len(message.splitlines()) == 1
-    for fragment in said:
+    for fragment in fragments:
         assert fragment in message
     assert "Traceback" not in message
     if out.is_dir():
@@ -108,13 +108,13 @@ def _refused(arguments, capsys, out, *said) -> None:
 
 
 @pytest.mark.parametrize("case", TOML_CASES)
-def test_bad_toml_is_refused_by_name(case, tmp_path, capsys):
-    change, said = TOML_CASES[case]
+def test_invalid_toml_is_rejected_with_its_key(case, tmp_path, capsys):
+    change, fragments = TOML_CASES[case]
     path, out = write(tmp_path, change), tmp_path / "out"
-    _refused(["simulate", path, "--out", out], capsys, out, *said)
+    _refused(["simulate", path, "--out", out], capsys, out, *fragments)
 
 
-def test_no_trials(tmp_path, capsys):
+def test_an_experiment_without_trials_is_rejected(tmp_path, capsys):
     path, out = write(tmp_path), tmp_path / "out"
     path.write_text(path.read_text().split("[[trials]]")[0])
     _refused(
@@ -142,11 +142,11 @@ CSV_CASES = {
 
 
 @pytest.mark.parametrize("case", CSV_CASES)
-def test_bad_samples_are_refused_by_line(case, tmp_path, capsys):
-    content, said = CSV_CASES[case]
+def test_invalid_samples_are_rejected_with_their_line(case, tmp_path, capsys):
+    content, fragments = CSV_CASES[case]
     path, out = write(tmp_path), tmp_path / "out"
     (tmp_path / "trial_00.csv").write_text(content)
-    _refused(["simulate", path, "--out", out], capsys, out, "trial_00.csv", *said)
+    _refused(["simulate", path, "--out", out], capsys, out, "trial_00.csv", *fragments)
 
 
 def _drive_with(times, pressure) -> str:
@@ -173,11 +173,11 @@ DRIVE_CASES = {
 
 
 @pytest.mark.parametrize("case", DRIVE_CASES)
-def test_bad_recorded_drive_is_refused(case, tmp_path, capsys):
-    content, said = DRIVE_CASES[case]
+def test_an_invalid_recorded_drive_is_rejected(case, tmp_path, capsys):
+    content, fragments = DRIVE_CASES[case]
     path, out = write(tmp_path, (FIRST, RECORDED)), tmp_path / "out"
     (tmp_path / "drive.csv").write_text(content)
-    _refused(["simulate", path, "--out", out], capsys, out, "drive.csv", *said)
+    _refused(["simulate", path, "--out", out], capsys, out, "drive.csv", *fragments)
 
 
 MODEL_CASES = {
@@ -198,15 +198,15 @@ MODEL_CASES = {
 
 
 @pytest.mark.parametrize("case", MODEL_CASES)
-def test_bad_model_file_is_refused(case, tmp_path, capsys):
-    content, said = MODEL_CASES[case]
+def test_an_invalid_model_file_is_rejected(case, tmp_path, capsys):
+    content, fragments = MODEL_CASES[case]
     path, model, out = write(tmp_path), tmp_path / "model.toml", tmp_path / "out"
     model.write_text(content)
     arguments = ["simulate", path, "--model", model, "--out", out]
-    _refused(arguments, capsys, out, "model.toml", *said)
+    _refused(arguments, capsys, out, "model.toml", *fragments)
 
 
-def test_missing_files_and_folders(tmp_path, capsys):
+def test_missing_files_and_folders_are_rejected(tmp_path, capsys):
     path, out = write(tmp_path), tmp_path / "out"
     none = tmp_path / "none.toml"
     _refused(["simulate", none, "--out", out], capsys, out, "none.toml: no such file")
@@ -218,13 +218,13 @@ def test_missing_files_and_folders(tmp_path, capsys):
     _refused(["calibrate", "manifold", tmp_path, "--out", out], capsys, out, "is a folder")
 
 
-def test_binary_experiment(tmp_path, capsys):
+def test_a_binary_experiment_file_is_rejected(tmp_path, capsys):
     path, out = tmp_path / "experiment.toml", tmp_path / "out"
     path.write_bytes(b"name = \xff\xfe")
     _refused(["simulate", path, "--out", out], capsys, out, "not UTF-8 text (byte 7)")
 
 
-def test_output_that_is_a_file(tmp_path, capsys):
+def test_an_output_folder_that_is_a_file_is_rejected(tmp_path, capsys):
     path, out = write(tmp_path), tmp_path / "out"
     out.write_text("kept")
     _refused(["simulate", path, "--out", out], capsys, out, "--out", "is a file")
@@ -232,20 +232,20 @@ def test_output_that_is_a_file(tmp_path, capsys):
     assert out.read_text() == "kept"
 
 
-def test_output_over_the_measured_files(tmp_path, capsys):
+def test_an_output_folder_with_measured_files_is_rejected(tmp_path, capsys):
     path, none = write(tmp_path), tmp_path / "none"
     _refused(["simulate", path, "--out", tmp_path], capsys, none, "the experiment's own folder")
     assert [p.name for p in tmp_path.iterdir()] == ["experiment.toml"]
 
 
 @pytest.mark.parametrize("flag, value", [("step", "5"), ("nodes", "3"), ("scheme", "rk4")])
-def test_bad_numerics_on_the_command_line(flag, value, tmp_path, capsys):
+def test_invalid_numerics_on_the_command_line_are_rejected(flag, value, tmp_path, capsys):
     path, out = write(tmp_path), tmp_path / "out"
-    said = ("command line", f"numerics.{flag}")
-    _refused(["simulate", path, "--out", out, f"--{flag}", value], capsys, out, *said)
+    fragments = ("command line", f"numerics.{flag}")
+    _refused(["simulate", path, "--out", out, f"--{flag}", value], capsys, out, *fragments)
 
 
-def test_unknown_command(tmp_path, capsys):
+def test_an_unknown_command_is_rejected(tmp_path, capsys):
     out = tmp_path / "out"
     _refused(["simulat"], capsys, out, "given 'simulat'; allowed simulate, demo", "mean simulate?")
     _refused(
@@ -255,25 +255,25 @@ def test_unknown_command(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("words", [["calibrate"], ["calibrate", "--help"]])
-def test_a_group_of_commands_lists_them(words, capsys):
+def test_a_group_lists_its_commands(words, capsys):
     try:
         assert main(words) == 0
     except SystemExit as left:  # the help of the group's own command follows
         assert left.code == 0 and words[-1] == "--help"
-    said = capsys.readouterr().out
-    assert "calibrate manifold  fits the pressure lag" in said and "sweep" not in said
+    fragments = capsys.readouterr().out
+    assert "calibrate manifold  fits the pressure lag" in fragments and "sweep" not in fragments
 
 
-def test_unknown_option(tmp_path, capsys):
+def test_an_unknown_option_is_rejected(tmp_path, capsys):
     path, out = write(tmp_path), tmp_path / "out"
-    said = "--otu: unknown option; allowed --help, --out, --model", "did you mean --out?"
-    _refused(["simulate", "--otu", out, path], capsys, out, *said)
-    _refused(["simulate", path, f"--otu={out}"], capsys, out, *said)
+    fragments = "--otu: unknown option; allowed --help, --out, --model", "did you mean --out?"
+    _refused(["simulate", "--otu", out, path], capsys, out, *fragments)
+    _refused(["simulate", path, f"--otu={out}"], capsys, out, *fragments)
     swept = "--frm: unknown option", "--from2", "did you mean --from?"
     _refused(["sweep", path, "--frm", "1", "--out", out], capsys, out, *swept)
 
 
-def test_an_interrupt_leaves_nothing_behind(tmp_path, capsys, monkeypatch):
+def test_an_interrupted_command_writes_nothing(tmp_path, capsys, monkeypatch):
     import slider_jax.simulation.summary
 
     def interrupt(*args):
@@ -286,27 +286,27 @@ def test_an_interrupt_leaves_nothing_behind(tmp_path, capsys, monkeypatch):
     assert not out.exists()
 
 
-def test_a_step_that_does_not_converge_is_named(tmp_path, capsys):
-    """A hundred times the moment on a hundredth of the stiffness: no shape can hold it."""
+def test_a_step_that_does_not_converge_is_reported(tmp_path, capsys):
+    """With 100 times the moment and 1/100 of the stiffness there is no equilibrium shape."""
     path, out = write(
         tmp_path, ("4.79e-07", "4.79e-05"), ("EI_body = 0.038", "EI_body = 0.0004")
     ), tmp_path / "out"  # fmt: skip
-    said = ("trial_00.csv", "the step to t = ", "did not converge", "--step")
+    fragments = ("trial_00.csv", "the step to t = ", "did not converge", "--step")
     assert main(["simulate", str(path), "--out", str(out), "--plot"]) == 2
     message = capsys.readouterr().err.strip().splitlines()[-1]
-    assert all(fragment in message for fragment in ("slider: error: ", *said))
+    assert all(fragment in message for fragment in ("slider: error: ", *fragments))
     assert not out.exists()
 
 
 @pytest.mark.parametrize("command", ["calibrate", "close-loop"])
-def test_what_is_not_there_is_refused_before_anything_is_made(command, tmp_path, capsys):
-    out, there = tmp_path / "out", write(tmp_path)
+def test_missing_input_is_rejected_before_anything_is_written(command, tmp_path, capsys):
+    out, experiment = tmp_path / "out", write(tmp_path)
     for words in (
         [tmp_path / "none.toml"],
         [tmp_path],
-        [there, "--model", tmp_path / "none.toml"],
+        [experiment, "--model", tmp_path / "none.toml"],
     ):
         assert main([command, *map(str, words), "--out", str(out)]) == 2
-        said = capsys.readouterr().err
-        assert str(words[-1]) in said and "Traceback" not in said
+        message = capsys.readouterr().err
+        assert str(words[-1]) in message and "Traceback" not in message
         assert not out.exists()

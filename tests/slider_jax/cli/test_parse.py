@@ -1,4 +1,4 @@
-"""Invalid arguments of a command line: exit code 2 and one line that says why."""
+"""Tests of invalid arguments of a command line: exit code 2 and one line with the reason."""
 
 import io
 import sys
@@ -18,12 +18,12 @@ LONG = "/" + "a long folder/" * 12 + "two  blanks, one comma"
 
 @pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "text"),
     [
         (("rig", "watch"), "EXPERIMENT.toml, --port PORT: missing"),
         (("simulate",), "EXPERIMENT.toml|LOG.txt, --out DIR: missing"),
         (("simulate", "x.toml", "--out"), "--out: value missing"),
-        ((*SIMULATE, LONG), f"not understood: {LONG}"),
+        ((*SIMULATE, LONG), f"unexpected arguments: {LONG}"),
         ((*SIMULATE, "--step", "abc"), "--step: given 'abc'; allowed a number of seconds"),
         ((*SIMULATE, "--nodes", "5.5"), "--nodes: given '5.5'; allowed a whole number"),
         ((*SIMULATE, "--drive", LONG), f"--drive: given {LONG!r}; allowed "),
@@ -37,13 +37,13 @@ LONG = "/" + "a long folder/" * 12 + "two  blanks, one comma"
         ),
     ],
 )
-def test_invalid_arguments_give_one_line(words, said, encoding, capsys, monkeypatch):
-    """In either encoding, and on a terminal narrower than the line."""
+def test_invalid_arguments_give_one_line(words, text, encoding, capsys, monkeypatch):
+    """In both encodings, and on a terminal narrower than the line."""
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(io.BytesIO(), encoding=encoding))
     monkeypatch.setenv("COLUMNS", "60")
     assert main(words) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"slider: error: {said}")
+    assert line.startswith(f"slider: error: {text}")
     assert line.endswith(
         f"; see slider {' '.join(words[: 1 + (words[0] != 'simulate')])} --help"
     ) or ("unknown option" in line)
@@ -62,12 +62,12 @@ def test_the_events_of_tyro_have_the_fields_that_messages_use():
         assert field in {x.name for x in fields(getattr(tyro_errors, event))}
 
 
-def test_an_event_that_is_unknown_still_gives_one_line():
+def test_an_unknown_event_gives_one_line():
     assert error_line(tyro_errors.ParseErrorEvent("slider")) == "invalid arguments"
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "text"),
     [
         ((*SIMULATE, "--node", "5"), "; did you mean --nodes?"),
         ((*SIMULATE, "--xyzzy", "5"), "--scheme, --drive"),
@@ -77,12 +77,12 @@ def test_an_event_that_is_unknown_still_gives_one_line():
         (("foo",), "rig simulate; see slider --help"),
     ],
 )
-def test_an_unknown_name_is_told_of_one_like_it(words, said, capsys):
+def test_an_unknown_name_gives_a_message_with_a_similar_name(words, text, capsys):
     assert main(words) == 2
-    assert capsys.readouterr().err.strip().endswith(said)
+    assert capsys.readouterr().err.strip().endswith(text)
 
 
-def test_negative_numbers_are_values(capsys):
+def test_negative_numbers_are_read_as_values(capsys):
     words = (*MATRIX, "--phase", "-0.3", "0.3", "--separate", "leakage", "orifice_flow")
     assert main(words) == 2
     assert "x.toml: no such file" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""The plant in real time: equal to a whole simulation, and what else a tank does."""
+"""Tests of the real-time plant: agreement with a whole simulation, faults, noise and errors."""
 
 import jax
 import jax.numpy as jnp
@@ -43,7 +43,7 @@ MOVING = ("tow_speed = 0.0", "tow_speed = 0.1\nheave = 0.03\npitch = 0.1")
 
 
 def tables(effects):
-    """The change to the small experiment's text that adds effects, given with parameters."""
+    """Return the change to the small experiment's text that adds effects with their parameters."""
     lines = []
     for name, values in effects.items():
         lines += ["[[effects]]", f'name = "{name}"', *(f"{k} = {v}" for k, v in values.items())]
@@ -51,12 +51,12 @@ def tables(effects):
 
 
 def sides(front, rear):
-    """Set pressures of the four chambers from two signed ones."""
+    """Return the set pressures of the four chambers for two signed pressures."""
     return [max(front, 0.0), max(-front, 0.0), max(rear, 0.0), max(-rear, 0.0)]
 
 
 def set_pressures(trial, steps):
-    """(steps, 4): what a controller would give at the start of each step of H."""
+    """Return a controller's set pressures (steps, 4) at the start of each step of H."""
     middle = (jnp.arange(float(steps)) + 0.5) * H
     waves = (
         SquareWave(trial.frequency, trial.amplitude),
@@ -89,14 +89,14 @@ def assert_equals_the_simulation(plant, experiment, trial, rtol=1e-10):
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory):
-    """The small experiment, its first trial with a clamp that moves, and its plant."""
+    """Return the small experiment with a moving clamp in its first trial, and its plant."""
     experiment = load(write(tmp_path_factory.mktemp("plain"), MOVING))
     return experiment, Plant(experiment, step=H)
 
 
 @pytest.fixture
 def plant(plain):
-    """The plant at the start of the second trial, sound."""
+    """Return the plant at the start of the second trial, without faults."""
     _, plant = plain
     plant.begin(1)
     yield plant
@@ -141,7 +141,7 @@ def test_nothing_is_traced_while_the_plant_runs(plant):
         plant.begin(0, settle=0.1)
 
 
-def test_time_goes_in_whole_steps_whatever_the_calls(plant):
+def test_time_advances_in_whole_steps_for_any_sequence_of_calls(plant):
     asked = [1e5, 0.0, 0.0, 8e4]
     whole = plant.advance(asked, 12 * H)
     assert whole.t == pytest.approx(12 * H) and abs(whole.tip_m) > 1e-4
@@ -152,8 +152,8 @@ def test_time_goes_in_whole_steps_whatever_the_calls(plant):
     assert plant.advance(asked, 0.9 * H) == last
 
 
-def test_after_settling_the_clock_starts_at_zero_and_the_clamp_in_its_phase(plain):
-    """A vented body that heaves comes back to the same after a whole number of periods."""
+def test_after_settling_the_time_is_zero_and_the_clamp_has_its_initial_phase(plain):
+    """The readings of a vented, heaving body repeat after a whole number of periods."""
     _, plant = plain
     settled = plant.begin(0, settle=2.0)
     assert settled.t == 0.0
@@ -188,8 +188,8 @@ def test_the_common_pressure_of_two_chambers_does_not_bend_the_body(plant):
     assert both.tip_m == pytest.approx(alone.tip_m, rel=1e-12) and abs(alone.tip_m) > 1e-3
 
 
-def test_a_leak_lowers_its_own_chamber_to_where_flows_balance(plant):
-    """p = p_set/(1 + q k) at last; the chamber beside it holds its set pressure."""
+def test_a_leak_lowers_the_pressure_of_its_chamber_until_the_flows_balance(plant):
+    """The final pressure is p_set/(1 + q k). The other chambers keep their set pressures."""
     plant.advance([1e5, None, 8e4, None], 1.5)
     plant.inject("leak_front_left", 4.0)
     leaking = plant.advance([1e5, None, 8e4, None], 1.5)
@@ -199,11 +199,11 @@ def test_a_leak_lowers_its_own_chamber_to_where_flows_balance(plant):
     other_side = plant.advance([None, 1e5, 8e4, None], 1.5)
     np.testing.assert_allclose(other_side.pressures, [0.0, 1e5, 8e4, 0.0], rtol=1e-6)
     plant.inject("leak_front_left", 0.0)
-    mended = plant.advance([1e5, None, 8e4, None], 1.5)
-    np.testing.assert_allclose(mended.pressures, [1e5, 0.0, 8e4, 0.0], rtol=1e-6)
+    repaired = plant.advance([1e5, None, 8e4, None], 1.5)
+    np.testing.assert_allclose(repaired.pressures, [1e5, 0.0, 8e4, 0.0], rtol=1e-6)
 
 
-def test_a_blocked_chamber_fills_no_further_but_vents(plant):
+def test_a_blocked_chamber_does_not_fill_but_vents(plant):
     held = plant.advance([1e5, None, None, None], 0.05)
     plant.inject("blocked_front_left", 1.0)
     blocked = plant.advance([1e5, None, None, None], 0.5)
@@ -222,7 +222,7 @@ def test_a_changed_tail_equals_an_experiment_with_that_tail(plain, tmp_path):
     assert_equals_the_simulation(plant, experiment, 1)
 
 
-def test_the_tail_may_change_during_a_stroke(plant):
+def test_the_tail_stiffness_may_change_during_a_stroke(plant):
     asked = [1e5, None, None, 1e5]
     whole = plant.advance(asked, 0.2)
     plant.begin(1)
@@ -249,14 +249,14 @@ def test_after_a_failed_step_the_last_reading_is_held_until_begin(plant):
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("force_clock_offset", -0.01),  # reads what is still to come
-        ("camera_delay", 0.3),  # farther back than is kept
-        ("camera_delay", 0.5 * H),  # cubic through the sample that is still to come
+        ("force_clock_offset", -0.01),  # needs future samples
+        ("camera_delay", 0.3),  # needs samples older than those kept
+        ("camera_delay", 0.5 * H),  # the cubic interpolation needs the next sample
         ("valve_delay", -0.01),
         ("rear_valve_delay", 0.3),
     ],
 )
-def test_an_effect_that_needs_future_values_is_refused_by_name(name, value, tmp_path):
+def test_an_effect_that_needs_future_values_is_rejected_with_its_name(name, value, tmp_path):
     experiment = load(write(tmp_path, tables({name: {"delay": value}})))
     with pytest.raises(InputError, match=f"^effects: {name}: in real time .*; allowed"):
         Plant(experiment, step=H)
@@ -270,24 +270,24 @@ def test_an_effect_that_needs_future_values_is_refused_by_name(name, value, tmp_
         ([1e5, 0.0], "set pressures: given 2 values; allowed 4, one for each chamber"),
     ],
 )
-def test_invalid_set_pressures_are_refused(plant, asked, message):
+def test_invalid_set_pressures_are_rejected(plant, asked, message):
     with pytest.raises(InputError, match=message):
         plant.advance(asked, H)
 
 
-def test_faults_are_checked_by_name_and_size(plant):
+def test_invalid_names_and_values_of_faults_are_rejected(plant):
     with pytest.raises(InputError, match="did you mean leak_front_left"):
         plant.inject("leak_frontleft", 1.0)
     with pytest.raises(InputError, match="fault blocked_rear_left: given 1.5; allowed 0 to 1"):
         plant.inject("blocked_rear_left", 1.5)
 
 
-def test_a_step_outside_its_range_is_refused(plain):
+def test_a_step_outside_its_range_is_rejected(plain):
     with pytest.raises(InputError, match="step of the plant: given 0.5; allowed"):
         Plant(plain[0], step=0.5)
 
 
-def test_noise_has_the_declared_size_on_every_channel_and_repeats_with_its_seed(plant):
+def test_noise_of_every_channel_has_the_declared_size_and_repeats_with_its_seed(plant):
     sensors = SensorsTable(
         pressure_noise=700.0, force_noise=0.01, force_tare=0.5, force_slow_noise=0.03,
         force_slow_time=0.05, tip_noise=1e-3,
@@ -312,24 +312,24 @@ def test_noise_has_the_declared_size_on_every_channel_and_repeats_with_its_seed(
         assert 0.05 < abs(force.mean()) < 1.5  # the tare
         assert force.std() == pytest.approx(np.hypot(0.01, 0.03), rel=0.15)
         rest = force - force.mean()
-        correlation = np.mean(rest[10:] * rest[:-10])  # over the slow time; the white part is gone
+        correlation = np.mean(rest[10:] * rest[:-10])  # at the slow time, without white noise
         assert correlation == pytest.approx(0.03**2 / np.e, rel=0.3)
     assert series(3, 20) == noisy[:20]
     assert series(4, 1)[0].thrust_N != noisy[0].thrust_N
 
 
-def test_held_samples_of_a_square_wave_fill_a_chamber_as_the_wave_does():
-    """Also where edges fall within the stretches, and where stretches begin on edges."""
+def test_held_samples_of_a_square_wave_fill_a_chamber_like_the_wave():
+    """With edges within the time steps and at their starts."""
     wave, law = SquareWave(4.0, 1e5, 0.1), FirstOrderLag(0.087)
     given = H * jnp.arange(200.0)
     held = Held(given, jax.vmap(lambda t: wave.segment(t, t + 1e-6).a0)(given + 0.5 * H))
-    for stretch in (H, 0.5 * H, 0.7 * H):
-        times = jnp.arange(0.0, 0.99, stretch)
+    for step in (H, 0.5 * H, 0.7 * H):
+        times = jnp.arange(0.0, 0.99, step)
         expected = pressure_history(law, wave, 0.0, times)
         np.testing.assert_allclose(pressure_history(law, held, 0.0, times), expected, atol=1e-6)
 
 
 @pytest.mark.parametrize("step", [1e-3, 2e-3, 2.5e-3])
 def test_a_command_without_future_values_is_allowed_at_every_step_length(step):
-    """Also where rounding puts the next set pressure a hair before the step's end."""
+    """Including steps for which rounding puts the next set pressure just before the step's end."""
     check_commands((RegulatorGain(0.1),), step, 104)

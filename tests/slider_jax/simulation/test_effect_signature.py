@@ -56,7 +56,7 @@ def test_one_effect_is_explained_with_equation_source_priors_and_table(capsys):
 
 @pytest.mark.parametrize("name", LIBRARY)
 def test_every_effect_can_be_explained_and_added_as_it_says(name, capsys, tmp_path):
-    table = said(capsys, name).split("in an experiment or model file\n")[1]
+    table = said(capsys, name).split("example for an experiment or model file\n")[1]
     load(write(tmp_path, ("[sensors]", f"{table}\n[sensors]")))
 
 
@@ -65,11 +65,11 @@ def test_every_effect_can_be_explained_and_added_as_it_says(name, capsys, tmp_pa
     [
         (
             ("valve_dely",),
-            "NAME: given 'valve_dely'; allowed the names that slider effects lists; "
+            "NAME: given 'valve_dely'; allowed are the names in `slider effects`; "
             "did you mean valve_delay?",
         ),
-        (("--out", "x"), "--out: is for the picture of one effect; give its NAME too"),
-        (("valve_delay", "--experiment", "x"), "--experiment: is for the picture; give --out DIR"),
+        (("--out", "x"), "--out: applies to the figure of one effect; add its NAME"),
+        (("valve_delay", "--experiment", "x"), "--experiment: applies to the figure; add --out"),
         (("valve_delay", "--out", "y", "--experiment", "x"), "x: no such file"),
         (("valve_delay", "--outt", "y"), "--outt: unknown option"),
     ],

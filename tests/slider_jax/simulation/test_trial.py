@@ -258,7 +258,7 @@ def test_errors_against_the_measured_file_are_told_by_channel(simulated, tmp_pat
     assert trials[0]["rmse_to_measured"] == pytest.approx(expected, rel=1e-3)
     assert trials[1]["rmse_to_measured"] is None
     said = capsys.readouterr().err
-    assert "rms off the measured: front pressure 2 kPa, thrust 30 mN, tip, lateral 4 mm\n" in said
+    assert "rms error: front pressure 2 kPa, thrust 30 mN, tip, lateral 4 mm\n" in said
 
 
 @pytest.mark.parametrize("phase, expected", [(0.0, 209), (0.15, 210), (0.123, 209), (-0.1, 210)])

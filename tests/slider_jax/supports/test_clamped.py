@@ -1,4 +1,4 @@
-"""A clamp on a carriage that tows, heaves and pitches: the head goes where the carriage goes."""
+"""Tests of a clamp on a carriage that tows, heaves and pitches: the head follows the carriage."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,7 +18,7 @@ def head(x):
 
 
 def carriage(t):
-    """Place (x, y) [m] since t = 0 and angle [rad] of the carriage, in closed form."""
+    """Return the carriage's displacement (x, y) [m] and angle [rad] in closed form."""
     angle = PITCH * np.sin(2 * np.pi * F * t + PHASE)
     return np.stack([TOW * t, HEAVE * np.sin(2 * np.pi * F * t), angle], axis=1)
 

@@ -1,4 +1,4 @@
-"""A free body: what the water gives is all that its momentum gains."""
+"""Tests of a free body: its momentum gain equals the impulse of the water."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -19,7 +19,7 @@ STEPS, H = 400, 2.5e-4
 
 
 def budget(x):
-    """Momentum [N s], force of the water [N], and the sizes of both (sums of magnitudes)."""
+    """Return momentum [N s], force of the water [N], and the integrals of their magnitudes."""
     cell, grid = x.section(), x.mesh.grid
     P = cell.linear_density * jnp.stack(to_plane(cell.V_tau, cell.V_n, cell.phi))
     stretch = 1.0 + cell.strain
@@ -39,13 +39,13 @@ def free_swimmer(**options):
 
 
 def spinning(model):
-    """Turning at 3 rad/s about mid-body while its middle moves at (0.3, 0.1) m/s."""
+    """Return a state that rotates at 3 rad/s about mid-body, which moves at (0.3, 0.1) m/s."""
     s = nodes_of(model, FINE)
     return straight_state(s, 0.3, 0.1 + 1.5 * s[-1], omega=3.0)
 
 
 def test_momentum_gained_is_the_impulse_of_the_water():
-    """Relative to all the momentum that the water exchanged; trapezoidal rule for the impulse."""
+    """The impulse is a trapezoidal sum; the error is relative to the exchanged momentum."""
     model = free_swimmer()
     y, memory = straight_state(nodes_of(model, FINE))
     out = swim(model, jnp.asarray(H), y, memory)
@@ -57,7 +57,7 @@ def test_momentum_gained_is_the_impulse_of_the_water():
     off = np.abs(P - impulse).max() / total
     bend = np.ptp(phi[-1])
     print(
-        f"bent by {bend:.2f} rad, impulse {impulse[-1]}, exchanged {total:.2e} N s: off {off:.1e}"
+        f"bent by {bend:.2f} rad, impulse {impulse[-1]}, exchanged {total:.2e} N s: error {off:.1e}"
     )
     assert bend > 0.1 and np.abs(impulse[-1]).max() > 1e-3 * total
     assert off < 1e-6
@@ -87,7 +87,7 @@ def test_a_spinning_body_keeps_its_velocity():
 
 
 def test_internal_moments_do_not_move_the_centre_of_mass():
-    """Chambers bend the spinning body in vacuo: its momentum stays."""
+    """The chambers bend a spinning body in vacuum; its momentum is constant."""
     model = dry()
     out = swim(model, jnp.asarray(H), *spinning(model))
     P, _, size, _, phi = map(np.asarray, out.saved)

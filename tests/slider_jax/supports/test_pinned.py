@@ -1,4 +1,4 @@
-"""A head on a pinned link: the pin holds, carries no moment, hangs right and changes sides."""
+"""Tests of a pinned link: fixed pin, zero moment, equilibrium shapes and changes of side."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,7 +16,7 @@ FREQUENCY, PER_STRIDE, STRIDES = 2.0, 160, 3
 
 
 def pin(x):
-    """Pin position [m], its velocity [m/s], the moment about it [N m], the head's path, the tip."""
+    """Return the pin's position, velocity and moment [N m], and the head, the tip and its speed."""
     T, _, M, V_tau, V_n, phi = x.y[:, -1]
     omega = (phi - x.stage.phi_head) / x.stage.reference.dt
     arm = x.stage.support.arm(x.t)
@@ -30,7 +30,7 @@ def pin(x):
 
 
 def climber(sign=1.0, frequency=0.0):
-    """Driven in air with its weight; `sign` = -1 mirrors the drive and the link."""
+    """Return a driven robot in air with its weight; `sign` = -1 mirrors drive and link."""
     support = PinnedLink(0.03, frequency, 0.0 if sign > 0 else 0.5)
     effects = (NormalDrag(3.0, 1.2), Gravity(G))
     return swimmer(FREQUENCY, sign * 200e3, effects=effects, support=support)
@@ -58,7 +58,7 @@ def test_the_pin_neither_moves_nor_carries_moment():
 
 
 def hanging(EI, link):
-    """Nodal angles (N,) and the shape of a rod at rest under its weight on a link."""
+    """Return the nodal angles (N,) of a rod at rest on a link under its weight."""
     model = uniform(L, EI, (Gravity(G),), PinnedLink(link))
     y, _ = straight_state(nodes_of(model, FINE))
     y, error = dense_newton(stage_of(model, FINE, y, 1e9), y)
@@ -67,7 +67,7 @@ def hanging(EI, link):
 
 
 @pytest.mark.parametrize("link", [0.03, 0.1, -0.1])
-def test_a_stiff_body_hangs_with_its_weight_below_the_pin(link):
+def test_a_stiff_body_hangs_with_its_centre_of_mass_below_the_pin(link):
     """Centre of mass at -(L/2) tau from the head, pin at (l_p/2) n: tan(phi) = -l_p/L."""
     phi = hanging(1e4, link)
     print(f"phi {phi[-1]:.6f}, pendulum {-np.arctan(link / L):.6f}")
@@ -75,8 +75,11 @@ def test_a_stiff_body_hangs_with_its_weight_below_the_pin(link):
 
 
 def hanging_elastica(EI, link):
-    """phi at tail and head by shooting: EI phi' = M, M' = m g s sin(phi), M(0) = 0 at the tail and
-    M(L) + (l_p/2) m g L cos(phi(L)) = 0, from the weight below each section, (m g s, 0)."""
+    """Return phi at tail and head by shooting.
+
+    EI phi' = M, M' = m g s sin(phi), M(0) = 0 at the tail, M(L) + (l_p/2) m g L cos(phi(L)) = 0.
+    The weight below each section is (m g s, 0).
+    """
     n = 800
     h = L / n
     weight = MASS * G
@@ -104,7 +107,7 @@ def hanging_elastica(EI, link):
     return high, end(high)[0][0]
 
 
-def test_a_soft_body_hangs_as_the_heavy_elastica():
+def test_a_soft_body_hangs_like_the_heavy_elastica():
     phi = hanging(0.038, 0.1)
     tail, head = hanging_elastica(0.038, 0.1)
     print(f"head {phi[-1]:.6f} / {head:.6f} rad, tail {phi[0]:.6f} / {tail:.6f} rad")
@@ -114,7 +117,7 @@ def test_a_soft_body_hangs_as_the_heavy_elastica():
 
 
 def test_the_pin_changes_sides_with_the_stride():
-    """It stays within a half stride, and each switch moves it by the link's length."""
+    """The pin is fixed during a half stride, and each switch moves it by the link's length."""
     _, (anchor, slip, moment, *_) = climb(climber(frequency=FREQUENCY))
     halves = anchor.reshape(2 * STRIDES, PER_STRIDE // 2, 2)
     assert np.abs(halves - halves[:, :1]).max() < 1e-8
@@ -125,7 +128,7 @@ def test_the_pin_changes_sides_with_the_stride():
 
 @pytest.mark.parametrize("per_stride", [PER_STRIDE, 151])
 def test_the_head_does_not_jump_when_the_pin_changes_sides(per_stride):
-    """With an odd number of steps the switch is within a step, and waits for its nearer end."""
+    """With an odd number of steps a switch within a step takes effect at the nearer end."""
     t, (anchor, _, _, head, _, speed) = climb(climber(frequency=FREQUENCY), per_stride)
     switches = np.flatnonzero(np.linalg.norm(np.diff(anchor, axis=0), axis=1) > 0.01)
     h = t[1] - t[0]
@@ -135,9 +138,9 @@ def test_the_head_does_not_jump_when_the_pin_changes_sides(per_stride):
     moved = np.linalg.norm(np.diff(head, axis=0), axis=1)
     fastest = np.maximum(np.linalg.norm(speed[1:], axis=1), np.linalg.norm(speed[:-1], axis=1))
     assert moved.max() < 2.0 * h * fastest.max() < 0.005
-    # Each pin stays where it was put, and each is a link's length from the one before.
-    for stretch in np.split(anchor, switches + 1):
-        assert np.ptp(stretch, axis=0).max() < 1e-14
+    # Each pin is fixed until the next switch.
+    for interval in np.split(anchor, switches + 1):
+        assert np.ptp(interval, axis=0).max() < 1e-14
 
 
 def test_a_mirrored_drive_climbs_the_mirrored_path():

@@ -195,7 +195,7 @@ def test_what_is_done_is_said_and_not_done_again(
     written = (out / "sweep.json").stat().st_mtime_ns
 
     assert main(command) == 0
-    assert "already holds all 5 points of this sweep" in capsys.readouterr().err
+    assert "already contains all 5 points of this sweep" in capsys.readouterr().err
     assert len(calls) == 4 and (out / "sweep.json").stat().st_mtime_ns == written
 
     assert main([*command, "--transient", "2"]) == 0  # another sweep, in place of it
