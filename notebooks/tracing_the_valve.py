@@ -98,8 +98,8 @@ print(outcome.verdict, outcome.search.effects)
 
 # %%
 first = outcome.search.rounds[0]
-tried = sorted(first.tried, key=lambda t: t.fit.square)
-left = {"lag": outcome.search.base.square} | {t.name: t.fit.square for t in tried}
+refits = sorted(first.refitted, key=lambda x: x.fit.square)
+left = {"lag": outcome.search.base.square} | {x.name: x.fit.square for x in refits}
 figure, ax = plt.subplots(figsize=(7, 2.6), layout="constrained")
 ax.barh(list(left)[::-1], [x / outcome.search.base.samples for x in left.values()][::-1])
 ax.set(xscale="log", xlabel="mean square over the noise (-)", ylabel="model, refitted")

@@ -1,0 +1,404 @@
+"""Write the gallery: what each command prints and draws, from runs with small settings.
+
+    python docs/generate/gallery.py --work DIR [COMMAND ...]    # such as swim "rig check"
+
+Without a COMMAND, the script runs all of them, in an hour on two cores. Inputs and results are in
+DIR, so that a later run can use those of an earlier run. The lamprey's midlines and the pressure
+logs of the rig are measured data: `SLIDER_DATA` names their folder.
+"""
+
+import argparse
+import base64
+import contextlib
+import io
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from textwrap import wrap
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))
+PAGE, PICTURES = ROOT / "docs" / "gallery.md", ROOT / "docs" / "img" / "gallery"
+LARGEST_PICTURE = 100_000
+"""Bytes of a picture, so that the repository stays small."""
+WIDEST = 900
+"""Pixels of a picture: about the width of the site's text."""
+LONGEST = 24
+"""Lines of a transcript; the others are replaced by "..."."""
+COLUMNS = 110
+"""Columns of a transcript."""
+PORT = "/dev/pts/3"
+"""Port in the text, in place of the simulated rig's actual port."""
+
+
+class Entry(NamedTuple):
+    """A command of the gallery."""
+
+    line: str
+    """The command line, without `slider`."""
+    text: str
+    """What the picture or the transcript shows."""
+    picture: str = ""
+    """File that the run writes, or `report.html#N` for the report's picture N; none if empty."""
+    needs: str = ""
+    """Name of the input that `INPUTS` makes."""
+
+
+ENTRIES = {
+    "demo": Entry(
+        "demo",
+        "Thrust against stride frequency, beside the paper's statements.",
+        "slider_demo/thrust_against_frequency.png",
+    ),
+    "simulate": Entry(
+        "simulate docs/experiment.toml --out results/example --plot",
+        "Pressures, thrust, recoil and tip of the second trial, which is towed.",
+        "results/example/towed.png",
+    ),
+    "sweep": Entry(
+        "sweep docs/experiment.toml --field robot.EI_tail --from 0.002 --to 0.02 --count 8 "
+        "--strides 5 --steps-per-stride 100 --out results/tail",
+        "Means over the steady strides against the tail's bending stiffness.",
+        "results/tail/sweep.png",
+    ),
+    "swim": Entry(
+        "swim docs/swimmer.toml --out results/swim",
+        "One steady stride of free swimming.",
+        "results/swim/swim_swim.png",
+    ),
+    "climb": Entry(
+        "climb --out results/climb",
+        "One steady stride on the wall, and the rise over all strides.",
+        "results/climb/climb_climb.png",
+    ),
+    "optimize swim": Entry(
+        "optimize swim --population 16 --generations 5 --steps-per-stride 48 --out results/optimum",
+        "Best swimming speed against the generation. A real search uses the defaults.",
+        "results/optimum/optimum.png",
+    ),
+    "optimize multimodal": Entry(
+        "optimize multimodal --betas 3 --population 8 --generations 3 --steps-per-stride 48 "
+        "--out results/multimodal",
+        "The best tail and drives between climbing (0) and swimming (1). A real search uses the "
+        "defaults.",
+        "results/multimodal/multimodal.png",
+    ),
+    "effects": Entry(
+        "effects valve_delay --out results/effects",
+        "What a dead time of the valves changes on each sensor in one steady stride.",
+        "results/effects/valve_delay.png",
+    ),
+    "effects matrix": Entry(
+        "effects matrix tank/experiment.toml --effects valve_delay line_lag leakage "
+        "regulator_gain pressure_gain tail_stiffness --out results/matrix",
+        "Detection limits of six effects, and which of them the trials cannot discriminate.",
+        "results/matrix/matrix.png",
+        "tank",
+    ),
+    "calibrate": Entry(
+        "calibrate tank/experiment.toml --out results/calibrated",
+        "The four base parameters with 95 % intervals. The tank's valves have a dead time of "
+        "20 ms, which the model lacks.",
+        needs="tank",
+    ),
+    "calibrate statics": Entry(
+        "calibrate statics bench/bench.toml --out results/bench",
+        "Displacements under tip loads, and the fitted shapes.",
+        "results/bench/whole.png",
+        "bench",
+    ),
+    "calibrate manifold": Entry(
+        "calibrate manifold logs/*.txt --out results/manifold",
+        "A measured log and its fitted first-order lag.",
+        "results/manifold/1.1667.png",
+        "logs",
+    ),
+    "close-loop": Entry(
+        "close-loop tank/experiment.toml --out results/tank",
+        "The loop finds the dead time of 20 ms. The picture is from `report.html`.",
+        "results/tank/report.html#0",
+        "tank",
+    ),
+    "lamprey": Entry(
+        "lamprey midlines --draws 40 --out results/lamprey",
+        "Axial force balance of a swimming lamprey. Midlines: E. D. Tytell, fishmechr, CC-BY-4.0.",
+        "results/lamprey/report.html#0",
+        "midlines",
+    ),
+    "published": Entry(
+        "published --out results/published",
+        "The paper's swimming speeds beside those of its equations.",
+        "results/published/report.html#0",
+    ),
+    "rig simulate": Entry(
+        "rig simulate docs/experiment.toml",
+        "The simulated rig runs until Ctrl-C.",
+        needs="rig",
+    ),
+    "rig ports": Entry("rig ports", "The serial ports of the computer."),
+    "rig check": Entry(
+        f"rig check --port {PORT} --rig simulated_rig.toml",
+        "Rate, noise and leaks of the simulated rig.",
+        needs="bench rig",
+    ),
+    "rig run": Entry(
+        f"rig run docs/experiment.toml --port {PORT} --rig simulated_rig.toml --out measured",
+        "Two trials on the simulated rig.",
+        needs="bench rig",
+    ),
+    "rig replay": Entry(
+        "rig replay measured --out again", "The CSV files again, from the recordings."
+    ),
+    "rig watch": Entry(
+        f"rig watch docs/experiment.toml --port {PORT} --rig simulated_rig.toml --seconds 35",
+        "The model beside the simulated rig for 35 s.",
+        needs="rig",
+    ),
+    "rig log": Entry(
+        f"rig log 1 2 --port {PORT} --out new_logs",
+        "Two pressure logs of a simulated manifold with the published firmware.",
+        needs="published rig",
+    ),
+    "rig loop": Entry(
+        f"rig loop three_trials.toml --port {PORT} --rig simulated_rig.toml --budget 3 "
+        "--out results/loop",
+        "Three trials are measured; a larger budget would add trials.",
+        needs="rig",
+    ),
+}
+"""The commands in the order of the page."""
+
+
+def _data(name: str) -> Path:
+    from tests.support.data import data_dir
+
+    folder = data_dir()
+    if folder is None:
+        raise SystemExit(f"SLIDER_DATA: no folder with {name}; set it to the measured data")
+    return folder / name
+
+
+def _link(work: Path, name: str, target: Path) -> None:
+    if not (work / name).exists():
+        (work / name).symlink_to(target)
+
+
+def make_tank(work: Path) -> None:
+    """Write a tank experiment whose valves have a dead time of 20 ms."""
+    from calibration.measurements.synthetic import Truth, base_parameters, trials, write_tank
+    from slider_jax.precision import enable_float64
+
+    import numpy as np  # isort: skip
+
+    enable_float64()
+    truth = Truth(base_parameters(np.random.default_rng(0)), {"valve_delay": {"delay": 0.02}})
+    if not (work / "tank").exists():
+        write_tank(work / "tank", truth, trials(0, 5, 0.5), 0)
+
+
+def make_bench(work: Path) -> None:
+    """Write a bench by the formulas of small deflections: EI 0.042 and 0.005 N m^2."""
+    import numpy as np
+
+    folder, L, tail, EI, EI_tail, K_Q = work / "bench", 0.368, 0.07, 0.042, 0.005, 4.3e-7
+    folder.mkdir(exist_ok=True)
+    rng, noise = np.random.default_rng(0), 1e-4
+    force, pressure = np.linspace(0.005, 0.05, 8), np.linspace(5e3, 3e4, 8)
+    softness = (L**3 - tail**3) / (3.0 * EI) + tail**3 / (3.0 * EI_tail)
+    arm = 0.125 * (L - 0.5 * (0.02 + 0.145))
+    tables = {
+        "whole": ("force_N,tip_m", [force], force * softness),
+        "tail": ("force_N,tip_m", [4 * force], 4 * force * tail**3 / (3.0 * EI_tail)),
+        "pressure": (
+            "p_front_Pa,p_rear_Pa,tip_m",
+            [pressure, 0 * pressure],
+            K_Q * pressure / EI * arm,
+        ),
+    }
+    for name, (header, loads, tip) in tables.items():
+        rows = np.stack([*loads, tip + noise * rng.normal(size=len(tip))], axis=1)
+        np.savetxt(folder / f"{name}.csv", rows, "%.7g", ",", header=header, comments="")
+    text = (ROOT / "docs" / "bench.toml").read_text(encoding="utf-8")
+    text = text.split("[[ring_down]]")[0].replace("0.0005 ", "0.0001 ")
+    (folder / "bench.toml").write_text(text, encoding="utf-8")
+
+
+@contextlib.contextmanager
+def simulated_rig(work: Path, *options: str) -> Iterator[str]:
+    """Run the simulated rig in `work` and return what it prints first, with its port."""
+    from tests.support.rig_experiment import HEARS_CTRL_C
+
+    words = [sys.executable, "-c", HEARS_CTRL_C, "rig", "simulate", *options]
+    with open(work / "rig.log", "w") as log:
+        process = subprocess.Popen(words, cwd=work, stdout=log, stderr=subprocess.STDOUT)
+    try:
+        for _ in range(240):
+            time.sleep(0.5)
+            text = (work / "rig.log").read_text()
+            if "/dev/" in text and text.endswith("\n"):
+                time.sleep(3.0)
+                break
+        yield (work / "rig.log").read_text()
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.wait(60)
+
+
+def three_trials(work: Path) -> None:
+    """Write an experiment with three trials that differ in frequency."""
+    text = (work / "docs" / "experiment.toml").read_text(encoding="utf-8")
+    head = text.split("[[trials]]")[0]
+    for frequency in (1.0, 2.0, 3.0):
+        head += (
+            f'[[trials]]\nfile = "trial_{frequency:g}_Hz.csv"\nfrequency = {frequency}\n'
+            f"amplitude = 150e3\nphase = 0.15\nduration = {2.0 + 1.0 / frequency:g}\n\n"
+        )
+    (work / "three_trials.toml").write_text(head, encoding="utf-8")
+
+
+INPUTS: dict[str, Callable[[Path], None]] = {
+    "tank": make_tank,
+    "bench": make_bench,
+    "logs": lambda work: _link(work, "logs", _data("manifold")),
+    "midlines": lambda work: _link(work, "midlines", _data("lamprey")),
+}
+
+
+def transcript(text: str) -> str:
+    """Return the printed lines, shortened."""
+    lines = []
+    for line in text.strip().splitlines():
+        indent = " " * (len(line) - len(line.lstrip()) + 4)
+        lines += [line] if len(line) <= COLUMNS else wrap(line, COLUMNS, subsequent_indent=indent)
+    return "\n".join(lines if len(lines) <= LONGEST else [*lines[: LONGEST - 1], "..."])
+
+
+def save_picture(source: Path, number: int | None, path: Path) -> None:
+    """Write a picture file, or the report's picture `number`, as a small PNG."""
+    from PIL import Image
+
+    content = source.read_bytes()
+    if number is not None:
+        found = re.findall(rb"data:image/png;base64,([A-Za-z0-9+/=]+)", content)
+        content = base64.b64decode(found[number])
+    picture = Image.open(io.BytesIO(content)).convert("RGB")
+    if picture.width > WIDEST:
+        height = round(picture.height * WIDEST / picture.width)
+        picture = picture.resize((WIDEST, height), Image.Resampling.LANCZOS)
+    picture.quantize(64).save(path, optimize=True)
+    if path.stat().st_size > LARGEST_PICTURE:
+        raise SystemExit(f"{path}: has over {LARGEST_PICTURE} bytes")
+
+
+def run_line(work: Path, line: str, port: str) -> str:
+    """Run a command line in `work` and return what it prints."""
+    words = []
+    for word in shlex.split(line.replace(PORT, port)):
+        words += (
+            sorted(str(x.relative_to(work)) for x in work.glob(word)) if "*" in word else [word]
+        )
+    done = subprocess.run(
+        [sys.executable, "-m", "slider_jax.cli.main", *words],
+        cwd=work,
+        capture_output=True,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "100"},
+    )
+    if done.returncode not in (0, 1):
+        raise SystemExit(f"slider {line}: exit code {done.returncode}\n{done.stdout}{done.stderr}")
+    return (done.stdout or done.stderr.splitlines()[-1]).replace(port, PORT)
+
+
+def make_output(name: str, work: Path) -> str:
+    """Run a command and return its part of the page, after the command line."""
+    entry = ENTRIES[name]
+    if entry.needs in INPUTS:
+        INPUTS[entry.needs](work)
+    if name == "rig simulate":
+        with simulated_rig(work, "docs/experiment.toml") as text:
+            pass
+        text = re.sub(r"/dev/pts/\d+", PORT, text)
+    elif "rig" in entry.needs:
+        # Only the model beside the rig and the loop need the robot; without it the rig is light.
+        options = {"bench rig": (), "published rig": ("--published",)}.get(
+            entry.needs, ("docs/experiment.toml",)
+        )
+        with simulated_rig(work, *options) as first:
+            port = re.findall(r"/dev/\S+?(?=[\s;,.]|$)", first)[0]
+            text = run_line(work, entry.line, port)
+    else:
+        text = run_line(work, entry.line, PORT)
+    parts = []
+    if entry.picture:
+        source, _, number = entry.picture.partition("#")
+        path = PICTURES / f"{name.replace(' ', '_')}.png"
+        files = sorted(work.glob(source))
+        if not files:
+            wrote = [str(x.relative_to(work)) for x in (work / source).parent.glob("*")]
+            raise SystemExit(f"{name}: {source} is missing; {wrote}")
+        save_picture(files[0], int(number) if number else None, path)
+        parts.append(f"![slider {name}: {entry.text}](img/gallery/{path.name})")
+    if text.strip():
+        parts.append(f"```text\n{transcript(text)}\n```")
+    return "\n\n".join(parts)
+
+
+def kept_outputs() -> dict[str, str]:
+    """Return the outputs in the page, by command."""
+    page = PAGE.read_text(encoding="utf-8") if PAGE.exists() else ""
+    found = re.findall(r"<!-- output of slider (.*?) -->\n(.*?)\n<!-- end -->", page, re.DOTALL)
+    return dict(found)
+
+
+def render(outputs: dict[str, str]) -> str:
+    """Return the page, given the output of each command."""
+    from slider_jax.cli.commands import COMMANDS
+
+    parts = [
+        "# Gallery",
+        "One run of each command, with settings that are small enough for a laptop. "
+        "`docs/generate/gallery.py` makes this page. The [command-line "
+        "reference](reference/command_line.md) explains all options.",
+    ]
+    for name, entry in ENTRIES.items():
+        help_line = COMMANDS[name].help
+        parts += [
+            f"## slider {name}",
+            f"The command {help_line}. {entry.text}",
+            f"```sh\nslider {entry.line}\n```",
+        ]
+        if name in outputs:
+            parts.append(f"<!-- output of slider {name} -->\n{outputs[name]}\n<!-- end -->")
+    return "\n\n".join(parts) + "\n"
+
+
+def main() -> None:
+    """Entry point."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", help="commands to run (default: all)")
+    parser.add_argument("--work", type=Path, required=True, help="folder for inputs and results")
+    asked = parser.parse_args()
+    work = asked.work.resolve()
+    (work / "docs").mkdir(parents=True, exist_ok=True)
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    for name in ("experiment.toml", "swimmer.toml"):
+        text = (ROOT / "docs" / name).read_text(encoding="utf-8")
+        text = text.replace("nodes = 51 ", "nodes = 31 ").replace("step = 0.001 ", "step = 0.002 ")
+        (work / "docs" / name).write_text(text, encoding="utf-8")
+    three_trials(work)
+    for name in asked.names or ENTRIES:
+        started = time.perf_counter()
+        outputs = kept_outputs() | {name: make_output(name, work)}
+        PAGE.write_text(render(outputs), encoding="utf-8")
+        print(f"{name}: {time.perf_counter() - started:.0f} s", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()
