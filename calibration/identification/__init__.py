@@ -1,2 +1,2 @@
-"""Identifies the base parameters from measured trials, also by drive frequency. May import
+"""Identification of parameters from measured trials, also by drive frequency. May import
 `experiment_design` and the rooms below it."""

@@ -1,4 +1,4 @@
-"""Identify parameters of a model from measured trials, without asking what it lacks."""
+"""Identification of a model's parameters from measured trials, without selection of effects."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -31,37 +31,37 @@ from slider_jax.io.files import versions
 from slider_jax.io.toml import toml_text
 
 METHODS = {"lm": fit_gauss_newton, "lbfgs": fit_lbfgs}
-MANY = 12
-"""Free parameters from which on L-BFGS is taken where no method is named."""
+LBFGS_PARAMETERS = 12
+"""Number of free parameters from which the method "auto" is L-BFGS."""
 
 
 class Identified(NamedTuple):
-    """A fit of chosen parameters, and the model before it."""
+    """A fit of chosen parameters, with the readings before it."""
 
     experiment: Experiment
     entries: list[Parameter]
     problem: TankProblem
     before: list[np.ndarray]
-    """Readings (5, samples) of every trial with the experiment's own numbers."""
+    """Readings (5, samples) of every trial with the experiment's own parameters."""
     fit: Fit
     method: str
-    advice: dict[int, Proposal]
+    proposals: dict[int, Proposal]
     """A trial for every entry that the data do not determine."""
     audit: list[Finding]
-    """What is wrong with the data, and what was done about it."""
+    """Faults of the data and the actions taken."""
     doubt: str
-    """What to know of a fit that does not explain its data, or nothing."""
+    """Warning about a residual above the noise floor, or an empty text."""
 
 
 def check_names(effects: Sequence[str], channels: Sequence[str], method: str) -> None:
-    """Raises `InputError` for a name that `identify_parameters` does not know."""
+    """Raise `InputError` for a name that `identify_parameters` does not know."""
     if method not in (*METHODS, "auto"):
         raise InputError(f"--method {method}: unknown; allowed auto, {', '.join(METHODS)}")
     for name in effects:
         if name not in LIBRARY:
             near = did_you_mean(name, LIBRARY)
             raise InputError(
-                f"--also {name}: unknown effect; allowed what slider effects lists{near}"
+                f"--also {name}: unknown effect; allowed the names that slider effects lists{near}"
             )
     for name in channels:
         if name not in CHANNELS:
@@ -79,21 +79,21 @@ def identify_parameters(
 ) -> Identified:
     """Fit C_d, m_a, k, K_Q and the parameters of `effects` to all measured trials.
 
-    `method` is "lm", "lbfgs", or "auto": L-BFGS from `MANY` parameters on. Raises `InputError` for
-    an unknown effect, channel or method, and where no measured trial can be used.
+    `method` is "lm", "lbfgs" or "auto": L-BFGS for `LBFGS_PARAMETERS` or more. Raise `InputError`
+    for an unknown effect, channel or method, or if no measured trial can be used.
     """
     check_names(effects, channels, method)
     entries = parameters(tuple(effects))
 
     def problem_of(chosen: Sequence[Record]) -> TankProblem:
-        names, seen = tuple(effects), tuple(channels)
-        return TankProblem.of(experiment, list(chosen), names, seen, fine, coarse)
+        names, fitted = tuple(effects), tuple(channels)
+        return TankProblem.of(experiment, list(chosen), names, fitted, fine, coarse)
 
     base = base_vector(entries, base_values(experiment))
-    begun = base.copy()
+    initial = base.copy()
     for i, p in enumerate(entries):
-        if p.effect:  # off its null, where a bound would hold it
-            begun[i] += 0.02 * (p.prior.high - p.prior.low)
+        if p.effect:  # a fit from the null itself could not leave the bound there
+            initial[i] += 0.02 * (p.prior.high - p.prior.low)
     progress("auditing the data")
     audited = audit_measurements(experiment, 1, lambda few: problem_of(few).predict(base))
     for finding in audited.findings:
@@ -101,41 +101,44 @@ def identify_parameters(
     problem = problem_of(audited.records)
     before = problem.predict(base)
     if method == "auto":
-        method = "lbfgs" if len(entries) >= MANY else "lm"
-    best = METHODS[method](problem, entries, begun, np.arange(len(entries)), progress)
+        method = "lbfgs" if len(entries) >= LBFGS_PARAMETERS else "lm"
+    best = METHODS[method](problem, entries, initial, np.arange(len(entries)), progress)
     best = hausman_check(problem, best)
-    advice = propose_trials(experiment, entries, problem, best, coarse, progress)
-    found = experiment, entries, problem, before, best, method, advice, audited.findings
-    return Identified(*found, doubt(problem, best))
+    proposals = propose_trials(experiment, entries, problem, best, coarse, progress)
+    found = experiment, entries, problem, before, best, method, proposals, audited.findings
+    return Identified(*found, residual_warning(problem, best))
 
 
-def doubt(problem: TankProblem, fit: Fit) -> str:
-    """What to know of a fit that does not explain its data; nothing of one that does."""
+def residual_warning(problem: TankProblem, fit: Fit) -> str:
+    """Return a warning if the residual exceeds the noise floor, or else an empty text."""
     left = {
         c: x.all for c, x in excess(problem, fit).items() if x.all > DEFAULT_SETTINGS.noise_floor
     }
     if not left:
         return ""
-    channels = ", ".join(f"{c} at {np.sqrt(x):.2g} times its noise" for c, x in left.items())
+    channels = ", ".join(f"{np.sqrt(x):.2g} times the noise in {c}" for c, x in left.items())
     return (
-        f"The model does not explain these data: it leaves {channels}. Something is missing, the "
-        "values make up for it, and the intervals do not hold; slider close-loop traces it."
+        f"The model does not explain these data: the residual is {channels}. The model lacks an "
+        "effect, so the values are biased and the intervals too narrow. Run slider close-loop to "
+        "find the effect."
     )
 
 
 def identification_record(found: Identified, source: dict[str, Any]) -> dict[str, Any]:
-    """The content of calibration.json."""
-    before, after = (rms_errors(found.problem, y) for y in (found.before, found.fit.predicted))
-    floor = noise_floors(found.problem, found.fit.predicted)
+    """Return the content of calibration.json."""
     labels = [p.label for p in found.entries]
     return {
         "parameters": {
             p.label: parameter_record(found.fit, found.entries, i)
-            | ({"determined_by": proposal_record(found.advice[i])} if i in found.advice else {})
+            | (
+                {"determined_by": proposal_record(found.proposals[i])}
+                if i in found.proposals
+                else {}
+            )
             for i, p in enumerate(found.entries)
         },
         "correlations": {"order": labels, "matrix": correlations(found.fit)},
-        "errors": {c: {"before": before[c], "after": after[c], "floor": floor[c]} for c in after},
+        "errors": _errors(found),
         "doubt": found.doubt,
         "converged": found.fit.converged,
         "method": found.method,
@@ -149,29 +152,40 @@ def identification_record(found: Identified, source: dict[str, Any]) -> dict[str
     }
 
 
-def parameter_table(found: Identified) -> str:
-    """What was identified, a line a parameter."""
-    lines = []
-    for i, p in enumerate(found.entries):
-        lines.append(
-            f"{p.label:<28} {parameter_text(parameter_record(found.fit, found.entries, i))}"
-        )
-        if i in found.advice:
-            lines.append(f"{'':<28} {proposal_sentence(p, found.advice[i])}")
+def _errors(found: Identified) -> dict[str, dict[str, float]]:
     before, after = (rms_errors(found.problem, y) for y in (found.before, found.fit.predicted))
     floor = noise_floors(found.problem, found.fit.predicted)
+    return {c: {"before": before[c], "after": after[c], "floor": floor[c]} for c in after}
+
+
+def parameter_table(found: Identified) -> str:
+    """Return the result as text: a line for each parameter and each channel."""
+    labels = [p.label for p in found.entries]
+    lines = entry_lines(found.fit, found.entries, labels, found.proposals)
     lines += [
-        f"{c:<28} rms {before[c]:.3g} before, {after[c]:.3g} after, floor {floor[c]:.3g} "
-        f"{CHANNELS[c].unit}"
-        for c in after
+        f"{c:<28} rms {x['before']:.3g} before, {x['after']:.3g} after, noise floor "
+        f"{x['floor']:.3g} {CHANNELS[c].unit}"
+        for c, x in _errors(found).items()
     ]
     lines += [found.doubt] if found.doubt else []
     return "\n".join(lines)
 
 
+def entry_lines(
+    fit: Fit, entries: Sequence[Parameter], labels: Sequence[str], proposals: dict[int, Proposal]
+) -> list[str]:
+    """Return a line for each entry, followed by its proposed trial."""
+    lines = []
+    for i, (p, label) in enumerate(zip(entries, labels, strict=True)):
+        lines.append(f"{label:<28} {parameter_text(parameter_record(fit, entries, i))}")
+        if i in proposals:
+            lines.append(f"{'':<28} {proposal_sentence(p, proposals[i])}")
+    return lines
+
+
 def identified_model(found: Identified) -> str:
-    """The calibrated model, for `slider simulate --model`."""
+    """Return the calibrated model as a file for `slider simulate --model`."""
     effects = list(dict.fromkeys(p.effect for p in found.entries if p.effect))
-    said = f"Identified from {len(found.problem.records)} trials of {found.experiment.name}."
-    said = f"{said} {found.doubt}".strip()
-    return toml_text(model_tables(found.entries, found.fit.theta, effects), said)
+    comment = f"Identified from {len(found.problem.records)} trials of {found.experiment.name}."
+    comment = f"{comment} {found.doubt}".strip()
+    return toml_text(model_tables(found.entries, found.fit.theta, effects), comment)

@@ -1,10 +1,9 @@
-"""Do C_d and m_a depend on the drive frequency, and as the paper's ramp has it?
+"""Comparison of constant C_d and m_a with the paper's ramp and with values by drive frequency.
 
-Every way of `calibration.identification.parameter_ties` is fitted to all trials. They are compared
-on what none of them
-saw: each frequency is left out in turn, the vector is fitted to the others (by the linearisation at
-the optimum), and the trials left out are simulated with it; values by frequency are interpolated
-from the neighbours'. The simplest way within one standard error of the best is chosen.
+All ties of `parameter_ties` are fitted to all trials and compared by cross-validation. Each
+frequency is left out in turn, the vector is fitted to the others by the linearisation at the
+optimum, and the held-out trials are simulated. Values by frequency are interpolated from the
+neighbours. The simplest ties within one standard error of the best are chosen.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,8 +19,20 @@ from calibration.experiment_design.parameter_trial import (
     best_trial,
     feasible_trials,
 )
-from calibration.identification import parameter_ties as layouts
-from calibration.identification.parameter_ties import CONSTANT, EACH, PAPER, RAMP, ParameterTies
+from calibration.identification.parameter_ties import (
+    CONSTANT,
+    EACH,
+    PAPER,
+    RAMP,
+    RAMP_PARAMETERS,
+    ParameterTies,
+    constant_ties,
+    drive_frequencies,
+    paper_ties,
+    per_frequency_ties,
+    ramp_ties,
+    spans_ramp,
+)
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton, marginal_information
 from calibration.inference.problem import FAILED, TankProblem, summed
 from calibration.inference.uncertainty import (
@@ -35,89 +46,89 @@ from calibration.model.predict import COARSE, Resolution
 from slider_jax.errors import InputError, did_you_mean
 from slider_jax.experiment.load import Experiment
 
-LEAST_FREQUENCIES = 4
-"""For a comparison on frequencies that were left out."""
+MIN_FREQUENCIES = 4
+"""Fewest frequencies for the cross-validation."""
 
 
-class Way(NamedTuple):
-    """One layout, fitted."""
+class FittedTies(NamedTuple):
+    """Fitted ties with their cross-validation."""
 
-    layout: ParameterTies
+    ties: ParameterTies
     fit: Fit
     left_out: np.ndarray | None
-    """(frequencies,) sums of squares of the white residuals of each when it was left out."""
+    """(frequencies,) sum of squares of the whitened residuals of each held-out frequency."""
 
 
-class ByFrequency(NamedTuple):
-    """What the comparison found."""
+class FrequencyComparison(NamedTuple):
+    """The comparison of all ties."""
 
     experiment: Experiment
     entries: list[Parameter]
-    """Of one trial."""
+    """Parameters of one trial."""
     problem: TankProblem
-    """Without maps."""
+    """Problem without maps."""
     frequencies: np.ndarray
     """(frequencies,) [Hz]"""
     place: np.ndarray
-    """(trials,) of each trial's frequency."""
-    ways: dict[str, Way]
+    """(trials,) index of each trial's frequency."""
+    fitted: dict[str, FittedTies]
     chosen: str | None
-    """Name of the layout that explains the data best, or None for too few frequencies."""
-    advice: dict[int, Proposal]
+    """Name of the ties that predict best, or None for too few frequencies."""
+    proposals: dict[int, Proposal]
     """A trial for every entry of the values by frequency that the data do not determine."""
 
     @property
-    def used(self) -> Way:
-        """The way that model.toml takes: the chosen one, constant values where none is."""
-        return self.ways[self.chosen or CONSTANT]
+    def used(self) -> FittedTies:
+        """The ties that model.toml contains: the chosen ones, or else constant values."""
+        return self.fitted[self.chosen or CONSTANT]
 
 
-def compare(
+def compare_ties(
     experiment: Experiment,
     entries: list[Parameter],
     problem: TankProblem,
-    begin: Fit,
-    each: Sequence[str] = layouts.FOLLOWS,
+    initial: Fit,
+    each: Sequence[str] = RAMP_PARAMETERS,
     progress: Callable[[str], None] = lambda text: None,
     coarse: Resolution = COARSE,
-) -> ByFrequency:
-    """Fit all ways from the fit of constant values `begin` on, and compare them.
+) -> FrequencyComparison:
+    """Fit all ties, starting from the fit `initial` of constant values, and compare them.
 
-    `each` are labels of the parameters that may differ from frequency to frequency. Raises
-    `InputError` for an unknown one, for a trial without a frequency, or for one frequency only.
+    `each` are labels of the parameters that may differ between frequencies. Raise `InputError` for
+    an unknown label, a trial without a frequency, or a single frequency.
     """
     check_labels(each, entries)
-    at, place = layouts.frequencies([r.trial for r in problem.records])
+    at, place = drive_frequencies([r.trial for r in problem.records])
     if len(at) < 2:
-        raise InputError(
-            f"--per-frequency: all trials are driven at {at[0]:g} Hz; leave the option out"
+        raise InputError(f"--per-frequency: all trials are driven at {at[0]:g} Hz; omit the option")
+    white = problem.whiteners(initial.predicted)
+    theta = initial.theta
+    candidates = [constant_ties(entries, theta, len(place))]
+    if set(RAMP_PARAMETERS) <= set(each):
+        candidates.append(paper_ties(entries, theta, at, place))
+        if spans_ramp(at):
+            candidates.append(ramp_ties(entries, theta, at, place))
+    candidates.append(per_frequency_ties(entries, theta, at, place, each))
+    fitted = {}
+    for ties in candidates:
+        progress(f"fitting {ties.name.replace('_', ' ')} values")
+        mapped = replace(problem, maps=ties.maps)
+        free = np.arange(len(ties.entries))
+        fit = hausman_check(
+            mapped, fit_gauss_newton(mapped, ties.entries, ties.start, free, progress, white)
         )
-    white = problem.whiteners(begin.predicted)
-    theta = begin.theta
-    plans = [layouts.constant(entries, theta, len(place))]
-    if set(layouts.FOLLOWS) <= set(each):
-        plans.append(layouts.paper(entries, theta, at, place))
-        if layouts.sees_the_ramp(at):
-            plans.append(layouts.ramp(entries, theta, at, place))
-    plans.append(layouts.per_frequency(entries, theta, at, place, each))
-    ways = {}
-    for plan in plans:
-        progress(f"fitting {plan.name.replace('_', ' ')} values")
-        laid = replace(problem, maps=plan.maps)
-        free = np.arange(len(plan.entries))
-        found = hausman_check(
-            laid, fit_gauss_newton(laid, plan.entries, plan.start, free, progress, white)
-        )
-        missed = None
-        if len(at) >= LEAST_FREQUENCIES:
-            missed = _left_out(laid, plan, found, at, place, white)
-        ways[plan.name] = Way(plan, found, missed)
-    outcome = ByFrequency(experiment, entries, problem, at, place, ways, choose(ways), {})
-    return outcome._replace(advice=_advice(outcome, coarse))
+        squares = None
+        if len(at) >= MIN_FREQUENCIES:
+            squares = _left_out(mapped, ties, fit, at, place, white)
+        fitted[ties.name] = FittedTies(ties, fit, squares)
+    outcome = FrequencyComparison(
+        experiment, entries, problem, at, place, fitted, choose_ties(fitted), {}
+    )
+    return outcome._replace(proposals=_proposals(outcome, coarse))
 
 
 def check_labels(each: Sequence[str], entries: Sequence[Parameter]) -> None:
-    """Raises `InputError` for a label of `each` that is not identified."""
+    """Raise `InputError` for a label of `each` that is not identified."""
     known = [p.label for p in entries]
     for label in each:
         if label not in known:
@@ -125,40 +136,40 @@ def check_labels(each: Sequence[str], entries: Sequence[Parameter]) -> None:
             raise InputError(f"--each {label}: not identified; allowed {', '.join(known)}{near}")
 
 
-def _advice(found: ByFrequency, coarse: Resolution) -> dict[int, Proposal]:
-    """The trial at its own frequency that would narrow each undetermined entry most."""
-    plan, best = found.ways[EACH].layout, found.ways[EACH].fit
+def _proposals(found: FrequencyComparison, coarse: Resolution) -> dict[int, Proposal]:
+    """Return, for each undetermined entry, the trial at its frequency that narrows it most."""
+    ties, best = found.fitted[EACH].ties, found.fitted[EACH].fit
     A = summed(best.blocks)[0] / best.inflation
-    known, result = MeasuredInformation.of(found.problem, best), dict[int, Proposal]()
-    for i, p in enumerate(plan.entries):
-        g = int(plan.group[i])
-        if g < 0 or determined(p, *confidence_interval(best, plan.entries, i)[1:]):
+    measured, result = MeasuredInformation.of(found.problem, best), dict[int, Proposal]()
+    for i, p in enumerate(ties.entries):
+        g = int(ties.group[i])
+        if g < 0 or determined(p, *confidence_interval(best, ties.entries, i)[1:]):
             continue
-        if value_by_variation(best, i) is not None:  # more of the same data would not agree
+        if value_by_variation(best, i) is not None:  # more data would repeat the disagreement
             continue
-        here = np.flatnonzero((plan.group < 0) | (plan.group == g))
-        other = np.flatnonzero((plan.group >= 0) & (plan.group != g))
-        own = plan.maps[int(np.flatnonzero(found.place == g)[0])].at(best.theta)
+        here = np.flatnonzero((ties.group < 0) | (ties.group == g))
+        other = np.flatnonzero((ties.group >= 0) & (ties.group != g))
+        own = ties.maps[int(np.flatnonzero(found.place == g)[0])].at(best.theta)
         candidates = feasible_trials(found.experiment, float(found.frequencies[g]))
-        at_hand = known._replace(
-            information=marginal_information(A, here, other), free=plan.member[here]
+        known = measured._replace(
+            information=marginal_information(A, here, other), free=ties.parameter[here]
         )
-        wanted = int(plan.member[i])
+        wanted = int(ties.parameter[i])
         proposals = best_trial(
-            found.experiment, found.entries, own, [wanted], candidates, at_hand, coarse
+            found.experiment, found.entries, own, [wanted], candidates, known, coarse
         )
         if proposals:
             result[i] = proposals[wanted]
     return result
 
 
-def _left_out(laid: TankProblem, plan: ParameterTies, found: Fit, at, place, white) -> np.ndarray:
-    thetas: list[np.ndarray] = [found.theta] * len(place)
+def _left_out(problem: TankProblem, ties: ParameterTies, fit: Fit, at, place, white) -> np.ndarray:
+    thetas: list[np.ndarray] = [fit.theta] * len(place)
     for g in range(len(at)):
-        x = _without(plan, found, at, g, place)
+        x = _without(ties, fit, at, g, place)
         for i in np.flatnonzero(place == g):
-            thetas[i] = plan.maps[i].at(x)
-    residuals = laid.residuals(laid.predict_each(thetas), white)
+            thetas[i] = ties.maps[i].at(x)
+    residuals = problem.residuals(problem.predict_each(thetas), white)
     squares = np.zeros(len(at))
     for (trial, _), r in residuals.items():
         square = float(r @ r)
@@ -167,77 +178,74 @@ def _left_out(laid: TankProblem, plan: ParameterTies, found: Fit, at, place, whi
 
 
 def _without(
-    plan: ParameterTies, found: Fit, at: np.ndarray, g: int, place: np.ndarray
+    ties: ParameterTies, fit: Fit, at: np.ndarray, g: int, place: np.ndarray
 ) -> np.ndarray:
-    """The vector that all frequencies but the one at place `g` ask for."""
-    others = [x for x in found.blocks if place[x.trial] != g]
+    """Return the vector fitted without the frequency of index `g`."""
+    others = [x for x in fit.blocks if place[x.trial] != g]
     A, b = summed(others)
-    index = np.flatnonzero(plan.group != g)
-    x = found.theta + least_squares_step(A, b, index)
-    low = np.array([p.prior.low for p in plan.entries])
-    high = np.array([p.prior.high for p in plan.entries])
+    x = fit.theta + least_squares_step(A, b, np.flatnonzero(ties.group != g))
+    low, high = np.array([[p.prior.low, p.prior.high] for p in ties.entries]).T
     x = np.clip(x, low, high)
     rest = np.arange(len(at)) != g
-    for i in np.flatnonzero(plan.group == g):
-        same = np.flatnonzero((plan.member == plan.member[i]) & (plan.group != g))
+    for i in np.flatnonzero(ties.group == g):
+        same = np.flatnonzero((ties.parameter == ties.parameter[i]) & (ties.group != g))
         x[i] = np.interp(at[g], at[rest], x[same])
     return x
 
 
-def choose(ways: dict[str, Way]) -> str | None:
-    """The way of fewest parameters within one standard error of the least left-out square."""
-    if any(w.left_out is None for w in ways.values()):
+def choose_ties(fitted: dict[str, FittedTies]) -> str | None:
+    """Return the name of the simplest ties within one standard error of the best, or None."""
+    if any(x.left_out is None for x in fitted.values()):
         return None
-    squares = {n: np.asarray(w.left_out) for n, w in ways.items()}
+    squares = {n: np.asarray(x.left_out) for n, x in fitted.items()}
     best = min(squares, key=lambda n: float(squares[n].sum()))
 
     def close(name: str) -> bool:
         worse = squares[name] - squares[best]
         return float(worse.mean()) <= float(worse.std(ddof=1)) / np.sqrt(len(worse))
 
-    order = sorted(ways, key=lambda n: len(ways[n].layout.entries))
+    order = sorted(fitted, key=lambda n: len(fitted[n].ties.entries))
     return next(n for n in order if n == best or close(n))
 
 
-def values(way: Way, label: str) -> list[tuple[float, float, float, bool]]:
-    """Value, 95 % interval, and whether it is determined, of the entries of a label, in order."""
+def tied_values(fitted: FittedTies, label: str) -> list[tuple[float, float, float, bool]]:
+    """Return value, 95 % interval and whether it is determined, for each entry of a label."""
     found = []
-    for i, p in enumerate(way.layout.entries):
+    for i, p in enumerate(fitted.ties.entries):
         if p.label == label:
-            value, low, high = confidence_interval(way.fit, way.layout.entries, i)
+            value, low, high = confidence_interval(fitted.fit, fitted.ties.entries, i)
             found.append((value, low, high, determined(p, low, high)))
     return found
 
 
-_WORDS = {
+_DESCRIPTIONS = {
     CONSTANT: "constant values of C_d and m_a",
     PAPER: "the paper's ramp between 2 and 3 Hz, with the paper's values",
-    RAMP: "a ramp between 2 and 3 Hz as the paper's, with other values at its ends",
-    EACH: "values of their own for every frequency",
+    RAMP: "a ramp between 2 and 3 Hz, with identified end values",
+    EACH: "separate values for every frequency",
 }
 
 
-def comparison_text(found: ByFrequency) -> str:
-    """What the comparison says, in a sentence."""
+def comparison_text(found: FrequencyComparison) -> str:
+    """Return the result of the comparison as text."""
     if found.chosen is None:
         return (
-            f"Which of these explains the data best is not told by {len(found.frequencies)} "
-            f"frequencies: {LEAST_FREQUENCIES} are needed, so that each can be left out. "
-            "model.toml takes constant values."
+            f"The comparison needs {MIN_FREQUENCIES} frequencies for cross-validation; these data "
+            f"have {len(found.frequencies)}. model.toml contains constant values."
         )
     rest = ", ".join(
-        f"{n.replace('_', ' ')} {_mean_square(w):.3g}"
-        for n, w in found.ways.items()
+        f"{n.replace('_', ' ')} {_mean_square(x):.3g}"
+        for n, x in found.fitted.items()
         if n != found.chosen
     )
     return (
-        "The simplest way that predicts left-out frequencies as well as the best is "
-        f"{_WORDS[found.chosen]}: mean square "
-        f"over the noise {_mean_square(found.used):.3g}, against {rest}."
+        "The simplest description that predicts held-out frequencies as well as the best is "
+        f"{_DESCRIPTIONS[found.chosen]}. Its mean square over the noise is "
+        f"{_mean_square(found.used):.3g} (others: {rest})."
     )
 
 
-def _mean_square(way: Way) -> float:
-    """Of the white residuals of left-out frequencies."""
-    assert way.left_out is not None
-    return float(way.left_out.sum()) / way.fit.samples
+def _mean_square(fitted: FittedTies) -> float:
+    """Return the mean square of the whitened residuals of held-out frequencies."""
+    assert fitted.left_out is not None
+    return float(fitted.left_out.sum()) / fitted.fit.samples

@@ -1,4 +1,4 @@
-"""The comparison of constant values, the paper's ramp and values by frequency: files and words."""
+"""The comparison of ties as calibration.json, per_frequency.csv, model.toml, text and figure."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,18 +6,24 @@ from typing import Any
 
 import numpy as np
 
-from calibration.experiment_design.parameter_trial import proposal_record, proposal_sentence
-from calibration.identification.parameter_ties import CONSTANT, EACH, FOLLOWS, PAPER, RAMP
-from calibration.identification.per_frequency import ByFrequency, Way, comparison_text, values
+from calibration.experiment_design.parameter_trial import proposal_record
+from calibration.identification.identify import entry_lines
+from calibration.identification.parameter_ties import CONSTANT, EACH, PAPER, RAMP, RAMP_PARAMETERS
+from calibration.identification.per_frequency import (
+    FittedTies,
+    FrequencyComparison,
+    comparison_text,
+    tied_values,
+)
 from calibration.inference.uncertainty import correlations
-from calibration.reporting.parameters import model_tables, parameter_record, parameter_text
+from calibration.reporting.parameters import model_tables, parameter_record
 from slider_jax.io.figures import new_figure, save_figure
 from slider_jax.io.toml import significant, toml_text
 from slider_jax.paper import RAMP_END, RAMP_START, force_coefficients
 
 
-def per_frequency_record(found: ByFrequency) -> dict[str, Any]:
-    """What calibration.json says of it."""
+def per_frequency_record(found: FrequencyComparison) -> dict[str, Any]:
+    """Return the comparison as in calibration.json."""
     return {
         "said": comparison_text(found),
         "chosen": found.chosen,
@@ -30,127 +36,129 @@ def per_frequency_record(found: ByFrequency) -> dict[str, Any]:
             ]
             for g in range(len(found.frequencies))
         ],
-        "ways": {name: _way(way) for name, way in found.ways.items()},
+        "ways": {name: _fit_record(x) for name, x in found.fitted.items()},
         "determined_by": {
-            found.ways[EACH].layout.labels[i]: proposal_record(x) for i, x in found.advice.items()
+            found.fitted[EACH].ties.labels[i]: proposal_record(x)
+            for i, x in found.proposals.items()
         },
         "definitions": {
-            "left_out": "sum of squares of the white residuals of every frequency's trials, "
-            "simulated with parameters that were fitted to the other frequencies; values by "
-            "frequency are interpolated there",
-            "chosen": "fewest parameters within one standard error of the least left-out square",
+            "left_out": "sum of squares of the whitened residuals of every frequency's trials, "
+            "simulated with parameters fitted to the other frequencies; values by frequency are "
+            "interpolated",
+            "chosen": "fewest parameters within one standard error of the smallest sum of squares "
+            "on held-out frequencies",
         },
     }
 
 
-def _way(way: Way) -> dict[str, Any]:
-    entries = way.layout.entries
+def _fit_record(fitted: FittedTies) -> dict[str, Any]:
+    ties, fit = fitted.ties, fitted.fit
     return {
         "parameters": {
-            label: parameter_record(way.fit, entries, i)
-            for i, label in enumerate(way.layout.labels)
+            label: parameter_record(fit, ties.entries, i) for i, label in enumerate(ties.labels)
         },
-        "correlations": {"order": way.layout.labels, "matrix": correlations(way.fit)},
-        "converged": way.fit.converged,
-        "mean_square_over_noise": way.fit.square / way.fit.samples,
-        "left_out": way.left_out,
+        "correlations": {"order": ties.labels, "matrix": correlations(fit)},
+        "converged": fit.converged,
+        "mean_square_over_noise": fit.square / fit.samples,
+        "left_out": fitted.left_out,
     }
 
 
-def frequency_columns(found: ByFrequency, each: Sequence[str]) -> dict[str, np.ndarray]:
-    """per_frequency.csv: a row a frequency; a blank value is not determined by these data."""
+def frequency_columns(found: FrequencyComparison, each: Sequence[str]) -> dict[str, np.ndarray]:
+    """Return the columns of per_frequency.csv, a row for each frequency.
+
+    A value that the data do not determine is blank.
+    """
     table = {"frequency_Hz": found.frequencies}
     table["trials"] = np.bincount(found.place).astype(float)
     ramp = np.array([[float(x) for x in force_coefficients(float(f))] for f in found.frequencies]).T
     for label in each:
-        rows = values(found.ways[EACH], label)
+        rows = tied_values(found.fitted[EACH], label)
         table[label] = np.array([v if known else np.nan for v, _, _, known in rows])
         table[f"{label}_low"] = np.array([low for _, low, _, _ in rows])
         table[f"{label}_high"] = np.array([high for _, _, high, _ in rows])
-        table[f"{label}_constant"] = np.full(len(rows), values(found.ways[CONSTANT], label)[0][0])
-        if label in FOLLOWS:
-            table[f"{label}_paper"] = ramp[FOLLOWS.index(label)]
+        constant = tied_values(found.fitted[CONSTANT], label)[0][0]
+        table[f"{label}_constant"] = np.full(len(rows), constant)
+        if label in RAMP_PARAMETERS:
+            table[f"{label}_paper"] = ramp[RAMP_PARAMETERS.index(label)]
     return table
 
 
-def per_frequency_table(found: ByFrequency) -> str:
-    """The comparison in words: a line an entry of the values by frequency, then what is best."""
-    way, lines = found.ways[EACH], []
-    for i, (p, label) in enumerate(zip(way.layout.entries, way.layout.labels, strict=True)):
-        lines.append(
-            f"{label:<28} {parameter_text(parameter_record(way.fit, way.layout.entries, i))}"
-        )
-        if i in found.advice:
-            lines.append(f"{'':<28} {proposal_sentence(p, found.advice[i])}")
+def per_frequency_table(found: FrequencyComparison) -> str:
+    """Return the comparison as text: a line for each value by frequency, then the result."""
+    each = found.fitted[EACH]
+    lines = entry_lines(each.fit, each.ties.entries, each.ties.labels, found.proposals)
     return "\n".join([*lines, "", comparison_text(found)])
 
 
-def per_frequency_model(found: ByFrequency, each: Sequence[str]) -> str:
-    """The model that explains the data best, for `slider simulate --model`.
+def per_frequency_model(found: FrequencyComparison, each: Sequence[str]) -> str:
+    """Return the model that predicts best as a file for `slider simulate --model`.
 
-    A ramp with other values at its ends, and values by frequency, become a table of C_d and m_a.
-    What else differs by frequency has no place in a model file: then constant values are written.
+    A ramp with identified end values, and values by frequency, become a table of C_d and m_a. A
+    model file cannot hold other parameters by frequency; the file then has constant values.
     """
-    way = found.used
-    entries, theta = way.layout.entries, way.fit.theta
+    used = found.used
+    entries, theta = used.ties.entries, used.fit.theta
     effects = list(dict.fromkeys(p.effect for p in found.entries if p.effect))
-    if way.layout.name == EACH and not set(each) <= set(FOLLOWS):
-        constant = found.ways[CONSTANT]
-        said = comparison_text(found) + " A model file has no place for these: constant values."
-        return toml_text(model_tables(constant.layout.entries, constant.fit.theta, effects), said)
-    if way.layout.name == CONSTANT:
+    if used.ties.name == EACH and not set(each) <= set(RAMP_PARAMETERS):
+        constant = found.fitted[CONSTANT]
+        comment = (
+            f"{comparison_text(found)} A model file cannot hold these parameters by frequency; it "
+            "contains constant values."
+        )
+        return toml_text(model_tables(constant.ties.entries, constant.fit.theta, effects), comment)
+    if used.ties.name == CONSTANT:
         return toml_text(model_tables(entries, theta, effects), comparison_text(found))
-    common = [i for i, p in enumerate(entries) if p.label not in FOLLOWS]
+    common = [i for i, p in enumerate(entries) if p.label not in RAMP_PARAMETERS]
     tables = model_tables([entries[i] for i in common], theta[common], effects)
     law: dict[str, Any] = {"force_coefficients": "ramp"}
-    if way.layout.name != PAPER:
+    if used.ties.name != PAPER:
         rows = [
             {
                 "frequency": significant(f),
                 "C_d": significant(max(C_d, 0.0)),
                 "m_a": significant(max(m_a, 0.0)),
             }
-            for f, C_d, m_a in coefficients(found)
+            for f, C_d, m_a in coefficient_table(found)
         ]
         law = {"force_coefficients": "table", "coefficients": rows}
     tables["parameters"] = tables["parameters"] | law
     return toml_text(tables, comparison_text(found))
 
 
-def coefficients(found: ByFrequency) -> list[tuple[float, float, float]]:
-    """(frequency, C_d, m_a) between which the used way is linear."""
-    way = found.used
-    if way.layout.name == RAMP:
-        at = np.array([RAMP_START, RAMP_END])
-    else:
-        at = found.frequencies
+def coefficient_table(found: FrequencyComparison) -> list[tuple[float, float, float]]:
+    """Return rows (frequency [Hz], C_d, m_a) between which the used ties are linear."""
+    ramp = found.used.ties.name == RAMP
+    at = np.array([RAMP_START, RAMP_END]) if ramp else found.frequencies
     rows = []
-    for label in FOLLOWS:
-        found_values = [v for v, _, _, _ in values(way, label)]
-        rows.append(found_values if len(found_values) == len(at) else found_values * len(at))
+    for label in RAMP_PARAMETERS:
+        values = [v for v, _, _, _ in tied_values(found.used, label)]
+        rows.append(values if len(values) == len(at) else values * len(at))
     return list(zip(at.tolist(), *rows, strict=True))
 
 
-def picture(found: ByFrequency, each: Sequence[str], path: Path) -> None:
-    """Every parameter against drive frequency: values with intervals, constant, and the ramps."""
+def plot_by_frequency(found: FrequencyComparison, each: Sequence[str], path: Path) -> None:
+    """Plot every parameter over drive frequency: values with intervals, constant, and ramps."""
     figure, axes = new_figure(1, len(each), figsize=(5.2 * len(each), 4.2), squeeze=False)
     f = found.frequencies
     fine = np.linspace(0.9 * f.min(), 1.05 * f.max(), 200)
     for axis, label in zip(axes[0], each, strict=True):
-        (value, low, high, _), *_ = values(found.ways[CONSTANT], label)
+        (value, low, high, _), *_ = tied_values(found.fitted[CONSTANT], label)
         axis.axhspan(low, high, color="tab:blue", alpha=0.15)
         axis.axhline(value, color="tab:blue", label="constant, 95 %")
-        if label in FOLLOWS:
-            paper = [float(force_coefficients(float(x))[FOLLOWS.index(label)]) for x in fine]
+        if label in RAMP_PARAMETERS:
+            paper = [
+                float(force_coefficients(float(x))[RAMP_PARAMETERS.index(label)]) for x in fine
+            ]
             axis.plot(fine, paper, color="tab:orange", label="paper's ramp")
-        if RAMP in found.ways:
-            ends = [v for v, _, _, _ in values(found.ways[RAMP], label)]
+        if RAMP in found.fitted:
+            ends = [v for v, _, _, _ in tied_values(found.fitted[RAMP], label)]
             axis.plot(
                 fine, np.interp(fine, [RAMP_START, RAMP_END], ends), "--", color="tab:green",
                 label="ramp, ends identified",
             )  # fmt: skip
-        rows = np.array([x[:3] for x in values(found.ways[EACH], label)])
-        known = np.array([x[3] for x in values(found.ways[EACH], label)])
+        rows = np.array([x[:3] for x in tied_values(found.fitted[EACH], label)])
+        known = np.array([x[3] for x in tied_values(found.fitted[EACH], label)])
         for here, colour, name in (
             (known, "black", "by frequency, 95 %"),
             (~known, "0.7", "not determined"),

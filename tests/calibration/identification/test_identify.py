@@ -1,4 +1,4 @@
-"""`slider calibrate`: parameters of a tank with a known answer, from the command line."""
+"""`slider calibrate`: parameters of a simulated tank, from the command line."""
 
 import json
 
@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from calibration.identification import identify
-from calibration.inference import problem as evidence
 from calibration.inference.goodness import Excess
+from calibration.inference.problem import TankProblem
 from calibration.measurements.synthetic import Truth, trials, write_tank
-from calibration.model import predict as forward
+from calibration.model.predict import Resolution
 from slider_jax.cli.main import main
 
 TRUTH = {"C_d": 3.0, "m_a": 0.8, "k": 0.075, "K_Q": 4.5e-7}
 COARSE_TANK = {"nodes": 21, "step": 2e-3, "scheme": "sdirk2"}
-MESH = forward.Resolution(21, 60, 3.0e-3)
+MESH = Resolution(21, 60, 3.0e-3)
 
 
 @pytest.fixture(scope="module")
@@ -27,23 +27,23 @@ def tank(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    of = evidence.TankProblem.of
+    of = TankProblem.of
     monkeypatch.setattr(
         identify.TankProblem, "of", lambda e, r, n, c, fine, coarse: of(e, r, n, c, MESH, MESH)
     )
 
 
 @pytest.mark.slow
-def test_the_intervals_hold_the_truth_and_an_effect_can_be_added(tank, tmp_path, capsys):
+def test_the_intervals_contain_the_truth_also_of_an_added_effect(tank, tmp_path, capsys):
     out = tmp_path / "out"
-    words = ["calibrate", str(tank), "--out", str(out), "--also", "tangential_friction"]
-    assert main(words) == 0
+    arguments = ["calibrate", str(tank), "--out", str(out), "--also", "tangential_friction"]
+    assert main(arguments) == 0
     found = json.loads((out / "calibration.json").read_text())
     truth = TRUTH | {"tangential_friction.C_t": 0.1}
     assert set(found["parameters"]) == set(truth)
     for name, value in truth.items():
-        said = found["parameters"][name]
-        assert said["low"] < value < said["high"], name
+        x = found["parameters"][name]
+        assert x["low"] < value < x["high"], name
     assert found["converged"] and 0.8 < found["mean_square_over_noise"] < 1.3
     for channel in found["errors"].values():
         assert channel["after"] < 1.3 * channel["floor"]
@@ -53,7 +53,7 @@ def test_the_intervals_hold_the_truth_and_an_effect_can_be_added(tank, tmp_path,
     assert "C_d" in capsys.readouterr().out
 
 
-def test_damaged_trials_are_mended_and_told(tank, tmp_path):
+def test_damaged_trials_are_repaired_and_reported(tank, tmp_path):
     for file in tank.parent.iterdir():
         (tmp_path / file.name).write_bytes(file.read_bytes())
     names = sorted(x.name for x in tmp_path.glob("trial_*.csv"))
@@ -65,8 +65,8 @@ def test_damaged_trials_are_mended_and_told(tank, tmp_path):
     for row in rows[1:]:
         row[3] = f"{1e3 * float(row[3]):.6g}"
     second.write_text("\n".join(map(",".join, rows)))
-    words = ["calibrate", str(tmp_path / "experiment.toml"), "--out", str(tmp_path / "out")]
-    assert main([*words, "--also", "tangential_friction"]) == 0
+    arguments = ["calibrate", str(tmp_path / "experiment.toml"), "--out", str(tmp_path / "out")]
+    assert main([*arguments, "--also", "tangential_friction"]) == 0
     found = json.loads((tmp_path / "out" / "calibration.json").read_text())
     assert [(x["trial"], x["kind"], x["action"]) for x in found["audit"]] == [
         (names[0], "torn_line", "masked"), (names[0], "gap", "used"), (names[1], "units", "mended")
@@ -76,24 +76,24 @@ def test_damaged_trials_are_mended_and_told(tank, tmp_path):
         assert channel["after"] < 1.3 * channel["floor"]
 
 
-@pytest.mark.parametrize(("square", "doubted"), [(1.2, False), (9.0, True)])
-def test_a_fit_that_leaves_more_than_noise_is_doubted(monkeypatch, square, doubted):
+@pytest.mark.parametrize(("square", "warns"), [(1.2, False), (9.0, True)])
+def test_a_residual_above_the_noise_floor_gives_a_warning(monkeypatch, square, warns):
     left = {"thrust": Excess(np.ones(2), 1.0), "tip": Excess(np.full(2, square), square)}
     monkeypatch.setattr(identify, "excess", lambda problem, fit: left)
-    said = identify.doubt(None, None)
-    assert bool(said) == doubted
-    if doubted:
-        assert "does not explain these data: it leaves tip at 3 times its noise." in said
+    text = identify.residual_warning(None, None)
+    assert bool(text) == warns
+    if warns:
+        assert "does not explain these data: the residual is 3 times the noise in tip." in text
 
 
 MISTYPED = (
-    "--also tangential_frition: unknown effect; allowed what slider effects lists; "
+    "--also tangential_frition: unknown effect; allowed the names that slider effects lists; "
     "did you mean tangential_friction?"
 )
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("arguments", "message"),
     [
         (["--also", "tangential_frition"], MISTYPED),
         (["--per-frequency", "--also", "tangential_frition"], MISTYPED),
@@ -101,7 +101,7 @@ MISTYPED = (
         (["--channels", "torque"], "--channels torque: unknown; allowed p_front"),
     ],
 )
-def test_what_cannot_be_identified_is_refused(tank, tmp_path, capsys, words, said):
-    assert main(["calibrate", str(tank), "--out", str(tmp_path / "out"), *words]) == 2
-    assert said in capsys.readouterr().err
+def test_unknown_names_are_refused(tank, tmp_path, capsys, arguments, message):
+    assert main(["calibrate", str(tank), "--out", str(tmp_path / "out"), *arguments]) == 2
+    assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

@@ -1,4 +1,4 @@
-"""C_d and m_a by drive frequency: which way explains the data, on tanks whose answer is known."""
+"""C_d and m_a by drive frequency: the comparison of ties on simulated tanks."""
 
 import json
 import tomllib
@@ -8,11 +8,11 @@ import pytest
 
 from calibration.audit.audit import Audited
 from calibration.experiment_design import parameter_trial as design
-from calibration.identification import identify, parameter_ties as layouts, per_frequency
-from calibration.identification.per_frequency import compare, comparison_text, values
+from calibration.identification import identify, parameter_ties, per_frequency
+from calibration.identification.per_frequency import compare_ties, comparison_text, tied_values
 from calibration.identification.per_frequency_report import per_frequency_model
-from calibration.inference import problem as evidence
 from calibration.inference.gauss_newton import fit_gauss_newton
+from calibration.inference.problem import TankProblem
 from calibration.inference.uncertainty import BASE_DISCREPANCY
 from calibration.measurements.synthetic import ROBOT, START, Truth, trials, write_tank
 from calibration.model.extended import base_vector, parameters
@@ -31,7 +31,7 @@ COMMON = {"k": 0.075, "K_Q": 4.5e-7}
 
 
 def write_ramp(folder, runs, coefficients):
-    """A tank in which every trial has its own C_d and m_a."""
+    """Write a tank in which every trial has its own C_d and m_a."""
     for number, (run, (C_d, m_a)) in enumerate(zip(runs, coefficients, strict=True)):
         truth = Truth(COMMON | {"C_d": C_d, "m_a": m_a}, FRICTION)
         write_tank(folder, truth, [run], number, numerics=TANK)
@@ -39,7 +39,7 @@ def write_ramp(folder, runs, coefficients):
 
 
 def write_all(folder, runs):
-    """The experiment file of all trials, from that of the last."""
+    """Rewrite the experiment file of the last trial for all trials."""
     path = folder / "experiment.toml"
     head = path.read_text().split("[[trials]]")[0]
     tables = []
@@ -51,7 +51,7 @@ def write_all(folder, runs):
 
 
 def runs():
-    """Five frequencies across the ramp, 1 to 5 Hz."""
+    """Return trials at five frequencies from 1 to 5 Hz, on both sides of the ramp."""
     given = trials(5, count=5)
     return [
         run | {"frequency": f, "amplitude": 250e3, "duration": 1.2}
@@ -61,7 +61,7 @@ def runs():
 
 @pytest.fixture
 def quick(monkeypatch):
-    of, best = evidence.TankProblem.of, design.best_trial
+    of, best = TankProblem.of, design.best_trial
     monkeypatch.setattr(
         identify.TankProblem, "of", lambda e, r, n, c, fine, coarse: of(e, r, n, c, MESH, MESH)
     )
@@ -73,8 +73,7 @@ OWN_RAMP = [(3.0, 0.2), (3.0, 0.2), (3.6, 0.4), (4.5, 0.7), (4.5, 0.7)]
 EACH = [(5.0, 0.9), (2.0, 0.3), (4.0, 0.8), (1.5, 0.2), (3.5, 0.7)]
 
 
-def test_the_way_that_made_the_readings_is_chosen(monkeypatch):
-    """Five frequencies, a closed form in place of the beam."""
+def test_the_true_ties_of_closed_form_readings_are_chosen(monkeypatch):
     closed.replace_the_beam(monkeypatch)
     at = (1.0, 1.6, 2.4, 3.4, 5.0)
     experiment, entries = closed.experiment_of(at), parameters(())
@@ -83,11 +82,10 @@ def test_the_way_that_made_the_readings_is_chosen(monkeypatch):
     ):
         thetas = [np.array([C_d, m_a, 0.075, 4.5e-7]) for C_d, m_a in truth]
         found = compared(experiment, entries, closed.measured(experiment, thetas, seed))
-        print(comparison_text(found))
         assert found.chosen == chosen
-        each = found.ways["per_frequency"]
+        each = found.fitted["per_frequency"]
         for row, name in enumerate(("C_d", "m_a")):
-            for (value, low, high, _), true in zip(values(each, name), truth, strict=True):
+            for (value, low, high, _), true in zip(tied_values(each, name), truth, strict=True):
                 half = 0.5 * (high - low)
                 assert abs(value - true[row]) < 1.5 * half
         model = tomllib.loads(per_frequency_model(found, ("C_d", "m_a")))["parameters"]
@@ -98,25 +96,24 @@ def test_the_way_that_made_the_readings_is_chosen(monkeypatch):
         assert ("C_d" in model) == (chosen == "constant")
 
 
-def test_values_by_frequency_fit_what_no_ramp_fits(monkeypatch):
-    """At random from frequency to frequency: the fit follows, constant values do not."""
+def test_values_by_frequency_fit_irregular_values(monkeypatch):
     closed.replace_the_beam(monkeypatch)
     experiment, entries = closed.experiment_of((1.0, 1.6, 2.4, 3.4, 5.0)), parameters(())
     thetas = [np.array([C_d, m_a, 0.075, 4.5e-7]) for C_d, m_a in EACH]
     found = compared(experiment, entries, closed.measured(experiment, thetas, 0))
-    fits = {n: w.fit.square / w.fit.samples for n, w in found.ways.items()}
+    fits = {n: w.fit.square / w.fit.samples for n, w in found.fitted.items()}
     assert fits["per_frequency"] < 1.3 < 2.0 < fits["constant"]
-    assert all(w.fit.difference is not None for w in found.ways.values())  # halves were compared
+    assert all(w.fit.difference is not None for w in found.fitted.values())  # hausman_check ran
 
 
-def test_too_few_frequencies_decide_nothing(monkeypatch):
+def test_too_few_frequencies_choose_no_ties(monkeypatch):
     closed.replace_the_beam(monkeypatch)
     experiment, entries = closed.experiment_of((1.0, 2.4, 5.0)), parameters(())
     thetas = [np.array([4.0, 0.5, 0.075, 4.5e-7])] * 3
     records = closed.measured(experiment, thetas, 0)
     found = compared(experiment, entries, records)
-    assert found.chosen is None and found.used.layout.name == "constant"
-    assert "is not told by 3 frequencies" in comparison_text(found)
+    assert found.chosen is None and found.used.ties.name == "constant"
+    assert "these data have 3." in comparison_text(found)
     with pytest.raises(InputError, match="--each C_D: not identified; allowed C_d, m_a"):
         compared(experiment, entries, records, each=("C_D",))
     one = [r for r in records if r.trial.frequency == 1.0]
@@ -126,8 +123,9 @@ def test_too_few_frequencies_decide_nothing(monkeypatch):
 
 def compared(experiment, entries, records, each=("C_d", "m_a")):
     problem = closed.problem_of(experiment, records)
-    begun = fit_gauss_newton(problem, entries, base_vector(entries, START), np.arange(len(entries)))
-    return compare(experiment, entries, problem, begun, each)
+    start = base_vector(entries, START)
+    initial = fit_gauss_newton(problem, entries, start, np.arange(len(entries)))
+    return compare_ties(experiment, entries, problem, initial, each)
 
 
 @pytest.mark.slow
@@ -138,22 +136,20 @@ def compared(experiment, entries, records, each=("C_d", "m_a")):
         ([(2.5, 0.6)] * 5, "constant"),
     ],
 )
-def test_the_way_that_made_the_data_is_chosen(quick, tmp_path, capsys, coefficients, chosen):
+def test_the_true_ties_of_the_beam_are_chosen(quick, tmp_path, coefficients, chosen):
     path, out = write_ramp(tmp_path, runs(), coefficients), tmp_path / "out"
     words = ["calibrate", str(path), "--out", str(out), "--per-frequency", "--also", *ALSO]
     assert main(words) == 0
     found = json.loads((out / "calibration.json").read_text())["per_frequency"]
-    print(found["said"])
-    print(capsys.readouterr().out)
     assert found["chosen"] == chosen
     each = found["ways"]["per_frequency"]["parameters"]
     for name, at in (("C_d", 0), ("m_a", 1)):
         for f, true in zip(found["frequencies_Hz"], coefficients, strict=True):
-            said = each[f"{name} at {f:g} Hz"]
-            width = said["high"] - said["low"]
-            assert said["low"] - 0.3 * width < true[at] < said["high"] + 0.3 * width
-    held = {n: np.mean(w["left_out"]) for n, w in found["ways"].items()}
-    assert held[chosen] < 1.1 * min(held.values())
+            x = each[f"{name} at {f:g} Hz"]
+            width = x["high"] - x["low"]
+            assert x["low"] - 0.3 * width < true[at] < x["high"] + 0.3 * width
+    squares = {n: np.mean(x["left_out"]) for n, x in found["ways"].items()}
+    assert squares[chosen] < 1.1 * min(squares.values())
     model = tomllib.loads((out / "model.toml").read_text())["parameters"]
     assert (model.get("force_coefficients") == "ramp") == (chosen == "paper")
     assert ("C_d" in model) == (chosen == "constant")
@@ -163,13 +159,13 @@ def test_the_way_that_made_the_data_is_chosen(quick, tmp_path, capsys, coefficie
     assert (out / "per_frequency.png").stat().st_size > 0
 
 
-def test_layouts_are_the_maps_they_say():
+def test_ties_map_the_vector_to_the_parameters_of_each_trial():
     entries = parameters(())
     theta = base_vector(entries, START)
     trials_at = np.array([1.0, 2.5, 2.51, 4.0])
-    at, place = layouts.frequencies([load_trial(f) for f in trials_at])
+    at, place = parameter_ties.drive_frequencies([load_trial(f) for f in trials_at])
     assert at == pytest.approx([1.0, 2.505, 4.0]) and place.tolist() == [0, 1, 1, 2]
-    ramp = layouts.ramp(entries, theta, at, place)
+    ramp = parameter_ties.ramp_ties(entries, theta, at, place)
     x = np.array([0.1, 5e-7, 4.0, 3.0, 0.2, 1.0])
     assert ramp.labels[2:] == [
         "C_d below 2 Hz", "C_d above 3 Hz", "m_a below 2 Hz", "m_a above 3 Hz",
@@ -177,21 +173,21 @@ def test_layouts_are_the_maps_they_say():
     middle = ramp.maps[1].at(x)
     assert middle == pytest.approx([4.0 - 0.505, 0.2 + 0.505 * 0.8, 0.1, 5e-7])
     assert ramp.maps[3].at(x) == pytest.approx([3.0, 1.0, 0.1, 5e-7])
-    paper = layouts.paper(entries, theta, at, place)
+    paper = parameter_ties.paper_ties(entries, theta, at, place)
     assert paper.maps[0].at(x[:2]) == pytest.approx([4.0, 0.0, 0.1, 5e-7])
-    each = layouts.per_frequency(entries, theta, at, place, ("k",))
+    each = parameter_ties.per_frequency_ties(entries, theta, at, place, ("k",))
     assert each.labels[3:] == ["k at 1 Hz", "k at 2.505 Hz", "k at 4 Hz"]
     own = each.maps[2].at(np.array([3.0, 1.0, 5e-7, 0.1, 0.2, 0.3]))
     assert own == pytest.approx([3.0, 1.0, 0.2, 5e-7])
-    assert not layouts.sees_the_ramp(np.array([3.0, 4.0]))
+    assert not parameter_ties.spans_ramp(np.array([3.0, 4.0]))
 
 
 def load_trial(frequency):
     return Trial(file="x.csv", frequency=frequency, amplitude=1e5, duration=1.0)
 
 
-def test_the_proposed_trial_does_what_was_promised(monkeypatch):
-    """The data hold no fast trial; the best candidate is one, and once run gives that interval."""
+def test_the_proposed_trial_gives_the_predicted_interval(monkeypatch):
+    """The data have no fast trial, so the best candidate is fast."""
     closed.replace_the_beam(monkeypatch)
     experiment = closed.experiment_of((0.6, 5.0, 0.8), phase=0.0)
     entries, free, theta = parameters(()), np.arange(4), np.array([3.0, 0.8, 0.075, 4.5e-7])
@@ -206,17 +202,16 @@ def test_the_proposed_trial_does_what_was_promised(monkeypatch):
     width = 1.96 * np.hypot(
         np.sqrt(after.covariance[1, 1]), BASE_DISCREPANCY["m_a"] * after.theta[1]
     )
-    print("promised", found[1].half_width, "found", width)
     assert found[1].half_width == pytest.approx(width, rel=0.1)
     assert found[1].half_width < 0.7 * 1.96 * np.sqrt(one.covariance[1, 1])
-    said = design.proposal_sentence(entries[1], found[1])
-    assert said.startswith(
-        "a trial of 1 s at 5 Hz, 250 kPa, phase 0, towed at 0.2 m/s, would give m_a to ±"
+    text = design.proposal_sentence(entries[1], found[1])
+    assert text.startswith(
+        "a trial of 1 s at 5 Hz, 250 kPa, phase 0, towed at 0.2 m/s, would determine m_a to ±"
     )
 
 
-def test_a_proposed_trial_adds_to_the_data_at_hand(monkeypatch):
-    """Another trial like the first: together they say more than either."""
+def test_the_information_of_a_proposed_trial_adds_to_the_data(monkeypatch):
+    """Two similar trials together determine more than each of them."""
     closed.replace_the_beam(monkeypatch)
     experiment = closed.experiment_of((0.6, 0.8), phase=0.0, tow_speed=0.0)
     entries, free, theta = parameters(()), np.arange(4), np.array([3.0, 0.8, 0.075, 4.5e-7])
@@ -235,8 +230,8 @@ def test_a_proposed_trial_adds_to_the_data_at_hand(monkeypatch):
     assert width(after) < 0.9 * min(width(one), width(second))
 
 
-def test_a_frequency_that_is_left_out_has_no_say(monkeypatch):
-    """The vector without it is that of a fit to the other trials; its own values lie between."""
+def test_a_held_out_frequency_does_not_affect_the_vector(monkeypatch):
+    """The vector equals a fit to the other trials, and interpolates at the held-out frequency."""
     closed.replace_the_beam(monkeypatch)
     experiment, entries = closed.experiment_of((1.0, 2.0, 4.0, 5.0)), parameters(())
     thetas = [np.array([C_d, m_a, 0.075, 4.5e-7]) for C_d, m_a in
@@ -247,24 +242,24 @@ def test_a_frequency_that_is_left_out_has_no_say(monkeypatch):
         fit_gauss_newton(problem, entries, base_vector(entries, START), np.arange(4)),
         np.arange(4),
     )
-    rest = closed.problem_of(experiment, [r for i, r in enumerate(records) if i != 2])
-    alone = fit_gauss_newton(rest, entries, base_vector(entries, START), free)
-    at, place = layouts.frequencies(experiment.trials)
-    plan = layouts.constant(entries, every.theta, 4)
-    without = per_frequency._without(plan, every, at, 2, place)
+    others = closed.problem_of(experiment, [r for i, r in enumerate(records) if i != 2])
+    alone = fit_gauss_newton(others, entries, base_vector(entries, START), free)
+    at, place = parameter_ties.drive_frequencies(experiment.trials)
+    ties = parameter_ties.constant_ties(entries, every.theta, 4)
+    without = per_frequency._without(ties, every, at, 2, place)
     error = np.sqrt(np.diag(alone.covariance))
     assert np.all(np.abs(without - alone.theta) < 0.3 * error)
     assert np.abs(every.theta - alone.theta)[1] > error[1]
 
-    found = compare(experiment, entries, problem, every)
-    way = found.ways["per_frequency"]
-    x = per_frequency._without(way.layout, way.fit, at, 2, place)
-    C_d = [v for v, p in zip(x, way.layout.entries, strict=True) if p.label == "C_d"]
+    found = compare_ties(experiment, entries, problem, every)
+    each = found.fitted["per_frequency"]
+    x = per_frequency._without(each.ties, each.fit, at, 2, place)
+    C_d = [v for v, p in zip(x, each.ties.entries, strict=True) if p.label == "C_d"]
     assert C_d[2] == pytest.approx(C_d[1] + (C_d[3] - C_d[1]) * 2.0 / 3.0)
 
 
-def test_what_is_not_determined_gets_the_trial_that_would(monkeypatch):
-    """One slow trial at a low pressure: m_a stays open, and the command says what to run."""
+def test_an_undetermined_parameter_gets_a_proposed_trial(monkeypatch):
+    """One slow trial at a low pressure does not determine m_a."""
     closed.replace_the_beam(monkeypatch)
     monkeypatch.setattr(closed, "NOISE", {n: 20.0 * x for n, x in closed.NOISE.items()})
     experiment = closed.experiment_of((0.1, 4.0), amplitude=60e3)
@@ -278,14 +273,14 @@ def test_what_is_not_determined_gets_the_trial_that_would(monkeypatch):
     records = closed.measured(experiment, [theta] * 2, 0)[:1]
     monkeypatch.setattr(identify, "audit_measurements", lambda *_: Audited(records, []))
     found = identify.identify_parameters(experiment)
-    said = identify.identification_record(found, {})["parameters"]["m_a"]
-    assert said["value"] is None and said["not_determined_by_these_data"]
-    assert said["determined_by"]["trial"]["frequency"] == 4.0
+    m_a = identify.identification_record(found, {})["parameters"]["m_a"]
+    assert m_a["value"] is None and m_a["not_determined_by_these_data"]
+    assert m_a["determined_by"]["trial"]["frequency"] == 4.0
     assert "not determined by these data" in identify.parameter_table(found)
     assert "at 4 Hz, 60 kPa" in identify.parameter_table(found)
 
 
-def test_feasible_trials_stay_within_the_experiment(tmp_path):
+def test_feasible_trials_are_within_the_ranges_of_the_experiment(tmp_path):
     path = write_all_only(tmp_path)
     grid = design.feasible_trials(load(path))
     given = load(path).trials
@@ -306,7 +301,7 @@ def write_all_only(folder):
     return write_all(folder, runs())
 
 
-def test_a_table_of_coefficients_is_linear_between_and_constant_beyond(tmp_path):
+def test_a_coefficient_table_is_linear_between_its_frequencies_and_constant_beyond(tmp_path):
     path, model = write_all_only(tmp_path), tmp_path / "model.toml"
     model.write_text(
         '[parameters]\nforce_coefficients = "table"\n'
