@@ -1,2 +1,4 @@
-"""Drivers of the pneumatic manifold, for our firmware and the published one, and pressure limits.
-May import `recording` and `protocol`."""
+"""Drivers of the pneumatic manifold, for this project's firmware and the published one.
+
+May import `recording` and `protocol`.
+"""

@@ -1,4 +1,4 @@
-"""The manifold's line: frames out, messages in, by a thread that listens."""
+"""Serial connection to the manifold: it sends frames, and a thread receives messages."""
 
 import threading
 from collections.abc import Callable
@@ -13,15 +13,16 @@ from rig.recording.clock import host_ns
 
 Sink = Callable[[int, bytes], None]
 VENTS = "the manifold vents by itself 0.1 s after the last command"
-BAD = 1e-3
-"""Share of damaged frames that makes a line a suspect."""
+MAX_DAMAGED = 1e-3
+"""Share of damaged frames above which errors are blamed on the line."""
 
 
 class Connection:
-    """`take` gets (host time [ns], message) of all that comes, in the listener's thread.
+    """A port with a thread that calls `take(host time [ns], message)` for each message.
 
-    `sink` gets (host time [ns], bytes) of all that comes in, there too, `sent` of all that goes
-    out, in the thread that writes. `failed` is called once `failure` is set.
+    The thread also calls `sink(host time [ns], bytes)` for each received piece. The writing thread
+    calls `sent(host time [ns], bytes)` for each sent frame. `failed` is called after `failure` is
+    set.
     """
 
     def __init__(
@@ -34,8 +35,8 @@ class Connection:
     ):
         self.name: str = port.name
         self.failure: RigError | None = None
-        self.came = 0
-        """Messages."""
+        self.received = 0
+        """Number of messages."""
         self._port, self._take, self._failed = port, take, failed
         self._sink, self._sent = sink, sent
         self._decoder, self._ends = FrameDecoder(), threading.Event()
@@ -43,24 +44,24 @@ class Connection:
 
     @property
     def damaged(self) -> int:
-        """Frames that came in damaged, and were dropped."""
+        """Number of damaged frames, which are dropped."""
         return self._decoder.damaged
 
     @property
     def is_bad(self) -> bool:
-        """Whether so many came damaged that the line may be to blame for what fails."""
-        return self.damaged > BAD * (self.came + self.damaged)
+        """Whether so many frames were damaged that the line may cause an error."""
+        return self.damaged > MAX_DAMAGED * (self.received + self.damaged)
 
     def start(self) -> None:
-        """Listens from now on."""
+        """Start the receiving thread."""
         self._thread.start()
 
-    def forget(self) -> None:
-        """What came so far counts no more."""
-        self.came = self._decoder.damaged = 0
+    def reset_counts(self) -> None:
+        """Set the counts of received and damaged frames to 0."""
+        self.received = self._decoder.damaged = 0
 
     def write(self, message: Message) -> None:
-        """Raises `PortLost`."""
+        """Send `message`. Raises `PortLost`."""
         frame = encode_frame(message)
         try:
             self._port.write(frame)
@@ -70,17 +71,17 @@ class Connection:
             self._sent(host_ns(), frame)
 
     def close(self) -> None:
-        """The end of the thread, and the port's."""
+        """End the thread and close the port."""
         self._ends.set()
         self._thread.join(0.5)
-        # A real port may wait long for bytes that nobody takes. One that is gone: termios.error.
+        # Closing may wait long for unsent bytes. A lost port raises termios.error here.
         with suppress(Exception):
             self._port.reset_output_buffer()
         self._port.close()
 
     def _gone(self, error: Exception) -> PortLost:
         failure = PortLost(
-            f"{self.name}: the port is gone ({error}); {VENTS}; check its plug and cable"
+            f"{self.name}: the port is gone ({error}); {VENTS}; check plug and cable"
         )
         self._fail(failure)
         return failure
@@ -96,12 +97,12 @@ class Connection:
             self._fail(RigError(f"{self.name}: stopped reading: {error!r}"))
 
     def _pieces(self) -> None:
-        begun = False
+        in_step = False
         while not self._ends.is_set():
             try:
                 piece = read_piece(self._port)
             except (serial.SerialException, OSError, TypeError) as error:
-                # TypeError: pyserial's, where the port is closed meanwhile.
+                # pyserial raises TypeError if the port was closed meanwhile.
                 if not self._ends.is_set():
                     self._gone(error)
                 return
@@ -110,12 +111,12 @@ class Connection:
             now = host_ns()
             if self._sink is not None:
                 self._sink(now, piece)
-            if not begun:
-                # The port was opened within a frame: what is left of that is no damage.
+            if not in_step:
+                # The port may have been opened within a frame; its tail is not damage.
                 _, end, piece = piece.partition(b"\0")
-                begun = bool(end)
-                if not begun:
+                in_step = bool(end)
+                if not in_step:
                     continue
             for message in self._decoder.feed(piece):
-                self.came += 1
+                self.received += 1
                 self._take(now, message)

@@ -14,8 +14,8 @@ from rig.manifold.limits import PressureLimits, checked_pressures
 from rig.manifold.serial_port import PortLost
 from rig.protocol.messages import (
     CHAMBERS,
+    MAX_SAMPLES_PER_PIECE,
     PROTOCOL,
-    SAMPLES_A_PIECE,
     Ack,
     Answer,
     Arm,
@@ -183,8 +183,8 @@ class Manifold:
             raise RigError.value("waveform's period", f"{period:g} s", "0.0005 to 1 s")
         values = [checked_pressures(sample, self.limits) for sample in samples]
         self._ask(lambda seq: WaveBegin(seq, len(values), round(period * 1e6)))
-        for first in range(0, len(values), SAMPLES_A_PIECE):
-            flat = tuple(p for row in values[first : first + SAMPLES_A_PIECE] for p in row)
+        for first in range(0, len(values), MAX_SAMPLES_PER_PIECE):
+            flat = tuple(p for row in values[first : first + MAX_SAMPLES_PER_PIECE] for p in row)
             self._ask(partial(_piece, first, flat))
 
     def play(self, repeats: int = 1) -> None:

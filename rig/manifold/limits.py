@@ -1,4 +1,4 @@
-"""What may be asked of the chambers: no number goes on the wire that has not come through here."""
+"""Limits of the chambers' set pressures. Every set pressure is checked here before it is sent."""
 
 from collections.abc import Sequence
 from math import isfinite
@@ -7,8 +7,8 @@ from typing import NamedTuple
 from rig.errors import RigError
 from rig.protocol.messages import CHAMBERS, Ident
 
-HIGHEST = 2_000_000.0
-"""Gauge pressure [Pa] above which a limit is taken for a mistake of units."""
+LARGEST_LIMIT = 2_000_000.0
+"""Gauge pressure [Pa]; a higher limit is probably a mistake of units."""
 
 
 class PressureLimits(NamedTuple):
@@ -21,7 +21,10 @@ class PressureLimits(NamedTuple):
 
     @classmethod
     def of(cls, pressures: Sequence[float], where: str = "limits") -> "PressureLimits":
-        """One for all chambers, or one for each. Raises `RigError`, naming `where` they are."""
+        """Return limits from one pressure for all chambers, or one for each [Pa].
+
+        Raises `RigError` for a wrong number or value; `where` names the source in its message.
+        """
         if len(pressures) not in (1, 4):
             raise RigError.value(
                 where, f"{len(pressures)} pressures", "one for all chambers, or four",
@@ -29,20 +32,23 @@ class PressureLimits(NamedTuple):
             )  # fmt: skip
         limits = cls(*(list(pressures) * 4)[:4])
         for name, limit in zip(CHAMBERS, limits, strict=True):
-            if not 1e3 <= limit <= HIGHEST:
+            if not 1e3 <= limit <= LARGEST_LIMIT:
                 raise RigError.value(
-                    f"{where}, {name}", f"{limit:g}", f"1e3 to {HIGHEST:g} Pa", "not kPa or psi"
+                    f"{where}, {name}",
+                    f"{limit:g}",
+                    f"1e3 to {LARGEST_LIMIT:g} Pa",
+                    "not kPa or psi",
                 )
         return limits
 
     def within(self, ident: Ident) -> "PressureLimits":
-        """These, if the manifold allows them. Raises `RigError`."""
+        """Return these limits. Raises `RigError` if one exceeds the manifold's hard limit."""
         for name, limit in zip(CHAMBERS, self, strict=True):
             hard = getattr(ident, name)
             if limit > hard:
                 raise RigError.value(
-                    f"limit of {name}", f"{limit:g} Pa", f"at most {hard} Pa, which the manifold's "
-                    "firmware is built for", "lower it"
+                    f"limit of {name}", f"{limit:g} Pa", f"at most {hard} Pa, the hard limit in the "
+                    "manifold's firmware", "lower the limit"
                 )  # fmt: skip
         return self
 
@@ -50,9 +56,9 @@ class PressureLimits(NamedTuple):
 def checked_pressures(
     pressures: Sequence[float], limits: PressureLimits
 ) -> tuple[int, int, int, int]:
-    """Set gauge pressures (4,) in whole pascals, as the wire has them. Raises `RigError`.
+    """Return the set gauge pressures (4,) in whole pascals, as the protocol sends them.
 
-    What is above a limit is an error, not cut: a gait that was cut is another gait.
+    Raises `RigError` for a pressure above its limit: clipping it would change the gait.
     """
     if len(pressures) != len(CHAMBERS):
         raise RigError.value(

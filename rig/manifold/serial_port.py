@@ -1,4 +1,4 @@
-"""Serial ports: found, opened, and what is said when that fails."""
+"""Serial ports: listing, opening and reading them."""
 
 import errno
 import os
@@ -14,11 +14,11 @@ BAUD = 2_000_000
 
 
 class PortLost(RigError):
-    """The port was there, and is not any more."""
+    """An open port disappeared."""
 
 
 class Readable(Protocol):
-    """What is read of `serial.Serial`."""
+    """The part of `serial.Serial` that `read_piece` needs."""
 
     @property
     def in_waiting(self) -> int: ...
@@ -26,7 +26,7 @@ class Readable(Protocol):
 
 
 class SerialPortInfo(NamedTuple):
-    """A port of this computer."""
+    """A serial port of this computer."""
 
     name: str
     description: str
@@ -34,7 +34,7 @@ class SerialPortInfo(NamedTuple):
 
 
 def serial_ports() -> list[SerialPortInfo]:
-    """All serial ports, by name."""
+    """Return all serial ports, sorted by name."""
     return [
         SerialPortInfo(port.device, port.description or "", port.serial_number or "")
         for port in sorted(list_ports.comports(), key=lambda port: port.device)
@@ -42,45 +42,46 @@ def serial_ports() -> list[SerialPortInfo]:
 
 
 def open_port(name: str, baud: int = BAUD) -> serial.Serial:
-    """The port, for this process alone. Reads wait 50 ms at most, writes half a second.
+    """Open the port for this process alone; reads wait at most 50 ms, writes 0.5 s.
 
-    Raises `RigError` for a port that is missing, busy, forbidden, or no serial port.
+    Raises `RigError` for a port that is missing, busy, forbidden, or not a serial port.
     """
     try:
         port = serial.Serial(name, baud, timeout=0.05, write_timeout=0.5, exclusive=True)
         port.reset_input_buffer()
     except Exception as error:  # also termios.error, which not every system has
-        raise RigError(_why(name, error)) from None
+        raise RigError(_open_failure(name, error)) from None
     return port
 
 
 def read_piece(port: Readable) -> bytes:
-    """What came, waiting for it as long as the port's reads do; as a rule whole frames or lines.
+    """Return the received bytes, usually whole frames or lines; empty after the port's timeout.
 
-    Asked for what waits, or else for a byte, a frame would come in two pieces, its first byte
-    alone, and cost its listener and its recorder twice.
+    The first read waits for one byte, and the second takes all further bytes. Returning the first
+    byte alone would split each frame into two pieces and double the recorder's work.
     """
     piece = port.read(1)
     waiting = port.in_waiting if piece else 0
     return piece + port.read(waiting) if waiting else piece
 
 
-def _why(name: str, error: Exception) -> str:
+def _open_failure(name: str, error: Exception) -> str:
+    """Return the message for a port that cannot be opened."""
     number = getattr(error, "errno", None)
     if number is None and error.__context__ is not None:
         number = getattr(error.__context__, "errno", None)
-    if number is None and (told := re.search(r"\((\d+), ", str(error))):
-        number = int(told[1])
+    if number is None and (code := re.search(r"\((\d+), ", str(error))):
+        number = int(code[1])
     if number == errno.ENOENT or (os.name == "posix" and not os.path.exists(name)):
-        there = ", ".join(port.name for port in serial_ports()) or "none"
-        return f"--port {name}: no such port; there are: {there}; is it plugged in?"
+        ports = ", ".join(port.name for port in serial_ports()) or "none"
+        return f"--port {name}: no such port; available ports: {ports}; is the device plugged in?"
     if number in (errno.EACCES, errno.EPERM):
         return (
-            f"--port {name}: no permission; on Linux add yourself to its group "
+            f"--port {name}: no permission; on Linux add yourself to the port's group "
             f"(sudo usermod -aG dialout $USER) and log in again"
         )
     if number in (errno.EAGAIN, errno.EBUSY) or "lock" in str(error):
-        return f"--port {name}: busy; another program has it open: close that one"
+        return f"--port {name}: busy; another program has opened the port: close that program"
     if number == errno.ENOTTY:
-        return f"--port {name}: is no serial port; `slider rig ports` lists them"
+        return f"--port {name}: not a serial port; `slider rig ports` lists the serial ports"
     return f"--port {name}: cannot be opened ({error})"

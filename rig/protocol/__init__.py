@@ -1,1 +1,1 @@
-"""Messages and frames of the serial protocols; no input or output. May import `errors`."""
+"""Messages and frames of the serial protocols, without input or output. May import `errors`."""

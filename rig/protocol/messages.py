@@ -1,7 +1,9 @@
-"""What host and manifold say to each other: the messages of protocol 1, and their bytes.
+"""Messages between host and manifold (protocol 1), and their frames on the serial line.
 
-A message is a type byte and its fields, little endian: docs/reference/rig_protocol.md.
-Pressures are whole pascals (gauge), so that none can be NaN.
+A message is a type byte and its fields, little endian (table in docs/reference/rig_protocol.md).
+Pressures are gauge pressures in whole pascals, so none can be NaN. A frame is a message and its
+CRC-32, encoded by COBS and ended by a zero byte. The CRC is that of zlib and Ethernet, little
+endian. It has four bytes because a two-byte CRC would accept about 15 of a million damaged frames.
 """
 
 import struct
@@ -14,66 +16,66 @@ from cobs import cobs
 PROTOCOL = 1
 CHAMBERS = ("front_left", "front_right", "rear_left", "rear_right")
 CHANNELS = (*(f"p_{name}_Pa" for name in CHAMBERS), "p_supply_Pa", "in_1_uV", "in_2_uV", "in_3_uV")
-"""What a reading holds: gauge pressures [Pa], and three analogue inputs [uV]."""
+"""Channels of a reading: gauge pressures [Pa], then three analogue inputs [uV]."""
 WATCHDOG = 0.1
-"""The manifold vents when no valid command came for so long [s]."""
-SAMPLES_A_PIECE = 8
-"""Most samples of a waveform in one message."""
+"""The manifold vents after this time without a valid command [s]."""
+MAX_SAMPLES_PER_PIECE = 8
+"""Largest number of waveform samples in one message."""
 
 
 class ManifoldState(IntEnum):
-    """Of the manifold. All valves vent in every state but ARMED and PLAYING."""
+    """State of the manifold. All valves vent in every state except ARMED and PLAYING."""
 
     BOOT = 0
-    """No limits yet."""
+    """The limits are not set yet."""
     READY = 1
     ARMED = 2
-    """Follows SetPressures."""
+    """The valves follow `SetPressures`."""
     PLAYING = 3
-    """Follows the waveform it was given."""
+    """The valves follow the uploaded waveform."""
     FAULT = 4
-    """Has vented for a reason of its own; `SetLimits` clears it."""
+    """The manifold vented without a `Stop`; `SetLimits` clears the fault."""
 
 
 class Answer(IntEnum):
-    """Codes of `Ack`."""
+    """Result codes of `Ack`."""
 
     DONE = 0
     UNKNOWN = 1
-    """Type unknown, or of the wrong length."""
+    """The message type is unknown, or its length is wrong."""
     WRONG_STATE = 2
     ABOVE_LIMIT = 3
-    """`detail` is the chamber."""
+    """A set pressure exceeds the chamber's limit; `detail` is the chamber."""
     BELOW_ZERO = 4
-    """A set gauge pressure under 0; `detail` is the chamber."""
+    """A set gauge pressure is below 0; `detail` is the chamber."""
     WRONG_PLACE = 5
-    """A piece of a waveform outside it, or a waveform that is not complete or too long."""
+    """A piece is outside its waveform, or the waveform is incomplete or too long."""
 
 
 class Cause(IntEnum):
-    """Codes of `Event`: why the manifold vented."""
+    """Codes of `Event`: why the manifold sent the event, and vented in all cases but PLAYED."""
 
     RESET = 0
-    """It has just started."""
+    """The manifold has just started."""
     STOPPED = 1
     WATCHDOG = 2
-    """No valid command for `WATCHDOG`; `detail` is the milliseconds without."""
+    """No valid command came for `WATCHDOG`; `detail` is the silence in milliseconds."""
     OVER_PRESSURE = 3
-    """A chamber read more than its limit and a tenth; `detail` is the chamber."""
+    """A chamber's pressure exceeded 110 % of its limit + 5 kPa; `detail` is the chamber."""
     REFUSED = 4
-    """A set pressure outside the limits; `detail` is the chamber."""
+    """A set pressure was outside the limits; `detail` is the chamber."""
     PLAYED = 5
-    """The waveform is at its end."""
+    """The waveform has ended."""
 
 
 class Hello(NamedTuple):
-    """Asks for `Ident`."""
+    """Request for `Ident`."""
 
     protocol: int
 
 
 class SetLimits(NamedTuple):
-    """Highest set pressure of each chamber [Pa]; clears a fault, and vents. Answered by `Ack`."""
+    """Set the highest pressure of each chamber [Pa], clear a fault, and vent. Gets an `Ack`."""
 
     seq: int
     front_left: int
@@ -83,13 +85,13 @@ class SetLimits(NamedTuple):
 
 
 class Arm(NamedTuple):
-    """From READY to ARMED, at set pressures of 0. Answered by `Ack`."""
+    """Change from READY to ARMED, with set pressures of 0. Gets an `Ack`."""
 
     seq: int
 
 
 class SetPressures(NamedTuple):
-    """Set pressures [Pa], at once. Not answered but when refused; readings tell the last `seq`."""
+    """Set the pressures [Pa]. Gets an `Ack` only if refused; readings carry its `seq`."""
 
     seq: int
     front_left: int
@@ -99,19 +101,19 @@ class SetPressures(NamedTuple):
 
 
 class Heartbeat(NamedTuple):
-    """Says that the host is alive, and nothing else. Not answered."""
+    """Keep the watchdog from venting. Gets no answer."""
 
     seq: int
 
 
 class Stop(NamedTuple):
-    """Vents everything, in any state, and disarms. Answered by `Ack`."""
+    """Vent all chambers and disarm, in any state. Gets an `Ack`."""
 
     seq: int
 
 
 class WaveBegin(NamedTuple):
-    """A waveform of `samples`, `period_us` apart, follows. Answered by `Ack`."""
+    """Announce a waveform of `samples` samples, `period_us` apart. Gets an `Ack`."""
 
     seq: int
     samples: int
@@ -119,7 +121,7 @@ class WaveBegin(NamedTuple):
 
 
 class WavePiece(NamedTuple):
-    """Samples from `first` on, four pressures [Pa] each, chamber by chamber. Answered by `Ack`."""
+    """Upload samples from number `first` on, four pressures [Pa] each. Gets an `Ack`."""
 
     seq: int
     first: int
@@ -127,23 +129,23 @@ class WavePiece(NamedTuple):
 
 
 class WavePlay(NamedTuple):
-    """From ARMED to PLAYING, `repeats` times, or until stopped if 0. Answered by `Ack`."""
+    """Change from ARMED to PLAYING, `repeats` times or endlessly if 0. Gets an `Ack`."""
 
     seq: int
     repeats: int
 
 
 class Ident(NamedTuple):
-    """Which manifold this is, and the limits [Pa] that nothing can raise."""
+    """Firmware version of the manifold, and its hard limits [Pa], which no command can raise."""
 
     protocol: int
     major: int
     minor: int
     patch: int
     samples: int
-    """Longest waveform."""
+    """Largest number of samples in a waveform."""
     rate: int
-    """Readings a second."""
+    """Rate of the readings [1/s]."""
     front_left: int
     front_right: int
     rear_left: int
@@ -151,19 +153,19 @@ class Ident(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """All channels at one instant of the device's clock."""
+    """Values of all channels at one time of the device's clock."""
 
     seq: int
     device_us: int
     state: int
     command: int
-    """`seq` of the last `SetPressures` that was accepted."""
+    """`seq` of the last accepted `SetPressures`."""
     channels: tuple[int, ...]
-    """(8,) as in `CHANNELS`."""
+    """(8,) values in the order of `CHANNELS`."""
 
 
 class Ack(NamedTuple):
-    """What came of the command `seq` of a type."""
+    """Result of the command with number `seq` and type byte `kind`."""
 
     seq: int
     kind: int
@@ -172,7 +174,7 @@ class Ack(NamedTuple):
 
 
 class Event(NamedTuple):
-    """The manifold vented by itself, or as it was told."""
+    """The manifold started, vented, or ended a waveform."""
 
     device_us: int
     cause: int
@@ -180,13 +182,13 @@ class Event(NamedTuple):
 
 
 class Follows(NamedTuple):
-    """The valves follow these set pressures [Pa] from now on: said when armed, and at each change.
+    """Set pressures [Pa] that the valves follow from now on; sent when armed and at each change.
 
-    A command is late on its way, and a drive is what the valves were told, not what was meant.
+    Commands arrive late, so a trial's drive is computed from these messages, not from the commands.
     """
 
     number: int
-    """Of the changes; a gap tells that some are lost."""
+    """Number of the change; a gap means lost messages."""
     device_us: int
     front_left: int
     front_right: int
@@ -221,12 +223,12 @@ _SAMPLE = struct.Struct("<4i")
 
 
 def type_byte(kind: type) -> int:
-    """The type byte of a kind of message."""
+    """Return the type byte of a message class."""
     return _CODES[kind]
 
 
 def pack_message(message: Message) -> bytes:
-    """Type byte and fields. Raises `struct.error` for a number that its field cannot hold."""
+    """Return type byte and fields. Raises `struct.error` for a number too large for its field."""
     code = _CODES[type(message)]
     layout = _LAYOUTS[code][1]
     if isinstance(message, Reading):
@@ -238,14 +240,14 @@ def pack_message(message: Message) -> bytes:
 
 
 def unpack_message(body: bytes) -> Message | None:
-    """The message of these bytes; None if there is none such."""
+    """Return the message in `body`; None if its type or length is unknown."""
     if not body or body[0] not in _LAYOUTS:
         return None
     kind, layout = _LAYOUTS[body[0]]
     fields = body[1:]
     if kind is WavePiece:
         samples, rest = divmod(len(fields) - layout.size, _SAMPLE.size)
-        if rest or not 1 <= samples <= SAMPLES_A_PIECE:
+        if rest or not 1 <= samples <= MAX_SAMPLES_PER_PIECE:
             return None
         pressures = struct.unpack_from(f"<{4 * samples}i", fields, layout.size)
         seq, first = layout.unpack_from(fields)
@@ -260,17 +262,17 @@ def unpack_message(body: bytes) -> Message | None:
 
 
 LONGEST_FRAME = 192
-"""Most bytes between two zeros: more are noise."""
+"""Largest number of bytes between two zeros; a longer run of bytes is noise."""
 
 
 def encode_frame(message: Message) -> bytes:
-    """The frame of a message."""
+    """Return the frame of a message, with its final zero byte."""
     body = pack_message(message)
     return cobs.encode(body + crc32(body).to_bytes(4, "little")) + b"\0"
 
 
 def decode_frame(frame: bytes) -> Message | None:
-    """The message of the bytes before a zero; None where they are damaged."""
+    """Return the message in `frame`, without its final zero; None if the frame is damaged."""
     try:
         content = cobs.decode(frame)
     except cobs.DecodeError:
@@ -282,24 +284,24 @@ def decode_frame(frame: bytes) -> Message | None:
 
 
 class FrameDecoder:
-    """Messages of a stream of bytes, in pieces of any size; what is damaged is counted."""
+    """Decoder of a byte stream in pieces of any size. It drops and counts damaged frames."""
 
     def __init__(self) -> None:
         self.damaged = 0
-        """Runs of bytes between zeros that were no message."""
+        """Number of byte runs between zeros that were not a message."""
         self._rest, self._noise = b"", False
 
     def feed(self, piece: bytes) -> list[Message]:
-        """The messages that end in this piece."""
+        """Return the messages that end in this piece."""
         *frames, self._rest = (self._rest + piece).split(b"\0")
-        found = []
+        messages = []
         for frame in frames:
             message = None if self._noise or len(frame) > LONGEST_FRAME else decode_frame(frame)
             if message is not None:
-                found.append(message)
+                messages.append(message)
             elif frame or self._noise:
                 self.damaged += 1
             self._noise = False
         if len(self._rest) > LONGEST_FRAME:
             self._rest, self._noise = b"", True
-        return found
+        return messages

@@ -1,10 +1,11 @@
-"""What the authors' published firmware says on its line, from bytes to numbers.
+"""Parser of the text that the authors' published firmware sends.
 
-It asks for a frequency and waits. Then it runs one test: a header of one `name value` pair a line,
-a line of column names, a row a sample, and a last line `done`, which may count the lines before it.
-Lines end in CR, LF or CRLF. Source: the public repository bvanstratum/SoftSnakePressureControl and
-the logs of its sweep of 2022-12-21. In these no count and no line end follows `done`, and a row may
-stand before the header. The words of the question are not in them.
+The firmware asks for a frequency and waits. Then it runs one test and sends a header with one
+`name value` pair per line, a line of column names, one row per sample, and the last line `done`,
+which may contain the number of lines before it. Lines end in CR, LF or CRLF. Source: the public
+repository bvanstratum/SoftSnakePressureControl and the logs of its sweep of 2022-12-21. In these
+logs, neither a count nor a line end follows `done`, a row may come before the header, and the text
+of the question is missing.
 """
 
 import re
@@ -15,10 +16,10 @@ COLUMNS = "N_sample,fluidInVoltage,fluidOutVoltage,pressureCommanded,pressureErr
 PSI_PER_COUNT = 0.13529
 PSI_AT_ZERO = -12.4282
 PA_PER_PSI = 6894.757
-LONGEST = 512
-"""Most bytes without a line end: more are noise."""
-LEAP = 50
-"""Samples that may be missing before a row without its follower confirming it."""
+LONGEST_LINE = 512
+"""Largest number of bytes without a line end; a longer run of bytes is noise."""
+MAX_UNCONFIRMED_GAP = 50
+"""After more missing samples than this, a row is accepted only if the next row confirms it."""
 
 _NUMBER = r"(\d+(?:\.\d*)?)"
 _HEADER = {
@@ -30,25 +31,25 @@ _HEADER = {
 }
 _ROW = re.compile(r"(\d{1,9}),(\d{1,3}),(\d{1,3}),(-?\d{1,5}\.\d\d),(-?\d{1,5}\.\d\d),(\d{1,4})")
 _DONE = re.compile(rb"\s*done[ \t]*(\d*)[ \t]*", re.I)
-# Its line end if it has one, and else a question right behind; a last CR waits for its LF.
+# A line end follows, or directly the next question. A final CR waits for a possible LF.
 _DONE_ENDED = re.compile(_DONE.pattern + rb"(?:\r\n|\n|\r(?=[^\n])|(?=[^\d\s]))", re.I)
 _QUESTION = re.compile(r"freq|hz", re.I)
 _END = re.compile(rb"\r\n|\r|\n")
 
 
 def counts_to_pascal(counts: float) -> float:
-    """Gauge pressure [Pa] of ADC `counts`."""
+    """Return the gauge pressure [Pa] of ADC `counts`."""
     return PA_PER_PSI * (PSI_PER_COUNT * counts + PSI_AT_ZERO)
 
 
 class Question(NamedTuple):
-    """The firmware asks for a frequency, and waits for it."""
+    """The firmware's question for a frequency; it waits for the answer."""
 
     text: str
 
 
 class Header(NamedTuple):
-    """Of a test [Hz, s]; None for a line that did not come, or was torn."""
+    """Header of a test [Hz, s]; None for a missing or damaged line."""
 
     frequency: float | None = None
     start: float | None = None
@@ -58,7 +59,7 @@ class Header(NamedTuple):
 
 
 class LogRow(NamedTuple):
-    """A sample. Pressures and error (command less pressure) in ADC counts, valves in 0 to 255."""
+    """One sample: pressures and error (command - pressure) in ADC counts, valves from 0 to 255."""
 
     number: int
     fill: int
@@ -79,7 +80,7 @@ class LogRow(NamedTuple):
 
 
 class Done(NamedTuple):
-    """The test's end; `counted` is what the firmware says it wrote, in lines, if it does."""
+    """End of the test; `counted` is the firmware's count of its lines, if it sends one."""
 
     counted: int | None
 
@@ -88,74 +89,74 @@ Event = Question | Header | LogRow | Done
 
 
 class DialogueStage(Enum):
-    """Where the dialogue is."""
+    """Stage of the dialogue."""
 
-    IDLE = "before an answer"
-    HEADER = "answered; rows that come now are of an earlier test"
+    IDLE = "no test runs"
+    HEADER = "the frequency was sent; rows before the header belong to an earlier test"
     ROWS = "the test runs"
 
 
 class Dialogue:
-    """Parser of the stream, in pieces of any size. Counts are of the test under way."""
+    """Parser of the byte stream in pieces of any size. The counts are those of the current test."""
 
     def __init__(self) -> None:
-        self.rest = b""
-        """Bytes that came and are not parsed: of a line not ended, or behind a test's end."""
-        self.said = ""
-        """The last line that was no row."""
-        self._asked = ""
+        self.unparsed = b""
+        """Bytes of an unfinished line, or received after a test's end."""
+        self.last_text = ""
+        """The last line that was not a row."""
+        self._question = ""
         self._begin(DialogueStage.IDLE)
 
     def _begin(self, stage: DialogueStage) -> None:
         self.stage, self.header = stage, Header()
         self.lines = 0
-        """Lines of the test, blank ones and `done` not counted."""
-        self.rows = self.torn = self.stale = self.lost = 0
-        """Accepted, damaged, and of an earlier test; samples missing between accepted rows."""
+        """Number of the test's lines, without blank lines and `done`."""
+        self.rows = self.damaged = self.stale = self.lost = 0
+        """Accepted rows, damaged lines, rows of an earlier test, and missing samples."""
         self.number = 0
-        """Of the last row that was accepted."""
+        """Sample number of the last accepted row."""
         self._candidate = 0
 
     def answered(self) -> None:
-        """The frequency has been sent: what comes from now on is a test."""
+        """Start a test; call it when the frequency is sent."""
         self._begin(DialogueStage.HEADER)
-        self.rest, self.said, self._asked = b"", "", ""
+        self.unparsed, self.last_text, self._question = b"", "", ""
 
     def feed(self, piece: bytes) -> list[Event]:
-        """What this piece completes, up to a test's end; what follows that stays in `rest`."""
-        self.rest += piece
-        found: list[Event] = []
+        """Return the events that `piece` completes, up to a test's end; keep the rest unparsed."""
+        self.unparsed += piece
+        events: list[Event] = []
         at = 0
-        for end in _END.finditer(self.rest):
-            if self.stage is not DialogueStage.IDLE and _DONE.match(self.rest, at):
+        for end in _END.finditer(self.unparsed):
+            if self.stage is not DialogueStage.IDLE and _DONE.match(self.unparsed, at):
                 break
-            found += self._line(self.rest[at : end.start()])
+            events += self._line(self.unparsed[at : end.start()])
             at = end.end()
-        self.rest = self.rest[at:]
+        self.unparsed = self.unparsed[at:]
         if self.stage is not DialogueStage.IDLE:
-            done = _DONE_ENDED.match(self.rest)
+            done = _DONE_ENDED.match(self.unparsed)
             if done:
-                self.rest = self.rest[done.end() :]
-                return [*found, self._done(done)]
-        if len(self.rest) > LONGEST:
-            self.rest = b""
-            self.torn += 1
-        return found
+                self.unparsed = self.unparsed[done.end() :]
+                return [*events, self._done(done)]
+        if len(self.unparsed) > LONGEST_LINE:
+            self.unparsed = b""
+            self.damaged += 1
+        return events
 
     def quiet(self) -> list[Event]:
-        """What the line's silence completes: a question, or a `done` that no line end follows."""
+        """Return the events that a silence completes: a question, or a `done` without line end."""
         if self.stage is DialogueStage.IDLE:
-            text = _text(self.rest)
-            question = text if _asks(text) else self._asked
+            text = _text(self.unparsed)
+            question = text if _asks(text) else self._question
             return [Question(question)] if question else []
-        done = _DONE.fullmatch(self.rest.rstrip())
+        done = _DONE.fullmatch(self.unparsed.rstrip())
         if not done:
             return []
-        self.rest = b""
+        self.unparsed = b""
         return [self._done(done)]
 
     def _done(self, match: re.Match[bytes]) -> Done:
-        self.stage, self.said = DialogueStage.IDLE, ""
+        self.stage, self.last_text = DialogueStage.IDLE, ""
         return Done(int(match[1]) if match[1] else None)
 
     def _line(self, line: bytes) -> list[Event]:
@@ -164,10 +165,10 @@ class Dialogue:
             return []
         row = _row(text)
         if row is None:
-            self.said = text
+            self.last_text = text
         if self.stage is DialogueStage.IDLE:
             self.stale += row is not None
-            self._asked = "" if row else text if _asks(text) else self._asked
+            self._question = "" if row else text if _asks(text) else self._question
             return []
         self.lines += 1
         if self.stage is DialogueStage.HEADER:
@@ -182,7 +183,7 @@ class Dialogue:
             self.stage = DialogueStage.ROWS
             if row is None:
                 return [self.header]
-            self.torn += 1  # the line of column names
+            self.damaged += 1  # the line of column names
             return [self.header, *self._accept(row)]
         for name, (pattern, unit) in _HEADER.items():
             match = pattern.fullmatch(text)
@@ -191,15 +192,15 @@ class Dialogue:
         return []
 
     def _accept(self, row: LogRow | None) -> list[Event]:
-        """The row if it is sound and follows; nothing but the order tells of a damaged number."""
+        """Return the row if it is valid and in order. Only the order reveals a damaged number."""
         if row is None:
-            self.torn += 1
+            self.damaged += 1
             return []
-        follows = row.number == self._candidate + 1
+        confirmed = row.number == self._candidate + 1
         self._candidate = row.number
         ahead = row.number - self.number
-        if ahead < 1 or (ahead > LEAP and not follows):
-            self.torn += 1
+        if ahead < 1 or (ahead > MAX_UNCONFIRMED_GAP and not confirmed):
+            self.damaged += 1
             return []
         if self.rows:
             self.lost += ahead - 1
@@ -222,6 +223,6 @@ def _row(text: str) -> LogRow | None:
         return None
     number, fill, vent, pressure = (int(match[i]) for i in (1, 2, 3, 6))
     row = LogRow(number, fill, vent, float(match[4]), float(match[5]), pressure)
-    # The firmware writes the three separately, so the error is a checksum of command and pressure.
-    sound = abs(row.command - row.pressure - row.error) < 0.015
-    return row if sound and max(fill, vent) <= 255 and pressure <= 4095 else None
+    # The firmware sends command, error and pressure, so the error serves as a checksum.
+    valid = abs(row.command - row.pressure - row.error) < 0.015
+    return row if valid and max(fill, vent) <= 255 and pressure <= 4095 else None
