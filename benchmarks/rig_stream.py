@@ -25,7 +25,7 @@ from rig.recording.reader import read_recording
 from rig.scheduling import real_time_priority
 from rig.simulated.rig import SimulatedRig
 from rig.simulated.tank import BenchTank
-from rig.simulated.terminal import in_process
+from rig.simulated.terminal import serve_in_process
 from rig.trial.capture import ManifoldSinks, PlannedTrial, SwitchableSink, TrialTiming, record_trial
 from rig.trial.waveform import SegmentDrive
 
@@ -46,7 +46,7 @@ def measure(seconds: float, folder: Path) -> dict[str, float | int | str]:
     path = folder / "stream.h5"
     switches = ManifoldSinks(SwitchableSink(), SwitchableSink())
     drive = SegmentDrive("sine", 1.3, 150e3, phase=0.15)
-    with real_time_priority() as priority, in_process(device) as served:
+    with real_time_priority() as priority, serve_in_process(device) as served:
         with Manifold(open_port(served.path), *switches) as manifold:
             cpu, begun = _cpu(), time.monotonic()
             captured = record_trial(

@@ -49,7 +49,9 @@ def rig_log(
         begun = path.with_suffix(".unfinished")
         # Unbuffered, so that all received bytes are on disk if the program is killed.
         with begun.open("wb", buffering=0) as file:
-            outcome = PublishedManifold(open_port(port)).run(frequency, sink=partial(_keep, file))
+            outcome = PublishedManifold(open_port(port)).run_test(
+                frequency, sink=partial(_keep, file)
+            )
         begun.replace(path)
         findings = "; ".join(outcome.findings) or "no findings"
         print(f"{path.name}  {outcome.rows} rows: {findings}")

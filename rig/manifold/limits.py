@@ -47,8 +47,8 @@ class PressureLimits(NamedTuple):
             hard = getattr(ident, name)
             if limit > hard:
                 raise RigError.value(
-                    f"limit of {name}", f"{limit:g} Pa", f"at most {hard} Pa, the hard limit in the "
-                    "manifold's firmware", "lower the limit"
+                    f"limit of {name}", f"{limit:g} Pa",
+                    f"at most {hard} Pa, the hard limit of the manifold's firmware",
                 )  # fmt: skip
         return self
 

@@ -1,4 +1,4 @@
-"""The authors' published firmware on a port: one test at a frequency, its rows as they come."""
+"""Driver of the authors' published firmware: one test at one frequency, row by row."""
 
 import string
 import time
@@ -8,64 +8,63 @@ from typing import NamedTuple
 import serial
 
 from rig.errors import RigError
+from rig.manifold.connection import Sink
 from rig.manifold.serial_port import BAUD, PortLost, read_piece
 from rig.protocol.published import Dialogue, Done, Event, Header, LogRow, Question
 
 FREQUENCIES = (0.1, 5.0)
-"""Allowed [Hz]; the published sweep is from 0.25 to 3 Hz."""
-SHOWN, TEXT = 60, 0.9
-"""Characters of what a port said that a message tells, and their share that is text."""
-PATIENCE = 5.0
-"""For the question, and after the answer for the first row [s]."""
-SILENCE = 0.5
-"""Without a row in mid-test [s]."""
+"""Allowed frequencies [Hz]; the published sweep is from 0.25 to 3 Hz."""
+QUOTED, MIN_PRINTABLE = 60, 0.9
+"""Number of received characters that a message quotes, and the share that must be printable."""
+MAX_START_WAIT = 5.0
+"""Longest wait for the question, and after the answer for the first row [s]."""
+MAX_ROW_WAIT = 0.5
+"""Longest wait for the next row of a test [s]."""
 QUIET = 0.05
-"""After so long without a byte [s], a question or a `done` without a line end is complete."""
+"""A question or a `done` without a line end is complete after this time without a byte [s]."""
 CANNOT_STOP = (
-    "this firmware has no stop command and no watchdog: if it still runs, it drives the valves to "
-    "the end of its test; pull the supply valve by hand"
+    "this firmware has no stop command and no watchdog: if it still runs, it drives the valves "
+    "until its test ends; close the supply valve by hand"
 )
-Sink = Callable[[int, bytes], None]
 
 
 class FrequencyOutcome(NamedTuple):
-    """What came of a test: its header, and counts of rows as in `Dialogue`."""
+    """Outcome of a test: its header, and the counts of `Dialogue`."""
 
     header: Header
     rows: int
-    torn: int
+    damaged: int
     lost: int
     stale: int
     lines: int
     counted: int | None
-    """Lines by the firmware's own count, if it gave one."""
+    """The firmware's own count of its lines, if it sent one."""
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """What is not as it should be, a sentence each."""
+        """Problems of the test, one sentence each."""
         found = []
-        if self.torn:
-            found.append(f"{self.torn} lines came in damaged and were dropped")
+        if self.damaged:
+            found.append(f"{self.damaged} damaged lines were dropped")
         if self.lost:
-            found.append(f"{self.lost} samples are missing between the rows that came")
+            found.append(f"{self.lost} samples are missing between the received rows")
         if self.stale:
-            found.append(f"{self.stale} rows of an earlier test came before the header")
+            found.append(f"{self.stale} rows of an earlier test arrived before the header")
         if self.counted not in (None, self.lines):
-            found.append(f"the firmware counts {self.counted} lines, {self.lines} came")
+            found.append(f"the firmware counted {self.counted} lines, {self.lines} arrived")
         return tuple(found)
 
 
 class PublishedManifold:
-    """A port on which the published firmware speaks, as `rig.manifold.serial_port.open_port` gives
-    it.
+    """A manifold with the published firmware, on a port from `serial_port.open_port`.
 
-    The only thing this firmware can be told is a frequency, and the pressures it then commands are
-    its own, 91 to 491 counts (0 to 370 kPa). It has no stop command and no watchdog: once it has
-    its frequency it runs the test to the end, whatever happens to this program, the cable or the
-    computer, and what its valves do after that is not known from its logs. The hand on the
-    supply valve is the only stop. On every error in a test the port is closed.
+    The host can send only a frequency. The firmware then commands its own pressures, 91 to 491
+    counts (0 to 370 kPa). It has no stop command and no watchdog: it runs the test to its end, even
+    if this program, the cable or the computer fails. Its logs do not show what its valves do after
+    the test. Closing the supply valve by hand is the only stop. After any error in a test the port
+    is closed.
 
-    `ending` follows the frequency on the wire; `clock` is the host's time [ns].
+    `ending` is sent after the frequency; `clock` returns the host's time [ns].
     """
 
     def __init__(
@@ -79,21 +78,21 @@ class PublishedManifold:
         self._dialogue = Dialogue()
         self._last_byte = clock()
 
-    def run(
+    def run_test(
         self,
         frequency: float,
         on_row: Callable[[int, LogRow], None] = lambda at, row: None,
         sink: Sink = lambda at, piece: None,
     ) -> FrequencyOutcome:
-        """Waits for the question, answers `frequency` [Hz], and stays until the test's end.
+        """Wait for the question, answer with `frequency` [Hz], and read until the test's end.
 
-        `sink` gets (host time [ns], bytes) of all that comes after the answer up to the test's
-        end, `on_row` (host time, `LogRow`) of each row, at the time when its last byte was read.
-        Raises `RigError`: a frequency that is not allowed, before anything is on the wire; no
-        question; a header with another frequency; no rows; a port that is gone (`PortLost`).
+        Calls `sink(host time [ns], bytes)` for all bytes of the test, and `on_row(host time [ns],
+        LogRow)` when the last byte of a row was read. Raises `RigError` for a frequency that is not
+        allowed (before sending it), for a missing question, for another frequency in the header,
+        and if no rows come; raises `PortLost` if the port disappears.
         """
         low, high = self._frequencies
-        if not low <= frequency <= high:  # nor is NaN
+        if not low <= frequency <= high:  # also refuses NaN
             raise RigError.value("frequency", f"{frequency:g} Hz", f"{low:g} to {high:g} Hz")
         try:
             self._wait_for_question()
@@ -103,11 +102,11 @@ class PublishedManifold:
             self._port.close()
             raise
 
-    def _hear(self, asked: int) -> tuple[int, bytes, list[Event]]:
-        """(host time, bytes, events) of one read that begins at `asked`.
+    def _receive(self, asked: int) -> tuple[int, bytes, list[Event]]:
+        """Return (host time [ns], bytes, events) of one read that begins at `asked` [ns].
 
-        Waiting is measured up to `asked`, before the read: else a program that was not run for a
-        while would take that for the firmware's silence.
+        The silence is measured up to `asked`, before the read. Otherwise a pause of this program
+        would count as a silence of the firmware.
         """
         try:
             piece = read_piece(self._port)
@@ -121,23 +120,23 @@ class PublishedManifold:
         return now, b"", self._dialogue.quiet() if quiet else []
 
     def _wait_for_question(self) -> None:
-        asked = begun = self._clock()
-        while asked - begun <= PATIENCE * 1e9:
+        asked = start = self._clock()
+        while asked - start <= MAX_START_WAIT * 1e9:
             asked = self._clock()
-            events = self._hear(asked)[2]
+            events = self._receive(asked)[2]
             if any(isinstance(event, Question) for event in events):
                 return
         if self._dialogue.stale:
             raise RigError(
-                f"{self._port.name}: a test is running, {self._dialogue.stale} rows came unasked; "
+                f"{self._port.name}: a test is already running ({self._dialogue.stale} rows came); "
                 f"wait for its end and try again; {CANNOT_STOP}"
             )
-        said = self._dialogue.said
+        text = self._dialogue.last_text
         raise RigError(
-            f"{self._port.name}: no question for a frequency in {PATIENCE:g} s, "
-            f"{f'but {_told(said)}' if said else 'and nothing else'}; is this the Teensy's port, "
-            f"at {BAUD} baud, with the published firmware? Reset the board: it asks at its start; "
-            "one of the framed protocol is for `slider rig check`"
+            f"{self._port.name}: no question for a frequency in {MAX_START_WAIT:g} s; received "
+            f"{_quoted(text) if text else 'nothing'}; check that this is the Teensy's port, at "
+            f"{BAUD} baud, with the published firmware, and reset the board: it asks at its start; "
+            "for the firmware in rig/firmware use `slider rig check`"
         )
 
     def _answer(self, frequency: float) -> None:
@@ -148,7 +147,7 @@ class PublishedManifold:
             raise self._gone(error) from None
 
     def _gone(self, error: OSError) -> PortLost:
-        """What pyserial raises is an `OSError` too."""
+        """Return the error for a lost port; pyserial's exceptions are `OSError` too."""
         return PortLost(
             f"{self._port.name}: the port is gone ({error}); {CANNOT_STOP}, then check plug and "
             "cable"
@@ -158,12 +157,12 @@ class PublishedManifold:
         self, frequency: float, on_row: Callable[[int, LogRow], None], sink: Sink
     ) -> FrequencyOutcome:
         dialogue = self._dialogue
-        last, patience = self._clock(), PATIENCE
+        last, patience = self._clock(), MAX_START_WAIT
         while True:
             asked = self._clock()
-            now, piece, events = self._hear(asked)
+            now, piece, events = self._receive(asked)
             done = events[-1] if events and isinstance(events[-1], Done) else None
-            ours = piece[: len(piece) - len(dialogue.rest)] if done else piece
+            ours = piece[: len(piece) - len(dialogue.unparsed)] if done else piece
             if ours:
                 sink(now, ours)
             for event in events:
@@ -172,31 +171,31 @@ class PublishedManifold:
                         self._compare(frequency, event)
                     case LogRow():
                         on_row(now, event)
-                        last, patience = now, SILENCE
+                        last, patience = now, MAX_ROW_WAIT
             if done:
                 return FrequencyOutcome(
-                    dialogue.header, dialogue.rows, dialogue.torn, dialogue.lost, dialogue.stale,
+                    dialogue.header, dialogue.rows, dialogue.damaged, dialogue.lost, dialogue.stale,
                     dialogue.lines, done.counted,
                 )  # fmt: skip
             if asked - last > patience * 1e9:
                 where = f"after sample {dialogue.number}" if dialogue.rows else "after the answer"
-                said = f"; it said {_told(dialogue.said)}" if dialogue.said else ""
+                text = f"; last text {_quoted(dialogue.last_text)}" if dialogue.last_text else ""
                 raise RigError(
-                    f"{self._port.name}: no row for {patience:g} s {where}, and no `done`{said}; "
-                    f"{CANNOT_STOP}, then look at the board's power and cable"
+                    f"{self._port.name}: no row for {patience:g} s {where}, and no `done`{text}; "
+                    f"{CANNOT_STOP}, then check the board's power and cable"
                 )
 
     def _compare(self, frequency: float, header: Header) -> None:
-        heard = header.frequency
-        if heard is not None and abs(heard - frequency) > 1e-5 * max(1.0, frequency):
+        actual = header.frequency
+        if actual is not None and abs(actual - frequency) > 1e-5 * max(1.0, frequency):
             raise RigError(
-                f"{self._port.name}: asked for {frequency:g} Hz, the test runs at {heard:g} Hz: "
-                f"the answer was not understood; {CANNOT_STOP}"
+                f"{self._port.name}: sent {frequency:g} Hz, but the test runs at {actual:g} Hz: "
+                f"the firmware misread the frequency; {CANNOT_STOP}"
             )
 
 
-def _told(said: str) -> str:
-    """How a message tells what a port said: its beginning, or that it is no text."""
-    begin = said[:SHOWN]
-    readable = sum(x in string.printable for x in begin)
-    return repr(begin) if readable >= TEXT * len(begin) else "bytes that are no text"
+def _quoted(text: str) -> str:
+    """Return the beginning of `text` in quotation marks, or a remark that it is not text."""
+    begin = text[:QUOTED]
+    printable = sum(x in string.printable for x in begin)
+    return repr(begin) if printable >= MIN_PRINTABLE * len(begin) else "bytes that are not text"

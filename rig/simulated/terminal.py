@@ -104,7 +104,7 @@ class Terminal:
 
 
 @contextmanager
-def in_thread(device: Device, backlog: int = BACKLOG) -> Iterator[ServedDevice]:
+def serve_in_thread(device: Device, backlog: int = BACKLOG) -> Iterator[ServedDevice]:
     """The device in a thread of this process."""
     terminal, end = Terminal(device, backlog), threading.Event()
     thread = threading.Thread(target=terminal.serve, args=(end.is_set,), name="device", daemon=True)
@@ -121,7 +121,7 @@ def in_thread(device: Device, backlog: int = BACKLOG) -> Iterator[ServedDevice]:
 
 
 @contextmanager
-def in_process(
+def serve_in_process(
     make: Callable[..., Device], *arguments: object, backlog: int = BACKLOG
 ) -> Iterator[ServedDevice]:
     """The device `make(*arguments)` in a process of its own, which ends with this one.

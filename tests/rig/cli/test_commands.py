@@ -242,7 +242,7 @@ def test_a_replay_sends_the_recorded_bytes_on_a_port(measured, tmp_path):
             "--published: given with an experiment; allowed --noise",
         ),
         (("run", "{exp}", "--port", "x", "--out", "{out}", "--rig", "{exp}"), "is an experiment"),
-        (("check", "--port", "{exp}"), "experiment.toml: is no serial port"),
+        (("check", "--port", "{exp}"), "experiment.toml: not a serial port"),
         (("simulate", "--inject", "leak_front_left=nan@1"), "with numbers from 0"),
         (("replay", "{here}"), "--out: missing"),
         (("replay", "{here}", "--out", "{out}"), "has no recordings/*.h5"),

@@ -1,4 +1,4 @@
-"""The manifold's driver on a pseudo-terminal, and what a recorded trial comes to."""
+"""The manifold's driver on a pseudo-terminal, and the files of a recorded trial."""
 
 import json
 import os
@@ -17,7 +17,7 @@ from rig.scheduling import real_time_priority
 from rig.simulated.manifold import ManifoldCore
 from rig.simulated.rig import TIP_PER_VOLT, LineFaults, SimulatedRig
 from rig.simulated.tank import BenchTank
-from rig.simulated.terminal import in_thread
+from rig.simulated.terminal import serve_in_thread
 from rig.trial.capture import ManifoldSinks, PlannedTrial, SwitchableSink, TrialTiming
 from rig.trial.player import command_times, play_drive
 from rig.trial.session import RECORDINGS, Rig, run_trials
@@ -29,14 +29,14 @@ TIP = AnalogueSensor("tip_m", 1, TIP_PER_VOLT)
 
 
 @pytest.fixture(autouse=True)
-def first_of_all():
-    """Other tests beside these must not be taken for a host that fell silent."""
+def before_other_tests():
+    """Tests that run in parallel must not delay the host's commands until the rig vents."""
     with real_time_priority():
         yield
 
 
 def rig_on(port, **changes):
-    """A manifold and what trials need; use it within the manifold's context."""
+    """Return a `Rig` on `port`; use it within its manifold's context."""
     switches = ManifoldSinks(SwitchableSink(), SwitchableSink())
     manifold = Manifold(open_port(port), *switches)
     return Rig(
@@ -44,34 +44,34 @@ def rig_on(port, **changes):
     )
 
 
-def recorded(tmp_path, trials, faults=LineFaults(noise=100.0), settings=None):
-    with in_thread(SimulatedRig(BenchTank(), faults=faults)) as served:
+def run_on_simulated_rig(tmp_path, trials, faults=LineFaults(noise=100.0), settings=None):
+    with serve_in_thread(SimulatedRig(BenchTank(), faults=faults)) as served:
         rig = rig_on(served.path)
         with rig.manifold:
             return run_trials(trials, rig, tmp_path, settings or {})
 
 
-def columns_of(path):
+def read_columns(path):
     return np.genfromtxt(path, delimiter=",", names=True)
 
 
-def test_a_trial_is_recorded_as_the_chambers_went(tmp_path):
-    """Against the lag's own solution under the set pressures as they were followed."""
+def test_a_recorded_trial_has_the_chambers_pressures(tmp_path):
+    """The reference is the lag's exact solution for the set pressures that the valves followed."""
     drive = SegmentDrive("square", 2.0, 100e3, rear_ratio=0.5, phase=0.25)
-    (told,) = recorded(tmp_path, [PlannedTrial("a", drive, 1.5)])
-    found = columns_of(tmp_path / "a.csv")
-    assert told["readings_lost"] == told["frames_damaged"] == 0
-    # Other tests beside this one may hold up its commands.
-    assert [x for x in told["findings"] if "too busy" not in x] == []
+    (record,) = run_on_simulated_rig(tmp_path, [PlannedTrial("a", drive, 1.5)])
+    found = read_columns(tmp_path / "a.csv")
+    assert record["readings_lost"] == record["frames_damaged"] == 0
+    # Tests that run in parallel may delay the commands.
+    assert [x for x in record["findings"] if "too busy" not in x] == []
     assert np.diff(found["t_s"]) == pytest.approx(2e-3, abs=2e-5)
-    played = columns_of(tmp_path / "a.played.csv")
+    played = read_columns(tmp_path / "a.played.csv")
     fine = np.arange(0.0, 1.5, 1e-4)
     now = np.searchsorted(played["t_s"], fine, side="right") - 1
     for name, index in (("front", 0), ("rear", 1)):
-        meant = np.array([drive.segments(t)[index] for t in fine])
+        planned = np.array([drive.segments(t)[index] for t in fine])
         sets = played[f"set_{name}_Pa"][now]
-        # Edges are late by what commands are on their way, all others are not there.
-        assert np.mean(sets != meant) < 0.02
+        # Edges are late by the commands' travel time; no other differences are allowed.
+        assert np.mean(sets != planned) < 0.02
         p, expected = 0.0, []
         for p_set in sets:
             expected.append(p)
@@ -84,11 +84,11 @@ def test_a_trial_is_recorded_as_the_chambers_went(tmp_path):
     assert found["tip_m"] == pytest.approx(np.array(tip), abs=3e-4)
 
 
-def test_the_drive_as_it_was_played_is_told_to_a_fraction_of_a_millisecond(tmp_path):
-    """The chambers followed what the file says, where what was meant is up to 1 ms early."""
+def test_the_played_drive_is_recorded_to_a_fraction_of_a_millisecond(tmp_path):
+    """The chambers followed the file's drive; the planned drive is up to 1 ms early."""
     drive = SegmentDrive("square", 2.0, 100e3, rear_ratio=0.5, phase=0.25)
-    recorded(tmp_path, [PlannedTrial("a", drive, 1.5)], LineFaults())
-    found, played = columns_of(tmp_path / "a.csv"), columns_of(tmp_path / "a.played.csv")
+    run_on_simulated_rig(tmp_path, [PlannedTrial("a", drive, 1.5)], LineFaults())
+    found, played = read_columns(tmp_path / "a.csv"), read_columns(tmp_path / "a.played.csv")
     assert played["t_s"][0] == 0.0 and played["t_s"][-1] == 1.5
     edges = drive.edges(1.5)
     assert played["t_s"][1:-1] == pytest.approx(edges, abs=0.02)
@@ -103,30 +103,30 @@ def test_the_drive_as_it_was_played_is_told_to_a_fraction_of_a_millisecond(tmp_p
             a = changes[0][1]
             p, now = a + (p - a) * np.exp(-(t - now) / 0.05), t
             expected.append(p)
-        # A tenth of a millisecond at an edge of 200 kPa.
+        # The bound is the change within 0.1 ms at an edge of 200 kPa.
         assert np.abs(found[name] - expected).max() < 2.0 * 100e3 * 1e-4 / 0.05
 
 
-def test_a_drive_of_which_a_change_was_lost_counts_as_it_was_meant(tmp_path, monkeypatch):
+def test_after_a_lost_change_of_the_drive_the_planned_drive_is_used(tmp_path, monkeypatch):
     drive = PlannedTrial("a", SegmentDrive("square", 4.0, 100e3), 1.0)
     (tmp_path / "a.played.csv").write_text("left by an earlier run")
-    tell, lost = ManifoldCore._follows, []
+    original, lost = ManifoldCore._follows, []
 
-    def forgetful(core, now_us):
-        said = tell(core, now_us)
-        if said.number == 3:
-            lost.append(said)
+    def skip_one(core, now_us):
+        message = original(core, now_us)
+        if message.number == 3:
+            lost.append(message)
             core._changes += 1
-            return said._replace(number=4)
-        return said
+            return message._replace(number=4)
+        return message
 
-    monkeypatch.setattr(ManifoldCore, "_follows", forgetful)
-    (told,) = recorded(tmp_path, [drive])
+    monkeypatch.setattr(ManifoldCore, "_follows", skip_one)
+    (record,) = run_on_simulated_rig(tmp_path, [drive])
     assert lost and not (tmp_path / "a.played.csv").exists()
-    assert any("the planned drive is used" in x for x in told["findings"])
+    assert any("the planned drive is used instead" in x for x in record["findings"])
 
 
-def test_a_drive_dies_away_after_its_trial():
+def test_a_drive_decays_to_zero_after_its_trial():
     sent = []
 
     class Valves:
@@ -135,11 +135,11 @@ def test_a_drive_dies_away_after_its_trial():
             return 0
 
     play_drive(Valves(), SegmentDrive("square", 5.0, 100e3), 0.2, 200.0, fade=0.2)
-    size = [max(p) for p in sent]
-    # Rounding makes 220.00000000000003 commands of 1.1 s.
+    amplitude = [max(p) for p in sent]
+    # 1.1 s / 5 ms = 220.00000000000003, which must not add a command.
     assert command_times(SegmentDrive("sine", 5.0, 100e3), 1.1)[-1] < 1.0999
-    assert len(sent) == 80 and size[:40] == [100e3] * 40
-    after = np.array(size[40:])
+    assert len(sent) == 80 and amplitude[:40] == [100e3] * 40
+    after = np.array(amplitude[40:])
     assert np.all(np.diff(after) < 0.0) and after[0] == 100e3 and after[-1] < 0.01 * 100e3
     assert after[20] == pytest.approx(50e3, rel=1e-6)
 
@@ -147,67 +147,73 @@ def test_a_drive_dies_away_after_its_trial():
 T = np.array([0.0, 0.1, 0.3])
 
 
-def test_a_recorded_drive_is_known_by_its_samples(tmp_path):
-    """And an experiment's other trials may change."""
+def test_a_changed_recorded_drive_is_refused_by_its_samples(tmp_path):
+    """A changed experiment file alone is no obstacle: its other trials may change."""
 
     def drive(last):
         return SegmentDrive(
             "recorded", times=T, recorded=np.array([[0.0, 0.0], [5e4, 0.0], [0.0, last]])
         )
 
-    recorded(tmp_path, [PlannedTrial("a", drive(1e4), 0.3)], settings={"experiment_sha256": "1"})
-    recorded(tmp_path, [PlannedTrial("a", drive(1e4), 0.3)], settings={"experiment_sha256": "2"})
+    run_on_simulated_rig(
+        tmp_path, [PlannedTrial("a", drive(1e4), 0.3)], settings={"experiment_sha256": "1"}
+    )
+    run_on_simulated_rig(
+        tmp_path, [PlannedTrial("a", drive(1e4), 0.3)], settings={"experiment_sha256": "2"}
+    )
     assert not list((tmp_path / RECORDINGS).glob("a.unfinished*"))
-    with pytest.raises(RigError, match=r"values of trial\.drive\.recorded_sha256; give"):
-        recorded(
+    with pytest.raises(RigError, match=r"other values of trial\.drive\.recorded_sha256; give"):
+        run_on_simulated_rig(
             tmp_path, [PlannedTrial("a", drive(2e4), 0.3)], settings={"experiment_sha256": "1"}
         )
 
 
-def test_a_run_that_was_stopped_goes_on_with_what_is_missing(tmp_path):
+def test_an_interrupted_run_resumes_with_the_missing_trials(tmp_path):
     trials = [PlannedTrial(name, SegmentDrive("sine", 2.0, 50e3), 0.3) for name in "ab"]
-    recorded(tmp_path, trials[:1], settings={"x": (1, 2)})
+    run_on_simulated_rig(tmp_path, trials[:1], settings={"x": (1, 2)})
     before = (tmp_path / RECORDINGS / "a.h5").stat().st_mtime_ns
     (tmp_path / RECORDINGS / "b.h5").write_bytes(b"half")
-    told = recorded(tmp_path, trials, settings={"x": (1, 2)})
-    assert [x["trial"] for x in told] == ["a", "b"]
+    records = run_on_simulated_rig(tmp_path, trials, settings={"x": (1, 2)})
+    assert [x["trial"] for x in records] == ["a", "b"]
     assert (tmp_path / RECORDINGS / "a.h5").stat().st_mtime_ns == before
     assert (tmp_path / RECORDINGS / "b.unfinished-1.h5").read_bytes() == b"half"
     with pytest.raises(RigError, match="other values of x"):
-        recorded(tmp_path, trials, settings={"x": (1, 3)})
+        run_on_simulated_rig(tmp_path, trials, settings={"x": (1, 3)})
     for other in (
         SegmentDrive("sine", 2.0, 51e3),
         SegmentDrive("recorded", times=T, recorded=np.zeros((3, 2))),
     ):
         with pytest.raises(RigError, match=r"other values of trial\.drive\."):
-            recorded(tmp_path, [PlannedTrial("a", other, 0.3)], settings={"x": (1, 2)})
-    # What is measured again leaves what was measured before, and what was told of it.
+            run_on_simulated_rig(tmp_path, [PlannedTrial("a", other, 0.3)], settings={"x": (1, 2)})
+    # A repeated trial keeps the earlier recording and its record under another name.
     (tmp_path / "a.csv").unlink()
-    recorded(tmp_path, trials, settings={"x": (1, 2)})
-    told = json.loads((tmp_path / RECORDINGS / "a.unfinished-1.json").read_text())
-    assert told["trial"] == "a" and (tmp_path / RECORDINGS / "a.unfinished-1.h5").exists()
+    run_on_simulated_rig(tmp_path, trials, settings={"x": (1, 2)})
+    record = json.loads((tmp_path / RECORDINGS / "a.unfinished-1.json").read_text())
+    assert record["trial"] == "a" and (tmp_path / RECORDINGS / "a.unfinished-1.h5").exists()
 
 
-def test_a_bad_line_loses_readings_and_says_so(tmp_path):
+def test_a_bad_line_loses_readings_and_the_record_reports_it(tmp_path):
     faults = LineFaults(flipped=1e-4, dropped=1e-4, inserted=1e-4)
-    (told,) = recorded(tmp_path, [PlannedTrial("a", SegmentDrive("sine", 2.0, 50e3), 1.0)], faults)
-    assert told["readings_lost"] > 0 and told["frames_damaged"] > 0
-    assert any("lost" in x for x in told["findings"])
-    found = columns_of(tmp_path / "a.csv")
+    (record,) = run_on_simulated_rig(
+        tmp_path, [PlannedTrial("a", SegmentDrive("sine", 2.0, 50e3), 1.0)], faults
+    )
+    assert record["readings_lost"] > 0 and record["frames_damaged"] > 0
+    assert any("lost" in x for x in record["findings"])
+    found = read_columns(tmp_path / "a.csv")
     gaps = np.round(np.diff(found["t_s"]) / 2e-3).astype(int)
-    assert gaps.min() == 1 and gaps.sum() - len(gaps) <= told["readings_lost"]
+    assert gaps.min() == 1 and gaps.sum() - len(gaps) <= record["readings_lost"]
     assert np.abs(found["p_front_Pa"]).max() < 51e3
 
 
-def test_an_edge_beside_an_even_time_is_not_missed():
-    """At 1.50000015 s, where an even command is due at 1.5 s."""
+def test_an_edge_close_to_a_regular_command_is_kept():
+    """The edge is at 1.50000015 s, and a regular command is due at 1.5 s."""
     drive = SegmentDrive("square", 0.3333333, 1e5)
     times = command_times(drive, 2.0)
     switched = next(t for t in times if drive.segments(t)[0] < 0.0)
     assert switched - 0.5 / 0.3333333 < 1e-9 and np.diff(times).min() > 1e-6
 
 
-def test_edges_of_a_square_wave_are_commanded_at_their_own_times():
+def test_edges_of_a_square_wave_are_commanded_at_their_exact_times():
     drive = SegmentDrive("square", 4.8, 1e5, phase=0.15)
     times = command_times(drive, 1.0)
     for t in drive.edges(1.0):
@@ -222,18 +228,20 @@ def test_edges_of_a_square_wave_are_commanded_at_their_own_times():
 
 
 @pytest.mark.parametrize("waveform", ["square", "sine", "trapezoid"])
-def test_waveforms_are_the_simulators(waveform):
+def test_waveforms_equal_those_of_the_simulator(waveform):
     import jax.numpy as jnp
 
     from slider_jax.actuation import SineWave, SquareWave, Trapezoid
 
     drive = SegmentDrive(waveform, 3.0, 2e5, rear_ratio=-0.6, phase=0.3, rise=0.2)
     kind = {"square": SquareWave, "sine": SineWave, "trapezoid": Trapezoid}[waveform]
-    more = (0.2,) if waveform == "trapezoid" else ()
-    front, rear = kind(3.0, 2e5, 0.0, *more), kind(3.0, -1.2e5, 0.3, *more)
+    extra = (0.2,) if waveform == "trapezoid" else ()
+    front, rear = kind(3.0, 2e5, 0.0, *extra), kind(3.0, -1.2e5, 0.3, *extra)
     for t in np.random.default_rng(0).uniform(0.0, 2.0, 200):
-        asked = [float(w.segment(jnp.asarray(t), jnp.asarray(t + 1e-7)).a0) for w in (front, rear)]
-        assert drive.segments(float(t)) == pytest.approx(asked, abs=1e-6 * 2e5)
+        expected = [
+            float(w.segment(jnp.asarray(t), jnp.asarray(t + 1e-7)).a0) for w in (front, rear)
+        ]
+        assert drive.segments(float(t)) == pytest.approx(expected, abs=1e-6 * 2e5)
 
 
 def test_a_recorded_drive_is_linear_between_its_samples():
@@ -249,7 +257,7 @@ def test_a_recorded_drive_is_linear_between_its_samples():
 def test_a_waveform_is_uploaded_and_played_by_the_manifold():
     device = SimulatedRig(BenchTank(lag=1e-3))
     samples = [(1000.0 * i, 0.0, 0.0, 500.0 * i) for i in range(21)]
-    with in_thread(device) as served, Manifold(open_port(served.path)) as manifold:
+    with serve_in_thread(device) as served, Manifold(open_port(served.path)) as manifold:
         manifold.configure(LIMITS)
         with pytest.raises(RigError, match="samples; allowed 2 to 2000"):
             manifold.upload(samples[:1], 0.01)
@@ -267,12 +275,12 @@ def test_a_waveform_is_uploaded_and_played_by_the_manifold():
 
 def test_another_protocol_is_refused():
     device = SimulatedRig(BenchTank(), ManifoldCore(protocol=7, version=(2, 3, 4)))
-    with in_thread(device) as served, pytest.raises(RigError, match="2.3.4 speaks protocol 7"):
+    with serve_in_thread(device) as served, pytest.raises(RigError, match="2.3.4 uses protocol 7"):
         Manifold(open_port(served.path)).__enter__()
 
 
-def test_a_limit_above_the_firmwares_is_refused():
-    with in_thread(SimulatedRig(BenchTank())) as served:
+def test_a_limit_above_the_hard_limit_is_refused():
+    with serve_in_thread(SimulatedRig(BenchTank())) as served:
         with Manifold(open_port(served.path)) as manifold:
             with pytest.raises(RigError, match="front_left: given 600000 Pa; allowed at most"):
                 manifold.configure(PressureLimits.of([600e3]))
@@ -286,26 +294,26 @@ def test_a_limit_above_the_firmwares_is_refused():
         ([float("nan")] * 4, "given nan"),
     ],
 )
-def test_limits_that_cannot_be_are_refused(given, message):
+def test_impossible_limits_are_refused(given, message):
     with pytest.raises(RigError, match=message):
         PressureLimits.of(given)
 
 
-def test_a_port_that_is_missing_busy_or_no_port_is_told(tmp_path):
-    with pytest.raises(RigError, match="no such port; there are: "):
+def test_the_error_says_whether_a_port_is_missing_busy_or_not_serial(tmp_path):
+    with pytest.raises(RigError, match="no such port; available ports: "):
         open_port("/dev/ttyNOTHING")
     plain = tmp_path / "file"
     plain.write_text("")
-    with pytest.raises(RigError, match="is no serial port|cannot be opened"):
+    with pytest.raises(RigError, match="not a serial port|cannot be opened"):
         open_port(str(plain))
-    with in_thread(SimulatedRig(BenchTank())) as served:
+    with serve_in_thread(SimulatedRig(BenchTank())) as served:
         with open_port(served.path):
-            with pytest.raises(RigError, match="busy; another program has it open"):
+            with pytest.raises(RigError, match="busy; another program has opened the port"):
                 open_port(served.path)
 
 
 @pytest.mark.skipif(not Path("/dev/tty").exists() or os.name != "posix", reason="POSIX ports only")
-def test_a_forbidden_port_says_which_group_to_join(monkeypatch):
+def test_the_error_for_a_forbidden_port_names_the_group_to_join(monkeypatch):
     import serial
 
     def refuse(*arguments, **options):

@@ -1,4 +1,4 @@
-"""The manifold's messages on the wire: nothing damaged is taken, nothing sound is missed."""
+"""The manifold's frames: no damaged frame is accepted, and no intact frame is missed."""
 
 import random
 import struct
@@ -46,13 +46,13 @@ EACH = (
 )
 
 
-def readings(count):
+def make_readings(count):
     return [Reading(i, 2000 * i, 2, i % 65536, tuple(range(i, i + 8))) for i in range(count)]
 
 
-def damaged(frames, share, random):
-    """The bytes of frames, of which a share is flipped, dropped or inserted; and of each whether it
-    was touched."""
+def damage(frames, share, random):
+    """Flip, drop or insert a share of the frames' bytes; return the bytes, and which frames were
+    touched."""
     wire, touched = bytearray(), []
     for frame in frames:
         hit = False
@@ -71,14 +71,14 @@ def damaged(frames, share, random):
 
 
 @pytest.mark.parametrize("message", EACH, ids=lambda m: type(m).__name__)
-def test_every_message_comes_back_from_its_frame(message):
+def test_every_message_is_recovered_from_its_frame(message):
     frame = encode_frame(message)
     assert frame[-1] == 0 and 0 not in frame[:-1] and len(frame) <= LONGEST_FRAME + 1
     assert decode_frame(frame[:-1]) == message
 
 
-def test_a_frame_is_what_the_protocol_page_says():
-    """By hand: type 3, sequence 0x0102, CRC of these three bytes, stuffed."""
+def test_a_frame_equals_that_of_the_protocol_page():
+    """The frame by hand: type 3, sequence 0x0102, the CRC of these three bytes, in COBS."""
     body = bytes([0x03, 0x02, 0x01])
     check = struct.pack("<I", zlib.crc32(body))
     assert 0 not in check
@@ -86,7 +86,7 @@ def test_a_frame_is_what_the_protocol_page_says():
 
 
 @pytest.mark.parametrize("size", [1, 2, 7, 1000])
-def test_messages_come_whole_from_pieces_of_any_size(size):
+def test_messages_are_decoded_from_pieces_of_any_size(size):
     wire = b"".join(map(encode_frame, EACH))
     decoder, found = FrameDecoder(), []
     for i in range(0, len(wire), size):
@@ -98,11 +98,11 @@ def test_messages_come_whole_from_pieces_of_any_size(size):
     "body",
     [b"", b"\x55", b"\x03\x01", pack_message(Arm(1)) + b"\0", b"\x08\0\0\0\0", b"\x82" + bytes(10)],
 )
-def test_unknown_types_and_lengths_are_no_messages(body):
+def test_unknown_types_and_lengths_are_not_messages(body):
     assert unpack_message(body) is None
 
 
-def test_no_bit_of_a_frame_can_flip_unseen():
+def test_every_flipped_bit_is_detected():
     for message in EACH:
         frame = encode_frame(message)
         for bit in range(8 * (len(frame) - 1)):
@@ -112,17 +112,17 @@ def test_no_bit_of_a_frame_can_flip_unseen():
             assert decoder.feed(bytes(wire)) == [] and decoder.damaged >= 1
 
 
-def test_after_damage_the_stream_is_back_within_two_frames():
-    sound = readings(3)
-    for cut in range(len(encode_frame(sound[0]))):
-        wire = encode_frame(sound[0])[:cut] + encode_frame(sound[1]) + encode_frame(sound[2])
+def test_after_damage_at_most_two_frames_are_lost():
+    intact = make_readings(3)
+    for cut in range(len(encode_frame(intact[0]))):
+        wire = encode_frame(intact[0])[:cut] + encode_frame(intact[1]) + encode_frame(intact[2])
         decoder = FrameDecoder()
         found = decoder.feed(wire)
-        assert found[-1] == sound[2] and len(found) >= 1
+        assert found[-1] == intact[2] and len(found) >= 1
         assert decoder.damaged == (0 if cut == 0 else 1)
 
 
-def test_noise_without_an_end_is_dropped_and_counted_once():
+def test_noise_without_a_zero_byte_is_dropped_and_counted_once():
     decoder = FrameDecoder()
     for _ in range(100):
         assert decoder.feed(bytes([7]) * 50) == []
@@ -131,9 +131,9 @@ def test_noise_without_an_end_is_dropped_and_counted_once():
 
 
 def fuzzed(count, seed, share=0.01):
-    """(frames, of them touched, found, damaged count) of readings on a bad line."""
-    chance, sent = random.Random(seed), readings(count)
-    wire, touched = damaged([encode_frame(m) for m in sent], share, chance)
+    """Return (sent messages, which were touched, decoded messages, damaged count) of a bad line."""
+    chance, sent = random.Random(seed), make_readings(count)
+    wire, touched = damage([encode_frame(m) for m in sent], share, chance)
     decoder, found = FrameDecoder(), []
     at = 0
     while at < len(wire):
@@ -145,28 +145,28 @@ def fuzzed(count, seed, share=0.01):
 
 def check_fuzzed(count, seed=7):
     sent, touched, found, count_damaged = fuzzed(count, seed)
-    whole = {m.seq for m, hit in zip(sent, touched, strict=True) if not hit}
+    untouched = {m.seq for m, hit in zip(sent, touched, strict=True) if not hit}
     seen = [m.seq for m in found]
     assert all(sent[m.seq] == m for m in found)
     assert len(set(seen)) == len(seen)
-    # A frame before whose first byte noise was inserted is touched and may be sound all the same;
-    # one behind a lost end is untouched and lost with it.
-    assert len(whole - set(seen)) <= count_damaged
+    # Noise inserted before a frame's first byte may leave the touched frame valid. If a frame's
+    # end is lost, the untouched next frame is lost too.
+    assert len(untouched - set(seen)) <= count_damaged
     assert len(sent) - len(seen) <= 2 * count_damaged and 0.3 * count < sum(touched) < 0.6 * count
 
 
-def test_of_fuzzed_frames_none_that_was_damaged_is_taken():
+def test_no_damaged_frame_of_a_bad_line_is_accepted():
     check_fuzzed(20_000)
 
 
 @pytest.mark.slow
-def test_of_a_million_fuzzed_frames_none_that_was_damaged_is_taken():
+def test_no_damaged_frame_of_a_million_is_accepted():
     for seed in range(10):
         check_fuzzed(100_000, seed)
 
 
-class Late:
-    """A port at which nothing waits until it is read; each read in vain waits for a frame."""
+class LatePort:
+    """A port without waiting bytes; a read waits for the next frame."""
 
     def __init__(self, *frames):
         self.frames, self.waiting = list(frames), b""
@@ -182,7 +182,7 @@ class Late:
         return piece
 
 
-def test_a_frame_is_one_piece():
+def test_a_frame_is_read_as_one_piece():
     frames = [encode_frame(Heartbeat(i)) for i in range(3)]
-    port = Late(*frames)
+    port = LatePort(*frames)
     assert [read_piece(port) for _ in range(4)] == [*frames, b""]
