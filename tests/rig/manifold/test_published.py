@@ -375,7 +375,7 @@ def test_a_paused_program_loses_no_rows():
 def test_a_long_read_does_not_count_as_silence():
     """The program pauses in a read and then gets the first of the waiting bytes."""
 
-    class StallingPort(Wire):
+    class StallingPort(VirtualPort):
         def read(self, size):
             if 600_000 < self.now_us < 700_000:
                 self.now_us += 900_000
