@@ -1,4 +1,4 @@
-"""Bench identifications as statics.json, model.toml, a table and pictures."""
+"""Results of a bench as statics.json, model.toml, text and figures."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,25 +13,25 @@ from slider_jax.io.files import versions
 from slider_jax.io.toml import significant, toml_text
 
 DEFINITIONS = {
-    "interval": "95 %, from the scatter of the tables about the fit, or from the declared "
-    "tip_noise where the scatter is not larger; lengths, masses and loads are taken as exact",
+    "interval": "95 %, from the larger of the tables' scatter about the fit and the declared "
+    "tip_noise; lengths, masses and loads count as exact",
     "determined": f"half of the interval is below {DETERMINED:g} of the value",
-    "offset": "the zero of a table's ruler, identified with the rest [m]",
-    "K_Q": "its interval holds that of the EI identified from the same file's tip loads",
+    "offset": "the zero of a table's ruler, identified with the parameters [m]",
+    "K_Q": "its interval includes the uncertainty of the EI identified from the tip loads",
     "damping_time": "alpha of E = E_el (1 + alpha d/dt), from the whole ring-down of the full beam "
     f"with the air's drag, C_d = {AIR_DRAG[0]:g} +- {AIR_DRAG[1]:g} (one standard deviation)",
-    "stiffness": "factor on EI_body and EI_tail that the ring-down's frequency asks for",
+    "stiffness": "factor on EI_body and EI_tail that gives the ring-down's frequency",
 }
 ADVICE = {
-    "EI_body": "larger loads on the tail's end, or more of them",
-    "EI_tail": 'a [[tip_load]] table with the tail alone held at its root, clamped = "joint"',
+    "EI_body": "larger or more loads on the tail's end",
+    "EI_tail": 'a [[tip_load]] table of the tail alone, clamped at its root: clamped = "joint"',
     "K_Q": "pressures that bend the tip by a tenth of the length or more",
-    "damping_time": "a longer ring-down: until the swing has fallen to a third",
+    "damping_time": "a longer ring-down, until the amplitude is a third of its start",
 }
 
 
 class Statics(NamedTuple):
-    """What a bench file says."""
+    """A bench and its fits."""
 
     bench: Bench
     shapes: ShapeFit | None
@@ -44,10 +44,10 @@ class Statics(NamedTuple):
 
 
 def statics_record(found: Statics, source: dict[str, Any]) -> dict[str, Any]:
-    """The content of statics.json; SI units."""
+    """Return the content of statics.json, in SI units; `source` describes the input file."""
     shapes, ring = found.shapes, found.ring
     return {
-        "parameters": {name: _told(name, x) for name, x in found.parameters.items()},
+        "parameters": {name: _estimate(name, x) for name, x in found.parameters.items()},
         "taken_as_given": {
             name: getattr(found.bench.robot, name) for name in UNITS if name not in found.parameters
         },
@@ -62,23 +62,23 @@ def statics_record(found: Statics, source: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _told(name: str, x: BenchEstimate) -> dict[str, Any]:
-    said = {"value": x.value, "low": x.low, "high": x.high, "unit": UNITS[name]}
+def _estimate(name: str, x: BenchEstimate) -> dict[str, Any]:
+    record = {"value": x.value, "low": x.low, "high": x.high, "unit": UNITS[name]}
     if x.determined:
-        return said
-    return said | {"value": None, "not_determined_by_these_data": True, "try": ADVICE[name]}
+        return record
+    return record | {"value": None, "not_determined_by_these_data": True, "try": ADVICE[name]}
 
 
 def _table(found: Statics, i: int) -> dict[str, Any]:
     table, fit = found.bench.shapes[i], found.shapes
     assert fit is not None
-    apart = _measured(table) - fit.predicted[i]
+    residual = table.measured - fit.predicted[i]
     return {
         "file": table.name,
         "kind": table.kind,
         "rows": len(table.tip),
-        "rms_residual_m": float(np.sqrt(np.mean(apart**2))),
-        "largest_residual_m": float(np.abs(apart).max()),
+        "rms_residual_m": float(np.sqrt(np.mean(residual**2))),
+        "largest_residual_m": float(np.abs(residual).max()),
         "noise_m": fit.noise[i],
         "noise_declared": table.noise is not None,
         "offset_m": fit.offsets[i],
@@ -88,7 +88,7 @@ def _table(found: Statics, i: int) -> dict[str, Any]:
 def _ring(found: Statics, ring: RingFit) -> dict[str, Any]:
     record = found.bench.ring_down
     assert record is not None
-    apart = record.tip - ring.predicted
+    residual = record.tip - ring.predicted
     return {
         "file": record.name,
         "samples": len(record.t),
@@ -97,59 +97,55 @@ def _ring(found: Statics, ring: RingFit) -> dict[str, Any]:
         "damping_time_by_decrement_s": ring.decay.damping_time,
         "stiffness": ring.stiffness._asdict(),
         "load_N": ring.load,
-        "rms_residual_m": float(np.sqrt(np.mean(apart**2))),
+        "rms_residual_m": float(np.sqrt(np.mean(residual**2))),
         "noise_m": ring.noise,
         "mean_square_over_noise": ring.mean_square,
         "converged": ring.converged,
     }
 
 
-def _measured(x: Shapes) -> np.ndarray:
-    return x.tip if x.joint is None else np.concatenate([x.tip, x.joint])
-
-
-def doubts(found: Statics) -> list[str]:
-    """What does not fit, in sentences."""
-    said = []
+def _warnings(found: Statics) -> list[str]:
+    """Return a sentence for each contradiction between model and measurement."""
+    text = []
     shapes, ring = found.shapes, found.ring
     if shapes is not None:
         if not shapes.converged:
-            said.append("The fit of the static shapes did not converge: check the tables.")
+            text.append("The fit of the static shapes did not converge: check the tables.")
         if shapes.mean_square > 4.0:
-            said.append(
-                f"The static shapes lie {np.sqrt(shapes.mean_square):.1f} times further from the "
-                "model than tip_noise says: see the pictures; the intervals are widened by that."
+            text.append(
+                f"The residual of the static shapes is {np.sqrt(shapes.mean_square):.1f} times "
+                "tip_noise: see the pictures; the intervals are wider by this factor."
             )
     if ring is not None:
         if not ring.converged:
-            said.append("The fit of the ring-down did not converge: see the picture.")
+            text.append("The fit of the ring-down did not converge: see the picture.")
         if ring.mean_square > 4.0:
-            said.append(
-                f"The ring-down lies {np.sqrt(ring.mean_square):.1f} times further from the model "
-                "than tip_noise says: see the picture; the interval is widened by that."
+            text.append(
+                f"The residual of the ring-down is {np.sqrt(ring.mean_square):.1f} times "
+                "tip_noise: see the picture; the interval is wider by this factor."
             )
         low, high = ring.stiffness.low, ring.stiffness.high
         if not low - 0.03 < 1.0 < high + 0.03:
-            said.append(
-                f"The ring-down's frequency asks for EI times {ring.stiffness.value:.3g} "
-                f"({low:.3g} to {high:.3g}): stiffness, mass or lengths do not agree with it."
+            text.append(
+                f"The ring-down's frequency gives EI times {ring.stiffness.value:.3g} "
+                f"({low:.3g} to {high:.3g}): stiffness, mass or lengths contradict it."
             )
-    return said
+    return text
 
 
 def statics_table(found: Statics) -> str:
-    """What was identified, a line a parameter."""
+    """Return the identified parameters as text, one per line, and warnings."""
     lines = []
     for name, x in found.parameters.items():
         if x.determined:
             lines.append(f"{name:<14} {x.value:.4g}  ({x.low:.4g} to {x.high:.4g}) {UNITS[name]}")
         else:
             lines.append(f"{name:<14} not determined by these data; try {ADVICE[name]}")
-    return "\n".join([*lines, *doubts(found)])
+    return "\n".join([*lines, *_warnings(found)])
 
 
 def statics_model_file(found: Statics) -> str:
-    """What is determined, for `slider simulate --model`."""
+    """Return the determined parameters as a model file for `slider simulate --model`."""
     known = {n: x.value for n, x in found.parameters.items() if x.determined}
     tables = {
         table: {n: significant(x) for n, x in known.items() if (n == "K_Q") == own}
@@ -159,8 +155,8 @@ def statics_model_file(found: Statics) -> str:
     return toml_text({k: x for k, x in tables.items() if x}, comment, UNITS)
 
 
-def pictures(found: Statics, folder: Path) -> None:
-    """Measured and modelled tables, and what is left."""
+def draw_statics(found: Statics, folder: Path) -> None:
+    """Write a figure of every table to `folder`: measurement, model and residual."""
     for i, one in enumerate(found.bench.shapes):
         assert found.shapes is not None
         _draw_shapes(one, found.shapes.predicted[i], folder / f"{Path(one.name).stem}.png")

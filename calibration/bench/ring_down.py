@@ -1,9 +1,9 @@
 """The damping time alpha from a ring-down: the full beam, released from a bent shape, in air.
 
-The small oscillation of a Kelvin-Voigt beam decays as exp(-alpha omega^2 t/2), which gives the
-start. The fit then takes the whole record with alpha, a factor on both stiffnesses (the frequency),
-the load that held the tip, the moment of release, the ruler's zero, and the drag of the air, which
-is quadratic and known to `AIR_DRAG` only.
+A small oscillation of a Kelvin-Voigt beam decays as exp(-alpha omega^2 t/2). This gives the initial
+value. The fit to the whole record has six parameters: alpha, a factor on both stiffnesses (from
+the frequency), the load before the release, the air's drag coefficient with the prior `AIR_DRAG`,
+the time of the release, and the ruler's zero.
 """
 
 from collections.abc import Callable
@@ -16,8 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import curve_fit
 
-from calibration.bench.least_squares import minimise
-from calibration.bench.statics import BenchEstimate, passive
+from calibration.bench.statics import BenchEstimate, levenberg_marquardt, undriven_robot
 from calibration.bench.tables import Bench, RingDown
 from calibration.inference.intervals import correlation_time
 from slider_jax import observables as obs
@@ -33,16 +32,15 @@ AIR_DRAG = (2.0, 0.7)
 """C_d of the crossflow in air and its standard deviation: 2 for a plate in steady flow, more at
 small strokes."""
 STEPS = 200
-"""Steps in a period of the first mode."""
+"""Steps per period of the first mode."""
 BLOCK = 1000
-"""Steps: records of similar length share a compiled program."""
-LEAST_DAMPING = 1e-6
-"""alpha [s] from which the search starts at least."""
-NAMES = ("damping_time", "stiffness", "load", "C_d_air")
+"""Steps per compiled program, so that records of similar length share it."""
+MIN_DAMPING = 1e-6
+"""Smallest initial value of alpha [s]."""
 
 
 class Decay(NamedTuple):
-    """a exp(-rate t) cos(2 pi frequency t + phase) + zero, fitted to a record."""
+    """Fit of a exp(-rate t) cos(2 pi frequency t + phase) + zero to a record."""
 
     frequency: float
     """[Hz]"""
@@ -51,33 +49,33 @@ class Decay(NamedTuple):
 
     @property
     def damping_time(self) -> float:
-        """alpha [s] of a Kelvin-Voigt mode that decays so: 2 rate/omega^2."""
+        """alpha [s] of a Kelvin-Voigt mode with this decay: 2 rate/omega^2."""
         return 2.0 * self.rate / (2.0 * np.pi * self.frequency) ** 2
 
 
 class RingFit(NamedTuple):
-    """What a ring-down says."""
+    """The fit of a ring-down."""
 
     damping_time: BenchEstimate
     """alpha [s]."""
     stiffness: BenchEstimate
-    """Factor on EI_body and EI_tail that the frequency asks for; 1 where they are right."""
+    """Factor on EI_body and EI_tail that gives the measured frequency; 1 if they are right."""
     decay: Decay
     predicted: np.ndarray
     """(n,) [m] at the record's times."""
     noise: float
-    """Standard deviation that was used [m]."""
+    """Standard deviation of the tip's noise [m]."""
     mean_square: float
-    """Of the residual over the noise."""
+    """Mean square of the residual over the noise."""
     load: float
-    """Force [N] that the release ended."""
+    """Force before the release [N]."""
     converged: bool
 
 
-def decay_of(t: np.ndarray, tip: np.ndarray) -> Decay:
-    """Frequency and decay of the slowest mode: a damped cosine fitted past the first period.
+def fit_decay(t: np.ndarray, tip: np.ndarray) -> Decay:
+    """Return frequency and decay of the slowest mode, from the record after the first period.
 
-    Raises `InputError` where the record does not oscillate.
+    Raises `InputError` if the record does not oscillate.
     """
     x = tip - tip.mean()
     spectrum = np.abs(np.fft.rfft(x * np.hanning(len(x)), 8 * len(x)))
@@ -95,17 +93,17 @@ def decay_of(t: np.ndarray, tip: np.ndarray) -> Decay:
         )
     except RuntimeError:
         found = np.full(5, np.nan)
-    left = np.std(tip[late] - cosine(t[late], *found))
-    if not left < 0.5 * np.std(tip[late]):
+    residual = np.std(tip[late] - cosine(t[late], *found))
+    if not residual < 0.5 * np.std(tip[late]):
         raise InputError(
-            f"the ring-down is no decaying oscillation near {frequency:.3g} Hz: a damped cosine "
-            "leaves more than half of it; cut the record to what follows the release"
+            f"the ring-down is no decaying oscillation near {frequency:.3g} Hz: the residual of a "
+            "damped cosine exceeds half of its amplitude; start the record at the release"
         )
     return Decay(float(found[3]), float(found[2]))
 
 
 def _model(theta, robot: Robot, density):
-    """The robot in air for (log alpha, log stiffness, load, C_d in air)."""
+    """Return the robot in air for theta = (log alpha, log stiffness, load, C_d in air)."""
     alpha, stiffness = jnp.exp(theta[0]), jnp.exp(theta[1])
     bent = replace(
         robot,
@@ -113,26 +111,25 @@ def _model(theta, robot: Robot, density):
         EI_body=robot.EI_body * stiffness,
         EI_tail=robot.EI_tail * stiffness,
     )
-    return replace(passive(bent), effects=(NormalDrag(theta[3], density),))
+    return replace(undriven_robot(bent), effects=(NormalDrag(theta[3], density),))
 
 
 @eqx.filter_jit
 def _begin(theta, directions, robot: Robot, density, numerics: Numerics):
-    """The released robot and its tangents along `directions`."""
+    """Return the released robot's state and tip, and their tangents along `directions`."""
 
     def carry(theta):
         model = _model(theta, robot, density)
         loads = Loads(jnp.stack([jnp.zeros_like(theta[2]), theta[2]]), jnp.zeros(2))
         held = at_rest_under(model, loads, numerics)
-        begun = release(model, held, numerics)
-        return begun, held.shape[1, 0]
+        return release(model, held, numerics), held.shape[1, 0]
 
     return _with_tangents(carry, (theta,), (directions,))
 
 
 @eqx.filter_jit
 def _advance(theta, carry, d_theta, d_carry, robot, density, h, t0, numerics: Numerics):
-    """`BLOCK` more steps: the carry and the tip (BLOCK,) [m], and their tangents."""
+    """Return the state after `BLOCK` more steps, the tip (BLOCK,) [m], and their tangents."""
 
     def run(theta, carry):
         times = TimeGrid(h, BLOCK, t0)
@@ -158,7 +155,7 @@ def _with_tangents(function: Callable, arguments, directions):
 
 
 def _series(theta: np.ndarray, robot, density: float, grid: StepGrid, numerics: Numerics):
-    """Tip (n + 1,) [m] from the release on, and its tangents (4, n + 1)."""
+    """Return the tip (n + 1,) [m] from the release on, and its tangents (4, n + 1)."""
     x, d, rho = jnp.asarray(theta), jnp.eye(len(theta)), jnp.asarray(density)
     (carry, tip), (d_carry, d_tip) = _begin(x, d, robot, rho, numerics)
     h = jnp.asarray(grid.h)
@@ -177,15 +174,15 @@ def _series(theta: np.ndarray, robot, density: float, grid: StepGrid, numerics: 
 def fit_ring_down(
     bench: Bench, robot: Robot | None = None, numerics: Numerics = Numerics()
 ) -> RingFit:
-    """Fit alpha to the bench's ring-down, from `robot` on, by default the bench's own.
+    """Return the fit of alpha to the bench's ring-down; `robot` gives the initial values.
 
-    The tip's noise is the declared one, else what the fit leaves. Samples of a correlated residual
-    count as samples / correlation time.
+    Without declared noise, the residual's standard deviation is the noise. The residual is
+    correlated, so the effective number of samples is samples / correlation time.
     """
     record = bench.ring_down
     assert record is not None
     robot = jax.tree.map(lambda x: jnp.asarray(x, float), robot or bench.robot)
-    decay = decay_of(record.t, record.tip)
+    decay = fit_decay(record.t, record.tip)
     h = 1.0 / (decay.frequency * STEPS)
     blocks = int(np.ceil((record.t[-1] + 0.25 / decay.frequency) / (h * BLOCK)))
     grid = StepGrid(h, BLOCK * blocks)
@@ -193,7 +190,7 @@ def fit_ring_down(
     at = grid.times
 
     def predicted(x):
-        """Tip at the record's times and its tangents for x = (theta, delay, zero)."""
+        """Return the tip at the record's times and its tangents for x = (theta, delay, zero)."""
         value, slope = _series(x[:4], robot, density, grid, numerics)
         t = record.t - x[4]
         rate = np.where(t < 0.0, 0.0, np.interp(t, at, np.gradient(value, grid.h)))
@@ -212,13 +209,13 @@ def fit_ring_down(
 
     noise = record.noise or 0.02 * float(np.std(record.tip))
     start = _start(record, decay, robot, density, grid, numerics)
-    least = minimise(linearised(noise), start)
+    least = levenberg_marquardt(linearised(noise), start)
     if record.noise is None:
         noise = max(float(np.std(least.residual[:-1])) * noise, 1e-7)
-        least = minimise(linearised(noise), least.x)
-    left = least.residual[:-1]
-    square = float(left @ left) / (len(left) - 5)
-    widening = max(1.0, square) * max(1.0, correlation_time(left))
+        least = levenberg_marquardt(linearised(noise), least.x)
+    residual = least.residual[:-1]
+    square = float(residual @ residual) / (len(residual) - 5)
+    widening = max(1.0, square) * max(1.0, correlation_time(residual))
     error = np.sqrt(widening * np.diag(least.inverse))
     values = np.exp(least.x[:2])
     alpha, stiffness = (
@@ -237,22 +234,22 @@ def fit_ring_down(
 
 
 def _start(record: RingDown, decay: Decay, robot, density, grid, numerics) -> np.ndarray:
-    """Stiffness, load and alpha whose simulated record has the measured one's first tip and decay.
+    """Return initial parameters whose simulation has the record's first tip, frequency and decay.
 
-    The simulation starts from a guess; what is off in its frequency, tip and rate is then mended.
+    The differences between two simulations and the record correct a first guess.
     """
     length, EI = float(robot.length), float(robot.EI_body)
     first = float(np.mean(record.tip[: max(2, len(record.tip) // 200)]) - np.mean(record.tip))
-    alpha = max(decay.damping_time, LEAST_DAMPING)
+    alpha = max(decay.damping_time, MIN_DAMPING)
     theta = np.array([np.log(alpha), 0.0, 3.0 * EI * first / length**3, AIR_DRAG[0]])
     for _ in range(2):
         tip, _ = _series(theta, robot, density, grid, numerics)
         t = grid.h * np.arange(len(tip))
         seen = t <= record.t[-1]
-        found = decay_of(t[seen], tip[seen])
+        found = fit_decay(t[seen], tip[seen])
         factor = (decay.frequency / found.frequency) ** 2
         theta[1] += np.log(factor)
         theta[2] *= factor * first / tip[0]
     wanted = np.exp(theta[0]) + decay.damping_time - found.damping_time
-    theta[0] = np.log(max(wanted, LEAST_DAMPING))
+    theta[0] = np.log(max(wanted, MIN_DAMPING))
     return np.r_[theta, 0.0, float(np.mean(record.tip))]

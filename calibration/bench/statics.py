@@ -1,11 +1,10 @@
 """Stiffness and moment per pressure from static shapes, all tables of a bench at once.
 
-The shapes are those of the beam that `slider simulate` uses. Every table has an offset of its own,
-the zero of its ruler. EI is fixed by tip loads; pressures fix K_Q, with the uncertainty of the EI
-that was identified beside it.
+The model is the beam of `slider simulate`. Every table has its own offset, the zero of its ruler.
+Tip loads identify EI, pressures identify K_Q. The interval of K_Q includes the uncertainty of EI.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -14,9 +13,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from scipy.optimize import least_squares
 
-from calibration.bench.least_squares import minimise, quantile
 from calibration.bench.tables import Bench, Shapes
+from calibration.inference.gauss_newton import inverse
+from calibration.inference.intervals import student_quantile
 from slider_jax.actuation import Ideal, SineWave
 from slider_jax.beam.parameters import Numerics, Robot
 from slider_jax.dynamics.model import Drive, Model
@@ -26,13 +27,52 @@ from slider_jax.supports import Clamped
 
 UNITS = {"EI_body": "N m^2", "EI_tail": "N m^2", "K_Q": "m^3", "damping_time": "s"}
 DETERMINED = 0.5
-"""Half an interval's width over the value, up to which a parameter counts as determined."""
+"""Largest half width of the interval over the value of a determined parameter."""
 FIRST_NOISE = 1e-3
-"""Of a table that declares none, in the first of two fits [m]."""
+"""Noise of a table without declared noise, in the first of two fits [m]."""
+Linearised = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""Maps x (k,) to the residual (n,), in standard deviations, and its derivative (n, k)."""
+
+
+class Minimum(NamedTuple):
+    """The minimum of a sum of squares."""
+
+    x: np.ndarray
+    residual: np.ndarray
+    inverse: np.ndarray
+    """Inverse of the normal matrix (k, k): the covariance if the standard deviations are right."""
+    converged: bool
+
+
+def levenberg_marquardt(linearised: Linearised, start: np.ndarray) -> Minimum:
+    """Return the minimum near `start`, by MINPACK's Levenberg-Marquardt.
+
+    Raises `InputError` if the model has no solution at the start.
+    """
+    known: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+
+    def at(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        key = x.tobytes()
+        if key not in known:
+            known.clear()
+            residual, slope = linearised(x)
+            known[key] = (np.nan_to_num(residual, nan=1e6, posinf=1e6, neginf=-1e6), slope)
+        return known[key]
+
+    if not np.isfinite(linearised(start)[0]).all():
+        raise InputError(
+            "the robot of this file cannot bend as far as its tables show; check loads, stiffness "
+            "and units"
+        )
+    found = least_squares(
+        lambda x: at(x)[0], start, lambda x: at(x)[1], method="lm", x_scale="jac", max_nfev=60
+    )
+    residual, slope = at(found.x)
+    return Minimum(found.x, residual, inverse(slope.T @ slope), found.status > 0)
 
 
 class BenchEstimate(NamedTuple):
-    """A parameter with its 95 % interval, SI."""
+    """A parameter with its 95 % interval, in SI units."""
 
     value: float
     low: float
@@ -40,7 +80,7 @@ class BenchEstimate(NamedTuple):
 
     @classmethod
     def of(cls, value: float, error: float, times: float) -> "BenchEstimate":
-        """From a standard error and the quantile; what cannot be negative is cut at 0."""
+        """Return the interval of `times` standard errors; the lower limit is at least 0."""
         return cls(value, max(0.0, value - times * error), value + times * error)
 
     @property
@@ -49,30 +89,30 @@ class BenchEstimate(NamedTuple):
 
 
 class ShapeFit(NamedTuple):
-    """What static shapes say."""
+    """The fit of the static shapes."""
 
     parameters: dict[str, BenchEstimate]
     correlations: np.ndarray
-    """Of the parameters, in their order."""
+    """Correlations of the parameters, in their order."""
     predicted: list[np.ndarray]
-    """Tip, and joint behind it where there is one, of every table [m]."""
+    """Tip of every table, followed by the joint if it was measured [m]."""
     noise: list[float]
-    """Standard deviation that was used for every table [m]."""
+    """Standard deviation of every table [m]."""
     offsets: list[float]
-    """Zero of every table [m]."""
+    """Zero of every table's ruler [m]."""
     mean_square: float
-    """Of the residual over the noise, where noise was declared; else nan."""
+    """Mean square of the residual over the noise; NaN unless all tables declare their noise."""
     converged: bool
 
 
-def passive(robot: Robot) -> Model:
-    """A robot in air, clamped and not driven."""
+def undriven_robot(robot: Robot) -> Model:
+    """Return the model of a clamped robot in air without drive."""
     still = SineWave(1.0, 0.0)
     return Model(robot, (), Ideal(), Drive(still, still), Clamped())
 
 
 def tail_alone(robot: Robot) -> Robot:
-    """The tail as a robot of its own, on the same mesh."""
+    """Return the tail as a separate robot on the same mesh."""
     return replace(
         robot,
         body_length=0.8 * robot.tail_length,
@@ -82,15 +122,12 @@ def tail_alone(robot: Robot) -> Robot:
     )
 
 
-def _measured(x: Shapes) -> np.ndarray:
-    return x.tip if x.joint is None else np.concatenate([x.tip, x.joint])
-
-
 @eqx.filter_jit
 def _shapes(logs: Float[Array, "3"], robot: Robot, rows, numerics: Numerics):
-    """(tip, joint) (2, rows) [m] and their derivatives (2, rows, 3) to the logarithms.
+    """Return tip and joint (2, rows) [m] and their derivatives (2, rows, 3) with respect to `logs`.
 
-    `logs` of EI_body, EI_tail, K_Q; `rows`: on_tail (rows,), force (rows,), pressure (rows, 2).
+    `logs` are those of EI_body, EI_tail and K_Q. `rows` are on_tail (rows,), force (rows,) and
+    pressure (rows, 2).
     """
 
     def displacements(logs):
@@ -100,7 +137,7 @@ def _shapes(logs: Float[Array, "3"], robot: Robot, rows, numerics: Numerics):
         def one(on_tail, force, pressure):
             chosen = jax.tree.map(lambda a, b: jnp.where(on_tail, a, b), tail_alone(whole), whole)
             loads = Loads(jnp.stack([jnp.zeros_like(force), force]), pressure)
-            found = at_rest_under(passive(chosen), loads, numerics)
+            found = at_rest_under(undriven_robot(chosen), loads, numerics)
             both = jnp.stack([found.shape[1, 0], found.shape[1, numerics.tail_cells]])
             return jnp.where(found.ok, both, jnp.nan)
 
@@ -110,11 +147,11 @@ def _shapes(logs: Float[Array, "3"], robot: Robot, rows, numerics: Numerics):
     return slopes(jnp.eye(3))
 
 
-def identified(shapes: Sequence[Shapes]) -> list[str]:
-    """Parameters that tables of these kinds are made to identify.
+def identifiable_parameters(shapes: Sequence[Shapes]) -> list[str]:
+    """Return the parameters that tables of these kinds can identify.
 
-    A load on the whole robot, seen at its tip only, gives one stiffness: EI_body. The tail's
-    asks for the joint's displacement or for a table with the tail alone.
+    A load on the whole robot with the tip's displacement gives one stiffness, EI_body. EI_tail
+    needs the joint's displacement, or a table with the tail alone.
     """
     loads = [x for x in shapes if x.kind == "tip_load"]
     names = []
@@ -128,13 +165,13 @@ def identified(shapes: Sequence[Shapes]) -> list[str]:
 
 
 def fit_shapes(bench: Bench, numerics: Numerics = Numerics()) -> ShapeFit:
-    """Fit EI_body, EI_tail, K_Q, as far as there are tables for them, to all static shapes.
+    """Return the fit of the identifiable EI_body, EI_tail and K_Q to all static shapes.
 
-    Raises `InputError` where pressures bend the robot to the other side than the model's do.
+    Raises `InputError` if the pressures bend the measured robot and the model to opposite sides.
     """
     shapes = bench.shapes
     robot = jax.tree.map(lambda x: jnp.asarray(x, float), bench.robot)
-    names = identified(shapes)
+    names = identifiable_parameters(shapes)
     order = ["EI_body", "EI_tail", "K_Q"]
     free = np.array([order.index(n) for n in names])
     begin = np.log([float(getattr(bench.robot, n)) for n in order])
@@ -147,7 +184,7 @@ def fit_shapes(bench: Bench, numerics: Numerics = Numerics()) -> ShapeFit:
     zeros = [np.r_[np.zeros(len(free)), np.arange(len(shapes)) == i] for i in range(len(shapes))]
 
     def tables(x):
-        """Prediction and tangents of every table at x = (free logarithms, offsets)."""
+        """Return prediction and tangents of every table at x = (free logarithms, offsets)."""
         logs = begin.copy()
         logs[free] = x[: len(free)]
         value, slope = _shapes(jnp.asarray(logs), robot, rows, numerics)
@@ -167,7 +204,7 @@ def fit_shapes(bench: Bench, numerics: Numerics = Numerics()) -> ShapeFit:
     def linearised(noise):
         def function(x):
             found = tables(x)
-            r = [(y - _measured(s)) / n for (y, _), s, n in zip(found, shapes, noise, strict=True)]
+            r = [(y - s.measured) / n for (y, _), s, n in zip(found, shapes, noise, strict=True)]
             J = [d / n for (_, d), n in zip(found, noise, strict=True)]
             return np.concatenate(r), np.concatenate(J)
 
@@ -176,36 +213,33 @@ def fit_shapes(bench: Bench, numerics: Numerics = Numerics()) -> ShapeFit:
     start = np.concatenate([begin[free], np.zeros(len(shapes))])
     _check_sides(shapes, tables(start))
     noise = [x.noise or FIRST_NOISE for x in shapes]
-    least = minimise(linearised(noise), start)
+    least = levenberg_marquardt(linearised(noise), start)
     if any(x.noise is None for x in shapes):
         noise = _scatter(shapes, tables(least.x), noise, len(free))
-        least = minimise(linearised(noise), least.x)
-    return _told(names, shapes, least, tables(least.x), noise)
+        least = levenberg_marquardt(linearised(noise), least.x)
+    return _shape_fit(names, shapes, least, tables(least.x), noise)
 
 
 def _scatter(shapes, found, noise, shared: int) -> list[float]:
-    """Standard deviation of every table that declares none, from what its fit leaves."""
+    """Return the standard deviation of every table; if not declared, from the residual."""
     result = []
     for s, (y, _), n in zip(shapes, found, noise, strict=True):
         if s.noise is None:
-            apart = _measured(s) - y
-            freedom = max(len(apart) - 1 - shared * len(apart) / sum(map(_count, shapes)), 1.0)
-            n = max(float(np.sqrt(np.sum(apart**2) / freedom)), 1e-7)
+            residual = s.measured - y
+            rows, total = len(residual), sum(len(x.measured) for x in shapes)
+            freedom = max(rows - 1 - shared * rows / total, 1.0)
+            n = max(float(np.sqrt(np.sum(residual**2) / freedom)), 1e-7)
         result.append(n)
     return result
 
 
-def _count(x: Shapes) -> int:
-    return len(_measured(x))
-
-
-def _told(names, shapes, least, found, noise) -> ShapeFit:
+def _shape_fit(names, shapes, least, found, noise) -> ShapeFit:
     k = len(names)
     declared = all(x.noise is not None for x in shapes)
-    freedom = sum(map(_count, shapes)) - len(least.x)
+    freedom = sum(len(x.measured) for x in shapes) - len(least.x)
     square = float(least.residual @ least.residual) / max(freedom, 1)
     inflation = max(1.0, square) if declared else 1.0
-    times = 1.96 if declared else quantile(freedom)
+    times = 1.96 if declared else student_quantile(freedom)
     errors = np.sqrt(inflation * np.diag(least.inverse))
     values = np.exp(least.x[:k])
     return ShapeFit(
@@ -227,7 +261,7 @@ def _check_sides(shapes, found) -> None:
         here = y[: len(s.tip)]
         if s.kind == "pressure" and float((s.tip - s.tip.mean()) @ (here - here.mean())) < 0.0:
             raise InputError(
-                f"{s.name}: the model bends to the other side under these pressures; tip_m counts "
-                "positive to the left, looking from tail to head: turn its sign, or that of both "
-                "pressures"
+                f"{s.name}: the model bends to the other side under these pressures; tip_m is "
+                "positive to the left, as seen from the tail; change the sign of tip_m, or of "
+                "both pressures"
             )

@@ -1,4 +1,4 @@
-"""Bench measurements of a robot in air: a TOML file that names tables, and the tables, checked."""
+"""Reader of bench measurements of a robot in air: a TOML file and the tables that it names."""
 
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
@@ -13,20 +13,20 @@ from slider_jax.io.csv import read_csv
 from slider_jax.io.toml import read_toml, validate
 from slider_jax.io.units import Quantity
 
-LEAST_ROWS = 5
-"""Of a table of static shapes."""
-LEAST_CYCLES, LEAST_SAMPLES = 3.0, 10.0
-"""Periods in a ring-down, and samples in one of them."""
-LARGEST_LOAD = 30.0
-"""P L^2/EI with the file's own stiffness: a larger one is not in newton."""
+MIN_ROWS = 5
+"""Fewest rows of a table of static shapes."""
+MIN_CYCLES, MIN_SAMPLES = 3.0, 10.0
+"""Fewest periods of a ring-down, and fewest samples per period."""
+MAX_LOAD = 30.0
+"""Largest P L^2/EI with the stiffness of the file; a larger load is not in newtons."""
 
 Clamp = Literal["head", "joint"]
 TipNoise = Annotated[float, Quantity(1e-6, 0.02, "m")] | None
 
 
 class TipLoadTable(Table):
-    """[[tip_load]]: a lateral force on the tail's end, which keeps its direction, and where the
-    end (and the joint) goes. With `clamped = "joint"` the tail alone is held at its root."""
+    """[[tip_load]]: displacement of the tail's end (and the joint) under a lateral force of
+    constant direction on that end. With `clamped = "joint"`, the tail alone is clamped."""
 
     file: FileName
     clamped: Clamp = "head"
@@ -34,14 +34,14 @@ class TipLoadTable(Table):
 
 
 class PressureTable(Table):
-    """[[pressure]]: steady pressures in the chambers, and where the tail's end goes."""
+    """[[pressure]]: displacement of the tail's end under constant chamber pressures."""
 
     file: FileName
     tip_noise: TipNoise = None
 
 
 class RingDownTable(Table):
-    """[[ring_down]]: the tail's end after a lateral load on it is let go at t_s = 0."""
+    """[[ring_down]]: displacement of the tail's end after the release of a load at t_s = 0."""
 
     file: FileName
     tip_noise: TipNoise = None
@@ -49,14 +49,14 @@ class RingDownTable(Table):
 
 
 class StaticParameters(Table):
-    """[parameters]: where K_Q starts."""
+    """[parameters]: the initial value of K_Q."""
 
     K_Q: Annotated[float, Quantity(1e-9, 1e-4, "m^3")] = 4.79e-7
 
 
 class StaticsTable(Table):
-    """The whole file. EI_body, EI_tail, damping_time and K_Q in it are what the search starts from;
-    what no table identifies is taken as given."""
+    """The whole file. Its EI_body, EI_tail, damping_time and K_Q are initial values; they keep
+    these values if no table identifies them."""
 
     name: str
     robot: RobotTable
@@ -67,30 +67,35 @@ class StaticsTable(Table):
 
 
 class Shapes(NamedTuple):
-    """Static shapes of one table, a row a load."""
+    """Static shapes of one table, one row per load."""
 
     name: str
     kind: Literal["tip_load", "pressure"]
     on_tail: bool
-    """Whether the tail alone is held, at the joint."""
+    """Whether the tail alone is clamped, at the joint."""
     force: np.ndarray
-    """(rows,) [N], lateral."""
+    """(rows,) lateral [N]."""
     pressure: np.ndarray
     """(rows, 2) [Pa]."""
     tip: np.ndarray
     """(rows,) [m]."""
     joint: np.ndarray | None
-    """(rows,) [m] of the tail's joint, where it was measured."""
+    """(rows,) displacement of the tail's joint [m], if measured."""
     noise: float | None
-    """Standard deviation [m] of tip and joint; None where it was not declared."""
+    """Standard deviation of tip and joint [m], if declared."""
+
+    @property
+    def measured(self) -> np.ndarray:
+        """The tip, followed by the joint if measured [m]."""
+        return self.tip if self.joint is None else np.concatenate([self.tip, self.joint])
 
 
 class RingDown(NamedTuple):
-    """One ring-down, evenly sampled."""
+    """One ring-down with a constant sample rate."""
 
     name: str
     t: np.ndarray
-    """(n,) [s] from the release."""
+    """(n,) since the release [s]."""
     tip: np.ndarray
     """(n,) [m]."""
     noise: float | None
@@ -98,7 +103,7 @@ class RingDown(NamedTuple):
 
 
 class Bench(NamedTuple):
-    """Everything that was measured on the bench."""
+    """All measurements of a bench."""
 
     table: StaticsTable
     robot: Robot
@@ -107,7 +112,10 @@ class Bench(NamedTuple):
 
 
 def load_bench(path: Path) -> Bench:
-    """Read and check a bench file and its tables. Raises `InputError` naming file and line."""
+    """Return the checked content of a bench file and its tables.
+
+    Raises `InputError` with file and line of a fault.
+    """
     table = validate(StaticsTable, read_toml(path), str(path))
     robot = Robot(**table.robot.model_dump(exclude={"water_density"}), K_Q=table.parameters.K_Q)
     folder = path.parent
@@ -116,7 +124,7 @@ def load_bench(path: Path) -> Bench:
     ring_down = next((_ring_down(folder, x, table.robot) for x in table.ring_down), None)
     if not shapes and ring_down is None:
         raise InputError(
-            f"{path}: names no table; add [[tip_load]], [[pressure]] or [[ring_down]] with a file"
+            f"{path}: no table; add [[tip_load]], [[pressure]] or [[ring_down]] with a file"
         )
     return Bench(table, robot, tuple(shapes), ring_down)
 
@@ -130,20 +138,20 @@ def _tip_load(folder: Path, x: TipLoadTable, robot: RobotTable) -> Shapes:
     if joint is not None:
         if tail:
             raise InputError(
-                f'{path}: has joint_m, but clamped = "joint" holds the joint; take the column out'
+                f'{path}: column joint_m is not allowed with clamped = "joint"; remove the column'
             )
         if not np.isfinite(joint).all():
-            raise InputError(f"{path}: column joint_m has blank cells; fill them or take it out")
+            raise InputError(f"{path}: column joint_m has blank cells; fill or remove the column")
         _displacement(path, "joint_m", joint, robot.body_length)
     length = robot.tail_length if tail else robot.tail_length + robot.body_length
     _displacement(path, "tip_m", tip, length)
     stiffness = robot.EI_tail if tail else robot.EI_body
     size = float(np.abs(force).max()) * length**2 / stiffness
-    if size > LARGEST_LOAD:
+    if size > MAX_LOAD:
         raise InputError.value(
             f"{path}, column force_N",
             f"up to {np.abs(force).max():g}",
-            f"loads up to {LARGEST_LOAD * stiffness / length**2:.3g} N for the stiffness given",
+            f"loads up to {MAX_LOAD * stiffness / length**2:.3g} N for the file's stiffness",
             "forces are in newtons: 1 g weighs 0.00981 N",
         )
     _same_way(path, force, tip, "force_N")
@@ -168,8 +176,8 @@ def _pressure(folder: Path, x: PressureTable, robot: RobotTable) -> Shapes:
     steps = np.diff(p, axis=0)
     if not any((steps[:, i] > 0.0).all() or (steps[:, i] < 0.0).all() for i in (0, 1)):
         raise InputError(
-            f"{path}: neither pressure rises or falls from row to row; give one series of loads in "
-            "order, and loading and unloading as two tables"
+            f"{path}: neither pressure is monotonic; sort the rows by load, and give loading and "
+            "unloading as two tables"
         )
     _displacement(path, "tip_m", tip, robot.tail_length + robot.body_length)
     return Shapes(x.file, "pressure", False, np.zeros(len(tip)), p, tip, None, x.tip_noise)
@@ -184,25 +192,25 @@ def _ring_down(folder: Path, x: RingDownTable, robot: RobotTable) -> RingDown:
     if np.abs(spacing - np.median(spacing)).max() > 0.05 * np.median(spacing):
         worst = int(np.argmax(np.abs(spacing - np.median(spacing))))
         raise InputError(
-            f"{path}: uneven samples: {np.median(spacing):.4g} s apart, but {spacing[worst]:.4g} s "
-            f"after t_s = {t[worst]:g}; cut the record there or record again"
+            f"{path}: irregular samples: {np.median(spacing):.4g} s apart, but "
+            f"{spacing[worst]:.4g} s after t_s = {t[worst]:g}; cut the record there or record again"
         )
     if t[0] < 0.0:
         raise InputError.value(f"{path}, column t_s", f"{t[0]:g}", "0 or more", "0 is the release")
     length = robot.tail_length + robot.body_length
     period = 2.0 * np.pi * length**2 / 3.516 * np.sqrt(robot.linear_density / robot.EI_body)
-    if t[-1] - t[0] < LEAST_CYCLES * 0.5 * period or np.median(spacing) > period / LEAST_SAMPLES:
+    if t[-1] - t[0] < MIN_CYCLES * 0.5 * period or np.median(spacing) > period / MIN_SAMPLES:
         raise InputError(
             f"{path}: {len(t)} samples over {t[-1] - t[0]:.3g} s; the period is about "
-            f"{period:.2g} s: give {LEAST_CYCLES:g} of them or more, {LEAST_SAMPLES:g} samples or "
-            "more in each, times in seconds"
+            f"{period:.2g} s: give {MIN_CYCLES:g} periods or more, with {MIN_SAMPLES:g} samples or "
+            "more per period, and times in seconds"
         )
     return RingDown(x.file, t, tip, x.tip_noise, x.air_density)
 
 
 def _enough(path: Path, rows: int) -> None:
-    if rows < LEAST_ROWS:
-        raise InputError(f"{path}: {rows} rows under the header; at least {LEAST_ROWS} are needed")
+    if rows < MIN_ROWS:
+        raise InputError(f"{path}: {rows} rows under the header; at least {MIN_ROWS} are needed")
 
 
 def _displacement(path: Path, name: str, values: np.ndarray, length: float) -> None:
@@ -211,8 +219,7 @@ def _displacement(path: Path, name: str, values: np.ndarray, length: float) -> N
         raise InputError.value(
             f"{path}, column {name}",
             f"at most {largest:g}",
-            f"peaks of {1e-4 * length:.2g} to {length:g} m, what bends there being {length:g} m "
-            "long",
+            f"peaks of {1e-4 * length:.2g} to {length:g} m, the length of the bending part",
             "lengths are in metres",
         )
 
@@ -221,5 +228,5 @@ def _same_way(path: Path, load: np.ndarray, tip: np.ndarray, name: str) -> None:
     slope = float(np.sum((load - load.mean()) * (tip - tip.mean())))
     if slope <= 0.0:
         raise InputError(
-            f"{path}: tip_m falls where {name} rises; both count positive to the same side"
+            f"{path}: tip_m decreases with {name}; both must be positive to the same side"
         )

@@ -51,6 +51,6 @@ def statics(
         write_json(stage / "statics.json", report.statics_record(result, input_file(bench)))
         write_text(stage / "model.toml", report.statics_model_file(result))
         if plot:
-            report.pictures(result, stage)
+            report.draw_statics(result, stage)
     print(report.statics_table(result))
     print(f"statics.json, model.toml{' and pictures' if plot else ''} are in {out}")

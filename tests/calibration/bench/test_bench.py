@@ -1,7 +1,7 @@
-"""EI, alpha and K_Q from bench tables: the beam against closed forms, then answers recovered.
+"""EI, alpha and K_Q from bench tables: the beam equals closed forms, and fits recover known values.
 
-The tables come from an elastica that is integrated here, and from the closed form of a cantilever's
-free decay, not from the beam that is fitted to them.
+The tables come from an elastica that the test integrates and from the closed form of a cantilever's
+free decay, not from the fitted beam.
 """
 
 import json
@@ -16,8 +16,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from calibration.bench import statics
-from calibration.bench.ring_down import decay_of, fit_ring_down
-from calibration.bench.statics import fit_shapes, identified
+from calibration.bench.ring_down import fit_decay, fit_ring_down
+from calibration.bench.statics import fit_shapes, identifiable_parameters
 from calibration.bench.tables import Bench, RingDown, Shapes, StaticsTable, load_bench
 from slider_jax.beam.parameters import Numerics, Robot
 from slider_jax.cli.main import main
@@ -39,10 +39,10 @@ MESH = Numerics(tail_cells=6, body_cells=24)
 
 
 def elastica(force, pressure=(0.0, 0.0), length=None, EI=None, spans=()):
-    """Tip and joint (2,) [m] of an inextensible rod from the clamp, by shooting.
+    """Return tip and joint (2,) [m] of a clamped inextensible rod, by shooting.
 
-    M' = -F cos(theta), EI theta' = M + K_Q p from the clamp on, M(L) = 0: an elastica under a dead
-    load, with the moment of its chambers, and EI changing at the joint.
+    M' = -F cos(theta), EI theta' = M + K_Q p, M(L) = 0: an elastica under a force of constant
+    direction and the moment of its chambers; EI changes at the joint.
     """
     L = length or ROBOT["body_length"] + ROBOT["tail_length"]
     joint = L if EI else ROBOT["body_length"]
@@ -88,7 +88,7 @@ def robot_of(**changes):
 
 @pytest.fixture(scope="module")
 def exact():
-    """Noise-free tips of the robot under loads, of its tail alone, of the robot under pressures."""
+    """Noise-free tips: robot under loads, tail alone under loads, robot under pressures."""
     spans = (ROBOT["front_chamber"], ROBOT["rear_chamber"])
     whole = [elastica(f)[0] for f in FORCES]
     tail = [elastica(f, length=0.07, EI=TRUTH["EI_tail"])[0] for f in TAIL_FORCES]
@@ -97,7 +97,7 @@ def exact():
 
 
 def bench_of(exact, rng, declared=NOISE, zero=2e-3):
-    """The three tables with noise and a ruler's zero."""
+    """Return a bench of three tables with noise and a ruler's zero."""
     tips = [x + zero + NOISE * rng.normal(size=len(x)) for x in exact]
     still, none = np.zeros((8, 2)), np.zeros(8)
     both = np.stack([PRESSURES, 0.9 * PRESSURES], axis=1)
@@ -110,7 +110,7 @@ def bench_of(exact, rng, declared=NOISE, zero=2e-3):
 
 
 def model_tips(robot, on_tail, force, pressure):
-    """Tips (8,) of the fitted beam; 24 rows at a time, so that one compiled program serves."""
+    """Return tips (8,) of the beam and their slopes; 24 rows share the compiled program."""
     rows = tuple(
         jnp.asarray(np.concatenate([np.asarray(x)] * 3)) for x in (on_tail, force, pressure)
     )
@@ -121,7 +121,7 @@ def model_tips(robot, on_tail, force, pressure):
 
 
 @pytest.mark.slow
-def test_the_tip_goes_where_elastica_and_arcs_go():
+def test_the_tip_equals_that_of_elastica_and_arcs():
     """The elastica at P L^2/EI = 1, a weak load's P L^3/(3 EI), and two chambers' exact arcs."""
     L, EI = 0.37, 0.038
     loads = np.r_[EI / L**2, 1e-3 * EI / L**2, np.zeros(6)]
@@ -129,7 +129,7 @@ def test_the_tip_goes_where_elastica_and_arcs_go():
     tips, slopes = model_tips(robot_of(EI_tail=EI), np.zeros(8, bool), loads, still)
     assert tips[0] / L == pytest.approx(0.30172, rel=1e-3)
     assert tips[1] / L == pytest.approx(1e-3 / 3.0, rel=1e-3)
-    assert slopes[1, :2].sum() == pytest.approx(-tips[1], rel=1e-3)  # to log EI: as 1/EI
+    assert slopes[1, :2].sum() == pytest.approx(-tips[1], rel=1e-3)  # the tip is linear in 1/EI
 
     spans = (ROBOT["front_chamber"], ROBOT["rear_chamber"])
     both = np.stack([PRESSURES, 0.9 * PRESSURES], axis=1)
@@ -147,7 +147,7 @@ def test_the_tip_goes_where_elastica_and_arcs_go():
 
 @pytest.mark.parametrize("declared", [pytest.param(NOISE, marks=pytest.mark.slow), None])
 def test_intervals_hold_the_truth(exact, declared):
-    """15 benches a case, 3 parameters each, from an elastica with noise and a shifted ruler."""
+    """15 benches of 3 parameters, from an elastica with noise and a shifted ruler."""
     held = 0
     for seed in range(15):
         found = fit_shapes(bench_of(exact, np.random.default_rng(seed), declared), MESH)
@@ -162,14 +162,14 @@ def test_intervals_hold_the_truth(exact, declared):
     assert found.offsets == pytest.approx([2e-3] * 3, abs=1.5e-3)
 
 
-def test_one_table_of_tips_does_not_give_two_stiffnesses(exact):
+def test_one_table_of_tips_does_not_identify_two_stiffnesses(exact):
     whole, tail, bent = bench_of(exact, np.random.default_rng(0)).shapes
-    assert identified([whole]) == ["EI_body"]
-    assert identified([whole._replace(joint=whole.tip)]) == ["EI_body", "EI_tail"]
-    assert identified([tail, bent]) == ["EI_tail", "K_Q"]
+    assert identifiable_parameters([whole]) == ["EI_body"]
+    assert identifiable_parameters([whole._replace(joint=whole.tip)]) == ["EI_body", "EI_tail"]
+    assert identifiable_parameters([tail, bent]) == ["EI_tail", "K_Q"]
 
 
-def test_pressures_to_the_other_side_are_refused(exact):
+def test_pressures_with_the_wrong_sign_are_refused(exact):
     bench = bench_of(exact, np.random.default_rng(0))
     turned = bench.shapes[2]._replace(tip=-bench.shapes[2].tip)
     with pytest.raises(InputError, match="bent.csv: the model bends to the other side"):
@@ -177,7 +177,7 @@ def test_pressures_to_the_other_side_are_refused(exact):
 
 
 def ring(alpha, t, first=0.01, EI=0.038, zero=0.0):
-    """Tip [m] of a uniform cantilever of 0.37 m let go at `first`: closed form, eight modes."""
+    """Return the tip [m] of a uniform 0.37 m cantilever released at `first`: eight modes."""
     L, m = 0.37, 0.7
     tip = np.zeros_like(t)
     for n in range(8):
@@ -195,20 +195,20 @@ def ring(alpha, t, first=0.01, EI=0.038, zero=0.0):
 OMEGA = 3.51602 / 0.37**2 * math.sqrt(0.038 / 0.7)
 
 
-def test_the_decay_of_the_first_mode_is_half_alpha_omega_squared():
+def test_the_fit_decay_the_first_mode_is_half_alpha_omega_squared():
     t = np.arange(0.0, 12.0, 0.02)
-    found = decay_of(t, ring(4e-3, t, zero=3e-3))
+    found = fit_decay(t, ring(4e-3, t, zero=3e-3))
     assert 2.0 * math.pi * found.frequency == pytest.approx(OMEGA, rel=1e-3)
     assert found.rate == pytest.approx(0.5 * 4e-3 * OMEGA**2, rel=0.01)
     assert found.damping_time == pytest.approx(4e-3, rel=0.01)
     with pytest.raises(InputError, match="no decaying oscillation"):
-        decay_of(t, np.random.default_rng(0).normal(size=len(t)))
+        fit_decay(t, np.random.default_rng(0).normal(size=len(t)))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("declared", [2e-4, None])
-def test_alpha_from_the_full_beam_is_that_of_the_closed_form(declared):
-    """Uniform rod, no air: alpha's interval holds the truth, EI's factor is 1."""
+def test_alpha_from_the_full_beam_equals_that_of_the_closed_form(declared):
+    """Uniform rod without air: alpha's interval holds the truth, the factor on EI is 1."""
     alpha = 6e-3
     t = np.arange(0.0, 8.0, 0.02)
     tip = ring(alpha, t, zero=1e-3) + 2e-4 * np.random.default_rng(1).normal(size=len(t))
@@ -262,7 +262,7 @@ def write_bench(folder, exact):
     return folder / "bench.toml"
 
 
-def test_the_command_writes_what_it_found(exact, tmp_path, monkeypatch, capsys):
+def test_the_command_writes_the_identified_parameters(exact, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(statics.fit_shapes, "__defaults__", (MESH,))
     path, out = write_bench(tmp_path, exact), tmp_path / "out"
     assert main(["calibrate", "statics", str(path), "--out", str(out)]) == 0
@@ -279,7 +279,7 @@ def test_the_command_writes_what_it_found(exact, tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(
-    ("file", "rows", "said"),
+    ("file", "rows", "text"),
     [
         ("whole.csv", "force_N,tip_m\n0.1,0.01\n0.2,0.02\n", "2 rows under the header"),
         ("whole.csv", "force_N,tip_m\n.1,.01\n.2,.02\n.15,.015\n.3,.03\n.4,.04\n",
@@ -291,28 +291,28 @@ def test_the_command_writes_what_it_found(exact, tmp_path, monkeypatch, capsys):
         ("whole.csv", "force_N,tip_m\n10,.01\n20,.02\n30,.03\n40,.04\n50,.05\n",
          "forces are in newtons: 1 g weighs 0.00981 N"),
         ("whole.csv", "force_N,tip_m\n.1,-.01\n.2,-.02\n.3,-.03\n.4,-.04\n.5,-.05\n",
-         "tip_m falls where force_N rises"),
+         "tip_m decreases with force_N"),
         ("tail.csv", "force_N,tip_m,joint_m\n.1,.01,0\n.2,.02,0\n.3,.03,0\n.4,.04,0\n.5,.05,0\n",
-         'clamped = "joint" holds the joint'),
+         'joint_m is not allowed with clamped = "joint"'),
         ("bent.csv", "p_front_Pa,p_rear_Pa,tip_m\n1,0,.01\n2,0,.02\n3,0,.03\n4,0,.04\n5,0,.05\n",
          "pressures are in pascal, not kPa or psi"),
         ("bent.csv", "p_front_Pa,p_rear_Pa,tip_m\n1e4,0,.01\n2e4,0,.02\n1e4,0,.01\n"
-         "4e4,0,.04\n5e4,0,.05\n", "neither pressure rises or falls from row to row"),
+         "4e4,0,.04\n5e4,0,.05\n", "neither pressure is monotonic"),
         ("ring.csv", "t_s,tip_m\n0,.01\n.1,.02\n.2,.01\n.3,-.01\n.4,-.02\n",
-         "the period is about 1.1 s: give 3 of them or more"),
+         "the period is about 1.1 s: give 3 periods or more"),
     ],
 )  # fmt: skip
-def test_a_bad_table_is_refused_in_one_line(exact, tmp_path, file, rows, said):
+def test_a_bad_table_is_refused_in_one_line(exact, tmp_path, file, rows, text):
     path = write_bench(tmp_path, exact)
     if file == "ring.csv":
         path.write_text(BENCH + '\n[[ring_down]]\nfile = "ring.csv"\n')
     (tmp_path / file).write_text(rows)
     with pytest.raises(InputError) as refusal:
         load_bench(path)
-    assert said in str(refusal.value) and "\n" not in str(refusal.value)
+    assert text in str(refusal.value) and "\n" not in str(refusal.value)
 
 
-def test_the_documented_bench_file_is_one():
+def test_the_documented_bench_file_is_valid():
     path = ROOT / "docs" / "bench.toml"
     table = validate(StaticsTable, read_toml(path), str(path))
     assert len(table.tip_load) == 2 and table.ring_down[0].air_density == 1.2
@@ -321,5 +321,5 @@ def test_the_documented_bench_file_is_one():
 def test_a_bench_without_tables_is_refused(tmp_path):
     path = tmp_path / "bench.toml"
     path.write_text(BENCH.split("[[tip_load]]")[0])
-    with pytest.raises(InputError, match="names no table; add"):
+    with pytest.raises(InputError, match="no table; add"):
         load_bench(path)
