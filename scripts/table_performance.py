@@ -19,12 +19,12 @@ from slider_jax.reproduction.table_sensitivity import (
     CHANGES,
     RECALIBRATED,
     SteadyRow,
-    calibrated,
     clamped_performance,
+    fit_head_drag,
     head_fixed_thrust,
     steady_row,
 )
-from slider_jax.reproduction.wavelengths import on_course
+from slider_jax.reproduction.wavelengths import course_coordinates
 from slider_jax.swimming.free_swim import free_swimmer, steady_settings
 from slider_jax.swimming.paper_optimum import MEASURED_SPEED, PUBLISHED, optimum
 from slider_jax.swimming.performance import performance_columns
@@ -115,7 +115,7 @@ def plot_tail_slopes(content: dict[str, Any], rows: dict[str, SteadyRow], path: 
     slopes.legend(fontsize="small", loc="center right")
     slopes.grid(axis="y", color="0.9")
     for i, name in enumerate(chosen):
-        along, across = on_course(rows[name].stride)
+        along, across = course_coordinates(rows[name].stride)
         x = along - along.mean(axis=1)[:, None]
         for j in range(0, len(x), max(1, len(x) // 10)):
             shapes.plot(1e3 * x[j], 1e3 * across[j] - 130.0 * i, color=f"C{i}", lw=0.8)
@@ -143,7 +143,7 @@ def main(argv: list[str] | None = None) -> int:
             rows[name] = steady_row(change(model), frequency, search)
         for name in RECALIBRATED:
             print(f"{name}{AGAIN} ...", file=sys.stderr, flush=True)
-            found = calibrated(CHANGES[name](model), frequency, MEASURED_SPEED, search)
+            found = fit_head_drag(CHANGES[name](model), frequency, MEASURED_SPEED, search)
             rows[name + AGAIN] = found
         content = {
             "paper": {name: x._asdict() for name, x in PUBLISHED.items()},

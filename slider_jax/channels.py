@@ -1,7 +1,7 @@
-"""The sensors' channels: what each one reads, its column, its units and its declared noise.
+"""Defines the sensors' channels: reading, column, units and declared noise.
 
-Everything that reads, simulates, plots or fits sensor data iterates over `CHANNELS`. To add a
-sensor, define a `Channel` in a file of your own and pass it to `register` before you load data:
+All code that reads, simulates, plots or fits sensor data iterates over `CHANNELS`. To add a sensor,
+define a `Channel` and pass it to `register` before you load data:
 
     register(Channel("tail_speed", "tail_speed_m_per_s", "m/s", "tail speed", "m/s", 1.0, observe))
 """
@@ -46,10 +46,9 @@ class Channel:
     noise: str = ""
     """Key of [sensors] that declares the white noise; "" measures it from the data."""
     gain: float = 0.01
-    """Standard deviation of a trial's gain, as a share: calibration of the sensor and of the day.
-    """
+    """Relative standard deviation of a trial's gain, from calibration and drift of the sensor."""
     discrepancy: float = 0.05
-    """Difference between two correct programs, as a share of the channel's rms."""
+    """Model-discretisation discrepancy, as a fraction of the channel's rms."""
     digits: str = ".7g"
     """Format of the CSV cells."""
     start: Callable[[np.ndarray], float] = _zero
@@ -90,7 +89,7 @@ def _force(name: str, observe: Callable[[Snapshot], Array], discrepancy: float) 
     )  # fmt: skip
 
 
-# The discrepancies are against an independent program on twelve noise-free trials: pressures 0.05
+# Discrepancies measured against an independent program in twelve noise-free trials: pressures 0.05
 # to 0.3 %, thrust 5 to 28 % (median 7), recoil 0.7 to 2.1 %, tip 0.1 to 0.9 %.
 register(_pressure("p_front", "front pressure", 0))
 register(_pressure("p_rear", "rear pressure", 1))
@@ -114,26 +113,26 @@ register(
     )  # fmt: skip
 )
 BUILT_IN = tuple(CHANNELS)
-"""Names of the channels of this file, which the rig and its live stream have too."""
+"""Names of the channels in this file; the rig's live stream has the same channels."""
 
 
 def channel_columns() -> tuple[str, ...]:
-    """Columns of a trial's CSV file, measured or simulated: the time and every channel's."""
+    """Return the columns of a measured or simulated CSV file: the time and all channels."""
     return TIME, *(channel.column for channel in CHANNELS.values())
 
 
 def row_of(name: str) -> int:
-    """Position of a channel in `CHANNELS`, which is its row in arrays of readings."""
+    """Return the row of a channel in arrays of readings, its position in `CHANNELS`."""
     return list(CHANNELS).index(name)
 
 
 def true_readings(x: Snapshot) -> dict[str, Array]:
-    """True reading of every channel, in SI units."""
+    """Return the true reading of every channel, in SI units."""
     return {name: channel.observe(x) for name, channel in CHANNELS.items()}
 
 
 def recorded(effects: tuple[Effect, ...], true: Readings) -> Readings:
-    """The series that the sensors record: the model's instruments applied in their order."""
+    """Return the series that the sensors record, with the model's instruments applied in order."""
     for effect in of_place(effects, Instrument):
         true = effect.read(true)
     return true
@@ -142,9 +141,9 @@ def recorded(effects: tuple[Effect, ...], true: Readings) -> Readings:
 def recorded_series(
     effects: tuple[Effect, ...], t: Array, true: dict[str, Array]
 ) -> dict[str, Array]:
-    """`recorded` for series (n,) by channel at times `t` (n,) [s].
+    """Return `recorded` for series (n,) by channel at times `t` (n,) [s].
 
-    Instruments act on the built-in channels; others are recorded as they are.
+    Instruments act on the built-in channels; the other channels are unchanged.
     """
     read = recorded(effects, Readings(t, *(true[name] for name in BUILT_IN)))
     return true | dict(zip(BUILT_IN, read[1:], strict=True))

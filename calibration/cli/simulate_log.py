@@ -22,7 +22,7 @@ from slider_jax.experiment.load import (
     Experiment,
     drag_and_added_mass,
 )
-from slider_jax.experiment.prepare import divided, prepare
+from slider_jax.experiment.prepare import divided_step, prepare
 from slider_jax.io.files import input_file, staged, versions, write_csv, write_json
 from slider_jax.simulation.trial import SavedSeries, advance_chunk, run_chunks
 
@@ -88,8 +88,8 @@ def drive_robot(
     whole = -(-count // CHUNK) * CHUNK
     at = log.period * np.arange(whole + 1)
     set_point = np.interp(at, log.t, driven_by)
-    prepared = prepare(experiment, sample_times=log.t, as_meant=True)
-    h = divided(log.period, experiment.numerics.step)
+    prepared = prepare(experiment, sample_times=log.t, declared_drive=True)
+    h = divided_step(log.period, experiment.numerics.step)
     every = round(log.period / h)
     base, numerics = prepared.model, prepared.numerics
     if drive == "measured":  # no lag; a zero one shares the compiled program
@@ -113,7 +113,7 @@ def drive_robot(
             raise SolverError(
                 f"{log.path}: the step to t = {min(failed_at, at[done]):.6g} s (length "
                 f"{h:.3g} s) did not converge; check K_Q, stiffness and lag in the model file: the "
-                "chambers may bend the body further than it can go"
+                "bending moment may be too large for the body"
             )
         progress(min(done + 1, len(log.t)), len(log.t))
 

@@ -39,7 +39,7 @@ from calibration.model.predict import COARSE, Resolution
 from slider_jax.channels import CHANNELS
 from slider_jax.effects import Prior
 from slider_jax.experiment.load import Experiment
-from slider_jax.simulation.effect_signature import typical
+from slider_jax.simulation.effect_signature import typical_size
 
 DETECTION_MARGIN = 1.2816
 """Standard errors above the decision limit at which nine of ten effects are detected."""
@@ -230,7 +230,7 @@ def effects_at_limits(m: DetectabilityMatrix, names: Sequence[str]) -> EffectsAt
     before = information(m.channels)[np.ix_(chosen, chosen)]
     sizes = {}
     for name in names:
-        ends = [typical(x.parameter.prior) - x.parameter.prior.null for x in m.limit[name]]
+        ends = [typical_size(x.parameter.prior) - x.parameter.prior.null for x in m.limit[name]]
         found = [x.size for x in m.limit[name]]
         sizes[name] = np.sign(ends) * np.minimum(np.abs(ends), found)
     return EffectsAtLimits(f, before, scoring_entries(f.entries), sizes)

@@ -33,7 +33,7 @@ from slider_jax.channels import CHANNELS, row_of
 from slider_jax.errors import InputError, SolverError
 from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.schema import Trial
-from slider_jax.simulation.effect_signature import typical
+from slider_jax.simulation.effect_signature import typical_size
 
 FINITE_START = 0.1
 """Step of a secant, as a share of the prior range. A secant replaces the tangent of an effect that
@@ -276,7 +276,7 @@ def secant_steps(f: TrialInformation) -> dict[int, float]:
         (i, x), tangent = item
         if x.prior.start is not None:
             return int(i), x.prior.start - x.prior.null
-        step = FINITE_START * (typical(x.prior) - x.prior.null)
+        step = FINITE_START * (typical_size(x.prior) - x.prior.null)
         secant = (_secant(p, f.theta, y, int(i), step) / scale).ravel()
         return (int(i), step) if _is_nonlinear((tangent / scale).ravel(), secant) else None
 

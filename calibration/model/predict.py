@@ -19,14 +19,14 @@ from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest
 from slider_jax.dynamics.time_schemes import SCHEMES, SDIRK2, Scheme
 from slider_jax.effects import Readings
-from slider_jax.experiment.load import Experiment, conditions
+from slider_jax.experiment.load import Experiment, trial_conditions
 from slider_jax.experiment.playback import LONGEST_STEP
 from slider_jax.experiment.prepare import (
     PreparedTrial,
     StepGrid,
-    divided,
+    divided_step,
     prepare,
-    sample,
+    sample_series,
     step_grid,
 )
 from slider_jax.experiment.schema import Trial
@@ -96,7 +96,7 @@ def plan(
     else:
         longest = min(longest, 1.0 / (trial.frequency * resolution.per_stride))
     grid = step_grid(trial, longest, at[-1], spacing, prepared.played)
-    taken = {name: jnp.asarray(x, float) for name, x in conditions(experiment, trial).items()}
+    taken = {name: jnp.asarray(x, float) for name, x in trial_conditions(experiment, trial).items()}
     extended = Extended(prepared.model, taken, effects, prepared.channels)
     return TrialPlan(trial, extended, numerics, SCHEMES[resolution.scheme], grid, at)
 
@@ -177,7 +177,7 @@ def _chambers_along(extended: Extended, theta, t, d_theta):
 
 def _sample_grid(at: np.ndarray) -> np.ndarray:
     """Even times from 0 on that hold the sample times `at`, padded to a whole number of blocks."""
-    spacing = divided(float(np.median(np.diff(at))), LONGEST_STEP)
+    spacing = divided_step(float(np.median(np.diff(at))), LONGEST_STEP)
     before = np.ceil(at[0] / spacing - 1e-9)
     n = -(-(round((at[-1] - at[0]) / spacing) + int(before) + 2) // BLOCK) * BLOCK
     t = at[0] + spacing * (np.arange(n) - before)
@@ -192,7 +192,9 @@ def _sampled(p: TrialPlan, body: np.ndarray, pressures: np.ndarray, t: np.ndarra
     """
     lead = body.shape[:-2]
     flat = body.reshape(-1, body.shape[-1])[:, : p.grid.steps + 1].T
-    at_samples = sample(p.grid.times, flat, p.at, p.grid.edges).T.reshape(*lead, -1, len(p.at))
+    at_samples = sample_series(p.grid.times, flat, p.at, p.grid.edges).T.reshape(
+        *lead, -1, len(p.at)
+    )
     # Not from t[0], which is 0 and may be nearer to t[1] than the others to each other.
     index = 1 + np.round((p.at - t[1]) / (t[2] - t[1])).astype(int)
     index = np.clip(index, 0, len(t) - 1)

@@ -28,7 +28,7 @@ from slider_jax.dynamics.model import Drive
 from slider_jax.dynamics.pressures import chamber_history, start_chambers
 from slider_jax.effects import Command, Flow, Instrument, Readings
 from slider_jax.effects.library import LIBRARY
-from slider_jax.experiment.load import Experiment, assemble, conditions
+from slider_jax.experiment.load import Experiment, assemble, trial_conditions
 from slider_jax.experiment.prepare import prepare
 from slider_jax.experiment.schema import SensorsTable
 from slider_jax.paper import PRESSURE_LAG
@@ -120,8 +120,10 @@ class PressureLogProblem(AbstractProblem):
             jnp.asarray(np.stack(command)),
             jnp.asarray([log.pressure_Pa[0] for log in logs]),
         )
-        first = prepare(experiments[0], sample_times=logs[0].t, as_meant=True)
-        taken = {n: jnp.asarray(x) for n, x in conditions(experiments[0], first.trial).items()}
+        first = prepare(experiments[0], sample_times=logs[0].t, declared_drive=True)
+        taken = {
+            n: jnp.asarray(x) for n, x in trial_conditions(experiments[0], first.trial).items()
+        }
         base = Extended(first.model, taken, tuple(names), first.channels)
         return cls(
             records=records,

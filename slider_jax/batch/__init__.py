@@ -1,2 +1,2 @@
-"""Runs many robots at once, stride by stride, on all cores. May import `simulation` and the rooms
-below it."""
+"""Simulates batches of robots by strides on all cores. May import `simulation` and the rooms below
+it."""

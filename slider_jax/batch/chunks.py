@@ -1,7 +1,7 @@
-"""Parallel simulation of many independent members, as chunks of a batch in threads.
+"""Divides a batch of robots into chunks and simulates the chunks in threads.
 
-A chunk of about eight members fits the cache of a core, so it costs less per member than one large
-batch. One chunk per thread uses every core, since XLA runs compiled programs outside Python's lock.
+A chunk of about eight robots fits the cache of a core, so it costs less per robot than one large
+batch. One chunk per thread uses every core, because compiled programs release Python's lock.
 """
 
 import os
@@ -16,52 +16,52 @@ import numpy as np
 
 
 class Chunks(NamedTuple):
-    """`total` chunks of `size` members; repetitions of the last member fill the last chunk."""
+    """`total` chunks of `size` robots; repetitions of the last robot fill the last chunk."""
 
-    members: int
+    robots: int
     size: int
     total: int
     workers: int
 
     def indices(self, chunk: int) -> np.ndarray:
-        """Indices of the members in `chunk`; the last chunk may repeat an index."""
+        """Return the indices of the robots in `chunk`; the last chunk may repeat an index."""
         start = chunk * self.size
-        return np.minimum(np.arange(start, start + self.size), self.members - 1)
+        return np.minimum(np.arange(start, start + self.size), self.robots - 1)
 
-    def real(self, chunk: int) -> int:
-        """Number of members in `chunk` without repetitions."""
-        return min(self.size, self.members - chunk * self.size)
+    def distinct(self, chunk: int) -> int:
+        """Return the number of robots in `chunk` without repetitions."""
+        return min(self.size, self.robots - chunk * self.size)
 
 
-def chunks_of(members: int, size: int = 8, workers: int | None = None) -> Chunks:
-    """Chunks of at most `size`, balanced so all workers (default: one per core) end together."""
-    workers = min(workers or available_cores(), members)
-    rounds = -(-members // (size * workers))
-    size = -(-members // (rounds * workers))
-    return Chunks(members, size, -(-members // size), workers)
+def chunks_of(robots: int, size: int = 8, workers: int | None = None) -> Chunks:
+    """Return chunks of at most `size` robots, balanced for `workers` (default: one per core)."""
+    workers = min(workers or available_cores(), robots)
+    rounds = -(-robots // (size * workers))
+    size = -(-robots // (rounds * workers))
+    return Chunks(robots, size, -(-robots // size), workers)
 
 
 def available_cores() -> int:
-    """Number of cores that this process may use."""
+    """Return the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def stack(trees: list[Any]) -> Any:
-    """One tree with the members along a new first axis of its leaves, in the default float type."""
+    """Return one tree whose leaves have the trees' leaves along a new first axis, as floats."""
     return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(x, float) for x in leaves]), *trees)
 
 
 def take(tree: Any, indices: np.ndarray) -> Any:
-    """The members `indices` of a stacked tree."""
+    """Return the robots `indices` of a stacked tree."""
     return jax.tree.map(lambda x: x[indices], tree)
 
 
-def in_threads(
+def run_in_threads(
     work: Callable[[int, Callable[[], bool]], Any], chunks: list[int], workers: int
 ) -> Iterator[tuple[int, Any]]:
-    """Yields (chunk, result) of `work(chunk, stopped)` in the order of completion.
+    """Yield (chunk, result) of `work(chunk, stopped)` in the order of completion.
 
     If a chunk fails or the caller leaves the loop, chunks that have not started are cancelled.
     `stopped()` then returns true in the running chunks.

@@ -1,7 +1,7 @@
-"""Simulation of a batch of robots by strides, and quantities of their steady strides.
+"""Simulates a chunk of robots by strides and computes quantities of their steady strides.
 
-One stride is compiled for a chunk of the batch and run repeatedly. A caller can thus show progress
-and stop a run between strides.
+One stride is compiled and run repeatedly, so that a caller can show progress and stop between
+strides.
 """
 
 import functools as ft
@@ -30,7 +30,7 @@ class StopRequested(Exception):
     """The caller stopped the run between strides."""
 
 
-class Member(eqx.Module):
+class BatchRobot(eqx.Module):
     """One robot of a batch, driven at `frequency` [Hz]."""
 
     model: Model
@@ -38,7 +38,7 @@ class Member(eqx.Module):
 
 
 class Plan(NamedTuple):
-    """Settings of a run that are static in its compiled programs."""
+    """Settings that are static in a run's compiled programs."""
 
     steps_per_stride: int
     """A multiple of `POSES`."""
@@ -50,24 +50,26 @@ class Plan(NamedTuple):
 class Programs(NamedTuple):
     """Programs compiled for chunks of one size: the initial carry and one stride."""
 
-    rest: Callable[[Member], Carry]
-    stride: Callable[[Member, Array, Carry], tuple[Carry, dict[str, Array]]]
+    rest: Callable[[BatchRobot], Carry]
+    stride: Callable[[BatchRobot, Array, Carry], tuple[Carry, dict[str, Array]]]
 
 
 def saved_quantities(x: Snapshot) -> dict[str, Array]:
-    """Quantities saved at every step: `true_readings`, `power` [W] and `midline` (2, nodes) [m]."""
+    """Return the series of a step: `true_readings`, `power` [W] and `midline` (2, nodes) [m]."""
     return true_readings(x) | {
         "power": jnp.sum(obs.chamber_power(x)),
         "midline": obs.midline(x) - x.head[:, None],
     }
 
 
-def one_stride(plan: Plan, member: Member, number, carry: Carry) -> tuple[Carry, dict[str, Array]]:
-    """The next carry and the series of stride `number` (from 0) of one member."""
-    steps, f = plan.steps_per_stride, member.frequency
+def one_stride(
+    plan: Plan, robot: BatchRobot, number, carry: Carry
+) -> tuple[Carry, dict[str, Array]]:
+    """Return the next carry and the series of stride `number` (from 0) of one robot."""
+    steps, f = plan.steps_per_stride, robot.frequency
     times = TimeGrid(h=1.0 / (f * steps), steps=steps, t0=number / f)
     out = rollout(
-        member.model,
+        robot.model,
         times,
         saved_quantities,
         plan.numerics,
@@ -78,26 +80,26 @@ def one_stride(plan: Plan, member: Member, number, carry: Carry) -> tuple[Carry,
     return out.final, {"t": out.t} | out.saved
 
 
-def compile_programs(plan: Plan, chunk: Member) -> Programs:
-    """Compiled programs for chunks with the structure and size of `chunk`."""
-    rest = jax.jit(jax.vmap(lambda member: at_rest(member.model, plan.numerics)))
+def compile_programs(plan: Plan, chunk: BatchRobot) -> Programs:
+    """Return compiled programs for chunks with the structure and size of `chunk`."""
+    rest = jax.jit(jax.vmap(lambda robot: at_rest(robot.model, plan.numerics)))
     stride = jax.jit(jax.vmap(ft.partial(one_stride, plan), (0, None, 0)))
     number = jnp.asarray(0.0)
     return Programs(rest, stride.lower(chunk, number, jax.eval_shape(rest, chunk)).compile())
 
 
-def march(
+def run_strides(
     plan: Plan,
     programs: Programs,
-    chunk: Member,
+    chunk: BatchRobot,
     on_stride: Callable[[], None] = lambda: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> dict[str, np.ndarray]:
-    """Runs a chunk through all strides.
+    """Return the series of all strides of a chunk.
 
-    Returns series of shape (members, strides, steps, ...): t, power and every channel;
-    `midline` (members, POSES, 2, nodes) of the last stride; `ok` (members,). Raises `StopRequested`
-    if `stopped()` is true between strides.
+    The series have the shape (robots, strides, steps, ...): t, power and every channel. `midline`
+    (robots, POSES, 2, nodes) is of the last stride; `ok` (robots,) is False for a failed robot.
+    Raises `StopRequested` if `stopped()` is true between strides.
     """
     carry, series = programs.rest(chunk), []
     for number in range(plan.strides):
@@ -115,21 +117,21 @@ def march(
 
 
 def steady_quantities(
-    plan: Plan, members: Member, runs: dict[str, np.ndarray], transient: int
+    plan: Plan, robots: BatchRobot, runs: dict[str, np.ndarray], transient: int
 ) -> dict[str, np.ndarray]:
-    """Quantities (members,) of the strides after the first `transient`, by name with unit.
+    """Return quantities (robots,) of the strides after the first `transient`, by name with unit.
 
     Means and rms values are over all these strides. `thrust_std_of_strides` is the standard
     deviation of the stride means. `thrust_std_within_stride` is the standard deviation within a
     stride. Peaks and ranges are means over the strides. The wave quantities describe the
-    fundamental of the last stride. All quantities of a failed member are NaN.
+    fundamental of the last stride. All quantities of a failed robot are NaN.
     """
     thrust, recoil, power, tip = (
         runs[name][:, transient:] for name in ("thrust", "recoil", "power", "tip")
     )
     per_stride = thrust.mean(axis=2)
     mean, mean_power = per_stride.mean(axis=1), power.mean(axis=(1, 2))
-    waves, index = _waves(plan, members, jnp.asarray(runs["midline"][:, :, 1]))
+    waves, index = _waves(plan, robots, jnp.asarray(runs["midline"][:, :, 1]))
     table = {
         "thrust_mean_N": mean,
         "thrust_std_of_strides_N": per_stride.std(axis=1, ddof=min(1, per_stride.shape[1] - 1)),
@@ -147,11 +149,11 @@ def steady_quantities(
 
 
 @ft.partial(jax.jit, static_argnums=0)
-def _waves(plan: Plan, members: Member, lateral):
-    def wave(member, y):
-        t = jnp.arange(1.0, POSES + 1.0) / (POSES * member.frequency)
-        mode = obs.fundamental_mode(y, t, member.frequency)
-        s = make_mesh(member.model.body, plan.numerics).grid.s
-        return obs.body_wave(mode, s, member.frequency), obs.travelling_index(mode)
+def _waves(plan: Plan, robots: BatchRobot, lateral):
+    def wave(robot, y):
+        t = jnp.arange(1.0, POSES + 1.0) / (POSES * robot.frequency)
+        mode = obs.fundamental_mode(y, t, robot.frequency)
+        s = make_mesh(robot.model.body, plan.numerics).grid.s
+        return obs.body_wave(mode, s, robot.frequency), obs.travelling_index(mode)
 
-    return jax.vmap(wave)(members, lateral)
+    return jax.vmap(wave)(robots, lateral)

@@ -136,9 +136,9 @@ def _range(prior: Prior) -> str:
 
 def _example(prior: Prior) -> float:
     """Return half of the typical size as an example value."""
-    from slider_jax.simulation.effect_signature import typical
+    from slider_jax.simulation.effect_signature import typical_size
 
-    return 0.5 * (prior.null + typical(prior))
+    return 0.5 * (prior.null + typical_size(prior))
 
 
 def _draw(name: str, out: Path, path: Path | None) -> None:
@@ -148,15 +148,15 @@ def _draw(name: str, out: Path, path: Path | None) -> None:
     from slider_jax.io.files import staged
     from slider_jax.simulation.effect_signature import (
         built_in_experiment,
-        fingerprint,
-        plot_fingerprint,
+        effect_signature,
+        plot_signature,
     )
 
     experiment = built_in_experiment() if path is None else load(path)
     with staged(out) as stage:
         with Progress(name, "step") as progress:
-            found = fingerprint(experiment, name, progress.to)
-        plot_fingerprint(found, stage / f"{name}.png")
+            found = effect_signature(experiment, name, progress.to)
+        plot_signature(found, stage / f"{name}.png")
     print(explanation(name))
     print("\nrms change over the stride")
     for trace in found.traces:

@@ -1,2 +1,2 @@
-"""The experiment file: its schema, the models of its trials, and the drive as it was played. May
+"""Reads experiment files and prepares their trials: models, played drives and measured data. May
 import `paper`, `channels` and the rooms below them."""

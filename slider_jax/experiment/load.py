@@ -1,4 +1,4 @@
-"""Experiments: a TOML file with its measured CSV files, and the models of its trials."""
+"""Reads an experiment: a TOML file with its measured CSV files, and the models of its trials."""
 
 from dataclasses import fields
 from math import isfinite
@@ -35,7 +35,7 @@ from slider_jax.supports import Clamped
 
 
 class Experiment(ExperimentTable):
-    """A validated experiment; `folder` holds its trials' files."""
+    """A validated experiment; `folder` contains its trials' files."""
 
     _folder: Path = PrivateAttr(default=Path("."))
 
@@ -45,7 +45,7 @@ class Experiment(ExperimentTable):
         return self._folder
 
     def with_values(self, values: dict[str, Any], source: str = "change") -> "Experiment":
-        """A copy with some fields replaced, validated anew: {"trials.0.frequency": 2.0, ...}."""
+        """Return a validated copy with replaced fields, such as {"trials.0.frequency": 2.0}."""
         content = self.model_dump()
         for path, value in values.items():
             *parents, last = path.split(".")
@@ -56,8 +56,8 @@ class Experiment(ExperimentTable):
                 table[last]
             except (KeyError, IndexError, ValueError, TypeError):
                 raise InputError(
-                    f"{source}: {path}: no such field; allowed e.g. robot.EI_tail, parameters.C_d, "
-                    "trials.0.frequency"
+                    f"{source}: {path}: no such field; allowed are fields such as robot.EI_tail, "
+                    "parameters.C_d and trials.0.frequency"
                 ) from None
             table[last] = value
         return _experiment(content, source, self.folder)
@@ -72,12 +72,11 @@ def _experiment(content: dict[str, Any], source: str, folder: Path) -> Experimen
 
 
 def load(path: Path | str, model: Path | str | None = None) -> Experiment:
-    """Read and check an experiment file, with the overrides of a model file if one is given.
+    """Return the validated experiment of a file, with the overrides of a model file if given.
 
-    A model file may hold `[robot]` and `[parameters]`, any of their keys, and `[[effects]]`, which
-    are added. C_d and m_a in it replace `force_coefficients = "ramp"` or `"table"`, and the
-    other way round.
-    Raises `InputError` naming file and key.
+    The model file's keys of `[robot]` and `[parameters]` replace the experiment's; its
+    `[[effects]]` are added. Its C_d and m_a replace `force_coefficients = "ramp"` or `"table"`,
+    and vice versa. Raises `InputError` with the file and key.
     """
     path = Path(path)
     return assemble(read_toml(path), str(path), path.parent, model)
@@ -86,7 +85,7 @@ def load(path: Path | str, model: Path | str | None = None) -> Experiment:
 def assemble(
     content: dict[str, Any], source: str, folder: Path, model: Path | str | None = None
 ) -> Experiment:
-    """An experiment from its tables; `source` is what errors call them. `model` as in `load`."""
+    """Return an experiment from its tables; errors name the `source`. `model` is as in `load`."""
     experiment = _experiment(content, source, folder)
     if model is None:
         return experiment
@@ -112,8 +111,8 @@ def assemble(
     return _experiment(merged, str(model), folder)
 
 
-def conditions(experiment: Experiment, trial: Trial) -> dict[str, float]:
-    """Values that effects take from a trial, for fields of these names that the file leaves out."""
+def trial_conditions(experiment: Experiment, trial: Trial) -> dict[str, float]:
+    """Return a trial's values for effect fields of these names that the file omits."""
     return {
         "density": experiment.robot.water_density,
         "stride_frequency": trial.frequency or 1.0,
@@ -122,11 +121,11 @@ def conditions(experiment: Experiment, trial: Trial) -> dict[str, float]:
 
 
 def _effect(table: EffectTable, where: str, taken: dict[str, float] | None = None) -> Effect:
-    """The effect that a table names, with its parameters, and `taken` from the trial."""
+    """Return the effect of a table; `taken` are the trial's values for omitted fields."""
     if table.name not in LIBRARY:
         raise InputError(
             f"{where}.name: given {table.name!r}; allowed {', '.join(LIBRARY)}; drag and added "
-            "mass are always on, by parameters.C_d and parameters.m_a"
+            "mass are always included, by parameters.C_d and parameters.m_a"
             f"{did_you_mean(table.name, LIBRARY)}"
         )
     kind, given = LIBRARY[table.name], dict(table.model_extra or {})
@@ -140,7 +139,7 @@ def _effect(table: EffectTable, where: str, taken: dict[str, float] | None = Non
 
 
 LONGEST_RECORD = 20.0
-"""Longest recorded drive, in durations of its trial; the times of a longer one are not seconds."""
+"""Longest recorded drive, in durations of its trial; longer times are probably not in seconds."""
 
 
 def check_pascal(path: Path, columns: dict[str, np.ndarray], names: tuple[str, ...]) -> None:
@@ -156,7 +155,7 @@ def check_pascal(path: Path, columns: dict[str, np.ndarray], names: tuple[str, .
 
 
 def _recorded(experiment: Experiment, trial: Trial) -> tuple[Recorded, Recorded]:
-    """Both chambers' recorded pressures; checked for length, spacing and size."""
+    """Return both chambers' recorded pressures, checked for length, spacing and magnitude."""
     path = experiment.folder / str(trial.drive_file)
     columns = read_csv(path, ("t_s", "p_front_Pa", "p_rear_Pa"))
     times = columns["t_s"]
@@ -164,8 +163,8 @@ def _recorded(experiment: Experiment, trial: Trial) -> tuple[Recorded, Recorded]
     if np.ptp(spacing) > 0.02 * spacing.mean():
         worst = int(np.argmax(np.abs(spacing - np.median(spacing))))
         raise InputError(
-            f"{path}: mixed sample rates: rows are {np.median(spacing):.6g} s apart, but "
-            f"{spacing[worst]:.6g} s after t_s = {times[worst]:g}; resample it evenly"
+            f"{path}: mixed sample rates: the spacing of t_s is {np.median(spacing):.6g} s, but "
+            f"{spacing[worst]:.6g} s after t_s = {times[worst]:g}; resample at one rate"
         )
     if times[-1] - times[0] > LONGEST_RECORD * trial.duration:
         raise InputError(
@@ -196,33 +195,33 @@ def _drive(experiment: Experiment, trial: Trial) -> Drive:
         return Drive(front, rear)
     f, amplitude = trial.frequency, trial.amplitude
     assert f is not None and amplitude is not None
-    behind = amplitude * trial.rear_ratio
+    rear_amplitude = amplitude * trial.rear_ratio
     match trial.waveform:
         case "sine":
-            return Drive(SineWave(f, amplitude), SineWave(f, behind, trial.phase))
+            return Drive(SineWave(f, amplitude), SineWave(f, rear_amplitude, trial.phase))
         case "trapezoid":
             return Drive(
                 Trapezoid(f, amplitude, 0.0, trial.rise),
-                Trapezoid(f, behind, trial.phase, trial.rise),
+                Trapezoid(f, rear_amplitude, trial.phase, trial.rise),
             )
-    return Drive(SquareWave(f, amplitude), SquareWave(f, behind, trial.phase))
+    return Drive(SquareWave(f, amplitude), SquareWave(f, rear_amplitude, trial.phase))
 
 
 def to_robot(experiment: Experiment) -> Robot:
-    """The robot of an experiment."""
+    """Return the robot of an experiment."""
     table = experiment.robot.model_dump(exclude={"water_density"})
     return Robot(**table, K_Q=experiment.parameters.K_Q)
 
 
 def to_numerics(experiment: Experiment) -> tuple[Numerics, Scheme]:
-    """Mesh, tolerance and time scheme of an experiment."""
+    """Return the mesh with the tolerance, and the time scheme, of an experiment."""
     robot, numerics = experiment.robot, experiment.numerics
     cells = split_cells(numerics.nodes, robot.tail_length, robot.body_length)
     return Numerics(*cells, tolerance=numerics.tolerance), SCHEMES[numerics.scheme]
 
 
 def coefficients_at(parameters: ParametersTable, frequency: Scalar | None):
-    """(C_d, m_a) at a stride frequency [Hz], differentiable: the file's, or the paper's ramp."""
+    """Return (C_d, m_a) at a stride frequency [Hz], differentiable in the frequency."""
     if parameters.force_coefficients == "fixed":
         return parameters.C_d, parameters.m_a
     assert frequency is not None
@@ -235,21 +234,21 @@ def coefficients_at(parameters: ParametersTable, frequency: Scalar | None):
 
 
 def drag_and_added_mass(experiment: Experiment, trial: Trial) -> tuple[float, float]:
-    """(C_d, m_a) of a trial: the file's, fixed or by frequency, or the paper's ramp."""
+    """Return (C_d, m_a) of a trial: constants, the file's table, or the paper's ramp."""
     C_d, m_a = coefficients_at(experiment.parameters, trial.frequency)
     return float(C_d), float(m_a)
 
 
 def to_model(experiment: Experiment, trial: Trial | int = 0) -> Model:
-    """The model of one trial, every number an array, so that it can be mapped and differentiated.
+    """Return the model of one trial, with arrays as leaves, so that it can be differentiated.
 
-    Trials that share waveform have the same structure: stack them with `jax.tree.map` and vmap.
-    Raises `InputError` where a recorded drive cannot be used.
+    Trials with the same waveform have the same tree structure: stack them with `jax.tree.map` and
+    use vmap. Raises `InputError` if a recorded drive is invalid.
     """
     if isinstance(trial, int):
         trial = experiment.trials[trial]
     parameters, density = experiment.parameters, experiment.robot.water_density
-    taken = conditions(experiment, trial)
+    taken = trial_conditions(experiment, trial)
     C_d, m_a = drag_and_added_mass(experiment, trial)
     measured = trial.waveform == "recorded" and trial.drive_is == "measured"
     law: PressureLaw = Ideal() if measured else FirstOrderLag(parameters.k)
@@ -276,10 +275,10 @@ def to_model(experiment: Experiment, trial: Trial | int = 0) -> Model:
 
 
 def read_measured(experiment: Experiment, trial: Trial) -> dict[str, np.ndarray] | None:
-    """The trial's measured columns, or None if its file does not exist. Blank cells are NaN.
+    """Return the trial's measured columns, or None without its file. Blank cells are NaN.
 
-    Only `t_s` is required; the other columns are returned if the file has them. Raises
-    `InputError` for a file that is damaged or contradicts the experiment.
+    Only `t_s` is required; other columns are returned if present. Raises `InputError` if the file
+    is invalid or contradicts the experiment.
     """
     path = experiment.folder / trial.file
     if not path.exists():
@@ -294,7 +293,7 @@ def read_measured(experiment: Experiment, trial: Trial) -> dict[str, np.ndarray]
     rate, declared = 1.0 / float(np.median(np.diff(times))), experiment.sensors.sample_rate
     if "sensors" in experiment.model_fields_set and abs(rate - declared) > 0.05 * declared:
         raise InputError(
-            f"{path}: sampled at {rate:.6g} Hz; sensors.sample_rate says {declared:g} Hz; mixed "
-            "sample rates need an experiment file each"
+            f"{path}: sampled at {rate:.6g} Hz, but sensors.sample_rate is {declared:g} Hz; give "
+            "each sample rate its own experiment file"
         )
     return columns

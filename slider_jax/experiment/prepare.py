@@ -1,4 +1,4 @@
-"""One trial, ready to simulate: its model, steps, sample times, played drive, measured data."""
+"""Prepares a trial for simulation: model, steps, sample times, played drive, measured data."""
 
 from dataclasses import dataclass, replace
 
@@ -16,23 +16,31 @@ from slider_jax.experiment.schema import Trial
 
 @dataclass(frozen=True)
 class StepGrid:
-    """A trial's time grid: `steps` of `h` [s]; `half_period` of them to half a stride, if any."""
+    """A trial's time grid of `steps` equal steps."""
 
     h: float
+    """Time step [s]."""
     steps: int
     half_period: int | None = None
+    """Steps per half stride; None for a drive without a frequency."""
     phase: float = 0.0
+    """Delay of the rear chamber, as a fraction of a stride."""
     played: np.ndarray | None = None
-    """Edges of a square wave as it was played [s]."""
+    """Times of a played square wave's pressure steps [s]."""
+
+    @property
+    def stride(self) -> int:
+        """Steps per stride, or per second for a drive without a frequency."""
+        return 2 * self.half_period if self.half_period else round(1.0 / self.h)
 
     @property
     def times(self) -> np.ndarray:
-        """(steps + 1,) [s], from the start on."""
+        """Times of all steps (steps + 1,), from 0 on [s]."""
         return self.h * np.arange(self.steps + 1)
 
     @property
     def edges(self) -> np.ndarray:
-        """Step indices between which the drive is smooth."""
+        """Indices of steps between which the drive is smooth."""
         if self.played is not None:
             return nearest_steps(self.steps, self.h, self.played)
         if self.half_period is None:
@@ -45,47 +53,46 @@ def step_grid(
     longest: float,
     end: float,
     spacing: float | None = None,
-    was: PlayedDrive | None = None,
+    played: PlayedDrive | None = None,
 ) -> StepGrid:
-    """Steps of at most `longest` [s] that reach `end` [s].
+    """Return the grid of steps of at most `longest` [s] up to `end` [s].
 
-    They divide `spacing` [s] if it is given, else half a stride if the trial has a frequency. `was`
-    is the drive as it was played.
+    The step divides `spacing` [s] if given, else half a stride if the trial has a frequency.
     """
     half, edges = None, None
     if spacing is not None:
-        h = divided(spacing, longest)
+        h = divided_step(spacing, longest)
     elif trial.frequency is None:
         h = longest
     else:
         half = half_period_steps(trial.frequency, longest, trial.phase)
         h = 0.5 / (trial.frequency * half)
-    if was is not None:
-        edges = was.edges
+    if played is not None:
+        edges = played.edges
     return StepGrid(h, max(4, int(np.ceil(end / h * (1.0 - 1e-9)))), half, trial.phase, edges)
 
 
-def divided(spacing: float, longest: float) -> float:
-    """The largest whole fraction of `spacing` [s] that is at most `longest` [s]."""
+def divided_step(spacing: float, longest: float) -> float:
+    """Return the largest whole fraction of `spacing` [s] that is at most `longest` [s]."""
     return spacing / np.ceil(spacing / longest * (1.0 - 1e-9))
 
 
 @dataclass(frozen=True)
 class PreparedTrial:
-    """One trial with its files read and its model built, to be simulated as often as needed."""
+    """A trial with its model, its time grid and the content of its files."""
 
     trial: Trial
     model: Model
-    """With the drive as it was played, where that is known."""
+    """The trial's model, with the played drive if that is known."""
     numerics: Numerics
     scheme: Scheme
     grid: StepGrid
     sample_times: np.ndarray
-    """(n,) [s]"""
+    """Sample times (n,) [s]."""
     played: PlayedDrive | None
-    """None if no file says how the drive was played."""
+    """The played drive; None without its file."""
     measured: dict[str, np.ndarray] | None
-    """Columns of the trial's file; None without one."""
+    """Columns of the trial's file; None without it."""
     channels: tuple[Channel, ...]
 
 
@@ -94,13 +101,13 @@ def prepare(
     trial: Trial | int = 0,
     *,
     sample_times: np.ndarray | None = None,
-    as_meant: bool = False,
+    declared_drive: bool = False,
 ) -> PreparedTrial:
-    """Read a trial's files, build its model and lay out its steps by the experiment's [numerics].
+    """Return a prepared trial: its files read, its model built, its steps by [numerics].
 
-    With `sample_times` (n,) [s], the trial's measured file is not read; else its own times are
-    used, or the sensors' rate without a file. With `as_meant`, the drive is the declared one, not
-    the played one. Raises `InputError` if one of the trial's files cannot be used.
+    With `sample_times` (n,) [s], the trial's measured file is not read. Without them, they are the
+    times in that file, or without the file those of the sensors' rate. With `declared_drive`, the
+    played drive is not used. Raises `InputError` if one of the files is invalid.
     """
     if isinstance(trial, int):
         trial = experiment.trials[trial]
@@ -113,25 +120,26 @@ def prepare(
         else:
             sample_times = columns[TIME]
     model = to_model(experiment, trial)
-    was = None if as_meant else read_played(experiment, trial)
+    played = None if declared_drive else read_played(experiment, trial)
     longest, spacing = experiment.numerics.step, None
-    if was is not None:
-        model, longest = replace(model, drive=was.drive), min(longest, LONGEST_STEP)
+    if played is not None:
+        model, longest = replace(model, drive=played.drive), min(longest, LONGEST_STEP)
     if isinstance(model.drive.front, Recorded):
         times = np.asarray(model.drive.front.times)
         spacing = (times[-1] - times[0]) / (len(times) - 1)
-    grid = step_grid(trial, longest, trial.duration, spacing, was)
+    grid = step_grid(trial, longest, trial.duration, spacing, played)
     numerics, scheme = to_numerics(experiment)
     channels = tuple(CHANNELS.values())
-    return PreparedTrial(trial, model, numerics, scheme, grid, sample_times, was, columns, channels)
+    return PreparedTrial(
+        trial, model, numerics, scheme, grid, sample_times, played, columns, channels
+    )
 
 
 def half_period_steps(frequency: float, longest: float, phase: float = 0.0) -> int:
-    """Steps per half period of 1/`frequency` [Hz], none longer than `longest` [s].
+    """Return the number of steps per half period of `frequency` [Hz], at most `longest` [s] each.
 
-    The front chamber switches at whole half periods, which are on steps by construction. Where up
-    to a quarter more steps put the rear chamber's edges, `phase` of a period later, on steps too,
-    they are taken.
+    The front chamber's pressure edges, at half periods, are always on steps. Up to a quarter more
+    steps are used if the rear chamber's edges, `phase` periods later, are then on steps too.
     """
     least = max(2, int(np.ceil(0.5 / (frequency * longest) * (1.0 - 1e-12))))
     for steps in range(least, least + least // 4 + 1):
@@ -141,7 +149,7 @@ def half_period_steps(frequency: float, longest: float, phase: float = 0.0) -> i
 
 
 def edge_steps(steps: int, half_period: int, phase: float = 0.0) -> np.ndarray:
-    """Indices of steps, 0 and `steps` included, between which the drive is smooth."""
+    """Return the indices of steps, with 0 and `steps`, between which the drive is smooth."""
     delay = round(2 * half_period * phase) % half_period
     edges = np.concatenate(
         [np.arange(0, steps, half_period), np.arange(delay, steps, half_period), [0, steps]]
@@ -150,22 +158,24 @@ def edge_steps(steps: int, half_period: int, phase: float = 0.0) -> np.ndarray:
 
 
 def nearest_steps(steps: int, h: float, times: np.ndarray) -> np.ndarray:
-    """As `edge_steps`, for edges at any `times` [s]: each is put on the nearest step of `h`."""
+    """Return `edge_steps` for edges at any `times` [s], moved to the nearest step of `h` [s]."""
     near = np.round(np.asarray(times) / h).astype(int)
     return np.unique(np.concatenate([near[(near > 0) & (near < steps)], [0, steps]]))
 
 
-def sample(t: np.ndarray, values: np.ndarray, at: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Cubic interpolation of `values` (n, ...) at evenly spaced `t` (n,) to the times `at`.
+def sample_series(
+    t: np.ndarray, values: np.ndarray, at: np.ndarray, edges: np.ndarray
+) -> np.ndarray:
+    """Interpolate `values` (n, ...) at evenly spaced times `t` (n,) cubically to the times `at`.
 
-    Each time takes the four nearest steps between two neighbouring `edges` (indices into t), so
-    that no polynomial crosses an edge; a shorter stretch takes the steps that it has.
+    Each result uses the four nearest steps between two neighbouring `edges` (indices into t), so
+    that no polynomial crosses an edge. If there are fewer steps between the edges, it uses these.
     """
     h = (t[-1] - t[0]) / (len(t) - 1)
     place = np.clip((at - t[0]) / h, 0.0, len(t) - 1.0)
     cell = np.minimum(place.astype(int), len(t) - 2)
-    stretch = np.clip(np.searchsorted(edges, cell, side="right") - 1, 0, len(edges) - 2)
-    low, high = edges[stretch], edges[stretch + 1]
+    part = np.clip(np.searchsorted(edges, cell, side="right") - 1, 0, len(edges) - 2)
+    low, high = edges[part], edges[part + 1]
     first = np.maximum(np.minimum(cell - 1, high - 3), low)
     count = np.minimum(high - first + 1, 4)
     result = np.zeros((len(at), *values.shape[1:]))

@@ -1,4 +1,4 @@
-"""Schema of an experiment file: tables, keys, units and plausible ranges."""
+"""Defines the tables of an experiment file: keys, units and plausible ranges."""
 
 from pathlib import PurePath
 from typing import Annotated, Any, Literal
@@ -13,12 +13,12 @@ Stiffness = Annotated[float, Quantity(1.0, 1e7, "N")]
 Speed = Annotated[float, Quantity(-3.0, 3.0, "m/s")]
 Force = Annotated[float, Quantity(0.0, 10.0, "N")]
 FEWEST_NODES = 11
-"""Along a robot: fewer do not show how it bends."""
+"""Smallest number of nodes along a robot; fewer do not resolve its bending."""
 FROM_LIST = BeforeValidator(lambda x: tuple(x) if isinstance(x, list) else x)
 
 
 def _plain_name(name: str) -> str:
-    """A file of the experiment's own folder: no path that could leave it."""
+    """Return the name if it is a plain CSV name, so that it stays in the experiment's folder."""
     parts = PurePath(name.replace("\\", "/")).parts
     if len(parts) != 1 or parts[0] in ("..", ".") or not name.endswith(".csv"):
         raise PydanticCustomError(
@@ -33,13 +33,13 @@ FileName = Annotated[str, AfterValidator(_plain_name)]
 
 
 class Table(BaseModel):
-    """A table of the file: unknown keys are errors, values cannot be changed later."""
+    """A table of the file; unknown keys are errors, and values are immutable."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class RobotTable(Table):
-    """[robot]: geometry and structure, measured beforehand. Chamber spans are from the clamp."""
+    """[robot]: measured geometry and structure. Chamber spans are distances from the clamp."""
 
     body_length: Annotated[float, Quantity(0.05, 3.0, "m")]
     tail_length: Annotated[float, Quantity(0.005, 2.0, "m")]
@@ -55,7 +55,7 @@ class RobotTable(Table):
     water_density: Annotated[float, Quantity(900.0, 1300.0, "kg/m^3")] = 1000.0
 
     @model_validator(mode="after")
-    def _chambers_lie_apart_on_the_body(self) -> "RobotTable":
+    def _chambers_do_not_overlap(self) -> "RobotTable":
         spans = {"front_chamber": self.front_chamber, "rear_chamber": self.rear_chamber}
         for name, (near, far) in spans.items():
             if near >= far:
@@ -66,7 +66,7 @@ class RobotTable(Table):
             _fail(
                 "rear_chamber",
                 list(self.rear_chamber),
-                f"a start at or behind the front chamber's end, {self.front_chamber[1]:g} m",
+                f"a near end from the front chamber's far end, {self.front_chamber[1]:g} m, on",
             )
         return self
 
@@ -84,11 +84,11 @@ class CoefficientsAt(Table):
 
 
 class ParametersTable(Table):
-    """[parameters]: what calibration identifies.
+    """[parameters]: the values that calibration identifies.
 
-    `force_coefficients` says where C_d and m_a come from: "fixed", the numbers here, "ramp", the
-    paper's ramp at each trial's own frequency, or "table", `coefficients`, linear in the frequency
-    between them and constant beyond.
+    `force_coefficients` is the source of C_d and m_a. With "fixed", they are the numbers here. With
+    "ramp", they are the paper's ramp at each trial's frequency. With "table", `coefficients` are
+    interpolated linearly in the frequency, and constant beyond the table.
     """
 
     force_coefficients: Literal["fixed", "ramp", "table"] = "fixed"
@@ -105,18 +105,18 @@ class ParametersTable(Table):
             if self.force_coefficients == "fixed" and given is None:
                 _fail(name, "nothing", 'a number, unless force_coefficients is "ramp" or "table"')
             if self.force_coefficients != "fixed" and given is not None:
-                _fail(name, given, 'only with force_coefficients = "fixed"; leave it out')
+                _fail(name, given, 'only with force_coefficients = "fixed"; omit it')
         given_at = [x.frequency for x in self.coefficients]
         if (self.force_coefficients == "table") != bool(given_at):
-            allowed = 'one table or more with force_coefficients = "table", none without'
+            allowed = 'one table or more if force_coefficients = "table", else none'
             _fail("coefficients", f"{len(given_at)} tables", allowed)
         if any(b <= a for a, b in zip(given_at, given_at[1:], strict=False)):
-            _fail("coefficients", given_at, "frequencies that rise from table to table")
+            _fail("coefficients", given_at, "frequencies that increase from table to table")
         return self
 
 
 class SensorsTable(Table):
-    """[sensors]: one standard deviation of each, and the sample rate."""
+    """[sensors]: standard deviations of the sensors' errors, and the sample rate."""
 
     pressure_noise: Annotated[float, Quantity(0.0, 1e5, "Pa")] = 0.0
     force_noise: Force = 0.0
@@ -135,7 +135,7 @@ class WaterTable(Table):
 
 
 class NumericsTable(Table):
-    """[numerics]: nodes along the robot, the longest time step, the scheme, a step's tolerance."""
+    """[numerics]: nodes along the robot, longest time step, time scheme and a step's tolerance."""
 
     nodes: Annotated[int, Field(strict=True, ge=FEWEST_NODES, le=1001)] = 51
     step: Annotated[float, Quantity(1e-5, 0.02, "s")] = 1e-3
@@ -144,8 +144,8 @@ class NumericsTable(Table):
 
 
 class Trial(Table):
-    """[[trials]]: one run. The rear chamber gets `rear_ratio` of the front's set pressure, `phase`
-    of a period later. `drive_is` says whether a recorded drive is set or measured pressure."""
+    """[[trials]]: one trial. The rear chamber's set pressure is `rear_ratio` times the front's,
+    delayed by `phase` periods. `drive_is`: a recorded drive is set or measured pressure."""
 
     file: FileName
     waveform: Literal["square", "sine", "trapezoid", "recorded"] = "square"
@@ -170,7 +170,7 @@ class Trial(Table):
             if self.drive_file is None:
                 _fail("drive_file", "nothing", 'a CSV name, as waveform is "recorded"')
             if self.drive_file == self.file:
-                _fail("drive_file", repr(self.file), "a file that is not the trial's own")
+                _fail("drive_file", repr(self.file), "a file other than the trial's")
             return self
         for name in ("frequency", "amplitude"):
             if getattr(self, name) is None:
@@ -186,14 +186,14 @@ class Trial(Table):
 
 
 class EffectTable(BaseModel):
-    """[[effects]]: one more effect by name, with its parameters."""
+    """[[effects]]: an additional effect by name, with its parameters."""
 
     model_config = ConfigDict(frozen=True, extra="allow")
     name: str
 
 
 class ExperimentTable(Table):
-    """The whole file."""
+    """All tables of an experiment file."""
 
     name: str
     robot: RobotTable
@@ -209,8 +209,8 @@ class ExperimentTable(Table):
         seen: dict[str, int] = {}
         for index, trial in enumerate(self.trials):
             if trial.file in seen:
-                where = f"a name of its own; trials.{seen[trial.file]} has it already"
-                _fail(f"trials.{index}.file", repr(trial.file), where)
+                allowed = f"a unique name; trials.{seen[trial.file]} has this name"
+                _fail(f"trials.{index}.file", repr(trial.file), allowed)
             seen[trial.file] = index
             source = self.parameters.force_coefficients
             if source != "fixed" and trial.frequency is None:
@@ -220,13 +220,13 @@ class ExperimentTable(Table):
             if trial.clamp_moves and not fastest:
                 _fail(f"trials.{index}.clamp_frequency", "nothing", "a number, as the clamp moves")
             if fastest and self.numerics.step > 0.05 / fastest:
-                most = f"{0.05 / fastest:.4g} s, a twentieth of the period of trials.{index}"
-                _fail("numerics.step", self.numerics.step, f"at most {most}")
+                longest = f"{0.05 / fastest:.4g} s, a twentieth of the period of trials.{index}"
+                _fail("numerics.step", self.numerics.step, f"at most {longest}")
         return self
 
 
 def _fail(where: str, given: Any, allowed: str) -> None:
-    """Raise a validation error of a table as a whole, naming the key."""
+    """Raise a validation error for the key `where` of a table."""
     raise PydanticCustomError(
         "table",
         "{where}: given {given}; allowed {allowed}",

@@ -1,4 +1,4 @@
-"""Checks of the paper's statements on its design maps (Fig. 7) against maps of speed."""
+"""Checks the paper's statements on its design maps (Fig. 7) with computed maps of speed."""
 
 from typing import NamedTuple
 
@@ -26,11 +26,11 @@ class StatementCheck(NamedTuple):
     """Criterion of the check."""
     measured: str
     agrees: bool | None
-    """Whether the maps agree with the claim; None if the points needed have no steady speed."""
+    """Whether the maps agree with the claim; None without steady speeds at the needed points."""
 
     @property
     def verdict(self) -> str:
-        """`agrees` as a text."""
+        """`agrees` as text."""
         return {True: "agrees", False: "does not agree", None: "not decided"}[self.agrees]
 
 

@@ -1,4 +1,4 @@
-"""Maps of speed over the tail's length and a second variable, and the maximum at each length.
+"""Defines maps of speed over the tail's length and a second variable, with maxima at each length.
 
 Speeds [m/s] are positive if the head leads, so a swimmer whose tail leads has a negative speed. NaN
 means that no steady speed was found.
@@ -46,7 +46,7 @@ class Peak(NamedTuple):
     """Whether the curve decreases on both sides; None if a neighbouring point is missing."""
 
 
-def peak(x: np.ndarray, y: np.ndarray) -> Peak:
+def curve_maximum(x: np.ndarray, y: np.ndarray) -> Peak:
     """Return the maximum of the parabola through a curve's best point and its two neighbours."""
     if not np.isfinite(y).any():
         return Peak(np.nan, np.nan, None)
@@ -64,10 +64,10 @@ def peak(x: np.ndarray, y: np.ndarray) -> Peak:
 
 def best_stiffness(over_stiffness: Map) -> list[Peak]:
     """Return the fastest stiffness [N m^2] at each length; the parabola is over its logarithm."""
-    found = [peak(np.log(over_stiffness.across), row) for row in over_stiffness.speed]
+    found = [curve_maximum(np.log(over_stiffness.across), row) for row in over_stiffness.speed]
     return [p._replace(x=float(np.exp(p.x))) for p in found]
 
 
 def best_phase(over_phase: Map) -> list[Peak]:
     """Return the fastest phase at each length."""
-    return [peak(over_phase.across, row) for row in over_phase.speed]
+    return [curve_maximum(over_phase.across, row) for row in over_phase.speed]

@@ -1,4 +1,4 @@
-"""Picture of the design maps: two maps and their slices, like the paper's Fig. 7."""
+"""Draws the design maps and their slices, like the paper's Fig. 7."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ LENGTH, SPEED = "length of the tail (mm)", "steady speed, head first (cm/s)"
 
 
 def plot_design_maps(over_stiffness: Map, over_phase: Map, title: str, path: Path) -> None:
-    """Write the picture; where no steady speed was found, maps are hatched and slices have gaps."""
+    """Write the picture. Without a steady speed, maps are hatched and slices have gaps."""
     figure, ((a, b), (c, d)) = new_figure(2, 2, figsize=(11, 8.6))
     _draw_map(figure, a, over_stiffness, best_stiffness(over_stiffness), 1e3)
     a.set(yscale="log", ylabel=STIFFNESS)

@@ -1,4 +1,4 @@
-"""The paper's head-fixed frequency sweep, as one vmapped rollout of all frequencies."""
+"""Runs the paper's head-fixed frequency sweep as one batch."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -9,8 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from slider_jax import paper
-from slider_jax.batch.chunks import chunks_of, in_threads, stack, take
-from slider_jax.batch.strides import Member, Plan, compile_programs, march, steady_quantities
+from slider_jax.batch.chunks import chunks_of, run_in_threads, stack, take
+from slider_jax.batch.strides import (
+    BatchRobot,
+    Plan,
+    compile_programs,
+    run_strides,
+    steady_quantities,
+)
 from slider_jax.beam.parameters import Numerics, Robot
 
 SHOWN = (1.0, 4.8)
@@ -20,9 +26,8 @@ SHOWN = (1.0, 4.8)
 class FrequencySweepSettings(eqx.Module):
     """Settings of the sweep; the defaults are the demo's.
 
-    With 400 and with 500 steps per stride, each mean thrust of the sweep differs by at most
-    0.02 mN. Steps per stride must be a multiple of 20, so that pressure edges and poses fall on
-    time steps.
+    With 400 or 500 steps per stride, each mean thrust differs by at most 0.02 mN. Steps per stride
+    must be a multiple of 20, so that pressure edges and poses are on time steps.
     """
 
     robot: Robot = Robot()
@@ -35,7 +40,7 @@ class FrequencySweepSettings(eqx.Module):
 
 
 class Series(NamedTuple):
-    """Time series of one frequency over all strides, (steps,) unless a shape is given."""
+    """Time series (steps,) of one frequency over all strides."""
 
     t: np.ndarray
     """[s]"""
@@ -50,7 +55,7 @@ class Series(NamedTuple):
     tip: np.ndarray
     """[m]"""
     midlines: np.ndarray
-    """(poses, 2, nodes) [m], over the last stride; head at the origin."""
+    """(poses, 2, nodes) [m] of the last stride, relative to the head."""
 
 
 class FrequencySweep(NamedTuple):
@@ -58,10 +63,10 @@ class FrequencySweep(NamedTuple):
 
     table: dict[str, np.ndarray]
     stride_thrust: np.ndarray
-    """(F, strides): mean thrust [N] of every stride, transient ones included."""
+    """(F, strides) mean thrust [N] of every stride, including transient strides."""
     shown: dict[float, Series]
     ok: np.ndarray
-    """(F,) False where a time step did not converge; that row is NaN."""
+    """(F,) False if a time step did not converge; that row is NaN."""
 
 
 def run_frequency_sweep(
@@ -75,23 +80,23 @@ def run_frequency_sweep(
     """
     frequencies = np.asarray(settings.frequencies, float)
     plan = Plan(settings.steps_per_stride, settings.strides, settings.numerics)
-    members = stack(
-        [Member(paper.head_fixed(f, settings.robot, settings.assumed), f) for f in frequencies]
+    robots = stack(
+        [BatchRobot(paper.head_fixed(f, settings.robot, settings.assumed), f) for f in frequencies]
     )
     chunks = chunks_of(len(frequencies))
     on_begin(chunks.total * settings.strides)
-    programs = compile_programs(plan, take(members, chunks.indices(0)))
+    programs = compile_programs(plan, take(robots, chunks.indices(0)))
 
     def work(chunk, stopped):
-        runs = march(plan, programs, take(members, chunks.indices(chunk)), on_stride, stopped)
-        return {name: values[: chunks.real(chunk)] for name, values in runs.items()}
+        runs = run_strides(plan, programs, take(robots, chunks.indices(chunk)), on_stride, stopped)
+        return {name: values[: chunks.distinct(chunk)] for name, values in runs.items()}
 
-    done = dict(in_threads(work, list(range(chunks.total)), chunks.workers))
+    done = dict(run_in_threads(work, list(range(chunks.total)), chunks.workers))
     parts = [done[chunk] for chunk in range(chunks.total)]
     runs = {name: np.concatenate([x[name] for x in parts]) for name in parts[0]}
     C_d, m_a = jax.vmap(paper.force_coefficients)(jnp.asarray(frequencies))
     table = {"frequency_Hz": frequencies, "C_d": np.asarray(C_d), "m_a": np.asarray(m_a)}
-    table |= steady_quantities(plan, members, runs, settings.transient)
+    table |= steady_quantities(plan, robots, runs, settings.transient)
     shown = {}
     for index, frequency in enumerate(frequencies):
         if np.isclose(frequency, SHOWN).any():

@@ -1,4 +1,4 @@
-"""Pictures of the frequency sweep."""
+"""Draws the pictures of the frequency sweep."""
 
 from pathlib import Path
 

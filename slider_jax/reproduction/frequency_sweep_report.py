@@ -1,4 +1,4 @@
-"""Files of the demo, and its table beside the paper's values."""
+"""Writes the demo's files, and compares its results with the paper's values."""
 
 import dataclasses
 from pathlib import Path
@@ -14,12 +14,12 @@ from slider_jax.reproduction.frequency_sweep_figures import (
 )
 
 ASSUMED = {
-    "front_chamber, rear_chamber": "spans from the head in m: the paper gives none",
-    "amplitude, rear_ratio, phase": "the paper gives none; 260 kPa in both chambers, the rear 0.05 "
-    "of a stride later, are chosen to meet the paper's mean thrust at 4.8 Hz and its minimum near "
-    "1 Hz, so those two are no test of the model",
-    "damping_time": "2 ms; the paper's 5e-6 s leaves ringing at 30-100 Hz undamped",
-    "EA_body, EA_tail": "5 kN: the paper gives none; strains stay below 1e-3",
+    "front_chamber, rear_chamber": "spans from the head in m; not given in the paper",
+    "amplitude, rear_ratio, phase": "not given in the paper; 260 kPa in both chambers, the rear "
+    "0.05 of a stride later, match the paper's mean thrust at 4.8 Hz and its minimum near 1 Hz, so "
+    "these two values do not test the model",
+    "damping_time": "2 ms; with the paper's 5e-6 s, vibrations at 30-100 Hz are undamped",
+    "EA_body, EA_tail": "5 kN; not given in the paper; strains are below 1e-3",
     "C_d, m_a": "4 and 0 below 2 Hz, 3 and 1 above 3 Hz, linear between",
 }
 """Assumed values of the demo, with reasons."""

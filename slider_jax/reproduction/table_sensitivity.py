@@ -1,4 +1,4 @@
-"""Sensitivity of the paper's table of its optimum to single changes of the model."""
+"""Computes the sensitivity of the paper's performance table to single changes of the model."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,7 +16,7 @@ from slider_jax.dynamics.model import Model, make_mesh
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.effects.water.head_drag import HeadDrag
 from slider_jax.errors import SolverError
-from slider_jax.reproduction.wavelengths import on_course, rms_tail_slope, wavelengths
+from slider_jax.reproduction.wavelengths import course_coordinates, rms_tail_slope, wavelengths
 from slider_jax.supports import Clamped
 from slider_jax.swimming.paper_optimum import HEAD_DRAG
 from slider_jax.swimming.performance import Performance, Stride, steady_stride
@@ -26,7 +26,7 @@ K_Q_OF_THE_TIP = 1.623e-6
 """K_Q [m^3] with which 45 kPa in both chambers move the tip by 102 mm, the paper's figure for K_Q.
 It is 3.4 times the value from the paper's Q_set = 175 mN m at 365 kPa."""
 PASSED, KEPT = 12, 4
-"""Strides of a robot with clamped head: until it is steady, and for the mean thrust."""
+"""Strides of a robot with clamped head: transient strides, and strides for the mean thrust."""
 
 
 def _robot(**changed: Any) -> Callable[[Model], Model]:
@@ -80,7 +80,7 @@ CHANGES: dict[str, Callable[[Model], Model]] = {
 }
 """Single changes of the model of the paper's optimum, by name."""
 RECALIBRATED = (NO_LAG, TIP_K_Q, SOFT_TAIL)
-"""Changes after which the axial resistance is calibrated again."""
+"""Changes after which the head's form drag is fitted again."""
 
 
 class SteadyRow(NamedTuple):
@@ -113,7 +113,7 @@ def _row(
 ) -> SteadyRow:
     s = np.asarray(make_mesh(model.body, search.numerics).grid.s)
     (area,) = (float(e.area) for e in model.effects if isinstance(e, HeadDrag))
-    rms = rms_tail_slope(*on_course(stride))
+    rms = rms_tail_slope(*course_coordinates(stride))
     return SteadyRow(found, stride, area, wavelengths(stride, s, frequency), rms)
 
 
@@ -126,7 +126,9 @@ def steady_row(model: Model, frequency: float, search: SteadySettings) -> Steady
     return _row(model, frequency, stride, found, search)
 
 
-def calibrated(model: Model, frequency: float, speed: float, search: SteadySettings) -> SteadyRow:
+def fit_head_drag(
+    model: Model, frequency: float, speed: float, search: SteadySettings
+) -> SteadyRow:
     """Return the steady stride with the head's form-drag area fitted to `speed` [m/s], to 0.2 %.
 
     A secant method in the logarithms finds the area. The first slope assumes that only this drag

@@ -1,4 +1,4 @@
-"""Wavelength and tail slope of a swimmer's stride, by several definitions."""
+"""Computes the wavelength and tail slope of a swimmer's stride, by several definitions."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +7,7 @@ from slider_jax import observables as obs
 from slider_jax.swimming.performance import Stride
 
 
-def on_course(stride: Stride) -> tuple[np.ndarray, np.ndarray]:
+def course_coordinates(stride: Stride) -> tuple[np.ndarray, np.ndarray]:
     """Return positions (steps, nodes) [m] along and left of the course.
 
     The positions to the left have zero mean over the stride.
@@ -52,7 +52,7 @@ def wavelengths(stride: Stride, s: np.ndarray, frequency: float) -> dict[str, fl
 
     Wavelengths from the phase are negative for a wave towards the head.
     """
-    along, y = on_course(stride)
+    along, y = course_coordinates(stride)
     t = jnp.asarray(stride.t)
 
     def mode(y: np.ndarray):

@@ -1,4 +1,4 @@
-"""A film of the last strides, after the paper's Fig. 8: midline, forces on it, moment in it."""
+"""Draws a film of the last strides like the paper's Fig. 8: midline, forces and moment."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -7,11 +7,10 @@ import numpy as np
 
 from slider_jax.channels import CHANNELS
 from slider_jax.io.figures import new_figure, save_film
-from slider_jax.simulation.plots import title
+from slider_jax.simulation.plots import last_strides, run_title
 from slider_jax.simulation.trial import TrialRun
 
-FRAMES_PER_STRIDE = 40
-STRIDES = 2
+STRIDES, FRAMES_PER_STRIDE = 2, 40
 ARROW = 50.0
 """Length of the longest arrow [mm]."""
 
@@ -19,12 +18,13 @@ ARROW = 50.0
 def animate_run(
     run: TrialRun, folder: Path, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> Path:
-    """Write `<stem>.gif` and return its path. `progress(frames done, all)` is called at each.
+    """Write `<stem>.gif` and return its path; `progress(frames done, total)` is called per frame.
 
-    The last two strides (or two seconds) in slow motion: the midline coloured by the net internal
-    moment, arrows of the water's force per length, and below them thrust and recoil with a cursor.
+    The film shows the last two strides (or two seconds) in slow motion. The midline is coloured by
+    the net internal moment; arrows are the water's force per length. Below are thrust and recoil
+    with a cursor.
     """
-    steps = _frames(run)
+    steps = last_strides(run, STRIDES * FRAMES_PER_STRIDE + 1, STRIDES, closed=True)
     figure, moving, move = _scene(run, steps)
     path = folder / f"{Path(run.trial.file).stem}.gif"
     save_film(figure, moving, move, steps.tolist(), path, progress)
@@ -32,7 +32,7 @@ def animate_run(
 
 
 def _scene(run: TrialRun, steps: np.ndarray):
-    """The figure, its moving artists, and the function that moves them to a step."""
+    """Return the figure, its moving artists, and a function that moves them to a step."""
     from matplotlib.collections import LineCollection
 
     line, moment = 1e3 * run.series["midline"], 1e3 * run.series["moment"]
@@ -62,7 +62,7 @@ def _scene(run: TrialRun, steps: np.ndarray):
         body, ax=ax, label="internal moment (mN m)", location="top", shrink=0.6, aspect=40
     )
     clock = ax.text(0.98, 0.05, "", transform=ax.transAxes, ha="right")
-    figure.suptitle(title(run), fontsize="medium")
+    figure.suptitle(run_title(run), fontsize="medium")
 
     span = slice(steps[0], steps[-1] + 1)
     for axis, name, colour in ((below, "thrust", "C0"), (below.twinx(), "recoil", "C1")):
@@ -83,14 +83,6 @@ def _scene(run: TrialRun, steps: np.ndarray):
         cursor.set_xdata([run.t[index]] * 2)
 
     return figure, (body, arrows, clock, cursor), move
-
-
-def _frames(run: TrialRun) -> np.ndarray:
-    """Steps shown: the last strides, evenly."""
-    half = run.grid.half_period
-    stride = 2 * half if half else round(1.0 / run.grid.h)
-    begin = max(0, run.grid.steps - STRIDES * stride)
-    return np.linspace(begin, run.grid.steps, STRIDES * FRAMES_PER_STRIDE + 1).round().astype(int)
 
 
 def _cell_centres(line: np.ndarray) -> np.ndarray:

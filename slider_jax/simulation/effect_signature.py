@@ -1,4 +1,4 @@
-"""An effect's signature in the sensors: one stride with it, minus the same stride without it."""
+"""Computes an effect's signature in the sensors: a stride with it minus the stride without it."""
 
 from collections.abc import Callable
 from dataclasses import asdict
@@ -16,21 +16,22 @@ from slider_jax.effects.library import LIBRARY
 from slider_jax.errors import SolverError
 from slider_jax.experiment.load import Experiment, assemble
 from slider_jax.io.figures import new_figure, save_figure
-from slider_jax.simulation.plots import title
+from slider_jax.simulation.plots import run_title
 from slider_jax.simulation.trial import TrialRun, simulate_trial
 
 FREQUENCY = 4.8
 """Drive frequency of the built-in robot [Hz]."""
 STRIDES = 8
-"""Fewest strides that are simulated, so that the last one is steady."""
-SMALLER = 3
-"""How often a size at which the robot cannot be simulated is halved at most."""
+"""Smallest number of simulated strides; the last stride is then steady."""
+MAX_HALVINGS = 3
+"""Largest number of halvings of a parameter at which the simulation fails."""
 
 Series = dict[str, np.ndarray]
+"""Series of a stride by column of `CHANNELS`, in SI units."""
 
 
 class Trace(NamedTuple):
-    """The stride with one parameter at a size, the others at their nulls."""
+    """The last stride with one parameter of the effect at `size` and the others at their nulls."""
 
     parameter: str
     size: float
@@ -43,29 +44,29 @@ class Trace(NamedTuple):
         return f"{self.parameter} = {self.size:.3g}{unit}"
 
 
-class Fingerprint(NamedTuple):
-    """One stride of an experiment's first trial, without an effect and with it."""
+class EffectSignature(NamedTuple):
+    """The last stride of an experiment's first trial, without an effect and with it."""
 
     effect: str
     run: TrialRun
-    """Without the effect."""
-    along: np.ndarray
-    """Phase of the stride; time [s] where the drive has no frequency."""
+    """The simulation without the effect."""
+    phase: np.ndarray
+    """Phase of the stride, in periods; time [s] for a drive without a frequency."""
     without: Series
-    """By column of `CHANNELS`, in SI units."""
+    """The stride without the effect."""
     traces: tuple[Trace, ...]
 
-    def left(self, trace: Trace) -> Series:
-        """With the effect minus without it, by column, in SI units."""
+    def change(self, trace: Trace) -> Series:
+        """Return the stride with the effect minus the stride without it."""
         return {name: trace.series[name] - x for name, x in self.without.items()}
 
     def rms(self, trace: Trace) -> dict[str, float]:
-        """Root mean square of the change, by column, in SI units."""
-        return {name: float(np.sqrt(np.mean(x**2))) for name, x in self.left(trace).items()}
+        """Return the root mean square of the change, by column, in SI units."""
+        return {name: float(np.sqrt(np.mean(x**2))) for name, x in self.change(trace).items()}
 
 
 def built_in_experiment() -> Experiment:
-    """The built-in robot at 4.8 Hz as the demo runs it, long enough to be steady."""
+    """Return the demo's robot at 4.8 Hz, with enough strides for a steady last one."""
     robot, assumed = asdict(Robot()), paper.Assumed()
     K_Q = robot.pop("K_Q")
     C_d, m_a = map(float, paper.force_coefficients(FREQUENCY))
@@ -86,18 +87,18 @@ def built_in_experiment() -> Experiment:
     return assemble(content, "built-in robot", Path("."))
 
 
-def typical(prior: Prior) -> float:
-    """The end of the prior range that is not the null, the upper one of two."""
+def typical_size(prior: Prior) -> float:
+    """Return the upper end of the prior range, or the lower end if the upper one is the null."""
     return prior.high if prior.high != prior.null else prior.low
 
 
-def fingerprint(
+def effect_signature(
     experiment: Experiment, effect: str, progress: Callable[[int, int], None] | None = None
-) -> Fingerprint:
-    """The effect of each parameter in turn on the experiment's first trial.
+) -> EffectSignature:
+    """Return the signature of an effect in the experiment's first trial, for each parameter.
 
-    A parameter is at the end of its prior range, or as near to it as can be simulated. A trial of
-    fewer than eight strides is prolonged. Raises `SolverError` if no size can be simulated.
+    A parameter is at the end of its prior range; if the simulation fails, it is halved up to three
+    times. A trial of fewer than eight strides is extended. Raises `SolverError` if all sizes fail.
     """
     trial = experiment.trials[0]
     if trial.frequency is not None:
@@ -113,8 +114,8 @@ def fingerprint(
         at = {name: prior.null for name, prior in priors.items()} | values
         content = experiment.model_dump()
         content["effects"] = [*content["effects"], {"name": effect, **at}]
-        prolonged = assemble(content, effect, experiment.folder)
-        return simulate_trial(prolonged, progress=report, as_meant=True)
+        with_effect = assemble(content, effect, experiment.folder)
+        return simulate_trial(with_effect, progress=report, declared_drive=True)
 
     without = run(0)
     shown = _last_stride(without)
@@ -122,29 +123,29 @@ def fingerprint(
     for number, (name, prior) in enumerate(priors.items(), start=1):
         size, with_it = _largest(partial(run, number), name, prior)
         traces.append(Trace(name, size, prior.unit, _cut(with_it, shown)))
-    along = without.t[shown]
+    phase = without.t[shown]
     if without.grid.half_period is not None:
-        along = (along - along[0]) / (2 * without.grid.half_period * without.grid.h)
-    return Fingerprint(effect, without, along, _cut(without, shown), tuple(traces))
+        phase = (phase - phase[0]) / (without.grid.stride * without.grid.h)
+    return EffectSignature(effect, without, phase, _cut(without, shown), tuple(traces))
 
 
 def _largest(run: Callable[..., TrialRun], name: str, prior: Prior) -> tuple[float, TrialRun]:
-    size = typical(prior)
-    for halved in range(SMALLER + 1):
+    size = typical_size(prior)
+    for halvings in range(MAX_HALVINGS + 1):
         try:
             return size, run(**{name: size})
         except SolverError:
-            if halved == SMALLER:
+            if halvings == MAX_HALVINGS:
                 raise
             size = prior.null + 0.5 * (size - prior.null)
     raise AssertionError
 
 
 def _last_stride(run: TrialRun) -> slice:
-    """Steps of the last whole stride, both ends included; the last second without a frequency."""
-    half = run.grid.half_period
-    length = 2 * half if half else round(1.0 / run.grid.h)
-    end = run.grid.steps // length * length if half else run.grid.steps
+    """Return the steps of the last whole stride with both ends, else the last second."""
+    length, end = run.grid.stride, run.grid.steps
+    if run.grid.half_period:
+        end = end // length * length
     return slice(max(0, end - length), end + 1)
 
 
@@ -152,20 +153,20 @@ def _cut(run: TrialRun, shown: slice) -> Series:
     return {channel.column: run.series[name][shown] for name, channel in CHANNELS.items()}
 
 
-def plot_fingerprint(shown: Fingerprint, path: Path) -> None:
-    """Draw each channel without and with the effect, and beside it the difference."""
+def plot_signature(shown: EffectSignature, path: Path) -> None:
+    """Draw each channel without and with the effect, and the difference on the right."""
     kind = LIBRARY[shown.effect]
     figure, axes = new_figure(len(CHANNELS), 2, figsize=(11, 10), sharex=True)
     for (left, right), channel in zip(axes, CHANNELS.values(), strict=True):
         name, unit, factor = channel.column, channel.plot_unit, channel.plot_factor
-        left.plot(shown.along, factor * shown.without[name], color="0.65", lw=2.2, label="without")
+        left.plot(shown.phase, factor * shown.without[name], color="0.65", lw=2.2, label="without")
         sizes = []
         for number, trace in enumerate(shown.traces):
-            colour, change = f"C{number}", factor * shown.left(trace)[name]
-            left.plot(shown.along, factor * trace.series[name], colour, lw=1.1, label=trace.label)
-            right.plot(shown.along, change, colour, lw=1.1)
+            colour, change = f"C{number}", factor * shown.change(trace)[name]
+            left.plot(shown.phase, factor * trace.series[name], colour, lw=1.1, label=trace.label)
+            right.plot(shown.phase, change, colour, lw=1.1)
             sizes.append(f"{factor * shown.rms(trace)[name]:.4g}")
-        unseen = all(not shown.left(trace)[name].any() for trace in shown.traces)
+        unseen = all(not shown.change(trace)[name].any() for trace in shown.traces)
         size = "unchanged" if unseen else f"{', '.join(sizes)} {unit} rms"
         right.set_title(size, fontsize="small", loc="right")
         if unseen:
@@ -182,5 +183,5 @@ def plot_fingerprint(shown: Fingerprint, path: Path) -> None:
     for ax in axes[-1]:
         ax.set_xlabel("phase of the last stride (-)" if steady else "time (s)")
     figure.align_ylabels()
-    figure.suptitle(f"{shown.effect}: {kind.title}\n{title(shown.run)}", fontsize="medium")
+    figure.suptitle(f"{shown.effect}: {kind.title}\n{run_title(shown.run)}", fontsize="medium")
     save_figure(figure, path)

@@ -1,4 +1,4 @@
-"""Plots of a simulated trial: the sensors' readings, and midlines over the last stride."""
+"""Plots a simulated trial: the sensors' readings, and midlines over the last stride."""
 
 from pathlib import Path
 
@@ -9,8 +9,8 @@ from slider_jax.io.figures import new_figure, save_figure
 from slider_jax.simulation.trial import TrialRun
 
 
-def title(run: TrialRun) -> str:
-    """The trial's drive and tow speed, in one line."""
+def run_title(run: TrialRun) -> str:
+    """Return the trial's drive and tow speed as one line."""
     trial = run.trial
     stem = Path(trial.file).stem
     if trial.waveform == "recorded":
@@ -24,9 +24,9 @@ def title(run: TrialRun) -> str:
 
 
 def plot_run(run: TrialRun, rmse: dict[str, float] | None, folder: Path) -> None:
-    """Write `<stem>.png` (time series, measured ones under them) and `<stem>_midlines.png`.
+    """Write `<stem>.png` (simulated and measured time series) and `<stem>_midlines.png`.
 
-    `rmse`: simulated minus measured, by column, in SI.
+    `rmse` is the root mean square of simulated minus measured, by column, in SI units.
     """
     stem = Path(run.trial.file).stem
     plot_series(run, rmse or {}, folder / f"{stem}.png")
@@ -34,7 +34,7 @@ def plot_run(run: TrialRun, rmse: dict[str, float] | None, folder: Path) -> None
 
 
 def plot_series(run: TrialRun, rmse: dict[str, float], path: Path) -> None:
-    """Pressures, thrust, recoil and tip against time; measured samples, if any, in grey."""
+    """Plot all channels against time, with measured samples, if any, in grey."""
     measured = run.prepared.measured or {}
     figure, axes = new_figure(len(CHANNELS), 1, figsize=(9, 10), sharex=True)
     for ax, channel in zip(axes, CHANNELS.values(), strict=True):
@@ -55,42 +55,40 @@ def plot_series(run: TrialRun, rmse: dict[str, float], path: Path) -> None:
         handles, labels = drawn.get_legend_handles_labels()
         axes[0].legend(handles, labels, loc="lower left", **above)
     axes[-1].set_xlabel("time (s)")
-    figure.suptitle(title(run), fontsize="medium")
+    figure.suptitle(run_title(run), fontsize="medium")
     save_figure(figure, path)
 
 
-def last_stride(run: TrialRun, frames: int, closed: bool = False) -> np.ndarray:
-    """Indices of `frames` steps spread evenly over the last stride, or the last second without one.
+def last_strides(run: TrialRun, frames: int, strides: int = 1, closed: bool = False) -> np.ndarray:
+    """Return `frames` step indices spread evenly over the last strides, or seconds without strides.
 
-    `closed` includes the stride's end, which is its beginning again.
+    `closed` includes the last step.
     """
-    half = run.grid.half_period
-    length = 2 * half if half else round(1.0 / run.grid.h)
-    begin = max(0, run.grid.steps - length)
+    begin = max(0, run.grid.steps - strides * run.grid.stride)
     return np.linspace(begin, run.grid.steps, frames, endpoint=closed).round().astype(int)
 
 
 def plot_midlines(run: TrialRun, path: Path) -> None:
-    """Midlines over the last stride in the clamp's frame, dark to light, and the tip's path."""
+    """Plot midlines of the last stride in the clamp's frame, and the tip's path."""
     import matplotlib
 
-    steps = last_stride(run, 16)
+    steps = last_strides(run, 16)
     figure, ax = new_figure(figsize=(8, 4.5))
     colours = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.95, len(steps)))
     for index, colour in zip(steps, colours, strict=True):
         ax.plot(*(1e3 * run.series["midline"][index]), color=colour, lw=1.2)
-    path_steps = last_stride(run, 200, closed=True)
+    path_steps = last_strides(run, 200, closed=True)
     ax.plot(
         *(1e3 * run.series["midline"][path_steps, :, 0].T), "k:", lw=1.0, label="path of the tip"
     )
     ax.plot(0.0, 0.0, "ks", ms=7, label="clamp")
     ax.set_xlabel("x, forward from the clamp (mm)")
-    ax.set_ylabel("y, lateral (mm; stretched)")
+    ax.set_ylabel("y, lateral (mm; scale enlarged)")
     ax.legend(loc="upper right", fontsize="small")
     t = run.t[steps]
     scale = matplotlib.cm.ScalarMappable(
         matplotlib.colors.Normalize(t[0], t[-1]), matplotlib.colormaps["viridis"]
     )
     figure.colorbar(scale, ax=ax, label="time (s)")
-    ax.set_title(title(run), fontsize="medium")
+    ax.set_title(run_title(run), fontsize="medium")
     save_figure(figure, path)

@@ -1,4 +1,4 @@
-"""The summary of simulated trials: cycle means, warnings, and the record of settings and inputs."""
+"""Summarises simulated trials: cycle means, warnings, settings and inputs."""
 
 from pathlib import Path
 from typing import Any
@@ -12,24 +12,24 @@ from slider_jax.simulation.trial import TrialRun
 
 DEFINITIONS = {
     "mean_thrust_N": "mean over the averaged window; positive forward, along the clamp",
-    "thrust_std_N": "standard deviation of the means of single strides in the window; null for one",
+    "thrust_std_N": "standard deviation of the stride means in the window; null for one stride",
     "recoil_rms_N": "root mean square over the window of the lateral force on the clamp",
     "tip_half_range_m": "half of (largest - smallest) lateral position of the tail's tip",
-    "averaged": "window of half as many whole strides as the trial has, at least one, that ends "
-    "with the trial; the whole of a trial shorter than a stride; the second half of a trial "
-    "without a frequency",
-    "periodic": "whether the last stride's mean thrust is within 1 % (or 1 mN) and its range of "
-    "the tip within 1 % of the stride's before; null where there are no two strides",
+    "averaged": "the averaging window: the last half of the trial's whole strides, at least one; "
+    "the whole trial if it is shorter than a stride; the second half of a trial without a "
+    "frequency",
+    "periodic": "whether the last two strides agree: mean thrust within 1 % (or 1 mN) and the "
+    "tip's range within 1 %; null for a trial of less than two strides",
     "rmse_to_measured": "root mean square of simulated minus measured, all samples of the trial's "
     "file; null without a file",
 }
 
 STEADY, STEADY_THRUST = 0.01, 1e-3
-"""Two strides are equal within this fraction, or within this difference of mean thrust [N]."""
+"""Largest difference of equal strides, as a fraction, and alternatively of mean thrust [N]."""
 
 
-def window(run: TrialRun) -> tuple[slice, int]:
-    """Steps of the averaged window (start left out, end kept), and its whole strides."""
+def averaging_window(run: TrialRun) -> tuple[slice, int]:
+    """Return the steps of the averaging window, without its first step, and its whole strides."""
     half, steps = run.grid.half_period, run.grid.steps
     if half is None:
         return slice(steps // 2 + 1, steps + 1), 0
@@ -40,8 +40,8 @@ def window(run: TrialRun) -> tuple[slice, int]:
     return slice(steps - kept * 2 * half + 1, steps + 1), kept
 
 
-def settled(run: TrialRun) -> tuple[bool | None, str]:
-    """Whether the trial's end is periodic (None: unknown), and a warning if it is not."""
+def is_periodic(run: TrialRun) -> tuple[bool | None, str]:
+    """Return whether the last two strides agree (None: unknown), and a warning if they do not."""
     half, steps, duration = run.grid.half_period, run.grid.steps, run.trial.duration
     if half is None:
         return None, ""
@@ -50,7 +50,7 @@ def settled(run: TrialRun) -> tuple[bool | None, str]:
         period = stride * run.grid.h
         return None, f"shorter than one stride ({period:.3g} s): means are over the whole trial"
     if steps < 2 * stride:
-        return None, "shorter than two strides: too short to say whether it is periodic"
+        return None, "shorter than two strides: it is unknown whether it is periodic"
     ends = steps - stride, steps
     before, last = (run.series["thrust"][i - stride + 1 : i + 1].mean() for i in ends)
     range_before, range_last = (np.ptp(run.series["tip"][i - stride : i + 1]) for i in ends)
@@ -64,13 +64,13 @@ def settled(run: TrialRun) -> tuple[bool | None, str]:
     if not changes:
         return True, ""
     return False, (
-        f"not yet periodic: over its last two strides {' and '.join(changes)}; run longer "
+        f"not periodic: over the last two strides {' and '.join(changes)}; extend the trial "
         f"(duration = {2.0 * duration:.3g})"
     )
 
 
 def rmse_to_measured(run: TrialRun) -> dict[str, float] | None:
-    """Root mean square of simulated minus measured for each column of the trial's file, if any."""
+    """Return the root mean square of simulated minus measured by column; None without a file."""
     columns = run.prepared.measured
     if columns is None:
         return None
@@ -84,13 +84,13 @@ def rmse_to_measured(run: TrialRun) -> dict[str, float] | None:
 
 
 def trial_summary(experiment: Experiment, run: TrialRun) -> dict[str, Any]:
-    """The numbers of `DEFINITIONS` for one trial, with its coefficients, step and warnings."""
-    span, strides = window(run)
+    """Return the quantities of `DEFINITIONS` for a trial, with coefficients, step and warnings."""
+    span, strides = averaging_window(run)
     thrust, recoil = run.series["thrust"][span], run.series["recoil"][span]
     tip = run.series["tip"][span.start - 1 : span.stop]
     per_stride = thrust.reshape(strides, -1).mean(axis=1) if strides else np.array([])
     C_d, m_a = drag_and_added_mass(experiment, run.trial)
-    periodic, warning = settled(run)
+    periodic, warning = is_periodic(run)
     averaged = "second half" if run.grid.half_period is None else "whole trial"
     if strides:
         averaged = "last stride" if strides == 1 else f"last {strides} strides"
@@ -120,7 +120,7 @@ def trial_summary(experiment: Experiment, run: TrialRun) -> dict[str, Any]:
 def simulation_summary(
     experiment: Experiment, trials: list[dict[str, Any]], path: Path, model: Path | None
 ) -> dict[str, Any]:
-    """The content of summary.json; `trials` as by `trial_summary`."""
+    """Return the content of summary.json; `trials` are results of `trial_summary`."""
     return {
         "name": experiment.name,
         "input": input_file(path),

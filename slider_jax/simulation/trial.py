@@ -1,4 +1,4 @@
-"""Simulates one trial of an experiment, from its drive to its sensors' readings."""
+"""Simulates one trial of an experiment, from its drive to the sensors' readings."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,20 +21,20 @@ from slider_jax.dynamics.time_schemes import Scheme
 from slider_jax.effects import total_force
 from slider_jax.errors import SolverError
 from slider_jax.experiment.load import Experiment
-from slider_jax.experiment.prepare import PreparedTrial, StepGrid, prepare, sample
+from slider_jax.experiment.prepare import PreparedTrial, StepGrid, prepare, sample_series
 from slider_jax.experiment.schema import Trial
 
 State = TypeVar("State")
 CHUNK = 250
-"""Steps per call of the compiled program: one program serves trials of every length."""
+"""Steps per call of the compiled program, so that trials of all lengths share one program."""
 
 
 @dataclass(frozen=True)
 class SavedSeries:
-    """The series saved at every step: each channel's true reading, and the shape for plots.
+    """The series that are saved at every step: the true reading of each channel.
 
-    With `shape`, in the plane: `midline` (2, nodes) [m] relative to the head, `moment` (nodes,)
-    [N m], and `force` (2, cells), the effects' force per length on the body [N/m].
+    With `shape`, these are saved for plots too: `midline` (2, nodes) [m] relative to the head,
+    `moment` (nodes,) [N m], and `force` (2, cells), the effects' force per length [N/m].
     """
 
     channels: tuple[Channel, ...]
@@ -53,7 +53,7 @@ class SavedSeries:
         }
 
     def start(self, model: Model, midline: np.ndarray) -> dict[str, np.ndarray]:
-        """The same for the initial state: straight, no force. `midline` (2, nodes) [m]."""
+        """Return these series for the initial state without force, and `midline` (2, nodes) [m]."""
         values = {x.name: np.asarray(x.start(midline), float) for x in self.channels}
         values["p_front"] = np.asarray(model.drive.start_front)
         values["p_rear"] = np.asarray(model.drive.start_rear)
@@ -66,7 +66,7 @@ class SavedSeries:
 
 @eqx.filter_jit
 def _begin(model: Model, numerics: Numerics) -> tuple[Carry, jax.Array]:
-    """At rest relative to the clamp, and the midline (2, nodes) [m] from the head."""
+    """Return the state at rest, and its midline (2, nodes) [m] relative to the head."""
     carry, grid = at_rest(model, numerics), grid_of(model.body, numerics)
     return carry, node_positions(
         carry.memory.motion[2], carry.memory.strain, carry.memory.head, grid
@@ -84,7 +84,7 @@ def advance_chunk(
     scheme: Scheme,
     steps: int,
 ) -> tuple[Any, Carry]:
-    """`steps` more steps of `h` [s] from `t0` [s]: the saved series, and the carry at the end."""
+    """Run `steps` steps of `h` [s] from `t0` [s]; return the saved series and the final carry."""
     times = TimeGrid(h, steps, t0)
     run = rollout(model, times, save, numerics, scheme, begin=begin, checkpoint=False)
     return run.saved, run.final
@@ -97,10 +97,10 @@ def run_chunks(
     chunk: int,
     after: Callable[[int, Any, State], None] = lambda done, saved, carry: None,
 ) -> tuple[list[Any], State]:
-    """Run at least `steps` steps from `carry`, `chunk` a call: all saved parts, and the last carry.
+    """Run at least `steps` steps in chunks; return the saved parts and the final carry.
 
-    `advance(done, carry)` runs one more chunk after `done` steps: its saved series and its carry.
-    `after(done, saved, carry)` is called with them after each chunk, with at most `steps` done.
+    `advance(done, carry)` runs one chunk after `done` steps and returns its saved series and carry.
+    `after(done, saved, carry)` is called after each chunk, with `done` at most `steps`.
     """
     parts = []
     for done in range(0, steps, chunk):
@@ -112,13 +112,13 @@ def run_chunks(
 
 @dataclass(frozen=True)
 class TrialRun:
-    """A simulated trial. Series on the steps start with the initial state."""
+    """A simulated trial; its series start with the initial state."""
 
     prepared: PreparedTrial
     series: dict[str, np.ndarray]
-    """What `SavedSeries` keeps, each (steps + 1, ...); channels as the sensors record them."""
+    """The series of `SavedSeries` (steps + 1, ...), with channels as the sensors record them."""
     columns: dict[str, np.ndarray]
-    """The CSV columns, (samples,) each: t_s and every channel's, at the trial's sample times."""
+    """CSV columns (samples,): t_s and every channel at the trial's sample times."""
     factorisations: int
     """Number of factorisations of the Jacobian."""
 
@@ -132,15 +132,15 @@ class TrialRun:
 
     @property
     def t(self) -> np.ndarray:
-        """(steps + 1,) [s]."""
+        """Times of the series (steps + 1,) [s]."""
         return self.grid.times
 
 
 def simulate_trial(
-    experiment: Experiment, trial: Trial | int = 0, *, as_meant: bool = False, **options: Any
+    experiment: Experiment, trial: Trial | int = 0, *, declared_drive: bool = False, **options: Any
 ) -> TrialRun:
-    """`prepare` one trial and simulate it, with the options of `simulate_prepared`."""
-    return simulate_prepared(prepare(experiment, trial, as_meant=as_meant), **options)
+    """Prepare and simulate one trial, with the `options` of `simulate_prepared`."""
+    return simulate_prepared(prepare(experiment, trial, declared_drive=declared_drive), **options)
 
 
 def simulate_prepared(
@@ -150,12 +150,12 @@ def simulate_prepared(
     progress: Callable[[int, int], None] = lambda done, total: None,
     chunk: int = CHUNK,
 ) -> TrialRun:
-    """Simulate one trial and sample it at its sample times.
+    """Simulate a prepared trial and interpolate its series at the sample times.
 
-    The robot starts straight and at rest relative to the clamp, with no force on it. With `shape`,
-    midlines, moments and forces are kept too. `progress(steps done, steps in all)` is called after
-    each chunk. Trials of one waveform and mesh share one compiled program. Raises `SolverError`
-    naming trial, time and step if a step does not converge.
+    The robot starts straight and at rest relative to the clamp, without forces. With `shape`,
+    midlines, moments and forces are saved too. `progress(steps done, total)` is called after each
+    chunk. Trials with the same waveform and mesh share one compiled program. Raises `SolverError`
+    with the trial, time and step if a step does not converge.
     """
     model, numerics, grid = prepared.model, prepared.numerics, prepared.grid
     save = SavedSeries(prepared.channels, shape)
@@ -185,7 +185,7 @@ def simulate_prepared(
     if bad.any():
         raise _failure(prepared, float(t[np.argmax(bad)]))
     edges = grid.edges
-    columns = {x.column: sample(t, series[x.name], at, edges) for x in prepared.channels}
+    columns = {x.column: sample_series(t, series[x.name], at, edges) for x in prepared.channels}
     return TrialRun(prepared, series, {TIME: at} | columns, int(carry.factorisations))
 
 
@@ -193,6 +193,6 @@ def _failure(prepared: PreparedTrial, t: float) -> SolverError:
     h = prepared.grid.h
     return SolverError(
         f"{prepared.trial.file}: the step to t = {t:.6g} s (length {h:.3g} s) did not converge; "
-        f"try a shorter one (--step {0.5 * h:.2g}), and check amplitude, K_Q and stiffness: the "
-        "chambers may bend the body further than it can go"
+        f"use a shorter step (--step {0.5 * h:.2g}), and check amplitude, K_Q and stiffness: the "
+        "bending moment may be too large for the body"
     )

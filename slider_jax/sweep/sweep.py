@@ -11,8 +11,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from slider_jax.batch.chunks import available_cores, chunks_of, in_threads, stack, take
-from slider_jax.batch.strides import POSES, Member, Plan, compile_programs, march, steady_quantities
+from slider_jax.batch.chunks import available_cores, chunks_of, run_in_threads, stack, take
+from slider_jax.batch.strides import (
+    POSES,
+    BatchRobot,
+    Plan,
+    compile_programs,
+    run_strides,
+    steady_quantities,
+)
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment, to_model, to_numerics
 from slider_jax.io.files import versions, write_json
@@ -96,7 +103,7 @@ class Group(NamedTuple):
     """Points of a sweep that share one compiled program."""
 
     plan: Plan
-    members: Member
+    members: BatchRobot
     """Stacked along a first axis."""
     points: np.ndarray
     """Indices of the points in the sweep."""
@@ -153,7 +160,7 @@ def _check(sweep: Sweep) -> None:
             )
 
 
-def _case(sweep: Sweep, point: tuple[float, ...]) -> tuple[Plan, Member]:
+def _case(sweep: Sweep, point: tuple[float, ...]) -> tuple[Plan, BatchRobot]:
     """Return the settings and the robot of a point."""
     values = {
         axis.field: _whole(axis.field, value) for axis, value in zip(sweep.axes, point, strict=True)
@@ -167,7 +174,7 @@ def _case(sweep: Sweep, point: tuple[float, ...]) -> tuple[Plan, Member]:
     meshed = experiment.model_copy(update={"robot": sweep.experiment.robot})
     plan = Plan(steps, sweep.strides, *to_numerics(meshed))
     model = to_model(experiment, sweep.trial)
-    return plan, Member(to_swimmer(model) if sweep.swim else model, jnp.asarray(f, float))
+    return plan, BatchRobot(to_swimmer(model) if sweep.swim else model, jnp.asarray(f, float))
 
 
 def _whole(field: str, value: float) -> float | int:
@@ -200,7 +207,7 @@ def _chunks(groups: list[Group], size: int, partial: Path) -> list[Chunk]:
         for i in range(cut.total):
             members = cut.indices(i)
             file = partial / f"chunk_{len(found):05d}.json"
-            found.append(Chunk(number, members, group.points[members[: cut.real(i)]], file))
+            found.append(Chunk(number, members, group.points[members[: cut.distinct(i)]], file))
     return found
 
 
@@ -236,11 +243,11 @@ def run_sweep(
             rows = performance_table(*compiled[chunk.group](batch))
             on_stride()
         else:
-            runs = march(plan, compiled[chunk.group], batch, on_stride, stopped)
+            runs = run_strides(plan, compiled[chunk.group], batch, on_stride, stopped)
             rows = steady_quantities(plan, batch, runs, sweep.transient)
         write_json(chunk.file, {name: x[: len(chunk.points)] for name, x in rows.items()})
 
-    for _ in in_threads(work, remaining, min(available_cores(), max(1, len(remaining)))):
+    for _ in run_in_threads(work, remaining, min(available_cores(), max(1, len(remaining)))):
         pass
     return _gathered(sweep, groups, chunks)
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from slider_jax import observables as obs
-from slider_jax.batch.strides import Member, Plan
+from slider_jax.batch.strides import BatchRobot, Plan
 from slider_jax.beam.parameters import G, Scalar
 from slider_jax.beam.state import to_plane
 from slider_jax.dynamics.model import Model, make_mesh
@@ -176,7 +176,9 @@ def performance_columns(found: Performance) -> dict[str, Scalar]:
     return names_with_units(vars(found), UNITS)
 
 
-def compile_swim(plan: Plan, chunk: Member) -> Callable[[Member], tuple[Performance, Array]]:
+def compile_swim(
+    plan: Plan, chunk: BatchRobot
+) -> Callable[[BatchRobot], tuple[Performance, Array]]:
     """Return the compiled function from robots stacked like `chunk` to (performance, ok)."""
     search = SteadySettings(
         steps_per_stride=plan.steps_per_stride, numerics=plan.numerics, scheme=plan.scheme

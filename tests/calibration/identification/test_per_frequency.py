@@ -313,7 +313,7 @@ def test_a_coefficient_table_is_linear_between_its_frequencies_and_constant_beyo
     expected = [(4.0, 0.0), (4.0, 0.0), (3.6, 0.4), (3.0, 1.0), (3.0, 1.0)]
     assert np.array(found) == pytest.approx(np.array(expected))
     model.write_text(model.read_text().replace("frequency = 3.0", "frequency = 1.0"))
-    with pytest.raises(InputError, match="frequencies that rise from table to table"):
+    with pytest.raises(InputError, match="frequencies that increase from table to table"):
         load(path, model)
     model.write_text('[parameters]\nforce_coefficients = "table"\n')
     with pytest.raises(InputError, match="coefficients: given 0 tables; allowed one table or more"):

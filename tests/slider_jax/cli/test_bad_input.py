@@ -184,7 +184,7 @@ MODEL_CASES = {
     "unknown table": ("[robt]\nEI_body = 0.04\n", ("robt: unknown key; allowed name, robot",)),
     "ramp and a coefficient": (
         '[parameters]\nforce_coefficients = "ramp"\nC_d = 3.0\n',
-        ("parameters.C_d: given 3.0", "leave it out"),
+        ("parameters.C_d: given 3.0", "omit it"),
     ),
     "unknown key": ("[parameters]\nCd = 3.0\n", ("parameters.Cd: unknown key", "mean C_d?")),
     "out of range": ("[parameters]\nk = 87.0\n", ("parameters.k: given 87.0", "in seconds")),

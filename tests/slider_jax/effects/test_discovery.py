@@ -49,7 +49,7 @@ def simulated_thrust(c):
     content["numerics"] |= {"nodes": 11, "step": 5e-3}
     content["trials"] = [content["trials"][0] | {"duration": 0.1, "tow_speed": 0.2}]
     content["effects"] = [{"name": "wall_friction", "c": c}]
-    return simulate_trial(assemble(content, "test", Path()), as_meant=True).series["thrust"]
+    return simulate_trial(assemble(content, "test", Path()), declared_drive=True).series["thrust"]
 
 
 def test_an_effect_of_one_file_outside_the_package_acts_in_an_experiment(tmp_path):

@@ -136,8 +136,10 @@ def test_a_trial_of_which_nothing_is_told_is_driven_as_meant(tmp_path):
     experiment = load(write(tmp_path))
     played(tmp_path, *meant(experiment.trials[0], late=2e-3))
     assert read_played(experiment, experiment.trials[1]) is None
-    late, as_meant = (simulate_trial(experiment, 0, as_meant=x).columns for x in (False, True))
-    assert np.abs(late["p_front_Pa"] - as_meant["p_front_Pa"]).max() > 1e3
+    late, declared = (
+        simulate_trial(experiment, 0, declared_drive=x).columns for x in (False, True)
+    )
+    assert np.abs(late["p_front_Pa"] - declared["p_front_Pa"]).max() > 1e3
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from slider_jax.reproduction.design_findings import (
     short_tails_phase,
     slice_of_phase,
 )
-from slider_jax.reproduction.design_maps import Map, best_phase, best_stiffness, peak
+from slider_jax.reproduction.design_maps import Map, best_phase, best_stiffness, curve_maximum
 from slider_jax.reproduction.design_maps_report import plot_design_maps
 from slider_jax.sweep import sweep as sweeping
 from slider_jax.swimming.gait import to_swimmer as free
@@ -63,7 +63,7 @@ def without(drawn, row, column):
 
 def test_the_peak_of_a_parabola_is_exact_between_points():
     x = np.array([0.0, 0.1, 0.25, 0.3, 0.5])
-    found = peak(x, 2.0 - 3.0 * (x - 0.22) ** 2)
+    found = curve_maximum(x, 2.0 - 3.0 * (x - 0.22) ** 2)
     assert found.x == pytest.approx(0.22) and found.y == pytest.approx(2.0) and found.inside
 
 
@@ -79,7 +79,7 @@ def test_the_peak_of_a_parabola_is_exact_between_points():
     ],
 )
 def test_a_peak_at_an_end_or_beside_a_gap_is_no_parabolas(y, x, inside):
-    found = peak(np.arange(3.0), np.array(y))
+    found = curve_maximum(np.arange(3.0), np.array(y))
     assert found.x == pytest.approx(x, nan_ok=True) and found.inside is inside
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from slider_jax import paper
-from slider_jax.batch.chunks import chunks_of, in_threads, stack
+from slider_jax.batch.chunks import chunks_of, run_in_threads, stack
 from slider_jax.beam.parameters import Numerics
 from slider_jax.observables import stride_means, thrust
 from slider_jax.reproduction.frequency_sweep import (
@@ -120,7 +120,7 @@ def test_paper_sweep_is_34_frequencies_from_0p4_to_7():
 @pytest.mark.parametrize("members, workers", [(34, 2), (1, 4), (8, 1), (17, 3), (100, 2)])
 def test_chunks_hold_every_member_once(members, workers):
     chunks = chunks_of(members, 8, workers)
-    held = [chunks.indices(c)[: chunks.real(c)] for c in range(chunks.total)]
+    held = [chunks.indices(c)[: chunks.distinct(c)] for c in range(chunks.total)]
     np.testing.assert_array_equal(np.concatenate(held), np.arange(members))
     assert all(len(chunks.indices(c)) == chunks.size <= 8 for c in range(chunks.total))
 
@@ -136,7 +136,7 @@ def test_an_error_in_a_thread_is_raised_and_stops_the_rest():
         return chunk
 
     with pytest.raises(ZeroDivisionError):
-        list(in_threads(work, list(range(50)), 1))
+        list(run_in_threads(work, list(range(50)), 1))
     assert len(begun) < 50
 
 

@@ -18,11 +18,11 @@ from slider_jax.reproduction.table_sensitivity import (
     K_Q_OF_THE_TIP,
     NO_LAG,
     RECALIBRATED,
-    calibrated,
+    fit_head_drag,
     steady_row,
 )
 from slider_jax.reproduction.wavelengths import (
-    on_course,
+    course_coordinates,
     rms_tail_slope,
     wavelengths,
     without_recoil,
@@ -69,7 +69,7 @@ def test_those_of_the_shape_also_that_of_a_standing_one(standing):
 
 def test_the_root_mean_square_slope_is_that_of_the_sine():
     """2 pi A/(lambda sqrt 2), and of the paper's A_t/(lambda/4) = 0.51 it is its 0.57."""
-    assert rms_tail_slope(*on_course(made())) == pytest.approx(
+    assert rms_tail_slope(*course_coordinates(made())) == pytest.approx(
         2 * np.pi * A / LAMBDA / np.sqrt(2), rel=5e-3
     )
     own, stated = PUBLISHED["shape_tail_slope"].model, PUBLISHED["tail_slope"].model
@@ -118,7 +118,7 @@ def test_the_tips_k_q_moves_the_tip_as_the_paper_says():
 def test_a_calibrated_model_swims_at_the_speed_that_was_asked_for():
     experiment = optimum()
     frequency, model = free_swimmer(experiment, experiment.trials[0])
-    found = calibrated(model, frequency, 0.15, QUICK)
+    found = fit_head_drag(model, frequency, 0.15, QUICK)
     again = steady_row(CHANGES["twice the axial resistance"](model), frequency, QUICK)
     print(f"{1e4 * found.area:.1f} cm^2; {float(again.performance.speed):.4f} m/s at 35.8")
     assert float(found.performance.speed) == pytest.approx(0.15, rel=2e-3)

@@ -12,8 +12,13 @@ from slider_jax.cli.main import main
 from slider_jax.effects.library import LIBRARY
 from slider_jax.errors import SolverError
 from slider_jax.experiment.load import load
-from slider_jax.simulation import effect_signature as prints
-from slider_jax.simulation.effect_signature import built_in_experiment, fingerprint, typical
+from slider_jax.experiment.prepare import StepGrid
+from slider_jax.simulation import effect_signature as signatures
+from slider_jax.simulation.effect_signature import (
+    built_in_experiment,
+    effect_signature,
+    typical_size,
+)
 from tests.support.experiments import write
 
 
@@ -84,37 +89,36 @@ def test_bad_input_is_refused_in_one_line(words, message, capsys, tmp_path, monk
 
 @pytest.fixture(scope="module")
 def gain(tmp_path_factory):
-    """The fingerprint of a force sensor's gain on the small experiment's first trial."""
-    experiment = load(write(tmp_path_factory.mktemp("fingerprint")))
-    return fingerprint(experiment, "force_gain")
+    """Return the signature of a force sensor's gain in the first trial of the small experiment."""
+    experiment = load(write(tmp_path_factory.mktemp("signature")))
+    return effect_signature(experiment, "force_gain")
 
 
-def test_the_fingerprint_of_a_gain_is_that_share_of_the_forces(gain):
+def test_the_signature_of_a_gain_is_that_share_of_the_forces(gain):
     (trace,) = gain.traces
     assert (trace.label, trace.size) == ("gain = 0.15", 0.15)
-    left = gain.left(trace)
+    change = gain.change(trace)
     for name in ("thrust_N", "recoil_N"):
-        np.testing.assert_allclose(left[name], 0.15 * gain.without[name], atol=1e-9)
+        np.testing.assert_allclose(change[name], 0.15 * gain.without[name], atol=1e-9)
         assert np.abs(gain.without[name]).max() > 0.1
     for name in ("p_front_Pa", "p_rear_Pa", "tip_m"):
-        assert not left[name].any() and gain.rms(trace)[name] == 0.0
+        assert not change[name].any() and gain.rms(trace)[name] == 0.0
 
 
-def test_the_fingerprint_is_of_one_whole_steady_stride(gain):
+def test_the_signature_is_of_one_whole_steady_stride(gain):
     """Of a trial of 3 strides made longer: the front chamber switches at phase 0 and a half."""
-    assert gain.along[0] == 0.0 and gain.along[-1] == pytest.approx(1.0)
-    assert gain.run.t[-1] >= prints.STRIDES / 4.0 - 1e-9
+    assert gain.phase[0] == 0.0 and gain.phase[-1] == pytest.approx(1.0)
+    assert gain.run.t[-1] >= signatures.STRIDES / 4.0 - 1e-9
     for series in gain.without.values():
         assert series[-1] == pytest.approx(series[0], abs=0.01 * np.ptp(series))
     front = gain.without["p_front_Pa"]
-    assert gain.along[np.argmax(front)] == pytest.approx(0.5)
+    assert gain.phase[np.argmax(front)] == pytest.approx(0.5)
 
 
 def test_without_a_frequency_the_last_second_is_shown():
-    run = SimpleNamespace(grid=SimpleNamespace(half_period=None, h=0.004, steps=700))
-    assert prints._last_stride(run) == slice(450, 701)
-    run.grid.steps = 100
-    assert prints._last_stride(run) == slice(0, 101)
+    for steps, first in ((700, 450), (100, 0)):
+        run = SimpleNamespace(grid=StepGrid(0.004, steps))
+        assert signatures._last_stride(run) == slice(first, steps + 1)
 
 
 def test_a_size_that_cannot_be_simulated_is_halved():
@@ -127,16 +131,16 @@ def test_a_size_that_cannot_be_simulated_is_halved():
         return "run"
 
     prior = LIBRARY["force_gain"].priors()["gain"]
-    assert prints._largest(run, "gain", prior) == (0.0375, "run")
+    assert signatures._largest(run, "gain", prior) == (0.0375, "run")
     assert tried == [0.15, 0.075, 0.0375]
     with pytest.raises(SolverError):
-        prints._largest(lambda gain: run(1.0), "gain", prior)
+        signatures._largest(lambda gain: run(1.0), "gain", prior)
 
 
 def test_the_typical_size_is_the_far_end_of_the_range():
     prior = LIBRARY["force_gain"].priors()["gain"]
-    assert typical(prior) == prior.high
-    assert typical(prior._replace(null=prior.high)) == prior.low
+    assert typical_size(prior) == prior.high
+    assert typical_size(prior._replace(null=prior.high)) == prior.low
 
 
 def test_the_command_draws_the_picture_and_says_how_large_the_change_is(gain, capsys, tmp_path):
@@ -153,5 +157,5 @@ def test_the_command_draws_the_picture_and_says_how_large_the_change_is(gain, ca
 
 def test_the_built_in_robot_is_a_valid_experiment():
     experiment = built_in_experiment()
-    assert experiment.trials[0].frequency == prints.FREQUENCY
-    assert experiment.trials[0].duration == pytest.approx(prints.STRIDES / prints.FREQUENCY)
+    assert experiment.trials[0].frequency == signatures.FREQUENCY
+    assert experiment.trials[0].duration == pytest.approx(signatures.STRIDES / signatures.FREQUENCY)

@@ -13,9 +13,9 @@ from slider_jax.channels import channel_columns
 from slider_jax.cli.main import main
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
-from slider_jax.experiment.prepare import edge_steps, half_period_steps, sample
+from slider_jax.experiment.prepare import edge_steps, half_period_steps, sample_series
 from slider_jax.io.files import staged, write_csv, write_json
-from slider_jax.simulation.summary import settled, trial_summary, window
+from slider_jax.simulation.summary import averaging_window, is_periodic, trial_summary
 from slider_jax.simulation.trial import CHUNK, simulate_trial
 from tests.support.experiments import write
 
@@ -170,7 +170,7 @@ def test_same_result_whatever_the_number_of_chunks(tmp_path):
 def test_window_is_half_of_the_whole_strides_and_ends_with_the_trial(tmp_path):
     experiment = load(write(tmp_path, ("duration = 0.75", "duration = 1.4")))
     run = run_trial(experiment, 0)
-    span, strides = window(run)
+    span, strides = averaging_window(run)
     assert strides == 2  # of 5.6
     summary = trial_summary(experiment, run)
     assert summary["averaged_to_s"] - summary["averaged_from_s"] == pytest.approx(2 / 4.0)
@@ -209,7 +209,7 @@ def _wave(turns):
 )
 def test_a_trial_is_periodic_if_its_last_two_strides_agree(short, thrust, growth, said):
     run = _with(short, thrust, lambda x: (1.0 + growth * x) * _wave(x))
-    periodic, warning = settled(run)
+    periodic, warning = is_periodic(run)
     assert periodic is (said is None)
     assert said is None or (said in warning and "run longer (duration = 1.5)" in warning)
 
@@ -221,14 +221,14 @@ def test_trials_of_less_than_two_strides_say_so(short):
         prepared = dataclasses.replace(short.prepared, grid=grid)
         return dataclasses.replace(short, prepared=prepared)
 
-    assert settled(cut(1.9)) == (
+    assert is_periodic(cut(1.9)) == (
         None,
-        "shorter than two strides: too short to say whether it is periodic",
+        "shorter than two strides: it is unknown whether it is periodic",
     )
-    periodic, warning = settled(cut(0.8))
+    periodic, warning = is_periodic(cut(0.8))
     assert periodic is None
     assert "shorter than one stride (0.25 s): means are over the whole trial" in warning
-    assert window(cut(0.8)) == (slice(1, cut(0.8).grid.steps + 1), 0)
+    assert averaging_window(cut(0.8)) == (slice(1, cut(0.8).grid.steps + 1), 0)
 
 
 def test_a_trial_that_is_not_periodic_warns_on_stderr_and_in_the_summary(tmp_path, capsys):
@@ -239,7 +239,7 @@ def test_a_trial_that_is_not_periodic_warns_on_stderr_and_in_the_summary(tmp_pat
     said = capsys.readouterr().err
     for trial in trials:
         (warning,) = trial["warnings"]
-        assert "not yet periodic" in warning
+        assert warning.startswith("not periodic: ")
         assert f"{trial['file']}  warning: {warning}" in said
 
 
@@ -276,8 +276,8 @@ def test_sampling_is_exact_for_cubics_and_does_not_cross_an_edge():
         def kinked(x, edge=edge):
             return 1.0 + x - x**3 + np.where(x > edge, 40.0 * (x - edge) ** 2 + 9.0 * (x - edge), 0)
 
-        np.testing.assert_allclose(sample(t, kinked(t), at, edges), kinked(at), atol=1e-12)
-    smeared = sample(t, kinked(t), at, np.array([0, 40]))
+        np.testing.assert_allclose(sample_series(t, kinked(t), at, edges), kinked(at), atol=1e-12)
+    smeared = sample_series(t, kinked(t), at, np.array([0, 40]))
     assert np.abs(smeared - kinked(at)).max() > 1e-3
 
 
@@ -285,7 +285,7 @@ def test_sampling_keeps_further_axes():
     t = np.linspace(0.0, 2.0, 21)
     values = np.stack([t**2, 1.0 - t], axis=1)
     at = np.array([0.0, 0.33, 1.999, 2.0])
-    found = sample(t, values, at, np.array([0, 20]))
+    found = sample_series(t, values, at, np.array([0, 20]))
     np.testing.assert_allclose(found, np.stack([at**2, 1.0 - at], axis=1), atol=1e-13)
 
 

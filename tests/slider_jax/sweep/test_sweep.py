@@ -163,10 +163,10 @@ def test_the_ramp_follows_a_swept_frequency(experiment):
 
 @pytest.fixture
 def without_physics(monkeypatch, one_core_chunks_of_two):
-    """Sweeps that march nothing: every thrust is 1 N."""
+    """Replace the simulation of a sweep: every thrust is 1 N."""
     names = ("thrust_mean_N", "recoil_rms_N", "tip_half_range_m", "chamber_power_W")
     monkeypatch.setattr(sweeping, "compile_programs", lambda *args: None)
-    monkeypatch.setattr(sweeping, "march", lambda *args: None)
+    monkeypatch.setattr(sweeping, "run_strides", lambda *args: None)
     monkeypatch.setattr(
         sweeping, "steady_quantities", lambda *args: {name: np.ones(2) for name in names}
     )
@@ -179,12 +179,12 @@ def test_what_is_done_is_said_and_not_done_again(
     field = ["--field", "trials.0.frequency", "--from", "2", "--to", "5", "--count", "5"]
     command = ["sweep", str(experiment), *field, "--out", str(out), *SHORT]
 
-    def march(*args):
+    def run_strides(*args):
         calls.append(1)
         if len(calls) == 3:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(sweeping, "march", march)
+    monkeypatch.setattr(sweeping, "run_strides", run_strides)
     assert main(command) == 130
     assert "repeat the same command to resume" in capsys.readouterr().err
     assert [p.name for p in out.iterdir()] == ["partial"]
