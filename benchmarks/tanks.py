@@ -20,8 +20,8 @@ from calibration.measurements.synthetic import (
     ROBOT,
     START,
     Sensors,
-    base_parameters,
-    trials,
+    random_base_parameters,
+    random_trials,
     with_sensor_noise,
 )
 from calibration.model.extended import BASE, base_values, base_vector, candidates, parameters
@@ -60,11 +60,11 @@ class Tank:
 
 def draw(seed: int, folder: Path = Path(".")) -> Tank:
     """A tank: its base parameters and drives drawn, its discretisation in turn."""
-    truth = base_parameters(np.random.default_rng([seed, 1]))
+    truth = random_base_parameters(np.random.default_rng([seed, 1]))
     content = {
         "name": f"tank_{seed}", "robot": ROBOT, "parameters": START,
         "sensors": Sensors().declared(),
-        "trials": trials(seed, COUNT, SECONDS),
+        "trials": random_trials(seed, COUNT, SECONDS),
     }  # fmt: skip
     return Tank(assemble(content, f"tank_{seed}", folder), truth, MADE[seed % len(MADE)])
 

@@ -42,9 +42,9 @@ truth = {"C_d": 3.1, "m_a": 0.72, "k": 0.075, "K_Q": 4.6e-7}
 if own:
     path, mesh = Path(own), Resolution(101, 200, 2.0e-3)
 else:
-    from calibration.measurements.synthetic import Truth, trials, write_tank
+    from calibration.measurements.synthetic import Truth, random_trials, write_tank
 
-    runs = [run | {"duration": 1.0} for run in trials(5, count=6)[2:]]
+    runs = [run | {"duration": 1.0} for run in random_trials(5, count=6)[2:]]
     made = {"nodes": 41, "step": 1e-3, "scheme": "sdirk2"}
     path = write_tank(Path("tank"), Truth(truth, {}), runs, seed=1, numerics=made)
     mesh = Resolution(31, 80, 4.0e-3)

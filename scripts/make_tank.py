@@ -14,7 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.measurements.synthetic import Truth, base_parameters, trials, write_tank
+from calibration.measurements.synthetic import (
+    Truth,
+    random_base_parameters,
+    random_trials,
+    write_tank,
+)
 from slider_jax.effects.library import LIBRARY
 from slider_jax.errors import InputError, SolverError
 from slider_jax.io.files import write_json
@@ -56,9 +61,9 @@ def main(argv: list[str] | None = None) -> int:
     add("--seconds", type=float, default=1.0, help="factor on all durations (default: 1)")
     given = parser.parse_args(argv)
     enable_float64()
-    base = base_parameters(np.random.default_rng(given.seed))
+    base = random_base_parameters(np.random.default_rng(given.seed))
     truth = Truth(base, effects_of(given.effect))
-    runs = trials(given.seed, given.trials, given.seconds)
+    runs = random_trials(given.seed, given.trials, given.seconds)
     path = write_tank(given.folder, truth, runs, given.seed)
     write_json(given.folder / "truth.json", truth._asdict())
     print(f"wrote {path} and {len(runs)} trials; true values: {given.folder / 'truth.json'}")

@@ -16,8 +16,7 @@ from calibration.audit.pressures import check_pressures
 from calibration.audit.rows import Unusable, read_rows
 from calibration.audit.sensors import check_sensor
 from calibration.audit.time_stamps import regular_rows
-from calibration.measurements.findings import Finding, left_out
-from calibration.measurements.records import Record
+from calibration.measurements.records import Finding, Record, left_out_files
 from slider_jax.channels import CHANNELS
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment
@@ -150,7 +149,7 @@ def _same(a: np.ndarray, b: np.ndarray) -> bool:
 def _refusal(
     experiment: Experiment, records: Sequence[Record], findings: Sequence[Finding], least: int
 ) -> str:
-    out = left_out(findings)
+    out = left_out_files(findings)
     bad = [x for x in findings if x.trial in out and x.action == "left out"]
     missing = sum(x.kind == "missing_file" for x in findings)
     text = "; ".join(f"{x.trial}: {x.detail}" for x in bad[:MAX_LISTED])

@@ -23,8 +23,7 @@ from calibration.audit.lag_response import (
     leave_one_out,
     period_ratio,
 )
-from calibration.measurements.findings import Finding
-from calibration.measurements.records import Record
+from calibration.measurements.records import Finding, Record
 from slider_jax.channels import BUILT_IN
 
 SKEW = 0.004

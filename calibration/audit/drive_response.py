@@ -12,8 +12,7 @@ from calibration.audit.lag_response import (
     fundamental_tone,
     settling_time,
 )
-from calibration.measurements.findings import Action, Finding
-from calibration.measurements.records import Record
+from calibration.measurements.records import Action, Finding, Record
 from slider_jax.channels import BUILT_IN, CHANNELS
 
 NAMES = tuple(CHANNELS[name].column for name in BUILT_IN)

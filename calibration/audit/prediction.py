@@ -12,8 +12,7 @@ import numpy as np
 
 from calibration.audit.drive_response import NAMES, trial_finding
 from calibration.audit.lag_response import MAX_SAMPLES, leave_one_out
-from calibration.measurements.findings import Finding
-from calibration.measurements.records import Record
+from calibration.measurements.records import Finding, Record
 from slider_jax.channels import BUILT_IN
 from slider_jax.experiment.schema import Trial
 

@@ -20,8 +20,7 @@ from calibration.audit.drive_response import (
     wrapped,
 )
 from calibration.audit.lag_response import declared_drives
-from calibration.measurements.findings import Finding
-from calibration.measurements.records import Record
+from calibration.measurements.records import Finding, Record
 from slider_jax.channels import BUILT_IN
 
 UNITS = {1e-3: "kPa", 1e3: "mPa", 1.0 / 6894.757: "psi", 1e-5: "bar", 1e-6: "MPa"}

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calibration.measurements.findings import Finding
+from calibration.measurements.records import Finding
 from slider_jax.channels import channel_columns
 from slider_jax.errors import InputError
 from slider_jax.io.toml import read_bytes

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
-from calibration.measurements.findings import Finding, masked
+from calibration.measurements.records import Finding, masked_finding
 
 IMPOSSIBLE = 1e-6
 """A repetition is a fault below this probability of its occurrence in a whole series."""
@@ -213,7 +213,7 @@ def check_sensor(
         bad[kept] = find(y[kept], g)
         if bad.any():
             text = _description(kind, channel, y[bad])
-            findings.append(masked(trial, kind, channel, at, bad, text))
+            findings.append(masked_finding(trial, kind, channel, at, bad, text))
             kept &= ~bad
     if kept.sum() < max(MIN_SHARE * len(there), 20):
         detail = f"too few readings of {channel} remain; the channel is not used in this trial"

@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 
 from calibration.audit.rows import Rows, unusable_trial
-from calibration.measurements.findings import Finding, stretches
+from calibration.measurements.records import Finding, true_runs
 from slider_jax.experiment.schema import Trial
 
 JITTER = 0.2
@@ -79,7 +79,7 @@ def _stale(rows: Rows, trial: Trial, findings: list[Finding]) -> tuple[Rows, lis
         return rows, findings
     at, values = rows.t[stale], rows.values.copy()
     values[:, stale] = np.nan
-    frozen = max(b - a + 1 for a, b in stretches(stale)) >= FROZEN
+    frozen = max(b - a + 1 for a, b in true_runs(stale)) >= FROZEN
     detail = (
         f"{stale.sum()} rows repeat the readings of the previous row"
         f"{', all sensors at once' if frozen else ''}, and count as missing"
@@ -155,7 +155,7 @@ def _gaps(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
 
 
 def _gap_findings(trial: Trial, t: np.ndarray, there: np.ndarray, dt: float) -> list[Finding]:
-    runs = stretches(~there)
+    runs = true_runs(~there)
     if len(runs) > MANY_GAPS:
         detail = (
             f"{np.sum(~there)} of {len(there)} rows at {1.0 / dt:.4g} Hz are missing, in "

@@ -16,8 +16,7 @@ from calibration.inference.gauss_newton import Fit, fit_gauss_newton
 from calibration.inference.goodness import Excess, excess, noise_floors, rms_errors
 from calibration.inference.problem import AbstractProblem, TankProblem
 from calibration.inference.uncertainty import confidence_interval, hausman_check
-from calibration.measurements.findings import Finding
-from calibration.measurements.records import Record
+from calibration.measurements.records import Finding, Record
 from calibration.model.extended import (
     BASE,
     Parameter,

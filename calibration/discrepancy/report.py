@@ -45,7 +45,7 @@ def loop_record(
         "held_out_trials": [trials[i].trial.file for i in outcome.held],
         "candidates": candidate_records(outcome),
         "unexplained": residual_records(outcome),
-        "audit": [x.told() for x in outcome.audit],
+        "audit": [x._asdict() for x in outcome.audit],
         "next_experiment": following,
         "units": {name: CHANNELS[name].unit for name in CHANNELS},
         "left_over_noise": {c: np.sqrt(x.all) for c, x in outcome.excess_after.items()},

@@ -17,7 +17,7 @@ import numpy as np
 from calibration.inference.cache import Memo
 from calibration.inference.noise import Noise, Whitener, channel_noise
 from calibration.inference.problem import ChannelBlock
-from calibration.measurements.records import Record, records
+from calibration.measurements.records import Record, load_records
 from calibration.model.extended import BASE, Parameter, base_vector, parameters
 from calibration.model.initial_swing import declared_spans
 from calibration.model.predict import (
@@ -64,7 +64,7 @@ class SensorModel:
         """
         if found is None:
             there = any((experiment.folder / t.file).exists() for t in experiment.trials)
-            found = records(experiment) if there else []
+            found = load_records(experiment) if there else []
         noise, every = {}, {}
         for channel in CHANNELS:
             recorded = [r for r in found if r.has(channel)]

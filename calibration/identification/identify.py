@@ -18,8 +18,7 @@ from calibration.inference.goodness import excess, noise_floors, rms_errors
 from calibration.inference.lbfgs import fit_lbfgs
 from calibration.inference.problem import TankProblem
 from calibration.inference.uncertainty import correlations, hausman_check
-from calibration.measurements.findings import Finding
-from calibration.measurements.records import Record
+from calibration.measurements.records import Finding, Record
 from calibration.model.extended import Parameter, base_values, base_vector, parameters
 from calibration.model.predict import COARSE, FINE, Resolution
 from calibration.reporting.parameters import model_tables, parameter_record, parameter_text
@@ -144,7 +143,7 @@ def identification_record(found: Identified, source: dict[str, Any]) -> dict[str
         "method": found.method,
         "mean_square_over_noise": found.fit.square / found.fit.samples,
         "trials": [r.trial.file for r in found.problem.records],
-        "audit": [x.told() for x in found.audit],
+        "audit": [x._asdict() for x in found.audit],
         "units": {name: CHANNELS[name].unit for name in CHANNELS},
         "input": source,
         "versions": versions(),

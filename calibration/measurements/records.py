@@ -1,6 +1,8 @@
-"""Measured trials as arrays: every channel of every trial, NaN where a sample is missing."""
+"""Measured trials as arrays, and findings of an audit about them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -8,6 +10,8 @@ from slider_jax.channels import CHANNELS, row_of
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment, read_measured
 from slider_jax.experiment.schema import Trial
+
+Action = Literal["masked", "mended", "left out", "used", "refused"]
 
 
 @dataclass(frozen=True)
@@ -21,16 +25,16 @@ class Record:
     """(channels, n) in the order of `CHANNELS`, NaN where a sample is missing."""
 
     def there(self, channel: str) -> np.ndarray:
-        """(n,) whether the channel has a sample."""
+        """Return which of the n samples the channel has."""
         return np.isfinite(self.values[row_of(channel)])
 
     def has(self, channel: str) -> bool:
-        """Whether the channel has enough samples to be compared, 20 or more."""
+        """Return whether the channel has enough samples for a comparison, 20 or more."""
         return int(self.there(channel).sum()) >= 20
 
 
-def records(experiment: Experiment) -> list[Record]:
-    """The trials whose files exist. Raises `InputError` for none, or for a damaged file."""
+def load_records(experiment: Experiment) -> list[Record]:
+    """Return the trials whose files exist. Raises `InputError` for none, or for a damaged file."""
     found = []
     for trial in experiment.trials:
         columns = read_measured(experiment, trial)
@@ -42,7 +46,58 @@ def records(experiment: Experiment) -> list[Record]:
         found.append(Record(trial, columns["t_s"], values))
     if not found:
         raise InputError(
-            f"{experiment.folder}: holds none of the experiment's {len(experiment.trials)} trials "
-            f"({experiment.trials[0].file}, ...); calibration needs measured data beside the file"
+            f"{experiment.folder}: no file of the experiment's {len(experiment.trials)} trials "
+            f"({experiment.trials[0].file}, ...) exists; put the measured data beside the "
+            "experiment file"
         )
     return found
+
+
+class Finding(NamedTuple):
+    """One fault of one file.
+
+    | action | what was done |
+    |---|---|
+    | `masked` | the samples are treated as missing |
+    | `mended` | corrected, as `detail` says |
+    | `left out` | the whole trial is not used |
+    | `used` | none; the finding is for information |
+    | `refused` | the whole experiment cannot be used |
+    """
+
+    trial: str
+    """The file."""
+    kind: str
+    channel: str | None
+    from_s: float | None
+    to_s: float | None
+    detail: str
+    """One sentence for the report."""
+    action: Action
+
+    def __str__(self) -> str:
+        return f"{self.trial}: {self.detail} ({self.action})"
+
+
+def left_out_files(findings: Sequence[Finding]) -> set[str]:
+    """Return the files of the trials that are left out."""
+    return {x.trial for x in findings if x.action == "left out"}
+
+
+def true_runs(bad: np.ndarray) -> list[tuple[int, int]]:
+    """Return first and last index of every run of True in `bad` (n,)."""
+    edges = np.flatnonzero(np.diff(np.r_[0, bad.astype(int), 0]))
+    return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def masked_finding(
+    trial: str, kind: str, channel: str, t: np.ndarray, bad: np.ndarray, text: str
+) -> Finding:
+    """Return the finding that masks the samples `bad` (n,) of a channel at `t` (n,) [s]."""
+    runs, count = true_runs(bad), int(bad.sum())
+    where = f"from {t[runs[0][0]]:.4g} to {t[runs[-1][1]]:.4g} s"
+    many = f" in {len(runs)} intervals" if len(runs) > 1 else ""
+    detail = f"{text}: {count} samples{many} {where} are not used"
+    return Finding(
+        trial, kind, channel, float(t[runs[0][0]]), float(t[runs[-1][1]]), detail, "masked"
+    )

@@ -1,7 +1,7 @@
-"""Tank experiments with a known answer: simulated, then measured by imperfect sensors.
+"""Synthetic tank experiments with known parameters: simulated trials with sensor noise.
 
-The simulation uses another mesh and another step than `calibration.model.predict`, so that a fit
-cannot succeed by repeating the same arithmetic.
+Mesh and step differ from those of `calibration.model.predict`, so that a fit cannot succeed by
+equal arithmetic.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,11 +23,13 @@ ROBOT = {
     "front_chamber": [0.02, 0.145], "rear_chamber": [0.155, 0.28],
 }  # fmt: skip
 START = {"C_d": 3.5, "m_a": 0.7, "k": 0.087, "K_Q": 4.79e-7}
+"""Initial parameters in the experiment file."""
 CAMERA_EVERY = 5
+"""Samples of the force sensors per frame of the camera."""
 
 
 class Sensors(NamedTuple):
-    """Noise of the sensors: standard deviations in SI units, and shares."""
+    """Noise of the sensors: standard deviations in SI units, and the drift of the gain."""
 
     pressure_noise: float = 700.0
     force_noise: float = 0.02
@@ -37,10 +39,10 @@ class Sensors(NamedTuple):
     tip_noise: float = 5e-4
     sample_rate: float = 500.0
     gain_drift: float = 0.01
-    """Share by which a force channel's gain differs from trial to trial; not declared."""
+    """Relative standard deviation of a force channel's gain over the trials; not declared."""
 
     def declared(self) -> dict[str, float]:
-        """The values that the experiment file declares."""
+        """Return the values that the experiment file declares."""
         return {k: v for k, v in self._asdict().items() if k != "gain_drift"}
 
 
@@ -52,16 +54,16 @@ class Truth(NamedTuple):
     """Parameters of every effect, by its name."""
 
 
-def base_parameters(rng: np.random.Generator) -> dict[str, float]:
-    """Random C_d, m_a, k and K_Q."""
+def random_base_parameters(rng: np.random.Generator) -> dict[str, float]:
+    """Return random C_d, m_a, k and K_Q."""
     return {
         "C_d": float(rng.uniform(2.4, 4.2)), "m_a": float(rng.uniform(0.45, 0.95)),
         "k": float(rng.uniform(0.06, 0.11)), "K_Q": float(rng.uniform(4.2e-7, 5.2e-7)),
     }  # fmt: skip
 
 
-def trials(seed: int, count: int = 8, seconds: float = 1.0) -> list[dict[str, Any]]:
-    """Square waves of 0.6 to 6 Hz with random amplitude, phase and tow speed.
+def random_trials(seed: int, count: int = 8, seconds: float = 1.0) -> list[dict[str, Any]]:
+    """Return trials with square waves of 0.6 to 6 Hz and random amplitude, phase and tow speed.
 
     `seconds` scales their durations, which are 5 s at 0.6 Hz and 2 s from 3 Hz on.
     """
@@ -90,7 +92,7 @@ def write_tank(
     sensors: Sensors = Sensors(),
     numerics: Mapping[str, Any] = NUMERICS,
 ) -> Path:
-    """Simulate, measure and write an experiment; returns the path of its experiment.toml.
+    """Simulate the trials `runs`, add noise, and write them; return the path of experiment.toml.
 
     The file omits the effects and starts from the parameters `START`.
     """
@@ -116,7 +118,7 @@ def write_tank(
 def with_sensor_noise(
     true: Mapping[str, np.ndarray], sensors: Sensors, rng: np.random.Generator
 ) -> dict[str, np.ndarray]:
-    """The columns of one trial with the sensors' noise added."""
+    """Return the columns of one trial with the sensors' noise added."""
     t = true["t_s"]
     n = len(t)
     columns = {"t_s": t}
@@ -136,7 +138,7 @@ def with_sensor_noise(
 
 
 def slow_noise(t: np.ndarray, time: float, rng: np.random.Generator) -> np.ndarray:
-    """Noise of unit variance correlated over `time` [s]: an Ornstein-Uhlenbeck process."""
+    """Return noise (n,) of unit variance correlated over `time` [s]: Ornstein-Uhlenbeck."""
     keep = np.exp(-np.diff(t, prepend=t[0]) / time)
     fresh = rng.normal(size=len(t))
     values = np.empty(len(t))

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from calibration.audit.sensors import clipped, quantisation
-from calibration.measurements.findings import Action, Finding, masked
+from calibration.measurements.records import Action, Finding, masked_finding
 from calibration.pressure_logs.read import PSI_PER_COUNT, ManifoldLog
 
 PERIODS = np.geomspace(3.0, 48.0, 400)
@@ -215,7 +215,7 @@ def _clipped(log: ManifoldLog) -> list[Finding]:
         return []
     ends = " and ".join(f"{x:.0f}" for x in sorted(set(log.pressure[bad][[0, -1]])))
     text = f"the pressure is clipped near {ends} counts"
-    return [masked(log.path.name, "clipped", "pressure", log.t, bad, text)]
+    return [masked_finding(log.path.name, "clipped", "pressure", log.t, bad, text)]
 
 
 def _duties(log: ManifoldLog) -> list[Finding]:

@@ -192,15 +192,22 @@ def _link(work: Path, name: str, target: Path) -> None:
 
 def make_tank(work: Path) -> None:
     """Write a tank experiment whose valves have a dead time of 20 ms."""
-    from calibration.measurements.synthetic import Truth, base_parameters, trials, write_tank
+    from calibration.measurements.synthetic import (
+        Truth,
+        random_base_parameters,
+        random_trials,
+        write_tank,
+    )
     from slider_jax.precision import enable_float64
 
     import numpy as np  # isort: skip
 
     enable_float64()
-    truth = Truth(base_parameters(np.random.default_rng(0)), {"valve_delay": {"delay": 0.02}})
+    truth = Truth(
+        random_base_parameters(np.random.default_rng(0)), {"valve_delay": {"delay": 0.02}}
+    )
     if not (work / "tank").exists():
-        write_tank(work / "tank", truth, trials(0, 5, 0.5), 0)
+        write_tank(work / "tank", truth, random_trials(0, 5, 0.5), 0)
 
 
 def make_bench(work: Path) -> None:

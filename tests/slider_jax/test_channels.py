@@ -7,7 +7,7 @@ import pytest
 
 from calibration.inference.noise import channel_noise
 from calibration.inference.problem import TankProblem
-from calibration.measurements.records import records
+from calibration.measurements.records import load_records
 from calibration.model.predict import Resolution, plan, predict
 from slider_jax.channels import BUILT_IN, CHANNELS, channel_columns, register, row_of
 from slider_jax.errors import InputError
@@ -68,7 +68,7 @@ def test_a_channel_outside_the_package_is_simulated_read_and_fitted(marked):
     assert errors["marker_m"] == pytest.approx(1e-3, rel=1e-6)
     assert errors["tip_m"] < 1e-12
 
-    found = records(experiment)
+    found = load_records(experiment)
     noise = channel_noise(experiment.sensors, "marker", found[0].values[row_of("marker")])
     assert 0.0 < noise.white and noise.tare == 0.0
     resolution = Resolution(11, 60, 4e-3)

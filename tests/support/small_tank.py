@@ -1,7 +1,7 @@
 """A small simulated tank and a coarse mesh; the loop's tests share the compiled programs."""
 
 from calibration.discrepancy.close_loop import close_loop_on_trials
-from calibration.measurements.synthetic import Truth, trials, write_tank
+from calibration.measurements.synthetic import Truth, random_trials, write_tank
 from calibration.model.predict import Resolution
 from slider_jax.experiment.load import load
 
@@ -11,9 +11,9 @@ BASE = {"C_d": 3.2, "m_a": 0.6, "k": 0.08, "K_Q": 4.6e-7}
 
 TANK = {"nodes": 13, "step": 2e-3, "scheme": "sdirk2"}
 
-RUNS = [run | {"duration": 0.8} for run in trials(3, count=6)[2:]] + [
+RUNS = [run | {"duration": 0.8} for run in random_trials(3, count=6)[2:]] + [
     run | {"duration": 0.8, "file": f"again_{i}.csv"}
-    for i, run in enumerate(trials(4, count=6)[4:])
+    for i, run in enumerate(random_trials(4, count=6)[4:])
 ]
 
 MESH = Resolution(13, 40, 4.0e-3)

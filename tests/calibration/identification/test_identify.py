@@ -8,7 +8,7 @@ import pytest
 from calibration.identification import identify
 from calibration.inference.goodness import Excess
 from calibration.inference.problem import TankProblem
-from calibration.measurements.synthetic import Truth, trials, write_tank
+from calibration.measurements.synthetic import Truth, random_trials, write_tank
 from calibration.model.predict import Resolution
 from slider_jax.cli.main import main
 
@@ -19,7 +19,7 @@ MESH = Resolution(21, 60, 3.0e-3)
 
 @pytest.fixture(scope="module")
 def tank(tmp_path_factory):
-    runs = [run | {"duration": 1.0} for run in trials(5, count=5)[2:]]
+    runs = [run | {"duration": 1.0} for run in random_trials(5, count=5)[2:]]
     folder = tmp_path_factory.mktemp("tank")
     truth = Truth(TRUTH, {"tangential_friction": {"C_t": 0.1}})
     return write_tank(folder, truth, runs, 0, numerics=COARSE_TANK)

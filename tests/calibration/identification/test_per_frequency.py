@@ -14,7 +14,7 @@ from calibration.identification.per_frequency_report import per_frequency_model
 from calibration.inference.gauss_newton import fit_gauss_newton
 from calibration.inference.problem import TankProblem
 from calibration.inference.uncertainty import BASE_DISCREPANCY
-from calibration.measurements.synthetic import ROBOT, START, Truth, trials, write_tank
+from calibration.measurements.synthetic import ROBOT, START, Truth, random_trials, write_tank
 from calibration.model.extended import base_vector, parameters
 from calibration.model.predict import Resolution
 from slider_jax.cli.main import main
@@ -52,7 +52,7 @@ def write_all(folder, runs):
 
 def runs():
     """Return trials at five frequencies from 1 to 5 Hz, on both sides of the ramp."""
-    given = trials(5, count=5)
+    given = random_trials(5, count=5)
     return [
         run | {"frequency": f, "amplitude": 250e3, "duration": 1.2}
         for run, f in zip(given, (1.0, 1.6, 2.4, 3.4, 5.0), strict=True)

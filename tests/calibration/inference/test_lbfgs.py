@@ -9,8 +9,8 @@ from calibration.inference import lbfgs
 from calibration.inference.gauss_newton import fit_gauss_newton
 from calibration.inference.lbfgs import fit_lbfgs
 from calibration.inference.problem import TankProblem
-from calibration.measurements.records import records
-from calibration.measurements.synthetic import START, Truth, trials, write_tank
+from calibration.measurements.records import load_records
+from calibration.measurements.synthetic import START, Truth, random_trials, write_tank
 from calibration.model.extended import base_vector, parameters
 from calibration.model.predict import Resolution
 from slider_jax.errors import InputError
@@ -60,10 +60,10 @@ def test_a_fit_at_the_gradient_limit_does_not_converge(monkeypatch):
 
 @pytest.mark.slow
 def test_both_methods_return_the_same_optimum_for_the_beam(tmp_path):
-    runs = [run | {"duration": 0.8} for run in trials(5, count=5)[2:]]
+    runs = [run | {"duration": 0.8} for run in random_trials(5, count=5)[2:]]
     experiment = load(write_tank(tmp_path, Truth(TRUTH, {}), runs, 0, numerics=TANK))
     entries, free = parameters(()), np.arange(4)
-    problem = TankProblem.of(experiment, records(experiment), (), fine=MESH, coarse=MESH)
+    problem = TankProblem.of(experiment, load_records(experiment), (), fine=MESH, coarse=MESH)
     initial = base_vector(entries, START)
     white = problem.whiteners(problem.predict(initial))
     one = fit_gauss_newton(problem, entries, initial, free, white=white)

@@ -1,4 +1,4 @@
-"""The script that makes a tank with an undeclared effect in it."""
+"""The script that writes a synthetic tank with an undeclared effect."""
 
 import json
 import runpy
@@ -6,7 +6,7 @@ import runpy
 import numpy as np
 import pytest
 
-from calibration.measurements.records import records
+from calibration.measurements.records import load_records
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
 from tests.support.data import ROOT
@@ -17,11 +17,11 @@ main = runpy.run_path(str(SCRIPT))["main"]
 
 @pytest.mark.slow
 def test_the_effect_is_in_the_data_and_not_in_the_file(tmp_path):
-    words = ["--effect", "valve_delay.delay=0.02", "--trials", "1", "--seconds", "0.1"]
-    assert main([str(tmp_path), *words]) == 0
+    options = ["--effect", "valve_delay.delay=0.02", "--trials", "1", "--seconds", "0.1"]
+    assert main([str(tmp_path), *options]) == 0
     tank = load(tmp_path / "experiment.toml")
     assert not tank.effects
-    (found,) = records(tank)
+    (found,) = load_records(tank)
     before, after = found.t < 0.02, (found.t > 0.03) & (found.t < 0.1)
     assert np.abs(found.values[0][before]).max() < 4000.0
     assert np.abs(found.values[0][after]).min() > 10000.0
@@ -39,7 +39,7 @@ def test_the_effect_is_in_the_data_and_not_in_the_file(tmp_path):
         ("valve_delay.delay=20", "allowed 0 to 0.06 s"),
     ],
 )
-def test_what_cannot_be_put_in_is_refused(tmp_path, text, message):
+def test_an_invalid_effect_is_refused(tmp_path, text, message):
     with pytest.raises(InputError, match=message):
         main([str(tmp_path / "x"), "--effect", text])
     assert not (tmp_path / "x").exists()
