@@ -100,12 +100,12 @@ def rig_loop(
         # Opened for each round, so that between rounds the manifold is vented and its port free.
         with ExitStack() as stack:
             machine = stack.enter_context(open_rig(port, settings))
-            played = [planned_trial(trial, path) for trial in trials]
-            live = StatusLine(machine, len(played))
-            recorded = {"rig": settings.model_dump(mode="json")}
-            found = run_trials(played, machine, folder, recorded, live)
+            planned = [planned_trial(trial, path) for trial in trials]
+            live = StatusLine(machine, len(planned))
+            stored = {"rig": settings.model_dump(mode="json")}
+            records = run_trials(planned, machine, folder, stored, live)
             live.end()
-        declare_swing(path, found)
+        declare_swing(path, records)
 
     found = run_campaign(path, capture, out, budget, within, progress)
     rounds = {"rounds": [asdict(x) for x in found.rounds], "settled": found.settled}

@@ -178,7 +178,7 @@ def open_rig(port: str, table: RigTable) -> Iterator[Rig]:
     from rig.manifold.serial_port import open_port
 
     settings = table.manifold
-    switches = ManifoldSinks(SwitchableSink(), SwitchableSink())
+    sinks = ManifoldSinks(SwitchableSink(), SwitchableSink())
     with ExitStack() as stack:
         stack.enter_context(signals_as_ctrl_c())
         stack.enter_context(real_time_priority())
@@ -192,13 +192,13 @@ def open_rig(port: str, table: RigTable) -> Iterator[Rig]:
         if table.camera is not None:
             instruments["camera"], readers["camera"] = marker_camera(table.camera)
             stack.callback(instruments["camera"].close)
-        manifold = stack.enter_context(Manifold(open_port(port), *switches))
+        manifold = stack.enter_context(Manifold(open_port(port), *sinks))
         analogue = tuple(x.sensor() for x in table.analogue)
         timing = TrialTiming(
             settings.quiet, settings.after, settings.commands_per_second, settings.fade
         )
         yield Rig(
-            manifold, switches, PressureLimits.of(settings.limits), instruments, readers, force,
+            manifold, sinks, PressureLimits.of(settings.limits), instruments, readers, force,
             analogue,
             timing, settings.pause, settings.longest_pause,
         )  # fmt: skip

@@ -22,7 +22,6 @@ _SHORT = 10.0
 """In a shorter record the delay's jitter hides the rate [s]."""
 _BLOCK = 0.5
 """The on-line fit keeps one arrival for each interval of this duration [s]."""
-
 MAX_MEDIAN_DELAY = 0.5
 """Largest median delay of samples [s]; a larger one shows that the sensor has another rate."""
 

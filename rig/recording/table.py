@@ -95,62 +95,68 @@ def trial_columns(
     `instruments` has the reader of each stream by name. Raises `RigError` without readings.
     """
     received = recording.streams["manifold"]
-    found = decode_readings(zip(received.host_ns.tolist(), received.pieces(), strict=True))
-    if len(found.seq) < 2:
+    readings = decode_readings(zip(received.host_ns.tolist(), received.pieces(), strict=True))
+    if len(readings.seq) < 2:
         raise RigError(
-            f"recording: {len(found.seq)} readings of the manifold, {found.damaged} damaged "
+            f"recording: {len(readings.seq)} readings of the manifold, {readings.damaged} damaged "
             "frames; allowed 2 readings or more; check the connection with `slider rig check`"
         )
-    clock = fit_clock(found.device_s, found.host_s)
-    t = clock.to_host(found.device_s) - begun_ns * 1e-9
+    clock = fit_clock(readings.device_s, readings.host_s)
+    t = clock.to_host(readings.device_s) - begun_ns * 1e-9
     rows, quiet = (t >= 0.0) & (t <= duration), t < 0.0
     if rows.sum() < 2:
         raise RigError("recording: no readings of the manifold during the drive; repeat the trial")
-    front, rear = found.pressures()
+    front, rear = readings.pressures()
     values = {"t_s": t[rows], "p_front_Pa": front[rows], "p_rear_Pa": rear[rows]}
-    rest: dict[str, RestStatistics] = {
+    at_rest: dict[str, RestStatistics] = {
         name: _rest(p[quiet]) for name, p in (("p_front_Pa", front), ("p_rear_Pa", rear))
     }
-    moves: tuple[str, ...] = ()
+    motion: tuple[str, ...] = ()
     for sensor in analogue:
-        signal = sensor.signal(found.channels)
-        rest[sensor.column] = _rest(signal[quiet])
-        moves += _moves(sensor.column, signal[quiet], signal[rows], rest[sensor.column].noise)
-        tare = rest[sensor.column].mean if sensor.zero is None else 0.0
+        signal = sensor.signal(readings.channels)
+        at_rest[sensor.column] = _rest(signal[quiet])
+        motion += _motion_findings(
+            sensor.column, signal[quiet], signal[rows], at_rest[sensor.column].noise
+        )
+        tare = at_rest[sensor.column].mean if sensor.zero is None else 0.0
         values[sensor.column] = (signal - tare)[rows]
-    played = _played_drive(found, clock, begun_ns, duration)
-    findings = _manifold_findings(found, clock) + moves
+    played = _played_drive(readings, clock, begun_ns, duration)
+    findings = _manifold_findings(readings, clock) + motion
     if played is None:
         findings += (
             "the manifold did not report all set pressures that it followed; the planned drive is "
             "used instead: "
-            + ("some reports were lost" if found.follows else "flash the firmware in rig/firmware"),
+            + (
+                "some reports were lost"
+                if readings.follows
+                else "flash the firmware in rig/firmware"
+            ),
         )
     for name, read in instruments.items():
         samples = read(recording.streams[name])
         at = samples.t - begun_ns * 1e-9
         for column, signal in samples.columns.items():
-            rest[column] = _rest(signal[at < 0.0])
+            at_rest[column] = _rest(signal[at < 0.0])
             values[column] = resample_at_rows(
-                t[rows], at, signal - rest[column].mean, samples.continuous
+                t[rows], at, signal - at_rest[column].mean, samples.continuous
             )
         findings += samples.findings
     values = {name: values[name] for name in (*ORDER, *values) if name in values}
-    record = _quality_record(recording, found, clock, values, rest, findings)
+    record = _quality_record(recording, readings, clock, values, at_rest, findings)
     return TrialColumns(values, played, record)
 
 
 def _played_drive(
-    found: DecodedReadings, clock: ClockFit, begun_ns: int, duration: float
+    readings: DecodedReadings, clock: ClockFit, begun_ns: int, duration: float
 ) -> dict[str, np.ndarray] | None:
     """Return the columns of the played drive, or None if a change before `duration` was lost."""
-    if not found.follows:
+    if not readings.follows:
         return None
-    sets = np.array([x[2:] for x in found.follows], float)
-    t = clock.to_host(np.array([1e-6 * x.device_us for x in found.follows])) - begun_ns * 1e-9
+    sets = np.array([x[2:] for x in readings.follows], float)
+    t = clock.to_host(np.array([1e-6 * x.device_us for x in readings.follows])) - begun_ns * 1e-9
     # Up to the first change after the trial: losses in the fade do not matter.
     needed = int(np.searchsorted(t, duration)) + 1
-    steps = np.diff([x.number for x in found.follows[:needed]]) % 2**16
+    steps = np.diff([x.number for x in readings.follows[:needed]]) % 2**16
     if t[0] > 0.0 or (steps != 1).any():
         return None
     # The first row is the value at t = 0, the last row that at the end. Of changes at the same time
@@ -181,7 +187,9 @@ def _rest(signal: np.ndarray) -> RestStatistics:
     return RestStatistics(float(valid.mean()), float(valid.std()), noise)
 
 
-def _moves(column: str, quiet: np.ndarray, drive: np.ndarray, noise: float) -> tuple[str, ...]:
+def _motion_findings(
+    column: str, quiet: np.ndarray, drive: np.ndarray, noise: float
+) -> tuple[str, ...]:
     """Return a finding if a sensor moved before the drive, else none."""
     pieces = np.array_split(quiet, max(1, len(quiet) // AVERAGED))
     before = float(np.ptp([x.mean() for x in pieces if x.size] or [0.0]))
@@ -220,12 +228,12 @@ def resample_at_rows(
     return np.where(known, value, np.nan)
 
 
-def _manifold_findings(found: DecodedReadings, clock: ClockFit) -> tuple[str, ...]:
+def _manifold_findings(readings: DecodedReadings, clock: ClockFit) -> tuple[str, ...]:
     findings = []
-    if found.lost:
-        findings.append(f"{found.lost} readings of the manifold were lost")
-    if found.damaged:
-        findings.append(f"{found.damaged} damaged frames of the manifold were dropped")
+    if readings.lost:
+        findings.append(f"{readings.lost} readings of the manifold were lost")
+    if readings.damaged:
+        findings.append(f"{readings.damaged} damaged frames of the manifold were dropped")
     if clock.early_max > 1e-3:
         findings.append(
             f"the manifold's clock is uneven: a reading is {1e3 * clock.early_max:.1f} ms early"
@@ -235,21 +243,21 @@ def _manifold_findings(found: DecodedReadings, clock: ClockFit) -> tuple[str, ..
 
 def _quality_record(
     recording: Recording,
-    found: DecodedReadings,
+    readings: DecodedReadings,
     clock: ClockFit,
     values: dict[str, np.ndarray],
-    rest: dict[str, RestStatistics],
+    at_rest: dict[str, RestStatistics],
     findings: tuple[str, ...],
 ) -> dict[str, Any]:
     unwritten = {name: x.lost[0] for name, x in recording.streams.items() if x.lost[0]}
     if unwritten:
         findings += (f"the disk was too slow; pieces lost by stream: {unwritten}",)
     return {
-        "readings": len(found.seq),
+        "readings": len(readings.seq),
         "rows": len(values["t_s"]),
-        "readings_lost": found.lost,
-        "readings_duplicated": found.duplicated,
-        "frames_damaged": found.damaged,
+        "readings_lost": readings.lost,
+        "readings_duplicated": readings.duplicated,
+        "frames_damaged": readings.damaged,
         "clock_rate": clock.rate,
         "late_median_s": clock.late_median,
         "late_99_s": clock.late_99,
@@ -258,8 +266,8 @@ def _quality_record(
             for name, x in values.items()
             if name != "t_s" and np.isfinite(x).any()
         },
-        "at_rest_mean": {name: x.mean for name, x in rest.items()},
-        "at_rest_deviation": {name: x.deviation for name, x in rest.items()},
-        "at_rest_noise": {name: x.noise for name, x in rest.items()},
+        "at_rest_mean": {name: x.mean for name, x in at_rest.items()},
+        "at_rest_deviation": {name: x.deviation for name, x in at_rest.items()},
+        "at_rest_noise": {name: x.noise for name, x in at_rest.items()},
         "findings": list(findings),
     }

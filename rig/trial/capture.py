@@ -104,7 +104,7 @@ class ManifoldSinks(NamedTuple):
 def record_trial(
     trial: PlannedTrial,
     manifold: Manifold,
-    switches: ManifoldSinks,
+    sinks: ManifoldSinks,
     instruments: dict[str, RecordedInstrument],
     path: Path,
     limits: PressureLimits,
@@ -143,9 +143,9 @@ def record_trial(
     recorder = ProcessRecorder(path, streams, settings)
     with recorder:
         with ExitStack() as stack:
-            stack.callback(switches.disconnect)
-            switches.received.to = recorder.sink("manifold")
-            switches.sent.to = recorder.sink("commands")
+            stack.callback(sinks.disconnect)
+            sinks.received.to = recorder.sink("manifold")
+            sinks.sent.to = recorder.sink("commands")
             for name, instrument in instruments.items():
                 instrument.start(recorder.sink(name))
                 stack.callback(instrument.stop)

@@ -52,8 +52,8 @@ class LiveStream:
         self._analogue, self._has_force = analogue, has_force
         self._lock = Lock()
         self._commands: dict[int, Pressures] = {}
-        self._came: deque[tuple[int, Reading] | Follows] = deque(maxlen=KEPT)
-        self._forces_came: deque[tuple[int, float, float, float]] = deque(maxlen=KEPT)
+        self._received: deque[tuple[int, Reading] | Follows] = deque(maxlen=KEPT)
+        self._forces_received: deque[tuple[int, float, float, float]] = deque(maxlen=KEPT)
         self._clock, self._force_clock = RunningClock(), RunningClock()
         self._rows: deque[tuple[int, Reading, Signed]] = deque(maxlen=KEPT)
         self._forces: list[tuple[float, float, float]] = []
@@ -72,15 +72,15 @@ class LiveStream:
 
     def reading(self, host_ns: int, reading: Reading) -> None:
         """Add a reading that arrived at `host_ns`."""
-        self._came.append((host_ns, reading))
+        self._received.append((host_ns, reading))
 
     def follows(self, change: Follows) -> None:
         """Add a change of the set pressures that the valves follow."""
-        self._came.append(change)
+        self._received.append(change)
 
     def force(self, host_ns: int, sensor_s: float, thrust: float, recoil: float) -> None:
         """Add a force sample [N] of the sensor's time [s] that arrived at `host_ns`."""
-        self._forces_came.append((host_ns, sensor_s, thrust, recoil))
+        self._forces_received.append((host_ns, sensor_s, thrust, recoil))
 
     def take(self) -> LiveReadings:
         """Return the complete readings: up to the latest force sample, if forces are measured."""
@@ -115,14 +115,14 @@ class LiveStream:
 
     def _order(self) -> None:
         """Add to each new reading the mean set pressures since the previous reading."""
-        for host_ns, sensor_s, *forces in _all_of(self._forces_came):
+        for host_ns, sensor_s, *forces in _all_of(self._forces_received):
             self._force_clock.add(sensor_s, 1e-9 * host_ns)
             self._forces.append((sensor_s, forces[0], forces[1]))
         del self._forces[:-KEPT]
-        came = list(_all_of(self._came))
+        items = list(_all_of(self._received))
         with self._lock:  # briefly, because the player waits for it
             commands = dict(self._commands)
-        for item in came:
+        for item in items:
             if isinstance(item, Follows):
                 self._followed.change(1e-6 * item.device_us, _signed(item[2:]))
                 continue
@@ -140,10 +140,10 @@ class LiveStream:
             self._rows.append((host_ns, reading, self._followed.mean_until(t)))
 
 
-def _all_of(came: deque[Item]) -> Iterator[Item]:
+def _all_of(items: deque[Item]) -> Iterator[Item]:
     """Yield and remove the present items; another thread may append meanwhile."""
-    for _ in range(len(came)):
-        yield came.popleft()
+    for _ in range(len(items)):
+        yield items.popleft()
 
 
 class _Followed:

@@ -51,7 +51,7 @@ class Rig:
     """The devices and settings of a run; instruments and readers by the name of their stream."""
 
     manifold: Manifold
-    switches: ManifoldSinks
+    sinks: ManifoldSinks
     limits: PressureLimits
     instruments: dict[str, RecordedInstrument]
     readers: dict[str, StreamReader]
@@ -82,14 +82,14 @@ def run_trials(
         trial.check(rig.limits)
     recordings = folder / RECORDINGS
     recordings.mkdir(parents=True, exist_ok=True)
-    found: list[dict[str, Any]] = []
+    records: list[dict[str, Any]] = []
     for trial in trials:
         record = finished_record(folder, trial, settings)
         if record is None:
-            wait_for_rest(rig, found[-1] if found else None, partial(watch, trial.name))
+            wait_for_rest(rig, records[-1] if records else None, partial(watch, trial.name))
             record = run_trial(trial, rig, folder, settings, watch)
-        found.append(record)
-    return found
+        records.append(record)
+    return records
 
 
 def run_trial(
@@ -102,14 +102,14 @@ def run_trial(
     """Run a trial, write its files and return its record."""
     path = folder / RECORDINGS / f"{trial.name}.h5"
     _rename_earlier(path)
-    captured = record_trial(
-        trial, rig.manifold, rig.switches, rig.instruments, path, rig.limits, settings, rig.timing,
+    recorded = record_trial(
+        trial, rig.manifold, rig.sinks, rig.instruments, path, rig.limits, settings, rig.timing,
         lambda phase, t: watch(trial.name, phase, t),
     )  # fmt: skip
     columns = trial_columns(
-        read_recording(path), captured.played.begun_ns, trial.duration, rig.readers, rig.analogue
+        read_recording(path), recorded.played.begun_ns, trial.duration, rig.readers, rig.analogue
     )
-    record = _trial_record(trial, captured, columns) | {
+    record = _trial_record(trial, recorded, columns) | {
         "settings": settings,
         "versions": _versions(),
     }
@@ -239,9 +239,9 @@ def _rename_earlier(path: Path) -> None:
 
 
 def _trial_record(
-    trial: PlannedTrial, captured: RecordedTrial, columns: TrialColumns
+    trial: PlannedTrial, recorded: RecordedTrial, columns: TrialColumns
 ) -> dict[str, Any]:
-    late = captured.played.lateness
+    late = recorded.played.lateness
     late_99 = float(np.percentile(late, 99))
     findings = list(columns.record["findings"])
     if late_99 > LATE:
@@ -253,18 +253,18 @@ def _trial_record(
             f"the readings' median delay was {1e3 * columns.record['late_median_s']:.0f} ms: the "
             "computer is too busy, and forces may be off by 1 to 2 ms against the pressures"
         )
-    if captured.load.slowest_flush > SLOW:
+    if recorded.load.slowest_flush > SLOW:
         findings.append(
-            f"the disk was slow: a kill would have lost {captured.load.slowest_flush:.2f} s of data"
+            f"the disk was slow: a kill would have lost {recorded.load.slowest_flush:.2f} s of data"
         )
     return {
         "trial": trial.name,
         **_drive(trial),
-        "begun_host_ns": captured.played.begun_ns,
+        "begun_host_ns": recorded.played.begun_ns,
         "commands": len(late),
         "command_late_99_s": late_99,
         "command_late_most_s": float(late.max()),
-        "recorder_slowest_flush_s": captured.load.slowest_flush,
+        "recorder_slowest_flush_s": recorded.load.slowest_flush,
         **columns.record,
         "findings": findings,
     }

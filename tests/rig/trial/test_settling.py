@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rig.protocol.messages import Arm, ManifoldState, Reading, SetLimits, SetPressures, encode_frame
-from rig.recording.table import AnalogueSensor, _moves
+from rig.recording.table import AnalogueSensor, _motion_findings
 from rig.simulated.manifold import ManifoldCore
 from rig.simulated.rig import LineFaults, SimulatedRig
 from rig.simulated.tank import TankState
@@ -60,8 +60,12 @@ def test_motion_before_the_drive_is_a_finding():
     t = np.arange(500) / 500.0
     drive = 0.04 * np.sin(20 * t)
     noise = 1e-3 * np.random.default_rng(0).normal(size=500)
-    assert _moves("tip_m", noise, drive, 1e-3) == _moves("tip_m", noise, noise, 1e-3) == ()
-    (finding,) = _moves("tip_m", 2e-3 * np.sin(6 * t) + noise, drive, 1e-3)
+    assert (
+        _motion_findings("tip_m", noise, drive, 1e-3)
+        == _motion_findings("tip_m", noise, noise, 1e-3)
+        == ()
+    )
+    (finding,) = _motion_findings("tip_m", 2e-3 * np.sin(6 * t) + noise, drive, 1e-3)
     assert "tip_m was not at rest before the drive" in finding and "longer pause" in finding
 
 
