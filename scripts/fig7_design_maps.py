@@ -1,9 +1,9 @@
-"""The paper's design maps (Fig. 7): steady speed over the tail's length and stiffness or phase.
+"""Compute the paper's design maps (Fig. 7): steady speed over the tail's length and EI or phase.
 
     python scripts/fig7_design_maps.py results/fig7
 
-writes fig7.png, fig7.txt (checks of the paper's statements) and fig7.json (all numbers). An
-interrupted run resumes when you repeat the command.
+The script writes fig7.png, fig7.txt (checks of the paper's statements) and fig7.json (all numbers).
+An interrupted run resumes when you repeat the command.
 """
 
 import argparse
@@ -32,14 +32,14 @@ from slider_jax.sweep.sweep import Axis, Sweep, run_sweep
 
 SWIMMER = Path(__file__).resolve().parent.parent / "docs" / "swimmer.toml"
 STIFFNESS = (3e-5, 0.038)
-"""Smallest and largest EI of the tail [N m^2]; assumed. The best tail of 20 mm needs the smallest;
-the largest is the body's."""
+"""Smallest and largest EI of the tail [N m^2]; assumed. The fastest tail of 20 mm has the smallest
+value; the largest value is that of the body."""
 STEPS_PER_STRIDE = 100
-"""With 300, speeds change by less than 0.05 %."""
+"""With 300 steps, speeds change by less than 0.05 %."""
 
 
 def sweeps(swimmer: Experiment, points: int) -> dict[str, Sweep]:
-    """Return the sweeps of maps a and b, with `points` values and the plotted ones on each axis."""
+    """Return the sweeps of maps a and b; each axis has `points` values and the plotted values."""
     if points < 4:
         raise InputError.value("--points", points, "4 or more, to include a negative phase")
     lengths = _with(np.linspace(SHOWN_LENGTHS[0], SHOWN_LENGTHS[-1], points), SHOWN_LENGTHS)
@@ -55,7 +55,7 @@ def sweeps(swimmer: Experiment, points: int) -> dict[str, Sweep]:
 
 
 def _with(values: np.ndarray, more: tuple[float, ...]) -> tuple[float, ...]:
-    """Return the union of both, sorted."""
+    """Return the sorted union of both sets of values."""
     return tuple(map(float, np.unique(np.round([*values, *more], 9))))
 
 
@@ -137,7 +137,7 @@ def main(argv: list[str] | None = None) -> int:
         write_text(stage / "fig7.txt", text)
     for folder in parts.values():
         shutil.rmtree(folder / "partial", ignore_errors=True)
-        with suppress(OSError):  # the folder holds other files
+        with suppress(OSError):  # the folder contains other files
             folder.rmdir()
     print(text, end="")
     return 0

@@ -1,9 +1,9 @@
-"""Runs all slow tests and prints a table of them: test, outcome, seconds.
+"""Run all slow tests and print a table with test, outcome and seconds.
 
     python scripts/slow_tests.py [PYTEST ARGUMENTS]
 
-Further arguments go to pytest, such as `-n 2` (the default) or a folder of tests. The exit code is
-pytest's.
+The script passes its arguments to pytest, for example `-n 2` (the default) or a folder of tests.
+The exit code is pytest's.
 """
 
 import subprocess
@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def outcome(case: ElementTree.Element) -> str:
-    """Return passed, failed, error or skipped of one test in pytest's XML report."""
+    """Return the outcome of one test in pytest's XML report: passed, failed, error or skipped."""
     for kind in ("failure", "error", "skipped"):
         if case.find(kind) is not None:
             return {"failure": "failed"}.get(kind, kind)

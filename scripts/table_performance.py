@@ -1,9 +1,9 @@
-"""The paper's table of its optimum beside this model's, and its sensitivity to the model.
+"""Compare the paper's table of its optimum with this model, and compute the table's sensitivity.
 
     python scripts/table_performance.py results/table
 
-prints the table, the tail slope by several definitions of the wavelength, and both after single
-changes of the model. It writes table.json and table.png. The run takes about five minutes.
+The script prints the table, the tail slope by several definitions of the wavelength, and both after
+single changes of the model. It writes table.json and table.png. It takes about five minutes.
 """
 
 import argparse
