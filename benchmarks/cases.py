@@ -1,4 +1,4 @@
-"""The robot that every benchmark times, at settings whose error is measured in the same run."""
+"""The robot of the speed benchmark; the benchmark also measures the error at these settings."""
 
 import os
 
@@ -25,17 +25,17 @@ from slider_jax.supports import Clamped  # noqa: E402
 enable_float64()
 
 FREQUENCY = 4.8
-"""Of the drive [Hz]."""
+"""Drive frequency [Hz]."""
 STRIDES = 6
 SECONDS = STRIDES / FREQUENCY
 NODES, STEPS = 31, 60
-"""The timed settings: nodes, and steps per stride."""
+"""The timed settings: number of nodes and of time steps per stride."""
 SHEET = {"EI_tail": 2.9e9 * 0.03 * 0.93e-3**3 / 12, "EA_tail": 2.9e9 * 0.03 * 0.93e-3}
-"""A tail of 0.93 mm sheet, 30 mm high, E = 2.9 GPa."""
+"""A tail of a sheet of 0.93 mm by 30 mm with E = 2.9 GPa."""
 
 
 def model(amplitude=250e3, **robot) -> Model:
-    """Head clamped in still water, a square wave of 4.8 Hz; every number an array."""
+    """Return a robot clamped in still water, driven by a square wave of 4.8 Hz, as arrays."""
     drive = Drive(SquareWave(FREQUENCY, amplitude), SquareWave(FREQUENCY, 0.9 * amplitude, 0.15))
     body = Robot(**({"body_length": 0.3, "tail_length": 0.07} | robot))
     whole = Model(
@@ -45,12 +45,12 @@ def model(amplitude=250e3, **robot) -> Model:
 
 
 def numerics(nodes: int) -> Numerics:
-    """A mesh of `nodes`, shared out between tail and body by length."""
+    """Return a mesh of `nodes`, divided between tail and body by length."""
     return Numerics(*split_cells(nodes, 0.07, 0.3))
 
 
 def run(model: Model, nodes=NODES, steps=STEPS, strides=STRIDES):
-    """Thrust [N] and tip [m] at every step, (steps, 2), and whether all went well."""
+    """Return thrust [N] and tip [m] at every step, (steps, 2), and whether all steps converged."""
 
     def save(x):
         return jnp.stack([obs.thrust(x), obs.tip(x)])
@@ -61,12 +61,12 @@ def run(model: Model, nodes=NODES, steps=STEPS, strides=STRIDES):
 
 
 def with_amplitude(model: Model, amplitude) -> Model:
-    """The same robot, driven at another set pressure [Pa]."""
+    """Return the robot with another set pressure amplitude [Pa]."""
     where = lambda m: (m.drive.front.amplitude, m.drive.rear.amplitude)  # noqa: E731
     return eqx.tree_at(where, model, (amplitude, 0.9 * amplitude))
 
 
 def mean_thrust_and_range(series, steps) -> np.ndarray:
-    """Of the last stride: mean thrust [N] and the tip's range [m]."""
+    """Return the mean thrust [N] and the tip's range [m] of the last stride."""
     last = np.asarray(series)[-steps:]
     return np.array([last[:, 0].mean(), np.ptp(last[:, 1])])

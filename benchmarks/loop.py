@@ -1,10 +1,10 @@
-"""How well the loop says what a model lacks: tanks with a known answer, and other ways beside it.
+"""Measures how well the loop and other methods identify known missing effects in synthetic tanks.
 
     python benchmarks/loop.py null coverage single double outside --out DIR
     python benchmarks/loop.py table --out DIR
 
-Every case is a file under DIR, written when it is done: a run that was stopped goes on, and several
-kinds may be asked for at once. `table` sums up what is there. Needs scikit-learn for the rivals.
+Each case writes one file under DIR. An interrupted run resumes when you repeat the command. `table`
+prints a summary of all files. The other methods need scikit-learn.
 """
 
 import argparse
@@ -17,10 +17,17 @@ from typing import Any, NamedTuple
 
 import null
 import numpy as np
-import rivals
-from strangers import STRANGERS
-from summary import summed_up
-from tanks import closed, draw, limits, noisy, problem_of, simulated
+import other_methods
+from summary import summary_tables
+from tanks import (
+    close_tank_loop,
+    detection_limits,
+    noisy_records,
+    problem_of,
+    sample_tank,
+    true_readings,
+)
+from unknown_effects import UNKNOWN_EFFECTS
 
 from calibration.discrepancy.close_loop import LoopOutcome, choose_held_out
 from calibration.inference.goodness import noise_floors, rms_errors
@@ -30,7 +37,7 @@ from slider_jax.effects.library import LIBRARY
 from slider_jax.io.files import versions, write_json
 from slider_jax.precision import enable_float64
 
-SIZED = {
+SIZE_PARAMETERS = {
     "valve_delay": "delay", "fill_vent_asymmetry": "ratio", "leakage": "leak",
     "choked_flow": "inverse", "line_lag": "tau", "actuator_hysteresis": "amplitude",
     "body_stiffness": "x", "cubic_elasticity": "b", "clamp_compliance": "compliance",
@@ -38,9 +45,9 @@ SIZED = {
     "force_crosstalk": "angle", "camera_delay": "delay",
     "chamber_mismatch": "difference", "pressure_sensor_lag": "tau",
 }  # fmt: skip
-"""Effects, with the parameter that sets their size."""
+"""Effects, and the parameter that sets the size of each."""
 SIZES = (1, 3, 10)
-"""Times the detection limit."""
+"""Sizes of the effects, as multiples of the detection limit."""
 PAIRS = (
     ("valve_delay", "tangential_friction"), ("fill_vent_asymmetry", "camera_delay"),
     ("leakage", "clamp_compliance"), ("line_lag", "tank_current"),
@@ -51,36 +58,40 @@ PAIRS = (
 )  # fmt: skip
 PAIR_SIZE = 5.0
 KINDS = ("null", "coverage", "single", "double", "outside", "table")
-WITH_RIVALS = (3, PAIR_SIZE)
-"""Sizes of the effects of which the other ways speak too."""
+COMPARED_SIZES = (3, PAIR_SIZE)
+"""Sizes of the effects for which the other methods also run."""
 TANKS = 3
-"""Tanks that the cases with an effect share."""
+"""Number of tanks that the cases with an effect share."""
 
 
 class Case(NamedTuple):
-    """A tank with effects in it."""
+    """A tank with missing effects."""
 
     kind: str
     name: str
     seed: int
-    """Of the tank."""
+    """Seed of the tank."""
     effects: Mapping[str, Mapping[str, float]]
     size: float = 0.0
     stranger: str = ""
+    """Name of an effect outside the library, or empty."""
 
 
 def sizes_of(seed: int, out: Path) -> dict[tuple[str, str], float]:
-    """Detection limits in a tank, kept on file."""
+    """Return the detection limits in a tank from a file; compute and write the file if missing."""
     path = out / f"limits_{seed}.json"
     if not path.exists():
         print(f"detection limits of tank {seed}", flush=True)
-        write_json(path, {f"{e}.{p}": x for (e, p), x in limits(seed).items()})
+        write_json(path, {f"{e}.{p}": x for (e, p), x in detection_limits(seed).items()})
     found = json.loads(path.read_text())
     return {tuple(k.split(".")): np.inf if x is None else x for k, x in found.items()}
 
 
 def _sized(effect: str, parameter: str, times: float, seed: int, out: Path) -> dict[str, float]:
-    """An effect's parameter at so many times its limit, of drawn sign; empty outside its range."""
+    """Return an effect's parameter at a multiple of its limit, with a random sign.
+
+    The result is empty if the prior range does not include the value.
+    """
     prior = LIBRARY[effect].priors()[parameter]
     distance = times * sizes_of(seed, out)[effect, parameter]
     rng = np.random.default_rng([seed, sorted(LIBRARY).index(effect)])
@@ -92,71 +103,77 @@ def _sized(effect: str, parameter: str, times: float, seed: int, out: Path) -> d
 
 
 def cases(kind: str, out: Path) -> Iterator[Case]:
-    """The cases of a kind; one whose size lies outside what is believed of it is left out."""
+    """Yield the cases of a kind, without those whose size is outside the prior range."""
     if kind == "single":
         for times in reversed(SIZES):
-            for i, (effect, parameter) in enumerate(SIZED.items()):
+            for i, (effect, parameter) in enumerate(SIZE_PARAMETERS.items()):
                 sized = _sized(effect, parameter, times, i % TANKS, out)
                 if sized:
                     yield Case(kind, f"{effect}_{times}", i % TANKS, {effect: sized}, times)
     if kind == "double":
         for i, pair in enumerate(PAIRS):
-            both = {e: _sized(e, SIZED[e], PAIR_SIZE, i % TANKS, out) for e in pair}
+            both = {e: _sized(e, SIZE_PARAMETERS[e], PAIR_SIZE, i % TANKS, out) for e in pair}
             if all(both.values()):
                 yield Case(kind, "+".join(pair), i % TANKS, both, PAIR_SIZE)
     if kind == "outside":
-        for i, name in enumerate(STRANGERS):
+        for i, name in enumerate(UNKNOWN_EFFECTS):
             yield Case(kind, name, i % TANKS, {}, stranger=name)
 
 
-def ratio(problem: AbstractProblem, predicted: list[np.ndarray], floor: dict[str, float]) -> float:
-    """rms over the channels of each channel's rms error over its floor."""
+def error_over_floor(
+    problem: AbstractProblem, predicted: list[np.ndarray], floor: dict[str, float]
+) -> float:
+    """Return the rms over the channels of each channel's rms error divided by its noise floor."""
     error = rms_errors(problem, predicted)
     return float(np.sqrt(np.mean([(error[c] / floor[c]) ** 2 for c in error])))
 
 
-def run(case: Case, compared: bool, progress) -> dict[str, Any]:
-    """Close the loop on a case, and let the rivals speak where it is `compared`."""
-    tank = draw(case.seed)
-    own = [STRANGERS[case.stranger].effect()] if case.stranger else []
-    begun = time.perf_counter()
-    true = simulated(tank, case.effects, own)
+def run_case(case: Case, compared: bool, progress) -> dict[str, Any]:
+    """Run the loop on a case, and also the other methods if `compared`; return the results."""
+    tank = sample_tank(case.seed)
+    own = [UNKNOWN_EFFECTS[case.stranger].effect()] if case.stranger else []
+    start = time.perf_counter()
+    true = true_readings(tank, case.effects, own)
     if not all(np.isfinite(y).all() for y in true):
         return {"left_out": "the tank cannot be simulated with this effect"}
-    found = noisy(tank, true, noise_seed(case))
+    found = noisy_records(tank, true, noise_seed(case))
     held = choose_held_out(found)
-    made, memo = time.perf_counter() - begun, null.Kept()
-    begun = time.perf_counter()
-    outcome = closed(tank, found, memo, progress)
-    seconds = time.perf_counter() - begun
-    told = null.summary(outcome, tank.truth) | {"seconds": seconds, "seconds_made": made}
+    made, memo = time.perf_counter() - start, null.MemoryCache()
+    start = time.perf_counter()
+    outcome = close_tank_loop(tank, found, memo, progress)
+    seconds = time.perf_counter() - start
+    record = null.outcome_record(outcome, tank.truth) | {"seconds": seconds, "seconds_made": made}
     names = tuple(candidates())
-    laid = problem_of(tank, names, memo)
-    seen = laid([r for i, r in enumerate(found) if i not in held])
-    rest = laid([found[i] for i in held])
+    problem = problem_of(tank, names, memo)
+    fitted = problem([r for i, r in enumerate(found) if i not in held])
+    rest = problem([found[i] for i in held])
     floor = noise_floors(rest, [true[i] for i in held])
-    told["held_out_over_floor"] = {
-        "refit only": ratio(rest, rest.predict(outcome.search.base.theta), floor),
-        "loop": ratio(rest, rest.predict(outcome.chosen.theta), floor),
+    record["held_out_over_floor"] = {
+        "refit only": error_over_floor(rest, rest.predict(outcome.search.base.theta), floor),
+        "loop": error_over_floor(rest, rest.predict(outcome.chosen.theta), floor),
     }
-    told["named_by"] = {}
-    if compared and case.size in WITH_RIVALS:
-        s = rivals.begin(seen, rest, outcome.entries, outcome.search.base)
-        ways = {"sparse": rivals.sparse, "stepwise": rivals.stepwise, "gp": rivals.gp}
-        for name, way in ways.items():
-            progress(f"rival: {name}")
-            said = way(s)
-            told["named_by"][name] = said.effects
-            told["held_out_over_floor"][name] = ratio(rest, said.predicted, floor)
-        said = rivals.oracle(s, list(case.effects))
-        told["held_out_over_floor"]["oracle"] = ratio(rest, said.predicted, floor)
+    record["named_by"] = {}
+    if compared and case.size in COMPARED_SIZES:
+        s = other_methods.method_input(fitted, rest, outcome.entries, outcome.search.base)
+        methods = {
+            "sparse": other_methods.sparse,
+            "stepwise": other_methods.stepwise,
+            "gp": other_methods.gp,
+        }
+        for name, method in methods.items():
+            progress(f"other method: {name}")
+            result = method(s)
+            record["named_by"][name] = result.effects
+            record["held_out_over_floor"][name] = error_over_floor(rest, result.predicted, floor)
+        result = other_methods.oracle(s, list(case.effects))
+        record["held_out_over_floor"]["oracle"] = error_over_floor(rest, result.predicted, floor)
     if case.effects:
-        told["effects_cover"] = _cover(outcome, case.effects)
-    return told
+        record["effects_cover"] = _cover(outcome, case.effects)
+    return record
 
 
 def noise_seed(case: Case) -> int:
-    """A seed that is a case's own."""
+    """Return a seed that is specific to a case."""
     digest = hashlib.sha256(f"{case.seed} {case.kind} {case.name}".encode()).digest()
     return int.from_bytes(digest[:7])
 
@@ -165,45 +182,46 @@ def _cover(outcome: LoopOutcome, effects: Mapping[str, Mapping[str, float]]) -> 
     found = {}
     for i, p in enumerate(outcome.entries):
         if p.effect in effects and p.name in effects[p.effect] and i in outcome.final.free:
-            found[p.label] = null.told(outcome.interval(i), effects[p.effect][p.name])
+            found[p.label] = null.interval_record(outcome.interval(i), effects[p.effect][p.name])
     return found
 
 
 def main() -> None:
-    asked = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    asked.add_argument("what", nargs="+", choices=KINDS)
-    asked.add_argument("--out", type=Path, required=True)
-    asked.add_argument("--only", default="", help="cases whose name holds this")
-    asked.add_argument("--alone", action="store_true", help="without the other ways: half the time")
-    given = asked.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add = parser.add_argument
+    add("what", nargs="+", choices=KINDS, help="kinds of cases to run, or table")
+    add("--out", type=Path, required=True, help="folder for the results")
+    add("--only", default="", help="run only cases whose name contains this text (default: all)")
+    add("--alone", action="store_true", help="omit the other methods, which halves the time")
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
     enable_float64()
 
     def work(path: Path, make) -> None:
-        if path.exists() or given.only not in path.name:
+        if path.exists() or arguments.only not in path.name:
             return
         path.parent.mkdir(exist_ok=True)
-        begun = time.perf_counter()
+        start = time.perf_counter()
 
         def progress(text: str) -> None:
-            print(f"{path.stem} {time.perf_counter() - begun:5.0f} s  {text}", flush=True)
+            print(f"{path.stem} {time.perf_counter() - start:5.0f} s  {text}", flush=True)
 
         write_json(path, make(progress) | {"versions": versions()})
 
-    for what in given.what:
+    for what in arguments.what:
         if what == "table":
-            print(summed_up(given.out))
+            print(summary_tables(arguments.out))
         elif what == "null":
             for seed in range(null.SEED, null.SEED + null.TANKS):
-                work(given.out / what / f"{seed}.json", lambda p, s=seed: null.replicates(s, p))
+                work(arguments.out / what / f"{seed}.json", lambda p, s=seed: null.replicates(s, p))
         elif what == "coverage":
-            for seed in range(null.FIRST, null.FIRST + null.COVERED):
-                work(given.out / what / f"{seed}.json", lambda p, s=seed: null.covered(s, p))
+            for seed in range(null.FIRST_COVERED, null.FIRST_COVERED + null.COVERED):
+                work(arguments.out / what / f"{seed}.json", lambda p, s=seed: null.coverage(s, p))
         else:
-            for case in cases(what, given.out):
+            for case in cases(what, arguments.out):
                 about = {"case": case._asdict()}
-                path = given.out / what / f"{case.name}.json"
-                work(path, lambda p, c=case, a=about: a | run(c, not given.alone, p))
+                path = arguments.out / what / f"{case.name}.json"
+                work(path, lambda p, c=case, a=about: a | run_case(c, not arguments.alone, p))
 
 
 if __name__ == "__main__":

@@ -1,24 +1,24 @@
-"""Speed of PyElastica on the soft swimming robot's rod: the peer in the speed benchmark.
+"""Measures the speed of PyElastica on the robot's rod, for comparison in the speed benchmark.
 
     python -m venv venv && venv/bin/pip install pyelastica
     taskset -c 1 venv/bin/python benchmarks/peer_pyelastica.py --out peer_pyelastica.json
 
-It re-times at the documented stable steps (STEP_S below); ``--bisect`` searches for them again;
-``--quick`` takes shorter windows and does not check the steps against four times smaller ones.
+The script uses the documented stable time steps (STEP_S below); ``--bisect`` searches for them.
+``--quick`` uses shorter windows and omits the comparison with a quarter of the time step.
 
-The rod, clamped at the head, is what a PyElastica user would build for this robot:
-  * 50 equal elements over 0.37 m; the bending stiffness of the tail begins at the cell of the
+The rod, clamped at the head, is a typical PyElastica model of this robot:
+  * It has 50 equal elements over 0.37 m. The tail's bending stiffness begins at the cell of the
     Voronoi node at 0.3034 m, that is at 0.2997 m.
-  * One circular section, radius 15 mm (half the body's height), of a density such that the line
-    mass is the structural plus the lateral added mass (which so acts along the rod as well), and
-    E = 4 EI / (pi R^4), G = E / 3. The stable step is proportional to this radius.
-  * Case "sheet": the tail's stretch, shear and bend matrices are those of a thin plate, but its
-    mass and rotary inertia stay those of the 15 mm section: the plate's own rotary inertia would
-    need a step about eight times smaller. Motion is planar; both bend entries are the weak one.
-  * AnalyticalLinearDamper in place of the Kelvin-Voigt damping: rate = tau * (2 pi f)^2, which
-    is what a Kelvin-Voigt time tau gives to a mode at the driving frequency f.
-  * Drag and actuation in one custom forcing class with numba kernels; PositionVerlet stepped in
-    an explicit Python loop, without callbacks. In a batch every member has its own pressure.
+  * The section is circular with a radius of 15 mm, half the body's height. Its density gives the
+    structural plus the lateral added mass, which thus also acts along the rod. E = 4 EI / (pi R^4)
+    and G = E / 3. The stable step is proportional to this radius.
+  * Case "sheet": the tail's stretch, shear and bend matrices are those of a thin plate. Its mass
+    and rotary inertia are those of the 15 mm section, because the plate's rotary inertia would need
+    a time step about eight times smaller. Motion is planar; both bend entries are the small one.
+  * AnalyticalLinearDamper replaces Kelvin-Voigt damping. Its rate tau * (2 pi f)^2 is that of a
+    mode at the drive frequency f with the Kelvin-Voigt time tau.
+  * One custom forcing class with numba kernels applies drag and actuation. A Python loop calls
+    PositionVerlet without callbacks. In a batch, each rod has its own pressure.
 """
 
 import argparse
@@ -32,14 +32,14 @@ from importlib.metadata import version
 
 for _name in ("OPENBLAS", "OMP", "MKL", "NUMBA"):  # before numpy and numba are imported
     os.environ[f"{_name}_NUM_THREADS"] = "1"
-if hasattr(os, "sched_setaffinity"):  # one core: the last of those we are allowed to use
+if hasattr(os, "sched_setaffinity"):  # use one core, the last of the allowed cores
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
 
 import elastica as ea  # noqa: E402
 import numpy as np  # noqa: E402
 from numba import njit  # noqa: E402
 
-# Largest stable steps as found by --bisect (PyElastica 1.0.0, 50 elements), to about 5 %.
+# Largest stable steps from --bisect (PyElastica 1.0.0, 50 elements), to about 5 %.
 STEP_S = {"robot": 3.1e-4, "sheet": 3.0e-5}
 
 N_ELEMENTS = 50
@@ -92,15 +92,15 @@ def _couples(now, state, p_set, frequency, delay, lag, weights, external_torques
 
 
 class SwimmerForcing(ea.NoForces):
-    """Drag and the two chambers; ``frequency=0`` holds the set pressures constant."""
+    """Drag and actuation by the two chambers; with ``frequency=0`` set pressures are constant."""
 
     def __init__(self, p_set, frequency, drag_coefficient):
         self.p_set, self.frequency, self.drag_coefficient = p_set, frequency, drag_coefficient
-        self.state = np.zeros(3)  # the two pressures, and the time they are for
+        self.state = np.zeros(3)  # the two pressures and their time
         length = LENGTH / N_ELEMENTS
         self.node_lengths = np.full(N_ELEMENTS + 1, length)
         self.node_lengths[[0, -1]] *= 0.5
-        # A couple between two element centres is shared between them (keeps its first moment).
+        # A couple between two element centres is divided between them and keeps its first moment.
         self.weights = np.zeros((2, N_ELEMENTS))
         for c, ends in enumerate(CHAMBERS):
             for end, sign in zip(ends, (-1.0, 1.0), strict=True):
@@ -122,7 +122,7 @@ class Simulator(ea.BaseSystemCollection, ea.Constraints, ea.Forcing, ea.Damping)
 
 
 def make_rod(case):
-    """A straight rod along x that bends in the x-y plane (d1 = z)."""
+    """Return a straight rod along x that bends in the x-y plane (d1 = z)."""
     density, young = LINE_MASS / (math.pi * RADIUS**2), 4 * EI_BODY / (math.pi * RADIUS**4)
     rod = ea.CosseratRod.straight_rod(
         N_ELEMENTS, np.zeros(3), np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]),
@@ -143,7 +143,7 @@ def make_rod(case):
 
 
 def make_simulator(case, step, members=1, p_set=P_SET, frequency=FREQUENCY, rate=DAMPING_RATE):
-    """All members in one simulator, and so in one memory block."""
+    """Return one simulator with all rods, which are thus in one memory block, and the rods."""
     simulator, rods = Simulator(), []
     drag = RHO_WATER * C_DRAG * HEIGHT / 2
     for scale in np.linspace(1.0, 0.9, members):
@@ -162,7 +162,7 @@ def make_simulator(case, step, members=1, p_set=P_SET, frequency=FREQUENCY, rate
 
 
 def tip_history(case, step, duration=1.0, **kwargs):
-    """Lateral tip position after every step; None where the run does not stay finite."""
+    """Return the lateral tip position after every step, or None if a value is not finite."""
     simulator, rods = make_simulator(case, step, **kwargs)
     stepper, now = ea.PositionVerlet(), 0.0
     tip = np.empty(math.ceil(duration / step - 1e-9))
@@ -170,7 +170,7 @@ def tip_history(case, step, duration=1.0, **kwargs):
     for i in range(tip.size):
         try:
             now = stepper.step(simulator, now, step)
-        except ZeroDivisionError:  # raised by compiled kernels once the rod has blown up
+        except ZeroDivisionError:  # compiled kernels raise it after the rod becomes unstable
             return None
         tip[i] = rods[0].position_collection[1, -1]
         if not abs(tip[i]) < LENGTH:  # also true for nan
@@ -179,13 +179,13 @@ def tip_history(case, step, duration=1.0, **kwargs):
 
 
 def tip_range(case, step):
-    """Peak-to-peak lateral motion of the tip over the last stride of 1 s, in m, or None."""
+    """Return the tip's peak-to-peak lateral motion [m] over the last stride of 1 s, or None."""
     tip, stride = tip_history(case, step), round(1 / FREQUENCY / step)
     return None if tip is None else float(np.ptp(tip[-stride:]))
 
 
 def check_step(case, step):
-    """Whether the step is usable, its tip range, and that of a four times smaller step."""
+    """Return whether the step is usable, its tip range, and that of a quarter of the step."""
     if (here := tip_range(case, step)) is None:
         return False, None, None
     fine = tip_range(case, step / 4)
@@ -193,7 +193,7 @@ def check_step(case, step):
 
 
 def bisect_step(case):
-    """Largest usable step, to 5 % (geometric bisection from a bracket around the default)."""
+    """Return the largest usable step to 5 %, by geometric bisection around the default."""
     low, high = STEP_S[case] / 2, STEP_S[case] * 2
     while not check_step(case, low)[0]:
         low, high = low / 2, low
@@ -207,7 +207,7 @@ def bisect_step(case):
 
 
 def core_seconds(case, step, members, window, repeats):
-    """CPU and wall seconds per simulated second of the whole simulator, warm, per repeat."""
+    """Return CPU and wall seconds per simulated second after compilation, for each repeat."""
     simulator, _ = make_simulator(case, step, members)
     stepper, now, cpu, wall = ea.PositionVerlet(), 0.0, [], []
     n_steps = round(window / step)
@@ -223,7 +223,7 @@ def core_seconds(case, step, members, window, repeats):
 
 
 def static_tip(pressure=45e3):
-    """Tip at rest under a constant front pressure, and the small-slope beam value, in m."""
+    """Return the static tip [m] under a constant front pressure, and the small-slope beam value."""
     load = {"p_set": np.array([pressure, 0.0]), "frequency": 0.0, "rate": 8.4}  # nearly critical
     settled = tip_history("robot", STEP_S["robot"], 3.0, **load)
     start, end = CHAMBERS[0]
@@ -245,11 +245,11 @@ def machine_line():
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", metavar="FILE.json", help="write the results as JSON")
-    parser.add_argument("--quick", action="store_true", help="short windows, no step check")
+    parser.add_argument("--out", metavar="FILE.json", help="JSON file for the results")
+    parser.add_argument("--quick", action="store_true", help="use short windows, check no step")
     parser.add_argument("--bisect", action="store_true", help="search for the stable steps")
     for case in STEP_S:
-        text = f"stable step in s (default {STEP_S[case]:g})"
+        text = f"stable step, in s (default: {STEP_S[case]:g})"
         parser.add_argument(f"--step-{case}", type=float, default=STEP_S[case], help=text)
     args = parser.parse_args()
 

@@ -1,9 +1,9 @@
-"""Peak memory and speed of a population of free swimmers, each a design of its own.
+"""Measures peak memory and speed of a population of free swimmers with different designs.
 
     python benchmarks/population.py --members 1000 --seconds 10
 
-Members swim from rest at 5 Hz for whole strides, 96 steps each on 31 nodes, as a search compares
-them. Memory is the whole process's, compiler and libraries with it.
+Each swimmer starts from rest and swims whole strides at 5 Hz, with 96 time steps per stride and 31
+nodes, as in the optimisation. The memory is that of the whole process.
 """
 
 import argparse
@@ -28,15 +28,16 @@ FREQUENCY = 5.0
 
 
 def main() -> None:
-    asked = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    asked.add_argument("--members", type=int, default=1000)
-    asked.add_argument("--seconds", type=float, default=10.0, help="swum by each")
-    asked.add_argument("--seed", type=int, default=0)
-    given = asked.parse_args()
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add = parser.add_argument
+    add("--members", type=int, default=1000, help="number of swimmers (default: 1000)")
+    add("--seconds", type=float, default=10.0, help="simulated time in s (default: 10)")
+    add("--seed", type=int, default=0, help="seed of the random designs (default: 0)")
+    arguments = parser.parse_args()
     enable_float64()
     start_devices(available_cores())
     model, box, search = models(optimum()), gait_bounds({}), SteadySettings()
-    count = round(given.seconds * FREQUENCY)
+    count = round(arguments.seconds * FREQUENCY)
 
     def speed(unit):
         swimmer = model(box.gait(unit)._replace(frequency=jnp.asarray(FREQUENCY)))
@@ -45,19 +46,19 @@ def main() -> None:
         return jnp.where(carry.ok, pace.speed, jnp.nan)
 
     evaluate = Evaluation(speed)
-    designs = np.random.default_rng(given.seed).uniform(size=(given.members, 6))
+    designs = np.random.default_rng(arguments.seed).uniform(size=(arguments.members, 6))
     evaluate(designs[:1])
-    compiled, begun = _peak(), time.perf_counter()
+    compiled, start = _peak(), time.perf_counter()
     speeds = evaluate(designs)
-    wall = time.perf_counter() - begun
+    wall = time.perf_counter() - start
     print(json.dumps({
-        "members": given.members,
+        "members": arguments.members,
         "simulated_s_each": count / FREQUENCY,
         "failed": int(np.isnan(speeds).sum()),
         "peak_GiB": _peak(),
         "peak_GiB_compiled": compiled,
         "wall_s": wall,
-        "simulated_s_per_s": given.members * count / FREQUENCY / wall,
+        "simulated_s_per_s": arguments.members * count / FREQUENCY / wall,
         "devices": len(jax.devices()),
         "versions": versions(),
     }, indent=1))  # fmt: skip

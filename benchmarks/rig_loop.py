@@ -1,12 +1,12 @@
-"""`slider rig loop` against a fixed sweep, on a simulated rig with two hidden causes.
+"""Compares `slider rig loop` with a fixed sweep on a simulated rig with two hidden effects.
 
     python benchmarks/rig_loop.py --out DIR
 
-The valves' spools overlap by what 4 kPa open, and the tank's water drifts at 5 cm/s. Neither is in
-the file that the loop is given, and all four base parameters are wrong in it. Both ways begin with
-the same three trials: the loop then chooses, the sweep goes on over frequency, pressure by
-pressure, and is closed on after each of COUNTS. Everything goes through the command line, a
-pseudo-terminal and UDP in real time. What is there is not measured again.
+The hidden effects are a valve overlap of 4 kPa and a current of 5 cm/s in the tank. The loop's
+experiment file contains neither, and all four base parameters in it are wrong. Loop and sweep begin
+with the same three trials. The loop then chooses its trials. The sweep varies the frequency at each
+pressure, and `slider close-loop` runs on its first COUNTS trials. All commands use a
+pseudo-terminal and UDP in real time. An interrupted run resumes when you repeat the command.
 """
 
 import argparse
@@ -28,7 +28,7 @@ SWEEP = [
 ]
 BEGIN = SWEEP[:3]
 RANGES = ("--frequency", 0.75, 5.5, "--amplitude", 60e3, 230e3, "--phase", -0.3, 0.3)
-"""Of the trials that the loop may choose."""
+"""Ranges of the trials that the loop may choose."""
 HIDDEN = {"valve_overlap": {"band": 4e3}, "tank_current": {"U_x": -0.05}}
 TRUE = {"C_d": 3.0, "m_a": 0.62, "k": 0.075, "K_Q": 4.6e-7}
 GIVEN = {"C_d": 2.5, "m_a": 0.5, "k": 0.06, "K_Q": 4.2e-7}
@@ -51,8 +51,8 @@ start_swing = 2e-4
 """
 
 
-def table(name: str, values: dict[str, Any]) -> str:
-    """A table of TOML."""
+def toml_table(name: str, values: dict[str, Any]) -> str:
+    """Return a TOML table."""
     lines = [f"{key} = {json.dumps(x)}" for key, x in values.items()]
     return "\n".join([name, *lines, "", ""])
 
@@ -60,32 +60,32 @@ def table(name: str, values: dict[str, Any]) -> str:
 def experiment(
     parameters: dict[str, float], effects: dict[str, dict], trials: Sequence[dict[str, float]]
 ) -> str:
-    """An experiment file with these trials."""
-    text = ROBOT + table("[parameters]", parameters)
+    """Return the text of an experiment file with these trials."""
+    text = ROBOT + toml_table("[parameters]", parameters)
     for name, values in effects.items():
-        text += table("[[effects]]", {"name": name} | values)
+        text += toml_table("[[effects]]", {"name": name} | values)
     for i, drive in enumerate(trials):
-        text += table("[[trials]]", {"file": f"s{i:02d}.csv"} | drive)
+        text += toml_table("[[trials]]", {"file": f"s{i:02d}.csv"} | drive)
     return text
 
 
 def slider(*words: object) -> None:
-    """Runs one to its end; what it says goes to the terminal."""
+    """Run a `slider` command; its output goes to the terminal."""
     print("slider", *words, flush=True)
     subprocess.run(command(*words), check=True)
 
 
 @contextmanager
-def hidden(folder: Path) -> Iterator[tuple[str, Path]]:
-    """The rig with the hidden causes: its port and its rig file."""
+def hidden_rig(folder: Path) -> Iterator[tuple[str, Path]]:
+    """Run the rig with the hidden effects; yield its port and its rig file."""
     truth = folder / "truth.toml"
     truth.write_text(experiment(TRUE, HIDDEN, BEGIN))
     with simulated(truth, folder, "--noise", 300, "--force-noise", 3e-3) as served:
         yield served
 
 
-def said(path: Path) -> dict[str, Any]:
-    """What a report says, and whether its intervals hold what is true."""
+def report_summary(path: Path) -> dict[str, Any]:
+    """Return a report's verdict and effects, and whether its intervals contain the true values."""
     report = json.loads(path.read_text())
     found = {effect["name"]: effect for effect in report["effects"]}
     intervals = dict(report["parameters"])
@@ -105,7 +105,7 @@ def said(path: Path) -> dict[str, Any]:
 
 
 def first_of(sweep: Path, count: int, folder: Path) -> Path:
-    """The sweep's first trials, as an experiment of their own."""
+    """Write an experiment with the sweep's first trials and return its path."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "experiment.toml"
     path.write_text(experiment(GIVEN, {}, SWEEP[:count]))
@@ -116,36 +116,38 @@ def first_of(sweep: Path, count: int, folder: Path) -> Path:
 
 
 def main() -> None:
-    asked = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    asked.add_argument("--out", type=Path, required=True)
-    asked.add_argument("--counts", type=int, nargs="*", default=[4, 5, 12])
-    given = asked.parse_args()
-    out = given.out
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add = parser.add_argument
+    add("--out", type=Path, required=True, help="folder for the results")
+    counts = "numbers of the sweep's trials on which the loop is closed (default: 4 5 12)"
+    add("--counts", type=int, nargs="*", default=[4, 5, 12], help=counts)
+    arguments = parser.parse_args()
+    out = arguments.out
     out.mkdir(parents=True, exist_ok=True)
     (out / "given.toml").write_text(experiment(GIVEN, {}, BEGIN))
     (out / "sweep.toml").write_text(experiment(GIVEN, {}, SWEEP))
     results: dict[str, Any] = {}
     if not (out / "loop" / "report.json").exists():
-        with hidden(out) as (port, rig):
-            begun = time.monotonic()
+        with hidden_rig(out) as (port, rig):
+            start = time.monotonic()
             slider("rig", "loop", out / "given.toml", "--port", port, "--rig", rig,
                    "--out", out / "loop", "--budget", BUDGET, *RANGES)  # fmt: skip
-            results["loop_seconds"] = time.monotonic() - begun
+            results["loop_seconds"] = time.monotonic() - start
     if not (out / "sweep" / f"s{len(SWEEP) - 1:02d}.csv").exists():
-        with hidden(out) as (port, rig):
+        with hidden_rig(out) as (port, rig):
             slider("rig", "run", out / "sweep.toml", "--port", port, "--rig", rig,
                    "--out", out / "sweep")  # fmt: skip
     report = json.loads((out / "loop" / "report.json").read_text())
-    results["loop"] = said(out / "loop" / "report.json") | {
+    results["loop"] = report_summary(out / "loop" / "report.json") | {
         "trials": [x["trials"] for x in report["rounds"]][-1],
         "rounds": [x["said"] for x in report["rounds"]],
         "settled": report["settled"],
     }
-    for count in given.counts:
+    for count in arguments.counts:
         folder = out / f"first_{count:02d}"
         if not (folder / "out" / "report.json").exists():
             slider("close-loop", first_of(out / "sweep", count, folder), "--out", folder / "out")
-        results[f"sweep of {count}"] = said(folder / "out" / "report.json")
+        results[f"sweep of {count}"] = report_summary(folder / "out" / "report.json")
     print(json.dumps(results, indent=2))
     (out / "results.json").write_text(json.dumps(results, indent=2) + "\n")
 

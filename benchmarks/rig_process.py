@@ -1,4 +1,4 @@
-"""slider's commands as processes of their own, and a simulated rig to run them on."""
+"""Runs `slider` commands as separate processes, with a simulated rig."""
 
 import os
 import signal
@@ -10,17 +10,17 @@ from pathlib import Path
 
 
 def command(*words: object) -> list[str]:
-    """A command of slider, in this Python."""
+    """Return the command line of a `slider` command in this Python."""
     code = "import sys; from slider_jax.cli.main import main; sys.exit(main(sys.argv[1:]))"
     return [sys.executable, "-c", code, *map(str, words)]
 
 
 @contextmanager
 def simulated(truth: Path, folder: Path, *options: object) -> Iterator[tuple[str, Path]]:
-    """`slider rig simulate` of an experiment: its port and its rig file, which goes to `folder`.
+    """Run `slider rig simulate` with an experiment; yield its port and its rig file in `folder`.
 
-    It ends with the block, also where SIGTERM ends that. Raises `RuntimeError` where it does not
-    start; why, it says itself.
+    The process ends with the block, also after SIGTERM. Raises `RuntimeError` if it does not start;
+    its own message on stderr gives the reason.
     """
     rig = folder / "rig.toml"
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)

@@ -1,10 +1,10 @@
-"""500 readings of 8 channels and 200 commands a second, through a pseudo-terminal, recorded.
-
-The manifold is a simulated one in a process of its own. Told are readings lost and doubled, how
-long a command is on its way from when it was due to the wire, and what of a core the host's side
-takes: driver, recorder and pacing. Bars: 0, 0, 5 ms for 99 of 100, 15 %.
+"""Measures a recorded stream of 500 readings of 8 channels and 200 commands per second.
 
     python benchmarks/rig_stream.py [SECONDS]
+
+A simulated manifold runs in a separate process behind a pseudo-terminal. The benchmark reports lost
+and repeated readings, the delay of commands until they are written, and the host's share of a core
+for driver, recorder and pacing. The limits are 0, 0, 5 ms for 99 of 100 commands, and 15 %.
 """
 
 import json
@@ -31,29 +31,29 @@ from rig.trial.waveform import SegmentDrive
 
 
 def device() -> SimulatedRig:
-    """What is served."""
+    """Return the simulated rig."""
     return SimulatedRig(BenchTank())
 
 
 def _cpu() -> float:
-    """Of this process and of those that have ended, such as the recorder's [s]."""
+    """Return the processor time [s] of this process and of ended child processes."""
     ended = resource.getrusage(resource.RUSAGE_CHILDREN)
     return time.process_time() + ended.ru_utime + ended.ru_stime
 
 
 def measure(seconds: float, folder: Path) -> dict[str, float | int | str]:
-    """A trial of so many seconds."""
+    """Record a trial of some seconds and return its statistics."""
     path = folder / "stream.h5"
     switches = ManifoldSinks(SwitchableSink(), SwitchableSink())
     drive = SegmentDrive("sine", 1.3, 150e3, phase=0.15)
     with real_time_priority() as priority, serve_in_process(device) as served:
         with Manifold(open_port(served.path), *switches) as manifold:
-            cpu, begun = _cpu(), time.monotonic()
+            cpu, start = _cpu(), time.monotonic()
             captured = record_trial(
                 PlannedTrial("stream", drive, seconds), manifold, switches, {}, path,
                 PressureLimits.of([250e3]), {}, TrialTiming(),
             )  # fmt: skip
-            cpu, wall = _cpu() - cpu, time.monotonic() - begun
+            cpu, wall = _cpu() - cpu, time.monotonic() - start
             lost, doubled, damaged = manifold.lost, manifold.duplicated, manifold.damaged
     stream = read_recording(path).streams["manifold"]
     kept = decode_readings(zip(stream.host_ns.tolist(), stream.pieces(), strict=True))

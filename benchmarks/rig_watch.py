@@ -1,12 +1,15 @@
-"""`slider rig watch` beside a sound simulated rig, in real time, and then one whose chamber leaks.
+"""Measures `slider rig watch` in real time with a simulated rig whose chamber starts to leak.
 
     python benchmarks/rig_watch.py [SECONDS] [--experiment FILE] [--leak RATE]
 
-The rig is a process of its own (`slider rig simulate`: pseudo-terminal and UDP) on the same cores.
-It is sound for so many seconds of watching (600); then its front left chamber leaks at the rate
-given [1/s], until an alarm ends the watch. Told are, of the sound robot, how late the model is
-(bar: 50 ms for 99 of 100 blocks), the share of the time that it computes, and its alarms (none);
-and how long after the leak its alarm came (2 s).
+The rig is a separate process on the same cores (`slider rig simulate` with pseudo-terminal and
+UDP). It has no fault for SECONDS (default: 600). Then its front left chamber leaks until an alarm
+ends the watch. The benchmark reports, with limits:
+
+- the model's delay without a fault (50 ms for 99 of 100 blocks);
+- the share of the time that the model computes;
+- the number of false alarms (none);
+- the time from the leak to its alarm (2 s).
 """
 
 import argparse
@@ -24,68 +27,69 @@ from rig_process import command, simulated
 from calibration.twin.twin import TwinSettings
 
 START = 25.0
-"""[s] of the rig's clock by which a watch has begun, its model compiled."""
-PATIENCE = 40.0
-"""[s] of the leak after which a watch that no alarm ended ends."""
-SETTLED = 3.0
-"""[s] of the watch that do not count: its first blocks wait for the clocks."""
-LEAST = 20.0
-"""[s] of a sound robot: shorter, the bands may not be learned."""
+"""Time [s] on the rig's clock at which the model is compiled and the watch has begun."""
+WAIT_AFTER_LEAK = 40.0
+"""Time [s] from the leak to the end of a watch without an alarm."""
+START_UP = 3.0
+"""Initial time [s] of the watch that is omitted, because the first blocks wait for the clocks."""
+MIN_SECONDS = 20.0
+"""Shortest time [s] without a fault that is long enough to learn the bands."""
 BLOCK = TwinSettings().samples / TwinSettings().rate
-"""[s] of readings in a block."""
+"""Duration [s] of a block of readings."""
 ROOT = Path(__file__).resolve().parent.parent
 
 
 def measure(seconds: float, experiment: Path, rate: float, folder: Path) -> dict[str, Any]:
-    """A watch of a robot that is sound for so many seconds, and leaks then.
+    """Watch a robot that leaks after some seconds; return the measured values.
 
-    Raises `RuntimeError` where it did not run to its end.
+    Raises `RuntimeError` if the watch fails.
     """
     leak, out = seconds + START, folder / "watch"
     fault = ("--inject", f"leak_front_left={rate:g}@{leak:g}")
     with simulated(experiment, folder, *fault) as (port, rig):
-        # Without a terminal: on one it goes on after an alarm.
+        # Without a terminal, the watch ends with the first alarm.
         done = subprocess.run(
             command("rig", "watch", experiment, "--port", port, "--rig", rig,
-                    "--out", out, "--seconds", leak + PATIENCE),
+                    "--out", out, "--seconds", leak + WAIT_AFTER_LEAK),
             stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
     if done.returncode not in (0, 1):
         raise RuntimeError(f"slider rig watch ended with {done.returncode}: {done.stderr[-2000:]}")
-    told = json.loads((out / "watch.json").read_text())
+    record = json.loads((out / "watch.json").read_text())
     rows = np.genfromtxt(out / "watch.csv", delimiter=",", names=True)
-    t_leak = leak - told["t_0_device_s"]
-    sound = rows[(rows["t_s"] > SETTLED) & (rows["t_s"] < t_leak)]
+    t_leak = leak - record["t_0_device_s"]
+    sound = rows[(rows["t_s"] > START_UP) & (rows["t_s"] < t_leak)]
     late = 1e3 * sound["lag_s"]
-    alarms = [{"after_s": x["t_s"] - t_leak, "said": x["said"]} for x in told["alarms"]]
+    alarms = [{"after_s": x["t_s"] - t_leak, "said": x["said"]} for x in record["alarms"]]
     return {
         "experiment": str(experiment),
         "sound_s": float(sound["t_s"][-1]),
         "blocks": len(sound),
-        "lost": told["lost"],
+        "lost": record["lost"],
         "lag_ms": {f"{q:g} %": float(np.percentile(late, q)) for q in (50, 95, 99, 99.9, 100)},
         "computing": float(np.mean(sound["compute_s"])) / BLOCK,
         "false_alarms": [x for x in alarms if x["after_s"] < 0.0],
         "leak_1_per_s": rate,
         "alarm": next((x for x in alarms if x["after_s"] >= 0.0), None),
         "reached_the_leak": bool(rows["t_s"][-1] > t_leak),
-        "versions": told["versions"],
+        "versions": record["versions"],
         "machine": f"{platform.platform()}, {os.cpu_count()} cores",
     }
 
 
 def main() -> None:
-    asked = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    asked.add_argument(
-        "seconds", type=float, nargs="?", default=600.0, help="sound [s]: %(default)s"
-    )
-    asked.add_argument("--experiment", type=Path, default=ROOT / "docs" / "experiment.toml")
-    asked.add_argument("--leak", type=float, default=1.2, help="[1/s]: %(default)s")
-    given = asked.parse_args()
-    if not given.seconds >= LEAST:
-        asked.error(f"{given.seconds:g} s; allowed {LEAST:g} or more, for the bands to be learned")
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add = parser.add_argument
+    add("seconds", type=float, nargs="?", default=600.0,
+        help="time without a fault, in s (default: 600)")  # fmt: skip
+    add("--experiment", type=Path, default=ROOT / "docs" / "experiment.toml",
+        help="experiment file (default: docs/experiment.toml)")  # fmt: skip
+    add("--leak", type=float, default=1.2, help="rate of the leak, in 1/s (default: 1.2)")
+    arguments = parser.parse_args()
+    if not arguments.seconds >= MIN_SECONDS:
+        parser.error(f"SECONDS {arguments.seconds:g}: allowed {MIN_SECONDS:g} or more")
     with tempfile.TemporaryDirectory() as folder:
-        measured = measure(given.seconds, given.experiment, given.leak, Path(folder))
+        measured = measure(arguments.seconds, arguments.experiment, arguments.leak, Path(folder))
     print(json.dumps(measured, indent=2))
 
 

@@ -1,11 +1,10 @@
-"""How fast the simulator is: one core, ratios against PyElastica in the same run.
+"""Measures the simulator's speed on one core, and its ratio to PyElastica in the same run.
 
     python benchmarks/speed.py --peer-python /path/to/python/with/pyelastica --out speed.json
 
-Every figure is in CPU seconds of one core per simulated second (and per member in a batch), the
-least of several repeats; the error of the timed settings is measured in the same run. Without
-`--peer-python` the peer's rows are left out. `--growth` adds the tables and the plot of cost
-against nodes and batch.
+Costs are CPU seconds of one core per simulated second (per robot in a batch), the smallest of
+several repeats. The same run measures the error at the timed settings. Without `--peer-python`,
+PyElastica is omitted. `--growth` adds tables and a plot of the cost against nodes and batch size.
 """
 
 import argparse
@@ -31,8 +30,8 @@ print(time.perf_counter() - start)
 """
 
 
-def least(call, repeats: int) -> float:
-    """CPU seconds of the quickest of `repeats` calls."""
+def least_cpu_seconds(call, repeats: int) -> float:
+    """Return the CPU seconds of the fastest of `repeats` calls."""
     import jax
 
     spent = []
@@ -44,7 +43,7 @@ def least(call, repeats: int) -> float:
 
 
 def accuracy(**robot) -> dict:
-    """Error of the timed settings against a fine mesh and step."""
+    """Return the error at the timed settings relative to a fine mesh and time step."""
     import jax
     from cases import NODES, STEPS, mean_thrust_and_range, model, run
 
@@ -63,7 +62,7 @@ def accuracy(**robot) -> dict:
 
 
 def batch_cost(members: int, repeats: int, nodes=None, chunk=8) -> float:
-    """Per member and simulated second; the batch runs in chunks that fit the cache."""
+    """Return the cost per robot and simulated second of a batch in chunks that fit the cache."""
     import jax
     import jax.numpy as jnp
     from cases import NODES, SECONDS, model, run, with_amplitude
@@ -77,22 +76,25 @@ def batch_cost(members: int, repeats: int, nodes=None, chunk=8) -> float:
     amplitudes = jnp.linspace(150e3, 300e3, members)
     call = jax.jit(lambda a: jax.lax.map(member, a, batch_size=min(chunk, members)))
     assert bool(jax.block_until_ready(call(amplitudes))[1].all())
-    return least(lambda: call(amplitudes), repeats) / (members * SECONDS)
+    return least_cpu_seconds(lambda: call(amplitudes), repeats) / (members * SECONDS)
 
 
 def single_cost(repeats: int, nodes=None, **robot) -> float:
-    """One robot alone, warm."""
+    """Return the cost of one robot per simulated second after compilation."""
     import jax
     from cases import NODES, SECONDS, model, run
 
     call = jax.jit(lambda m: run(m, nodes or NODES))
     one = model(**robot)
     assert bool(jax.block_until_ready(call(one))[1])
-    return least(lambda: call(one), repeats) / SECONDS
+    return least_cpu_seconds(lambda: call(one), repeats) / SECONDS
 
 
 def gradient_ratio(repeats: int) -> float:
-    """Forward derivative of the thrust to C_d, m_a, k and K_Q, over the plain rollout."""
+    """Return the cost of the thrust's forward derivatives over that of the thrust alone.
+
+    The derivatives are with respect to C_d, m_a, k and K_Q.
+    """
     import equinox as eqx
     import jax
     import jax.numpy as jnp
@@ -113,12 +115,15 @@ def gradient_ratio(repeats: int) -> float:
     at = jnp.stack(where(base))
     plain, forward = jax.jit(thrust), jax.jit(jax.jacfwd(thrust))
     jax.block_until_ready((plain(at), forward(at)))
-    ratios = [least(lambda: forward(at), 2) / least(lambda: plain(at), 2) for _ in range(repeats)]
+    ratios = [
+        least_cpu_seconds(lambda: forward(at), 2) / least_cpu_seconds(lambda: plain(at), 2)
+        for _ in range(repeats)
+    ]
     return sorted(ratios)[len(ratios) // 2]
 
 
 def first_calls() -> dict:
-    """Wall seconds of a whole process: import, compile, run; then again with its cache."""
+    """Return the wall seconds of import, compilation and run, without and with cache."""
     with tempfile.TemporaryDirectory() as cache:
         script = FIRST_CALL.format(here=str(HERE), cache=cache)
         seconds = [
@@ -133,7 +138,7 @@ def first_calls() -> dict:
 
 
 def peer(python: str) -> dict:
-    """PyElastica on the same rod, in the same run and on the same core."""
+    """Return the results of PyElastica for the same rod, in the same run and on the same core."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "peer.json"
         script = [python, str(HERE / "peer_pyelastica.py"), "--out", str(out)]
@@ -142,7 +147,7 @@ def peer(python: str) -> dict:
 
 
 def growth(repeats: int) -> dict:
-    """Cost against nodes (one robot) and against members of a batch."""
+    """Return the cost against the number of nodes (one robot) and of robots in a batch."""
     nodes = {n: single_cost(repeats, n) for n in (26, 51, 101, 201, 401)}
     members = {b: batch_cost(b, repeats) for b in (1, 2, 4, 8, 16, 56, 112, 224, 448)}
     return {"nodes": nodes, "members": members}
@@ -162,13 +167,14 @@ def plot_growth(table: dict, path: Path) -> None:
     left.set_xticklabels([str(x) if x > 50 else "" for x in n])
     members, share = zip(*table["members"].items(), strict=True)
     right.semilogx(members, share, "o-", base=2)
-    right.set(xlabel="members (-)", ylabel="the same, per member (-)", title="batch")
+    right.set(xlabel="robots (-)", ylabel="core-seconds per simulated second and robot (-)")
+    right.set(title="batch")
     right.set(xticks=members, xticklabels=members, ylim=(0, None))
     figure.savefig(path, dpi=120)
 
 
 def cpu_name() -> str:
-    """The processor's name, where the system tells it."""
+    """Return the processor's name, as far as the system reports it."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         return next(x.split(":")[1].strip() for x in lines if x.startswith("model name"))
@@ -178,10 +184,11 @@ def cpu_name() -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--peer-python", help="interpreter that has pyelastica")
-    parser.add_argument("--out", type=Path, default=Path("speed.json"))
-    parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--growth", action="store_true")
+    add = parser.add_argument
+    add("--peer-python", help="Python interpreter with pyelastica (default: omit PyElastica)")
+    add("--out", type=Path, default=Path("speed.json"), help="results (default: speed.json)")
+    add("--repeats", type=int, default=5, help="number of repeats of each timing (default: 5)")
+    add("--growth", action="store_true", help="also measure the cost against nodes and batch size")
     options = parser.parse_args()
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})

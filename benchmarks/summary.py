@@ -1,4 +1,4 @@
-"""The benchmark of the loop as tables."""
+"""Summarises the benchmark of the loop in tables."""
 
 import json
 from collections.abc import Iterable, Sequence
@@ -7,33 +7,33 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
-from strangers import STRANGERS
+from unknown_effects import UNKNOWN_EFFECTS
 
 from calibration.discrepancy.verdict import CLASS, IDENTIFIED, NAMED, NOTHING, UNEXPLAINED
 from slider_jax.effects.library import LIBRARY
 
-WAYS = ("refit only", "sparse", "stepwise", "gp", "loop", "oracle")
-ABOVE = 1.1
-"""Held-out rms over its floor from which on there is something to explain."""
+METHODS = ("refit only", "sparse", "stepwise", "gp", "loop", "oracle")
+EXPLAINABLE = 1.1
+"""Held-out rms over the noise floor above which there is a residual to explain."""
 
 
-def read(out: Path, kind: str) -> list[dict[str, Any]]:
-    """The finished cases of a kind."""
+def read_cases(out: Path, kind: str) -> list[dict[str, Any]]:
+    """Return the completed cases of a kind."""
     found = [json.loads(p.read_text()) for p in sorted((out / kind).glob("*.json"))]
     return [x for x in found if "left_out" not in x]
 
 
-def said(case: dict[str, Any], way: str = "loop") -> list[set[str]]:
-    """What was named: a set of names for every cause."""
-    if way == "loop":
+def named_causes(case: dict[str, Any], method: str = "loop") -> list[set[str]]:
+    """Return the named causes, each as a set of equivalent effects."""
+    if method == "loop":
         if case["verdict"] not in NAMED:
             return []
         return [{e["name"], *e["class"]} for e in case["effects"]]
-    return [{name} for name in case["named_by"].get(way, [])]
+    return [{name} for name in case["named_by"].get(method, [])]
 
 
-def hits(causes: Sequence[set[str]], truth: Iterable[str]) -> int:
-    """How many of the true effects are among the causes, each cause counting once."""
+def matched_effects(causes: Sequence[set[str]], truth: Iterable[str]) -> int:
+    """Return how many of the true effects are among the causes; each cause counts once."""
     match = np.array([[name in cause for name in truth] for cause in causes], float)
     if not match.size:
         return 0
@@ -41,42 +41,42 @@ def hits(causes: Sequence[set[str]], truth: Iterable[str]) -> int:
     return int(match[rows, columns].sum())
 
 
-def right(case: dict[str, Any], way: str = "loop", most: int = 99) -> bool:
-    """Whether the true effect and nothing else was named, in a class of at most so many."""
-    causes = said(case, way)
-    named = len(causes) == 1 and hits(causes, case["case"]["effects"]) == 1
+def is_right(case: dict[str, Any], method: str = "loop", most: int = 99) -> bool:
+    """Return whether only the true effect was named, in a class of at most `most` effects."""
+    causes = named_causes(case, method)
+    named = len(causes) == 1 and matched_effects(causes, case["case"]["effects"]) == 1
     return named and len(causes[0]) <= most
 
 
-def f1(found: Sequence[dict[str, Any]], way: str = "loop") -> float:
-    """Of the sets of causes, all cases together."""
-    matched = sum(hits(said(x, way), x["case"]["effects"]) for x in found)
-    named = sum(len(said(x, way)) for x in found)
+def f1(found: Sequence[dict[str, Any]], method: str = "loop") -> float:
+    """Return the F1 score of the named causes over all cases."""
+    matched = sum(matched_effects(named_causes(x, method), x["case"]["effects"]) for x in found)
+    named = sum(len(named_causes(x, method)) for x in found)
     true = sum(len(x["case"]["effects"]) for x in found)
     return 2.0 * matched / (named + true) if named + true else float("nan")
 
 
-def skills(found: Iterable[dict[str, Any]], way: str = "loop") -> list[float]:
-    """(before - after)/(before - floor) on the trials held out, where before stands above it."""
+def skills(found: Iterable[dict[str, Any]], method: str = "loop") -> list[float]:
+    """Return (before - after)/(before - floor) of the held-out trials with a residual."""
     errors = [x["held_out_over_floor"] for x in found]
     return [
-        (e["refit only"] - e[way]) / (e["refit only"] - 1.0)
+        (e["refit only"] - e[method]) / (e["refit only"] - 1.0)
         for e in errors
-        if e["refit only"] > ABOVE and way in e
+        if e["refit only"] > EXPLAINABLE and method in e
     ]
 
 
-def place_of_stranger(case: dict[str, Any]) -> str:
-    """What the loop said of an effect that is not in the library, in a word."""
-    truth = STRANGERS[case["case"]["stranger"]]
+def location_verdict(case: dict[str, Any]) -> str:
+    """Return the rating of the loop's verdict on an effect outside the library."""
+    truth = UNKNOWN_EFFECTS[case["case"]["stranger"]]
     if case["verdict"] == IDENTIFIED:
         return "wrong name"
     if case["verdict"] == CLASS:
-        places = {LIBRARY[n].place() for cause in said(case) for n in cause}
+        places = {LIBRARY[n].place() for cause in named_causes(case) for n in cause}
         return "right place" if places & set(truth.places) else "wrong place"
     if case["verdict"] != UNEXPLAINED:
         return case["verdict"]
-    if not case["where"]:  # an effect at the edge of what is believed stands in for the cause
+    if not case["where"]:  # an effect at the limit of its prior range replaces the cause
         near = {e["where"] for e in case["nearest"]}
         return "right place" if near & set(truth.places) else "wrong place"
     worst = max(case["where"], key=lambda x: x["mean_square_over_noise"])
@@ -87,69 +87,70 @@ def _share(flags: Sequence[bool]) -> str:
     return f"{sum(flags)} of {len(flags)} ({np.mean(flags):.0%})" if flags else "none"
 
 
-def summed_up(out: Path) -> str:
-    """All tables, as Markdown."""
+def summary_tables(out: Path) -> str:
+    """Return all tables as Markdown."""
     parts = []
-    if tanks := read(out, "null"):
-        parts.append(_nothing(tanks))
-    if fits := read(out, "coverage"):
-        parts.append(_covered(fits))
-    singles = read(out, "single")
+    if tanks := read_cases(out, "null"):
+        parts.append(_null_table(tanks))
+    if fits := read_cases(out, "coverage"):
+        parts.append(_coverage_list(fits))
+    singles = read_cases(out, "single")
     if singles:
         lines = [
-            "| times the limit | right | right, alone | size of a class, mean | skill, median "
-            "| least | of |",
+            "| size / limit | correct | correct, class of one | mean class size | median skill "
+            "| smallest skill | cases |",
             "|---|---|---|---|---|---|---|",
         ]
         for size in sorted({x["case"]["size"] for x in singles}):
             of = [x for x in singles if x["case"]["size"] == size]
-            spoke = [x for x in of if x["verdict"] in NAMED]
-            sizes = [len(c) for x in spoke for c in said(x)]
-            skill = skills(spoke) or [np.nan]
+            named = [x for x in of if x["verdict"] in NAMED]
+            sizes = [len(c) for x in named for c in named_causes(x)]
+            skill = skills(named) or [np.nan]
             lines.append(
                 f"| {size:g} | {_share([right(x) for x in of])} "
                 f"| {_share([right(x, most=1) for x in of])} | {np.mean(sizes or [0]):.2f} "
-                f"| {np.median(skill):.3f} | {min(skill):.3f} | {len(skills(spoke))} |"
+                f"| {np.median(skill):.3f} | {min(skill):.3f} | {len(skills(named))} |"
             )
         parts.append("\n".join(lines))
-        wrong = [x for x in singles if not right(x)]
-        parts.append("\n".join(["Not right:", *(_told(x) for x in wrong)]))
+        wrong = [x for x in singles if not is_right(x)]
+        parts.append("\n".join(["Incorrect:", *(_case_line(x) for x in wrong)]))
         inside = [
-            v["low"] < v["truth"] < v["high"] for x in singles if right(x)
+            v["low"] < v["truth"] < v["high"] for x in singles if is_right(x)
             for v in x.get("effects_cover", {}).values()
         ]  # fmt: skip
-        parts.append(f"Interval of the effect's parameter holds the truth: {_share(inside)}")
-    doubles = read(out, "double")
+        parts.append(f"The interval of the effect's parameter contains the truth: {_share(inside)}")
+    doubles = read_cases(out, "double")
     if doubles:
         parts.append(f"Two effects, {len(doubles)} pairs: F1 {f1(doubles):.3f}")
-        parts.append("\n".join(_told(x) for x in doubles))
-    strangers = read(out, "outside")
-    if strangers:
-        words = [place_of_stranger(x) for x in strangers]
-        lines = [f"Outside the library, {len(words)} kinds:"]
-        lines += [f"- {w}: {words.count(w)}" for w in sorted(set(words))]
-        lines += [f"{w}: {_told(x)}" for w, x in zip(words, strangers, strict=True)]
+        parts.append("\n".join(_case_line(x) for x in doubles))
+    unknown_effects = read_cases(out, "outside")
+    if unknown_effects:
+        ratings = [location_verdict(x) for x in unknown_effects]
+        lines = [f"{len(ratings)} effects outside the library:"]
+        lines += [f"- {x}: {ratings.count(x)}" for x in sorted(set(ratings))]
+        pairs = zip(ratings, unknown_effects, strict=True)
+        lines += [f"{rating}: {_case_line(x)}" for rating, x in pairs]
         parts.append("\n".join(lines))
-    everything = [*singles, *doubles, *strangers]
-    spoke = skills(x for x in everything if x["verdict"] in NAMED)
-    if spoke:
+    everything = [*singles, *doubles, *unknown_effects]
+    skill = skills(x for x in everything if x["verdict"] in NAMED)
+    if skill:
         parts.append(
-            f"Held-out skill of all {len(spoke)} that it speaks on: median {np.median(spoke):.3f}, "
-            f"least {min(spoke):.3f}"
+            f"Held-out skill in {len(skill)} cases with a named effect: median "
+            f"{np.median(skill):.3f}, smallest {min(skill):.3f}"
         )
-    parts.append(_rivals([*singles, *doubles]))
+    parts.append(_method_table([*singles, *doubles]))
     return "\n\n".join(parts)
 
 
-def _nothing(tanks: Sequence[dict[str, Any]]) -> str:
-    """False alarms and coverage. Noise alone is held against the fit of the tank without noise."""
+def _null_table(tanks: Sequence[dict[str, Any]]) -> str:
+    """Return false alarms and coverage of the replicates, for the truth and a noise-free fit."""
     nulls = [r for x in tanks for r in x["replicates"]]
     lines = [
-        f"Nothing missing, {len(nulls)} replicates of {len(tanks)} tanks: "
-        f"{sum(r['verdict'] != NOTHING for r in nulls)} did not end so, "
-        f"{sum(r['verdict'] in NAMED for r in nulls)} named an effect.",
+        f"{len(nulls)} replicates of {len(tanks)} tanks without a missing effect: "
+        f"{sum(r['verdict'] != NOTHING for r in nulls)} have another verdict than nothing missing, "
+        f"{sum(r['verdict'] in NAMED for r in nulls)} name an effect.",
         "",
-        "| | interval holds the truth | noise's own holds the fit without noise |",
+        "| | interval contains the truth | noise interval contains the fit without noise |",
         "|---|---|---|",
     ]
     for p in nulls[0]["parameters"]:
@@ -160,16 +161,16 @@ def _nothing(tanks: Sequence[dict[str, Any]]) -> str:
                 inside.append(v["low"] < v["truth"] < v["high"])
                 noise.append(abs(v["value"] - x["without_noise"][p]) < 1.96 * v["noise_error"])
         lines.append(f"| {p} | {_share(inside)} | {_share(noise)} |")
-    asked = [r["named_by"] for r in nulls if "named_by" in r]
-    for way in asked[0] if asked else ():
-        named = _share([bool(x[way]) for x in asked])
-        lines += ["", f"The rival {way} names an effect in {named}."]
+    compared = [r["named_by"] for r in nulls if "named_by" in r]
+    for method in compared[0] if compared else ():
+        named = _share([bool(x[method]) for x in compared])
+        lines += ["", f"The method {method} names an effect in {named}."]
     return "\n".join(lines)
 
 
-def _covered(fits: Sequence[dict[str, Any]]) -> str:
-    """How many intervals hold the truth, every fit being to another tank."""
-    lines, all_of = [f"{len(fits)} tanks, calibrated; intervals that hold the truth:", ""], []
+def _coverage_list(fits: Sequence[dict[str, Any]]) -> str:
+    """Return how many intervals contain the truth; every fit is to another tank."""
+    lines, all_of = [f"{len(fits)} calibrated tanks; intervals that contain the truth:", ""], []
     for p in fits[0]["parameters"]:
         inside = [v["low"] < v["truth"] < v["high"] for v in (x["parameters"][p] for x in fits)]
         lines.append(f"- {p}: {_share(inside)}")
@@ -177,17 +178,17 @@ def _covered(fits: Sequence[dict[str, Any]]) -> str:
     return "\n".join([*lines, f"- all: {_share(all_of)}"])
 
 
-def _told(x: dict[str, Any]) -> str:
+def _case_line(x: dict[str, Any]) -> str:
     case, effects = x["case"], [(e["name"], e["class"]) for e in x["effects"]]
     truth = dict(case["effects"]) or case["stranger"]
     return (
         f"- {case['name']} (tank {case['seed']}): {x['verdict']} {effects}, truth {truth}, "
-        f"held out {x['held_out_over_floor']}, {x['seconds']:.0f} s"
+        f"held-out rms over floor {x['held_out_over_floor']}, {x['seconds']:.0f} s"
     )
 
 
-def _rivals(found: Sequence[dict[str, Any]]) -> str:
-    """All ways on the cases in which all of them spoke."""
+def _method_table(found: Sequence[dict[str, Any]]) -> str:
+    """Return the table of all methods on the cases in which all methods ran."""
     found = [x for x in found if x["named_by"]]
     if not found:
         return ""
@@ -196,18 +197,18 @@ def _rivals(found: Sequence[dict[str, Any]]) -> str:
     lines = [
         f"{len(singles)} single effects and {len(doubles)} pairs:",
         "",
-        "| | the one effect named | two effects, F1 | held-out rms over floor, median | largest | "
-        "skill, median | least |",
+        "| | one effect, correct | two effects, F1 | median held-out rms over floor | largest | "
+        "median skill | smallest |",
         "|---|---|---|---|---|---|---|",
     ]
-    for way in WAYS:
-        errors = [x["held_out_over_floor"][way] for x in found]
-        skill = skills(found, way) or [np.nan]
-        naming = way in ("sparse", "stepwise", "loop")
+    for method in METHODS:
+        errors = [x["held_out_over_floor"][method] for x in found]
+        skill = skills(found, method) or [np.nan]
+        naming = method in ("sparse", "stepwise", "loop")
         one = f"{np.mean([right(x, way) for x in singles]):.0%}" if naming and singles else ""
         two = f"{f1(doubles, way):.2f}" if naming and doubles else ""
         lines.append(
-            f"| {way} | {one} | {two} | {np.median(errors):.2f} | {max(errors):.2f} "
+            f"| {method} | {one} | {two} | {np.median(errors):.2f} | {max(errors):.2f} "
             f"| {np.median(skill):.2f} | {min(skill):.2f} |"
         )
     return "\n".join(lines)

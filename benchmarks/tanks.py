@@ -1,8 +1,8 @@
-"""Tanks with a known answer for the benchmark of the loop.
+"""Synthetic tanks with known effects for the benchmark of the loop.
 
-A tank is simulated on another mesh and with another step than the fitter's, one in six by another
-scheme, read by sensors with tare, slow noise and a gain that drifts from trial to trial, and handed
-over as what an experiment's files would hold.
+A tank's mesh and time step differ from those of the fit, and one in six tanks has another time
+scheme. The sensors have a tare, slow noise and a gain that drifts from trial to trial. The result
+has the form of an experiment's files.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,10 +31,10 @@ from slider_jax.effects import Effect
 from slider_jax.experiment.load import Experiment, assemble
 
 COUNT, SECONDS = 6, 0.33
-"""Trials of a tank, and the scale of their durations (0.66 s at 6 Hz to 1.65 s at 0.6 Hz)."""
-FINE = Resolution(51, 120, 2.0e-3)
-"""Of the fitter's residuals."""
-MADE = [
+"""Trials per tank, and factor on their durations (0.66 s at 6 Hz to 1.65 s at 0.6 Hz)."""
+FITTER_RESOLUTION = Resolution(51, 120, 2.0e-3)
+"""Resolution of the fit's residuals."""
+TANK_RESOLUTIONS = [
     Resolution(65, 200, 4.0e-4),
     Resolution(61, 150, 1.5e-3),
     Resolution(71, 300, 1.0e-3),
@@ -42,49 +42,54 @@ MADE = [
     Resolution(151, 200, 1.0e-3),
     Resolution(35, 120, 2.0e-3),
 ]
-"""Mesh, step and scheme of the tanks, in turn. Fitted without noise they move C_d by -1 to 0.8 %,
-m_a by -1.6 to 1 % and K_Q by -0.6 to 0.4 %; an independent program moves m_a by 1.2 %. Backward
-Euler damps like a material by its whole step, where this robot's has 2 ms: steps of 0.15 ms are
-found out, as material damping."""
+"""Mesh, step and scheme of the tanks, in turn. In fits without noise they change C_d by -1 to
+0.8 %, m_a by -1.6 to 1 % and K_Q by -0.6 to 0.4 %; an independent program changes m_a by 1.2 %.
+Backward Euler adds damping like a material with a damping time of one step; the robot's is 2 ms.
+With steps of 0.15 ms the loop identifies this as material damping."""
 
 
 @dataclass(frozen=True)
 class Tank:
-    """An experiment, what is true of it, and how it is simulated."""
+    """An experiment with its true base parameters and the resolution of its simulation."""
 
     experiment: Experiment
     truth: dict[str, float]
-    """Of the base parameters."""
+    """True values of the base parameters."""
     resolution: Resolution
 
 
-def draw(seed: int, folder: Path = Path(".")) -> Tank:
-    """A tank: its base parameters and drives drawn, its discretisation in turn."""
+def sample_tank(seed: int, folder: Path = Path(".")) -> Tank:
+    """Return a tank with sampled base parameters and drives; resolutions are used in turn."""
     truth = random_base_parameters(np.random.default_rng([seed, 1]))
     content = {
         "name": f"tank_{seed}", "robot": ROBOT, "parameters": START,
         "sensors": Sensors().declared(),
         "trials": random_trials(seed, COUNT, SECONDS),
     }  # fmt: skip
-    return Tank(assemble(content, f"tank_{seed}", folder), truth, MADE[seed % len(MADE)])
+    return Tank(
+        assemble(content, f"tank_{seed}", folder),
+        truth,
+        TANK_RESOLUTIONS[seed % len(TANK_RESOLUTIONS)],
+    )
 
 
 def true_model(tank: Tank) -> Experiment:
-    """The experiment with the tank's true base parameters."""
+    """Return the experiment with the tank's true base parameters."""
     e = tank.experiment
     return e.model_copy(update={"parameters": e.parameters.model_copy(update=tank.truth)})
 
 
-def simulated(
+def true_readings(
     tank: Tank,
     effects: Mapping[str, Mapping[str, float]],
     own: Sequence[Effect] = (),
     names: Sequence[str] | None = None,
 ) -> list[np.ndarray]:
-    """Readings (5, samples) of every trial, without noise; `effects` as a truth, or `own` ones.
+    """Return the readings (5, samples) of every trial without noise.
 
-    With `own` the program is made for them alone, else it is the extended model's with the effects
-    `names`, all by default.
+    `effects` are the true values of library effects. `own` are effects outside the library, which
+    are added to the base model. Without `own`, the extended model has the effects `names` (default:
+    all).
     """
     names = () if own else tuple(candidates() if names is None else names)
     entries = parameters(names)
@@ -92,8 +97,8 @@ def simulated(
     for i, p in enumerate(entries):
         if p.effect in effects:
             theta[i] = effects[p.effect].get(p.name, p.prior.null)
-    told = true_model(tank)
-    plans = [plan(told, t, names, tank.resolution) for t in told.trials]
+    experiment = true_model(tank)
+    plans = [plan(experiment, t, names, tank.resolution) for t in experiment.trials]
     if own:
         plans = [
             replace(
@@ -107,38 +112,42 @@ def simulated(
     return on_all_cores(lambda p: predict(p, theta), plans)
 
 
-def noisy(tank: Tank, true: Sequence[np.ndarray], seed: int) -> list[Record]:
-    """What the sensors of the tank record of `true` readings."""
-    rng, found = np.random.default_rng([seed, 2]), []
+def noisy_records(tank: Tank, true: Sequence[np.ndarray], seed: int) -> list[Record]:
+    """Return the records of the tank's sensors for `true` readings."""
+    rng, records = np.random.default_rng([seed, 2]), []
     for trial, y in zip(tank.experiment.trials, true, strict=True):
         t = np.arange(y.shape[1]) / tank.experiment.sensors.sample_rate
         named = {"t_s": t} | {CHANNELS[c].column: row for c, row in zip(CHANNELS, y, strict=True)}
         columns = with_sensor_noise(named, Sensors(), rng)
-        found.append(Record(trial, t, np.stack([columns[CHANNELS[c].column] for c in CHANNELS])))
-    return found
+        records.append(Record(trial, t, np.stack([columns[CHANNELS[c].column] for c in CHANNELS])))
+    return records
 
 
 def problem_of(tank: Tank, names: Sequence[str], memo=None):
-    """How `conclude` lays out records of the tank."""
+    """Return the function with which `conclude` makes a problem of some records."""
 
-    def made(chosen: Sequence[Record]) -> TankProblem:
-        laid = TankProblem.of(tank.experiment, list(chosen), tuple(names), fine=FINE, coarse=COARSE)
-        return replace(laid, memo=memo)
+    def problem(chosen: Sequence[Record]) -> TankProblem:
+        return replace(
+            TankProblem.of(
+                tank.experiment, list(chosen), tuple(names), fine=FITTER_RESOLUTION, coarse=COARSE
+            ),
+            memo=memo,
+        )
 
-    return made
+    return problem
 
 
-def closed(
+def close_tank_loop(
     tank: Tank, found: Sequence[Record], memo=None, progress=lambda text: None
 ) -> LoopOutcome:
-    """The loop closed on records of a tank, all effects of the library being candidates."""
+    """Return the loop's outcome on records of a tank, with all library effects as candidates."""
     names, base = tuple(candidates()), base_values(tank.experiment)
-    laid = problem_of(tank, names, memo)
+    problem = problem_of(tank, names, memo)
     held = choose_held_out(found)
-    return conclude(tank.experiment, names, found, held, laid, base, tuple(BASE), progress)
+    return conclude(tank.experiment, names, found, held, problem, base, tuple(BASE), progress)
 
 
-def limits(seed: int) -> dict[tuple[str, str], float]:
-    """Detection limit of every parameter in a tank at its true base parameters, SI."""
-    found = detectability_matrix(true_model(draw(seed)))
-    return {(x.parameter.effect, x.parameter.name): x.size for x in found.limits}
+def detection_limits(seed: int) -> dict[tuple[str, str], float]:
+    """Return every parameter's detection limit (SI) in a tank at its true base parameters."""
+    found = detectability_matrix(true_model(sample_tank(seed)))
+    return {(x.parameter.effect, x.parameter.name): x.size for x in found.detection_limits}

@@ -1,4 +1,4 @@
-"""How the benchmark of the loop counts, on cases that are plain."""
+"""Tests of the scores of the loop's benchmark on simple cases."""
 
 import sys
 
@@ -7,7 +7,7 @@ import pytest
 from tests.support.data import ROOT
 
 sys.path.insert(0, str(ROOT / "benchmarks"))
-from summary import f1, hits, right, skills  # noqa: E402
+from summary import f1, is_right, matched_effects, skills  # noqa: E402
 
 
 def case(truth, causes, before=3.0, after=1.0):
@@ -20,23 +20,23 @@ def case(truth, causes, before=3.0, after=1.0):
     }
 
 
-def test_each_cause_counts_once_and_is_given_where_it_counts_most():
-    assert hits([{"x", "y"}, {"x"}], ["x", "y"]) == 2
-    assert hits([{"x", "y"}], ["x", "y"]) == 1
-    assert hits([], ["x"]) == 0
+def test_each_cause_counts_once_in_the_best_assignment():
+    assert matched_effects([{"x", "y"}, {"x"}], ["x", "y"]) == 2
+    assert matched_effects([{"x", "y"}], ["x", "y"]) == 1
+    assert matched_effects([], ["x"]) == 0
 
 
-def test_a_second_name_or_another_one_is_not_right():
-    assert right(case(["x"], [["x"]])) and right(case(["x"], [["z", "x"]]))
-    assert not right(case(["x"], [["z", "x"]]), most=1)
-    assert not right(case(["x"], [["x"], ["z"]])) and not right(case(["x"], [["z"]]))
+def test_an_additional_or_different_name_is_incorrect():
+    assert is_right(case(["x"], [["x"]])) and is_right(case(["x"], [["z", "x"]]))
+    assert not is_right(case(["x"], [["z", "x"]]), most=1)
+    assert not is_right(case(["x"], [["x"], ["z"]])) and not is_right(case(["x"], [["z"]]))
 
 
-def test_f1_is_of_all_cases_together():
+def test_f1_is_computed_over_all_cases():
     found = [case(["x", "y"], [["x"], ["y"]]), case(["x", "y"], [["x"]])]
     assert f1(found) == pytest.approx(2 * 3 / (3 + 4))
 
 
-def test_skill_is_of_what_stands_above_the_floor():
+def test_skill_omits_cases_without_a_residual():
     found = [case(["x"], [["x"]], 3.0, 1.2), case(["x"], [["x"]], 1.05, 1.2)]
     assert skills(found) == [pytest.approx(0.9)]

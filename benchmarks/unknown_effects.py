@@ -1,7 +1,7 @@
-"""Effects that the library does not hold, to test what the loop says of them.
+"""Effects outside the library, to test the loop's verdict on unknown causes.
 
-Each has the channels in which it acts and the places at which an effect of the library would stand
-for the same part of the rig.
+Each effect has the channels that it changes, and the places of library effects that describe the
+same part of the rig.
 """
 
 from collections.abc import Callable
@@ -25,7 +25,7 @@ MOMENT = ("ActingPressure", "BendingMoment", "BodyChange")
 
 
 class ReliefValve(Flow):
-    """Opens at a pressure and vents in proportion to what is above."""
+    """A valve that opens at a pressure and vents in proportion to the excess pressure."""
 
     opening: float = 1.2e5
     rate_above: float = 25.0
@@ -36,7 +36,7 @@ class ReliefValve(Flow):
 
 
 class SidedValves(Flow):
-    """One side of each antagonistic pair fills and vents slower: k is larger for p > 0."""
+    """One side of each antagonistic pair fills and vents more slowly: k is larger for p > 0."""
 
     share: float = 0.45
 
@@ -45,7 +45,7 @@ class SidedValves(Flow):
 
 
 class SidedMoment(ActingPressure):
-    """The chambers of one side are glued on farther from the axis: their moment is larger."""
+    """The chambers of one side are farther from the axis, so their moment is larger."""
 
     share: float = 0.25
 
@@ -54,7 +54,7 @@ class SidedMoment(ActingPressure):
 
 
 class SidedDrag(ForceDensity):
-    """The cross-section is not symmetric: strokes to one side meet more drag."""
+    """The cross-section is not symmetric, so the drag is larger for strokes to one side."""
 
     C: float = 2.5
 
@@ -64,7 +64,7 @@ class SidedDrag(ForceDensity):
 
 
 class WrinklingWall(BendingMoment):
-    """The inner wall buckles where it is bent beyond a curvature and carries less from there."""
+    """The inner wall buckles beyond a curvature and then carries a smaller moment."""
 
     onset: float = 3.0
     share: float = 0.4
@@ -76,7 +76,7 @@ class WrinklingWall(BendingMoment):
 
 
 class PassingWave(WaterMotion):
-    """A wave of another machine's making runs across the tank at 2.7 Hz."""
+    """Another machine causes a wave of 2.7 Hz across the tank."""
 
     speed: float = 0.05
 
@@ -85,7 +85,7 @@ class PassingWave(WaterMotion):
 
 
 class BentForceSensor(Instrument):
-    """The force sensor's characteristic is bent: it reads F + c F^2 of the recoil."""
+    """The force sensor is nonlinear: its recoil reading is F + c F^2."""
 
     c: float = 0.25
 
@@ -94,7 +94,7 @@ class BentForceSensor(Instrument):
 
 
 class BarrelLens(Instrument):
-    """The lens shrinks what is far from the axis: y (1 - c y^2)."""
+    """The lens reduces distances far from its axis: the reading is y (1 - c y^2)."""
 
     c: float = 60.0
 
@@ -114,7 +114,7 @@ class Hum(Instrument):
 
 
 class WarmingSensor(Instrument):
-    """The pressure sensors' sensitivity creeps while a trial lasts."""
+    """The pressure sensors' sensitivity drifts during a trial."""
 
     rate: float = 0.08
 
@@ -123,23 +123,25 @@ class WarmingSensor(Instrument):
         return true._replace(p_front=gain * true.p_front, p_rear=gain * true.p_rear)
 
 
-class Stranger(NamedTuple):
-    """An effect outside the library, and what would be right to say of it."""
+class UnknownEffect(NamedTuple):
+    """An effect outside the library, with the correct channels and places for the verdict."""
 
     effect: Callable[[], Effect]
     channels: tuple[str, ...]
     places: tuple[str, ...]
 
 
-STRANGERS = {
-    "relief_valve": Stranger(ReliefValve, ("p_front", "p_rear"), PRESSURE),
-    "sided_valves": Stranger(SidedValves, ("p_front", "p_rear"), PRESSURE),
-    "sided_moment": Stranger(SidedMoment, ("recoil", "tip", "thrust"), MOMENT),
-    "sided_drag": Stranger(SidedDrag, ("recoil", "tip", "thrust"), ("ForceDensity", "WaterMotion")),
-    "wrinkling_wall": Stranger(WrinklingWall, ("recoil", "tip", "thrust"), MOMENT),
-    "passing_wave": Stranger(PassingWave, ("recoil", "tip", "thrust"), ("WaterMotion",)),
-    "bent_force_sensor": Stranger(BentForceSensor, ("recoil",), ("Instrument",)),
-    "barrel_lens": Stranger(BarrelLens, ("tip",), ("Instrument",)),
-    "hum": Stranger(Hum, ("thrust",), ("Instrument",)),
-    "warming_sensor": Stranger(WarmingSensor, ("p_front", "p_rear"), ("Instrument", "Flow")),
+UNKNOWN_EFFECTS = {
+    "relief_valve": UnknownEffect(ReliefValve, ("p_front", "p_rear"), PRESSURE),
+    "sided_valves": UnknownEffect(SidedValves, ("p_front", "p_rear"), PRESSURE),
+    "sided_moment": UnknownEffect(SidedMoment, ("recoil", "tip", "thrust"), MOMENT),
+    "sided_drag": UnknownEffect(
+        SidedDrag, ("recoil", "tip", "thrust"), ("ForceDensity", "WaterMotion")
+    ),
+    "wrinkling_wall": UnknownEffect(WrinklingWall, ("recoil", "tip", "thrust"), MOMENT),
+    "passing_wave": UnknownEffect(PassingWave, ("recoil", "tip", "thrust"), ("WaterMotion",)),
+    "bent_force_sensor": UnknownEffect(BentForceSensor, ("recoil",), ("Instrument",)),
+    "barrel_lens": UnknownEffect(BarrelLens, ("tip",), ("Instrument",)),
+    "hum": UnknownEffect(Hum, ("thrust",), ("Instrument",)),
+    "warming_sensor": UnknownEffect(WarmingSensor, ("p_front", "p_rear"), ("Instrument", "Flow")),
 }

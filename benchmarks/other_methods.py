@@ -1,14 +1,15 @@
-"""Other ways to say what a model lacks, on the data that the loop is given.
+"""Other methods that identify missing effects, on the same data as the loop.
 
-All start from the same calibrated model, residuals and tangents, whitened by the declared noise:
+All methods start from the same calibrated model, residuals and tangents, whitened by the declared
+noise:
 
-- sparse: the lasso over all effects' tangents, its penalty by cross-validation over trials with the
-  one-standard-error rule (scikit-learn); the largest of what it keeps, eight at most, are refitted.
-- stepwise: the effect with the largest linear gain is added and refitted while that lowers the
-  Bayesian information criterion, samples counted one by one, four at most.
-- gp: a Gaussian process on the residual of each channel over the model's readings, the time in the
-  stride and the trial's settings (scikit-learn); it predicts and names nothing.
-- oracle: the true effects, given; refitted.
+- sparse: the lasso over all effects' tangents (scikit-learn). Cross-validation over trials with the
+  one-standard-error rule selects the penalty. The largest effects, at most eight, are refitted.
+- stepwise: adds the effect with the largest linear gain and refits while this lowers the Bayesian
+  information criterion, for at most four effects. Every sample counts.
+- gp: a Gaussian process for the residual of each channel (scikit-learn). Its inputs are the model's
+  readings, the time in the stride and the trial's settings. It predicts but does not name effects.
+- oracle: refits the model with the true effects.
 """
 
 import warnings
@@ -32,44 +33,47 @@ from slider_jax.channels import CHANNELS
 
 PENALTIES = 60
 GP_SAMPLES = 500
-MOST, REFITTED = 4, 8
+MAX_EFFECTS, MAX_REFITTED = 4, 8
 
 
-class Said(NamedTuple):
-    """What a way says: the effects, and its prediction of the trials that were held out."""
+class MethodResult(NamedTuple):
+    """The effects that a method names, and its prediction of the held-out trials."""
 
     effects: list[str]
     predicted: list[np.ndarray]
 
 
-class Start(NamedTuple):
-    """What all ways are given."""
+class MethodInput(NamedTuple):
+    """The input of all methods."""
 
     problem: AbstractProblem
     rest: AbstractProblem
-    """The trials that were held out."""
+    """The held-out trials."""
     entries: Sequence[Parameter]
     base: Fit
     blocks: list
     white: dict
-    everything: list[np.ndarray]
+    tangents: list[np.ndarray]
 
 
-def begin(
+def method_input(
     problem: AbstractProblem, rest: AbstractProblem, entries: Sequence[Parameter], base: Fit
-) -> Start:
-    """The calibrated model's residuals and tangents along everything."""
+) -> MethodInput:
+    """Return the calibrated model's residuals and its tangents along all parameters."""
     white = problem.whiteners(base.predicted)
-    everything = effect_tangents(problem, entries, base.theta, base.free)
+    tangents = effect_tangents(problem, entries, base.theta, base.free)
     residuals = problem.residuals(base.predicted, white)
-    blocks = problem.blocks(residuals, everything, white)
-    return Start(problem, rest, entries, base, blocks, white, everything)
+    blocks = problem.blocks(residuals, tangents, white)
+    return MethodInput(problem, rest, entries, base, blocks, white, tangents)
 
 
-def refitted(s: Start, names: Sequence[str]) -> Fit:
-    """The model with `names`, from where the linear step or their starts say."""
-    members, judged = effect_entries(s.entries), scoring_entries(s.entries)
-    free = np.concatenate([s.base.free, *(members[n] for n in names)]).astype(int)
+def refitted(s: MethodInput, names: Sequence[str]) -> Fit:
+    """Return the fit of the model with the effects `names`.
+
+    The fit starts from the linear step, or from the effects' own start values.
+    """
+    groups, judged = effect_entries(s.entries), scoring_entries(s.entries)
+    free = np.concatenate([s.base.free, *(groups[n] for n in names)]).astype(int)
     A, b = summed(s.blocks)
     score = np.concatenate([s.base.free, *(judged[n] for n in names)]).astype(int)
     step = least_squares_step(A, b, score)
@@ -84,14 +88,14 @@ def refitted(s: Start, names: Sequence[str]) -> Fit:
     return fit_gauss_newton(s.problem, s.entries, theta, free, white=s.white)
 
 
-def oracle(s: Start, truth: Sequence[str]) -> Said:
-    """The true effects, given."""
+def oracle(s: MethodInput, truth: Sequence[str]) -> MethodResult:
+    """Return the result of the model with the true effects."""
     best = refitted(s, truth)
-    return Said(list(truth), s.rest.predict(best.theta))
+    return MethodResult(list(truth), s.rest.predict(best.theta))
 
 
-def sparse(s: Start) -> Said:
-    """The lasso over all effects' tangents."""
+def sparse(s: MethodInput) -> MethodResult:
+    """Return the result of the lasso over all effects' tangents."""
     columns = np.concatenate([*scoring_entries(s.entries).values()])
     free, trials = s.base.free, sorted({x.trial for x in s.blocks})
     A, b = summed(s.blocks)
@@ -113,12 +117,12 @@ def sparse(s: Start) -> Said:
         name = s.entries[i].effect
         kept[name] = kept.get(name, 0.0) + abs(step[i]) * size[i]
     names = sorted(kept, key=lambda n: -kept[n])
-    theta = refitted(s, names[:REFITTED]).theta if names else s.base.theta
-    return Said(names, s.rest.predict(theta))
+    theta = refitted(s, names[:MAX_REFITTED]).theta if names else s.base.theta
+    return MethodResult(names, s.rest.predict(theta))
 
 
 def _projected(A, b, free, columns, size) -> tuple[np.ndarray, np.ndarray]:
-    """Normal matrix and vector of the columns at unit size, the free entries projected out."""
+    """Return normal matrix and vector of the columns at unit size, with `free` projected out."""
     cross = A[np.ix_(columns, free)] @ inverse(A[np.ix_(free, free)])
     M = A[np.ix_(columns, columns)] - cross @ A[np.ix_(free, columns)]
     v = b[columns] - cross @ b[free]
@@ -126,7 +130,7 @@ def _projected(A, b, free, columns, size) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _path(A, b, free, columns, size, penalties) -> np.ndarray:
-    """Steps (parameters, penalties) of the lasso over the columns, the free entries unpenalised."""
+    """Return the lasso's steps (parameters, penalties); the entries in `free` have no penalty."""
     root, values = _as_rows(*_projected(A, b, free, columns, size))
     x = lasso_path(root, values, alphas=penalties / len(values), max_iter=20000)[1]
     steps = np.zeros((len(b), len(penalties)))
@@ -137,15 +141,15 @@ def _path(A, b, free, columns, size, penalties) -> np.ndarray:
 
 
 def _as_rows(M: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and values whose normal equations are M x = v."""
+    """Return rows and values whose normal equations are M x = v."""
     values, vectors = np.linalg.eigh(M)
     kept = values > 1e-10 * values.max()
     root = np.sqrt(values[kept])
     return root[:, None] * vectors[:, kept].T, (vectors[:, kept].T @ v) / root
 
 
-def stepwise(s: Start) -> Said:
-    """Effects added while the Bayesian information criterion falls."""
+def stepwise(s: MethodInput) -> MethodResult:
+    """Return the result of adding effects while the Bayesian information criterion decreases."""
     names: list[str] = []
     judged = scoring_entries(s.entries)
     samples = sum(x.n for x in s.blocks)
@@ -154,7 +158,7 @@ def stepwise(s: Start) -> Said:
     def criterion(square: float, parameters: int) -> float:
         return samples * np.log(square / samples) + parameters * np.log(samples)
 
-    while len(names) < MOST:
+    while len(names) < MAX_EFFECTS:
         A, b = summed(blocks)
         gains = {}
         for name, group in judged.items():
@@ -170,30 +174,33 @@ def stepwise(s: Start) -> Said:
         names.append(name)
         current = better
         residuals = s.problem.residuals(current.predicted, s.white)
-        everything = effect_tangents(s.problem, s.entries, current.theta, current.free)
-        blocks = s.problem.blocks(residuals, everything, s.white)
-    return Said(names, s.rest.predict(current.theta))
+        tangents = effect_tangents(s.problem, s.entries, current.theta, current.free)
+        blocks = s.problem.blocks(residuals, tangents, s.white)
+    return MethodResult(names, s.rest.predict(current.theta))
 
 
 def _features(problem: AbstractProblem, predicted: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """(samples, 12) of every trial: model's readings and their rates, time in stride, settings."""
-    found = []
+    """Return the inputs (samples, 12) of the Gaussian process for every trial.
+
+    They are the model's readings and their rates, the time in the stride and the settings.
+    """
+    features = []
     for r, y in zip(problem.records, predicted, strict=True):
         phase = 2.0 * np.pi * (r.trial.frequency or 0.0) * r.t
         rates = np.gradient(y[[0, 3, 4]], axis=1)
         own = [np.full(len(r.t), x) for x in (r.trial.frequency, r.trial.tow_speed)]
-        found.append(np.stack([*y, *rates, np.sin(phase), np.cos(phase), *own], axis=1))
-    return found
+        features.append(np.stack([*y, *rates, np.sin(phase), np.cos(phase), *own], axis=1))
+    return features
 
 
-def gp(s: Start) -> Said:
-    """A Gaussian process on what the calibrated model leaves of every channel."""
+def gp(s: MethodInput) -> MethodResult:
+    """Return the result of a Gaussian process for the residual of every channel."""
     rng = np.random.default_rng(0)
     there = _features(s.problem, s.base.predicted)
-    begin = s.rest.predict(s.base.theta)
-    asked = _features(s.rest, begin)
+    method_input = s.rest.predict(s.base.theta)
+    asked = _features(s.rest, method_input)
     scaler = StandardScaler().fit(np.concatenate(there))
-    predicted = [y.copy() for y in begin]
+    predicted = [y.copy() for y in method_input]
     for row, channel in enumerate(CHANNELS):
         X, y = [], []
         for r, f, base in zip(s.problem.records, there, s.base.predicted, strict=True):
@@ -207,8 +214,8 @@ def gp(s: Start) -> Said:
         kernel += WhiteKernel(0.5, (1e-4, 1e2))
         process = GaussianProcessRegressor(kernel, n_restarts_optimizer=0)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ConvergenceWarning)  # a feature without a say
+            warnings.simplefilter("ignore", ConvergenceWarning)  # from inputs without influence
             process.fit(X[pick], y[pick] / size)
         for z, f in zip(predicted, asked, strict=True):
             z[row] += size * process.predict(scaler.transform(f))
-    return Said([], predicted)
+    return MethodResult([], predicted)
