@@ -1,4 +1,4 @@
-"""`slider calibrate manifold`: the pressure lag from the rig's own logs."""
+"""`slider calibrate manifold`: identifies the pressure lag from the rig's own logs."""
 
 import sys
 from pathlib import Path
@@ -10,7 +10,7 @@ from calibration.pressure_logs.identify import PAPER_K, Identification, identify
 from calibration.pressure_logs.lag import PLAUSIBLE
 from calibration.pressure_logs.read import PSI_AT_ZERO, PSI_PER_COUNT, read_log
 from calibration.pressure_logs.text import describe_lag, lag_verdict
-from slider_jax.cli.options import Folder
+from slider_jax.cli.options import Folder, Pictures
 from slider_jax.cli.progress import Progress
 from slider_jax.errors import InputError
 from slider_jax.io.files import input_file, staged, versions, write_json, write_text
@@ -18,63 +18,65 @@ from slider_jax.io.toml import significant, toml_text
 
 DEFINITIONS = {
     "rmse": "root mean square over all samples of measured minus free run; the free run starts at "
-    "the first measured sample and sees only the command after it",
-    "pooled rmse": "root of the mean over logs of their mean squares: every log weighs the same",
+    "the first measured sample and then depends on the command only",
+    "pooled rmse": "root of the mean over logs of their mean squares: all logs have equal weight",
     "settled": "without the first cycle of each log",
-    "over samples": "root mean square over the samples of all logs: long logs weigh more",
-    "k": "least squares by Levenberg-Marquardt in log k, from the lowest dip of a scan of "
-    f"{PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g} s; of all logs: least pooled rmse",
-    "interval": "95 %; the residual is correlated, so its samples count as samples / (1 + 2 sum of "
-    "its autocorrelation up to the first zero); sandwich with the true curvature, in log k; of all "
-    "logs: clustered by log, Student with logs - 1 degrees of freedom (k), and of just these logs "
-    "(k_within)",
-    "widening": "width of the interval over the naive one that takes every sample as independent",
+    "over samples": "root mean square over the samples of all logs: long logs have more weight",
+    "k": "least squares by Levenberg-Marquardt in log k, from the lowest minimum of a scan of "
+    f"{PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g} s; for all logs: smallest pooled rmse",
+    "interval": "95 %, from the sandwich variance with the true curvature, in log k. The residual "
+    "is correlated: the effective number of samples is samples / (1 + 2 times the sum of its "
+    "autocorrelation up to the first zero). For all logs: k is clustered by log, with logs - 1 "
+    "degrees of freedom of Student's t; k_within is for these logs alone",
+    "widening": "width of the interval over the width if all samples were independent",
     "floor": "standard deviation of the white noise in the measured pressure, from its fourth "
-    "differences; drift and slow noise are not in it",
-    "shape": "of the residual at the log's own k over whole cycles after the first; psi, s, rad",
+    "differences; without drift and slow noise",
+    "shape": "residual at the log's own k over whole cycles after the first; in psi, s and rad",
 }
 
 
 def manifold(
     logs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="LOG.txt ...")],
     out: Folder,
-    plot: bool = True,
+    plot: Pictures = True,
 ) -> None:
-    """Identify the lag k of the pressure from logs, for each and for all.
+    """Identify the pressure lag k from logs: for each log, and for all logs together.
 
-    Writes DIR/manifold.json, DIR/model.toml (k, for `slider simulate --model`) and pictures, and
-    prints whether a lag explains the logs, a table, and what is left unexplained.
+    Writes DIR/manifold.json, DIR/model.toml (k, for `slider simulate --model`) and pictures. Prints
+    whether a lag explains the logs, a table, and the shape of the residual.
 
     Args:
-        logs: pressure logs as the rig's firmware writes them.
-        out: folder for the results; made if missing, files of the same name are replaced.
-        plot: leave the pictures (PNG) out.
+        logs: pressure logs in the format of the rig's firmware.
+        out: folder for the results; created if missing, files of the same name are replaced.
+        plot: do not draw the pictures (PNG).
     """
-    refuse_twins(logs)
+    refuse_same_names(logs)
     records = sorted((read_log(path) for path in logs), key=lambda log: log.frequency)
     for log in records:
         for finding in log.findings:
             print(f"{log.path.name}: {finding}", file=sys.stderr)
     print(f"fitting {len(records)} logs ...", file=sys.stderr)
     found = identify_lag(records)
-    said = describe_lag(found)
+    lines = describe_lag(found)
     with staged(out) as stage:
-        write_json(stage / "manifold.json", lag_record(found, said))
+        write_json(stage / "manifold.json", lag_record(found, lines))
         write_text(stage / "model.toml", lag_model_toml(found))
         if plot:
             _draw(found, stage)
-    print("\n".join([said[0], "", lag_table(found), "", *said[1:]]))
+    print("\n".join([lines[0], "", lag_table(found), "", *lines[1:]]))
     print(f"manifold.json, model.toml{' and pictures' if plot else ''} are in {out}")
 
 
-def refuse_twins(logs: tuple[Path, ...]) -> None:
+def refuse_same_names(logs: tuple[Path, ...]) -> None:
+    """Raise `InputError` if no log is given, or two logs with the same name."""
     if not logs:
         raise InputError("LOGS: nothing given; give one or more pressure logs")
     seen: dict[str, Path] = {}
     for path in logs:
         if path.stem in seen:
             raise InputError(
-                f"{path}: has the name of {seen[path.stem]}; give each log once, under its own name"
+                f"{path}: has the same name as {seen[path.stem]}; give each log once and with a "
+                "name of its own"
             )
         seen[path.stem] = path
 
@@ -91,8 +93,8 @@ def _draw(found: Identification, folder: Path) -> None:
             progress.to(number, len(found.logs))
 
 
-def lag_record(found: Identification, said: list[str]) -> dict[str, Any]:
-    """The content of manifold.json; k in s, pressures in psi."""
+def lag_record(found: Identification, lines: list[str]) -> dict[str, Any]:
+    """Return the content of manifold.json; k in s, pressures in psi."""
     return {
         "pooled": {
             "k": found.k._asdict(),
@@ -126,7 +128,7 @@ def lag_record(found: Identification, said: list[str]) -> dict[str, Any]:
             }
             for x in found.logs
         ],
-        "said": said,
+        "said": lines,
         "definitions": DEFINITIONS,
         "settings": {
             "reference_k_s": PAPER_K,
@@ -140,7 +142,7 @@ def lag_record(found: Identification, said: list[str]) -> dict[str, Any]:
 
 
 def lag_model_toml(found: Identification) -> str:
-    """A model file with the k of all logs."""
+    """Return a model file with the k of all logs."""
     k = found.k
     names = ", ".join(x.log.path.name for x in found.logs)
     comment = (
@@ -154,7 +156,7 @@ def lag_model_toml(found: Identification) -> str:
 
 
 def lag_table(found: Identification) -> str:
-    """The result as text, one log a line."""
+    """Return the result as text, with a line for each log."""
     lines = [
         f"{'log':<16}{'Hz':>7}{'samples':>9}{'k ms':>7}{'95 % interval':>16}{'widening':>10}"
         f"{'before':>9}{'after':>8}{'common k':>10}{'noise':>7}   (RMSE in psi)"

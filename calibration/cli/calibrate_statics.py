@@ -1,4 +1,4 @@
-"""`slider calibrate statics`: stiffness, damping and K_Q from a bench, without water."""
+"""`slider calibrate statics`: identifies stiffness, damping and K_Q from bench tests in air."""
 
 import sys
 from operator import attrgetter
@@ -7,23 +7,23 @@ from typing import Annotated
 
 import tyro
 
-from slider_jax.cli.options import Folder
+from slider_jax.cli.options import Folder, Pictures
 
 
 def statics(
     bench: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="BENCH.toml")],
     out: Folder,
-    plot: bool = True,
+    plot: Pictures = True,
 ) -> None:
-    """Identify EI, alpha and K_Q from tip loads, a ring-down and static pressures, with intervals.
+    """Identify EI, alpha and K_Q from tip loads, a ring-down and static pressures.
 
-    Writes DIR/statics.json (values, 95 % intervals, residuals of every table), DIR/model.toml (for
-    `slider simulate --model`) and a picture of every table.
+    Writes DIR/statics.json (values, 95 % intervals and the residuals of every table),
+    DIR/model.toml (for `slider simulate --model`) and a picture of every table.
 
     Args:
-        bench: the bench file (.toml), its tables (.csv) beside it.
-        out: folder for the results; made if missing, files of the same name are replaced.
-        plot: leave the pictures (PNG) out.
+        bench: bench file (.toml) with its tables (.csv) in the same folder.
+        out: folder for the results; created if missing, files of the same name are replaced.
+        plot: do not draw the pictures (PNG).
     """
     import equinox as eqx
 

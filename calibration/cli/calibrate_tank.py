@@ -6,11 +6,10 @@ from typing import Annotated
 
 import tyro
 
-from slider_jax.cli.options import Folder, ModelFile
+from slider_jax.cli.options import Folder, ModelFile, Names
 from slider_jax.cli.progress import timed_printer
 
 Method = Annotated[str, tyro.conf.arg(metavar="METHOD")]
-Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")]
 
 
 def tank(
@@ -34,10 +33,11 @@ def tank(
     Args:
         experiment: experiment file (.toml) with its measured trials in the same folder.
         out: folder for the results; created if missing, files of the same name are replaced.
-        also: names of effects whose parameters are also identified; slider effects lists them.
-        channels: channels to fit, of p_front, p_rear, thrust, recoil and tip.
+        also: names of effects whose parameters are also identified (default: none); slider effects
+            lists the names.
+        channels: names of the channels to fit (default: p_front p_rear thrust recoil tip).
         per_frequency: compare values for every drive frequency with constant values.
-        each: identified parameters that may differ between frequencies.
+        each: names of the parameters that may differ between frequencies (default: C_d m_a).
         method: lm (Levenberg-Marquardt), lbfgs (L-BFGS), or auto (lbfgs for 12 parameters or more).
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
     """

@@ -7,11 +7,9 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from slider_jax.cli.options import Folder, ModelFile, Range
+from slider_jax.cli.options import Folder, ModelFile, Names, Range
 from slider_jax.cli.progress import timed_printer
 from slider_jax.errors import InputError, did_you_mean
-
-Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")]
 
 
 def effects_matrix(
@@ -37,12 +35,12 @@ def effects_matrix(
         out: folder for the results; created if missing, files of the same name are replaced.
         effects: names of the effects (default: those of --separate, or else all).
         separate: names of two or more effects between which the next trial discriminates.
-        frequency: lowest and highest frequency of the next trial, in Hz (default: the range of the
-            experiment's trials, widened by 10 %).
-        amplitude: lowest and highest set pressure of the next trial, in Pa (default: as above).
+        frequency: lowest and highest frequency of the next trial, in Hz. Without this option or one
+            of the next three, the range is that of the experiment's trials, widened by 10 %.
+        amplitude: lowest and highest set pressure of the next trial, in Pa.
         phase: lowest and highest phase of the rear chamber in the next trial, as a fraction of a
-            period (default: as above).
-        tow_speed: lowest and highest tow speed of the next trial, in m/s (default: as above).
+            period.
+        tow_speed: lowest and highest tow speed of the next trial, in m/s.
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
     """
     from calibration.experiment_design.detectability import detectability_matrix

@@ -1,4 +1,4 @@
-"""`slider simulate LOG.txt`: a pressure log of the rig through the built-in robot, to thrust."""
+"""`slider simulate LOG.txt`: simulates the built-in robot with a pressure log of the rig."""
 
 import sys
 from dataclasses import replace
@@ -29,15 +29,15 @@ from slider_jax.simulation.trial import SavedSeries, advance_chunk, run_chunks
 CHUNK = 125
 """Samples per call of the compiled program."""
 NUMERICS = {"step": 1e-3}
-"""With the longest step [s]; the step divides the log's sampling. At 3 Hz, against 0.25 ms: thrust
-within 0.4 % of its deviation, recoil 0.1 %, also where the measured pressure's noise acts as it is.
-"""
+"""Longest step [s]; the actual step divides the log's sampling period. At 3 Hz, compared with a
+step of 0.25 ms, the thrust differs by 0.4 % of its standard deviation and the recoil by 0.1 %. The
+same holds for the measured pressure with its noise."""
 
-NOTES = {
-    "mapping": "the log's gauge pressure is of one chamber; both chambers of the built-in robot "
-    "get it, with the same sign, so that both bend the body to the same side",
-    "start": "the robot starts straight and at rest, the pressure at the first measured sample; "
-    "the first cycle holds the transient of that",
+DEFINITIONS = {
+    "mapping": "the log has the gauge pressure of one chamber; both chambers of the built-in robot "
+    "get it with the same sign, so that both bend the body to the same side",
+    "start": "the robot starts straight and at rest, and the pressure at the first measured "
+    "sample; the first cycle contains the transient",
     "averaged": "over the log's whole cycles after the first",
 }
 
@@ -45,11 +45,11 @@ NOTES = {
 def simulate_log(
     path: Path, model: Path | None, out: Path, drive: Literal["set", "measured"], plot: bool
 ) -> None:
-    """Write DIR/<log's stem>.csv, at the log's sample times, and DIR/summary.json.
+    """Simulate a log; write DIR/<log's stem>.csv, at the log's sample times, and DIR/summary.json.
 
-    With drive "set", the command runs through the pressure model freely from the first measured
-    sample; with "measured", the measured pressure acts as it is. Raises `InputError` for the log or
-    the model file, `SolverError` where a step does not converge.
+    With the drive "set", the pressure model runs from the first measured sample on the command.
+    With "measured", the measured pressure itself acts. Raise `InputError` for an invalid log or
+    model file, `SolverError` if a step does not converge.
     """
     log = read_log(path)
     for finding in log.findings:
@@ -70,7 +70,7 @@ def simulate_log(
         f"{path.stem}: mean thrust {1e3 * record['mean_thrust_N']:.2f} mN, recoil "
         f"{1e3 * record['recoil_rms_N']:.1f} mN rms, "
         f"tip +-{1e3 * record['tip_half_range_m']:.2f} mm; "
-        f"pressure off the measured by {record['pressure_rmse_psi']:.2f} psi rms; "
+        f"rms error of the pressure {record['pressure_rmse_psi']:.2f} psi; "
         f"{path.stem}.csv and summary.json are in {out}",
         file=sys.stderr,
     )
@@ -79,20 +79,21 @@ def simulate_log(
 def drive_robot(
     log: ManifoldLog, experiment: Experiment, drive: str, progress=lambda done, total: None
 ) -> dict[str, np.ndarray]:
-    """The columns of a trial at the log's sample times. `progress(samples done, all)` is called.
+    """Return the columns of a trial at the log's sample times.
 
-    The drive is interpolated linearly where the log misses samples.
+    Missing samples of the drive are interpolated linearly. The function calls `progress` with the
+    number of samples done and of all samples.
     """
-    driven_by = log.pressure_Pa if drive == "measured" else log.command_Pa
+    source = log.pressure_Pa if drive == "measured" else log.command_Pa
     count = round(log.t[-1] / log.period)
     whole = -(-count // CHUNK) * CHUNK
     at = log.period * np.arange(whole + 1)
-    set_point = np.interp(at, log.t, driven_by)
+    set_point = np.interp(at, log.t, source)
     prepared = prepare(experiment, sample_times=log.t, declared_drive=True)
     h = divided_step(log.period, experiment.numerics.step)
     every = round(log.period / h)
     base, numerics = prepared.model, prepared.numerics
-    if drive == "measured":  # no lag; a zero one shares the compiled program
+    if drive == "measured":  # a lag of zero shares the compiled program
         base = replace(base, pressure_law=FirstOrderLag(jnp.asarray(0.0, float)))
     start = jnp.asarray(log.pressure_Pa[0])
     base = replace(base, drive=replace(base.drive, start_front=start, start_rear=start))
@@ -124,9 +125,9 @@ def drive_robot(
         for name, first in initial.items()
     }
     true = {name: jnp.asarray(values) for name, values in series.items()}
-    read = recorded_series(base.effects, jnp.asarray(at), true)
+    readings = recorded_series(base.effects, jnp.asarray(at), true)
     kept = np.round(log.t / log.period).astype(int)
-    columns = {channel.column: np.asarray(read[x])[kept] for x, channel in CHANNELS.items()}
+    columns = {channel.column: np.asarray(readings[x])[kept] for x, channel in CHANNELS.items()}
     return {TIME: log.t} | columns
 
 
@@ -137,7 +138,7 @@ def log_summary(
     drive: str,
     columns: dict[str, np.ndarray],
 ) -> dict[str, Any]:
-    """The content of summary.json."""
+    """Return the content of summary.json."""
     here = whole_cycles(log)
     thrust, recoil, tip = (columns[name][here] for name in ("thrust_N", "recoil_N", "tip_m"))
     error = (columns["p_front_Pa"] - log.pressure_Pa) / PA_PER_PSI
@@ -147,8 +148,8 @@ def log_summary(
         "input": input_file(log.path),
         "model": None if model is None else input_file(model),
         "drive": {
-            "set": "the command through the pressure lag",
-            "measured": "the measured pressure, its sensor noise included",
+            "set": "the command, filtered by the pressure lag",
+            "measured": "the measured pressure with its sensor noise",
         }[drive],
         "frequency_Hz": log.frequency,
         "samples": len(log.t),
@@ -163,7 +164,7 @@ def log_summary(
         "force_coefficients": "the paper's ramp at the log's frequency"
         if experiment.parameters.force_coefficients == "ramp"
         else "from the model file",
-        "definitions": NOTES,
+        "definitions": DEFINITIONS,
         "findings": [str(finding) for finding in log.findings],
         "seed": None,
         "versions": versions(),

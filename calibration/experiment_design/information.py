@@ -150,7 +150,7 @@ class TrialInformation:
         if not np.isfinite(y).all() or not (other is None or np.isfinite(other).all()):
             raise SolverError(
                 f"{trial.file}: cannot be simulated with these parameters; check K_Q, stiffness "
-                "and amplitude: the chambers may bend the body too far"
+                "and amplitude: the bending moment may be too large for the body"
             )
         if other is not None:
             J = np.stack([*J, other - y])

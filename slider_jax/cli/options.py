@@ -76,6 +76,8 @@ Value = Annotated[float, _VALUE]
 MaybeValue = Annotated[float | None, _VALUE, _DEFAULT_IN_HELP]
 Whole = Annotated[int, _WHOLE]
 MaybeWhole = Annotated[int | None, _WHOLE, _DEFAULT_IN_HELP]
+Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...", help_behavior_hint="")]
+Pictures = Annotated[bool, tyro.conf.arg(help_behavior_hint="(default: draw them)")]
 
 
 def chosen_trials(trials: tuple, number: int | None) -> tuple:
