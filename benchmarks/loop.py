@@ -32,7 +32,7 @@ from unknown_effects import UNKNOWN_EFFECTS
 from calibration.discrepancy.close_loop import LoopOutcome, choose_held_out
 from calibration.inference.goodness import noise_floors, rms_errors
 from calibration.inference.problem import AbstractProblem
-from calibration.model.extended import candidates
+from calibration.model.extended import candidate_effects
 from slider_jax.effects.library import LIBRARY
 from slider_jax.io.files import versions, write_json
 from slider_jax.precision import enable_float64
@@ -143,7 +143,7 @@ def run_case(case: Case, compared: bool, progress) -> dict[str, Any]:
     outcome = close_tank_loop(tank, found, memo, progress)
     seconds = time.perf_counter() - start
     record = null.outcome_record(outcome, tank.truth) | {"seconds": seconds, "seconds_made": made}
-    names = tuple(candidates())
+    names = tuple(candidate_effects())
     problem = problem_of(tank, names, memo)
     fitted = problem([r for i, r in enumerate(found) if i not in held])
     rest = problem([found[i] for i in held])

@@ -15,7 +15,13 @@ from calibration.inference.gauss_newton import fit_gauss_newton
 from calibration.inference.problem import AbstractProblem, TankProblem
 from calibration.inference.uncertainty import confidence_interval, hausman_check
 from calibration.measurements.records import Record
-from calibration.model.extended import BASE, base_values, base_vector, candidates, parameters
+from calibration.model.extended import (
+    BASE,
+    base_values,
+    base_vector,
+    candidate_effects,
+    model_parameters,
+)
 
 TANKS, REPLICATES = 6, 18
 SEED = 100
@@ -94,8 +100,8 @@ def replicates(seed: int, progress) -> dict[str, Any]:
     The model is linearised about its fit to the tank without noise. The complete search runs on
     every replicate.
     """
-    tank, names = sample_tank(seed), tuple(candidates())
-    entries = parameters(names)
+    tank, names = sample_tank(seed), tuple(candidate_effects())
+    entries = model_parameters(names)
     base, memo = base_values(tank.experiment), MemoryCache()
     true = true_readings(tank, {})
     progress("calibrating without noise")
@@ -143,7 +149,7 @@ def replicates(seed: int, progress) -> dict[str, Any]:
 def coverage(seed: int, progress) -> dict[str, Any]:
     """Return the base parameters' intervals of one tank, as `slider calibrate` computes them."""
     tank = sample_tank(seed)
-    entries = parameters(())
+    entries = model_parameters(())
     found = noisy_records(tank, true_readings(tank, {}, names=()), seed)
     problem = problem_of(tank, ())(found)
     start = base_vector(entries, base_values(tank.experiment))

@@ -24,8 +24,14 @@ from calibration.measurements.synthetic import (
     random_trials,
     with_sensor_noise,
 )
-from calibration.model.extended import BASE, base_values, base_vector, candidates, parameters
-from calibration.model.predict import COARSE, Resolution, on_all_cores, plan, predict
+from calibration.model.extended import (
+    BASE,
+    base_values,
+    base_vector,
+    candidate_effects,
+    model_parameters,
+)
+from calibration.model.predict import COARSE, Resolution, on_all_cores, plan_trial, predict_readings
 from slider_jax.channels import CHANNELS
 from slider_jax.effects import Effect
 from slider_jax.experiment.load import Experiment, assemble
@@ -91,14 +97,14 @@ def true_readings(
     are added to the base model. Without `own`, the extended model has the effects `names` (default:
     all).
     """
-    names = () if own else tuple(candidates() if names is None else names)
-    entries = parameters(names)
+    names = () if own else tuple(candidate_effects() if names is None else names)
+    entries = model_parameters(names)
     theta = base_vector(entries, tank.truth)
     for i, p in enumerate(entries):
         if p.effect in effects:
             theta[i] = effects[p.effect].get(p.name, p.prior.null)
     experiment = true_model(tank)
-    plans = [plan(experiment, t, names, tank.resolution) for t in experiment.trials]
+    plans = [plan_trial(experiment, t, names, tank.resolution) for t in experiment.trials]
     if own:
         plans = [
             replace(
@@ -109,7 +115,7 @@ def true_readings(
             )
             for p in plans
         ]
-    return on_all_cores(lambda p: predict(p, theta), plans)
+    return on_all_cores(lambda p: predict_readings(p, theta), plans)
 
 
 def noisy_records(tank: Tank, true: Sequence[np.ndarray], seed: int) -> list[Record]:
@@ -141,7 +147,7 @@ def close_tank_loop(
     tank: Tank, found: Sequence[Record], memo=None, progress=lambda text: None
 ) -> LoopOutcome:
     """Return the loop's outcome on records of a tank, with all library effects as candidates."""
-    names, base = tuple(candidates()), base_values(tank.experiment)
+    names, base = tuple(candidate_effects()), base_values(tank.experiment)
     problem = problem_of(tank, names, memo)
     held = choose_held_out(found)
     return conclude(tank.experiment, names, found, held, problem, base, tuple(BASE), progress)

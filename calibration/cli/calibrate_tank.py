@@ -49,7 +49,7 @@ def tank(
         parameter_table,
     )
     from calibration.identification.per_frequency import check_labels
-    from calibration.model.extended import parameters
+    from calibration.model.extended import model_parameters
     from slider_jax.experiment.load import load
     from slider_jax.io.files import input_file, staged, tentative_folder, write_json, write_text
 
@@ -57,7 +57,7 @@ def tank(
     loaded = load(experiment, model)
     check_names(also, channels, method)
     if per_frequency:
-        check_labels(each, parameters(also))
+        check_labels(each, model_parameters(also))
     with tentative_folder(out):
         found = identify_parameters(loaded, also, channels, progress, method=method)
         record = identification_record(found, input_file(experiment))

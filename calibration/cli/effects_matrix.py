@@ -89,9 +89,9 @@ def effects_matrix(
 
 
 def _check(option: str, names: tuple[str, ...]) -> None:
-    from calibration.model.extended import candidates
+    from calibration.model.extended import candidate_effects
 
-    allowed = candidates()
+    allowed = candidate_effects()
     for name in names:
         if name not in allowed:
             raise InputError(

@@ -22,8 +22,8 @@ from calibration.model.extended import (
     Parameter,
     base_values,
     base_vector,
-    candidates,
-    parameters,
+    candidate_effects,
+    model_parameters,
 )
 from calibration.model.predict import COARSE, FINE, Resolution
 from slider_jax.experiment.load import Experiment
@@ -123,8 +123,8 @@ def close_loop_on_trials(
         problem = TankProblem.of(experiment, list(chosen), names, fine=fine, coarse=coarse)
         return replace(problem, memo=memo)
 
-    names = tuple(candidates() if effects is None else effects)
-    entries = parameters(names)
+    names = tuple(candidate_effects() if effects is None else effects)
+    entries = model_parameters(names)
     base = base_values(experiment)
     initial = base_vector(entries, base)
     progress("auditing the data")
@@ -170,7 +170,7 @@ def conclude(
     settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> LoopOutcome:
     """Select effects, reach a verdict, predict the held-out trials and refit to all trials."""
-    entries = parameters(names)
+    entries = model_parameters(names)
     used = [r for i, r in enumerate(found) if i not in held]
     all_trials = problem_of(found)
     problem = problem_of(used) if held else all_trials

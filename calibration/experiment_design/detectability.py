@@ -34,7 +34,7 @@ from calibration.experiment_design.information import (
 )
 from calibration.inference.cache import Memo
 from calibration.inference.gauss_newton import inverse, marginal_information
-from calibration.model.extended import Parameter, candidates
+from calibration.model.extended import Parameter, candidate_effects
 from calibration.model.predict import COARSE, Resolution
 from slider_jax.channels import CHANNELS
 from slider_jax.effects import Prior
@@ -120,10 +120,10 @@ def detectability_matrix(
     `effects` are names (default: all candidates). The trials need not be measured. Raise
     `InputError` if no noise is declared, `SolverError` if a trial cannot be simulated.
     """
-    names = list(dict.fromkeys(candidates() if effects is None else effects))
+    names = list(dict.fromkeys(candidate_effects() if effects is None else effects))
     f = predict_information(experiment, names, progress, coarse, memo)
     channels = f.trials(experiment.trials, progress)
-    entries, many = f.entries, len(candidates())
+    entries, many = f.entries, len(candidate_effects())
     indices, free = scoring_entries(entries), np.flatnonzero([not p.effect for p in entries])
     limits = [
         DetectionLimit(

@@ -14,7 +14,7 @@ from calibration.experiment_design.detectability import (
     required_gain,
 )
 from calibration.experiment_design.information import FINITE_START
-from calibration.model.extended import candidates
+from calibration.model.extended import candidate_effects
 from slider_jax.channels import CHANNELS
 from slider_jax.io.figures import new_figure, save_figure
 from slider_jax.io.files import versions
@@ -48,8 +48,8 @@ def detectability_record(m: DetectabilityMatrix, source: dict[str, Any]) -> dict
         "thresholds": {
             "least_gain": DEFAULT_SETTINGS.min_gain,
             "chance": DEFAULT_SETTINGS.false_alarm_p,
-            "candidates": len(candidates()),
-            "gain_of_one_parameter": required_gain(1, len(candidates())),
+            "candidates": len(candidate_effects()),
+            "gain_of_one_parameter": required_gain(1, len(candidate_effects())),
             "alike": DEFAULT_SETTINGS.parallel_cosine,
             "gain_of_a_trial": {name: x.gain for name, x in CHANNELS.items()},
             "discrepancy": {name: x.discrepancy for name, x in CHANNELS.items()},

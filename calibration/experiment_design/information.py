@@ -18,16 +18,16 @@ from calibration.inference.cache import Memo
 from calibration.inference.noise import Noise, Whitener, channel_noise
 from calibration.inference.problem import ChannelBlock
 from calibration.measurements.records import Record, load_records
-from calibration.model.extended import BASE, Parameter, base_vector, parameters
-from calibration.model.initial_swing import declared_spans
+from calibration.model.extended import BASE, Parameter, base_vector, model_parameters
+from calibration.model.initial_swing import declared_swing_spans
 from calibration.model.predict import (
     COARSE,
     Resolution,
     TrialPlan,
     on_all_cores,
-    plan,
-    predict,
-    tangents,
+    plan_trial,
+    predict_readings,
+    reading_tangents,
 )
 from slider_jax.channels import CHANNELS, row_of
 from slider_jax.errors import InputError, SolverError
@@ -133,14 +133,14 @@ class TrialInformation:
     @property
     def entries(self) -> list[Parameter]:
         """The k chosen parameters."""
-        every = parameters(self.effects)
+        every = model_parameters(self.effects)
         return [every[i] for i in self.chosen]
 
     def plan(self, trial: Trial) -> TrialPlan:
         """Return the trial's plan; a measured trial keeps the sample times of its record."""
         record = self.sensing.measured.get(trial.file)
         at = None if record is None else record.t
-        return plan(self.experiment, trial, self.effects, self.coarse, at)
+        return plan_trial(self.experiment, trial, self.effects, self.coarse, at)
 
     def trial(self, trial: Trial, number: int = 0) -> list[ChannelInformation]:
         """Return the information of a trial. Raise `SolverError` if it cannot be simulated."""
@@ -154,7 +154,7 @@ class TrialInformation:
             )
         if other is not None:
             J = np.stack([*J, other - y])
-        swing = declared_spans(self.experiment, p, self.theta)
+        swing = declared_swing_spans(self.experiment, p, self.theta)
         found = []
         for channel, noise in self.sensing.noise.items():
             row, here = row_of(channel), self.sensing.samples(trial, channel, len(p.at))
@@ -178,7 +178,7 @@ class TrialInformation:
         """
 
         def make() -> list[np.ndarray]:
-            y = predict(p, self.theta)
+            y = predict_readings(p, self.theta)
             finite = np.isfinite(y).all()
             return [y, self._tangents(p, y) if finite else np.zeros((0, *y.shape))]
 
@@ -194,9 +194,9 @@ class TrialInformation:
         if other is None:
             return None
         if self.memo is None:
-            return predict(p, other)
+            return predict_readings(p, other)
         name = f"foresee other {trial.model_dump_json()} {self.effects} {self.coarse}"
-        return self.memo.cached(name, [other], lambda: [predict(p, other)])[0]
+        return self.memo.cached(name, [other], lambda: [predict_readings(p, other)])[0]
 
     def _tangents(self, p: TrialPlan, y: np.ndarray) -> np.ndarray:
         """Return tangents or secants (k, 5, n); NaN if they cannot be simulated."""
@@ -204,7 +204,7 @@ class TrialInformation:
         directions = np.eye(len(self.theta))[self.chosen[straight]]
         J = np.empty((len(self.chosen), len(CHANNELS), len(p.at)))
         if straight:
-            J[straight] = tangents(p, self.theta, directions)
+            J[straight] = reading_tangents(p, self.theta, directions)
         for j, i in enumerate(self.chosen):
             if i in self.secants:
                 J[j] = _secant(p, self.theta, y, int(i), self.secants[i])
@@ -242,7 +242,7 @@ def predict_information(
             "one m_a for all trials"
         )
     names = tuple(dict.fromkeys(effects))
-    entries = parameters(names)
+    entries = model_parameters(names)
     theta = base_vector(entries, {n: getattr(experiment.parameters, n) for n in BASE})
     chosen, sensing = np.arange(len(entries)), SensorModel.of(experiment)
     by_tangents = TrialInformation(experiment, names, theta, chosen, sensing, {}, coarse, memo)
@@ -254,7 +254,7 @@ def _secant(p: TrialPlan, theta: np.ndarray, y: np.ndarray, entry: int, step: fl
     """Return the change (5, n) of the readings, `y` at theta, per unit of an entry."""
     moved = theta.copy()
     moved[entry] += step
-    return (predict(p, moved) - y) / step
+    return (predict_readings(p, moved) - y) / step
 
 
 def secant_steps(f: TrialInformation) -> dict[int, float]:
@@ -264,13 +264,13 @@ def secant_steps(f: TrialInformation) -> dict[int, float]:
     on the experiment's shortest trial. If the secant cannot be simulated, the tangent stays.
     """
     p = min((f.plan(t) for t in f.experiment.trials), key=lambda p: p.grid.steps)
-    y = predict(p, f.theta)
+    y = predict_readings(p, f.theta)
     scale = np.std(y, axis=1)[:, None]
     scale = np.where(scale > 0.0, scale, 1.0)
     pairs = [(i, x) for i, x in zip(f.chosen, f.entries, strict=True) if x.effect]
     if not pairs:
         return {}
-    J = tangents(p, f.theta, np.eye(len(f.theta))[[i for i, _ in pairs]])
+    J = reading_tangents(p, f.theta, np.eye(len(f.theta))[[i for i, _ in pairs]])
 
     def one(item) -> tuple[int, float] | None:
         (i, x), tangent = item

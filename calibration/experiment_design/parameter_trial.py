@@ -20,14 +20,14 @@ from calibration.inference.uncertainty import (
     value_by_variation,
 )
 from calibration.model.extended import Parameter
-from calibration.model.initial_swing import declared_spans
+from calibration.model.initial_swing import declared_swing_spans
 from calibration.model.predict import (
     COARSE,
     Resolution,
     on_all_cores,
-    plan,
-    predict,
-    tangents,
+    plan_trial,
+    predict_readings,
+    reading_tangents,
 )
 from slider_jax.channels import row_of
 from slider_jax.experiment.load import Experiment
@@ -155,13 +155,13 @@ def best_trial(
 
 def _information(experiment, trial, effects, theta, measured, resolution) -> np.ndarray:
     """Return J J^T (k, k) of a trial that is not measured."""
-    trial_plan = plan(experiment, trial, effects, resolution)
-    model = predict(trial_plan, theta)
+    trial_plan = plan_trial(experiment, trial, effects, resolution)
+    model = predict_readings(trial_plan, theta)
     size = len(measured.free)
     if not np.isfinite(model).all():
         return np.full((size, size), np.nan)
-    J = tangents(trial_plan, theta, np.eye(len(theta))[measured.free])
-    found, swing = np.zeros((size, size)), declared_spans(experiment, trial_plan, theta)
+    J = reading_tangents(trial_plan, theta, np.eye(len(theta))[measured.free])
+    found, swing = np.zeros((size, size)), declared_swing_spans(experiment, trial_plan, theta)
     for channel, (noise, every) in measured.noise.items():
         row, at = row_of(channel), slice(None, None, every)
         swings = None if swing is None else swing[:, row, at]

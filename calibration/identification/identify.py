@@ -19,7 +19,7 @@ from calibration.inference.lbfgs import fit_lbfgs
 from calibration.inference.problem import TankProblem
 from calibration.inference.uncertainty import correlations, hausman_check
 from calibration.measurements.records import Finding, Record
-from calibration.model.extended import Parameter, base_values, base_vector, parameters
+from calibration.model.extended import Parameter, base_values, base_vector, model_parameters
 from calibration.model.predict import COARSE, FINE, Resolution
 from calibration.reporting.parameters import model_tables, parameter_record, parameter_text
 from slider_jax.channels import BUILT_IN, CHANNELS
@@ -82,7 +82,7 @@ def identify_parameters(
     for an unknown effect, channel or method, or if no measured trial can be used.
     """
     check_names(effects, channels, method)
-    entries = parameters(tuple(effects))
+    entries = model_parameters(tuple(effects))
 
     def problem_of(chosen: Sequence[Record]) -> TankProblem:
         names, fitted = tuple(effects), tuple(channels)

@@ -19,17 +19,17 @@ import numpy as np
 from calibration.inference.cache import Memo
 from calibration.inference.noise import Noise, Whitener, channel_noise
 from calibration.measurements.records import Record
-from calibration.model.extended import base_values, base_vector, parameters
-from calibration.model.initial_swing import spans
+from calibration.model.extended import base_values, base_vector, model_parameters
+from calibration.model.initial_swing import swing_spans
 from calibration.model.predict import (
     COARSE,
     FINE,
     Resolution,
     TrialPlan,
     on_all_cores,
-    plan,
-    predict,
-    tangents,
+    plan_trial,
+    predict_readings,
+    reading_tangents,
 )
 from slider_jax.channels import CHANNELS, row_of
 from slider_jax.experiment.load import Experiment
@@ -199,7 +199,7 @@ class TankProblem(AbstractProblem):
         channels = tuple(CHANNELS) if channels is None else channels
         prepared = [prepare(experiment, r.trial, sample_times=r.t) for r in records]
         plans = [
-            [plan(experiment, trial, effects, resolution) for trial in prepared]
+            [plan_trial(experiment, trial, effects, resolution) for trial in prepared]
             for resolution in (fine, coarse)
         ]
         noise = {
@@ -210,7 +210,7 @@ class TankProblem(AbstractProblem):
         }
         swing, size = None, experiment.sensors.start_swing
         if size > 0.0:
-            swing = Swing(size, base_vector(parameters(effects), base_values(experiment)))
+            swing = Swing(size, base_vector(model_parameters(effects), base_values(experiment)))
         return cls(
             records=records,
             channels=channels,
@@ -232,7 +232,7 @@ class TankProblem(AbstractProblem):
         return self._cached(
             f"swing {swing.size}",
             [swing.theta],
-            lambda: on_all_cores(lambda p: spans(p, swing.theta, swing.size), self.coarse),
+            lambda: on_all_cores(lambda p: swing_spans(p, swing.theta, swing.size), self.coarse),
         )
 
     def _predict(self, theta: np.ndarray) -> list[np.ndarray]:
@@ -241,27 +241,27 @@ class TankProblem(AbstractProblem):
     def predict_each(self, thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Return the readings (channels, samples) of every trial at its own parameters."""
         pairs = list(zip(self.fine, thetas, strict=True))
-        return on_all_cores(lambda pair: predict(*pair), pairs)
+        return on_all_cores(lambda pair: predict_readings(*pair), pairs)
 
     def _secants(self, theta: np.ndarray, others: Sequence[np.ndarray]) -> list[np.ndarray]:
         def one(job):
             plan, here, there = job
-            begin = predict(plan, here)
-            return np.stack([predict(plan, other) - begin for other in there])
+            begin = predict_readings(plan, here)
+            return np.stack([predict_readings(plan, other) - begin for other in there])
 
         each = zip(*(self._own(other) for other in others), strict=True)
         return on_all_cores(one, list(zip(self.coarse, self._own(theta), each, strict=True)))
 
     def _tangents(self, theta: np.ndarray, directions: np.ndarray) -> list[np.ndarray]:
         if self.maps is None:
-            return on_all_cores(lambda p: tangents(p, theta, directions), self.coarse)
+            return on_all_cores(lambda p: reading_tangents(p, theta, directions), self.coarse)
 
         def one(job):
             plan, own, along = job
             moved = np.flatnonzero(np.any(along != 0.0, axis=1))
             found = np.zeros((len(along), len(CHANNELS), len(plan.at)))
             if moved.size:
-                found[moved] = tangents(plan, own, along[moved])
+                found[moved] = reading_tangents(plan, own, along[moved])
             return found
 
         along = [directions @ m.matrix.T for m in self.maps]

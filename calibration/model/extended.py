@@ -25,11 +25,11 @@ BASE = {
     "k": Prior(np.nan, 0.005, 0.5, "s", "valves and hoses of such rigs"),
     "K_Q": Prior(np.nan, 1e-8, 1e-5, "m^3", "area times lever arm of a chamber of this size"),
 }
-"""Identified parameters of the base model, with their search ranges."""
+"""Parameters of the base model that are identified, with their search ranges."""
 
 
 class Parameter(NamedTuple):
-    """An entry of the vector: `effect` is "" for the base model's own."""
+    """An entry of the parameter vector; `effect` is "" for a parameter of the base model."""
 
     effect: str
     name: str
@@ -40,8 +40,8 @@ class Parameter(NamedTuple):
         return f"{self.effect}.{self.name}" if self.effect else self.name
 
 
-def parameters(effects: Sequence[str]) -> list[Parameter]:
-    """The vector's entries: the base model's, then those of `effects`, in order."""
+def model_parameters(effects: Sequence[str]) -> list[Parameter]:
+    """Return the vector's entries: the base model's parameters, then those of `effects`."""
     base = [Parameter("", name, prior) for name, prior in BASE.items()]
     return base + [
         Parameter(effect, name, prior)
@@ -50,13 +50,13 @@ def parameters(effects: Sequence[str]) -> list[Parameter]:
     ]
 
 
-def candidates() -> list[str]:
-    """Names of the effects that a residual may be traced to."""
+def candidate_effects() -> list[str]:
+    """Return the names of all effects that the search may add to the model."""
     return [name for name, kind in LIBRARY.items() if kind.is_candidate]
 
 
-class Extended(eqx.Module):
-    """A trial's base model and the effects that may be added to it."""
+class ExtendedModel(eqx.Module):
+    """A trial's base model and candidate effects."""
 
     base: Model
     conditions: dict[str, Array]
@@ -67,9 +67,9 @@ class Extended(eqx.Module):
     )
 
     def at(self, theta: Float[Array, " parameters"]) -> Model:
-        """The model with its parameters from the vector `theta`, in SI units."""
+        """Return the model with its parameters from the vector `theta`, in SI units."""
         values = dict(
-            zip(((p.effect, p.name) for p in parameters(self.effects)), theta, strict=True)
+            zip(((p.effect, p.name) for p in model_parameters(self.effects)), theta, strict=True)
         )
         drag, reactive, *rest = self.base.effects
         assert isinstance(drag, NormalDrag) and isinstance(reactive, ReactiveForce)
@@ -96,12 +96,12 @@ class Extended(eqx.Module):
 
 
 def base_vector(entries: Sequence[Parameter], base: dict[str, float]) -> np.ndarray:
-    """The vector with the base model's `base` values and every effect at its null."""
+    """Return the vector with the base model's `base` values and every effect at its null."""
     return np.array([p.prior.null if p.effect else base[p.name] for p in entries])
 
 
 def base_values(experiment: Experiment) -> dict[str, float]:
-    """The base parameters of an experiment; C_d and m_a that differ by trial as their mean."""
+    """Return the base parameters of an experiment; C_d and m_a are means over the trials."""
     C_d, m_a = np.mean([drag_and_added_mass(experiment, t) for t in experiment.trials], axis=0)
     fixed = {"C_d": float(C_d), "m_a": float(m_a)}
     return {n: fixed[n] if n in fixed else getattr(experiment.parameters, n) for n in BASE}

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from calibration.model.predict import DIRECTIONS, TrialPlan, perturbed
+from calibration.model.predict import DIRECTIONS, TrialPlan, initial_state_tangents
 from slider_jax.beam.parameters import Numerics
 from slider_jax.channels import CHANNELS, row_of
 from slider_jax.dynamics.model import Model, make_mesh
@@ -24,8 +24,8 @@ from slider_jax.effects import ReactiveForce
 from slider_jax.experiment.load import Experiment
 
 
-class Mode(NamedTuple):
-    """The shape of a swing whose tip is 1 m to the left of straight."""
+class SwingMode(NamedTuple):
+    """Shape and frequency of the first mode; the tip's displacement is 1 m to the left."""
 
     angle: Float[Array, " nodes"]
     """[rad]"""
@@ -35,8 +35,8 @@ class Mode(NamedTuple):
     """[rad/s], by Rayleigh's quotient."""
 
 
-def first_mode(model: Model, numerics: Numerics) -> Mode:
-    """The first mode of the clamped body in water: its deflection under a uniform load."""
+def first_mode(model: Model, numerics: Numerics) -> SwingMode:
+    """Return the clamped body's first mode in water, from its deflection under a uniform load."""
     mesh = make_mesh(model.body, numerics)
     grid, structure = mesh.grid, mesh.structure
     curvature = grid.mid(grid.s) ** 2 / structure.EI
@@ -54,12 +54,15 @@ def first_mode(model: Model, numerics: Numerics) -> Mode:
             mass = mass + effect.m_a * effect.density * jnp.pi / 4.0 * structure.height**2
     inertia = grid.integral(mass * grid.mid(place) ** 2)
     size = place[0]
-    return Mode(angle / size, place / size, jnp.sqrt(stiffness / inertia))
+    return SwingMode(angle / size, place / size, jnp.sqrt(stiffness / inertia))
 
 
 @eqx.filter_jit
 def _along(model: Model, numerics: Numerics):
-    """Tangents of the initial carry by place and speed, padded to `DIRECTIONS`; the frequency."""
+    """Return the initial state's tangents along position and speed, and the mode's frequency.
+
+    The tangents are padded to `DIRECTIONS`.
+    """
     mode, carry = first_mode(model, numerics), at_rest(model, numerics)
 
     def initial(place, speed):
@@ -74,21 +77,23 @@ def _along(model: Model, numerics: Numerics):
     return along, mode.frequency
 
 
-def spans(p: TrialPlan, theta: np.ndarray, size: float) -> np.ndarray:
-    """Changes (2, channels, samples) of the readings by the tip's initial position and speed.
+def swing_spans(p: TrialPlan, theta: np.ndarray, size: float) -> np.ndarray:
+    """Return the readings' changes (2, channels, samples) by initial position and speed.
 
-    Each is one standard deviation of a swing of `size` [m], linearised about the trial at `theta`;
-    0 where it is not finite, as after a step that failed.
+    Each change is for one standard deviation of a swing of `size` [m], linearised about the trial
+    at `theta`. It is 0 if not finite, for example after a failed step.
     """
     d_carry, frequency = _along(p.extended.at(jnp.asarray(theta)), p.numerics)
     initial = np.zeros((DIRECTIONS, len(CHANNELS)))
     initial[0, row_of("tip")] = 1.0
-    changes = perturbed(p, theta, d_carry, initial)[:2]
+    changes = initial_state_tangents(p, theta, d_carry, initial)[:2]
     scale = np.array([size, size * float(frequency)])
     return np.nan_to_num(changes * scale[:, None, None], posinf=0.0, neginf=0.0)
 
 
-def declared_spans(experiment: Experiment, p: TrialPlan, theta: np.ndarray) -> np.ndarray | None:
-    """`spans` of the swing that an experiment declares; None if it declares none."""
+def declared_swing_spans(
+    experiment: Experiment, p: TrialPlan, theta: np.ndarray
+) -> np.ndarray | None:
+    """Return `swing_spans` for the swing that an experiment declares; None if it has none."""
     size = experiment.sensors.start_swing
-    return spans(p, theta, size) if size > 0.0 else None
+    return swing_spans(p, theta, size) if size > 0.0 else None

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from calibration.model.extended import Extended
+from calibration.model.extended import ExtendedModel
 from slider_jax.batch.chunks import available_cores
 from slider_jax.beam.grid import split_cells
 from slider_jax.beam.parameters import Numerics
@@ -33,16 +33,16 @@ from slider_jax.experiment.schema import Trial
 from slider_jax.simulation.trial import run_chunks
 
 BLOCK = 500
-"""Steps and samples per call of a compiled program, so that trials of all lengths share it."""
+"""Steps or samples per call of a compiled program, so that trials of all lengths share it."""
 DIRECTIONS = 8
 """Tangents per call of the compiled program."""
 
 
 @dataclass(frozen=True)
 class Resolution:
-    """Mesh, step and scheme: `nodes`, at least `per_stride` steps a stride, none over `step` [s].
+    """Number of nodes, fewest steps per stride, longest step [s] and time scheme.
 
-    It replaces an experiment's own [numerics], so that errors stay small against the noise.
+    It replaces the [numerics] of an experiment, so that errors are small compared with the noise.
     """
 
     nodes: int
@@ -52,7 +52,8 @@ class Resolution:
 
 
 FINE = Resolution(101, 200, 2.0e-3)
-"""For residuals. With 51 nodes, the discretisation error was identified as a 2.5 % softer tail."""
+"""For residuals. With 51 nodes, the search explained the discretisation error by a softer tail
+(2.5 %)."""
 COARSE = Resolution(31, 80, 4.0e-3)
 """For tangents, which need only a tenth of the accuracy."""
 
@@ -62,7 +63,7 @@ class TrialPlan:
     """One trial of the extended model on its time grid."""
 
     trial: Trial
-    extended: Extended
+    extended: ExtendedModel
     numerics: Numerics
     scheme: Scheme
     grid: StepGrid
@@ -70,17 +71,16 @@ class TrialPlan:
     """Sample times (n,) [s]."""
 
 
-def plan(
+def plan_trial(
     experiment: Experiment,
     trial: Trial | PreparedTrial,
     effects: tuple[str, ...],
     resolution: Resolution,
     at: np.ndarray | None = None,
 ) -> TrialPlan:
-    """Lay a trial out in time and space, sampled at `at` (n,) [s], by default as its file is.
+    """Return a trial's model and grids; `at` (n,) are the sample times [s] (default: the file's).
 
-    A prepared trial has its sample times already. Raises `InputError` for a trial that cannot be
-    used.
+    A prepared trial has its own sample times. Raises `InputError` for an unusable trial.
     """
     if isinstance(trial, PreparedTrial):
         prepared = trial
@@ -97,12 +97,12 @@ def plan(
         longest = min(longest, 1.0 / (trial.frequency * resolution.per_stride))
     grid = step_grid(trial, longest, at[-1], spacing, prepared.played)
     taken = {name: jnp.asarray(x, float) for name, x in trial_conditions(experiment, trial).items()}
-    extended = Extended(prepared.model, taken, effects, prepared.channels)
+    extended = ExtendedModel(prepared.model, taken, effects, prepared.channels)
     return TrialPlan(trial, extended, numerics, SCHEMES[resolution.scheme], grid, at)
 
 
-def _chunk(extended: Extended, theta, carry: Carry, h, t0, numerics: Numerics, scheme: Scheme):
-    """`BLOCK` more steps: true readings (BLOCK, channels), and the carry at the end."""
+def _chunk(extended: ExtendedModel, theta, carry: Carry, h, t0, numerics: Numerics, scheme: Scheme):
+    """Return the true readings (BLOCK, channels) of `BLOCK` more steps, and the last state."""
 
     def save(x: Snapshot):
         return jnp.stack([channel.observe(x) for channel in extended.channels])
@@ -112,16 +112,16 @@ def _chunk(extended: Extended, theta, carry: Carry, h, t0, numerics: Numerics, s
     return out.saved, out.final
 
 
-def _read(extended: Extended, theta, t, series):
-    """Recorded series (channels - 2, n), without pressures, of the true `series` (n, channels)."""
+def _read(extended: ExtendedModel, theta, t, series):
+    """Return the readings (channels - 2, n) of true `series` (n, channels), without pressures."""
     names = [channel.name for channel in extended.channels]
     true = dict(zip(names, series.T, strict=True))
     read = recorded_series(extended.at(theta).effects, t, true)
     return jnp.stack([read[name] for name in names[2:]])
 
 
-def _pressures(extended: Extended, theta, t):
-    """p_front, p_rear (2, n) at the even sample times `t`, exact between them."""
+def _pressures(extended: ExtendedModel, theta, t):
+    """Return p_front and p_rear (2, n) at regular times `t`, by exact steps between the times."""
     model = extended.at(theta)
     begin = start_chambers(model)
     p = jnp.concatenate([begin.p[None], chamber_history(model, begin, t).p]).T
@@ -132,7 +132,10 @@ def _pressures(extended: Extended, theta, t):
 
 
 def _along(function, arguments, directions):
-    """Tangents of function(*arguments) along `directions`, each argument's with a leading axis."""
+    """Return the tangents of function(*arguments) along `directions`.
+
+    Each argument's directions have an additional leading axis.
+    """
     dynamic, static = eqx.partition(arguments, eqx.is_inexact_array)
 
     def value(dynamic):
@@ -143,7 +146,7 @@ def _along(function, arguments, directions):
 
 
 @eqx.filter_jit
-def _begin(extended: Extended, theta, numerics: Numerics) -> Carry:
+def _begin(extended: ExtendedModel, theta, numerics: Numerics) -> Carry:
     return at_rest(extended.at(theta), numerics)
 
 
@@ -153,12 +156,14 @@ _chambers = eqx.filter_jit(_pressures)
 
 
 @eqx.filter_jit
-def _begin_along(extended: Extended, theta, directions, numerics: Numerics):
+def _begin_along(extended: ExtendedModel, theta, directions, numerics: Numerics):
     return _along(lambda x: at_rest(extended.at(x), numerics), (theta,), (directions,))
 
 
 @eqx.filter_jit
-def _advance_along(extended: Extended, theta, carry, d_theta, d_carry, h, t0, numerics, scheme):
+def _advance_along(
+    extended: ExtendedModel, theta, carry, d_theta, d_carry, h, t0, numerics, scheme
+):
     def function(theta, carry):
         return _chunk(extended, theta, carry, h, t0, numerics, scheme)
 
@@ -166,17 +171,17 @@ def _advance_along(extended: Extended, theta, carry, d_theta, d_carry, h, t0, nu
 
 
 @eqx.filter_jit
-def _recorded_along(extended: Extended, theta, t, series, d_theta, d_series):
+def _recorded_along(extended: ExtendedModel, theta, t, series, d_theta, d_series):
     return _along(lambda x, s: _read(extended, x, t, s), (theta, series), (d_theta, d_series))
 
 
 @eqx.filter_jit
-def _chambers_along(extended: Extended, theta, t, d_theta):
+def _chambers_along(extended: ExtendedModel, theta, t, d_theta):
     return _along(lambda x: _pressures(extended, x, t), (theta,), (d_theta,))
 
 
 def _sample_grid(at: np.ndarray) -> np.ndarray:
-    """Even times from 0 on that hold the sample times `at`, padded to a whole number of blocks."""
+    """Return regular times from 0 that include the sample times `at`, in whole blocks."""
     spacing = divided_step(float(np.median(np.diff(at))), LONGEST_STEP)
     before = np.ceil(at[0] / spacing - 1e-9)
     n = -(-(round((at[-1] - at[0]) / spacing) + int(before) + 2) // BLOCK) * BLOCK
@@ -186,23 +191,24 @@ def _sample_grid(at: np.ndarray) -> np.ndarray:
 
 
 def _sampled(p: TrialPlan, body: np.ndarray, pressures: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Series (..., channels, samples) at the trial's sample times.
+    """Return series (..., channels, samples) at the trial's sample times.
 
-    `body` (..., channels - 2, steps) is interpolated; `pressures` (..., 2, n) hold those times `t`.
+    `body` (..., channels - 2, steps) is interpolated. `pressures` (..., 2, n) are at the times `t`,
+    which include the sample times.
     """
     lead = body.shape[:-2]
     flat = body.reshape(-1, body.shape[-1])[:, : p.grid.steps + 1].T
     at_samples = sample_series(p.grid.times, flat, p.at, p.grid.edges).T.reshape(
         *lead, -1, len(p.at)
     )
-    # Not from t[0], which is 0 and may be nearer to t[1] than the others to each other.
+    # t[0] is 0, so the first interval may be shorter than the others.
     index = 1 + np.round((p.at - t[1]) / (t[2] - t[1])).astype(int)
     index = np.clip(index, 0, len(t) - 1)
     return np.concatenate([pressures[..., index], at_samples], axis=-2)
 
 
-def predict(p: TrialPlan, theta: np.ndarray) -> np.ndarray:
-    """Readings (channels, samples) of a trial; NaN from the time on at which a step failed."""
+def predict_readings(p: TrialPlan, theta: np.ndarray) -> np.ndarray:
+    """Return the readings (channels, samples) of a trial, NaN after a failed step."""
     series, failed_at = _series(p, jnp.asarray(theta))
     t = p.grid.h * np.arange(len(series))
     read = np.array(_recorded(p.extended, jnp.asarray(theta), jnp.asarray(t), series))
@@ -213,7 +219,7 @@ def predict(p: TrialPlan, theta: np.ndarray) -> np.ndarray:
 
 
 def _series(p: TrialPlan, theta) -> tuple[Array, float]:
-    """True series (n, channels) with the start, and when a step failed or inf [s]."""
+    """Return the true series (n, channels) from t = 0 on, and the time of a failed step or inf."""
     carry = _begin(p.extended, theta, p.numerics)
     start = jnp.concatenate([carry.chambers.p, jnp.zeros(len(p.extended.channels) - 2)])[None]
     h = jnp.asarray(p.grid.h)
@@ -226,8 +232,8 @@ def _series(p: TrialPlan, theta) -> tuple[Array, float]:
     return jnp.concatenate([start, *parts]), float(carry.failed_at)
 
 
-def tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Derivatives (k, channels, samples) of the readings along `directions` (k, parameters)."""
+def reading_tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Return the derivatives (k, channels, samples) of readings along `directions` (k, entries)."""
     k = len(directions)
     padded = np.zeros((-(-k // DIRECTIONS) * DIRECTIONS, len(theta)))
     padded[:k] = directions
@@ -243,11 +249,13 @@ def tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) -> np.ndar
     return np.concatenate(parts)[:k]
 
 
-def perturbed(p: TrialPlan, theta: np.ndarray, d_carry: Carry, initial: np.ndarray) -> np.ndarray:
-    """Derivatives (`DIRECTIONS`, channels, samples) of the readings by the trial's initial state.
+def initial_state_tangents(
+    p: TrialPlan, theta: np.ndarray, d_carry: Carry, initial: np.ndarray
+) -> np.ndarray:
+    """Return the readings' derivatives (`DIRECTIONS`, channels, samples) by the initial state.
 
-    `d_carry` holds the state's tangents, with a leading axis, and `initial` (`DIRECTIONS`,
-    channels) those of the readings at t = 0. The initial pressures do not change.
+    `d_carry` holds the state's tangents, with a leading axis. `initial` (`DIRECTIONS`, channels)
+    are those of the readings at t = 0. The initial pressures do not change.
     """
     at = jnp.asarray(theta)
     series, _ = _series(p, at)
@@ -259,7 +267,7 @@ def perturbed(p: TrialPlan, theta: np.ndarray, d_carry: Carry, initial: np.ndarr
 
 
 def _series_along(p: TrialPlan, theta, d_theta) -> Array:
-    """Tangents (directions, n, channels) of `_series`."""
+    """Return the tangents (directions, n, channels) of `_series`."""
     return _carried_along(p, theta, d_theta, _begin_along(p.extended, theta, d_theta, p.numerics))
 
 
@@ -282,6 +290,6 @@ def _carried_along(p: TrialPlan, theta, d_theta, d_carry) -> Array:
 
 
 def on_all_cores(work, items: list) -> list:
-    """`work(item)` for every item, in order, on as many threads as there are cores."""
+    """Return `work(item)` for every item, in order, computed on one thread per core."""
     with ThreadPoolExecutor(max_workers=available_cores()) as pool:
         return list(pool.map(work, items))

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 from calibration.inference.noise import channel_noise
 from calibration.inference.problem import AbstractProblem
 from calibration.measurements.records import Record
-from calibration.model.extended import Extended, candidates, parameters
+from calibration.model.extended import ExtendedModel, candidate_effects, model_parameters
 from calibration.model.predict import DIRECTIONS
 from calibration.pressure_logs.read import ManifoldLog
 from slider_jax.actuation import Recorded
@@ -43,7 +43,7 @@ def log_candidates() -> list[str]:
     """Return the effects that a log can show: on the command, the flow or the pressure sensor."""
     return [
         name
-        for name in candidates()
+        for name in candidate_effects()
         if issubclass(LIBRARY[name], (Command, Flow, Instrument))
         and "pressure" in LIBRARY[name].sensors
         and not LIBRARY[name].rear_only
@@ -99,7 +99,7 @@ class PressureLogProblem(AbstractProblem):
     """Pressure logs as trials. A simulation omits effects with all parameters at their nulls."""
 
     logs: list[ManifoldLog]
-    base: Extended
+    base: ExtendedModel
     drive: LogDrive
 
     @classmethod
@@ -124,7 +124,7 @@ class PressureLogProblem(AbstractProblem):
         taken = {
             n: jnp.asarray(x) for n, x in trial_conditions(experiments[0], first.trial).items()
         }
-        base = Extended(first.model, taken, tuple(names), first.channels)
+        base = ExtendedModel(first.model, taken, tuple(names), first.channels)
         return cls(
             records=records,
             channels=(CHANNEL,),
@@ -167,17 +167,17 @@ class PressureLogProblem(AbstractProblem):
         """Return the effects with a parameter off its null in `theta` or marked in `along`."""
         found = dict.fromkeys(
             p.effect
-            for i, p in enumerate(parameters(self.base.effects))
+            for i, p in enumerate(model_parameters(self.base.effects))
             if p.effect and (theta[i] != p.prior.null or (along is not None and along[i]))
         )
         return tuple(found)
 
-    def _extended(self, names: tuple[str, ...]) -> Extended:
+    def _extended(self, names: tuple[str, ...]) -> ExtendedModel:
         return replace(self.base, effects=names)
 
     def _entries(self, theta: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
         """Return the entries of `theta` for the base model and the effects `names`."""
-        entries = parameters(self.base.effects)
+        entries = model_parameters(self.base.effects)
         return np.array(
             [x for x, p in zip(theta, entries, strict=True) if p.effect in ("", *names)]
         )
@@ -192,7 +192,7 @@ class PressureLogProblem(AbstractProblem):
         return found
 
 
-def _read(extended: Extended, theta, drive: LogDrive):
+def _read(extended: ExtendedModel, theta, drive: LogDrive):
     """Return the sensor's readings (logs, n) [Pa]."""
     model = extended.at(theta)
 
@@ -208,12 +208,12 @@ def _read(extended: Extended, theta, drive: LogDrive):
 
 
 @eqx.filter_jit
-def _readings(extended: Extended, theta, drive: LogDrive):
+def _readings(extended: ExtendedModel, theta, drive: LogDrive):
     return _read(extended, theta, drive)
 
 
 @eqx.filter_jit
-def _along(extended: Extended, theta, drive: LogDrive, directions):
+def _along(extended: ExtendedModel, theta, drive: LogDrive, directions):
     def value(theta):
         return _read(extended, theta, drive)
 

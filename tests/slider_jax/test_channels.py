@@ -8,7 +8,7 @@ import pytest
 from calibration.inference.noise import channel_noise
 from calibration.inference.problem import TankProblem
 from calibration.measurements.records import load_records
-from calibration.model.predict import Resolution, plan, predict
+from calibration.model.predict import Resolution, plan_trial, predict_readings
 from slider_jax.channels import BUILT_IN, CHANNELS, channel_columns, register, row_of
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
@@ -73,7 +73,9 @@ def test_a_channel_outside_the_package_is_simulated_read_and_fitted(marked):
     assert 0.0 < noise.white and noise.tare == 0.0
     resolution = Resolution(11, 60, 4e-3)
     theta = np.array([3.0, 1.0, 0.087, 4.79e-7])
-    predicted = predict(plan(experiment, found[0].trial, (), resolution, found[0].t), theta)
+    predicted = predict_readings(
+        plan_trial(experiment, found[0].trial, (), resolution, found[0].t), theta
+    )
     assert predicted.shape == (6, len(found[0].t))
     off = predicted[row_of("marker")] - run.columns["marker_m"]
     assert np.abs(off).max() < 0.1 * np.ptp(run.columns["marker_m"])

@@ -61,8 +61,8 @@ def tangents(plan, theta, directions):
 def replace_the_beam(monkeypatch):
     """Replace the simulation of trials by `readings`."""
     for module in (problem, parameter_trial):
-        monkeypatch.setattr(module, "predict", predict)
-        monkeypatch.setattr(module, "tangents", tangents)
+        monkeypatch.setattr(module, "predict_readings", predict)
+        monkeypatch.setattr(module, "reading_tangents", tangents)
 
 
 def experiment_of(frequencies, **changes):

@@ -7,9 +7,9 @@ from calibration.discrepancy.rounds import Selection, SelectionStep
 from calibration.discrepancy.verdict import reach_verdict, rms_reduction
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.goodness import Excess
-from calibration.model.extended import base_vector, parameters
+from calibration.model.extended import base_vector, model_parameters
 
-ENTRIES = parameters(("valve_delay", "tank_current"))
+ENTRIES = model_parameters(("valve_delay", "tank_current"))
 BASE = {"C_d": 3.0, "m_a": 0.7, "k": 0.09, "K_Q": 4.8e-7}
 
 

@@ -30,8 +30,8 @@ from calibration.inference.cache import Memo
 from calibration.inference.noise import Whitener
 from calibration.inference.problem import ChannelBlock, TankProblem
 from calibration.measurements.records import Record
-from calibration.model.extended import BASE, candidates
-from calibration.model.predict import Resolution, predict, tangents
+from calibration.model.extended import BASE, candidate_effects
+from calibration.model.predict import Resolution, predict_readings, reading_tangents
 from slider_jax.channels import CHANNELS, row_of
 from slider_jax.cli.main import COMMANDS, find, main
 from slider_jax.errors import InputError
@@ -65,7 +65,7 @@ def measured(still, theta, seed):
     rng, found = np.random.default_rng(seed), []
     for trial in still.information.experiment.trials:
         p = still.information.plan(trial)
-        y = predict(p, theta)
+        y = predict_readings(p, theta)
         for channel, noise in still.information.sensing.noise.items():
             # The covariance's Cholesky factor times white noise has the declared covariance.
             row = row_of(channel)
@@ -87,7 +87,7 @@ def gain(still, effect, size, seed):
     white = problem.whiteners(predicted)
     residuals = problem.residuals(predicted, white)
     blocks = problem.blocks(residuals, problem.tangents(f.theta, np.eye(len(theta))), white)
-    return score(effect, group, np.arange(len(BASE)), blocks, 1.0, len(candidates())).gain
+    return score(effect, group, np.arange(len(BASE)), blocks, 1.0, len(candidate_effects())).gain
 
 
 @pytest.mark.slow
@@ -104,8 +104,8 @@ def test_the_expected_gain_at_the_limit_is_the_required_gain(still, entries):
     i = effect_entries(entries)["force_gain"]
     size = limit_of(still, "force_gain").significant
     block = [ChannelBlock(0, "", A, size * A[:, i[0]], 0.0, 1)]
-    found = score("force_gain", i, np.arange(4), block, 1.0, len(candidates()))
-    assert found.gain == pytest.approx(required_gain(1, len(candidates())), rel=1e-6)
+    found = score("force_gain", i, np.arange(4), block, 1.0, len(candidate_effects()))
+    assert found.gain == pytest.approx(required_gain(1, len(candidate_effects())), rel=1e-6)
 
 
 def test_nine_of_ten_effects_are_detected_at_the_limit(still, entries):
@@ -119,8 +119,8 @@ def test_nine_of_ten_effects_are_detected_at_the_limit(still, entries):
     for _ in range(600):
         b = size * A[:, i[0]] + root @ rng.normal(size=len(A))
         block = [ChannelBlock(0, "", A, b, 0.0, 1)]
-        gain = score("force_gain", i, np.arange(4), block, 1.0, len(candidates())).gain
-        passed += gain > required_gain(1, len(candidates()))
+        gain = score("force_gain", i, np.arange(4), block, 1.0, len(candidate_effects())).gain
+        passed += gain > required_gain(1, len(candidate_effects()))
     assert passed / 600 == pytest.approx(0.9, abs=0.03)
 
 
@@ -130,7 +130,10 @@ def test_a_nameable_effect_changes_a_channel_by_its_discrepancy(still, entries):
     white, raw, signal = [], {c: [] for c in CHANNELS}, {c: [] for c in CHANNELS}
     for trial in f.experiment.trials:
         p = f.plan(trial)
-        y, J = predict(p, f.theta), tangents(p, f.theta, np.eye(len(f.theta))[[0, 1, 2, 3, i]])
+        y, J = (
+            predict_readings(p, f.theta),
+            reading_tangents(p, f.theta, np.eye(len(f.theta))[[0, 1, 2, 3, i]]),
+        )
         for row, channel in enumerate(CHANNELS):
             noise = f.sensing.noise[channel]
             whiten = Whitener(p.at, noise, y[row], channel, trial.frequency)
@@ -236,7 +239,7 @@ def test_a_predicted_trial_is_not_simulated_again(still, tmp_path, monkeypatch):
     f = replace(still.information, memo=Memo(tmp_path))
     trial = f.experiment.trials[0]
     first = f.trial(trial)
-    monkeypatch.setattr("calibration.experiment_design.information.predict", None)
+    monkeypatch.setattr("calibration.experiment_design.information.predict_readings", None)
     for one, other in zip(first, f.trial(trial), strict=True):
         np.testing.assert_array_equal(one.A, other.A)
     others = (

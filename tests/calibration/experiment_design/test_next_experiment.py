@@ -31,7 +31,7 @@ from calibration.inference.gauss_newton import Fit
 from calibration.inference.goodness import Excess
 from calibration.inference.problem import TankProblem
 from calibration.measurements.records import Record
-from calibration.model.extended import BASE, base_vector, parameters
+from calibration.model.extended import BASE, base_vector, model_parameters
 from slider_jax.channels import CHANNELS
 from slider_jax.experiment.load import load
 from slider_jax.experiment.schema import Trial
@@ -39,7 +39,7 @@ from tests.support.experiments import write
 from tests.support.still_tank import EFFECTS, LIMITS, MESH, STILL
 
 FREE, FEW = np.arange(len(BASE)), SearchEffort(spread=3, rounds=0)
-ENTRIES = parameters(EFFECTS)
+ENTRIES = model_parameters(EFFECTS)
 MASS, FLUID = (effect_entries(ENTRIES)[name] for name in ("carried_mass", "axial_added_mass"))
 
 

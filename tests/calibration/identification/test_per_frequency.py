@@ -15,7 +15,7 @@ from calibration.inference.gauss_newton import fit_gauss_newton
 from calibration.inference.problem import TankProblem
 from calibration.inference.uncertainty import BASE_DISCREPANCY
 from calibration.measurements.synthetic import ROBOT, START, Truth, random_trials, write_tank
-from calibration.model.extended import base_vector, parameters
+from calibration.model.extended import base_vector, model_parameters
 from calibration.model.predict import Resolution
 from slider_jax.cli.main import main
 from slider_jax.errors import InputError
@@ -76,7 +76,7 @@ EACH = [(5.0, 0.9), (2.0, 0.3), (4.0, 0.8), (1.5, 0.2), (3.5, 0.7)]
 def test_the_true_ties_of_closed_form_readings_are_chosen(monkeypatch):
     closed.replace_the_beam(monkeypatch)
     at = (1.0, 1.6, 2.4, 3.4, 5.0)
-    experiment, entries = closed.experiment_of(at), parameters(())
+    experiment, entries = closed.experiment_of(at), model_parameters(())
     for seed, (truth, chosen) in enumerate(
         [(PAPER, "paper"), ([(2.5, 0.6)] * 5, "constant"), (OWN_RAMP, "ramp")]
     ):
@@ -98,7 +98,7 @@ def test_the_true_ties_of_closed_form_readings_are_chosen(monkeypatch):
 
 def test_values_by_frequency_fit_irregular_values(monkeypatch):
     closed.replace_the_beam(monkeypatch)
-    experiment, entries = closed.experiment_of((1.0, 1.6, 2.4, 3.4, 5.0)), parameters(())
+    experiment, entries = closed.experiment_of((1.0, 1.6, 2.4, 3.4, 5.0)), model_parameters(())
     thetas = [np.array([C_d, m_a, 0.075, 4.5e-7]) for C_d, m_a in EACH]
     found = compared(experiment, entries, closed.measured(experiment, thetas, 0))
     fits = {n: w.fit.square / w.fit.samples for n, w in found.fitted.items()}
@@ -108,7 +108,7 @@ def test_values_by_frequency_fit_irregular_values(monkeypatch):
 
 def test_too_few_frequencies_choose_no_ties(monkeypatch):
     closed.replace_the_beam(monkeypatch)
-    experiment, entries = closed.experiment_of((1.0, 2.4, 5.0)), parameters(())
+    experiment, entries = closed.experiment_of((1.0, 2.4, 5.0)), model_parameters(())
     thetas = [np.array([4.0, 0.5, 0.075, 4.5e-7])] * 3
     records = closed.measured(experiment, thetas, 0)
     found = compared(experiment, entries, records)
@@ -160,7 +160,7 @@ def test_the_true_ties_of_the_beam_are_chosen(quick, tmp_path, coefficients, cho
 
 
 def test_ties_map_the_vector_to_the_parameters_of_each_trial():
-    entries = parameters(())
+    entries = model_parameters(())
     theta = base_vector(entries, START)
     trials_at = np.array([1.0, 2.5, 2.51, 4.0])
     at, place = parameter_ties.drive_frequencies([load_trial(f) for f in trials_at])
@@ -190,7 +190,7 @@ def test_the_proposed_trial_gives_the_predicted_interval(monkeypatch):
     """The data have no fast trial, so the best candidate is fast."""
     closed.replace_the_beam(monkeypatch)
     experiment = closed.experiment_of((0.6, 5.0, 0.8), phase=0.0)
-    entries, free, theta = parameters(()), np.arange(4), np.array([3.0, 0.8, 0.075, 4.5e-7])
+    entries, free, theta = model_parameters(()), np.arange(4), np.array([3.0, 0.8, 0.075, 4.5e-7])
     seen = closed.measured(experiment, [theta] * 3, 0)
     few = closed.problem_of(experiment, seen[:1])
     one = fit_gauss_newton(few, entries, theta, free)
@@ -214,7 +214,7 @@ def test_the_information_of_a_proposed_trial_adds_to_the_data(monkeypatch):
     """Two similar trials together determine more than each of them."""
     closed.replace_the_beam(monkeypatch)
     experiment = closed.experiment_of((0.6, 0.8), phase=0.0, tow_speed=0.0)
-    entries, free, theta = parameters(()), np.arange(4), np.array([3.0, 0.8, 0.075, 4.5e-7])
+    entries, free, theta = model_parameters(()), np.arange(4), np.array([3.0, 0.8, 0.075, 4.5e-7])
     seen = closed.measured(experiment, [theta] * 2, 0)
     few = closed.problem_of(experiment, seen[:1])
     one = fit_gauss_newton(few, entries, theta, free)
@@ -233,7 +233,7 @@ def test_the_information_of_a_proposed_trial_adds_to_the_data(monkeypatch):
 def test_a_held_out_frequency_does_not_affect_the_vector(monkeypatch):
     """The vector equals a fit to the other trials, and interpolates at the held-out frequency."""
     closed.replace_the_beam(monkeypatch)
-    experiment, entries = closed.experiment_of((1.0, 2.0, 4.0, 5.0)), parameters(())
+    experiment, entries = closed.experiment_of((1.0, 2.0, 4.0, 5.0)), model_parameters(())
     thetas = [np.array([C_d, m_a, 0.075, 4.5e-7]) for C_d, m_a in
               [(3.0, 0.6), (3.0, 0.6), (3.3, 0.7), (3.0, 0.6)]]  # fmt: skip
     records = closed.measured(experiment, thetas, 2)

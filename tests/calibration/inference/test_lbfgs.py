@@ -11,7 +11,7 @@ from calibration.inference.lbfgs import fit_lbfgs
 from calibration.inference.problem import TankProblem
 from calibration.measurements.records import load_records
 from calibration.measurements.synthetic import START, Truth, random_trials, write_tank
-from calibration.model.extended import base_vector, parameters
+from calibration.model.extended import base_vector, model_parameters
 from calibration.model.predict import Resolution
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
@@ -34,7 +34,7 @@ def test_both_methods_return_the_same_optimum(monkeypatch, effects):
     """From a distant start with 4 or 12 parameters, they agree within 0.1 standard errors."""
     closed.replace_the_beam(monkeypatch)
     experiment = closed.experiment_of((0.8, 1.5, 3.0, 5.0))
-    entries = parameters(effects)
+    entries = model_parameters(effects)
     truth = base_vector(entries, TRUTH)
     truth[4:] += 0.2 * np.array([p.prior.high - p.prior.low for p in entries[4:]])
     problem = closed.problem_of(experiment, closed.measured(experiment, [truth] * 4, 1), effects)
@@ -51,7 +51,7 @@ def test_both_methods_return_the_same_optimum(monkeypatch, effects):
 def test_a_fit_at_the_gradient_limit_does_not_converge(monkeypatch):
     closed.replace_the_beam(monkeypatch)
     monkeypatch.setattr(lbfgs, "MAX_GRADIENTS", 2)
-    experiment, entries = closed.experiment_of((0.8, 3.0)), parameters(())
+    experiment, entries = closed.experiment_of((0.8, 3.0)), model_parameters(())
     records = closed.measured(experiment, [base_vector(entries, TRUTH)] * 2, 1)
     initial = base_vector(entries, START)
     found = fit_lbfgs(closed.problem_of(experiment, records), entries, initial, np.arange(4))
@@ -62,7 +62,7 @@ def test_a_fit_at_the_gradient_limit_does_not_converge(monkeypatch):
 def test_both_methods_return_the_same_optimum_for_the_beam(tmp_path):
     runs = [run | {"duration": 0.8} for run in random_trials(5, count=5)[2:]]
     experiment = load(write_tank(tmp_path, Truth(TRUTH, {}), runs, 0, numerics=TANK))
-    entries, free = parameters(()), np.arange(4)
+    entries, free = model_parameters(()), np.arange(4)
     problem = TankProblem.of(experiment, load_records(experiment), (), fine=MESH, coarse=MESH)
     initial = base_vector(entries, START)
     white = problem.whiteners(problem.predict(initial))
@@ -79,7 +79,7 @@ def test_both_methods_return_the_same_optimum_for_the_beam(tmp_path):
 def test_lbfgs_is_the_default_for_many_parameters(monkeypatch, effects, method, used):
     closed.replace_the_beam(monkeypatch)
     experiment = closed.experiment_of((0.8, 1.5, 3.0, 5.0))
-    truth = base_vector(parameters(effects), TRUTH)
+    truth = base_vector(model_parameters(effects), TRUTH)
     found = closed.measured(experiment, [truth] * 4, 1)
     monkeypatch.setattr(identify, "audit_measurements", lambda *_: Audited(found, []))
     result = identify.identify_parameters(experiment, effects, method=method)

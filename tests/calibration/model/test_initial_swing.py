@@ -1,4 +1,4 @@
-"""The swing with which a trial begins counts as noise, of the shape that the model gives it."""
+"""A trial's initial swing counts as noise with the shape that the model gives."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -7,8 +7,8 @@ import pytest
 from calibration.inference.noise import Noise, Whitener, channel_noise
 from calibration.inference.problem import TankProblem
 from calibration.measurements.records import Record
-from calibration.model.initial_swing import first_mode, spans
-from calibration.model.predict import Resolution, plan, predict
+from calibration.model.initial_swing import first_mode, swing_spans
+from calibration.model.predict import Resolution, plan_trial, predict_readings
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.step import at_rest, with_motion
 from slider_jax.experiment.load import load
@@ -20,15 +20,15 @@ THETA = np.array([3.0, 1.0, 0.087, 4.79e-7])
 MESH = Resolution(21, 80, 4e-3)
 
 
-def laid(folder, **changes):
+def planned(folder, **changes):
     experiment = load(write(folder)).with_values(changes)
     trial = experiment.trials[0]
     at = 2e-3 * np.arange(int(trial.duration * 500))
-    return experiment, plan(experiment, trial, (), MESH, at)
+    return experiment, plan_trial(experiment, trial, (), MESH, at)
 
 
-def begun(p, place, speed):
-    """Tip (n,) of a trial that begins swinging, at its steps, from the start on."""
+def swinging_tip(p, place, speed):
+    """Return the tip (n,) at the steps of a trial with an initial swing."""
     model = p.extended.at(jnp.asarray(THETA))
     mode = first_mode(model, p.numerics)
 
@@ -43,22 +43,22 @@ def begun(p, place, speed):
 
 
 @pytest.mark.parametrize("which", [0, 1])
-def test_what_it_does_to_the_tip_is_what_a_trial_that_begins_so_shows(tmp_path, which):
-    _, p = laid(tmp_path)
+def test_the_spans_of_the_tip_equal_the_difference_of_simulated_swings(tmp_path, which):
+    _, p = planned(tmp_path)
     mode = first_mode(p.extended.at(jnp.asarray(THETA)), p.numerics)
     unit = np.array([1.0, float(mode.frequency)])[which]
     step = np.eye(2)[which] * 1e-5 * unit
-    there, back = begun(p, *step), begun(p, *-step)
+    there, back = swinging_tip(p, *step), swinging_tip(p, *-step)
     expected = np.interp(p.at, p.grid.times, (there - back) / 2.0)
-    found = spans(p, THETA, 1e-5)[which, 4]
+    found = swing_spans(p, THETA, 1e-5)[which, 4]
     assert np.abs(found - expected).max() < 0.02 * np.abs(expected).max()
 
 
-def test_a_body_that_is_let_go_swings_at_about_the_modes_frequency(tmp_path):
-    """Nothing drives it, and drag does nothing to a small swing."""
-    _, p = laid(tmp_path, **{"trials.0.amplitude": 0.0, "trials.0.frequency": 1.0})
+def test_a_released_body_swings_at_about_the_modes_frequency(tmp_path):
+    """The body has no drive, and quadratic drag hardly damps a small swing."""
+    _, p = planned(tmp_path, **{"trials.0.amplitude": 0.0, "trials.0.frequency": 1.0})
     frequency = float(first_mode(p.extended.at(jnp.asarray(THETA)), p.numerics).frequency)
-    by_place, by_speed = spans(p, THETA, 1e-3)[:, 4]
+    by_place, by_speed = swing_spans(p, THETA, 1e-3)[:, 4]
     assert by_place[0] == pytest.approx(1e-3) and abs(by_speed[0]) < 1e-9
     quarter = 0.5 * np.pi / frequency
     crosses = p.at[np.argmax(by_place < 0.0)]
@@ -67,7 +67,7 @@ def test_a_body_that_is_let_go_swings_at_about_the_modes_frequency(tmp_path):
     assert p.at[np.argmax(by_speed)] == pytest.approx(quarter, rel=0.2)
 
 
-def test_a_known_shape_of_unknown_size_hardly_counts():
+def test_whitening_suppresses_a_known_shape_of_unknown_size():
     t = np.arange(400) / 500.0
     shape = np.stack([np.exp(-3 * t) * np.cos(8 * t), np.exp(-3 * t) * np.sin(8 * t)])
     noise, still = Noise(1e-5), 0.0 * t
@@ -80,12 +80,10 @@ def test_a_known_shape_of_unknown_size_hardly_counts():
 
 
 @pytest.mark.parametrize(("size", "least", "most"), [(0.0, 5.0, np.inf), (1e-3, 0.0, 1.3)])
-def test_a_trial_that_began_swinging_is_explained_once_that_is_declared(
-    tmp_path, size, least, most
-):
-    experiment, p = laid(tmp_path, **{"sensors.tip_noise": 5e-5, "sensors.start_swing": size})
-    rng, moved = np.random.default_rng(5), predict(p, THETA)
-    tip = begun(p, 8e-4, -4e-3)
+def test_a_declared_swing_explains_the_residual_of_a_swinging_trial(tmp_path, size, least, most):
+    experiment, p = planned(tmp_path, **{"sensors.tip_noise": 5e-5, "sensors.start_swing": size})
+    rng, moved = np.random.default_rng(5), predict_readings(p, THETA)
+    tip = swinging_tip(p, 8e-4, -4e-3)
     moved[4] = np.interp(p.at, p.grid.times, tip) + 5e-5 * rng.normal(size=len(p.at))
     record = Record(experiment.trials[0], p.at, moved)
     problem = TankProblem.of(experiment, [record], (), ("tip",), MESH, MESH)
@@ -94,7 +92,7 @@ def test_a_trial_that_began_swinging_is_explained_once_that_is_declared(
     assert least < np.mean(r**2) < most
 
 
-def test_the_place_at_rest_is_not_that_of_the_moment():
+def test_a_declared_swing_is_the_tare_of_the_tip_only():
     tip = np.random.default_rng(1).normal(size=300)
     sensors = SensorsTable(tip_noise=1e-4, start_swing=3e-4)
     assert channel_noise(sensors, "tip", tip).tare == 3e-4

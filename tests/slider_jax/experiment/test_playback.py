@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from calibration.model.predict import Resolution, plan, predict
+from calibration.model.predict import Resolution, plan_trial, predict_readings
 from slider_jax.actuation import FirstOrderLag, Held, pressure_history
 from slider_jax.effects.pneumatics.valve_delay import ValveDelay
 from slider_jax.errors import InputError
@@ -73,8 +73,8 @@ def test_edges_are_where_they_were_played_between_steps_too(tmp_path):
     t[2] += 0.9e-3
     played(tmp_path, t, front, rear)
     found = simulate_trial(experiment, 0).columns
-    laid = plan(experiment, trial, (), Resolution(11, 40, 5e-3))
-    fitted = predict(laid, np.array([3.0, 1.0, K, 4.79e-7]))
+    laid = plan_trial(experiment, trial, (), Resolution(11, 40, 5e-3))
+    fitted = predict_readings(laid, np.array([3.0, 1.0, K, 4.79e-7]))
     for i, (name, sets) in enumerate((("p_front_Pa", front), ("p_rear_Pa", rear))):
         exact = lagged(found["t_s"], t, sets)
         np.testing.assert_allclose(fitted[i], exact, atol=1e-5)
