@@ -13,13 +13,13 @@
 # %% [markdown]
 # # Calibrating C_d and m_a from thrust
 #
-# A head-fixed robot in a tank: its force sensor gives thrust and recoil, two sensors the pressures,
-# a camera the tip. From these we want the drag coefficient C_d and the added-mass coefficient m_a,
-# and to know how well the data fix them.
+# The head of a robot is clamped in a tank. A force sensor measures thrust and recoil, two sensors
+# the pressures, and a camera the tip. This tutorial identifies the drag coefficient C_d and the
+# added-mass coefficient m_a from these data, with their uncertainty.
 #
-# Set `SLIDER_EXPERIMENT` to your own experiment.toml, its trials beside it. Without it this
-# notebook makes a tank with known coefficients, reads it with noisy sensors whose gain drifts by a
-# percent from trial to trial, and forgets the answer until the end.
+# Set `SLIDER_EXPERIMENT` to your own experiment.toml, with the trials beside it. Otherwise, the
+# notebook simulates a tank with known coefficients. Its sensors are noisy, and their gain differs
+# by a percent from trial to trial. The calibration does not use the known coefficients.
 
 # %%
 import os
@@ -58,9 +58,9 @@ for trial in tank.trials:
 # %% [markdown]
 # ## All channels together
 #
-# C_d and m_a act on the forces, but the forces also depend on how far the body bends, which K_Q
-# sets, and on the pressure that the chambers reach, which k sets. So all four are fitted to all
-# channels of all trials at once, by forward derivatives through the simulation.
+# C_d and m_a determine the forces. The forces also depend on how far the body bends, which K_Q
+# determines, and on the pressure in the chambers, which k determines. All four are therefore fitted
+# to all channels of all trials at once, with forward derivatives of the simulation.
 
 # %%
 found = identify_parameters(tank, progress=print, fine=mesh, coarse=mesh)
@@ -85,13 +85,14 @@ axes[0].legend(fontsize="small")
 plt.show()
 
 # %% [markdown]
-# The sensor's tare and gain of each trial are not fitted one by one: they are part of the noise,
-# which is correlated, so what is left may be shifted by a constant and still be noise.
+# Each trial has its own tare and gain of the sensors. They are not fitted; they are part of the
+# noise, which is correlated. A residual that is shifted by a constant can therefore be noise.
 #
-# ## How well the data fix them
+# ## Uncertainty
 #
-# C_d and m_a pull on the same forces, a quarter of a stride apart: drag follows the speed of the
-# crossflow, added mass its acceleration. The ellipse holds both with 95 %.
+# C_d and m_a act on the same forces, a quarter of a stride apart: drag follows the velocity of the
+# crossflow, added mass its acceleration. The ellipse is the 95 % confidence region from noise
+# alone. The cross is the reported interval, which includes the discretisation.
 
 # %%
 labels = [p.label for p in found.entries]
@@ -111,10 +112,10 @@ ax.errorbar(
     yerr=np.abs(low_high[1] - centre[1])[:, None],
     color="0.5",
     lw=1,
-    label="with what correct programs differ by",
+    label="interval, with discretisation",
 )
 if not own:
-    ax.plot(truth["C_d"], truth["m_a"], "k*", label="what the tank was made with")
+    ax.plot(truth["C_d"], truth["m_a"], "k*", label="true value")
 ax.set(xlabel="C_d (-)", ylabel="m_a (-)")
 ax.legend(fontsize="small")
 plt.show()
@@ -123,8 +124,7 @@ print(f"correlation of C_d and m_a: {correlations(found.fit)[pair[0], pair[1]]:.
 # %% [markdown]
 # ## From thrust alone
 #
-# What if only the force sensor had been there? A number is worth nothing without knowing that the
-# data fix it: where they do not, none is given.
+# The same fit with the force sensor only. The intervals show how much less the data determine.
 
 # %%
 alone = identify_parameters(
@@ -136,13 +136,13 @@ for i, label in enumerate(labels):
     _, low, high = confidence_interval(alone.fit, alone.entries, i)
     _, least, most = confidence_interval(found.fit, found.entries, i)
     wider[label] = (high - low) / (most - least)
-    told = "" if determined(alone.entries[i], low, high) else ", not determined"
-    print(f"{label}: interval {wider[label]:.1f} times as wide as with all channels{told}")
+    note = "" if determined(alone.entries[i], low, high) else ", not determined"
+    print(f"{label}: interval {wider[label]:.1f} times as wide as with all channels{note}")
 
 # %% [markdown]
-# ## Does it predict?
+# ## Prediction
 #
-# Mean thrust of every trial, after the start-up stride, measured and calibrated.
+# Mean thrust of every trial after the first stride, measured and calibrated.
 
 # %%
 means = []
@@ -160,7 +160,7 @@ worst = 1e3 * np.abs(measured - predicted).max()
 print(f"largest difference {worst:.0f} mN, tare and gain included")
 
 # %% [markdown]
-# `slider calibrate EXPERIMENT.toml --out DIR` does the same and writes the model for
-# `slider simulate --model`; `--per-frequency` asks whether one C_d and one m_a serve all
-# frequencies. If the residual stands above the noise, something is missing: `slider close-loop`
-# looks for it.
+# `slider calibrate EXPERIMENT.toml --out DIR` does the same, and writes the model for `slider
+# simulate --model`. With `--per-frequency` it compares constant coefficients with coefficients that
+# depend on the frequency. If the residual exceeds the noise, the model lacks an effect: `slider
+# close-loop` searches for it.

@@ -13,12 +13,13 @@
 # %% [markdown]
 # # Designing a tail
 #
-# How long and how stiff should the tail be? Three ways to ask the same function, the steady
-# swimming speed: a map, a climb along its gradient, and the genetic algorithm. The drive is fixed
-# here, so that two variables are left and all can be seen; `slider optimize swim` seeks all six.
+# How long and how stiff should the tail be? The objective is the steady swimming speed. This
+# tutorial maximises it in three ways: with a map, with gradient ascent, and with the genetic
+# algorithm. The drive is fixed, so that the two remaining variables fit in one plot. `slider
+# optimize swim` optimises all six variables.
 #
-# SI units inside. To be quick, the robot has 17 nodes and a stride 48 steps; a look at a finer
-# mesh ends the notebook.
+# To be quick, the robot has 17 nodes and a stride has 48 steps. The last section repeats the result
+# on a finer mesh.
 
 # %%
 import jax
@@ -40,11 +41,11 @@ from slider_jax.swimming.steady_state import SteadySettings, find_steady, steady
 sj.enable_float64()
 
 # %% [markdown]
-# ## The function
+# ## The objective
 #
-# The built-in robot, with form drag at its head (docs/how-to/swimming.md has the reason), driven at
-# 5 Hz by 365 kPa, the rear chamber 0.15 of a stride late. Stiffness spans a factor of 38, so its
-# logarithm is the variable.
+# The built-in robot has form drag at its head (docs/how-to/swimming.md has the reason). Its drive
+# is 5 Hz and 365 kPa, and the rear chamber is 0.15 of a stride late. The stiffness range spans a
+# factor of 38, so the variable is its logarithm.
 
 # %%
 LENGTHS, STIFFNESSES = (0.02, 0.10), (0.001, 0.038)
@@ -59,49 +60,49 @@ def gait(unit):
     return Gait(5.0, 365e3, 365e3, 0.15, length, stiffness)
 
 
-def words(unit):
-    """A design's tail."""
+def tail_text(unit):
+    """The length and stiffness of a design's tail, as text."""
     return f"{1e3 * gait(unit).tail_length:.0f} mm and {1e3 * gait(unit).EI_tail:.1f} mN m^2"
 
 
 def speed(unit, search=coarse):
-    """[m/s]; NaN where the robot finds no steady speed."""
+    """Steady speed [m/s], NaN if there is none."""
     x = gait(unit)
     found = find_steady(robot(x), x.frequency, search)
     return jnp.where(found.ok, found.speed, jnp.nan)
 
 
-speeds = Evaluation(speed)  # of many designs at once, on all devices
+speeds = Evaluation(speed)  # evaluates many designs at once, on all devices
 
 # %% [markdown]
-# ## By map
+# ## Map
 #
-# Every design of a grid: it shows the whole landscape, and costs as much as it has points, which
-# is why it is for two variables.
+# A map evaluates every design of a grid. It shows the whole landscape, but its cost grows with the
+# number of grid points, so it suits two variables only.
 
 # %%
 side = np.linspace(0.0, 1.0, 9)
 grid = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
 on_grid = speeds(grid)
 top = grid[np.nanargmax(on_grid)]
-print(f"{len(grid)} designs; the fastest {100 * np.nanmax(on_grid):.1f} cm/s, {words(top)}")
+print(f"{len(grid)} designs; the fastest {100 * np.nanmax(on_grid):.1f} cm/s, {tail_text(top)}")
 
 # %% [markdown]
-# ## By gradient
+# ## Gradient ascent
 #
-# `steady_speed` is differentiable: it is a root, so its derivative follows from the implicit
-# function theorem, and costs about two more evaluations for both variables. Adam climbs from the
-# stiff, short corner.
+# `steady_speed` is differentiable. The speed is a root, so its derivative follows from the
+# implicit function theorem. The derivative by both variables costs about two more evaluations.
+# Adam starts at a short and stiff tail.
 
 
 # %%
-def told_twice(unit):
+def speed_twice(unit):
     found = gait(unit)
     value = steady_speed(robot(found), found.frequency, coarse)
     return value, value
 
 
-slope = jax.jit(jax.jacfwd(told_twice, has_aux=True))
+slope = jax.jit(jax.jacfwd(speed_twice, has_aux=True))
 climber = optax.adam(optax.cosine_decay_schedule(0.12, 20, 0.05), b1=0.7, b2=0.9)
 at = jnp.array([0.1, 0.9])
 state, path, heights = climber.init(at), [], []
@@ -113,13 +114,13 @@ for _ in range(20):
     at = jnp.clip(at + step, 0.0, 1.0)
 path = np.array(path)
 summit = path[int(np.nanargmax(heights))]
-print(f"{len(path)} steps; the fastest {100 * np.nanmax(heights):.1f} cm/s, {words(summit)}")
+print(f"{len(path)} steps; the fastest {100 * np.nanmax(heights):.1f} cm/s, {tail_text(summit)}")
 
 # %% [markdown]
-# ## By genetic algorithm
+# ## Genetic algorithm
 #
-# The paper's way: it needs no derivative, minds no local summit, and pays for that in
-# evaluations.
+# This is the paper's method. It needs no derivative and can leave a local maximum, but it needs
+# more evaluations.
 
 # %%
 members, generations = 16, 8
@@ -132,10 +133,10 @@ bred = run_optimiser(
     settings=settings_of(genetic, members, 0, {"notebook": "designing a tail"}),
 )
 evaluations = bred.history[-1].evaluations
-print(f"{evaluations} evaluations; the fastest {100 * bred.score:.1f} cm/s, {words(bred.best)}")
+print(f"{evaluations} evaluations; the fastest {100 * bred.score:.1f} cm/s, {tail_text(bred.best)}")
 
 # %% [markdown]
-# ## Side by side
+# ## Comparison
 
 # %%
 figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.5), layout="constrained")
@@ -152,7 +153,7 @@ left.set_xlabel("tail length (mm)")
 left.set_ylabel("EI of the tail (mN m²)")
 left.legend(fontsize="small")
 right.plot(3 * np.arange(1, len(heights) + 1), 100 * np.fmax.accumulate(heights), "C0.-",
-           label="gradient, one counted for three")  # fmt: skip
+           label="gradient (a step counts as three)")  # fmt: skip
 right.plot([x.evaluations for x in bred.history], [100 * x.best for x in bred.history], "C1x-",
            label="genetic")  # fmt: skip
 right.axhline(100 * np.nanmax(on_grid), color="0.5", ls="--", label=f"map of {len(grid)}")
@@ -162,10 +163,10 @@ right.legend(fontsize="small", loc="lower right")
 plt.show()
 
 # %% [markdown]
-# ## On a finer mesh
+# ## Finer mesh
 #
-# A design is only as good as the mesh it was found on: a soft tail bends sharply. The same design
-# on 51 nodes and 96 steps a stride:
+# The mesh limits the accuracy of a design, because a soft tail bends sharply. The design of the
+# gradient ascent, on 51 nodes with 96 steps in a stride:
 
 # %%
 fine = SteadySettings(steps_per_stride=96, numerics=Numerics())
@@ -173,6 +174,6 @@ finer = float(jax.jit(lambda unit: speed(unit, fine))(jnp.asarray(summit)))
 print(f"{100 * np.nanmax(heights):.2f} cm/s on 17 nodes, {100 * finer:.2f} cm/s on 51")
 
 # %% [markdown]
-# With all six variables, checkpoints, and all cores: `slider optimize swim --out
-# results/optimum`, and `--algorithm gradient` for the climb. The paper's maps: `python
-# scripts/fig7_design_maps.py results/fig7`.
+# `slider optimize swim --out results/optimum` optimises all six variables on all cores and writes
+# checkpoints; `--algorithm gradient` selects gradient ascent. `python scripts/fig7_design_maps.py
+# results/fig7` draws the paper's maps.

@@ -13,11 +13,11 @@
 # %% [markdown]
 # # From a trial on the rig to a fit
 #
-# The pneumatics are driven, every byte that comes back is recorded, and from the recordings come
-# the numbers of the model. Set `SLIDER_PORT` to your manifold's port, `SLIDER_RIG` to your rig file
-# and `SLIDER_EXPERIMENT` to the trials to run. Without them a simulated rig is started:
-# a manifold on a pseudo-terminal, a force sensor on the network, and behind them the robot in its
-# tank with coefficients that the experiment file does not know.
+# This tutorial drives the pneumatics, records all data, and fits the model to the recordings. Set
+# `SLIDER_PORT` to the port of your manifold, `SLIDER_RIG` to your rig file and `SLIDER_EXPERIMENT`
+# to the trials. Otherwise, the notebook starts a simulated rig: a manifold on a pseudo-terminal, a
+# force sensor on the network, and a robot in a tank whose coefficients differ from the experiment
+# file.
 
 # %%
 import os
@@ -90,8 +90,8 @@ else:
 # %% [markdown]
 # ## On the rig
 #
-# Each trial is quiet for a second, which gives tares and noise, then plays its drive. Whatever ends
-# it, the chambers vent.
+# Each trial begins with a second of rest, which gives tares and noise, and then plays its drive.
+# The chambers vent at the end of a trial, also after an error.
 
 # %%
 measured = Path("measured")
@@ -113,9 +113,9 @@ with ExitStack() as stack:
     settings = with_force_counts(load_rig(rig_file))
     machine = stack.enter_context(open_rig(port, settings))
     table_of_trials, trials = load_trials(path)
-    told = run_trials(trials, machine, measured, {"rig": settings.model_dump(mode="json")})
+    summaries = run_trials(trials, machine, measured, {"rig": settings.model_dump(mode="json")})
 (measured / "experiment.toml").write_bytes(path.read_bytes())
-for trial in told:
+for trial in summaries:
     print(
         f"{trial['trial']}: {trial['readings']} readings, {trial['readings_lost']} lost; commands "
         f"within {1e3 * trial['command_late_99_s']:.1f} ms; "
@@ -123,10 +123,11 @@ for trial in told:
     )
 
 # %% [markdown]
-# ## What was recorded
+# ## The recording
 #
-# The recording has every byte as it came. Messages are read from it again here: the manifold's
-# clock against the computer's. What comes late lies above the line; the line is the clock.
+# The recording contains every byte as it arrived. This cell decodes the messages again, and
+# compares the manifold's clock with the computer's. The fitted clock is the zero line; points
+# above it are messages that arrived late.
 
 # %%
 stream = read_recording(measured / "recordings" / f"{trials[0].name}.h5").streams["manifold"]
@@ -135,7 +136,7 @@ clock = fit_clock(found.device_s, found.host_s)
 late = 1e3 * (found.host_s - clock.to_host(found.device_s))
 figure, axes = plt.subplots(2, 1, figsize=(9, 5), layout="constrained")
 axes[0].plot(found.device_s - found.device_s[0], late, ".", ms=2)
-axes[0].set(xlabel="the manifold's time (s)", ylabel="arrived late by (ms)")
+axes[0].set(xlabel="manifold's clock (s)", ylabel="delay of arrival (ms)")
 columns = np.genfromtxt(measured / f"{trials[0].name}.csv", delimiter=",", names=True)
 axes[1].plot(columns["t_s"], 1e-3 * columns["p_front_Pa"], label="front")
 axes[1].plot(columns["t_s"], 1e-3 * columns["p_rear_Pa"], label="rear")
@@ -147,8 +148,7 @@ print(f"the manifold's clock runs at {clock.rate:.6f} of the computer's")
 # %% [markdown]
 # ## The fit
 #
-# The folder is an experiment like any other: `slider calibrate measured/experiment.toml` does the
-# same.
+# The folder is an experiment. `slider calibrate measured/experiment.toml` fits it in the same way.
 
 # %%
 mesh = Resolution(21, 60, 4.0e-3)
@@ -159,7 +159,7 @@ print(parameter_table(fitted))
 if not own:
     for i, entry in enumerate(fitted.entries):
         value, low, high = confidence_interval(fitted.fit, fitted.entries, i)
-        print(f"{entry.label}: the tank has {truth[entry.label]:g}, found {value:.4g}")
+        print(f"{entry.label}: true value {truth[entry.label]:g}, found {value:.4g}")
 
 # %%
 names = ("p_front", "p_rear", "thrust", "recoil", "tip")
@@ -168,7 +168,7 @@ record = fitted.problem.records[0]
 for ax, name, unit in ((axes[0], "thrust", "N"), (axes[1], "tip", "m")):
     row = names.index(name)
     ax.plot(record.t, record.values[row], ".", ms=2, color="0.6", label="measured")
-    ax.plot(record.t, fitted.before[0][row], "C1", lw=1, label="as the file has it")
+    ax.plot(record.t, fitted.before[0][row], "C1", lw=1, label="before")
     ax.plot(record.t, fitted.fit.predicted[0][row], "C0", lw=1, label="fitted")
     ax.set_ylabel(f"{name} ({unit})")
     ax.set_xlabel("time (s)")

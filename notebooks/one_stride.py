@@ -13,13 +13,13 @@
 # %% [markdown]
 # # One stride
 #
-# SLIDER is clamped at the head in still water and drives its two chambers 4.8 times a second. We
-# follow one stride through the simulator in the order in which it computes: the pressures, the
-# shape, the forces of the water along the body, and what a force sensor at the clamp reads.
+# SLIDER is clamped at the head in still water and drives its two chambers 4.8 times a second. This
+# tutorial follows one stride through the simulator, in the order of the computation: the pressures,
+# the shape, the forces of the water along the body, and the reading of a force sensor at the clamp.
 #
-# Conventions: SI units. s runs from the tail's tip (s = 0) to the head (s = L). tau points
-# towards the head and n is tau turned by +90 degrees; the straight robot lies along x with its
-# head at x = 0.
+# All quantities are in SI units. s increases from the tail's tip (s = 0) to the head (s = L). tau
+# points towards the head, and n is tau rotated by +90 degrees. The straight robot is on the x axis
+# with its head at x = 0.
 
 # %%
 import jax
@@ -37,10 +37,10 @@ sj.enable_float64()
 # %% [markdown]
 # ## The model
 #
-# A model is data: the robot, a tuple of effects that push on it, how pressure follows its
-# set-point, what the set-points are, and how the head is held. Each piece is a frozen class whose
-# numbers are leaves of a JAX pytree. The paper gives neither amplitude nor delay of the chambers:
-# they are assumed.
+# A model is data: the robot, a tuple of effects that act on it, the law of the pressures, the drive
+# of the chambers, and the support of the head. Each part is a frozen class whose numbers are leaves
+# of a JAX pytree. The paper does not state the chambers' amplitude and delay; the values here are
+# assumptions.
 
 # %%
 frequency = 4.8
@@ -59,10 +59,10 @@ model = sj.Model(
 # %% [markdown]
 # ## The rollout
 #
-# Time runs in whole steps per stride, so that the valves switch between steps and never inside
-# one. `save` sees a `Snapshot` of the system after every step and returns what we want to keep. A
-# section holds the kinematics in the cells of the grid, which is all that an effect needs in
-# order to say its force per length.
+# A stride has a whole number of time steps, so the valves switch between steps and never within
+# one. After every step, `save` gets a `Snapshot` of the system and returns the quantities to keep.
+# A section holds the kinematics in the cells of the grid. An effect needs nothing else to compute
+# its force per length.
 
 
 # %%
@@ -93,9 +93,9 @@ cells = 0.5 * (s[1:] + s[:-1])
 # %% [markdown]
 # ## Pressures
 #
-# The valves switch the set pressure between + and - 260 kPa (the sign says which side's chamber
-# is filled). The air needs time: dp/dt = (p_set - p)/k with k = 87 ms, against 104 ms for half a
-# stride. What the chambers reach is little more than half of what was asked.
+# The valves switch the set pressure between +260 and -260 kPa. The sign says which side's chamber
+# is filled. The air needs time: dp/dt = (p_set - p)/k with k = 87 ms, and half a stride lasts 104
+# ms. The chambers therefore reach little more than half of the set pressure.
 
 # %%
 set_pressure = {
@@ -115,8 +115,8 @@ plt.show()
 # ## Shape
 #
 # A pressurised chamber bends its span of the body: M = EI (kappa + alpha dkappa/dt) - M_act, with
-# M_act = K_Q p there. At this frequency the water's inertia shapes the answer: the body swings
-# about a node near the tail's joint, and the tail follows it half a stride later.
+# M_act = K_Q p in the span. At this frequency the inertia of the water determines the shape. The
+# body swings about a node near the tail's joint, and the tail follows half a stride later.
 
 # %%
 figure, ax = plt.subplots(figsize=(9, 3.4), layout="constrained")
@@ -133,9 +133,9 @@ ax.legend(title="phase (-)", ncols=2, fontsize="small", loc="center left", bbox_
 plt.show()
 
 # %% [markdown]
-# The phase of the fundamental along the body tells a travelling wave from a standing one. Here it
-# is mostly standing (index near 0; 1 would be a pure travelling wave), as with a clamped head and
-# two chambers that are nearly in phase.
+# The phase of the fundamental along the body distinguishes a travelling wave from a standing wave.
+# This wave is mostly standing: the index is near 0, and 1 would be a travelling wave. A clamped
+# head and two chambers nearly in phase cause this.
 
 # %%
 t = np.asarray(run.t)[-steps:]
@@ -145,18 +145,17 @@ print(f"travelling index {obs.travelling_index(mode):.2f}")
 # %% [markdown]
 # ## Forces along the body
 #
-# Two effects push on every section, per unit length:
+# Two effects act on every section, as forces per length:
 #
-# - drag of the crossflow, F_n = -rho C_d H |u_n| u_n / 2, always against the motion;
-# - Lighthill's reactive force, the momentum of the water that the body carries along,
+# - drag of the crossflow, F_n = -rho C_d H |u_n| u_n / 2, which opposes the motion;
+# - Lighthill's reactive force, the change in momentum of the water that moves with the body,
 #   F_n = -m_A (du_n/dt - d(u_tau u_n)/ds + u_n^2 kappa/2),
 #   F_tau = -m_A (-u_n omega + u_tau u_n kappa + u_n du_n/ds).
 #
-# A body that does not stretch turns at omega = dV_n/ds + kappa V_tau, so in still water that
-# F_tau is zero: both forces are normal to the body, and push forward only where the body is
-# inclined. We look at two instants: that of the largest thrust, when the body is about to turn
-# back and only its acceleration counts, and a quarter of a stride before, when the tail is fast
-# and drag joins in.
+# A body that does not stretch turns at omega = dV_n/ds + kappa V_tau, so F_tau is zero in still
+# water. Both forces are then normal to the body, and push forward only where the body is inclined.
+# The plots show two instants. At the largest thrust, the body is about to reverse, and only its
+# acceleration matters. A quarter of a stride earlier, the tail is fast and drag contributes.
 
 # %%
 best = int(np.argmax(last["thrust"]))
@@ -188,8 +187,8 @@ axes[0, 0].legend(loc="upper right")
 plt.show()
 
 # %% [markdown]
-# Averaged over the stride, the forward force shows where thrust comes from. Its integral over the
-# body is the mean thrust, as the body itself gains no momentum over a steady stride.
+# The mean of the forward force over the stride shows where thrust originates. Its integral over the
+# body is the mean thrust, because the body gains no momentum over a steady stride.
 
 # %%
 mean_forward = {name: forward(name).mean(axis=0) for name in ("reactive", "drag")}
@@ -210,9 +209,9 @@ print(f"mean thrust {1e3 * last['thrust'].mean():.2f} mN")
 # %% [markdown]
 # ## Thrust and recoil
 #
-# A sensor between robot and clamp reads the force that the robot puts on it: thrust = -T and
-# recoil = -N at the head. Both sides of the body push forward alike, so thrust has two peaks a
-# stride where recoil has one. Its mean is small beside its swing: swimming is the difference of
+# A sensor between robot and clamp reads the force of the robot on the clamp: thrust = -T and
+# recoil = -N at the head. Both half-strides push forward, so thrust has two peaks in a stride, and
+# recoil has one. The mean thrust is small compared with its amplitude: it is the difference of
 # large forces.
 
 # %%
@@ -233,7 +232,8 @@ print(f"thrust per power {obs.force_efficiency(mean_thrust, mean_power):.2f} N/W
 # %% [markdown]
 # ## Is it steady?
 #
-# Means of single strides, from rest on. The paper takes strides as steady after three tailbeats.
+# The mean thrust of each stride, from rest on. The paper treats strides as steady after three
+# tailbeats.
 
 # %%
 per_stride = np.asarray(obs.stride_means(run.saved["thrust"], steps))

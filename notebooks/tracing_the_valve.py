@@ -13,14 +13,14 @@
 # %% [markdown]
 # # Tracing the valve
 #
-# The rig's firmware holds a chamber at a commanded pressure and logs what it does. The paper's
-# model of that is a lag, dp/dt = (p_set - p)/k with k = 87 ms. Here we hold it against the rig's
-# own logs, look at what it misses, let the loop say what is missing, and check its answer on logs
-# that it has not seen.
+# The rig's firmware regulates the pressure of a chamber and logs it. The paper models this as a
+# lag, dp/dt = (p_set - p)/k with k = 87 ms. This tutorial compares the lag with the rig's own
+# logs, examines the residual, lets the loop identify the missing effect, and tests the result on
+# held-out logs.
 #
 # The logs are public (bvanstratum/SoftSnakePressureControl, sweep of 2022-12-21) and not part of
-# this repository: put them in `$SLIDER_DATA/manifold`. Without them this notebook makes logs of a
-# chamber whose valves are known, so that every step can still be followed.
+# this repository. Put them in `$SLIDER_DATA/manifold`. Without them, the notebook simulates logs
+# of a chamber with known valves.
 
 # %%
 import os
@@ -40,17 +40,17 @@ home = Path(os.environ.get("SLIDER_DATA", "../shared/data"))
 paths = sorted((home / "manifold").glob("*.txt"))
 real = bool(paths)
 if not real:
-    print(f"no logs in {home / 'manifold'}: made ones take their place")
+    print(f"no logs in {home / 'manifold'}: simulated logs replace them")
     paths = write_logs(Path("made_logs"), cycles=2.0)
 logs = sorted((read_log(path) for path in paths), key=lambda log: log.frequency)
 print(", ".join(f"{log.frequency:.3g} Hz ({len(log.t)} samples)" for log in logs))
 
 # %% [markdown]
-# ## What a lag would do, and what the chamber does
+# ## The lag and the measured rate
 #
-# At each sample we know the error and how fast the pressure then changed. For a lag the rate is
-# proportional to the error, at every pressure alike. The firmware opens a valve fully once the
-# error exceeds 25 codes (3.4 psi), so beyond that the rate says what an open valve passes.
+# Each sample gives the error of the pressure and the rate at which the pressure then changed. For a
+# lag, the rate is proportional to the error, at every pressure. The firmware opens a valve fully if
+# the error exceeds 25 codes (3.4 psi). Beyond that error, the rate is the flow of an open valve.
 
 # %%
 filling, venting = [], []
@@ -79,15 +79,16 @@ axes[1].axline((-14.7, 0.0), slope=-1.4, color="C3", ls="--", lw=1)
 plt.show()
 
 # %% [markdown]
-# The rate depends on the pressure, not on the error. Venting goes with the absolute pressure: the
-# dashed line meets zero at -14.7 psi, a vacuum, and the dotted one, a flow that goes with the gauge
-# pressure, does not fit. That is a choked orifice. Filling slows as the chamber nears the supply.
+# The rate depends on the pressure, not on the error. The venting rate is proportional to the
+# absolute pressure: the data are parallel to the dashed line, which is zero at -14.7 psi, a vacuum.
+# The dotted line is a flow proportional to the gauge pressure, and does not fit. Venting is
+# therefore a choked orifice. Filling slows down as the chamber approaches the supply pressure.
 #
-# ## The loop's answer
+# ## The result of the loop
 #
-# We could go on by hand. Instead we give the logs to the loop, with every candidate of the library
-# that a pressure log could show. Every other log, in order of frequency, is held out. `slider
-# close-loop logs/*.txt --out DIR` does the same, with all candidates and a report.
+# The loop gets the logs, and as candidates the effects that a pressure log can show. Every second
+# log, in order of frequency, is held out. `slider close-loop logs/*.txt --out DIR` does the same
+# with all candidates, and writes a report.
 
 # %%
 candidates = (
@@ -108,8 +109,8 @@ plt.show()
 # %% [markdown]
 # ## Parameters
 #
-# With intervals. The lag's k has no say any more, and the loop says that these logs do not
-# determine it.
+# The parameters with 95 % intervals. The lag's k has no influence in the model found, and the loop
+# reports that these logs do not determine it.
 
 # %%
 for i in outcome.final.free:
@@ -121,9 +122,9 @@ for i in outcome.final.free:
         print(f"{p.label:<28} {value:.4g}  ({low:.4g} to {high:.4g}) {p.prior.unit}")
 
 # %% [markdown]
-# ## On logs that it has not seen
+# ## Held-out logs
 #
-# Free runs: the model gets the first measured sample and the command, and nothing else.
+# Free runs: the model gets the command and the first measured sample only.
 
 # %%
 hidden = outcome.held_out
@@ -131,7 +132,7 @@ before, after, floor = (
     x["p_front"] / PA_PER_PSI for x in (hidden.before, hidden.after, hidden.floor)
 )
 print(
-    f"held-out rms {before:.2f} psi with the best lag, {after:.2f} with what was found, "
+    f"held-out rms {before:.2f} psi with the best lag, {after:.2f} with the model found, "
     f"noise {floor:.2f}"
 )
 
@@ -156,10 +157,11 @@ axes[0, 0].legend(fontsize="small")
 plt.show()
 
 # %% [markdown]
-# ## What no pneumatics can explain
+# ## An error of the instrument
 #
-# A chamber passes smoothly through all pressures, so over many cycles all codes of the converter
-# near a pressure should come up alike. Their density tells of the instrument.
+# Over many cycles, the pressure of a chamber passes smoothly through all values. All codes of the
+# converter near one pressure should therefore be equally frequent. If their density varies, the
+# cause is the instrument.
 
 # %%
 codes = np.concatenate([log.pressure for log in logs]).astype(int)
@@ -179,13 +181,13 @@ plt.show()
 print(f"strongest period {period[inside][np.argmax(power[1:][inside])]:.1f} codes")
 
 # %% [markdown]
-# On the rig's logs the density undulates about every 32 codes: a weight of the converter's fifth
-# bit is off. No chamber does that. A periodic error of the converter, `pressure_ripple`, is a
-# candidate like the others.
+# On the rig's logs, the density has a period of about 32 codes: the weight of the converter's fifth
+# bit is wrong. No chamber causes this. The effect `pressure_ripple`, a periodic error of the
+# converter, is one of the candidates.
 #
-# ## What it means for thrust
+# ## Influence on the thrust
 #
-# The same robot, driven by a square wave at 4.8 Hz, with each pressure model.
+# The same robot with each of the pressure models, driven by a square wave at 4.8 Hz.
 
 # %%
 table = thrust_change(outcome)

@@ -1,4 +1,4 @@
-"""Every notebook runs from top to bottom as a newcomer would run it."""
+"""Every notebook runs from beginning to end, as a new user runs it."""
 
 import runpy
 
@@ -13,7 +13,7 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.py"))
 
 
 def one_stride(found):
-    """What its text says of the numbers that it prints."""
+    """The printed numbers agree with the text."""
     mean = found["last"]["thrust"].mean()
     assert found["from_water"] == pytest.approx(mean, rel=0.01)
     assert found["obs"].travelling_index(found["mode"]) < 0.2
@@ -24,14 +24,14 @@ def one_stride(found):
 
 
 def tracing_the_valve(found):
-    """The valves are named, and most of what the lag leaves is gone from logs held out."""
+    """The loop names the valves and removes most of the residual on held-out logs."""
     assert found["outcome"].search.effects[0] == "firmware_valves"
     assert found["outcome"].verdict == "identified"
     assert found["after"] < 0.15 * found["before"]
 
 
 def calibrating_drag_and_added_mass(found):
-    """The tank's coefficients lie in their intervals; thrust alone says less."""
+    """The intervals contain the true coefficients; those from thrust alone are wider."""
     for i, label in enumerate(found["labels"]):
         _, low, high = found["interval"](found["found"].fit, found["found"].entries, i)
         assert low < found["truth"][label] < high, label
@@ -48,11 +48,11 @@ def designing_a_tail(found):
 
 
 def from_the_rig_to_a_fit(found):
-    """Nothing is lost on the way, and the tank's coefficients are found."""
-    assert all(x["readings_lost"] == 0 for x in found["told"])
+    """No reading is lost, and the fit finds the coefficients of the tank."""
+    assert all(x["readings_lost"] == 0 for x in found["summaries"])
     assert abs(found["clock"].rate - 1.0) < 2e-4
     for i, entry in enumerate(found["fitted"].entries):
-        # On a computer that is busy otherwise the made-up rig lags behind: not within intervals.
+        # On a busy computer the simulated rig is late, and the intervals miss the true values.
         value, _, _ = found["interval"](found["fitted"].fit, found["fitted"].entries, i)
         assert abs(value / found["truth"][entry.label] - 1.0) < 0.15, entry.label
 

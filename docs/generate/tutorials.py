@@ -2,6 +2,7 @@
 
     python docs/generate/tutorials.py [NAME ...]    # runs the notebooks whose code changed
     python docs/generate/tutorials.py --check       # lists the pages that are out of date
+    python docs/generate/tutorials.py --keep-output # after a change that no output shows
 
 A page keeps a hash of its notebook's code. If only the text of a notebook changed, the page gets
 the new text and keeps its output.
@@ -64,11 +65,14 @@ def _stamp(notebook: Path) -> str:
     return f"<!-- Made by docs/generate/tutorials.py from code {code_hash(notebook)}. -->"
 
 
-def kept_outputs(notebook: Path) -> dict[int, str] | None:
-    """Return the outputs in a notebook's page by cell, or None if they are of other code."""
+def kept_outputs(notebook: Path, any_code: bool = False) -> dict[int, str] | None:
+    """Return the outputs in a notebook's page by cell.
+
+    Without `any_code`, return None if the outputs are of other code.
+    """
     path = page_of(notebook)
     page = path.read_text(encoding="utf-8") if path.exists() else ""
-    if not page.startswith(_stamp(notebook)):
+    if not page or not (any_code or page.startswith(_stamp(notebook))):
         return None
     outputs = re.findall(r"<!-- output (\d+) -->\n(.*?)\n<!-- end -->", page, re.DOTALL)
     return {int(number): text for number, text in outputs}
@@ -144,6 +148,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("names", nargs="*", help="names of notebooks to run (default: if changed)")
     parser.add_argument("--check", action="store_true", help="only list the pages out of date")
+    parser.add_argument(
+        "--keep-output", action="store_true", help="keep the output although the code changed"
+    )
     asked = parser.parse_args()
     if asked.check:
         names = outdated()
@@ -152,10 +159,10 @@ def main() -> int:
         return bool(names)
     PAGES.mkdir(exist_ok=True)
     for notebook in notebooks():
-        kept = kept_outputs(notebook)
         if asked.names and notebook.stem not in asked.names:
             continue
-        if kept is None or asked.names:
+        kept = kept_outputs(notebook, asked.keep_output)
+        if kept is None or (asked.names and not asked.keep_output):
             print(f"running {notebook.stem}", file=sys.stderr)
             kept = execute(notebook)
         page_of(notebook).write_text(render(notebook, kept), encoding="utf-8")
