@@ -2,7 +2,7 @@
 
 import threading
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 
 import numpy as np
@@ -72,9 +72,8 @@ class DrivePlayer:
 
     def _play(self) -> None:
         try:
-            self._run()
-        except _Ended:
-            pass
+            with suppress(_Ended):
+                self._run()
         except BaseException as error:
             self._failure = error
 
@@ -88,7 +87,7 @@ class DrivePlayer:
         with real_time_priority(), manifold as m:
             stream.manifold = m
             m.configure(limits)
-            with _forces(self._settings, stream) as self._force:
+            with _forces(self._settings.force, stream) as self._force:
                 m.arm()
                 self._begun.set()
                 rate = self._settings.manifold.commands_per_second
@@ -112,13 +111,12 @@ class _Ended(Exception):
     """The context ended before the drive."""
 
 
-def _forces(settings: RigTable, stream: LiveStream) -> AbstractContextManager[ForceSource | None]:
-    """Return a context in which the force sensor's samples, if any, go to the stream."""
-    return nullcontext() if settings.force is None else _forces_of(settings.force, stream)
-
-
 @contextmanager
-def _forces_of(table: ForceTable, stream: LiveStream) -> Iterator[ForceSource]:
+def _forces(table: ForceTable | None, stream: LiveStream) -> Iterator[ForceSource | None]:
+    """Open the force sensor, if any, and pass its samples to the stream in the block."""
+    if table is None:
+        yield None
+        return
     source, _ = open_force_sensor(table)
     mounting, box = SensorMounting(table.thrust, table.recoil), rdt.BoxTime()
 

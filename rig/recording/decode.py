@@ -7,6 +7,7 @@ import numpy as np
 
 from rig.errors import RigError
 from rig.protocol.messages import CHANNELS, Arm, Event, Follows, FrameDecoder, Reading, SetPressures
+from rig.recording.clock import unwrap_counter
 from rig.recording.reader import Recording
 
 
@@ -61,14 +62,10 @@ def decode_readings(pieces: Iterable[tuple[int, bytes]]) -> DecodedReadings:
                 events.append((host_ns * 1e-9, message))
             elif isinstance(message, Follows):
                 follows.append(message)
-    number, last = 0, None
+    numbers = unwrap_counter(np.array([reading.seq for _, reading in received]), 2**32)
     kept: dict[int, tuple[float, Reading]] = {}
-    for host_s, reading in received:
-        if last is not None:
-            step = (reading.seq - last) % 2**32
-            number += step if step < 2**31 else step - 2**32
-        last = reading.seq
-        kept.setdefault(number, (host_s, reading))
+    for number, row in zip((numbers - numbers[:1]).tolist(), received, strict=True):
+        kept.setdefault(number, row)
     order = sorted(kept)
     rows = [kept[i] for i in order]
     seq = np.array(order, np.int64)

@@ -18,6 +18,7 @@ from slider_jax.batch.strides import (
     steady_quantities,
 )
 from slider_jax.beam.parameters import Numerics, Robot
+from slider_jax.channels import CHANNELS
 
 SHOWN = (1.0, 4.8)
 """Frequencies [Hz] of the paper's Figs. 5 and 6."""
@@ -39,21 +40,13 @@ class FrequencySweepSettings(eqx.Module):
     numerics: Numerics = Numerics()
 
 
-class Series(NamedTuple):
-    """Time series (steps,) of one frequency over all strides."""
+class FrequencySeries(NamedTuple):
+    """Time series of one frequency over all strides."""
 
     t: np.ndarray
-    """[s]"""
-    p_front: np.ndarray
-    """[Pa]"""
-    p_rear: np.ndarray
-    """[Pa]"""
-    thrust: np.ndarray
-    """[N]"""
-    recoil: np.ndarray
-    """[N]"""
-    tip: np.ndarray
-    """[m]"""
+    """(steps,) [s]"""
+    channels: dict[str, np.ndarray]
+    """(steps,) readings of every channel by name, in SI units."""
     midlines: np.ndarray
     """(poses, 2, nodes) [m] of the last stride, relative to the head."""
 
@@ -64,7 +57,7 @@ class FrequencySweep(NamedTuple):
     table: dict[str, np.ndarray]
     stride_thrust: np.ndarray
     """(F, strides) mean thrust [N] of every stride, including transient strides."""
-    shown: dict[float, Series]
+    shown: dict[float, FrequencySeries]
     ok: np.ndarray
     """(F,) False if a time step did not converge; that row is NaN."""
 
@@ -100,6 +93,7 @@ def run_frequency_sweep(
     shown = {}
     for index, frequency in enumerate(frequencies):
         if np.isclose(frequency, SHOWN).any():
-            whole = {name: np.concatenate(runs[name][index]) for name in Series._fields[:-1]}
-            shown[float(frequency)] = Series(**whole, midlines=runs["midline"][index])
+            times, *readings = (np.concatenate(runs[name][index]) for name in ("t", *CHANNELS))
+            channels = dict(zip(CHANNELS, readings, strict=True))
+            shown[float(frequency)] = FrequencySeries(times, channels, runs["midline"][index])
     return FrequencySweep(table, runs["thrust"].mean(axis=2), shown, runs["ok"])

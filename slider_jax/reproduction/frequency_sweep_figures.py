@@ -5,8 +5,13 @@ from pathlib import Path
 import numpy as np
 
 from slider_jax import paper
+from slider_jax.channels import CHANNELS
 from slider_jax.io.figures import new_figure, save_figure
-from slider_jax.reproduction.frequency_sweep import FrequencySweep, FrequencySweepSettings, Series
+from slider_jax.reproduction.frequency_sweep import (
+    FrequencySeries,
+    FrequencySweep,
+    FrequencySweepSettings,
+)
 
 
 def thrust_against_frequency(
@@ -56,7 +61,7 @@ def _subtitle(settings: FrequencySweepSettings) -> str:
 
 
 def stride_in_detail(
-    frequency: float, series: Series, settings: FrequencySweepSettings, path: Path
+    frequency: float, series: FrequencySeries, settings: FrequencySweepSettings, path: Path
 ) -> None:
     """Plot midlines of the last stride and three strides over time, like the paper's Figs. 5, 6."""
     figure, _ = new_figure(figsize=(10, 8.5))
@@ -66,27 +71,21 @@ def stride_in_detail(
     steps = settings.steps_per_stride
     shown = slice(max(0, len(series.t) - 3 * steps - 1), None)
     t, first = series.t[shown], None
-    rows = (
-        (
-            "pressure (kPa)",
-            1e-3 * np.stack([series.p_front, series.p_rear], axis=1),
-            ("front", "rear"),
-        ),
-        ("tip, lateral (mm)", 1e3 * series.tip, None),
-        ("thrust (mN)", 1e3 * series.thrust, None),
-        ("recoil (mN)", 1e3 * series.recoil, None),
-    )
-    for place, (label, values, names) in enumerate(rows):
+    for place, names in enumerate((("p_front", "p_rear"), ("tip",), ("thrust",), ("recoil",))):
         ax = first = figure.add_subplot(grid[1 + place // 2, place % 2], sharex=first)
-        lines = ax.plot(t, values[shown], lw=1.3)
+        channel = CHANNELS[names[0]]
+        lines = [
+            ax.plot(t, channel.plot_factor * series.channels[name][shown], lw=1.3)[0]
+            for name in names
+        ]
         ax.axhline(0.0, color="k", lw=0.4)
-        ax.set_ylabel(label)
+        ax.set_ylabel(f"{channel.label if len(names) == 1 else 'pressure'} ({channel.plot_unit})")
         ax.set_xlabel("time (s)")
         ax.margins(x=0.0)
-        if names is not None:
+        if len(names) > 1:
             above = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.98), "borderaxespad": 0.0}
-            ax.legend(lines, names, ncols=2, fontsize="small", frameon=False, **above)
-    mean = 1e3 * series.thrust[-steps:].mean()
+            ax.legend(lines, ("front", "rear"), ncols=2, fontsize="small", frameon=False, **above)
+    mean = 1e3 * series.channels["thrust"][-steps:].mean()
     thrust = figure.axes[-2]
     thrust.axhline(mean, color="C3", ls="--", lw=1.0)
     thrust.set_title(f"mean of the last stride {mean:.1f} mN", fontsize="small", loc="right")
@@ -94,7 +93,7 @@ def stride_in_detail(
     save_figure(figure, path)
 
 
-def _draw_midlines(figure, ax, series: Series) -> None:
+def _draw_midlines(figure, ax, series: FrequencySeries) -> None:
     import matplotlib
 
     colours = matplotlib.colormaps["viridis"]

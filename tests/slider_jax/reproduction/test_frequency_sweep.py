@@ -49,7 +49,7 @@ def test_each_frequency_is_what_a_single_rollout_gives(sweep, index):
         sweep.table["thrust_std_of_strides_N"][index], expected[2:].std(ddof=1), atol=1e-10
     )
     if f in SHOWN:
-        np.testing.assert_allclose(sweep.shown[f].thrust, single, rtol=0, atol=1e-10)
+        np.testing.assert_allclose(sweep.shown[f].channels["thrust"], single, rtol=0, atol=1e-10)
 
 
 def test_coefficients_in_the_table_are_on_the_ramp(sweep):
