@@ -127,10 +127,8 @@ for i in outcome.final.free:
 # Free runs: the model gets the command and the first measured sample only.
 
 # %%
-hidden = outcome.held_out
-before, after, floor = (
-    x["p_front"] / PA_PER_PSI for x in (hidden.before, hidden.after, hidden.floor)
-)
+errors = outcome.held_out["p_front"]
+before, after, floor = (errors[key] / PA_PER_PSI for key in ("before", "after", "floor"))
 print(
     f"held-out rms {before:.2f} psi with the best lag, {after:.2f} with the model found, "
     f"noise {floor:.2f}"

@@ -3,8 +3,6 @@
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from calibration.audit.audit import audit_measurements
 from calibration.audit.prediction import residual_outliers
 from calibration.discrepancy.rounds import Selection
@@ -13,7 +11,7 @@ from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
 from calibration.discrepancy.verdict import NAMED, reach_verdict
 from calibration.inference.cache import Memo
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton
-from calibration.inference.goodness import Excess, excess, noise_floors, rms_errors
+from calibration.inference.goodness import Excess, channel_errors, excess
 from calibration.inference.problem import AbstractProblem, TankProblem
 from calibration.inference.uncertainty import confidence_interval, hausman_check
 from calibration.measurements.records import Finding, Record
@@ -30,15 +28,6 @@ from slider_jax.experiment.load import Experiment
 
 
 @dataclass(frozen=True)
-class Errors:
-    """Errors of the channels: rms of measured minus predicted, and noise floor, in their units."""
-
-    before: dict[str, float]
-    after: dict[str, float]
-    floor: dict[str, float]
-
-
-@dataclass(frozen=True)
 class LoopOutcome:
     """The result of the loop on one experiment."""
 
@@ -50,10 +39,12 @@ class LoopOutcome:
     """The chosen model, refitted to all trials."""
     problem: AbstractProblem
     """All trials."""
-    used: Errors
-    held_out: Errors | None
-    excess_before: dict[str, Excess]
-    excess_after: dict[str, Excess]
+    used: dict[str, dict[str, float]]
+    """`channel_errors` of the trials that the selection used."""
+    held_out: dict[str, dict[str, float]]
+    """`channel_errors` of the held-out trials; empty if there are none."""
+    excess: dict[str, Excess]
+    """Excess of the chosen model on the trials that the selection used."""
     held: list[int]
     """Held-out trials, as indices of `problem.records`."""
     audit: list[Finding] = field(default_factory=list)
@@ -182,11 +173,11 @@ def conclude(
     verdict = reach_verdict(result, entries, before, after)
     named = verdict in NAMED
     best = result.final if named else result.base
-    held_out = None
+    held_out = {}
     if held:
         progress("predicting the held-out trials")
         rest = problem_of([found[i] for i in held])
-        held_out = _errors(rest, *(rest.predict(f.theta) for f in (result.base, best)))
+        held_out = channel_errors(rest, *(rest.predict(f.theta) for f in (result.base, best)))
     progress("refitting to all trials")
     final = hausman_check(
         all_trials, fit_gauss_newton(all_trials, entries, best.theta, best.free, progress)
@@ -203,16 +194,9 @@ def conclude(
         result,
         final,
         all_trials,
-        _errors(problem, result.base.predicted, best.predicted),
+        channel_errors(problem, result.base.predicted, best.predicted),
         held_out,
-        before,
         after if named else before,
         held,
         nearest=nearest,
-    )
-
-
-def _errors(problem: AbstractProblem, before: list[np.ndarray], after: list[np.ndarray]) -> Errors:
-    return Errors(
-        rms_errors(problem, before), rms_errors(problem, after), noise_floors(problem, after)
     )

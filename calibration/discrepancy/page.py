@@ -28,7 +28,7 @@ def loop_page(outcome: LoopOutcome, record: dict[str, Any]) -> str:
         record=record,
         sources=_sources(record["input"]),
         errors=_errors(record["errors"]),
-        held_out=_errors(record["held_out"] or {}),
+        held_out=_errors(record["held_out"]),
         floor_ratio=np.sqrt(settings.noise_floor),
         above=[c for c, x in record["left_over_noise"].items() if x**2 > settings.noise_floor],
         readings_png=embedded_png(readings_figure(outcome)),

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from calibration.discrepancy.close_loop import Errors, LoopOutcome
+from calibration.discrepancy.close_loop import LoopOutcome
 from calibration.discrepancy.localise import locate_residuals
 from calibration.discrepancy.rounds import SelectionStep
 from calibration.discrepancy.verdict import effects_at_bounds, effects_at_same_place
@@ -27,7 +27,6 @@ def loop_record(
 
     `source` names the input, `following` is the record of the next experiment.
     """
-    held = outcome.held_out
     trials, given = outcome.problem.records, base_values(outcome.experiment)
     return {
         "verdict": outcome.verdict,
@@ -40,15 +39,15 @@ def loop_record(
             for i, p in enumerate(outcome.entries)
             if not p.effect and i in outcome.final.free
         },
-        "errors": _table(outcome.used),
-        "held_out": _table(held) if held else {},
+        "errors": outcome.used,
+        "held_out": outcome.held_out,
         "held_out_trials": [trials[i].trial.file for i in outcome.held],
         "candidates": candidate_records(outcome),
         "unexplained": residual_records(outcome),
         "audit": [x._asdict() for x in outcome.audit],
         "next_experiment": following,
         "units": {name: CHANNELS[name].unit for name in CHANNELS},
-        "left_over_noise": {c: np.sqrt(x.all) for c, x in outcome.excess_after.items()},
+        "left_over_noise": {c: np.sqrt(x.all) for c, x in outcome.excess.items()},
         "seconds": seconds,
         "input": source,
         "versions": versions(),
@@ -104,19 +103,12 @@ def _class(outcome: LoopOutcome, this: SelectionStep) -> list[str]:
 def _above_floor(outcome: LoopOutcome) -> list[str]:
     """Return the channels whose residual exceeds the noise floor."""
     floor = outcome.search.settings.noise_floor
-    return [c for c, x in outcome.excess_after.items() if x.all > floor]
+    return [c for c, x in outcome.excess.items() if x.all > floor]
 
 
 def _interval(outcome: LoopOutcome, effect: str, name: str) -> dict[str, Any]:
     index = next(i for i, p in enumerate(outcome.entries) if (p.effect, p.name) == (effect, name))
     return parameter_record(outcome.final, outcome.entries, index)
-
-
-def _table(errors: Errors) -> dict[str, dict[str, float]]:
-    return {
-        c: {"before": errors.before[c], "after": errors.after[c], "floor": errors.floor[c]}
-        for c in errors.before
-    }
 
 
 def candidate_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
@@ -138,7 +130,7 @@ def residual_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
     """Return where the final fit's residual exceeds the noise floor on the fitted trials."""
     fitted = [r for i, r in enumerate(outcome.problem.records) if i not in outcome.held]
     floor = outcome.search.settings.noise_floor
-    return locate_residuals(fitted, outcome.chosen.predicted, outcome.excess_after, floor)
+    return locate_residuals(fitted, outcome.chosen.predicted, outcome.excess, floor)
 
 
 def verdict_text(outcome: LoopOutcome) -> str:

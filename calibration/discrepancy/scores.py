@@ -27,15 +27,10 @@ class Score(NamedTuple):
     name: str
     gain: float
     """Reduction of the sum of squares, in units of the residual's mean square."""
-    freedom: int
     p: float
     """Probability of such a gain by chance, times the number of candidates, at most 1."""
-    estimate: np.ndarray
-    """Change of the candidate's parameters, in SI units."""
-    error: np.ndarray
-    """Their standard errors."""
     step: np.ndarray
-    """Change of all entries (parameters,)."""
+    """Change (parameters,) of all entries, in SI units."""
     left_out: np.ndarray
     """Cross-validated log gain of each trial that the candidate changes visibly: log of the factor
     by which the candidate lowers the held-out trial's sum of squares."""
@@ -77,7 +72,6 @@ def score(
     gain = (
         square_reduction(blocks, step) - square_reduction(blocks, least_squares_step(A, b, free))
     ) / unit
-    errors = np.sqrt(unit * np.diag(inverse(A[np.ix_(both, both)])))[len(free) :]
     seen = {x.trial: 0.0 for x in blocks}
     for x in blocks:
         seen[x.trial] += float(step[group] @ x.A[np.ix_(group, group)] @ step[group])
@@ -90,7 +84,7 @@ def score(
         with_it, without = least_squares_step(A_, b_, both), least_squares_step(A_, b_, free)
         left_out.append(np.log(square_after(held, without) / square_after(held, with_it)))
     p = min(1.0, many * float(chi2.sf(max(gain, 0.0), len(group))))
-    return Score(name, float(gain), len(group), p, step[group], errors, step, np.asarray(left_out))
+    return Score(name, float(gain), p, step, np.asarray(left_out))
 
 
 def tangent_cosine(

@@ -50,7 +50,7 @@ def next_experiment(
 
     `limits` bound the trial (default: the ranges of the experiment's own trials, widened).
     """
-    left = any(x.all > outcome.search.settings.noise_floor for x in outcome.excess_after.values())
+    left = any(x.all > outcome.search.settings.noise_floor for x in outcome.excess.values())
     if outcome.verdict in (UNEXPLAINED, INCONCLUSIVE) or (outcome.verdict == CLASS and left):
         return _again(outcome)
     try:
@@ -69,7 +69,7 @@ def _none(text: str) -> dict[str, Any]:
 def _again(outcome: LoopOutcome) -> dict[str, Any]:
     """Return a repetition of the trial with the largest residual over its noise."""
     records = _fitted(outcome)
-    channel, x = max(outcome.excess_after.items(), key=lambda item: np.nanmax(item[1].trials))
+    channel, x = max(outcome.excess.items(), key=lambda item: np.nanmax(item[1].trials))
     worst = int(np.nanargmax(x.trials))
     trial = records[worst].trial
     again = trial.model_copy(update={"file": unused_file_name(outcome.experiment)})

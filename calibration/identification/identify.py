@@ -14,7 +14,7 @@ from calibration.experiment_design.parameter_trial import (
     propose_trials,
 )
 from calibration.inference.gauss_newton import Fit, fit_gauss_newton
-from calibration.inference.goodness import excess, noise_floors, rms_errors
+from calibration.inference.goodness import channel_errors, excess
 from calibration.inference.lbfgs import fit_lbfgs
 from calibration.inference.problem import TankProblem
 from calibration.inference.uncertainty import correlations, hausman_check
@@ -137,7 +137,7 @@ def identification_record(found: Identified, source: dict[str, Any]) -> dict[str
             for i, p in enumerate(found.entries)
         },
         "correlations": {"order": labels, "matrix": correlations(found.fit)},
-        "errors": _errors(found),
+        "errors": channel_errors(found.problem, found.before, found.fit.predicted),
         "doubt": found.doubt,
         "converged": found.fit.converged,
         "method": found.method,
@@ -151,20 +151,15 @@ def identification_record(found: Identified, source: dict[str, Any]) -> dict[str
     }
 
 
-def _errors(found: Identified) -> dict[str, dict[str, float]]:
-    before, after = (rms_errors(found.problem, y) for y in (found.before, found.fit.predicted))
-    floor = noise_floors(found.problem, found.fit.predicted)
-    return {c: {"before": before[c], "after": after[c], "floor": floor[c]} for c in after}
-
-
 def parameter_table(found: Identified) -> str:
     """Return the result as text: a line for each parameter and each channel."""
     labels = [p.label for p in found.entries]
     lines = entry_lines(found.fit, found.entries, labels, found.proposals)
+    errors = channel_errors(found.problem, found.before, found.fit.predicted)
     lines += [
         f"{c:<28} rms {x['before']:.3g} before, {x['after']:.3g} after, noise floor "
         f"{x['floor']:.3g} {CHANNELS[c].unit}"
-        for c, x in _errors(found).items()
+        for c, x in errors.items()
     ]
     lines += [found.doubt] if found.doubt else []
     return "\n".join(lines)

@@ -48,6 +48,15 @@ def rms_errors(problem: AbstractProblem, predicted: list[np.ndarray]) -> dict[st
     return found
 
 
+def channel_errors(
+    problem: AbstractProblem, before: list[np.ndarray], after: list[np.ndarray]
+) -> dict[str, dict[str, float]]:
+    """Return the rms errors "before" and "after" and the noise "floor" by channel, in its unit."""
+    start, end = rms_errors(problem, before), rms_errors(problem, after)
+    floor = noise_floors(problem, after)
+    return {c: {"before": start[c], "after": end[c], "floor": floor[c]} for c in end}
+
+
 def noise_floors(problem: AbstractProblem, predicted: list[np.ndarray]) -> dict[str, float]:
     """Return the noise floor of every channel, in its unit.
 

@@ -52,9 +52,8 @@ def test_the_missing_effect_is_named_with_its_size(delayed):
 
 
 def test_held_out_trials_are_predicted_at_the_noise_floor(delayed):
-    for channel, floor in delayed.held_out.floor.items():
-        assert delayed.held_out.after[channel] < 1.3 * floor
-    assert delayed.held_out.before["p_front"] > 5 * delayed.held_out.after["p_front"]
+    assert all(x["after"] < 1.3 * x["floor"] for x in delayed.held_out.values())
+    assert delayed.held_out["p_front"]["before"] > 5 * delayed.held_out["p_front"]["after"]
 
 
 def test_the_report_is_complete_and_the_model_file_loads(delayed, tmp_path):
@@ -103,7 +102,8 @@ def test_a_residual_that_no_candidate_explains_is_unexplained(tmp_path):
     assert outcome.verdict == "unexplained"
     record = loop_record(outcome, 1.0, {})
     assert record["effects"] == [] and "[[effects]]" not in loop_model_toml(outcome)
-    assert record["unexplained"] and outcome.used.after == outcome.used.before
+    assert record["unexplained"]
+    assert all(x["after"] == x["before"] for x in outcome.used.values())
     assert [x["name"] for x in record["nearest"]] == outcome.search.effects
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.discrepancy.close_loop import Errors, LoopOutcome
+from calibration.discrepancy.close_loop import LoopOutcome
 from calibration.discrepancy.page import loop_page
 from calibration.discrepancy.report import loop_record
 from calibration.discrepancy.rounds import (
@@ -72,12 +72,11 @@ def fitted(tank, theta, free, weight=1.0):
 def outcome(tank, verdict, final, rounds=(), after=None):
     experiment, problem, _ = tank
     excess = after or {c: Excess(np.ones(2), 1.0) for c in CHANNELS}
-    none = dict.fromkeys(CHANNELS, 0.0)
     effects = [r.chosen for r in rounds if r.chosen]
     search = Selection(final, final, effects, list(rounds))
-    used = Errors(none, none, none)
+    used = {c: {"before": 0.0, "after": 0.0, "floor": 0.0} for c in CHANNELS}
     return LoopOutcome(
-        experiment, ENTRIES, verdict, search, final, problem, used, None, excess, excess, [], []
+        experiment, ENTRIES, verdict, search, final, problem, used, {}, excess, [], []
     )
 
 

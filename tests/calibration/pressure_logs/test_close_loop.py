@@ -59,10 +59,10 @@ def test_the_valves_are_identified_with_their_parameters(outcome):
 
 
 def test_held_out_logs_are_predicted_to_the_noise(outcome):
-    hidden = outcome.held_out
+    errors = outcome.held_out["p_front"]
     assert [outcome.problem.records[i].trial.frequency for i in outcome.held] == [1.1, 2.0]
-    assert hidden.before["p_front"] > 10.0 * hidden.after["p_front"]
-    assert hidden.after["p_front"] < 1.1 * hidden.floor["p_front"]
+    assert errors["before"] > 10.0 * errors["after"]
+    assert errors["after"] < 1.1 * errors["floor"]
 
 
 def test_the_alternative_effect_is_refitted_and_has_a_larger_residual(outcome):
