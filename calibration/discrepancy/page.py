@@ -39,8 +39,8 @@ def loop_page(outcome: LoopOutcome, record: dict[str, Any]) -> str:
             for name, x in known.items()
         ],
         widened=[(name, widened(x)) for name, x in known.items() if "by_variation_alone" in x],
-        agree=settings.left_out_t,
-        unalike=settings.wilcoxon_p,
+        min_t=settings.left_out_t,
+        max_p=settings.wilcoxon_p,
         refits=_refits(record["candidates"]),
         alternatives=_alternatives(record["effects"]),
         consequence=_consequence(record["consequence"]) if "consequence" in record else [],

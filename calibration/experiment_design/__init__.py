@@ -1,2 +1,2 @@
-"""Predicts what trials would tell and proposes the next one. May import `discrepancy` and the rooms
-below it."""
+"""Predicts the information of trials and proposes the next trial. May import `discrepancy` and the
+rooms below it."""

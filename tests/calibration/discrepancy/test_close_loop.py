@@ -68,7 +68,7 @@ def test_the_report_is_complete_and_the_model_file_loads(delayed, tmp_path):
     assert {row["name"] for row in record["candidates"]} == set(CANDIDATES)
     html = loop_page(delayed, record)
     assert html.count("data:image/png") == 2 and "valve_delay" in html
-    assert "Verdict: identified. From tank.toml (sha256 abcdefabcdef)" in html
+    assert "Verdict: identified. Data: tank.toml (sha256 abcdefabcdef)" in html
     (line,) = parameter_lines(record)
     assert line.startswith("valve_delay.delay = 0.0") and line.endswith(") s")
     assert error_lines(record)[0].startswith("p_front, held-out trials: rms ")
