@@ -1,8 +1,5 @@
 """`slider rig loop`: measures trials, searches for missing effects, and adds the next trial."""
 
-import sys
-import time
-from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -20,6 +17,7 @@ from rig.cli.shared import (
     with_force_counts,
 )
 from slider_jax.cli.options import Folder, Range, Whole
+from slider_jax.cli.progress import timed_printer
 from slider_jax.errors import InputError
 
 
@@ -91,15 +89,10 @@ def rig_loop(
     folder.mkdir(exist_ok=True)
     path = folder / "experiment.toml"
     install_experiment(experiment, folder)
-    begun = time.monotonic()
-
-    def progress(text: str) -> None:
-        print(f"{time.monotonic() - begun:6.0f} s  {text}", file=sys.stderr, flush=True)
 
     def capture(trials: tuple[Trial, ...]) -> None:
         # Opened for each round, so that between rounds the manifold is vented and its port free.
-        with ExitStack() as stack:
-            machine = stack.enter_context(open_rig(port, settings))
+        with open_rig(port, settings) as machine:
             planned = [planned_trial(trial, path) for trial in trials]
             live = StatusLine(machine, len(planned))
             stored = {"rig": settings.model_dump(mode="json")}
@@ -107,7 +100,7 @@ def rig_loop(
             live.end()
         declare_swing(path, records)
 
-    found = run_campaign(path, capture, out, budget, within, progress)
+    found = run_campaign(path, capture, out, budget, within, timed_printer())
     rounds = {"rounds": [asdict(x) for x in found.rounds], "settled": found.settled}
     write_json(out / "report.json", found.report | rounds)
     write_text(out / "model.toml", loop_model_toml(found.outcome))

@@ -220,12 +220,20 @@ def signals_as_ctrl_c() -> Iterator[None]:
             signal.signal(getattr(signal, name), handler)
 
 
+def print_status(line: str) -> None:
+    """Print a line to stderr; on a terminal it replaces the previous status line."""
+    if sys.stderr.isatty():
+        width = shutil.get_terminal_size().columns - 1
+        print(f"\r{line[:width]:<{width}}", end="", file=sys.stderr, flush=True)
+    else:
+        print(line, file=sys.stderr, flush=True)
+
+
 class StatusLine:
     """The progress of a run in one line of a terminal, or a line every 2 s on another stderr."""
 
     def __init__(self, rig: Rig, total: int):
         self._rig, self._total, self._next = rig, total, 0.0
-        self._terminal = sys.stderr.isatty()
         self._count, self._name = 0, ""
 
     def __call__(self, trial: str, phase: str, t: float) -> None:
@@ -235,7 +243,7 @@ class StatusLine:
             self._name, self._count = trial, self._count + 1
         if now < self._next:
             return
-        self._next = now + (0.1 if self._terminal else 2.0)
+        self._next = now + (0.1 if sys.stderr.isatty() else 2.0)
         manifold = self._rig.manifold
         line = f"{trial} ({self._count} of {self._total}), {phase} {t:5.1f} s"
         if manifold.latest is not None:
@@ -247,13 +255,9 @@ class StatusLine:
             line += f"  Fx {found[1][0]:6.3f} N" if found is not None else ""
             line += f"  force lost {force.health().missing}"
         line += f"  lost {manifold.lost} damaged {manifold.damaged}"
-        if self._terminal:
-            width = shutil.get_terminal_size().columns - 1
-            print(f"\r{line[:width]:<{width}}", end="", file=sys.stderr, flush=True)
-        else:
-            print(line, file=sys.stderr, flush=True)
+        print_status(line)
 
     def end(self) -> None:
         """End the line on a terminal."""
-        if self._terminal:
+        if sys.stderr.isatty():
             print(file=sys.stderr)

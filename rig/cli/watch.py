@@ -1,6 +1,5 @@
 """`slider rig watch`: runs the calibrated model beside the rig and raises alarms."""
 
-import shutil
 import sys
 import time
 from dataclasses import dataclass, field
@@ -14,7 +13,14 @@ from calibration.twin.stream import Samples
 from calibration.twin.twin import Twin, TwinBlock
 from rig.cli.playback import DrivePlayer
 from rig.cli.settings import load_rig
-from rig.cli.shared import Port, RigFile, planned_trial, signals_as_ctrl_c, with_force_counts
+from rig.cli.shared import (
+    Port,
+    RigFile,
+    planned_trial,
+    print_status,
+    signals_as_ctrl_c,
+    with_force_counts,
+)
 from rig.recording.table import format_value
 from rig.scheduling import raise_priority
 from rig.trial.live_stream import CHANNELS_OUT, LiveReadings
@@ -228,11 +234,7 @@ def _print_line(block: TwinBlock, row: dict[str, float], lost: int, new: bool) -
         f"{row['t_s']:6.1f} s  {state}{', '.join(shown)}, k {block.k.value:.4f} s, "
         f"K_Q {block.K_Q.value:.3g} m^3, {1e3 * row['lag_s']:.0f} ms late, lost {lost}"
     )
-    if not sys.stderr.isatty():
-        print(line, file=sys.stderr, flush=True)
-    else:
-        width = shutil.get_terminal_size().columns - 1
-        print(f"\r{line[:width]:<{width}}", end="", file=sys.stderr, flush=True)
+    print_status(line)
     if new:
         advice = "\nthe drive continues; Ctrl-C vents" if sys.stderr.isatty() else ""
         print(f"\nALARM: {block.alarm.hint}{advice}", file=sys.stderr, flush=True)
