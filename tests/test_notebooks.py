@@ -33,7 +33,7 @@ def tracing_the_valve(found):
 def calibrating_drag_and_added_mass(found):
     """The intervals contain the true coefficients; those from thrust alone are wider."""
     for i, label in enumerate(found["labels"]):
-        _, low, high = found["interval"](found["found"].fit, found["found"].entries, i)
+        _, low, high = found["confidence_interval"](found["found"].fit, found["found"].entries, i)
         assert low < found["truth"][label] < high, label
     assert all(x > 1.2 for x in found["wider"].values())
     assert np.abs(found["measured"] - found["predicted"]).max() < 0.05
@@ -53,7 +53,7 @@ def from_the_rig_to_a_fit(found):
     assert abs(found["clock"].rate - 1.0) < 2e-4
     for i, entry in enumerate(found["fitted"].entries):
         # On a busy computer the simulated rig is late, and the intervals miss the true values.
-        value, _, _ = found["interval"](found["fitted"].fit, found["fitted"].entries, i)
+        value, _, _ = found["confidence_interval"](found["fitted"].fit, found["fitted"].entries, i)
         assert abs(value / found["truth"][entry.label] - 1.0) < 0.15, entry.label
 
 
