@@ -1,4 +1,4 @@
-"""Closes the loop on an experiment: from measured trials to a verdict and a better model."""
+"""The loop on an experiment: from measured trials to a verdict and a better model."""
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
@@ -48,7 +48,7 @@ class LoopOutcome:
     held: list[int]
     """Held-out trials, as indices of `problem.records`."""
     audit: list[Finding] = field(default_factory=list)
-    """Faults of the data and what was done about them."""
+    """Faults of the data and the actions taken."""
     nearest: Fit | None = None
     """The model with effects that were selected but not named, fitted to all trials."""
 
@@ -74,9 +74,9 @@ def choose_held_out(
 ) -> list[int]:
     """Return the indices of a quarter of the trials, or none if there are too few.
 
-    The trials are spread over the frequencies, without the lowest and the highest. At least two
-    towed trials and two in still water are not held out, if the data have two. The search needs
-    them for an effect that acts only on one kind. Trials of the files `kept` are never held out.
+    The trials are spread over the frequencies, without the lowest and the highest. Two towed trials
+    and two in still water are not held out, because an effect may act only on one kind. Trials of
+    the files `kept` are never held out.
     """
     if len(found) < 2 * settings.min_trials:
         return []

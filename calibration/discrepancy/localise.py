@@ -55,8 +55,8 @@ def residual_timing(record: Record, channel: str, model: np.ndarray) -> dict[str
     """Return when in a trial the residual of a channel is largest.
 
     `phase` is the eighth of the drive's period, from t = 0, with the largest `share` of the squared
-    residual. `growing` is the share while the model's reading moves away from its mean. `mean` is
-    the residual's mean over its rms. After subtraction of the mean, the sine of frequency `peak_Hz`
+    residual. `growing` is the share of the squared residual while the model's reading moves away
+    from its mean. `mean` is the residual's mean over its rms. After subtraction of the mean, the sine of frequency `peak_Hz`
     explains the largest share of the square, `peak_share`.
     """
     there = record.there(channel)
@@ -118,8 +118,8 @@ def residual_text(x: dict[str, Any]) -> str:
     if "phase" in here:
         low, high = here["phase"]
         text += f", largest at {low:.3g} to {high:.3g} of the stride"
-    text += f", {here['peak_share']:.0%} of its square at {here['peak_Hz']:.3g} Hz"
-    text += f"; {here['growing']:.0%} of its square while the reading moves away from its mean"
+    text += f"; peak frequency {here['peak_Hz']:.3g} Hz ({here['peak_share']:.0%} of the square)"
+    text += f"; {here['growing']:.0%} of the square while the reading moves away from its mean"
     for name, rank in x["grows_with"].items():
         if rank is not None:
             word = "grows" if rank > 0 else "falls"

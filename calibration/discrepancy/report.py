@@ -112,7 +112,7 @@ def _interval(outcome: LoopOutcome, effect: str, name: str) -> dict[str, Any]:
 
 
 def candidate_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
-    """Return all candidates of all rounds, best first, with the tests of those refitted."""
+    """Return all candidates of all rounds, best first, with the test results of the refits."""
     rows = []
     for number, this in enumerate(outcome.search.rounds, start=1):
         refitted = {t.name: t for t in this.refitted}

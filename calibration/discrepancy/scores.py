@@ -90,7 +90,7 @@ def score(
 def tangent_cosine(
     first: np.ndarray, second: np.ndarray, free: np.ndarray, blocks: Sequence[ChannelBlock]
 ) -> float:
-    """Return the largest |cos| between two candidates' tangents, free parameters projected out.
+    """Return the largest |cos| between two candidates' tangents, orthogonal to the free ones.
 
     It is 1 if these data cannot discriminate between the two.
     """

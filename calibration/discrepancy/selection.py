@@ -52,8 +52,8 @@ def effect_tangents(
 
     Each array has the shape (parameters, channels, samples). A parameter with a `Prior.start` has
     the secant from its null to that start; the secant is halved while it cannot be simulated. Other
-    parameters have the tangent at `theta`. Zero are the other parameters of an effect with a start
-    and parameters without a finite tangent.
+    parameters have the tangent at `theta`. Arrays are zero for the other parameters of an effect
+    with a start, and for parameters without a finite tangent.
     """
     scored = np.unique(np.concatenate([free, *scoring_entries(entries).values()]))
     finite = [i for i in scored if entries[i].prior.start is not None and i not in free]

@@ -9,7 +9,7 @@ from slider_jax.channels import CHANNELS
 class SelectionSettings:
     """Thresholds by which the loop scores, refits, accepts and compares candidate effects.
 
-    Gains are drops of the sum of squares in units of the residual's mean square.
+    Gains are reductions of the sum of squares, in units of the residual's mean square.
     """
 
     noise_floor: float = 1.5
@@ -21,12 +21,12 @@ class SelectionSettings:
     false_alarm_p: float = 1e-3
     """Largest probability of a score by chance, after correction for the number of candidates."""
     short_list: int = 5
-    """Candidates of each kind that one round refits at most, which bounds its cost."""
+    """Largest number of candidates of each kind that one round refits; it bounds the cost."""
     min_score_share: float = 0.5
     """A candidate is refitted if its score is at least this share of the best score."""
     min_score_share_far: float = 0.2
-    """The same for a candidate that is scored at a finite size (`Prior.start`), where the score is
-    less accurate."""
+    """The same share for a candidate that is scored by a secant (`Prior.start`), because such a
+    score is less accurate."""
     naming_share: float = 0.7
     """A candidate is refitted if its linear step changes some channel by this share of the naming
     threshold. Below 1, because the step is only linear."""
@@ -40,8 +40,8 @@ class SelectionSettings:
     """A refitted candidate can be named only if its gain exceeds this."""
     left_out_t: float = 2.0
     """Threshold on the t-statistic of the cross-validated log gain, in addition to the significance
-    test. Alone, it would accept 6 % of null candidates with five trials and 9 % with three. Log
-    gains are averaged, not gains, so that one distant trial does not dominate."""
+    test. Alone, it would accept 6 % of null candidates with five trials and 9 % with three. The
+    average is over log gains, so that one outlying trial does not dominate."""
     wilcoxon_p: float = 0.07
     """Held-out trials also agree if the p-value of Wilcoxon's signed-rank test is below this. The
     test accepts four improvements in four trials, even if one is far larger than the others."""

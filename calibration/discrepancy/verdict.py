@@ -39,7 +39,7 @@ def effects_at_same_place(search: Selection) -> list[str]:
 
 
 def rms_reduction(before: float, after: float) -> float:
-    """Return the reduction of a channel's rms above the noise floor, as a share of it.
+    """Return the relative reduction of a channel's rms above the noise floor.
 
     `before` and `after` are mean squares of the whitened residual.
     """

@@ -28,7 +28,7 @@ BUDGET = 12
 
 @dataclass(frozen=True)
 class CampaignRound:
-    """The loop's result with a number of trials."""
+    """The loop's result after one round."""
 
     trials: int
     verdict: str

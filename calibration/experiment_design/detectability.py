@@ -44,7 +44,7 @@ from slider_jax.simulation.effect_signature import typical_size
 DETECTION_MARGIN = 1.2816
 """Standard errors above the decision limit at which nine of ten effects are detected."""
 ABSORBED_SHARE = 1e-9
-"""A parameter is absorbed by calibration if this share of its information or less remains."""
+"""Calibration absorbs a parameter if at most this share of its information remains."""
 
 
 class DetectionLimit(NamedTuple):
@@ -101,7 +101,7 @@ class DetectabilityMatrix:
 
 
 def required_gain(freedom: int, many: int) -> float:
-    """Return the gain above which a candidate of `freedom` parameters, one of `many`, is found."""
+    """Return the gain required of one of `many` candidates with `freedom` parameters."""
     return max(
         DEFAULT_SETTINGS.min_gain,
         float(chi2.isf(DEFAULT_SETTINGS.false_alarm_p / many, freedom)),

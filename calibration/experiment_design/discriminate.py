@@ -6,8 +6,8 @@ readings and J the tangents of the second model, which is refitted:
 
     lambda = min over x of |W (d + J x)|^2
 
-The sum is over all trials and one more. It is the expected loss of the second model: the
-noncentrality of the chi-square test against it. If the second model is true, the two exchange
+The norm is over the existing trials and one more. Lambda is the expected loss of the second model:
+the noncentrality of the chi-square test against it. If the second model is true, the two exchange
 roles. The larger lambda counts: a model with more parameters may imitate the other one, but not the
 reverse. `alternatives` excludes a model by this loss and by the difference of the channels.
 """
@@ -43,7 +43,7 @@ class ModelDistance(NamedTuple):
     """Distance between the readings of two models, one of them refitted."""
 
     sigmas: float
-    """Standard deviations: the root of lambda."""
+    """Root of lambda: the distance in standard deviations."""
     shares: dict[str, float]
     """rms difference of every channel, as a share of its rms."""
 
@@ -60,7 +60,7 @@ class ModelDistance(NamedTuple):
 
 
 def model_distance(channels: Sequence[ChannelInformation], unit: float) -> ModelDistance:
-    """Return the distance between a refitted model and another one.
+    """Return the distance between a refitted model and a second model.
 
     The directions of `channels` are the refitted model's parameters and, last, the difference
     between the models. `unit` is the residual's mean square.
@@ -85,9 +85,9 @@ def discriminating_trial(
     """Return the record of the trial that discriminates best between an effect and an alternative.
 
     For each alternative to the effect `name`, `predictions` holds two models: with the alternative
-    and with the effect, each with the other as its `other`. Both were fitted to `trials` with a
-    residual of mean square `unit`. In the record, "times" is the number of repetitions until an
-    alternative is excluded, or None if `MAX_REPEATS` are too few.
+    and with the effect. Each has the parameters of the second model in its field `other`. Both were
+    fitted to `trials` with a residual of mean square `unit`. In the record, "times" is the number
+    of repetitions until an alternative is excluded, or None if `MAX_REPEATS` are too few.
     """
     models = [f for pair in predictions.values() for f in pair]
     before = [f.trials(trials, progress) for f in models]
@@ -106,7 +106,7 @@ def discriminating_trial(
         return None
 
     def goal(channels: list[list[ChannelInformation]]) -> float:
-        """Return a score: first the fewest repetitions, then the mean distance."""
+        """Return a score that prefers few repetitions, and then a large mean distance."""
         found = np.array([x.threshold_ratio for x in after(channels)])
         far = np.mean(np.minimum(found, 1.0)) + 1e-2 * np.mean(found / (1.0 + found))
         return float(far) - 2.0 * (needed(channels) or MAX_REPEATS + 1)

@@ -51,7 +51,7 @@ class SensorModel:
     noise: dict[str, Noise]
     """Noise of each channel."""
     every: dict[str, int]
-    """Each channel reads one in so many samples."""
+    """Sampling interval of each channel, in samples."""
     measured: dict[str, Record]
     """Measured trials by file; they keep their own samples."""
 
@@ -232,7 +232,7 @@ def predict_information(
     coarse: Resolution = COARSE,
     memo: Memo | None = None,
 ) -> TrialInformation:
-    """Return the predictor at the experiment's parameters, along the base model's and the effects'.
+    """Return the predictor for base parameters and `effects`, at the experiment's parameters.
 
     Raise `InputError` if the experiment fixes no values of C_d and m_a or declares no noise.
     """

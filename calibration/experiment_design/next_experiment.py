@@ -113,7 +113,7 @@ def _discriminating(
             )
             for n, x in fits.items()
         }
-        progress(f"searching the next trial to discriminate {this.chosen}, {', '.join(fits)}")
+        progress(f"searching the trial that discriminates {this.chosen} from {', '.join(fits)}")
         found = discriminating_trial(
             this.chosen, predictions, last.inflation, trials, limits, effort, progress
         )
@@ -141,7 +141,7 @@ def _narrowing(
     def goal(channels: list[list[ChannelInformation]]) -> float:
         return -float(inverse(before + information(channels[0]))[widest, widest])
 
-    progress(f"searching the next trial to narrow the interval of {p.label}")
+    progress(f"searching the trial that narrows the interval of {p.label}")
     best = TrialSearch([f], goal, limits).run(effort, progress)
     after = float(np.sqrt(final.inflation * -best.value))
     unit = "" if p.prior.unit == "-" else f" {p.prior.unit}"

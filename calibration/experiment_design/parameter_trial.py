@@ -55,7 +55,7 @@ class MeasuredInformation(NamedTuple):
     free: np.ndarray
     """Indices (k,) of the identified entries."""
     noise: Mapping[str, tuple[Noise, int]]
-    """Noise of every measured channel; the channel reads one in so many samples."""
+    """Noise of every measured channel, and its sampling interval in samples."""
 
     @classmethod
     def of(cls, problem: AbstractProblem, fit: Fit) -> "MeasuredInformation":

@@ -95,7 +95,7 @@ def _own_range(experiment: Experiment, name: str, option: str) -> tuple[float, f
     def rounded(x: float) -> float:
         return float(np.clip(float(f"{x:.3g}"), allowed.low, allowed.high))
 
-    # A tank that never towed, or never in the other direction, may not be able to.
+    # A tank that never towed, or only in one direction, may be unable to do more.
     return rounded(low - lower if low else 0.0), rounded(high + upper if high else 0.0)
 
 

@@ -50,7 +50,7 @@ class Fit(NamedTuple):
 
     @property
     def inflation(self) -> float:
-        """Mean square of the whitened residuals, at least 1: 1 if the noise is as declared."""
+        """Mean square of the whitened residuals, at least 1; near 1 if the noise is as declared."""
         return max(1.0, self.square / max(self.samples - len(self.free), 1))
 
     @property
