@@ -1,10 +1,10 @@
 """Alternative effects: which of them fit as well as a chosen effect.
 
 In the round that chooses an effect, alternatives are candidates that explain as much as the effect
-or have parallel tangents. At that time another missing effect can hide the difference between alternatives.
-So they are compared again after the selection, if no residual exceeds the noise floor. Each
-alternative is substituted for the chosen effect, and all parameters are refitted. An alternative
-that fits worse by the naming threshold is excluded; the others form the equivalence class.
+or have parallel tangents. At that time another missing effect can hide their differences. So they
+are compared again after the selection, if no residual exceeds the noise floor. Each alternative is
+substituted for the chosen effect, and all parameters are refitted. An alternative that fits worse
+by the naming threshold is excluded; the others form the equivalence class.
 """
 
 from collections.abc import Mapping, Sequence

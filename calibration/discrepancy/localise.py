@@ -56,8 +56,8 @@ def residual_timing(record: Record, channel: str, model: np.ndarray) -> dict[str
 
     `phase` is the eighth of the drive's period, from t = 0, with the largest `share` of the squared
     residual. `growing` is the share of the squared residual while the model's reading moves away
-    from its mean. `mean` is the residual's mean over its rms. After subtraction of the mean, the sine of frequency `peak_Hz`
-    explains the largest share of the square, `peak_share`.
+    from its mean. `mean` is the residual's mean over its rms. After subtraction of the mean, the
+    sine of frequency `peak_Hz` explains the largest share of the square, `peak_share`.
     """
     there = record.there(channel)
     r = (record.values[row_of(channel)] - model)[there]

@@ -1,7 +1,8 @@
-"""Dependence of parameters on the drive frequency, as affine maps of one fitted vector.
+"""Ties between the parameters of trials: affine maps of one fitted vector to every trial.
 
-The same fit serves four kinds of ties: `constant` values, the `paper`'s ramp with its published
-values, a `ramp` with identified end values, and separate values for every frequency.
+Four kinds of ties describe how C_d and m_a depend on the drive frequency: `constant` values, the
+`paper`'s ramp with its published values, a `ramp` with identified end values, and separate values
+for every frequency.
 """
 
 from collections.abc import Sequence
