@@ -36,7 +36,10 @@ DEFINITIONS = {
 
 
 def manifold(
-    logs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="LOG.txt ...")],
+    logs: Annotated[
+        tyro.conf.Positional[tuple[Path, ...]],
+        tyro.conf.arg(metavar="LOG.txt ...", help_behavior_hint="(required)"),
+    ],
     out: Folder,
     plot: Pictures = True,
 ) -> None:

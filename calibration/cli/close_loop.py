@@ -16,7 +16,9 @@ from slider_jax.errors import InputError
 def close_loop(
     inputs: Annotated[
         tyro.conf.Positional[tuple[Path, ...]],
-        tyro.conf.arg(metavar="EXPERIMENT.toml | LOG.txt ...", name="inputs"),
+        tyro.conf.arg(
+            metavar="EXPERIMENT.toml | LOG.txt ...", name="inputs", help_behavior_hint="(required)"
+        ),
     ],
     out: Folder,
     model: ModelFile = None,

@@ -145,7 +145,7 @@ class AbstractProblem(ABC):
     def residuals(
         self, predicted: list[np.ndarray], white: dict[tuple[int, str], Whitener]
     ) -> dict[tuple[int, str], np.ndarray]:
-        """Return the whitened residuals, measured less predicted, of every trial and channel."""
+        """Return the whitened residuals, measured minus predicted, of every trial and channel."""
         found = {}
         for key, whiten in white.items():
             i, channel = key
