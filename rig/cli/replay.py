@@ -37,8 +37,8 @@ def rig_replay(
         recording: an experiment's folder, or one recording (.h5).
         out: folder for the converted trials, required for an experiment's folder; created if
             missing. Existing files are replaced.
-        rig: TOML file of the rig, whose sensors replace the recorded ones (default: the recorded
-            rig). If the file lacks the force sensor's counts, the recorded counts are used.
+        rig: TOML file of the rig, whose sensors replace the recorded ones. If the file lacks the
+            force sensor's counts, the recorded counts are used.
         speed: playback speed as a multiple of the recorded speed.
     """
     if recording.is_dir():

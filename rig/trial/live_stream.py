@@ -9,7 +9,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from rig.manifold.driver import Manifold
-from rig.protocol.messages import Follows, ManifoldState, Reading
+from rig.protocol.messages import CHANNELS, Follows, ManifoldState, Reading
 from rig.recording.clock import RunningClock
 from rig.recording.table import ORDER, AnalogueSensor, resample_at_rows
 
@@ -97,20 +97,18 @@ class LiveStream:
                 break
             rows.append(self._rows.popleft())
             at.append(t)
-        n = len(rows)
-        set_pressure, measured = np.zeros((2, n)), np.full((5, n), np.nan)
-        device, arrived = np.zeros(n), np.zeros(n, np.int64)
-        for i, (host_ns, reading, mean) in enumerate(rows):
-            device[i], arrived[i] = 1e-6 * reading.device_us, host_ns
-            set_pressure[:, i] = mean
-            p = reading.channels
-            measured[:2, i] = p[0] - p[1], p[2] - p[3]
-            for sensor in self._analogue:
-                measured[CHANNELS_OUT.index(sensor.column), i] = sensor.signal(np.array(p))
-        if n and self._has_force:
+        device = np.array([1e-6 * reading.device_us for _, reading, _ in rows])
+        set_pressure = np.array([mean for _, _, mean in rows]).reshape(-1, 2).T
+        p = np.array([reading.channels for _, reading, _ in rows], float).reshape(-1, len(CHANNELS))
+        measured = np.full((len(CHANNELS_OUT), len(rows)), np.nan)
+        measured[:2] = p[:, 0] - p[:, 1], p[:, 2] - p[:, 3]
+        for sensor in self._analogue:
+            measured[CHANNELS_OUT.index(sensor.column)] = sensor.signal(p)
+        if rows and self._has_force:
             for i in (1, 2):
                 measured[1 + i] = resample_at_rows(np.array(at), forces[0], forces[i])
             del self._forces[: int(np.searchsorted(forces[0], at[-1] - FORCE_MEMORY))]
+        arrived = np.array([host_ns for host_ns, _, _ in rows], np.int64)
         return LiveReadings(device, set_pressure, measured, arrived)
 
     def _order(self) -> None:

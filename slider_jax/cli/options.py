@@ -69,7 +69,9 @@ Pressures = Annotated[
     _DEFAULT_IN_HELP,
 ]
 Frequencies = Annotated[
-    tuple[float, ...], _read_by(_numbers, "HZ ...", "frequencies in Hz, such as 1.5", "*")
+    tuple[float, ...],
+    _read_by(_numbers, "HZ ...", "frequencies in Hz, such as 1.5", "*"),
+    _DEFAULT_IN_HELP,
 ]
 _VALUE, _WHOLE = _read_by(_number, "X", "a number"), _read_by(_whole, "N", "a whole number")
 Value = Annotated[float, _VALUE]

@@ -29,7 +29,7 @@ TOML_CASES = {
     ),
     "coefficient beside the ramp": (
         ("m_a = 1.0", 'force_coefficients = "ramp"'),
-        ('parameters.C_d: given 3.0; allowed only with force_coefficients = "fixed"', "leave it"),
+        ('parameters.C_d: given 3.0; allowed only with force_coefficients = "fixed"', "omit it"),
     ),
     "unknown coefficients": (
         ("m_a = 1.0", 'm_a = 1.0\nforce_coefficients = "paper"'),
@@ -57,7 +57,7 @@ TOML_CASES = {
     "chamber with one end": (("[0.02, 0.145]", "[0.02]"), ("robot.front_chamber.1: missing",)),
     "duplicate trial files": (
         ('"trial_01.csv"', '"trial_00.csv"'),
-        ("trials.1.file", "trials.0 has it already"),
+        ("trials.1.file", "trials.0 has this name"),
     ),
     "trial file outside the folder": (
         ('"trial_01.csv"', '"../trial_01.csv"'),

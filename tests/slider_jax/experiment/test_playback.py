@@ -151,7 +151,7 @@ def test_a_trial_of_which_nothing_is_told_is_driven_as_meant(tmp_path):
         (
             [0.0, 0.1, 0.75],
             [1e5] * 3,
-            "played at 100000 Pa; the trial trial_00.csv says 150000",
+            "amplitude is 100000 Pa, but 150000 Pa in the trial trial_00.csv",
         ),
         ([0.0, 0.0, 0.75], [1e5] * 3, "time must increase from row to row"),
     ],

@@ -197,7 +197,7 @@ def _wave(turns):
 
 
 @pytest.mark.parametrize(
-    "thrust, growth, said",
+    "thrust, growth, expected",
     [
         (lambda x: 0.2 + _wave(x), 0.0, None),
         (lambda x: 0.2 + 0.0015 * x, 0.0, None),  # by 0.75 %
@@ -207,11 +207,13 @@ def _wave(turns):
         (lambda x: 0.0 * x, 0.001, None),
     ],
 )
-def test_a_trial_is_periodic_if_its_last_two_strides_agree(short, thrust, growth, said):
+def test_a_trial_is_periodic_if_its_last_two_strides_agree(short, thrust, growth, expected):
     run = _with(short, thrust, lambda x: (1.0 + growth * x) * _wave(x))
     periodic, warning = is_periodic(run)
-    assert periodic is (said is None)
-    assert said is None or (said in warning and "run longer (duration = 1.5)" in warning)
+    assert periodic is (expected is None)
+    assert expected is None or (
+        expected in warning and "extend the trial (duration = 1.5)" in warning
+    )
 
 
 def test_trials_of_less_than_two_strides_say_so(short):
