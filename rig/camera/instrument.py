@@ -12,10 +12,10 @@ from rig.camera.scale import Scale, tip_excursion
 from rig.camera.source import Camera, Frame, Source, record_markers
 from rig.camera.tracking import Tracker, order_at_rest
 from rig.errors import RigError
+from rig.recording.clock import Sink
 from rig.recording.reader import RecordedStream
 from rig.recording.table import SampledColumns, StreamReader
 
-Sink = Callable[[int, bytes], None]
 LOOKS = 20
 """Frames at rest in which all markers have to be seen at once, or the camera sees them not."""
 LEAST_SEEN = 0.8

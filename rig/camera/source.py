@@ -6,7 +6,7 @@ A frame's number is counted by the source's own times, so that a frame that neve
 import queue
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
@@ -16,6 +16,7 @@ from rig.camera.marker_records import pack_record
 from rig.camera.markers import Look, find_markers, import_opencv
 from rig.camera.tracking import Tracker
 from rig.errors import RigError
+from rig.recording.clock import Sink
 
 STALLED = 5.0
 """A live source that gives no frame for so long [s] is taken for gone."""
@@ -202,7 +203,7 @@ def frames_between(before: int | None, now: int, fps: float) -> int:
 def record_markers(
     camera: Iterable[Frame],
     tracker: Tracker,
-    sink: Callable[[int, bytes], None],
+    sink: Sink,
     look: Look = Look(),
 ) -> None:
     """Track the markers to the camera's end: `sink(host_ns, record)` for each frame."""

@@ -19,10 +19,10 @@ from rig.force.sensor import (
     ForceSource,
     Health,
     ReaderThread,
-    Sink,
     check_positive,
     unit_in_si,
 )
+from rig.recording.clock import Sink
 
 PAGE = "netftapi2.xml"
 TRIES = 3

@@ -24,11 +24,10 @@ from rig.force.sensor import (
     ForceSource,
     Health,
     ReaderThread,
-    Sink,
     check_positive,
     unit_in_si,
 )
-from rig.recording.clock import host_sample_times
+from rig.recording.clock import Sink, host_sample_times
 
 _FIRST = struct.Struct("<Q")
 FULL = 0.995

@@ -21,11 +21,11 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from rig.errors import RigError
+from rig.recording.clock import Sink
 from rig.recording.reader import RecordedStream
 from rig.recording.table import SampledColumns, StreamReader
 
 AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
-Sink = Callable[[int, bytes], None]
 
 NEWTONS = {"n": 1.0, "kn": 1e3, "lbf": 4.4482216152605, "klbf": 4448.2216152605, "kg": 9.80665}
 NEWTON_METRES = {

@@ -9,9 +9,8 @@ import serial
 from rig.errors import RigError
 from rig.manifold.serial_port import PortLost, read_piece
 from rig.protocol.messages import FrameDecoder, Message, encode_frame
-from rig.recording.clock import host_ns
+from rig.recording.clock import Sink, host_ns
 
-Sink = Callable[[int, bytes], None]
 VENTS = "the manifold vents by itself 0.1 s after the last command"
 MAX_DAMAGED = 1e-3
 """Share of damaged frames above which errors are blamed on the line."""

@@ -9,7 +9,7 @@ from types import TracebackType
 import serial
 
 from rig.errors import RigError
-from rig.manifold.connection import VENTS, Connection, Sink
+from rig.manifold.connection import VENTS, Connection
 from rig.manifold.limits import PressureLimits, checked_pressures
 from rig.manifold.serial_port import PortLost
 from rig.protocol.messages import (
@@ -35,6 +35,7 @@ from rig.protocol.messages import (
     WavePiece,
     WavePlay,
 )
+from rig.recording.clock import Sink
 
 ANSWER_WAIT, TRIES = 0.08, 8
 """Wait for an answer [s], shorter than the watchdog's 0.1 s; number of tries of a command."""

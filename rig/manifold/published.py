@@ -8,9 +8,9 @@ from typing import NamedTuple
 import serial
 
 from rig.errors import RigError
-from rig.manifold.connection import Sink
 from rig.manifold.serial_port import BAUD, PortLost, read_piece
 from rig.protocol.published import Dialogue, Done, Event, Header, LogRow, Question
+from rig.recording.clock import Sink
 
 FREQUENCIES = (0.1, 5.0)
 """Allowed frequencies [Hz]; the published sweep is from 0.25 to 3 Hz."""

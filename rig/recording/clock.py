@@ -8,6 +8,7 @@ delay measurements", INFOCOM 1999). The smallest delay is unobservable and taken
 """
 
 import time
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +25,10 @@ _BLOCK = 0.5
 """The on-line fit keeps one arrival for each interval of this duration [s]."""
 MAX_MEDIAN_DELAY = 0.5
 """Largest median delay of samples [s]; a larger one shows that the sensor has another rate."""
+
+
+Sink = Callable[[int, bytes], None]
+"""Receiver of a stream: it gets the host's time of arrival [ns] and the bytes of each piece."""
 
 
 def host_ns() -> int:

@@ -12,12 +12,11 @@ import numpy as np
 from rig.errors import RigError
 from rig.manifold.driver import Manifold
 from rig.manifold.limits import PressureLimits
+from rig.recording.clock import Sink
 from rig.recording.writer import RecorderLoad
 from rig.recording.writer_process import ProcessRecorder
 from rig.trial.player import RATE, PlaybackRecord, play_drive, wait_until
 from rig.trial.waveform import SegmentDrive
-
-Sink = Callable[[int, bytes], None]
 
 
 class RecordedInstrument(Protocol):
