@@ -1,2 +1,4 @@
-"""Force sensors: ATI Net F/T over UDP, and gauge voltages of an NI card. May import `recording` and
-`protocol`."""
+"""Force sensors: an ATI Net F/T box over UDP, and strain gauges on an NI card.
+
+May import `recording` and `protocol`.
+"""

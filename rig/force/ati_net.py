@@ -1,4 +1,4 @@
-"""ATI Net F/T: its calibration from the box's own page, and its stream over UDP."""
+"""ATI Net F/T box: its calibration from its web page, and its stream over UDP."""
 
 import socket
 import time
@@ -26,11 +26,12 @@ from rig.recording.clock import Sink
 
 PAGE = "netftapi2.xml"
 TRIES = 3
+"""UDP may lose a request, so each request is sent up to three times."""
 
 
 @dataclass(frozen=True)
 class NetCalibration:
-    """Counts of a Net F/T for one newton and for one newton metre."""
+    """Counts of a Net F/T box per newton and per newton metre."""
 
     counts_per_N: float
     counts_per_Nm: float
@@ -45,20 +46,20 @@ class NetCalibration:
 
     @classmethod
     def from_page(cls, page: bytes, where: str) -> "NetCalibration":
-        """From `netftapi2.xml`: cfgcpf, cfgcpt (counts per unit), scfgfu, scfgtu (the units).
+        """Read `netftapi2.xml`: counts per unit (cfgcpf, cfgcpt), and the units (scfgfu, scfgtu).
 
-        Raises `RigError`, naming `where` it is from, if it is torn, lacks one, or has other units.
+        Raises `RigError` for an incomplete page or an unknown unit; `where` names the page.
         """
-        again = "reload it, or give counts_per_N and counts_per_Nm by hand"
+        advice = "reload the page, or set counts_per_N and counts_per_Nm in the rig file"
         try:
             root = ET.fromstring(page)
         except ET.ParseError as error:
-            raise RigError(f"{where}: is no whole XML ({error}); {again}") from None
+            raise RigError(f"{where}: incomplete XML ({error}); {advice}") from None
 
         def text(name: str) -> str:
             found = root.findtext(f".//{name}")
             if not found or not found.strip():
-                raise RigError(f"{where}: {name} is missing; {again}")
+                raise RigError(f"{where}: {name} is missing; {advice}")
             return found.strip()
 
         def per_unit(name: str) -> float:
@@ -66,7 +67,7 @@ class NetCalibration:
                 return float(text(name))
             except ValueError:
                 raise RigError.value(
-                    f"{where}, {name}", repr(text(name)), "a number", again
+                    f"{where}, {name}", repr(text(name)), "a number", advice
                 ) from None
 
         return cls(
@@ -77,7 +78,7 @@ class NetCalibration:
 
     @classmethod
     def fetch(cls, host: str, port: int = 80, timeout: float = 3.0) -> "NetCalibration":
-        """From the box at `host`. Raises `RigError` if it does not answer, or as `from_page`."""
+        """Read the page of the box at `host`. Raises `RigError` if it does not answer."""
         where = f"http://{host}:{port}/{PAGE}"
         direct = urllib.request.build_opener(urllib.request.ProxyHandler({}))
         try:
@@ -85,19 +86,18 @@ class NetCalibration:
                 page = answer.read(10**6)
         except (OSError, HTTPException) as error:
             raise RigError(
-                f"{where}: could not be read ({getattr(error, 'reason', error)}); see that the "
-                f"box has power and `ping {host}` answers, or give counts_per_N and counts_per_Nm "
-                "by hand"
+                f"{where}: cannot be read ({getattr(error, 'reason', error)}); check that the "
+                f"box has power and `ping {host}` answers, or set counts_per_N and counts_per_Nm "
+                "in the rig file"
             ) from None
         return cls.from_page(page, where)
 
     def wrench(self, counts: np.ndarray) -> np.ndarray:
-        """Forces [N] and torques [N m], (..., 6), of counts (..., 6)."""
+        """Return forces [N] and torques [N m] (..., 6) of counts (..., 6)."""
         return counts / np.repeat([self.counts_per_N, self.counts_per_Nm], 3)
 
     def forces(self, host_ns: Sequence[int], datagrams: Sequence[bytes]) -> Forces:
-        """The forces of one stream; raises `RigError` as `rig.force.ati_rdt.record_table` and
-        `Records.times`."""
+        """Return the forces of one stream. Raises `RigError` if it is empty or damaged."""
         records = rdt.record_table(host_ns, datagrams)
         wrench = self.wrench(records.counts)
         wrench[~records.present] = np.nan
@@ -107,7 +107,7 @@ class NetCalibration:
 class NetForce(ForceSource):
     """A Net F/T box that streams over UDP.
 
-    Raises `RigError` at once if there is no way to `host`, on `start` if it does not answer.
+    Raises `RigError` at once if `host` is unreachable, and in `start` if it does not answer.
     """
 
     def __init__(
@@ -119,20 +119,20 @@ class NetForce(ForceSource):
         buffer: int = 4 << 20,
     ) -> None:
         if not 0 < port < 65536:
-            raise RigError.value("force sensor's port", port, "1 to 65535, of a box 49152")
+            raise RigError.value("force sensor's port", port, "1 to 65535; a box uses 49152")
         self.calibration = calibration
         self.name = f"force sensor {host}:{port}"
         self.patience = patience
-        """Longest silence [s] at the start, and in the stream."""
+        """Longest allowed silence [s] at the start and in the stream."""
         self.tally = rdt.StreamTally()
         self._last: tuple[int, tuple[int, ...]] | None = None
         self._reader: ReaderThread | None = None
         self._sink: Sink
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        # The kernel takes some 0.7 kB a record, and gives what its own limit allows.
+        # The kernel needs about 0.7 kB per record; it may grant less than this buffer.
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer)
         try:
-            self._socket.connect((host, port))  # from now on only this box is heard
+            self._socket.connect((host, port))  # accepts datagrams of this box only
         except (OSError, UnicodeError) as error:
             self._socket.close()
             raise self._unreachable(getattr(error, "strerror", None) or str(error)) from None
@@ -140,9 +140,9 @@ class NetForce(ForceSource):
     def _unreachable(self, why: str) -> RigError:
         host, port = self.name.removeprefix("force sensor ").rsplit(":", 1)
         return RigError(
-            f"{self.name}: {why}; see that the box has power and a link, that this computer has "
-            f"an address in its subnet (`ping {host}`), that RDT is enabled on http://{host}/, and "
-            f"that no firewall holds back UDP {port}"
+            f"{self.name}: {why}; check that the box has power and a link, that this computer "
+            f"has an address in its subnet (`ping {host}`), that RDT is enabled on http://{host}/, "
+            f"and that no firewall blocks UDP {port}"
         )
 
     def _send(self, command: int) -> None:
@@ -168,7 +168,7 @@ class NetForce(ForceSource):
         self._last = now, tuple(counts)
 
     def start(self, sink: Sink) -> None:
-        """As `ForceSource.start`; a stream that an earlier run left is ended first."""
+        """Start the stream, after ending one that an earlier run may have left."""
         self.stop()
         self.tally, self._last, self._sink = rdt.StreamTally(), None, sink
         for _ in range(TRIES):
@@ -190,8 +190,8 @@ class NetForce(ForceSource):
         self._reader = ReaderThread(self.name, receive, self._take, self.patience)
 
     def bias(self) -> None:
-        """The box itself subtracts it from then on, until it is switched off."""
-        for _ in range(TRIES):  # nothing answers, and a datagram may be lost
+        """Take the present load as zero; the box subtracts it until it is switched off."""
+        for _ in range(TRIES):  # the box does not confirm it, and a datagram may be lost
             self._send(rdt.BIAS)
 
     def latest(self) -> tuple[int, np.ndarray] | None:
@@ -204,7 +204,7 @@ class NetForce(ForceSource):
         return Health(self.tally.received, len(self.tally.missing), self.tally.saturated)
 
     def check(self) -> None:
-        """As `ForceSource.check`; saturation is counted in `health`, and is no error here."""
+        """Raise `RigError` as `ForceSource.check`. Saturation is not an error; `health` counts it."""
         if self._reader is not None:
             self._reader.check()
         if self.tally.fault:
@@ -219,7 +219,7 @@ class NetForce(ForceSource):
             try:
                 self._socket.send(rdt.request_bytes(rdt.STOP))
             except OSError:
-                pass  # a box that is gone needs no stopping
+                pass  # an unreachable box needs no stop
             if self._reader.end(0.25):
                 break
         else:

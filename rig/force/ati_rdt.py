@@ -1,7 +1,7 @@
-"""RDT, the stream of an ATI Net F/T box, as data: requests, records, and tables with their gaps.
+"""RDT, the stream format of an ATI Net F/T box: requests, records, and tables of records.
 
-A request is 8 bytes, a record 36, big endian, one a UDP datagram (ATI manual 9620-05-NET FT).
-UDP loses, doubles and reorders; records are numbered, so that those missing are known exactly.
+A UDP datagram contains one request of 8 bytes or one record of 36 bytes, big endian (ATI manual
+9620-05-NET FT). UDP may lose, duplicate and reorder records; their numbers show which are missing.
 """
 
 import struct
@@ -16,59 +16,59 @@ from rig.recording.clock import host_sample_times
 PORT = 49152
 STOP, START, BIAS = 0, 2, 0x42
 INTERNAL_RATE = 7000.0
-"""Samples a second that a box takes, whatever part of them it sends; `ft_seq` counts them."""
+"""Rate [1/s] of the box's own samples, which `ft_seq` counts; the box sends only some of them."""
 ERROR, SATURATED, LATCHED = 1 << 31, 1 << 17, 1 << 16
-"""Bits of the status: any error; transducer saturated; a threshold was passed (no error)."""
+"""Bits of the status: any error; saturated transducer; a threshold was passed (not an error)."""
 STUCK = 0.1
-"""Six axes that keep their counts for so long [s] are no measurement: a live one has noise."""
+"""Six axes with constant counts for this time [s] are stuck: a working sensor has noise."""
 
 RECORD = struct.Struct(">III6i")
 _FIELDS = np.dtype([("rdt", ">u4"), ("ft", ">u4"), ("status", ">u4"), ("counts", ">i4", 6)])
 
 
 def request_bytes(command: int, count: int = 0) -> bytes:
-    """The bytes of a command; a `count` of 0 streams until stopped."""
+    """Return the bytes of a command; a `count` of 0 streams until stopped."""
     return struct.pack(">HHI", 0x1234, command, count)
 
 
 def check_size(datagram: bytes, where: str) -> None:
-    """Raise `RigError` for what is no record."""
+    """Raise `RigError` if a datagram does not have the size of a record."""
     if len(datagram) != RECORD.size:
         raise RigError.value(
             where,
             f"a datagram of {len(datagram)} bytes",
             f"records of {RECORD.size}",
-            "see that this is a Net F/T box, and its RDT port",
+            "check that this is the RDT port of a Net F/T box",
         )
 
 
 def has_box_error(status):
-    """True where a status, a number or an array, tells of more than saturation or a threshold."""
+    """Return whether a status (number or array) has an error other than saturation."""
     return (status & ~(ERROR | SATURATED | LATCHED) != 0) | (status == ERROR)
 
 
 def is_invalid(status):
-    """True where a record is no measurement: saturated, or the box tells an error."""
+    """Return whether a status (number or array) shows saturation or another error."""
     return (status & SATURATED != 0) | has_box_error(status)
 
 
 def status_text(status: int) -> str:
-    """What a status says; empty if it says no error."""
-    told = ["saturated"] if status & SATURATED else []
+    """Return a description of a status; empty without an error."""
+    parts = ["saturated"] if status & SATURATED else []
     if has_box_error(status):
-        told.append("an error of the box, see System Status Code in its manual")
-    return f"status {status:#010x}: {', '.join(told)}" if told else ""
+        parts.append("an error of the box, see System Status Code in its manual")
+    return f"status {status:#010x}: {', '.join(parts)}" if parts else ""
 
 
 class BoxTime:
-    """The box's own time, record by record: its samples are even, their arrivals are not."""
+    """Time of each record by the box's own clock: sampling is regular, arrival is not."""
 
     def __init__(self) -> None:
         self._last: int | None = None
         self._counts = 0
 
     def seconds(self, ft_seq: int) -> float | None:
-        """Since the first record [s]; None for one that comes again, or after a later one."""
+        """Return the time since the first record [s]; None for a duplicate or a late record."""
         if self._last is not None:
             step = (ft_seq - self._last + 2**31) % 2**32 - 2**31
             if step <= 0:
@@ -79,18 +79,18 @@ class BoxTime:
 
 
 class StreamTally:
-    """Counts of a stream while it runs, record by record."""
+    """Counts of a running stream, record by record."""
 
     def __init__(self) -> None:
         self.received = self.late = self.duplicates = self.saturated = 0
         self.fault = 0
-        """The last status that told of an error."""
+        """The last status with an error."""
         self.missing: set[int] = set()
-        """Numbers passed over that have not come yet."""
+        """Numbers of skipped records that have not arrived yet."""
         self._highest = 0
 
     def count(self, rdt_seq: int, status: int) -> None:
-        """Take one record. A box numbers the records of a stream from 1."""
+        """Count one record. A box numbers the records of a stream from 1."""
         self.received += 1
         self.saturated += bool(status & SATURATED)
         if has_box_error(status):
@@ -109,16 +109,16 @@ class StreamTally:
 
 @dataclass(frozen=True)
 class Records:
-    """A stream in the order of its numbers, (n,) from the first to the last that came.
+    """The records of a stream (n,), ordered by number from the first to the last received one.
 
     | field | meaning |
     |---|---|
-    | `seq` | number, counted on where the box's 32 bits roll over |
-    | `present` | False where the record never came; the fields below are 0 there |
-    | `host_ns` | arrival, host's monotonic clock [ns] |
+    | `seq` | number, continued over the overflow of the box's 32 bits |
+    | `present` | False for a missing record; the fields below are 0 there |
+    | `host_ns` | arrival on the host's monotonic clock [ns] |
     | `ft_seq`, `status` | the box's count of its own samples, and its status |
     | `counts` | (n, 6) Fx, Fy, Fz, Tx, Ty, Tz |
-    | `late`, `duplicates` | how many came after a higher number, or again |
+    | `late`, `duplicates` | numbers of records that arrived after a later one, or twice |
     """
 
     seq: np.ndarray
@@ -132,7 +132,7 @@ class Records:
 
     @property
     def missing(self) -> np.ndarray:
-        """Numbers of the records that never came."""
+        """Numbers of the missing records."""
         return self.seq[~self.present]
 
     @property
@@ -143,19 +143,19 @@ class Records:
 
     @property
     def rate(self) -> float:
-        """Records a second by the box's own clock, from `ft_seq`."""
+        """Rate of the records by the box's own clock [1/s], from `ft_seq`."""
         first, last = np.flatnonzero(self.present)[[0, -1]]
         samples = int(self.ft_seq[last] - self.ft_seq[first]) % 2**32
         if not samples:
             raise RigError.value(
                 "force sensor's record",
-                f"ft_seq {self.ft_seq[last]} throughout",
-                "a count that rises",
+                f"constant ft_seq {self.ft_seq[last]}",
+                "a rising count",
             )
         return INTERNAL_RATE * int(last - first) / samples
 
     def times(self) -> np.ndarray:
-        """(n,) when each was sampled, host's monotonic clock [ns], also of those missing."""
+        """Return the sampling times (n,) on the host's monotonic clock [ns], gaps included."""
         if len(self.seq) == 1:
             return self.host_ns
         at = self.present
@@ -167,46 +167,50 @@ class Records:
         rows = np.flatnonzero(self.present)
         new = np.any(np.diff(self.counts[rows], axis=0) != 0, axis=1)
         run = np.concatenate([[0], np.cumsum(new)])
-        found = np.zeros(len(self.seq), bool)
+        stuck = np.zeros(len(self.seq), bool)
         if len(rows) > 1:
-            found[rows] = np.bincount(run)[run] >= STUCK * self.rate
-        return found
+            stuck[rows] = np.bincount(run)[run] >= STUCK * self.rate
+        return stuck
 
     @property
     def doubtful(self) -> np.ndarray:
-        """(n,) True where saturated, stuck, or the box told an error."""
+        """(n,) True where the sensor was saturated or stuck, or the box reported an error."""
         return self.stuck | is_invalid(self.status)
 
     def findings(self) -> tuple[str, ...]:
-        """What a user should know of, a sentence each."""
-        told = []
+        """Return the problems for the user, one sentence each."""
+        found = []
         if len(self.missing):
-            told.append(f"{len(self.missing)} of {len(self.seq)} records missing")
+            found.append(f"{len(self.missing)} of {len(self.seq)} records missing")
         if self.late or self.duplicates:
-            told.append(f"{self.late} records came late and {self.duplicates} twice; put in order")
+            found.append(f"{self.late} records arrived late and {self.duplicates} twice; sorted")
         if stuck := int(self.stuck.sum()):
-            told.append(f"{stuck} records repeat the same counts for {STUCK:g} s or longer: stuck")
+            found.append(f"{stuck} records repeat the same counts for {STUCK:g} s or longer: stuck")
         for status in np.unique(self.status):
             if text := status_text(int(status)):
-                told.append(f"{int((self.status == status).sum())} records with {text}")
-        return tuple(told)
+                found.append(f"{int((self.status == status).sum())} records with {text}")
+        return tuple(found)
 
 
 def record_table(host_ns: Sequence[int] | np.ndarray, datagrams: Sequence[bytes]) -> Records:
-    """The records of one stream, from arrival times [ns] and datagrams in order of arrival.
+    """Return the records of one stream, from arrival times [ns] and datagrams in order of arrival.
 
-    What was lost before the first number or after the last cannot be seen. Raises `RigError` if
-    there is none, one has another size, or a number comes again with other content (a new stream).
+    Losses before the first or after the last record cannot be detected. Raises `RigError` for an
+    empty stream, a record of wrong size, or a repeated number with other content (a new stream).
     """
     if not datagrams:
-        raise RigError("force sensor: no records; nothing came while it was recorded")
+        raise RigError(
+            "force sensor: no records arrived during the recording; check it with `slider rig check`"
+        )
     for i, datagram in enumerate(datagrams):
         check_size(datagram, f"force sensor's datagram {i}")
     joined = b"".join(datagrams)
     raw = np.frombuffer(joined, _FIELDS)
     content = np.frombuffer(joined, np.uint8).reshape(len(raw), -1)
     rdt = raw["rdt"].astype(np.uint32)
-    number = rdt[0] + (rdt - rdt[0]).astype(np.int32).astype(np.int64)  # over the roll to 0
+    number = rdt[0] + (rdt - rdt[0]).astype(np.int32).astype(
+        np.int64
+    )  # also over the 32-bit overflow
     unique, first, back = np.unique(number, return_index=True, return_inverse=True)
     other = np.flatnonzero((content != content[first[back]]).any(axis=1))
     if len(other) or unique[-1] - unique[0] > 100 * len(raw) + 10**6:
@@ -215,7 +219,7 @@ def record_table(host_ns: Sequence[int] | np.ndarray, datagrams: Sequence[bytes]
             f"force sensor's datagram {at}",
             f"number {number[at]}, as if a new stream began",
             "one stream",
-            "read those before it and those from it on apart",
+            "read the two streams separately",
         )
     row = unique - unique[0]
     size = int(row[-1]) + 1

@@ -1,7 +1,7 @@
-"""ATI sensor without a box: six gauge voltages read by an NI card, times the sensor's matrix.
+"""ATI sensor without a box: an NI card reads six gauge voltages, and a matrix converts them.
 
-The sink gets blocks of samples: the number of the first, u64, then six volts a sample, f64, all
-little endian. Needs NI-DAQmx and the extra `ni`.
+The sink gets blocks of samples, little endian: the number of the first sample (u64), then six
+voltages per sample (f64). The module needs NI-DAQmx and the extra `ni`.
 """
 
 import struct
@@ -31,18 +31,18 @@ from rig.recording.clock import Sink, host_sample_times
 
 _FIRST = struct.Struct("<Q")
 FULL = 0.995
-"""Part of a gauge's range [V] beyond which it is saturated."""
+"""Share of a gauge's voltage range above which it counts as saturated."""
 BIAS = 0.25
-"""The zero is the mean over so long [s]."""
+"""Duration of the samples whose mean becomes the zero [s]."""
 BLOCK = 0.02
-"""One block of samples is so long [s]."""
+"""Duration of one block of samples [s]."""
 
 
 @dataclass(frozen=True)
 class GaugeCalibration:
-    """A sensor's matrix (6, 6), rows in the order of `AXES` [N or N m per V], and its zero.
+    """A sensor's matrix (6, 6) [N or N m per V], rows in the order of `AXES`, and its zero.
 
-    `volts` is the range to either side, `rate` the samples a second that it is used at, `zero` the
+    The voltage range is -`volts` to `volts`, `rate` is the sampling rate [1/s], and `zero` are the
     gauge voltages (6,) without load.
     """
 
@@ -59,18 +59,18 @@ class GaugeCalibration:
 
     @classmethod
     def read(cls, path: Path | str, rate: float = 1000.0) -> "GaugeCalibration":
-        """From ATI's `FTxxxx.cal`. Raises `RigError`, naming what it lacks."""
+        """Read ATI's `FTxxxx.cal`. Raises `RigError` for an incomplete file."""
         where = str(path)
-        again = "give the .cal file that came with the sensor, unchanged"
+        advice = "give the .cal file that came with the sensor, unchanged"
         try:
             root = ET.parse(path).getroot()
         except OSError as error:
-            raise RigError(f"{where}: cannot be read ({error.strerror}); {again}") from None
+            raise RigError(f"{where}: cannot be read ({error.strerror}); {advice}") from None
         except ET.ParseError as error:
-            raise RigError(f"{where}: is no whole XML ({error}); {again}") from None
+            raise RigError(f"{where}: incomplete XML ({error}); {advice}") from None
         calibration = root.find(".//Calibration")
         if calibration is None:
-            raise RigError(f"{where}: has no Calibration; {again}")
+            raise RigError(f"{where}: the element Calibration is missing; {advice}")
         units = [
             unit_in_si(calibration.get(name, ""), known, f"{where}, {name}")
             for name, known in (("ForceUnits", NEWTONS), ("TorqueUnits", NEWTON_METRES))
@@ -83,28 +83,30 @@ class GaugeCalibration:
             except ValueError:
                 row = []
             if len(row) != 6:
-                raise RigError(f"{where}: UserAxis {axis} needs 6 numbers as its values; {again}")
+                raise RigError(f"{where}: UserAxis {axis} needs 6 numbers as its values; {advice}")
             unit = units[axis.startswith("T")]
             matrix.append(tuple(unit * value for value in row))
         both_sides = calibration.get("OutputBipolar", "True").lower() == "true"
         try:
             volts = float(calibration.get("OutputRange", "20")) / (2.0 if both_sides else 1.0)
         except ValueError:
-            raise RigError(f"{where}: OutputRange is no number; {again}") from None
+            raise RigError(f"{where}: OutputRange is not a number; {advice}") from None
         return cls(tuple(matrix), volts, rate, serial=root.get("Serial", ""))
 
     def wrench(self, volts: np.ndarray) -> np.ndarray:
-        """Forces [N] and torques [N m], (..., 6), of gauge voltages (..., 6)."""
+        """Return forces [N] and torques [N m] (..., 6) of gauge voltages (..., 6)."""
         return (volts - np.asarray(self.zero)) @ np.asarray(self.matrix).T
 
     def saturated(self, volts: np.ndarray) -> np.ndarray:
-        """(...) True where a gauge is at the end of its range: then all six axes are wrong."""
+        """Return where (...) a gauge is at the end of its range: then all six axes are wrong."""
         return np.any(np.abs(volts) >= FULL * self.volts, axis=-1)
 
     def forces(self, host_ns: Sequence[int], blocks: Sequence[bytes]) -> Forces:
-        """The forces of one recording. Raises `RigError` if there is none, or at a wrong rate."""
+        """Return the forces of one recording. Raises `RigError` for no blocks or a wrong rate."""
         if not blocks:
-            raise RigError("force sensor: no samples; nothing came while it was recorded")
+            raise RigError(
+                "force sensor: no samples arrived during the recording; check the NI card"
+            )
         first = np.array([_FIRST.unpack_from(block)[0] for block in blocks], np.int64)
         pieces = [np.frombuffer(b, "<f8", offset=_FIRST.size).reshape(-1, 6) for b in blocks]
         last = first + np.array([len(piece) for piece in pieces]) - 1
@@ -113,20 +115,20 @@ class GaugeCalibration:
         for start, piece in zip(first - first[0], pieces, strict=True):
             volts[start : start + len(piece)] = piece
         saturated = self.saturated(volts)
-        told = []
+        findings = []
         if missing := int(np.isnan(volts[:, 0]).sum()):
-            told.append(f"{missing} of {len(number)} samples missing")
+            findings.append(f"{missing} of {len(number)} samples missing")
         if saturated.any():
-            told.append(f"{saturated.sum()} samples saturated")
+            findings.append(f"{saturated.sum()} samples saturated")
         arrived = np.asarray(host_ns, np.int64)
         times = host_sample_times(last, arrived, self.rate, number)
-        return Forces(times, self.wrench(volts), saturated, tuple(told))
+        return Forces(times, self.wrench(volts), saturated, tuple(findings))
 
 
 class GaugeForce(ForceSource):
     """Six differential inputs of an NI card, such as "Dev1/ai0:5", at the calibration's rate.
 
-    Raises `RigError` if nidaqmx or its driver is not installed, or the card refuses.
+    Raises `RigError` if nidaqmx or its driver is not installed, or the card reports an error.
     """
 
     def __init__(self, channels: str, calibration: GaugeCalibration, patience: float = 1.0) -> None:
@@ -135,7 +137,7 @@ class GaugeForce(ForceSource):
             from nidaqmx import constants, stream_readers
         except ImportError:
             raise RigError(
-                f"force sensor {channels}: needs nidaqmx; "
+                f"force sensor {channels}: nidaqmx is missing; "
                 "install the extra ni (pip install 'slider-jax[ni]') and NI-DAQmx"
             ) from None
         self.name, self.patience = f"force sensor {channels}", patience
@@ -158,7 +160,7 @@ class GaugeForce(ForceSource):
                 sample_mode=constants.AcquisitionType.CONTINUOUS,
                 samps_per_chan=round(10 * calibration.rate),
             )
-            # A card divides its clock by whole numbers, and so may take another rate than asked.
+            # The card divides its clock by a whole number, so its rate may differ.
             self.calibration: GaugeCalibration = replace(
                 calibration, rate=float(self._task.timing.samp_clk_rate)
             )
@@ -175,7 +177,7 @@ class GaugeForce(ForceSource):
     def _refused(self, error: Exception) -> RigError:
         return RigError(
             f"{self.name}: {str(error).splitlines()[0]}; "
-            "see the card, its name and its inputs in NI MAX"
+            "check the card, its name and its inputs in NI MAX"
         )
 
     def _receive(self) -> bytes:
@@ -209,9 +211,9 @@ class GaugeForce(ForceSource):
         self.check()
 
     def bias(self) -> None:
-        """Takes `BIAS` of samples, and keeps their mean as the calibration's `zero`."""
+        """Set the calibration's `zero` to the mean of the next `BIAS` seconds."""
         if self._reader is None:
-            raise RigError(f"{self.name}: bias needs samples; start first")
+            raise RigError(f"{self.name}: the stream has not started; call start before bias")
         self._recent.clear()
         while len(self._recent) < (self._recent.maxlen or 0):
             self.check()

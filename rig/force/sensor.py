@@ -1,12 +1,12 @@
-"""What every force sensor gives: raw records to a sink while it runs, and forces from them after.
+"""Interface of the force sensors: a source streams raw records, a calibration converts them.
 
 | sensor | source | calibration |
 |---|---|---|
 | ATI Net F/T box, by UDP | `rig.force.ati_net.NetForce` | `rig.force.ati_net.NetCalibration` |
 | six gauges, NI card | `rig.force.ni_daq.GaugeForce` | `rig.force.ni_daq.GaugeCalibration` |
 
-A sink is called in the source's own thread with the host's monotonic time of arrival [ns] and the
-bytes as they came; a calibration's `forces` turns what a sink got into newtons at known times.
+A source calls its sink in its own thread with the host's monotonic time of arrival [ns] and the
+received bytes. A calibration's `forces` converts these bytes into forces at known times.
 """
 
 import math
@@ -32,44 +32,44 @@ NEWTON_METRES = {
     "nm": 1.0, "nmm": 1e-3, "knm": 1e3, "kgcm": 0.0980665,
     "lbfin": 0.1129848290276167, "lbfft": 1.3558179483314004,
 }  # fmt: skip
-"""One of a sensor's units, as ATI spells them but for case and hyphens."""
+"""SI value of each unit, by ATI's name in lower case without hyphens."""
 
 
 def unit_in_si(unit: str, known: dict[str, float], where: str) -> float:
-    """Newtons or newton metres in one `unit`. Raises `RigError` for one that is not known."""
-    spelt = unit.strip().lower().replace("-", "").replace(" ", "").replace("lbin", "lbfin")
-    if spelt not in known:
+    """Return the SI value [N or N m] of one `unit`. Raises `RigError` for an unknown unit."""
+    name = unit.strip().lower().replace("-", "").replace(" ", "").replace("lbin", "lbfin")
+    if name not in known:
         raise RigError.value(
             where, f"unit {unit!r}", ", ".join(known), "set the sensor to N and N-m, or convert"
         )
-    return known[spelt]
+    return known[name]
 
 
 def check_positive(where: str, **values: float) -> None:
-    """Raise `RigError` for a value that is not a finite number above 0."""
+    """Raise `RigError` if a value is not a finite number above 0."""
     for name, value in values.items():
         if not (math.isfinite(value) and value > 0):
             raise RigError.value(f"{where}, {name}", value, "a number above 0")
 
 
 class Forces(NamedTuple):
-    """What a sensor measured."""
+    """Forces of one recording."""
 
     t_ns: np.ndarray
-    """(n,) host's monotonic clock [ns] when each was sampled, evenly spaced."""
+    """(n,) sampling times on the host's monotonic clock [ns], evenly spaced."""
     wrench: np.ndarray
-    """(n, 6) forces [N] and torques [N m] in the order of `AXES`; NaN where the sample was lost."""
+    """(n, 6) forces [N] and torques [N m] in the order of `AXES`; NaN for a lost sample."""
     doubtful: np.ndarray
-    """(n,) True where saturated, stuck, or the sensor told an error."""
+    """(n,) True where the sensor was saturated, stuck, or reported an error."""
     findings: tuple[str, ...]
-    """What a user should know of, a sentence each."""
+    """Problems for the user, one sentence each."""
 
 
 @dataclass(frozen=True)
 class SensorMounting:
-    """How the sensor sits: which of its force axes, with sign, are the experiment's.
+    """Mounting of the sensor: its axes, with sign, for thrust and recoil.
 
-    Both are the robot's force on its clamp: thrust positive head first, recoil to its left.
+    Both are forces of the robot on its clamp: thrust towards the head, recoil to the robot's left.
     """
 
     thrust: str = "+Fx"
@@ -84,7 +84,7 @@ class SensorMounting:
             raise RigError.value("mounting.recoil", repr(self.recoil), "another axis than thrust's")
 
     def thrust_and_recoil(self, wrench: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """thrust_N and recoil_N, (...), of wrenches (..., 6)."""
+        """Return thrust and recoil (...) [N] of wrenches (..., 6)."""
 
         def along(axis: str) -> np.ndarray:
             return (-1.0 if axis[0] == "-" else 1.0) * wrench[..., AXES.index(axis[1:])]
@@ -93,19 +93,19 @@ class SensorMounting:
 
 
 class Calibration(Protocol):
-    """What makes forces of raw records."""
+    """Conversion of raw records into forces."""
 
     def wrench(self, raw: np.ndarray, /) -> np.ndarray:
-        """Forces [N] and torques [N m], (..., 6), of counts or volts (..., 6)."""
+        """Return forces [N] and torques [N m] (..., 6) of counts or volts (..., 6)."""
         ...
 
     def forces(self, host_ns: Sequence[int], datagrams: Sequence[bytes]) -> Forces:
-        """The forces of one recording, from what its sink got in order of arrival."""
+        """Return the forces of one recording; the arguments are in order of arrival."""
         ...
 
 
 class Health(NamedTuple):
-    """Counts since `start`, of records or samples."""
+    """Numbers of records or samples since `start`."""
 
     received: int
     missing: int
@@ -113,37 +113,37 @@ class Health(NamedTuple):
 
 
 class ForceSource(ABC):
-    """A sensor, opened. As a context manager it stops and closes on every way out."""
+    """An open sensor. As a context manager it stops and closes, also after an error."""
 
     calibration: Calibration
 
     @abstractmethod
     def start(self, sink: Sink) -> None:
-        """Begin; returns once the first record came. Raises `RigError` if none does."""
+        """Start the stream and wait for the first record. Raises `RigError` if none comes."""
 
     @abstractmethod
     def bias(self) -> None:
-        """Call the load of this moment zero. Do so before a recording, at rest."""
+        """Take the present load as zero. Call it at rest, before a recording."""
 
     @abstractmethod
     def latest(self) -> tuple[int, np.ndarray] | None:
-        """Arrival [ns] and wrench (6,) [N, N m] of the last record; None before the first."""
+        """Return arrival [ns] and wrench (6,) [N, N m] of the last record, or None."""
 
     @abstractmethod
     def health(self) -> Health:
-        """Counts so far."""
+        """Return the counts since `start`."""
 
     @abstractmethod
     def check(self) -> None:
-        """Raise `RigError` if the stream broke off, fell silent, or tells an error."""
+        """Raise `RigError` if the stream failed, fell silent, or reports an error."""
 
     @abstractmethod
     def stop(self) -> None:
-        """End the stream; nothing happens if there is none."""
+        """End the stream, if there is one."""
 
     @abstractmethod
     def close(self) -> None:
-        """Stop, and give the sensor back."""
+        """Stop the stream and release the sensor."""
 
     def __enter__(self) -> "ForceSource":
         return self
@@ -159,17 +159,17 @@ class ForceSource(ABC):
 
 @dataclass
 class ReaderThread:
-    """A thread that hands on what `receive` returns until it is told to end.
+    """A thread that passes the results of `receive` to `take(host time [ns], bytes)`.
 
-    `receive` waits a short time and returns None if nothing came. What it, or `take`, raises ends
-    the thread and is raised again by `check`.
+    `receive` waits a short time and returns None without data. An exception of `receive` or `take`
+    ends the thread; `check` raises it again.
     """
 
     name: str
     receive: Callable[[], bytes | None]
     take: Callable[[int, bytes], None]
     patience: float
-    """Longest silence [s] that `check` lets pass."""
+    """Longest allowed silence [s]; after a longer one, `check` raises an error."""
     last_ns: int = field(default_factory=time.monotonic_ns)
     _failure: BaseException | None = None
     _ending: Event = field(default_factory=Event)
@@ -193,7 +193,7 @@ class ReaderThread:
             self._failure = error
 
     def check(self) -> None:
-        """Raise what ended the thread, or `RigError` after a silence."""
+        """Raise the exception that ended the thread, or `RigError` after a long silence."""
         if isinstance(self._failure, RigError):
             raise self._failure
         if self._failure is not None:
@@ -201,29 +201,29 @@ class ReaderThread:
         silent = 1e-9 * (time.monotonic_ns() - self.last_ns)
         if silent > self.patience:
             raise RigError(
-                f"{self.name}: fell silent {silent:.1f} s ago; see to its power and cable, and "
-                "that no other computer or program asked for its stream; then start again"
+                f"{self.name}: no data for {silent:.1f} s; check its power and cable, and that no "
+                "other computer or program requested its stream; then start again"
             )
 
     def end(self, wait: float) -> bool:
-        """Tell the thread to end at the next silence; True if it did within `wait` [s]."""
+        """End the thread at the next silence; return whether it ended within `wait` [s]."""
         self._ending.set()
         self._thread.join(wait)
         return not self._thread.is_alive()
 
     def abandon(self) -> None:
-        """End the thread though more comes."""
+        """End the thread even if more data arrive."""
         self._abandoned.set()
         self._thread.join()
 
 
 def force_reader(calibration: Calibration, mounting: SensorMounting) -> StreamReader:
-    """thrust_N and recoil_N of a force sensor's stream."""
+    """Return the reader of a force sensor's stream: columns thrust_N and recoil_N."""
 
     def read(stream: RecordedStream) -> SampledColumns:
         forces = calibration.forces(stream.host_ns.tolist(), stream.pieces())
-        sound = np.where(forces.doubtful[:, None], np.nan, forces.wrench)
-        thrust, recoil = mounting.thrust_and_recoil(sound)
+        valid = np.where(forces.doubtful[:, None], np.nan, forces.wrench)
+        thrust, recoil = mounting.thrust_and_recoil(valid)
         columns = {"thrust_N": thrust, "recoil_N": recoil}
         return SampledColumns(forces.t_ns * 1e-9, columns, forces.findings)
 

@@ -1,4 +1,4 @@
-"""Force sensor: records located by their numbers, times by their clock, and plain errors."""
+"""Force sensors: the order of records, their sampling times, calibrations, and error messages."""
 
 import socket
 import struct
@@ -26,7 +26,7 @@ RATE = 1000.0
 
 
 def clock_in_force(start):
-    """A wrench that tells the time at which it was sampled: Fz [N] is seconds since `start`."""
+    """Return a wrench that encodes its sampling time: Fz [N] is the time since `start` [s]."""
     return lambda t: np.array([0.1, -0.2, t - start, 0.0, 0.0, 0.01])
 
 
@@ -37,9 +37,9 @@ def at_rest(t):
 def virtual_stream(
     seconds, line, *, drift=0.0, delay=0.3e-3, jitter=0.0, start=50.0, seed=1, **box
 ):
-    """(host_ns, datagrams) in order of arrival, without a real clock: a stream begun at `start`.
+    """Return (host_ns, datagrams) of a stream in virtual time, in order of arrival.
 
-    Delays [s] are `delay` plus an exponential `jitter`; now and then the host sleeps for 40 ms.
+    Delays [s] are `delay` plus an exponential `jitter`. The host sometimes sleeps for 40 ms.
     """
     random = np.random.default_rng(seed)
     box = SimulatedForceBox(clock_in_force(start), RATE, noise=0.0, seed=seed, **box)
@@ -57,42 +57,44 @@ def virtual_stream(
 
 
 def within(dropped, records):
-    """Numbers of dropped records that lie between the first and the last that came."""
+    """Return the numbers of dropped records between the first and the last received record."""
     numbers = 1 + np.array(dropped, int)
     return numbers[(numbers > records.seq[0]) & (numbers < records.seq[-1])]
 
 
 def sampled_s(records):
-    """When each present record was sampled, as its own force tells it [s since the start]."""
+    """Return the true sampling times of the present records, encoded in Fz [s since the start]."""
     return records.counts[records.present, 2] / COUNTS
 
 
-def test_a_minute_with_two_percent_lost_and_reordered_is_put_in_place_without_a_shift():
+def test_a_minute_with_lost_and_reordered_records_is_restored_without_a_shift():
     line = LossyNetwork(drop=0.02, reorder=0.02, duplicate=0.01, seed=3)
     host_ns, datagrams = virtual_stream(60.0, line, drift=120e-6, jitter=0.4e-3)
     records = rdt.record_table(host_ns, datagrams)
     assert len(line.dropped) > 1000 and line.late > 1000 and line.doubled > 400
     np.testing.assert_array_equal(records.missing, within(line.dropped, records))
     assert records.duplicates == line.doubled
-    assert 0.9 * line.late < records.late <= line.late  # one held back may find no later one ahead
+    assert 0.9 * line.late < records.late <= line.late  # a delayed record may still be in order
     off = 1e-9 * records.times()[records.present] - 50.0 - sampled_s(records) - 0.3e-3
     assert np.abs(off).max() < 0.05e-3
     assert len(records.seq) / RATE == pytest.approx(60.0, abs=0.02)
-    assert len(records.seq) - records.present.sum() > RATE  # by order of arrival: off by a second
+    assert (
+        len(records.seq) - records.present.sum() > RATE
+    )  # in order of arrival, the times would be off by 1 s
 
 
 @pytest.mark.parametrize("drift", [-300e-6, 0.0, 300e-6])
 def test_a_drifting_clock_is_followed_for_ten_minutes(drift):
-    """One record in ten, to be quick: the line is the same."""
+    """For speed, only every tenth record is used; the fitted line is the same."""
     random = np.random.default_rng(5)
     number = np.arange(0, 600_000, 10)
     sampled = 7.0 + number / RATE / (1 + drift)
     arrived = sampled + 0.2e-3 + random.exponential(1e-3, len(number))
-    told = host_sample_times(number, np.rint(1e9 * arrived).astype(np.int64), RATE, number)
-    assert np.abs(1e-9 * told - sampled - 0.2e-3).max() < 0.1e-3
+    times = host_sample_times(number, np.rint(1e9 * arrived).astype(np.int64), RATE, number)
+    assert np.abs(1e-9 * times - sampled - 0.2e-3).max() < 0.1e-3
 
 
-def test_which_single_records_are_missing_is_told_as_runs():
+def test_missing_records_are_reported_as_runs():
     _, datagrams = virtual_stream(0.02, LossyNetwork())
     kept = [d for k, d in enumerate(datagrams) if k not in (3, 7, 8, 9)]
     records = rdt.record_table(range(len(kept)), kept)
@@ -101,11 +103,11 @@ def test_which_single_records_are_missing_is_told_as_runs():
     assert not records.counts[3].any() and records.counts[4, 2] > 0
 
 
-def test_a_copy_that_comes_behind_others_is_a_duplicate_and_not_late():
+def test_a_copy_after_later_records_is_a_duplicate_and_not_late():
     _, datagrams = virtual_stream(0.006, LossyNetwork())
-    came = [datagrams[k] for k in (0, 1, 3, 1, 2, 4, 5)]
-    records, tally = rdt.record_table([10**6 * k for k in range(7)], came), rdt.StreamTally()
-    for datagram in came:
+    received = [datagrams[k] for k in (0, 1, 3, 1, 2, 4, 5)]
+    records, tally = rdt.record_table([10**6 * k for k in range(7)], received), rdt.StreamTally()
+    for datagram in received:
         tally.count(*struct.unpack_from(">I4xI", datagram))
     assert (records.late, records.duplicates) == (tally.late, tally.duplicates) == (1, 1)
     assert records.host_ns.tolist() == [0, 10**6, 4 * 10**6, 2 * 10**6, 5 * 10**6, 6 * 10**6]
@@ -122,7 +124,7 @@ def test_the_live_tally_agrees_with_the_table():
     assert (tally.late, tally.duplicates) == (records.late, records.duplicates)
 
 
-def test_numbers_roll_over_at_32_bits():
+def test_numbers_continue_over_the_overflow_of_32_bits():
     box, start = SimulatedForceBox(at_rest, RATE), 2**32 - 6
     datagrams = []
     for k in range(12):
@@ -134,10 +136,10 @@ def test_numbers_roll_over_at_32_bits():
     assert records.rate == RATE
 
 
-def test_the_box_s_own_time_goes_on_over_the_roll_and_leaves_out_what_comes_late():
+def test_the_box_time_continues_over_the_overflow_and_skips_late_records():
     box, start = rdt.BoxTime(), 2**32 - 10
-    came = [start, start + 7, start + 21, start + 14, start + 21, start + 28]
-    found = [box.seconds(x % 2**32) for x in came]
+    counts = [start, start + 7, start + 21, start + 14, start + 21, start + 28]
+    found = [box.seconds(x % 2**32) for x in counts]
     assert found == [0.0, pytest.approx(0.001), pytest.approx(0.003), None, None,
                      pytest.approx(0.004)]  # fmt: skip
 
@@ -147,14 +149,14 @@ def test_a_record_without_a_measurement_is_invalid():
     assert rdt.is_invalid(rdt.SATURATED) and rdt.is_invalid(rdt.ERROR)
 
 
-def test_a_new_stream_within_a_recording_is_refused():
+def test_a_second_stream_in_a_recording_is_refused():
     one = virtual_stream(0.1, LossyNetwork())
     two = virtual_stream(0.1, LossyNetwork(), start=51.0, seed=2)
     with pytest.raises(RigError, match="datagram 100: given number 1, as if a new stream began"):
         rdt.record_table(one[0] + two[0], one[1] + two[1])
 
 
-def test_a_burst_that_no_clock_explains_is_refused():
+def test_arrivals_in_a_burst_are_refused():
     _, datagrams = virtual_stream(5.0, LossyNetwork())
     with pytest.raises(RigError, match="median delay of 5000 samples at 1000 Hz is"):
         rdt.record_table(range(5000), datagrams).times()
@@ -173,7 +175,7 @@ def test_an_empty_recording_is_refused():
         rdt.record_table([], [])
 
 
-def test_a_stuck_sensor_is_told_and_a_quiet_one_is_not():
+def test_a_stuck_sensor_is_reported_and_a_quiet_one_is_not():
     box = SimulatedForceBox(at_rest, RATE, noise=1e-5)
     datagrams = []
     for k in range(1000):
@@ -182,22 +184,20 @@ def test_a_stuck_sensor_is_told_and_a_quiet_one_is_not():
     forces = CALIBRATION.forces([10**6 * k for k in range(1000)], datagrams)
     assert 400 <= np.flatnonzero(forces.doubtful)[0] + 1 <= 401
     assert np.flatnonzero(forces.doubtful)[-1] == 699
-    assert any("301 records repeat" in told for told in forces.findings)
+    assert any("301 records repeat" in finding for finding in forces.findings)
 
 
-def test_saturation_is_marked_where_it_happened():
-    host_ns, datagrams = virtual_stream(
-        2.0, LossyNetwork(), limit=1.5
-    )  # Fz tells the seconds, as newtons
+def test_saturated_samples_are_marked():
+    host_ns, datagrams = virtual_stream(2.0, LossyNetwork(), limit=1.5)  # Fz [N] is the time [s]
     forces = CALIBRATION.forces(host_ns, datagrams)
     assert not forces.doubtful[:1500].any()
     assert forces.doubtful[1502:].all()
-    assert any("status 0x80020000: saturated" in told for told in forces.findings)
+    assert any("status 0x80020000: saturated" in finding for finding in forces.findings)
     assert np.max(forces.wrench[:, 2]) == pytest.approx(1.5)
 
 
 @pytest.mark.parametrize(
-    ("status", "faulty", "text"),
+    ("status", "box_error", "text"),
     [
         (0, False, ""),
         (rdt.LATCHED, False, ""),
@@ -207,12 +207,12 @@ def test_saturation_is_marked_where_it_happened():
         (rdt.ERROR | rdt.SATURATED | 1, True, "status 0x80020001: saturated, an error of the box"),
     ],
 )
-def test_a_status_is_told_in_words(status, faulty, text):
-    assert rdt.has_box_error(status) == faulty
+def test_the_status_text_names_the_errors(status, box_error, text):
+    assert rdt.has_box_error(status) == box_error
     assert rdt.status_text(status).startswith(text) and bool(text) == bool(rdt.status_text(status))
 
 
-def test_lost_records_are_blank_and_the_rest_are_newtons():
+def test_lost_records_are_nan_and_the_others_are_forces():
     line = LossyNetwork(drop=0.1, seed=2)
     forces = NetCalibration(COUNTS, 2 * COUNTS).forces(*virtual_stream(1.0, line))
     lost = np.isnan(forces.wrench).any(axis=1)
@@ -223,7 +223,7 @@ def test_lost_records_are_blank_and_the_rest_are_newtons():
     assert np.diff(forces.t_ns).min() == pytest.approx(1e6, rel=1e-3)
 
 
-def test_the_mounting_turns_axes_into_thrust_and_recoil():
+def test_the_mounting_selects_thrust_and_recoil():
     wrench = np.arange(1.0, 13.0).reshape(2, 6)
     thrust, recoil = SensorMounting("-Fz", "+Fx").thrust_and_recoil(wrench)
     assert thrust.tolist() == [-3.0, -9.0] and recoil.tolist() == [1.0, 7.0]
@@ -249,10 +249,10 @@ def test_units_of_the_page_are_converted():
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
-        (page()[:-15], "is no whole XML"),
-        (b"", "is no whole XML"),
+        (page()[:-15], "incomplete XML"),
+        (b"", "incomplete XML"),
         (page(cfgcpf=None), "cfgcpf is missing"),
         (page(cfgcpt="many"), "cfgcpt: given 'many'"),
         (page(cfgcpf="0"), "counts_per_N: given 0"),
@@ -261,8 +261,8 @@ def test_units_of_the_page_are_converted():
         (page(scfgtu=None), "scfgtu is missing"),
     ],
 )
-def test_a_torn_or_foreign_calibration_page_is_refused(content, told):
-    with pytest.raises(RigError, match=told):
+def test_an_incomplete_or_wrong_calibration_page_is_refused(content, message):
+    with pytest.raises(RigError, match=message):
         NetCalibration.from_page(content, "http://box/netftapi2.xml")
 
 
@@ -271,31 +271,31 @@ def test_the_calibration_is_fetched_from_the_box():
         port = sensor.serve_page()
         assert NetCalibration.fetch(sensor.host, port) == NetCalibration(COUNTS, COUNTS, "FT00000")
         sensor.page = sensor.page[:60]
-        with pytest.raises(RigError, match="is no whole XML .* by hand"):
+        with pytest.raises(RigError, match="incomplete XML .* in the rig file"):
             NetCalibration.fetch(sensor.host, port)
 
 
-def test_no_page_is_told_with_the_address():
+def test_the_error_for_a_missing_page_names_its_address():
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    with pytest.raises(RigError, match=f"127.0.0.1:{port}/netftapi2.xml: could not be read .*ping"):
+    with pytest.raises(RigError, match=f"127.0.0.1:{port}/netftapi2.xml: cannot be read .*ping"):
         NetCalibration.fetch("127.0.0.1", port)
 
 
 # The stream over a real socket
 
 
-def soon(condition):
-    """Whether a condition comes true, within seconds on a busy machine."""
+def wait_until(condition):
+    """Wait up to 10 s until `condition()` is true, and return its value."""
     end = time.monotonic() + 10.0
     while not condition() and time.monotonic() < end:
         time.sleep(0.01)
     return condition()
 
 
-def error_soon(force):
-    """The message of the error that `check` comes to raise."""
+def wait_for_error(force):
+    """Wait up to 10 s until `check` raises an error, and return its message."""
     end = time.monotonic() + 10.0
     while time.monotonic() < end:
         try:
@@ -306,8 +306,8 @@ def error_soon(force):
     pytest.fail("check raised nothing")
 
 
-def streamed(seconds, rate, line, **settings):
-    """Records of a real loopback stream, the time its clock in the force began, and the source."""
+def stream_over_socket(seconds, rate, line, **settings):
+    """Return the records of a loopback stream, the start time of its Fz [s], and the source."""
     host_ns, datagrams, start = [], [], time.monotonic()
 
     def sink(now, datagram):
@@ -328,15 +328,15 @@ def streamed(seconds, rate, line, **settings):
 
 
 def assert_located(records, start, line):
-    """Gaps are exact, and times are off by less than half a sample."""
+    """Assert that the gaps are exact and the times wrong by less than half a sample."""
     np.testing.assert_array_equal(records.missing, within(line.dropped, records))
     off = 1e-9 * records.times()[records.present] - start - sampled_s(records)
     assert np.abs(off).max() < 0.5 / records.rate
 
 
-def test_a_real_stream_is_located_and_timed():
+def test_a_real_stream_has_exact_gaps_and_times():
     line = LossyNetwork(drop=0.1, reorder=0.1, duplicate=0.05, seed=4)
-    records, start, force = streamed(4.0, 100.0, line, drift=100e-6)
+    records, start, force = stream_over_socket(4.0, 100.0, line, drift=100e-6)
     assert len(records.gaps) > 10 and records.late > 10 and records.duplicates > 5
     assert_located(records, start, line)
     before = set(range(1, int(records.seq[0])))
@@ -345,10 +345,10 @@ def test_a_real_stream_is_located_and_timed():
 
 
 @pytest.mark.slow
-def test_a_real_minute_is_located_and_timed():
+def test_a_real_minute_has_exact_gaps_and_times():
     line = LossyNetwork(drop=0.02, reorder=0.02, duplicate=0.01, seed=4)
     cpu = time.process_time()
-    records, start, _ = streamed(60.0, RATE, line, drift=100e-6)
+    records, start, _ = stream_over_socket(60.0, RATE, line, drift=100e-6)
     cpu = time.process_time() - cpu
     off = 1e-9 * records.times()[records.present] - start - sampled_s(records)
     print(
@@ -360,7 +360,7 @@ def test_a_real_minute_is_located_and_timed():
     assert_located(records, start, line)
 
 
-def test_a_request_is_eight_bytes_and_its_count_is_kept():
+def test_a_request_is_eight_bytes_and_limits_the_number_of_records():
     assert rdt.request_bytes(rdt.START, 5) == bytes.fromhex("1234 0002 00000005")
     assert rdt.request_bytes(rdt.BIAS) == bytes.fromhex("1234 0042 00000000")
     with (
@@ -376,20 +376,20 @@ def test_a_request_is_eight_bytes_and_its_count_is_kept():
             plain.recv(64)
 
 
-def test_bias_makes_the_load_of_the_moment_zero():
+def test_bias_makes_the_present_load_zero():
     box = SimulatedForceBox(lambda t: np.array([1.0, -2.0, 3.0, 0.1, 0.2, 0.3]), RATE)
     with (
         SimulatedForceSensor(box) as sensor,
         NetForce(sensor.host, CALIBRATION, sensor.port) as force,
     ):
         force.start(lambda now, datagram: None)
-        assert soon(lambda: force.latest() is not None)
+        assert wait_until(lambda: force.latest() is not None)
         np.testing.assert_allclose(force.latest()[1], box.wrench(0.0), atol=0.02)
         force.bias()
-        assert soon(lambda: np.abs(force.latest()[1]).max() < 0.02)
+        assert wait_until(lambda: np.abs(force.latest()[1]).max() < 0.02)
 
 
-def test_a_check_hears_rate_noise_and_losses_of_a_sensor_at_rest():
+def test_a_check_measures_rate_noise_and_losses_of_a_sensor_at_rest():
     box = SimulatedForceBox(
         lambda t: np.array([1.0, -2.0, 3.0, 0.0, 0.0, 0.0]), rate=500.0, noise=0.01
     )
@@ -398,15 +398,15 @@ def test_a_check_hears_rate_noise_and_losses_of_a_sensor_at_rest():
         NetForce(sensor.host, CALIBRATION, sensor.port) as force,
     ):
         found = check_force(force, SensorMounting("-Fy", "+Fx"))
-    # Losses behind the last record that came are not known.
+    # Losses after the last received record cannot be detected.
     assert found.lost == pytest.approx(0.05 * 500.0, abs=15.0)
     assert found.rate == pytest.approx(0.95 * 500.0, rel=0.1)
     np.testing.assert_allclose(found.offset, [2.0, 1.0], atol=3e-3)
     np.testing.assert_allclose(found.noise, 0.01, rtol=0.25)
-    assert "records of force a second come; set its RDT rate to 1000" in found.findings[-1]
+    assert "force records a second arrive; set the sensor's RDT rate to 1000" in found.findings[-1]
 
 
-def test_a_second_start_gets_a_stream_of_its_own():
+def test_a_second_start_begins_a_new_stream():
     streams = []
     with (
         SimulatedForceSensor(SimulatedForceBox(at_rest)) as sensor,
@@ -421,7 +421,7 @@ def test_a_second_start_gets_a_stream_of_its_own():
     assert [stream.seq[0] for stream in streams] == [1, 1]
 
 
-def test_a_sensor_that_falls_silent_is_told():
+def test_a_sensor_that_falls_silent_is_an_error():
     with (
         SimulatedForceSensor(SimulatedForceBox(at_rest)) as sensor,
         NetForce(sensor.host, CALIBRATION, sensor.port, patience=0.5) as force,
@@ -429,10 +429,10 @@ def test_a_sensor_that_falls_silent_is_told():
         force.start(lambda now, datagram: None)
         force.check()
         sensor.silent = True
-        assert f"{sensor.port}: fell silent" in error_soon(force)
+        assert f"{sensor.port}: no data for" in wait_for_error(force)
 
 
-def test_a_sensor_that_does_not_answer_is_told():
+def test_a_sensor_that_does_not_answer_is_an_error():
     with (
         SimulatedForceSensor(SimulatedForceBox(at_rest)) as sensor,
         NetForce(sensor.host, CALIBRATION, sensor.port, patience=0.3) as force,
@@ -442,7 +442,7 @@ def test_a_sensor_that_does_not_answer_is_told():
             force.start(lambda now, datagram: None)
 
 
-def test_nobody_at_the_port_is_told():
+def test_an_unused_port_is_an_error():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -451,7 +451,7 @@ def test_nobody_at_the_port_is_told():
             force.start(lambda now, datagram: None)
 
 
-def test_an_address_that_cannot_be_reached_is_told():
+def test_an_unreachable_address_is_an_error():
     for host in ("255.255.255.255", "192.168..1"):
         with pytest.raises(RigError, match=f"force sensor {host}:49152: .*ping {host}"):
             NetForce(host, CALIBRATION)
@@ -459,20 +459,20 @@ def test_an_address_that_cannot_be_reached_is_told():
         NetForce("127.0.0.1", CALIBRATION, 70000)
 
 
-def test_an_error_of_the_box_is_told_but_saturation_is_counted():
+def test_an_error_of_the_box_is_raised_but_saturation_is_counted():
     box = SimulatedForceBox(lambda t: np.full(6, 9.0), limit=5.0)
     with (
         SimulatedForceSensor(box) as sensor,
         NetForce(sensor.host, CALIBRATION, sensor.port) as force,
     ):
         force.start(lambda now, datagram: None)
-        assert soon(lambda: force.health().saturated > 10)
+        assert wait_until(lambda: force.health().saturated > 10)
         force.check()
         box.status = rdt.ERROR | 1 << 24
-        assert "status 0x81020000: saturated, an error of the box" in error_soon(force)
+        assert "status 0x81020000: saturated, an error of the box" in wait_for_error(force)
 
 
-def test_a_sink_that_fails_is_told_and_not_lost_in_its_thread():
+def test_an_error_of_the_sink_is_raised_by_check():
     def sink(now, datagram):
         raise OSError("disk full")
 
@@ -481,10 +481,10 @@ def test_a_sink_that_fails_is_told_and_not_lost_in_its_thread():
         NetForce(sensor.host, CALIBRATION, sensor.port) as force,
     ):
         force.start(sink)
-        assert "stopped reading: OSError('disk full')" in error_soon(force)
+        assert "stopped reading: OSError('disk full')" in wait_for_error(force)
 
 
-def test_a_box_that_sends_something_else_is_told():
+def test_a_datagram_of_another_size_is_an_error():
     kept = []
     with (
         SimulatedForceSensor(SimulatedForceBox(at_rest)) as sensor,
@@ -492,11 +492,11 @@ def test_a_box_that_sends_something_else_is_told():
     ):
         sensor.box.record = lambda number, t: bytes(44)
         force.start(lambda now, datagram: kept.append(datagram))
-        assert "given a datagram of 44 bytes" in error_soon(force)
-    assert kept[0] == bytes(44)  # the recording has it all the same
+        assert "given a datagram of 44 bytes" in wait_for_error(force)
+    assert kept[0] == bytes(44)  # the recording contains it nevertheless
 
 
-def test_a_load_beyond_any_count_saturates_and_can_be_biased():
+def test_a_load_above_the_largest_count_saturates_and_can_be_biased():
     box = SimulatedForceBox(lambda t: np.full(6, 1e9 * t), RATE)
     box.bias(-1.0)
     _, _, status, *counts = rdt.RECORD.unpack(box.record(0, 1.0))
@@ -504,13 +504,13 @@ def test_a_load_beyond_any_count_saturates_and_can_be_biased():
 
 
 @pytest.mark.parametrize("settings", [{"rate": 0.0}, {"rate": 7001.0}, {"limit": 1001.0}])
-def test_the_simulated_box_refuses_what_no_box_does(settings):
+def test_the_simulated_box_refuses_impossible_settings(settings):
     with pytest.raises(RigError, match=next(iter(settings))):
         SimulatedForceBox(at_rest, **settings)
 
 
 @pytest.mark.parametrize("chance", [-0.1, 1.1, float("nan")])
-def test_the_simulated_line_refuses_what_is_no_chance(chance):
+def test_the_simulated_line_refuses_an_impossible_probability(chance):
     with pytest.raises(RigError, match="drop"):
         LossyNetwork(drop=chance)
 
@@ -528,7 +528,7 @@ CAL_FILE = """<?xml version="1.0" encoding="utf-8"?>
 """
 
 
-def cal_file(tmp_path, force="N", matrix=MATRIX):
+def write_cal_file(tmp_path, force="N", matrix=MATRIX):
     axes = "\n".join(
         f'  <UserAxis Name="{name}" values=" {" ".join(f"{v:.6f}" for v in row)} " max="130"/>'
         for name, row in zip(("Fx", "Fy", "Fz", "Tx", "Ty", "Tz"), matrix, strict=True)
@@ -538,27 +538,27 @@ def cal_file(tmp_path, force="N", matrix=MATRIX):
     return path
 
 
-def test_the_matrix_of_a_calibration_file_is_read_in_newtons(tmp_path):
-    found = GaugeCalibration.read(cal_file(tmp_path))
+def test_the_matrix_of_a_calibration_file_is_converted_to_newtons(tmp_path):
+    found = GaugeCalibration.read(write_cal_file(tmp_path))
     np.testing.assert_allclose(found.matrix, MATRIX)
     assert (found.volts, found.serial) == (10.0, "FT4167")
-    in_kilonewtons = np.array(GaugeCalibration.read(cal_file(tmp_path, force="kN")).matrix)
+    in_kilonewtons = np.array(GaugeCalibration.read(write_cal_file(tmp_path, force="kN")).matrix)
     np.testing.assert_allclose(in_kilonewtons[:3], 1e3 * MATRIX[:3])
     np.testing.assert_allclose(in_kilonewtons[3:], MATRIX[3:])
 
 
 def test_a_damaged_calibration_file_is_refused(tmp_path):
-    path = cal_file(tmp_path)
+    path = write_cal_file(tmp_path)
     whole = path.read_text()
-    for content, told in (
-        (whole[:200], "is no whole XML"),
-        (whole.replace("Calibration", "Other"), "has no Calibration"),
+    for content, message in (
+        (whole[:200], "incomplete XML"),
+        (whole.replace("Calibration", "Other"), "the element Calibration is missing"),
         (whole.replace('"N"', '"stone"'), "ForceUnits: given unit 'stone'"),
         (whole.replace('Name="Ty"', 'Name="Tw"'), "UserAxis Ty needs 6 numbers"),
         (whole.replace("3.010000", "three"), "UserAxis Fy needs 6 numbers"),
     ):
         path.write_text(content)
-        with pytest.raises(RigError, match=told):
+        with pytest.raises(RigError, match=message):
             GaugeCalibration.read(path)
     with pytest.raises(RigError, match="cannot be read"):
         GaugeCalibration.read(tmp_path / "absent.cal")
@@ -568,7 +568,7 @@ def gauge_block(first, volts):
     return struct.pack("<Q", first) + np.asarray(volts, "<f8").tobytes()
 
 
-def test_gauge_voltages_become_forces_at_their_times_and_a_lost_block_is_blank():
+def test_gauge_voltages_become_forces_and_a_lost_block_is_nan():
     calibration = GaugeCalibration(MATRIX.tolist(), zero=(0.5,) * 6)
     volts = np.random.default_rng(0).uniform(-5, 5, (1000, 6))
     volts[333, 4] = -9.99
@@ -584,14 +584,14 @@ def test_gauge_voltages_become_forces_at_their_times_and_a_lost_block_is_blank()
     assert forces.findings == ("20 of 1000 samples missing", "1 samples saturated")
 
 
-def test_without_nidaqmx_the_error_says_what_to_install(monkeypatch):
+def test_without_nidaqmx_the_error_names_the_packages_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "nidaqmx", None)
-    with pytest.raises(RigError, match=r"needs nidaqmx; install the extra ni .*NI-DAQmx"):
+    with pytest.raises(RigError, match=r"nidaqmx is missing; install the extra ni .*NI-DAQmx"):
         GaugeForce("Dev1/ai0:5", GaugeCalibration(MATRIX.tolist()))
 
 
 class FakeCard:
-    """As much of nidaqmx as is used: a card with constant voltages, 20 ms a block."""
+    """The used part of nidaqmx: a card with constant voltages and blocks of 20 ms."""
 
     class Error(Exception):
         pass
@@ -620,7 +620,7 @@ class FakeCard:
             raise FakeCard.Error("Device has been removed.\nStatus Code: -88705")
         block[:] = self.volts[:, None]
 
-    def installed(self, monkeypatch):
+    def install(self, monkeypatch):
         named = types.SimpleNamespace
         modules = {
             "nidaqmx": types.ModuleType("nidaqmx"),
@@ -637,34 +637,34 @@ class FakeCard:
             monkeypatch.setitem(sys.modules, name, module)
 
 
-def test_a_card_streams_biases_and_tells_when_it_is_unplugged(monkeypatch):
+def test_a_card_streams_biases_and_reports_that_it_is_unplugged(monkeypatch):
     card, kept = FakeCard(), []
-    card.installed(monkeypatch)
+    card.install(monkeypatch)
     with GaugeForce("Dev1/ai0:5", GaugeCalibration(MATRIX.tolist())) as force:
         force.start(lambda now, block: kept.append((now, block)))
         np.testing.assert_allclose(force.latest()[1], MATRIX @ card.volts)
         force.bias()
         np.testing.assert_allclose(force.latest()[1], np.zeros(6), atol=1e-12)
         card.volts = np.full(6, 0.75)
-        assert soon(lambda: np.allclose(force.latest()[1], MATRIX @ np.full(6, 0.5)))
+        assert wait_until(lambda: np.allclose(force.latest()[1], MATRIX @ np.full(6, 0.5)))
         assert force.health().received >= 20 * 10
         card.broken = True
-        assert "Dev1/ai0:5: Device has been removed.; see the card" in error_soon(force)
+        assert "Dev1/ai0:5: Device has been removed.; check the card" in wait_for_error(force)
     assert card.closed
     assert [struct.unpack_from("<Q", block)[0] for _, block in kept[:3]] == [0, 20, 40]
 
 
 def test_a_card_with_five_inputs_is_refused(monkeypatch):
     card = FakeCard(inputs=5)
-    card.installed(monkeypatch)
+    card.install(monkeypatch)
     with pytest.raises(RigError, match="given 5 inputs; allowed 6"):
         GaugeForce("Dev1/ai0:4", GaugeCalibration(MATRIX.tolist()))
     assert card.closed
 
 
 @pytest.mark.parametrize("late_us", [0, 79, 921])
-def test_a_simulated_record_waits_for_no_step_but_its_own(late_us):
-    """The tank's steps begin whenever the first tick comes."""
+def test_a_simulated_record_waits_only_for_its_own_step(late_us):
+    """The tank's steps begin at the first tick, at any time."""
     device, start = HostClockedRig(SimulatedRig(BenchTank())), time.monotonic_ns()
 
     def tick():
