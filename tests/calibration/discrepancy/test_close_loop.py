@@ -109,5 +109,5 @@ def test_a_residual_that_no_candidate_explains_is_unexplained(tmp_path):
 
 def test_too_few_trials_are_refused(tmp_path):
     path = write_experiment(tmp_path / "two", runs=DAMAGE_RUNS[:2])
-    with pytest.raises(InputError, match="holds 2 measured trials"):
+    with pytest.raises(InputError, match="2 measured trials are usable"):
         close_loop_on_trials(load(path), ())
