@@ -30,9 +30,9 @@ from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
 from slider_jax.io.files import input_file, staged, versions, write_csv, write_json
 
-PAUSE = 0.01
+POLL_INTERVAL = 0.01
 """Time between queries of the live stream [s]."""
-SHOWN = (
+STATUS_CHANNELS = (
     (0, "front", 1e-3, "5.1f", "kPa"),
     (1, "rear", 1e-3, "5.1f", "kPa"),
     (2, "thrust", 1.0, "6.3f", "N"),
@@ -97,7 +97,7 @@ def rig_watch(
     try:
         with signals_as_ctrl_c(), playing:
             while not playing.ended:
-                time.sleep(PAUSE)
+                time.sleep(POLL_INTERVAL)
                 live = playing.stream.take()
                 if not len(live.device_s):
                     continue
@@ -226,7 +226,7 @@ def _print_line(block: TwinBlock, row: dict[str, float], lost: int, new: bool) -
     )
     shown = [
         f"{name} {factor * measured[i]:{form}} (model {factor * model[i]:{form}}) {unit}"
-        for i, name, factor, form, unit in SHOWN
+        for i, name, factor, form, unit in STATUS_CHANNELS
         if valid[i].any()
     ]
     state = "ALARM, " if block.alarm.on else "" if block.watching else "learning its bands, "

@@ -16,11 +16,11 @@ ORDER = ("t_s", "p_front_Pa", "p_rear_Pa", "thrust_N", "recoil_N", "tip_m")
 """Order of the columns in a trial's file."""
 AVERAGED = 25
 """Number of readings at rest that are averaged before testing for motion."""
-MAX_NOISE_RANGE = 5.0
+QUIET_NOISE_RANGE = 5.0
 """Range of these means that noise may cause, in standard deviations of a mean."""
-MAX_REST_RANGE = 0.02
+QUIET_RANGE = 0.02
 """Range at rest above which a sensor counts as moving, as a fraction of its range in the drive."""
-MAX_GAP = 0.006
+MAX_SAMPLE_GAP = 0.006
 """Longest interval between an instrument's samples that is interpolated [s]."""
 
 
@@ -194,7 +194,7 @@ def _motion_findings(
     pieces = np.array_split(quiet, max(1, len(quiet) // AVERAGED))
     before = float(np.ptp([x.mean() for x in pieces if x.size] or [0.0]))
     over = float(np.ptp(drive))
-    if before <= max(MAX_REST_RANGE * over, MAX_NOISE_RANGE * noise / np.sqrt(AVERAGED)):
+    if before <= max(QUIET_RANGE * over, QUIET_NOISE_RANGE * noise / np.sqrt(AVERAGED)):
         return ()
     return (
         f"{column} was not at rest before the drive: its range was {format_value(column, before)} "
@@ -218,7 +218,7 @@ def resample_at_rows(
     after = np.clip(np.searchsorted(at, rows), 1, len(at) - 1)
     value = np.interp(rows, at, signal, left=np.nan, right=np.nan)
     if continuous:
-        return np.where(at[after] - at[after - 1] <= MAX_GAP, value, np.nan)
+        return np.where(at[after] - at[after - 1] <= MAX_SAMPLE_GAP, value, np.nan)
     # The signal between frames is unknown: only the row nearest to a frame gets a value, which is
     # interpolated to the row's time.
     nearest = np.clip(np.searchsorted(rows, at), 1, len(rows) - 1)

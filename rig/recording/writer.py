@@ -37,10 +37,11 @@ from h5py import h5f, h5p
 from h5py._objects import phil
 
 from rig.errors import RigError
+from rig.recording.clock import Sink
 
 SCHEMA = 1
 STREAMS = ("manifold", "force", "camera", "commands")
-FLUSH_EVERY = 0.05
+FLUSH_INTERVAL = 0.05
 """Time between flushes [s]; a killed recorder loses at most the data of this time."""
 MAX_WAITING = 64 * 2**20
 """Largest number of bytes of a stream that wait for the disk; further pieces count as lost."""
@@ -66,7 +67,7 @@ class RecorderLoad(NamedTuple):
     max_waiting: int
     """Maximum of `waiting` so far."""
     slowest_flush: float
-    """Longest time from one flush to the end of the next [s]; `FLUSH_EVERY` on a fast disk."""
+    """Longest time from one flush to the end of the next [s]; `FLUSH_INTERVAL` on a fast disk."""
 
 
 class _Stream:
@@ -182,7 +183,7 @@ class Recorder(AbstractRecorder):
         self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
         self._thread.start()
 
-    def sink(self, stream: str) -> Callable[[int, bytes], None]:
+    def sink(self, stream: str) -> Sink:
         """Return a function `sink(host_ns, piece)` that records a piece.
 
         Any thread may call it; it never waits. Raises `RigError` for an unknown stream.
@@ -215,7 +216,7 @@ class Recorder(AbstractRecorder):
     def _work(self) -> None:
         last = time.monotonic()
         try:
-            while not self._ending.wait(FLUSH_EVERY):
+            while not self._ending.wait(FLUSH_INTERVAL):
                 self._write()
                 now = time.monotonic()
                 self._slowest, last = max(self._slowest, now - last), now

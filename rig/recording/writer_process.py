@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from rig.errors import RigError
+from rig.recording.clock import Sink
 from rig.recording.writer import (
     MAX_WAITING,
     STREAMS,
@@ -28,9 +29,9 @@ from rig.recording.writer import (
 )
 from rig.scheduling import RECORDER_PRIORITY, ordinary_priority, real_time_priority
 
-HAND_OVER = 0.02
+TRANSFER_INTERVAL = 0.02
 """Time between transfers to the process [s]; a kill loses at most the data of this time."""
-PATIENCE = 60.0
+PROCESS_TIMEOUT = 60.0
 """Longest time for starting, and for writing the waiting pieces at the end [s]."""
 _HEAD = struct.Struct("<BqI")
 
@@ -73,8 +74,8 @@ class ProcessRecorder(AbstractRecorder):
         ]
         self._threads[0].start()
         self._write(text.encode() + b"\n")
-        if not self._started.wait(PATIENCE):
-            self._fail(f"{self.path}: the recorder did not start within {PATIENCE:g} s")
+        if not self._started.wait(PROCESS_TIMEOUT):
+            self._fail(f"{self.path}: the recorder did not start within {PROCESS_TIMEOUT:g} s")
         if self._failure is not None:
             self._end_process()
             raise self._failure
@@ -85,7 +86,7 @@ class ProcessRecorder(AbstractRecorder):
         """Identifier of the process."""
         return self._process.pid
 
-    def sink(self, stream: str) -> Callable[[int, bytes], None]:
+    def sink(self, stream: str) -> Sink:
         """Return a function `sink(host_ns, piece)`, as `Recorder.sink`."""
         if stream not in self._names:
             raise RigError.value("stream", repr(stream), ", ".join(self._names))
@@ -117,16 +118,16 @@ class ProcessRecorder(AbstractRecorder):
         if not self._closed:
             self._closed = True
             self._ending.set()
-            self._threads[1].join(PATIENCE)
-            if not self._ended.wait(PATIENCE):
-                self._fail(f"{self.path}: the recorder did not end within {PATIENCE:g} s")
+            self._threads[1].join(PROCESS_TIMEOUT)
+            if not self._ended.wait(PROCESS_TIMEOUT):
+                self._fail(f"{self.path}: the recorder did not end within {PROCESS_TIMEOUT:g} s")
             self._end_process()
         self._raise_failure()
 
     def _feed(self) -> None:
         ends = False
         while not ends:
-            ends = self._ending.wait(HAND_OVER)
+            ends = self._ending.wait(TRANSFER_INTERVAL)
             with self._lock:
                 pieces, self._waiting, self._size = self._waiting, [], 0
             self._write(b"".join(pieces))

@@ -11,12 +11,12 @@ from rig.force.sensor import ForceSource, SensorMounting
 from rig.manifold.driver import Manifold
 from rig.protocol.messages import CHAMBERS, Reading
 
-ANSWER = 0.02
+ANSWER_TIMEOUT = 0.02
 """Longest wait for the reading that answers a command [s]. It is short, so that several may be lost
 in a row before the watchdog vents."""
-HOLD = 1.5
+HOLD_TIME = 1.5
 """Duration of each chamber's test [s]."""
-COMMANDS = 50
+TIMED_COMMANDS = 50
 """Number of commands whose answers are timed."""
 LEAST_HELD = 0.95
 """Lowest pressure of a chamber without a leak, as a fraction of the set pressure."""
@@ -130,10 +130,10 @@ def check_manifold(
     ]
     if rate < LEAST_RECEIVED * manifold.ident.rate:
         findings.append(f"{rate:.0f} readings a second arrive, {manifold.ident.rate} are expected")
-    if len(trips) < COMMANDS:
+    if len(trips) < TIMED_COMMANDS:
         findings.append(
-            f"{COMMANDS - len(trips)} of {COMMANDS} commands were not answered within "
-            f"{1e3 * ANSWER:g} ms: lost on the line, or the computer is too busy"
+            f"{TIMED_COMMANDS - len(trips)} of {TIMED_COMMANDS} commands were not answered within "
+            f"{1e3 * ANSWER_TIMEOUT:g} ms: lost on the line, or the computer is too busy"
         )
     if manifold.lost or manifold.damaged:
         findings.append(f"{manifold.lost} readings lost, {manifold.damaged} frames damaged")
@@ -181,10 +181,10 @@ def _hold(manifold: Manifold, seconds: float, command: Callable[[], object]) -> 
 
 def _round_trips(manifold: Manifold, collector: ReadingCollector) -> np.ndarray:
     trips = []
-    for _ in range(COMMANDS):
+    for _ in range(TIMED_COMMANDS):
         collector.take()
         begun, seq = time.monotonic_ns(), manifold.set((0.0, 0.0, 0.0, 0.0))
-        end = time.monotonic() + ANSWER
+        end = time.monotonic() + ANSWER_TIMEOUT
         while time.monotonic() < end:
             arrival = next((t for t, r in list(collector.rows) if r.command == seq), None)
             if arrival is not None:
@@ -201,17 +201,17 @@ def _check_chamber(
     pressures = [pressure if i == chamber else 0.0 for i in range(len(CHAMBERS))]
     collector.take()
     begun = time.monotonic_ns()
-    _hold(manifold, HOLD, lambda: manifold.set(pressures))
+    _hold(manifold, HOLD_TIME, lambda: manifold.set(pressures))
     rows = collector.take()
     t = np.array([1e-9 * (host_ns - begun) for host_ns, _ in rows])
     p = np.array([r.channels[:4] for _, r in rows], float)
-    if not (t > 0.8 * HOLD).any():
+    if not (t > 0.8 * HOLD_TIME).any():
         raise RigError(
             f"no readings arrived during the test of {CHAMBERS[chamber]}; check the cable"
         )
-    reached = float(p[t > 0.8 * HOLD, chamber].mean())
+    reached = float(p[t > 0.8 * HOLD_TIME, chamber].mean())
     above = np.flatnonzero(p[:, chamber] >= 0.632 * reached)
     rise = float(t[above[0]]) if len(above) else float("nan")
-    others = float(np.delete(p, chamber, axis=1)[t > 0.8 * HOLD].max())
+    others = float(np.delete(p, chamber, axis=1)[t > 0.8 * HOLD_TIME].max())
     _hold(manifold, 0.5, lambda: manifold.set((0.0, 0.0, 0.0, 0.0)))
     return ChamberCheck(CHAMBERS[chamber], pressure, reached, rise, others)

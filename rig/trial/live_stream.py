@@ -17,7 +17,7 @@ CHANNELS_OUT = ORDER[1:]
 """Channels of a reading, in this order."""
 MAX_FORCE_DELAY = 0.05
 """Longest wait for a force sample [s]."""
-KEPT = 4096
+MAX_KEPT = 4096
 """Largest number of readings, commands or force samples in memory: 4 s of forces at 1 kHz."""
 FORCE_MEMORY = 0.2
 """Time before the latest reading for which force samples are kept [s]."""
@@ -52,10 +52,10 @@ class LiveStream:
         self._analogue, self._has_force = analogue, has_force
         self._lock = Lock()
         self._commands: dict[int, Pressures] = {}
-        self._received: deque[tuple[int, Reading] | Follows] = deque(maxlen=KEPT)
-        self._forces_received: deque[tuple[int, float, float, float]] = deque(maxlen=KEPT)
+        self._received: deque[tuple[int, Reading] | Follows] = deque(maxlen=MAX_KEPT)
+        self._forces_received: deque[tuple[int, float, float, float]] = deque(maxlen=MAX_KEPT)
         self._clock, self._force_clock = RunningClock(), RunningClock()
-        self._rows: deque[tuple[int, Reading, Signed]] = deque(maxlen=KEPT)
+        self._rows: deque[tuple[int, Reading, Signed]] = deque(maxlen=MAX_KEPT)
         self._forces: list[tuple[float, float, float]] = []
         self._followed = _Followed()
         self.manifold: Manifold | None = None
@@ -66,7 +66,7 @@ class LiveStream:
         with self._lock:
             seq = self.manifold.set(pressures)
             self._commands[seq] = pressures
-            if len(self._commands) > KEPT:
+            if len(self._commands) > MAX_KEPT:
                 self._commands.pop(next(iter(self._commands)))
         return seq
 
@@ -116,7 +116,7 @@ class LiveStream:
         for host_ns, sensor_s, *forces in _all_of(self._forces_received):
             self._force_clock.add(sensor_s, 1e-9 * host_ns)
             self._forces.append((sensor_s, forces[0], forces[1]))
-        del self._forces[:-KEPT]
+        del self._forces[:-MAX_KEPT]
         items = list(_all_of(self._received))
         with self._lock:  # briefly, because the player waits for it
             commands = dict(self._commands)

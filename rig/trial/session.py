@@ -30,14 +30,14 @@ from rig.trial.capture import (
 )
 from rig.trial.settling import Stillness, sensor_noise
 
-RANGES = {"thrust_N": 1.0, "recoil_N": 1.0, "tip_m": 0.08}
+ASSUMED_RANGES = {"thrust_N": 1.0, "recoil_N": 1.0, "tip_m": 0.08}
 """Assumed ranges of the sensors before the first trial."""
-LATE = 3e-3
+LATE_COMMANDS = 3e-3
 """99th percentile of the commands' lateness above which a finding is recorded [s]."""
 LATE_READINGS = 4e-3
 """Median lateness of readings above which a finding is recorded [s]; it is 0.7 ms on a computer
 without other load."""
-SLOW = 0.15
+SLOW_FLUSH = 0.15
 """Time between flushes of the recording above which a finding is recorded [s]."""
 MAY_CHANGE = {"rig.force.host", "rig.force.port", "rig.force.page_port", "experiment_sha256"}
 """Settings that may change before a run is resumed: an instrument's address, but not its other
@@ -149,7 +149,7 @@ def wait_for_rest(
     # Discards earlier events of the manifold, such as a reset.
     rig.manifold.configure(rig.limits)
     begun = time.monotonic()
-    ranges = before["range"] if before else RANGES
+    ranges = before["range"] if before else ASSUMED_RANGES
     noise = before["at_rest_noise"] if before else sensor_noise(rig.manifold, rig.analogue)
     still = Stillness(rig.analogue, ranges, noise)
     while (waited := time.monotonic() - begun) < rig.longest_pause or waited < rig.pause:
@@ -244,7 +244,7 @@ def _trial_record(
     late = recorded.played.lateness
     late_99 = float(np.percentile(late, 99))
     findings = list(columns.record["findings"])
-    if late_99 > LATE:
+    if late_99 > LATE_COMMANDS:
         findings.append(
             f"1 % of the commands were {1e3 * late_99:.1f} ms late: the computer is too busy"
         )
@@ -253,7 +253,7 @@ def _trial_record(
             f"the readings' median delay was {1e3 * columns.record['late_median_s']:.0f} ms: the "
             "computer is too busy, and forces may be off by 1 to 2 ms against the pressures"
         )
-    if recorded.load.slowest_flush > SLOW:
+    if recorded.load.slowest_flush > SLOW_FLUSH:
         findings.append(
             f"the disk was slow: a kill would have lost {recorded.load.slowest_flush:.2f} s of data"
         )

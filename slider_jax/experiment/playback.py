@@ -18,13 +18,13 @@ from slider_jax.experiment.load import Experiment, check_pascal
 from slider_jax.experiment.schema import Trial
 from slider_jax.io.csv import read_csv
 
-COLUMNS = ("t_s", "set_front_Pa", "set_rear_Pa")
+PLAYED_COLUMNS = ("t_s", "set_front_Pa", "set_rear_Pa")
 """A row's signed set pressures are valid from its time on; the last row is the trial's end."""
 LEAST_ROWS = 64
 """Smallest number of rows. Rows are padded to a power of two, so that trials share programs."""
 LONGEST_STEP = 2.5e-3
 """Longest step of a simulation with a played drive [s]."""
-CELL = 5e-3
+AVERAGING_TIME = 5e-3
 """Time over which changes of a smooth wave are averaged [s]; short against a chamber's lag."""
 
 
@@ -45,15 +45,15 @@ def read_played(experiment: Experiment, trial: Trial) -> PlayedDrive | None:
     path = experiment.folder / f"{Path(trial.file).stem}.played.csv"
     if not path.exists() or trial.drive_is == "measured":
         return None
-    columns = read_csv(path, COLUMNS)
-    t, sets = columns["t_s"], [columns[name] for name in COLUMNS[1:]]
+    columns = read_csv(path, PLAYED_COLUMNS)
+    t, sets = columns["t_s"], [columns[name] for name in PLAYED_COLUMNS[1:]]
     advice = "delete it to use the declared drive"
     if t[0] > 1e-9 or t[-1] < trial.duration * (1.0 - 1e-6):
         raise InputError(
             f"{path}: covers {t[0]:g} to {t[-1]:g} s; the trial {trial.file} needs 0 to "
             f"{trial.duration:g} s; {advice}"
         )
-    check_pascal(path, columns, COLUMNS[1:])
+    check_pascal(path, columns, PLAYED_COLUMNS[1:])
     front, given = float(np.abs(sets[0]).max()), trial.amplitude
     if trial.waveform == "square" and given is not None and abs(front - given) > 1e-3 * given + 1.0:
         raise InputError(
@@ -70,11 +70,11 @@ def read_played(experiment: Experiment, trial: Trial) -> PlayedDrive | None:
 
 
 def _averaged(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the changes, averaged over each `CELL` if they are more frequent."""
-    if np.diff(t[:-1]).min(initial=np.inf) >= 0.9 * CELL:
+    """Return the changes, averaged over each `AVERAGING_TIME` if they are more frequent."""
+    if np.diff(t[:-1]).min(initial=np.inf) >= 0.9 * AVERAGING_TIME:
         return t, values
     area = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(t))])
-    cells = np.append(np.arange(0.0, t[-1] - 0.5 * CELL, CELL), t[-1])
+    cells = np.append(np.arange(0.0, t[-1] - 0.5 * AVERAGING_TIME, AVERAGING_TIME), t[-1])
     means = np.diff(np.interp(cells, t, area)) / np.diff(cells)
     return cells, np.append(means, means[-1])
 

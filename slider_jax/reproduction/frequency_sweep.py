@@ -20,7 +20,7 @@ from slider_jax.batch.strides import (
 from slider_jax.beam.parameters import Numerics, Robot
 from slider_jax.channels import CHANNELS
 
-SHOWN = (1.0, 4.8)
+SHOWN_FREQUENCIES = (1.0, 4.8)
 """Frequencies [Hz] of the paper's Figs. 5 and 6."""
 
 
@@ -92,7 +92,7 @@ def run_frequency_sweep(
     table |= steady_quantities(plan, robots, runs, settings.transient)
     shown = {}
     for index, frequency in enumerate(frequencies):
-        if np.isclose(frequency, SHOWN).any():
+        if np.isclose(frequency, SHOWN_FREQUENCIES).any():
             times, *readings = (np.concatenate(runs[name][index]) for name in ("t", *CHANNELS))
             channels = dict(zip(CHANNELS, readings, strict=True))
             shown[float(frequency)] = FrequencySeries(times, channels, runs["midline"][index])

@@ -25,7 +25,7 @@ from slider_jax.swimming.steady_state import SteadySettings
 K_Q_OF_THE_TIP = 1.623e-6
 """K_Q [m^3] with which 45 kPa in both chambers move the tip by 102 mm, the paper's figure for K_Q.
 It is 3.4 times the value from the paper's Q_set = 175 mN m at 365 kPa."""
-PASSED, KEPT = 12, 4
+TRANSIENT_STRIDES, MEAN_STRIDES = 12, 4
 """Strides of a robot with clamped head: transient strides, and strides for the mean thrust."""
 
 
@@ -155,9 +155,9 @@ def _held(model: Model, frequency, search: SteadySettings):
         return obs.midline(x), obs.thrust(x)
 
     steps = search.steps_per_stride
-    times = TimeGrid.per_stride(frequency, steps, PASSED + KEPT)
+    times = TimeGrid.per_stride(frequency, steps, TRANSIENT_STRIDES + MEAN_STRIDES)
     run = rollout(model, times, saved, search.numerics, search.scheme, checkpoint=False)
-    return jax.tree.map(lambda x: x[-KEPT * steps :], (run.t, *run.saved)), run.ok
+    return jax.tree.map(lambda x: x[-MEAN_STRIDES * steps :], (run.t, *run.saved)), run.ok
 
 
 def clamped_performance(

@@ -10,7 +10,7 @@ from slider_jax.io.figures import new_figure, save_film
 from slider_jax.simulation.plots import last_strides, run_title
 from slider_jax.simulation.trial import TrialRun
 
-STRIDES, FRAMES_PER_STRIDE = 2, 40
+SHOWN_STRIDES, FRAMES_PER_STRIDE = 2, 40
 ARROW = 50.0
 """Length of the longest arrow [mm]."""
 
@@ -24,7 +24,7 @@ def animate_run(
     the net internal moment; arrows are the water's force per length. Below are thrust and recoil
     with a cursor.
     """
-    steps = last_strides(run, STRIDES * FRAMES_PER_STRIDE + 1, STRIDES, closed=True)
+    steps = last_strides(run, SHOWN_STRIDES * FRAMES_PER_STRIDE + 1, SHOWN_STRIDES, closed=True)
     figure, moving, move = _scene(run, steps)
     path = folder / f"{Path(run.trial.file).stem}.gif"
     save_film(figure, moving, move, steps.tolist(), path, progress)

@@ -13,7 +13,7 @@ from slider_jax.batch.chunks import chunks_of, run_in_threads, stack
 from slider_jax.beam.parameters import Numerics
 from slider_jax.observables import stride_means, thrust
 from slider_jax.reproduction.frequency_sweep import (
-    SHOWN,
+    SHOWN_FREQUENCIES,
     FrequencySweepSettings,
     run_frequency_sweep,
 )
@@ -48,7 +48,7 @@ def test_each_frequency_is_what_a_single_rollout_gives(sweep, index):
     np.testing.assert_allclose(
         sweep.table["thrust_std_of_strides_N"][index], expected[2:].std(ddof=1), atol=1e-10
     )
-    if f in SHOWN:
+    if f in SHOWN_FREQUENCIES:
         np.testing.assert_allclose(sweep.shown[f].channels["thrust"], single, rtol=0, atol=1e-10)
 
 
@@ -114,7 +114,7 @@ def test_paper_sweep_is_34_frequencies_from_0p4_to_7():
     assert len(paper.SWEEP) == 34
     np.testing.assert_allclose(np.diff(paper.SWEEP), 0.2)
     assert (paper.SWEEP[0], paper.SWEEP[-1]) == (0.4, 7.0)
-    assert set(SHOWN) <= set(paper.SWEEP)
+    assert set(SHOWN_FREQUENCIES) <= set(paper.SWEEP)
 
 
 @pytest.mark.parametrize("members, workers", [(34, 2), (1, 4), (8, 1), (17, 3), (100, 2)])
