@@ -4,13 +4,15 @@ import sys
 import time
 
 from slider_jax.cli.options import Folder
+from slider_jax.cli.progress import timed_printer
 
 
 def published(out: Folder) -> None:
     """Compare the paper's free-swimming speeds with its equations and with added axial resistance.
 
     Each effect of axial resistance is calibrated on one published speed and predicts the other.
-    Takes some minutes. Writes DIR/report.html (to read) and DIR/report.json (to process).
+    The command takes some minutes. It writes DIR/report.html (to read) and DIR/report.json (to
+    process).
 
     Args:
         out: folder for the results; created if missing, files of the same name are replaced.
@@ -30,19 +32,16 @@ def published(out: Folder) -> None:
     )
     from slider_jax.io.files import staged, write_json, write_text
 
-    start = time.monotonic()
-
-    def report(line: str) -> None:
-        print(f"{time.monotonic() - start:5.0f} s  {line}", file=sys.stderr, flush=True)
+    start, progress = time.monotonic(), timed_printer()
 
     def done(x: SpeedPrediction) -> None:
-        report(
+        progress(
             f"{x.resisting} calibrated at {x.calibrated_on} predicts "
             f"{100 * x.predicted:.1f} cm/s at {x.predicts}"
         )
 
     with staged(out) as stage:
-        report("simulating from rest by the paper's equations")
+        progress("simulating from rest by the paper's equations")
         outcome = CrossPrediction(
             unresisted_swims(),
             predicted_speeds(FIRST, OPTIMUM, done=done),

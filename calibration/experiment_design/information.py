@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calibration.inference.cache import Memo
+from calibration.inference.cache import Memo, cached
 from calibration.inference.noise import Noise, Whitener, channel_noise
 from calibration.inference.problem import ChannelBlock
 from calibration.measurements.records import Record, load_records
@@ -182,21 +182,17 @@ class TrialInformation:
             finite = np.isfinite(y).all()
             return [y, self._tangents(p, y) if finite else np.zeros((0, *y.shape))]
 
-        if self.memo is None:
-            return make()
         steps = np.array(sorted(self.secants.items()), float)
         name = f"foresee {trial.model_dump_json()} {self.effects} {self.coarse}"
-        return self.memo.cached(name, [self.theta, self.chosen, steps], make)
+        return cached(self.memo, name, [self.theta, self.chosen, steps], make)
 
     def _other(self, trial: Trial, p: TrialPlan) -> np.ndarray | None:
         """Return the readings (5, n) of the other model."""
         other = self.other
         if other is None:
             return None
-        if self.memo is None:
-            return predict_readings(p, other)
         name = f"foresee other {trial.model_dump_json()} {self.effects} {self.coarse}"
-        return self.memo.cached(name, [other], lambda: [predict_readings(p, other)])[0]
+        return cached(self.memo, name, [other], lambda: [predict_readings(p, other)])[0]
 
     def _tangents(self, p: TrialPlan, y: np.ndarray) -> np.ndarray:
         """Return tangents or secants (k, 5, n); NaN if they cannot be simulated."""

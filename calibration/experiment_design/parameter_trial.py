@@ -4,14 +4,19 @@ A trial adds its information J J^T to that of the measured data. J are the white
 fitted parameters. The sum gives the interval before the trial is measured.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from calibration.experiment_design.information import (
+    SensorModel,
+    TrialInformation,
+    information,
+)
 from calibration.inference.gauss_newton import Fit, inverse
-from calibration.inference.noise import Noise, Whitener
+from calibration.inference.noise import Noise
 from calibration.inference.problem import AbstractProblem, summed
 from calibration.inference.uncertainty import (
     confidence_interval,
@@ -20,16 +25,8 @@ from calibration.inference.uncertainty import (
     value_by_variation,
 )
 from calibration.model.extended import Parameter
-from calibration.model.initial_swing import declared_swing_spans
-from calibration.model.predict import (
-    COARSE,
-    Resolution,
-    on_all_cores,
-    plan_trial,
-    predict_readings,
-    reading_tangents,
-)
-from slider_jax.channels import row_of
+from calibration.model.predict import COARSE, Resolution, on_all_cores
+from slider_jax.errors import SolverError
 from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.schema import Trial
 
@@ -54,24 +51,22 @@ class MeasuredInformation(NamedTuple):
     """J J^T (k, k) of the free entries."""
     free: np.ndarray
     """Indices (k,) of the identified entries."""
-    noise: Mapping[str, tuple[Noise, int]]
-    """Noise of every measured channel, and its sampling interval in samples."""
+    sensing: SensorModel
+    """Sensors with the median noise of each channel."""
 
     @classmethod
     def of(cls, problem: AbstractProblem, fit: Fit) -> "MeasuredInformation":
         """Return the information and sensors of the fitted trials."""
+        noise, every = {}, {}
+        for channel in problem.channels:
+            found = [x for (_, name), x in problem.noise.items() if name == channel]
+            if not found:
+                continue
+            there = np.concatenate([r.there(channel) for r in problem.records if r.has(channel)])
+            noise[channel] = Noise(*np.median(np.array(found), axis=0))
+            every[channel] = max(1, round(len(there) / int(there.sum())))
         A = summed(fit.blocks)[0] / fit.inflation
-        return cls(A, fit.free, {c: x for c in problem.channels if (x := _sensor(problem, c))})
-
-
-def _sensor(problem: AbstractProblem, channel: str) -> tuple[Noise, int] | None:
-    """Return the channel's median noise and sampling interval in samples; None if not measured."""
-    found = [x for (_, name), x in problem.noise.items() if name == channel]
-    if not found:
-        return None
-    there = np.concatenate([r.there(channel) for r in problem.records if r.has(channel)])
-    noise = Noise(*np.median(np.array(found), axis=0))
-    return noise, max(1, round(len(there) / int(there.sum())))
+        return cls(A, fit.free, SensorModel(noise, every, {}))
 
 
 def feasible_trials(experiment: Experiment, frequency: float | None = None) -> list[Trial]:
@@ -131,15 +126,18 @@ def best_trial(
     identified. Candidates that cannot be simulated are skipped.
     """
     effects = tuple(dict.fromkeys(p.effect for p in entries if p.effect))
+    model = TrialInformation(
+        experiment, effects, theta, measured.free, measured.sensing, {}, resolution
+    )
 
-    def added(trial: Trial) -> np.ndarray:
-        return _information(experiment, trial, effects, theta, measured, resolution)
+    def variance(trial: Trial) -> np.ndarray:
+        try:
+            A = measured.information + information(model.trial(trial))
+        except SolverError:
+            A = np.full_like(measured.information, np.nan)
+        return np.diag(inverse(A)) if np.isfinite(A).all() else np.full(len(A), np.inf)
 
-    variances = []
-    for extra in on_all_cores(added, list(candidates)):
-        A = measured.information + extra
-        finite = np.isfinite(A).all()
-        variances.append(np.diag(inverse(A)) if finite else np.full(len(A), np.inf))
+    variances = on_all_cores(variance, list(candidates))
     best = {}
     for index in wanted:
         place = int(np.flatnonzero(measured.free == index)[0])
@@ -151,26 +149,6 @@ def best_trial(
         half = 1.96 * float(np.hypot(np.sqrt(column[first]), discretisation_share(p) * value))
         best[index] = Proposal(candidates[first], half, determined(p, value - half, value + half))
     return best
-
-
-def _information(experiment, trial, effects, theta, measured, resolution) -> np.ndarray:
-    """Return J J^T (k, k) of a trial that is not measured."""
-    trial_plan = plan_trial(experiment, trial, effects, resolution)
-    model = predict_readings(trial_plan, theta)
-    size = len(measured.free)
-    if not np.isfinite(model).all():
-        return np.full((size, size), np.nan)
-    J = reading_tangents(trial_plan, theta, np.eye(len(theta))[measured.free])
-    found, swing = np.zeros((size, size)), declared_swing_spans(experiment, trial_plan, theta)
-    for channel, (noise, every) in measured.noise.items():
-        row, at = row_of(channel), slice(None, None, every)
-        swings = None if swing is None else swing[:, row, at]
-        whiten = Whitener(
-            trial_plan.at[at], noise, model[row, at], channel, trial.frequency, swings
-        )
-        white = whiten(J[:, row, at])
-        found += white @ white.T
-    return found
 
 
 def propose_trials(

@@ -63,14 +63,11 @@ def drive_frequencies(trials: Sequence[Trial]) -> tuple[np.ndarray, np.ndarray]:
     return np.array(means), place
 
 
-def constant_ties(entries: Sequence[Parameter], theta: np.ndarray, trials: int) -> ParameterTies:
+def constant_ties(
+    entries: Sequence[Parameter], theta: np.ndarray, at: np.ndarray, place: np.ndarray
+) -> ParameterTies:
     """Return the ties with the same values in all trials."""
-    same = Affine(np.zeros(len(theta)), np.eye(len(theta)))
-    labels, ungrouped = [p.label for p in entries], np.full(len(theta), -1)
-    indices = np.arange(len(theta))
-    return ParameterTies(
-        CONSTANT, list(entries), labels, (same,) * trials, theta.copy(), ungrouped, indices
-    )
+    return per_frequency_ties(entries, theta, at, place, ())._replace(name=CONSTANT)
 
 
 def paper_ties(
@@ -84,42 +81,31 @@ def paper_ties(
         for name, value in zip(RAMP_PARAMETERS, force_coefficients(float(at[g])), strict=True):
             offset[_index(entries, name)] = float(value)
         maps.append(Affine(offset, np.eye(len(entries))[:, common]))
-    free = [entries[i] for i in common]
-    labels, ungrouped = [p.label for p in free], np.full(len(common), -1)
-    return ParameterTies(
-        PAPER, free, labels, tuple(maps), theta[common], ungrouped, np.array(common)
-    )
+    return _ties(PAPER, entries, theta, common, [entries[i].label for i in common], maps)
 
 
 def ramp_ties(
     entries: Sequence[Parameter], theta: np.ndarray, at: np.ndarray, place: np.ndarray
 ) -> ParameterTies:
-    """Return the ties with a ramp of C_d and m_a at the paper's frequencies and free end values.
+    """Return the ties with free values of C_d and m_a at both ends of the paper's ramp.
 
     The other parameters are common.
     """
     common = [i for i, p in enumerate(entries) if p.label not in RAMP_PARAMETERS]
     moving = [_index(entries, name) for name in RAMP_PARAMETERS]
-    indices = np.array([*common, *(i for i in moving for _ in (0, 1))])
+    indices = [*common, *(i for i in moving for _ in (0, 1))]
     along = np.clip((at - RAMP_START) / (RAMP_END - RAMP_START), 0.0, 1.0)
     maps = []
     for g in place:
-        matrix = np.zeros((len(entries), len(indices)))
-        matrix[indices, np.arange(len(indices))] = 1.0
+        matrix = np.eye(len(entries))[:, indices]
         for k, i in enumerate(moving):
             first = len(common) + 2 * k
             matrix[i, first : first + 2] = 1.0 - along[g], along[g]
         maps.append(Affine(np.zeros(len(entries)), matrix))
+    ends = (f"below {RAMP_START:g} Hz", f"above {RAMP_END:g} Hz")
     labels = [entries[i].label for i in common]
-    labels += [
-        f"{n} {w}"
-        for n in RAMP_PARAMETERS
-        for w in (f"below {RAMP_START:g} Hz", f"above {RAMP_END:g} Hz")
-    ]
-    return ParameterTies(
-        RAMP, [entries[i] for i in indices], labels, tuple(maps), theta[indices],
-        np.full(len(indices), -1), indices,
-    )  # fmt: skip
+    labels += [f"{name} {end}" for name in RAMP_PARAMETERS for end in ends]
+    return _ties(RAMP, entries, theta, indices, labels, maps)
 
 
 def per_frequency_ties(
@@ -132,21 +118,26 @@ def per_frequency_ties(
     """Return the ties with separate values of `each` (labels) by frequency; the rest is common."""
     common = [i for i, p in enumerate(entries) if p.label not in each]
     own = [_index(entries, name) for name in each]
-    indices = np.array([*common, *(i for i in own for _ in at)])
+    indices = [*common, *(i for i in own for _ in at)]
     group = np.array([*(-1 for _ in common), *(g for _ in own for g in range(len(at)))])
-    maps = []
-    for g in place:
-        matrix = np.zeros((len(entries), len(indices)))
-        here = np.flatnonzero((group == -1) | (group == g))
-        matrix[indices[here], here] = 1.0
-        maps.append(Affine(np.zeros(len(entries)), matrix))
+    maps = [
+        Affine(
+            np.zeros(len(entries)),
+            np.eye(len(entries))[:, indices] * ((group == -1) | (group == g)),
+        )
+        for g in place
+    ]
     labels = [
         entries[i].label + ("" if g < 0 else f" at {at[g]:g} Hz")
         for i, g in zip(indices, group, strict=True)
     ]
-    return ParameterTies(
-        EACH, [entries[i] for i in indices], labels, tuple(maps), theta[indices], group, indices
-    )
+    return _ties(EACH, entries, theta, indices, labels, maps)._replace(group=group)
+
+
+def _ties(name, entries, theta, indices, labels, maps) -> ParameterTies:
+    own, ungrouped = [entries[i] for i in indices], np.full(len(indices), -1)
+    start, parameter = theta[indices], np.array(indices)
+    return ParameterTies(name, own, labels, tuple(maps), start, ungrouped, parameter)
 
 
 def _index(entries: Sequence[Parameter], label: str) -> int:

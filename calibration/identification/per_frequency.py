@@ -103,7 +103,7 @@ def compare_ties(
         raise InputError(f"--per-frequency: all trials are driven at {at[0]:g} Hz; omit the option")
     white = problem.whiteners(initial.predicted)
     theta = initial.theta
-    candidates = [constant_ties(entries, theta, len(place))]
+    candidates = [constant_ties(entries, theta, at, place)]
     if set(RAMP_PARAMETERS) <= set(each):
         candidates.append(paper_ties(entries, theta, at, place))
         if spans_ramp(at):

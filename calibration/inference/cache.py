@@ -46,6 +46,13 @@ class Memo:
         return made
 
 
+def cached(
+    memo: Memo | None, name: str, arrays: Sequence[np.ndarray], make: Callable[[], list[np.ndarray]]
+) -> list[np.ndarray]:
+    """Return `memo.cached(...)`, or `make()` without a memo."""
+    return make() if memo is None else memo.cached(name, arrays, make)
+
+
 def source_digest() -> str:
     """Return the SHA-256 digest of the program's source files."""
     digest = hashlib.sha256()

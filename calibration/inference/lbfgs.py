@@ -14,8 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from calibration.inference.bounds import Bounds
-from calibration.inference.gauss_newton import Fit, inverse
+from calibration.inference.gauss_newton import Bounds, Fit, inverse
 from calibration.inference.noise import Whitener
 from calibration.inference.problem import AbstractProblem, ChannelBlock, summed, total
 from calibration.model.extended import Parameter

@@ -16,7 +16,7 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from calibration.inference.cache import Memo
+from calibration.inference.cache import Memo, cached
 from calibration.inference.noise import Noise, Whitener, channel_noise
 from calibration.measurements.records import Record
 from calibration.model.extended import base_values, base_vector, model_parameters
@@ -118,9 +118,7 @@ class AbstractProblem(ABC):
         return self._cached("secants", [theta, *others], lambda: self._secants(theta, others))
 
     def _cached(self, kind: str, arrays: Sequence[np.ndarray], make) -> list[np.ndarray]:
-        if self.memo is None:
-            return make()
-        return self.memo.cached(f"{kind} {[r.trial.file for r in self.records]}", arrays, make)
+        return cached(self.memo, f"{kind} {[r.trial.file for r in self.records]}", arrays, make)
 
     def whiteners(self, predicted: list[np.ndarray]) -> dict[tuple[int, str], Whitener]:
         """Return the whitener of every trial and channel.

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.experiment_design import parameter_trial
+from calibration.experiment_design import information
 from calibration.inference import problem
 from calibration.inference.problem import TankProblem
 from calibration.measurements.records import Record
@@ -60,7 +60,7 @@ def tangents(plan, theta, directions):
 
 def replace_the_beam(monkeypatch):
     """Replace the simulation of trials by `readings`."""
-    for module in (problem, parameter_trial):
+    for module in (problem, information):
         monkeypatch.setattr(module, "predict_readings", predict)
         monkeypatch.setattr(module, "reading_tangents", tangents)
 

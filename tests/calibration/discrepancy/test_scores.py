@@ -5,8 +5,7 @@ import pytest
 
 from calibration.discrepancy.rounds import agreement
 from calibration.discrepancy.scores import least_squares_step, score, tangent_cosine
-from calibration.inference.bounds import Bounds
-from calibration.inference.gauss_newton import _linear_optimum, inverse
+from calibration.inference.gauss_newton import Bounds, _linear_optimum, inverse
 from calibration.inference.problem import ChannelBlock, summed
 from calibration.model.extended import Parameter
 from slider_jax.effects import Prior

@@ -245,7 +245,7 @@ def test_a_held_out_frequency_does_not_affect_the_vector(monkeypatch):
     others = closed.problem_of(experiment, [r for i, r in enumerate(records) if i != 2])
     alone = fit_gauss_newton(others, entries, base_vector(entries, START), free)
     at, place = parameter_ties.drive_frequencies(experiment.trials)
-    ties = parameter_ties.constant_ties(entries, every.theta, 4)
+    ties = parameter_ties.constant_ties(entries, every.theta, at, place)
     without = per_frequency._without(ties, every, at, 2, place)
     error = np.sqrt(np.diag(alone.covariance))
     assert np.all(np.abs(without - alone.theta) < 0.3 * error)
