@@ -14,6 +14,7 @@ from slider_jax.batch.chunks import available_cores
 from slider_jax.beam.grid import split_cells
 from slider_jax.beam.parameters import Numerics
 from slider_jax.channels import recorded, recorded_series
+from slider_jax.dynamics.model import Model
 from slider_jax.dynamics.pressures import chamber_history, start_chambers
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest
@@ -120,15 +121,17 @@ def _read(extended: ExtendedModel, theta, t, series):
     return jnp.stack([read[name] for name in names[2:]])
 
 
-def _pressures(extended: ExtendedModel, theta, t):
+def recorded_pressures(model: Model, t):
     """Return p_front and p_rear (2, n) at regular times `t`, by exact steps between the times."""
-    model = extended.at(theta)
     begin = start_chambers(model)
     p = jnp.concatenate([begin.p[None], chamber_history(model, begin, t).p]).T
     zero = jnp.zeros_like(t)
-    columns = (t, *p, zero, zero, zero)
-    read = recorded(model.effects, Readings(*columns))
+    read = recorded(model.effects, Readings(t, *p, zero, zero, zero))
     return jnp.stack([read.p_front, read.p_rear])
+
+
+def _pressures(extended: ExtendedModel, theta, t):
+    return recorded_pressures(extended.at(theta), t)
 
 
 def _along(function, arguments, directions):
@@ -234,19 +237,24 @@ def _series(p: TrialPlan, theta) -> tuple[Array, float]:
 
 def reading_tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Return the derivatives (k, channels, samples) of readings along `directions` (k, entries)."""
-    k = len(directions)
-    padded = np.zeros((-(-k // DIRECTIONS) * DIRECTIONS, len(theta)))
-    padded[:k] = directions
     at, grid = jnp.asarray(theta), _sample_grid(p.at)
     series, _ = _series(p, at)
     t = jnp.asarray(p.grid.h * np.arange(len(series)))
-    parts = []
-    for first in range(0, len(padded), DIRECTIONS):
-        d = jnp.asarray(padded[first : first + DIRECTIONS])
+
+    def along(d):
         read = _recorded_along(p.extended, at, t, series, d, _series_along(p, at, d))
         pressures = _chambers_along(p.extended, at, jnp.asarray(grid), d)
-        parts.append(_sampled(p, np.asarray(read), np.asarray(pressures), grid))
-    return np.concatenate(parts)[:k]
+        return _sampled(p, np.asarray(read), np.asarray(pressures), grid)
+
+    return by_directions(along, directions)
+
+
+def by_directions(function, directions: np.ndarray) -> np.ndarray:
+    """Return `function` of all `directions` (k, n), called with `DIRECTIONS` of them at a time."""
+    padded = np.zeros((-(-len(directions) // DIRECTIONS), DIRECTIONS, directions.shape[1]))
+    padded.reshape(-1, directions.shape[1])[: len(directions)] = directions
+    found = [np.asarray(function(jnp.asarray(block))) for block in padded]
+    return np.concatenate(found)[: len(directions)]
 
 
 def initial_state_tangents(

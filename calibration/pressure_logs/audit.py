@@ -182,7 +182,7 @@ def audit_logs(logs: Sequence[ManifoldLog], seed: int = 0) -> list[Finding]:
     for log in logs:
         name = log.path.name
         for row in log.findings:
-            action: Action = "mended" if "dropped" in row.what else "used"
+            action: Action = "mended" if "dropped" in row.detail else "used"
             findings.append(Finding(name, "log_row", None, None, None, str(row), action))
         findings += _clipped(log) + _duties(log) + _times(log)
     density = code_density([log.pressure for log in logs], seed)

@@ -19,14 +19,13 @@ from calibration.inference.noise import channel_noise
 from calibration.inference.problem import AbstractProblem
 from calibration.measurements.records import Record
 from calibration.model.extended import ExtendedModel, candidate_effects, model_parameters
-from calibration.model.predict import DIRECTIONS
+from calibration.model.predict import by_directions, recorded_pressures
 from calibration.pressure_logs.read import ManifoldLog
 from slider_jax.actuation import Recorded
 from slider_jax.beam.parameters import Robot
-from slider_jax.channels import CHANNELS, recorded, row_of
+from slider_jax.channels import CHANNELS, row_of
 from slider_jax.dynamics.model import Drive
-from slider_jax.dynamics.pressures import chamber_history, start_chambers
-from slider_jax.effects import Command, Flow, Instrument, Readings
+from slider_jax.effects import Command, Flow, Instrument
 from slider_jax.effects.library import LIBRARY
 from slider_jax.experiment.load import Experiment, assemble, trial_conditions
 from slider_jax.experiment.prepare import prepare
@@ -148,13 +147,7 @@ class PressureLogProblem(AbstractProblem):
         moved = self._moved(theta, along)
         extended, at = self._extended(moved), self._entries(theta, moved)
         short = np.stack([self._entries(d, moved) for d in directions])
-        padded = np.zeros((-(-len(short) // DIRECTIONS) * DIRECTIONS, short.shape[1]))
-        padded[: len(short)] = short
-        blocks = [
-            np.asarray(_along(extended, at, self.drive, jnp.asarray(padded[i : i + DIRECTIONS])))
-            for i in range(0, len(padded), DIRECTIONS)
-        ]
-        series = np.concatenate(blocks)[: len(short)]
+        series = by_directions(lambda d: _along(extended, at, self.drive, d), short)
         each = [self._at_samples(x) for x in series]
         return [np.stack(x) for x in zip(*each, strict=True)]
 
@@ -199,10 +192,7 @@ def _read(extended: ExtendedModel, theta, drive: LogDrive):
     def one(at, command, start):
         wave = Recorded(at, command)
         driven = replace(model, drive=Drive(wave, wave, start, start))
-        begin = start_chambers(driven)
-        p = jnp.concatenate([begin.p[None], chamber_history(driven, begin, at).p])
-        zero = jnp.zeros_like(at)
-        return recorded(model.effects, Readings(at, *p.T, zero, zero, zero)).p_front
+        return recorded_pressures(driven, at)[0]
 
     return jax.vmap(one)(drive.at, drive.command, drive.start)
 

@@ -26,10 +26,10 @@ class RowFinding(NamedTuple):
     """A fault of the file: a repaired or dropped row, or two numbers that contradict each other."""
 
     line: int | None
-    what: str
+    detail: str
 
     def __str__(self) -> str:
-        return f"line {self.line}: {self.what}" if self.line else self.what
+        return f"line {self.line}: {self.detail}" if self.line else self.detail
 
 
 def clean_rows(
@@ -128,13 +128,13 @@ def _in_order(
                 "increase: split the file at this line or remove the rows"
             )
         if step > 1:
-            what = f"{step - 1:.0f} samples missing between {last:.0f} and {now:.0f}"
+            detail = f"{step - 1:.0f} samples missing between {last:.0f} and {now:.0f}"
             if step > longest_gap:
                 raise InputError(
-                    f"{path}: line {lines[i]}: {what}, more than a tenth of a cycle; "
+                    f"{path}: line {lines[i]}: {detail}, more than a tenth of a cycle; "
                     "cut the log at this line or record again"
                 )
-            findings.append(RowFinding(lines[i], what))
+            findings.append(RowFinding(lines[i], detail))
         last = now
     return table[keep], findings
 

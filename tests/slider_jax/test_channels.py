@@ -15,7 +15,7 @@ from slider_jax.experiment.load import load
 from slider_jax.io.csv import read_csv
 from slider_jax.simulation.summary import trial_summary
 from slider_jax.simulation.trial import simulate_trial
-from tests.support.experiments import write
+from tests.support.experiments import write_small_experiment
 
 MID_BODY = '''
 """A camera marker at the middle node."""
@@ -37,7 +37,7 @@ register(Channel("marker", "marker_m", "m", "marker, lateral", "mm", 1e3, marker
 def marked(tmp_path_factory):
     """The small experiment with the channel of a file in a temporary folder; its simulated run."""
     folder = tmp_path_factory.mktemp("marked")
-    path = write(folder)
+    path = write_small_experiment(folder)
     plain = simulate_trial(load(path))
     (folder / "mid_body.py").write_text(MID_BODY)
     spec = importlib.util.spec_from_file_location("mid_body", folder / "mid_body.py")

@@ -1,4 +1,4 @@
-"""Histories of the two chambers with effects, as arrays."""
+"""Pressure histories of the two chambers with effects, as numpy arrays."""
 
 import equinox as eqx
 import jax
@@ -19,7 +19,7 @@ chamber_history = eqx.filter_jit(pneumatics.chamber_history)
 
 
 def chambers(effects, front, rear, t, start=0.0, law=LAG):
-    """The chambers' history with both pressures at `start`, as numpy arrays (n, ...)."""
+    """Return the chambers' history (n, ...) from the pressure `start` [Pa] in both."""
     model = Model(Robot(), tuple(effects), law, Drive(front, rear, start, start), Clamped())
     model = arrays(model)
     begin = pneumatics.start_chambers(model)
@@ -28,19 +28,20 @@ def chambers(effects, front, rear, t, start=0.0, law=LAG):
 
 
 def held(p_set):
-    """A set pressure that is constant from the start."""
+    """Return a constant set pressure [Pa]."""
     return Recorded(jnp.asarray([-2.0, -1.0]), jnp.asarray([p_set, p_set]))
 
 
 def relaxation(effect, start, p_set, t):
-    """p(t) [Pa] at the front from `start`, for a set pressure that is held."""
+    """Return the front pressure (n,) [Pa] from `start` for a constant set pressure."""
     return chambers([effect], held(p_set), held(p_set), t, start).p[:, 0]
 
 
 def square(effects, t, **options):
-    """The chambers under square waves, the rear one later by 0.15 of a period."""
+    """Return the chambers under square waves; the rear one lags by 0.15 of a period."""
     return chambers(effects, SquareWave(F, A), SquareWave(F, A, 0.15), t, **options)
 
 
 def strides(per_stride, count=3):
+    """Return the times [s] of `count` strides with `per_stride` steps each."""
     return np.arange(0, count * per_stride + 1) / (F * per_stride)

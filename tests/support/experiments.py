@@ -1,4 +1,4 @@
-"""A small experiment for the tests: coarse in space and time, so that it runs in a moment."""
+"""A small experiment for the tests, with a coarse mesh and step, so that it runs fast."""
 
 from pathlib import Path
 
@@ -48,8 +48,8 @@ duration = 0.9
 """
 
 
-def write(folder: Path, *changes: tuple[str, str]) -> Path:
-    """Write the small experiment with some of its text replaced (each must occur)."""
+def write_small_experiment(folder: Path, *changes: tuple[str, str]) -> Path:
+    """Write the small experiment after replacing each (old, new) of `changes`; return its path."""
     text = SMALL
     for old, new in changes:
         assert old in text, f"{old!r} is not in the small experiment"

@@ -36,7 +36,7 @@ from slider_jax.channels import CHANNELS, row_of
 from slider_jax.cli.main import COMMANDS, find, main
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
-from tests.support.experiments import write
+from tests.support.experiments import write_small_experiment
 from tests.support.still_tank import EFFECTS, LIMITS, MESH, STILL
 
 FEW = SearchEffort(spread=5, rounds=1)
@@ -46,7 +46,7 @@ FEW = SearchEffort(spread=5, rounds=1)
 def still(tmp_path_factory):
     """The detectability matrix of an experiment in still water without data."""
     return detectability_matrix(
-        load(write(tmp_path_factory.mktemp("still"), *STILL)), EFFECTS, coarse=MESH
+        load(write_small_experiment(tmp_path_factory.mktemp("still"), *STILL)), EFFECTS, coarse=MESH
     )
 
 
@@ -174,7 +174,7 @@ def test_a_nonlinear_effect_gets_a_secant(still, entries):
 
 
 def test_pressure_sensors_alone_do_not_observe_the_body(tmp_path, still):
-    path = write(tmp_path, ("[sensors]\n", "[sensors]\npressure_noise = 700.0\n"))
+    path = write_small_experiment(tmp_path, ("[sensors]\n", "[sensors]\npressure_noise = 700.0\n"))
     found = detectability_matrix(load(path), EFFECTS, coarse=MESH)
     assert list(found.information.sensing.noise) == ["p_front", "p_rear"]
     assert limit_of(found, "carried_mass").share == 0.0
@@ -186,11 +186,11 @@ def test_pressure_sensors_alone_do_not_observe_the_body(tmp_path, still):
 
 def test_an_experiment_without_noise_is_refused(tmp_path):
     with pytest.raises(InputError, match="add sensors.pressure_noise"):
-        predict_information(load(write(tmp_path)), EFFECTS)
+        predict_information(load(write_small_experiment(tmp_path)), EFFECTS)
 
 
 def test_measured_trials_keep_their_samples_and_channels(tmp_path, still):
-    experiment = load(write(tmp_path, *STILL))
+    experiment = load(write_small_experiment(tmp_path, *STILL))
     t = np.arange(0.0, 0.7, 0.005)
     tip = [f"{1e-3 * np.sin(x):.6f}" if i % 5 == 0 else "" for i, x in enumerate(t)]
     rows = [f"{x:.4f},{1e5 * np.sin(x):.1f},{y}" for x, y in zip(t, tip, strict=True)]
@@ -224,7 +224,7 @@ def test_a_towed_trial_discriminates_mass_from_axial_added_mass(still, towed):
 
 
 def test_the_proposed_trial_has_the_predicted_information(still, towed, tmp_path):
-    path = write(tmp_path, *STILL)
+    path = write_small_experiment(tmp_path, *STILL)
     path.write_text(f"{path.read_text()}\n{towed['toml']}")
     experiment = load(path)
     assert experiment.trials[2].tow_speed == towed["trial"]["tow_speed"]
@@ -288,7 +288,7 @@ def test_invalid_options_are_refused_by_name(options, message, tmp_path, capsys)
     pair = ["--separate", "tip_mass", "carried_mass"]
     extra = pair if "allowed" in message and "--separate" not in options else []
     out = tmp_path / "out"
-    arguments = [str(write(tmp_path, *STILL)), "--out", str(out), *options, *extra]
+    arguments = [str(write_small_experiment(tmp_path, *STILL)), "--out", str(out), *options, *extra]
     assert main(["effects", "matrix", *arguments]) == 2
     assert message in capsys.readouterr().err
     assert not out.exists()
@@ -309,7 +309,7 @@ def test_the_command_writes_json_picture_and_trial(still, tmp_path, monkeypatch,
         "calibration.experiment_design.pair_distance.separating_trial",
         partial(separating_trial, effort=SearchEffort(2, 0)),
     )
-    path, out = write(tmp_path, *STILL), tmp_path / "out"
+    path, out = write_small_experiment(tmp_path, *STILL), tmp_path / "out"
     arguments = ["--out", str(out), "--separate", "force_gain", "carried_mass"]
     assert main(["effects", "matrix", str(path), *arguments]) == 0
     assert calls[0][1] == ("force_gain", "carried_mass")

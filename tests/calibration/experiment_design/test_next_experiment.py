@@ -35,7 +35,7 @@ from calibration.model.extended import BASE, base_vector, model_parameters
 from slider_jax.channels import CHANNELS
 from slider_jax.experiment.load import load
 from slider_jax.experiment.schema import Trial
-from tests.support.experiments import write
+from tests.support.experiments import write_small_experiment
 from tests.support.still_tank import EFFECTS, LIMITS, MESH, STILL
 
 FREE, FEW = np.arange(len(BASE)), SearchEffort(spread=3, rounds=0)
@@ -46,7 +46,7 @@ MASS, FLUID = (effect_entries(ENTRIES)[name] for name in ("carried_mass", "axial
 @pytest.fixture(scope="module")
 def tank(tmp_path_factory):
     """An experiment, its problem of two noise-free trials, and its parameters."""
-    experiment = load(write(tmp_path_factory.mktemp("next"), *STILL))
+    experiment = load(write_small_experiment(tmp_path_factory.mktemp("next"), *STILL))
     theta = base_vector(ENTRIES, {n: getattr(experiment.parameters, n) for n in BASE})
     samples = [np.arange(int(t.duration * 200) + 1) / 200 for t in experiment.trials]
     empty = [

@@ -14,14 +14,14 @@ from slider_jax.dynamics.step import at_rest, with_motion
 from slider_jax.experiment.load import load
 from slider_jax.experiment.schema import SensorsTable
 from slider_jax.observables import tip
-from tests.support.experiments import write
+from tests.support.experiments import write_small_experiment
 
 THETA = np.array([3.0, 1.0, 0.087, 4.79e-7])
 MESH = Resolution(21, 80, 4e-3)
 
 
 def planned(folder, **changes):
-    experiment = load(write(folder)).with_values(changes)
+    experiment = load(write_small_experiment(folder)).with_values(changes)
     trial = experiment.trials[0]
     at = 2e-3 * np.arange(int(trial.duration * 500))
     return experiment, plan_trial(experiment, trial, (), MESH, at)

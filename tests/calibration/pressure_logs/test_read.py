@@ -112,7 +112,7 @@ def _stuck(lines):
 )
 def test_a_repaired_fault_is_a_finding(tmp_path, change, text, line, samples):
     log = read_log(write_log(tmp_path / "log.txt", change(log_lines())))
-    matching = [x for x in log.findings if text in x.what]
+    matching = [x for x in log.findings if text in x.detail]
     assert matching, [str(x) for x in log.findings]
     assert matching[0].line == line
     assert len(log.t) == samples
@@ -199,7 +199,7 @@ def test_the_rigs_logs_have_only_stale_rows_as_faults(data):
     logs = [read_log(path) for path in sorted((data / "manifold").glob("*.txt"))]
     assert len(logs) == 10
     assert sum(len(log.t) for log in logs) == 53312
-    stale = [log.path.name for log in logs if any("stale" in x.what for x in log.findings)]
+    stale = [log.path.name for log in logs if any("stale" in x.detail for x in log.findings)]
     assert stale == ["1.1667.txt", "2.3889.txt"]
     assert all(len(log.findings) == (2 if log.path.name in stale else 0) for log in logs)
     assert all(abs(log.cycles - 10.0) < 0.02 for log in logs)

@@ -17,7 +17,7 @@ from slider_jax.errors import InputError
 from slider_jax.experiment.load import load, to_model
 from slider_jax.realtime.plant import Plant
 from slider_jax.simulation.trial import simulate_trial
-from tests.support.experiments import write
+from tests.support.experiments import write_small_experiment
 from tests.support.live_stream import RATE, SENSORS, Streaming, only, set_pressures
 
 K, K_Q = 0.087, 4.79e-7
@@ -39,7 +39,7 @@ were measured. The limit is our own (docs/explanation/decisions.md)."""
 
 @pytest.fixture(scope="module")
 def experiment(tmp_path_factory):
-    return load(write(tmp_path_factory.mktemp("twin"), ("[sensors]\n", DECLARED)))
+    return load(write_small_experiment(tmp_path_factory.mktemp("twin"), ("[sensors]\n", DECLARED)))
 
 
 @pytest.fixture(scope="module")
@@ -337,7 +337,7 @@ tau = 0.01
         ("duration = 0.75", "duration = 3.0"),
         ("[[trials]]", effects + "\n[[trials]]"),
     )
-    experiment = load(write(tmp_path, *changes))
+    experiment = load(write_small_experiment(tmp_path, *changes))
     run = simulate_trial(experiment, 0)
     t = run.columns["t_s"][1:]
     set_pressure = np.asarray(set_pressures(to_model(experiment, 0).drive, t))
@@ -353,7 +353,7 @@ tau = 0.01
 @pytest.mark.slow
 def test_a_delayed_edge_causes_only_a_small_residual_at_the_tip(tmp_path):
     """The bands are learned with a regular drive; a busy computer sends commands irregularly."""
-    experiment = load(write(tmp_path, ("nodes = 11", "nodes = 51")))
+    experiment = load(write_small_experiment(tmp_path, ("nodes = 11", "nodes = 51")))
     trial, plant = experiment.trials[0], Plant(experiment, step=1e-3)
     drive = SegmentDrive("square", trial.frequency, trial.amplitude, trial.rear_ratio, trial.phase)
     # The front's edge is delayed by 75 ms, the rear's by 50 ms.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slider_jax.cli.main import main
-from tests.support.experiments import write
+from tests.support.experiments import write_small_experiment
 
 FIRST = '[[trials]]\nfile = "trial_00.csv"\nfrequency = 4.0\namplitude = 150000.0'
 RECORDED = '[[trials]]\nfile = "trial_00.csv"\nwaveform = "recorded"\ndrive_file = "drive.csv"'
@@ -110,12 +110,12 @@ def _refused(arguments, capsys, out, *fragments) -> None:
 @pytest.mark.parametrize("case", TOML_CASES)
 def test_invalid_toml_is_rejected_with_its_key(case, tmp_path, capsys):
     change, fragments = TOML_CASES[case]
-    path, out = write(tmp_path, change), tmp_path / "out"
+    path, out = write_small_experiment(tmp_path, change), tmp_path / "out"
     _refused(["simulate", path, "--out", out], capsys, out, *fragments)
 
 
 def test_an_experiment_without_trials_is_rejected(tmp_path, capsys):
-    path, out = write(tmp_path), tmp_path / "out"
+    path, out = write_small_experiment(tmp_path), tmp_path / "out"
     path.write_text(path.read_text().split("[[trials]]")[0])
     _refused(
         ["simulate", path, "--out", out], capsys, out, "trials: missing; add a table [[trials]]"
@@ -144,7 +144,7 @@ CSV_CASES = {
 @pytest.mark.parametrize("case", CSV_CASES)
 def test_invalid_samples_are_rejected_with_their_line(case, tmp_path, capsys):
     content, fragments = CSV_CASES[case]
-    path, out = write(tmp_path), tmp_path / "out"
+    path, out = write_small_experiment(tmp_path), tmp_path / "out"
     (tmp_path / "trial_00.csv").write_text(content)
     _refused(["simulate", path, "--out", out], capsys, out, "trial_00.csv", *fragments)
 
@@ -175,7 +175,7 @@ DRIVE_CASES = {
 @pytest.mark.parametrize("case", DRIVE_CASES)
 def test_an_invalid_recorded_drive_is_rejected(case, tmp_path, capsys):
     content, fragments = DRIVE_CASES[case]
-    path, out = write(tmp_path, (FIRST, RECORDED)), tmp_path / "out"
+    path, out = write_small_experiment(tmp_path, (FIRST, RECORDED)), tmp_path / "out"
     (tmp_path / "drive.csv").write_text(content)
     _refused(["simulate", path, "--out", out], capsys, out, "drive.csv", *fragments)
 
@@ -200,14 +200,14 @@ MODEL_CASES = {
 @pytest.mark.parametrize("case", MODEL_CASES)
 def test_an_invalid_model_file_is_rejected(case, tmp_path, capsys):
     content, fragments = MODEL_CASES[case]
-    path, model, out = write(tmp_path), tmp_path / "model.toml", tmp_path / "out"
+    path, model, out = write_small_experiment(tmp_path), tmp_path / "model.toml", tmp_path / "out"
     model.write_text(content)
     arguments = ["simulate", path, "--model", model, "--out", out]
     _refused(arguments, capsys, out, "model.toml", *fragments)
 
 
 def test_missing_files_and_folders_are_rejected(tmp_path, capsys):
-    path, out = write(tmp_path), tmp_path / "out"
+    path, out = write_small_experiment(tmp_path), tmp_path / "out"
     none = tmp_path / "none.toml"
     _refused(["simulate", none, "--out", out], capsys, out, "none.toml: no such file")
     _refused(["simulate", path, "--model", none, "--out", out], capsys, out, "none.toml: no such")
@@ -225,7 +225,7 @@ def test_a_binary_experiment_file_is_rejected(tmp_path, capsys):
 
 
 def test_an_output_folder_that_is_a_file_is_rejected(tmp_path, capsys):
-    path, out = write(tmp_path), tmp_path / "out"
+    path, out = write_small_experiment(tmp_path), tmp_path / "out"
     out.write_text("kept")
     _refused(["simulate", path, "--out", out], capsys, out, "--out", "is a file")
     _refused(["simulate", path, "--out", out / "in"], capsys, out, "--out", "is under a file")
@@ -233,14 +233,14 @@ def test_an_output_folder_that_is_a_file_is_rejected(tmp_path, capsys):
 
 
 def test_an_output_folder_with_measured_files_is_rejected(tmp_path, capsys):
-    path, none = write(tmp_path), tmp_path / "none"
+    path, none = write_small_experiment(tmp_path), tmp_path / "none"
     _refused(["simulate", path, "--out", tmp_path], capsys, none, "the experiment's own folder")
     assert [p.name for p in tmp_path.iterdir()] == ["experiment.toml"]
 
 
 @pytest.mark.parametrize("flag, value", [("step", "5"), ("nodes", "3"), ("scheme", "rk4")])
 def test_invalid_numerics_on_the_command_line_are_rejected(flag, value, tmp_path, capsys):
-    path, out = write(tmp_path), tmp_path / "out"
+    path, out = write_small_experiment(tmp_path), tmp_path / "out"
     fragments = ("command line", f"numerics.{flag}")
     _refused(["simulate", path, "--out", out, f"--{flag}", value], capsys, out, *fragments)
 
@@ -265,7 +265,7 @@ def test_a_group_lists_its_commands(words, capsys):
 
 
 def test_an_unknown_option_is_rejected(tmp_path, capsys):
-    path, out = write(tmp_path), tmp_path / "out"
+    path, out = write_small_experiment(tmp_path), tmp_path / "out"
     fragments = "--otu: unknown option; allowed --help, --out, --model", "did you mean --out?"
     _refused(["simulate", "--otu", out, path], capsys, out, *fragments)
     _refused(["simulate", path, f"--otu={out}"], capsys, out, *fragments)
@@ -280,7 +280,7 @@ def test_an_interrupted_command_writes_nothing(tmp_path, capsys, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(slider_jax.simulation.summary, "trial_summary", interrupt)
-    path, out = write(tmp_path), tmp_path / "out"
+    path, out = write_small_experiment(tmp_path), tmp_path / "out"
     assert main(["simulate", str(path), "--out", str(out), "--plot"]) == 130
     assert capsys.readouterr().err.strip().endswith("slider: interrupted")
     assert not out.exists()
@@ -288,7 +288,7 @@ def test_an_interrupted_command_writes_nothing(tmp_path, capsys, monkeypatch):
 
 def test_a_step_that_does_not_converge_is_reported(tmp_path, capsys):
     """With 100 times the moment and 1/100 of the stiffness there is no equilibrium shape."""
-    path, out = write(
+    path, out = write_small_experiment(
         tmp_path, ("4.79e-07", "4.79e-05"), ("EI_body = 0.038", "EI_body = 0.0004")
     ), tmp_path / "out"  # fmt: skip
     fragments = ("trial_00.csv", "the step to t = ", "did not converge", "--step")
@@ -300,7 +300,7 @@ def test_a_step_that_does_not_converge_is_reported(tmp_path, capsys):
 
 @pytest.mark.parametrize("command", ["calibrate", "close-loop"])
 def test_missing_input_is_rejected_before_anything_is_written(command, tmp_path, capsys):
-    out, experiment = tmp_path / "out", write(tmp_path)
+    out, experiment = tmp_path / "out", write_small_experiment(tmp_path)
     for words in (
         [tmp_path / "none.toml"],
         [tmp_path],

@@ -15,11 +15,11 @@ from slider_jax.experiment.load import (
     to_numerics,
 )
 from slider_jax.experiment.prepare import prepare
-from tests.support.experiments import write
+from tests.support.experiments import write_small_experiment
 
 
 def test_every_number_of_the_file_reaches_the_model(tmp_path):
-    experiment = load(write(tmp_path))
+    experiment = load(write_small_experiment(tmp_path))
     model = to_model(experiment, 0)
     robot, drive = model.robot, model.drive
     drag, reactive = model.effects
@@ -49,7 +49,7 @@ def test_every_number_of_the_file_reaches_the_model(tmp_path):
 
 
 def test_trials_of_one_waveform_share_their_structure(tmp_path):
-    experiment = load(write(tmp_path))
+    experiment = load(write_small_experiment(tmp_path))
     first, second = (jax.tree.structure(to_model(experiment, i)) for i in (0, 1))
     assert first == second
 
@@ -58,7 +58,9 @@ def test_trials_of_one_waveform_share_their_structure(tmp_path):
     "text, kind", [('waveform = "sine"', SineWave), ('waveform = "trapezoid"', Trapezoid)]
 )
 def test_waveforms(text, kind, tmp_path):
-    drive = to_model(load(write(tmp_path, ("phase = 0.1", f"phase = 0.1\n{text}")))).drive
+    drive = to_model(
+        load(write_small_experiment(tmp_path, ("phase = 0.1", f"phase = 0.1\n{text}")))
+    ).drive
     assert isinstance(drive.front, kind) and isinstance(drive.rear, kind)
     np.testing.assert_allclose((drive.front.phase, drive.rear.phase), (0.0, 0.1))
 
@@ -69,11 +71,13 @@ def test_recorded_drive_as_set_and_as_measured_pressure(tmp_path):
     (tmp_path / "drive.csv").write_text("\n".join(["t_s,p_front_Pa,p_rear_Pa", *rows]))
     old = "frequency = 4.0\namplitude = 150000.0"
     new = 'waveform = "recorded"\ndrive_file = "drive.csv"'
-    lagging = to_model(load(write(tmp_path, (old, new))))
+    lagging = to_model(load(write_small_experiment(tmp_path, (old, new))))
     assert isinstance(lagging.drive.front, Recorded)
     np.testing.assert_allclose(lagging.drive.rear.values, -1e5 * t)
     assert lagging.drive.start_front == 0.0 and lagging.pressure_law.k == 0.087
-    direct = to_model(load(write(tmp_path, (old, f'{new}\ndrive_is = "measured"'))))
+    direct = to_model(
+        load(write_small_experiment(tmp_path, (old, f'{new}\ndrive_is = "measured"')))
+    )
     assert isinstance(direct.pressure_law, Ideal)
     np.testing.assert_allclose(direct.drive.start_front, 5.0)
 
@@ -82,7 +86,7 @@ def test_a_recorded_drive_need_not_begin_at_zero(tmp_path):
     """The first sample holds before it; a record from before the start is entered at t = 0."""
     old = "frequency = 4.0\namplitude = 150000.0"
     new = 'waveform = "recorded"\ndrive_file = "drive.csv"\ndrive_is = "measured"'
-    path = write(tmp_path, (old, new))
+    path = write_small_experiment(tmp_path, (old, new))
     for first in (0.008, -0.025):
         t = first + np.arange(0.0, 0.8, 0.01)
         rows = [f"{a:.3f},{1e5 + 1e6 * a},{-1e5}" for a in t]
@@ -100,7 +104,9 @@ RAMP = ("C_d = 3.0\nm_a = 1.0", 'force_coefficients = "ramp"')
 
 @pytest.mark.parametrize("frequency", [1.0, 2.0, 2.4, 3.0, 4.8])
 def test_the_ramp_gives_what_the_demo_takes(frequency, tmp_path):
-    experiment = load(write(tmp_path, RAMP, ("frequency = 4.0", f"frequency = {frequency}")))
+    experiment = load(
+        write_small_experiment(tmp_path, RAMP, ("frequency = 4.0", f"frequency = {frequency}"))
+    )
     drag, reactive = to_model(experiment, 0).effects
     drag_of_demo, reactive_of_demo = paper.head_fixed(frequency).effects
     assert (drag.C_d, reactive.m_a) == (drag_of_demo.C_d, reactive_of_demo.m_a)
@@ -111,22 +117,24 @@ def test_the_ramp_gives_what_the_demo_takes(frequency, tmp_path):
 def test_a_model_file_replaces_the_ramp_and_the_numbers(tmp_path):
     model = tmp_path / "model.toml"
     model.write_text("[parameters]\nC_d = 2.0\nm_a = 0.7\n")
-    parameters = load(write(tmp_path, RAMP), model).parameters
+    parameters = load(write_small_experiment(tmp_path, RAMP), model).parameters
     assert (parameters.force_coefficients, parameters.C_d, parameters.m_a) == ("fixed", 2.0, 0.7)
     model.write_text('[parameters]\nforce_coefficients = "ramp"\n')
-    parameters = load(write(tmp_path), model).parameters
+    parameters = load(write_small_experiment(tmp_path), model).parameters
     assert (parameters.force_coefficients, parameters.C_d, parameters.m_a) == ("ramp", None, None)
 
 
 def test_the_ramp_needs_a_frequency(tmp_path):
     recorded = 'waveform = "recorded"\ndrive_file = "drive.csv"'
-    path = write(tmp_path, RAMP, ("frequency = 4.0\namplitude = 150000.0", recorded))
+    path = write_small_experiment(
+        tmp_path, RAMP, ("frequency = 4.0\namplitude = 150000.0", recorded)
+    )
     with pytest.raises(InputError, match='trials.0.frequency: given nothing; .*"ramp"'):
         load(path)
 
 
 def test_model_file_overrides_and_adds(tmp_path):
-    path, model = write(tmp_path), tmp_path / "model.toml"
+    path, model = write_small_experiment(tmp_path), tmp_path / "model.toml"
     model.write_text(
         '[robot]\nEI_tail = 0.007\n[parameters]\nk = 0.05\n[[effects]]\nname = "gravity"\ng = 0.5\n'
     )
@@ -139,7 +147,7 @@ def test_model_file_overrides_and_adds(tmp_path):
 
 
 def test_with_values_is_validated(tmp_path):
-    experiment = load(write(tmp_path))
+    experiment = load(write_small_experiment(tmp_path))
     changed = experiment.with_values({"trials.1.frequency": 3.0, "parameters.C_d": 2.0})
     assert changed.trials[1].frequency == 3.0 and changed.parameters.C_d == 2.0
     assert experiment.trials[1].frequency == 2.5 and changed.folder == experiment.folder
@@ -152,7 +160,7 @@ def test_with_values_is_validated(tmp_path):
 
 
 def test_sample_times_are_the_records_own_or_the_sensors_rate(tmp_path):
-    experiment = load(write(tmp_path))
+    experiment = load(write_small_experiment(tmp_path))
     np.testing.assert_allclose(prepare(experiment).sample_times, np.arange(376) / 500)
     own = np.cumsum([0.0, 0.0020, 0.0021, 0.0019, 0.0020])
     text = "\n".join(["t_s,tip_m", *(f"{t},{'' if i % 2 else t}" for i, t in enumerate(own))])

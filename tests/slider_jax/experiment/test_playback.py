@@ -12,7 +12,7 @@ from slider_jax.experiment.load import load
 from slider_jax.experiment.playback import read_played as read_played
 from slider_jax.io.files import write_csv
 from slider_jax.simulation.trial import simulate_trial
-from tests.support.experiments import write
+from tests.support.experiments import write_small_experiment
 
 K, STEP = 0.087, 5e-4
 
@@ -58,7 +58,7 @@ def lagged(at, t, sets, k=K):
 
 
 def test_one_that_was_played_as_meant_changes_nothing(tmp_path):
-    experiment = load(write(tmp_path)).with_values({"numerics.step": 2e-3})
+    experiment = load(write_small_experiment(tmp_path)).with_values({"numerics.step": 2e-3})
     before = simulate_trial(experiment, 0).columns
     played(tmp_path, *meant(experiment.trials[0]))
     after = simulate_trial(experiment, 0).columns
@@ -67,7 +67,7 @@ def test_one_that_was_played_as_meant_changes_nothing(tmp_path):
 
 
 def test_edges_are_where_they_were_played_between_steps_too(tmp_path):
-    experiment = load(write(tmp_path)).with_values({"numerics.step": STEP})
+    experiment = load(write_small_experiment(tmp_path)).with_values({"numerics.step": STEP})
     trial = experiment.trials[0]
     t, front, rear = meant(trial, late=1.7e-3)
     t[2] += 0.9e-3
@@ -86,7 +86,7 @@ def test_edges_are_where_they_were_played_between_steps_too(tmp_path):
 
 def test_the_chambers_follow_changes_that_are_closer_than_a_step(tmp_path):
     """Front and rear switch within one step of each other, as their phases have it."""
-    experiment = load(write(tmp_path))
+    experiment = load(write_small_experiment(tmp_path))
     t, front, rear = [0.0, 0.101, 0.1015, 0.75], [1e5, 1e5, -1e5, -1e5], [2e5, -2e5, -2e5, -2e5]
     played(tmp_path, t, front, rear)
     told = experiment.trials[0].model_copy(update={"amplitude": 1e5})
@@ -108,7 +108,7 @@ def test_a_dead_time_moves_a_first_edge_that_was_played_late(delay):
 
 @pytest.mark.parametrize("rate", [200.0, 500.0, 1000.0])
 def test_a_smooth_drive_is_followed_at_any_rate_of_commands(tmp_path, rate):
-    experiment = load(write(tmp_path)).with_values({"trials.0.waveform": "sine"})
+    experiment = load(write_small_experiment(tmp_path)).with_values({"trials.0.waveform": "sine"})
     t = np.append(np.arange(0.0, 0.7499, 1.0 / rate), 0.75)
     sets = 1.5e5 * np.sin(2 * np.pi * 4.0 * t)
     played(tmp_path, t, sets, sets)
@@ -120,7 +120,9 @@ def test_a_smooth_drive_is_followed_at_any_rate_of_commands(tmp_path, rate):
 
 
 def test_forces_do_not_mind_where_between_steps_an_edge_falls(tmp_path):
-    experiment = load(write(tmp_path)).with_values({"numerics.nodes": 21, "numerics.step": 2e-3})
+    experiment = load(write_small_experiment(tmp_path)).with_values(
+        {"numerics.nodes": 21, "numerics.step": 2e-3}
+    )
     fine = experiment.with_values({"numerics.step": 2.5e-4})
     errors = []
     for late in (2e-3, 0.75e-3, 1.25e-3):
@@ -133,7 +135,7 @@ def test_forces_do_not_mind_where_between_steps_an_edge_falls(tmp_path):
 
 
 def test_a_trial_of_which_nothing_is_told_is_driven_as_meant(tmp_path):
-    experiment = load(write(tmp_path))
+    experiment = load(write_small_experiment(tmp_path))
     played(tmp_path, *meant(experiment.trials[0], late=2e-3))
     assert read_played(experiment, experiment.trials[1]) is None
     late, declared = (
@@ -157,7 +159,7 @@ def test_a_trial_of_which_nothing_is_told_is_driven_as_meant(tmp_path):
     ],
 )
 def test_a_file_that_cannot_be_is_refused(tmp_path, t, front, said):
-    experiment = load(write(tmp_path))
+    experiment = load(write_small_experiment(tmp_path))
     played(tmp_path, t, front, front)
     with pytest.raises(InputError, match=said.replace("(", r"\(")):
         simulate_trial(experiment, 0)

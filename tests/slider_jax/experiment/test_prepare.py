@@ -6,11 +6,11 @@ import numpy as np
 
 from slider_jax.cli.main import main
 from slider_jax.experiment import load as loading, playback, prepare
-from tests.support.experiments import write
+from tests.support.experiments import write_small_experiment
 
 
 def test_one_simulate_command_reads_each_file_and_builds_each_model_once(tmp_path, monkeypatch):
-    path = write(tmp_path)
+    path = write_small_experiment(tmp_path)
     for name, end in (("trial_00", 0.7), ("trial_01", 0.8)):
         t = np.arange(0.0, end, 2e-3)
         rows = [f"{x:.4f},{0.01 * np.sin(9.0 * x):.6f}" for x in t]

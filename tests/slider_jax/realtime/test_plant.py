@@ -15,7 +15,7 @@ from slider_jax.realtime.causality import Held, check_commands
 from slider_jax.realtime.plant import Plant
 from slider_jax.realtime.sensors import SensorNoise
 from slider_jax.simulation.trial import simulate_trial
-from tests.support.experiments import write
+from tests.support.experiments import write_small_experiment
 
 H = 0.005
 """Step of the small experiment [s]; half a stride is a whole number of them in both trials."""
@@ -90,7 +90,7 @@ def assert_equals_the_simulation(plant, experiment, trial, rtol=1e-10):
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory):
     """Return the small experiment with a moving clamp in its first trial, and its plant."""
-    experiment = load(write(tmp_path_factory.mktemp("plain"), MOVING))
+    experiment = load(write_small_experiment(tmp_path_factory.mktemp("plain"), MOVING))
     return experiment, Plant(experiment, step=H)
 
 
@@ -116,7 +116,7 @@ def test_a_plant_driven_sample_by_sample_equals_the_simulation(plain, trial):
 
 @pytest.mark.slow
 def test_effects_of_every_place_act_as_in_the_simulation(tmp_path):
-    experiment = load(write(tmp_path, MOVING, tables(MIXED)))
+    experiment = load(write_small_experiment(tmp_path, MOVING, tables(MIXED)))
     assert {LIBRARY[name].place() for name in MIXED} == {
         effect.place() for effect in LIBRARY.values()
     }
@@ -128,7 +128,7 @@ def test_effects_of_every_place_act_as_in_the_simulation(tmp_path):
 def test_each_effect_acts_as_in_the_simulation(name, tmp_path):
     priors = LIBRARY[name].priors()
     given = {key: 0.4 * p.low + 0.6 * p.high for key, p in priors.items()}
-    experiment = load(write(tmp_path, tables({name: given})))
+    experiment = load(write_small_experiment(tmp_path, tables({name: given})))
     assert_equals_the_simulation(Plant(experiment, 1, step=H), experiment, 1)
 
 
@@ -215,7 +215,7 @@ def test_a_blocked_chamber_does_not_fill_but_vents(plant):
 
 def test_a_changed_tail_equals_an_experiment_with_that_tail(plain, tmp_path):
     experiment, plant = plain
-    softer = load(write(tmp_path, MOVING, ("EI_tail = 0.0058", "EI_tail = 0.002")))
+    softer = load(write_small_experiment(tmp_path, MOVING, ("EI_tail = 0.0058", "EI_tail = 0.002")))
     plant.inject("EI_tail", 0.002)
     assert_equals_the_simulation(plant, softer, 1)
     plant.inject("EI_tail", 0.0058)
@@ -257,7 +257,7 @@ def test_after_a_failed_step_the_last_reading_is_held_until_begin(plant):
     ],
 )
 def test_an_effect_that_needs_future_values_is_rejected_with_its_name(name, value, tmp_path):
-    experiment = load(write(tmp_path, tables({name: {"delay": value}})))
+    experiment = load(write_small_experiment(tmp_path, tables({name: {"delay": value}})))
     with pytest.raises(InputError, match=f"^effects: {name}: in real time .*; allowed"):
         Plant(experiment, step=H)
 

@@ -19,7 +19,7 @@ from slider_jax.simulation.effect_signature import (
     effect_signature,
     typical_size,
 )
-from tests.support.experiments import write
+from tests.support.experiments import write_small_experiment
 
 
 def said(capsys, *words):
@@ -62,7 +62,7 @@ def test_one_effect_is_explained_with_equation_source_priors_and_table(capsys):
 @pytest.mark.parametrize("name", LIBRARY)
 def test_every_effect_can_be_explained_and_added_as_it_says(name, capsys, tmp_path):
     table = said(capsys, name).split("example for an experiment or model file\n")[1]
-    load(write(tmp_path, ("[sensors]", f"{table}\n[sensors]")))
+    load(write_small_experiment(tmp_path, ("[sensors]", f"{table}\n[sensors]")))
 
 
 @pytest.mark.parametrize(
@@ -90,7 +90,7 @@ def test_bad_input_is_refused_in_one_line(words, message, capsys, tmp_path, monk
 @pytest.fixture(scope="module")
 def gain(tmp_path_factory):
     """Return the signature of a force sensor's gain in the first trial of the small experiment."""
-    experiment = load(write(tmp_path_factory.mktemp("signature")))
+    experiment = load(write_small_experiment(tmp_path_factory.mktemp("signature")))
     return effect_signature(experiment, "force_gain")
 
 
@@ -145,7 +145,9 @@ def test_the_typical_size_is_the_far_end_of_the_range():
 
 def test_the_command_draws_the_picture_and_says_how_large_the_change_is(gain, capsys, tmp_path):
     out = tmp_path / "out"
-    text = said(capsys, "force_gain", "--out", out, "--experiment", write(tmp_path))
+    text = said(
+        capsys, "force_gain", "--out", out, "--experiment", write_small_experiment(tmp_path)
+    )
     rms = gain.rms(gain.traces[0])
     line = f"gain = 0.15: thrust {1e3 * rms['thrust_N']:.4g} mN; recoil {1e3 * rms['recoil_N']:.4g}"
     assert line in text

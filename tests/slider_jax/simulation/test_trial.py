@@ -17,7 +17,7 @@ from slider_jax.experiment.prepare import edge_steps, half_period_steps, sample_
 from slider_jax.io.files import staged, write_csv, write_json
 from slider_jax.simulation.summary import averaging_window, is_periodic, trial_summary
 from slider_jax.simulation.trial import CHUNK, simulate_trial
-from tests.support.experiments import write
+from tests.support.experiments import write_small_experiment
 
 run_trial = functools.partial(simulate_trial, shape=True)  # one compiled program for all tests
 
@@ -31,7 +31,7 @@ def simulated(tmp_path_factory):
     """Both trials of the small experiment, through the command line, with pictures."""
     folder = tmp_path_factory.mktemp("simulate")
     out = folder / "out"
-    assert main(["simulate", str(write(folder)), "--out", str(out), "--plot"]) == 0
+    assert main(["simulate", str(write_small_experiment(folder)), "--out", str(out), "--plot"]) == 0
     return folder, out
 
 
@@ -97,19 +97,21 @@ def test_summary_means_are_those_of_the_columns(simulated):
 def test_towing_starts_at_speed_and_costs_thrust(tmp_path):
     """Straight and towed along itself, the body meets no crossflow: no force until it bends."""
     quiet = ("amplitude = 150000.0", "amplitude = 0.0"), ("tow_speed = 0.0", "tow_speed = 0.3")
-    run = run_trial(load(write(tmp_path, *quiet)), 0)
+    run = run_trial(load(write_small_experiment(tmp_path, *quiet)), 0)
     for name in ("thrust", "recoil", "tip"):
         np.testing.assert_allclose(run.series[name], 0.0, atol=1e-9)
-    stationary = run_trial(load(write(tmp_path, ("tow_speed = 0.2", "tow_speed = 0.0"))), 1)
-    towed = run_trial(load(write(tmp_path)), 1)
+    stationary = run_trial(
+        load(write_small_experiment(tmp_path, ("tow_speed = 0.2", "tow_speed = 0.0"))), 1
+    )
+    towed = run_trial(load(write_small_experiment(tmp_path)), 1)
     assert np.abs(towed.series["recoil"] - stationary.series["recoil"]).max() > 0.02
 
 
 def test_a_stream_equals_towing_through_still_water(tmp_path):
     finer = ("nodes = 11", "nodes = 21")
-    towed = run_trial(load(write(tmp_path, finer)), 1)
+    towed = run_trial(load(write_small_experiment(tmp_path, finer)), 1)
     streamed = load(
-        write(
+        write_small_experiment(
             tmp_path,
             finer,
             ("tow_speed = 0.2", "tow_speed = 0.0"),
@@ -125,7 +127,7 @@ def test_a_stream_equals_towing_through_still_water(tmp_path):
 def test_measured_pressure_in_place_of_the_lag_gives_the_same_forces(simulated, tmp_path):
     """The pressures that the lag gave, sampled every 2 ms and played back without the lag."""
     folder, out = simulated
-    path = write(
+    path = write_small_experiment(
         tmp_path,
         (
             "frequency = 4.0\namplitude = 150000.0",
@@ -147,18 +149,18 @@ def test_measured_pressure_in_place_of_the_lag_gives_the_same_forces(simulated, 
 
 
 def test_a_measured_record_is_sampled_at_its_own_times(tmp_path):
-    path = write(tmp_path)
+    path = write_small_experiment(tmp_path)
     own = np.sort(np.random.default_rng(0).uniform(0.0, 0.75, 375))
     own = np.arange(375) * 0.002 + 0.0004 * (own / 0.75 - 0.5) + 0.0002
     write_csv(tmp_path / "trial_00.csv", {"t_s": own, "tip_m": 0.0 * own})
-    run, even = run_trial(load(path), 0), run_trial(load(write(tmp_path)), 1)
+    run, even = run_trial(load(path), 0), run_trial(load(write_small_experiment(tmp_path)), 1)
     np.testing.assert_allclose(run.columns["t_s"], own, rtol=1e-8)
     assert even.columns["t_s"][1] == 0.002
 
 
 def test_same_result_whatever_the_number_of_chunks(tmp_path):
     """The state and the pressures carried from chunk to chunk are all there is to carry."""
-    experiment = load(write(tmp_path))
+    experiment = load(write_small_experiment(tmp_path))
     whole = run_trial(experiment, 0)
     assert 100 < whole.grid.steps < CHUNK
     split = run_trial(experiment, 0, chunk=37)
@@ -168,7 +170,7 @@ def test_same_result_whatever_the_number_of_chunks(tmp_path):
 
 
 def test_window_is_half_of_the_whole_strides_and_ends_with_the_trial(tmp_path):
-    experiment = load(write(tmp_path, ("duration = 0.75", "duration = 1.4")))
+    experiment = load(write_small_experiment(tmp_path, ("duration = 0.75", "duration = 1.4")))
     run = run_trial(experiment, 0)
     span, strides = averaging_window(run)
     assert strides == 2  # of 5.6
@@ -182,7 +184,7 @@ def test_window_is_half_of_the_whole_strides_and_ends_with_the_trial(tmp_path):
 @pytest.fixture(scope="module")
 def short(tmp_path_factory):
     """A run of the first trial, three strides of 0.25 s, whose series the tests replace."""
-    return run_trial(load(write(tmp_path_factory.mktemp("short"))), 0)
+    return run_trial(load(write_small_experiment(tmp_path_factory.mktemp("short"))), 0)
 
 
 def _with(run, thrust, tip):
@@ -235,7 +237,9 @@ def test_trials_of_less_than_two_strides_say_so(short):
 
 def test_a_trial_that_is_not_periodic_warns_on_stderr_and_in_the_summary(tmp_path, capsys):
     out = tmp_path / "out"
-    assert main(["simulate", str(write(tmp_path)), "--out", str(out), "--plot"]) == 0
+    assert (
+        main(["simulate", str(write_small_experiment(tmp_path)), "--out", str(out), "--plot"]) == 0
+    )
     trials = json.loads((out / "summary.json").read_text())["trials"]
     assert [trial["periodic"] for trial in trials] == [False, False]
     said = capsys.readouterr().err
@@ -247,7 +251,7 @@ def test_a_trial_that_is_not_periodic_warns_on_stderr_and_in_the_summary(tmp_pat
 
 def test_errors_against_the_measured_file_are_told_by_channel(simulated, tmp_path, capsys):
     """What was simulated, shifted by known offsets, half of the tip's cells blank."""
-    path, (_, out) = write(tmp_path), simulated
+    path, (_, out) = write_small_experiment(tmp_path), simulated
     columns = _read(out / "trial_00.csv")
     offsets = {"p_front_Pa": 2e3, "thrust_N": 0.03, "tip_m": -0.004}
     shifted = {name: columns[name] + offset for name, offset in offsets.items()}
