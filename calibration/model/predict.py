@@ -124,9 +124,9 @@ def _read(extended: ExtendedModel, theta, t, series):
 def recorded_pressures(model: Model, t):
     """Return p_front and p_rear (2, n) at regular times `t`, by exact steps between the times."""
     begin = start_chambers(model)
-    p = jnp.concatenate([begin.p[None], chamber_history(model, begin, t).p]).T
+    front, rear = jnp.concatenate([begin.p[None], chamber_history(model, begin, t).p]).T
     zero = jnp.zeros_like(t)
-    read = recorded(model.effects, Readings(t, *p, zero, zero, zero))
+    read = recorded(model.effects, Readings(t, front, rear, zero, zero, zero))
     return jnp.stack([read.p_front, read.p_rear])
 
 
