@@ -1,5 +1,6 @@
 """A trial's initial swing counts as noise with the shape that the model gives."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -27,19 +28,23 @@ def planned(folder, **changes):
     return experiment, plan_trial(experiment, trial, (), MESH, at)
 
 
-def swinging_tip(p, place, speed):
-    """Return the tip (n,) at the steps of a trial with an initial swing."""
-    model = p.extended.at(jnp.asarray(THETA))
-    mode = first_mode(model, p.numerics)
+@eqx.filter_jit
+def _swing(model, place, speed, times, numerics, scheme):
+    mode = first_mode(model, numerics)
 
     def change(rows):
         moved = rows.at[..., 2, :].add(place * mode.angle)
         return moved.at[..., 1, :].add(speed * mode.place)
 
-    carry = with_motion(at_rest(model, p.numerics), change)
-    times = TimeGrid(p.grid.h, p.grid.steps)
-    run = rollout(model, times, tip, p.numerics, p.scheme, begin=carry)
-    return np.concatenate([[place], np.asarray(run.saved)])
+    carry = with_motion(at_rest(model, numerics), change)
+    return rollout(model, times, tip, numerics, scheme, begin=carry).saved
+
+
+def swinging_tip(p, place, speed):
+    """Return the tip (n,) at the steps of a trial with an initial swing."""
+    model, times = p.extended.at(jnp.asarray(THETA)), TimeGrid(p.grid.h, p.grid.steps)
+    saved = _swing(model, jnp.asarray(place), jnp.asarray(speed), times, p.numerics, p.scheme)
+    return np.concatenate([[place], np.asarray(saved)])
 
 
 @pytest.mark.parametrize("which", [0, 1])
