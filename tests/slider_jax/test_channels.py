@@ -1,4 +1,4 @@
-"""A sensor channel is one file: defined outside the package, it is simulated, read and fitted."""
+"""A sensor channel that is defined in one file is simulated, read and fitted."""
 
 import importlib.util
 
@@ -35,7 +35,7 @@ register(Channel("marker", "marker_m", "m", "marker, lateral", "mm", 1e3, marker
 
 @pytest.fixture(scope="module")
 def marked(tmp_path_factory):
-    """The small experiment with the channel of a file in a temporary folder; its simulated run."""
+    """Return the small experiment with a channel from a temporary file, and its simulated run."""
     folder = tmp_path_factory.mktemp("marked")
     path = write_small_experiment(folder)
     plain = simulate_trial(load(path))

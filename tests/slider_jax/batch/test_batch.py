@@ -1,4 +1,4 @@
-"""A batch is its members, and one that diverges harms nobody else."""
+"""A batch equals separate runs, and a diverging robot does not affect the others."""
 
 import equinox as eqx
 import jax
@@ -14,7 +14,7 @@ BASE = swimmer(frequency=4.8)
 
 
 def outcome(parameters):
-    """Loss, its parts and whether the run went well, of (C_d, EI_body, K_Q factor)."""
+    """Return the loss, its parts and whether the run converged, for (C_d, EI_body, K_Q factor)."""
     C_d, EI, K = parameters
     model = eqx.tree_at(
         lambda m: (m.effects[0].C_d, m.robot.EI_body, m.robot.K_Q),
@@ -42,7 +42,7 @@ def healthy():
     return np.asarray(loss), np.asarray(saved), np.asarray(slope)
 
 
-def test_vmap_equals_a_loop_over_members(healthy):
+def test_vmap_equals_a_loop_over_robots(healthy):
     loss, saved, _ = healthy
     worst = 0.0
     for i in range(0, MEMBERS, 10):
@@ -56,7 +56,7 @@ def test_vmap_equals_a_loop_over_members(healthy):
 @pytest.mark.parametrize(
     "bad", [(3.0, np.nan, 1.0), (3.0, 0.038, 1e9)], ids=["not a number", "absurd moment"]
 )
-def test_a_diverging_member_does_not_affect_the_other_111(healthy, bad):
+def test_a_diverging_robot_does_not_affect_the_other_111(healthy, bad):
     loss, saved, slope = healthy
     (new_loss, (new_saved, ok, failed_at)), new_slope = batched(population().at[BAD].set(bad))
     others = np.arange(MEMBERS) != BAD

@@ -1,4 +1,4 @@
-"""The paper's design maps: what is found in made-up maps, and the script on a coarse swimmer."""
+"""The paper's design maps: findings in synthetic maps, and the script with a coarse swimmer."""
 
 import json
 import re
@@ -38,7 +38,7 @@ STIFFNESS = np.geomspace(1e-4, 1e-1, 13)
 
 
 def over_phase(best, height=0.3, curvature=2.0):
-    """A parabola over phase for each length; scalars serve all of them."""
+    """Return a parabola over phase for each length; a scalar is used for all lengths."""
     best, height, curvature = (
         np.broadcast_to(x, LENGTHS.shape)[:, None] for x in (best, height, curvature)
     )
@@ -46,13 +46,13 @@ def over_phase(best, height=0.3, curvature=2.0):
 
 
 def over_stiffness(best):
-    """A parabola over the logarithm of the stiffness, highest at `best` [N m^2]."""
+    """Return a parabola over the logarithm of the stiffness with its maximum at `best` [N m^2]."""
     best = np.broadcast_to(best, LENGTHS.shape)[:, None]
     return Map(LENGTHS, STIFFNESS, 0.3 - 0.02 * np.log(STIFFNESS / best) ** 2)
 
 
 PAPERS = over_phase(0.15, curvature=np.array([6.0, 5.0, 4.0, 3.0, 2.0]))
-"""A map in which all that the paper states of phase is so."""
+"""A map that agrees with all of the paper's statements on phase."""
 
 
 def without(drawn, row, column):
@@ -61,7 +61,7 @@ def without(drawn, row, column):
     return drawn._replace(speed=speed)
 
 
-def test_the_peak_of_a_parabola_is_exact_between_points():
+def test_the_maximum_of_a_parabola_is_exact_between_points():
     x = np.array([0.0, 0.1, 0.25, 0.3, 0.5])
     found = curve_maximum(x, 2.0 - 3.0 * (x - 0.22) ** 2)
     assert found.x == pytest.approx(0.22) and found.y == pytest.approx(2.0) and found.inside
@@ -78,18 +78,18 @@ def test_the_peak_of_a_parabola_is_exact_between_points():
         ([np.nan, np.nan, np.nan], np.nan, None),
     ],
 )
-def test_a_peak_at_an_end_or_beside_a_gap_is_no_parabolas(y, x, inside):
+def test_a_maximum_at_an_end_or_beside_a_gap_is_not_interpolated(y, x, inside):
     found = curve_maximum(np.arange(3.0), np.array(y))
     assert found.x == pytest.approx(x, nan_ok=True) and found.inside is inside
 
 
-def test_best_stiffness_and_phase_of_every_length():
+def test_best_stiffness_and_phase_are_found_at_every_length():
     stiff, late = LENGTHS**2, LENGTHS + 0.1
     np.testing.assert_allclose([p.x for p in best_stiffness(over_stiffness(stiff))], stiff)
     np.testing.assert_allclose([p.x for p in best_phase(over_phase(late))], late)
 
 
-def test_the_papers_own_map_agrees_with_all_it_states():
+def test_a_map_like_the_papers_agrees_with_all_statements():
     found = findings(over_stiffness(0.003), PAPERS)
     assert [x.agrees for x in found] == [True] * 8
     assert {x.verdict for x in found} == {"agrees"}
@@ -112,11 +112,11 @@ FALSE = [
 ]
 
 
-@pytest.mark.parametrize(("finding", "drawn", "told"), FALSE)
-def test_a_false_statement_is_found_false_and_where(finding, drawn, told):
+@pytest.mark.parametrize(("finding", "drawn", "content"), FALSE)
+def test_a_false_statement_is_reported_with_its_values(finding, drawn, content):
     found = finding(drawn)
     assert found.agrees is False and found.verdict == "does not agree"
-    assert re.search(told, found.measured), found.measured
+    assert re.search(content, found.measured), found.measured
 
 
 @pytest.mark.parametrize(
@@ -124,18 +124,18 @@ def test_a_false_statement_is_found_false_and_where(finding, drawn, told):
     [(0.12, [True, True, True]), (0.21, [False, True, True]), (0.07, [False, False, True])]
     + [(-0.1, [False, False, False])],
 )
-def test_the_slice_is_of_60_mm_alone(best, agrees):
+def test_the_slice_uses_only_the_tail_of_60_mm(best, agrees):
     others = np.array([0.4, 0.4, best, 0.4, 0.4])
     assert [x.agrees for x in slice_of_phase(over_phase(others))] == agrees
 
 
-def test_tail_first_is_slower_than_standing():
+def test_swimming_tail_first_is_slower_than_standing_still():
     backwards = PAPERS.speed.copy()
     backwards[:, PHASES < -0.01] = -9.0
     assert negative_is_slower(PAPERS._replace(speed=backwards)).agrees
 
 
-def test_what_is_missing_is_named_and_the_others_decide():
+def test_missing_speeds_are_listed_and_the_other_speeds_decide():
     zero, fifth, half = (int(np.argmin(np.abs(PHASES - x))) for x in (0.0, 0.2, 0.5))
     gap = half_is_poor(without(PAPERS, 1, half))
     assert gap.agrees and "missing for 40 mm" in gap.measured
@@ -149,7 +149,7 @@ def test_what_is_missing_is_named_and_the_others_decide():
     assert found.agrees and "missing for 60 mm" in found.measured
 
 
-def test_what_is_missing_throughout_is_not_decided():
+def test_a_statement_without_speeds_is_not_decided():
     nothing = PAPERS._replace(speed=np.full_like(PAPERS.speed, np.nan))
     found = findings(nothing._replace(across=STIFFNESS, speed=nothing.speed[:, :13]), nothing)
     assert {x.verdict for x in found} == {"not decided"}
@@ -172,7 +172,7 @@ def swimmer(tmp_path):
     return path
 
 
-def test_the_axes_hold_what_is_shown_whatever_the_points(swimmer):
+def test_the_axes_include_the_shown_slices_for_any_number_of_points(swimmer):
     task = script["sweeps"](load(swimmer), 4)
     lengths, phases = (axis.values for axis in task["b"].axes)
     assert {0.02, 0.04, 0.06, 0.08, 0.1} < set(lengths) and {0.0, 0.2, 0.5} < set(phases)
@@ -180,26 +180,26 @@ def test_the_axes_hold_what_is_shown_whatever_the_points(swimmer):
 
 
 @pytest.mark.parametrize("points", ["3", "2", "-1"])
-def test_too_few_points_are_refused_and_leave_nothing(swimmer, tmp_path, points):
+def test_too_few_points_are_refused_without_output(swimmer, tmp_path, points):
     with pytest.raises(InputError, match=f"--points: given {points}; allowed 4 or more"):
         main([str(tmp_path / "out"), "--points", points, "--swimmer", str(swimmer)])
     assert not (tmp_path / "out").exists()
 
 
-def test_a_swimmer_that_is_no_file_is_refused(tmp_path):
+def test_a_missing_swimmer_file_is_refused(tmp_path):
     with pytest.raises(InputError, match="no_such.toml"):
         main([str(tmp_path / "out"), "--swimmer", str(tmp_path / "no_such.toml")])
     assert not (tmp_path / "out").exists()
 
 
 def made_up_table(batch, _):
-    """In place of physics: the phase's part of `PAPERS`, least bent for the longest tails."""
+    """Replace the simulation by the parabola over phase of `PAPERS`."""
     model = batch.model
     bend = 0.1 / np.asarray(model.robot.tail_length)
     return {"speed_m_per_s": 0.3 - bend * (np.asarray(model.drive.rear.phase) - 0.15) ** 2}
 
 
-def test_a_stopped_script_goes_on_and_writes_all(swimmer, tmp_path, capsys, monkeypatch):
+def test_an_interrupted_script_resumes_and_writes_all_files(swimmer, tmp_path, capsys, monkeypatch):
     out, calls, stopping = tmp_path / "out", [], [True]
     command = [str(out), "--points", "4", "--swimmer", str(swimmer)]
 
@@ -221,27 +221,29 @@ def test_a_stopped_script_goes_on_and_writes_all(swimmer, tmp_path, capsys, monk
     assert main(command) == 0
     assert "map a: 1 of 4 parts" in capsys.readouterr().err
     assert sorted(p.name for p in out.iterdir()) == ["fig7.json", "fig7.png", "fig7.txt"]
-    told = json.loads((out / "fig7.json").read_text())
-    assert np.shape(told["map_a"]["speed_m_per_s"]) == (7, 4)
-    phases, speed = (np.array(told["map_b"][name]) for name in ("phase", "speed_m_per_s"))
+    content = json.loads((out / "fig7.json").read_text())
+    assert np.shape(content["map_a"]["speed_m_per_s"]) == (7, 4)
+    phases, speed = (np.array(content["map_b"][name]) for name in ("phase", "speed_m_per_s"))
     np.testing.assert_array_equal(phases, np.round([-0.5, -1 / 6, 0.0, 1 / 6, 0.2, 0.5], 9))
     np.testing.assert_allclose(speed[6], 0.3 - (phases - 0.15) ** 2)
-    assert len(told["findings"]) == 8 and told["versions"]["jax"] and told["input"]["sha256"]
+    assert (
+        len(content["findings"]) == 8 and content["versions"]["jax"] and content["input"]["sha256"]
+    )
     text = (out / "fig7.txt").read_text()
     assert "1. there is a best stiffness for every tail length: does not agree" in text
     assert "3. negative phase is slower: agrees" in text
 
 
 @pytest.mark.slow
-def test_the_scripts_speeds_are_those_of_each_swimmer_alone(swimmer, tmp_path):
+def test_the_scripts_speeds_equal_those_of_single_swimmers(swimmer, tmp_path):
     out = tmp_path / "out"
     assert main([str(out), "--points", "4", "--swimmer", str(swimmer)]) == 0
-    told = json.loads((out / "fig7.json").read_text())["map_b"]
-    speed = np.array(told["speed_m_per_s"], float)
+    content = json.loads((out / "fig7.json").read_text())["map_b"]
+    speed = np.array(content["speed_m_per_s"], float)
     np.testing.assert_allclose(speed[:, 0], speed[:, -1], atol=1e-3)  # -0.5 is 0.5 again
     given = load(swimmer)
-    phase = told["phase"].index(0.2)
-    long = given.with_values({"robot.tail_length": told["tail_length_m"][3]})
+    phase = content["phase"].index(0.2)
+    long = given.with_values({"robot.tail_length": content["tail_length_m"][3]})
     search = SteadySettings(steps_per_stride=100, numerics=to_numerics(given)[0])
     alone = find_steady(free(to_model(long, 0)), jnp.asarray(5.0), search)
     assert speed[3, phase] == pytest.approx(float(alone.speed), rel=1e-4)

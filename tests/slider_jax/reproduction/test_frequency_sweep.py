@@ -1,4 +1,4 @@
-"""The paper's sweep at a tiny size, against single rollouts; its files and its table."""
+"""The paper's sweep at a small size against single rollouts; its files and its table."""
 
 import csv
 import dataclasses
@@ -32,12 +32,12 @@ def sweep():
     result = run_frequency_sweep(
         TINY, lambda strides: calls.append(strides), lambda: calls.append(1)
     )
-    assert calls[0] == sum(calls[1:]) > 0  # progress ends where it said it would
+    assert calls[0] == sum(calls[1:]) > 0  # the announced number of steps
     return result
 
 
 @pytest.mark.parametrize("index", [0, 2])
-def test_each_frequency_is_what_a_single_rollout_gives(sweep, index):
+def test_each_frequency_equals_a_single_rollout(sweep, index):
     f = TINY.frequencies[index]
     h = 1.0 / (f * TINY.steps_per_stride)
     model = arrays(paper.head_fixed(f))
@@ -81,8 +81,8 @@ def test_results_are_written_and_read_back(sweep, tmp_path):
     assert record["versions"]["jax"]
 
 
-def test_table_says_what_agrees_and_what_differs(sweep):
-    def said(thrust_mN, recoil_mN):
+def test_the_table_has_a_verdict_for_each_value(sweep):
+    def verdicts(thrust_mN, recoil_mN):
         table = sweep.table | {
             "thrust_mean_N": 1e-3 * np.asarray(thrust_mN),
             "recoil_peak_N": 1e-3 * np.asarray(recoil_mN),
@@ -92,11 +92,11 @@ def test_table_says_what_agrees_and_what_differs(sweep):
 
     spread = 1e3 * sweep.table["thrust_std_of_strides_N"][2]
     assert f" mN (s.d. of strides {spread:.1f})" in comparison(sweep, TINY)
-    assert said([-20.0, 5.0, 61.0], [1200.0, 0.0, 0.0]) == ["agrees", "agrees", "agrees"]
-    assert said([-1.0, -20.0, 40.0], [800.0, 0.0, 0.0]) == ["differs", "differs", "differs"]
+    assert verdicts([-20.0, 5.0, 61.0], [1200.0, 0.0, 0.0]) == ["agrees", "agrees", "agrees"]
+    assert verdicts([-1.0, -20.0, 40.0], [800.0, 0.0, 0.0]) == ["differs", "differs", "differs"]
 
 
-def test_a_frequency_that_failed_is_nan_and_named(sweep):
+def test_a_failed_frequency_is_nan_and_listed(sweep):
     nan = np.array([np.nan, *sweep.table["thrust_mean_N"][1:]])
     failed = sweep._replace(
         table=sweep.table | {"thrust_mean_N": nan}, ok=np.array([False, True, True])
@@ -104,28 +104,28 @@ def test_a_frequency_that_failed_is_nan_and_named(sweep):
     assert "Not converged: 1 Hz" in comparison(failed, TINY)
 
 
-def test_an_absurd_member_fails_alone(sweep):
+def test_a_failing_robot_does_not_affect_the_others(sweep):
     wild = dataclasses.replace(TINY, assumed=paper.Assumed(amplitude=np.nan))
     assert not run_frequency_sweep(wild).ok.any()
     assert sweep.ok.all()
 
 
-def test_paper_sweep_is_34_frequencies_from_0p4_to_7():
+def test_the_papers_sweep_has_34_frequencies_from_0p4_to_7_hz():
     assert len(paper.SWEEP) == 34
     np.testing.assert_allclose(np.diff(paper.SWEEP), 0.2)
     assert (paper.SWEEP[0], paper.SWEEP[-1]) == (0.4, 7.0)
     assert set(SHOWN_FREQUENCIES) <= set(paper.SWEEP)
 
 
-@pytest.mark.parametrize("members, workers", [(34, 2), (1, 4), (8, 1), (17, 3), (100, 2)])
-def test_chunks_hold_every_member_once(members, workers):
-    chunks = chunks_of(members, 8, workers)
+@pytest.mark.parametrize("robots, workers", [(34, 2), (1, 4), (8, 1), (17, 3), (100, 2)])
+def test_chunks_contain_every_robot_once(robots, workers):
+    chunks = chunks_of(robots, 8, workers)
     held = [chunks.indices(c)[: chunks.distinct(c)] for c in range(chunks.total)]
-    np.testing.assert_array_equal(np.concatenate(held), np.arange(members))
+    np.testing.assert_array_equal(np.concatenate(held), np.arange(robots))
     assert all(len(chunks.indices(c)) == chunks.size <= 8 for c in range(chunks.total))
 
 
-def test_an_error_in_a_thread_is_raised_and_stops_the_rest():
+def test_an_error_in_a_thread_is_raised_and_cancels_the_other_chunks():
     begun = []
 
     def work(chunk, stopped):

@@ -1,4 +1,4 @@
-"""The experiments behind the paper's table: definitions of a wavelength, and changed models."""
+"""The sensitivity of the paper's table: definitions of a wavelength, and changed models."""
 
 import json
 import runpy
@@ -41,7 +41,7 @@ QUICK = SteadySettings(steps_per_stride=48, numerics=Numerics(4, 8))
 
 
 def made(standing=0.0, turned=0.0):
-    """A stride of a small wave that runs to the tail, along a course turned by `turned` [rad]."""
+    """Return a stride of a small wave towards the tail, on a course at an angle `turned` [rad]."""
     phase, k = 2 * np.pi * F * T[:, None], 2 * np.pi / LAMBDA
     y = 0.05 + A * (np.sin(phase + k * S) + standing * np.sin(phase - k * S)) / (1.0 + standing)
     x = S + 0.3 * T[:, None]
@@ -61,14 +61,14 @@ def test_every_definition_gives_the_length_of_a_travelling_wave():
 
 
 @pytest.mark.parametrize("standing", [0.5, 1.0])
-def test_those_of_the_shape_also_that_of_a_standing_one(standing):
+def test_definitions_by_shape_also_give_the_length_of_a_standing_wave(standing):
     found = wavelengths(made(standing), S, F)
     assert found["shape"] == pytest.approx(LAMBDA, rel=5e-3)
     assert found["zeros"] == pytest.approx(LAMBDA, rel=0.01)
 
 
-def test_the_root_mean_square_slope_is_that_of_the_sine():
-    """2 pi A/(lambda sqrt 2), and of the paper's A_t/(lambda/4) = 0.51 it is its 0.57."""
+def test_the_rms_slope_equals_that_of_a_sine():
+    """It is 2 pi A/(lambda sqrt 2). The paper's A_t/(lambda/4) = 0.51 corresponds to 0.57."""
     assert rms_tail_slope(*course_coordinates(made())) == pytest.approx(
         2 * np.pi * A / LAMBDA / np.sqrt(2), rel=5e-3
     )
@@ -76,13 +76,13 @@ def test_the_root_mean_square_slope_is_that_of_the_sine():
     assert own * np.pi / np.sqrt(8) == pytest.approx(stated, abs=0.005)
 
 
-def test_recoil_is_a_straight_line_and_zeros_may_be_missing():
+def test_recoil_is_a_straight_line_and_a_shape_may_have_no_zeros():
     line = np.outer(np.sin(7.0 * T), 1.0 + 2.0 * S)
     np.testing.assert_allclose(without_recoil(line, S), 0.0, atol=1e-14)
     assert np.isnan(zeros_wavelength(1.0 + 0.0 * line, S))
 
 
-def test_each_change_changes_one_thing():
+def test_each_change_changes_one_parameter():
     experiment = optimum()
     _, model = free_swimmer(experiment, experiment.trials[0])
     (_, stated), *others = CHANGES.items()
@@ -100,7 +100,7 @@ def test_each_change_changes_one_thing():
 
 
 @pytest.mark.slow
-def test_the_tips_k_q_moves_the_tip_as_the_paper_says():
+def test_the_k_q_of_the_tip_gives_the_papers_tip_displacement():
     """45 kPa in both chambers of the table's robot: 102 mm; its other K_Q gives 31 mm."""
 
     @jax.jit
@@ -115,7 +115,7 @@ def test_the_tips_k_q_moves_the_tip_as_the_paper_says():
 
 
 @pytest.mark.slow
-def test_a_calibrated_model_swims_at_the_speed_that_was_asked_for():
+def test_a_model_with_fitted_head_drag_has_the_required_speed():
     experiment = optimum()
     frequency, model = free_swimmer(experiment, experiment.trials[0])
     found = fit_head_drag(model, frequency, 0.15, QUICK)
@@ -138,12 +138,12 @@ def test_the_script_prints_and_writes_the_table(tmp_path, capsys, monkeypatch):
     for name, value in (("CHANGES", few), ("RECALIBRATED", (NO_LAG,)), ("optimum", coarse)):
         monkeypatch.setitem(main.__globals__, name, value)
     assert main([str(tmp_path)]) == 0
-    told, printed = json.loads((tmp_path / "table.json").read_text()), capsys.readouterr().out
-    stated, unlagged, again = told["swims"].values()
+    content, printed = json.loads((tmp_path / "table.json").read_text()), capsys.readouterr().out
+    stated, unlagged, again = content["swims"].values()
     assert again["speed_m_per_s"] == pytest.approx(0.217, rel=2e-3)
     assert again["head_drag_area_m2"] > 3.0 * stated["head_drag_area_m2"]
     assert unlagged["rms_tail_slope"] > 2.0 * stated["rms_tail_slope"]
-    assert told["head_fixed_thrust_N"][NO_LAG] > 3.0 * told["head_fixed_thrust_N"][AS_STATED]
-    assert told["versions"]["jax"] and told["settings"]["nodes"] == 17
+    assert content["head_fixed_thrust_N"][NO_LAG] > 3.0 * content["head_fixed_thrust_N"][AS_STATED]
+    assert content["versions"]["jax"] and content["settings"]["nodes"] == 17
     assert f"{stated['shape_tail_slope']:.3f}" in printed and "paper: 60 mN" in printed
     assert (tmp_path / "table.png").stat().st_size > 20_000
