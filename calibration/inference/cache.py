@@ -15,6 +15,7 @@ import numpy as np
 
 import calibration
 import slider_jax
+from slider_jax.effects.library import LOADED_FILES
 from slider_jax.io.files import input_file, replacing, tentative_folder, versions
 
 
@@ -54,11 +55,11 @@ def cached(
 
 
 def source_digest() -> str:
-    """Return the SHA-256 digest of the program's source files."""
+    """Return the SHA-256 digest of the program's source files and of loaded files of effects."""
+    folders = [Path(str(package.__file__)).parent for package in (slider_jax, calibration)]
     digest = hashlib.sha256()
-    for package in (slider_jax, calibration):
-        for path in sorted(Path(str(package.__file__)).parent.rglob("*.py")):
-            digest.update(path.read_bytes())
+    for path in (*(x for folder in folders for x in sorted(folder.rglob("*.py"))), *LOADED_FILES):
+        digest.update(path.read_bytes())
     return digest.hexdigest()
 
 

@@ -30,6 +30,8 @@ def _built_in() -> dict[str, type[Effect]]:
 
 
 LIBRARY: dict[str, type[Effect]] = _built_in()
+LOADED_FILES: list[Path] = []
+"""Files from which `load_effects` added to the library."""
 
 
 def load_effects(path: Path) -> list[str]:
@@ -61,6 +63,7 @@ def load_effects(path: Path) -> list[str]:
     finally:
         del sys.modules[module_name]
     LIBRARY.update({kind.name(): kind for kind in kinds})
+    LOADED_FILES.append(path.resolve())
     return [kind.name() for kind in kinds]
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from slider_jax import effects
-from slider_jax.effects.library import LIBRARY, load_effects
+from slider_jax.effects.library import LIBRARY, LOADED_FILES, load_effects
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import assemble
 from slider_jax.simulation.effect_signature import built_in_experiment
@@ -37,10 +37,11 @@ class WallFriction(ForceDensity):
 @pytest.fixture(autouse=True)
 def library():
     """Restore the library after each test."""
-    before = dict(LIBRARY)
+    before, files = dict(LIBRARY), list(LOADED_FILES)
     yield before
     LIBRARY.clear()
     LIBRARY.update(before)
+    LOADED_FILES[:] = files
 
 
 def simulated_thrust(c):
@@ -58,6 +59,7 @@ def test_an_effect_of_one_file_outside_the_package_acts_in_an_experiment(tmp_pat
     (tmp_path / "wall.py").write_text(FILE)
     assert load_effects(tmp_path / "wall.py") == ["wall_friction"]
     assert list(LIBRARY)[-1] == "wall_friction"
+    assert LOADED_FILES[-1] == (tmp_path / "wall.py").resolve()
     without, with_friction = simulated_thrust(0.0), simulated_thrust(5.0)
     assert np.isfinite(with_friction).all()
     assert with_friction.mean() < without.mean()
