@@ -22,3 +22,17 @@ def did_you_mean(given: str, allowed: Iterable[str]) -> str:
     """The clause that suggests the allowed name closest to `given`; empty if none is close."""
     close = get_close_matches(given, list(allowed), 1)
     return f"; did you mean {close[0]}?" if close else ""
+
+
+def refuse_unknown(
+    where: str, names: Iterable[str], allowed: Iterable[str], listed: str = ""
+) -> None:
+    """Raise `InputError` for the first of `names` that is not in `allowed`.
+
+    `listed` describes the allowed names in the message (default: all of them).
+    """
+    known = list(allowed)
+    for name in names:
+        if name not in known:
+            near = did_you_mean(name, known)
+            raise InputError.value(where, repr(name), (listed or ", ".join(known)) + near)

@@ -8,6 +8,7 @@ import tyro
 
 from slider_jax.cli.options import Folder, ModelFile, Names
 from slider_jax.cli.progress import timed_printer
+from slider_jax.errors import refuse_unknown
 
 Method = Annotated[str, tyro.conf.arg(metavar="METHOD")]
 
@@ -48,7 +49,6 @@ def tank(
         identify_parameters,
         parameter_table,
     )
-    from calibration.identification.per_frequency import check_labels
     from calibration.model.extended import model_parameters
     from slider_jax.experiment.load import load
     from slider_jax.io.files import input_file, staged, tentative_folder, write_json, write_text
@@ -57,7 +57,7 @@ def tank(
     loaded = load(experiment, model)
     check_names(also, channels, method)
     if per_frequency:
-        check_labels(each, model_parameters(also))
+        refuse_unknown("--each", each, [p.label for p in model_parameters(also)])
     with tentative_folder(out):
         found = identify_parameters(loaded, also, channels, progress, method=method)
         record = identification_record(found, input_file(experiment))

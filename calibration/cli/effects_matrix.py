@@ -9,7 +9,7 @@ import tyro
 
 from slider_jax.cli.options import Folder, ModelFile, Names, Range
 from slider_jax.cli.progress import timed_printer
-from slider_jax.errors import InputError, did_you_mean
+from slider_jax.errors import InputError, refuse_unknown
 
 
 def effects_matrix(
@@ -51,11 +51,13 @@ def effects_matrix(
     )
     from calibration.experiment_design.trial_search import TrialLimits, limits_of
     from calibration.inference.cache import input_settings, resumable
+    from calibration.model.extended import candidate_effects
     from slider_jax.experiment.load import load
     from slider_jax.io.files import input_file, staged, write_json, write_text
 
-    _check("--effects", effects)
-    _check("--separate", separate)
+    for option, names in (("--effects", effects), ("--separate", separate)):
+        listed = "the names that slider effects lists, except gravity"
+        refuse_unknown(option, names, candidate_effects(), listed)
     if separate and len(set(separate)) < 2:
         raise InputError("--separate: given one effect; allowed two or more")
     given = dict(zip(TrialLimits._fields, (frequency, amplitude, phase, tow_speed), strict=True))
@@ -69,8 +71,8 @@ def effects_matrix(
     files = (experiment, *([model] if model else []))
     with resumable(out, input_settings(files, loaded.folder)) as memo:
         progress("compiling")
-        names = tuple(dict.fromkeys((*effects, *separate))) or None
-        found = detectability_matrix(loaded, names, progress, memo=memo)
+        chosen = tuple(dict.fromkeys((*effects, *separate))) or None
+        found = detectability_matrix(loaded, chosen, progress, memo=memo)
         record = detectability_record(found, input_file(experiment))
         if within is not None:
             names = tuple(dict.fromkeys(separate))
@@ -86,18 +88,6 @@ def effects_matrix(
         print("\n" + _next_trial_text(record["next_trial"]))
         written = "matrix.json, matrix.png and next_trial.toml"
     print(f"{written} are in {out}", file=sys.stderr)
-
-
-def _check(option: str, names: tuple[str, ...]) -> None:
-    from calibration.model.extended import candidate_effects
-
-    allowed = candidate_effects()
-    for name in names:
-        if name not in allowed:
-            raise InputError(
-                f"{option}: given {name!r}; allowed the names that slider effects lists, except "
-                f"gravity{did_you_mean(name, allowed)}"
-            )
 
 
 def _next_trial(found: Any, names: tuple[str, ...], limits: Any, progress) -> Any:

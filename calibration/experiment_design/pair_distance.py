@@ -98,14 +98,9 @@ def separating_trial(
     after = before + information(best.channels[0])
     now, then = (effect_pairs(A, indices, sizes, free) for A in (before, after))
     rows = [
-        {
-            "first": a.first,
-            "second": a.second,
-            "cos_before": a.cos,
-            "cos_after": b.cos,
-            "sigmas_before": a.sigmas,
-            "sigmas_after": b.sigmas,
-        }
+        {"first": a.first, "second": a.second}
+        | {"cos_before": a.cos, "cos_after": b.cos}
+        | {"sigmas_before": a.sigmas, "sigmas_after": b.sigmas}
         for a, b in zip(now, then, strict=True)
     ]
     worst = min(then, key=lambda pair: pair.sigmas)

@@ -24,7 +24,7 @@ from calibration.model.predict import COARSE, FINE, Resolution
 from calibration.reporting.parameters import model_tables, parameter_record, parameter_text
 from slider_jax.channels import BUILT_IN, CHANNELS
 from slider_jax.effects.library import LIBRARY
-from slider_jax.errors import InputError, did_you_mean
+from slider_jax.errors import refuse_unknown
 from slider_jax.experiment.load import Experiment
 from slider_jax.io.files import versions
 from slider_jax.io.toml import toml_text
@@ -54,17 +54,9 @@ class Identified(NamedTuple):
 
 def check_names(effects: Sequence[str], channels: Sequence[str], method: str) -> None:
     """Raise `InputError` for a name that `identify_parameters` does not know."""
-    if method not in (*METHODS, "auto"):
-        raise InputError(f"--method {method}: unknown; allowed auto, {', '.join(METHODS)}")
-    for name in effects:
-        if name not in LIBRARY:
-            near = did_you_mean(name, LIBRARY)
-            raise InputError(
-                f"--also {name}: unknown effect; allowed the names that slider effects lists{near}"
-            )
-    for name in channels:
-        if name not in CHANNELS:
-            raise InputError(f"--channels {name}: unknown; allowed {', '.join(CHANNELS)}")
+    refuse_unknown("--method", [method], ("auto", *METHODS))
+    refuse_unknown("--also", effects, LIBRARY, "the names that slider effects lists")
+    refuse_unknown("--channels", channels, CHANNELS)
 
 
 def identify_parameters(

@@ -43,7 +43,7 @@ from calibration.inference.uncertainty import (
 )
 from calibration.model.extended import Parameter
 from calibration.model.predict import COARSE, Resolution
-from slider_jax.errors import InputError, did_you_mean
+from slider_jax.errors import InputError, refuse_unknown
 from slider_jax.experiment.load import Experiment
 
 MIN_FREQUENCIES = 4
@@ -97,7 +97,7 @@ def compare_ties(
     `each` are labels of the parameters that may differ between frequencies. Raise `InputError` for
     an unknown label, a trial without a frequency, or a single frequency.
     """
-    check_labels(each, entries)
+    refuse_unknown("--each", each, [p.label for p in entries])
     at, place = drive_frequencies([r.trial for r in problem.records])
     if len(at) < 2:
         raise InputError(f"--per-frequency: all trials are driven at {at[0]:g} Hz; omit the option")
@@ -125,15 +125,6 @@ def compare_ties(
         experiment, entries, problem, at, place, fitted, choose_ties(fitted), {}
     )
     return outcome._replace(proposals=_proposals(outcome, coarse))
-
-
-def check_labels(each: Sequence[str], entries: Sequence[Parameter]) -> None:
-    """Raise `InputError` for a label of `each` that is not identified."""
-    known = [p.label for p in entries]
-    for label in each:
-        if label not in known:
-            near = did_you_mean(label, known)
-            raise InputError(f"--each {label}: not identified; allowed {', '.join(known)}{near}")
 
 
 def _proposals(found: FrequencyComparison, coarse: Resolution) -> dict[int, Proposal]:

@@ -87,7 +87,7 @@ def test_a_residual_above_the_noise_floor_gives_a_warning(monkeypatch, square, w
 
 
 MISTYPED = (
-    "--also tangential_frition: unknown effect; allowed the names that slider effects lists; "
+    "--also: given 'tangential_frition'; allowed the names that slider effects lists; "
     "did you mean tangential_friction?"
 )
 
@@ -97,8 +97,8 @@ MISTYPED = (
     [
         (["--also", "tangential_frition"], MISTYPED),
         (["--per-frequency", "--also", "tangential_frition"], MISTYPED),
-        (["--per-frequency", "--each", "C_x"], "--each C_x: not identified; allowed C_d, m_a, k"),
-        (["--channels", "torque"], "--channels torque: unknown; allowed p_front"),
+        (["--per-frequency", "--each", "C_x"], "--each: given 'C_x'; allowed C_d, m_a, k"),
+        (["--channels", "torque"], "--channels: given 'torque'; allowed p_front"),
     ],
 )
 def test_unknown_names_are_refused(tank, tmp_path, capsys, arguments, message):

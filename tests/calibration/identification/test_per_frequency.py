@@ -114,7 +114,7 @@ def test_too_few_frequencies_choose_no_ties(monkeypatch):
     found = compared(experiment, entries, records)
     assert found.chosen is None and found.used.ties.name == "constant"
     assert "these data have 3." in comparison_text(found)
-    with pytest.raises(InputError, match="--each C_D: not identified; allowed C_d, m_a"):
+    with pytest.raises(InputError, match="--each: given 'C_D'; allowed C_d, m_a"):
         compared(experiment, entries, records, each=("C_D",))
     one = [r for r in records if r.trial.frequency == 1.0]
     with pytest.raises(InputError, match="all trials are driven at 1 Hz"):

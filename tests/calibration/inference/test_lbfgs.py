@@ -87,5 +87,5 @@ def test_lbfgs_is_the_default_for_many_parameters(monkeypatch, effects, method, 
 
 
 def test_an_unknown_method_is_refused():
-    with pytest.raises(InputError, match="--method newton: unknown; allowed auto, lm, lbfgs"):
+    with pytest.raises(InputError, match="--method: given 'newton'; allowed auto, lm, lbfgs"):
         identify.identify_parameters(closed.experiment_of((1.0,)), method="newton")
