@@ -80,7 +80,7 @@ plt.show()
 
 # %% [markdown]
 # The rate depends on the pressure, not on the error. The venting rate is proportional to the
-# absolute pressure: the data are parallel to the dashed line, which is zero at -14.7 psi, a vacuum.
+# absolute pressure: a line through the data is zero near -14.7 psi, a vacuum, like the dashed line.
 # The dotted line is a flow proportional to the gauge pressure, and does not fit. Venting is
 # therefore a choked orifice. Filling slows down as the chamber approaches the supply pressure.
 #

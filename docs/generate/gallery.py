@@ -38,6 +38,15 @@ PORT = "/dev/pts/3"
 """Port in the text, in place of the simulated rig's actual port."""
 
 
+INTERRUPTIBLE = """
+import signal, sys
+from slider_jax.cli.main import main
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.exit(main(sys.argv[1:]))
+"""
+"""Program of a command that obeys SIGINT, which the children of background jobs ignore."""
+
+
 class Entry(NamedTuple):
     """A command of the gallery."""
 
@@ -70,7 +79,7 @@ ENTRIES = {
     ),
     "swim": Entry(
         "swim docs/swimmer.toml --out results/swim",
-        "One steady stride of free swimming.",
+        "Midlines of one steady stride, and the speed from rest, also without the head's drag.",
         "results/swim/swim_swim.png",
     ),
     "climb": Entry(
@@ -128,7 +137,7 @@ ENTRIES = {
     ),
     "lamprey": Entry(
         "lamprey midlines --draws 40 --out results/lamprey",
-        "Axial force balance of a swimming lamprey. Midlines: E. D. Tytell, fishmechr, CC-BY-4.0.",
+        "Midlines of a lamprey (E. D. Tytell, fishmechr, CC-BY-4.0) and the axial force balance.",
         "results/lamprey/report.html#0",
         "midlines",
     ),
@@ -240,9 +249,7 @@ def make_bench(work: Path) -> None:
 @contextlib.contextmanager
 def simulated_rig(work: Path, *options: str) -> Iterator[str]:
     """Run the simulated rig in `work` and return what it prints first, with its port."""
-    from tests.support.rig_experiment import HEARS_CTRL_C
-
-    words = [sys.executable, "-c", HEARS_CTRL_C, "rig", "simulate", *options]
+    words = [sys.executable, "-c", INTERRUPTIBLE, "rig", "simulate", *options]
     with open(work / "rig.log", "w") as log:
         process = subprocess.Popen(words, cwd=work, stdout=log, stderr=subprocess.STDOUT)
     try:
@@ -299,9 +306,11 @@ def save_picture(source: Path, number: int | None, path: Path) -> None:
     if picture.width > WIDEST:
         height = round(picture.height * WIDEST / picture.width)
         picture = picture.resize((WIDEST, height), Image.Resampling.LANCZOS)
-    picture.quantize(64).save(path, optimize=True)
-    if path.stat().st_size > LARGEST_PICTURE:
-        raise SystemExit(f"{path}: has over {LARGEST_PICTURE} bytes")
+    for colours in (256, 128, 64, 32):
+        picture.quantize(colours).save(path, optimize=True)
+        if path.stat().st_size <= LARGEST_PICTURE:
+            return
+    raise SystemExit(f"{path}: has over {LARGEST_PICTURE} bytes")
 
 
 def run_line(work: Path, line: str, port: str) -> str:
@@ -402,8 +411,8 @@ def main() -> None:
     three_trials(work)
     for name in asked.names or ENTRIES:
         started = time.perf_counter()
-        outputs = kept_outputs() | {name: make_output(name, work)}
-        PAGE.write_text(render(outputs), encoding="utf-8")
+        output = make_output(name, work)
+        PAGE.write_text(render(kept_outputs() | {name: output}), encoding="utf-8")
         print(f"{name}: {time.perf_counter() - started:.0f} s", file=sys.stderr)
 
 

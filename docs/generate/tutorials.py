@@ -134,7 +134,8 @@ def execute(notebook: Path) -> dict[int, str]:
             text, before = io.StringIO(), len(pictures)
             with redirect_stdout(text):
                 exec(compile(cell.text, f"{notebook.name}, cell {number}", "exec"), names)
-            printed = "\n".join(line.rstrip() for line in text.getvalue().strip().splitlines())
+            lines = text.getvalue().replace(f"{folder}/", "").strip().splitlines()
+            printed = "\n".join(line.rstrip() for line in lines)
             parts = [f"```text\n{printed}\n```"] if printed else []
             new = pictures[before:]
             parts += [f"![{heading}](../img/tutorials/{path.name})" for path in new]
