@@ -14,6 +14,7 @@ from rig.cli.shared import (
     install_experiment,
     load_trials,
     open_rig,
+    warn_of_moving_clamp,
     with_force_counts,
 )
 from slider_jax.cli.options import Folder, Pressures
@@ -66,9 +67,7 @@ def rig_run(
         changes["force"] = {"host": force}
     settings = load_rig(rig, changes)
     for trial in table.trials:
-        if trial.tow_speed or trial.clamp_moves:
-            moves = "is towed" if trial.tow_speed else "moves"
-            print(f"{trial.file}: the clamp {moves}; move it by other means", file=sys.stderr)
+        warn_of_moving_clamp(trial)
     settings = with_force_counts(settings)
     source = input_file(experiment)
     recorded = {"experiment_sha256": source["sha256"], "rig": settings.model_dump(mode="json")}

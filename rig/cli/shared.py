@@ -131,6 +131,13 @@ def planned_trial(trial: TrialTable, path: Path) -> PlannedTrial:
     return PlannedTrial(name, drive, trial.duration)
 
 
+def warn_of_moving_clamp(trial: TrialTable) -> None:
+    """Print a warning if a trial's clamp is towed or moves, because the rig does not move it."""
+    if trial.tow_speed or trial.clamp_moves:
+        moves = "is towed" if trial.tow_speed else "moves"
+        print(f"{trial.file}: the clamp {moves}, but not by the rig", file=sys.stderr)
+
+
 def with_force_counts(settings: RigTable) -> RigTable:
     """Return the settings with the force sensor's counts, from the box's web page if missing.
 

@@ -132,7 +132,7 @@ def _serve_published(noise: float, seed: int) -> None:
     )
     print(f"port {terminal.path}", flush=True)
     print(
-        f"in another terminal, run for example:\n"
+        "in another terminal, run for example:\n"
         f"  slider rig log 1 2 --port {terminal.path} --out logs\n"
         "Ctrl-C ends it",
         file=sys.stderr,

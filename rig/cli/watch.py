@@ -19,6 +19,7 @@ from rig.cli.shared import (
     planned_trial,
     print_status,
     signals_as_ctrl_c,
+    warn_of_moving_clamp,
     with_force_counts,
 )
 from rig.recording.table import format_value
@@ -74,8 +75,7 @@ def rig_watch(
     """
     loaded = load(experiment, model)
     (chosen,) = chosen_trials(loaded.trials, trial)
-    if chosen.tow_speed or chosen.clamp_moves:
-        print(f"{chosen.file}: the clamp moves; move it by other means", file=sys.stderr)
+    warn_of_moving_clamp(chosen)
     settings = with_force_counts(load_rig(rig))
     if settings.camera is not None:
         print("the camera is not used: its tip is available only after a trial", file=sys.stderr)
