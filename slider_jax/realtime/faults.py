@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slider_jax.effects import Flow
-from slider_jax.errors import InputError, did_you_mean
+from slider_jax.errors import InputError, refuse_unknown
 
 CHAMBERS = ("front_left", "front_right", "rear_left", "rear_right")
 """The four chambers, in the order of set pressures and readings."""
@@ -60,10 +60,7 @@ ALLOWED = {
 
 def with_fault(faults: Faults, name: str, value: float) -> Faults:
     """Return the faults with one value changed. Raises `InputError` if name or value is invalid."""
-    if name not in ALLOWED:
-        raise InputError(
-            f"fault: given {name!r}; allowed {', '.join(ALLOWED)}{did_you_mean(name, ALLOWED)}"
-        )
+    refuse_unknown("fault", [name], ALLOWED)
     low, high, unit = ALLOWED[name]
     if not low <= value <= high:
         raise InputError.value(f"fault {name}", value, f"{low:g} to {high:g}, {unit}")
