@@ -35,10 +35,8 @@ def published(out: Folder) -> None:
     start, progress = time.monotonic(), timed_printer()
 
     def done(x: SpeedPrediction) -> None:
-        progress(
-            f"{x.resisting} calibrated at {x.calibrated_on} predicts "
-            f"{100 * x.predicted:.1f} cm/s at {x.predicts}"
-        )
+        effect = f"{x.resisting} calibrated at {x.calibrated_on}"
+        progress(f"{effect} predicts {100 * x.predicted:.1f} cm/s at {x.predicts}")
 
     with staged(out) as stage:
         progress("simulating from rest by the paper's equations")

@@ -103,7 +103,7 @@ def speeds_record(x: CrossPrediction, seconds: float) -> dict[str, Any]:
             {
                 "name": best.resisting,
                 "class": others,
-                "parameters": {_parameter(best.resisting): _range(x.forward, best)},
+                "parameters": _coefficient_range(x.forward, best),
                 "where": "free swimming: mean force along the course",
             }
         ],
@@ -144,28 +144,27 @@ def speeds_record(x: CrossPrediction, seconds: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _parameter(name: str) -> str:
-    (parameter,) = RESISTIVE_EFFECTS[name](0.0).priors()
-    return parameter
-
-
-def _range(found: list[SpeedPrediction], best: SpeedPrediction) -> dict[str, Any]:
-    values = [a.coefficient for a in found if a.resisting == best.resisting]
-    (prior,) = RESISTIVE_EFFECTS[best.resisting](0.0).priors().values()
-    return {
+def _coefficient_range(
+    predictions: list[SpeedPrediction], best: SpeedPrediction
+) -> dict[str, dict[str, Any]]:
+    """Return the record of the best coefficient with its range, by the parameter's name."""
+    values = [a.coefficient for a in predictions if a.resisting == best.resisting]
+    ((parameter, prior),) = RESISTIVE_EFFECTS[best.resisting](0.0).priors().items()
+    record = {
         "value": best.coefficient, "low": min(values), "high": max(values), "unit": prior.unit,
         "interval": "over the alternatives for what the paper does not give",
     }  # fmt: skip
+    return {parameter: record}
 
 
-def _rows(found: list[SpeedPrediction]) -> list[list[str]]:
+def _rows(predictions: list[SpeedPrediction]) -> list[list[str]]:
     return [
         [
             a.resisting, a.head, a.gait, f"{a.coefficient:.3g}",
             "yes" if a.in_prior else "no", a.predicted_gait, f"{100 * a.predicted:.1f}",
             f"{100 * a.error:+.1f}",
         ]
-        for a in found
+        for a in predictions
     ]  # fmt: skip
 
 

@@ -88,10 +88,8 @@ def forces_by_stride(motion: Motion, shape: CrossSections, course: Course) -> St
     def along(vector):
         return np.asarray(vector) @ course.direction
 
-    unit = {
-        name: course.strides.means(t, along(force_on_body(effect, prescribed)))
-        for name, effect in EFFECTS.items()
-    }
+    forces = {name: along(force_on_body(effect, prescribed)) for name, effect in EFFECTS.items()}
+    unit = {name: course.strides.means(t, force) for name, force in forces.items()}
     return StrideForces(unit, course.strides.gains(t, along(momentum(prescribed))))
 
 
@@ -145,10 +143,7 @@ def stride_weights(strides: int, samples: int, rng: np.random.Generator) -> np.n
 def alternative_motions(
     midlines: Midlines, smoothing: Smoothing, rng: np.random.Generator, count: int = MOTIONS
 ) -> list[Motion]:
-    """Return motions that the same midlines allow.
-
-    Each has another smoothing, another body length and another realisation of the tracing noise.
-    """
+    """Return motions of the same midlines with other smoothing, body length and tracing noise."""
     across = float(np.median(midlines.lengths)) / (midlines.points.shape[1] - 1)
     noise = white_noise(measured_angles(midlines).phi) * across / np.sqrt(2.0)
     sigma = np.concatenate([noise[:1], noise])
@@ -176,10 +171,9 @@ def sample_balances(
     vary: Sequence[str],
     count: int = SAMPLES,
 ) -> BalanceSamples:
-    """Return samples in which the sources `vary` of uncertainty vary.
+    """Return samples in which `vary` of "strides", "reading", "shape" and "coefficients" vary.
 
-    The sources are "strides", "reading", "shape" and "coefficients". `motions[0]` is the motion
-    from the unchanged midlines; `coefficients` is (C_d, m_a).
+    `motions[0]` is the motion of the unchanged midlines; `coefficients` is (C_d, m_a).
     """
     strides = course.strides.number
     equal = np.full((count, strides), 1.0 / strides)

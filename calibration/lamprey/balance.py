@@ -35,13 +35,7 @@ from calibration.lamprey.axial_balance import (
 )
 from calibration.lamprey.midlines import Midlines, read_midlines, read_width
 from calibration.lamprey.motion import Motion, Smoothing, choose_smoothing, midline_motion
-from calibration.lamprey.strides import (
-    AnimalGait,
-    Strides,
-    animal_gait,
-    fundamental,
-    whole_strides,
-)
+from calibration.lamprey.strides import AnimalGait, Strides, animal_gait, fundamental, whole_strides
 from slider_jax import paper
 from slider_jax.effects import ForceDensity, NormalDrag, ReactiveForce
 
@@ -88,16 +82,12 @@ class BalanceAnalysis:
     @property
     def possible(self) -> dict[str, float]:
         """Share of the samples in which each effect closes the balance within its prior range."""
-        return {name: _share_in_prior(name, self.samples.closing(name)) for name in EFFECTS}
-
-    @property
-    def course(self) -> Course:
-        return Course(self.strides, self.gait.direction)
-
-
-def _share_in_prior(name: str, values: np.ndarray) -> float:
-    (prior,) = EFFECTS[name].priors().values()
-    return float(np.mean((values >= prior.low) & (values <= prior.high)))
+        shares = {}
+        for name, effect in EFFECTS.items():
+            (prior,) = effect.priors().values()
+            values = self.samples.closing(name)
+            shares[name] = float(np.mean((values >= prior.low) & (values <= prior.high)))
+        return shares
 
 
 def analyse_folder(folder: Path, seed: int = 0, samples: int = SAMPLES) -> BalanceAnalysis:
@@ -130,7 +120,6 @@ def analyse_midlines(
         return sample_balances(rng, motions, shape, course, (C_d, m_a), sources, samples)
 
     imbalances = np.array([forces_by_stride(x, shape, course).imbalance(C_d, m_a) for x in others])
-    changes = imbalances - forces.imbalance(C_d, m_a)
     other_smoothings = {}
     for name, other in _other_smoothings(smoothing).items():
         other_forces = forces_by_stride(midline_motion(midlines, other), shape, course)
@@ -148,7 +137,7 @@ def analyse_midlines(
         forces=forces,
         by_source={source: central_interval(vary(source).imbalance) for source in SOURCES},
         samples=vary(*SOURCES),
-        noise_floor=_rms(changes),
+        noise_floor=_rms(imbalances - forces.imbalance(C_d, m_a)),
         other_smoothings=other_smoothings,
         alternatives=others,
     )
@@ -183,12 +172,8 @@ def imbalance_errors(x: BalanceAnalysis, closer: str) -> dict[str, float]:
     "after": each stride uses the coefficient of the effect `closer` from the other strides.
     """
     before, unit = x.imbalance, x.forces.unit[closer]
-    count = len(before)
-    after = [
-        before[i] - unit[i] * (before.sum() - before[i]) / (unit.sum() - unit[i])
-        for i in range(count)
-    ]
-    return {"before": _rms(before), "after": _rms(np.array(after)), "floor": x.noise_floor}
+    after = before - unit * (before.sum() - before) / (unit.sum() - unit)
+    return {"before": _rms(before), "after": _rms(after), "floor": x.noise_floor}
 
 
 def _rms(values: np.ndarray) -> float:
@@ -213,10 +198,7 @@ def small_amplitude_thrust(x: BalanceAnalysis) -> float:
 
 
 def skin_friction(x: BalanceAnalysis) -> dict[str, Any]:
-    """Return the skin friction coefficient that closes the balance, and those of flat plates.
-
-    The coefficient is on the wetted area.
-    """
+    """Return the friction coefficient on the wetted area that closes the balance, and plates'."""
     body = x.prescribed.body
     wetted = float(np.sum(body.perimeter * body.structure.ds))
     outline = float(np.sum(body.structure.height * body.structure.ds))
@@ -237,10 +219,7 @@ def skin_friction(x: BalanceAnalysis) -> dict[str, Any]:
 
 
 def frontal_coefficient(x: BalanceAnalysis) -> tuple[float, float, float]:
-    """Return the head's drag coefficient that closes the balance, and its 95 % interval.
-
-    The coefficient is on the largest cross-section.
-    """
+    """Return the head's drag coefficient that closes the balance, with its 95 % interval."""
     body = x.prescribed.body
     section = float(np.max(math.pi / 4.0 * body.width * body.structure.height))
     area = x.samples.closing("head_drag") / section
@@ -250,26 +229,23 @@ def frontal_coefficient(x: BalanceAnalysis) -> tuple[float, float, float]:
 def within_stride(x: BalanceAnalysis) -> dict[str, float]:
     """Return axial amplitudes within a stride, which could discriminate between the candidates.
 
-    All are at twice the strides' frequency, as a symmetric swimmer's axial forces are:
-
-    - amplitudes of the model's force and of the body's inertia [N];
-    - the motions of the centre of mass [m] that they cause;
-    - the largest difference of this motion [m] between two candidates that close the balance;
-    - the rms change of the measured motion [m] over the alternative motions.
+    All are at twice the strides' frequency, as a symmetric swimmer's axial forces are: the model's
+    force and the body's inertia [N], and the motions of the centre of mass [m] that they cause. The
+    largest difference of this motion between two candidates that close the balance is compared with
+    the rms change of the measured motion over the alternative motions.
     """
-    t, course = x.motion.t, x.course
+    double = Strides(x.strides.marks, 2.0 * x.strides.phase)
 
     def second_harmonic(series: np.ndarray) -> complex:
-        double = Strides(x.strides.marks, 2.0 * x.strides.phase)
-        return complex(fundamental(t, (series @ course.direction)[:, None], double)[0])
+        axial = (series @ x.gait.direction)[:, None]
+        return complex(fundamental(x.motion.t, axial, double)[0])
 
     def of_effect(effect: ForceDensity) -> complex:
         return second_harmonic(np.asarray(force_on_body(effect, x.prescribed)))
 
     per_force = 1.0 / (x.prescribed.body.mass * (4.0 * math.pi * x.gait.frequency) ** 2)
     base = of_effect(ReactiveForce(x.m_a)) + of_effect(NormalDrag(x.C_d))
-    closing = {n: float(np.median(x.samples.closing(n))) for n in CANDIDATES}
-    added = [closing[n] * of_effect(EFFECTS[n]) for n in CANDIDATES]
+    added = [float(np.median(x.samples.closing(n))) * of_effect(EFFECTS[n]) for n in CANDIDATES]
     difference = max(abs(a - b) for a in added for b in added)
     measured = second_harmonic(np.asarray(inertia(x.prescribed)))
     others = [second_harmonic(np.asarray(inertia(prescribe(m, x.shape)))) for m in x.alternatives]
@@ -286,10 +262,7 @@ def within_stride(x: BalanceAnalysis) -> dict[str, float]:
 
 
 def midline_misfit(x: BalanceAnalysis) -> float:
-    """Return the rms distance [m] of the measured points from the smoothed body.
-
-    Points beyond the end of the smoothed body are omitted.
-    """
+    """Return the rms distance [m] of the measured points within the body's length from the body."""
     L, count = x.motion.length, x.midlines.points.shape[1]
     squares = []
     for frame, length, r in zip(x.midlines.points, x.midlines.lengths, x.motion.r, strict=True):

@@ -92,20 +92,14 @@ def measured_angles(midlines: Midlines) -> Angles:
 
 
 def white_noise(series: np.ndarray) -> np.ndarray:
-    """Return the standard deviation of a series' white noise, from its fourth differences.
-
-    The series has shape (times, ...).
-    """
+    """Return the white noise (deviation) of series (times, ...), from their fourth differences."""
     return np.sqrt(np.mean(np.diff(series, n=4, axis=0) ** 2, axis=0) / 70.0)
 
 
 def smooth_along_body(
     measured: Angles, s: np.ndarray, wavelength: float
 ) -> tuple[np.ndarray, float]:
-    """Return the smoothed phi (frames, nodes) [rad] at `s` [m] from the tail, and its rms residual.
-
-    The residual [rad] is that of the measured angles.
-    """
+    """Return smoothed phi (frames, nodes) [rad] at `s` [m] from the tail, and the rms residual."""
     L, rows, residuals = s[-1], [], []
     for phi, behind in zip(measured.phi, measured.behind, strict=True):
         fit = twicing_spline(behind / L, phi, 1.0 / wavelength)
@@ -133,10 +127,9 @@ def choose_smoothing(midlines: Midlines) -> Smoothing:
 
 
 def _noise_frequency(phi: np.ndarray, interval: float) -> float:
-    """Return the frequency [Hz] at which the angles' power falls to their noise.
+    """Return the frequency [Hz] at which the power of phi (times, nodes) falls to its noise.
 
-    `phi` has shape (times, nodes). The power is the mean over the body and three neighbouring
-    frequencies.
+    The power is the mean over the body and over three neighbouring frequencies.
     """
     frames = len(phi)
     straight = np.linspace(0.0, 1.0, frames)[:, None] * (phi[-1] - phi[0]) + phi[0]
@@ -151,10 +144,7 @@ def _noise_frequency(phi: np.ndarray, interval: float) -> float:
 
 
 def twicing_spline(x: np.ndarray, series: np.ndarray, cutoff: float) -> Callable[..., np.ndarray]:
-    """Return a function (at, n) -> d^n/dx^n of the smoothed `series` (points, ...).
-
-    Half of an amplitude is kept at `cutoff` [1/x].
-    """
+    """Return (at, n) -> d^n/dx^n of the smoothed series; half is kept at `cutoff` [1/x]."""
     weight = 1.0 / (np.mean(np.diff(x)) * (2.0 * math.pi * cutoff / _TWICING_RATIO) ** 4)
     first = make_smoothing_spline(x, series, lam=weight)
     second = make_smoothing_spline(x, series - first(x), lam=weight)
@@ -176,10 +166,7 @@ def midline_motion(midlines: Midlines, smoothing: Smoothing, length: float | Non
 def motion_from_angles(
     t: np.ndarray, s: np.ndarray, phi: list[np.ndarray], head: list[np.ndarray]
 ) -> Motion:
-    """Return the body's motion from its angles and its head's track.
-
-    `phi` (times, nodes) and `head` (times, 2) are lists of the value and its two time derivatives.
-    """
+    """Return the motion from phi (times, nodes) and head (times, 2), each with two derivatives."""
     ds = np.diff(s)
     angle, omega, turn = (0.5 * (x[:, 1:] + x[:, :-1]) for x in phi)
     tau = np.stack([np.cos(angle), np.sin(angle)], axis=-1)

@@ -23,6 +23,7 @@ from calibration.lamprey.balance import (
     balance_verdict,
     frontal_coefficient,
     imbalance_errors,
+    midline_misfit,
     skin_friction,
     small_amplitude_thrust,
     within_stride,
@@ -107,21 +108,18 @@ def closing_effects(x: BalanceAnalysis, candidates: list[str]) -> list[dict[str,
             "name": first,
             "title": EFFECTS[first].title,
             "class": others,
-            "parameters": {_parameter(first): _closing(x, first)},
+            "parameters": _closing(x, first),
             "where": "mean axial force over whole strides",
         }
     ]
 
 
-def _parameter(name: str) -> str:
-    (parameter,) = EFFECTS[name].priors()
-    return parameter
-
-
 def _closing(x: BalanceAnalysis, name: str) -> dict[str, Any]:
-    (prior,) = EFFECTS[name].priors().values()
+    """Return the record of the closing coefficient, by the parameter's name."""
+    ((parameter, prior),) = EFFECTS[name].priors().items()
     values = x.samples.closing(name)
-    return interval_record(float(np.median(values)), *central_interval(values), prior.unit)
+    record = interval_record(float(np.median(values)), *central_interval(values), prior.unit)
+    return {parameter: record}
 
 
 def closing_candidates(x: BalanceAnalysis) -> list[dict[str, Any]]:
@@ -129,13 +127,14 @@ def closing_candidates(x: BalanceAnalysis) -> list[dict[str, Any]]:
     share = x.possible
     rows = []
     for name in sorted(EFFECTS, key=lambda n: -share[n]):
-        (prior,) = EFFECTS[name].priors().values()
-        needs = {"parameter": _parameter(name), "needs": _closing(x, name)}
+        ((parameter, needs),) = _closing(x, name).items()
+        prior = EFFECTS[name].priors()[parameter]
         rows.append(
-            {"name": name, "title": EFFECTS[name].title, "possible": share[name]}
-            | needs
-            | {"prior": [prior.low, prior.high]}
-        )
+            {
+                "name": name, "title": EFFECTS[name].title, "possible": share[name],
+                "parameter": parameter, "needs": needs, "prior": [prior.low, prior.high],
+            }
+        )  # fmt: skip
     return rows
 
 
@@ -158,14 +157,13 @@ def _settings(x: BalanceAnalysis) -> dict[str, Any]:
 
 def midline_quality(x: BalanceAnalysis) -> list[str]:
     """Return sentences on the quality of the midlines."""
-    lengths, w = 1e3 * x.midlines.lengths, within_stride(x)
+    lengths = 1e3 * x.midlines.lengths
     return [
         f"{x.midlines.incomplete_frames} incomplete frames at the ends are omitted.",
         f"The traced length is {lengths.min():.0f} to {lengths.max():.0f} mm, because the tail's "
         "end was not always visible. The analysis measures distances from the head and keeps the "
         "length constant.",
-        f"The smoothed body differs from the points by {1e3 * w['misfit_of_midlines_m']:.2f} mm "
-        "rms.",
+        f"The smoothed body differs from the points by {1e3 * midline_misfit(x):.2f} mm rms.",
     ]
 
 
@@ -176,16 +174,17 @@ def animal_sentence(x: BalanceAnalysis) -> str:
     first = 1e3 * x.imbalance.mean()
     sentence = (
         f"With the paper's coefficients (C_d {x.C_d:g}, m_a {x.m_a:g}), the model's mean forward "
-        f"force exceeds the animal's momentum gain by {first:.2f} mN ({low:.2f} to {high:.2f} mN "
-        "at 95 % with all uncertainties)."
+        f"force exceeds the momentum that the animal gains per time by {first:.2f} mN ({low:.2f} "
+        f"to {high:.2f} mN at 95 % with all uncertainties)."
     )
     if verdict == "nothing_missing":
         return sentence + " The interval includes zero: no effect is missing at this precision."
     if verdict == "unexplained":
         return sentence + " No candidate closes the balance within its prior range."
-    name, needs = candidates[0], _closing(x, candidates[0])
+    name = candidates[0]
+    ((parameter, needs),) = _closing(x, name).items()
     sentence += (
-        f" {EFFECTS[name].title} ({name}) closes the balance with {_parameter(name)} = "
+        f" {EFFECTS[name].title} ({name}) closes the balance with {parameter} = "
         f"{needs['value']:.3g} ({needs['low']:.2g} to {needs['high']:.2g})."
     )
     if verdict == "identified":
@@ -246,9 +245,8 @@ def _assumptions(x: BalanceAnalysis) -> list[list[str]]:
         ("smoothing along the body (body lengths)", along, (along * fine, along * coarse)),
         ("smoothing in time (Hz)", in_time, (in_time / coarse, in_time / fine)),
     ]
-    rows = [
-        [name, f"{value:.3g}", f"{low:.3g} to {high:.3g}"] for name, value, (low, high) in ranges
-    ]
     width = f"{WIDTH_OVER_HALF_WIDTH:g} x {WIDTH_COLUMN}"
-    rows.append(["width", width, "assumed to be a half width"])
-    return rows
+    return [
+        *([name, f"{x:.3g}", f"{low:.3g} to {high:.3g}"] for name, x, (low, high) in ranges),
+        ["width", width, "assumed to be a half width"],
+    ]

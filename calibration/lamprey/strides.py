@@ -119,10 +119,7 @@ def animal_gait(motion: Motion, strides: Strides, viscosity: float) -> AnimalGai
 
 
 def fundamental(t: np.ndarray, series: np.ndarray, strides: Strides) -> np.ndarray:
-    """Return the complex amplitude (nodes,) of a series (times, nodes) at the strides' phase.
-
-    A quadratic trend is fitted with it.
-    """
+    """Return the amplitude (nodes,) at the strides' phase of a detrended series (times, nodes)."""
     inside = (t >= strides.marks[0]) & (t <= strides.marks[-1])
     angle, at = 2.0 * math.pi * strides.phase[inside], t[inside] - t[inside].mean()
     basis = np.stack([np.ones_like(at), at, at**2, np.cos(angle), np.sin(angle)], axis=1)
