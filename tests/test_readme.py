@@ -43,9 +43,13 @@ def in_copy(tmp_path, monkeypatch):
 
 def test_the_readme_is_one_page_that_starts_with_two_commands():
     assert len((ROOT / "README.md").read_text().splitlines()) <= 150
-    install, demo = blocks("README.md", "sh")[0].splitlines()
-    assert "pip install -q -r requirements.lock -e ." in install
-    assert demo == ".venv/bin/slider demo"
+    demo, tests, *_ = blocks("README.md", "sh")
+    assert demo.splitlines() == [
+        "python3 -m venv .venv && .venv/bin/pip install -q -r requirements.lock -e . && "
+        ".venv/bin/slider demo"
+    ]
+    (ci,) = re.findall(r"^pytest .*$", (ROOT / ".ci" / "run").read_text(), re.MULTILINE)
+    assert tests.strip().endswith(f"&& .venv/bin/{ci}")
 
 
 def test_the_library_example_prints_the_documented_text(capsys):
