@@ -200,7 +200,7 @@ def record_table(host_ns: Sequence[int] | np.ndarray, datagrams: Sequence[bytes]
     """
     if not datagrams:
         raise RigError(
-            "force sensor: no records arrived during the recording; check it with `slider rig check`"
+            "force sensor: no records arrived during the recording; run `slider rig check`"
         )
     for i, datagram in enumerate(datagrams):
         check_size(datagram, f"force sensor's datagram {i}")
