@@ -23,7 +23,7 @@ from calibration.discrepancy.scores import tangent_cosine
 from calibration.discrepancy.settings import SelectionSettings
 from calibration.inference.gauss_newton import Fit
 from calibration.inference.goodness import excess
-from calibration.inference.problem import ChannelBlock
+from calibration.inference.problem import ChannelBlock, summed
 from slider_jax.effects.library import LIBRARY
 
 
@@ -39,6 +39,7 @@ def equivalent_effects(
 
     `scored` holds the indices of the parameters that score each effect.
     """
+    A, _ = summed(blocks)
     enough = settings.equal_gain_share * best.gain
     same = [t.name for t in this.refitted if t is not best and t.gain > enough]
     refitted = {t.name for t in this.refitted}
@@ -47,7 +48,7 @@ def equivalent_effects(
         for s in this.scores
         if s.name not in refitted
         and s.gain > settings.min_score_share * this.scores[0].gain
-        and tangent_cosine(scored[best.name], scored[s.name], current.free, blocks)
+        and tangent_cosine(A, scored[best.name], scored[s.name], current.free)
         > settings.parallel_cosine
     ]
     return same + parallel

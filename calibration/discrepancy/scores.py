@@ -87,17 +87,12 @@ def score(
     return Score(name, float(gain), p, step, np.asarray(left_out))
 
 
-def tangent_cosine(
-    first: np.ndarray, second: np.ndarray, free: np.ndarray, blocks: Sequence[ChannelBlock]
-) -> float:
+def tangent_cosine(A: np.ndarray, first: np.ndarray, second: np.ndarray, free: np.ndarray) -> float:
     """Return the largest |cos| between two candidates' tangents, orthogonal to the free ones.
 
-    It is 1 if these data cannot discriminate between the two.
+    `A` is the normal matrix. The cosine is 1 if the data cannot discriminate between the two.
     """
-    A, n = (
-        marginal_information(summed(blocks)[0], np.concatenate([first, second]), free),
-        len(first),
-    )
+    A, n = marginal_information(A, np.concatenate([first, second]), free), len(first)
 
     def root(M):
         values, vectors = np.linalg.eigh(M)

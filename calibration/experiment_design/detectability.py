@@ -27,7 +27,6 @@ from calibration.discrepancy.settings import DEFAULT_SETTINGS
 from calibration.experiment_design.information import (
     ChannelInformation,
     TrialInformation,
-    as_block,
     channel_shares,
     information,
     predict_information,
@@ -169,7 +168,7 @@ def _pairs(A, names, indices, free, entries) -> tuple[np.ndarray, np.ndarray]:
             if not (observed[i] and observed[j]):
                 continue
             first, second = indices[names[i]], indices[names[j]]
-            cos = 1.0 if i == j else tangent_cosine(first, second, free, as_block(A))
+            cos = 1.0 if i == j else tangent_cosine(A, first, second, free)
             cosines[i, j] = cosines[j, i] = min(cos, 1.0)
             opposed[i, j] = opposed[j, i] = i != j and _opposed(A, first, second, free, entries)
     return cosines, opposed

@@ -16,7 +16,6 @@ import numpy as np
 
 from calibration.inference.cache import Memo, cached
 from calibration.inference.noise import Noise, Whitener, channel_noise
-from calibration.inference.problem import ChannelBlock
 from calibration.measurements.records import Record, load_records
 from calibration.model.extended import BASE, Parameter, base_vector, model_parameters
 from calibration.model.initial_swing import declared_swing_spans
@@ -306,8 +305,3 @@ def channel_shares(channels: Sequence[ChannelInformation], step: np.ndarray) -> 
         change = max(float(step[moved] @ raw @ step[moved]), 0.0)
         found[channel] = float(np.sqrt(change / max(square, 1e-300)))
     return found
-
-
-def as_block(A: np.ndarray) -> list[ChannelBlock]:
-    """Return a normal matrix as `scores` expects it: a block without a residual."""
-    return [ChannelBlock(0, "", A, np.zeros(len(A)), 0.0, 0)]

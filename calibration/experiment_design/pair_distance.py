@@ -19,7 +19,6 @@ from calibration.discrepancy.scores import tangent_cosine
 from calibration.experiment_design.information import (
     ChannelInformation,
     TrialInformation,
-    as_block,
     information,
 )
 from calibration.experiment_design.trial_search import (
@@ -58,7 +57,7 @@ def effect_pairs(
             _distance(A, one, np.concatenate([free, other]), sizes[first]),
             _distance(A, other, np.concatenate([free, one]), sizes[second]),
         )
-        cos = min(tangent_cosine(one, other, free, as_block(A)), 1.0)
+        cos = min(tangent_cosine(A, one, other, free), 1.0)
         found.append(EffectPair(first, second, cos, float(np.sqrt(min(squares)))))
     return found
 
