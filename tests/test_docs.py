@@ -2,13 +2,16 @@
 
 import inspect
 import re
+import shlex
 from pathlib import PurePosixPath
 
 import pytest
 import tyro
 
-from docs.generate import api, command_line, effects, file_formats
+from docs.generate import api, command_line, effects, file_formats, gallery, tutorials
 from slider_jax.cli.commands import COMMANDS, function_of
+from slider_jax.cli.main import find
+from slider_jax.cli.parse import call_of
 from slider_jax.effects.library import LIBRARY
 from slider_jax.errors import did_you_mean
 from tests.support.data import ROOT
@@ -113,3 +116,23 @@ def test_no_link_of_the_site_is_dead():
             if anchor and name in pages:
                 known = anchors(pages[name])
                 assert anchor in known, f"{path}: #{anchor}{did_you_mean(anchor, known)}"
+
+
+def test_the_gallery_shows_every_command_and_its_commands_are_valid():
+    assert set(gallery.ENTRIES) == set(COMMANDS)
+    page = WRITTEN["gallery.md"]
+    assert page == gallery.render(gallery.kept_outputs()), "run docs/generate/gallery.py"
+    for name, entry in gallery.ENTRIES.items():
+        assert name == find(shlex.split(entry.line))[0]
+        call_of(function_of(COMMANDS[name].target), find(shlex.split(entry.line))[1], name)
+
+
+def test_the_tutorials_are_those_of_the_notebooks():
+    assert tutorials.outdated() in ([], ["from_the_rig_to_a_fit"]), (
+        "run python docs/generate/tutorials.py"
+    )
+
+
+def test_pictures_are_small():
+    for path in (ROOT / "docs" / "img").rglob("*.png"):
+        assert path.stat().st_size < (100_000 if path.parent.name != "img" else 200_000), path

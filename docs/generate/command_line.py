@@ -40,7 +40,7 @@ def pages() -> dict[str, str]:
         "",
         "`slider COMMAND --help` prints the text that this page shows for each command. A command",
         "exits with code 0 if it succeeded, 2 for invalid input or a failed solution, and 130 if",
-        "it was interrupted.",
+        "it was interrupted. The [gallery](../gallery.md) shows a run of each command.",
     ]
     for name in sorted(COMMANDS):
         lines += ["", f"## slider {name}", "", "```text", help_text(name), "```"]

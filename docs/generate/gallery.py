@@ -89,7 +89,7 @@ ENTRIES = {
     ),
     "optimize swim": Entry(
         "optimize swim --population 16 --generations 5 --steps-per-stride 48 --out results/optimum",
-        "Best swimming speed against the generation. A real search uses the defaults.",
+        "Swimming speed against the number of evaluations. A real search uses the defaults.",
         "results/optimum/optimum.png",
     ),
     "optimize multimodal": Entry(

@@ -55,8 +55,8 @@ def _subtitle(settings: FrequencySweepSettings) -> str:
     a = settings.assumed
     front = 1e-3 * float(a.amplitude)
     return (
-        f"head fixed, still water; assumed: front chamber +-{front:g} kPa, rear chamber "
-        f"+-{front * float(a.rear_ratio):g} kPa, delayed by {float(a.phase):g} of a stride"
+        f"head fixed, still water; assumed: front +-{front:g} kPa, rear "
+        f"+-{front * float(a.rear_ratio):g} kPa, {float(a.phase):g} of a stride later"
     )
 
 
