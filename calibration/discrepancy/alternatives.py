@@ -29,7 +29,7 @@ from slider_jax.effects.library import LIBRARY
 
 def equivalent_effects(
     best: Refit,
-    this: SelectionStep,
+    round_: SelectionStep,
     scored: Mapping[str, np.ndarray],
     current: Fit,
     blocks: Sequence[ChannelBlock],
@@ -41,13 +41,13 @@ def equivalent_effects(
     """
     A, _ = summed(blocks)
     enough = settings.equal_gain_share * best.gain
-    same = [t.name for t in this.refitted if t is not best and t.gain > enough]
-    refitted = {t.name for t in this.refitted}
+    same = [t.name for t in round_.refitted if t is not best and t.gain > enough]
+    refitted = {t.name for t in round_.refitted}
     parallel = [
         s.name
-        for s in this.scores
+        for s in round_.scores
         if s.name not in refitted
-        and s.gain > settings.min_score_share * this.scores[0].gain
+        and s.gain > settings.min_score_share * round_.scores[0].gain
         and tangent_cosine(A, scored[best.name], scored[s.name], current.free)
         > settings.parallel_cosine
     ]
@@ -61,21 +61,21 @@ def judge_alternatives(refits: Refits, found: Selection) -> None:
     exceeds the noise floor, all keep it.
     """
     settings = refits.settings
-    for this in found.rounds:
-        this.alternatives = {}
+    for round_ in found.rounds:
+        round_.alternatives = {}
     if any(x.all > settings.noise_floor for x in excess(refits.problem, found.final).values()):
         return
-    for this in found.rounds:
-        for name in _contenders(this, settings):
-            refits.progress(f"refitting with {name} instead of {this.chosen}")
-            fit = _substituted(refits, found, this, name)
+    for round_ in found.rounds:
+        for name in _contenders(round_, settings):
+            refits.progress(f"refitting with {name} instead of {round_.chosen}")
+            fit = _substituted(refits, found, round_, name)
             if fit is not None and fit.converged:
                 loss = (fit.square - found.final.square) / found.final.inflation
-                this.alternatives[name] = Alternative(fit, loss, refits.sizes(fit, found.final))
-        unjudged = [n for n in this.equivalent if n not in this.alternatives]
-        this.equivalent = [
+                round_.alternatives[name] = Alternative(fit, loss, refits.sizes(fit, found.final))
+        unjudged = [n for n in round_.equivalent if n not in round_.alternatives]
+        round_.equivalent = [
             name
-            for name, x in this.alternatives.items()
+            for name, x in round_.alternatives.items()
             if not settings.worth_naming(x.loss, x.sizes)
         ] + unjudged
 
@@ -86,47 +86,47 @@ def better_alternative(found: Selection) -> tuple[SelectionStep, str] | None:
     The round must have refitted the alternative, and its held-out trials must agree on it.
     """
     settings = found.settings
-    for this in found.rounds:
-        agreed = {t.name for t in this.refitted if t.agreement.agreed(settings)}
+    for round_ in found.rounds:
+        agreed = {t.name for t in round_.refitted if t.agreement.agreed(settings)}
         agreed -= set(found.effects)
         fits = {
             name: x.fit.square
-            for name, x in this.alternatives.items()
+            for name, x in round_.alternatives.items()
             if name in agreed and settings.worth_naming(-x.loss, x.sizes)
         }
         if fits:
-            return this, min(fits, key=lambda name: fits[name])
+            return round_, min(fits, key=lambda name: fits[name])
     return None
 
 
-def _contenders(this: SelectionStep, settings: SelectionSettings) -> list[str]:
-    if this.chosen is None:
+def _contenders(round_: SelectionStep, settings: SelectionSettings) -> list[str]:
+    if round_.chosen is None:
         return []
-    gains = {t.name: t.gain for t in this.refitted}
-    least = settings.contender_gain_share * gains[this.chosen]
-    near = [n for n, gain in gains.items() if gain > least and n != this.chosen]
-    return list(dict.fromkeys([*this.equivalent, *near]))
+    gains = {t.name: t.gain for t in round_.refitted}
+    least = settings.contender_gain_share * gains[round_.chosen]
+    near = [n for n, gain in gains.items() if gain > least and n != round_.chosen]
+    return list(dict.fromkeys([*round_.equivalent, *near]))
 
 
 def _substituted(
-    refits: Refits, found: Selection, this: SelectionStep, alternative: str
+    refits: Refits, found: Selection, round_: SelectionStep, alternative: str
 ) -> Fit | None:
     """Return the final fit with an alternative substituted for a round's chosen effect.
 
     The alternative may be in the fit already. Return None if another effect replaces the same law,
     or if the substitution cannot be simulated.
     """
-    assert this.chosen is not None
-    others = [n for n in found.effects if n not in (this.chosen, alternative)]
+    assert round_.chosen is not None
+    others = [n for n in found.effects if n not in (round_.chosen, alternative)]
     if LIBRARY[alternative].replaces_law in {LIBRARY[n].replaces_law for n in others} - {""}:
         return None
     indices, final = effect_entries(refits.entries), found.final
-    group, place = indices[alternative], indices[this.chosen]
+    group, place = indices[alternative], indices[round_.chosen]
     theta = refits.null(final.theta, place)
     rest = final.free[~np.isin(final.free, place)]
     if alternative in found.effects:
         return refits.fit(theta, rest)
-    rounds = [this, *found.rounds]
+    rounds = [round_, *found.rounds]
     fits = [t.fit for r in rounds for t in r.refitted if t.name == alternative]
     start = theta.copy()
     if fits:

@@ -59,17 +59,17 @@ def loop_record(
 def effect_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
     """Return every added effect with its equivalence class, alternatives and parameters."""
     found, settings = [], outcome.search.settings
-    for this in outcome.search.rounds:
-        if this.chosen is None or this.chosen not in outcome.effects:
+    for round_ in outcome.search.rounds:
+        if round_.chosen is None or round_.chosen not in outcome.effects:
             continue
-        kind = LIBRARY[this.chosen]
-        refit = next(t for t in this.refitted if t.name == this.chosen)
+        kind = LIBRARY[round_.chosen]
+        refit = next(t for t in round_.refitted if t.name == round_.chosen)
         found.append(
             {
-                "name": this.chosen,
+                "name": round_.chosen,
                 "title": kind.title,
-                "class": _class(outcome, this),
-                "in_place_of": this.replaced,
+                "class": _class(outcome, round_),
+                "in_place_of": round_.replaced,
                 "rivals": [
                     {
                         "name": n,
@@ -77,9 +77,9 @@ def effect_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
                         "channels": x.sizes,
                         "told_apart": settings.worth_naming(x.loss, x.sizes),
                     }
-                    for n, x in this.alternatives.items()
+                    for n, x in round_.alternatives.items()
                 ],
-                "parameters": {p: _interval(outcome, this.chosen, p) for p in kind.priors()},
+                "parameters": {p: _interval(outcome, round_.chosen, p) for p in kind.priors()},
                 "where": kind.place(),
                 "channels": {c: share for c, share in refit.sizes.items() if share > 1e-4},
                 "gain": refit.gain,
@@ -94,10 +94,10 @@ def nearest_effects(outcome: LoopOutcome) -> list[dict[str, Any]]:
     return [{"name": n, "title": LIBRARY[n].title, "where": LIBRARY[n].place()} for n in names]
 
 
-def _class(outcome: LoopOutcome, this: SelectionStep) -> list[str]:
+def _class(outcome: LoopOutcome, round_: SelectionStep) -> list[str]:
     """Return the equivalent effects of an added effect, and those that may share its cause."""
     parts = effects_at_same_place(outcome.search) if _above_floor(outcome) else []
-    return this.equivalent + [n for n in parts if this.chosen in parts and n != this.chosen]
+    return round_.equivalent + [n for n in parts if round_.chosen in parts and n != round_.chosen]
 
 
 def _above_floor(outcome: LoopOutcome) -> list[str]:
@@ -114,15 +114,15 @@ def _interval(outcome: LoopOutcome, effect: str, name: str) -> dict[str, Any]:
 def candidate_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
     """Return all candidates of all rounds, best first, with the test results of the refits."""
     rows = []
-    for number, this in enumerate(outcome.search.rounds, start=1):
-        refitted = {t.name: t for t in this.refitted}
-        for s in this.scores:
+    for number, round_ in enumerate(outcome.search.rounds, start=1):
+        refitted = {t.name: t for t in round_.refitted}
+        for s in round_.scores:
             row = {"round": number, "name": s.name, "score": s.gain, "p": s.p}
             if s.name in refitted:
                 t = refitted[s.name]
                 row |= {"explained": t.gain, "sizes": t.sizes, "worth_naming": t.worth_naming}
                 row["left_out_trials_agree"], row["left_out_trials_chance"] = t.agreement
-            rows.append(row | {"chosen": s.name == this.chosen})
+            rows.append(row | {"chosen": s.name == round_.chosen})
     return rows
 
 

@@ -106,14 +106,14 @@ def select_effects(
         swap = better_alternative(found)
         if swap is None or swaps == settings.max_swaps:
             break
-        this, better = swap
-        assert this.chosen is not None
-        progress(f"{better} replaces {this.chosen}")
-        found.effects = [better if n == this.chosen else n for n in found.effects]
-        found.final = this.alternatives[better].fit
-        this.equivalent = [this.chosen, *(n for n in this.equivalent if n != better)]
-        this.chosen, this.replaced = better, this.chosen
-        _remove_unnecessary(refits, found, this)
+        round_, better = swap
+        assert round_.chosen is not None
+        progress(f"{better} replaces {round_.chosen}")
+        found.effects = [better if n == round_.chosen else n for n in found.effects]
+        found.final = round_.alternatives[better].fit
+        round_.equivalent = [round_.chosen, *(n for n in round_.equivalent if n != better)]
+        round_.chosen, round_.replaced = better, round_.chosen
+        _remove_unnecessary(refits, found, round_)
     return found
 
 
@@ -125,13 +125,13 @@ def _add(refits: Refits, found: Selection) -> None:
         if not rest:
             break
         refits.progress(f"round {len(found.rounds) + 1}: scoring {len(rest)} candidates")
-        this = _round(refits, found.final, rest)
-        found.rounds.append(this)
-        if this.chosen is None:
+        round_ = _round(refits, found.final, rest)
+        found.rounds.append(round_)
+        if round_.chosen is None:
             break
-        found.effects.append(this.chosen)
-        found.final = next(t.fit for t in this.refitted if t.name == this.chosen)
-        _remove_unnecessary(refits, found, this)
+        found.effects.append(round_.chosen)
+        found.final = next(t.fit for t in round_.refitted if t.name == round_.chosen)
+        _remove_unnecessary(refits, found, round_)
 
 
 def _remove_unnecessary(refits: Refits, found: Selection, by: SelectionStep) -> None:
@@ -145,10 +145,10 @@ def _remove_unnecessary(refits: Refits, found: Selection, by: SelectionStep) -> 
             continue
         found.final = less
         found.effects.remove(name)
-        this = next(r for r in found.rounds if r.chosen == name)
+        round_ = next(r for r in found.rounds if r.chosen == name)
         known = (by.chosen, *by.equivalent)
-        by.equivalent += [n for n in this.equivalent if n not in known]
-        this.chosen, this.equivalent, this.taken_out = None, [], name
+        by.equivalent += [n for n in round_.equivalent if n not in known]
+        round_.chosen, round_.equivalent, round_.taken_out = None, [], name
 
 
 def _could_be_named(refits: Refits, current: Fit, tangents, step: np.ndarray) -> bool:
@@ -175,7 +175,7 @@ def _round(refits: Refits, current: Fit, rest: Sequence[str]) -> SelectionStep:
     many = len(rest)
     scores = [score(n, scored[n], current.free, blocks, unit, many, settings) for n in rest]
     scores.sort(key=lambda s: -s.gain)
-    this = SelectionStep(scores)
+    round_ = SelectionStep(scores)
     for s in _short_list(scores, refits, scored):
         if not _could_be_named(refits, current, tangents, s.step):
             continue
@@ -184,14 +184,14 @@ def _round(refits: Refits, current: Fit, rest: Sequence[str]) -> SelectionStep:
         if refit is None:
             progress(f"skipping {s.name}: the start of its refit cannot be simulated")
         else:
-            this.refitted.append(refit)
-    accepted = [t for t in this.refitted if t.worth_naming and t.agreement.agreed(settings)]
+            round_.refitted.append(refit)
+    accepted = [t for t in round_.refitted if t.worth_naming and t.agreement.agreed(settings)]
     if not accepted:
-        return this
+        return round_
     best = min(accepted, key=lambda t: t.fit.square)
-    this.chosen = best.name
-    this.equivalent = equivalent_effects(best, this, scored, current, blocks, settings)
-    return this
+    round_.chosen = best.name
+    round_.equivalent = equivalent_effects(best, round_, scored, current, blocks, settings)
+    return round_
 
 
 def _short_list(scores: list[Score], refits: Refits, scored) -> list[Score]:

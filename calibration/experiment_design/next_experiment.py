@@ -102,9 +102,11 @@ def _discriminating(
     """Return the trial for the first class that a trial makes smaller, or else for the last."""
     found = _none("No trial is proposed: no alternative can be fitted instead of a chosen effect.")
     last, trials = outcome.search.final, [r.trial for r in _fitted(outcome)]
-    for this in outcome.search.rounds:
-        fits = {n: this.alternatives[n].fit for n in this.equivalent if n in this.alternatives}
-        if not this.chosen or not fits:
+    for round_ in outcome.search.rounds:
+        fits = {
+            n: round_.alternatives[n].fit for n in round_.equivalent if n in round_.alternatives
+        }
+        if not round_.chosen or not fits:
             continue
         predictions = {
             n: (
@@ -113,9 +115,9 @@ def _discriminating(
             )
             for n, x in fits.items()
         }
-        progress(f"searching the trial that discriminates {this.chosen} from {', '.join(fits)}")
+        progress(f"searching the trial that discriminates {round_.chosen} from {', '.join(fits)}")
         found = discriminating_trial(
-            this.chosen, predictions, last.inflation, trials, limits, effort, progress
+            round_.chosen, predictions, last.inflation, trials, limits, effort, progress
         )
         if found["times"] is not None:
             break

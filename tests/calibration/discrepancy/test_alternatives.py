@@ -36,11 +36,11 @@ def select(truth, alternative, **more):
 
 def test_an_alternative_that_explains_nearly_as_much_is_excluded_after_the_selection():
     found = select((1.0, 0.5, 0.0, 0.3), ONE + 0.1 * OTHER)
-    this = found.rounds[0]
-    one, other = (next(t for t in this.refitted if t.name == n) for n in NAMES[:2])
+    round_ = found.rounds[0]
+    one, other = (next(t for t in round_.refitted if t.name == n) for n in NAMES[:2])
     assert DEFAULT_SETTINGS.equal_gain_share * one.gain < other.gain < one.gain
-    assert found.effects == ["firmware_valves", "tank_current"] and not this.equivalent
-    gap = this.alternatives["pulsed_valves"].loss
+    assert found.effects == ["firmware_valves", "tank_current"] and not round_.equivalent
+    gap = round_.alternatives["pulsed_valves"].loss
     assert gap == pytest.approx(TRIALS * SAMPLES * (0.5 * 0.1 / 0.1) ** 2 / 1.01, rel=0.2)
 
 

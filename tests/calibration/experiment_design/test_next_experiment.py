@@ -181,10 +181,10 @@ def test_the_report_lists_the_alternatives(tank):
     final = fitted(tank, tank[2], np.concatenate([FREE, MASS]))
     worse = Alternative(final, 88.0, {"tip": 0.01})
     refits = [Refit("carried_mass", final, 99.0, {"tip": 0.02}, Agreement(9.0, 0.01), True)]
-    this = SelectionStep(
+    round_ = SelectionStep(
         [], refits, "carried_mass", [], {"axial_added_mass": worse}, None, "tip_mass"
     )
-    done = outcome(tank, "identified", final, [this])
+    done = outcome(tank, "identified", final, [round_])
     record = loop_record(done, 1.0, {"path": "tank.toml", "sha256": "0"}, {})
     (effect,) = record["effects"]
     assert effect["in_place_of"] == "tip_mass"
