@@ -14,7 +14,7 @@ class SelectionSettings:
 
     noise_floor: float = 1.5
     """Mean square of a channel's whitened residual up to which the channel is at the noise floor.
-    Between correct programs of one model it reaches 1.3."""
+    The model-discretisation discrepancy alone gives up to 1.3."""
     min_trials: int = 3
     """Fewest trials for a selection; cross-validation needs three."""
 

@@ -15,9 +15,9 @@ from calibration.model.extended import Parameter
 from slider_jax.channels import BUILT_IN, CHANNELS
 
 BASE_DISCREPANCY = {"C_d": 0.004, "m_a": 0.010, "k": 0.0005, "K_Q": 0.0023}
-"""Standard deviation of the base parameters between two correct programs, as a share of the value.
-It is the part that all trials share; the noise model holds the part that differs between trials.
-Measured as the quadratic mean of two rms values of fits without noise. Seven meshes and steps of
+"""Relative standard deviation of the base parameters between two correct implementations of the
+model. It is the part that all trials share; the noise model has the part that differs between them.
+Each value is the quadratic mean of two rms values of fits without noise. Seven meshes and steps of
 three tanks give 0.4, 0.8, 0.02 and 0.3 %. Four tanks of an independent program give 0.35, 1.2, 0.07
 and 0.12 %."""
 EFFECT_DISCREPANCY = 0.02
@@ -30,7 +30,7 @@ HAUSMAN_LIMIT = 2.0
 
 
 def discretisation_share(p: Parameter) -> float:
-    """Return the standard deviation of an entry between correct programs, as share of its value."""
+    """Return an entry's relative standard deviation between correct implementations."""
     return EFFECT_DISCREPANCY if p.effect else BASE_DISCREPANCY[p.name]
 
 
