@@ -20,7 +20,7 @@ from slider_jax.io.files import versions
 
 EQUIVALENT_SHARE = 0.8
 """An effect is equivalent if it removes more than this share of the error at the optimum."""
-NEXT = (
+NEXT_SPEED_EXPERIMENT = (
     "Record the set pressures and the tail of the 5 Hz test. Tow the straight, unpowered robot at "
     "0.1 to 0.4 m/s to measure its resistance without a model, with and without the tubes."
 )
@@ -132,7 +132,7 @@ def speeds_record(x: CrossPrediction, seconds: float) -> dict[str, Any]:
             "alternatives are assumed.",
             "The paper gives no error of the 5 Hz speed; that of the optimum is assumed.",
         ],
-        "next_experiment": NEXT,
+        "next_experiment": NEXT_SPEED_EXPERIMENT,
         "settings": {
             "settling_strides": STEADY_SETTINGS.settling,
             "corrections": STEADY_SETTINGS.corrections,
@@ -168,8 +168,8 @@ def _rows(predictions: list[SpeedPrediction]) -> list[list[str]]:
     ]  # fmt: skip
 
 
-COLUMNS = ["effect", "head", "calibrated with", "coefficient", "in prior", "predicted with",
-        "cm/s", "error (cm/s)"]  # fmt: skip
+PREDICTION_COLUMNS = ["effect", "head", "calibrated with", "coefficient", "in prior",
+                      "predicted with", "cm/s", "error (cm/s)"]  # fmt: skip
 
 
 def speeds_table(x: CrossPrediction) -> str:
@@ -191,7 +191,7 @@ def speeds_page(x: CrossPrediction, record: dict[str, Any]) -> str:
         record=record,
         before_png=embedded_png(unresisted_figure(x.before)),
         after_png=embedded_png(prediction_figure(x.forward)),
-        head=COLUMNS,
+        head=PREDICTION_COLUMNS,
         forward=_rows(x.forward),
         first_speed=FIRST.speed,
         backward=_rows(x.backward),

@@ -38,7 +38,7 @@ EFFECTS: dict[str, ForceDensity] = {
     "head_drag": HeadDrag(1.0),
 }
 """The effects of the balance at unit coefficients."""
-BASE = ("reactive_force", "normal_drag")
+BASE_EFFECTS = ("reactive_force", "normal_drag")
 """Effects that the robot's model includes, with coefficients m_a and C_d."""
 CANDIDATES = ("tangential_friction", "thinned_friction", "head_drag")
 """Effects that the robot's model omits."""
@@ -69,7 +69,7 @@ class StrideForces(NamedTuple):
 
     def imbalance(self, C_d: float, m_a: float) -> np.ndarray:
         """Return the modelled force minus the momentum gained per time, (strides,) [N]."""
-        return m_a * self.unit[BASE[0]] + C_d * self.unit[BASE[1]] - self.gain
+        return m_a * self.unit[BASE_EFFECTS[0]] + C_d * self.unit[BASE_EFFECTS[1]] - self.gain
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class BalanceSamples(NamedTuple):
 
     def closing(self, effect: str) -> np.ndarray:
         """Return the coefficient at which one effect alone closes the balance, (samples,)."""
-        current = {BASE[0]: self.m_a, BASE[1]: self.C_d}.get(effect, 0.0)
+        current = {BASE_EFFECTS[0]: self.m_a, BASE_EFFECTS[1]: self.C_d}.get(effect, 0.0)
         return current - self.imbalance / self.unit(effect)
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calibration.lamprey.axial_balance import BASE, central_interval
+from calibration.lamprey.axial_balance import BASE_EFFECTS, central_interval
 from calibration.lamprey.balance import BalanceAnalysis
 
 SOURCE_LABELS = {
@@ -45,8 +45,8 @@ def strides_figure(x: BalanceAnalysis):
 
     figure, axis = plt.subplots(figsize=(9, 3.6), layout="constrained")
     number = np.arange(1, x.strides.number + 1)
-    reactive = 1e3 * x.m_a * x.forces.unit[BASE[0]]
-    drag = 1e3 * x.C_d * x.forces.unit[BASE[1]]
+    reactive = 1e3 * x.m_a * x.forces.unit[BASE_EFFECTS[0]]
+    drag = 1e3 * x.C_d * x.forces.unit[BASE_EFFECTS[1]]
     for offset, values, name in (
         (-0.3, reactive, f"reactive force, m_a = {x.m_a:g}"),
         (-0.1, drag, f"axial part of the normal drag, C_d = {x.C_d:g}"),

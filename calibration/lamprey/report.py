@@ -6,7 +6,7 @@ import numpy as np
 
 from calibration.lamprey.axial_balance import (
     ASPECT_RANGE,
-    BASE,
+    BASE_EFFECTS,
     C_D_RANGE,
     CANDIDATES,
     EFFECTS,
@@ -32,7 +32,7 @@ from calibration.lamprey.figures import body_figure, imbalance_figure, strides_f
 from calibration.reporting.html import embedded_png, render_page
 from slider_jax.io.files import versions
 
-NEXT = (
+NEXT_ANIMAL_EXPERIMENT = (
     "Measure a gliding animal (straight, no stroke) at two speeds: only friction and form drag act "
     "on it, and the two speeds separate them. What swimming adds is the thinned boundary layer."
 )
@@ -68,10 +68,10 @@ def animal_record(
             "by_stride": x.imbalance,
         },
         "forces": {
-            "reactive_force": x.m_a * mean[BASE[0]],
-            "normal_drag": x.C_d * mean[BASE[1]],
+            "reactive_force": x.m_a * mean[BASE_EFFECTS[0]],
+            "normal_drag": x.C_d * mean[BASE_EFFECTS[1]],
             "momentum_gained": float(x.forces.gain.mean()),
-            "reactive_force_at_m_a_1": mean[BASE[0]],
+            "reactive_force_at_m_a_1": mean[BASE_EFFECTS[0]],
             "lighthill_small_amplitude": small_amplitude_thrust(x),
             "unit": "N",
         },
@@ -91,7 +91,7 @@ def animal_record(
         },
         "settings": _settings(x),
         "audit": midline_quality(x),
-        "next_experiment": NEXT if verdict == "class" else None,
+        "next_experiment": NEXT_ANIMAL_EXPERIMENT if verdict == "class" else None,
         "seconds": seconds,
         "input": sources,
         "versions": versions(),
@@ -195,11 +195,11 @@ def animal_sentence(x: BalanceAnalysis) -> str:
 
 def balance_table(x: BalanceAnalysis) -> str:
     """Return the balance as a table for the terminal."""
-    mean = {n: 1e3 * x.forces.unit[n].mean() for n in BASE}
+    mean = {n: 1e3 * x.forces.unit[n].mean() for n in BASE_EFFECTS}
     low, high = (1e3 * v for v in central_interval(x.samples.imbalance))
     rows = [
-        ("reactive force", x.m_a * mean[BASE[0]]),
-        ("normal drag", x.C_d * mean[BASE[1]]),
+        ("reactive force", x.m_a * mean[BASE_EFFECTS[0]]),
+        ("normal drag", x.C_d * mean[BASE_EFFECTS[1]]),
         ("momentum gained", 1e3 * x.forces.gain.mean()),
         ("imbalance", 1e3 * x.imbalance.mean()),
     ]

@@ -125,8 +125,8 @@ class Bands:
         noise = MIN_NOISE * np.maximum(size, 1e-12)
         for i, channel in enumerate(BUILT_IN):
             if np.isfinite(values[i]).sum() >= MIN_SAMPLES:
-                found = channel_noise(sensors, channel, values[i])
-                noise[i] = max(noise[i], math.hypot(found.white, found.slow))
+                sensor = channel_noise(sensors, channel, values[i])
+                noise[i] = max(noise[i], math.hypot(sensor.white, sensor.slow))
         share = np.array([math.hypot(CHANNELS[c].gain, CHANNELS[c].discrepancy) for c in BUILT_IN])
         return cls(noise, share, size)
 
@@ -171,17 +171,13 @@ class Alarm(NamedTuple):
     """State of the test after a window."""
 
     on: bool
-    since: float
-    """Time [s] at which the alarm began; NaN if it is off."""
     channels: tuple[str, ...]
     """Channels outside their band."""
     hint: str
     """The probable cause."""
-    score: np.ndarray
-    """The CUSUMs divided by their threshold, (5,)."""
 
 
-NO_ALARM = Alarm(False, math.nan, (), "", np.zeros(5))
+NO_ALARM = Alarm(False, (), "")
 
 
 class SequentialTest:
@@ -202,8 +198,8 @@ class SequentialTest:
         deviation = np.nan_to_num(self.bands.deviation(window), nan=0.0)
         return (self.cusum + deviation - REFERENCE) <= 0.0
 
-    def update(self, window: Window, t: float) -> Alarm:
-        """Add a window that ends at `t` [s] and return the alarm."""
+    def update(self, window: Window) -> None:
+        """Add a window and update the alarm."""
         deviation = np.nan_to_num(self.bands.deviation(window), nan=REFERENCE)
         change = np.minimum(deviation, MAX_DEVIATION) - REFERENCE
         self.cusum = np.clip(self.cusum + change, 0.0, 2.0 * THRESHOLD)
@@ -211,15 +207,12 @@ class SequentialTest:
         before = self.alarm
         on = self.cusum > (0.0 if before.on else THRESHOLD)
         if not on.any():
-            self.alarm = NO_ALARM._replace(score=self.cusum / THRESHOLD)
-            return self.alarm
+            self.alarm = NO_ALARM
+            return
         channels = tuple(c for c, x in zip(BUILT_IN, on, strict=True) if x)
-        since = before.since if before.on else t
         # After the cause has ended, new windows contain no evidence for it.
         active = bool(np.any(deviation > REFERENCE)) or not before.on
-        hint = self._hint(on) if active else before.hint
-        self.alarm = Alarm(True, since, channels, hint, self.cusum / THRESHOLD)
-        return self.alarm
+        self.alarm = Alarm(True, channels, self._hint(on) if active else before.hint)
 
     def _add_evidence(self, window: Window) -> None:
         """Add the products of the residual with each fault's change and each derivative."""

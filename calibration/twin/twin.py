@@ -40,12 +40,12 @@ from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.schema import FEWEST_NODES, Trial
 
 WARM_UP = 2.0
-"""[s] after which the straight initial shape has no influence and k and K_Q are approximate."""
+"""Time [s] after which the initial shape has no influence and k and K_Q are nearly correct."""
 SETTLING, SETTLING_AFTER_RESTART = 0.3, 1.0
-"""[s] without a test after a filled gap (three or four pressure lags) and after a restart (the
-body's transient)."""
+"""Times [s] without a test after a filled gap (three or four pressure lags) and after a restart
+(the body's transient)."""
 NEGLIGIBLE_GAP = 0.01
-"""[s]; lost readings of up to this duration need no settling."""
+"""Longest duration [s] of lost readings that needs no settling."""
 TARE_TIME = 2.0
 """Time constant [s] with which the mean residual of forces and tip is tracked, as tares drift."""
 MAX_CLOCK_SHIFT = 2e-3
@@ -81,7 +81,7 @@ class TwinSettings:
     window: float = 0.4
     """Duration [s] of a window, the unit of the sequential test."""
     learn: float = 6.0
-    """[s] from which the bands are learned; at least four strides are used."""
+    """Duration [s] of the stream from which the bands are learned; at least four strides."""
     memory_k: float = 20.0
     """Time constant [s] with which older windows lose weight in the estimate of k."""
     memory_K_Q: float = 60.0
@@ -96,7 +96,7 @@ class TwinBlock(NamedTuple):
     model: np.ndarray
     """(5, samples) in the order of `BUILT_IN`."""
     measured: np.ndarray
-    """(5, samples), NaN where nothing was read."""
+    """(5, samples), NaN if nothing was read."""
     lost: np.ndarray
     """(samples,) whether the reading was lost and filled in."""
     valid: np.ndarray
@@ -107,11 +107,11 @@ class TwinBlock(NamedTuple):
     watching: bool
     """Whether the bands are learned and the test runs."""
     seconds: float
-    """Computing time of the block."""
+    """Computing time of the block [s]."""
 
     @property
     def residual(self) -> np.ndarray:
-        """(5, samples), measured minus model."""
+        """Measured minus model, (5, samples)."""
         return self.measured - self.model
 
 
@@ -126,9 +126,14 @@ class Twin:
             1.0 / settings.rate, settings.samples, settings.per_step,
             Numerics(*cells, tolerance=settings.tolerance),
         )  # fmt: skip
-        self._load(trial)
+        self._model, self._values = live_model(experiment, trial), parameter_values(experiment)
+        self._rest = initial_block_state(self._model, self.layout, self._values)
+        strides = 4.0 / trial.frequency if trial.frequency else 0.0
+        count = max(settings.learn, strides) / settings.window
+        self._learned_by = round(WARM_UP / settings.window), int(np.ceil(count))
+        self._in_window = max(1, round(settings.window * settings.rate / settings.samples))
         self._program = compile_block(self._model, self.layout, self._rest)
-        self.restart(forget=True)
+        self.restart()
 
     @classmethod
     def of(
@@ -148,23 +153,15 @@ class Twin:
             allowed = f"{FEWEST_NODES} or more"
             raise InputError.value("twin settings, nodes", f"{settings.nodes}", allowed)
         trial = experiment.trials[trial] if isinstance(trial, int) else trial
-        twin = cls(experiment, settings, trial)
-        n = settings.samples
-        still = Samples(twin.layout.period * np.arange(n), np.zeros((2, n)), np.zeros((5, n)))
-        twin.feed(still)
-        twin.restart(forget=True)
+        twin, n = cls(experiment, settings, trial), settings.samples
+        twin.feed(Samples(twin.layout.period * np.arange(n), np.zeros((2, n)), np.zeros((5, n))))
+        twin.restart()
         return twin
 
-    def begin(self, trial: Trial | int) -> None:
-        """Continue with another trial's coefficients and carriage, between streams; keep k, K_Q."""
-        self._load(self.experiment.trials[trial] if isinstance(trial, int) else trial)
-        self.restart()
-
-    def restart(self, forget: bool = False) -> None:
-        """Prepare for a new stream and learn its bands; keep k and K_Q unless `forget` is set."""
-        if forget:
-            self._k = self._recursive("k", self._values[0], self.settings.memory_k)
-            self._K_Q = self._recursive("K_Q", self._values[1], self.settings.memory_K_Q)
+    def restart(self) -> None:
+        """Prepare for a new stream: discard the bands and the estimates of k and K_Q."""
+        self._k = self._recursive("k", self._values[0], self.settings.memory_k)
+        self._K_Q = self._recursive("K_Q", self._values[1], self.settings.memory_K_Q)
         self._state = self._rest
         self.gap_filler = GapFiller(self.layout.period, self.layout.samples)
         self._past = np.zeros((2, HISTORY + 1))
@@ -186,17 +183,6 @@ class Twin:
             float(value), INITIAL_DEVIATION * float(value), low, high, windows
         )
 
-    def _load(self, trial: Trial) -> None:
-        experiment = self.experiment
-        self._model, self._values = live_model(experiment, trial), parameter_values(experiment)
-        self._rest = initial_block_state(self._model, self.layout, self._values)
-        strides = 4.0 / trial.frequency if trial.frequency else 0.0
-        count = max(self.settings.learn, strides) / self.settings.window
-        self._learned_by = round(WARM_UP / self.settings.window), int(np.ceil(count))
-        self._in_window = max(
-            1, round(self.settings.window * self.settings.rate / self.layout.samples)
-        )
-
     def feed(self, readings: Samples) -> list[TwinBlock]:
         """Return the blocks that these readings complete. Raises `InputError` for wrong shapes."""
         return [self._block(block) for block in self.gap_filler.add(readings)]
@@ -208,7 +194,7 @@ class Twin:
         residual = np.where(valid, block.measured - model, np.nan)
         self._parts.append(Window(residual, block.measured, model, derivatives, faulty))
         if len(self._parts) == self._in_window:
-            self._close_window(float(block.t[-1]))
+            self._close_window()
         alarm = self._test.alarm if self._test else NO_ALARM
         return TwinBlock(
             block.t, model, block.measured, block.lost, valid, self.k, self.K_Q, alarm,
@@ -231,7 +217,7 @@ class Twin:
         return self._K_Q.estimate.with_share(SYSTEMATIC_K_Q)
 
     def _predict(self, block: UniformBlock) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the fields of `BlockPrediction`; a restart uses measured pressures."""
+        """Return the fields of `BlockPrediction`; after a restart from measured pressures."""
         state = self._state
         if block.restarted:
             self._past = np.repeat(block.set_pressure[:, :1], HISTORY + 1, axis=1)
@@ -272,7 +258,7 @@ class Twin:
             self._settling = max(self._settling - 1, 0) if not lost else self._settling
         return valid
 
-    def _close_window(self, t: float) -> None:
+    def _close_window(self) -> None:
         """Learn from the complete window, or test it."""
         whole = Window(*(np.concatenate(x, axis=-1) for x in zip(*self._parts, strict=True)))
         window = _aligned_forces(self._without_mean(whole), self.layout.period)
@@ -287,7 +273,7 @@ class Twin:
         if driven and inside.all():
             self._K_Q.update(*moment_gradient(window, variance))
         if test:
-            test.update(window, t)
+            test.update(window)
         elif driven:
             self._windows.append(window)
             # A leak changes the mean pressure. The means of forces and tip depend on tares.

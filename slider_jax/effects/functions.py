@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 
 from slider_jax.beam.parameters import Scalar
 
-SHARP = 32
+LIMIT_EXPONENT = 32
 """Exponent of a limit. The result is 0.1 % too small at nine tenths of the limit and 2 % too small
 at the limit."""
 
@@ -18,7 +18,7 @@ def magnitude(x: Array, width: float) -> Array:
 
 def limited(x: Array, inverse: Array) -> Array:
     """Return x limited to -1/inverse and 1/inverse: x/(1 + |inverse x|^32)^(1/32)."""
-    return x / (1.0 + (inverse * x) ** SHARP) ** (1.0 / SHARP)
+    return x / (1.0 + (inverse * x) ** LIMIT_EXPONENT) ** (1.0 / LIMIT_EXPONENT)
 
 
 def delayed(x: Float[Array, " n"], t: Float[Array, " n"], delay: Scalar) -> Float[Array, " n"]:

@@ -9,9 +9,9 @@ from jaxtyping import Array
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Chamber, Flow
 
-FULL = 25 * 932.8
+FULL_DUTY_ERROR = 25 * 932.8
 """Error [Pa] at the largest duty: 25 codes, because the firmware adds 10 per code up to 250."""
-WIDEST = 250.0 / 255.0
+MAX_DUTY = 250.0 / 255.0
 """Largest duty that the firmware sets."""
 
 
@@ -21,7 +21,7 @@ def opening(error: Array, dead: Scalar) -> Array:
     The duty is min(250, 10 |error in codes|)/255. A duty below `dead` opens nothing. Source: the
     public repository bvanstratum/SoftSnakePressureControl.
     """
-    duty = WIDEST * jnp.minimum(jnp.abs(error) / FULL, 1.0)
+    duty = MAX_DUTY * jnp.minimum(jnp.abs(error) / FULL_DUTY_ERROR, 1.0)
     return jnp.maximum(duty - dead, 0.0) / (1.0 - dead)
 
 

@@ -27,7 +27,7 @@ from slider_jax.realtime.causality import check_commands, check_instrument
 from slider_jax.realtime.faults import CHAMBERS, ChamberFaults, Faults, no_faults, with_fault
 from slider_jax.realtime.sensors import Past, SensorReading, constant_past, read_now
 
-STEP = 2e-3
+PLANT_STEP = 2e-3
 """Default time step [s]."""
 LOOK_BACK = 0.2
 """Time [s] for which set pressures and readings are kept, for effects with a delay."""
@@ -56,7 +56,7 @@ class Plant:
     Raises `InputError` if an effect needs future values.
     """
 
-    def __init__(self, experiment: Experiment, trial: Trial | int = 0, *, step: float = STEP):
+    def __init__(self, experiment: Experiment, trial: Trial | int = 0, *, step: float = PLANT_STEP):
         if not 1e-4 <= step <= 1e-2:
             raise InputError.value("step of the plant", step, "1e-4 to 1e-2 s")
         self.step = step

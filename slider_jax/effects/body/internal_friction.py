@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import BendingMoment, parameter
 
-CREEP = 1.0
+FRICTION_CREEP = 1.0
 """w [1/(m s)], 1 % of the curvature rate in a stride, small enough to leave the friction dry."""
 
 
@@ -32,6 +32,6 @@ class InternalFriction(BendingMoment):
     """Curvature [1/m] that reverses the friction; a tenth of the curvature in a stride."""
 
     def moment(self, x, memory, dt):
-        speed = jnp.sqrt(x.kappa_t**2 + CREEP**2)
+        speed = jnp.sqrt(x.kappa_t**2 + FRICTION_CREEP**2)
         q = (memory + dt * x.kappa_t / self.kappa_c) / (1.0 + dt * speed / self.kappa_c)
         return (1.0 - x.in_tail) * self.z_c * q, q

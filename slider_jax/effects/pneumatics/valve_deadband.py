@@ -4,7 +4,7 @@ import jax.numpy as jnp
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Flow, parameter
-from slider_jax.effects.functions import SHARP, magnitude
+from slider_jax.effects.functions import LIMIT_EXPONENT, magnitude
 
 
 class ValveDeadband(Flow):
@@ -29,4 +29,4 @@ class ValveDeadband(Flow):
 
     def rate(self, rate, x):
         share = jnp.minimum(self.band / magnitude(x.p_set - x.p, 1.0), 1.5)
-        return jnp.exp(-(share**SHARP)) * rate
+        return jnp.exp(-(share**LIMIT_EXPONENT)) * rate

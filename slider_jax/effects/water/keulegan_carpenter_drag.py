@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import ForceDensity, parameter
 
-SMALLEST = 0.3
+MIN_KC = 0.3
 """Smallest KC, to bound the coefficient: strokes of a twentieth of the plate's height."""
 
 
@@ -39,7 +39,7 @@ class KeuleganCarpenterDrag(ForceDensity):
 
     def force(self, x):
         U_2 = x.u_n**2 + (x.u_n_t / (2.0 * math.pi * self.stride_frequency)) ** 2
-        KC_2 = U_2 / (self.stride_frequency * x.height) ** 2 + SMALLEST**2
+        KC_2 = U_2 / (self.stride_frequency * x.height) ** 2 + MIN_KC**2
         C_d = self.C * KC_2 ** (-1.0 / 6.0)
         F_n = -0.5 * self.density * C_d * x.height * jnp.abs(x.u_n) * x.u_n
         return jnp.zeros_like(F_n), F_n

@@ -6,7 +6,7 @@ from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import ForceDensity, parameter
 from slider_jax.effects.functions import magnitude
 
-SLOW = 1e-3
+CROSSFLOW_ROUNDING = 1e-3
 """Crossflow [m/s] below which the root is rounded, so that its derivative stays finite."""
 
 
@@ -35,6 +35,6 @@ class ThinnedFriction(ForceDensity):
     """rho [kg/m^3]."""
 
     def force(self, x):
-        root = (self.viscosity * x.height * magnitude(x.u_n, SLOW)) ** 0.5
+        root = (self.viscosity * x.height * magnitude(x.u_n, CROSSFLOW_ROUNDING)) ** 0.5
         F_tau = -2.7 * self.c * self.density * root * x.u_tau
         return F_tau, 0.0 * F_tau

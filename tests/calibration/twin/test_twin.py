@@ -149,7 +149,7 @@ def test_a_fault_from_the_start_is_reported_as_a_misfit(started, experiment, cha
     """Bands learned with the fault include it, so it raises no alarm."""
     twin = copy.deepcopy(started[0], {id(started[0]._program): started[0]._program})
     assert twin.misfits == {}
-    twin.restart(forget=True)
+    twin.restart()
     robot = Streaming(experiment, TRUE_K, TRUE_K_Q)
     vars(robot).update(change)
     follow(twin, robot, LEARNED)
@@ -372,7 +372,7 @@ def test_a_delayed_edge_causes_only_a_small_residual_at_the_tip(tmp_path):
 @pytest.mark.slow
 def test_ten_minutes_of_drift_give_no_alarm_and_a_leak_afterwards_does(experiment, fresh):
     """k increases by 4 %, the tare oscillates by 0.1 N, and 1 % of the readings are lost."""
-    fresh.restart(forget=True)
+    fresh.restart()
     robot = Streaming(experiment, TRUE_K, TRUE_K_Q, seed=3)
     rng = np.random.default_rng(4)
 

@@ -13,11 +13,11 @@ from slider_jax.effects.pneumatics.rate_limit import RateLimit
 from slider_jax.effects.pneumatics.supply_cap import SupplyCap
 from slider_jax.effects.pneumatics.valve_deadband import ValveDeadband
 from slider_jax.effects.pneumatics.valve_overlap import ValveOverlap
-from slider_jax.effects.valve_pair import FULL, WIDEST
+from slider_jax.effects.valve_pair import FULL_DUTY_ERROR, MAX_DUTY
 from tests.support.chambers import A, K, chambers, held, relaxation, square, strides
 
-OPEN = (WIDEST - 0.05) / 0.95
-"""Share of full flow at an error above `FULL`, for a valve that opens at a duty of 0.05."""
+OPEN = (MAX_DUTY - 0.05) / 0.95
+"""Share of full flow at an error above `FULL_DUTY_ERROR`, for a valve that opens at a duty of 0.05."""
 
 
 @pytest.mark.parametrize(
@@ -105,8 +105,8 @@ def test_firmware_opens_in_proportion_up_to_its_widest():
     assert choked.sum() > 100
     slope = 1.5 * OPEN * (600e3 + ATMOSPHERE)
     np.testing.assert_allclose(p[choked], (slope * t)[choked], rtol=1e-6, atol=1.0)
-    small = relaxation(valves, 100e3, 100e3 + 0.2 * FULL, np.array([0.0, 1e-5]))
-    flow = (0.2 * WIDEST - 0.05) / 0.95 * 1.5 * (600e3 + ATMOSPHERE)
+    small = relaxation(valves, 100e3, 100e3 + 0.2 * FULL_DUTY_ERROR, np.array([0.0, 1e-5]))
+    flow = (0.2 * MAX_DUTY - 0.05) / 0.95 * 1.5 * (600e3 + ATMOSPHERE)
     assert (small[1] - small[0]) / 1e-5 == pytest.approx(flow, rel=1e-3)
 
 
