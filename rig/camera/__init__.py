@@ -1,1 +1,1 @@
-"""Frames of a camera to marker positions in metres. May import `recording` and `protocol`."""
+"""Marker positions in metres from camera frames. May import `recording` and `protocol`."""

@@ -1,11 +1,12 @@
-"""A blurred disc of which a part is covered: its centre by least squares over what is seen."""
+"""Least-squares fit of a blurred, partly covered disc to its visible pixels."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-STEPS = 40
+MAX_STEPS = 40
 SOFTEST, SHARPEST = 1.5, 60.0
+"""Bounds of the edge's sharpness k; beyond them the image hardly changes with k."""
 
 
 class SoftEllipse(NamedTuple):
@@ -22,17 +23,17 @@ class SoftEllipse(NamedTuple):
 
     @property
     def mass(self) -> float:
-        """Integral of m - b over the plane; motion blur leaves it as it is."""
+        """Integral of m - b over the plane; motion blur does not change it."""
         return self.amplitude * np.pi * (1 + np.pi**2 / (3 * self.k**2)) / (self.s_xx * self.s_yy)
 
     def inside(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Where |u| < 1."""
+        """Return where |u| < 1."""
         dx, dy = x - self.x, y - self.y
         return np.hypot(self.s_xx * dx + self.s_xy * dy, self.s_yy * dy) < 1
 
 
-def start_at(center: np.ndarray, covariance: np.ndarray, mass: float) -> SoftEllipse:
-    """The ellipse of these moments, where to begin a fit."""
+def initial_ellipse(center: np.ndarray, covariance: np.ndarray, mass: float) -> SoftEllipse:
+    """Return the ellipse with these moments, the start of the fit."""
     inverse = np.linalg.inv(4 * covariance)  # a uniform ellipse ends where p' C^-1 p = 4
     s_xx = np.sqrt(inverse[0, 0])
     s_xy = inverse[0, 1] / s_xx
@@ -41,8 +42,8 @@ def start_at(center: np.ndarray, covariance: np.ndarray, mass: float) -> SoftEll
     return SoftEllipse(center[0], center[1], s_xx, s_xy, s_yy, 8.0, amplitude, 0.0)
 
 
-def model(q: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """m (n,) and its derivatives by the parameters (n, 8)."""
+def ellipse_model(q: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return m (n,) at pixels (n,) and its derivatives (n, 8) by the parameters q (8,)."""
     cx, cy, s_xx, s_xy, s_yy, k, amplitude, background = q
     dx, dy = x - cx, y - cy
     u, v = s_xx * dx + s_xy * dy, s_yy * dy
@@ -61,13 +62,14 @@ def model(q: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.n
 def fit_ellipse(
     x: np.ndarray, y: np.ndarray, values: np.ndarray, start: SoftEllipse
 ) -> tuple[SoftEllipse, float] | None:
-    """The ellipse nearest to `values` (n,) at the pixels seen, by Levenberg and Marquardt's steps,
-    and the standard error of its centre [px]. None where they do not settle.
+    """Fit an ellipse to `values` (n,) at the visible pixels by the Levenberg-Marquardt method.
+
+    Returns the ellipse and the standard error of its centre [px], or None without convergence.
     """
     q, damping = np.array(start), 1e-3
-    found, slopes = model(q, x, y)
+    found, slopes = ellipse_model(q, x, y)
     cost = np.sum((values - found) ** 2)
-    for _ in range(STEPS):
+    for _ in range(MAX_STEPS):
         normal = slopes.T @ slopes
         size = np.sqrt(np.diag(normal)) + 1e-9
         damped = normal / np.outer(size, size) + damping * np.eye(len(q))
@@ -75,13 +77,13 @@ def fit_ellipse(
         trial = q + step
         trial[5] = np.clip(trial[5], SOFTEST, SHARPEST)
         if trial[2] > 0 and trial[4] > 0:
-            new, new_slopes = model(trial, x, y)
+            new, new_slopes = ellipse_model(trial, x, y)
             new_cost = np.sum((values - new) ** 2)
             if new_cost <= cost:
-                settled = np.hypot(step[0], step[1]) < 1e-3 and cost - new_cost < 1e-4 * cost
+                converged = np.hypot(step[0], step[1]) < 1e-3 and cost - new_cost < 1e-4 * cost
                 q, found, slopes, cost = trial, new, new_slopes, new_cost
                 damping = max(damping / 10, 1e-9)
-                if settled:
+                if converged:
                     break
                 continue
         damping *= 10

@@ -1,4 +1,4 @@
-"""A camera as an instrument of a trial: markers found at rest, followed, recorded, read back."""
+"""Camera as an instrument of a trial: it finds, tracks and records the robot's markers."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.camera.marker_records import read_records
-from rig.camera.markers import Look, find_markers
+from rig.camera.markers import MarkerCriteria, find_markers
 from rig.camera.scale import Scale, tip_excursion
 from rig.camera.source import Camera, Frame, Source, record_markers
 from rig.camera.tracking import Tracker, order_at_rest
@@ -16,54 +16,54 @@ from rig.recording.clock import Sink
 from rig.recording.reader import RecordedStream
 from rig.recording.table import SampledColumns, StreamReader
 
-LOOKS = 20
-"""Frames at rest in which all markers have to be seen at once, or the camera sees them not."""
-LEAST_SEEN = 0.8
-"""Share of the frames in which the tip has to be seen."""
+REST_FRAMES = 20
+"""Number of frames in which all markers must be found at once while the robot is at rest."""
+MIN_SEEN = 0.8
+"""Share of the frames in which the tip must be found."""
 
 
 @dataclass(frozen=True)
-class Sight:
-    """How the markers lie at rest: their number, tip first, and where in the image the head is."""
+class MarkerLayout:
+    """Layout of the markers at rest: their number, and the position of the head in the image."""
 
     markers: int
     head: tuple[float, float]
-    """[px], a place beyond the head's marker."""
+    """A point beyond the head's marker [px]."""
     gate: float | None = None
-    """Farthest that a marker goes from frame to frame [px]; by default as far as is clear whose it
-    is, just below half of the least distance of two."""
-    look: Look = Look()
+    """Largest motion of a marker between frames [px]; default: just below half of the smallest
+    distance between two markers, so that markers cannot be confused."""
+    criteria: MarkerCriteria = MarkerCriteria()
 
 
 class MarkerCamera:
-    """An instrument (`start`, `stop`, `check`) that records its markers' places in every frame.
+    """An instrument (`start`, `stop`, `check`) that records the marker positions in every frame.
 
-    `open_source` opens the camera anew for every trial. Raises `RigError` where it cannot.
+    `open_source` opens the camera again for every trial. Raises `RigError` if that fails.
     """
 
-    def __init__(self, open_source: Callable[[], Source], sight: Sight):
-        self._open, self._sight = open_source, sight
+    def __init__(self, open_source: Callable[[], Source], layout: MarkerLayout):
+        self._open, self._layout = open_source, layout
         self._failure: BaseException | None = None
         self._camera: Camera | None = None
         self._thread: threading.Thread | None = None
 
     def start(self, sink: Sink) -> None:
-        """Finds the markers of the robot at rest, and follows them from now on."""
+        """Find the markers of the robot at rest, and start to track them."""
         self._failure = None
         self._camera = Camera(self._open())
         try:
             frames = iter(self._camera)
-            rest = self._at_rest(frames)
-            tracker = Tracker(rest, self._sight.gate or 0.499 * _least_distance(rest))
+            rest = self._find_at_rest(frames)
+            tracker = Tracker(rest, self._layout.gate or 0.499 * _least_distance(rest))
         except BaseException:
             self.stop()
             raise
         arguments = (frames, tracker, sink)
-        self._thread = threading.Thread(target=self._work, args=arguments, daemon=True)
+        self._thread = threading.Thread(target=self._track, args=arguments, daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
-        """Ends it; nothing happens if it does not run."""
+        """Stop tracking and close the camera, if it runs."""
         if self._camera is not None:
             self._camera.close()
         if self._thread is not None:
@@ -71,31 +71,31 @@ class MarkerCamera:
         self._camera = self._thread = None
 
     def check(self) -> None:
-        """Raises what ended it, such as a camera that was unplugged."""
+        """Raise the error that ended the tracking, such as an unplugged camera."""
         if isinstance(self._failure, RigError):
             raise self._failure
         if self._failure is not None:
             raise RigError(f"camera: stopped: {self._failure!r}") from self._failure
 
     def close(self) -> None:
-        """As `stop`."""
+        """Stop tracking and close the camera."""
         self.stop()
 
-    def _at_rest(self, frames: Iterator[Frame]) -> np.ndarray:
+    def _find_at_rest(self, frames: Iterator[Frame]) -> np.ndarray:
         seen = 0
-        for frame, _ in zip(frames, range(LOOKS), strict=False):
-            found = find_markers(frame.image, self._sight.look)
+        for frame, _ in zip(frames, range(REST_FRAMES), strict=False):
+            found = find_markers(frame.image, self._layout.criteria)
             seen = max(seen, len(found))
-            if len(found) == self._sight.markers:
-                return order_at_rest(found, self._sight.markers, self._sight.head)
+            if len(found) == self._layout.markers:
+                return order_at_rest(found, self._layout.markers, self._layout.head)
         raise RigError(
-            f"camera: {seen} markers are seen at most, {self._sight.markers} are expected; see to "
-            "light and focus, or to camera.markers in the rig file"
+            f"camera: at most {seen} markers found, {self._layout.markers} expected; check light "
+            "and focus, or camera.markers in the rig file"
         )
 
-    def _work(self, frames: Iterator[Frame], tracker: Tracker, sink: Sink) -> None:
+    def _track(self, frames: Iterator[Frame], tracker: Tracker, sink: Sink) -> None:
         try:
-            record_markers(frames, tracker, sink, self._sight.look)
+            record_markers(frames, tracker, sink, self._layout.criteria)
         except BaseException as error:
             self._failure = error
 
@@ -107,22 +107,22 @@ def _least_distance(places: np.ndarray) -> float:
 
 
 def camera_reader(scale: Scale) -> StreamReader:
-    """tip_m of a camera's stream: the tip's distance from the line of the robot at rest."""
+    """Return the reader of a camera's stream: tip_m, the tip's distance from the robot's axis."""
 
     def read(stream: RecordedStream) -> SampledColumns:
         tracks = read_records(stream.pieces())
         if not len(tracks.number):
-            raise RigError("camera: its recording has no frame; see that it runs, and record again")
-        rest = np.nanmedian(tracks.xy[: max(LOOKS, 1)], axis=0)
+            raise RigError("camera: the recording has no frames; check the camera and record again")
+        rest = np.nanmedian(tracks.xy[: max(REST_FRAMES, 1)], axis=0)
         tip = tip_excursion(tracks.xy, scale.along(rest))
         seen = float(np.isfinite(tip).mean()) if len(tip) else 0.0
         findings = []
-        # The first frames went to finding the markers.
+        # Frames before the first record were used to find the markers.
         dropped = int(tracks.number[-1] - tracks.number[0] + 1 - len(tracks.number))
         if dropped:
-            findings.append(f"{dropped} frames of the camera were dropped")
-        if seen < LEAST_SEEN:
-            findings.append(f"the tip was seen in {100 * seen:.0f} % of the frames only")
+            findings.append(f"{dropped} camera frames were dropped")
+        if seen < MIN_SEEN:
+            findings.append(f"the tip was found in only {100 * seen:.0f} % of the frames")
         return SampledColumns(
             stream.host_ns * 1e-9, {"tip_m": tip}, tuple(findings), continuous=False
         )

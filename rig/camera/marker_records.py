@@ -1,4 +1,4 @@
-"""What is recorded of each frame of the camera: where the markers were."""
+"""Binary records of the marker positions, one record per camera frame."""
 
 import struct
 from collections.abc import Iterable
@@ -9,37 +9,40 @@ import numpy as np
 from rig.errors import RigError
 
 HEADER = struct.Struct("<IQB")
-"""Of a record: frame's number, time by the source's clock [ns], number of markers."""
+"""Header of a record: frame number, time by the source's clock [ns], number of markers."""
 POINT = np.dtype("<f4")
-"""Then for each marker, tip first, x [px], y [px], quality: NaN, NaN, 0 where it is lost."""
+"""The header is followed by x [px], y [px], quality per marker, tip first; NaN, NaN, 0 if lost."""
 
 
 def pack_record(number: int, source_ns: int, points: np.ndarray) -> bytes:
-    """The record of a frame with points (markers, 3): x, y [px], quality."""
+    """Return the record of a frame; `points` (markers, 3) are x, y [px], quality."""
     return HEADER.pack(number, source_ns, len(points)) + points.astype(POINT).tobytes()
 
 
 class Tracks(NamedTuple):
-    """Records as arrays; a lost marker is NaN, with quality 0."""
+    """Marker tracks as arrays; a lost marker has NaN positions and quality 0."""
 
     number: np.ndarray
-    """(frames,) as the frames were counted; what is missing was dropped."""
+    """(frames,) frame numbers; missing numbers are dropped frames."""
     source_ns: np.ndarray
-    """(frames,)"""
+    """(frames,) times by the source's clock [ns]"""
     xy: np.ndarray
-    """(frames, markers, 2) [px]"""
+    """(frames, markers, 2) positions [px]"""
     quality: np.ndarray
     """(frames, markers)"""
 
 
 def read_records(records: Iterable[bytes]) -> Tracks:
-    """Arrays of records. Raises `RigError` for a torn one, or one of another number of markers."""
+    """Return the tracks in `records`.
+
+    Raises `RigError` for an incomplete record, or one with another number of markers.
+    """
     heads: list[tuple[int, int]] = []
     points: list[np.ndarray] = []
     for i, record in enumerate(records):
         markers = record[HEADER.size - 1] if len(record) >= HEADER.size else -1
         if len(record) != HEADER.size + 3 * POINT.itemsize * markers:
-            raise RigError(f"camera record {i}: is torn ({len(record)} bytes); leave it out")
+            raise RigError(f"camera record {i}: incomplete ({len(record)} bytes); repeat the trial")
         if points and points[0].size != 3 * markers:
             raise RigError.value(
                 f"camera record {i}", f"{markers} markers", f"{len(points[0])}, as in the first"

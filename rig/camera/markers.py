@@ -1,67 +1,68 @@
-"""Blue markers in an image: their centres, to a fraction of a pixel.
+"""Detection of blue markers in an image, with their centres to a fraction of a pixel.
 
-Blue is what the threshold in HSV says. The centre is the centroid of how much of each pixel the
-marker covers: the linear function of colour that is 1 on the marker, 0 on what is around it, and
-least moved by what varies there, be it body or water, and by white light (Fisher's discriminant,
-1936). Where glare has saturated pixels, they say nothing: a soft ellipse is fitted to the others.
-What is cut off, too small, too long, too covered or not the same on both sides of its centre is no
-marker.
+Thresholds in HSV select the blue pixels. The centre is the centroid of the coverage, the share of
+each pixel that the marker covers. The coverage is a linear function of colour: 1 on the marker and
+0 around it. Fisher's discriminant (1936) makes it insensitive to the variation of body, water and
+white light around the marker. Pixels that are saturated by glare are excluded, and a soft ellipse
+is fitted to the others. A blue region is rejected if it is cut off, too small, too long, too much
+covered, or asymmetric about its centre.
 """
 
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from rig.camera.ellipse_fit import fit_ellipse, start_at
+from rig.camera.ellipse_fit import fit_ellipse, initial_ellipse
 from rig.errors import RigError
 
 MARGIN = 10
-"""Of the patch around a marker [px]."""
-FEWEST = 30
-"""Pixels to tell the background by, or to fit to."""
+"""Margin of the image patch around a marker [px]."""
+MIN_PIXELS = 30
+"""Smallest number of pixels for the background's colour and for a fit."""
 SMOOTH = (5, 5)
-"""Mean over so many pixels before telling what varies around a marker."""
+"""Size of the moving average [px] before the covariance of the background's colour."""
 WHITE, NOISE = 100.0, 2.0
-"""Rms of white light and of the sensor [counts], at least, in what varies around a marker."""
+"""Rms of white light and sensor noise [counts] that is added to that covariance."""
 
 
-class Look(NamedTuple):
-    """What counts as a marker. HSV is OpenCV's: hue in steps of two degrees, the others to 255."""
+class MarkerCriteria(NamedTuple):
+    """Criteria for a marker. HSV as in OpenCV: hue in steps of two degrees, the others to 255."""
 
     hue: tuple[int, int] = (102, 130)
+    """Lowest and highest hue of a blue pixel."""
     saturation: int = 140
-    """Least."""
+    """Lowest saturation of a blue pixel."""
     value: int = 40
-    """Least."""
+    """Lowest value of a blue pixel."""
     glare: tuple[int, int] = (250, 190)
-    """Least value, highest saturation of a pixel that white light has saturated."""
+    """Lowest value and highest saturation of a pixel with glare."""
     area: tuple[float, float] = (30.0, 4000.0)
-    """Of the blue pixels [px^2]."""
+    """Smallest and largest area of the blue pixels [px^2]."""
     aspect: float = 5.0
-    """Highest ratio of the axes; motion blur makes a disc longer."""
+    """Largest ratio of the axes; motion blur lengthens a disc."""
     seen: float = 0.3
-    """Least share that is free of glare."""
+    """Smallest share of the marker without glare."""
     error: float = 0.3
-    """Highest standard error of the centre of one with glare on it [px]."""
+    """Largest standard error of the centre of a marker with glare [px]."""
     quality: float = 0.8
-    """Least."""
+    """Lowest quality, as in `Marker`."""
 
 
 class Marker(NamedTuple):
     """One marker in one image."""
 
     x: float
-    """From the centre of the first pixel to the right [px]."""
+    """Centre, from the centre of the first pixel to the right [px]."""
     y: float
-    """Downwards [px]."""
+    """Centre, from the centre of the first pixel downwards [px]."""
     mass: float
-    """Area that it covers [px^2]; the same with and without motion blur."""
+    """Covered area [px^2], independent of motion blur."""
     quality: float
-    """1 for the same on both sides of its centre, 0 for all on one side."""
+    """Symmetry about the centre: 1 if both sides are equal, 0 if one side is empty."""
 
 
 def import_opencv() -> Any:
-    """The module cv2. Raises `RigError` where it is not installed."""
+    """Return the module cv2. Raises `RigError` if it is not installed."""
     try:
         import cv2
     except ImportError:
@@ -71,21 +72,21 @@ def import_opencv() -> Any:
     return cv2
 
 
-def find_markers(image: np.ndarray, look: Look = Look()) -> list[Marker]:
-    """The markers of an image, BGR uint8 (height, width, 3), in no order."""
+def find_markers(image: np.ndarray, criteria: MarkerCriteria = MarkerCriteria()) -> list[Marker]:
+    """Return the markers of an image, BGR uint8 (height, width, 3), in no particular order."""
     cv2 = import_opencv()
     hsv = cv2.cvtColor(image, cv2.COLOR_BGR2HSV)
-    low, high = (look.hue[0], look.saturation, look.value), (look.hue[1], 255, 255)
+    low, high = (criteria.hue[0], criteria.saturation, criteria.value), (criteria.hue[1], 255, 255)
     blue = cv2.inRange(hsv, low, high)
-    glare = cv2.inRange(hsv, (0, 0, look.glare[0]), (180, look.glare[1], 255))
+    glare = cv2.inRange(hsv, (0, 0, criteria.glare[0]), (180, criteria.glare[1], 255))
     glare = cv2.dilate(glare, np.ones((3, 3), np.uint8))
-    # A streak of glare does not part a marker in two.
+    # A streak of glare must not split a marker into two.
     whole = blue | (glare & cv2.dilate(blue, np.ones((9, 9), np.uint8)))
     count, labels, stats, _ = cv2.connectedComponentsWithStats(whole, connectivity=8)
     areas = np.bincount(labels[blue > 0], minlength=count)
     found = []
     for label in range(1, count):
-        if not look.area[0] <= areas[label] <= look.area[1]:
+        if not criteria.area[0] <= areas[label] <= criteria.area[1]:
             continue
         x, y, width, height = stats[label, :4]
         if x == 0 or y == 0 or x + width == image.shape[1] or y + height == image.shape[0]:
@@ -93,8 +94,10 @@ def find_markers(image: np.ndarray, look: Look = Look()) -> list[Marker]:
         left, top = max(x - MARGIN, 0), max(y - MARGIN, 0)
         patch = np.s_[top : y + height + MARGIN, left : x + width + MARGIN]
         own = (labels[patch] == label) & (blue[patch] > 0)
-        other = (labels[patch] != label) & (blue[patch] > 0) & (areas[labels[patch]] > look.area[0])
-        marker = _measure(cv2, image[patch], own, other, glare[patch] > 0, look)
+        other = (
+            (labels[patch] != label) & (blue[patch] > 0) & (areas[labels[patch]] > criteria.area[0])
+        )
+        marker = _measure(cv2, image[patch], own, other, glare[patch] > 0, criteria)
         if marker is not None:
             found.append(marker._replace(x=marker.x + left, y=marker.y + top))
     return found
@@ -106,63 +109,65 @@ def _measure(
     own: np.ndarray,
     other: np.ndarray,
     glare: np.ndarray,
-    look: Look,
+    criteria: MarkerCriteria,
 ) -> Marker | None:
-    """The marker of the blue pixels `own` of a patch."""
-    near = _wider(cv2, own, 2)
-    free = ~glare & ~_wider(cv2, other, 4)
-    around = free & ~_wider(cv2, own, 4)
-    if np.sum(around) < FEWEST or not np.any(own & free):
+    """Return the marker with the blue pixels `own` of a patch, or None if it is rejected."""
+    near = _dilated(cv2, own, 2)
+    free = ~glare & ~_dilated(cv2, other, 4)
+    around = free & ~_dilated(cv2, own, 4)
+    if np.sum(around) < MIN_PIXELS or not np.any(own & free):
         return None
-    cover = _cover(cv2, pixels.astype(np.float32), own & free, around)
+    coverage = _coverage(cv2, pixels.astype(np.float32), own & free, around)
     y, x = np.mgrid[: own.shape[0], : own.shape[1]].astype(float)
 
-    weight = np.where(near & free, cover, 0.0)
+    weight = np.where(near & free, coverage, 0.0)
     mass, center, covariance = _moments(x, y, weight)
-    if not _is_round(covariance, mass, look):
+    if not _is_round(covariance, mass, criteria):
         return None
     if np.any(near & glare):
-        seen = free & _wider(cv2, own, 7)
-        if np.sum(seen) < FEWEST:
+        seen = free & _dilated(cv2, own, 7)
+        if np.sum(seen) < MIN_PIXELS:
             return None
-        fitted = fit_ellipse(x[seen], y[seen], cover[seen], start_at(center, covariance, mass))
-        if fitted is None or fitted[1] > look.error:
+        fitted = fit_ellipse(
+            x[seen], y[seen], coverage[seen], initial_ellipse(center, covariance, mass)
+        )
+        if fitted is None or fitted[1] > criteria.error:
             return None
         ellipse = fitted[0]
         center, mass = np.array(ellipse[:2]), ellipse.mass
         inside = ellipse.inside(x, y)
-        if np.sum(inside & free) < look.seen * np.sum(inside):
+        if np.sum(inside & free) < criteria.seen * np.sum(inside):
             return None
-    quality = 1 - _asymmetry(cv2, cover, free, near, around, center)
-    if quality < look.quality:
+    quality = 1 - _asymmetry(cv2, coverage, free, near, around, center)
+    if quality < criteria.quality:
         return None
     return Marker(float(center[0]), float(center[1]), float(mass), quality)
 
 
-def _wider(cv2: Any, mask: np.ndarray, pixels: int) -> np.ndarray:
-    """A mask and all within so many pixels of it."""
+def _dilated(cv2: Any, mask: np.ndarray, pixels: int) -> np.ndarray:
+    """Return a mask widened by `pixels`."""
     square = np.ones((2 * pixels + 1, 2 * pixels + 1), np.uint8)
     return cv2.dilate(mask.astype(np.uint8), square) > 0
 
 
-def _cover(cv2: Any, levels: np.ndarray, own: np.ndarray, around: np.ndarray) -> np.ndarray:
-    """How much of each pixel the marker covers, from the colours of its own and of those around.
+def _coverage(cv2: Any, levels: np.ndarray, own: np.ndarray, around: np.ndarray) -> np.ndarray:
+    """Return the marker's coverage of each pixel, from the colours of its pixels and around it.
 
-    Those around are smoothed: of what varies, patches move a centroid more than the sensor's noise.
+    The background is smoothed because patches of colour shift a centroid more than sensor noise.
     """
     share = cv2.blur(around.astype(np.float32), SMOOTH)[around]
     background = cv2.blur(levels * around[..., None], SMOOTH)[around] / share[:, None]
     mean = background.mean(axis=0)
     contrast = np.median(levels[own], axis=0) - mean
-    varies = np.cov(background.T) + WHITE**2 * np.ones((3, 3)) + NOISE**2 * np.eye(3)
-    direction = np.linalg.solve(varies, contrast)
+    covariance = np.cov(background.T) + WHITE**2 * np.ones((3, 3)) + NOISE**2 * np.eye(3)
+    direction = np.linalg.solve(covariance, contrast)
     return (levels - mean) @ (direction / max(direction @ contrast, 1e-9))
 
 
 def _moments(
     x: np.ndarray, y: np.ndarray, weight: np.ndarray
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """Sum, centroid (2,) and covariance (2, 2) of a weight over a patch."""
+    """Return sum, centroid (2,) and covariance (2, 2) of the weights of a patch."""
     mass = weight.sum()
     if mass <= 0:
         return 0.0, np.zeros(2), np.zeros((2, 2))
@@ -173,27 +178,27 @@ def _moments(
     return float(mass), center, covariance / mass
 
 
-def _is_round(covariance: np.ndarray, mass: float, look: Look) -> bool:
-    """No longer than motion blur makes a disc."""
+def _is_round(covariance: np.ndarray, mass: float, criteria: MarkerCriteria) -> bool:
+    """Return whether the ratio of the axes is at most `criteria.aspect`."""
     short, long = np.linalg.eigvalsh(covariance)
-    return mass > 0 and short > 0 and long < look.aspect**2 * short
+    return mass > 0 and short > 0 and long < criteria.aspect**2 * short
 
 
 def _asymmetry(
     cv2: Any,
-    cover: np.ndarray,
+    coverage: np.ndarray,
     free: np.ndarray,
     near: np.ndarray,
     around: np.ndarray,
     center: np.ndarray,
 ) -> float:
-    """From 0 to 1: the share of the marker that its turn by half a circle about `center` lacks."""
+    """Return the rms difference (0 to 1) of the marker from itself turned by 180 deg."""
     turn = np.array([[-1, 0, 2 * center[0]], [0, -1, 2 * center[1]]])
-    size, flags = cover.shape[::-1], cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    turned = cv2.warpAffine(cover, turn, size, flags=flags)
+    size, flags = coverage.shape[::-1], cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    turned = cv2.warpAffine(coverage, turn, size, flags=flags)
     seen = cv2.warpAffine(free.astype(np.float32), turn, size, flags=flags) > 0.99
     here = free & seen & (near | (cv2.warpAffine(near.astype(np.float32), turn, size) > 0.5))
-    noise = 2 * np.var(cover[around]) * np.sum(here)
-    differ = np.sum((cover[here] - turned[here]) ** 2) - noise
-    whole = np.sum(cover[here] ** 2 + turned[here] ** 2)
-    return float(np.sqrt(min(max(differ, 0.0) / whole, 1.0))) if whole > 0 else 1.0
+    noise = 2 * np.var(coverage[around]) * np.sum(here)
+    difference = np.sum((coverage[here] - turned[here]) ** 2) - noise
+    whole = np.sum(coverage[here] ** 2 + turned[here] ** 2)
+    return float(np.sqrt(min(max(difference, 0.0) / whole, 1.0))) if whole > 0 else 1.0

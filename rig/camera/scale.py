@@ -1,4 +1,4 @@
-"""Pixels to metres: the camera's scale, the straight robot's line, and what lies beside it."""
+"""Conversion of pixels to metres, and the tip's excursion from the straight robot's axis."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -9,36 +9,36 @@ from rig.camera.markers import import_opencv
 from rig.errors import RigError
 
 MISFIT = 0.005
-"""Most rms of a board's corners from the fitted scale, by the board's length."""
+"""Largest rms deviation of a board's corners from the fitted scale, relative to its length."""
 
 
 class Lens(NamedTuple):
-    """OpenCV's pinhole camera and its distortion."""
+    """OpenCV's pinhole camera and its lens distortion."""
 
     matrix: np.ndarray
-    """(3, 3): focal lengths and centre [px]."""
+    """(3, 3) focal lengths and centre [px]."""
     coefficients: np.ndarray
-    """k1, k2, p1, p2, k3."""
+    """(5,) distortion k1, k2, p1, p2, k3."""
 
 
 @dataclass(frozen=True)
 class Scale:
-    """Where a pixel is in the plane in which the robot moves.
+    """Mapping from pixels to metres in the plane in which the robot moves.
 
-    x runs along `angle` [rad] in the image, from its right towards its bottom; y to the left of x
-    as seen from above. The origin [px] is in the image without distortion.
+    The x axis has the angle `angle` [rad] to the image's right, positive towards its bottom. The y
+    axis points to the left of x, seen from above. `origin` [px] is in the undistorted image.
     """
 
     px_per_metre: float
     origin: tuple[float, float] = (0.0, 0.0)
     angle: float = 0.0
     from_below: bool = False
-    """The camera looks up at the robot."""
+    """Whether the camera looks up at the robot."""
     lens: Lens | None = None
 
     def metres(self, px: np.ndarray) -> np.ndarray:
-        """Places (..., 2) [m] of places (..., 2) [px]; NaN stays NaN."""
-        flat = straighten(px, self.lens) - np.array(self.origin)
+        """Return positions (..., 2) [m] of positions (..., 2) [px]; NaN stays NaN."""
+        flat = undistort(px, self.lens) - np.array(self.origin)
         cos, sin = np.cos(self.angle), np.sin(self.angle)
         along = flat[..., 0] * cos + flat[..., 1] * sin
         left = flat[..., 0] * sin - flat[..., 1] * cos
@@ -47,12 +47,12 @@ class Scale:
         return np.stack([along, left], axis=-1) / self.px_per_metre
 
     def along(self, rest: np.ndarray) -> "Scale":
-        """The same with its origin at the tip of a straight robot and x towards its head.
+        """Return the scale with its origin at the straight robot's tip and x towards its head.
 
-        `rest` (markers, 2) [px], tip first; the line is the one nearest to all of them. Then y of
-        the tip's marker is the tip's excursion, positive to the robot's left.
+        `rest` (markers, 2) [px] are the markers, tip first. The axis is the line of least squared
+        distances. y of the tip's marker is then the tip's excursion, positive to the robot's left.
         """
-        places = straighten(rest, self.lens)
+        places = undistort(rest, self.lens)
         if len(places) < 2 or not np.isfinite(places).all():
             raise RigError.value(
                 "camera: markers of the straight robot", np.round(rest, 1).tolist(), "two or more"
@@ -65,21 +65,22 @@ class Scale:
         return replace(self, origin=(float(tip[0]), float(tip[1])), angle=angle)
 
 
-def straighten(px: np.ndarray, lens: Lens | None) -> np.ndarray:
-    """Places (..., 2) [px] as they were without the lens' distortion."""
+def undistort(px: np.ndarray, lens: Lens | None) -> np.ndarray:
+    """Return positions (..., 2) [px] without the lens distortion."""
     px = np.asarray(px, float)
     if lens is None or not px.size:
         return px
     flat = np.ascontiguousarray(px.reshape(-1, 1, 2))
-    # NaN goes in as a place in the image, and comes out again below.
+    # OpenCV cannot process NaN: the image centre replaces it for this call.
     filled = np.where(np.isnan(flat), lens.matrix[:2, 2], flat)
     straight = import_opencv().undistortPoints(filled, *lens, P=lens.matrix).reshape(px.shape)
     return np.where(np.isnan(px), np.nan, straight)
 
 
 def tip_excursion(xy: np.ndarray, scale: Scale) -> np.ndarray:
-    """Lateral distance (frames,) [m] of the tip, the first of markers xy (frames, markers, 2) [px],
-    from the straight robot's line, positive to its left. `scale` is that of `Scale.along`.
+    """Return the tip's lateral distance (frames,) [m] from the robot's axis, positive to the left.
+
+    The tip is the first of the markers xy (frames, markers, 2) [px]; `scale` is from `Scale.along`.
     """
     return scale.metres(xy[:, 0])[:, 1]
 
@@ -92,7 +93,7 @@ def scale_of_points(
     from_below: bool = False,
     lens: Lens | None = None,
 ) -> Scale:
-    """The scale of two points [px] that are `distance` [m] apart; x runs from first to second."""
+    """Return the scale of two points [px], `distance` [m] apart; x runs from first to second."""
     if not (np.isfinite(distance) and distance > 0):
         raise RigError.value("camera: distance of two points", f"{distance} m", "above 0 m")
     px, metres = np.array([first, second]), np.array([[0.0, 0.0], [distance, 0.0]])
@@ -107,18 +108,18 @@ def scale_of_checkerboard(
     from_below: bool = False,
     lens: Lens | None = None,
 ) -> Scale:
-    """The scale of an image (height, width, 3) with a checkerboard in the robot's plane.
+    """Return the scale from an image (height, width, 3) of a checkerboard in the robot's plane.
 
-    `corners` are the inner ones along and across, `square` [m] is the side of one. x runs along the
-    board. Raises `RigError` if it is not found, or tilted.
+    `corners` are the numbers of inner corners along and across, `square` [m] is a square's side. x
+    runs along the board. Raises `RigError` if the board is not found or is tilted.
     """
     cv2 = import_opencv()
     gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     found, px = cv2.findChessboardCornersSB(gray, corners)
     if not found:
         raise RigError(
-            f"camera: no checkerboard with {corners[0]} x {corners[1]} inner corners is seen; "
-            "show all of it, flat, evenly lit"
+            f"camera: no checkerboard with {corners[0]} x {corners[1]} inner corners found; "
+            "show the whole board, flat and evenly lit"
         )
     across, along = np.mgrid[: corners[1], : corners[0]]
     metres = square * np.stack([along, across], axis=-1).reshape(-1, 2)
@@ -135,34 +136,35 @@ def scale_of_aruco(
     from_below: bool = False,
     lens: Lens | None = None,
 ) -> Scale:
-    """The scale of an image (height, width, 3) with an ArUco grid board in the robot's plane.
+    """Return the scale from an image (height, width, 3) of an ArUco grid board.
 
-    `markers` along and across, of `side` and `gap` [m], numbered from 0. Half of them have to be
-    seen. Raises `RigError` if they are not, or the board is tilted.
+    `markers` are their numbers along and across, `side` and `gap` are in m. The board must be in
+    the robot's plane. Raises `RigError` if fewer than half of the markers are found, or if the
+    board is tilted.
     """
     aruco = import_opencv().aruco
     if not hasattr(aruco, dictionary):
         raise RigError.value("camera: ArUco dictionary", dictionary, "OpenCV's, as DICT_4X4_50")
-    words = aruco.getPredefinedDictionary(getattr(aruco, dictionary))
-    board = aruco.GridBoard(markers, side, gap, words)
+    codes = aruco.getPredefinedDictionary(getattr(aruco, dictionary))
+    board = aruco.GridBoard(markers, side, gap, codes)
     settings = aruco.DetectorParameters()
     settings.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
-    corners, ids, _ = aruco.ArucoDetector(words, settings).detectMarkers(image)
+    corners, ids, _ = aruco.ArucoDetector(codes, settings).detectMarkers(image)
     seen = 0 if ids is None else len(ids)
     if 2 * seen < markers[0] * markers[1]:
         raise RigError(
-            f"camera: {seen} of {markers[0] * markers[1]} ArUco markers ({dictionary}) are seen; "
-            "at least half are needed; show the board flat, evenly lit"
+            f"camera: {seen} of {markers[0] * markers[1]} ArUco markers ({dictionary}) found; "
+            "at least half are needed; show the board flat and evenly lit"
         )
     metres, px = board.matchImagePoints(corners, ids)
     return _fit(px.reshape(-1, 2), metres.reshape(-1, 3)[:, :2], from_below, lens)
 
 
 def _fit(px: np.ndarray, metres: np.ndarray, from_below: bool, lens: Lens | None) -> Scale:
-    """The scale that takes `metres` (n, 2), y to the bottom, nearest to `px` (n, 2)."""
-    straight = straighten(px, lens)
+    """Fit the scale that maps `metres` (n, 2), y to the bottom, to `px` (n, 2)."""
+    straight = undistort(px, lens)
     z, w = straight @ [1, 1j], metres @ [1, 1j]
-    # The order of a checkerboard's corners may be mirrored.
+    # OpenCV may return a checkerboard's corners in mirrored order.
     fits = [np.linalg.lstsq(np.stack([v, np.ones_like(v)], 1), z)[0] for v in (w, w.conj())]
     off = [np.abs(z - a * v - b) for (a, b), v in zip(fits, (w, w.conj()), strict=True)]
     misfits = [float(np.sqrt(np.mean(e**2))) for e in off]
@@ -175,7 +177,7 @@ def _fit(px: np.ndarray, metres: np.ndarray, from_below: bool, lens: Lens | None
             "camera: board",
             f"its corners are {misfit:.2g} px rms from a flat, square view",
             f"up to {MISFIT * length:.2g} px",
-            "lay it in the robot's plane, square to the camera, or give the lens' distortion",
+            "put it in the robot's plane, square to the camera, or give the lens distortion",
         )
     return Scale(
         float(abs(factor)),

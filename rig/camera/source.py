@@ -1,6 +1,6 @@
-"""Frames of a camera or of a video file, each with its number and its time; markers of each.
+"""Numbered and timed frames of a camera or a video file, and recording of their markers.
 
-A frame's number is counted by the source's own times, so that a frame that never came leaves a gap.
+The source's own times determine a frame's number, so a dropped frame leaves a gap in the numbers.
 """
 
 import queue
@@ -13,17 +13,17 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from rig.camera.marker_records import pack_record
-from rig.camera.markers import Look, find_markers, import_opencv
+from rig.camera.markers import MarkerCriteria, find_markers, import_opencv
 from rig.camera.tracking import Tracker
 from rig.errors import RigError
 from rig.recording.clock import Sink
 
 STALLED = 5.0
-"""A live source that gives no frame for so long [s] is taken for gone."""
+"""Longest time without a frame of a live source [s]; then it counts as unplugged."""
 
 
 class Shot(NamedTuple):
-    """What a source hands out."""
+    """An image of a source, with its times."""
 
     source_ns: int
     """Time by the source's clock [ns]."""
@@ -43,25 +43,25 @@ class Frame(NamedTuple):
 
 
 class Source(Protocol):
-    """Where images come from."""
+    """Source of images."""
 
     name: str
     fps: float
     live: bool
-    """Images come when they come; those that nobody takes are lost."""
+    """Whether the source is a device, which does not wait: unread images are lost."""
 
     def read(self) -> Shot | None:
-        """The next image; None at the end. Raises `RigError` where the source fails."""
+        """Return the next image, None at the end. Raises `RigError` if the source fails."""
 
     def close(self) -> None: ...
 
 
 class OpenCvSource:
-    """A video file (a path), or a device (its index), by OpenCV.
+    """A video file (a path) or a device (its index), read by OpenCV.
 
-    A file's frames get the host's time at opening and their own time in the file after it.
-    `fps` [Hz] is the rate at which images were taken, where device or file (slow motion) do not
-    tell it. Raises `RigError`.
+    The host time of a file's frame is the time of opening plus the frame's time in the file. `fps`
+    [Hz] is the camera's true rate, needed if the device or file does not contain it (slow motion).
+    Raises `RigError` if the source cannot be opened.
     """
 
     def __init__(self, source: Path | str | int, fps: float | None = None):
@@ -69,7 +69,7 @@ class OpenCvSource:
         self.live = isinstance(source, int)
         self.name = f"camera {source}" if self.live else str(source)
         if not isinstance(source, int) and not Path(source).is_file():
-            raise RigError(f"{self.name}: there is no such file; give a video file")
+            raise RigError(f"{self.name}: no such file; give a video file")
         level = cv2.utils.logging.getLogLevel()
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
         try:
@@ -82,56 +82,57 @@ class OpenCvSource:
             cv2.utils.logging.setLogLevel(level)
         if not self._capture.isOpened():
             raise RigError(
-                f"{self.name}: cannot be opened; is it plugged in, free and permitted to this user?"
+                f"{self.name}: cannot be opened; check its plug, other programs and permissions"
                 if self.live
-                else f"{self.name}: is not a video that can be read, or is torn; record it again"
+                else f"{self.name}: not a readable video, or incomplete; record it again"
             )
-        told = self._capture.get(cv2.CAP_PROP_FPS)
-        self.fps = told if fps is None else fps
+        file_fps = self._capture.get(cv2.CAP_PROP_FPS)
+        self.fps = file_fps if fps is None else fps
         if not 0 < self.fps < 1e5:
             self.close()
-            raise RigError.value(f"{self.name}: fps", self.fps, "above 0 Hz", "give its rate")
-        self._whole = 0 if self.live else round(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
-        self._slower = 1.0 if self.live else told / self.fps
+            raise RigError.value(f"{self.name}: fps", self.fps, "above 0 Hz", "set the true rate")
+        self._length = 0 if self.live else round(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        self._slower = 1.0 if self.live else file_fps / self.fps
         self._opened, self._ends = time.monotonic_ns(), 0
 
     def read(self) -> Shot | None:
-        """The next frame. Raises `RigError` where a device stops, or a file before its end."""
+        """Return the next frame. Raises `RigError` if a device stops or a file is incomplete."""
         good = self._capture.grab()
         now = time.monotonic_ns()
         image = self._capture.retrieve()[1] if good else None
         if image is None:
             if self.live:
-                raise RigError(f"{self.name}: no more frames come; is it still plugged in?")
-            if self._whole <= 0 or self._ends < self._whole:
-                whole = self._whole if self._whole > 0 else "an unknown number, as never closed"
+                raise RigError(f"{self.name}: no more frames; check its plug")
+            if self._length <= 0 or self._ends < self._length:
+                length = self._length if self._length > 0 else "an unknown number (never closed)"
                 raise RigError(
-                    f"{self.name}: is torn: ends at frame {self._ends} of {whole}; record it again"
+                    f"{self.name}: incomplete: ends at frame {self._ends} of {length}; record it "
+                    "again"
                 )
             return None
-        told = self._capture.get(self._cv2.CAP_PROP_POS_MSEC)
-        source_ns = round(told * 1e6 * self._slower)
+        file_ms = self._capture.get(self._cv2.CAP_PROP_POS_MSEC)
+        source_ns = round(file_ms * 1e6 * self._slower)
         if not self.live:
             self._ends = round(source_ns * 1e-9 * self.fps) + 1
             return Shot(source_ns, self._opened + source_ns, image)
         return Shot(source_ns if source_ns > 0 else now, now, image)
 
     def close(self) -> None:
-        """Give the device or file back."""
+        """Close the device or file."""
         self._capture.release()
 
 
 class Camera:
-    """A thread that reads a source, so that a slow consumer does not hold it up.
+    """A thread that reads a source, so a slow consumer does not delay it. Use it in a `with`.
 
-    `for frame in camera` ends when the source does; a source's `RigError` is raised there. Of a
-    live source the frames that find `room` others waiting are dropped. Use it in a `with`.
+    `for frame in camera` ends with the source and raises the source's `RigError`. A frame of a live
+    source is dropped if `room` frames are waiting.
     """
 
     def __init__(self, source: Source, room: int = 32):
         self.source = source
         self.dropped = 0
-        """Frames that never came or found no room, so far."""
+        """Number of frames that the source or the full queue dropped so far."""
         self._waiting: queue.Queue[Frame | int | BaseException] = queue.Queue(room)
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._read, name=source.name, daemon=True)
@@ -144,7 +145,7 @@ class Camera:
         self.close()
 
     def close(self) -> None:
-        """Ends the thread, and the loop over the frames."""
+        """End the thread and the loop over the frames."""
         self._closed.set()
         self._thread.join(STALLED)
         self.source.close()
@@ -181,7 +182,7 @@ class Camera:
             except queue.Empty:
                 if self.source.live and time.monotonic() - heard > STALLED:
                     raise RigError(
-                        f"{self.source.name}: no frame for {STALLED:g} s; is it still plugged in?"
+                        f"{self.source.name}: no frame for {STALLED:g} s; check its plug"
                     ) from None
                 continue
             heard = time.monotonic()
@@ -196,7 +197,7 @@ class Camera:
 
 
 def frames_between(before: int | None, now: int, fps: float) -> int:
-    """By how much the number rises from one shot [ns] to the next: 1 if none was dropped."""
+    """Return the step of the frame number between two shots [ns]: 1 if none was dropped."""
     return 1 if before is None else max(1, round((now - before) * 1e-9 * fps))
 
 
@@ -204,11 +205,11 @@ def record_markers(
     camera: Iterable[Frame],
     tracker: Tracker,
     sink: Sink,
-    look: Look = Look(),
+    criteria: MarkerCriteria = MarkerCriteria(),
 ) -> None:
-    """Track the markers to the camera's end: `sink(host_ns, record)` for each frame."""
+    """Track the markers until the camera's end, and call `sink(host_ns, record)` per frame."""
     last = -1
     for frame in camera:
-        points = tracker.follow(find_markers(frame.image, look), frame.number - last)
+        points = tracker.follow(find_markers(frame.image, criteria), frame.number - last)
         last = frame.number
         sink(frame.host_ns, pack_record(frame.number, frame.source_ns, points))

@@ -166,14 +166,14 @@ def open_force_sensor(table: ForceTable) -> tuple[ForceSource, StreamReader]:
 
 def marker_camera(table: CameraTable) -> tuple[RecordedInstrument, StreamReader]:
     """Return the camera and the reader of its stream."""
-    from rig.camera.instrument import MarkerCamera, Sight, camera_reader
+    from rig.camera.instrument import MarkerCamera, MarkerLayout, camera_reader
     from rig.camera.scale import Scale
     from rig.camera.source import OpenCvSource
 
     source = Path(table.source) if isinstance(table.source, str) else table.source
-    sight = Sight(table.markers, table.head, table.gate)
+    layout = MarkerLayout(table.markers, table.head, table.gate)
     scale = Scale(table.px_per_metre, from_below=table.from_below)
-    return MarkerCamera(lambda: OpenCvSource(source, table.fps), sight), camera_reader(scale)
+    return MarkerCamera(lambda: OpenCvSource(source, table.fps), layout), camera_reader(scale)
 
 
 @contextmanager

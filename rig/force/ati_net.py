@@ -204,7 +204,7 @@ class NetForce(ForceSource):
         return Health(self.tally.received, len(self.tally.missing), self.tally.saturated)
 
     def check(self) -> None:
-        """Raise `RigError` as `ForceSource.check`. Saturation is no error; `health` counts it."""
+        """Raise `RigError` as `ForceSource.check`; saturation is counted in `health` instead."""
         if self._reader is not None:
             self._reader.check()
         if self.tally.fault:

@@ -199,9 +199,7 @@ def record_table(host_ns: Sequence[int] | np.ndarray, datagrams: Sequence[bytes]
     empty stream, a record of wrong size, or a repeated number with other content (a new stream).
     """
     if not datagrams:
-        raise RigError(
-            "force sensor: no records arrived during the recording; run `slider rig check`"
-        )
+        raise RigError("force sensor: no records arrived in the recording; run `slider rig check`")
     for i, datagram in enumerate(datagrams):
         check_size(datagram, f"force sensor's datagram {i}")
     joined = b"".join(datagrams)

@@ -1,4 +1,4 @@
-"""A camera beside a trial: its markers' stream becomes the column of the tip."""
+"""The camera as an instrument: the stream of its markers becomes the column of the tip."""
 
 import time
 
@@ -10,7 +10,7 @@ from rig.recording.reader import RecordedStream
 
 pytest.importorskip("cv2", reason="opencv is not installed")
 
-from rig.camera.instrument import MarkerCamera, Sight, camera_reader  # noqa: E402
+from rig.camera.instrument import MarkerCamera, MarkerLayout, camera_reader  # noqa: E402
 from rig.camera.scale import Scale, tip_excursion  # noqa: E402
 from rig.simulated.camera import Scene, SimulatedCamera  # noqa: E402
 
@@ -18,7 +18,7 @@ FPS, PX_PER_METRE = 100.0, 2000.0
 
 
 def scene(**changes):
-    """Five markers at rest for a while, then a tip that swings."""
+    """Return a scene of five markers that rest at first; then the tip swings."""
 
     def places(t):
         swing = np.where(t > 0.4, np.sin(2 * np.pi * 2.0 * (t - 0.4)), 0.0)[:, None]
@@ -30,8 +30,8 @@ def scene(**changes):
     )
 
 
-def recorded(scene, sight):
-    pieces, camera = [], MarkerCamera(lambda: SimulatedCamera(scene), sight)
+def record_stream(scene, layout):
+    pieces, camera = [], MarkerCamera(lambda: SimulatedCamera(scene), layout)
     camera.start(lambda at, piece: pieces.append((at, piece)))
     end = time.monotonic() + 20.0
     while len(pieces) < scene.frames - 1 and time.monotonic() < end:
@@ -44,12 +44,12 @@ def recorded(scene, sight):
     return RecordedStream(np.array(host_ns), ends, b"".join(content), (0, 0), (0, 0))
 
 
-SIGHT = Sight(5, (310.0, 120.0))
+LAYOUT = MarkerLayout(5, (310.0, 120.0))
 
 
-def test_the_tip_is_where_it_was(tmp_path):
+def test_the_tip_column_equals_the_true_excursion(tmp_path):
     given = scene()
-    stream = recorded(given, SIGHT)
+    stream = record_stream(given, LAYOUT)
     samples = camera_reader(Scale(PX_PER_METRE))(stream)
     truth = np.array([given.truth(i) for i in range(given.frames)])
     scale = Scale(PX_PER_METRE).along(truth[0])
@@ -60,14 +60,14 @@ def test_the_tip_is_where_it_was(tmp_path):
     assert np.abs(expected).max() * PX_PER_METRE > 25.0
 
 
-def test_too_few_markers_are_told():
-    with pytest.raises(RigError, match="5 markers are seen at most, 6 are expected"):
-        recorded(scene(), Sight(6, (310.0, 120.0)))
+def test_too_few_markers_are_an_error():
+    with pytest.raises(RigError, match="at most 5 markers found, 6 expected"):
+        record_stream(scene(), MarkerLayout(6, (310.0, 120.0)))
 
 
-def test_a_camera_that_is_not_there_is_told():
+def test_a_missing_camera_is_an_error():
     from rig.camera.source import OpenCvSource
 
-    camera = MarkerCamera(lambda: OpenCvSource("none.avi"), SIGHT)
-    with pytest.raises(RigError, match="none.avi: there is no such file"):
+    camera = MarkerCamera(lambda: OpenCvSource("none.avi"), LAYOUT)
+    with pytest.raises(RigError, match="none.avi: no such file"):
         camera.start(lambda at, piece: None)
