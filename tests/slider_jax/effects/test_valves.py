@@ -17,7 +17,7 @@ from slider_jax.effects.valve_pair import FULL_DUTY_ERROR, MAX_DUTY
 from tests.support.chambers import A, K, chambers, held, relaxation, square, strides
 
 OPEN = (MAX_DUTY - 0.05) / 0.95
-"""Share of full flow at an error above `FULL_DUTY_ERROR`, for a valve that opens at a duty of 0.05."""
+"""Share of full flow above `FULL_DUTY_ERROR`, for a valve that opens at a duty of 0.05."""
 
 
 @pytest.mark.parametrize(
