@@ -166,12 +166,11 @@ def _header(path: Path, lines: list[tuple[int, str]]) -> tuple[dict[str, float],
                 findings.append(RowFinding(line, f"stale row before the header, dropped: {text}"))
             elif not _NEW_TEST.fullmatch(text):
                 findings.append(RowFinding(line, f"unknown header line, ignored: {text!r}"))
-    for name, example in (("frequency", "0.250000 Hz"), ("period", "2 ms")):
+    for name, example in (("frequency", "frequency:    0.25 Hz"), ("period", "Sample Prd    2 ms")):
         if name not in values:
-            label = {"frequency": "frequency:", "period": "Sample Prd"}[name]
             raise InputError(
-                f"{path}: the header has no {name}; add a line such as '{label}    {example}' "
-                "above the column names"
+                f"{path}: the header has no {name}; add a line such as '{example}' above the "
+                "column names"
             )
     return values, findings
 
@@ -181,32 +180,27 @@ def _body(
 ) -> tuple[list[tuple[int, str]], list[RowFinding]]:
     """Return the lines between the column names and `done`, and findings on the line count."""
     body = lines[columns_at + 1 :]
-    for index, (line, text) in enumerate(body):
-        if _NEW_TEST.fullmatch(text) or _HEADER["frequency"][0].fullmatch(text):
-            raise InputError(
-                f"{path}: line {line}: a second test begins; a log holds one test: split the file"
-            )
-        done = _DONE.fullmatch(text)
-        if not done:
-            continue
-        findings = []
-        before = columns_at + 1 + index
-        if done[1] and int(done[1]) != before:
-            findings.append(
-                RowFinding(
-                    line, f"'{text}' counts {done[1]} lines; the file has {before} lines before it"
-                )
-            )
-        after = body[index + 1 :]
-        if any(_NEW_TEST.fullmatch(later) for _, later in after):
-            raise InputError(
-                f"{path}: line {after[0][0]}: a second test begins; a log holds one test: "
-                "split the file"
-            )
-        if after:
-            findings.append(RowFinding(after[0][0], f"{len(after)} lines after 'done', ignored"))
-        return body[:index], findings
-    return body, [RowFinding(lines[-1][0], "the file ends without 'done': lines may be missing")]
+    end = next((i for i, (_, text) in enumerate(body) if _DONE.fullmatch(text)), None)
+    rows = body[:end]
+    starts = [line for line, text in body if _NEW_TEST.fullmatch(text)]
+    starts += [line for line, text in rows if _HEADER["frequency"][0].fullmatch(text)]
+    if starts:
+        raise InputError(
+            f"{path}: line {min(starts)}: a second test begins; a log holds one test: split the "
+            "file at this line"
+        )
+    if end is None:
+        text = "the file ends without 'done': lines may be missing"
+        return rows, [RowFinding(lines[-1][0], text)]
+    findings = []
+    (line, text), after = body[end], body[end + 1 :]
+    counted, before = re.sub(r"\D", "", text), columns_at + 1 + end
+    if counted and int(counted) != before:
+        detail = f"'{text}' counts {counted} lines; the file has {before} lines before it"
+        findings.append(RowFinding(line, detail))
+    if after:
+        findings.append(RowFinding(after[0][0], f"{len(after)} lines after 'done', ignored"))
+    return rows, findings
 
 
 def _check_header(values: dict[str, float], rows: np.ndarray) -> list[RowFinding]:
@@ -219,18 +213,12 @@ def _check_header(values: dict[str, float], rows: np.ndarray) -> list[RowFinding
     span = values["stop"] - values["start"]
     expected = span / values["period"]
     if abs(expected - last) > 2.0:
-        findings.append(
-            RowFinding(
-                None, f"start, stop and period give {expected:g} samples; the last sample is {last}"
-            )
-        )
+        detail = f"start, stop and period give {expected:g} samples; the last sample is {last}"
+        findings.append(RowFinding(None, detail))
     cycles = span * values["frequency"] / 1000.0
     if "cycles" in values and abs(cycles - values["cycles"]) > 0.05:
-        findings.append(
-            RowFinding(
-                None, f"start to stop is {cycles:.2f} cycles; the header has {values['cycles']:g}"
-            )
-        )
+        detail = f"start to stop is {cycles:.2f} cycles; the header has {values['cycles']:g}"
+        findings.append(RowFinding(None, detail))
     return findings
 
 
@@ -242,13 +230,10 @@ def _check_frequency(frequency: float, t: np.ndarray, command: np.ndarray) -> li
     level = command - 0.5 * (command.max() + command.min())
     up = np.flatnonzero((level[:-1] < 0) & (level[1:] >= 0))
     if len(up) < 2:
-        return [
-            RowFinding(None, "the command has less than two cycles: its frequency is not checked")
-        ]
+        detail = "the command has less than two cycles: its frequency is not checked"
+        return [RowFinding(None, detail)]
     crossing = t[up] - level[up] * (t[up + 1] - t[up]) / (level[up + 1] - level[up])
     found = (len(up) - 1) / (crossing[-1] - crossing[0])
-    if abs(found / frequency - 1.0) > 0.02:
-        return [
-            RowFinding(None, f"the command has {found:.4g} Hz; the header has {frequency:g} Hz")
-        ]
-    return []
+    if abs(found / frequency - 1.0) <= 0.02:
+        return []
+    return [RowFinding(None, f"the command has {found:.4g} Hz; the header has {frequency:g} Hz")]
