@@ -9,7 +9,7 @@ class InputError(Exception):
 
     @classmethod
     def value(cls, where: str, given: object, allowed: str, advice: str = "") -> "InputError":
-        """The error for one invalid value; `where` is the path of a field, or a file and line."""
+        """Return the error for an invalid value; `where` is a field's path, or a file and line."""
         message = f"{where}: given {given}; allowed {allowed}"
         return cls(f"{message}; {advice}" if advice else message)
 
@@ -19,7 +19,7 @@ class SolverError(Exception):
 
 
 def did_you_mean(given: str, allowed: Iterable[str]) -> str:
-    """The clause that suggests the allowed name closest to `given`; empty if none is close."""
+    """Return a clause with the allowed name closest to `given`; empty if none is close."""
     close = get_close_matches(given, list(allowed), 1)
     return f"; did you mean {close[0]}?" if close else ""
 

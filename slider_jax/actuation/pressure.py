@@ -20,7 +20,7 @@ class PressureLaw(eqx.Module):
 
 
 def _ramp_response(p, a0, a1, span, k):
-    """p after `span` >= 0 [s] of dp/dt = (a - p)/k, exact for a linear from a0 to a1."""
+    """Return p after `span` >= 0 [s] of dp/dt = (a - p)/k, exact for a linear from a0 to a1."""
     lagging = k > 0.0
     x = span / jnp.where(lagging, k, 1.0)
     small = x < 1e-6

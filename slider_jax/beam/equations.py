@@ -88,7 +88,7 @@ class Section(eqx.Module):
 
 
 def strain(T, structure: Structure, reference: Reference):
-    """The strain eps [-] that solves T = EA (eps + alpha (eps - eps_ref)/dt)."""
+    """Return the strain eps [-] that solves T = EA (eps + alpha (eps - eps_ref)/dt)."""
     lag = structure.damping_time / reference.dt
     return (T / structure.EA + lag * reference.strain) / (1.0 + lag)
 
@@ -96,7 +96,7 @@ def strain(T, structure: Structure, reference: Reference):
 def section(
     mid: Fields, slope: Fields, structure: Structure, reference: Reference, water, pressure, t
 ) -> Section:
-    """The kinematics in the cells at time `t` [s].
+    """Return the kinematics in the cells at time `t` [s].
 
     `mid` and `slope` are the means and slopes d/ds of the unknowns. `water` holds the velocity
     [m/s] and acceleration [m/s^2] of the water, each (x, y) and uniform over the body. `pressure`
@@ -147,7 +147,7 @@ def equations(
     force: tuple[Array, Array],
     moment: Array,
 ) -> tuple[Float[Array, " cells"], ...]:
-    """Residuals of the six equations of each cell, in the order of the module's docstring.
+    """Return the residuals of the six equations of each cell, in the order of the module docstring.
 
     `force` is (F_tau, F_n) [N/m]; `moment` is M_extra - M_act [N m].
     """

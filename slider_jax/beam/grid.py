@@ -22,25 +22,25 @@ class Grid(eqx.Module):
     tail_cells: int = eqx.field(static=True)
 
     def mid(self, x: Float[Array, "*b nodes"]) -> Float[Array, "*b cells"]:
-        """The mean of the values at the two nodes of each cell."""
+        """Return the mean of the values at the two nodes of each cell."""
         return 0.5 * (x[..., 1:] + x[..., :-1])
 
     def slope(self, x: Float[Array, "*b nodes"]) -> Float[Array, "*b cells"]:
-        """The slope d/ds in each cell."""
+        """Return the slope d/ds in each cell."""
         return (x[..., 1:] - x[..., :-1]) / self.ds
 
     def integral(self, cell_values: Float[Array, "*b cells"]) -> Float[Array, "*b"]:
-        """The integral of a cell quantity over the body (midpoint rule)."""
+        """Return the integral of a cell quantity over the body (midpoint rule)."""
         return jnp.sum(cell_values * self.ds, axis=-1)
 
     def per_cell(self, tail, body) -> Float[Array, " cells"]:
-        """A cell quantity that equals `tail` in the tail and `body` in the body."""
+        """Return a cell quantity that equals `tail` in the tail and `body` in the body."""
         cells = self.ds.shape[-1]
         in_tail = jnp.arange(cells) < self.tail_cells
         return jnp.where(in_tail, tail, body)
 
     def at_joint(self) -> Float[Array, " cells"]:
-        """A unit delta at the joint [1/m] in the two adjacent cells; zero without a joint.
+        """Return a unit delta at the joint [1/m] in the two adjacent cells; zero without a joint.
 
         Its zeroth and first moments are exact.
         """
@@ -54,7 +54,7 @@ class Grid(eqx.Module):
 
 
 def make_grid(tail_length, body_length, tail_cells: int, body_cells: int) -> Grid:
-    """The grid of a body of length `body_length` [m] and its tail of length `tail_length` [m]."""
+    """Return the grid of a body and a tail of the given lengths [m]."""
     tail = jnp.linspace(0.0, 1.0, tail_cells + 1)[:-1] * tail_length
     body = tail_length + jnp.linspace(0.0, 1.0, body_cells + 1) * body_length
     s = jnp.concatenate([tail, body])
@@ -67,7 +67,7 @@ def make_grid(tail_length, body_length, tail_cells: int, body_cells: int) -> Gri
 
 
 def split_cells(nodes: int, tail_length: float, body_length: float) -> tuple[int, int]:
-    """Numbers of tail and body cells in proportion to the lengths, at least 2 each.
+    """Return the numbers of tail and body cells in proportion to the lengths, at least 2 each.
 
     Their sum is `nodes` - 1. A tail of zero length has no cells.
     """

@@ -121,7 +121,7 @@ def hanging(model: Model, numerics: Numerics) -> Carry:
     angle = -jnp.arctan2(model.support.link_length, model.body.length)
 
     def turned(motion):
-        """(..., 3, nodes): V_tau, V_n, phi."""
+        """Return (..., 3, nodes): V_tau, V_n, phi."""
         return motion.at[..., 2, :].add(angle)
 
     return with_motion(at_rest(model, numerics), turned)

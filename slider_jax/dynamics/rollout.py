@@ -24,7 +24,7 @@ class TimeGrid(eqx.Module):
 
     @classmethod
     def per_stride(cls, frequency: Scalar, steps_per_stride: int, strides: int) -> "TimeGrid":
-        """A grid with whole steps per stride, for a stride `frequency` [Hz].
+        """Return a grid with whole steps per stride, for a stride `frequency` [Hz].
 
         With an even `steps_per_stride`, the edges of a square wave are at ends of steps.
         """
@@ -51,7 +51,7 @@ class Rollout(eqx.Module):
 
 
 def stage_chambers(model: Model, times: TimeGrid, scheme: Scheme, begin: Chambers) -> Chambers:
-    """The chambers (steps, stages, ...) at every stage of every step, starting from `begin`."""
+    """Return the chambers (steps, stages, ...) at every stage of every step, from `begin`."""
     begins = times.t0 + times.h * jnp.arange(float(times.steps))
     at = begins[:, None] + times.h * jnp.asarray(scheme.nodes)
     at = jnp.concatenate([jnp.asarray(times.t0, at.dtype)[None], at.ravel()])
@@ -69,7 +69,7 @@ def rollout(
     begin: Carry | None = None,
     checkpoint: bool = True,
 ) -> Rollout:
-    """Integrates `model` over `times` and saves `save(snapshot)` at the end of every step.
+    """Integrate `model` over `times` and save `save(snapshot)` at the end of every step.
 
     Without `begin`, the body starts straight and at rest relative to its support. To continue an
     earlier rollout, pass its `final` as `begin`. A failed step freezes the state and sets `ok` to

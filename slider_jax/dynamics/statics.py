@@ -47,7 +47,7 @@ class AtRest(NamedTuple):
 
 
 def at_rest_under(model: Model, loads: Loads, numerics: Numerics = Numerics()) -> AtRest:
-    """The static state of `model` under `loads`, with a clamped head and without water and drive.
+    """Return the static state of `model` under `loads`, clamped, without water and drive.
 
     It is differentiable with respect to every number, by the implicit function theorem.
     """
@@ -60,7 +60,7 @@ def at_rest_under(model: Model, loads: Loads, numerics: Numerics = Numerics()) -
 
 
 def release(model: Model, begin: AtRest, numerics: Numerics = Numerics()) -> Carry:
-    """The carry of a rollout that starts at the static state `begin`, without the tip load."""
+    """Return the carry of a rollout that starts at a static state, without the tip load."""
     mesh = make_mesh(model.body, numerics)
     y = begin.y.at[3:5].set(0.0)
     eps = mesh.grid.mid(y[0]) / mesh.structure.EA
@@ -88,13 +88,13 @@ def _stage(model: Model, mesh: Mesh, pressure: Float[Array, "2"]) -> Stage:
 
 
 def _tail_load(phi: Scalar, force: Float[Array, "2"]) -> Float[Array, "3"]:
-    """(T, N, M) at the tail end under a force (x, y) [N]."""
+    """Return (T, N, M) at the tail end under a force (x, y) [N]."""
     T, N = to_body((-force[0], -force[1]), phi)
     return jnp.stack([T, N, jnp.zeros_like(T)])
 
 
 def _loaded(y: Unknowns, stage: Stage, force: Float[Array, "2"]):
-    """`residual` with a force on the tail end."""
+    """Return `residual` with a force on the tail end."""
     cells, tail, head = residual(y, stage)
     return cells, tail - _tail_load(y[5, 0], force), head
 
@@ -106,7 +106,7 @@ def _loaded_jacobian(y: Unknowns, stage: Stage, force: Float[Array, "2"]) -> Bea
 
 
 def _newton(stage: Stage, force: Float[Array, "2"], scale: Float[Array, "6 1"]):
-    """The state, its last relative change, and the last factors of the Jacobian."""
+    """Return the state, its last relative change, and the last factors of the Jacobian."""
     solver = BeamSolver()
 
     def correct(carry, share):
@@ -127,13 +127,13 @@ def _newton(stage: Stage, force: Float[Array, "2"], scale: Float[Array, "6 1"]):
 
 @eqx.filter_custom_jvp
 def _equilibrium(inputs):
-    """(y, error) for (stage, force, scale)."""
+    """Return (y, error) for (stage, force, scale)."""
     return _newton(*inputs)[:2]
 
 
 @_equilibrium.def_jvp
 def _equilibrium_jvp(primals, tangents):
-    """dy = -J^-1 d(residual), with the factors of the last Newton step."""
+    """Return dy = -J^-1 d(residual), with the factors of the last Newton step."""
     ((stage, force, scale),), (t_inputs,) = primals, tangents
     y, error, factors = _newton(stage, force, scale)
     inputs = (stage, force)

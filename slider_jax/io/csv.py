@@ -13,7 +13,7 @@ from slider_jax.io.toml import read_bytes
 def read_csv(
     path: Path, required: Sequence[str], blank: Sequence[str] = (), increasing: str = "time"
 ) -> dict[str, np.ndarray]:
-    """The columns of a time series by name, as `read_table`; the first of `required` must increase.
+    """Return the columns of a time series, as `read_table`; the first of `required` must increase.
 
     `increasing` is that column's name in the error; "" disables the check. Raises `InputError` with
     file and line.
@@ -33,7 +33,7 @@ def read_csv(
 def read_table(
     path: Path, required: Sequence[str], blank: Sequence[str] = ()
 ) -> dict[str, np.ndarray]:
-    """The columns of a CSV file by name. Empty cells in the columns `blank` become NaN.
+    """Return the columns of a CSV file by name. Empty cells in the columns `blank` become NaN.
 
     Raises `InputError` with file and line.
     """

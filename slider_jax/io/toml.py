@@ -20,7 +20,7 @@ TableType = TypeVar("TableType", bound=BaseModel)
 
 
 def read_bytes(path: Path) -> bytes:
-    """The content of an input file. Raises `InputError` with the reason if it cannot be read."""
+    """Return the content of an input file. Raises `InputError` if it cannot be read."""
     if path.is_dir():
         raise InputError(f"{path}: is a folder; give the file in it")
     try:
@@ -32,7 +32,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file. Raises `InputError` with the line and column."""
+    """Return the tables of a TOML file. Raises `InputError` with the line and column."""
     try:
         text = read_bytes(path).decode("utf-8")
         return tomllib.loads(text)
@@ -81,7 +81,7 @@ def _unit_advice(text: str, error: tomllib.TOMLDecodeError) -> str:
 def field_at(
     table: type[BaseModel], location: Sequence[str | int]
 ) -> tuple[type[BaseModel], FieldInfo | None]:
-    """The innermost table and the field of a location such as ("trials", 0, "phase")."""
+    """Return the innermost table and the field of a location such as ("trials", 0, "phase")."""
     field = None
     for part in location:
         if str(part).isdigit():
@@ -96,7 +96,7 @@ def field_at(
 
 
 def quantity_of(field: FieldInfo | None) -> Quantity | None:
-    """The unit and range of a field, or None if it has none."""
+    """Return the unit and range of a field, or None if it has none."""
     candidates = list(field.metadata) if field is not None else []
     for inner in getattr(getattr(field, "annotation", None), "__args__", ()):
         candidates += getattr(inner, "__metadata__", ())
@@ -104,7 +104,7 @@ def quantity_of(field: FieldInfo | None) -> Quantity | None:
 
 
 def _message(table: type[BaseModel], error: Any) -> str:
-    """The message for one error of pydantic."""
+    """Return the message for one error of pydantic."""
     location = tuple(part for part in error["loc"] if not str(part).startswith("function-"))
     where = ".".join(str(part) for part in location)
     owner, field = field_at(table, location)
@@ -139,7 +139,7 @@ def _message(table: type[BaseModel], error: Any) -> str:
 
 
 def validate(table: type[TableType], content: Any, source: str) -> TableType:
-    """`content` as a `table`. Raises `InputError` with `source`, the key and the allowed values."""
+    """Return `content` as a `table`. Raises `InputError` with source, key and allowed values."""
     try:
         return table.model_validate(content)
     except ValidationError as failure:

@@ -27,12 +27,12 @@ class Optimiser(NamedTuple):
 
     name: str
     begin: Callable[[int], Any]
-    """Returns the state before the first generation, from the seed."""
+    """Return the state before the first generation, from the seed."""
     ask: Callable[[Any, int, int], tuple[np.ndarray, Any]]
-    """Returns (population (n, d) in the unit box, state) from a state, the seed and the generation
+    """Return (population (n, d) in the unit box, state) from a state, the seed and the generation
     number."""
     tell: Callable[[Any, int, int, np.ndarray, np.ndarray, np.ndarray | None], Any]
-    """Returns the next state from a state, the seed, the generation number, the population, its
+    """Return the next state from a state, the seed, the generation number, the population, its
     scores (n,), and its gradients (n, d) if `wants_gradients`."""
     wants_gradients: Callable[[int], bool] = lambda generation: False
     """Whether the optimiser needs the gradients of a generation."""

@@ -90,7 +90,7 @@ def with_added_velocity(carry: Carry, change: Float[Array, "2"]) -> Carry:
     """Return the state with `change` (x, y) [m/s] added to the velocity of every point."""
 
     def add(motion):
-        """(..., 3, nodes): V_tau, V_n, phi."""
+        """Return (..., 3, nodes): V_tau, V_n, phi."""
         along, across = to_body(change, motion[..., 2, :])
         return motion.at[..., 0, :].add(along).at[..., 1, :].add(across)
 
