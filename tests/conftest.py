@@ -34,6 +34,13 @@ def pytest_sessionstart() -> None:
         raise pytest.UsageError(problem)
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Compile in two thirds of the time, unless a test runs its programs for long."""
+    long = any(item.get_closest_marker(name) for name in ("slow", "optimised"))
+    jax.config.update("jax_disable_most_optimizations", not long)
+
+
 @pytest.fixture(autouse=True, scope="module")
 def few_memory_maps():
     """Drop compiled programs before the kernel refuses more memory maps (65,530 by default).

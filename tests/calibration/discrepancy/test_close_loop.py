@@ -19,6 +19,8 @@ from slider_jax.experiment.load import load
 from tests.support.damage import RUNS as DAMAGE_RUNS, write_experiment
 from tests.support.small_tank import BASE, CANDIDATES, MESH, RUNS, TANK, close_small_tank
 
+pytestmark = pytest.mark.optimised
+
 SOURCE = {"path": "tank.toml", "sha256": 4 * "abcdef"}
 
 

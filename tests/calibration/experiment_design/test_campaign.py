@@ -16,6 +16,8 @@ from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
 from tests.support.small_tank import BASE, MESH, RUNS, TANK
 
+pytestmark = pytest.mark.optimised
+
 CANDIDATES = ("valve_delay", "clamp_compliance", "tangential_friction")
 
 

@@ -38,6 +38,8 @@ from slider_jax.experiment.load import load
 from tests.support.experiments import write_small_experiment
 from tests.support.still_tank import EFFECTS, LIMITS, MESH, STILL
 
+pytestmark = pytest.mark.optimised
+
 FEW = SearchEffort(spread=5, rounds=1)
 
 

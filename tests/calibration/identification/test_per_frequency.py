@@ -23,6 +23,8 @@ from slider_jax.experiment.load import drag_and_added_mass, load
 from slider_jax.experiment.schema import Trial
 from tests.support import closed_form_tank as closed
 
+pytestmark = pytest.mark.optimised
+
 MESH = Resolution(21, 60, 3.0e-3)
 TANK = {"nodes": 21, "step": 2e-3, "scheme": "sdirk2"}
 ALSO = ("tangential_friction",)

@@ -17,6 +17,8 @@ from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
 from tests.support import closed_form_tank as closed
 
+pytestmark = pytest.mark.optimised
+
 MESH = Resolution(21, 60, 3.0e-3)
 TANK = {"nodes": 21, "step": 2e-3, "scheme": "sdirk2"}
 TRUTH = {"C_d": 3.0, "m_a": 0.8, "k": 0.075, "K_Q": 4.5e-7}

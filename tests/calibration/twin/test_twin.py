@@ -20,6 +20,8 @@ from slider_jax.simulation.trial import simulate_trial
 from tests.support.experiments import write_small_experiment
 from tests.support.live_stream import RATE, SENSORS, Streaming, only, set_pressures
 
+pytestmark = pytest.mark.optimised
+
 K, K_Q = 0.087, 4.79e-7
 """Values in the experiment file."""
 TRUE_K, TRUE_K_Q = 1.08 * K, 0.95 * K_Q
