@@ -273,7 +273,7 @@ def test_a_check_of_a_bad_line_reports_damaged_frames(tmp_path):
     with served("rig", "simulate", "--flipped", "0.04", cwd=tmp_path) as port:
         done = slider("rig", "check", "--port", port)
     assert done.returncode in (1, 2)
-    assert re.search(r"[1-9]\d* frames (came )?damaged", done.stdout + done.stderr), done.stderr
+    assert re.search(r"[1-9]\d* frames (arrived )?damaged", done.stdout + done.stderr), done.stderr
 
 
 @pytest.mark.slow
