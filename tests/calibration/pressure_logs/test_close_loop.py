@@ -1,9 +1,11 @@
 """The loop on pressure logs: from a chamber with known valves, from a lag, and from the rig."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from calibration.discrepancy.report import loop_model_toml
+from calibration.discrepancy.report import loop_model_toml, loop_record
 from calibration.inference.cache import Memo, resumable
 from calibration.pressure_logs.close_loop import close_loop_on_logs
 from calibration.pressure_logs.read import read_log
@@ -14,6 +16,14 @@ from tests.support.synthetic_log import log_lines, write_log
 TRUTH = Valves(fill=2.4, vent=1.9, supply=420e3, critical=0.35, dead=0.1)
 NAMES = ("firmware_valves", "pulsed_valves")
 FREQUENCIES = (0.8, 1.1, 1.5, 2.0, 2.6)
+RIG_FREQUENCIES = ("0.55556", "0.86111", "1.1667", "1.4722", "1.7778")
+
+
+def shortened(log, samples):
+    """Return the first `samples` of a log."""
+    here = np.round(log.t / log.period) < samples
+    series = {n: getattr(log, n)[here] for n in ("t", "command", "pressure", "fill", "vent")}
+    return replace(log, **series)
 
 
 @pytest.fixture(scope="module")
@@ -86,6 +96,18 @@ def test_the_verdict_on_logs_of_a_lag_is_nothing_missing(tmp_path):
     found = close_loop_on_logs(made, NAMES)
     assert (found.verdict, found.search.effects) == ("nothing_missing", [])
     assert found.interval(2)[1] < 0.12 < found.interval(2)[2]
+
+
+def test_the_rigs_logs_lack_the_firmwares_valves(data):
+    """Five of the rig's logs, cut to the length of the synthetic ones to share their programs."""
+    whole = [read_log(data / "manifold" / f"{f}.txt") for f in RIG_FREQUENCIES]
+    outcome = close_loop_on_logs([shortened(log, 938) for log in whole], NAMES[:1])
+    record = loop_record(outcome, 0.0, {})
+    assert record["verdict"] == outcome.verdict == "identified"
+    (effect,) = record["effects"]
+    assert effect["name"] == "firmware_valves"
+    for errors in (record["errors"]["p_front"], record["held_out"]["p_front"]):
+        assert errors["after"] < 0.2 * errors["before"]
 
 
 def test_too_few_logs_are_refused(logs):
