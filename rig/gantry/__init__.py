@@ -1,2 +1,4 @@
-"""The gantry: its motion profile, its driver, drift of a pass, and the search for the swimming
-speed. May import `camera`, `force`, `manifold` and the rooms below them."""
+"""The gantry: its motion profile, its driver, and the search for the swimming speed.
+
+May import `camera`, `force`, `manifold` and the rooms below them.
+"""

@@ -1,7 +1,7 @@
-"""The gantry's axis, driven in G-code as GRBL 1.1 speaks it, and its passes over the robot.
+"""Driver of the gantry's axis with a GRBL 1.1 controller, and passes over the robot.
 
-GRBL shapes the trapezoid itself, from its own acceleration ($120) and the feed of each line. A pass
-ends by itself, within the limits checked before it was sent, if this computer dies.
+GRBL computes the trapezoid itself, from its acceleration ($120) and the feed of each line. If this
+computer fails, the move ends by itself within the limits that were checked before it was sent.
 Source: https://github.com/gnea/grbl, doc/markdown (commands, interface, settings).
 """
 
@@ -13,41 +13,41 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from rig.errors import RigError
-from rig.gantry.profile import Profile
+from rig.gantry.profile import MotionProfile
 from rig.gantry.speed_search import GantryPass, fit_drift
 from rig.manifold.serial_port import Readable, read_piece
 
 HOLD, RESET, STATUS = b"!", b"\x18", b"?"
 PAUSE = 0.05
-"""Between two questions for the status [s]; GRBL wants no more than some ten a second."""
+"""Time between two status requests [s]; GRBL allows about ten requests a second."""
 ARRIVED = 0.5e-3
-"""How near its target a move ends [m]."""
+"""Largest distance from its target at the end of a move [m]."""
 ALARMS = {
-    1: "it ran into a limit switch; its position is lost",
-    2: "the move leaves its soft limits ($130)",
-    3: "it was reset while moving; its position is lost",
-    4: "the probe was not as it should be before the move",
-    5: "the probe met nothing",
-    6: "homing was cut short by a reset",
-    7: "homing was cut short by the door",
-    8: "homing did not clear the limit switch; raise $27 or see the wires",
-    9: "homing did not find the limit switch; see the switch, or raise $130",
+    1: "the axis hit a limit switch; its position is lost",
+    2: "the move leaves the soft limits ($130)",
+    3: "the axis was reset while moving; its position is lost",
+    4: "the probe was in the wrong state before the move",
+    5: "the probe touched nothing",
+    6: "a reset interrupted homing",
+    7: "the door interrupted homing",
+    8: "homing did not clear the limit switch; increase $27 or check the wires",
+    9: "homing did not find the limit switch; check the switch, or increase $130",
 }
 ERRORS = {
-    1: "a letter was missing",
-    2: "a number was malformed",
-    3: "it does not know the $ command",
+    1: "a letter is missing",
+    2: "a number is invalid",
+    3: "unknown $ command",
     5: "homing is off ($22=0)",
-    8: "that needs it idle",
-    9: "it is locked; home or unlock it first",
-    15: "the move leaves its soft limits",
-    20: "it does not know the G-code",
-    22: "no feed was given",
+    8: "the command needs an idle axis",
+    9: "the axis is locked; home or unlock it first",
+    15: "the move leaves the soft limits",
+    20: "unknown G-code",
+    22: "the feed is missing",
 }
 
 
-class Port(Readable, Protocol):
-    """What is used of `serial.Serial`; GRBL runs at 115200 baud."""
+class GrblPort(Readable, Protocol):
+    """The part of `serial.Serial` that `GantryAxis` needs; GRBL uses 115200 baud."""
 
     timeout: float | None
 
@@ -55,44 +55,44 @@ class Port(Readable, Protocol):
 
 
 class GantryLimits(NamedTuple):
-    """What a lab allows its gantry. Places count from home, or from where the axis was on entry."""
+    """The lab's limits of the gantry. Positions are from home, or from the position on entry."""
 
     low: float
-    """Lowest place [m]."""
+    """Lowest position [m]."""
     high: float
-    """Highest place [m]."""
+    """Highest position [m]."""
     speed: float
     """Highest speed [m/s]."""
     acceleration: float
-    """Highest acceleration [m/s^2] that GRBL may be set to."""
+    """Highest acceleration [m/s^2] that GRBL's settings may contain."""
 
 
 class GantryAxis:
-    """The X axis of a GRBL on an open port; a context that stops it on every way out.
+    """The X axis of a GRBL on an open port; the context stops it at its end, also after an error.
 
-    On entry GRBL is reset and its settings are read. If its position is not known, it is homed;
-    with `homed=False` (no limit switches) its place on entry counts as 0 instead, and it is
-    unlocked. On the way out the axis is slowed down (feed hold), then reset. Raises `RigError` for
-    whatever GRBL refuses, for an alarm, and for a port that is gone.
+    On entry, the driver resets GRBL and reads its settings. If the position is unknown, the axis is
+    homed. With `homed=False` (no limit switches), the axis is unlocked instead, and its position on
+    entry is 0. At the end the axis slows down (feed hold) and is reset. Raises `RigError` for an
+    error or alarm of GRBL, and for a lost port.
     """
 
     def __init__(
         self,
-        port: Port,
+        port: GrblPort,
         limits: GantryLimits,
         homed: bool = True,
         clock: Callable[[], float] = time.monotonic,
         patience: float = 60.0,
     ) -> None:
-        """`clock` gives the host's time [s]; `patience` is how long homing may take [s]."""
+        """`clock` returns the host's time [s]; `patience` is the longest duration of homing [s]."""
         self.limits, self.started = limits, float("nan")
-        """`started` is the host's time [s] at which the last move began."""
+        """`started` is the host's time [s] at the start of the last move."""
         self._port, self._homed, self._clock, self._patience = port, homed, clock, patience
         self._rest, self._settings, self._origin = b"", dict[int, float](), 0.0
 
     def __enter__(self) -> "GantryAxis":
         try:
-            self._begin()
+            self._connect()
         except BaseException as error:
             self.__exit__(type(error))
             raise
@@ -106,7 +106,7 @@ class GantryAxis:
                 raise
 
     def stop(self) -> None:
-        """Slow down to rest and drop what is left of the move; without an answer, reset anyway."""
+        """Slow down to rest and cancel the move; without an answer, reset at once."""
         deadline = self._clock() + 1.0 + self.limits.speed / self._acceleration()
         try:
             self._send(HOLD)
@@ -116,57 +116,57 @@ class GantryAxis:
         finally:
             self._send(RESET)
 
-    def profile(self, travel: float, speed: float) -> Profile:
-        """The move over `travel` [m] at `speed` [m/s], as GRBL's acceleration makes it."""
+    def profile(self, travel: float, speed: float) -> MotionProfile:
+        """Return the move over `travel` [m] at `speed` [m/s] with GRBL's acceleration."""
         fastest = min(self.limits.speed, self._settings[110] / 60e3)
         if not 0.0 < speed <= fastest:
-            advice = "the limit is the lower of the lab's and GRBL's $110"
+            advice = "the limit is the lower of the lab's limit and GRBL's $110"
             raise RigError.value(
                 "gantry speed", f"{speed:g} m/s", f"above 0 to {fastest:g} m/s", advice
             )
-        return Profile(travel, speed, self._acceleration())
+        return MotionProfile(travel, speed, self._acceleration())
 
-    def place(self) -> float:
-        """Where the axis is [m]."""
+    def position(self) -> float:
+        """Return the axis' position [m]."""
         return self._status()[1] - self._origin
 
-    def run(self, profile: Profile, back: bool = False) -> float:
-        """Make the move, or the same backwards, and wait for its end; the time [s] it began."""
+    def move(self, profile: MotionProfile, back: bool = False) -> float:
+        """Make the move, or the same backwards, wait for its end, and return its start time [s]."""
         profile = self.profile(profile.travel, profile.speed)
-        place, travel = self.place(), -profile.travel if back else profile.travel
-        if not self.limits.low - 1e-6 <= place + travel <= self.limits.high + 1e-6:
+        start, travel = self.position(), -profile.travel if back else profile.travel
+        if not self.limits.low - 1e-6 <= start + travel <= self.limits.high + 1e-6:
             raise RigError.value(
                 "gantry move",
-                f"{place:.4f} m to {place + travel:.4f} m",
+                f"{start:.4f} m to {start + travel:.4f} m",
                 f"{self.limits.low:g} to {self.limits.high:g} m",
-                "shorten the travel or start elsewhere",
+                "shorten the travel or start at another position",
             )
-        self._ask(f"G21 G91 G94 G1 X{1e3 * travel:.3f} F{60e3 * profile.speed:.3f}")
+        self._request(f"G21 G91 G94 G1 X{1e3 * travel:.3f} F{60e3 * profile.speed:.3f}")
         self.started = self._clock()
         patience = 1.1 * profile.duration + 1.0
         while self._clock() < self.started + patience:
             state, now = self._status()
-            if state == "Idle" and abs(now - self._origin - place - travel) < ARRIVED:
+            if state == "Idle" and abs(now - self._origin - start - travel) < ARRIVED:
                 return self.started
             self._rest += self._receive()
         raise RigError(
-            f"gantry: has not arrived {patience:.1f} s after a move of {profile.duration:.1f} s "
-            f"began (GRBL says {state}); see whether it is held"
+            f"gantry: the axis has not arrived {patience:.1f} s after the start of a move of "
+            f"{profile.duration:.1f} s (GRBL reports {state}); check whether it is held"
         )
 
-    def _begin(self) -> None:
+    def _connect(self) -> None:
         try:
             self._port.timeout = PAUSE
         except OSError as error:
-            raise _gone(error) from None
+            raise _port_lost(error) from None
         self._send(RESET)
         self._until(lambda line: line.startswith("Grbl "), 3.0)
-        for line in self._ask("$$"):
+        for line in self._request("$$"):
             if setting := re.match(r"\$([0-9]+)=([0-9]+\.?[0-9]*)", line):
                 self._settings[int(setting[1])] = float(setting[2])
         missing = {22, 110, 120} - self._settings.keys()
         if missing:
-            raise RigError(f"gantry: GRBL does not tell ${min(missing)}; GRBL 1.1 is needed")
+            raise RigError(f"gantry: GRBL does not report ${min(missing)}; GRBL 1.1 is needed")
         if self._acceleration() > self.limits.acceleration * (1.0 + 1e-9):
             raise RigError.value(
                 "gantry acceleration",
@@ -177,19 +177,19 @@ class GantryAxis:
         locked = self._status()[0] == "Alarm"
         if self._homed and not self._settings[22]:
             raise RigError(
-                "gantry: homing is off ($22=0), so that its place is not known; fit switches and "
-                "set $22=1, or say homed=False where it stands at its start"
+                "gantry: homing is off ($22=0), so the position is unknown; install limit switches "
+                "and set $22=1, or use homed=False if the axis is at its start"
             )
         if locked:
-            self._ask("$H" if self._homed else "$X", self._patience)
+            self._request("$H" if self._homed else "$X", self._patience)
         self._origin = 0.0 if self._homed else self._status()[1]
 
     def _acceleration(self) -> float:
-        """GRBL's [m/s^2]; the lab's limit until it has been read."""
+        """Return GRBL's acceleration [m/s^2], or the lab's limit before the settings are read."""
         return self._settings.get(120, 1e3 * self.limits.acceleration) / 1e3
 
     def _status(self) -> tuple[str, float]:
-        """State, and place in GRBL's own coordinates [m]."""
+        """Return the state, and the position in GRBL's coordinates [m]."""
         self._send(STATUS)
         report = self._until(lambda line: line.startswith("<") and line.endswith(">"), 1.0)[-1]
         found = re.match(r"<([A-Za-z:0-9]+)\|MPos:(-?[0-9]+\.[0-9]+),", report)
@@ -197,16 +197,16 @@ class GantryAxis:
             raise RigError(f"gantry: GRBL's report {report!r} has no MPos; set $10=1")
         return found[1], float(found[2]) / 1e3
 
-    def _ask(self, line: str, patience: float = 1.0) -> list[str]:
-        """The lines that answer a line, before its `ok`."""
+    def _request(self, line: str, patience: float = 1.0) -> list[str]:
+        """Send a line and return the answer's lines before `ok`."""
         self._send(line.encode() + b"\n")
         return self._until(lambda answer: answer == "ok", patience, line)[:-1]
 
     def _until(self, wanted: Callable[[str], bool], patience: float, asked: str = "") -> list[str]:
-        """Lines up to the first that is wanted; raises for an error or alarm among them."""
+        """Return the lines up to the first wanted one. Raises `RigError` for an error or alarm."""
         deadline, lines, late = self._clock() + patience, list[str](), False
         while not late:
-            late = self._clock() >= deadline  # what came meanwhile still counts
+            late = self._clock() >= deadline  # bytes that are already there still count
             self._rest += self._receive()
             while b"\n" in self._rest:
                 line, self._rest = self._rest.split(b"\n", 1)
@@ -215,7 +215,7 @@ class GantryAxis:
                 if wanted(lines[-1]):
                     return lines
         raise RigError(
-            f"gantry: no answer{f' to {asked}' if asked else ''} within {patience:g} s; see that "
+            f"gantry: no answer{f' to {asked}' if asked else ''} within {patience:g} s; check that "
             "GRBL 1.1 is on this port at 115200 baud"
         )
 
@@ -223,28 +223,28 @@ class GantryAxis:
         try:
             self._port.write(data)
         except OSError as error:
-            raise _gone(error) from None
+            raise _port_lost(error) from None
 
     def _receive(self) -> bytes:
         try:
             return read_piece(self._port)
         except OSError as error:
-            raise _gone(error) from None
+            raise _port_lost(error) from None
 
 
 def _raise_refusal(text: str, asked: str) -> None:
-    for word, meanings in (("ALARM:", ALARMS), ("error:", ERRORS)):
-        if text.startswith(word):
-            number = text.removeprefix(word)
+    for prefix, meanings in (("ALARM:", ALARMS), ("error:", ERRORS)):
+        if text.startswith(prefix):
+            number = text.removeprefix(prefix)
             code = int(number) if number.isdigit() else 0
             meaning = meanings.get(code, "see GRBL's table of codes")
-            raise RigError(f"gantry: {f'{asked}: ' if asked else ''}GRBL says {text}: {meaning}")
+            raise RigError(f"gantry: {f'{asked}: ' if asked else ''}GRBL reports {text}: {meaning}")
 
 
-def _gone(error: OSError) -> RigError:
+def _port_lost(error: OSError) -> RigError:
     return RigError(
-        f"gantry: the port is gone ({error}); it ends its last move by itself; use its emergency "
-        "stop if that must not be, then plug it in again and home it"
+        f"gantry: the port is gone ({error}); the axis ends its last move by itself; use its "
+        "emergency stop if necessary, then plug it in again and home it"
     )
 
 
@@ -264,10 +264,10 @@ def gantry_measurement(
 
     def measure(speed: float) -> GantryPass | None:
         profile = axis.profile(travel, speed)
-        t, x = film(lambda: axis.run(profile))
-        began = axis.started
-        axis.run(profile, back=True)
-        start = began + max(profile.ramp, settle)
-        return fit_drift(t, x, start, began + profile.ramp + profile.cruise, stride)
+        t, x = film(lambda: axis.move(profile))
+        move_start = axis.started
+        axis.move(profile, back=True)
+        start = move_start + max(profile.ramp, settle)
+        return fit_drift(t, x, start, move_start + profile.ramp + profile.cruise, stride)
 
     return measure

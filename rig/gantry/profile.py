@@ -9,11 +9,11 @@ from rig.errors import RigError
 
 
 @dataclass(frozen=True)
-class Profile:
+class MotionProfile:
     """A move from rest to rest over `travel` [m] at `speed` [m/s] and `acceleration` [m/s^2].
 
-    Both ramps take speed / acceleration and half of speed^2 / acceleration of the travel; what is
-    left is the cruise. Raises `RigError` where nothing is left.
+    Each ramp lasts speed / acceleration and covers speed^2 / (2 acceleration); the cruise covers
+    the remaining travel. Raises `RigError` if the ramps are longer than the travel.
     """
 
     travel: float
@@ -30,13 +30,13 @@ class Profile:
             raise RigError.value(
                 "gantry travel",
                 f"{self.travel:g} m",
-                f"from {shortest:g} m on at {self.speed:g} m/s and {self.acceleration:g} m/s^2",
-                f"lengthen it, or go at most {sqrt(self.travel * self.acceleration):g} m/s",
+                f"at least {shortest:g} m at {self.speed:g} m/s and {self.acceleration:g} m/s^2",
+                f"lengthen it, or use at most {sqrt(self.travel * self.acceleration):g} m/s",
             )
 
     @property
     def ramp(self) -> float:
-        """Duration of one ramp [s]; the cruise begins here."""
+        """Duration of one ramp [s], which is also the start time of the cruise."""
         return self.speed / self.acceleration
 
     @property
@@ -50,13 +50,13 @@ class Profile:
         return self.cruise + 2.0 * self.ramp
 
     def speed_at(self, t) -> np.ndarray:
-        """Speed [m/s] at times t [s] from the start; 0 before and after."""
+        """Return the speed [m/s] at times t [s] from the start; 0 before and after the move."""
         t = np.asarray(t, float)
         slope = self.acceleration * np.minimum(t, self.duration - t)
         return np.clip(slope, 0.0, self.speed)
 
     def position(self, t) -> np.ndarray:
-        """Distance from the start [m] at times t [s] from it."""
+        """Return the distance from the start [m] at times t [s] from the start."""
         t = np.clip(np.asarray(t, float), 0.0, self.duration)
         up, down = np.minimum(t, self.ramp), np.minimum(self.duration - t, self.ramp)
         cruised = np.clip(t - self.ramp, 0.0, self.cruise)

@@ -1,9 +1,9 @@
-"""The swimming speed: the gantry's speed at which the robot stands still before its camera.
+"""Search for the swimming speed: the gantry's speed at which its camera sees the robot at rest.
 
-Newton's method on the drift, displacement / cruise time, whose zero is the displacement's and which
-is nearly straight in the gantry's speed, as the displacement is not: a faster run is shorter. Its
-slope is a secant's through the last runs by least squares, each weighted by its noise and by how
-far from the zero it lies.
+The search applies Newton's method to the drift, displacement / cruise time. The drift has the same
+zero as the displacement and is almost linear in the gantry's speed. The displacement is not,
+because faster runs are shorter. The slope is a least-squares line through the last runs, weighted
+by their noise and by their distance from the zero.
 """
 
 from collections.abc import Callable
@@ -16,56 +16,56 @@ import numpy as np
 
 from rig.errors import RigError
 
-FEWEST_STRIDES = 2.0
-"""Of an unbroken track, for a run to count."""
-LAST = 4
-"""Speeds whose runs tell the slope."""
-BEND = 0.1
-"""Share of a run's drift to which the straight line is trusted."""
-FREE = (-1.0, 0.5)
-"""The slope of a robot that the gantry does not pull, and how far a tether may change it."""
+MIN_STRIDES = 2.0
+"""Shortest unbroken track of a valid run, in strides."""
+FITTED_SPEEDS = 4
+"""Number of last speeds whose runs determine the slope."""
+CURVATURE = 0.1
+"""Assumed relative error of the straight line, per distance from the zero."""
+FREE_SLOPE = (-1.0, 0.5)
+"""Slope of the drift for a robot without tether forces, and its prior standard deviation."""
 FLATTEST = -0.2
-"""Slope that bounds a step where the drift levels off, or grows by chance."""
+"""Upper bound of the slope, which limits steps where the drift levels off or rises by chance."""
 STUDENT = (1.96, 12.7, 4.3, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26)
-"""Half of Student's 95 % interval for a standard deviation from 1, 2, ... repeats; the first is for
-a known one, and for more repeats than these."""
+"""Half width of Student's 95 % interval in standard deviations, for 1, 2, ... repeats. The first
+value is for a known standard deviation, or for more repeats."""
 
 
 class GantryPass(NamedTuple):
     """One pass of the gantry at a constant speed."""
 
     displacement_m: float
-    """Of the robot relative to the camera, positive where it gains on the gantry; NaN if lost."""
+    """Displacement of the robot relative to the camera, positive ahead; NaN if lost."""
     cruise_time_s: float
-    """Duration in which it was displaced."""
+    """Duration of the displacement."""
     frames: int
     lost: int
-    """How many of the frames did not show the marker."""
+    """Number of frames without the marker."""
 
 
 class StopReason(Enum):
-    """Why a search ended."""
+    """Reason for the end of a search."""
 
     CONVERGED = "the predicted change of speed is within the tolerance"
     NOISE = "the displacement is within the noise of repeated runs, which exceeds the tolerance"
-    LOST = "the camera lost the marker twice at one speed; see the light, or start nearer"
+    LOST = "the camera lost the marker twice at one speed; check the light, or start nearer"
     LIMIT = (
         "the displacement has no zero within the limits of speed; "
-        "see whether the tether tows the robot, and which way the camera looks"
+        "check whether the tether tows the robot, and the camera's direction"
     )
-    BUDGET = "the runs are spent"
+    BUDGET = "the search has used all its runs"
 
 
 @dataclass(frozen=True)
 class SpeedSearchResult:
-    """Outcome of a search.
+    """Result of a search.
 
     | field | unit | meaning |
     |---|---|---|
-    | `speed` | m/s | where the fitted drift is zero; NaN without a run that shows the marker |
-    | `uncertainty` | m/s | half its 95 % interval, for noise as in `noise` or of the tolerance |
+    | `speed` | m/s | zero of the fitted drift; NaN if no run showed the marker |
+    | `uncertainty` | m/s | half of the 95 % interval, from the larger of `noise` and tolerance |
     | `noise` | m | standard deviation of repeated displacements; 0 without repeats |
-    | `history` | | speed [m/s] and run, None if lost, in the order in which they were made |
+    | `history` | | speed [m/s] and run (None if lost), in the order of the runs |
     """
 
     speed: float
@@ -76,7 +76,7 @@ class SpeedSearchResult:
 
     @property
     def settled(self) -> bool:
-        """Whether `speed` is the swimming speed, to the tolerance or as near as the noise lets."""
+        """Whether `speed` is the swimming speed within the tolerance or the noise."""
         return self.stopped in (StopReason.CONVERGED, StopReason.NOISE)
 
 
@@ -89,17 +89,16 @@ def find_swimming_speed(
     budget: int = 12,
     second: float | None = None,
 ) -> SpeedSearchResult:
-    """Search the speed at which the displacement over the cruise is zero, to a tolerance in pixels.
+    """Search for the speed at which the displacement over the cruise is zero.
 
-    Two runs alone cannot tell a noise a little above the tolerance: take none finer than the
-    camera's own noise.
+    `measure` makes a run at a speed [m/s] and returns None, or a NaN displacement, if the marker
+    was lost. `first` and `second` are the first two speeds; the default of `second` is the zero for
+    a free swimmer. `limits` are the lowest and highest speed [m/s]. `budget` is the largest number
+    of runs, including lost ones. `tolerance_px` [px] must not be below the camera's noise, because
+    two runs cannot detect a noise slightly above the tolerance. `scale` [m/px] converts it.
 
-    `measure` makes a run at a speed [m/s]; None or a displacement of NaN says that the marker was
-    lost. `first` is where to start, `second` where to go next (default: where a free swimmer would
-    stand still), `limits` the lowest and highest speed [m/s], `scale` the metres of a pixel,
-    `budget` the most runs, lost ones included. The speed is repeated once before it counts as
-    found, and once more if the noise and not the tolerance ends the search; where a step of
-    Newton's does not halve the displacement, the speed is repeated to learn the noise.
+    A found speed is repeated once, and once more if the noise ends the search. A speed is also
+    repeated, to measure the noise, if a Newton step does not halve the displacement.
     """
     _check(first, limits, tolerance_px, scale, budget, second)
     low, high = limits
@@ -113,8 +112,8 @@ def find_swimming_speed(
         noise, repeats = _noise(runs)
         zero, deviation = _line(runs, max(noise, tolerance))
         known = noise <= tolerance or repeats >= len(STUDENT)
-        wide = STUDENT[0 if known else repeats] * deviation
-        return SpeedSearchResult(zero, wide, noise, tuple(history), why)
+        half_width = STUDENT[0 if known else repeats] * deviation
+        return SpeedSearchResult(zero, half_width, noise, tuple(history), why)
 
     speed, before, newton = first, inf, False
     while len(history) < budget:
@@ -157,16 +156,16 @@ def _check(first, limits, tolerance_px, scale, budget, second) -> None:
         if speed is not None and not low <= speed <= high:
             raise RigError.value(f"{name} speed", f"{speed} m/s", f"{low:g} to {high:g} m/s")
     if second == first:
-        raise RigError.value("second speed", f"{second} m/s", "another one than the first")
+        raise RigError.value("second speed", f"{second} m/s", "a speed other than the first")
     for name, value in (("tolerance_px", tolerance_px), ("scale", scale)):
         if not 0.0 < value < inf:
             raise RigError.value(name, value, "a number above 0")
     if budget < 2:
-        raise RigError.value("budget", budget, "2 runs or more")
+        raise RigError.value("budget", budget, "at least 2 runs")
 
 
 def _noise(runs: list[tuple[float, GantryPass]]) -> tuple[float, int]:
-    """Standard deviation [m] of displacements at equal speeds, pooled, and the count of repeats."""
+    """Return the pooled standard deviation [m] of repeated displacements, and their number."""
     groups = [[r.displacement_m for v, r in runs if v == speed] for speed in {v for v, _ in runs}]
     repeats = len(runs) - len(groups)
     squares = sum(len(group) * float(np.var(group)) for group in groups)
@@ -174,23 +173,23 @@ def _noise(runs: list[tuple[float, GantryPass]]) -> tuple[float, int]:
 
 
 def _line(runs: list[tuple[float, GantryPass]], noise: float) -> tuple[float, float]:
-    """Zero [m/s] of the drift, and its standard deviation [m/s].
+    """Return the zero [m/s] of the fitted drift and its standard deviation [m/s].
 
-    The slope of `FREE` counts as one more measurement, so that runs too close to each other to
-    tell the slope, or at a single speed, do not leave it to the noise.
+    `FREE_SLOPE` is a prior of the slope, because runs at one speed or at close speeds cannot
+    determine it.
     """
-    last = list(dict.fromkeys(v for v, _ in reversed(runs)))[:LAST]
+    last = list(dict.fromkeys(v for v, _ in reversed(runs)))[:FITTED_SPEEDS]
     v = np.array([speed for speed, _ in runs if speed in last])
     displacement, time = np.array([run[:2] for speed, run in runs if speed in last]).T
     drift = displacement / time
     nearest = v[np.abs(displacement).argmin()]
     far = np.maximum(np.abs(displacement), np.abs(v - nearest) * time)
-    weight = time**2 / (noise**2 + (BEND * far) ** 2)
+    weight = time**2 / (noise**2 + (CURVATURE * far) ** 2)
     total = weight.sum()
     v_mean, drift_mean = weight @ v / total, weight @ drift / total
-    prior = FREE[1] ** -2
+    prior = FREE_SLOPE[1] ** -2
     spread = weight @ (v - v_mean) ** 2 + prior
-    slope = (weight @ ((v - v_mean) * (drift - drift_mean)) + prior * FREE[0]) / spread
+    slope = (weight @ ((v - v_mean) * (drift - drift_mean)) + prior * FREE_SLOPE[0]) / spread
     slope = min(slope, FLATTEST)
     zero = v_mean - drift_mean / slope
     variance = (1.0 / total + (zero - v_mean) ** 2 / spread) / slope**2
@@ -200,8 +199,11 @@ def _line(runs: list[tuple[float, GantryPass]], noise: float) -> tuple[float, fl
 
 
 def _within_bracket(target: float, runs: list[tuple[float, GantryPass]], clear: float) -> float:
-    """`target`, or the middle of the bracket if it lies outside: between the fastest run that the
-    robot outpaced and the slowest that outpaced it, by more than `clear` [m]."""
+    """Return `target`, or the middle of the bracket if `target` is outside.
+
+    The bracket is from the fastest run that the robot overtook to the slowest run that overtook
+    the robot, by more than `clear` [m].
+    """
     slower = max((v for v, run in runs if run.displacement_m > clear), default=-inf)
     faster = min((v for v, run in runs if run.displacement_m < -clear), default=inf)
     if slower < faster and not slower < target < faster and isfinite(slower + faster):
@@ -210,12 +212,12 @@ def _within_bracket(target: float, runs: list[tuple[float, GantryPass]], clear: 
 
 
 def fit_drift(t, x, start: float, end: float, stride: float) -> GantryPass | None:
-    """The run of a track: marker at x [m] ahead of the camera at times t [s], (frames,) each.
+    """Return the pass of a track: marker at x [m] ahead of the camera at times t [s] (frames,).
 
-    Only frames from `start` to `end` [s] count, and only up to where the marker is lost for half a
-    `stride` [s] or longer: a robot much faster or slower than the gantry leaves the view. The drift
-    is the slope of a straight line fitted together with the ripple of the stride and its second
-    harmonic. None if less than `FEWEST_STRIDES` are left.
+    Only frames from `start` to `end` [s] count, and only until the marker is lost for half a
+    `stride` [s]: a robot much faster or slower than the gantry leaves the view. The drift is the
+    slope of a straight line, fitted together with the first two harmonics of the stride. Returns
+    None for a track shorter than `MIN_STRIDES`.
     """
     t, x = np.asarray(t, float), np.asarray(x, float)
     cruise = (t >= start) & (t <= end)
@@ -229,7 +231,7 @@ def fit_drift(t, x, start: float, end: float, stride: float) -> GantryPass | Non
     if len(gaps):
         t, x = t[: gaps[0] + 1], x[: gaps[0] + 1]
     span = float(t[-1] - t[0])
-    if span < FEWEST_STRIDES * stride or len(t) < 12:
+    if span < MIN_STRIDES * stride or len(t) < 12:
         return None
     phase = 2.0 * np.pi * t / stride
     ripple = [f(n * phase) for n in (1, 2) for f in (np.cos, np.sin)]

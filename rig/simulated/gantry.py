@@ -1,8 +1,8 @@
-"""A GRBL axis in virtual time, and a robot that swims under it, seen by the gantry's camera.
+"""Simulated GRBL axis in virtual time, and a robot that swims below the gantry's camera.
 
-The axis takes bytes and microseconds and gives bytes, so that a test or a pseudo-terminal can stand
-before it. It knows what `rig.gantry.axis` needs: `$$`, `$H`, `$X`, `?`, `!`, Ctrl-X, and G1 in G21
-G94.
+The axis takes bytes and the time in microseconds and returns bytes, so a test or a pseudo-terminal
+can drive it. It supports the commands of `rig.gantry.axis`: `$$`, `$H`, `$X`, `?`, `!`, Ctrl-X, and
+G1 in G21 G94.
 """
 
 import re
@@ -17,23 +17,23 @@ _WORD = re.compile(r"([GXF])(-?\d+(?:\.\d*)?)")
 
 
 class GrblAxis:
-    """One axis; `settings` are GRBL's own, in mm and minutes. Powered up locked if it can home."""
+    """One axis with GRBL's `settings` (in mm and minutes). It starts locked if it can home."""
 
-    def __init__(self, settings: dict[int, float] | None = None, place: float = 0.0) -> None:
-        """`place` [m] is where the carriage stands when power comes."""
+    def __init__(self, settings: dict[int, float] | None = None, position: float = 0.0) -> None:
+        """`position` [m] is the carriage's position at power-up."""
         self.settings = {20: 0.0, 22: 1.0, 110: 30000.0, 120: 500.0, 130: 3000.0}
         self.settings |= settings or {}
         self.switch_at: float | None = None
-        """Where a limit switch is met [m], if anywhere."""
+        """Position of a limit switch [m], or None."""
         self.deaf = False
-        """Answers nothing any more, and moves on."""
+        """Whether the axis gives no more answers; it keeps moving."""
         self.state = "Alarm" if self.settings[22] else "Idle"
-        self._pieces = [(0.0, 1e3 * place, 0.0, 0.0)]
-        """From when [s] on: place [mm], speed [mm/s] and acceleration [mm/s^2]; never forgotten."""
+        self._pieces = [(0.0, 1e3 * position, 0.0, 0.0)]
+        """Motion from each time [s] on: position [mm], speed [mm/s], acceleration [mm/s^2]."""
         self._rest, self._feed, self._relative = b"", 0.0, False
 
     def feed(self, data: bytes, now_us: int) -> bytes:
-        """What it answers to bytes that arrive now."""
+        """Take bytes from the host and return the answer."""
         out = self.tick(now_us)
         for byte in data:
             char = bytes([byte])
@@ -53,12 +53,11 @@ class GrblAxis:
         return out
 
     def tick(self, now_us: int) -> bytes:
-        """What it says by itself, by now."""
+        """Advance to `now_us` and return the messages sent without a request."""
         if self.state == "Run":
-            place = self._motion(now_us)[0]
-            if self.switch_at is not None and place >= 1e3 * self.switch_at:
-                self._pieces = [p for p in self._pieces if p[0] < now_us / 1e6]
-                self._pieces.append((now_us / 1e6, place, 0.0, 0.0))
+            position = self._motion(now_us)[0]
+            if self.switch_at is not None and position >= 1e3 * self.switch_at:
+                self._halt_at(position, now_us)
                 self.state = "Alarm"
                 return b"" if self.deaf else b"ALARM:1\r\n[MSG:Reset to continue]\r\n"
         if self.state in ("Run", "Hold:1", "Home") and now_us / 1e6 >= self._pieces[-1][0]:
@@ -67,25 +66,29 @@ class GrblAxis:
             return b"ok\r\n" if homed and not self.deaf else b""
         return b""
 
-    def place(self, now_us) -> np.ndarray:
-        """Where it is, was, or will be [m]; any shape of times."""
+    def position(self, now_us) -> np.ndarray:
+        """Return the past, present or planned positions [m] at times `now_us` [us] of any shape."""
         t = np.asarray(now_us, float) / 1e6
         table = np.array(self._pieces)
         piece = table[np.searchsorted(table[1:, 0], t, side="right")]
-        start, place, speed, slope = np.moveaxis(piece, -1, 0)
-        return (place + speed * (t - start) + 0.5 * slope * (t - start) ** 2) / 1e3
+        start, position, speed, slope = np.moveaxis(piece, -1, 0)
+        return (position + speed * (t - start) + 0.5 * slope * (t - start) ** 2) / 1e3
 
     def speed(self, now_us: int) -> float:
-        """How fast it goes [m/s]."""
+        """Return the speed [m/s]."""
         return self._motion(now_us)[1] / 1e3
 
     def _motion(self, now_us: int) -> tuple[float, float]:
-        """Place [mm] and speed [mm/s]."""
-        t = now_us / 1e6
-        start, place, speed, slope = next(p for p in reversed(self._pieces) if p[0] <= t)
-        return place + (speed + 0.5 * slope * (t - start)) * (t - start), speed + slope * (
-            t - start
+        """Return position [mm] and speed [mm/s]."""
+        start, position, speed, slope = next(
+            p for p in reversed(self._pieces) if p[0] <= now_us / 1e6
         )
+        t = now_us / 1e6 - start
+        return position + (speed + 0.5 * slope * t) * t, speed + slope * t
+
+    def _halt_at(self, position: float, now_us: int) -> None:
+        self._pieces = [p for p in self._pieces if p[0] < now_us / 1e6]
+        self._pieces.append((now_us / 1e6, position, 0.0, 0.0))
 
     def _answer(self, line: str, now_us: int) -> bytes:
         if line == "$$":
@@ -135,8 +138,8 @@ class GrblAxis:
         return b"ok\r\n"
 
     def _go(self, distance: float, feed: float, now_us: int) -> None:
-        """From rest to rest over a distance [mm] at a feed [mm/min]."""
-        t, place, sign = now_us / 1e6, self._motion(now_us)[0], 1.0 if distance > 0.0 else -1.0
+        """Move from rest to rest over a distance [mm] at a feed [mm/min]."""
+        t, position, sign = now_us / 1e6, self._motion(now_us)[0], 1.0 if distance > 0.0 else -1.0
         slope = self.settings[120]
         speed = min(feed / 60.0, sqrt(slope * abs(distance)))
         if distance == 0.0:
@@ -145,23 +148,23 @@ class GrblAxis:
         cruise = abs(distance) / speed - ramp
         way = sign * speed * ramp / 2.0
         self._pieces += [
-            (t, place, 0.0, sign * slope),
-            (t + ramp, place + way, sign * speed, 0.0),
-            (t + ramp + cruise, place + distance - way, sign * speed, -sign * slope),
-            (t + 2.0 * ramp + cruise, place + distance, 0.0, 0.0),
+            (t, position, 0.0, sign * slope),
+            (t + ramp, position + way, sign * speed, 0.0),
+            (t + ramp + cruise, position + distance - way, sign * speed, -sign * slope),
+            (t + 2.0 * ramp + cruise, position + distance, 0.0, 0.0),
         ]
         self.state = "Run"
 
     def _hold(self, now_us: int) -> None:
         if self.state not in ("Run", "Idle"):
             return
-        t, (place, speed) = now_us / 1e6, self._motion(now_us)
+        t, (position, speed) = now_us / 1e6, self._motion(now_us)
         slope = -self.settings[120] if speed > 0 else self.settings[120]
         rest = abs(speed) / self.settings[120]
         self._pieces = [p for p in self._pieces if p[0] < t]
         self._pieces += [
-            (t, place, speed, slope if speed else 0.0),
-            (t + rest, place + 0.5 * speed * rest, 0.0, 0.0),
+            (t, position, speed, slope if speed else 0.0),
+            (t + rest, position + 0.5 * speed * rest, 0.0, 0.0),
         ]
         self.state = "Hold:1" if speed else "Hold:0"
 
@@ -169,9 +172,7 @@ class GrblAxis:
         out = b""
         if self.state in ("Run", "Hold:1", "Home"):
             out = b"ALARM:6\r\n" if self.state == "Home" else b"ALARM:3\r\n"
-            place = self._motion(now_us)[0]
-            self._pieces = [p for p in self._pieces if p[0] < now_us / 1e6]
-            self._pieces.append((now_us / 1e6, place, 0.0, 0.0))
+            self._halt_at(self._motion(now_us)[0], now_us)
             self.state = "Alarm"
         elif self.state == "Hold:0":
             self.state = "Idle"
@@ -179,34 +180,34 @@ class GrblAxis:
         return out + BANNER
 
     def _report(self, now_us: int) -> bytes:
-        place, speed = self._motion(now_us)
-        report = f"<{self.state}|MPos:{place:.3f},0.000,0.000|FS:{60.0 * abs(speed):.0f},0>\r\n"
+        position, speed = self._motion(now_us)
+        report = f"<{self.state}|MPos:{position:.3f},0.000,0.000|FS:{60.0 * abs(speed):.0f},0>\r\n"
         return report.encode()
 
 
 @dataclass(frozen=True)
 class Swimmer:
-    """A robot that starts from rest when filming begins.
+    """A robot that starts from rest at the start of a film.
 
-    Its forward speed is U (1 - exp(-t / start_up)) cos(turn t) plus the stride's ripple; U and turn
-    differ from run to run.
+    Its forward speed is U (1 - exp(-t / start_up)) cos(turn t) plus the stride's ripple. U and the
+    turn rate differ between runs.
     """
 
     speed: float
-    """U in the mean [m/s]."""
+    """Mean of U [m/s]."""
     start_up: float = 0.3
-    """[s]."""
+    """Time constant of the start [s]."""
     ripple: float = 0.004
-    """Amplitude of the place's ripple [m]."""
+    """Amplitude of the position's ripple [m]."""
     stride: float = 0.4
-    """[s]."""
+    """Period of a stride [s]."""
     turn: float = 0.0
-    """Standard deviation of the drift of its heading [rad/s]."""
+    """Standard deviation of the turn rate [rad/s]."""
     scatter: float = 0.0
-    """Standard deviation of U [m/s]."""
+    """Standard deviation of U between runs [m/s]."""
 
     def swim(self, t, random: np.random.Generator) -> np.ndarray:
-        """Places [m] at times t [s] of one run."""
+        """Return the positions [m] at times t [s] of one run."""
         speed = self.speed + self.scatter * random.normal()
         turn, phase = self.turn * random.normal() + 1e-12, 2.0 * np.pi * random.random()
         steady = np.expm1(1j * turn * t) / (1j * turn)
@@ -218,36 +219,35 @@ class Swimmer:
 
 @dataclass
 class SimulatedFilm:
-    """The camera on a `GrblAxis` above a `Swimmer`: the `film` of
-    `rig.gantry.axis.gantry_measurement`."""
+    """Camera on a `GrblAxis` above a `Swimmer`: the `film` of `gantry_measurement`."""
 
     axis: GrblAxis
     swimmer: Swimmer
     clock_us: Callable[[], float]
-    """Gives the virtual time [us]."""
+    """Returns the virtual time [us]."""
     scale: float = 0.5e-3
-    """Metres of a pixel."""
+    """Size of a pixel [m]."""
     noise: float = 0.2
-    """Standard deviation of the marker's place [px]."""
+    """Standard deviation of the marker's position [px]."""
     view: float = 0.5
-    """Half of what the camera sees along the travel [m]."""
+    """Half of the field of view along the travel [m]."""
     rate: float = 60.0
-    """Frames a second."""
+    """Frame rate [1/s]."""
     blinks: float = 0.01
-    """Share of single frames that lose the marker."""
+    """Probability that a frame loses the marker."""
     blind: float = 0.0
-    """Share of runs that lose it altogether."""
+    """Probability that a whole run loses the marker."""
     seed: int = 0
 
     def __post_init__(self):
         self.random = np.random.default_rng(self.seed)
 
     def __call__(self, move) -> tuple[np.ndarray, np.ndarray]:
-        """Times [s] and places [m] of the marker, NaN where lost, while `move()` is made."""
+        """Call `move()` and return times [s] and marker positions [m] meanwhile, NaN where lost."""
         start = self.clock_us()
         move()
         t = np.arange(0.0, (self.clock_us() - start) / 1e6, 1.0 / self.rate)
-        camera = self.axis.place(start + 1e6 * t) - self.axis.place(start)
+        camera = self.axis.position(start + 1e6 * t) - self.axis.position(start)
         x = self.swimmer.swim(t, self.random) - camera
         x += self.scale * self.noise * self.random.normal(size=len(t))
         lost = (np.abs(x) > self.view) | (self.random.random(len(t)) < self.blinks)
