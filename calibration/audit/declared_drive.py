@@ -31,9 +31,9 @@ SKEW = 0.004
 MAX_SKEW = 0.03
 """Largest relative error of a clock; a larger one means another drive than declared."""
 WRONG_DRIVE = 0.8
-"""A pressure with a larger relative residual at every lag and delay has another drive,"""
+"""Relative residual at every lag and delay above which a pressure has another drive."""
 STRANGE, TIMES = 0.25, 6.0
-"""and so does one that exceeds the first value and is this many times the trials' median."""
+"""The same, if the residual also exceeds `TIMES` times the median of all trials."""
 WRONG_AMPLITUDE = np.log(1.25)
 FITS = 0.1
 """Largest relative residual with which a pressure's delay is determined."""

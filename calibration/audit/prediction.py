@@ -33,9 +33,9 @@ UNIT_MARGIN = np.log10(3.0)
 SMALL = {1e3: ("mN", "mN", "mm"), 1e-3: ("kN", "kN", "km")}
 """Units of thrust, recoil and tip by the ratio to SI."""
 OUTLIER = 30.0
-"""Ratio of an outlier's mean square to the other trials' median, at least,"""
+"""Smallest ratio of an outlier's mean square to the other trials' median."""
 BEYOND = 4.0
-"""and to their largest one."""
+"""Smallest ratio of an outlier's mean square to the other trials' largest one."""
 
 
 class _Correlations:

@@ -59,10 +59,10 @@ class Finding(NamedTuple):
     | action | what was done |
     |---|---|
     | `masked` | the samples are treated as missing |
-    | `mended` | corrected, as `detail` says |
+    | `mended` | the fault is corrected, see `detail` |
     | `left out` | the whole trial is not used |
     | `used` | none; the finding is for information |
-    | `refused` | the whole experiment cannot be used |
+    | `refused` | the whole experiment is not usable |
     """
 
     trial: str
