@@ -1,4 +1,4 @@
-"""The firmware compiled for this computer: what its programs are asked, and what they say."""
+"""Compiles the firmware for this computer, sends requests to it and reads the replies."""
 
 import shutil
 import struct
@@ -13,13 +13,13 @@ SKETCH = HERE.parents[1] / "rig" / "firmware" / "manifold"
 STRICT = ("-std=c++17", "-Wall", "-Wextra", "-Werror", "-O1")
 SANITIZED = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 Request = tuple[bytes, int, bytes]
-"""Kind, device time [us], payload: the head of tests/firmware/host.cpp has the kinds."""
+"""Kind, device time [us], payload; tests/support/firmware/host.cpp lists the kinds."""
 
 
 class Reply(NamedTuple):
-    """What the core said to a request, and how it stood then."""
+    """The bytes that the core sent after a request, and its state then."""
 
-    said: bytes
+    sent: bytes
     state: int
     pressures: tuple[int, ...]
     damaged: int
@@ -27,16 +27,16 @@ class Reply(NamedTuple):
 
 
 class Pass(NamedTuple):
-    """What the sketch did in a pass of its loop; duties of 255."""
+    """The bytes, valve duties (0 to 255) and watchdog feeds after a pass of the sketch's loop."""
 
-    said: bytes
+    sent: bytes
     fill: tuple[int, ...]
     vent: tuple[int, ...]
     fed: int
 
 
 def compiler() -> str:
-    """g++ or clang++; skips the test where there is neither."""
+    """Return the path of g++ or clang++; skip the test if neither is installed."""
     found = shutil.which("g++") or shutil.which("clang++")
     if found is None:
         pytest.skip("no g++ or clang++ to compile the firmware for this computer")
@@ -44,7 +44,7 @@ def compiler() -> str:
 
 
 def build(source: str, folder: Path, *flags: str) -> Path:
-    """The program of tests/firmware/`source` with the firmware's parts."""
+    """Compile tests/support/firmware/`source` with the firmware; return the program."""
     program = folder / Path(source).stem
     includes = ("-I", str(SKETCH), "-I", str(HERE / "firmware"))
     parts = (str(HERE / "firmware" / source), *map(str, sorted(SKETCH.glob("*.cpp"))))
@@ -55,7 +55,7 @@ def build(source: str, folder: Path, *flags: str) -> Path:
 
 
 def sanitizers(folder: Path) -> tuple[str, ...]:
-    """The flags of the sanitizers; none where the compiler lacks their libraries."""
+    """Return the flags of the sanitizers, or none if the compiler lacks their libraries."""
     empty = folder / "empty.cpp"
     empty.write_text("int main() {}\n")
     command = [compiler(), *SANITIZED, str(empty), "-o", str(folder / "empty")]
@@ -69,31 +69,32 @@ def _run(program: Path, given: bytes) -> bytes:
 
 
 def ask(program: Path, requests: list[Request]) -> list[Reply]:
-    """The replies of host.cpp, one a request."""
+    """Return the replies of host.cpp, one per request."""
     heads = [kind + struct.pack("<QH", now, len(data)) + data for kind, now, data in requests]
-    told, at, replies = _run(program, b"".join(heads)), 0, []
-    while at < len(told):
+    output, at, replies = _run(program, b"".join(heads)), 0, []
+    while at < len(output):
         start = at + 2
-        end = start + struct.unpack_from("<H", told, at)[0]
-        state, *pressures, damaged, lost = struct.unpack_from("<B4iII", told, end)
-        replies.append(Reply(told[start:end], state, tuple(pressures), damaged, lost))
+        end = start + struct.unpack_from("<H", output, at)[0]
+        state, *pressures, damaged, lost = struct.unpack_from("<B4iII", output, end)
+        replies.append(Reply(output[start:end], state, tuple(pressures), damaged, lost))
         at = end + 25
     assert len(replies) == len(requests)
     return replies
 
 
 def run_sketch(program: Path, passes: list[tuple[int, list[int], int, bytes]]) -> list[Pass]:
-    """What sketch.cpp did: first of `setup`, then of each (time [us], 8 counts, room, bytes)."""
+    """Return the results of sketch.cpp: of `setup`, then per pass (time [us], 8 counts, room,
+    bytes)."""
     given = b"".join(
         struct.pack("<Q8HHH", now, *counts, room, len(data)) + data
         for now, counts, room, data in passes
     )
-    told, at, done = _run(program, given), 0, []
-    while at < len(told):
+    output, at, done = _run(program, given), 0, []
+    while at < len(output):
         start = at + 2
-        end = start + struct.unpack_from("<H", told, at)[0]
-        *duties, fed = struct.unpack_from("<8BI", told, end)
-        done.append(Pass(told[start:end], tuple(duties[:4]), tuple(duties[4:]), fed))
+        end = start + struct.unpack_from("<H", output, at)[0]
+        *duties, fed = struct.unpack_from("<8BI", output, end)
+        done.append(Pass(output[start:end], tuple(duties[:4]), tuple(duties[4:]), fed))
         at = end + 12
     assert len(done) == 1 + len(passes)
     return done

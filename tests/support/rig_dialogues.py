@@ -1,4 +1,4 @@
-"""Random dialogues of a host with the twin of the firmware, and what the firmware owes in them."""
+"""Random dialogues of a host with the firmware's Python twin, and the expected replies."""
 
 from collections import Counter
 from random import Random
@@ -39,13 +39,13 @@ def channels_of(*values):
     return np.array(values, "<i4").tobytes()
 
 
-def standing(twin, said):
-    """The reply that the firmware owes when its twin has said this."""
-    return Reply(said, twin.state, twin.set_pressures or (-1,) * 4, twin.damaged, 0)
+def expected_reply(twin, sent):
+    """Return the expected reply of the firmware after its twin has sent these bytes."""
+    return Reply(sent, twin.state, twin.set_pressures or (-1,) * 4, twin.damaged, 0)
 
 
 class Dialogue:
-    """A host that says sense and nonsense, over a line that damages some of it."""
+    """A host that sends valid and invalid messages over a line that damages some frames."""
 
     def __init__(self, seed):
         self.random = Random(seed)
@@ -53,7 +53,7 @@ class Dialogue:
         self.now = self.random.choice((0, 2**32 - 500_000, 2**53))
         self.limits, self.line = HARD, b""
         self.requests, self.expected = [(b"I", 0, START)], []
-        self._stood(b"")
+        self._expect(b"")
 
     def run(self, steps):
         for _ in range(steps):
@@ -66,8 +66,8 @@ class Dialogue:
                 self._talk()
         return self
 
-    def _stood(self, said):
-        self.expected.append(standing(self.twin, said))
+    def _expect(self, sent):
+        self.expected.append(expected_reply(self.twin, sent))
 
     def _pass(self):
         channels = [self.random.randint(-2000, limit) for limit in self.limits]
@@ -77,7 +77,7 @@ class Dialogue:
             highest = (11 * self.limits[i] + 50_000) // 10
             channels[i] = self.random.choice((highest, highest + 1, 2**31 - 1, -(2**31)))
         self.requests.append((b"T", self.now, channels_of(*channels)))
-        self._stood(self.twin.tick(self.now, channels))
+        self._expect(self.twin.tick(self.now, channels))
 
     def _talk(self):
         for message in self._messages():
@@ -90,7 +90,7 @@ class Dialogue:
         cut = len(self.line) - self.random.choice((0, 0, 0, 1, 7))
         piece, self.line = self.line[: max(cut, 0)], self.line[max(cut, 0) :]
         self.requests.append((b"F", self.now, piece))
-        self._stood(self.twin.feed(piece, self.now))
+        self._expect(self.twin.feed(piece, self.now))
 
     def _messages(self):
         dice, seq = self.random, self.random.randrange(65_536)
@@ -161,10 +161,10 @@ class Dialogue:
         return [*whole, WavePlay(seq, self.random.randint(0, 3))]
 
 
-def visited(replies):
-    """How often the replies hold each (kind of message, its code)."""
+def count_codes(replies):
+    """Return the number of occurrences of each (kind of message, code) in the replies."""
     count = Counter()
-    for message in FrameDecoder().feed(b"".join(reply.said for reply in replies)):
+    for message in FrameDecoder().feed(b"".join(reply.sent for reply in replies)):
         match message:
             case Reading():
                 count["state", ManifoldState(message.state)] += 1
@@ -177,8 +177,8 @@ def visited(replies):
     return count
 
 
-def everything():
-    """What a good set of dialogues must have met."""
+def all_codes():
+    """Return all (kind of message, code) that the dialogues must contain."""
     done, state = Answer.DONE, Answer.WRONG_STATE
     refused, place = (Answer.ABOVE_LIMIT, Answer.BELOW_ZERO), Answer.WRONG_PLACE
     answers = {

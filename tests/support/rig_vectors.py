@@ -1,6 +1,6 @@
-"""Every message and its frame, byte for byte, for all who speak the protocol.
+"""Reference frames of every message of the protocol.
 
-The frames were made by plain COBS and zlib, apart from `rig.protocol.messages`.
+They were computed with the libraries cobs and zlib, independently of `rig.protocol.messages`.
 """
 
 from rig.protocol.messages import (

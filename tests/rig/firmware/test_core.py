@@ -1,4 +1,4 @@
-"""The manifold's core in C++ against its twin in Python, byte for byte, on this computer."""
+"""The manifold's C++ core sends the same bytes as its Python twin, on this computer."""
 
 import subprocess
 import zlib
@@ -42,9 +42,9 @@ from tests.support.rig_dialogues import (
     START,
     Dialogue,
     channels_of,
-    everything,
-    standing,
-    visited,
+    all_codes,
+    expected_reply,
+    count_codes,
 )
 from tests.support.rig_vectors import VECTORS
 
@@ -54,7 +54,7 @@ FROM_MANIFOLD = (Ident, Reading, Ack, Event, Follows)
 
 @pytest.fixture(scope="module", params=["plain", "sanitized"])
 def program(request, tmp_path_factory):
-    """The core behind stdin and stdout; once more with every access and overflow watched."""
+    """Return the compiled core with stdin and stdout, without and with sanitizers."""
     folder = tmp_path_factory.mktemp(request.param)
     if request.param == "plain":
         return build("host.cpp", folder)
@@ -64,20 +64,20 @@ def program(request, tmp_path_factory):
     return build("host.cpp", folder, *flags)
 
 
-def bodies(said):
-    """What the bare decoder hands over: each body behind its size."""
+def bodies(sent):
+    """Return the bodies that the decoder passes on, each after its size."""
     found = []
-    while said:
-        found.append(said[1 : 1 + said[0]])
-        said = said[1 + said[0] :]
+    while sent:
+        found.append(sent[1 : 1 + sent[0]])
+        sent = sent[1 + sent[0] :]
     return found
 
 
 def test_frames_are_cobs_and_the_crc_of_zlib(program):
     reply = ask(program, [(b"E", 0, b"123456789"), (b"E", 0, b"\0\0"), (b"E", 0, bytes(161))])
-    assert reply[0].said == b"\x0e123456789" + (0xCBF43926).to_bytes(4, "little") + b"\0"
-    assert reply[1].said == b"\1\1\5" + zlib.crc32(b"\0\0").to_bytes(4, "little") + b"\0"
-    assert reply[2].said == b""
+    assert reply[0].sent == b"\x0e123456789" + (0xCBF43926).to_bytes(4, "little") + b"\0"
+    assert reply[1].sent == b"\1\1\5" + zlib.crc32(b"\0\0").to_bytes(4, "little") + b"\0"
+    assert reply[2].sent == b""
 
 
 def test_every_message_has_the_same_bytes_in_both_languages(program):
@@ -90,32 +90,32 @@ def test_every_message_has_the_same_bytes_in_both_languages(program):
         assert encode_frame(message) == frame
         assert decode_frame(frame[:-1]) == message
     made = ask(program, [(b"E", 0, pack_message(message)) for message, _ in VECTORS])
-    assert [reply.said.hex() for reply in made] == [text for _, text in VECTORS]
+    assert [reply.sent.hex() for reply in made] == [text for _, text in VECTORS]
     stream = b"".join(bytes.fromhex(text) for _, text in VECTORS)
     (heard,) = ask(program, [(b"D", 0, stream)])
-    assert bodies(heard.said) == [pack_message(message) for message, _ in VECTORS]
+    assert bodies(heard.sent) == [pack_message(message) for message, _ in VECTORS]
     assert heard.damaged == 0
 
 
 @cache
 def dialogues():
-    """The same for both builds: most of their time is the twin's."""
+    """Return the dialogues, computed once for both builds, because the twin is slow."""
     return [Dialogue(seed).run(500) for seed in range(30)]
 
 
-def test_random_dialogues_are_answered_as_by_the_twin(program):
+def test_random_dialogues_have_the_twins_replies(program):
     talks = dialogues()
     replies = ask(program, [request for talk in talks for request in talk.requests])
     expected = [reply for talk in talks for reply in talk.expected]
     for i, (given, wanted) in enumerate(zip(replies, expected, strict=True)):
         assert given == wanted, f"request {i}"
-    met = visited(replies)
-    assert set(met) == everything()
+    met = count_codes(replies)
+    assert set(met) == all_codes()
     assert min(met.values()) >= 5
 
 
 def fuzzed(rng, frames):
-    """The stream of these frames with 1 % of its bytes flipped, dropped or doubled by others."""
+    """Return the frames' stream with 1 % of its bytes changed, dropped or inserted."""
     stream = np.frombuffer(b"".join(frames), np.uint8)
     fate = rng.random(len(stream))
     flip, drop, more = fate < 0.0033, (0.0033 <= fate) & (fate < 0.0067), fate > 0.9967
@@ -126,7 +126,7 @@ def fuzzed(rng, frames):
 
 
 def some_frame(random, number):
-    """A frame that no other number gives, of any kind."""
+    """Return a frame of a random kind that is unique for this number."""
     values = [random.randint(-(2**31), 2**31 - 1) for _ in range(8)]
     low, high = number % 65_536, number // 65_536
     message: Message = random.choice(
@@ -144,13 +144,13 @@ def some_frame(random, number):
 
 
 def fuzz(program, count):
-    """Damages `count` frames; what both decoders made of them is what arrived whole."""
+    """Damage `count` frames; both decoders must return exactly the undamaged ones."""
     random, rng, decoder = Random(1), np.random.default_rng(2), FrameDecoder()
     whole = damaged = 0
     for first in range(0, count, 20_000):
         frames = [some_frame(random, first + i) for i in range(min(20_000, count - first))]
         sent, stream = {frame[:-1] for frame in frames}, fuzzed(rng, frames) + b"\0"
-        # Told apart by comparing bytes: a run between zeros that is none of those sent is damaged.
+        # A run of bytes between zeros is damaged if it equals none of the sent frames.
         runs = [run for run in stream.split(b"\0") if run]
         sound = [run for run in runs if run in sent]
         before = decoder.damaged
@@ -163,62 +163,61 @@ def fuzz(program, count):
         assert decoder.damaged - before == len(runs) - len(sound)
         pieces = [(b"D", 0, stream[i : i + 50_000]) for i in range(0, len(stream), 50_000)]
         replies = ask(program, pieces)
-        heard = [body for reply in replies for body in bodies(reply.said)]
+        heard = [body for reply in replies for body in bodies(reply.sent)]
         assert [unpack_message(body) for body in heard] == twin
         assert replies[-1].damaged == decoder.damaged - before
         whole, damaged = whole + len(sound), damaged + len(runs) - len(sound)
     assert whole > 0.5 * count and damaged > 0.2 * count
 
 
-def test_of_fuzzed_frames_the_whole_ones_and_no_others_are_taken(program):
+def test_only_undamaged_frames_of_a_fuzzed_stream_are_accepted(program):
     fuzz(program, 10_000)
 
 
 @pytest.mark.slow
-def test_of_a_million_fuzzed_frames_none_that_is_damaged_is_taken(program):
+def test_no_damaged_frame_of_a_million_is_accepted(program):
     fuzz(program, 1_000_000)
 
 
-def test_noise_of_any_length_is_one_damaged_run(program):
+def test_noise_of_any_length_counts_as_one_damaged_frame(program):
     lengths = (1, 191, 192, 193, 1000)
     stream = b"".join(b"\7" * length + b"\0\0" + encode_frame(Arm(length)) for length in lengths)
     (reply,) = ask(program, [(b"D", 0, stream)])
-    assert bodies(reply.said) == [pack_message(Arm(length)) for length in lengths]
+    assert bodies(reply.sent) == [pack_message(Arm(length)) for length in lengths]
     assert reply.damaged == len(lengths)
 
 
 def framed(body):
-    """A frame whose CRC is right, whatever it holds."""
+    """Return a frame of any body with a correct CRC."""
     return cobs.encode(body + zlib.crc32(body).to_bytes(4, "little")) + b"\0"
 
 
-def test_a_frame_of_192_bytes_is_read_and_none_longer(program):
+def test_the_longest_frame_has_192_bytes(program):
     (reply,) = ask(program, [(b"D", 0, framed(bytes(187)) + framed(bytes(188)))])
-    assert bodies(reply.said) == [bytes(187)]
+    assert bodies(reply.sent) == [bytes(187)]
     assert reply.damaged == 1
 
 
-def test_a_frame_cut_short_is_not_mended_by_the_one_before(program):
+def test_a_truncated_frame_is_not_completed_by_the_previous_one(program):
     frame = framed(pack_message(Arm(3)))
     (reply,) = ask(program, [(b"D", 0, frame + frame[:-2] + b"\0")])
-    assert bodies(reply.said) == [pack_message(Arm(3))]
+    assert bodies(reply.sent) == [pack_message(Arm(3))]
     assert reply.damaged == 1
 
 
-def test_both_know_the_same_types_and_lengths(program):
+def test_core_and_twin_accept_the_same_types_and_lengths(program):
     twin, frames, expected = ManifoldCore(HARD, (3, 2, 1), LONGEST), [], []
     for kind in (*range(0x0C), *range(0x80, 0x86), 0xFF):
         for length in range(180):
             frames.append(framed(bytes([kind]) + bytes(length)))
-            said = twin.feed(frames[-1], 0)
-            expected.append(standing(twin, said))
+            expected.append(expected_reply(twin, twin.feed(frames[-1], 0)))
     replies = ask(program, [(b"I", 0, START), *((b"F", 0, frame) for frame in frames)])[1:]
     assert replies == expected
     assert twin.damaged == len(frames) - 8 - 8
 
 
 def backlog(program, passes):
-    """A host that reads nothing for so many readings, then stops: what it finds."""
+    """Return the reply to a host that sends Stop after `passes` unread readings."""
     idle = channels_of(*range(8))
     waiting = [(b"B", 2000 * i, idle) for i in range(passes + 1)]
     stop = (b"F", 2000 * passes, encode_frame(Stop(9)))
@@ -227,7 +226,7 @@ def backlog(program, passes):
 
 def test_a_host_that_reads_nothing_for_two_seconds_loses_nothing(program):
     reply = backlog(program, 1000)
-    event, *readings, ack, stopped = FrameDecoder().feed(reply.said)
+    event, *readings, ack, stopped = FrameDecoder().feed(reply.sent)
     assert [r.seq for r in readings] == list(range(1000))
     assert [r.device_us for r in readings] == [2000 * i for i in range(1, 1001)]
     assert (event.cause, stopped.cause) == (Cause.RESET, Cause.STOPPED)
@@ -235,9 +234,9 @@ def test_a_host_that_reads_nothing_for_two_seconds_loses_nothing(program):
     assert reply.lost == 0
 
 
-def test_a_full_ring_drops_whole_readings_and_still_answers(program):
+def test_a_full_ring_buffer_drops_whole_readings_and_the_core_still_answers(program):
     reply, decoder = backlog(program, 2000), FrameDecoder()
-    _, *readings, ack, stopped = decoder.feed(reply.said)
+    _, *readings, ack, stopped = decoder.feed(reply.sent)
     assert [r.seq for r in readings] == list(range(len(readings)))
     assert reply.lost == 2000 - len(readings) > 0
     assert ack == Ack(9, 6, Answer.DONE, 0)
@@ -246,12 +245,12 @@ def test_a_full_ring_drops_whole_readings_and_still_answers(program):
 
 
 def duties(program, errors):
-    """(n, 2) of the valves' law at errors in counts of the published firmware."""
+    """Return the valves' duties (n, 2) at pressure errors in the published firmware's counts."""
     pascals = np.round(PA_PER_COUNT * np.asarray(errors)).astype("<i4")
     pairs = np.stack([pascals, np.zeros_like(pascals)], axis=1)
     pieces = [pairs[i : i + 5000].tobytes() for i in range(0, len(pairs), 5000)]
-    said = b"".join(reply.said for reply in ask(program, [(b"L", 0, p) for p in pieces]))
-    return np.frombuffer(said, np.uint8).reshape(-1, 2)
+    output = b"".join(reply.sent for reply in ask(program, [(b"L", 0, p) for p in pieces]))
+    return np.frombuffer(output, np.uint8).reshape(-1, 2)
 
 
 def test_the_valves_follow_the_published_law(program):
@@ -260,7 +259,7 @@ def test_the_valves_follow_the_published_law(program):
     assert [tuple(row) for row in found.tolist()] == expected
 
 
-def test_the_valves_do_what_the_published_firmware_did_in_the_rigs_logs(program, data):
+def test_the_valves_duties_equal_those_in_the_published_firmwares_logs(program, data):
     for path in sorted((data / "manifold").glob("*.txt")):
         log = read_log(path)
         found = duties(program, log.command - log.pressure)
@@ -269,7 +268,7 @@ def test_the_valves_do_what_the_published_firmware_did_in_the_rigs_logs(program,
         np.testing.assert_allclose(found[:, 1], log.vent, atol=1.0)
 
 
-def test_the_core_takes_no_heap_and_throws_nothing(tmp_path):
+def test_the_core_uses_no_heap_and_no_exceptions(tmp_path):
     parts = sorted(SKETCH.glob("*.cpp"))
     command = [compiler(), "-std=c++17", "-O1", "-c", *map(str, parts)]
     subprocess.run(command, cwd=tmp_path, check=True)
