@@ -27,23 +27,12 @@ BUDGET = 12
 
 
 @dataclass(frozen=True)
-class CampaignRound:
-    """The loop's result after one round."""
-
-    trials: int
-    verdict: str
-    effects: list[str]
-    said: str
-    """The verdict as a sentence."""
-    next: str
-    """The proposed trial and its reason as a sentence."""
-
-
-@dataclass(frozen=True)
 class Campaign:
     """All rounds of a campaign."""
 
-    rounds: list[CampaignRound]
+    rounds: list[dict[str, Any]]
+    """Number of trials, verdict, effects, and sentences on verdict and next trial, as in
+    report.json."""
     outcome: LoopOutcome
     """Outcome of the last round."""
     report: dict[str, Any]
@@ -85,7 +74,7 @@ def run_campaign(
             "budget", budget, f"{len(experiment.trials)} (the experiment's trials) or more"
         )
     out.mkdir(parents=True, exist_ok=True)
-    rounds: list[CampaignRound] = []
+    rounds = []
     while True:
         experiment = load(path)
         missing = [t for t in experiment.trials if not (experiment.folder / t.file).exists()]
@@ -100,9 +89,8 @@ def run_campaign(
             record = loop_record(outcome, 0.0, input_file(path), following)
             write_json(out / f"round_{count:02d}.json", record)
         rounds.append(
-            CampaignRound(
-                count, outcome.verdict, list(outcome.effects), record["said"], following["said"]
-            )
+            {"trials": count, "verdict": outcome.verdict, "effects": list(outcome.effects)}
+            | {"said": record["said"], "next": following["said"]}
         )
         progress(f"{count} trials: {record['said']}")
         done = verdict_is_final(outcome, following)
@@ -115,5 +103,4 @@ def run_campaign(
 def _chosen(out: Path) -> list[str]:
     """Return the files of trials that earlier rounds chose; the selection must use these trials."""
     reports = [json.loads(path.read_text()) for path in sorted(out.glob("round_*.json"))]
-    trials = [report["next_experiment"]["trial"] for report in reports]
-    return [trial["file"] for trial in trials if trial is not None]
+    return [x["next_experiment"]["trial"]["file"] for x in reports if x["next_experiment"]["trial"]]

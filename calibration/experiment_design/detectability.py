@@ -36,7 +36,6 @@ from calibration.inference.gauss_newton import inverse, marginal_information
 from calibration.model.extended import Parameter, candidate_effects
 from calibration.model.predict import COARSE, Resolution
 from slider_jax.channels import CHANNELS
-from slider_jax.effects import Prior
 from slider_jax.experiment.load import Experiment
 from slider_jax.simulation.effect_signature import typical_size
 
@@ -162,7 +161,14 @@ def _pairs(A, names, indices, free, entries) -> tuple[np.ndarray, np.ndarray]:
     """Return |cos| of all pairs, and whether signs discriminate between the two."""
     n = len(names)
     cosines, opposed = np.full((n, n), np.nan), np.zeros((n, n), bool)
-    observed = [_is_observed(A, indices[name], free) for name in names]
+
+    def is_observed(group: np.ndarray) -> bool:
+        if not np.isfinite(A[group]).all():
+            return False
+        remaining = np.diag(marginal_information(A, group, free))
+        return bool(np.any(remaining > ABSORBED_SHARE * np.diag(A)[group]))
+
+    observed = [is_observed(indices[name]) for name in names]
     for i in range(n):
         for j in range(i + 1):
             if not (observed[i] and observed[j]):
@@ -174,26 +180,14 @@ def _pairs(A, names, indices, free, entries) -> tuple[np.ndarray, np.ndarray]:
     return cosines, opposed
 
 
-def _is_observed(A: np.ndarray, group: np.ndarray, free: np.ndarray) -> bool:
-    if not np.isfinite(A[group]).all():
-        return False
-    return bool(
-        np.any(np.diag(marginal_information(A, group, free)) > ABSORBED_SHARE * np.diag(A)[group])
-    )
-
-
 def _opposed(A, first, second, free, entries: Sequence[Parameter]) -> bool:
     """Return whether two one-sided parameters change the readings in opposite directions."""
     both = np.concatenate([first, second])
-    sides = [_side(entries[i].prior) for i in both]
+    priors = [entries[i].prior for i in both]
+    sides = [int(p.low >= p.null) - int(p.high <= p.null) for p in priors]
     if len(both) != 2 or 0 in sides:
         return False
     return bool(sides[0] * sides[1] * marginal_information(A, both, free)[0, 1] < 0.0)
-
-
-def _side(prior: Prior) -> int:
-    """Return 1 or -1 if a prior allows only that side of its null, else 0."""
-    return int(prior.low >= prior.null) - int(prior.high <= prior.null)
 
 
 def equivalence_classes(
@@ -208,17 +202,10 @@ def equivalence_classes(
     return [sorted(group) for group in every if len(group) > 1]
 
 
-class EffectsAtLimits(NamedTuple):
-    """The first arguments of `pair_distance.separating_trial`."""
-
-    information: TrialInformation
-    before: np.ndarray
-    indices: dict[str, np.ndarray]
-    sizes: dict[str, np.ndarray]
-
-
-def effects_at_limits(m: DetectabilityMatrix, names: Sequence[str]) -> EffectsAtLimits:
-    """Return the base model with the effects `names`, each at its detection limit.
+def effects_at_limits(
+    m: DetectabilityMatrix, names: Sequence[str]
+) -> tuple[TrialInformation, np.ndarray, dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Return the first arguments of `separating_trial` for effects at their detection limits.
 
     A parameter whose limit is outside the prior range is at the end of that range.
     """
@@ -232,4 +219,4 @@ def effects_at_limits(m: DetectabilityMatrix, names: Sequence[str]) -> EffectsAt
         ends = [typical_size(x.parameter.prior) - x.parameter.prior.null for x in m.limit[name]]
         found = [x.size for x in m.limit[name]]
         sizes[name] = np.sign(ends) * np.minimum(np.abs(ends), found)
-    return EffectsAtLimits(f, before, scoring_entries(f.entries), sizes)
+    return f, before, scoring_entries(f.entries), sizes

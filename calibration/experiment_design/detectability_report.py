@@ -1,5 +1,6 @@
 """The detectability matrix as text, as matrix.json and as a picture."""
 
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
@@ -92,7 +93,9 @@ def matrix_table(m: DetectabilityMatrix) -> str:
     for x in m.limits:
         unit = "" if x.parameter.prior.unit == "-" else f" {x.parameter.prior.unit}"
         size = f"{x.size:.2g}{unit}" if np.isfinite(x.size) else "-"
-        rows.append((x.parameter.effect, x.parameter.name, size, _range_text(x), "*" * x.finite))
+        share = f"{x.share:.0%} detectable" if x.share > 0.0 else "not detectable"
+        share = "cannot be simulated" if np.isnan(x.size) else share
+        rows.append((x.parameter.effect, x.parameter.name, size, share, "*" * x.finite))
     widths = [max(len(row[i]) for row in rows) for i in range(5)]
     lines = ["  ".join(f"{x:<{w}}" for x, w in zip(row, widths, strict=True)).rstrip()
              for row in rows]  # fmt: skip
@@ -110,12 +113,6 @@ def matrix_table(m: DetectabilityMatrix) -> str:
     lines += [f"  discriminated by the sign only: {a}, {b}" for a, b in _opposed_pairs(m)]
     lines.append(f"channels: {', '.join(m.information.sensing.noise)}")
     return "\n".join(lines)
-
-
-def _range_text(x: DetectionLimit) -> str:
-    if np.isnan(x.size):
-        return "cannot be simulated"
-    return f"{x.share:.0%} detectable" if x.share > 0.0 else "not detectable"
 
 
 def _clustered(m: DetectabilityMatrix) -> list[int]:
@@ -139,10 +136,8 @@ def plot_matrix(m: DetectabilityMatrix, path: Path) -> None:
     image = left.imshow(shown, vmin=0.0, vmax=1.0, cmap="magma_r", aspect="auto")
     left.set_facecolor("0.85")
     for group in m.classes:
-        for i in (names.index(x) for x in group):
-            for j in (names.index(x) for x in group):
-                if i != j:
-                    left.plot(i, j, ".", color="white", ms=3)
+        for first, second in permutations(group, 2):
+            left.plot(names.index(first), names.index(second), ".", color="white", ms=3)
     left.set_xticks(range(n), names, rotation=90, fontsize=7)
     left.set_yticks(range(n), names, fontsize=7)
     left.set_title(f"{m.information.experiment.name}: similarity of effects", loc="left")
@@ -151,19 +146,15 @@ def plot_matrix(m: DetectabilityMatrix, path: Path) -> None:
         "|cos| after projecting out C_d, m_a, k and K_Q (-); dots: not discriminated",
         fontsize=8,
     )
-    _draw_limits(right, [min(x.relative for x in m.limit[name]) for name in names])
-    save_figure(figure, path)
-
-
-def _draw_limits(axes, shares: list[float]) -> None:
-    """Draw a bar for every effect: detection limit as a share of the prior range."""
-    for row, share in enumerate(shares):
+    for row, name in enumerate(names):
+        share = min(x.relative for x in m.limit[name])
         if share < 1.0:
-            axes.barh(row, 100.0 * share, color="tab:blue", height=0.7)
+            right.barh(row, 100.0 * share, color="tab:blue", height=0.7)
         else:
-            axes.text(1.1e-1, row, "not detectable", fontsize=6, va="center")
-    axes.set(xscale="log", xlim=(0.1, 100.0), xlabel="share of the prior range (%)")
-    axes.set_title("detection limit", loc="left", fontsize=10)
-    axes.tick_params(labelleft=False)
-    axes.grid(axis="x", color="0.9", lw=0.6)
-    axes.set_axisbelow(True)
+            right.text(1.1e-1, row, "not detectable", fontsize=6, va="center")
+    right.set(xscale="log", xlim=(0.1, 100.0), xlabel="share of the prior range (%)")
+    right.set_title("detection limit", loc="left", fontsize=10)
+    right.tick_params(labelleft=False)
+    right.grid(axis="x", color="0.9", lw=0.6)
+    right.set_axisbelow(True)
+    save_figure(figure, path)

@@ -138,12 +138,9 @@ def discriminating_trial(
 
 def _difference(now: ModelDistance, then: ModelDistance) -> str:
     channel, _ = then.channel
-    before, after, discrepancy = (
-        100.0 * x
-        for x in (now.shares[channel], then.shares[channel], CHANNELS[channel].discrepancy)
-    )
     return (
         f"their distance grows from {now.sigmas:.1f} to {then.sigmas:.1f} standard deviations, and "
-        f"their difference in {channel} from {before:.2g} to {after:.2g} % (model-discretisation "
-        f"discrepancy {discrepancy:.2g} %)"
+        f"their difference in {channel} from {100.0 * now.shares[channel]:.2g} to "
+        f"{100.0 * then.shares[channel]:.2g} % (model-discretisation discrepancy "
+        f"{100.0 * CHANNELS[channel].discrepancy:.2g} %)"
     )

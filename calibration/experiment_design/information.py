@@ -67,6 +67,7 @@ class SensorModel:
         noise, every = {}, {}
         for channel in CHANNELS:
             recorded = [r for r in found if r.has(channel)]
+            key = CHANNELS[channel].noise
             if recorded:
                 each = [
                     channel_noise(experiment.sensors, channel, r.values[row_of(channel)])
@@ -75,7 +76,7 @@ class SensorModel:
                 noise[channel] = sorted(each)[len(each) // 2]
                 share = np.mean([r.there(channel).mean() for r in recorded])
                 every[channel] = max(1, round(1.0 / float(share)))
-            elif not found and _is_declared(experiment, channel):
+            elif not found and key and getattr(experiment.sensors, key) > 0.0:
                 noise[channel] = channel_noise(experiment.sensors, channel, np.zeros(2))
                 every[channel] = 1
         if not noise:
@@ -90,12 +91,6 @@ class SensorModel:
         if trial.file in self.measured:
             return self.measured[trial.file].there(channel)
         return np.arange(n) % self.every[channel] == 0
-
-
-def _is_declared(experiment: Experiment, channel: str) -> bool:
-    sensors = experiment.sensors
-    key = CHANNELS[channel].noise
-    return bool(key) and getattr(sensors, key) > 0.0
 
 
 class ChannelInformation(NamedTuple):
@@ -162,12 +157,8 @@ class TrialInformation:
             raw, signal = J[:, row, here], y[row, here]
             swings = None if swing is None else swing[:, row, here]
             white = Whitener(p.at[here], noise, signal, channel, trial.frequency, swings)(raw)
-            gram = raw @ raw.T
-            found.append(
-                ChannelInformation(
-                    number, channel, white @ white.T, gram, float(signal @ signal), here.sum()
-                )
-            )
+            A, gram, square = white @ white.T, raw @ raw.T, float(signal @ signal)
+            found.append(ChannelInformation(number, channel, A, gram, square, here.sum()))
         return found
 
     def _readings(self, trial: Trial, p: TrialPlan) -> list[np.ndarray]:
@@ -196,9 +187,9 @@ class TrialInformation:
     def _tangents(self, p: TrialPlan, y: np.ndarray) -> np.ndarray:
         """Return tangents or secants (k, 5, n); NaN if they cannot be simulated."""
         straight = [j for j, i in enumerate(self.chosen) if i not in self.secants]
-        directions = np.eye(len(self.theta))[self.chosen[straight]]
         J = np.empty((len(self.chosen), len(CHANNELS), len(p.at)))
         if straight:
+            directions = np.eye(len(self.theta))[self.chosen[straight]]
             J[straight] = reading_tangents(p, self.theta, directions)
         for j, i in enumerate(self.chosen):
             if i in self.secants:
@@ -262,21 +253,20 @@ def secant_steps(f: TrialInformation) -> dict[int, float]:
     y = predict_readings(p, f.theta)
     scale = np.std(y, axis=1)[:, None]
     scale = np.where(scale > 0.0, scale, 1.0)
-    pairs = [(i, x) for i, x in zip(f.chosen, f.entries, strict=True) if x.effect]
+    pairs = [(int(i), x.prior) for i, x in zip(f.chosen, f.entries, strict=True) if x.effect]
     if not pairs:
         return {}
     J = reading_tangents(p, f.theta, np.eye(len(f.theta))[[i for i, _ in pairs]])
 
     def one(item) -> tuple[int, float] | None:
-        (i, x), tangent = item
-        if x.prior.start is not None:
-            return int(i), x.prior.start - x.prior.null
-        step = FINITE_START * (typical_size(x.prior) - x.prior.null)
-        secant = (_secant(p, f.theta, y, int(i), step) / scale).ravel()
-        return (int(i), step) if _is_nonlinear((tangent / scale).ravel(), secant) else None
+        (i, prior), tangent = item
+        if prior.start is not None:
+            return i, prior.start - prior.null
+        step = FINITE_START * (typical_size(prior) - prior.null)
+        secant = (_secant(p, f.theta, y, i, step) / scale).ravel()
+        return (i, step) if _is_nonlinear((tangent / scale).ravel(), secant) else None
 
-    found = on_all_cores(one, list(zip(pairs, J, strict=True)))
-    return dict(x for x in found if x is not None)
+    return dict(filter(None, on_all_cores(one, list(zip(pairs, J, strict=True)))))
 
 
 def _is_nonlinear(tangent: np.ndarray, secant: np.ndarray) -> bool:

@@ -103,9 +103,8 @@ def _discriminating(
     found = _none("No trial is proposed: no alternative can be fitted instead of a chosen effect.")
     last, trials = outcome.search.final, [r.trial for r in _fitted(outcome)]
     for round_ in outcome.search.rounds:
-        fits = {
-            n: round_.alternatives[n].fit for n in round_.equivalent if n in round_.alternatives
-        }
+        known = [n for n in round_.equivalent if n in round_.alternatives]
+        fits = {n: round_.alternatives[n].fit for n in known}
         if not round_.chosen or not fits:
             continue
         predictions = {
@@ -129,8 +128,7 @@ def _narrowing(
 ) -> dict[str, Any]:
     final, errors = outcome.final, outcome.final.errors
     own = [outcome.entries[i] for i in final.free]
-    shares = np.array([discretisation_share(p) for p in own])
-    floor = shares * np.abs(final.theta[final.free])
+    floor = np.array([discretisation_share(p) for p in own]) * np.abs(final.theta[final.free])
     widest = int(np.argmax(errors / np.maximum(floor, 1e-300)))
     if errors[widest] <= floor[widest]:
         return _none(

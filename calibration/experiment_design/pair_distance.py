@@ -9,7 +9,7 @@ This is the noncentrality of the chi-square test of b against a. Its root is the
 standard deviations. A pair has the smaller distance of both directions.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -66,12 +66,6 @@ def _distance(A: np.ndarray, group: np.ndarray, rest: np.ndarray, size: np.ndarr
     return max(float(size @ marginal_information(A, group, rest) @ size), 0.0)
 
 
-def separation_score(pairs: Sequence[EffectPair]) -> float:
-    """Return the objective of the search: the smallest squared distance plus 0.1 % of the mean."""
-    squares = [pair.sigmas**2 for pair in pairs]
-    return min(squares) + 1e-3 * float(np.mean(squares))
-
-
 def separating_trial(
     f: TrialInformation,
     before: np.ndarray,
@@ -90,8 +84,10 @@ def separating_trial(
     free = np.setdiff1d(np.arange(len(f.chosen)), effects)
 
     def goal(channels: list[list[ChannelInformation]]) -> float:
+        """Return the smallest squared distance plus 0.1 % of the mean."""
         A = before + information(channels[0])
-        return separation_score(effect_pairs(A, indices, sizes, free))
+        squares = [pair.sigmas**2 for pair in effect_pairs(A, indices, sizes, free)]
+        return min(squares) + 1e-3 * float(np.mean(squares))
 
     best = TrialSearch([f], goal, limits).run(effort, progress)
     after = before + information(best.channels[0])
@@ -102,12 +98,11 @@ def separating_trial(
         | {"sigmas_before": a.sigmas, "sigmas_after": b.sigmas}
         for a, b in zip(now, then, strict=True)
     ]
-    worst = min(then, key=lambda pair: pair.sigmas)
-    was = next(p.sigmas for p in now if (p.first, p.second) == (worst.first, worst.second))
+    was, worst = min(zip(now, then, strict=True), key=lambda pair: pair[1].sigmas)
     *names, last = indices
     text = (
         f"{trial_text(best.trial)} discriminates best between {', '.join(names)} and {last}: the "
-        f"distance between {worst.first} and {worst.second} grows from {was:.1f} to "
+        f"distance between {worst.first} and {worst.second} grows from {was.sigmas:.1f} to "
         f"{worst.sigmas:.1f} standard deviations."
     )
     if worst.sigmas < DISCRIMINATED_SIGMAS:

@@ -77,9 +77,10 @@ def feasible_trials(experiment: Experiment, frequency: float | None = None) -> l
     double of it.
     """
     driven = [x for x in experiment.trials if x.frequency is not None]
-    low, high = _span(x.frequency for x in driven)
     if not driven:
         return []
+    own = _ends(x.frequency for x in driven)
+    low, high = own[0], own[-1]
     if high < 1.05 * low:
         low, high = 0.5 * low, min(2.0 * high, 20.0)
     grid = np.geomspace(low, high, GRID_FREQUENCIES)
@@ -102,13 +103,9 @@ def feasible_trials(experiment: Experiment, frequency: float | None = None) -> l
     ]
 
 
-def _span(values: Iterable[float | None]) -> tuple[float, float]:
-    found = [x for x in values if x is not None]
-    return (min(found), max(found)) if found else (0.0, 0.0)
-
-
 def _ends(values: Iterable[float | None]) -> list[float]:
-    return sorted(set(_span(values)))
+    found = [x for x in values if x is not None]
+    return sorted({min(found), max(found)})
 
 
 def best_trial(
@@ -140,8 +137,7 @@ def best_trial(
     variances = on_all_cores(variance, list(candidates))
     best = {}
     for index in wanted:
-        place = int(np.flatnonzero(measured.free == index)[0])
-        column = [v[place] for v in variances]
+        column = [v[np.flatnonzero(measured.free == index)[0]] for v in variances]
         if not column or not np.isfinite(min(column)):
             continue
         first = int(np.argmin(column))

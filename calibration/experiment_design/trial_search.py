@@ -102,23 +102,16 @@ def _own_range(experiment: Experiment, name: str, option: str) -> tuple[float, f
 def trial_at(experiment: Experiment, limits: TrialLimits, point: np.ndarray) -> Trial:
     """Return the trial at a `point` (4,) of the unit cube of the limits, in round numbers."""
     own = [t for t in experiment.trials if t.waveform != "recorded"]
-    x = {
-        name: float(np.clip(float(f"{_between(low, high, u, name):.3g}"), low, high))
-        for name, (low, high), u in zip(QUANTITIES, limits, point, strict=True)
-    }
+    x = {}
+    for name, (low, high), u in zip(QUANTITIES, limits, point, strict=True):
+        scaled = name in LOGARITHMIC and low > 0.0
+        value = low * (high / low) ** u if scaled else low + u * (high - low)
+        x[name] = float(np.clip(float(f"{value:.3g}"), low, high))
     period = 1.0 / x["frequency"]
     seconds = max(MIN_STRIDES * period, min(TRIAL_STRIDES * period, MAX_SECONDS))
-    content: dict[str, Any] = {"waveform": own[0].waveform, "rear_ratio": own[0].rear_ratio}
-    if own[0].waveform == "trapezoid":
-        content["rise"] = own[0].rise
+    like = {"waveform", "rear_ratio"} | ({"rise"} if own[0].waveform == "trapezoid" else set())
     file = {"file": unused_file_name(experiment), "duration": float(f"{seconds:.3g}")}
-    return validate(Trial, file | content | x, "next trial")
-
-
-def _between(low: float, high: float, share: float, name: str) -> float:
-    if name in LOGARITHMIC and low > 0.0:
-        return low * (high / low) ** share
-    return low + share * (high - low)
+    return validate(Trial, file | own[0].model_dump(include=like) | x, "next trial")
 
 
 def unused_file_name(experiment: Experiment) -> str:
@@ -155,7 +148,8 @@ class TrialSearch:
     ) -> PredictedTrial:
         """Return the best trial. Raise `SolverError` if none can be simulated."""
         wide = np.array([high > low for low, high in self.limits])
-        points = [np.where(wide, u, 0.0) for u in _spread(effort.spread)]
+        spread = qmc.Halton(4, scramble=False).fast_forward(1).random(effort.spread)
+        points = [np.where(wide, u, 0.0) for u in spread]
         best, point = self._best(points, progress)
         progress(f"best of {effort.spread} trials: {trial_text(best.trial)}")
         step = 0.25
@@ -182,21 +176,13 @@ class TrialSearch:
     ) -> tuple[PredictedTrial, np.ndarray]:
         done: list[PredictedTrial] = []
 
-        def one(point: np.ndarray) -> PredictedTrial:
+        def one(point: np.ndarray) -> tuple[PredictedTrial, np.ndarray]:
             found = self.at(point)
             done.append(found)
             progress(f"trial {len(done)} of {len(points)}: {trial_text(found.trial)}")
-            return found
+            return found, point
 
-        pairs = list(zip(on_all_cores(one, points), points, strict=True))
-        return max(pairs, key=lambda pair: pair[0].value)
-
-
-def _spread(count: int) -> np.ndarray:
-    """Return (count, 4) evenly spread points of the unit cube, the same in every call."""
-    sequence = qmc.Halton(4, scramble=False)
-    sequence.fast_forward(1)
-    return sequence.random(count)
+        return max(on_all_cores(one, points), key=lambda pair: pair[0].value)
 
 
 def trial_text(trial: Trial) -> str:

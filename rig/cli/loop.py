@@ -1,6 +1,5 @@
 """`slider rig loop`: measures trials, searches for missing effects, and adds the next trial."""
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -101,11 +100,11 @@ def rig_loop(
         declare_swing(path, records)
 
     found = run_campaign(path, capture, out, budget, within, timed_printer())
-    rounds = {"rounds": [asdict(x) for x in found.rounds], "settled": found.settled}
+    rounds = {"rounds": found.rounds, "settled": found.settled}
     write_json(out / "report.json", found.report | rounds)
     write_text(out / "model.toml", loop_model_toml(found.outcome))
     write_text(out / "report.html", loop_page(found.outcome, found.report))
     for x in found.rounds:
-        print(f"{x.trials:2} trials: {x.said}")
+        print(f"{x['trials']:2} trials: {x['said']}")
     final = "is final" if found.settled else "is not final"
-    print(f"with {found.rounds[-1].trials} trials, the equivalence class {final}")
+    print(f"with {found.rounds[-1]['trials']} trials, the equivalence class {final}")

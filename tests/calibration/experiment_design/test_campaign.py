@@ -81,7 +81,11 @@ def test_a_campaign_measures_until_the_verdict_is_final(tmp_path, monkeypatch):
     assert close.counts == [5, 6, 7] and found.settled
     assert close.kept == [[], ["x.csv"], ["x.csv", "y.csv"]]
     assert captured == [t["file"] for t in RUNS[:5]] + ["x.csv", "y.csv"]
-    assert [x.verdict for x in found.rounds] == ["inconclusive", "unexplained", "nothing_missing"]
+    assert [x["verdict"] for x in found.rounds] == [
+        "inconclusive",
+        "unexplained",
+        "nothing_missing",
+    ]
     assert json.loads((tmp_path / "out" / "round_06.json").read_text())["verdict"] == "unexplained"
 
 
