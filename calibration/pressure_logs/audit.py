@@ -109,8 +109,7 @@ def _null(logs: Sequence[np.ndarray], rng: np.random.Generator) -> list[np.ndarr
 
 def _histogram(logs: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the codes, their readings, and the readings expected from neighbouring codes."""
-    low = int(min(x.min() for x in logs))
-    high = int(max(x.max() for x in logs))
+    low, high = (int(f([f(x) for x in logs])) for f in (np.min, np.max))
     codes = np.arange(low, high + 1)
     seen, expected = np.zeros(len(codes)), np.zeros(len(codes))
     for x in logs:
@@ -172,7 +171,7 @@ MAX_JITTER = 1.0
 """Largest error of the sample times without a finding [samples]."""
 
 
-def audit_logs(logs: Sequence[ManifoldLog], seed: int = 0) -> list[Finding]:
+def audit_logs(logs: Sequence[ManifoldLog]) -> list[Finding]:
     """Return the faults of the logs and of their common sensor.
 
     The audit lists repaired rows, clipped readings, valve duties that contradict the firmware's
@@ -184,8 +183,13 @@ def audit_logs(logs: Sequence[ManifoldLog], seed: int = 0) -> list[Finding]:
         for row in log.findings:
             action: Action = "mended" if "dropped" in row.detail else "used"
             findings.append(Finding(name, "log_row", None, None, None, str(row), action))
-        findings += _clipped(log) + _duties(log) + _times(log)
-    density = code_density([log.pressure for log in logs], seed)
+        bad = clipped(log.pressure, quantisation(log.pressure, 0.0))
+        if bad.any():
+            ends = " and ".join(f"{x:.0f}" for x in sorted(set(log.pressure[bad][[0, -1]])))
+            text = f"the pressure is clipped near {ends} counts"
+            findings.append(masked_finding(name, "clipped", "pressure", log.t, bad, text))
+        findings += _duties(log) + _times(log)
+    density = code_density([log.pressure for log in logs])
     if density is not None and density.uneven:
         names = ", ".join(log.path.name for log in logs)
         findings.append(
@@ -207,15 +211,6 @@ def _unequal(found: CodeDensity) -> str:
         f"a reading up to {found.inl:.1f} counts or {found.inl * PSI_PER_COUNT:.2f} psi: the "
         "cause is the converter, not the pneumatics"
     )
-
-
-def _clipped(log: ManifoldLog) -> list[Finding]:
-    bad = clipped(log.pressure, quantisation(log.pressure, 0.0))
-    if not bad.any():
-        return []
-    ends = " and ".join(f"{x:.0f}" for x in sorted(set(log.pressure[bad][[0, -1]])))
-    text = f"the pressure is clipped near {ends} counts"
-    return [masked_finding(log.path.name, "clipped", "pressure", log.t, bad, text)]
 
 
 def _duties(log: ManifoldLog) -> list[Finding]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from calibration.discrepancy.close_loop import LoopOutcome, conclude
 from calibration.discrepancy.report import loop_record
-from calibration.discrepancy.settings import DEFAULT_SETTINGS, SelectionSettings
+from calibration.discrepancy.settings import DEFAULT_SETTINGS
 from calibration.inference.cache import Memo
 from calibration.inference.problem import AbstractProblem
 from calibration.measurements.records import Record
@@ -37,14 +37,13 @@ def close_loop_on_logs(
     effects: Sequence[str] | None = None,
     progress: Callable[[str], None] = lambda text: None,
     memo: Memo | None = None,
-    settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> LoopOutcome:
     """Return the effects that the pressure-lag model lacks on the rig's logs.
 
     `effects` are the candidates' names (default: all effects that a log can show). Every second
     log, in order of frequency, is held out. Raises `InputError` for fewer than five logs.
     """
-    least = 2 * settings.min_trials - 1
+    least = 2 * DEFAULT_SETTINGS.min_trials - 1
     if len(logs) < least:
         raise InputError(
             f"{len(logs)} logs given; the search for an effect needs {least} or more, at different "
@@ -66,7 +65,7 @@ def close_loop_on_logs(
     findings = audit_logs(logs)
     for finding in findings:
         progress(str(finding))
-    outcome = conclude(experiment, names, records, held, problem_of, base, FREE, progress, settings)
+    outcome = conclude(experiment, names, records, held, problem_of, base, FREE, progress)
     return replace(outcome, audit=findings)
 
 
@@ -90,14 +89,11 @@ def thrust_change(outcome: LoopOutcome) -> dict[str, Any]:
     The models are the paper's lag, the lag that fits best, and the model with the found effects.
     """
     k = [p.label for p in outcome.entries].index("k")
-    effects = []
-    for name in outcome.effects:
-        values = {
-            p.name: float(x)
-            for p, x in zip(outcome.entries, outcome.final.theta, strict=True)
-            if p.effect == name
-        }
-        effects.append({"name": name, **values})
+    pairs = list(zip(outcome.entries, outcome.final.theta, strict=True))
+    effects = [
+        {"name": name} | {p.name: float(x) for p, x in pairs if p.effect == name}
+        for name in outcome.effects
+    ]
     best, final = float(outcome.search.base.theta[k]), float(outcome.final.theta[k])
     trial = built_in_experiment().trials[0]
     return {

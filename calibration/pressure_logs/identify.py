@@ -70,7 +70,9 @@ class Identification:
 
         `which` is `before`, `after` or `pooled`; `settled` omits the first cycle.
         """
-        return math.sqrt(np.mean([self._square(x, which, settled) for x in self.logs]))
+        pairs = [(getattr(x, which), x.log) for x in self.logs]
+        values = [r[whole_cycles(log)] if settled else r for r, log in pairs]
+        return math.sqrt(np.mean([rms(r) ** 2 for r in values]))
 
     def sample_rmse(self, which: str) -> float:
         """Return the root mean square over all samples of all logs [psi]: long logs weigh more."""
@@ -81,21 +83,16 @@ class Identification:
         """White noise of the sensor [psi], pooled with equal weights of the logs."""
         return rms(np.array([x.shape.floor for x in self.logs]))
 
-    @staticmethod
-    def _square(result: LogResult, which: str, settled: bool) -> float:
-        values = getattr(result, which)
-        return rms(values[whole_cycles(result.log)] if settled else values) ** 2
 
-
-def identify_lag(logs: Sequence[ManifoldLog], reference_k: float = PAPER_K) -> Identification:
-    """Fit the lag to every log and to all together; `before` is at `reference_k` [s].
+def identify_lag(logs: Sequence[ManifoldLog]) -> Identification:
+    """Fit the lag to every log and to all together.
 
     Raises `InputError` if the logs together do not determine k.
     """
     batch = LogBatch.of(logs)
     each = fit_each(batch)
     common = fit_pooled(batch) if len(logs) > 1 else each
-    before = np.asarray(residuals_at(reference_k, batch))
+    before = np.asarray(residuals_at(PAPER_K, batch))
     counts = [len(log.t) for log in logs]
     own, shared = _evidence(each, counts), _evidence(common, counts)
     log_k = float(np.ravel(common.log_k)[0])

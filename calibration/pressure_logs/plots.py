@@ -14,10 +14,10 @@ _COMMAND, _MEASURED, _BEFORE, _AFTER = "0.55", "black", "tab:orange", "tab:blue"
 _FILL, _VENT = "tab:red", "tab:green"
 
 
-def plot_log(result: LogResult, reference_k: float, path: Path, cycles: float = 2.5) -> None:
-    """Plot command, measurement, free runs and residuals over the first `cycles`."""
+def plot_log(result: LogResult, reference_k: float, path: Path) -> None:
+    """Plot command, measurement, free runs and residuals over the first 2.5 cycles."""
     log = result.log
-    here = log.t <= cycles / log.frequency
+    here = log.t <= 2.5 / log.frequency
     t, measured = log.t[here], psi(log.pressure)[here]
     figure, (top, low) = new_figure(2, 1, figsize=(9.0, 6.0), sharex=True, height_ratios=[3, 2])
     after = f"lag, k = {1e3 * result.k.value:.0f} ms (this log's best)"
@@ -62,7 +62,11 @@ def plot_phase(found: Identification, path: Path) -> None:
         axis.axis("off")
     for axis, result in zip(axes.flat, found.logs, strict=False):
         log = result.log
-        phase = _phase(log)
+        # In cycles since the command rose through its mean.
+        turn = 2.0 * math.pi * log.frequency * log.t
+        x = log.command - log.command.mean()
+        a, b = (x * np.cos(turn)).sum(), (x * np.sin(turn)).sum()
+        phase = (turn + math.atan2(a, b)) / (2.0 * math.pi) % 1.0
         filling = log.command > log.pressure
         for here, colour, label in (
             (filling, _FILL, "fill valve open"),
@@ -84,15 +88,7 @@ def plot_phase(found: Identification, path: Path) -> None:
     save_figure(figure, path)
 
 
-def _phase(log: ManifoldLog) -> np.ndarray:
-    """Return the phase (samples,) in cycles since the command rose through its mean."""
-    turn = 2.0 * math.pi * log.frequency * log.t
-    x = log.command - log.command.mean()
-    a, b = (x * np.cos(turn)).sum(), (x * np.sin(turn)).sum()
-    return (turn + math.atan2(a, b)) / (2.0 * math.pi) % 1.0
-
-
-def plot_rate(found: Identification, path: Path, span: int = 10) -> None:
+def plot_rate(found: Identification, path: Path) -> None:
     """Plot all residuals against the rate of the measured pressure, by rising and falling."""
     from matplotlib import colormaps
 
@@ -100,8 +96,8 @@ def plot_rate(found: Identification, path: Path, span: int = 10) -> None:
     colours = colormaps["viridis"](np.linspace(0.0, 0.95, len(found.logs)))
     for result, colour in zip(found.logs, colours, strict=True):
         log, p = result.log, psi(result.log.pressure)
-        rate = (p[2 * span :] - p[: -2 * span]) / (log.t[2 * span :] - log.t[: -2 * span])
-        residual = result.after[span:-span]
+        rate = (p[20:] - p[:-20]) / (log.t[20:] - log.t[:-20])
+        residual = result.after[10:-10]
         for axis, sign in zip(axes, (1.0, -1.0), strict=True):
             here = sign * rate > 0.0
             if not here.any():

@@ -137,16 +137,15 @@ class PressureLogProblem(AbstractProblem):
         """Return None: a log has no initial swing."""
 
     def _predict(self, theta: np.ndarray) -> list[np.ndarray]:
-        moved = self._moved(theta)
-        return self._at_samples(
-            np.asarray(_readings(self._extended(moved), self._entries(theta, moved), self.drive))
-        )
+        extended = self._moved(theta, np.zeros(len(theta), bool))
+        at = self._entries(theta, extended)
+        return self._at_samples(np.asarray(_readings(extended, at, self.drive)))
 
     def _tangents(self, theta: np.ndarray, directions: np.ndarray) -> list[np.ndarray]:
         along = np.any(np.asarray(directions) != 0.0, axis=0)
-        moved = self._moved(theta, along)
-        extended, at = self._extended(moved), self._entries(theta, moved)
-        short = np.stack([self._entries(d, moved) for d in directions])
+        extended = self._moved(theta, along)
+        at = self._entries(theta, extended)
+        short = np.stack([self._entries(d, extended) for d in directions])
         series = by_directions(lambda d: _along(extended, at, self.drive, d), short)
         each = [self._at_samples(x) for x in series]
         return [np.stack(x) for x in zip(*each, strict=True)]
@@ -156,24 +155,19 @@ class PressureLogProblem(AbstractProblem):
         there = [self.predict(other) for other in others]
         return [np.stack([x[i] - here[i] for x in there]) for i in range(len(here))]
 
-    def _moved(self, theta: np.ndarray, along: np.ndarray | None = None) -> tuple[str, ...]:
-        """Return the effects with a parameter off its null in `theta` or marked in `along`."""
+    def _moved(self, theta: np.ndarray, along: np.ndarray) -> ExtendedModel:
+        """Return the model with the effects that have a parameter off its null or in `along`."""
         found = dict.fromkeys(
             p.effect
             for i, p in enumerate(model_parameters(self.base.effects))
-            if p.effect and (theta[i] != p.prior.null or (along is not None and along[i]))
+            if p.effect and (theta[i] != p.prior.null or along[i])
         )
-        return tuple(found)
+        return replace(self.base, effects=tuple(found))
 
-    def _extended(self, names: tuple[str, ...]) -> ExtendedModel:
-        return replace(self.base, effects=names)
-
-    def _entries(self, theta: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
-        """Return the entries of `theta` for the base model and the effects `names`."""
-        entries = model_parameters(self.base.effects)
-        return np.array(
-            [x for x, p in zip(theta, entries, strict=True) if p.effect in ("", *names)]
-        )
+    def _entries(self, theta: np.ndarray, extended: ExtendedModel) -> np.ndarray:
+        """Return the entries of `theta` for the base model and the effects of `extended`."""
+        entries, names = model_parameters(self.base.effects), ("", *extended.effects)
+        return np.array([x for x, p in zip(theta, entries, strict=True) if p.effect in names])
 
     def _at_samples(self, series: np.ndarray) -> list[np.ndarray]:
         """Return (channels, samples) of every log from (logs, n)."""
@@ -197,14 +191,12 @@ def _read(extended: ExtendedModel, theta, drive: LogDrive):
     return jax.vmap(one)(drive.at, drive.command, drive.start)
 
 
-@eqx.filter_jit
-def _readings(extended: ExtendedModel, theta, drive: LogDrive):
-    return _read(extended, theta, drive)
+_readings = eqx.filter_jit(_read)
 
 
 @eqx.filter_jit
 def _along(extended: ExtendedModel, theta, drive: LogDrive, directions):
-    def value(theta):
-        return _read(extended, theta, drive)
+    def tangent(direction):
+        return jax.jvp(lambda x: _read(extended, x, drive), (theta,), (direction,))[1]
 
-    return jax.vmap(lambda d: jax.jvp(value, (theta,), (d,))[1])(directions)
+    return jax.vmap(tangent)(directions)

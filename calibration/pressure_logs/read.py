@@ -205,21 +205,18 @@ def _body(
 
 def _check_header(values: dict[str, float], rows: np.ndarray) -> list[RowFinding]:
     """Return where the header's numbers of samples and of cycles differ from the rows."""
-    findings = []
-    last = int(rows[-1, 0])
+    details, last = [], int(rows[-1, 0])
     missing = {"start", "stop"} - values.keys()
     if missing:
         return [RowFinding(None, f"the header has no {' and no '.join(sorted(missing))} time")]
     span = values["stop"] - values["start"]
     expected = span / values["period"]
     if abs(expected - last) > 2.0:
-        detail = f"start, stop and period give {expected:g} samples; the last sample is {last}"
-        findings.append(RowFinding(None, detail))
+        details = [f"start, stop and period give {expected:g} samples; the last sample is {last}"]
     cycles = span * values["frequency"] / 1000.0
     if "cycles" in values and abs(cycles - values["cycles"]) > 0.05:
-        detail = f"start to stop is {cycles:.2f} cycles; the header has {values['cycles']:g}"
-        findings.append(RowFinding(None, detail))
-    return findings
+        details += [f"start to stop is {cycles:.2f} cycles; the header has {values['cycles']:g}"]
+    return [RowFinding(None, detail) for detail in details]
 
 
 def _check_frequency(frequency: float, t: np.ndarray, command: np.ndarray) -> list[RowFinding]:

@@ -78,15 +78,15 @@ def _response(omega: float, command: complex, pressure: complex) -> FrequencyRes
 
 
 def apparent_time_constants(
-    t: np.ndarray, command: np.ndarray, pressure: np.ndarray, span: int = 10
+    t: np.ndarray, command: np.ndarray, pressure: np.ndarray
 ) -> tuple[float, float]:
     """Return the best k [s] of dp/dt = (command - p)/k while filling and while venting.
 
-    The rate is a central difference over 2 `span` samples. k is NaN if the mean product of error
-    and rate is not positive.
+    The rate is a central difference over 20 samples. k is NaN if the mean product of error and rate
+    is not positive.
     """
-    rate = (pressure[2 * span :] - pressure[: -2 * span]) / (t[2 * span :] - t[: -2 * span])
-    error = (command - pressure)[span:-span]
+    rate = (pressure[20:] - pressure[:-20]) / (t[20:] - t[:-20])
+    error = (command - pressure)[10:-10]
 
     def k(here):
         e, work = error[here], float(error[here] @ rate[here])

@@ -116,18 +116,14 @@ def _residual(found: Identification) -> list[str]:
 
 
 def _signed(values) -> str:
-    finite = [v for v in values if math.isfinite(v)]
-    if not finite:
-        return "unknown"
-    if len(finite) == 1:
-        return f"{finite[0]:+.1f}"
-    return f"{min(finite):+.1f} to {max(finite):+.1f}"
+    return _range(values, "+.1f", "unknown")
 
 
 def _range_ms(values) -> str:
-    finite = [1e3 * v for v in values if math.isfinite(v)]
-    if not finite:
-        return "no value"
-    if len(finite) == 1:
-        return f"{finite[0]:.0f}"
-    return f"{min(finite):.0f} to {max(finite):.0f}"
+    return _range([1e3 * v for v in values], ".0f", "no value")
+
+
+def _range(values, form: str, none: str) -> str:
+    finite = [v for v in values if math.isfinite(v)]
+    ends = [min(finite), max(finite)][: len(finite)] if finite else []
+    return " to ".join(f"{x:{form}}" for x in ends) or none
