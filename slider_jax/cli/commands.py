@@ -33,9 +33,7 @@ COMMANDS = {
     "swim": Subcommand(
         "slider_jax.cli.swim:swim", "simulates free swimming and computes the steady speed"
     ),
-    "climb": Subcommand(
-        "slider_jax.cli.climb:climb", "simulates climbing in air, pinned to a wall"
-    ),
+    "climb": Subcommand("slider_jax.cli.swim:climb", "simulates climbing in air, pinned to a wall"),
     "optimize swim": Subcommand(
         "slider_jax.cli.optimize:optimize_swim", "optimises tail and gait for the fastest swimming"
     ),
@@ -89,9 +87,7 @@ COMMANDS = {
         "rig.cli.log:rig_log", "records pressure logs of the published firmware", jax=False
     ),
     "rig replay": Subcommand(
-        "rig.cli.replay:rig_replay",
-        "recomputes a recording's columns, or plays it back",
-        jax=False,
+        "rig.cli.replay:rig_replay", "recomputes a recording's columns, or plays it back", jax=False
     ),
     "rig watch": Subcommand(
         "rig.cli.watch:rig_watch",

@@ -7,33 +7,22 @@ from typing import Annotated
 
 import tyro
 
+from slider_jax import effects
 from slider_jax.cli.options import MaybeFolder
-from slider_jax.effects import (
-    ActingPressure,
-    BendingMoment,
-    BodyChange,
-    Command,
-    Effect,
-    Flow,
-    ForceDensity,
-    Instrument,
-    Mounting,
-    Prior,
-    WaterMotion,
-)
+from slider_jax.effects import Effect, Prior
 from slider_jax.effects.library import LIBRARY
 from slider_jax.errors import InputError, did_you_mean
 
 PLACES = (
-    Command,
-    Flow,
-    ActingPressure,
-    BodyChange,
-    BendingMoment,
-    Mounting,
-    ForceDensity,
-    WaterMotion,
-    Instrument,
+    effects.Command,
+    effects.Flow,
+    effects.ActingPressure,
+    effects.BodyChange,
+    effects.BendingMoment,
+    effects.Mounting,
+    effects.ForceDensity,
+    effects.WaterMotion,
+    effects.Instrument,
 )
 """The places at which an effect enters, from the valves to the sensors."""
 
@@ -74,10 +63,8 @@ def list_effects(
         raise InputError(f"NAME: given {name!r}; allowed are the names in `slider effects`{near}")
     if experiment is not None and out is None:
         raise InputError("--experiment: applies to the figure; add --out DIR")
-    if out is None:
-        print(explanation(name))
-        return
-    _draw(name, out, experiment)
+    changes = [] if out is None else _draw(name, out, experiment)
+    print("\n".join([explanation(name), *changes]))
 
 
 def place_of(kind: type[Effect]) -> type[Effect]:
@@ -101,7 +88,9 @@ def listing() -> str:
 
 
 def explanation(name: str) -> str:
-    """Return the docstring and the priors of one effect."""
+    """Return the docstring and the priors of one effect; half of a typical size is the example."""
+    from slider_jax.simulation.effect_signature import typical_size
+
     kind = LIBRARY[name]
     lines = [
         f"{name}: {kind.title}",
@@ -118,10 +107,9 @@ def explanation(name: str) -> str:
     widths = [max(len(row[i]) for row in rows) for i in (0, 1)]
     for parameter, span, why in rows:
         lines.append(f"  {parameter:<{widths[0]}}  {span:<{widths[1]}}  {why}")
-    given = "".join(f"\n  {key} = {_example(prior):.3g}" for key, prior in priors.items())
-    lines += ["", "example for an experiment or model file"]
-    lines.append(f'  [[effects]]\n  name = "{name}"{given}')
-    return "\n".join(lines)
+    lines += ["", "example for an experiment or model file", f'  [[effects]]\n  name = "{name}"']
+    examples = {key: 0.5 * (prior.null + typical_size(prior)) for key, prior in priors.items()}
+    return "\n".join([*lines, *(f"  {key} = {value:.3g}" for key, value in examples.items())])
 
 
 def _first_line(place: type[Effect]) -> str:
@@ -134,14 +122,8 @@ def _range(prior: Prior) -> str:
     return f"{prior.low:g} to {prior.high:g}{unit}{null}"
 
 
-def _example(prior: Prior) -> float:
-    """Return half of the typical size as an example value."""
-    from slider_jax.simulation.effect_signature import typical_size
-
-    return 0.5 * (prior.null + typical_size(prior))
-
-
-def _draw(name: str, out: Path, path: Path | None) -> None:
+def _draw(name: str, out: Path, path: Path | None) -> list[str]:
+    """Write the figure and return the lines that describe it."""
     from slider_jax.channels import CHANNELS
     from slider_jax.cli.progress import Progress
     from slider_jax.experiment.load import load
@@ -157,8 +139,7 @@ def _draw(name: str, out: Path, path: Path | None) -> None:
         with Progress(name, "step") as progress:
             found = effect_signature(experiment, name, progress.to)
         plot_signature(found, stage / f"{name}.png")
-    print(explanation(name))
-    print("\nrms change over the stride")
+    lines = ["", "rms change over the stride"]
     for trace in found.traces:
         rms = found.rms(trace)
         changes = [
@@ -166,5 +147,5 @@ def _draw(name: str, out: Path, path: Path | None) -> None:
             for x in CHANNELS.values()
             if rms[x.column]
         ]
-        print(f"  {trace.label}: {'; '.join(changes) or 'none'}")
-    print(f"wrote {name}.png to {out}")
+        lines.append(f"  {trace.label}: {'; '.join(changes) or 'none'}")
+    return [*lines, f"wrote {name}.png to {out}"]

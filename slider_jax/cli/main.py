@@ -71,11 +71,6 @@ def run_command(arguments: Sequence[str]) -> int:
     return int(call_of(function_of(COMMANDS[name].target), rest, name)() or 0)
 
 
-def _notes(error: BaseException) -> list[str]:
-    """Return the notes on an error, which are further failures while the command stopped."""
-    return list(getattr(error, "__notes__", ()))
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run `slider` and return its exit code.
 
@@ -97,12 +92,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     try:
         return run_command(arguments)
-    except (InputError, SolverError, rig_error()) as error:
-        print("\n".join([f"slider: error: {error}", *_notes(error)]), file=sys.stderr)
-        return 2
-    except KeyboardInterrupt as interrupt:
-        print("\n".join(["slider: interrupted", *_notes(interrupt)]), file=sys.stderr)
-        return 130
+    except (InputError, SolverError, KeyboardInterrupt, rig_error()) as error:
+        stopped = isinstance(error, KeyboardInterrupt)
+        text = "interrupted" if stopped else f"error: {error}"
+        # The notes are further failures while the command stopped.
+        print("\n".join([f"slider: {text}", *getattr(error, "__notes__", ())]), file=sys.stderr)
+        return 130 if stopped else 2
 
 
 if __name__ == "__main__":

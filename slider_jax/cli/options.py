@@ -59,9 +59,7 @@ ModelFile = Annotated[
 ]
 Seconds = Annotated[float | None, _read_by(_number, "S", "a number of seconds"), _DEFAULT_IN_HELP]
 Range = Annotated[
-    tuple[float, float] | None,
-    _read_by(_numbers, "LOW HIGH", "two numbers", 2),
-    _DEFAULT_IN_HELP,
+    tuple[float, float] | None, _read_by(_numbers, "LOW HIGH", "two numbers", 2), _DEFAULT_IN_HELP
 ]
 Pressures = Annotated[
     tuple[float, ...] | None,

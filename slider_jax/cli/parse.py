@@ -3,6 +3,7 @@
 import inspect
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import is_dataclass
 from functools import partial, wraps
 from typing import Any
 
@@ -45,12 +46,15 @@ def _refuse_unknown_options(function: Callable[..., Any], words: Sequence[str]) 
 
     tyro would take the word after it as its value and then report a missing file.
     """
-    allowed = ["--help"]
-    for name, parameter in inspect.signature(function).parameters.items():
+    allowed, parameters = ["--help"], list[inspect.Parameter]()
+    for x in inspect.signature(function).parameters.values():
+        options = inspect.signature(x.annotation).parameters if is_dataclass(x.annotation) else {}
+        parameters += options.values() or [x]
+    for parameter in parameters:
         notes = getattr(parameter.annotation, "__metadata__", ())
         if tyro.conf.Positional in notes:
             continue
-        name = next((x.name for x in notes if getattr(x, "name", None)), name)
+        name = next((x.name for x in notes if getattr(x, "name", None)), parameter.name)
         allowed.append(f"--{'no-' if parameter.default is True else ''}{name.replace('_', '-')}")
     for word in words:
         option = word.split("=")[0].replace("_", "-")

@@ -4,7 +4,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from types import TracebackType
 
 from tqdm import tqdm
 
@@ -19,7 +18,7 @@ class Progress:
 
     def __init__(self, name: str, unit: str, first: str = "compiling"):
         self._name, self._unit = name, unit
-        self._lock, self._done, self._total = threading.Lock(), 0, 0
+        self._lock, self._done, self._total = threading.RLock(), 0, 0
         self._bar = tqdm(desc=f"{name}: {first}", unit=unit, leave=False, disable=None)
         self._next = time.monotonic() + PAUSE
         self._waiting = threading.Timer(PATIENCE, self._print, (f"{name}: {first} ...",))
@@ -30,12 +29,7 @@ class Progress:
             self._waiting.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *failure: object) -> None:
         self._waiting.cancel()
         self._bar.close()
 
@@ -48,23 +42,20 @@ class Progress:
     def step(self) -> None:
         """Report one completed step."""
         with self._lock:
-            self._to(self._done + 1, self._total)
+            self.to(self._done + 1, self._total)
 
     def to(self, done: int, total: int) -> None:
         """Report that `done` of `total` steps are complete."""
         with self._lock:
-            self._to(done, total)
-
-    def _to(self, done: int, total: int) -> None:
-        self._waiting.cancel()
-        if not self._bar.disable:
-            self._bar.set_description(self._name, refresh=False)
-            self._bar.total = total
-            self._bar.update(done - self._done)
-        elif time.monotonic() >= self._next and done < total:
-            self._print(f"{self._name}: {done} of {total} {self._unit}s")
-            self._next = time.monotonic() + PAUSE
-        self._done = done
+            self._waiting.cancel()
+            if not self._bar.disable:
+                self._bar.set_description(self._name, refresh=False)
+                self._bar.total = total
+                self._bar.update(done - self._done)
+            elif time.monotonic() >= self._next and done < total:
+                self._print(f"{self._name}: {done} of {total} {self._unit}s")
+                self._next = time.monotonic() + PAUSE
+            self._done = done
 
     @staticmethod
     def _print(line: str) -> None:

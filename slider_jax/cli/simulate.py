@@ -50,7 +50,14 @@ def simulate(
             if value:
                 raise InputError(f"{name}: applies to experiments; remove it for a log")
         return function_of(SIMULATE_LOG)(input, model, out, drive, plot)
+    from slider_jax.channels import CHANNELS, TIME
+    from slider_jax.cli.progress import Progress
     from slider_jax.experiment.load import load
+    from slider_jax.experiment.prepare import prepare
+    from slider_jax.io.files import staged, write_csv, write_json
+    from slider_jax.simulation.plots import plot_run
+    from slider_jax.simulation.summary import simulation_summary, trial_summary
+    from slider_jax.simulation.trial import simulate_prepared
 
     if drive != "set":
         raise InputError(
@@ -61,18 +68,6 @@ def simulate(
     given = {key: value for key, value in settings.items() if value is not None}
     if given:
         experiment = experiment.with_values(given, "command line")
-    return _simulate_experiment(experiment, input, model, out, plot, animate)
-
-
-def _simulate_experiment(experiment, path, model, out, plot, animate) -> None:
-    from slider_jax.channels import CHANNELS, TIME
-    from slider_jax.cli.progress import Progress
-    from slider_jax.experiment.prepare import prepare
-    from slider_jax.io.files import staged, write_csv, write_json
-    from slider_jax.simulation.plots import plot_run
-    from slider_jax.simulation.summary import simulation_summary, trial_summary
-    from slider_jax.simulation.trial import simulate_prepared
-
     refuse_own_folder(out, experiment.folder)
     # All files are checked before the first simulation.
     prepared = [prepare(experiment, trial) for trial in experiment.trials]
@@ -94,31 +89,27 @@ def _simulate_experiment(experiment, path, model, out, plot, animate) -> None:
                 with Progress(file, "frame", "film of the last two strides") as progress:
                     animate_run(run, stage, progress.to)
             for line in _lines(result, time.perf_counter() - started):
-                print(line, file=sys.stderr)
-        write_json(stage / "summary.json", simulation_summary(experiment, results, path, model))
+                print(f"{file}  {line}", file=sys.stderr)
+        write_json(stage / "summary.json", simulation_summary(experiment, results, input, model))
     print(f"wrote {len(results)} trials and summary.json to {out}", file=sys.stderr)
 
 
 def _lines(result, seconds: float) -> list[str]:
     from slider_jax.channels import CHANNELS
 
-    lines = [_line(result, seconds)]
+    frequency = result["frequency_Hz"]
+    lines = [
+        f"{f'{frequency:4.1f} Hz' if frequency else 'recorded'}  "
+        f"thrust {1e3 * result['mean_thrust_N']:8.2f} mN  "
+        f"recoil {1e3 * result['recoil_rms_N']:7.1f} mN rms  "
+        f"tip +-{1e3 * result['tip_half_range_m']:6.2f} mm  ({result['averaged']}; "
+        f"step {1e3 * result['step_s']:.3f} ms; {seconds:.1f} s)"
+    ]
     if off := result["rmse_to_measured"]:
         errors = [
             f"{x.label} {x.plot_factor * off[x.column]:.3g} {x.plot_unit}"
             for x in CHANNELS.values()
             if x.column in off
         ]
-        lines.append(f"{result['file']}  rms error: {', '.join(errors)}")
-    return lines + [f"{result['file']}  warning: {text}" for text in result["warnings"]]
-
-
-def _line(result, seconds: float) -> str:
-    frequency = result["frequency_Hz"]
-    at = f"{frequency:4.1f} Hz" if frequency else "recorded"
-    return (
-        f"{result['file']}  {at}  thrust {1e3 * result['mean_thrust_N']:8.2f} mN  "
-        f"recoil {1e3 * result['recoil_rms_N']:7.1f} mN rms  "
-        f"tip +-{1e3 * result['tip_half_range_m']:6.2f} mm  ({result['averaged']}; "
-        f"step {1e3 * result['step_s']:.3f} ms; {seconds:.1f} s)"
-    )
+        lines.append(f"rms error: {', '.join(errors)}")
+    return lines + [f"warning: {text}" for text in result["warnings"]]

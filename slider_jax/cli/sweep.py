@@ -1,5 +1,6 @@
 """`slider sweep`: varies one or two fields of an experiment."""
 
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -70,15 +71,11 @@ def sweep(
         axes.append(Axis.spaced(field2, start2, stop2, count2))
     elif second != (None,) * 4:
         raise InputError("a second field needs all of --field2, --from2, --to2, --count2")
-    task = Sweep(
-        load(experiment, model),
-        tuple(axes),
-        _trial(axes) if trial is None else trial,
-        strides,
-        transient,
-        steps_per_stride,
-        swim,
-    )
+    if trial is None:
+        named = (re.match(r"trials\.(\d+)(\.|$)", axis.field) for axis in axes)
+        trial = next((int(x[1]) for x in named if x), 0)
+    given = load(experiment, model)
+    task = Sweep(given, tuple(axes), trial, strides, transient, steps_per_stride, swim)
     output_folder(out)
     if is_written(task, out):
         print(
@@ -98,20 +95,9 @@ def sweep(
 
             table = run_sweep(task, out, begin, progress.step)
     except KeyboardInterrupt:
-        print(
-            f"finished chunks are in {out / 'partial'}; repeat the same command to resume",
-            file=sys.stderr,
-        )
+        text = f"finished chunks are in {out / 'partial'}; repeat the same command to resume"
+        print(text, file=sys.stderr)
         raise
     write_sweep(task, table, out, experiment)
     shutil.rmtree(out / "partial")
     print(f"wrote {len(task.points)} points to {out / 'sweep.csv'}", file=sys.stderr)
-
-
-def _trial(axes) -> int:
-    """Return the number of the trial that an axis varies, otherwise 0."""
-    for axis in axes:
-        parts = axis.field.split(".")
-        if parts[0] == "trials" and len(parts) > 1 and parts[1].isdigit():
-            return int(parts[1])
-    return 0

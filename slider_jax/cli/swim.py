@@ -1,16 +1,21 @@
-"""`slider swim`: simulates free swimming."""
+"""`slider swim` and `slider climb`: simulate free swimming, and climbing a wall in air."""
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from slider_jax.cli.options import (
     Folder,
     MaybeExperiment,
+    MaybeValue,
     MaybeWhole,
     ModelFile,
+    Value,
     chosen_trials,
     refuse_own_folder,
 )
+from slider_jax.errors import InputError
 
 
 def swim(
@@ -33,22 +38,101 @@ def swim(
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
         trial: number of the only trial to run, counted from 0 (default: all trials).
     """
-    from slider_jax.io.files import input_file, staged, versions, write_csv, write_json
-    from slider_jax.swimming.free_swim import (
-        free_swimmer,
-        simulate_free_swim as swim_freely,
-        swim_record,
-    )
+    from slider_jax.swimming.free_swim import free_swimmer, simulate_free_swim, swim_record
     from slider_jax.swimming.paper_optimum import PUBLISHED, given_or, optimum
     from slider_jax.swimming.report import plot_swim, stride_columns, swim_summary, swim_table
 
     given = given_or(optimum, experiment, model)
-    trials = chosen_trials(given.trials, trial)
     published = PUBLISHED if experiment is None else {}
-    if experiment is not None:
+
+    def simulated(x, stem: str, say: Callable[[str], None]):
+        found = simulate_free_swim(given, x, say)
+        row = swim_record(found)
+        plot_swim(found, Path(f"{stem}.png"))
+        return row, stride_columns(found), [swim_table(row, published), *swim_summary(found)]
+
+    values = {"published": {name: x._asdict() for name, x in published.items()}}
+    inputs = (experiment, model)
+    _run("swim", given, inputs, out, trial, lambda x: free_swimmer(given, x), simulated, values)
+
+
+def climb(
+    experiment: MaybeExperiment = None,
+    *,
+    out: Folder,
+    model: ModelFile = None,
+    trial: MaybeWhole = None,
+    pin_phase: MaybeValue = None,
+    link: Value = 0.03,
+    cap: Value = 172.3e3,
+) -> None:
+    """Simulate climbing a wall with each trial's drive.
+
+    The ends of a cross-link at the head are pinned alternately. Climbing is simulated in air:
+    weight acts, hydrodynamic forces and the carriage clamp are omitted. The simulation runs until
+    strides repeat and reports the last 15. It writes climb.json (all values, settings and versions)
+    to DIR, and for each trial NAME: NAME_climb.png, NAME_climb.csv and the film NAME_climb.gif.
+
+    Args:
+        experiment: experiment file (.toml); towing, heaving and water of its trials are ignored
+            (default: the built-in robot at 2 Hz).
+        out: folder for the results; created if missing. Existing files are replaced.
+        model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
+        trial: number of the only trial to run, counted from 0 (default: all trials).
+        pin_phase: delay from the front chamber's positive pressure step to pinning the left end,
+            as a fraction of a period; the right end is pinned half a period later (default: the
+            fastest of 16 phases).
+        link: length of the cross-link, in m.
+        cap: highest set pressure, in Pa; larger amplitudes are reduced to it.
+    """
+    from slider_jax.cli.progress import Progress
+    from slider_jax.climbing import report
+    from slider_jax.climbing.climb import climb_record, simulate_climb
+    from slider_jax.swimming.gait import stride_frequency
+    from slider_jax.swimming.paper_optimum import example_climber, given_or
+
+    if pin_phase is not None and not -1.0 <= pin_phase <= 1.0:
+        raise InputError.value("--pin-phase", f"{pin_phase:g}", "-1 to 1, of a period")
+    if not 0.005 <= link <= 0.2:
+        raise InputError.value("--link", f"{link:g}", "0.005 to 0.2 m")
+    if not 1e3 <= cap <= 2e6:
+        raise InputError.value("--cap", f"{cap:g}", "1e3 to 2e6 Pa", "pascal, not kPa or psi")
+    given = given_or(example_climber, experiment, model)
+
+    def simulated(x, stem: str, say: Callable[[str], None]):
+        run = simulate_climb(given, x, pin_phase, link, cap, say)
+        row = climb_record(run)
+        report.plot_climb(run, Path(f"{stem}.png"))
+        with Progress(Path(x.file).stem, "frame", "film of the last strides") as progress:
+            report.film(run, Path(f"{stem}.gif"), progress.to)
+        text = [report.climb_table(row), *report.climb_summary(run)]
+        return row, report.series_columns(run), text
+
+    _run("climb", given, (experiment, model), out, trial, stride_frequency, simulated, {})
+
+
+def _run(
+    command: str,
+    given,
+    inputs: tuple[Path | None, Path | None],
+    out: Path,
+    trial: int | None,
+    check: Callable[..., object],
+    simulated: Callable[..., tuple[dict[str, Any], dict[str, Any], list[str]]],
+    values: dict[str, Any],
+) -> None:
+    """Simulate and report trials of the experiment `given`, read from the `inputs`.
+
+    `check` raises `InputError` for an invalid trial. `simulated(trial, stem, say)` draws files
+    whose paths begin with `stem`, and returns the trial's record, CSV columns and printed lines.
+    """
+    from slider_jax.io.files import input_files, staged, versions, write_csv, write_json
+
+    trials = chosen_trials(given.trials, trial)
+    if inputs[0] is not None:
         refuse_own_folder(out, given.folder)
     for x in trials:  # report every invalid trial before the first computation
-        free_swimmer(given, x)
+        check(x)
     rows = []
     with staged(out) as stage:
         for x in trials:
@@ -57,19 +141,16 @@ def swim(
             def say(text: str, name: str = name) -> None:
                 print(f"{name}: {text} ...", file=sys.stderr, flush=True)
 
-            found = swim_freely(given, x, say)
-            rows.append(swim_record(found))
-            write_csv(stage / f"{name}_swim.csv", stride_columns(found))
-            plot_swim(found, stage / f"{name}_swim.png")
-            print(f"{name}: {x.waveform} {x.frequency:g} Hz")
-            print(swim_table(rows[-1], published))
-            print("\n".join(swim_summary(found)))
+            row, columns, text = simulated(x, f"{stage / name}_{command}", say)
+            rows.append(row)
+            write_csv(stage / f"{name}_{command}.csv", columns)
+            print("\n".join([f"{name}: {x.waveform} {x.frequency:g} Hz", *text]))
         content = {
-            "swims": rows,
-            "published": {name: x._asdict() for name, x in published.items()},
+            f"{command}s": rows,
+            **values,
             "experiment": given.model_dump(),
-            "inputs": [input_file(p) for p in (experiment, model) if p is not None],
+            "inputs": input_files(*inputs),
             "versions": versions(),
         }
-        write_json(stage / "swim.json", content)
-    print(f"wrote swim.json, and a figure and a table of each trial, to {out}", file=sys.stderr)
+        write_json(stage / f"{command}.json", content)
+    print(f"wrote {command}.json and the files of each trial to {out}", file=sys.stderr)

@@ -166,3 +166,8 @@ def input_file(path: Path | str) -> dict[str, Any]:
     """Path and SHA-256 digest of an input file, for the record of its results."""
     path = Path(path)
     return {"path": str(path), "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+
+
+def input_files(*paths: Path | None) -> list[dict[str, Any]]:
+    """`input_file` of each path that is given."""
+    return [input_file(path) for path in paths if path is not None]

@@ -84,21 +84,19 @@ def gait_bounds(given: Mapping[str, tuple[float, float] | None]) -> GaitBounds:
 def models(experiment: Experiment) -> Callable[[Gait], Model]:
     """Return the free robot of an experiment's first trial as a function of the gait.
 
-    The function is differentiable.
-
-    Quantities that depend on the frequency follow the gait's frequency: drag and added mass (by
-    ramp or table), and effects with a field `stride_frequency`. The drive is a square wave.
+    The function is differentiable. Quantities that depend on the frequency follow the gait's
+    frequency: drag and added mass (by ramp or table), and effects with a field `stride_frequency`.
+    The drive is a square wave.
     """
     base = to_model(experiment, 0)
-    parameters, tables = experiment.parameters, experiment.effects
 
     def model(gait: Gait) -> Model:
         changes: dict[int, dict[str, Any]] = {}
-        if parameters.force_coefficients != "fixed":
-            C_d, m_a = coefficients_at(parameters, gait.frequency)
+        if experiment.parameters.force_coefficients != "fixed":
+            C_d, m_a = coefficients_at(experiment.parameters, gait.frequency)
             changes = {0: {"C_d": C_d}, 1: {"m_a": m_a}}
-        for i, (effect, table) in enumerate(zip(base.effects[2:], tables, strict=True), start=2):
-            names = {field.name for field in fields(effect)} - set(table.model_extra or {})
+        for i, table in enumerate(experiment.effects, start=2):
+            names = {field.name for field in fields(base.effects[i])} - set(table.model_extra or {})
             if "stride_frequency" in names:
                 changes[i] = {"stride_frequency": gait.frequency}
         effects = tuple(replace(e, **changes.get(i, {})) for i, e in enumerate(base.effects))
@@ -131,11 +129,7 @@ def slope_of(experiment: Experiment, box: GaitBounds, search: SteadySettings):
         value = steady_speed(model(gait), gait.frequency, search)
         return value, value
 
-    def both(unit):
-        slope, value = jax.jacfwd(speed, has_aux=True)(unit)
-        return value, slope
-
-    return both
+    return lambda unit: jax.jacfwd(speed, has_aux=True)(unit)[::-1]
 
 
 def with_gait(experiment: Experiment, gait: Gait) -> Experiment:

@@ -159,18 +159,14 @@ def sensitivity(task: Task, unit: np.ndarray, step: float = 0.02) -> Sensitivity
     gradient = jax.jit(jax.jacfwd(speed))
     # Near a face of the box both points move inside, where all values are physical.
     middle = np.clip(unit, step, 1.0 - step)
-    rows = [
-        (gradient(jnp.asarray(middle + d)) - gradient(jnp.asarray(middle - d))) / (2.0 * step)
-        for d in step * np.eye(len(unit))
-    ]
-    hessian = np.asarray(rows)
+    ends = ((jnp.asarray(middle + d), jnp.asarray(middle - d)) for d in step * np.eye(len(unit)))
+    hessian = np.asarray([(gradient(a) - gradient(b)) / (2.0 * step) for a, b in ends])
     return Sensitivity(np.asarray(gradient(jnp.asarray(unit))), 0.5 * (hessian + hessian.T))
 
 
 def speed_at(task: Task, gait: Gait) -> float:
     """Return the steady speed [m/s] of a design, with the numerical settings of the task."""
-    box = task.box
-    return float(jax.jit(speed_of(task.experiment, box, task.search))(jnp.asarray(box.unit(gait))))
+    return float(jax.jit(speed_of(*task))(jnp.asarray(task.box.unit(gait))))
 
 
 def write_optimum(

@@ -76,18 +76,12 @@ def run_optimiser(
     one. Of several processes, only one may `keep` the checkpoint. Raises `InputError` for a
     checkpoint that has other `settings` or is damaged, and for any checkpoint without `resume`.
     """
-    state = optimiser.begin(seed)
+    state, none = optimiser.begin(seed), np.full(0, np.nan)
     path = None if folder is None else folder / CHECKPOINT
-    history: list[Generation] = []
-    best, score, scores = np.full(0, np.nan), -np.inf, np.full(0, np.nan)
-    population = np.full((0, 0), np.nan)
+    best, score, history, population, scores = OptimisationResult(none, -np.inf, [], none, none)
     if path is not None and path.exists():
-        if not resume:
-            raise InputError(
-                f"{path}: this folder holds an optimisation; add --resume to continue it, or give "
-                "another folder"
-            )
-        state, history, best, score, population, scores = _load(path, state, settings)
+        refuse_without(resume, path)
+        state, (best, score, history, population, scores) = _load(path, state, settings)
     for number in range(len(history), generations):
         started = time.monotonic()
         population, state = optimiser.ask(state, seed, number)
@@ -101,70 +95,71 @@ def run_optimiser(
             place = int(np.argmax(np.where(good, scores, -np.inf)))
             best, score = population[place], float(scores[place])
         here = scores[good] if good.any() else np.array([np.nan])
-        done = Generation(
-            number, score, float(here.max()), float(here.mean()), int((~good).sum()),
-            spent,
-        )  # fmt: skip
+        failed = int((~good).sum())
+        done = Generation(number, score, float(here.max()), float(here.mean()), failed, spent)
         history.append(done)
         if path is not None and keep:
-            _save(path, state, history, best, score, population, scores, settings)
+            result = OptimisationResult(best, score, history, population, scores)
+            _save(path, state, result, settings)
         on_generation(done, time.monotonic() - started)
     return OptimisationResult(best, score, history, population, scores)
 
 
-def _save(path, state, history, best, score, population, scores, settings) -> None:
+def refuse_without(resume: bool, path: Path) -> None:
+    """Raise `InputError` without `resume`; `path` is a file of an earlier optimisation."""
+    if not resume:
+        raise InputError(
+            f"{path}: this folder holds an optimisation; add --resume to continue it, or give "
+            "another folder"
+        )
+
+
+def refuse_other_settings(given: Any, saved: Any, path: Path) -> None:
+    """Raise `InputError` if the settings that the file `path` contains differ from those given."""
+    differ = differences(given, saved)
+    if differ:
+        more = f"; and {len(differ) - 3} more" if len(differ) > 3 else ""
+        raise InputError(
+            f"{path}: the optimisation in this folder has other settings: {'; '.join(differ[:3])}"
+            f"{more}; give the same settings, or another folder"
+        )
+
+
+def _save(path: Path, state: Any, result: OptimisationResult, settings: dict[str, Any]) -> None:
     leaves = {f"state_{i:03d}": np.asarray(x) for i, x in enumerate(jax.tree.leaves(state))}
     buffer = io.BytesIO()
-    record = json.dumps({"settings": settings, "score": score})
-    kept = {"said": np.array(record), "history": np.array(history, float), "best": best,
-            "members": population, "scores": scores}  # fmt: skip
+    record = json.dumps({"settings": settings, "score": result.score})
+    kept = {"said": np.array(record), "history": np.array(result.history, float),
+            "best": result.best, "members": result.population,
+            "scores": result.scores}  # fmt: skip
     np.savez(buffer, allow_pickle=False, **kept, **leaves)
     content = buffer.getvalue()
     write_bytes(path, hashlib.sha256(content).digest() + content)
 
 
-def _load(path, state, settings):
-    """Return state, history, best, score, population and scores of a checkpoint."""
+def _load(path: Path, state: Any, settings: dict[str, Any]) -> tuple[Any, OptimisationResult]:
+    """Return state and result of a checkpoint; `state` is a tree with the same structure."""
     damaged = InputError(
         f"{path}: the file is damaged or is not a checkpoint of this program; delete it to start "
         "again, or restore it from a copy"
     )
     try:
         content = path.read_bytes()
-    except OSError:
-        raise damaged from None
-    if hashlib.sha256(content[32:]).digest() != content[:32]:
-        raise damaged
-    try:
+        if hashlib.sha256(content[32:]).digest() != content[:32]:
+            raise damaged
         kept = np.load(io.BytesIO(content[32:]))
         record = json.loads(str(kept["said"]))
         leaves = [kept[name] for name in sorted(kept.files) if name.startswith("state_")]
-        rows = kept["history"]
-    except (ValueError, KeyError, zipfile.BadZipFile, json.JSONDecodeError):
+        rows = kept["history"].tolist()
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
         raise damaged from None
-    differ = differences(settings, record["settings"])
-    if differ:
-        text = "; ".join(differ[:3]) + (f"; and {len(differ) - 3} more" if len(differ) > 3 else "")
-        raise InputError(
-            f"{path}: the optimisation in this folder has other settings: {text}; give the same "
-            "settings, or another folder"
-        )
-    form = jax.tree.structure(state)
-    if form.num_leaves != len(leaves):
+    refuse_other_settings(settings, record["settings"], path)
+    if len(jax.tree.leaves(state)) != len(leaves):
         raise damaged
-    history = [
-        Generation(int(a), float(b), float(c), float(d), int(e), int(f))
-        for a, b, c, d, e, f in rows
-    ]
-    score = float(record["score"])
-    return (
-        jax.tree.unflatten(form, leaves),
-        history,
-        kept["best"],
-        score,
-        kept["members"],
-        kept["scores"],
-    )
+    history = [Generation(int(n), a, b, c, int(e), int(f)) for n, a, b, c, e, f in rows]
+    best, score = kept["best"], float(record["score"])
+    result = OptimisationResult(best, score, history, kept["members"], kept["scores"])
+    return jax.tree.unflatten(jax.tree.structure(state), leaves), result
 
 
 def differences(given: Any, saved: Any, place: str = "") -> list[str]:

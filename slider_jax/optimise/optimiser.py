@@ -195,20 +195,17 @@ def cma_es(
     return Optimiser("cma-es", standard(begin), standard(ask), standard(tell))
 
 
-OPTIMISERS: dict[str, Callable[[int, int], Optimiser]] = {
-    "genetic": genetic,
-    "gradient": gradient,
-    "cma-es": cma_es,
+OPTIMISERS: dict[str, tuple[int, Callable[[int, int], Optimiser]]] = {
+    "genetic": (2 * ELITE, genetic),
+    "gradient": (ASCENT_STARTS, gradient),
+    "cma-es": (4, cma_es),
 }
-
-
-SMALLEST_POPULATION = {"genetic": 2 * ELITE, "gradient": ASCENT_STARTS, "cma-es": 4}
-"""Fewest individuals that each algorithm can work with."""
+"""Fewest individuals that each algorithm can work with, and its function."""
 
 
 def make_optimiser(name: str, population: int, dimensions: int) -> Optimiser:
     """Return an optimiser by name. Raises `InputError` for a population that is too small."""
-    if population < SMALLEST_POPULATION[name]:
-        least = SMALLEST_POPULATION[name]
-        raise InputError.value("--population", population, f"{least} or more individuals")
-    return OPTIMISERS[name](population, dimensions)
+    fewest, algorithm = OPTIMISERS[name]
+    if population < fewest:
+        raise InputError.value("--population", population, f"{fewest} or more individuals")
+    return algorithm(population, dimensions)

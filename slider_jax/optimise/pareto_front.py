@@ -13,7 +13,8 @@ from slider_jax.optimise.loop import (
     CHECKPOINT,
     PLAN,
     Generation,
-    differences,
+    refuse_other_settings,
+    refuse_without,
     run_optimiser,
     settings_of,
 )
@@ -175,8 +176,8 @@ def search_front(
                 f"{name}_only: no design moves forward; the best efficiency is {found:.3g}; "
                 "increase --population, or change the bounds"
             )
-    only, known = np.array([E_swim, E_climb]), list[np.ndarray]()
-    alone = only
+    only = alone = np.array([E_swim, E_climb])
+    known = list[np.ndarray]()
     for share in np.linspace(0.0, 1.0, BLENDS + 2):  # share of the climber's tail; both best drives
         design = swims.copy()
         design[list(CLIMB)] = climbs[list(CLIMB)]
@@ -203,11 +204,7 @@ def _begin(folder: Path, settings: dict[str, Any], resume: bool) -> None:
     """Write the settings of a new optimisation, or check those of one that resumes."""
     file, settings = folder / PLAN, json.loads(json.dumps(settings))
     if file.exists():
-        if not resume:
-            raise InputError(
-                f"{file}: this folder holds an optimisation; add --resume to continue it, or give "
-                "another folder"
-            )
+        refuse_without(resume, file)
         try:
             saved = json.loads(file.read_text())
         except (OSError, ValueError):
@@ -217,11 +214,7 @@ def _begin(folder: Path, settings: dict[str, Any], resume: bool) -> None:
                 f"{file}: the file is damaged or was not written by this program; restore it from "
                 "a copy, or give another folder"
             )
-        if differ := differences(settings, saved):
-            raise InputError(
-                f"{file}: the optimisation in this folder has other settings: "
-                f"{'; '.join(differ[:3])}; give the same settings, or another folder"
-            )
+        refuse_other_settings(settings, saved, file)
     elif any(folder.glob(f"**/{CHECKPOINT}")):
         raise InputError(
             f"{folder}: this folder holds checkpoints of another optimisation; give another folder"
@@ -248,10 +241,9 @@ def dominated(points: list[FrontPoint]) -> list[float]:
 
     The neighbour is then at least as good at both tasks and better at one.
     """
-    betas = []
-    for i, point in enumerate(points):
-        for neighbour in points[max(0, i - 1) : i + 2]:
-            more = neighbour.efficiencies - point.efficiencies
-            if np.all(more >= 0.0) and np.any(more > 0.0):
-                betas.append(point.beta)
-    return betas
+    return [
+        point.beta
+        for i, point in enumerate(points)
+        for more in (x.efficiencies - point.efficiencies for x in points[max(0, i - 1) : i + 2])
+        if np.all(more >= 0.0) and np.any(more > 0.0)
+    ]

@@ -29,21 +29,21 @@ of the front pressures also shows the rear ones."""
 
 def front_records(modes: TwoTasks, front: Front) -> list[dict[str, Any]]:
     """Return each point of the front as a record for JSON, in SI units."""
-    everything, again = tuple(range(len(NAMES))), dict[bytes, dict[str, Any]]()
     own = to_numerics(modes.task.experiment)[0]
     finer = modes.task.search._replace(numerics=own)
     E_swim = jax.jit(swim_efficiency(modes.task.experiment, finer))
-    for point in front.points:
-        key = point.design.tobytes()
-        if key not in again:
-            again[key] = on_own_mesh(modes, point.design, E_swim) | {"nodes": own.nodes}
+    designs = {point.design.tobytes(): point.design for point in front.points}
+    again = {
+        key: on_own_mesh(modes, design, E_swim) | {"nodes": own.nodes}
+        for key, design in designs.items()
+    }
     return [
         {
             "beta": point.beta,
             "eta": point.eta,
             "E_swim": point.efficiencies[0],
             "E_climb": point.efficiencies[1],
-            **dict(zip(NAMES, modes.values(point.design, everything).tolist(), strict=True)),
+            **dict(zip(NAMES, modes.values(point.design).tolist(), strict=True)),
             "own_mesh": again[point.design.tobytes()],
         }
         for point in front.points
@@ -130,13 +130,9 @@ def front_summary(content: dict[str, Any]) -> list[str]:
     for name in ("E_swim", "E_climb"):
         own = ", ".join(f"{x['own_mesh'][name]:.4f}" for x in content["front"])
         lines.append(f"{name} on {content['front'][0]['own_mesh']['nodes']} nodes: {own}")
-    unrepeated = [
-        f"{x['beta']:.3f}"
-        for x in content["front"]
-        if x["own_mesh"]["climb_repeats_after_strides"] is None
-    ]
-    if unrepeated:
-        lines.append(f"beta {', '.join(unrepeated)}: the strides of the climb do not repeat")
+    steady = "climb_repeats_after_strides"
+    if other := [f"{x['beta']:.3f}" for x in content["front"] if x["own_mesh"][steady] is None]:
+        lines.append(f"beta {', '.join(other)}: the strides of the climb do not repeat")
     if content["dominated_by_a_neighbour"]:
         lines.append(f"dominated by a neighbour: {content['dominated_by_a_neighbour']}")
     return lines
@@ -146,12 +142,10 @@ def plot_front(found: list[dict[str, Any]], only: dict[str, float], path: Path) 
     """Plot the front and the optimal variables against beta, like the paper's Fig. 9."""
     figure, axes = new_figure(2, 3, figsize=(11, 6.5))
     beta = np.array([x["beta"] for x in found])
-    (front, *others) = axes.flat
-    share = np.array(
-        [[x["E_swim"] / only["E_swim"], x["E_climb"] / only["E_climb"]] for x in found]
-    )
-    front.plot(*share.T, "k-", lw=0.8)
-    points = front.scatter(*share.T, c=beta, cmap="viridis", zorder=3)
+    front, *others = axes.flat
+    shares = [[x[name] / only[name] for x in found] for name in ("E_swim", "E_climb")]
+    front.plot(*shares, "k-", lw=0.8)
+    points = front.scatter(*shares, c=beta, cmap="viridis", zorder=3)
     front.set_xlabel("E_swim/E_swim,only")
     front.set_ylabel("E_climb/E_climb,only")
     figure.colorbar(points, ax=front, label="beta")
@@ -160,10 +154,8 @@ def plot_front(found: list[dict[str, Any]], only: dict[str, float], path: Path) 
         if f"climb_{name}" in found[0]:
             shown.append((f"climb_{name}", "C3s-", "climbing"))
         if name == "front":
-            shown += [
-                ("rear", "C0o--", "swimming, rear"),
-                ("climb_rear", "C3s--", "climbing, rear"),
-            ]
+            shown.append(("rear", "C0o--", "swimming, rear"))
+            shown.append(("climb_rear", "C3s--", "climbing, rear"))
         if name == "phase":
             shown.append(("pin_phase", "C3^:", "pin"))
         for key, style, text in shown:

@@ -83,14 +83,16 @@ class TwoTasks(NamedTuple):
             )
         return cls(task, plan, low, high)
 
-    def values(self, unit: np.ndarray | Float[Array, " n"], part: tuple[int, ...]):
+    def values(
+        self, unit: np.ndarray | Float[Array, " n"], part: tuple[int, ...] = SWIM + CLIMB + TAIL
+    ):
         """Return SI values of the variables `part` from their coordinates in the unit box."""
         low, high = self.low[list(part)], self.high[list(part)]
         return low + unit * (high - low)
 
     def gaits(self, unit: np.ndarray) -> tuple[Gait, Gait, float]:
         """Return the swimming gait, the climbing gait and the pin phase of a design (11,)."""
-        x = [float(v) for v in self.values(unit, tuple(range(len(NAMES))))]
+        x = [float(v) for v in self.values(unit)]
         return Gait(*x[:4], *x[9:]), Gait(*x[4:8], *x[9:]), x[8]
 
     def settings(self) -> dict[str, Any]:
@@ -124,9 +126,8 @@ def climb_efficiency(experiment: Experiment, plan: ClimbPlan):
 
     def one(x: Float[Array, "7"]) -> Float[Array, ""]:
         gait = Gait(*x[:4], *x[5:])
-        found, ok = climb_from_rest(
-            to_climber(base, gait.frequency, x[4], gait), gait.frequency, plan
-        )
+        climber = to_climber(base, gait.frequency, x[4], gait)
+        found, ok = climb_from_rest(climber, gait.frequency, plan)
         true = ok & (jnp.abs(found.unaccounted) < UNACCOUNTED)
         return jnp.where(true, found.efficiency, jnp.nan)
 

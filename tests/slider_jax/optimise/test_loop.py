@@ -5,7 +5,7 @@ import pytest
 
 from slider_jax.errors import InputError
 from slider_jax.optimise.loop import CHECKPOINT, differences, run_optimiser, settings_of
-from slider_jax.optimise.optimiser import OPTIMISERS, SMALLEST_POPULATION, make_optimiser
+from slider_jax.optimise.optimiser import OPTIMISERS, make_optimiser
 
 TOP = np.array([0.3, 0.8, 0.5, 0.02, 0.6, 0.9])
 MEMBERS = 24
@@ -117,7 +117,7 @@ def test_a_damaged_checkpoint_is_refused(tmp_path, damage):
 
 @pytest.mark.parametrize("name", OPTIMISERS)
 def test_a_population_that_is_too_small_is_refused(name):
-    few = SMALLEST_POPULATION[name] - 1
+    few = OPTIMISERS[name][0] - 1
     with pytest.raises(InputError, match=f"--population: given {few}; allowed {few + 1} or more"):
         make_optimiser(name, few, 6)
 
