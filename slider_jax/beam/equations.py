@@ -55,18 +55,20 @@ class Section(eqx.Module):
     """The local state of the body that an effect reads; every entry has shape (cells,).
 
     Velocities [m/s] are in the body frame: V relative to the tank, u relative to the water. The
-    suffix `_s` is d/ds and `_t` is d/dt. `in_tail` and `joint` are those of `Structure`.
+    suffix `_s` is d/ds and `_t` is d/dt. The fields up to `joint` are those of `Structure`.
     """
 
-    t: Array
+    linear_density: Array
+    EI: Array
+    EA: Array
+    damping_time: Array
+    height: Array
+    height_s: Array
     s: Array
     ds: Array
     in_tail: Array
     joint: Array
-    height: Array
-    height_s: Array
-    linear_density: Array
-    EI: Array
+    t: Array
     phi: Array
     pressure: Array
     """Pressure [Pa] of the chamber at the cell, as it bends the body."""
@@ -110,15 +112,8 @@ def section(
     U_tau, U_n = to_body(water[0], mid.phi)
     A_tau, A_n = to_body(water[1], mid.phi)
     return Section(
+        **vars(structure),
         t=t,
-        s=structure.s,
-        ds=structure.ds,
-        in_tail=structure.in_tail,
-        joint=structure.joint,
-        height=structure.height,
-        height_s=structure.height_s,
-        linear_density=structure.linear_density,
-        EI=structure.EI,
         phi=mid.phi,
         pressure=pressure,
         kappa=slope.phi,
@@ -140,20 +135,15 @@ def section(
 
 
 def equations(
-    mid: Fields,
-    slope: Fields,
-    x: Section,
-    structure: Structure,
-    force: tuple[Array, Array],
-    moment: Array,
+    mid: Fields, slope: Fields, x: Section, force: tuple[Array, Array], moment: Array
 ) -> tuple[Float[Array, " cells"], ...]:
     """Return the residuals of the six equations of each cell, in the order of the module docstring.
 
     `force` is (F_tau, F_n) [N/m]; `moment` is M_extra - M_act [N m].
     """
     F_tau, F_n = force
-    m, stretch = structure.linear_density, 1.0 + x.strain
-    elastic = structure.EI * (x.kappa + structure.damping_time * x.kappa_t)
+    m, stretch = x.linear_density, 1.0 + x.strain
+    elastic = x.EI * (x.kappa + x.damping_time * x.kappa_t)
     return (
         x.strain_t - slope.V_tau + x.kappa * mid.V_n,
         stretch * x.omega - slope.V_n - x.kappa * mid.V_tau,

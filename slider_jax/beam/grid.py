@@ -35,9 +35,7 @@ class Grid(eqx.Module):
 
     def per_cell(self, tail, body) -> Float[Array, " cells"]:
         """Return a cell quantity that equals `tail` in the tail and `body` in the body."""
-        cells = self.ds.shape[-1]
-        in_tail = jnp.arange(cells) < self.tail_cells
-        return jnp.where(in_tail, tail, body)
+        return jnp.where(jnp.arange(self.ds.shape[-1]) < self.tail_cells, tail, body)
 
     def at_joint(self) -> Float[Array, " cells"]:
         """Return a unit delta at the joint [1/m] in the two adjacent cells; zero without a joint.

@@ -48,8 +48,8 @@ def _refuse_unknown_options(function: Callable[..., Any], words: Sequence[str]) 
     """
     allowed, parameters = ["--help"], list[inspect.Parameter]()
     for x in inspect.signature(function).parameters.values():
-        options = inspect.signature(x.annotation).parameters if is_dataclass(x.annotation) else {}
-        parameters += options.values() or [x]
+        is_group = is_dataclass(x.annotation)
+        parameters += inspect.signature(x.annotation).parameters.values() if is_group else [x]
     for parameter in parameters:
         notes = getattr(parameter.annotation, "__metadata__", ())
         if tyro.conf.Positional in notes:

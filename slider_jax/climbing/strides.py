@@ -99,9 +99,7 @@ def _saved(x: Snapshot) -> ClimbSeries:
     others = tuple(e for e in x.stage.effects if not isinstance(e, Gravity))
     F_tau, F_n = total_force(others, cell)
     moments = sum((m for m, _ in internal_moments(cell, x.stage)), jnp.zeros_like(cell.s))
-    damped = x.mesh.structure.damping_time * (
-        cell.EI * cell.kappa_t**2 + x.mesh.structure.EA * cell.strain_t**2
-    )
+    damped = cell.damping_time * (cell.EI * cell.kappa_t**2 + cell.EA * cell.strain_t**2)
     given = moments * cell.kappa_t - (1.0 + cell.strain) * (F_tau * cell.V_tau + F_n * cell.V_n)
     return ClimbSeries(
         midline=midline,

@@ -39,8 +39,7 @@ class BeamOperator(lx.AbstractLinearOperator):
     tail: Float[Array, "3 6"]
     head: Float[Array, "3 6"]
 
-    def mv(self, vector):
-        y = vector
+    def mv(self, y):
         cells = jnp.sum(self.left * y[None, :, :-1] + self.right * y[None, :, 1:], axis=1)
         return cells, self.tail @ y[:, 0], self.head @ y[:, -1]
 
@@ -58,14 +57,8 @@ class BeamOperator(lx.AbstractLinearOperator):
         return jax.ShapeDtypeStruct((6, self.left.shape[-1] + 1), self.left.dtype)
 
     def out_structure(self):
-        cells = self.left.shape[-1]
-        shapes = ((6, cells), (3,), (3,))
+        shapes = ((6, self.left.shape[-1]), (3,), (3,))
         return tuple(jax.ShapeDtypeStruct(shape, self.left.dtype) for shape in shapes)
-
-
-def _no_structure(operator):
-    del operator
-    return False
 
 
 # lineax queries these properties of every operator on construction.
@@ -79,7 +72,7 @@ for _query in (
     lx.is_positive_semidefinite,
     lx.is_negative_semidefinite,
 ):
-    _query.register(BeamOperator)(_no_structure)
+    _query.register(BeamOperator)(lambda operator: False)
 
 
 # The barrier makes the compiler compute a value once instead of once in each expression with it.
@@ -253,14 +246,12 @@ class BeamSolver(lx.AbstractLinearSolver):
     """
 
     def init(self, operator, options):
-        del options
         return _factorise(operator), False
 
     def compute(self, state, vector, options):
-        del options
         factors, transposed = state
         if transposed:
-            shape = jax.eval_shape(lambda: _rhs_like(vector))
+            shape = jax.eval_shape(lambda y: (y[:, 1:], y[:3, 0], y[:3, 0]), vector)
             (solution,) = jax.linear_transpose(lambda r: _solve(factors, r), shape)(vector)
         else:
             solution = _solve(factors, vector)
@@ -275,7 +266,3 @@ class BeamSolver(lx.AbstractLinearSolver):
 
     def assume_full_rank(self):
         return True
-
-
-def _rhs_like(y):
-    return y[:, 1:], y[:3, 0], y[:3, 0]

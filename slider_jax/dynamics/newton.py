@@ -9,6 +9,7 @@ derivative only. Neither class calls back to the host, so compiled programs can 
 """
 
 import functools as ft
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -16,13 +17,16 @@ import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 import optimistix as optx
-from jaxtyping import Array
 
 from slider_jax.dynamics.block_solver import BeamSolver
 
 
-class _NewtonState(eqx.Module):
-    error: Array
+def tangent_of(function: Callable[[Any], Any], inputs: Any, tangents: Any) -> Any:
+    """Return the tangent of function(inputs); inputs whose tangent is None are constants."""
+    moving = jax.tree.map(lambda t: t is not None, tangents, is_leaf=lambda t: t is None)
+    dynamic, static = eqx.partition(inputs, moving)
+    t_dynamic, _ = eqx.partition(tangents, moving)
+    return jax.jvp(lambda d: function(eqx.combine(d, static)), (dynamic,), (t_dynamic,))[1]
 
 
 class BeamNewton(optx.AbstractRootFinder):
@@ -50,7 +54,7 @@ class BeamNewton(optx.AbstractRootFinder):
             )
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags):
-        return _NewtonState(jnp.asarray(jnp.inf, y.dtype))
+        return jnp.asarray(jnp.inf, y.dtype)
 
     def step(self, fn, y, args, options, state, tags):
         factors = self.linear_solver.init(options["jacobian"](y, args), {})
@@ -65,12 +69,12 @@ class BeamNewton(optx.AbstractRootFinder):
         y, before, last = jax.lax.fori_loop(0, self.corrections, correct, (y, infinite, infinite))
         rate = last / before
         error = jnp.where(rate < 1.0, last * rate / (1.0 - rate), last)
-        return y, _NewtonState(error), fn(y, args)[1]
+        return y, error, fn(y, args)[1]
 
     def terminate(self, fn, y, args, options, state, tags):
-        bad = jnp.isnan(state.error)
+        bad = jnp.isnan(state)
         result = optx.RESULTS.where(bad, optx.RESULTS.nonfinite, optx.RESULTS.successful)
-        return bad | (state.error < self.rtol) | options["skip"], result
+        return bad | (state < self.rtol) | options["skip"], result
 
     def postprocess(self, fn, y, aux, args, options, state, tags, result):
         return y, aux, {}
@@ -96,14 +100,7 @@ class BeamAdjoint(optx.AbstractAdjoint):
             (inputs,), (t_inputs,) = primals, tangents
             y, rest = root(inputs)
             _, _, _, args, options, *_ = inputs
-            moving = jax.tree.map(lambda t: t is not None, t_inputs, is_leaf=lambda t: t is None)
-            dynamic, static = eqx.partition(inputs, moving)
-            t_dynamic, _ = eqx.partition(t_inputs, moving)
-
-            def value(dynamic):
-                return rewrite_fn(y, rest, eqx.combine(dynamic, static))
-
-            _, t_value = jax.jvp(value, (dynamic,), (t_dynamic,))
+            t_value = tangent_of(lambda x: rewrite_fn(y, rest, x), inputs, t_inputs)
             factors = self.linear_solver.init(options["jacobian"](y, args), {})
             t_y, _, _ = self.linear_solver.compute(factors, t_value, {})
             t_rest = jax.tree.map(

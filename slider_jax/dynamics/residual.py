@@ -44,14 +44,12 @@ def cell_rows(mid: Fields, slope: Fields, stage: Stage) -> tuple[Array, ...]:
     x = section(mid, slope, stage.structure, stage.reference, stage.water, stage.pressure, stage.t)
     force = total_force(stage.effects, x)
     extra = sum((m for m, _ in internal_moments(x, stage)), jnp.zeros_like(mid.M))
-    return equations(mid, slope, x, stage.structure, force, extra - stage.active_moment)
+    return equations(mid, slope, x, force, extra - stage.active_moment)
 
 
 def internal_moments(x: Section, stage: Stage) -> list[tuple[Array, Array]]:
     """Moment [N m] in the cells and new state of every `BendingMoment` effect."""
-    effects = of_place(stage.effects, BendingMoment)
-    memories = stage.reference.internal
-    pairs = zip(effects, memories, strict=True)
+    pairs = zip(of_place(stage.effects, BendingMoment), stage.reference.internal, strict=True)
     return [effect.moment(x, memory, stage.reference.dt) for effect, memory in pairs]
 
 
@@ -89,10 +87,8 @@ def mid_and_slope(y: Unknowns, ds) -> tuple[Fields, Fields]:
 
 def at_cells(y: Unknowns, stage: Stage) -> Section:
     """Return the kinematics in the cells."""
-    mid, slope = mid_and_slope(y, stage.structure.ds)
-    return section(
-        mid, slope, stage.structure, stage.reference, stage.water, stage.pressure, stage.t
-    )
+    at = mid_and_slope(y, stage.structure.ds)
+    return section(*at, stage.structure, stage.reference, stage.water, stage.pressure, stage.t)
 
 
 def residual(y: Unknowns, stage: Stage):

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from slider_jax.beam.parameters import Numerics, Scalar
 from slider_jax.dynamics.model import Mesh, Model, make_mesh
-from slider_jax.dynamics.pressures import Chambers, chamber_history
+from slider_jax.dynamics.pressures import chamber_history
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest, make_step
 from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
 
@@ -50,15 +50,6 @@ class Rollout(eqx.Module):
         return self.final.ok
 
 
-def stage_chambers(model: Model, times: TimeGrid, scheme: Scheme, begin: Chambers) -> Chambers:
-    """Return the chambers (steps, stages, ...) at every stage of every step, from `begin`."""
-    begins = times.t0 + times.h * jnp.arange(float(times.steps))
-    at = begins[:, None] + times.h * jnp.asarray(scheme.nodes)
-    at = jnp.concatenate([jnp.asarray(times.t0, at.dtype)[None], at.ravel()])
-    history = chamber_history(model, begin, at)
-    return jax.tree.map(lambda x: x.reshape(times.steps, scheme.stages, *x.shape[1:]), history)
-
-
 def rollout(
     model: Model,
     times: TimeGrid,
@@ -80,9 +71,13 @@ def rollout(
     mesh = make_mesh(model.body, numerics)
     if begin is None:
         begin = at_rest(model, numerics, times.t0)
-    chambers = stage_chambers(model, times, scheme, begin.chambers)
-    step = make_step(model, mesh, numerics, scheme)
     begins = times.t0 + times.h * jnp.arange(float(times.steps))
+    at = begins[:, None] + times.h * jnp.asarray(scheme.nodes)  # (steps, stages)
+    at = jnp.concatenate([jnp.asarray(times.t0, at.dtype)[None], at.ravel()])
+    history = chamber_history(model, begin.chambers, at)
+    shape = (times.steps, scheme.stages)
+    chambers = jax.tree.map(lambda x: x.reshape(*shape, *x.shape[1:]), history)
+    step = make_step(model, mesh, numerics, scheme)
 
     def body(carry, inputs):
         t, chambers = inputs

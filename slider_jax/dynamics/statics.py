@@ -13,6 +13,7 @@ from slider_jax.beam.parameters import Numerics, Scalar, scales_of
 from slider_jax.beam.state import Memory, Unknowns, node_positions, to_body
 from slider_jax.dynamics.block_solver import BeamOperator, BeamSolver
 from slider_jax.dynamics.model import Mesh, Model, make_mesh
+from slider_jax.dynamics.newton import tangent_of
 from slider_jax.dynamics.pressures import start_chambers
 from slider_jax.dynamics.residual import Stage, jacobian, residual
 from slider_jax.dynamics.step import Carry, initial_carry
@@ -136,10 +137,6 @@ def _equilibrium_jvp(primals, tangents):
     """Return dy = -J^-1 d(residual), with the factors of the last Newton step."""
     ((stage, force, scale),), (t_inputs,) = primals, tangents
     y, error, factors = _newton(stage, force, scale)
-    inputs = (stage, force)
-    moving = jax.tree.map(lambda t: t is not None, t_inputs[:2], is_leaf=lambda t: t is None)
-    dynamic, static = eqx.partition(inputs, moving)
-    t_dynamic, _ = eqx.partition(t_inputs[:2], moving)
-    _, t_value = jax.jvp(lambda d: _loaded(y, *eqx.combine(d, static)), (dynamic,), (t_dynamic,))
+    t_value = tangent_of(lambda x: _loaded(y, *x), (stage, force), t_inputs[:2])
     t_y, _, _ = BeamSolver().compute((factors, False), t_value, {})
     return (y, error), (-t_y, jnp.zeros_like(error))

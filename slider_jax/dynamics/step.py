@@ -150,9 +150,8 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
     def step(carry: Carry, inputs):
         t_start, h, chambers = inputs
         times = t_start + nodes * h
-        one_stage = ft.partial(
-            run_stage, carry.memory, model.support.during(t_start, t_start + h), h
-        )
+        support = model.support.during(t_start, t_start + h)
+        one_stage = ft.partial(run_stage, carry.memory, support, h)
 
         def body(state, stage_inputs):
             inner, _ = state
@@ -162,8 +161,8 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
         empty = jax.eval_shape(one_stage, carry, jax.tree.map(lambda x: x[0], rows))[1]
         placeholder = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), empty)
         (carry, stage), _ = jax.lax.scan(body, (carry, placeholder), rows)
-        y, memory = carry.history[-1], carry.memory
-        return carry, Snapshot(times[-1], y, memory, stage, mesh, carry.chambers)
+        y = carry.history[-1]
+        return carry, Snapshot(times[-1], y, carry.memory, stage, mesh, carry.chambers)
 
     return step
 
