@@ -22,10 +22,6 @@ TIME = "t_s"
 """Column of the sample times, in s."""
 
 
-def _zero(midline: np.ndarray) -> float:
-    return 0.0
-
-
 @dataclass(frozen=True)
 class Channel:
     """One sensor channel. `observe` returns its true reading from a snapshot of the simulation."""
@@ -51,7 +47,7 @@ class Channel:
     """Model-discretisation discrepancy, as a fraction of the channel's rms."""
     digits: str = ".7g"
     """Format of the CSV cells."""
-    start: Callable[[np.ndarray], float] = _zero
+    start: Callable[[np.ndarray], float] = lambda midline: 0.0
     """Reading at t = 0 from the midline (2, nodes) [m] relative to the head; not for pressures."""
 
 
@@ -95,23 +91,11 @@ register(_pressure("p_front", "front pressure", 0))
 register(_pressure("p_rear", "rear pressure", 1))
 register(_force("thrust", obs.thrust, 0.07))
 register(_force("recoil", obs.recoil, 0.012))
-register(
-    Channel(
-        "tip",
-        "tip_m",
-        "m",
-        "tip, lateral",
-        "mm",
-        1e3,
-        obs.tip,
-        "camera",
-        "tip_noise",
-        gain=0.005,
-        discrepancy=0.005,
-        digits=".7f",
-        start=lambda midline: midline[1, 0],
-    )  # fmt: skip
-)
+register(Channel(
+    "tip", "tip_m", "m", "tip, lateral", "mm", 1e3, obs.tip,
+    "camera", "tip_noise", gain=0.005, discrepancy=0.005, digits=".7f",
+    start=lambda midline: midline[1, 0],
+))  # fmt: skip
 BUILT_IN = tuple(CHANNELS)
 """Names of the channels in this file; the rig's live stream has the same channels."""
 

@@ -9,7 +9,7 @@ from pydantic import Field
 from slider_jax.beam.parameters import Robot
 from slider_jax.errors import InputError
 from slider_jax.experiment.schema import FROM_LIST, FileName, RobotTable, Table
-from slider_jax.io.csv import read_csv
+from slider_jax.io.csv import read_csv, read_table
 from slider_jax.io.toml import read_toml, validate
 from slider_jax.io.units import Quantity
 
@@ -161,7 +161,7 @@ def _tip_load(folder: Path, x: TipLoadTable, robot: RobotTable) -> Shapes:
 
 def _pressure(folder: Path, x: PressureTable, robot: RobotTable) -> Shapes:
     path = folder / x.file
-    columns = read_csv(path, ("p_front_Pa", "p_rear_Pa", "tip_m"), increasing="")
+    columns = read_table(path, ("p_front_Pa", "p_rear_Pa", "tip_m"))
     p = np.stack([columns["p_front_Pa"], columns["p_rear_Pa"]], axis=1)
     tip = columns["tip_m"]
     _enough(path, len(tip))

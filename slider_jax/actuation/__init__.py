@@ -1,7 +1,7 @@
 """Set pressures in time, the lag that follows them, and the bending moment. May import `beam`."""
 
 from slider_jax.actuation.moment import chamber_windows
-from slider_jax.actuation.pressure import FirstOrderLag, Ideal, PressureLaw, pressure_history
+from slider_jax.actuation.pressure import FirstOrderLag, Ideal, PressureLaw
 from slider_jax.actuation.waveform import Held, Recorded, SineWave, SquareWave, Trapezoid, Waveform
 
 __all__ = [
@@ -15,5 +15,4 @@ __all__ = [
     "Trapezoid",
     "Waveform",
     "chamber_windows",
-    "pressure_history",
 ]

@@ -3,11 +3,10 @@
 from abc import abstractmethod
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
-from slider_jax.actuation.waveform import Segment, Waveform
+from slider_jax.actuation.waveform import Segment
 from slider_jax.beam.parameters import Scalar
 
 
@@ -52,18 +51,3 @@ class Ideal(PressureLaw):
 
     def advance(self, p, set_point):
         return jnp.broadcast_to(set_point.b1, jnp.shape(p))
-
-
-def pressure_history(
-    law: PressureLaw, waveform: Waveform, start: Scalar, times: Float[Array, " n"]
-) -> Float[Array, " n"]:
-    """Pressure [Pa] at the increasing `times` [s]; it is `start` [Pa] at the first time."""
-    segments = jax.vmap(waveform.segment)(times[:-1], times[1:])
-    first = jnp.asarray(start, times.dtype)
-
-    def body(p, segment):
-        p = law.advance(p, segment)
-        return p, p
-
-    _, rest = jax.lax.scan(body, first, segments)
-    return jnp.concatenate([first[None], rest])

@@ -18,7 +18,7 @@ from slider_jax import observables as obs
 from slider_jax.beam.parameters import Numerics
 from slider_jax.channels import true_readings
 from slider_jax.dynamics.model import Model, make_mesh
-from slider_jax.dynamics.rollout import TimeGrid, rollout
+from slider_jax.dynamics.rollout import TimeGrid, continued
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest
 from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
 
@@ -68,15 +68,7 @@ def one_stride(
     """Return the next carry and the series of stride `number` (from 0) of one robot."""
     steps, f = plan.steps_per_stride, robot.frequency
     times = TimeGrid(h=1.0 / (f * steps), steps=steps, t0=number / f)
-    out = rollout(
-        robot.model,
-        times,
-        saved_quantities,
-        plan.numerics,
-        plan.scheme,
-        begin=carry,
-        checkpoint=False,
-    )
+    out = continued(carry, robot.model, times, saved_quantities, plan.numerics, plan.scheme)
     return out.final, {"t": out.t} | out.saved
 
 

@@ -105,13 +105,11 @@ def speeds_by_phase(
     """Return the speed [m/s] by pin phase, for `PHASES` phases; NaN if a time step fails."""
 
     @jax.jit
-    def speeds(phases):
-        def one(phase):
-            model = to_climber(base, frequency, phase, None, link, cap)
-            found, ok = climb_from_rest(model, frequency, plan)
-            return jnp.where(ok, found.speed, jnp.nan)
-
-        return jax.vmap(one)(phases)
+    @jax.vmap
+    def speeds(phase):
+        model = to_climber(base, frequency, phase, None, link, cap)
+        found, ok = climb_from_rest(model, frequency, plan)
+        return jnp.where(ok, found.speed, jnp.nan)
 
     phases = np.arange(PHASES) / PHASES
     return dict(zip(phases.tolist(), np.asarray(speeds(phases)).tolist(), strict=True))
@@ -158,10 +156,8 @@ def simulate_climb(
             )
         pin_phase = max(tried, key=lambda x: np.nan_to_num(tried[x], nan=-np.inf))
     pin_phase = pin_phase or 0.0
-    model, f = (
-        to_climber(base, frequency, pin_phase, None, link, cap),
-        jnp.asarray(frequency, float),
-    )
+    model = to_climber(base, frequency, pin_phase, None, link, cap)
+    f = jnp.asarray(frequency, float)
     progress("climbing")
     carry, before = _more(model, f, hanging(model, plan.numerics), plan)
     rises = np.empty(0)

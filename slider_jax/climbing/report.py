@@ -83,21 +83,17 @@ def _sideways(points: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, np.nd
 
 def plot_climb(run: ClimbRun, path: Path) -> None:
     """Plot one stride on the wall, and the rise over time."""
-    figure, axes = new_figure(1, 2, figsize=(9.5, 6), width_ratios=(2, 3))
-    wall, right = axes
+    figure, (wall, right) = new_figure(1, 2, figsize=(9.5, 6), width_ratios=(2, 3))
     x, steps = run.series, run.plan.steps_per_stride
     origin = x.midline[-steps - 1, :, -1]
-    for i in range(steps + 1):
-        if i % max(1, steps // 12) == 0:
-            shade = f"{0.8 * (1.0 - i / steps):.3f}"
-            wall.plot(*_sideways(x.midline[i - steps - 1], origin), color=shade, lw=1.2)
+    for i in range(0, steps + 1, max(1, steps // 12)):
+        shade = f"{0.8 * (1.0 - i / steps):.3f}"
+        wall.plot(*_sideways(x.midline[i - steps - 1], origin), color=shade, lw=1.2)
     wall.plot(*_sideways(x.midline[-steps - 1 :, :, -1].T, origin), "C3", lw=1.5, label="head")
     wall.plot(*_sideways(x.midline[-steps - 1 :, :, 0].T, origin), "C0", lw=1.0, label="tip")
     pins = np.unique(np.round(x.pin[-steps:], 5), axis=0)
     wall.plot(*_sideways(pins.T, origin), "ks", ms=5, label="pins")
-    wall.set_aspect("equal")
-    wall.set_xlabel("across (mm)")
-    wall.set_ylabel("up (mm)")
+    wall.set(aspect="equal", xlabel="across (mm)", ylabel="up (mm)")
     below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.1), "frameon": False}
     wall.legend(fontsize="small", ncols=3, handlelength=1.0, columnspacing=1.0, **below)
     wall.set_title("one stride, later midlines are darker", fontsize="medium")
@@ -106,8 +102,7 @@ def plot_climb(run: ClimbRun, path: Path) -> None:
     right.plot(t, 1e3 * (x.centre[:, 0] - x.centre[0, 0]), "C0", lw=1.2, label="centre of mass")
     right.plot(t, 1e3 * float(run.found.speed) * t, "k--", lw=0.8,
                label=f"{1e3 * float(run.found.speed):.1f} mm/s")  # fmt: skip
-    right.set_xlabel("time (s)")
-    right.set_ylabel("risen (mm)")
+    right.set(xlabel="time (s)", ylabel="risen (mm)")
     right.legend(fontsize="small", loc="upper left")
     right.margins(x=0.0)
     right.set_title(f"the last {len(run.found.rises)} strides", fontsize="medium")
@@ -135,17 +130,13 @@ def film(
     (path_of_head,) = ax.plot([], [], "C3", lw=0.8)
     clock = ax.text(0.98, 0.02, "", transform=ax.transAxes, ha="right")
     reach = 1e3 * run.link
-    ax.set_xlim(across.min() - reach, across.max() + reach)
     low, high = up.min() - 10.0, up.max() + reach
-    ax.set_ylim(low, high)
+    ax.set(xlim=(across.min() - reach, across.max() + reach), ylim=(low, high))
     for rung in np.arange(10.0 * np.ceil(low / 10.0), high, 10.0):
         ax.axhline(rung, color="0.9", lw=0.6, zorder=0)
-    ax.set_aspect("equal")
-    ax.set_xlabel("across (mm)")
-    ax.set_ylabel("up (mm)")
-    ax.set_title(
-        f"{run.frequency:g} Hz, {1e3 * float(run.found.speed):.1f} mm/s", fontsize="medium"
-    )
+    ax.set(aspect="equal", xlabel="across (mm)", ylabel="up (mm)")
+    title = f"{run.frequency:g} Hz, {1e3 * float(run.found.speed):.1f} mm/s"
+    ax.set_title(title, fontsize="medium")
     heads = x.midline[shown, :, -1]
 
     def move(number: int) -> None:

@@ -22,7 +22,7 @@ from slider_jax.beam.parameters import G, Numerics, Scalar
 from slider_jax.beam.state import fields
 from slider_jax.dynamics.model import Model
 from slider_jax.dynamics.residual import internal_moments, turning_rate
-from slider_jax.dynamics.rollout import TimeGrid, rollout
+from slider_jax.dynamics.rollout import TimeGrid, continued
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest, with_motion
 from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
 from slider_jax.effects import Gravity, total_force
@@ -117,12 +117,7 @@ def hanging(model: Model, numerics: Numerics) -> Carry:
     """Return a straight body at rest, with its centre of mass below the left pin."""
     assert isinstance(model.support, PinnedLink)
     angle = -jnp.arctan2(model.support.link_length, model.body.length)
-
-    def turned(motion):
-        """Return (..., 3, nodes): V_tau, V_n, phi."""
-        return motion.at[..., 2, :].add(angle)
-
-    return with_motion(at_rest(model, numerics), turned)
+    return with_motion(at_rest(model, numerics), lambda motion: motion.at[..., 2, :].add(angle))
 
 
 def climb_on(
@@ -137,7 +132,7 @@ def climb_on(
     steps = plan.steps_per_stride
     begin = (STRIDES_BEFORE_START + model.support.phase) / frequency
     times = TimeGrid(1.0 / (frequency * steps), count * steps, begin)
-    run = rollout(model, times, _saved, plan.numerics, plan.scheme, begin=carry, checkpoint=False)
+    run = continued(carry, model, times, _saved, plan.numerics, plan.scheme)
     return run.final, run.saved
 
 
@@ -146,8 +141,7 @@ def climb_of(model: Model, frequency: Scalar, series: ClimbSeries, plan: ClimbPl
     steps = plan.steps_per_stride
     h = 1.0 / (frequency * steps)
     span = h * (len(series.angle) - 1)
-    body = model.body
-    weight = body.linear_density * body.length * G
+    weight = model.body.linear_density * model.body.length * G
     work, lost = (h * jnp.sum(x[1:]) for x in (series.power, series.dissipated))
     (up, left), kept = (x[-1] - x[0] for x in (series.centre, series.stored))
     lifted, spent = weight * up, jnp.where(work > 0.0, work, jnp.nan)

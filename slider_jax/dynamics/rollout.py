@@ -88,3 +88,10 @@ def rollout(
         body = jax.checkpoint(body, prevent_cse=False)
     final, saved = jax.lax.scan(body, begin, (begins, chambers))
     return Rollout(times.times, saved, final, mesh)
+
+
+def continued(
+    carry: Carry, model: Model, times: TimeGrid, save, numerics: Numerics, scheme: Scheme
+) -> Rollout:
+    """Return the `rollout` that begins at `carry`, without checkpoints for reverse mode."""
+    return rollout(model, times, save, numerics, scheme, begin=carry, checkpoint=False)

@@ -146,6 +146,8 @@ class BodyChange(Effect):
 class Command(Effect):
     """A change of the set pressure before the valves act on it."""
 
+    sensors = ("pressure", *Effect.sensors)
+
     @abstractmethod
     def command(self, wave: Waveform, chamber: int) -> Waveform:
         """Return the waveform that the valves follow; `chamber` is 0 for front, 1 for rear."""
@@ -173,6 +175,8 @@ class Chamber(NamedTuple):
 
 class Flow(Effect):
     """A change of the flow into a chamber."""
+
+    sensors = ("pressure", *Effect.sensors)
 
     @abstractmethod
     def rate(self, rate: Array, x: Chamber) -> Array:

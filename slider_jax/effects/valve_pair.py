@@ -31,7 +31,6 @@ class ValvePair(Flow):
     At the null, `fill` = 0, the lag is unchanged.
     """
 
-    sensors = ("pressure", "thrust", "recoil", "tip")
     replaces_law = "lag"
 
     fill: eqx.AbstractVar[Scalar]

@@ -1,6 +1,8 @@
 """Reads an experiment: a TOML file with its measured CSV files, and the models of its trials."""
 
+from collections.abc import Callable
 from dataclasses import fields
+from functools import partial
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -18,6 +20,7 @@ from slider_jax.actuation import (
     SineWave,
     SquareWave,
     Trapezoid,
+    Waveform,
 )
 from slider_jax.beam.grid import split_cells
 from slider_jax.beam.parameters import Numerics, Robot, Scalar
@@ -157,8 +160,9 @@ def check_pascal(path: Path, columns: dict[str, np.ndarray], names: tuple[str, .
 def _recorded(experiment: Experiment, trial: Trial) -> tuple[Recorded, Recorded]:
     """Return both chambers' recorded pressures, checked for length, spacing and magnitude."""
     path = experiment.folder / str(trial.drive_file)
-    columns = read_csv(path, ("t_s", "p_front_Pa", "p_rear_Pa"))
-    times = columns["t_s"]
+    names = ("p_front_Pa", "p_rear_Pa")
+    columns = read_csv(path, (TIME, *names))
+    times = columns[TIME]
     spacing = np.diff(times)
     if np.ptp(spacing) > 0.02 * spacing.mean():
         worst = int(np.argmax(np.abs(spacing - np.median(spacing))))
@@ -177,12 +181,9 @@ def _recorded(experiment: Experiment, trial: Trial) -> tuple[Recorded, Recorded]
             f"{path}: covers {times[0]:g} to {times[-1]:g} s; the trial {trial.file} needs 0 to "
             f"{trial.duration:g} s"
         )
-    for name in ("p_front_Pa", "p_rear_Pa"):
+    for name in names:
         check_pascal(path, columns, (name,))
-    front, rear = (
-        Recorded(jnp.asarray(times), jnp.asarray(columns[name]))
-        for name in ("p_front_Pa", "p_rear_Pa")
-    )
+    front, rear = (Recorded(jnp.asarray(times), jnp.asarray(columns[x])) for x in names)
     return front, rear
 
 
@@ -190,27 +191,13 @@ def _drive(experiment: Experiment, trial: Trial) -> Drive:
     if trial.waveform == "recorded":
         front, rear = _recorded(experiment, trial)
         if trial.drive_is == "measured":
-            start_front, start_rear = (jnp.interp(0.0, x.times, x.values) for x in (front, rear))
-            return Drive(front, rear, start_front, start_rear)
+            return Drive(front, rear, *(jnp.interp(0.0, x.times, x.values) for x in (front, rear)))
         return Drive(front, rear)
     f, amplitude = trial.frequency, trial.amplitude
     assert f is not None and amplitude is not None
-    rear_amplitude = amplitude * trial.rear_ratio
-    match trial.waveform:
-        case "sine":
-            return Drive(SineWave(f, amplitude), SineWave(f, rear_amplitude, trial.phase))
-        case "trapezoid":
-            return Drive(
-                Trapezoid(f, amplitude, 0.0, trial.rise),
-                Trapezoid(f, rear_amplitude, trial.phase, trial.rise),
-            )
-    return Drive(SquareWave(f, amplitude), SquareWave(f, rear_amplitude, trial.phase))
-
-
-def to_robot(experiment: Experiment) -> Robot:
-    """Return the robot of an experiment."""
-    table = experiment.robot.model_dump(exclude={"water_density"})
-    return Robot(**table, K_Q=experiment.parameters.K_Q)
+    waves: dict[str, Callable[..., Waveform]] = {"square": SquareWave, "sine": SineWave}
+    wave = waves.get(trial.waveform, partial(Trapezoid, rise=trial.rise))
+    return Drive(wave(f, amplitude), wave(f, amplitude * trial.rear_ratio, trial.phase))
 
 
 def to_numerics(experiment: Experiment) -> tuple[Numerics, Scheme]:
@@ -254,12 +241,8 @@ def to_model(experiment: Experiment, trial: Trial | int = 0) -> Model:
     law: PressureLaw = Ideal() if measured else FirstOrderLag(parameters.k)
     extra = [_effect(table, "effects", taken) for table in experiment.effects]
     model = Model(
-        robot=to_robot(experiment),
-        effects=(
-            NormalDrag(C_d, density),
-            ReactiveForce(m_a, density),
-            *extra,
-        ),
+        robot=Robot(**experiment.robot.model_dump(exclude={"water_density"}), K_Q=parameters.K_Q),
+        effects=(NormalDrag(C_d, density), ReactiveForce(m_a, density), *extra),
         pressure_law=law,
         drive=_drive(experiment, trial),
         support=Clamped(

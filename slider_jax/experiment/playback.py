@@ -60,13 +60,12 @@ def read_played(experiment: Experiment, trial: Trial) -> PlayedDrive | None:
             f"{path}: the front chamber's amplitude is {front:g} Pa, but {given:g} Pa in the trial "
             f"{trial.file}; correct the trial's amplitude, or {advice}"
         )
-    zero = jnp.zeros(())
-    if trial.waveform != "square":
-        smooth = [_held(*_averaged(t, x)) for x in sets]
-        return PlayedDrive(Drive(smooth[0], smooth[1], zero, zero), None)
-    steps = [np.flatnonzero(np.diff(x)) + 1 for x in sets]
-    drive = Drive(_held(t, sets[0]), _held(t, sets[1]), zero, zero)
-    return PlayedDrive(drive, t[np.union1d(*steps)])
+    if trial.waveform == "square":
+        waves = [_held(t, x) for x in sets]
+        edges = t[np.union1d(*(np.flatnonzero(np.diff(x)) + 1 for x in sets))]
+    else:
+        waves, edges = [_held(*_averaged(t, x)) for x in sets], None
+    return PlayedDrive(Drive(waves[0], waves[1], jnp.zeros(()), jnp.zeros(())), edges)
 
 
 def _averaged(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -86,7 +85,5 @@ def _held(t: np.ndarray, values: np.ndarray) -> Held:
     rows = max(LEAST_ROWS, 1 << int(np.ceil(np.log2(len(t) + 1))))
     spare = rows - len(t)
     later = t[-1] + 1.0 + np.arange(spare)
-    return Held(
-        jnp.asarray(np.concatenate([t, later])),
-        jnp.asarray(np.concatenate([values, np.full(spare, values[-1])])),
-    )
+    values = np.concatenate([values, np.full(spare, values[-1])])
+    return Held(jnp.asarray(np.concatenate([t, later])), jnp.asarray(values))

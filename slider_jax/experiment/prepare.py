@@ -40,9 +40,11 @@ class StepGrid:
 
     @property
     def edges(self) -> np.ndarray:
-        """Indices of steps between which the drive is smooth."""
+        """Indices of steps between which the drive is smooth; a played edge is at the nearest."""
         if self.played is not None:
-            return nearest_steps(self.steps, self.h, self.played)
+            near = np.round(np.asarray(self.played) / self.h).astype(int)
+            inner = near[(near > 0) & (near < self.steps)]
+            return np.unique(np.concatenate([inner, [0, self.steps]]))
         if self.half_period is None:
             return np.array([0, self.steps])
         return edge_steps(self.steps, self.half_period, self.phase)
@@ -59,7 +61,7 @@ def step_grid(
 
     The step divides `spacing` [s] if given, else half a stride if the trial has a frequency.
     """
-    half, edges = None, None
+    half, edges = None, None if played is None else played.edges
     if spacing is not None:
         h = divided_step(spacing, longest)
     elif trial.frequency is None:
@@ -67,8 +69,6 @@ def step_grid(
     else:
         half = half_period_steps(trial.frequency, longest, trial.phase)
         h = 0.5 / (trial.frequency * half)
-    if played is not None:
-        edges = played.edges
     return StepGrid(h, max(4, int(np.ceil(end / h * (1.0 - 1e-9)))), half, trial.phase, edges)
 
 
@@ -128,11 +128,9 @@ def prepare(
         times = np.asarray(model.drive.front.times)
         spacing = (times[-1] - times[0]) / (len(times) - 1)
     grid = step_grid(trial, longest, trial.duration, spacing, played)
-    numerics, scheme = to_numerics(experiment)
     channels = tuple(CHANNELS.values())
-    return PreparedTrial(
-        trial, model, numerics, scheme, grid, sample_times, played, columns, channels
-    )
+    mesh = to_numerics(experiment)
+    return PreparedTrial(trial, model, *mesh, grid, sample_times, played, columns, channels)
 
 
 def half_period_steps(frequency: float, longest: float, phase: float = 0.0) -> int:
@@ -151,16 +149,8 @@ def half_period_steps(frequency: float, longest: float, phase: float = 0.0) -> i
 def edge_steps(steps: int, half_period: int, phase: float = 0.0) -> np.ndarray:
     """Return the indices of steps, with 0 and `steps`, between which the drive is smooth."""
     delay = round(2 * half_period * phase) % half_period
-    edges = np.concatenate(
-        [np.arange(0, steps, half_period), np.arange(delay, steps, half_period), [0, steps]]
-    )
-    return np.unique(edges)
-
-
-def nearest_steps(steps: int, h: float, times: np.ndarray) -> np.ndarray:
-    """Return `edge_steps` for edges at any `times` [s], moved to the nearest step of `h` [s]."""
-    near = np.round(np.asarray(times) / h).astype(int)
-    return np.unique(np.concatenate([near[(near > 0) & (near < steps)], [0, steps]]))
+    front, rear = np.arange(0, steps, half_period), np.arange(delay, steps, half_period)
+    return np.unique(np.concatenate([front, rear, [0, steps]]))
 
 
 def sample_series(

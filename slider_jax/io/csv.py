@@ -15,13 +15,12 @@ def read_csv(
 ) -> dict[str, np.ndarray]:
     """Return the columns of a time series, as `read_table`; the first of `required` must increase.
 
-    `increasing` is that column's name in the error; "" disables the check. Raises `InputError` with
-    file and line.
+    `increasing` is that column's name in the error. Raises `InputError` with file and line.
     """
     columns, lines = _read(path, required, blank)
     times = columns[required[0]]
     falls = np.flatnonzero(np.diff(times) <= 0.0)
-    if increasing and falls.size:
+    if falls.size:
         line = lines[falls[0] + 1]
         raise InputError(
             f"{path}, line {line}: {required[0]} = {times[falls[0] + 1]:g} after "

@@ -128,33 +128,17 @@ def write_csv(
     cells = []
     for name, values in columns.items():
         form = formats.get(name, ".9g")
-        cells.append(
-            [
-                value if isinstance(value, str) else "" if value != value else format(value, form)
-                for value in (values.tolist() if isinstance(values, np.ndarray) else values)
-            ]
-        )
+        plain = values.tolist() if isinstance(values, np.ndarray) else values
+        filled = ("" if value != value else value for value in plain)
+        cells.append([x if isinstance(x, str) else format(x, form) for x in filled])
     rows = [",".join(columns), *(",".join(row) for row in zip(*cells, strict=True))]
     write_text(path, "\n".join(rows) + "\n")
-
-
-_PACKAGES = (
-    "jax",
-    "jaxlib",
-    "equinox",
-    "optimistix",
-    "lineax",
-    "numpy",
-    "scipy",
-    "optax",
-    "evosax",
-)
 
 
 def versions() -> dict[str, str]:
     """Return the versions of this package, of Python and of the numerical libraries."""
     result = {"slider_jax": slider_jax.__version__, "python": platform.python_version()}
-    for name in _PACKAGES:
+    for name in "jax jaxlib equinox optimistix lineax numpy scipy optax evosax".split():
         try:
             result[name] = version(name)
         except PackageNotFoundError:

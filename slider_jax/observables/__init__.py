@@ -14,9 +14,7 @@ from slider_jax.observables.strides import (
     force_efficiency,
     froude_efficiency,
     stride_means,
-    stride_ranges,
     strouhal_number,
-    tail_excursion,
     tail_slope,
 )
 from slider_jax.observables.wave import (
@@ -47,9 +45,7 @@ __all__ = [
     "shape_wavelength",
     "stored_energy",
     "stride_means",
-    "stride_ranges",
     "strouhal_number",
-    "tail_excursion",
     "tail_slope",
     "thrust",
     "tip",

@@ -6,34 +6,17 @@ from jaxtyping import Array, Float
 from slider_jax.beam.parameters import Scalar
 
 
-def _by_stride(series, steps_per_stride: int):
+def stride_means(
+    series: Float[Array, "*b steps"], steps_per_stride: int
+) -> Float[Array, "*b strides"]:
+    """Return the mean over each stride; for a periodic series, this is the trapezoidal rule."""
     steps = series.shape[-1]
     if steps % steps_per_stride:
         raise ValueError(
             f"stride statistics: given {steps} steps; allowed a multiple of {steps_per_stride}, "
             "the steps per stride; cut the series to whole strides (time is the last axis)"
         )
-    return series.reshape(*series.shape[:-1], -1, steps_per_stride)
-
-
-def stride_means(
-    series: Float[Array, "*b steps"], steps_per_stride: int
-) -> Float[Array, "*b strides"]:
-    """Return the mean over each stride; for a periodic series, this is the trapezoidal rule."""
-    return jnp.mean(_by_stride(series, steps_per_stride), axis=-1)
-
-
-def stride_ranges(
-    series: Float[Array, "*b steps"], steps_per_stride: int
-) -> Float[Array, "*b strides"]:
-    """Maximum minus minimum over each stride."""
-    strides = _by_stride(series, steps_per_stride)
-    return jnp.max(strides, axis=-1) - jnp.min(strides, axis=-1)
-
-
-def tail_excursion(tip_series: Float[Array, " times"]) -> Float[Array, ""]:
-    """Peak-to-peak excursion A = 2 A_t [m] of the tail: max - min of `tip` over whole strides."""
-    return jnp.max(tip_series, axis=-1) - jnp.min(tip_series, axis=-1)
+    return jnp.mean(series.reshape(*series.shape[:-1], -1, steps_per_stride), axis=-1)
 
 
 def strouhal_number(frequency: Scalar, excursion: Scalar, speed: Scalar) -> Scalar:

@@ -60,8 +60,7 @@ def check_instrument(effect: Instrument, h: float, samples: int) -> None:
 
     @jax.jit
     def both(effect, series):
-        first = jax.tree.map(lambda x: x[0], series)
-        rest = jax.tree.map(lambda x: x[1:], series)
+        first, rest = (jax.tree.map(lambda x, at=at: x[at], series) for at in (0, slice(1, None)))
 
         def body(past, true):
             now, past = read_now(effect, past, true)

@@ -17,7 +17,7 @@ from slider_jax.beam.parameters import grid_of
 from slider_jax.beam.state import node_positions
 from slider_jax.channels import BUILT_IN, true_readings
 from slider_jax.dynamics.model import Drive, Model
-from slider_jax.dynamics.rollout import TimeGrid, rollout
+from slider_jax.dynamics.rollout import TimeGrid, continued
 from slider_jax.dynamics.step import Carry, at_rest
 from slider_jax.effects import Command, Instrument, Readings, of_place
 from slider_jax.errors import InputError
@@ -66,13 +66,14 @@ class Plant:
         self._numerics, self._scheme = to_numerics(experiment)
         self._samples = int(np.ceil(LOOK_BACK / step - 1e-9)) + 4
         self._model = self._model_of(trial)
-        self._check_effects()
+        for effect in of_place(self._model.effects, Instrument):
+            check_instrument(effect, step, self._samples)
+        check_commands(of_place(self._model.effects, Command), step, self._samples)
         model, faults, commanded = self._model, self._faults, np.zeros(5)
         self._compiled_rest = jax.jit(self._rest).lower(model, faults, commanded[0]).compile()
         state, _ = self._compiled_rest(model, faults, commanded[0])
-        self._compiled_step = (
-            jax.jit(self._one_step).lower(model, faults, state, commanded).compile()
-        )
+        one_step = jax.jit(self._one_step).lower(model, faults, state, commanded)
+        self._compiled_step = one_step.compile()
         self.begin(trial)
         self.advance([None] * 4, step)
         self.begin(trial)
@@ -142,11 +143,6 @@ class Plant:
         idle = {"waveform": "square", "frequency": trial.frequency or 1.0, "amplitude": 0.0}
         return to_model(self._experiment, trial.model_copy(update=idle))
 
-    def _check_effects(self) -> None:
-        for effect in of_place(self._model.effects, Instrument):
-            check_instrument(effect, self.step, self._samples)
-        check_commands(of_place(self._model.effects, Command), self.step, self._samples)
-
     def _rest(self, model: Model, faults: Faults, t: Array) -> tuple[PlantState, Array]:
         carry = at_rest(_with_faults(model, faults), self._numerics, t)
         grid = grid_of(model.body, self._numerics)
@@ -168,19 +164,10 @@ class Plant:
         times = t + self.step * jnp.arange(1.0 - self._samples, 1.0)
         drive = Drive(Held(times, commanded[:, 0]), Held(times, commanded[:, 1]))
         driven = eqx.tree_at(lambda m: m.drive, _with_faults(model, faults), drive)
-        run = rollout(
-            driven,
-            TimeGrid(self.step, 1, t),
-            true_readings,
-            self._numerics,
-            self._scheme,
-            begin=state.carry,
-            checkpoint=False,
-        )
-        now = jax.tree.map(lambda x: x[0], run.saved)
-        read = Readings(run.t[0], *(now[name] for name in BUILT_IN))
-        pasts = []
-        instruments = of_place(model.effects, Instrument)
+        grid = TimeGrid(self.step, 1, t)
+        run = continued(state.carry, driven, grid, true_readings, self._numerics, self._scheme)
+        read = Readings(run.t[0], *(run.saved[name][0] for name in BUILT_IN))
+        pasts, instruments = [], of_place(model.effects, Instrument)
         for effect, past in zip(instruments, state.instruments, strict=True):
             read, past = read_now(effect, past, read)
             pasts.append(past)
@@ -206,24 +193,18 @@ def _pack(read: Readings, state: PlantState) -> Float[Array, "8"]:
 
 def _unpack(t: float, packed: np.ndarray) -> SensorReading:
     front, rear, thrust, recoil, tip, *shared, ok = packed.tolist()
-    pressures = (
-        max(front, 0.0) + shared[0],
-        max(-front, 0.0) + shared[0],
-        max(rear, 0.0) + shared[1],
-        max(-rear, 0.0) + shared[1],
-    )
-    return SensorReading(t, pressures, front, rear, thrust, recoil, tip, ok > 0.5)
+    left, right = (max(front, 0.0), max(rear, 0.0)), (max(-front, 0.0), max(-rear, 0.0))
+    sides = [side[i] + shared[i] for i in (0, 1) for side in (left, right)]
+    return SensorReading(t, tuple(sides), front, rear, thrust, recoil, tip, ok > 0.5)
 
 
 def _checked(set_pressures: Sequence[float | None] | np.ndarray) -> np.ndarray:
     commanded = np.array([0.0 if p is None else p for p in set_pressures], float)
     if commanded.shape != (4,):
-        raise InputError.value(
-            "set pressures", f"{commanded.size} values", "4, one for each chamber"
-        )
+        given = f"{commanded.size} values"
+        raise InputError.value("set pressures", given, "4, one for each chamber")
     for chamber, p in zip(CHAMBERS, commanded.tolist(), strict=True):
         if not 0.0 <= p < np.inf:
-            raise InputError.value(
-                f"set pressure of {chamber}", p, "0 or more [Pa, gauge], or None to vent"
-            )
+            allowed = "0 or more [Pa, gauge], or None to vent"
+            raise InputError.value(f"set pressure of {chamber}", p, allowed)
     return commanded

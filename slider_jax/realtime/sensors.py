@@ -81,9 +81,8 @@ class SensorNoise:
         self._t = x.t
         self._slow = keep * self._slow + np.sqrt(1.0 - keep**2) * rng.normal(size=2)
         each = sensors.pressure_noise / np.sqrt(2.0)
-        front_left, front_right, rear_left, rear_right = (
-            p + each * rng.normal() for p in x.pressures
-        )
+        pressures = (p + each * rng.normal() for p in x.pressures)
+        front_left, front_right, rear_left, rear_right = pressures
         force = self._tare + sensors.force_slow_noise * self._slow
         force = force + sensors.force_noise * rng.normal(size=2)
         return x._replace(

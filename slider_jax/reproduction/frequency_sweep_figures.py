@@ -24,27 +24,13 @@ def thrust_against_frequency(
     ax.axvspan(paper.RAMP_START, paper.RAMP_END, color="0.92", label="ramp of C_d and m_a")
     ax.axhline(0.0, color="k", lw=0.6)
     bars = 1e3 * table["thrust_std_of_strides_N"]
-    ax.errorbar(
-        f,
-        mean,
-        bars,
-        fmt="o-",
-        ms=4,
-        lw=1.2,
-        capsize=3,
-        label="simulated, mean and standard deviation of strides",
-    )
+    simulated = "simulated, mean and standard deviation of strides"
+    ax.errorbar(f, mean, bars, fmt="o-", ms=4, lw=1.2, capsize=3, label=simulated)
     at, thrust = paper.THRUST_AT, 1e3 * paper.THRUST_THERE
     ax.plot(at, thrust, "C3*", ms=14, label=f"paper: about {thrust:.0f} mN near {at:g} Hz")
-    ax.axvline(
-        paper.MINIMUM_NEAR,
-        color="C3",
-        ls=":",
-        lw=1.5,
-        label=f"paper: minimum, negative, near {paper.MINIMUM_NEAR:g} Hz",
-    )
-    ax.set_xlabel("stride frequency (Hz)")
-    ax.set_ylabel("mean thrust (mN)")
+    minimum = f"paper: minimum, negative, near {paper.MINIMUM_NEAR:g} Hz"
+    ax.axvline(paper.MINIMUM_NEAR, color="C3", ls=":", lw=1.5, label=minimum)
+    ax.set(xlabel="stride frequency (Hz)", ylabel="mean thrust (mN)")
     ax.set_xlim(0.0, float(f.max()) + 0.4)
     ax.legend(loc="lower right", fontsize="small")
     ax.set_title(_subtitle(settings), fontsize="medium")
@@ -74,13 +60,11 @@ def stride_in_detail(
     for place, names in enumerate((("p_front", "p_rear"), ("tip",), ("thrust",), ("recoil",))):
         ax = first = figure.add_subplot(grid[1 + place // 2, place % 2], sharex=first)
         channel = CHANNELS[names[0]]
-        lines = [
-            ax.plot(t, channel.plot_factor * series.channels[name][shown], lw=1.3)[0]
-            for name in names
-        ]
+        drawn = np.transpose([channel.plot_factor * series.channels[name][shown] for name in names])
+        lines = ax.plot(t, drawn, lw=1.3)
         ax.axhline(0.0, color="k", lw=0.4)
-        ax.set_ylabel(f"{channel.label if len(names) == 1 else 'pressure'} ({channel.plot_unit})")
-        ax.set_xlabel("time (s)")
+        label = channel.label if len(names) == 1 else "pressure"
+        ax.set(xlabel="time (s)", ylabel=f"{label} ({channel.plot_unit})")
         ax.margins(x=0.0)
         if len(names) > 1:
             above = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.98), "borderaxespad": 0.0}
@@ -105,8 +89,6 @@ def _draw_midlines(figure, ax, series: FrequencySeries) -> None:
     length, swing = 1e3 * np.ptp(series.midlines[:, 0]), 1e3 * np.abs(series.midlines[:, 1]).max()
     ax.set_xlim(-1.03 * length, 0.05 * length)
     ax.set_ylim(*(side * max(1.2 * swing, 0.1 * length) for side in (-1, 1)))
-    ax.set_aspect("equal")
-    ax.set_xlabel("x, forward from the clamp (mm)")
-    ax.set_ylabel("y, lateral (mm)")
+    ax.set(aspect="equal", xlabel="x, forward from the clamp (mm)", ylabel="y, lateral (mm)")
     scale = matplotlib.cm.ScalarMappable(matplotlib.colors.Normalize(0.0, 1.0), colours)
     figure.colorbar(scale, ax=ax, label="phase of last stride (-)", fraction=0.04)

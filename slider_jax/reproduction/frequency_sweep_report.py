@@ -38,16 +38,14 @@ def write_frequency_sweep(
             readings = {x.column: series.channels[x.name] for x in CHANNELS.values()}
             write_csv(stage / f"series_{name}.csv", {TIME: series.t} | readings)
             stride_in_detail(frequency, series, settings, stage / f"stride_{name}.png")
-        write_json(
-            stage / "settings.json",
-            {
-                "settings": dataclasses.asdict(settings),
-                "assumed": ASSUMED,
-                "seed": None,
-                "failed_frequencies_Hz": sweep.table["frequency_Hz"][~sweep.ok],
-                "versions": versions(),
-            },
-        )
+        record = {
+            "settings": dataclasses.asdict(settings),
+            "assumed": ASSUMED,
+            "seed": None,
+            "failed_frequencies_Hz": sweep.table["frequency_Hz"][~sweep.ok],
+            "versions": versions(),
+        }
+        write_json(stage / "settings.json", record)
 
 
 def _at(sweep: FrequencySweep, name: str, frequency: float) -> float:

@@ -108,22 +108,16 @@ def _arrays(model: Model) -> Model:
     return jax.tree.map(lambda x: jnp.asarray(x, float), model)
 
 
-def _row(
-    model: Model, frequency: float, stride: Stride, found: Performance, search: SteadySettings
-) -> SteadyRow:
-    s = np.asarray(make_mesh(model.body, search.numerics).grid.s)
-    (area,) = (float(e.area) for e in model.effects if isinstance(e, HeadDrag))
-    rms = rms_tail_slope(*course_coordinates(stride))
-    return SteadyRow(found, stride, area, wavelengths(stride, s, frequency), rms)
-
-
 def steady_row(model: Model, frequency: float, search: SteadySettings) -> SteadyRow:
     """Return the steady stride. Raises `SolverError` if there is none."""
     model = _arrays(model)
     stride, found, ok = jax.device_get(_steadily(model, jnp.asarray(frequency, float), search))
     if not bool(ok):
         raise SolverError("no steady speed was found, or a time step did not converge")
-    return _row(model, frequency, stride, found, search)
+    s = np.asarray(make_mesh(model.body, search.numerics).grid.s)
+    (area,) = (float(e.area) for e in model.effects if isinstance(e, HeadDrag))
+    rms = rms_tail_slope(*course_coordinates(stride))
+    return SteadyRow(found, stride, area, wavelengths(stride, s, frequency), rms)
 
 
 def fit_head_drag(
@@ -165,8 +159,7 @@ def clamped_performance(
 ) -> dict[str, float]:
     """Return mean thrust and shape with the head clamped and towed at `tow_speed` [m/s]."""
     model = _arrays(replace(model, support=Clamped(tow_speed=tow_speed)))
-    seen, ok = jax.device_get(_held(model, jnp.asarray(frequency), search))
-    t, midline, thrust = seen
+    (t, midline, thrust), ok = jax.device_get(_held(model, jnp.asarray(frequency), search))
     if not bool(ok):
         raise SolverError("a time step did not converge with the head clamped")
     y = midline[:, 1] - midline[:, 1].mean(axis=0)

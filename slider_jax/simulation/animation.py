@@ -36,7 +36,7 @@ def _scene(run: TrialRun, steps: np.ndarray):
     from matplotlib.collections import LineCollection
 
     line, moment = 1e3 * run.series["midline"], 1e3 * run.series["moment"]
-    force = run.series["force"]
+    shown, force = line[steps], run.series["force"]
     largest = np.abs(moment[steps]).max() or 1.0
     strongest = np.linalg.norm(force[steps], axis=1).max() or 1.0
 
@@ -51,16 +51,11 @@ def _scene(run: TrialRun, steps: np.ndarray):
     )  # fmt: skip
     ax.quiverkey(arrows, 0.12, 0.93, 0.5 * strongest, f"{0.5 * strongest:.2g} N/m", labelpos="E")
     ax.plot(0.0, 0.0, "ks", ms=8)
-    shown = line[steps]
-    ax.set_xlim(shown[:, 0].min() - 25.0, shown[:, 0].max() + 25.0)
     reach = np.abs(shown[:, 1]).max() + ARROW
-    ax.set_ylim(-reach, reach)
-    ax.set_aspect("equal")
-    ax.set_xlabel("x, forward from the clamp (mm)")
-    ax.set_ylabel("y, lateral (mm)")
-    figure.colorbar(
-        body, ax=ax, label="internal moment (mN m)", location="top", shrink=0.6, aspect=40
-    )
+    ax.set(xlim=(shown[:, 0].min() - 25.0, shown[:, 0].max() + 25.0), ylim=(-reach, reach))
+    ax.set(aspect="equal", xlabel="x, forward from the clamp (mm)", ylabel="y, lateral (mm)")
+    bar = {"location": "top", "shrink": 0.6, "aspect": 40}
+    figure.colorbar(body, ax=ax, label="internal moment (mN m)", **bar)
     clock = ax.text(0.98, 0.05, "", transform=ax.transAxes, ha="right")
     figure.suptitle(run_title(run), fontsize="medium")
 

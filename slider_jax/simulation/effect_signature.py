@@ -80,7 +80,7 @@ def built_in_experiment() -> Experiment:
     }
     content = {
         "name": "built-in robot",
-        "robot": {key: list(x) if isinstance(x, tuple) else x for key, x in robot.items()},
+        "robot": robot,
         "parameters": {"C_d": C_d, "m_a": m_a, "k": paper.PRESSURE_LAG, "K_Q": K_Q},
         "trials": [trial],
     }
@@ -131,14 +131,12 @@ def effect_signature(
 
 def _largest(run: Callable[..., TrialRun], name: str, prior: Prior) -> tuple[float, TrialRun]:
     size = typical_size(prior)
-    for halvings in range(MAX_HALVINGS + 1):
+    for _ in range(MAX_HALVINGS):
         try:
             return size, run(**{name: size})
         except SolverError:
-            if halvings == MAX_HALVINGS:
-                raise
             size = prior.null + 0.5 * (size - prior.null)
-    raise AssertionError
+    return size, run(**{name: size})
 
 
 def _last_stride(run: TrialRun) -> slice:
@@ -155,7 +153,6 @@ def _cut(run: TrialRun, shown: slice) -> Series:
 
 def plot_signature(shown: EffectSignature, path: Path) -> None:
     """Draw each channel without and with the effect, and the difference on the right."""
-    kind = LIBRARY[shown.effect]
     figure, axes = new_figure(len(CHANNELS), 2, figsize=(11, 10), sharex=True)
     for (left, right), channel in zip(axes, CHANNELS.values(), strict=True):
         name, unit, factor = channel.column, channel.plot_unit, channel.plot_factor
@@ -170,8 +167,7 @@ def plot_signature(shown: EffectSignature, path: Path) -> None:
         size = "unchanged" if unseen else f"{', '.join(sizes)} {unit} rms"
         right.set_title(size, fontsize="small", loc="right")
         if unseen:
-            right.set_ylim(-1.0, 1.0)
-            right.set_yticks([0.0])
+            right.set(ylim=(-1.0, 1.0), yticks=[0.0])
         left.set_ylabel(f"{channel.label} ({unit})")
         right.set_ylabel(f"change ({unit})")
         for ax in (left, right):
@@ -183,5 +179,7 @@ def plot_signature(shown: EffectSignature, path: Path) -> None:
     for ax in axes[-1]:
         ax.set_xlabel("phase of the last stride (-)" if steady else "time (s)")
     figure.align_ylabels()
-    figure.suptitle(f"{shown.effect}: {kind.title}\n{run_title(shown.run)}", fontsize="medium")
+    figure.suptitle(
+        f"{shown.effect}: {LIBRARY[shown.effect].title}\n{run_title(shown.run)}", fontsize="medium"
+    )
     save_figure(figure, path)

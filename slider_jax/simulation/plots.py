@@ -12,7 +12,6 @@ from slider_jax.simulation.trial import TrialRun
 def run_title(run: TrialRun) -> str:
     """Return the trial's drive and tow speed as one line."""
     trial = run.trial
-    stem = Path(trial.file).stem
     if trial.waveform == "recorded":
         drive = f"recorded drive {trial.drive_file}"
     else:
@@ -20,7 +19,7 @@ def run_title(run: TrialRun) -> str:
             f"{trial.waveform} {trial.frequency:g} Hz, {1e-3 * (trial.amplitude or 0.0):g} kPa, "
             f"rear {trial.rear_ratio:g} at {trial.phase:g} period"
         )
-    return f"{stem}: {drive}, tow {trial.tow_speed:g} m/s"
+    return f"{Path(trial.file).stem}: {drive}, tow {trial.tow_speed:g} m/s"
 
 
 def plot_run(run: TrialRun, rmse: dict[str, float] | None, folder: Path) -> None:
@@ -77,18 +76,13 @@ def plot_midlines(run: TrialRun, path: Path) -> None:
     colours = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.95, len(steps)))
     for index, colour in zip(steps, colours, strict=True):
         ax.plot(*(1e3 * run.series["midline"][index]), color=colour, lw=1.2)
-    path_steps = last_strides(run, 200, closed=True)
-    ax.plot(
-        *(1e3 * run.series["midline"][path_steps, :, 0].T), "k:", lw=1.0, label="path of the tip"
-    )
+    tip = 1e3 * run.series["midline"][last_strides(run, 200, closed=True), :, 0]
+    ax.plot(*tip.T, "k:", lw=1.0, label="path of the tip")
     ax.plot(0.0, 0.0, "ks", ms=7, label="clamp")
-    ax.set_xlabel("x, forward from the clamp (mm)")
-    ax.set_ylabel("y, lateral (mm; scale enlarged)")
+    ax.set(xlabel="x, forward from the clamp (mm)", ylabel="y, lateral (mm; scale enlarged)")
     ax.legend(loc="upper right", fontsize="small")
-    t = run.t[steps]
-    scale = matplotlib.cm.ScalarMappable(
-        matplotlib.colors.Normalize(t[0], t[-1]), matplotlib.colormaps["viridis"]
-    )
+    times = matplotlib.colors.Normalize(run.t[steps[0]], run.t[steps[-1]])
+    scale = matplotlib.cm.ScalarMappable(times, "viridis")
     figure.colorbar(scale, ax=ax, label="time (s)")
     ax.set_title(run_title(run), fontsize="medium")
     save_figure(figure, path)

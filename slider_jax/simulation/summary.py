@@ -42,7 +42,7 @@ def averaging_window(run: TrialRun) -> tuple[slice, int]:
 
 def is_periodic(run: TrialRun) -> tuple[bool | None, str]:
     """Return whether the last two strides agree (None: unknown), and a warning if they do not."""
-    half, steps, duration = run.grid.half_period, run.grid.steps, run.trial.duration
+    half, steps = run.grid.half_period, run.grid.steps
     if half is None:
         return None, ""
     stride = 2 * half
@@ -58,14 +58,13 @@ def is_periodic(run: TrialRun) -> tuple[bool | None, str]:
     if abs(last - before) > max(STEADY_THRUST, STEADY * abs(last)):
         changes.append(f"mean thrust from {1e3 * before:.2f} to {1e3 * last:.2f} mN")
     if abs(range_last - range_before) > STEADY * range_last:
-        changes.append(
-            f"range of the tip from {1e3 * range_before:.2f} to {1e3 * range_last:.2f} mm"
-        )
+        ranges = f"{1e3 * range_before:.2f} to {1e3 * range_last:.2f} mm"
+        changes.append(f"range of the tip from {ranges}")
     if not changes:
         return True, ""
     return False, (
         f"not periodic: over the last two strides {' and '.join(changes)}; extend the trial "
-        f"(duration = {2.0 * duration:.3g})"
+        f"(duration = {2.0 * run.trial.duration:.3g})"
     )
 
 

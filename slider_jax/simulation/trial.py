@@ -15,7 +15,7 @@ from slider_jax.beam.parameters import Numerics, grid_of
 from slider_jax.beam.state import node_positions, to_plane
 from slider_jax.channels import TIME, Channel, recorded_series
 from slider_jax.dynamics.model import Model
-from slider_jax.dynamics.rollout import TimeGrid, rollout
+from slider_jax.dynamics.rollout import TimeGrid, continued
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest
 from slider_jax.dynamics.time_schemes import Scheme
 from slider_jax.effects import total_force
@@ -67,10 +67,9 @@ class SavedSeries:
 @eqx.filter_jit
 def _begin(model: Model, numerics: Numerics) -> tuple[Carry, jax.Array]:
     """Return the state at rest, and its midline (2, nodes) [m] relative to the head."""
-    carry, grid = at_rest(model, numerics), grid_of(model.body, numerics)
-    return carry, node_positions(
-        carry.memory.motion[2], carry.memory.strain, carry.memory.head, grid
-    )
+    carry = at_rest(model, numerics)
+    phi, strain, head = carry.memory.motion[2], carry.memory.strain, carry.memory.head
+    return carry, node_positions(phi, strain, head, grid_of(model.body, numerics))
 
 
 @eqx.filter_jit
@@ -86,7 +85,7 @@ def advance_chunk(
 ) -> tuple[Any, Carry]:
     """Run `steps` steps of `h` [s] from `t0` [s]; return the saved series and the final carry."""
     times = TimeGrid(h, steps, t0)
-    run = rollout(model, times, save, numerics, scheme, begin=begin, checkpoint=False)
+    run = continued(begin, model, times, save, numerics, scheme)
     return run.saved, run.final
 
 

@@ -46,13 +46,12 @@ def is_written(sweep: Sweep, folder: Path) -> bool:
 def write_sweep(sweep: Sweep, table: dict[str, np.ndarray], folder: Path, source: Path) -> None:
     """Write sweep.csv, sweep.json and sweep.png; if one fails, none is written."""
     settings = sweep.settings()
-    failed = np.flatnonzero(np.isnan(table[plotted_columns(sweep)[0][0]]))
     record = {
         "settings": settings,
         "sha256": digest(settings),
         "input": input_file(source),
         "seed": None,
-        "failed_rows": failed,
+        "failed_rows": np.flatnonzero(np.isnan(table[plotted_columns(sweep)[0][0]])),
         "versions": versions(),
     }
     with staged(folder) as stage:
@@ -89,13 +88,10 @@ def plot_sweep(sweep: Sweep, table: dict[str, np.ndarray], path: Path) -> None:
             ax.set_ylabel(across)
         if ax in axes[-1]:
             ax.set_xlabel(along)
-    trial = sweep.experiment.trials[sweep.trial]
+    head = f"{sweep.experiment.name}, {sweep.experiment.trials[sweep.trial].file}"
     averaged = f"last {sweep.strides - sweep.transient} of {sweep.strides} strides"
-    figure.suptitle(
-        f"{sweep.experiment.name}, {trial.file}: "
-        f"{'free swimming, one steady stride' if sweep.swim else averaged}",
-        fontsize="medium",
-    )
+    shown = "free swimming, one steady stride" if sweep.swim else averaged
+    figure.suptitle(f"{head}: {shown}", fontsize="medium")
     save_figure(figure, path)
 
 
@@ -114,7 +110,6 @@ def plot_contours(figure, ax, x: np.ndarray, y: np.ndarray, values: np.ndarray, 
     lines = ax.contour(x, y, grid, levels=round_levels, colors="k", linewidths=0.6)
     for text in ax.clabel(lines, fontsize=8, fmt="%g"):
         place = (ax.transData + ax.transAxes.inverted()).transform(text.get_position())
-        text.set_visible(
-            bool(np.all((0.05 < place) & (place < 0.95)))
-        )  # the frame would cut the others
+        inside = np.all((0.05 < place) & (place < 0.95))
+        text.set_visible(bool(inside))  # the frame would cut the others
     figure.colorbar(drawn, ax=ax, label=label, ticks=round_levels).add_lines(lines)

@@ -42,16 +42,14 @@ class Axis(NamedTuple):
         if count < 2:
             raise InputError.value(f"--count of {field}", count, "2 or more values")
         if not np.isfinite([start, stop]).all() or start == stop:
-            raise InputError.value(
-                f"range of {field}", f"{start} to {stop}", "two different finite numbers"
-            )
+            given = f"{start} to {stop}"
+            raise InputError.value(f"range of {field}", given, "two different finite numbers")
         return cls(field, tuple(float(x) for x in np.linspace(start, stop, count)))
 
     @property
     def unit(self) -> str:
         """Unit of the field; empty if it has none."""
-        _, field = field_at(Experiment, self.field.split("."))
-        quantity = quantity_of(field)
+        quantity = quantity_of(field_at(Experiment, self.field.split("."))[1])
         return quantity.unit if quantity else ""
 
     @property
@@ -147,9 +145,8 @@ def _check(sweep: Sweep) -> None:
     if not 0 <= sweep.transient < sweep.strides:
         raise InputError.value("--transient", sweep.transient, f"0 to {sweep.strides - 1} strides")
     if sweep.steps_per_stride < 2 * POSES or sweep.steps_per_stride % POSES:
-        raise InputError.value(
-            "--steps-per-stride", sweep.steps_per_stride, f"a multiple of {POSES} from {2 * POSES}"
-        )
+        allowed = f"a multiple of {POSES} from {2 * POSES}"
+        raise InputError.value("--steps-per-stride", sweep.steps_per_stride, allowed)
     if len({axis.field for axis in sweep.axes}) < len(sweep.axes):
         raise InputError.value("--field2", sweep.axes[1].field, "a field other than --field")
     for axis in sweep.axes:
@@ -162,9 +159,8 @@ def _check(sweep: Sweep) -> None:
 
 def _case(sweep: Sweep, point: tuple[float, ...]) -> tuple[Plan, BatchRobot]:
     """Return the settings and the robot of a point."""
-    values = {
-        axis.field: _whole(axis.field, value) for axis, value in zip(sweep.axes, point, strict=True)
-    }
+    pairs = zip((axis.field for axis in sweep.axes), point, strict=True)
+    values = {field: _whole(field, value) for field, value in pairs}
     experiment = sweep.experiment.with_values(values, "sweep")
     f, steps = experiment.trials[sweep.trial].frequency, sweep.steps_per_stride
     assert f is not None
@@ -183,9 +179,8 @@ def _whole(field: str, value: float) -> float | int:
     if info is None or info.annotation is not int:
         return value
     if not value.is_integer():
-        raise InputError.value(
-            f"--field {field}", f"{value:g}", "whole numbers", "choose another --count"
-        )
+        advice = "choose another --count"
+        raise InputError.value(f"--field {field}", f"{value:g}", "whole numbers", advice)
     return int(value)
 
 

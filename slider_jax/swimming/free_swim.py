@@ -61,8 +61,7 @@ class Swim:
     @property
     def frequency(self) -> float:
         """Stride frequency [Hz]."""
-        assert self.trial.frequency is not None
-        return self.trial.frequency
+        return stride_frequency(self.trial)
 
     @property
     def difference(self) -> float:
@@ -91,7 +90,11 @@ def _from_rest(
     carry, speeds = at_rest(model, search.numerics), []
     while True:
         carry, pace = _some_strides(model, f, carry, search)
-        _check(carry)
+        if not bool(carry.ok):
+            raise SolverError(
+                f"swimming: a time step did not converge at {float(carry.failed_at):.4g} s of a "
+                "stride; try a shorter numerics.step, lower pressures or a stiffer tail"
+            )
         speeds.append(float(pace.speed))
         gained = abs(float(pace.acceleration)) / float(f)
         repeats = gained < REPEATS * (abs(speeds[-1]) + 1e-6) and len(speeds) > 1
@@ -102,14 +105,6 @@ def _from_rest(
 def resisting(model: Model) -> str:
     """Return the names of the effects that resist motion along the body."""
     return ", ".join(e.name() for e in model.effects if e.resists_axially)
-
-
-def _check(carry: Carry) -> None:
-    if not bool(carry.ok):
-        raise SolverError(
-            f"swimming: a time step did not converge at {float(carry.failed_at):.4g} s of a "
-            "stride; try a shorter numerics.step, lower pressures or a stiffer tail"
-        )
 
 
 def free_swimmer(experiment: Experiment, trial: Trial) -> tuple[float, Model]:
@@ -146,7 +141,8 @@ def simulate_free_swim(
     stride, seen, ok = _steadily(model, f, search)
     found = bool(ok)
     progress("swimming from rest")
-    most = longest if found else min(longest, AT_ONCE * ceil(12.0 * frequency / AT_ONCE))
+    twelve = AT_ONCE * ceil(12.0 * frequency / AT_ONCE)  # strides in 12 s
+    most = longest if found else min(longest, twelve)
     speeds, pace, carry, repeats = _from_rest(model, f, search, 2 * AT_ONCE, most)
     if not found:
         stride, seen = _seen(model, f, carry, search)
@@ -154,7 +150,6 @@ def simulate_free_swim(
     unresisted, gaining = None, np.nan
     if len(own) < len(model.effects):
         progress(f"swimming from rest without {resisting(model)}")
-        twelve = AT_ONCE * ceil(12.0 * frequency / AT_ONCE)
         unresisted, bare, _, _ = _from_rest(replace(model, effects=own), f, search, twelve, twelve)
         gaining = float(bare.acceleration)
     seen, stride = jax.device_get((seen, stride))
@@ -166,12 +161,11 @@ def simulate_free_swim(
 
 def swim_record(swim: Swim) -> dict[str, Any]:
     """Return the results for JSON, in SI units, by names with units."""
-    p = swim.performance
     return {
         "file": swim.trial.file,
         "frequency_Hz": swim.trial.frequency,
         "steady": swim.found,
-        **{name: float(x) for name, x in performance_columns(p).items()},
+        **{name: float(x) for name, x in performance_columns(swim.performance).items()},
         "from_rest": {
             "speed_m_per_s": swim.from_rest,
             "at_every_stride": AT_ONCE,

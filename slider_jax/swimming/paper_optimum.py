@@ -1,6 +1,7 @@
 """The paper's optimal swimmer as an experiment, and its published performance."""
 
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -38,13 +39,12 @@ wavelength give 0.51. A sine with A/(lambda/4) = 0.51 has a root mean square slo
 
 def swimmer_content(**trial: Any) -> dict[str, Any]:
     """Return the tables of an experiment: built-in robot, form drag at the head, and one trial."""
-    robot = Robot()
-    fields = ("body_length", "tail_length", "linear_density", "EI_body", "EI_tail", "EA_body",
-              "EA_tail", "damping_time", "height", "front_chamber", "rear_chamber")  # fmt: skip
+    robot = asdict(Robot())
+    K_Q = robot.pop("K_Q")
     return {
         "name": "swimmer",
-        "robot": {name: getattr(robot, name) for name in fields},
-        "parameters": {"force_coefficients": "ramp", "k": paper.PRESSURE_LAG, "K_Q": robot.K_Q},
+        "robot": robot,
+        "parameters": {"force_coefficients": "ramp", "k": paper.PRESSURE_LAG, "K_Q": K_Q},
         "effects": [{"name": "head_drag", "area": HEAD_DRAG}],
         "trials": [{"file": "swim.csv", "duration": 10.0} | trial],
     }

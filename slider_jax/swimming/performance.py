@@ -14,7 +14,7 @@ from slider_jax.batch.strides import BatchRobot, Plan
 from slider_jax.beam.parameters import G, Scalar
 from slider_jax.beam.state import to_plane
 from slider_jax.dynamics.model import Model, make_mesh
-from slider_jax.dynamics.rollout import rollout
+from slider_jax.dynamics.rollout import continued
 from slider_jax.dynamics.step import Carry, Snapshot
 from slider_jax.effects import total_force
 from slider_jax.swimming.steady_state import (
@@ -96,11 +96,8 @@ def next_stride(model: Model, frequency, carry: Carry, search: SteadySettings) -
         resistance = grid.integral((1.0 + cell.strain) * F)
         return obs.midline(x), velocity_and_heading(x), resistance, jnp.sum(obs.chamber_power(x))
 
-    steps = search.steps_per_stride
-    times = stride_times(frequency, 2, search)
-    run = rollout(
-        model, times, saved, search.numerics, search.scheme, begin=carry, checkpoint=False
-    )
+    steps, times = search.steps_per_stride, stride_times(frequency, 2, search)
+    run = continued(carry, model, times, saved, search.numerics, search.scheme)
     before = jnp.mean(run.saved[1][:steps, 0], axis=0)
     midline, moved, resistance, power = (x[steps:] for x in run.saved)
     ahead = jnp.mean(moved[:, 1], axis=0)
@@ -180,14 +177,10 @@ def compile_swim(
     plan: Plan, chunk: BatchRobot
 ) -> Callable[[BatchRobot], tuple[Performance, Array]]:
     """Return the compiled function from robots stacked like `chunk` to (performance, ok)."""
-    search = SteadySettings(
-        steps_per_stride=plan.steps_per_stride, numerics=plan.numerics, scheme=plan.scheme
-    )
-
-    def one(member):
-        return steady_stride(member.model, member.frequency, search)[1:]
-
-    return jax.jit(jax.vmap(one)).lower(chunk).compile()
+    steps, _, numerics, scheme = plan
+    search = SteadySettings(steps_per_stride=steps, numerics=numerics, scheme=scheme)
+    one = jax.vmap(lambda robot: steady_stride(robot.model, robot.frequency, search)[1:])
+    return jax.jit(one).lower(chunk).compile()
 
 
 def performance_table(found: Performance, ok: Array) -> dict[str, np.ndarray]:

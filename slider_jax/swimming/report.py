@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from slider_jax.io.figures import new_figure, save_figure
@@ -93,17 +94,15 @@ def swim_summary(swim: Swim) -> list[str]:
 def stride_columns(swim: Swim) -> dict[str, np.ndarray]:
     """Return the columns of the stride's table; positions are relative to the first midline."""
     steps = swim.search.steps_per_stride
-    velocity, resistance, midline = (
-        np.asarray(x) for x in (swim.stride.velocity, swim.stride.resistance, swim.stride.midline)
-    )
-    place = midline - midline[0].mean(axis=1)[:, None]
+    stride = jax.tree.map(np.asarray, swim.stride)
+    place = stride.midline - stride.midline[0].mean(axis=1)[:, None]
     return {
         "t_s": np.arange(1.0, steps + 1.0) / (steps * swim.frequency),
-        "velocity_x_m_per_s": velocity[:, 0],
-        "velocity_y_m_per_s": velocity[:, 1],
-        "resistance_x_N": resistance[:, 0],
-        "resistance_y_N": resistance[:, 1],
-        "power_W": np.asarray(swim.stride.power),
+        "velocity_x_m_per_s": stride.velocity[:, 0],
+        "velocity_y_m_per_s": stride.velocity[:, 1],
+        "resistance_x_N": stride.resistance[:, 0],
+        "resistance_y_N": stride.resistance[:, 1],
+        "power_W": stride.power,
         "head_x_m": place[:, 0, -1],
         "head_y_m": place[:, 1, -1],
         "tip_x_m": place[:, 0, 0],
@@ -126,8 +125,7 @@ def plot_swim(swim: Swim, path: Path) -> None:
     above.plot(1e3 * x[:, -1], 1e3 * y[:, -1], "C3", lw=1.0)
     above.plot(1e3 * x[:, 0], 1e3 * y[:, 0], "C0", lw=1.0)
     above.set_aspect("equal")
-    above.set_xlabel("along the course (mm)")
-    above.set_ylabel("across (mm)")
+    above.set(xlabel="along the course (mm)", ylabel="across (mm)")
     title = "one stride, later midlines are darker; red: head, blue: tip of the tail"
     above.set_title(title, fontsize="medium")
 
@@ -141,7 +139,6 @@ def plot_swim(swim: Swim, path: Path) -> None:
     if swim.found:
         speed = 1e2 * float(swim.performance.speed)
         below.axhline(speed, color="C3", ls="--", lw=1.0, label=f"steady: {speed:.2f} cm/s")
-    below.set_xlabel("time (s)")
-    below.set_ylabel("speed (cm/s)")
+    below.set(xlabel="time (s)", ylabel="speed (cm/s)")
     below.legend(fontsize="small")
     save_figure(figure, path)

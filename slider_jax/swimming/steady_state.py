@@ -26,7 +26,7 @@ from jaxtyping import Array, Bool, Float
 from slider_jax.beam.parameters import Numerics
 from slider_jax.beam.state import to_body, to_plane
 from slider_jax.dynamics.model import Model
-from slider_jax.dynamics.rollout import TimeGrid, rollout
+from slider_jax.dynamics.rollout import TimeGrid, continued
 from slider_jax.dynamics.step import Carry, Snapshot, at_rest, with_motion
 from slider_jax.dynamics.time_schemes import SDIRK2, Scheme
 
@@ -90,7 +90,6 @@ def with_added_velocity(carry: Carry, change: Float[Array, "2"]) -> Carry:
     """Return the state with `change` (x, y) [m/s] added to the velocity of every point."""
 
     def add(motion):
-        """Return (..., 3, nodes): V_tau, V_n, phi."""
         along, across = to_body(change, motion[..., 2, :])
         return motion.at[..., 0, :].add(along).at[..., 1, :].add(across)
 
@@ -138,20 +137,11 @@ def simulate_strides(model: Model, frequency, carry: Carry, count: int, search: 
 
     def body(state, _):
         carry, (_, last), _ = state
-        run = rollout(
-            model,
-            times,
-            velocity_and_heading,
-            search.numerics,
-            search.scheme,
-            begin=carry,
-            checkpoint=False,
-        )
+        run = continued(carry, model, times, velocity_and_heading, search.numerics, search.scheme)
         mean, ahead = jnp.mean(run.saved, axis=0)
         return (run.final, (last, mean), ahead), None
 
-    nothing = jnp.zeros(2)
-    begin = (carry, (nothing, nothing), nothing)
+    begin = (carry, (jnp.zeros(2), jnp.zeros(2)), jnp.zeros(2))
     (carry, (before, mean), ahead), _ = jax.lax.scan(body, begin, None, length=count)
     return carry, mean_motion(before, mean, ahead, frequency)
 
@@ -173,9 +163,8 @@ def find_steady(model: Model, frequency, search: SteadySettings = SteadySettings
         change = jnp.clip(-after.acceleration / slope, -search.largest, search.largest)
         return (carry, after, slope, change), None
 
-    carry, pace = simulate_strides(
-        model, frequency, at_rest(model, search.numerics), search.settling, search
-    )
+    rest = at_rest(model, search.numerics)
+    carry, pace = simulate_strides(model, frequency, rest, search.settling, search)
     begin = (carry, pace, jnp.asarray(-1.0), search.second - pace.speed)
     (carry, pace, _, change), _ = jax.lax.scan(correct, begin, None, length=search.corrections)
     size = jnp.abs(pace.speed) + 1e-6

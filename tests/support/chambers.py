@@ -18,6 +18,19 @@ LAG = FirstOrderLag(K)
 chamber_history = eqx.filter_jit(pneumatics.chamber_history)
 
 
+def pressure_history(law, waveform, start, times):
+    """Return the pressure [Pa] at increasing `times` [s]; it is `start` [Pa] at the first time."""
+    segments = jax.vmap(waveform.segment)(times[:-1], times[1:])
+    first = jnp.asarray(start, times.dtype)
+
+    def body(p, segment):
+        p = law.advance(p, segment)
+        return p, p
+
+    _, rest = jax.lax.scan(body, first, segments)
+    return jnp.concatenate([first[None], rest])
+
+
 def chambers(effects, front, rear, t, start=0.0, law=LAG):
     """Return the chambers' history (n, ...) from the pressure `start` [Pa] in both."""
     model = Model(Robot(), tuple(effects), law, Drive(front, rear, start, start), Clamped())

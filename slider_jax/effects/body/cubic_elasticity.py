@@ -17,11 +17,7 @@ class CubicElasticity(BendingMoment):
     order = 320
 
     b: Scalar = parameter(
-        0.0,
-        -0.005,
-        0.1,
-        "m^2",
-        "doubles the stiffness at kappa = 3 1/m; softens by a tenth",
+        0.0, -0.005, 0.1, "m^2", "doubles the stiffness at kappa = 3 1/m; softens by a tenth"
     )
     """Relative increase of the stiffness per squared curvature."""
 

@@ -21,7 +21,6 @@ class ChamberExpansion(Flow):
 
     title = "chambers expand under pressure"
     order = 180
-    sensors = ("pressure", "thrust", "recoil", "tip")
 
     expansion: Scalar = parameter(
         0.0, 0.0, 5e-6, "1/Pa", "an elastomer chamber at most doubles its volume at 200 kPa"

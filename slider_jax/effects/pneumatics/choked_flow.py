@@ -18,7 +18,6 @@ class ChokedFlow(Flow):
 
     title = "flow through the valves is choked"
     order = 90
-    sensors = ("pressure", "thrust", "recoil", "tip")
 
     inverse: Scalar = parameter(
         0.0, 0.0, 1e-6, "s/Pa", "reversing 250 kPa at k = 87 ms needs 6 MPa/s; R is 1 MPa/s or more"

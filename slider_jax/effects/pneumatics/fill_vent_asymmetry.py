@@ -17,7 +17,6 @@ class FillVentAsymmetry(Flow):
 
     title = "filling and venting take different times"
     order = 70
-    sensors = ("pressure", "thrust", "recoil", "tip")
 
     ratio: Scalar = parameter(
         1.0, 0.3, 3.0, "-", "venting up to three times slower than filling, or faster"

@@ -26,12 +26,7 @@ class FirmwareValves(ValvePair):
     order = 160
 
     fill: Scalar = parameter(
-        0.0,
-        0.0,
-        8.0,
-        "1/s",
-        "a valve of 1 mm fills 0.1 l in a fraction of a second",
-        1.5,
+        0.0, 0.0, 8.0, "1/s", "a valve of 1 mm fills 0.1 l in a fraction of a second", 1.5
     )
     """c_f, choked flow of the fill valve divided by the volume."""
     vent: Scalar = parameter(

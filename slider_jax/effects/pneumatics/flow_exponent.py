@@ -17,7 +17,6 @@ class FlowExponent(Flow):
 
     title = "flow grows more slowly than the pressure difference"
     order = 140
-    sensors = ("pressure", "thrust", "recoil", "tip")
 
     exponent: Scalar = parameter(0.0, 0.0, 0.5, "-", "laminar to turbulent")
     """b; the flow is the power 1 - b of the pressure difference."""

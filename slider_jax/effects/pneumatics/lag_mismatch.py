@@ -16,7 +16,6 @@ class LagMismatch(Flow):
     title = "the rear chamber has a different lag"
     order = 80
     rear_only = True
-    sensors = ("pressure", "thrust", "recoil", "tip")
 
     x: Scalar = parameter(
         0.0, -0.5, 1.0, "-", "hoses and volumes of the two chambers differ by up to a factor of two"

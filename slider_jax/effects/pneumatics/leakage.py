@@ -15,7 +15,6 @@ class Leakage(Flow):
 
     title = "leakage of the chambers"
     order = 130
-    sensors = ("pressure", "thrust", "recoil", "tip")
 
     leak: Scalar = parameter(
         0.0, 0.0, 3.0, "1/s", "intact chambers hold for minutes, a torn seam for 0.3 s"

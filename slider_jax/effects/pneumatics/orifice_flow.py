@@ -34,7 +34,6 @@ class OrificeFlow(Flow):
 
     title = "compressible flow through the valves"
     order = 150
-    sensors = ("pressure", "thrust", "recoil", "tip")
 
     share: Scalar = parameter(0.0, 0.0, 1.0, "-", "from the linear lag to an orifice")
     """w, share of orifice flow."""

@@ -21,12 +21,7 @@ class PulsedValves(ValvePair):
     order = 170
 
     fill: Scalar = parameter(
-        0.0,
-        0.0,
-        10.0,
-        "1/s",
-        "a valve of 1 mm fills 0.1 l in a fraction of a second",
-        1.5,
+        0.0, 0.0, 10.0, "1/s", "a valve of 1 mm fills 0.1 l in a fraction of a second", 1.5
     )
     """c_f of the fill valve."""
     vent: Scalar = parameter(

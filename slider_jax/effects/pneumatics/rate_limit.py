@@ -17,7 +17,6 @@ class RateLimit(Flow):
 
     title = "the flow has a hard limit"
     order = 100
-    sensors = ("pressure", "thrust", "recoil", "tip")
 
     inverse: Scalar = parameter(
         0.0, 0.0, 2e-6, "s/Pa", "6 MPa/s reverse 250 kPa at k = 87 ms; R is 0.5 MPa/s or more", 4e-7

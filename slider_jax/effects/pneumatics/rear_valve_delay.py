@@ -17,7 +17,6 @@ class RearValveDelay(Command):
     title = "the rear valve acts later than the front valve"
     order = 60
     rear_only = True
-    sensors = ("pressure", "thrust", "recoil", "tip")
 
     delay: Scalar = parameter(
         0.0, 0.0, 0.03, "s", "one valve may be later by its whole switching time"

@@ -16,7 +16,6 @@ class RegulatorGain(Command):
 
     title = "gain of the regulator"
     order = 20
-    sensors = ("pressure", "thrust", "recoil", "tip")
 
     gain: Scalar = parameter(
         0.0, -0.2, 0.2, "-", "analogue regulators err by a few percent, more under flow"

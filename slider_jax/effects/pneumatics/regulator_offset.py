@@ -17,7 +17,6 @@ class RegulatorOffset(Command):
 
     title = "zero of the regulator"
     order = 30
-    sensors = ("pressure", "thrust", "recoil", "tip")
 
     offset: Scalar = parameter(0.0, -20e3, 20e3, "Pa", "zero error of 2 % for a regulator of 1 MPa")
     """Offset p_0."""

@@ -18,7 +18,6 @@ class SupplyCap(Command):
 
     title = "the supply caps the set pressure"
     order = 50
-    sensors = ("pressure", "thrust", "recoil", "tip")
 
     inverse: Scalar = parameter(
         0.0, 0.0, 8e-6, "1/Pa", "compressors of such rigs hold 125 kPa or more", 3.5e-6

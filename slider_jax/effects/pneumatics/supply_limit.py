@@ -19,7 +19,6 @@ class SupplyLimit(Command):
 
     title = "the supply cannot reach the set pressure"
     order = 40
-    sensors = ("pressure", "thrust", "recoil", "tip")
 
     inverse: Scalar = parameter(
         0.0, 0.0, 3e-6, "1/Pa", "a supply of 330 kPa halves the largest set pressure"

@@ -19,7 +19,6 @@ class ValveDeadband(Flow):
 
     title = "deadband of the valves"
     order = 110
-    sensors = ("pressure", "thrust", "recoil", "tip")
 
     band: Scalar = parameter(
         0.0, 0.0, 40e3, "Pa", "an eighth of the largest set pressure; short pulses open nothing",

@@ -15,7 +15,6 @@ class ValveDelay(Command):
 
     title = "dead time of the valves"
     order = 10
-    sensors = ("pressure", "thrust", "recoil", "tip")
 
     delay: Scalar = parameter(
         0.0, 0.0, 0.06, "s", "switching takes 5 to 30 ms, and the controller's cycle adds to it"

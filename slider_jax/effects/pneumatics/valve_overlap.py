@@ -16,7 +16,6 @@ class ValveOverlap(Flow):
 
     title = "overlap of the valves"
     order = 120
-    sensors = ("pressure", "thrust", "recoil", "tip")
 
     band: Scalar = parameter(0.0, 0.0, 40e3, "Pa", "an eighth of the largest set pressure", 8e3)
     """d, the error below which the valve is closed."""

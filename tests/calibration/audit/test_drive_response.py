@@ -6,8 +6,8 @@ import pytest
 from calibration.audit.drive_response import rear_lag_and_ratio, wrapped
 from calibration.measurements.records import Record
 from slider_jax.actuation import FirstOrderLag, SquareWave
-from slider_jax.actuation.pressure import pressure_history
 from slider_jax.experiment.schema import Trial
+from tests.support.chambers import pressure_history
 
 PHASE, RATIO = 0.3, 0.8
 

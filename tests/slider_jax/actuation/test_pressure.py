@@ -6,14 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from slider_jax import actuation
 from slider_jax.actuation import FirstOrderLag, Ideal, Recorded, SineWave, SquareWave, Trapezoid
+from tests.support import chambers
 from tests.support.helpers import order
 
 K, F, A = 0.087, 2.2, 250e3
 LAG = FirstOrderLag(K)
 
-pressure_history = eqx.filter_jit(actuation.pressure_history)
+pressure_history = eqx.filter_jit(chambers.pressure_history)
 
 
 def periodic_state(t, phase=0.0):

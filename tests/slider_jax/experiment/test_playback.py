@@ -5,13 +5,14 @@ import numpy as np
 import pytest
 
 from calibration.model.predict import Resolution, plan_trial, predict_readings
-from slider_jax.actuation import FirstOrderLag, Held, pressure_history
+from slider_jax.actuation import FirstOrderLag, Held
 from slider_jax.effects.pneumatics.valve_delay import ValveDelay
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
 from slider_jax.experiment.playback import read_played as read_played
 from slider_jax.io.files import write_csv
 from slider_jax.simulation.trial import simulate_trial
+from tests.support.chambers import pressure_history
 from tests.support.experiments import write_small_experiment
 
 K, STEP = 0.087, 5e-4

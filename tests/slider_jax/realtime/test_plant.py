@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from slider_jax.actuation import FirstOrderLag, SquareWave, pressure_history
+from slider_jax.actuation import FirstOrderLag, SquareWave
 from slider_jax.effects.library import LIBRARY
 from slider_jax.effects.pneumatics.regulator_gain import RegulatorGain
 from slider_jax.errors import InputError
@@ -15,6 +15,7 @@ from slider_jax.realtime.causality import Held, check_commands
 from slider_jax.realtime.plant import Plant
 from slider_jax.realtime.sensors import SensorNoise
 from slider_jax.simulation.trial import simulate_trial
+from tests.support.chambers import pressure_history
 from tests.support.experiments import write_small_experiment
 
 H = 0.005
