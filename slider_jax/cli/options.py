@@ -11,16 +11,16 @@ from slider_jax.errors import InputError
 
 
 def _read_by(
-    read: Callable[[list[str]], Any], metavar: str, allowed: str, count: int | Literal["*"] = 1
+    read: Callable[[str], Any], metavar: str, allowed: str, count: int | Literal["*"] = 1
 ) -> PrimitiveConstructorSpec:
     """Return a tyro type for an argument of `count` words, shown as `metavar` in the help.
 
-    `read` converts the words and raises `ValueError` if they are not `allowed`.
+    `read` converts a word and raises `ValueError` if it is not `allowed`.
     """
 
     def instance(words: list[str]) -> Any:
         try:
-            return read(words)
+            return read(words[0]) if count == 1 else tuple(map(read, words))
         except ValueError:
             given = " ".join(words)
             raise ValueError(f"given {given!r}; allowed {allowed}") from None
@@ -34,18 +34,6 @@ def _read_by(
     )
 
 
-def _number(words: list[str]) -> float:
-    return float(words[0])
-
-
-def _whole(words: list[str]) -> int:
-    return int(words[0])
-
-
-def _numbers(words: list[str]) -> tuple[float, ...]:
-    return tuple(map(float, words))
-
-
 _DEFAULT_IN_HELP = tyro.conf.arg(help_behavior_hint="")
 """Suppresses tyro's "(default: None)" if the help text states the default."""
 Folder = Annotated[Path, tyro.conf.arg(metavar="DIR")]
@@ -57,21 +45,21 @@ MaybeExperiment = Annotated[
 ModelFile = Annotated[
     Path | None, tyro.conf.arg(metavar="MODEL.toml", help_behavior_hint="(default: none)")
 ]
-Seconds = Annotated[float | None, _read_by(_number, "S", "a number of seconds"), _DEFAULT_IN_HELP]
+Seconds = Annotated[float | None, _read_by(float, "S", "a number of seconds"), _DEFAULT_IN_HELP]
 Range = Annotated[
-    tuple[float, float] | None, _read_by(_numbers, "LOW HIGH", "two numbers", 2), _DEFAULT_IN_HELP
+    tuple[float, float] | None, _read_by(float, "LOW HIGH", "two numbers", 2), _DEFAULT_IN_HELP
 ]
 Pressures = Annotated[
     tuple[float, ...] | None,
-    _read_by(_numbers, "PA", "pressures in Pa, such as 250e3", "*"),
+    _read_by(float, "PA", "pressures in Pa, such as 250e3", "*"),
     _DEFAULT_IN_HELP,
 ]
 Frequencies = Annotated[
     tuple[float, ...],
-    _read_by(_numbers, "HZ ...", "frequencies in Hz, such as 1.5", "*"),
+    _read_by(float, "HZ ...", "frequencies in Hz, such as 1.5", "*"),
     _DEFAULT_IN_HELP,
 ]
-_VALUE, _WHOLE = _read_by(_number, "X", "a number"), _read_by(_whole, "N", "a whole number")
+_VALUE, _WHOLE = _read_by(float, "X", "a number"), _read_by(int, "N", "a whole number")
 Value = Annotated[float, _VALUE]
 MaybeValue = Annotated[float | None, _VALUE, _DEFAULT_IN_HELP]
 Whole = Annotated[int, _WHOLE]

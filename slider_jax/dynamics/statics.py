@@ -12,7 +12,7 @@ from slider_jax.beam.equations import Reference
 from slider_jax.beam.parameters import Numerics, Scalar, scales_of
 from slider_jax.beam.state import Memory, Unknowns, node_positions, to_body
 from slider_jax.dynamics.block_solver import BeamOperator, BeamSolver
-from slider_jax.dynamics.model import Mesh, Model, make_mesh
+from slider_jax.dynamics.model import Model, make_mesh
 from slider_jax.dynamics.newton import tangent_of
 from slider_jax.dynamics.pressures import start_chambers
 from slider_jax.dynamics.residual import Stage, jacobian, residual
@@ -53,7 +53,20 @@ def at_rest_under(model: Model, loads: Loads, numerics: Numerics = Numerics()) -
     It is differentiable with respect to every number, by the implicit function theorem.
     """
     mesh = make_mesh(model.body, numerics)
-    stage = _stage(model, mesh, loads.pressure)
+    zero = jnp.zeros_like(mesh.grid.ds)
+    internal = tuple(zero for _ in of_place(model.effects, BendingMoment))
+    stage = Stage(
+        structure=mesh.structure,
+        effects=model.effects,
+        support=model.support,
+        reference=Reference(zero, zero, zero, zero, zero, internal, jnp.asarray(LONG)),
+        phi_head=jnp.asarray(0.0),
+        load_head=jnp.zeros(3),
+        pressure=loads.pressure @ mesh.windows,
+        active_moment=loads.pressure @ mesh.chambers,
+        water=jnp.zeros((2, 2)),
+        t=jnp.asarray(0.0),
+    )
     y, error = _equilibrium((stage, loads.force, scales_of(model.body)))
     eps = mesh.grid.mid(y[0]) / mesh.structure.EA
     shape = node_positions(y[5], eps, jnp.zeros(2), mesh.grid)
@@ -68,24 +81,6 @@ def release(model: Model, begin: AtRest, numerics: Numerics = Numerics()) -> Car
     internal = tuple(jnp.zeros_like(eps) for _ in of_place(model.effects, BendingMoment))
     memory = Memory(y[3:], eps, jnp.zeros(2), y[:3, -1], internal)
     return initial_carry(y, memory, start_chambers(model))
-
-
-def _stage(model: Model, mesh: Mesh, pressure: Float[Array, "2"]) -> Stage:
-    zero = jnp.zeros_like(mesh.grid.ds)
-    internal = tuple(zero for _ in of_place(model.effects, BendingMoment))
-    reference = Reference(zero, zero, zero, zero, zero, internal, jnp.asarray(LONG))
-    return Stage(
-        structure=mesh.structure,
-        effects=model.effects,
-        support=model.support,
-        reference=reference,
-        phi_head=jnp.asarray(0.0),
-        load_head=jnp.zeros(3),
-        pressure=pressure @ mesh.windows,
-        active_moment=pressure @ mesh.chambers,
-        water=jnp.zeros((2, 2)),
-        t=jnp.asarray(0.0),
-    )
 
 
 def _tail_load(phi: Scalar, force: Float[Array, "2"]) -> Float[Array, "3"]:

@@ -85,18 +85,17 @@ class Task(NamedTuple):
 
     def settings(self) -> dict[str, Any]:
         """Return everything that a score depends on."""
+        bounds = np.stack([self.box.low, self.box.high], axis=1).tolist()
+        search = self.search._asdict()
         return {
             "experiment": self.experiment.model_dump(),
-            "bounds": dict(zip(Gait._fields, zip(self.box.low.tolist(), self.box.high.tolist(),
-                                                 strict=True), strict=True)),
+            "bounds": dict(zip(Gait._fields, bounds, strict=True)),
             "steps_per_stride": self.search.steps_per_stride,
             "nodes": self.search.numerics.nodes,
-            "search": {
-                name: x for name, x in self.search._asdict().items() if isinstance(x, (int, float))
-            },
+            "search": {name: x for name, x in search.items() if isinstance(x, (int, float))},
             "scheme": self.search.scheme.name,
             "versions": versions(),
-        }  # fmt: skip
+        }
 
 
 def search_fastest(
@@ -227,12 +226,10 @@ def plot_search_history(found: OptimisationResult, path: Path) -> None:
     """Plot the best and the mean speed against the number of evaluations."""
     figure, axes = new_figure(figsize=(8, 4.5))
     at = [x.evaluations for x in found.history]
+    best = [1e2 * x.best_here for x in found.history]
     axes.plot(at, [1e2 * x.best for x in found.history], "C3", label="best so far")
-    axes.plot(
-        at, [1e2 * x.best_here for x in found.history], "C0o", ms=3, label="best of generation"
-    )
+    axes.plot(at, best, "C0o", ms=3, label="best of generation")
     axes.plot(at, [1e2 * x.mean for x in found.history], "0.5", label="mean of generation")
-    axes.set_xlabel("evaluations")
-    axes.set_ylabel("steady speed (cm/s)")
+    axes.set(xlabel="evaluations", ylabel="steady speed (cm/s)")
     axes.legend(fontsize="small", loc="lower right")
     save_figure(figure, path)

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -71,19 +72,17 @@ class FrontEffort(NamedTuple):
         return max(6, self.population // 4), max(1, self.generations // 2)
 
 
+@dataclass
 class FrontSearches:
     """The optimisations that a front consists of; each has its own folder with a checkpoint."""
 
-    def __init__(
-        self,
-        modes: TwoTasks,
-        effort: FrontEffort,
-        folder: Path,
-        on_generation: Callable[[str, Generation, float], None],
-    ):
-        self.both, self.evaluations = TaskEfficiencies(modes), dict[str, int]()
-        self._modes, self._effort, self._folder = modes, effort, folder
-        self._on_generation = on_generation
+    modes: TwoTasks
+    effort: FrontEffort
+    folder: Path
+    on_generation: Callable[[str, Generation, float], None]
+
+    def __post_init__(self) -> None:
+        self.both, self.evaluations = TaskEfficiencies(self.modes), dict[str, int]()
 
     def optimise(
         self,
@@ -98,7 +97,7 @@ class FrontSearches:
 
         The optimisation starts `near` the base design, or samples the whole box.
         """
-        effort, columns = self._effort, list(free)
+        effort, columns = self.effort, list(free)
         population, generations = effort.population, effort.generations
         if near:
             population, generations = effort.between
@@ -116,14 +115,14 @@ class FrontSearches:
 
         start = {"free": [NAMES[i] for i in free], "base": base.tolist(), "near": near,
                  "beta": beta, "only": only.tolist()}  # fmt: skip
-        task = self._modes.settings() | {"start": start}
+        task = self.modes.settings() | {"start": start}
         settings = settings_of(algorithm, population, effort.seed, task)
-        place = self._folder / name
+        place = self.folder / name
         if is_first():
             place.mkdir(exist_ok=True)
         found = run_optimiser(
             algorithm, evaluate, generations, effort.seed, settings, place, True,
-            is_first(), lambda generation, seconds: self._on_generation(name, generation, seconds),
+            is_first(), lambda generation, seconds: self.on_generation(name, generation, seconds),
         )  # fmt: skip
         if not np.isfinite(found.score):
             raise SolverError(
@@ -151,9 +150,7 @@ def search_front(
     effort: FrontEffort,
     folder: Path,
     resume: bool = False,
-    on_generation: Callable[[str, Generation, float], None] = lambda name, generation, seconds: (
-        None
-    ),
+    on_generation: Callable[[str, Generation, float], None] = lambda *progress: None,
 ) -> Front:
     """Return the best designs for `betas` evenly spaced values of beta from 0 to 1.
 

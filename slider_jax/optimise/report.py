@@ -146,8 +146,7 @@ def plot_front(found: list[dict[str, Any]], only: dict[str, float], path: Path) 
     shares = [[x[name] / only[name] for x in found] for name in ("E_swim", "E_climb")]
     front.plot(*shares, "k-", lw=0.8)
     points = front.scatter(*shares, c=beta, cmap="viridis", zorder=3)
-    front.set_xlabel("E_swim/E_swim,only")
-    front.set_ylabel("E_climb/E_climb,only")
+    front.set(xlabel="E_swim/E_swim,only", ylabel="E_climb/E_climb,only")
     figure.colorbar(points, ax=front, label="beta")
     for (name, label, factor), ax in zip(SHOWN, others, strict=True):
         shown = [(name, "C0o-", "both" if name in ("tail_length", "EI_tail") else "swimming")]
@@ -160,8 +159,7 @@ def plot_front(found: list[dict[str, Any]], only: dict[str, float], path: Path) 
             shown.append(("pin_phase", "C3^:", "pin"))
         for key, style, text in shown:
             ax.plot(beta, [factor * x[key] for x in found], style, ms=4, lw=1.0, label=text)
-        ax.set_xlabel("beta (0: climbing, 1: swimming)")
-        ax.set_ylabel(label)
+        ax.set(xlabel="beta (0: climbing, 1: swimming)", ylabel=label)
         if len(shown) > 1:
             ax.legend(fontsize="x-small")
     save_figure(figure, path)

@@ -97,8 +97,8 @@ class TwoTasks(NamedTuple):
 
     def settings(self) -> dict[str, Any]:
         """Return everything that the efficiencies depend on."""
-        bounds = dict(zip(NAMES, zip(self.low.tolist(), self.high.tolist(), strict=True),
-                          strict=True))  # fmt: skip
+        rows = np.stack([self.low, self.high], axis=1).tolist()
+        bounds = dict(zip(NAMES, rows, strict=True))
         plan = {"settling": self.plan.settling, "strides": self.plan.strides,
                 "steps_per_stride": self.plan.steps_per_stride}  # fmt: skip
         return self.task.settings() | {"bounds": bounds, "climb": plan, "cap": CAP, "link": LINK}
