@@ -4,49 +4,25 @@ May import `actuation`, `supports` and the rooms below them.
 """
 
 from slider_jax.effects.base import (
-    MOUNT_LAG,
-    ActingPressure,
-    BendingMoment,
-    BodyChange,
-    Chamber,
-    Command,
-    Effect,
-    Flow,
-    ForceDensity,
-    HeadRates,
-    Instrument,
-    Mounting,
-    Prior,
-    Readings,
-    WaterMotion,
-    of_place,
-    parameter,
-    total_force,
+    MOUNT_LAG as MOUNT_LAG,
+    ActingPressure as ActingPressure,
+    BendingMoment as BendingMoment,
+    BodyChange as BodyChange,
+    Chamber as Chamber,
+    Command as Command,
+    Effect as Effect,
+    Flow as Flow,
+    ForceDensity as ForceDensity,
+    HeadRates as HeadRates,
+    Instrument as Instrument,
+    Mounting as Mounting,
+    Prior as Prior,
+    Readings as Readings,
+    WaterMotion as WaterMotion,
+    of_place as of_place,
+    parameter as parameter,
+    total_force as total_force,
 )
-from slider_jax.effects.body.gravity import Gravity
-from slider_jax.effects.water.drag import NormalDrag
-from slider_jax.effects.water.reactive import ReactiveForce
-
-__all__ = [
-    "MOUNT_LAG",
-    "ActingPressure",
-    "BendingMoment",
-    "BodyChange",
-    "Chamber",
-    "Command",
-    "Effect",
-    "Flow",
-    "ForceDensity",
-    "Gravity",
-    "HeadRates",
-    "Instrument",
-    "Mounting",
-    "NormalDrag",
-    "Prior",
-    "ReactiveForce",
-    "Readings",
-    "WaterMotion",
-    "of_place",
-    "parameter",
-    "total_force",
-]
+from slider_jax.effects.body.gravity import Gravity as Gravity
+from slider_jax.effects.water.drag import NormalDrag as NormalDrag
+from slider_jax.effects.water.reactive import ReactiveForce as ReactiveForce

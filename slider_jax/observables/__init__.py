@@ -2,52 +2,33 @@
 forces, shapes, energies and waves. May import `dynamics` and the rooms below it."""
 
 from slider_jax.observables.energy import (
-    EnergyRates,
-    StoredEnergy,
-    chamber_power,
-    clamp_power,
-    energy_rates,
-    stored_energy,
+    EnergyRates as EnergyRates,
+    StoredEnergy as StoredEnergy,
+    chamber_power as chamber_power,
+    clamp_power as clamp_power,
+    energy_rates as energy_rates,
+    stored_energy as stored_energy,
 )
-from slider_jax.observables.measured import carriage_force, lateral, midline, recoil, thrust, tip
+from slider_jax.observables.measured import (
+    carriage_force as carriage_force,
+    lateral as lateral,
+    midline as midline,
+    recoil as recoil,
+    thrust as thrust,
+    tip as tip,
+)
 from slider_jax.observables.strides import (
-    force_efficiency,
-    froude_efficiency,
-    stride_means,
-    strouhal_number,
-    tail_slope,
+    force_efficiency as force_efficiency,
+    froude_efficiency as froude_efficiency,
+    stride_means as stride_means,
+    strouhal_number as strouhal_number,
+    tail_slope as tail_slope,
 )
 from slider_jax.observables.wave import (
-    BodyWave,
-    body_wave,
-    fundamental_mode,
-    orthogonal_mode,
-    shape_wavelength,
-    travelling_index,
+    BodyWave as BodyWave,
+    body_wave as body_wave,
+    fundamental_mode as fundamental_mode,
+    orthogonal_mode as orthogonal_mode,
+    shape_wavelength as shape_wavelength,
+    travelling_index as travelling_index,
 )
-
-__all__ = [
-    "BodyWave",
-    "EnergyRates",
-    "StoredEnergy",
-    "body_wave",
-    "carriage_force",
-    "chamber_power",
-    "clamp_power",
-    "energy_rates",
-    "force_efficiency",
-    "froude_efficiency",
-    "fundamental_mode",
-    "lateral",
-    "midline",
-    "orthogonal_mode",
-    "recoil",
-    "shape_wavelength",
-    "stored_energy",
-    "stride_means",
-    "strouhal_number",
-    "tail_slope",
-    "thrust",
-    "tip",
-    "travelling_index",
-]
