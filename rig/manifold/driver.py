@@ -75,7 +75,7 @@ class Manifold:
         self._changed, self._writing, self._seq = threading.Condition(), threading.Lock(), 0
         self._acks: dict[int, Ack] = {}
         self._own_vent: RigError | None = None
-        self._armed, self._heard = False, 0.0
+        self._armed, self._last_reading = False, 0.0
 
     @property
     def damaged(self) -> int:
@@ -138,7 +138,7 @@ class Manifold:
         failure = self._line.failure or self._own_vent
         if failure is not None:
             raise failure
-        silent = time.monotonic() - self._heard
+        silent = time.monotonic() - self._last_reading
         if self._armed and silent > MAX_SILENCE:
             raise RigError(
                 f"{self._line.name}: no reading for {silent:.1f} s; check the cable to the computer"
@@ -156,7 +156,7 @@ class Manifold:
     def arm(self) -> None:
         """Arm the manifold: its valves follow set pressures, and its watchdog is active."""
         self._request(Arm)
-        self._armed, self._heard = True, time.monotonic()
+        self._armed, self._last_reading = True, time.monotonic()
 
     def set(self, pressures: Sequence[float]) -> int:
         """Send set gauge pressures (4,) [Pa] and return the command's number. Raises `RigError`."""
@@ -258,7 +258,7 @@ class Manifold:
     def _take(self, now: int, message: Message) -> None:
         match message:
             case Reading() if self.ident is not None:
-                self._heard = time.monotonic()
+                self._last_reading = time.monotonic()
                 self._count(message)
                 if self._armed and message.state not in (
                     ManifoldState.ARMED,

@@ -1,3 +1,4 @@
-"""A simulated rig behind real ports and sockets, with faults. May import `camera`, `force`,
-`manifold` and the rooms below them.
+"""Simulated rig behind real ports and sockets, with faults.
+
+May import `camera`, `force`, `manifold` and the rooms below them.
 """

@@ -1,4 +1,4 @@
-"""A simulated rig as a whole: a manifold on a pseudo-terminal, a force sensor on the network."""
+"""Complete simulated rig: a manifold on a pseudo-terminal, and a force sensor on the network."""
 
 import threading
 import time
@@ -15,62 +15,62 @@ from rig.simulated.rig import STEP, TIP_PER_VOLT, SimulatedRig
 from rig.simulated.terminal import Terminal
 
 MADE_UP = "The rig that `slider rig simulate` made up"
-BEFORE = 5
-"""By which a record is taken before a step, as times are rounded [us]."""
-PATIENCE = 0.2
-"""Longest that a force waits for its tank [s]."""
+LEAD_US = 5
+"""A record is sampled this long before a step [us], because times are rounded."""
+MAX_TANK_WAIT = 0.2
+"""Longest wait of a force for the tank's state [s]."""
 
 
 class HostClockedRig:
-    """A rig whose device time is known on the host's clock, once it runs."""
+    """A simulated rig whose device time is related to the host's clock."""
 
-    def __init__(self, rig: SimulatedRig, at: Callable[[float], None] = lambda seconds: None):
-        self.rig, self._at = rig, at
+    def __init__(self, rig: SimulatedRig, on_time: Callable[[float], None] = lambda seconds: None):
+        self.rig, self._on_time = rig, on_time
         self._zero_ns: int | None = None
 
     def feed(self, piece: bytes, now_us: int) -> bytes:
-        """As `Device.feed`."""
+        """Take bytes from the host and return the answer, as `Device.feed`."""
         return self.rig.feed(piece, now_us)
 
     def tick(self, now_us: int) -> bytes:
-        """As `Device.tick`; `at` hears of the seconds since the start."""
+        """Advance as `Device.tick`, and call `on_time` with the time since the start [s]."""
         zero = time.monotonic_ns() - 1000 * now_us
         self._zero_ns = zero if self._zero_ns is None else min(zero, self._zero_ns)
-        self._at(1e-6 * now_us)
+        self._on_time(1e-6 * now_us)
         return self.rig.tick(now_us)
 
     def wrench(self, host_s: float) -> np.ndarray:
-        """(6,) forces [N] and torques [N m] at a time of the host: thrust along x, recoil y."""
+        """Return forces [N] and torques [N m] (6,) at a host time [s]: thrust in x, recoil in y."""
         zero = self._zero_ns or time.monotonic_ns()
         at = round((1e9 * host_s - zero) / 1000)
-        # A tank that is behind its time has no force of now yet: a record that waits is late, and
-        # that can be seen; one that guesses is wrong.
-        patience = time.monotonic() + PATIENCE
-        while self.rig.reached_us < at and time.monotonic() < patience:
+        # A delayed tank has no present force yet. A late record is detectable, and a guessed one
+        # would be wrong.
+        deadline = time.monotonic() + MAX_TANK_WAIT
+        while self.rig.reached_us < at and time.monotonic() < deadline:
             time.sleep(2e-4)
-        now = self.rig.measured(at)
+        now = self.rig.state_at(at)
         return np.array([now.thrust, now.recoil, 0.0, 0.0, 0.0, 0.0])
 
     def on_step(self, host_s: float) -> float:
-        """The next time of the host [s] at which the tank makes a step, or just before.
+        """Return the next host time [s] just before a step of the tank.
 
-        Records between steps would all wait for the next one, and be late by the same. Steps begin
-        with the first tick, at whatever time of the device that came.
+        Records sampled between steps would wait for the next step and be late. The steps begin at
+        the first tick, at any device time.
         """
         zero, reached = self._zero_ns or time.monotonic_ns(), self.rig.reached_us
         steps = ceil((1e-3 * (1e9 * host_s - zero) - reached) / STEP)
-        return 1e-9 * (zero + 1000 * (reached + STEP * steps - BEFORE))
+        return 1e-9 * (zero + 1000 * (reached + STEP * steps - LEAD_US))
 
 
 class ServedRig(NamedTuple):
-    """Where a simulated rig is found."""
+    """Addresses of a running simulated rig."""
 
     port: str
     force: SimulatedForceSensor
     page_port: int
 
     def settings(self) -> str:
-        """A rig file that suits it."""
+        """Return the text of a rig file for this rig."""
         return (
             f"# {MADE_UP}.\n"
             "[force]\n"
@@ -88,11 +88,15 @@ class ServedRig(NamedTuple):
 def serve_rig(
     rig: SimulatedRig,
     force_noise: float = 2e-3,
-    at: Callable[[float], None] = lambda seconds: None,
+    on_time: Callable[[float], None] = lambda seconds: None,
     seed: int = 0,
 ) -> Iterator[ServedRig]:
-    """The rig in threads of this process, until the block ends. `force_noise` [N]."""
-    device, ends = HostClockedRig(rig, at), threading.Event()
+    """Run the rig in threads of this process until the block ends.
+
+    `force_noise` is the standard deviation of the forces [N]; `on_time` gets the time since the
+    start [s] at each tick.
+    """
+    device, ends = HostClockedRig(rig, on_time), threading.Event()
     terminal = Terminal(device)
     sensor = SimulatedForceSensor(SimulatedForceBox(device.wrench, noise=force_noise, seed=seed))
     sensor.begins = device.on_step
@@ -107,7 +111,7 @@ def serve_rig(
 
 
 class ReplayDevice:
-    """A device that sends a recording's stream, and hears nothing. Silent at its end."""
+    """A device that sends a recording's stream at its recorded times and ignores its input."""
 
     def __init__(self, stream: RecordedStream, speed: float = 1.0):
         start = int(stream.host_ns[0]) if len(stream.host_ns) else 0
@@ -116,15 +120,15 @@ class ReplayDevice:
 
     @property
     def ended(self) -> bool:
-        """Whether all is said."""
+        """Whether the whole stream is sent."""
         return self._next == len(self._pieces)
 
     def feed(self, piece: bytes, now_us: int) -> bytes:
-        """Nothing is answered."""
+        """Ignore bytes from the host."""
         return b""
 
     def tick(self, now_us: int) -> bytes:
-        """What was said up to then."""
+        """Return the bytes that are due up to `now_us`."""
         first = self._next
         while not self.ended and self._due[self._next] <= now_us:
             self._next += 1

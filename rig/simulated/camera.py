@@ -1,7 +1,7 @@
-"""A simulated camera above a tank: what it would see of blue markers on a moving body.
+"""Simulated camera above a tank: images of blue markers on a moving body.
 
-Every disturbance is its own field and is 0 by default: motion blur, glare that saturates part of a
-marker, noise of the sensor, frames that were dropped. A frame hangs on seed and number alone.
+Every disturbance is a field with the default 0: motion blur, glare that saturates part of a marker,
+sensor noise, and dropped frames. A frame depends only on the seed and its number.
 """
 
 import os
@@ -17,19 +17,19 @@ from rig.camera.source import Shot
 from rig.errors import RigError
 
 FINE = 5
-"""Samples along a pixel's side."""
+"""Number of samples along a pixel's side."""
 AVI_FRAMES, AVI_LENGTH = 48, 140
-"""Where an AVI of one stream says how many frames it has: dwTotalFrames and dwLength."""
+"""Offsets of the number of frames in an AVI with one stream: dwTotalFrames and dwLength."""
 MARKER, BODY = (196.0, 78.0, 26.0), (66.0, 62.0, 58.0)
-"""BGR."""
+"""Colours (BGR)."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What is in front of the camera, and how it sees it.
+    """Scene in front of the camera, and the camera's properties.
 
-    `path` gives the markers' places [px] at times [s]: (k,) -> (k, markers, 2), in order along the
-    body. `hidden` are (frame, marker) that something covers.
+    `path` returns the marker positions [px] at times [s]: (k,) -> (k, markers, 2), in order along
+    the body. `hidden` are the covered markers as (frame, marker).
     """
 
     path: Callable[[np.ndarray], np.ndarray]
@@ -38,23 +38,23 @@ class Scene:
     """Height and width [px]."""
     fps: float = 100.0
     radius: float = 7.0
-    """Of a marker [px]."""
+    """Radius of a marker [px]."""
     exposure: float = 0.0
-    """How long the shutter is open [s]."""
+    """Exposure time [s]."""
     glare: float = 0.0
-    """Chance that a marker has glare on it in a frame."""
+    """Probability of glare on a marker in a frame."""
     noise: float = 0.0
-    """Rms of a channel [counts], to which the light's own noise comes."""
+    """Rms noise of a colour channel [counts]; the light's shot noise is added."""
     hidden: frozenset[tuple[int, int]] = frozenset()
     dropped: frozenset[int] = frozenset()
     seed: int = 0
 
     def truth(self, number: int) -> np.ndarray:
-        """The markers' places (markers, 2) [px] in the middle of a frame's exposure."""
+        """Return the marker positions (markers, 2) [px] in the middle of a frame's exposure."""
         return self.path(np.array([number / self.fps]))[0]
 
     def image(self, number: int) -> np.ndarray:
-        """The frame, BGR uint8 (height, width, 3)."""
+        """Return frame `number`, BGR uint8 (height, width, 3)."""
         cv2 = import_opencv()
         rng = np.random.default_rng([self.seed, number])
         light = _water(self.size, number / self.fps, self.seed)
@@ -75,7 +75,7 @@ class Scene:
 
 
 class SimulatedCamera:
-    """A `rig.camera.source.Source` of a scene, as fast as it is read."""
+    """A `rig.camera.source.Source` of a scene, which waits for its reader."""
 
     live = False
 
@@ -84,7 +84,7 @@ class SimulatedCamera:
         self._left = iter(n for n in range(scene.frames) if n not in scene.dropped)
 
     def read(self) -> Shot | None:
-        """The next frame that was not dropped; its time counts from the scene's begin."""
+        """Return the next frame that is not dropped; its time is from the scene's start."""
         number = next(self._left, None)
         if number is None:
             return None
@@ -92,12 +92,13 @@ class SimulatedCamera:
         return Shot(time_ns, time_ns, self._scene.image(number))
 
     def close(self) -> None:
-        """Nothing to give back."""
+        """Do nothing: there is no device to close."""
 
 
 def write_video(path: Path | str, scene: Scene) -> None:
-    """The scene as an AVI without loss (FFV1); a dropped frame is an empty chunk, as in recorders'
-    files, so that the others keep their times.
+    """Write the scene as a lossless AVI (FFV1).
+
+    A dropped frame becomes an empty chunk, as in a recorder's file, so the others keep their times.
     """
     cv2 = import_opencv()
     path = Path(path)
@@ -106,7 +107,7 @@ def write_video(path: Path | str, scene: Scene) -> None:
     code = cv2.VideoWriter_fourcc(*"FFV1")
     writer = cv2.VideoWriter(str(temporary), cv2.CAP_FFMPEG, code, scene.fps, (width, height))
     if not writer.isOpened():
-        raise RigError(f"{path}: cannot be written as FFV1 video; give another folder")
+        raise RigError(f"{path}: cannot be written as FFV1 video; use another folder")
     for number in range(scene.frames):
         if number not in scene.dropped:
             writer.write(scene.image(number))
@@ -117,7 +118,7 @@ def write_video(path: Path | str, scene: Scene) -> None:
 
 
 def _with_gaps(avi: bytes, scene: Scene) -> bytes:
-    """An AVI with an empty chunk for each dropped frame, and without its index."""
+    """Return an AVI with an empty chunk per dropped frame, and without its index."""
     start = avi.index(b"movi") + 4
     chunks, at = [], start
     for number in range(scene.frames):
@@ -140,7 +141,7 @@ def _with_gaps(avi: bytes, scene: Scene) -> bytes:
 
 
 def _water(size: tuple[int, int], t: float, seed: int) -> np.ndarray:
-    """Light on and in water, uneven, with moving caustics: (height, width, 3)."""
+    """Return an image (height, width, 3) of uneven water with moving caustics."""
     rng = np.random.default_rng([seed, 10**6])
     y, x = np.mgrid[0 : size[0] : 4, 0 : size[1] : 4].astype(np.float32)
     swell, warp = np.zeros_like(x), np.zeros_like(x)
@@ -158,7 +159,7 @@ def _water(size: tuple[int, int], t: float, seed: int) -> np.ndarray:
 
 
 def _draw_body(light: np.ndarray, places: np.ndarray, radius: float) -> None:
-    """A dark band along the markers, narrower than a marker at the tip."""
+    """Draw a dark band along the markers, narrower than a marker at the tip."""
     points = np.rint(places * 16).astype(int).tolist()
     cover = np.zeros(light.shape[:2], np.uint8)
     cv2 = import_opencv()
@@ -171,14 +172,14 @@ def _draw_body(light: np.ndarray, places: np.ndarray, radius: float) -> None:
 
 
 def _patch(light: np.ndarray, places: np.ndarray, reach: float) -> tuple[int, int, int, int]:
-    """Left, top, right, bottom of the image within `reach` of places (k, 2)."""
+    """Return left, top, right, bottom of the image area within `reach` of positions (k, 2)."""
     low = np.maximum(np.floor(places.min(axis=0) - reach), 0).astype(int)
     high = np.ceil(places.max(axis=0) + reach + 1).astype(int)
     return low[0], low[1], min(high[0], light.shape[1]), min(high[1], light.shape[0])
 
 
 def _draw_marker(light: np.ndarray, places: np.ndarray, radius: float) -> None:
-    """A disc at places (k, 2) in turn; a pixel takes the mean of its finer samples."""
+    """Draw a disc averaged over positions (k, 2); a pixel is the mean of its samples."""
     left, top, right, bottom = _patch(light, places, radius)
     if left >= right or top >= bottom:
         return
@@ -196,7 +197,7 @@ def _draw_marker(light: np.ndarray, places: np.ndarray, radius: float) -> None:
 def _draw_glare(
     light: np.ndarray, center: np.ndarray, radius: float, rng: np.random.Generator
 ) -> None:
-    """White light, far above what the sensor can hold, on a part of a marker and beside it."""
+    """Draw saturated white light on a part of a marker and beside it."""
     angle, turn = rng.uniform(0, 2 * np.pi, 2)
     away = radius * rng.uniform(0.2, 1.1)
     x0, y0 = center[0] + away * np.cos(angle), center[1] + away * np.sin(angle)

@@ -1,8 +1,7 @@
-"""A Net F/T box made up: streams RDT over UDP in real time, and can misbehave.
+"""Simulated Net F/T box: it streams RDT over UDP in real time and can have faults.
 
-`SimulatedForceBox` makes records and `LossyNetwork` loses, delays and doubles them, both without a
-clock or a socket;
-`SimulatedForceSensor` puts them on the network.
+`SimulatedForceBox` makes records and `LossyNetwork` drops, delays and duplicates them, both without
+a clock or a socket. `SimulatedForceSensor` sends them over the network.
 """
 
 import select
@@ -21,10 +20,10 @@ from rig.errors import RigError
 from rig.force import ati_rdt as rdt
 
 Wrench = Callable[[float], np.ndarray]
-"""Forces and torques (6,) [N, N m] at a time of the host's monotonic clock [s]."""
+"""Returns forces and torques (6,) [N, N m] at a time of the host's monotonic clock [s]."""
 
 COUNTS = 1_000_000
-"""Counts a newton, and a newton metre."""
+"""Counts per newton and per newton metre."""
 PAGE = (
     "<?xml version='1.0'?><netft><cfgcalsn>FT00000</cfgcalsn>"
     f"<cfgcpf>{COUNTS}</cfgcpf><cfgcpt>{COUNTS}</cfgcpt>"
@@ -33,7 +32,7 @@ PAGE = (
 
 
 class LossyNetwork:
-    """Loses, holds back and doubles datagrams, each by its own chance."""
+    """A network that drops, delays and duplicates datagrams, each with its own probability."""
 
     def __init__(
         self, drop: float = 0.0, reorder: float = 0.0, duplicate: float = 0.0, seed: int = 0
@@ -43,14 +42,14 @@ class LossyNetwork:
                 raise RigError.value(f"simulated force sensor, {name}", chance, "0 to 1")
         self.drop, self.reorder, self.duplicate = drop, reorder, duplicate
         self.dropped: list[int] = []
-        """Places, from 0, of the datagrams that were lost: the truth."""
+        """Indices from 0 of the dropped datagrams."""
         self.late = self.doubled = 0
         self._random = np.random.default_rng(seed)
         self._passed = 0
         self._held: list[tuple[int, bytes]] = []
 
-    def through(self, datagram: bytes) -> list[bytes]:
-        """What comes out when this goes in; one that is held back comes 1 to 8 datagrams later."""
+    def transmit(self, datagram: bytes) -> list[bytes]:
+        """Send a datagram and return those that arrive; a delayed one arrives 1 to 8 later."""
         out = []
         lost, late, twice = self._random.random(3) < (self.drop, self.reorder, self.duplicate)
         if lost:
@@ -69,25 +68,25 @@ class LossyNetwork:
 
 @dataclass
 class SimulatedForceBox:
-    """Makes records of a wrench; everything but the seed may be changed while it runs."""
+    """Source of the records of a wrench; all fields except `seed` may change while it runs."""
 
     wrench: Wrench
     rate: float = 1000.0
-    """Records a second; the box's `step` rounds it to 7000 by a whole number."""
+    """Rate of the records [1/s], rounded to 7000 divided by a whole number."""
     noise: float = 2e-3
     """Standard deviation of white noise [N, N m]."""
     limit: float = 1000.0
-    """Of every axis [N, N m]: beyond it the transducer saturates."""
+    """Load of an axis [N, N m] above which the transducer saturates."""
     stuck: bool = False
-    """Repeat the last counts."""
+    """Whether the box repeats the last counts."""
     status: int = 0
-    """Bits that every record tells."""
+    """Status bits of every record."""
     seed: int = 0
     zero: np.ndarray = field(default_factory=lambda: np.zeros(6))
-    """What the box subtracts since the last bias [N, N m]."""
+    """Load that the box subtracts since the last bias [N, N m]."""
 
     def __post_init__(self) -> None:
-        if not 0 < self.limit <= 1000.0:  # so that counts keep within 32 bits, biased ones too
+        if not 0 < self.limit <= 1000.0:  # keeps also biased counts within 32 bits
             raise RigError.value("simulated force sensor, limit", self.limit, "above 0, up to 1000")
         if not 0 < self.rate <= rdt.INTERNAL_RATE:
             raise RigError.value(
@@ -95,13 +94,13 @@ class SimulatedForceBox:
             )
         self.step = round(rdt.INTERNAL_RATE / self.rate)
         self.period = self.step / rdt.INTERNAL_RATE
-        """Between records, by the box's own clock [s]."""
+        """Time between records by the box's own clock [s]."""
         self._random = np.random.default_rng(self.seed)
-        self._ft_seq = int(self._random.integers(2**32))  # counts since power-up, on over streams
+        self._ft_seq = int(self._random.integers(2**32))  # counts since power-up, not per stream
         self._last = (0,) * 6
 
     def record(self, number: int, t: float) -> bytes:
-        """The record of the stream's `number`, from 0 on one by one, sampled at `t` [s]."""
+        """Return record `number` (from 0, consecutive) of the stream, sampled at `t` [s]."""
         load = np.asarray(self.wrench(t), float) + self.noise * self._random.standard_normal(6)
         status = self.status
         if np.any(np.abs(load) > self.limit):
@@ -113,15 +112,15 @@ class SimulatedForceBox:
         return rdt.RECORD.pack(number + 1, self._ft_seq, status, *self._last)
 
     def bias(self, t: float) -> None:
-        """Call the wrench at `t` zero."""
+        """Take the wrench at `t` [s] as zero."""
         self.zero = np.clip(self.wrench(t), -self.limit, self.limit)
 
 
 class SimulatedForceSensor:
-    """A Net F/T box on the network, in a thread of its own until closed.
+    """A Net F/T box on the network, in its own thread until closed.
 
-    `drift` is by how much its clock is faster than the host's (200e-6: 200 ppm). `box` and `line`
-    may be changed while it runs; `silent` makes it deaf and mute.
+    `drift` is the relative error of its clock (200e-6: 200 ppm too fast). `box` and `line` may
+    change while it runs. With `silent`, it ignores requests and sends nothing.
     """
 
     def __init__(
@@ -135,11 +134,11 @@ class SimulatedForceSensor:
         self.box, self.line, self.drift = box, line or LossyNetwork(), drift
         self.silent = False
         self.begins: Callable[[float], float] = lambda t: t
-        """When the first record is sampled, of a stream that is asked for at `t` [s]."""
+        """Returns the time of the first record of a stream that is requested at `t` [s]."""
         self.page = PAGE
-        """What its web page says."""
+        """Content of its web page."""
         self.requests: list[int] = []
-        """Commands that came, in order."""
+        """Received commands in order."""
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind((host, port))
@@ -147,7 +146,7 @@ class SimulatedForceSensor:
             self._socket.close()
             raise RigError(
                 f"simulated force sensor: {host}:{port} cannot be used ({error.strerror}); "
-                "give another port, or 0 for any that is free"
+                "use another port, or 0 for any free port"
             ) from None
         self._socket.setblocking(False)
         self.host, self.port = self._socket.getsockname()
@@ -160,7 +159,7 @@ class SimulatedForceSensor:
         self._thread.start()
 
     def serve_page(self, port: int = 0) -> int:
-        """Serve the calibration page over HTTP as well; returns the port."""
+        """Serve the calibration page over HTTP and return the port."""
         sensor = self
 
         class Page(BaseHTTPRequestHandler):
@@ -178,7 +177,7 @@ class SimulatedForceSensor:
         return self._web.server_port
 
     def _due(self) -> float:
-        """When the next record is sampled, host's clock [s]."""
+        """Return the sampling time of the next record on the host's clock [s]."""
         return self._start + self._sent * self.box.period / (1 + self.drift)
 
     def _serve(self) -> None:
@@ -187,13 +186,13 @@ class SimulatedForceSensor:
             if self._client is not None:
                 wait = min(wait, max(0.0, self._due() - time.monotonic()))
             if select.select([self._socket], [], [], wait)[0]:
-                self._hear()
+                self._receive()
             now = time.monotonic()
             while self._client is not None and self._due() <= now:
-                self._tell()
+                self._send()
 
-    def _hear(self) -> None:
-        with suppress(OSError):  # a client that is gone
+    def _receive(self) -> None:
+        with suppress(OSError):  # the client is gone
             message, sender = self._socket.recvfrom(64)
             if len(message) != 8 or self.silent:
                 return
@@ -209,10 +208,10 @@ class SimulatedForceSensor:
             elif command == rdt.BIAS:
                 self.box.bias(time.monotonic())
 
-    def _tell(self) -> None:
+    def _send(self) -> None:
         record = self.box.record(self._sent, self._due())
         self._sent += 1
-        for datagram in self.line.through(record):
+        for datagram in self.line.transmit(record):
             if self._client is not None and not self.silent:
                 with suppress(OSError):
                     self._socket.sendto(datagram, self._client)

@@ -1,4 +1,4 @@
-"""What a manifold does with the bytes it gets: the twin of `rig/firmware`, in virtual time."""
+"""State machine of a manifold in virtual time, equivalent to that in `rig/firmware`."""
 
 from collections.abc import Sequence
 
@@ -29,7 +29,7 @@ from rig.protocol.messages import (
 )
 
 HARD_LIMITS = (500_000, 500_000, 500_000, 500_000)
-"""Gauge pressures [Pa] that no command can raise."""
+"""Hard limits: gauge pressures [Pa] that no command can exceed."""
 FROM_HOST = (
     Hello, SetLimits, Arm, SetPressures, Heartbeat, Stop, WaveBegin, WavePiece, WavePlay
 )  # fmt: skip
@@ -53,59 +53,59 @@ class ManifoldCore:
         self._decoder, self._foreign = FrameDecoder(), 0
         self._limits: Pressures = (0, 0, 0, 0)
         self._set: Pressures = (0, 0, 0, 0)
-        self._command = self._readings = self._heard = self._changes = 0
+        self._command = self._readings = self._last_command = self._changes = 0
         self._due: int | None = None
         self._wave: list[Pressures | None] = []
         self._wave_period = self._wave_begun = self._repeats = 0
 
     @property
     def set_pressures(self) -> Pressures | None:
-        """(4,) that the valves follow [Pa]; None while all vent."""
+        """Set pressures (4,) [Pa] that the valves follow; None while all vent."""
         return self._set if self.state in (ManifoldState.ARMED, ManifoldState.PLAYING) else None
 
     @property
     def damaged(self) -> int:
-        """Frames that were no command."""
+        """Number of frames that were not a command."""
         return self._decoder.damaged + self._foreign
 
     def feed(self, piece: bytes, now_us: int) -> bytes:
-        """Takes bytes from the host; returns what is said to them."""
-        said = self._watch(now_us)
+        """Take bytes from the host and return the answer."""
+        replies = self._watch(now_us)
         for message in self._decoder.feed(piece):
             if isinstance(message, FROM_HOST):
-                self._heard = now_us
-                said += self._obey(message, now_us)
+                self._last_command = now_us
+                replies += self._obey(message, now_us)
             else:
                 self._foreign += 1
-        return b"".join(map(encode_frame, said))
+        return b"".join(map(encode_frame, replies))
 
-    def came_until(self, now_us: int, fed_us: int) -> None:
-        """What was fed at `fed_us`, if it was sound, may have come as late as this."""
-        if self._heard == fed_us:
-            self._heard = now_us
+    def delay_last_command(self, now_us: int, fed_us: int) -> None:
+        """Set the time of the last valid command, if fed at `fed_us`, to `now_us`."""
+        if self._last_command == fed_us:
+            self._last_command = now_us
 
     def tick(self, now_us: int, channels: Sequence[int]) -> bytes:
-        """One pass of the main loop, with (8,) channels as just read; returns what is said."""
-        said: list[Message] = []
+        """Make one pass of the main loop with channels (8,); return the bytes sent."""
+        sent: list[Message] = []
         if self._due is None:
             self._due = now_us + self._period
-            said.append(Event(now_us, Cause.RESET, 0))
-        said += self._watch(now_us) + self._play(now_us)
+            sent.append(Event(now_us, Cause.RESET, 0))
+        sent += self._watch(now_us) + self._play(now_us)
         if self.set_pressures is not None:
             for chamber, limit in enumerate(self._limits):
                 if 10 * channels[chamber] > 11 * limit + 50_000:
-                    said.append(self._fault(now_us, Cause.OVER_PRESSURE, chamber))
+                    sent.append(self._fault(now_us, Cause.OVER_PRESSURE, chamber))
                     break
         while self._due <= now_us:
-            said.append(
+            sent.append(
                 Reading(self._readings, self._due, self.state, self._command, tuple(channels))
             )
             self._readings = (self._readings + 1) % 2**32
             self._due += self._period
-        return b"".join(map(encode_frame, said))
+        return b"".join(map(encode_frame, sent))
 
     def _watch(self, now_us: int) -> list[Message]:
-        silence = now_us - self._heard
+        silence = now_us - self._last_command
         if self.set_pressures is None or silence < WATCHDOG * 1e6:
             return []
         return [self._fault(now_us, Cause.WATCHDOG, silence // 1000)]
@@ -118,23 +118,23 @@ class ManifoldCore:
         if self.state != ManifoldState.PLAYING:
             return []
         sample = (now_us - self._wave_begun) // self._wave_period
-        ends = self._repeats and sample >= self._repeats * len(self._wave)
-        now = self._wave[-1 if ends else sample % len(self._wave)]
+        ended = self._repeats and sample >= self._repeats * len(self._wave)
+        now = self._wave[-1 if ended else sample % len(self._wave)]
         assert now is not None
-        said = self._change(now, now_us)
-        if not ends:
-            return said
+        changes = self._change(now, now_us)
+        if not ended:
+            return changes
         self.state = ManifoldState.ARMED
-        return [*said, Event(now_us, Cause.PLAYED, 0)]
+        return [*changes, Event(now_us, Cause.PLAYED, 0)]
 
     def _change(self, pressures: Pressures, now_us: int) -> list[Message]:
-        changes, self._set = pressures != self._set, pressures
-        return [self._follows(now_us)] if changes else []
+        changed, self._set = pressures != self._set, pressures
+        return [self._follows(now_us)] if changed else []
 
     def _follows(self, now_us: int) -> Follows:
-        said = Follows(self._changes, now_us, *self._set)
+        message = Follows(self._changes, now_us, *self._set)
         self._changes = (self._changes + 1) % 2**16
-        return said
+        return message
 
     def _obey(self, message: Message, now_us: int) -> list[Message]:
         match message:
@@ -218,7 +218,7 @@ class ManifoldCore:
 
 
 def _outside(pressures: Pressures, limits: Pressures) -> tuple[Answer, int] | None:
-    """Why these are refused, and the first chamber at fault."""
+    """Return why the pressures are refused and the first wrong chamber, or None."""
     for chamber, (pressure, limit) in enumerate(zip(pressures, limits, strict=True)):
         if pressure < 0:
             return Answer.BELOW_ZERO, chamber

@@ -1,4 +1,4 @@
-"""The published firmware, simulated: its dialogue about a test that is replayed or made."""
+"""Simulated published firmware: its dialogue for a replayed or simulated test."""
 
 import re
 from collections.abc import Callable, Iterator
@@ -8,25 +8,25 @@ from rig.protocol.published import COLUMNS, PA_PER_PSI, PSI_AT_ZERO, PSI_PER_COU
 
 PERIOD_US = 2_000
 MIDDLE, AMPLITUDE = 291.0, 200.0
-"""Of the commanded sine [counts], in all the published logs."""
+"""Mean and amplitude of the commanded sine [counts] in all published logs."""
 ASK_US = 1_000_000
-"""It asks again so long after the last time: a port that is opened throws away what came before."""
+"""Time between two questions [us]; opening a port discards earlier ones."""
 PAUSE_US = 200_000
-"""From a test's end to the next question."""
+"""Time from the end of a test to the next question [us]."""
 TYPED_US = 1_000_000
-"""So long after the last byte a number without a line end counts, as in Arduino's `parseFloat`."""
+"""A number without a line end is complete after this time [us], as in Arduino's `parseFloat`."""
 
 Script = Iterator[tuple[int, bytes]]
-"""Pieces of text, and when they are due after the answer [us]."""
+"""Pieces of text with their times after the answer [us]."""
 Plant = Callable[[int, int, float], float]
-"""(duty of fill and vent valve, 0 to 255; seconds) to the gauge pressure after these [Pa]."""
+"""Maps duties of fill and vent valve (0 to 255) and a duration [s] to the gauge pressure [Pa]."""
 
 
 class PublishedFirmware:
-    """Asks for a frequency, runs a test, and asks again; deaf while a test runs.
+    """A device that repeatedly asks for a frequency and runs a test.
 
-    `test` gets the frequency [Hz] and the device's time [us] and returns the test's text. What is
-    sent in mid-test waits in the buffer and is the next question's answer, as in the original.
+    `test` gets the frequency [Hz] and the device's time [us] and returns the test's text. Input
+    during a test waits and answers the next question, as in the original firmware.
     """
 
     def __init__(
@@ -41,13 +41,13 @@ class PublishedFirmware:
         self._begun = 0
 
     def feed(self, piece: bytes, now_us: int) -> bytes:
-        """Takes bytes from the host; it says nothing to them before the next tick."""
+        """Take bytes from the host; the answer comes at a later tick."""
         self._typed += piece
         self._typed_at = now_us
         return b""
 
     def tick(self, now_us: int) -> bytes:
-        """What is said up to `now_us`."""
+        """Return the bytes sent up to `now_us`."""
         if self._script is None:
             frequency = self._answer(now_us)
             if frequency is None:
@@ -57,13 +57,13 @@ class PublishedFirmware:
                 return self._question
             self._script, self._begun = self._test(frequency, now_us), now_us
             self._next = next(self._script, None)
-        said = []
+        sent = []
         while self._next is not None and self._begun + self._next[0] <= now_us:
-            said.append(self._next[1])
+            sent.append(self._next[1])
             self._next = next(self._script, None)
         if self._next is None:
             self._script, self._ask_at = None, now_us + PAUSE_US
-        return b"".join(said)
+        return b"".join(sent)
 
     def _answer(self, now_us: int) -> float | None:
         line, end, rest = self._typed.replace(b"\r", b"\n").partition(b"\n")
@@ -75,9 +75,9 @@ class PublishedFirmware:
 
 
 def replay_log(log: bytes, period_us: int = PERIOD_US) -> Callable[[float, int], Script]:
-    """A log's own text, byte for byte, a row every `period_us` (0: all at once).
+    """Return a test that sends a log byte for byte, one row every `period_us` (0: all at once).
 
-    Whatever frequency is asked for: give its own.
+    The test ignores the frequency, so send the log's own.
     """
 
     def test(frequency: float, now_us: int) -> Script:
@@ -91,10 +91,10 @@ def replay_log(log: bytes, period_us: int = PERIOD_US) -> Callable[[float, int],
 
 
 def simulate_frequency_test(plant: Plant, cycles: int = 10) -> Callable[[float, int], Script]:
-    """A test of `plant` under the firmware's sine and its valve law, a row every `PERIOD_US`.
+    """Return a test of `plant` with the firmware's sine and valve law, a row every `PERIOD_US`.
 
-    The duty is min(250, 10 |error|), error in counts, of the fill valve if the error is positive,
-    else of the vent valve; it acts until the next row.
+    The duty is min(250, 10 |error|) with the error in counts. It drives the fill valve if the error
+    is positive and the vent valve otherwise, until the next row.
     """
 
     def test(frequency: float, now_us: int) -> Script:

@@ -1,4 +1,4 @@
-"""A simulated manifold with what it drives, in the device's time."""
+"""Simulated manifold with its tank, in the device's time, and faults of the serial line."""
 
 from collections import deque
 from collections.abc import Callable
@@ -8,51 +8,53 @@ from random import Random
 from rig.simulated.manifold import ManifoldCore
 from rig.simulated.tank import Tank, TankState
 
-Set = tuple[int, ...] | None
+SetPoint = tuple[int, ...] | None
+"""Set pressures (4,) [Pa] that the valves follow; None while all vent."""
 STEP = 1_000
-"""Of the tank, and of the main loop [us]."""
+"""Time step of the tank and of the manifold's main loop [us]."""
 TIP_PER_VOLT = 0.1
-"""Of the sensor of the tip, on the first analogue input [m/V]."""
+"""Scale of the tip's sensor, on the first analogue input [m/V]."""
 STALL = 20_000
-"""Of a program that was not run for longer, what came meanwhile acts so soon after it stood still
-[us]. For the watchdog it came last of all, for it may have."""
+"""If this program pauses for longer [us], bytes that arrived in the pause act this long after its
+start. For the watchdog they count as arriving at the pause's end, which is possible."""
 
 
 @dataclass(frozen=True)
 class LineFaults:
-    """Shares of bytes flipped, dropped and inserted, either way; and what happens at times [s]."""
+    """Faults of line and sensors: shares of flipped, dropped and inserted bytes in each direction,
+    and events at device times [s]."""
 
     flipped: float = 0.0
     dropped: float = 0.0
     inserted: float = 0.0
     reset_at: float | None = None
-    """The manifold starts anew."""
+    """Time at which the manifold resets."""
     silent: tuple[float, float] | None = None
-    """From when to when it sends nothing; all of it comes at the end, late."""
+    """Start and end of a silence; the bytes of the silence are sent at its end."""
     stuck: tuple[int, float] | None = None
-    """A channel, and from when it reads the same."""
+    """Index of a channel, and the time from which its reading is constant."""
     noise: float = 0.0
-    """Standard deviation of the chambers' pressures [Pa]."""
+    """Standard deviation of the chambers' pressure readings [Pa]."""
     tip_noise: float = 0.0
-    """Of the tip's place [m]."""
+    """Standard deviation of the tip's position [m]."""
     seed: int = 0
 
 
 @dataclass
 class FaultyLine:
-    """Damages bytes as a `LineFaults` says, and counts how many it touched."""
+    """A line that damages bytes according to `faults` and counts the damaged ones."""
 
     faults: LineFaults
-    touched: int = 0
+    damaged: int = 0
     _random: Random = field(init=False)
 
     def __post_init__(self) -> None:
         self._random = Random(self.faults.seed)
 
     def damage(self, piece: bytes) -> bytes:
-        """What arrives of a piece."""
-        m = self.faults
-        share = m.flipped + m.dropped + m.inserted
+        """Return the bytes of a piece that arrive."""
+        faults = self.faults
+        share = faults.flipped + faults.dropped + faults.inserted
         if not share or not piece:
             return piece
         arrived = bytearray()
@@ -61,18 +63,18 @@ class FaultyLine:
             if chance >= share:
                 arrived.append(byte)
                 continue
-            self.touched += 1
-            if chance < m.flipped:
+            self.damaged += 1
+            if chance < faults.flipped:
                 arrived.append(byte ^ (1 << self._random.randrange(8)))
-            elif chance < m.flipped + m.inserted:
+            elif chance < faults.flipped + faults.inserted:
                 arrived += bytes([self._random.randrange(256), byte])
         return bytes(arrived)
 
 
 class SimulatedRig:
-    """Bytes in and out of a manifold whose chambers are those of a tank.
+    """A manifold, driven by bytes, with the chambers of a tank.
 
-    Set pressures act from when they come: a step has their mean over it.
+    Set pressures act from their arrival: each step uses their mean over the step.
     """
 
     def __init__(
@@ -93,24 +95,24 @@ class SimulatedRig:
         self._at, self._reset, self._held = 0, False, b""
         self._stuck: int | None = None
         self._states: deque[tuple[int, TankState]] = deque(maxlen=256)
-        self._followed: list[tuple[int, Set]] = []
+        self._followed: list[tuple[int, SetPoint]] = []
 
     def feed(self, piece: bytes, now_us: int) -> bytes:
-        """Takes bytes from the host; returns what is said to them."""
+        """Take bytes from the host and return the answer."""
         at = min(now_us, self._at + STALL)
-        said = self.core.feed(self._in.damage(piece), at)
+        sent = self.core.feed(self._in.damage(piece), at)
         if at < now_us:
-            self.core.came_until(now_us, at)
+            self.core.delay_last_command(now_us, at)
         self._followed.append((at, self.core.set_pressures))
-        return self._late(self._out.damage(said), now_us)
+        return self._delayed(self._out.damage(sent), now_us)
 
     def tick(self, now_us: int) -> bytes:
-        """Goes on to `now_us`; returns what is said meanwhile."""
+        """Advance to `now_us` and return the bytes sent meanwhile."""
         if self._begun is None:
             self._begun = self._at = now_us
             self._followed.insert(0, (now_us, None))
             self._states.append((now_us, self.tank.advance(None, STEP * 1e-6)))
-        said = b""
+        sent = b""
         while self._at <= now_us:
             since = (self._at - self._begun) * 1e-6
             before = self.core.set_pressures
@@ -120,21 +122,21 @@ class SimulatedRig:
             if self._at > self._begun:
                 now = self.tank.advance(self._mean_set(), STEP * 1e-6)
                 self._states.append((self._at, now))
-            said += self.core.tick(self._at, self._channels(self._states[-1][1], since))
+            sent += self.core.tick(self._at, self._channels(self._states[-1][1], since))
             if self.core.set_pressures != before:
                 self._followed = [(self._at, self.core.set_pressures)]
             self._at += STEP
-        return self._late(self._out.damage(said), now_us)
+        return self._delayed(self._out.damage(sent), now_us)
 
     @property
     def reached_us(self) -> int:
-        """Up to when the tank's state is known."""
+        """Latest device time with a known state of the tank [us]."""
         return self._states[-1][0] if self._states else 0
 
-    def measured(self, now_us: int) -> TankState:
-        """The tank's true values at a time within the last quarter of a second.
+    def state_at(self, now_us: int) -> TankState:
+        """Return the tank's true state at a time within the last 0.25 s.
 
-        Linear between its steps, and beyond the last one for no longer than one.
+        It is linear between the steps, and extrapolated by at most one step.
         """
         states = list(self._states)
         if not states:
@@ -152,8 +154,8 @@ class SimulatedRig:
         rest = (between(x, y) for x, y in zip(a[1:], b[1:], strict=True))
         return TankState((p[0], p[1], p[2], p[3]), *rest)
 
-    def _mean_set(self) -> Set:
-        """Over the step that ends at the tank's time; what holds then and comes later is kept."""
+    def _mean_set(self) -> SetPoint:
+        """Return the mean set point over the step that ends now, and keep the later ones."""
         start, end = self._at - STEP, self._at
         times = [max(at, start) for at, _ in self._followed if at < end]
         sets = [x for at, x in self._followed if at < end]
@@ -173,9 +175,9 @@ class SimulatedRig:
     def _channels(self, state: TankState, since: float) -> tuple[int, ...]:
         noise = self.faults.noise
         chambers = [p + self._random.gauss(0.0, noise) if noise else p for p in state.chambers]
-        shaken = self.faults.tip_noise
-        place = state.tip + (self._random.gauss(0.0, shaken) if shaken else 0.0)
-        tip = round(1e6 * place / TIP_PER_VOLT)
+        tip_noise = self.faults.tip_noise
+        position = state.tip + (self._random.gauss(0.0, tip_noise) if tip_noise else 0.0)
+        tip = round(1e6 * position / TIP_PER_VOLT)
         channels = [*(round(p) for p in chambers), round(state.supply), tip, 0, 0]
         stuck = self.faults.stuck
         if stuck is not None and since >= stuck[1]:
@@ -183,10 +185,10 @@ class SimulatedRig:
             channels[stuck[0]] = self._stuck
         return tuple(channels)
 
-    def _late(self, said: bytes, now_us: int) -> bytes:
+    def _delayed(self, sent: bytes, now_us: int) -> bytes:
         silent, begun = self.faults.silent, self._begun or now_us
         if silent is not None and silent[0] <= (now_us - begun) * 1e-6 < silent[1]:
-            self._held += said
+            self._held += sent
             return b""
-        said, self._held = self._held + said, b""
-        return said
+        sent, self._held = self._held + sent, b""
+        return sent

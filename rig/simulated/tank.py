@@ -1,4 +1,4 @@
-"""What a simulated rig controls and measures; the simulator's robot can take its place."""
+"""Tanks of the simulated rig: simple chambers, which the simulator's robot can replace."""
 
 from math import exp
 from random import Random
@@ -6,34 +6,35 @@ from typing import NamedTuple, Protocol
 
 
 class TankState(NamedTuple):
-    """True values at one instant."""
+    """True state of a tank at one time."""
 
     chambers: tuple[float, float, float, float]
-    """Gauge pressures [Pa]."""
+    """Gauge pressures of the chambers [Pa]."""
     supply: float
-    """Gauge pressure [Pa]."""
+    """Gauge pressure of the supply [Pa]."""
     thrust: float
-    """[N]"""
+    """Thrust [N]."""
     recoil: float
-    """[N]"""
+    """Recoil [N]."""
     tip: float
-    """[m]"""
+    """Lateral position of the tip [m]."""
 
 
 class Tank(Protocol):
-    """A robot in water, or in what stands for it."""
+    """A robot in water, or a replacement of it."""
 
     def advance(self, set_pressures: tuple[int, ...] | None, seconds: float) -> TankState:
-        """Its state so much later, under set gauge pressures (4,) [Pa]; None vents all."""
+        """Advance by `seconds` at set gauge pressures (4,) [Pa] or vented (None); return the state."""
         ...
 
 
 class BenchTank:
-    """Chambers with a first-order lag, and a tail without water that follows them.
+    """Chambers with a first-order lag, and a tail in air that follows them.
 
-    Enough to try every command of the rig, and to see in thrust and tip what was set; it is no
-    model of swimming. `lag` and `tail` [s] are what chambers and tail take to follow; `leak` [1/s]
-    is the rate at which a chamber's pressure is lost, `gain` [m/Pa] how far the tip goes.
+    The tank serves to try every command of the rig: thrust and tip depend on the set pressures. It
+    is not a model of swimming. `lag` and `tail` [s] are the time constants of chambers and tail,
+    `leak` [1/s] is the loss rate of a chamber's pressure, and `gain` [m/Pa] is the tip's excursion
+    per pressure difference.
     """
 
     def __init__(
@@ -45,7 +46,7 @@ class BenchTank:
         self._tip = 0.0
 
     def advance(self, set_pressures: tuple[int, ...] | None, seconds: float) -> TankState:
-        """Exact for set pressures that are held over the step; the tail to first order."""
+        """Advance as `Tank.advance`, exact for constant set pressures; the tail to first order."""
         wanted = set_pressures or (0, 0, 0, 0)
         for i, target in enumerate(wanted):
             rate = 1.0 / self.lag + self.leak[i]
@@ -59,10 +60,10 @@ class BenchTank:
 
 
 class BenchChamber:
-    """One chamber behind a fill and a vent valve, as the published firmware drives them.
+    """One chamber with a fill and a vent valve, as driven by the published firmware.
 
-    Flow is in proportion to a valve's duty and to the pressure across it: open all the time the
-    fill valve takes `lag` [s] to close the gap to the supply to 37 %, the vent valve to the room.
+    The flow is proportional to a valve's duty and to the pressure across it. With a fully open
+    valve, the difference to the supply or to the room falls to 37 % in `lag` [s].
     """
 
     def __init__(self, lag: float = 0.12, supply: float = 550e3, noise: float = 0.0, seed: int = 0):
@@ -70,7 +71,7 @@ class BenchChamber:
         self._random, self._p = Random(seed), 0.0
 
     def __call__(self, fill: int, vent: int, seconds: float) -> float:
-        """The gauge pressure that is read [Pa] after `seconds` at duties of 0 to 255."""
+        """Return the measured gauge pressure [Pa] after `seconds` at duties of 0 to 255."""
         into, out = fill / 255.0 / self.lag, vent / 255.0 / self.lag
         if into + out > 0.0:
             steady = into * self.supply / (into + out)

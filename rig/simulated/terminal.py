@@ -1,4 +1,4 @@
-"""A simulated device behind a pseudo-terminal: a name that a program opens as it opens a port."""
+"""Pseudo-terminal for a simulated device, which programs open like a serial port."""
 
 import multiprocessing
 import os
@@ -18,38 +18,38 @@ from rig.errors import RigError
 STEP = 0.001
 """Longest time between two ticks of a device [s]."""
 BACKLOG = 65_536
-"""Bytes kept for a host that does not read; the oldest are thrown away, as of a ring buffer."""
-STARTED = 60.0
-"""Most time that a device takes to start in a process of its own [s]."""
+"""Largest number of unread bytes; older bytes are dropped, as in a ring buffer."""
+MAX_START_TIME = 60.0
+"""Longest start of a device in its own process [s]."""
 
 
 class Device(Protocol):
-    """Says bytes. Its time is its own, in microseconds since it was switched on."""
+    """A device that exchanges bytes; its time is in microseconds since it was switched on."""
 
     def feed(self, piece: bytes, now_us: int) -> bytes:
-        """Takes bytes from the host; returns what is said to them."""
+        """Take bytes from the host and return the answer."""
         ...
 
     def tick(self, now_us: int) -> bytes:
-        """Goes on to `now_us`; returns what is said meanwhile."""
+        """Advance to `now_us` and return the bytes sent meanwhile."""
         ...
 
 
 class ServedDevice(NamedTuple):
-    """A device that runs."""
+    """A running device on a pseudo-terminal."""
 
     path: str
-    """Of the port to open."""
+    """Name of the port to open."""
     unplug: Callable[[], None]
-    """Pulls the cable: who reads or writes now finds the port gone."""
+    """Removes the port, as if its cable were pulled."""
 
 
 class Terminal:
-    """A pseudo-terminal with a device on it; `path` is the port's name."""
+    """A pseudo-terminal connected to a device; `path` is the port's name."""
 
     def __init__(self, device: Device, backlog: int = BACKLOG):
-        self.thrown = 0
-        """Bytes that nobody read in time."""
+        self.dropped = 0
+        """Number of bytes that the host did not read in time."""
         self._device, self._backlog, self._out = device, backlog, b""
         self._ours, self._theirs = pty.openpty()
         tty.setraw(self._theirs)
@@ -57,41 +57,41 @@ class Terminal:
         self.path = os.ttyname(self._theirs)
 
     def wait_for_host(self) -> None:
-        """Until a program has opened the port."""
+        """Wait until a program has opened the port."""
         os.close(self._theirs)
         self._theirs = -1
         listener = select.poll()
         listener.register(self._ours, select.POLLHUP)
-        # A terminal whose other end nobody holds is hung up.
+        # The system reports POLLHUP while no program has opened the other end.
         while any(event & select.POLLHUP for _, event in listener.poll(0)):
             time.sleep(0.01)
-        with suppress(OSError):  # of a host that wants it for itself; the port ends with that one
+        with suppress(OSError):  # the host has exclusive access; the port ends with it
             self._theirs = os.open(self.path, os.O_RDWR | os.O_NOCTTY)
 
     def serve(self, ended: Callable[[], bool]) -> None:
-        """The device's main loop, in real time, until `ended`; then the cable is pulled."""
+        """Run the device in real time until `ended()`; then remove the port."""
         begun = time.monotonic_ns()
         try:
             while not ended():
                 select.select([self._ours], [], [], STEP)
                 now_us = (time.monotonic_ns() - begun) // 1000
-                heard = self._read()
-                said = self._device.feed(heard, now_us) if heard else b""
-                self._write(said + self._device.tick(now_us))
+                received = self._read()
+                sent = self._device.feed(received, now_us) if received else b""
+                self._write(sent + self._device.tick(now_us))
         finally:
             os.close(self._ours)
-            # Open all the while, where it can be, else `_ours` could not be read without a host.
+            # This end stays open until now because `_ours` is unreadable without it or a host.
             if self._theirs >= 0:
                 os.close(self._theirs)
 
     def _read(self) -> bytes:
         try:
             return os.read(self._ours, 65_536)
-        except OSError:  # nothing has come, or nobody holds the other end
+        except OSError:  # no data, or no program has opened the port
             return b""
 
-    def _write(self, said: bytes) -> None:
-        self._out += said
+    def _write(self, sent: bytes) -> None:
+        self._out += sent
         try:
             while self._out:
                 self._out = self._out[os.write(self._ours, self._out) :]
@@ -99,13 +99,13 @@ class Terminal:
             pass
         excess = len(self._out) - self._backlog
         if excess > 0:
-            self.thrown += excess
+            self.dropped += excess
             self._out = self._out[excess:]
 
 
 @contextmanager
 def serve_in_thread(device: Device, backlog: int = BACKLOG) -> Iterator[ServedDevice]:
-    """The device in a thread of this process."""
+    """Run the device in a thread of this process."""
     terminal, end = Terminal(device, backlog), threading.Event()
     thread = threading.Thread(target=terminal.serve, args=(end.is_set,), name="device", daemon=True)
 
@@ -124,10 +124,10 @@ def serve_in_thread(device: Device, backlog: int = BACKLOG) -> Iterator[ServedDe
 def serve_in_process(
     make: Callable[..., Device], *arguments: object, backlog: int = BACKLOG
 ) -> Iterator[ServedDevice]:
-    """The device `make(*arguments)` in a process of its own, which ends with this one.
+    """Run the device `make(*arguments)` in its own process, which ends with this one.
 
-    `make` is a module's function or class, for the process is a fresh one. Raises `RigError` if
-    the device does not start.
+    `make` must be a function or class of a module, because the new process imports it. Raises
+    `RigError` if the device does not start.
     """
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()
@@ -142,14 +142,14 @@ def serve_in_process(
     process.start()
     there.close()
     try:
-        if not here.poll(STARTED):
+        if not here.poll(MAX_START_TIME):
             process.terminate()
-            raise RigError(f"simulated device: not started within {STARTED:g} s; try again")
+            raise RigError(f"simulated device: not started within {MAX_START_TIME:g} s; try again")
         try:
             path = here.recv()
         except EOFError:
             raise RigError(
-                "simulated device: did not start; what it wrote above says why"
+                "simulated device: did not start; its output above shows the reason"
             ) from None
         yield ServedDevice(path, unplug)
     finally:
@@ -159,8 +159,8 @@ def serve_in_process(
 def _serve(
     pipe: Connection, backlog: int, make: Callable[..., Device], arguments: tuple[object, ...]
 ) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the program that started this one
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the program that started this one handles Ctrl-C
     terminal = Terminal(make(*arguments), backlog)
     pipe.send(terminal.path)
-    # The other end is only ever closed, by `unplug` or by the other process's end.
+    # The pipe becomes readable when its other end closes, by `unplug` or the other process's end.
     terminal.serve(pipe.poll)

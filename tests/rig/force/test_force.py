@@ -49,7 +49,7 @@ def virtual_stream(
         arrival = max(last, asleep_until, t + delay + jitter * random.exponential())
         if random.random() < 2e-4:
             asleep_until = arrival + 0.04
-        for datagram in line.through(box.record(k, t)):
+        for datagram in line.transmit(box.record(k, t)):
             last = arrival
             host_ns.append(round(1e9 * arrival))
             datagrams.append(datagram)
