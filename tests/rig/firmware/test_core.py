@@ -41,10 +41,10 @@ from tests.support.rig_dialogues import (
     LONGEST,
     START,
     Dialogue,
-    channels_of,
     all_codes,
-    expected_reply,
+    channels_of,
     count_codes,
+    expected_reply,
 )
 from tests.support.rig_vectors import VECTORS
 

@@ -19,6 +19,8 @@ from slider_jax.swimming.paper_optimum import swimmer_content
 from slider_jax.swimming.steady_state import SteadySettings, find_steady
 from tests.support.data import ROOT
 
+pytestmark = pytest.mark.optimised
+
 CODE = """
 import os, sys, time
 from slider_jax.precision import enable_float64
