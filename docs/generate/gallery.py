@@ -58,6 +58,8 @@ class Entry(NamedTuple):
     """File that the run writes, or `report.html#N` for the report's picture N; none if empty."""
     needs: str = ""
     """Name of the input that `INPUTS` makes."""
+    more: str = ""
+    """Sentence that links to a larger run."""
 
 
 ENTRIES = {
@@ -98,6 +100,7 @@ ENTRIES = {
         "The best tail and drives between climbing (0) and swimming (1). A real search uses the "
         "defaults.",
         "results/multimodal/multimodal.png",
+        more="[Climbing](how-to/climbing.md#one-tail-for-both-tasks) describes a complete search.",
     ),
     "effects": Entry(
         "effects valve_delay --out results/effects",
@@ -134,6 +137,8 @@ ENTRIES = {
         "The loop finds the dead time of 20 ms. The picture is from `report.html`.",
         "results/tank/report.html#0",
         "tank",
+        "[How well the loop finds missing effects](explanation/how_well_it_traces.md) measures many "
+        "tanks.",
     ),
     "lamprey": Entry(
         "lamprey midlines --draws 40 --out results/lamprey",
@@ -178,8 +183,10 @@ ENTRIES = {
     "rig loop": Entry(
         f"rig loop three_trials.toml --port {PORT} --rig simulated_rig.toml --budget 3 "
         "--out results/loop",
-        "Three trials are measured; a larger budget would add trials.",
+        "The rig measures three trials; a larger budget adds trials.",
         needs="rig",
+        more="[How well the loop finds missing effects]"
+        "(explanation/how_well_it_traces.md#on-a-simulated-rig) describes a complete run.",
     ),
 }
 """The commands in the order of the page."""
@@ -387,7 +394,7 @@ def render(outputs: dict[str, str]) -> str:
         help_line = COMMANDS[name].help
         parts += [
             f"## slider {name}",
-            f"The command {help_line}. {entry.text}",
+            f"The command {help_line}. {entry.text} {entry.more}".rstrip(),
             f"```sh\nslider {entry.line}\n```",
         ]
         if name in outputs:
