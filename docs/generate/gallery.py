@@ -137,8 +137,7 @@ ENTRIES = {
         "The loop finds the dead time of 20 ms. The picture is from `report.html`.",
         "results/tank/report.html#0",
         "tank",
-        "[How well the loop finds missing effects](explanation/how_well_it_traces.md) measures many "
-        "tanks.",
+        "[How well the loop finds missing effects](explanation/how_well_it_traces.md) has more.",
     ),
     "lamprey": Entry(
         "lamprey midlines --draws 40 --out results/lamprey",
