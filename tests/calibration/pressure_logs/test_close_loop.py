@@ -101,11 +101,14 @@ def test_the_verdict_on_logs_of_a_lag_is_nothing_missing(tmp_path):
 def test_the_rigs_logs_lack_the_firmwares_valves(data):
     """Five of the rig's logs, cut to the length of the synthetic ones to share their programs."""
     whole = [read_log(data / "manifold" / f"{f}.txt") for f in RIG_FREQUENCIES]
-    outcome = close_loop_on_logs([shortened(log, 938) for log in whole], NAMES[:1])
+    outcome = close_loop_on_logs([shortened(log, 938) for log in whole], NAMES)
     record = loop_record(outcome, 0.0, {})
     assert record["verdict"] == outcome.verdict == "identified"
     (effect,) = record["effects"]
     assert effect["name"] == "firmware_valves"
+    squares = {t.name: t.fit.square for t in outcome.search.rounds[0].refitted}
+    assert squares["pulsed_valves"] > 2.0 * squares["firmware_valves"]
+    assert "code_density" in [x["kind"] for x in record["audit"]]
     for errors in (record["errors"]["p_front"], record["held_out"]["p_front"]):
         assert errors["after"] < 0.2 * errors["before"]
 
