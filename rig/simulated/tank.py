@@ -24,7 +24,7 @@ class Tank(Protocol):
     """A robot in water, or a replacement of it."""
 
     def advance(self, set_pressures: tuple[int, ...] | None, seconds: float) -> TankState:
-        """Advance by `seconds` at set gauge pressures (4,) [Pa] or vented (None); return the state."""
+        """Advance by `seconds` at set gauge pressures (4,) [Pa], None: vented; return the state."""
         ...
 
 

@@ -3,18 +3,18 @@
 namespace slider {
 
 uint32_t crc32(const uint8_t* from, size_t size) {
-    uint32_t rest = 0xFFFFFFFFu;
+    uint32_t crc = 0xFFFFFFFFu;
     for (size_t i = 0; i < size; ++i) {
-        rest ^= from[i];
-        for (int bit = 0; bit < 8; ++bit) rest = (rest >> 1) ^ (rest & 1 ? 0xEDB88320u : 0);
+        crc ^= from[i];
+        for (int bit = 0; bit < 8; ++bit) crc = (crc >> 1) ^ (crc & 1 ? 0xEDB88320u : 0);
     }
-    return ~rest;
+    return ~crc;
 }
 
 size_t encode(const uint8_t* body, size_t size, uint8_t* frame) {
     if (size > LONGEST_BODY) return 0;
     const uint32_t check = crc32(body, size);
-    // Under 254 bytes COBS needs no split block: each zero becomes the distance to the next.
+    // Below 254 bytes COBS needs no split block: each zero becomes the distance to the next zero.
     size_t code = 0, at = 1;
     for (size_t i = 0; i < size + 4; ++i) {
         const uint8_t byte = i < size ? body[i] : static_cast<uint8_t>(check >> 8 * (i - size));
@@ -30,8 +30,8 @@ size_t encode(const uint8_t* body, size_t size, uint8_t* frame) {
     return at;
 }
 
-// Undoes COBS in place; false where a distance leads beyond the end.
-static bool unstuff(uint8_t* bytes, size_t size, size_t& left) {
+// Decodes COBS in place; false if a distance exceeds the end.
+static bool decode_cobs(uint8_t* bytes, size_t size, size_t& decoded) {
     size_t to = 0;
     for (size_t at = 0; at < size;) {
         const size_t next = at + bytes[at];
@@ -39,7 +39,7 @@ static bool unstuff(uint8_t* bytes, size_t size, size_t& left) {
         for (++at; at < next; ++at) bytes[to++] = bytes[at];
         if (at < size) bytes[to++] = 0;
     }
-    left = to;
+    decoded = to;
     return true;
 }
 
@@ -54,14 +54,14 @@ bool Decoder::take(uint8_t byte) {
     filled_ = 0;
     noise_ = false;
     if (size == 0) return false;
-    size_t left = 0;
-    if (!noise && unstuff(frame_, size, left) && left >= 4) {
-        body_ = left - 4;
+    size_t decoded = 0;
+    if (!noise && decode_cobs(frame_, size, decoded) && decoded >= 4) {
+        body_ = decoded - 4;
         const uint8_t* check = frame_ + body_;
         const uint32_t crc = crc32(frame_, body_);
-        bool sound = true;
-        for (int i = 0; i < 4; ++i) sound = sound && check[i] == ((crc >> 8 * i) & 0xFF);
-        if (sound) return true;
+        bool valid = true;
+        for (int i = 0; i < 4; ++i) valid = valid && check[i] == ((crc >> 8 * i) & 0xFF);
+        if (valid) return true;
     }
     ++damaged_;
     return false;

@@ -1,4 +1,4 @@
-// Messages on the wire: a body, its CRC-32, stuffed by COBS, and a zero byte; rig/protocol/frames.py is its twin.
+// Frames of the serial line: a body and its CRC-32 in COBS, then a zero byte. Host's side: rig/protocol/messages.py.
 #pragma once
 
 #include <cstddef>
@@ -6,20 +6,20 @@
 
 namespace slider {
 
-constexpr size_t LONGEST_FRAME = 192;  // bytes between two zeros; more are noise
-constexpr size_t LONGEST_BODY = 160;   // that `encode` takes; no message has more than 133
+constexpr size_t LONGEST_FRAME = 192;  // bytes between two zeros; a longer run is noise
+constexpr size_t LONGEST_BODY = 160;   // largest body of `encode`; the longest message has 133
 
-// That of zlib and Ethernet.
+// CRC-32 of zlib and Ethernet.
 uint32_t crc32(const uint8_t* from, size_t size);
 
-// Writes the frame of a body, its zero included, to `frame` (LONGEST_FRAME bytes); returns its size,
-// 0 for a body of more than LONGEST_BODY bytes.
+// Writes the frame of a body, with its final zero, to `frame` (LONGEST_FRAME bytes). Returns the frame's size,
+// or 0 for a body longer than LONGEST_BODY.
 size_t encode(const uint8_t* body, size_t size, uint8_t* frame);
 
-// Bodies of a stream of bytes; what is damaged is counted.
+// Decodes the bodies in a byte stream, and counts damaged frames.
 class Decoder {
 public:
-    // Takes one byte; true if a sound body ended with it, in `body()` until the next byte.
+    // Takes one byte. Returns true if it completes a valid body, which stays in `body()` until the next byte.
     bool take(uint8_t byte);
     const uint8_t* body() const { return frame_; }
     size_t size() const { return body_; }

@@ -1,5 +1,5 @@
-// A manifold of four chambers on a Teensy 4.x: the board's side of docs/reference/rig_protocol.md.
-// Read rig/firmware/README.md before you flash it: pins, valves without current, what to calibrate.
+// Firmware of a manifold with four chambers on a Teensy 4.x; protocol in docs/reference/rig_protocol.md.
+// Read rig/firmware/README.md before you flash it: pins, valves without current, and calibration.
 
 #include <Watchdog_t4.h>  // comes with Teensyduino
 
@@ -9,7 +9,7 @@
 using namespace slider;
 
 // ---- The link ------------------------------------------------------------------------------------------------
-#define LINK Serial  // USB, where the speed means nothing; Serial1 for a UART
+#define LINK Serial  // USB, which ignores the baud rate; Serial1 for a UART
 constexpr uint32_t BAUD = 2000000;
 
 // ---- Pins: front left, front right, rear left, rear right ---------------------------------------------------
@@ -18,11 +18,11 @@ constexpr uint8_t VENT_PINS[CHAMBERS] = {6, 7, 8, 9};
 constexpr uint8_t PRESSURE_PINS[CHAMBERS] = {14, 15, 16, 17};  // A0 to A3
 constexpr uint8_t SUPPLY_PIN = 18;                             // A4
 constexpr uint8_t INPUT_PINS[3] = {19, 20, 21};                // A5 to A7
-// True where a vent valve is open without current: the safer choice, see the README.
+// True if the vent valves are open without current. Such valves are safer, see the README.
 constexpr bool VENT_OPEN_WITHOUT_CURRENT = false;
 
 // ---- Calibration: twelve-bit counts to gauge pascals, Pa = slope (count - zero) ----------------------------
-// The published rig's sensor, psi = 0.13529 count - 12.4282 with ten bits. Measure yours.
+// Preset: the published rig's sensor, psi = 0.13529 count - 12.4282 with ten bits. Measure yours.
 struct Line {
     float slope, zero;
 };
@@ -30,18 +30,18 @@ constexpr Line CHAMBER_LINES[CHAMBERS] = {
     {233.2f, 367.5f}, {233.2f, 367.5f}, {233.2f, 367.5f}, {233.2f, 367.5f}};
 constexpr Line SUPPLY_LINE = {233.2f, 367.5f};
 constexpr float UV_PER_COUNT = 3.3e6f / 4096;
-// A sensor outside these counts is broken or unplugged. It then reads BROKEN_Pa, over any limit, so that the
-// manifold vents: else a sensor that reads nothing would keep its fill valve open.
+// A sensor outside these counts is broken or unplugged. It then reads BROKEN_Pa, above any limit, so the
+// manifold vents. Otherwise a sensor that reads zero would keep its fill valve open.
 constexpr int LEAST_COUNT = 120, MOST_COUNT = 4050;
 constexpr int32_t BROKEN_Pa = 10000000;
 
-// ---- What Ident tells ---------------------------------------------------------------------------------------
-// Set the hard limits to what your chambers bear. The published sweep went to 372 kPa.
+// ---- Content of Ident ---------------------------------------------------------------------------------------
+// Set the hard limits to the pressures that your chambers withstand. The published sweep reached 372 kPa.
 constexpr uint16_t LONGEST = 2000;
 constexpr Settings SETTINGS = {PROTOCOL, {1, 1, 0}, LONGEST, 500, {400000, 400000, 400000, 400000}};
 
-// A loop that hangs for so long, or a crash, resets the board, which vents.
-constexpr double HUNG_MS = 50;
+// If the loop hangs for this time [ms], the hardware watchdog resets the board, which vents.
+constexpr double WATCHDOG_MS = 50;
 
 static Sample wave[LONGEST];
 static Ring out;
@@ -72,27 +72,26 @@ static void read_all(int32_t (&channels)[CHANNELS]) {
             static_cast<int32_t>(UV_PER_COUNT * static_cast<float>(analogRead(INPUT_PINS[i])));
 }
 
-// Microseconds since the start; `micros()` alone begins anew every 71 minutes.
+// Microseconds since the start; `micros()` alone restarts every 71 minutes.
 static uint64_t now_us() {
     static uint64_t now = 0;
     now += static_cast<uint32_t>(micros() - static_cast<uint32_t>(now));
     return now;
 }
 
-// The host may fall silent in the middle of a frame, or send without end: a pass takes what there is, and no
-// more than it has room for.
-static void hear() {
+// Takes the available bytes, at most 256 per pass: the host may stop within a frame, or send without end.
+static void receive() {
     uint8_t bytes[256];
     size_t size = 0;
     while (size < sizeof bytes && LINK.available() > 0) bytes[size++] = static_cast<uint8_t>(LINK.read());
     core.feed(bytes, size, now_us());
 }
 
-// Never more than the link takes at once: a write that waits for the host would stop the valves.
-static void speak() {
+// Sends only the bytes that the link accepts at once: a write that waits would stop the valve control.
+static void transmit() {
     const int room = LINK.availableForWrite();
     if (room <= 0) return;
-    const size_t size = out.run() < static_cast<size_t>(room) ? out.run() : static_cast<size_t>(room);
+    const size_t size = out.contiguous() < static_cast<size_t>(room) ? out.contiguous() : static_cast<size_t>(room);
     if (size > 0) out.drop(LINK.write(out.front(), size));
 }
 
@@ -106,16 +105,16 @@ void setup() {
     analogReadAveraging(4);
     LINK.begin(BAUD);
     WDT_timings_t timings;
-    timings.timeout = HUNG_MS;  // WDT3 counts in milliseconds, from 32
+    timings.timeout = WATCHDOG_MS;  // in ms; the minimum of WDT3 is 32
     watchdog.begin(timings);
 }
 
 void loop() {
     int32_t channels[CHANNELS];
-    hear();
+    receive();
     read_all(channels);
     core.tick(now_us(), channels);
-    drive_all(channels);  // behind both, so that whatever vents does so in this very pass
-    speak();
+    drive_all(channels);  // after both, so every vent acts in the same pass
+    transmit();
     watchdog.feed();
 }

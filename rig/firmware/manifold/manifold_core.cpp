@@ -2,15 +2,15 @@
 
 namespace slider {
 
-// Readings leave so many bytes to answers and events, so that a host that comes back late is answered.
-static constexpr size_t FOR_ANSWERS = 1024;
+// Bytes that readings leave free for answers and events, so a host that returns late gets an answer.
+static constexpr size_t RESERVED_FOR_ANSWERS = 1024;
 
 void ManifoldCore::feed(const uint8_t* bytes, size_t size, uint64_t now_us) {
     watch(now_us);
     for (size_t i = 0; i < size; ++i) {
         if (!decoder_.take(bytes[i])) continue;
         if (from_host(decoder_.body(), decoder_.size())) {
-            heard_ = now_us;
+            last_command_ = now_us;
             obey(decoder_.body(), decoder_.size(), now_us);
         } else {
             ++foreign_;
@@ -32,7 +32,7 @@ void ManifoldCore::tick(uint64_t now_us, const int32_t (&channels)[CHANNELS]) {
 }
 
 void ManifoldCore::watch(uint64_t now_us) {
-    const uint64_t silence = now_us - heard_;
+    const uint64_t silence = now_us - last_command_;
     if (set_pressures() == nullptr || silence < WATCHDOG_US) return;
     fault(now_us, Cause::WATCHDOG, static_cast<int32_t>(silence / 1000));
 }
@@ -40,10 +40,10 @@ void ManifoldCore::watch(uint64_t now_us) {
 void ManifoldCore::play(uint64_t now_us) {
     if (state_ != State::PLAYING) return;
     const uint64_t sample = (now_us - begun_) / period_;
-    const bool ends = repeats_ != 0 && sample >= static_cast<uint64_t>(repeats_) * samples_;
-    const Sample& now = wave_[ends ? samples_ - 1u : sample % samples_];
+    const bool ended = repeats_ != 0 && sample >= static_cast<uint64_t>(repeats_) * samples_;
+    const Sample& now = wave_[ended ? samples_ - 1u : sample % samples_];
     set(now.pressure, now_us);
-    if (!ends) return;
+    if (!ended) return;
     state_ = State::ARMED;
     event(now_us, Cause::PLAYED, 0);
 }
@@ -51,7 +51,7 @@ void ManifoldCore::play(uint64_t now_us) {
 void ManifoldCore::check(uint64_t now_us, const int32_t (&channels)[CHANNELS]) {
     if (set_pressures() == nullptr) return;
     for (size_t i = 0; i < CHAMBERS; ++i) {
-        // 1.1 limit + 5000 Pa in whole numbers, so that no rounding tells two processors apart.
+        // 1.1 limit + 5000 Pa in integers, so all processors get the same result.
         if (10 * static_cast<int64_t>(channels[i]) > 11 * static_cast<int64_t>(limits_[i]) + 50000) {
             fault(now_us, Cause::OVER_PRESSURE, static_cast<int32_t>(i));
             return;
@@ -181,7 +181,7 @@ ManifoldCore::Verdict ManifoldCore::outside(const uint8_t* pressures, const int3
     return {};
 }
 
-void ManifoldCore::say(const Body& body, size_t spare) {
+void ManifoldCore::send(const Body& body, size_t spare) {
     uint8_t frame[LONGEST_FRAME];
     out_.push(frame, encode(body.bytes, body.size, frame), spare);
 }
@@ -192,16 +192,16 @@ void ManifoldCore::ident() {
     for (uint8_t number : settings_.version) body.u8(number);
     body.u16(settings_.longest).u16(settings_.rate);
     for (int32_t hard : settings_.hard_limits) body.i32(hard);
-    say(body);
+    send(body);
 }
 
 void ManifoldCore::ack(const uint8_t* body, Verdict verdict) {
     const uint8_t answer = static_cast<uint8_t>(verdict.answer);
-    say(Body(ACK).u16(get_u16(body + 1)).u8(body[0]).u8(answer).i32(verdict.detail));
+    send(Body(ACK).u16(get_u16(body + 1)).u8(body[0]).u8(answer).i32(verdict.detail));
 }
 
 void ManifoldCore::event(uint64_t now_us, Cause cause, int32_t detail) {
-    say(Body(EVENT).u64(now_us).u8(static_cast<uint8_t>(cause)).i32(detail));
+    send(Body(EVENT).u64(now_us).u8(static_cast<uint8_t>(cause)).i32(detail));
 }
 
 void ManifoldCore::set(const int32_t (&pressures)[CHAMBERS], uint64_t now_us) {
@@ -217,14 +217,14 @@ void ManifoldCore::follows(uint64_t now_us) {
     Body body(FOLLOWS);
     body.u16(changes_++).u64(now_us);
     for (int32_t pressure : set_) body.i32(pressure);
-    say(body);
+    send(body);
 }
 
 void ManifoldCore::reading(const int32_t (&channels)[CHANNELS]) {
     Body body(READING);
     body.u32(readings_++).u64(due_).u8(static_cast<uint8_t>(state_)).u16(command_);
     for (int32_t channel : channels) body.i32(channel);
-    say(body, FOR_ANSWERS);
+    send(body, RESERVED_FOR_ANSWERS);
 }
 
 }  // namespace slider

@@ -1,5 +1,5 @@
-// What a manifold does with the bytes it gets: the state machine of docs/reference/rig_protocol.md, without a board.
-// rig/simulated/manifold.py is its twin; tests/rig/firmware/test_core.py holds them together byte for byte.
+// The manifold's state machine (docs/reference/rig_protocol.md), without a board. The tests compare its messages
+// byte for byte with those of rig/simulated/manifold.py.
 #pragma once
 
 #include "frames.h"
@@ -8,41 +8,41 @@
 
 namespace slider {
 
-// What this manifold is, as Ident tells it.
+// Properties of this manifold, sent in Ident.
 struct Settings {
     uint16_t protocol;
     uint8_t version[3];
-    uint16_t longest;                // samples of a waveform
-    uint16_t rate;                   // readings a second
-    int32_t hard_limits[CHAMBERS];   // [Pa] that no command can raise
+    uint16_t longest;                // largest number of samples in a waveform
+    uint16_t rate;                   // readings per second
+    int32_t hard_limits[CHAMBERS];   // [Pa], which no command can exceed
 };
 
 struct Sample {
-    int32_t pressure[CHAMBERS];  // [Pa]; the first below zero while the sample has not come
+    int32_t pressure[CHAMBERS];  // [Pa]; the first is negative until the sample arrives
 };
 
-// Times are the device's microseconds since its start, and never go back.
+// Times are microseconds since the device's start and never decrease.
 class ManifoldCore {
 public:
-    // `wave` has room for `settings.longest` samples, and lives as long as the core.
+    // `wave` has room for `settings.longest` samples and must outlive the core.
     ManifoldCore(const Settings& settings, Sample* wave, Ring& out)
         : settings_(settings), wave_(wave), out_(out) {}
 
     // Takes bytes from the host.
     void feed(const uint8_t* bytes, size_t size, uint64_t now_us);
-    // One pass of the main loop, with channels as just read.
+    // Makes one pass of the main loop with the newest channels.
     void tick(uint64_t now_us, const int32_t (&channels)[CHANNELS]);
 
-    // (4,) that the valves follow [Pa]; null while all vent.
+    // Set pressures (4,) [Pa] that the valves follow; null while all vent.
     const int32_t* set_pressures() const {
         return state_ == State::ARMED || state_ == State::PLAYING ? set_ : nullptr;
     }
     State state() const { return state_; }
-    // Frames that were no command.
+    // Number of frames that were not a command.
     uint32_t damaged() const { return decoder_.damaged() + foreign_; }
 
 private:
-    // Why pressures are refused: DONE if they are not.
+    // Reason for refusing a command; DONE if it is accepted.
     struct Verdict {
         Answer answer = Answer::DONE;
         int32_t detail = 0;
@@ -59,7 +59,7 @@ private:
     void play(uint64_t now_us);
     void check(uint64_t now_us, const int32_t (&channels)[CHANNELS]);
     void fault(uint64_t now_us, Cause cause, int32_t detail);
-    void say(const Body& body, size_t spare = 0);
+    void send(const Body& body, size_t spare = 0);
     void ident();
     void ack(const uint8_t* body, Verdict verdict);
     void event(uint64_t now_us, Cause cause, int32_t detail);
@@ -77,14 +77,14 @@ private:
     State state_ = State::BOOT;
     int32_t limits_[CHAMBERS] = {};
     int32_t set_[CHAMBERS] = {};
-    uint16_t command_ = 0;    // seq of the last SetPressures accepted
-    uint16_t changes_ = 0;    // of the set pressures that were told
+    uint16_t command_ = 0;    // seq of the last accepted SetPressures
+    uint16_t changes_ = 0;    // number of Follows messages sent
     uint32_t readings_ = 0;
-    uint64_t heard_ = 0;
-    bool running_ = false;    // a first pass was made
-    uint64_t due_ = 0;        // of the next reading
+    uint64_t last_command_ = 0;
+    bool running_ = false;    // whether the first pass was made
+    uint64_t due_ = 0;        // time of the next reading
 
-    uint16_t samples_ = 0;    // of the waveform; 0: none
+    uint16_t samples_ = 0;    // number of the waveform's samples; 0: no waveform
     uint32_t period_ = 0;
     uint32_t repeats_ = 0;
     uint64_t begun_ = 0;

@@ -1,4 +1,4 @@
-// What host and manifold say to each other: protocol 1, docs/reference/rig_protocol.md; rig/protocol/messages.py is its twin.
+// Messages between host and manifold, protocol 1: docs/reference/rig_protocol.md. Host's side: rig/protocol/messages.py.
 #pragma once
 
 #include <cstddef>
@@ -8,7 +8,7 @@ namespace slider {
 
 constexpr uint16_t PROTOCOL = 1;
 constexpr size_t CHAMBERS = 4;
-constexpr size_t CHANNELS = 8;  // gauge pressures of the chambers, of the supply [Pa]; three inputs [uV]
+constexpr size_t CHANNELS = 8;  // gauge pressures of chambers and supply [Pa]; three inputs [uV]
 constexpr uint64_t WATCHDOG_US = 100000;
 
 enum class State : uint8_t { BOOT, READY, ARMED, PLAYING, FAULT };
@@ -32,10 +32,10 @@ enum Type : uint8_t {
     FOLLOWS = 0x85,
 };
 
-// Whether a body (type byte and fields) of this size is in the table of what a host says.
+// Returns whether a body (type byte and fields) has the type and size of a host's message.
 bool from_host(const uint8_t* body, size_t size);
 
-// Little endian, whatever the processor and its alignment.
+// Little-endian numbers, independent of the processor and of alignment.
 inline uint16_t get_u16(const uint8_t* at) {
     return static_cast<uint16_t>(at[0] | at[1] << 8);
 }
@@ -46,7 +46,7 @@ inline int32_t get_i32(const uint8_t* at) {
     return static_cast<int32_t>(get_u32(at));
 }
 
-// A message being written: `bytes[0 .. size)`. The longest that a manifold says is a Reading, 48 bytes.
+// A message under construction: `bytes[0 .. size)`. A Reading is the manifold's longest message, 48 bytes.
 struct Body {
     uint8_t bytes[48];
     size_t size = 0;

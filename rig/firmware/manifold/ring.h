@@ -1,4 +1,4 @@
-// What waits to be sent: whole frames or nothing, so that a slow host loses frames, never halves of them.
+// Buffer of frames to send. It takes only whole frames, so a slow host never receives parts of frames.
 #pragma once
 
 #include <cstddef>
@@ -9,10 +9,10 @@ namespace slider {
 
 class Ring {
 public:
-    // 2.4 s of readings (54 bytes at 500 Hz); 320 ms of a line at 2 Mbaud that is full.
+    // 2.4 s of readings (54 bytes at 500 Hz), or 320 ms of a full line at 2 Mbaud.
     static constexpr size_t SIZE = 65536;
 
-    // Takes a frame if `spare` bytes stay free behind it; else counts it as lost.
+    // Takes a frame if `spare` bytes stay free after it; otherwise counts the frame as lost.
     bool push(const uint8_t* frame, size_t size, size_t spare = 0) {
         if (size + spare > SIZE - filled_) {
             ++lost_;
@@ -25,9 +25,9 @@ public:
         filled_ += size;
         return true;
     }
-    // The oldest bytes that lie in one piece.
+    // The oldest contiguous bytes, and their number.
     const uint8_t* front() const { return bytes_ + begin_; }
-    size_t run() const { return filled_ < SIZE - begin_ ? filled_ : SIZE - begin_; }
+    size_t contiguous() const { return filled_ < SIZE - begin_ ? filled_ : SIZE - begin_; }
     void drop(size_t size) {
         begin_ = (begin_ + size) % SIZE;
         filled_ -= size;

@@ -1,4 +1,4 @@
-// As much of a Teensy as the sketch touches.
+// The part of a Teensy that the sketch uses.
 #pragma once
 
 #include <cstddef>

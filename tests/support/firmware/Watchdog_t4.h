@@ -1,4 +1,4 @@
-// The watchdog as the sketch uses it: how long until it bites, and how often it was fed.
+// The part of the watchdog that the sketch uses: its time, and a count of its feeds.
 #pragma once
 
 struct WDT_timings_t {

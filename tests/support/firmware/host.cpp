@@ -1,9 +1,9 @@
-// The firmware's core and its parts behind stdin and stdout: one record in, one out.
+// Runs the firmware's core and its parts with stdin and stdout: one output record per input record.
 //   in:  kind u8, device time u64 [us], size u16, payload     out: size u16, bytes, state u8, set pressures 4 i32
 //                                                                  (-1 while venting), damaged u32, lost u32
-// Kinds: I a new core of Settings as Ident has them, F bytes from the host, T a pass with 8 channels, B the same
-// without taking what is said off the ring, D bytes to a bare decoder (each body behind its size u8), E a body to
-// encode, L pairs of set and read pressures to duties. Little endian only.
+// Kinds: I new core with the Settings of Ident, F bytes from the host, T a pass with 8 channels, B the same without
+// reading the ring, D bytes for a decoder (returns each body after its size u8), E a body to encode, L pairs of set
+// and measured pressure (returns duties). All numbers are little endian.
 #include <cstdio>
 #include <memory>
 #include <vector>
@@ -38,8 +38,8 @@ int main() {
     uint8_t head[11];
     while (fread(head, sizeof head, 1, stdin) == 1) {
         const uint64_t now = get_u32(head + 1) | static_cast<uint64_t>(get_u32(head + 5)) << 32;
-        // On the heap and of the exact size, so that a sanitizer sees a read beyond it.
-        std::vector<uint8_t> payload(get_u16(head + 9)), said;
+        // The heap buffer has the exact size, so a sanitizer detects a read beyond it.
+        std::vector<uint8_t> payload(get_u16(head + 9)), sent;
         if (!payload.empty() && fread(payload.data(), payload.size(), 1, stdin) != 1) return 1;
         const uint8_t* p = payload.data();
         uint32_t damaged = decoder.damaged();
@@ -54,29 +54,29 @@ int main() {
         } else if (head[0] == 'D') {
             for (uint8_t byte : payload) {
                 if (!decoder.take(byte)) continue;
-                said.push_back(static_cast<uint8_t>(decoder.size()));
-                said.insert(said.end(), decoder.body(), decoder.body() + decoder.size());
+                sent.push_back(static_cast<uint8_t>(decoder.size()));
+                sent.insert(sent.end(), decoder.body(), decoder.body() + decoder.size());
             }
             damaged = decoder.damaged();
         } else if (head[0] == 'E') {
-            said.resize(LONGEST_FRAME);
-            said.resize(encode(p, payload.size(), said.data()));
+            sent.resize(LONGEST_FRAME);
+            sent.resize(encode(p, payload.size(), sent.data()));
         } else if (head[0] == 'L') {
             for (size_t i = 0; i + 8 <= payload.size(); i += 8) {
                 const Duty duty = law(get_i32(p + i), get_i32(p + i + 4));
-                said.insert(said.end(), {duty.fill, duty.vent});
+                sent.insert(sent.end(), {duty.fill, duty.vent});
             }
         }
         if (rig && (head[0] == 'F' || head[0] == 'T')) {
             while (rig->out.filled() > 0) {
-                const size_t run = rig->out.run();
-                said.insert(said.end(), rig->out.front(), rig->out.front() + run);
+                const size_t run = rig->out.contiguous();
+                sent.insert(sent.end(), rig->out.front(), rig->out.front() + run);
                 rig->out.drop(run);
             }
         }
         if (rig && head[0] != 'D') damaged = rig->core.damaged();
-        put(static_cast<uint16_t>(said.size()));
-        if (!said.empty()) fwrite(said.data(), 1, said.size(), stdout);
+        put(static_cast<uint16_t>(sent.size()));
+        if (!sent.empty()) fwrite(sent.data(), 1, sent.size(), stdout);
         put(rig ? static_cast<uint8_t>(rig->core.state()) : uint8_t{0});
         const int32_t* set = rig ? rig->core.set_pressures() : nullptr;
         for (size_t i = 0; i < CHAMBERS; ++i) put(set ? set[i] : int32_t{-1});
