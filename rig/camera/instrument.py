@@ -100,10 +100,10 @@ class MarkerCamera:
             self._failure = error
 
 
-def _least_distance(places: np.ndarray) -> float:
-    apart = np.hypot(*(places[:, None] - places).T)
-    np.fill_diagonal(apart, np.inf)
-    return float(apart.min())
+def _least_distance(positions: np.ndarray) -> float:
+    distances = np.hypot(*(positions[:, None] - positions).T)
+    np.fill_diagonal(distances, np.inf)
+    return float(distances.min())
 
 
 def camera_reader(scale: Scale) -> StreamReader:

@@ -52,15 +52,15 @@ class Scale:
         `rest` (markers, 2) [px] are the markers, tip first. The axis is the line of least squared
         distances. y of the tip's marker is then the tip's excursion, positive to the robot's left.
         """
-        places = undistort(rest, self.lens)
-        if len(places) < 2 or not np.isfinite(places).all():
+        positions = undistort(rest, self.lens)
+        if len(positions) < 2 or not np.isfinite(positions).all():
             raise RigError.value(
                 "camera: markers of the straight robot", np.round(rest, 1).tolist(), "two or more"
             )
-        center = places.mean(axis=0)
-        axis = np.linalg.eigh(np.cov(places.T))[1][:, 1]
-        axis = axis * np.sign(axis @ (places[-1] - places[0]))
-        tip = center + axis * (axis @ (places[0] - center))
+        center = positions.mean(axis=0)
+        axis = np.linalg.eigh(np.cov(positions.T))[1][:, 1]
+        axis = axis * np.sign(axis @ (positions[-1] - positions[0]))
+        tip = center + axis * (axis @ (positions[0] - center))
         angle = float(np.arctan2(axis[1], axis[0]))
         return replace(self, origin=(float(tip[0]), float(tip[1])), angle=angle)
 

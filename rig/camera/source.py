@@ -175,17 +175,17 @@ class Camera:
             self._put(error)
 
     def __iter__(self) -> Iterator[Frame]:
-        last, heard = -1, time.monotonic()
+        last, last_frame = -1, time.monotonic()
         while not self._closed.is_set():
             try:
                 item = self._waiting.get(timeout=0.1)
             except queue.Empty:
-                if self.source.live and time.monotonic() - heard > STALLED:
+                if self.source.live and time.monotonic() - last_frame > STALLED:
                     raise RigError(
                         f"{self.source.name}: no frame for {STALLED:g} s; check its plug"
                     ) from None
                 continue
-            heard = time.monotonic()
+            last_frame = time.monotonic()
             if isinstance(item, BaseException):
                 raise item
             if isinstance(item, int):

@@ -23,8 +23,8 @@ def order_at_rest(found: Sequence[Marker], count: int, head: tuple[float, float]
             f"{max(count, 1)} (as many as the robot has)",
             "check light, focus, and other blue objects",
         )
-    places = np.array([marker[:2] for marker in found])
-    return places[np.argsort(-np.hypot(*(places - head).T))]
+    positions = np.array([marker[:2] for marker in found])
+    return positions[np.argsort(-np.hypot(*(positions - head).T))]
 
 
 class Tracker:
@@ -37,9 +37,9 @@ class Tracker:
 
     def __init__(self, start: np.ndarray, gate: float):
         self._last = np.array(start, float)
-        apart = np.hypot(*(self._last[:, None] - self._last).T)
-        np.fill_diagonal(apart, np.inf)
-        self._gate, self._widest = gate, apart.min()
+        distances = np.hypot(*(self._last[:, None] - self._last).T)
+        np.fill_diagonal(distances, np.inf)
+        self._gate, self._widest = gate, distances.min()
         if not 0 < gate < self._widest / 2:
             raise RigError.value(
                 "camera: gate",
@@ -59,17 +59,17 @@ class Tracker:
         points = np.tile([np.nan, np.nan, 0.0], (len(self._last), 1))
         if not found:
             return points
-        places = np.array([marker[:2] for marker in found])
-        apart = np.hypot(*np.moveaxis(self._last[:, None] - places, -1, 0))
-        nearest = apart.argmin(axis=1)
+        positions = np.array([marker[:2] for marker in found])
+        distances = np.hypot(*np.moveaxis(self._last[:, None] - positions, -1, 0))
+        nearest = distances.argmin(axis=1)
         for i, j in enumerate(nearest):
             reach = min(self._gate * self._unseen[i], self._widest)
-            if apart[i, j] > reach or apart[:, j].argmin() != i:
+            if distances[i, j] > reach or distances[:, j].argmin() != i:
                 continue
             if np.isnan(self._mass[i]):
                 self._mass[i] = found[j].mass
             if MASS_RATIO[0] <= found[j].mass / self._mass[i] <= MASS_RATIO[1]:
-                points[i] = *places[j], found[j].quality
+                points[i] = *positions[j], found[j].quality
         seen = ~np.isnan(points[:, 0])
         self._last[seen], self._unseen[seen] = points[seen, :2], 0
         return points

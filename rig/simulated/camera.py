@@ -59,14 +59,14 @@ class Scene:
         rng = np.random.default_rng([self.seed, number])
         light = _water(self.size, number / self.fps, self.seed)
         open_for = self.exposure * np.linspace(-0.5, 0.5, 17 if self.exposure else 1)
-        places = self.path(number / self.fps + open_for)
-        _draw_body(light, places[len(places) // 2], self.radius)
-        for marker in range(places.shape[1]):
+        positions = self.path(number / self.fps + open_for)
+        _draw_body(light, positions[len(positions) // 2], self.radius)
+        for marker in range(positions.shape[1]):
             if (number, marker) in self.hidden:
                 continue
-            _draw_marker(light, places[:, marker], self.radius)
+            _draw_marker(light, positions[:, marker], self.radius)
             if rng.random() < self.glare:
-                _draw_glare(light, places[len(places) // 2, marker], self.radius, rng)
+                _draw_glare(light, positions[len(positions) // 2, marker], self.radius, rng)
         light = cv2.GaussianBlur(light, (0, 0), 0.7)
         if self.noise:
             spread = np.sqrt(self.noise**2 + 0.02 * light)
@@ -130,13 +130,13 @@ def _with_gaps(avi: bytes, scene: Scene) -> bytes:
         at += len(chunks[-1])
     body = b"".join(chunks)
     whole = bytearray(avi[:start] + body)
-    for place, count in (
+    for offset, count in (
         (4, len(whole) - 8),
         (start - 8, len(body) + 4),
         (AVI_FRAMES, scene.frames),
         (AVI_LENGTH, scene.frames),
     ):
-        struct.pack_into("<I", whole, place, count)
+        struct.pack_into("<I", whole, offset, count)
     return bytes(whole)
 
 
@@ -158,9 +158,9 @@ def _water(size: tuple[int, int], t: float, seed: int) -> np.ndarray:
     return import_opencv().resize(field, size[::-1], interpolation=import_opencv().INTER_CUBIC)
 
 
-def _draw_body(light: np.ndarray, places: np.ndarray, radius: float) -> None:
+def _draw_body(light: np.ndarray, positions: np.ndarray, radius: float) -> None:
     """Draw a dark band along the markers, narrower than a marker at the tip."""
-    points = np.rint(places * 16).astype(int).tolist()
+    points = np.rint(positions * 16).astype(int).tolist()
     cover = np.zeros(light.shape[:2], np.uint8)
     cv2 = import_opencv()
     widths = np.linspace(1.6, 3.4, len(points))[1:] * radius
@@ -171,24 +171,24 @@ def _draw_body(light: np.ndarray, places: np.ndarray, radius: float) -> None:
     light += share * np.array(BODY, np.float32)
 
 
-def _patch(light: np.ndarray, places: np.ndarray, reach: float) -> tuple[int, int, int, int]:
+def _patch(light: np.ndarray, positions: np.ndarray, reach: float) -> tuple[int, int, int, int]:
     """Return left, top, right, bottom of the image area within `reach` of positions (k, 2)."""
-    low = np.maximum(np.floor(places.min(axis=0) - reach), 0).astype(int)
-    high = np.ceil(places.max(axis=0) + reach + 1).astype(int)
+    low = np.maximum(np.floor(positions.min(axis=0) - reach), 0).astype(int)
+    high = np.ceil(positions.max(axis=0) + reach + 1).astype(int)
     return low[0], low[1], min(high[0], light.shape[1]), min(high[1], light.shape[0])
 
 
-def _draw_marker(light: np.ndarray, places: np.ndarray, radius: float) -> None:
+def _draw_marker(light: np.ndarray, positions: np.ndarray, radius: float) -> None:
     """Draw a disc averaged over positions (k, 2); a pixel is the mean of its samples."""
-    left, top, right, bottom = _patch(light, places, radius)
+    left, top, right, bottom = _patch(light, positions, radius)
     if left >= right or top >= bottom:
         return
     x = left - 0.5 + (np.arange((right - left) * FINE, dtype=np.float32) + 0.5) / FINE
     y = top - 0.5 + (np.arange((bottom - top) * FINE, dtype=np.float32) + 0.5) / FINE
     cover = np.zeros((len(y), len(x)), np.float32)
-    for px, py in places:
+    for px, py in positions:
         cover += (x[None] - px) ** 2 + (y[:, None] - py) ** 2 < radius**2
-    cover /= len(places)
+    cover /= len(positions)
     share = cover.reshape(bottom - top, FINE, right - left, FINE).mean(axis=(1, 3))[..., None]
     here = light[top:bottom, left:right]
     here += share * (np.array(MARKER, np.float32) - here)

@@ -56,7 +56,7 @@ class ManifoldCore:
         self._command = self._readings = self._last_command = self._changes = 0
         self._due: int | None = None
         self._wave: list[Pressures | None] = []
-        self._wave_period = self._wave_begun = self._repeats = 0
+        self._wave_period = self._wave_start = self._repeats = 0
 
     @property
     def set_pressures(self) -> Pressures | None:
@@ -117,7 +117,7 @@ class ManifoldCore:
     def _play(self, now_us: int) -> list[Message]:
         if self.state != ManifoldState.PLAYING:
             return []
-        sample = (now_us - self._wave_begun) // self._wave_period
+        sample = (now_us - self._wave_start) // self._wave_period
         ended = self._repeats and sample >= self._repeats * len(self._wave)
         now = self._wave[-1 if ended else sample % len(self._wave)]
         assert now is not None
@@ -169,7 +169,7 @@ class ManifoldCore:
                     return [self._ack(message, Answer.WRONG_STATE)]
                 if not self._wave or None in self._wave:
                     return [self._ack(message, Answer.WRONG_PLACE)]
-                self.state, self._wave_begun = ManifoldState.PLAYING, now_us
+                self.state, self._wave_start = ManifoldState.PLAYING, now_us
                 self._repeats = message.repeats
                 return [self._ack(message), *self._play(now_us)]
         raise AssertionError(message)

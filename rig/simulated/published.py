@@ -38,7 +38,7 @@ class PublishedFirmware:
         self._typed, self._typed_at, self._ask_at = b"", 0, 0
         self._script: Script | None = None
         self._next: tuple[int, bytes] | None = None
-        self._begun = 0
+        self._start = 0
 
     def feed(self, piece: bytes, now_us: int) -> bytes:
         """Take bytes from the host; the answer comes at a later tick."""
@@ -55,10 +55,10 @@ class PublishedFirmware:
                     return b""
                 self._ask_at = now_us + ASK_US
                 return self._question
-            self._script, self._begun = self._test(frequency, now_us), now_us
+            self._script, self._start = self._test(frequency, now_us), now_us
             self._next = next(self._script, None)
         sent = []
-        while self._next is not None and self._begun + self._next[0] <= now_us:
+        while self._next is not None and self._start + self._next[0] <= now_us:
             sent.append(self._next[1])
             self._next = next(self._script, None)
         if self._next is None:

@@ -91,7 +91,7 @@ class SimulatedRig:
             FaultyLine(faults),
             Random(faults.seed),
         )
-        self._begun: int | None = None
+        self._start: int | None = None
         self._at, self._reset, self._held = 0, False, b""
         self._stuck: int | None = None
         self._states: deque[tuple[int, TankState]] = deque(maxlen=256)
@@ -108,18 +108,18 @@ class SimulatedRig:
 
     def tick(self, now_us: int) -> bytes:
         """Advance to `now_us` and return the bytes sent meanwhile."""
-        if self._begun is None:
-            self._begun = self._at = now_us
+        if self._start is None:
+            self._start = self._at = now_us
             self._followed.insert(0, (now_us, None))
             self._states.append((now_us, self.tank.advance(None, STEP * 1e-6)))
         sent = b""
         while self._at <= now_us:
-            since = (self._at - self._begun) * 1e-6
+            since = (self._at - self._start) * 1e-6
             before = self.core.set_pressures
             if self.faults.reset_at is not None and since >= self.faults.reset_at:
                 if not self._reset:
                     self.core, self._reset = self._new_core(), True
-            if self._at > self._begun:
+            if self._at > self._start:
                 now = self.tank.advance(self._mean_set(), STEP * 1e-6)
                 self._states.append((self._at, now))
             sent += self.core.tick(self._at, self._channels(self._states[-1][1], since))
@@ -186,8 +186,8 @@ class SimulatedRig:
         return tuple(channels)
 
     def _delayed(self, sent: bytes, now_us: int) -> bytes:
-        silent, begun = self.faults.silent, self._begun or now_us
-        if silent is not None and silent[0] <= (now_us - begun) * 1e-6 < silent[1]:
+        silent, start = self.faults.silent, self._start or now_us
+        if silent is not None and silent[0] <= (now_us - start) * 1e-6 < silent[1]:
             self._held += sent
             return b""
         sent, self._held = self._held + sent, b""

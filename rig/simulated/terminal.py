@@ -70,11 +70,11 @@ class Terminal:
 
     def serve(self, ended: Callable[[], bool]) -> None:
         """Run the device in real time until `ended()`; then remove the port."""
-        begun = time.monotonic_ns()
+        start = time.monotonic_ns()
         try:
             while not ended():
                 select.select([self._ours], [], [], STEP)
-                now_us = (time.monotonic_ns() - begun) // 1000
+                now_us = (time.monotonic_ns() - start) // 1000
                 received = self._read()
                 sent = self._device.feed(received, now_us) if received else b""
                 self._write(sent + self._device.tick(now_us))

@@ -39,7 +39,7 @@ void ManifoldCore::watch(uint64_t now_us) {
 
 void ManifoldCore::play(uint64_t now_us) {
     if (state_ != State::PLAYING) return;
-    const uint64_t sample = (now_us - begun_) / period_;
+    const uint64_t sample = (now_us - wave_start_) / period_;
     const bool ended = repeats_ != 0 && sample >= static_cast<uint64_t>(repeats_) * samples_;
     const Sample& now = wave_[ended ? samples_ - 1u : sample % samples_];
     set(now.pressure, now_us);
@@ -168,7 +168,7 @@ ManifoldCore::Verdict ManifoldCore::start(uint32_t repeats, uint64_t now_us) {
         if (wave_[i].pressure[0] < 0) return {Answer::WRONG_PLACE, 0};
     state_ = State::PLAYING;
     repeats_ = repeats;
-    begun_ = now_us;
+    wave_start_ = now_us;
     return {};
 }
 

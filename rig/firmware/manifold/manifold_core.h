@@ -87,7 +87,7 @@ private:
     uint16_t samples_ = 0;    // number of the waveform's samples; 0: no waveform
     uint32_t period_ = 0;
     uint32_t repeats_ = 0;
-    uint64_t begun_ = 0;
+    uint64_t wave_start_ = 0;
 };
 
 }  // namespace slider
