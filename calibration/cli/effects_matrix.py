@@ -94,14 +94,14 @@ def _next_trial(found: Any, names: tuple[str, ...], limits: Any, progress) -> An
     from calibration.experiment_design.detectability import effects_at_limits
     from calibration.experiment_design.pair_distance import separating_trial
 
-    *at_limits, sizes = effects_at_limits(found, names)
+    information, before, indices, sizes = effects_at_limits(found, names)
     failed = [n for n in names if not np.all(np.isfinite(sizes[n]))]
     if failed:
         raise InputError(
             f"--separate {failed[0]}: cannot be simulated in this experiment at its detection "
             "limit; omit it"
         )
-    return separating_trial(*at_limits, sizes, limits, progress=progress)
+    return separating_trial(information, before, indices, sizes, limits, progress=progress)
 
 
 def _next_trial_text(record: dict[str, Any]) -> str:
