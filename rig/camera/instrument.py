@@ -10,7 +10,7 @@ from rig.camera.marker_records import read_records
 from rig.camera.markers import MarkerCriteria, find_markers
 from rig.camera.scale import Scale, tip_excursion
 from rig.camera.source import Camera, Frame, Source, record_markers
-from rig.camera.tracking import Tracker, order_at_rest
+from rig.camera.tracking import Tracker, order_at_rest, smallest_distance
 from rig.errors import RigError
 from rig.recording.clock import Sink
 from rig.recording.reader import RecordedStream
@@ -54,7 +54,7 @@ class MarkerCamera:
         try:
             frames = iter(self._camera)
             rest = self._find_at_rest(frames)
-            tracker = Tracker(rest, self._layout.gate or 0.499 * _least_distance(rest))
+            tracker = Tracker(rest, self._layout.gate or 0.499 * smallest_distance(rest))
         except BaseException:
             self.stop()
             raise
@@ -98,12 +98,6 @@ class MarkerCamera:
             record_markers(frames, tracker, sink, self._layout.criteria)
         except BaseException as error:
             self._failure = error
-
-
-def _least_distance(positions: np.ndarray) -> float:
-    distances = np.hypot(*(positions[:, None] - positions).T)
-    np.fill_diagonal(distances, np.inf)
-    return float(distances.min())
 
 
 def camera_reader(scale: Scale) -> StreamReader:

@@ -27,6 +27,13 @@ def order_at_rest(found: Sequence[Marker], count: int, head: tuple[float, float]
     return positions[np.argsort(-np.hypot(*(positions - head).T))]
 
 
+def smallest_distance(positions: np.ndarray) -> float:
+    """Return the smallest distance [px] between two of the positions (markers, 2) [px]."""
+    distances = np.hypot(*(positions[:, None] - positions).T)
+    np.fill_diagonal(distances, np.inf)
+    return float(distances.min())
+
+
 class Tracker:
     """Tracker of markers that begin at `start` (markers, 2) [px].
 
@@ -37,9 +44,7 @@ class Tracker:
 
     def __init__(self, start: np.ndarray, gate: float):
         self._last = np.array(start, float)
-        distances = np.hypot(*(self._last[:, None] - self._last).T)
-        np.fill_diagonal(distances, np.inf)
-        self._gate, self._widest = gate, distances.min()
+        self._gate, self._widest = gate, smallest_distance(self._last)
         if not 0 < gate < self._widest / 2:
             raise RigError.value(
                 "camera: gate",

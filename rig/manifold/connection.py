@@ -38,7 +38,7 @@ class Connection:
         """Number of messages."""
         self._port, self._take, self._failed = port, take, failed
         self._sink, self._sent = sink, sent
-        self._decoder, self._ends = FrameDecoder(), threading.Event()
+        self._decoder, self._ends = FrameDecoder(in_step=False), threading.Event()
         self._thread = threading.Thread(target=self._listen, name="manifold", daemon=True)
 
     @property
@@ -96,7 +96,6 @@ class Connection:
             self._fail(RigError(f"{self.name}: stopped reading: {error!r}"))
 
     def _pieces(self) -> None:
-        in_step = False
         while not self._ends.is_set():
             try:
                 piece = read_piece(self._port)
@@ -110,12 +109,6 @@ class Connection:
             now = host_ns()
             if self._sink is not None:
                 self._sink(now, piece)
-            if not in_step:
-                # The port may have been opened within a frame; its tail is not damage.
-                _, end, piece = piece.partition(b"\0")
-                in_step = bool(end)
-                if not in_step:
-                    continue
             for message in self._decoder.feed(piece):
                 self.received += 1
                 self._take(now, message)

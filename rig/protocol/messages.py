@@ -286,13 +286,18 @@ def decode_frame(frame: bytes) -> Message | None:
 class FrameDecoder:
     """Decoder of a byte stream in pieces of any size. It drops and counts damaged frames."""
 
-    def __init__(self) -> None:
+    def __init__(self, in_step: bool = True) -> None:
+        """With `in_step` False, the stream may start within a frame, whose tail is not damage."""
+        self._in_step = in_step
         self.damaged = 0
         """Number of byte runs between zeros that were not a message."""
         self._rest, self._noise = b"", False
 
     def feed(self, piece: bytes) -> list[Message]:
         """Return the messages that end in this piece."""
+        if not self._in_step:
+            _, end, piece = piece.partition(b"\0")
+            self._in_step = bool(end)
         *frames, self._rest = (self._rest + piece).split(b"\0")
         messages = []
         for frame in frames:

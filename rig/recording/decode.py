@@ -45,16 +45,11 @@ def decode_readings(pieces: Iterable[tuple[int, bytes]]) -> DecodedReadings:
     Bytes before the end of the first frame are not counted as damaged, because a recording may
     start within a frame.
     """
-    decoder, in_step = FrameDecoder(), False
+    decoder = FrameDecoder(in_step=False)
     received: list[tuple[float, Reading]] = []
     events: list[tuple[float, Event]] = []
     follows: list[Follows] = []
     for host_ns, piece in pieces:
-        if not in_step:
-            _, end, piece = piece.partition(b"\0")
-            in_step = bool(end)
-        if not in_step:
-            continue
         for message in decoder.feed(piece):
             if isinstance(message, Reading):
                 received.append((host_ns * 1e-9, message))
