@@ -16,7 +16,7 @@ from calibration.audit.pressures import check_pressures
 from calibration.audit.rows import Unusable, read_rows
 from calibration.audit.sensors import check_sensor
 from calibration.audit.time_stamps import regular_rows
-from calibration.measurements.records import Finding, Record, left_out_files
+from calibration.measurements.records import Finding, Record
 from slider_jax.channels import CHANNELS
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment
@@ -85,10 +85,9 @@ def _read(experiment: Experiment) -> tuple[list[Record], list[Finding]]:
         for i, channel in enumerate(CHANNELS):
             key = CHANNELS[channel].noise
             noise = getattr(experiment.sensors, key) if key else 0.0
-            values[i], more = check_sensor(
-                trial.file, channel, rows.t, rows.values[i], noise, filled
-            )
-            findings += more
+            found = check_sensor(trial.file, channel, rows.t, rows.values[i], noise, filled)
+            values[i] = found[0]
+            findings += found[1]
         records.append(Record(trial, rows.t, values))
     return records, findings
 
@@ -149,8 +148,7 @@ def _same(a: np.ndarray, b: np.ndarray) -> bool:
 def _refusal(
     experiment: Experiment, records: Sequence[Record], findings: Sequence[Finding], least: int
 ) -> str:
-    out = left_out_files(findings)
-    bad = [x for x in findings if x.trial in out and x.action == "left out"]
+    bad = [x for x in findings if x.action == "left out"]
     missing = sum(x.kind == "missing_file" for x in findings)
     text = "; ".join(f"{x.trial}: {x.detail}" for x in bad[:MAX_LISTED])
     more = f"; and {len(bad) - MAX_LISTED} more" if len(bad) > MAX_LISTED else ""

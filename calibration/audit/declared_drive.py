@@ -107,22 +107,18 @@ def check_declared_drive(
     for i, r in enumerate(records):
         bad = [c for c in (0, 1) if np.isfinite(r.values[c]).mean() > 0.3 and least[i, c] > limit]
         if bad and i not in wrong:
-            wrong[i] = _another_drive(records, i, bad)
+            detail = (
+                f"{' and '.join(NAMES[c] for c in bad)} do not respond to the declared drive "
+                f"({r.trial.frequency:g} Hz), unlike in the other trials{_partner(records, r)}"
+            )
+            channels = ", ".join(BUILT_IN[c] for c in bad)
+            wrong[i] = trial_finding(r, "wrong_drive", channels, detail, "left out")
     good = [i for i in range(len(records)) if i not in wrong]
     for check in (_wrong_phase, _wrong_amplitude):
         for i, found in check([records[i] for i in good], responses, good).items():
             wrong.setdefault(i, found)
     kept = [r for i, r in enumerate(records) if i not in wrong]
     return kept, [wrong[i] for i in sorted(wrong)]
-
-
-def _another_drive(records: Sequence[Record], i: int, bad: Sequence[int]) -> Finding:
-    r, names = records[i], " and ".join(NAMES[c] for c in bad)
-    detail = (
-        f"{names} do not respond to the declared drive ({r.trial.frequency:g} Hz), unlike in the "
-        f"other trials{_partner(records, r)}"
-    )
-    return trial_finding(r, "wrong_drive", ", ".join(BUILT_IN[c] for c in bad), detail, "left out")
 
 
 def _partner(records: Sequence[Record], r: Record) -> str:
@@ -211,13 +207,13 @@ def _wrong_amplitude(
     x = np.log([[t.frequency or 1.0, t.amplitude or 1.0] for t in trials])
     deviations = leave_one_out(size, x - x.mean(axis=0), np.full(2, 0.3), 0.01)
     found = {}
-    for j, off in zip(fit, deviations, strict=True):
-        alike = abs(float(np.log(gain[j, 0] / gain[j, 1]))) < 0.5 * abs(off.size)
-        if abs(off.size) > max(WRONG_AMPLITUDE, 8.0 * off.error) and alike:
+    for j, (off, error) in zip(fit, deviations, strict=True):
+        alike = abs(float(np.log(gain[j, 0] / gain[j, 1]))) < 0.5 * abs(off)
+        if abs(off) > max(WRONG_AMPLITUDE, 8.0 * error) and alike:
             r = records[j]
             detail = (
                 f"the gain from the declared amplitude, {r.trial.amplitude:g} Pa, to both "
-                f"pressures is {np.exp(off.size):.2f} times that of the other trials"
+                f"pressures is {np.exp(off):.2f} times that of the other trials"
             )
             channels = "p_front, p_rear"
             found[index[j]] = trial_finding(r, "wrong_amplitude", channels, detail, "left out")

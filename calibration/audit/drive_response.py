@@ -44,8 +44,7 @@ class DriveResponses:
 
     def least_residual(self, i: int) -> np.ndarray:
         """Return the residuals (2,) of the pressures of trial i, each at its best lag and delay."""
-        residual = self.all[i].residual
-        return np.array([residual[c, c].min() for c in (0, 1)])
+        return np.array([self.all[i].residual[c, c].min() for c in (0, 1)])
 
 
 def _fitted(r: Record, chambers: tuple[DeclaredDrive, DeclaredDrive]) -> LagFits:
@@ -82,10 +81,8 @@ def rear_lag_and_ratio(r: Record) -> tuple[float, float] | None:
         if there.mean() < 0.5:
             return None
         tones.append(fundamental_tone(r.t[there], r.values[row, there], r.trial.frequency))
-    front, rear = tones
-    if not front.amplitude or not rear.amplitude:
-        return None
-    return rear.lag - front.lag, front.amplitude / rear.amplitude
+    (front, front_lag), (rear, rear_lag) = tones
+    return (rear_lag - front_lag, front / rear) if front and rear else None
 
 
 def wrapped(phase: float) -> float:

@@ -58,22 +58,15 @@ def declared_drives(trial: Trial) -> tuple[DeclaredDrive, DeclaredDrive] | None:
     )
 
 
-class LagResponse:
-    """Responses of lags to a drive of amplitude 1, from rest."""
-
-    def __init__(self, drive: DeclaredDrive, duration: float, time_constants: np.ndarray):
-        spacing = min(1e-3, 1.0 / (200.0 * drive.frequency))
-        self.t = spacing * np.arange(int(np.ceil(duration / spacing)) + 2)
-        set_point = drive.unit(self.t + 0.5 * spacing)
-        self._series = []
-        for k in time_constants:
-            keep = np.exp(-spacing / k)
-            after = lfilter([1.0 - keep], [1.0, -keep], set_point)
-            self._series.append(np.r_[0.0, after[:-1]])
-
-    def __call__(self, lag: int, t: np.ndarray) -> np.ndarray:
-        """Return the response (n,) at `t` (n,) [s] for the time constant of index `lag`."""
-        return np.interp(t, self.t, self._series[lag])
+def _lag_responses(
+    drive: DeclaredDrive, duration: float, time_constants: np.ndarray
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Return times (n,) [s] and each lag's response (n,) to a drive of amplitude 1, from rest."""
+    spacing = min(1e-3, 1.0 / (200.0 * drive.frequency))
+    t = spacing * np.arange(int(np.ceil(duration / spacing)) + 2)
+    set_point, keep = drive.unit(t + 0.5 * spacing), np.exp(-spacing / time_constants)
+    responses = [lfilter([1.0 - share], [1.0, -share], set_point)[:-1] for share in keep]
+    return t, [np.r_[0.0, after] for after in responses]
 
 
 class LagFits(NamedTuple):
@@ -106,15 +99,15 @@ def fit_lags(
     gain, residual = np.zeros(shape), np.ones(shape)
     every = max(1, len(t) // MAX_SAMPLES)
     for j, drive in enumerate(chambers):
-        response = LagResponse(drive, float(t[-1]) + 0.02, time_constants)
-        for i, y in enumerate(values):
-            there = np.flatnonzero(np.isfinite(y))
+        times, responses = _lag_responses(drive, float(t[-1]) + 0.02, time_constants)
+        for i, series in enumerate(values):
+            there = np.flatnonzero(np.isfinite(series))
             there = there[:: max(1, min(every, len(there) // 60))]
-            if len(there) < 20 or np.ptp(y[there]) == 0.0:
+            if len(there) < 20 or np.ptp(series[there]) == 0.0:
                 continue
             at = t[there]
-            R = np.stack([response(k, at - d) for k in range(shape[2]) for d in delays])
-            R, m = _without_drift(at, R), _without_drift(at, y[there])
+            R = np.stack([np.interp(at - d, times, y) for y in responses for d in delays])
+            R, m = _without_drift(at, R), _without_drift(at, series[there])
             size, along = np.einsum("ij,ij->i", R, R), R @ m
             size = np.maximum(size, 1e-12 * len(at))
             gain[i, j] = (along / size / drive.amplitude).reshape(shape[2:])
@@ -172,40 +165,29 @@ def _drift(t: np.ndarray, y: np.ndarray, frequency: float) -> PeriodRatio | None
     return PeriodRatio(-slope / (2.0 * np.pi), error / (2.0 * np.pi))
 
 
-class Tone(NamedTuple):
-    """Amplitude and lag (fraction of a period) of a series' fundamental."""
-
-    amplitude: float
-    lag: float
-
-
 def settling_time(t: np.ndarray) -> float:
     """Return the time [s] from which on a pressure is periodic; less in a short trial."""
     return min(SETTLED, 0.3 * float(t[-1]))
 
 
-def fundamental_tone(t: np.ndarray, y: np.ndarray, frequency: float) -> Tone:
-    """Return the fundamental of y (n,), from a least-squares fit with harmonics and a parabola."""
+def fundamental_tone(t: np.ndarray, y: np.ndarray, frequency: float) -> tuple[float, float]:
+    """Return amplitude and lag (fraction of a period) of the fundamental of y (n,).
+
+    They are from a least-squares fit with harmonics and a parabola.
+    """
     late = t >= settling_time(t)
     turn = 2.0 * np.pi * frequency * t[late]
     waves = [f(n * turn) for n in (1, 2, 3) for f in (np.cos, np.sin)]
     x = turn / turn[-1]
     columns = np.stack([*waves, np.ones_like(x), x, x**2], axis=1)
     a, b = np.linalg.lstsq(columns, y[late])[0][:2]
-    return Tone(float(np.hypot(a, b)), float(np.arctan2(b, a) / (2.0 * np.pi)))
-
-
-class Deviation(NamedTuple):
-    """Deviation of a value from its prediction by the other values, and its standard deviation."""
-
-    size: float
-    error: float
+    return float(np.hypot(a, b)), float(np.arctan2(b, a) / (2.0 * np.pi))
 
 
 def leave_one_out(
     y: np.ndarray, x: np.ndarray, slopes: np.ndarray, floor: float
-) -> list[Deviation]:
-    """Return the deviation of each value of y (n,) from a plane through the other values.
+) -> list[tuple[float, float]]:
+    """Return deviation and its error of each value of y (n,) from a plane through the others.
 
     `x` (n, p) are the variables of the plane and `slopes` (p,) the prior standard deviations of its
     slopes. `floor` is the smallest scatter.
@@ -224,5 +206,5 @@ def leave_one_out(
             scatter = max(1.5 * float(np.median(off)), floor)
         here = np.r_[1.0, x[i]]
         error = float(np.sqrt(here @ cov @ here + scatter**2))
-        found.append(Deviation(float(y[i] - here @ plane), error))
+        found.append((float(y[i] - here @ plane), error))
     return found

@@ -5,7 +5,7 @@ columns is evident without the exact parameters.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
@@ -38,25 +38,12 @@ BEYOND = 4.0
 """Smallest ratio of an outlier's mean square to the other trials' largest one."""
 
 
+@dataclass(frozen=True)
 class _Correlations:
     """Correlations and size ratios of measured and predicted channels, for all trials."""
 
-    def __init__(
-        self,
-        records: Sequence[Record],
-        predicted: Sequence[np.ndarray],
-        lags: Sequence[float] | None = None,
-    ):
-        self.pairs = list(zip(records, predicted, strict=True))
-        self.lags = [self._common_lag(row) for row in BODY] if lags is None else list(lags)
-
-    def _common_lag(self, row: int) -> float:
-        """Return the delay [s] behind a prediction that fits most trials, in any column."""
-        table = [
-            [max(abs(_correlation(r, p, c, row, x)) for c in BODY) for x in LAGS]
-            for r, p in self.pairs
-        ]
-        return float(LAGS[np.argmax(np.median(table, axis=0))]) if table else 0.0
+    pairs: list[tuple[Record, np.ndarray]]
+    lags: list[float]
 
     def correlation(self, i: int, column: int, row: int) -> float:
         """Return the correlation of a column of trial i with a row's prediction, at its delay."""
@@ -70,6 +57,14 @@ class _Correlations:
         if there.sum() < 20 or not np.std(p[row, there]) or not np.std(r.values[row, there]):
             return float("nan")
         return float(np.log10(np.std(r.values[row, there]) / np.std(p[row, there])))
+
+
+def _common_lag(pairs: Sequence[tuple[Record, np.ndarray]], row: int) -> float:
+    """Return the delay [s] behind a prediction that fits most trials, in any column."""
+    table = [
+        [max(abs(_correlation(r, p, c, row, x)) for c in BODY) for x in LAGS] for r, p in pairs
+    ]
+    return float(LAGS[np.argmax(np.median(table, axis=0))]) if table else 0.0
 
 
 def _correlation(r: Record, p: np.ndarray, column: int, row: int, lag: float) -> float:
@@ -93,9 +88,9 @@ def check_predicted_channels(
     with its prediction in all trials but one is masked in that trial.
     """
     found, findings = list(records), []
-    lags = _Correlations(found, predicted).lags
+    lags = [_common_lag([*zip(found, predicted, strict=True)], row) for row in BODY]
     for step in (_columns, _signs, _units, _strange_channels):
-        found, more = step(_Correlations(found, predicted, lags))
+        found, more = step(_Correlations([*zip(found, predicted, strict=True)], lags))
         findings += more
     return found, findings
 
@@ -231,9 +226,9 @@ def residual_outliers(
             y = np.log(np.maximum(squares[there], 1.0))
             slopes = np.array([1.0, 1.0, 2.0])
             deviations = leave_one_out(y, (x - x.mean(axis=0))[there], slopes, 0.3)
-            off = deviations[int(there[:i].sum())]
+            off, error = deviations[int(there[:i].sum())]
             far = ratio > OUTLIER and squares[i] > BEYOND * others.max()
-            if far and off.size > 3.0 * off.error and ratio > worst[0]:
+            if far and off > 3.0 * error and ratio > worst[0]:
                 worst = ratio, channel
         if worst[1]:
             detail = (

@@ -84,12 +84,8 @@ def _units(
     records: Sequence[Record], responses: DriveResponses
 ) -> tuple[list[Record], list[Finding]]:
     """Return the records with all pressures in Pa and with the drive's sign, and findings."""
-    normal = [
-        abs(responses.gain(i)[c, c])
-        for i in range(len(records))
-        for c in (0, 1)
-        if 0.2 < abs(responses.gain(i)[c, c]) < 5.0
-    ]
+    gains = [abs(responses.gain(i)[c, c]) for i in range(len(records)) for c in (0, 1)]
+    normal = [gain for gain in gains if 0.2 < gain < 5.0]
     usual = float(np.median(normal)) if normal else 1.0
     kept, findings = [], []
     for i, r in enumerate(records):
@@ -143,11 +139,9 @@ def _front_and_rear(
 
 def _swapped_by_phase(r: Record, found: tuple[float, float] | None) -> bool | None:
     """Return whether the phase shows a swap; None if the declared phase does not discriminate."""
-    if found is None:
+    if found is None or abs(wrapped(2.0 * r.trial.phase)) < 0.1:
         return None
     straight, crossed = (abs(wrapped(found[0] - s * r.trial.phase)) for s in (1.0, -1.0))
-    if abs(wrapped(2.0 * r.trial.phase)) < 0.1:
-        return None
     if crossed < 0.25 * straight:
         return True
     return False if straight < 0.25 * crossed else None

@@ -27,20 +27,16 @@ class Rows(NamedTuple):
 class Unusable(Exception):
     """A trial is unusable; `finding` holds the reason."""
 
-    def __init__(self, finding: Finding):
-        super().__init__(str(finding))
-        self.finding = finding
-
-
-def unusable_trial(
-    trial: str,
-    kind: str,
-    detail: str,
-    channel: str | None = None,
-    span: tuple[float | None, float | None] = (None, None),
-) -> Unusable:
-    """Return the exception that excludes a trial."""
-    return Unusable(Finding(trial, kind, channel, span[0], span[1], detail, "left out"))
+    def __init__(
+        self,
+        trial: str,
+        kind: str,
+        detail: str,
+        channel: str | None = None,
+        span: tuple[float | None, float | None] = (None, None),
+    ):
+        self.finding = Finding(trial, kind, channel, *span, detail, "left out")
+        super().__init__(str(self.finding))
 
 
 def read_rows(path: Path) -> tuple[Rows, list[Finding]]:
@@ -53,16 +49,16 @@ def read_rows(path: Path) -> tuple[Rows, list[Finding]]:
     try:
         text = read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise unusable_trial(name, "not_text", "the file is not UTF-8 text") from None
+        raise Unusable(name, "not_text", "the file is not UTF-8 text") from None
     except InputError as error:
-        raise unusable_trial(name, "not_text", f"the file is not readable: {error}") from None
+        raise Unusable(name, "not_text", f"the file is not readable: {error}") from None
     try:
         rows = list(csv.reader(text.replace("\0", "\ufffd").splitlines()))
     except csv.Error as error:
-        raise unusable_trial(name, "not_text", f"the file is not a CSV table ({error})") from None
+        raise Unusable(name, "not_text", f"the file is not a CSV table ({error})") from None
     numbered = [(line, row) for line, row in enumerate(rows, start=1) if row]
     if not numbered:
-        raise unusable_trial(name, "empty", "the file is empty")
+        raise Unusable(name, "empty", "the file is empty")
     header = [cell.strip() for cell in numbered[0][1]]
     findings = _check_header(name, header)
     whole, more = _whole_rows(name, header, numbered[1:])
@@ -78,18 +74,18 @@ def read_rows(path: Path) -> tuple[Rows, list[Finding]]:
             f"only {timed.sum()} of {len(numbered) - 1} rows are readable; at least {MIN_ROWS}, "
             f"and {1.0 - MAX_BAD_SHARE:.0%} of all, are needed"
         )
-        raise unusable_trial(name, "bad_row" if lost else "few_rows", detail)
+        raise Unusable(name, "bad_row" if lost else "few_rows", detail)
     return Rows(t[timed], table[1:, timed]), findings + more + worse
 
 
 def _check_header(name: str, header: list[str]) -> list[Finding]:
     if "t_s" not in header:
         detail = f"the first line has no column t_s; its columns are {', '.join(header)[:80]}"
-        raise unusable_trial(name, "missing_column", detail)
+        raise Unusable(name, "missing_column", detail)
     repeated = sorted({x for x in channel_columns() if header.count(x) > 1})
     if repeated:
         detail = f"the first line repeats {', '.join(repeated)}"
-        raise unusable_trial(name, "missing_column", detail)
+        raise Unusable(name, "missing_column", detail)
     findings = []
     for column in channel_columns()[1:]:
         if column not in header:

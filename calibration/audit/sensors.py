@@ -81,20 +81,15 @@ def stuck(values: np.ndarray, g: Quantisation) -> np.ndarray:
     n = len(values)
     edges = np.r_[0, np.flatnonzero(np.diff(values)) + 1, n]
     bad = np.zeros(n, bool)
-    longest, rest = _longest_repeat(n, g), 1e-9 * float(np.abs(values).max())
+    longest, rest = math.inf, 1e-9 * float(np.abs(values).max())
+    if g.noise > 0.0 and g.repeat <= 0.9999:  # so many readings of a constant are improbable
+        longest = max(MIN_REPEATS, math.ceil(math.log(IMPOSSIBLE / n) / math.log(g.repeat)) + 1)
     for a, b in zip(edges[:-1], edges[1:], strict=True):
         if abs(values[a]) < rest:  # before the start, the signal is 0 without noise
             continue
         if b - a >= longest or (b - a >= MIN_REPEATS and _ends_with_jump(values, a, b, g)):
             bad[a + 1 : b] = True
     return bad
-
-
-def _longest_repeat(n: int, g: Quantisation) -> float:
-    """Return the number of equal readings that is improbable in `n` readings of a constant."""
-    if g.noise <= 0.0 or g.repeat > 0.9999:
-        return math.inf
-    return max(MIN_REPEATS, math.ceil(math.log(IMPOSSIBLE / n) / math.log(g.repeat)) + 1)
 
 
 def _ends_with_jump(values: np.ndarray, a: int, b: int, g: Quantisation) -> bool:
@@ -132,21 +127,14 @@ def clipped(values: np.ndarray, g: Quantisation) -> np.ndarray:
         pairs = int(np.sum(at[1:] & at[:-1]))
         chance = min((inside / (inside + beyond)) ** at.sum(), len(y) * g.repeat**pairs)
         if at.sum() >= MIN_REPEATS and at.sum() > beside and chance < IMPOSSIBLE:
-            bad |= _bridged(at)
+            bad |= at
+            places = np.flatnonzero(at)
+            for a, b in zip(places[:-1], places[1:], strict=True):
+                bad[a:b] |= b - a <= BRIDGED
             ends.append(top)
     if len(ends) == 1:  # a range often is symmetric
         bad |= np.abs(values) == ends[0]
     return bad
-
-
-def _bridged(at: np.ndarray) -> np.ndarray:
-    """Return `at` with short gaps between its true entries closed."""
-    places = np.flatnonzero(at)
-    whole = at.copy()
-    for a, b in zip(places[:-1], places[1:], strict=True):
-        if b - a <= BRIDGED:
-            whole[a:b] = True
-    return whole
 
 
 def spikes(values: np.ndarray, g: Quantisation) -> np.ndarray:
@@ -198,14 +186,13 @@ def check_sensor(
     present = np.flatnonzero(np.ones(len(t), bool) if rows is None else rows)
     findings, usable = _frames(trial, channel, t[present], values[present]), values.copy()
     y, at = values[there], t[there]
+    span = float(at[0]), float(at[-1])
     if np.ptp(y) == 0.0:
         if declared == 0.0 and y[0] == 0.0:
             return values, findings
         detail = f"{channel} is stuck at {y[0]:g} in the whole trial; the channel is not used"
-        span = float(at[0]), float(at[-1])
-        return np.full_like(values, np.nan), [
-            Finding(trial, "stuck", channel, *span, detail, "masked")
-        ]
+        found = Finding(trial, "stuck", channel, *span, detail, "masked")
+        return np.full_like(values, np.nan), [found]
     kept = np.ones(len(there), bool)
     g = quantisation(y, declared)
     for kind, find in (("spikes", spikes), ("clipped", clipped), ("stuck", stuck)):
@@ -217,7 +204,6 @@ def check_sensor(
             kept &= ~bad
     if kept.sum() < max(MIN_SHARE * len(there), 20):
         detail = f"too few readings of {channel} remain; the channel is not used in this trial"
-        span = float(at[0]), float(at[-1])
         findings.append(Finding(trial, "channel_lost", channel, *span, detail, "masked"))
         kept[:] = False
     usable[there[~kept]] = np.nan

@@ -4,7 +4,7 @@ from collections import Counter
 
 import numpy as np
 
-from calibration.audit.rows import Rows, unusable_trial
+from calibration.audit.rows import Rows, Unusable
 from calibration.measurements.records import Finding, true_runs
 from slider_jax.experiment.schema import Trial
 
@@ -27,7 +27,7 @@ def regular_rows(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
     Missing rows are NaN. Raises `Unusable` if the times contradict each other.
     """
     findings: list[Finding] = []
-    for step in (_unit, _doubled, _sorted, _gaps):
+    for step in (_unit, _doubled, _stale, _sorted, _gaps):
         rows, more = step(rows, trial)
         findings += more
     return rows, findings
@@ -46,37 +46,33 @@ def _unit(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
             return Rows(rows.t / factor, rows.values), [found]
     if longest > 20.0 * trial.duration:
         detail = f"t_s ends at {longest:g}, the trial lasts {trial.duration:g} s"
-        raise unusable_trial(trial.file, "units", detail, "t_s")
+        raise Unusable(trial.file, "units", detail, "t_s")
     return rows, []
 
 
 def _doubled(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
-    """Return the rows without copies, and with NaN for rows that repeat the previous readings."""
+    """Return the rows without copies."""
     findings = []
-    seen: set[bytes] = set()
     table = np.concatenate([rows.t[None], np.nan_to_num(rows.values, nan=-7e77)])
-    keep = np.ones(len(rows.t), bool)
-    for i, column in enumerate(table.T):
-        key = column.tobytes()
-        keep[i] = key not in seen
-        seen.add(key)
+    first = {column.tobytes(): i for i, column in reversed([*enumerate(table.T)])}
+    keep = np.isin(np.arange(len(rows.t)), [*first.values()])
     if not keep.all():
         at = rows.t[~keep]
         detail = f"{np.sum(~keep)} rows are copies, from {at.min():.4g} s on, and were dropped"
         span = float(at.min()), float(at.max())
         findings.append(Finding(trial.file, "doubled_rows", None, *span, detail, "mended"))
         rows = Rows(rows.t[keep], rows.values[:, keep])
-    return _stale(rows, trial, findings)
+    return rows, findings
 
 
-def _stale(rows: Rows, trial: Trial, findings: list[Finding]) -> tuple[Rows, list[Finding]]:
+def _stale(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
     """Return rows with NaN for readings equal to the previous row's, which noise excludes."""
     same = np.diff(rows.values, axis=1) == 0.0
     # A sensor that is stuck or at the end of its range repeats readings in correct rows too.
     repeated = same & (same.mean(axis=1) < OFTEN)[:, None]
     stale = np.r_[False, repeated[2] & repeated[3] & (repeated.sum(axis=0) >= 3)]
     if not stale.any():
-        return rows, findings
+        return rows, []
     at, values = rows.t[stale], rows.values.copy()
     values[:, stale] = np.nan
     frozen = max(b - a + 1 for a, b in true_runs(stale)) >= FROZEN
@@ -87,7 +83,7 @@ def _stale(rows: Rows, trial: Trial, findings: list[Finding]) -> tuple[Rows, lis
     span = float(at.min()), float(at.max())
     kind = "stuck" if frozen else "doubled_rows"
     found = Finding(trial.file, kind, None, *span, detail, "masked")
-    return Rows(rows.t, values), [*findings, found]
+    return Rows(rows.t, values), [found]
 
 
 def _sorted(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
@@ -112,7 +108,7 @@ def _sorted(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
             f"{len(conflicts)} rows have equal times and different readings: the clock was reset, "
             "or the file holds two runs"
         )
-        raise unusable_trial(trial.file, "unsorted", detail, "t_s")
+        raise Unusable(trial.file, "unsorted", detail, "t_s")
     span = float(rows.t[same[0]]), float(rows.t[same[-1]])
     detail = f"{len(conflicts)} rows have equal times and different readings and were dropped"
     findings.append(Finding(trial.file, "doubled_rows", None, *span, detail, "masked"))
@@ -120,31 +116,26 @@ def _sorted(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
     return Rows(rows.t[keep], rows.values[:, keep]), findings
 
 
-def _spacing(t: np.ndarray) -> float:
-    """Return the time [s] between successive rows; gaps do not affect it."""
-    steps = np.diff(t)
-    short = float(np.quantile(steps, 0.1))
-    return float(np.median(steps[(steps > 0.75 * short) & (steps < 1.25 * short)]))
-
-
 def _gaps(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
     """Return the rows on the regular grid that fits their times, with NaN for missing rows."""
-    t, dt = rows.t, _spacing(rows.t)
-    steps = np.maximum(np.round(np.diff(t) / dt).astype(int), 1)
+    t, apart = rows.t, np.diff(rows.t)
+    short = float(np.quantile(apart, 0.1))
+    dt = float(np.median(apart[(apart > 0.75 * short) & (apart < 1.25 * short)]))
+    steps = np.maximum(np.round(apart / dt).astype(int), 1)
     index = np.r_[0, np.cumsum(steps)]
     if index[-1] > 20 * len(t):
         at = float(t[np.argmax(steps)])
-        detail = f"rows are {dt:.4g} s apart, but {np.diff(t).max():.4g} s after {at:.4g} s"
-        raise unusable_trial(trial.file, "gap", detail, "t_s", (at, at + float(np.diff(t).max())))
+        detail = f"rows are {dt:.4g} s apart, but {apart.max():.4g} s after {at:.4g} s"
+        raise Unusable(trial.file, "gap", detail, "t_s", (at, at + float(apart.max())))
     slope, first = np.polyfit(index, t, 1)
     jitter = float(np.sqrt(np.mean((t - first - slope * index) ** 2))) / slope
     if jitter > JITTER:
-        common = [f"{1.0 / s:.4g}" for s, _ in Counter(np.round(np.diff(t), 5)).most_common(2) if s]
+        common = [f"{1.0 / s:.4g}" for s, _ in Counter(np.round(apart, 5)).most_common(2) if s]
         detail = (
             f"the time stamps are irregular, {jitter:.2g} spacings rms about a regular grid; the "
             f"most frequent rates are {' and '.join(common)} Hz"
         )
-        raise unusable_trial(trial.file, "sample_rate", detail, "t_s")
+        raise Unusable(trial.file, "sample_rate", detail, "t_s")
     there = np.zeros(index[-1] + 1, bool)
     there[index] = True
     times = first + slope * np.arange(len(there))

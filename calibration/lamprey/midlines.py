@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calibration.measurements.records import true_runs
 from slider_jax.errors import InputError
 from slider_jax.io.csv import read_table
 
@@ -70,7 +71,9 @@ def read_midlines(path: Path) -> Midlines:
             f"{path}, column t: all rows of a frame need the same time, and the time must increase "
             "from frame to frame; sort the rows by frame and point"
         )
-    run = _longest_run(np.asarray(np.isfinite(points).all(axis=(1, 2))))
+    runs = true_runs(np.asarray(np.isfinite(points).all(axis=(1, 2))))
+    first, last = max(runs, key=lambda run: run[1] - run[0], default=(0, -1))
+    run = slice(first, last + 1)
     if run.stop - run.start < MIN_FRAMES:
         raise InputError(
             f"{path}: the longest run of complete frames has {run.stop - run.start} frames; at "
@@ -79,15 +82,6 @@ def read_midlines(path: Path) -> Midlines:
     midlines = Midlines(t[run, 0], points[run], len(t) - (run.stop - run.start))
     _check(path, midlines, numbers[run])
     return midlines
-
-
-def _longest_run(complete: np.ndarray) -> slice:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], complete.astype(int), [0]])))
-    begins, ends = edges[::2], edges[1::2]
-    if not len(begins):
-        return slice(0, 0)
-    longest = int(np.argmax(ends - begins))
-    return slice(int(begins[longest]), int(ends[longest]))
 
 
 def _check(path: Path, midlines: Midlines, frames: np.ndarray) -> None:
