@@ -12,29 +12,7 @@ from rig.errors import RigError
 from rig.manifold.connection import VENTS, Connection
 from rig.manifold.limits import PressureLimits, checked_pressures
 from rig.manifold.serial_port import PortLost
-from rig.protocol.messages import (
-    CHAMBERS,
-    MAX_SAMPLES_PER_PIECE,
-    PROTOCOL,
-    Ack,
-    Answer,
-    Arm,
-    Cause,
-    Event,
-    Follows,
-    Heartbeat,
-    Hello,
-    Ident,
-    ManifoldState,
-    Message,
-    Reading,
-    SetLimits,
-    SetPressures,
-    Stop,
-    WaveBegin,
-    WavePiece,
-    WavePlay,
-)
+from rig.protocol import messages as wire
 from rig.recording.clock import Sink
 
 ANSWER_WAIT, TRIES = 0.08, 8
@@ -42,10 +20,10 @@ ANSWER_WAIT, TRIES = 0.08, 8
 MAX_SILENCE = 0.5
 """Longest time without a reading while armed [s]. A host without readings must not drive on."""
 _VENT_REASONS = {
-    Cause.RESET: "it has reset (power, or its hardware watchdog)",
-    Cause.WATCHDOG: "it received no command for {detail} ms",
-    Cause.OVER_PRESSURE: "the pressure of {chamber} exceeds its limit by more than a tenth",
-    Cause.REFUSED: "a set pressure was outside the limit of {chamber}",
+    wire.Cause.RESET: "it has reset (power, or its hardware watchdog)",
+    wire.Cause.WATCHDOG: "it received no command for {detail} ms",
+    wire.Cause.OVER_PRESSURE: "the pressure of {chamber} exceeds its limit by more than a tenth",
+    wire.Cause.REFUSED: "a set pressure was outside the limit of {chamber}",
 }
 
 
@@ -62,18 +40,18 @@ class Manifold:
         port: serial.Serial,
         sink: Sink | None = None,
         sent: Sink | None = None,
-        on_reading: Callable[[int, Reading], None] | None = None,
-        on_follows: Callable[[Follows], None] | None = None,
+        on_reading: Callable[[int, wire.Reading], None] | None = None,
+        on_follows: Callable[[wire.Follows], None] | None = None,
     ):
-        self.ident: Ident | None = None
-        self.latest: Reading | None = None
+        self.ident: wire.Ident | None = None
+        self.latest: wire.Reading | None = None
         self.lost = self.duplicated = 0
         """Numbers of missing and repeated readings, from their sequence numbers."""
         self.limits = PressureLimits(0.0, 0.0, 0.0, 0.0)
         self._line = Connection(port, self._take, self._notify, sink, sent)
         self._on_reading, self._on_follows = on_reading, on_follows
         self._changed, self._writing, self._seq = threading.Condition(), threading.Lock(), 0
-        self._acks: dict[int, Ack] = {}
+        self._acks: dict[int, wire.Ack] = {}
         self._own_vent: RigError | None = None
         self._armed, self._last_reading = False, 0.0
 
@@ -89,12 +67,12 @@ class Manifold:
         except BaseException:
             self._line.close()
             raise
-        if self.ident.protocol != PROTOCOL:
+        if self.ident.protocol != wire.PROTOCOL:
             self._line.close()
             version = ".".join(map(str, self.ident[1:4]))
             raise RigError(
                 f"{self._line.name}: firmware {version} uses protocol {self.ident.protocol}, this "
-                f"program uses {PROTOCOL}; flash the firmware in rig/firmware, or install the "
+                f"program uses {wire.PROTOCOL}; flash the firmware in rig/firmware, or install the "
                 "program version of this firmware"
             )
         return self
@@ -151,28 +129,28 @@ class Manifold:
         # The new limits clear an earlier fault, such as a reset.
         self._own_vent = None
         self._armed = False
-        self._request(lambda seq: SetLimits(seq, *(int(p) for p in limits)))
+        self._request(lambda seq: wire.SetLimits(seq, *(int(p) for p in limits)))
 
     def arm(self) -> None:
         """Arm the manifold: its valves follow set pressures, and its watchdog is active."""
-        self._request(Arm)
+        self._request(wire.Arm)
         self._armed, self._last_reading = True, time.monotonic()
 
     def set(self, pressures: Sequence[float]) -> int:
         """Send set gauge pressures (4,) [Pa] and return the command's number. Raises `RigError`."""
         self.check()
         values = checked_pressures(pressures, self.limits)
-        return self._send(lambda seq: SetPressures(seq, *values))
+        return self._send(lambda seq: wire.SetPressures(seq, *values))
 
     def heartbeat(self) -> None:
         """Send a heartbeat, which keeps the watchdog from venting."""
         self.check()
-        self._send(Heartbeat)
+        self._send(wire.Heartbeat)
 
     def stop(self) -> None:
         """Vent all chambers and wait for the confirmation. Raises `RigError` if none comes."""
         self._armed = False
-        self._request(Stop)
+        self._request(wire.Stop)
 
     def upload(self, samples: Sequence[Sequence[float]], period: float) -> None:
         """Send a waveform of set pressures (n, 4) [Pa], `period` [s] apart."""
@@ -183,16 +161,18 @@ class Manifold:
         if not 500e-6 <= period <= 1.0:
             raise RigError.value("waveform's period", f"{period:g} s", "0.0005 to 1 s")
         values = [checked_pressures(sample, self.limits) for sample in samples]
-        self._request(lambda seq: WaveBegin(seq, len(values), round(period * 1e6)))
-        for first in range(0, len(values), MAX_SAMPLES_PER_PIECE):
-            flat = tuple(p for row in values[first : first + MAX_SAMPLES_PER_PIECE] for p in row)
+        self._request(lambda seq: wire.WaveBegin(seq, len(values), round(period * 1e6)))
+        for first in range(0, len(values), wire.MAX_SAMPLES_PER_PIECE):
+            flat = tuple(
+                p for row in values[first : first + wire.MAX_SAMPLES_PER_PIECE] for p in row
+            )
             self._request(partial(_wave_piece, first, flat))
 
     def play(self, repeats: int = 1) -> None:
         """Play the waveform, endlessly if `repeats` is 0. It needs heartbeats meanwhile."""
-        self._request(lambda seq: WavePlay(seq, repeats))
+        self._request(lambda seq: wire.WavePlay(seq, repeats))
 
-    def _send(self, make: Callable[[int], Message]) -> int:
+    def _send(self, make: Callable[[int], wire.Message]) -> int:
         with self._writing:
             seq = self._seq = (self._seq + 1) % 2**16
             self._line.write(make(seq))
@@ -206,7 +186,7 @@ class Manifold:
     def _is_gone(self) -> bool:
         return isinstance(self._line.failure, PortLost)
 
-    def _request(self, make: Callable[[int], Message]) -> None:
+    def _request(self, make: Callable[[int], wire.Message]) -> None:
         """Send a command and wait for its answer; without an answer, send it again."""
         for tried in range(TRIES):
             if self._is_gone:
@@ -215,33 +195,33 @@ class Manifold:
             ack = self._wait_for_ack(seq)
             if ack is not None:
                 # The manifold obeyed the previous try, but its answer was lost.
-                obeyed = tried and make is Arm and ack.answer == Answer.WRONG_STATE
-                if not (obeyed and self.latest and self.latest.state == ManifoldState.ARMED):
+                obeyed = tried and make is wire.Arm and ack.answer == wire.Answer.WRONG_STATE
+                if not (obeyed and self.latest and self.latest.state == wire.ManifoldState.ARMED):
                     self._raise_refusal(make(seq), ack)
                 return
         self.check()
         name = type(make(0)).__name__
         raise RigError(f"{self._line.name}: no answer to {TRIES} tries of {name}; {VENTS}")
 
-    def _wait_for_ack(self, seq: int) -> Ack | None:
+    def _wait_for_ack(self, seq: int) -> wire.Ack | None:
         with self._changed:
             self._changed.wait_for(lambda: seq in self._acks or self._is_gone, ANSWER_WAIT)
             return self._acks.pop(seq, None)
 
-    def _raise_refusal(self, message: Message, ack: Ack) -> None:
-        if ack.answer == Answer.DONE:
+    def _raise_refusal(self, message: wire.Message, ack: wire.Ack) -> None:
+        if ack.answer == wire.Answer.DONE:
             return
         self.check()
-        names = {answer.value: answer.name for answer in Answer}
+        names = {answer.value: answer.name for answer in wire.Answer}
         answer = names.get(ack.answer, f"answer {ack.answer}")
         raise RigError(
             f"{self._line.name}: {type(message).__name__} was refused: {answer}, {ack.detail}"
         )
 
-    def _hello(self) -> Ident:
+    def _hello(self) -> wire.Ident:
         for _ in range(3 * TRIES):
             with self._writing:
-                self._line.write(Hello(PROTOCOL))
+                self._line.write(wire.Hello(wire.PROTOCOL))
             with self._changed:
                 self._changed.wait_for(lambda: self.ident or self._is_gone, ANSWER_WAIT)
             if self._is_gone:
@@ -255,27 +235,27 @@ class Manifold:
             "`slider rig log`"
         )
 
-    def _take(self, now: int, message: Message) -> None:
+    def _take(self, now: int, message: wire.Message) -> None:
         match message:
-            case Reading() if self.ident is not None:
+            case wire.Reading() if self.ident is not None:
                 self._last_reading = time.monotonic()
                 self._count(message)
                 if self._armed and message.state not in (
-                    ManifoldState.ARMED,
-                    ManifoldState.PLAYING,
+                    wire.ManifoldState.ARMED,
+                    wire.ManifoldState.PLAYING,
                 ):
                     self._set_own_vent("its readings show it, but the reason was lost on the line")
                 if self._on_reading is not None:
                     self._on_reading(now, message)
-            case Follows() if self.ident is not None and self._on_follows is not None:
+            case wire.Follows() if self.ident is not None and self._on_follows is not None:
                 self._on_follows(message)
-            case Ack():
+            case wire.Ack():
                 with self._changed:
                     self._acks[message.seq] = message
                     while len(self._acks) > 64:
                         self._acks.pop(next(iter(self._acks)))
                     self._changed.notify_all()
-            case Ident():
+            case wire.Ident():
                 if self.ident is None:
                     # Messages from before are leftovers in buffers.
                     self.latest, self.lost, self.duplicated = None, 0, 0
@@ -283,10 +263,10 @@ class Manifold:
                 with self._changed:
                     self.ident = message
                     self._changed.notify_all()
-            case Event() if message.cause in _VENT_REASONS:
-                chamber = CHAMBERS[message.detail] if 0 <= message.detail < 4 else "a chamber"
+            case wire.Event() if message.cause in _VENT_REASONS:
+                chamber = wire.CHAMBERS[message.detail] if 0 <= message.detail < 4 else "a chamber"
                 self._set_own_vent(
-                    _VENT_REASONS[Cause(message.cause)].format(
+                    _VENT_REASONS[wire.Cause(message.cause)].format(
                         detail=message.detail, chamber=chamber
                     )
                 )
@@ -295,7 +275,7 @@ class Manifold:
         if self._own_vent is None:
             self._own_vent = RigError(f"{self._line.name}: the manifold vented: {why}")
 
-    def _count(self, reading: Reading) -> None:
+    def _count(self, reading: wire.Reading) -> None:
         if self.latest is not None:
             ahead = (reading.seq - self.latest.seq) % 2**32
             if ahead == 0:
@@ -306,5 +286,5 @@ class Manifold:
         self.latest = reading
 
 
-def _wave_piece(first: int, pressures: tuple[int, ...], seq: int) -> WavePiece:
-    return WavePiece(seq, first, pressures)
+def _wave_piece(first: int, pressures: tuple[int, ...], seq: int) -> wire.WavePiece:
+    return wire.WavePiece(seq, first, pressures)

@@ -2,37 +2,10 @@
 
 from collections.abc import Sequence
 
-from rig.protocol.messages import (
-    PROTOCOL,
-    WATCHDOG,
-    Ack,
-    Answer,
-    Arm,
-    Cause,
-    Event,
-    Follows,
-    FrameDecoder,
-    Heartbeat,
-    Hello,
-    Ident,
-    ManifoldState,
-    Message,
-    Reading,
-    SetLimits,
-    SetPressures,
-    Stop,
-    WaveBegin,
-    WavePiece,
-    WavePlay,
-    encode_frame,
-    type_byte,
-)
+from rig.protocol import messages as wire
 
 HARD_LIMITS = (500_000, 500_000, 500_000, 500_000)
 """Hard limits: gauge pressures [Pa] that no command can exceed."""
-FROM_HOST = (
-    Hello, SetLimits, Arm, SetPressures, Heartbeat, Stop, WaveBegin, WavePiece, WavePlay
-)  # fmt: skip
 Pressures = tuple[int, ...]
 
 
@@ -45,12 +18,12 @@ class ManifoldCore:
         version: tuple[int, int, int] = (1, 1, 0),
         longest: int = 2000,
         rate: int = 500,
-        protocol: int = PROTOCOL,
+        protocol: int = wire.PROTOCOL,
     ):
-        self.state = ManifoldState.BOOT
-        self._ident = Ident(protocol, *version, longest, rate, *hard_limits)
+        self.state = wire.ManifoldState.BOOT
+        self._ident = wire.Ident(protocol, *version, longest, rate, *hard_limits)
         self._hard, self._longest, self._period = hard_limits, longest, 1_000_000 // rate
-        self._decoder, self._foreign = FrameDecoder(), 0
+        self._decoder, self._foreign = wire.FrameDecoder(), 0
         self._limits: Pressures = (0, 0, 0, 0)
         self._set: Pressures = (0, 0, 0, 0)
         self._command = self._readings = self._last_command = self._changes = 0
@@ -61,7 +34,11 @@ class ManifoldCore:
     @property
     def set_pressures(self) -> Pressures | None:
         """Set pressures (4,) [Pa] that the valves follow; None while all vent."""
-        return self._set if self.state in (ManifoldState.ARMED, ManifoldState.PLAYING) else None
+        return (
+            self._set
+            if self.state in (wire.ManifoldState.ARMED, wire.ManifoldState.PLAYING)
+            else None
+        )
 
     @property
     def damaged(self) -> int:
@@ -72,12 +49,12 @@ class ManifoldCore:
         """Take bytes from the host and return the answer."""
         replies = self._watch(now_us)
         for message in self._decoder.feed(piece):
-            if isinstance(message, FROM_HOST):
+            if wire.type_byte(type(message)) < 0x80:  # the host's messages; the others are foreign
                 self._last_command = now_us
                 replies += self._obey(message, now_us)
             else:
                 self._foreign += 1
-        return b"".join(map(encode_frame, replies))
+        return b"".join(map(wire.encode_frame, replies))
 
     def delay_last_command(self, now_us: int, fed_us: int) -> None:
         """Set the time of the last valid command, if fed at `fed_us`, to `now_us`."""
@@ -86,36 +63,36 @@ class ManifoldCore:
 
     def tick(self, now_us: int, channels: Sequence[int]) -> bytes:
         """Make one pass of the main loop with channels (8,); return the bytes sent."""
-        sent: list[Message] = []
+        sent: list[wire.Message] = []
         if self._due is None:
             self._due = now_us + self._period
-            sent.append(Event(now_us, Cause.RESET, 0))
+            sent.append(wire.Event(now_us, wire.Cause.RESET, 0))
         sent += self._watch(now_us) + self._play(now_us)
         if self.set_pressures is not None:
             for chamber, limit in enumerate(self._limits):
                 if 10 * channels[chamber] > 11 * limit + 50_000:
-                    sent.append(self._fault(now_us, Cause.OVER_PRESSURE, chamber))
+                    sent.append(self._fault(now_us, wire.Cause.OVER_PRESSURE, chamber))
                     break
         while self._due <= now_us:
             sent.append(
-                Reading(self._readings, self._due, self.state, self._command, tuple(channels))
+                wire.Reading(self._readings, self._due, self.state, self._command, tuple(channels))
             )
             self._readings = (self._readings + 1) % 2**32
             self._due += self._period
-        return b"".join(map(encode_frame, sent))
+        return b"".join(map(wire.encode_frame, sent))
 
-    def _watch(self, now_us: int) -> list[Message]:
+    def _watch(self, now_us: int) -> list[wire.Message]:
         silence = now_us - self._last_command
-        if self.set_pressures is None or silence < WATCHDOG * 1e6:
+        if self.set_pressures is None or silence < wire.WATCHDOG * 1e6:
             return []
-        return [self._fault(now_us, Cause.WATCHDOG, silence // 1000)]
+        return [self._fault(now_us, wire.Cause.WATCHDOG, silence // 1000)]
 
-    def _fault(self, now_us: int, cause: Cause, detail: int) -> Event:
-        self.state = ManifoldState.FAULT
-        return Event(now_us, cause, detail)
+    def _fault(self, now_us: int, cause: wire.Cause, detail: int) -> wire.Event:
+        self.state = wire.ManifoldState.FAULT
+        return wire.Event(now_us, cause, detail)
 
-    def _play(self, now_us: int) -> list[Message]:
-        if self.state != ManifoldState.PLAYING:
+    def _play(self, now_us: int) -> list[wire.Message]:
+        if self.state != wire.ManifoldState.PLAYING:
             return []
         sample = (now_us - self._wave_start) // self._wave_period
         ended = self._repeats and sample >= self._repeats * len(self._wave)
@@ -124,104 +101,106 @@ class ManifoldCore:
         changes = self._change(now, now_us)
         if not ended:
             return changes
-        self.state = ManifoldState.ARMED
-        return [*changes, Event(now_us, Cause.PLAYED, 0)]
+        self.state = wire.ManifoldState.ARMED
+        return [*changes, wire.Event(now_us, wire.Cause.PLAYED, 0)]
 
-    def _change(self, pressures: Pressures, now_us: int) -> list[Message]:
+    def _change(self, pressures: Pressures, now_us: int) -> list[wire.Message]:
         changed, self._set = pressures != self._set, pressures
         return [self._follows(now_us)] if changed else []
 
-    def _follows(self, now_us: int) -> Follows:
-        message = Follows(self._changes, now_us, *self._set)
+    def _follows(self, now_us: int) -> wire.Follows:
+        message = wire.Follows(self._changes, now_us, *self._set)
         self._changes = (self._changes + 1) % 2**16
         return message
 
-    def _obey(self, message: Message, now_us: int) -> list[Message]:
+    def _obey(self, message: wire.Message, now_us: int) -> list[wire.Message]:
         match message:
-            case Hello():
+            case wire.Hello():
                 return [self._ident]
-            case Heartbeat():
+            case wire.Heartbeat():
                 return []
-            case Stop():
+            case wire.Stop():
                 if self.set_pressures is not None:
-                    self.state = ManifoldState.READY
-                return [self._ack(message), Event(now_us, Cause.STOPPED, 0)]
-            case SetLimits():
+                    self.state = wire.ManifoldState.READY
+                return [self._ack(message), wire.Event(now_us, wire.Cause.STOPPED, 0)]
+            case wire.SetLimits():
                 return self._limit(message, now_us)
-            case SetPressures():
+            case wire.SetPressures():
                 return self._follow(message, now_us)
-            case Arm():
-                if self.state != ManifoldState.READY:
-                    return [self._ack(message, Answer.WRONG_STATE)]
-                self.state, self._set = ManifoldState.ARMED, (0, 0, 0, 0)
+            case wire.Arm():
+                if self.state != wire.ManifoldState.READY:
+                    return [self._ack(message, wire.Answer.WRONG_STATE)]
+                self.state, self._set = wire.ManifoldState.ARMED, (0, 0, 0, 0)
                 return [self._ack(message), self._follows(now_us)]
-            case WaveBegin() | WavePiece() if self.state not in (
-                ManifoldState.READY,
-                ManifoldState.ARMED,
+            case wire.WaveBegin() | wire.WavePiece() if self.state not in (
+                wire.ManifoldState.READY,
+                wire.ManifoldState.ARMED,
             ):
-                return [self._ack(message, Answer.WRONG_STATE)]
-            case WaveBegin():
+                return [self._ack(message, wire.Answer.WRONG_STATE)]
+            case wire.WaveBegin():
                 return [self._ack(message, *self._begin(message))]
-            case WavePiece():
+            case wire.WavePiece():
                 return [self._ack(message, *self._take(message))]
-            case WavePlay():
-                if self.state != ManifoldState.ARMED:
-                    return [self._ack(message, Answer.WRONG_STATE)]
+            case wire.WavePlay():
+                if self.state != wire.ManifoldState.ARMED:
+                    return [self._ack(message, wire.Answer.WRONG_STATE)]
                 if not self._wave or None in self._wave:
-                    return [self._ack(message, Answer.WRONG_PLACE)]
-                self.state, self._wave_start = ManifoldState.PLAYING, now_us
+                    return [self._ack(message, wire.Answer.WRONG_PLACE)]
+                self.state, self._wave_start = wire.ManifoldState.PLAYING, now_us
                 self._repeats = message.repeats
                 return [self._ack(message), *self._play(now_us)]
         raise AssertionError(message)
 
-    def _limit(self, message: SetLimits, now_us: int) -> list[Message]:
+    def _limit(self, message: wire.SetLimits, now_us: int) -> list[wire.Message]:
         wrong = _outside(message[1:], self._hard)
         if wrong is None:
-            self.state, self._limits, self._wave = ManifoldState.READY, message[1:], []
+            self.state, self._limits, self._wave = wire.ManifoldState.READY, message[1:], []
             return [self._ack(message)]
-        refused: list[Message] = [self._ack(message, *wrong)]
-        if self.state in (ManifoldState.BOOT, ManifoldState.FAULT):
+        refused: list[wire.Message] = [self._ack(message, *wrong)]
+        if self.state in (wire.ManifoldState.BOOT, wire.ManifoldState.FAULT):
             return refused
-        return [*refused, self._fault(now_us, Cause.REFUSED, wrong[1])]
+        return [*refused, self._fault(now_us, wire.Cause.REFUSED, wrong[1])]
 
-    def _follow(self, message: SetPressures, now_us: int) -> list[Message]:
-        if self.state != ManifoldState.ARMED:
-            return [self._ack(message, Answer.WRONG_STATE)]
+    def _follow(self, message: wire.SetPressures, now_us: int) -> list[wire.Message]:
+        if self.state != wire.ManifoldState.ARMED:
+            return [self._ack(message, wire.Answer.WRONG_STATE)]
         wrong = _outside(message[1:], self._limits)
         if wrong is None:
             self._command = message.seq
             return self._change(message[1:], now_us)
-        return [self._ack(message, *wrong), self._fault(now_us, Cause.REFUSED, wrong[1])]
+        return [self._ack(message, *wrong), self._fault(now_us, wire.Cause.REFUSED, wrong[1])]
 
-    def _begin(self, message: WaveBegin) -> tuple[Answer, int]:
+    def _begin(self, message: wire.WaveBegin) -> tuple[wire.Answer, int]:
         if not 2 <= message.samples <= self._longest or not 500 <= message.period_us <= 1_000_000:
-            return Answer.WRONG_PLACE, 0
+            return wire.Answer.WRONG_PLACE, 0
         self._wave, self._wave_period = [None] * message.samples, message.period_us
-        return Answer.DONE, 0
+        return wire.Answer.DONE, 0
 
-    def _take(self, message: WavePiece) -> tuple[Answer, int]:
+    def _take(self, message: wire.WavePiece) -> tuple[wire.Answer, int]:
         flat = message.pressures
         samples = [flat[i : i + 4] for i in range(0, len(flat), 4)]
         if message.first + len(samples) > len(self._wave):
-            return Answer.WRONG_PLACE, 0
+            return wire.Answer.WRONG_PLACE, 0
         for sample in samples:
             wrong = _outside(sample, self._limits)
             if wrong is not None:
                 self._wave = []
                 return wrong
         self._wave[message.first : message.first + len(samples)] = samples
-        return Answer.DONE, 0
+        return wire.Answer.DONE, 0
 
     @staticmethod
-    def _ack(message: Message, answer: Answer = Answer.DONE, detail: int = 0) -> Ack:
-        return Ack(message[0], type_byte(type(message)), answer, detail)
+    def _ack(
+        message: wire.Message, answer: wire.Answer = wire.Answer.DONE, detail: int = 0
+    ) -> wire.Ack:
+        return wire.Ack(message[0], wire.type_byte(type(message)), answer, detail)
 
 
-def _outside(pressures: Pressures, limits: Pressures) -> tuple[Answer, int] | None:
+def _outside(pressures: Pressures, limits: Pressures) -> tuple[wire.Answer, int] | None:
     """Return why the pressures are refused and the first wrong chamber, or None."""
     for chamber, (pressure, limit) in enumerate(zip(pressures, limits, strict=True)):
         if pressure < 0:
-            return Answer.BELOW_ZERO, chamber
+            return wire.Answer.BELOW_ZERO, chamber
         if pressure > limit:
-            return Answer.ABOVE_LIMIT, chamber
+            return wire.Answer.ABOVE_LIMIT, chamber
     return None
