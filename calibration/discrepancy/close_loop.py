@@ -132,7 +132,9 @@ def close_loop_on_trials(
         )
 
     outcome = outcome_of(audited.records)
-    outlying = outlier_trials(outcome)
+    each = excess(outcome.problem, outcome.nearest or outcome.final)
+    trials = [r.trial for r in outcome.problem.records]
+    outlying = residual_outliers(trials, {c: x.trials for c, x in each.items()})
     named = {x.trial for x in outlying}
     rest = [r for r in audited.records if r.trial.file not in named]
     if outlying and len(rest) >= settings.min_trials:
@@ -140,13 +142,6 @@ def close_loop_on_trials(
             progress(str(finding))
         outcome = outcome_of(rest)
     return replace(outcome, audit=[*audited.findings, *outlying])
-
-
-def outlier_trials(outcome: LoopOutcome) -> list[Finding]:
-    """Return the trials with a residual that no effect explains and no other trial has."""
-    each = excess(outcome.problem, outcome.nearest or outcome.final)
-    trials = [r.trial for r in outcome.problem.records]
-    return residual_outliers(trials, {c: x.trials for c, x in each.items()})
 
 
 def conclude(
@@ -179,14 +174,12 @@ def conclude(
         rest = problem_of([found[i] for i in held])
         held_out = channel_errors(rest, *(rest.predict(f.theta) for f in (result.base, best)))
     progress("refitting to all trials")
-    final = hausman_check(
-        all_trials, fit_gauss_newton(all_trials, entries, best.theta, best.free, progress)
-    )
-    nearest = None
-    if result.effects and not named:
-        nearest = fit_gauss_newton(
-            all_trials, entries, result.final.theta, result.final.free, progress
-        )
+
+    def refit(x: Fit) -> Fit:
+        return fit_gauss_newton(all_trials, entries, x.theta, x.free, progress)
+
+    final = hausman_check(all_trials, refit(best))
+    nearest = refit(result.final) if result.effects and not named else None
     return LoopOutcome(
         experiment,
         entries,

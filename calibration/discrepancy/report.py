@@ -7,7 +7,6 @@ import numpy as np
 
 from calibration.discrepancy.close_loop import LoopOutcome
 from calibration.discrepancy.localise import locate_residuals
-from calibration.discrepancy.rounds import SelectionStep
 from calibration.discrepancy.verdict import effects_at_bounds, effects_at_same_place
 from calibration.model.extended import base_values
 from calibration.reporting.parameters import model_tables, parameter_record, parameter_text
@@ -59,16 +58,18 @@ def loop_record(
 def effect_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
     """Return every added effect with its equivalence class, alternatives and parameters."""
     found, settings = [], outcome.search.settings
+    same_place = effects_at_same_place(outcome.search) if _above_floor(outcome) else []
     for round_ in outcome.search.rounds:
         if round_.chosen is None or round_.chosen not in outcome.effects:
             continue
+        parts = same_place if round_.chosen in same_place else []
         kind = LIBRARY[round_.chosen]
         refit = next(t for t in round_.refitted if t.name == round_.chosen)
         found.append(
             {
                 "name": round_.chosen,
                 "title": kind.title,
-                "class": _class(outcome, round_),
+                "class": round_.equivalent + [n for n in parts if n != round_.chosen],
                 "in_place_of": round_.replaced,
                 "rivals": [
                     {
@@ -92,12 +93,6 @@ def nearest_effects(outcome: LoopOutcome) -> list[dict[str, Any]]:
     """Return the effects that reduce an unexplained residual most; they are not in the model."""
     names = [] if outcome.effects else outcome.search.effects
     return [{"name": n, "title": LIBRARY[n].title, "where": LIBRARY[n].place()} for n in names]
-
-
-def _class(outcome: LoopOutcome, round_: SelectionStep) -> list[str]:
-    """Return the equivalent effects of an added effect, and those that may share its cause."""
-    parts = effects_at_same_place(outcome.search) if _above_floor(outcome) else []
-    return round_.equivalent + [n for n in parts if round_.chosen in parts and n != round_.chosen]
 
 
 def _above_floor(outcome: LoopOutcome) -> list[str]:
@@ -166,11 +161,11 @@ def verdict_text(outcome: LoopOutcome) -> str:
 
 def parameter_lines(record: dict[str, Any]) -> list[str]:
     """Return a line for each parameter of the added effects."""
-    lines = []
-    for effect in record["effects"]:
-        for name, x in effect["parameters"].items():
-            lines.append(f"{effect['name']}.{name} = {parameter_text(x)}")
-    return lines
+    return [
+        f"{effect['name']}.{name} = {parameter_text(x)}"
+        for effect in record["effects"]
+        for name, x in effect["parameters"].items()
+    ]
 
 
 def error_lines(record: dict[str, Any]) -> list[str]:

@@ -151,15 +151,6 @@ def _remove_unnecessary(refits: Refits, found: Selection, by: SelectionStep) -> 
         round_.chosen, round_.equivalent, round_.taken_out = None, [], name
 
 
-def _could_be_named(refits: Refits, current: Fit, tangents, step: np.ndarray) -> bool:
-    """Return whether a score's step changes some channel by nearly the naming threshold."""
-    pairs = zip(current.predicted, tangents, strict=True)
-    changed = [y + np.tensordot(step, x, 1) for y, x in pairs]
-    changes = relative_changes(refits.problem.channels, current.predicted, changed)
-    share = refits.settings.naming_share
-    return any(change > share * CHANNELS[c].discrepancy for c, change in changes.items())
-
-
 def _can_join(name: str, effects: list[str]) -> bool:
     taken = {LIBRARY[n].replaces_law for n in effects} - {""}
     return name not in effects and LIBRARY[name].replaces_law not in taken
@@ -172,12 +163,14 @@ def _round(refits: Refits, current: Fit, rest: Sequence[str]) -> SelectionStep:
     tangents = effect_tangents(problem, entries, current.theta, current.free, settings)
     blocks = problem.blocks(residuals, tangents, refits.white)
     unit, scored = current.inflation, scoring_entries(entries)
-    many = len(rest)
-    scores = [score(n, scored[n], current.free, blocks, unit, many, settings) for n in rest]
+    scores = [score(n, scored[n], current.free, blocks, unit, len(rest), settings) for n in rest]
     scores.sort(key=lambda s: -s.gain)
     round_ = SelectionStep(scores)
     for s in _short_list(scores, refits, scored):
-        if not _could_be_named(refits, current, tangents, s.step):
+        pairs = zip(current.predicted, tangents, strict=True)
+        changed = [y + np.tensordot(s.step, x, 1) for y, x in pairs]
+        changes = relative_changes(problem.channels, current.predicted, changed).items()
+        if not any(x > settings.naming_share * CHANNELS[c].discrepancy for c, x in changes):
             continue
         progress(f"refitting with {s.name}")
         refit = _refit(refits, current, s)

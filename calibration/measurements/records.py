@@ -1,6 +1,5 @@
 """Measured trials as arrays, and findings of an audit about them."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -79,11 +78,6 @@ class Finding(NamedTuple):
         return f"{self.trial}: {self.detail} ({self.action})"
 
 
-def left_out_files(findings: Sequence[Finding]) -> set[str]:
-    """Return the files of the trials that are left out."""
-    return {x.trial for x in findings if x.action == "left out"}
-
-
 def true_runs(bad: np.ndarray) -> list[tuple[int, int]]:
     """Return first and last index of every run of True in `bad` (n,)."""
     edges = np.flatnonzero(np.diff(np.r_[0, bad.astype(int), 0]))
@@ -94,10 +88,8 @@ def masked_finding(
     trial: str, kind: str, channel: str, t: np.ndarray, bad: np.ndarray, text: str
 ) -> Finding:
     """Return the finding that masks the samples `bad` (n,) of a channel at `t` (n,) [s]."""
-    runs, count = true_runs(bad), int(bad.sum())
-    where = f"from {t[runs[0][0]]:.4g} to {t[runs[-1][1]]:.4g} s"
+    runs, (begin, end) = true_runs(bad), (float(x) for x in t[bad][[0, -1]])
     many = f" in {len(runs)} intervals" if len(runs) > 1 else ""
-    detail = f"{text}: {count} samples{many} {where} are not used"
-    return Finding(
-        trial, kind, channel, float(t[runs[0][0]]), float(t[runs[-1][1]]), detail, "masked"
-    )
+    where = f"from {begin:.4g} to {end:.4g} s"
+    detail = f"{text}: {bad.sum()} samples{many} {where} are not used"
+    return Finding(trial, kind, channel, begin, end, detail, "masked")

@@ -45,7 +45,7 @@ class RecursiveEstimator:
         self.windows = 0
         self.H = self.prior**-2
         self.c = self.H * self.value
-        self._squares = (0.0, 0.0, 0.0)
+        self._squares = np.zeros(3)
         self._informed = 0.0
 
     def update(self, g: float, H: float) -> None:
@@ -56,10 +56,8 @@ class RecursiveEstimator:
         c = g + H * self.value
         self.windows += 1
         self.H, self.c = keep * self.H + H, keep * self.c + c
-        fresh = (c * c, c * H, H * H)
-        self._squares = tuple(
-            keep**2 * x + y for x, y in zip(self._squares, fresh, strict=True)
-        )  # fmt: skip
+        fresh = np.array([c * c, c * H, H * H])
+        self._squares = keep**2 * self._squares + fresh
         self._informed = keep**2 * self._informed + H
         self.value = min(max(self.c / self.H, self.low), self.high)
 
