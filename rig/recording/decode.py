@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.errors import RigError
-from rig.protocol.messages import CHANNELS, Arm, Event, Follows, FrameDecoder, Reading, SetPressures
+from rig.protocol.messages import CHANNELS, Arm, Follows, FrameDecoder, Reading, SetPressures
 from rig.recording.clock import unwrap_counter
 from rig.recording.reader import Recording
 
@@ -28,8 +28,6 @@ class DecodedReadings(NamedTuple):
     lost: int
     duplicated: int
     damaged: int
-    events: list[tuple[float, Event]]
-    """Pairs of arrival time on the host's clock [s] and event."""
     follows: list[Follows]
     """Changes of the set pressures that the manifold followed, in order of arrival."""
 
@@ -47,14 +45,11 @@ def decode_readings(pieces: Iterable[tuple[int, bytes]]) -> DecodedReadings:
     """
     decoder = FrameDecoder(in_step=False)
     received: list[tuple[float, Reading]] = []
-    events: list[tuple[float, Event]] = []
     follows: list[Follows] = []
     for host_ns, piece in pieces:
         for message in decoder.feed(piece):
             if isinstance(message, Reading):
                 received.append((host_ns * 1e-9, message))
-            elif isinstance(message, Event):
-                events.append((host_ns * 1e-9, message))
             elif isinstance(message, Follows):
                 follows.append(message)
     numbers = unwrap_counter(np.array([reading.seq for _, reading in received]), 2**32)
@@ -74,7 +69,6 @@ def decode_readings(pieces: Iterable[tuple[int, bytes]]) -> DecodedReadings:
         lost=int(seq[-1] - seq[0] + 1 - len(seq)) if len(seq) else 0,
         duplicated=len(received) - len(rows),
         damaged=decoder.damaged,
-        events=events,
         follows=follows,
     )
 

@@ -64,8 +64,6 @@ class RecorderLoad(NamedTuple):
     """Pieces not written, by stream, because too many were waiting or the recorder had ended."""
     waiting: int
     """Pieces of all streams that wait for the disk."""
-    max_waiting: int
-    """Maximum of `waiting` so far."""
     slowest_flush: float
     """Longest time from one flush to the end of the next [s]; `FLUSH_INTERVAL` on a fast disk."""
 
@@ -178,7 +176,7 @@ class Recorder(AbstractRecorder):
             name: _Stream(group, max_waiting) for name, group in self._file["streams"].items()
         }
         self._on_failure = on_failure
-        self._max_waiting, self._slowest = 0, 0.0
+        self._slowest = 0.0
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
         self._thread.start()
@@ -199,7 +197,6 @@ class Recorder(AbstractRecorder):
             {name: stream.recorded[0] for name, stream in streams},
             {name: stream.lost[0] for name, stream in streams},
             sum(len(stream.waiting) for _, stream in streams),
-            self._max_waiting,
             self._slowest,
         )
 
@@ -229,7 +226,6 @@ class Recorder(AbstractRecorder):
             self._fail(error)
 
     def _write(self) -> None:
-        self._max_waiting = max(self._max_waiting, self.load().waiting)
         for stream in self._streams.values():
             stream.write()
 

@@ -10,10 +10,8 @@ from slider_jax.effects.library import LIBRARY
 from slider_jax.effects.pneumatics.regulator_gain import RegulatorGain
 from slider_jax.errors import InputError
 from slider_jax.experiment.load import load
-from slider_jax.experiment.schema import SensorsTable
 from slider_jax.realtime.causality import Held, check_commands
 from slider_jax.realtime.plant import Plant
-from slider_jax.realtime.sensors import SensorNoise
 from slider_jax.simulation.trial import simulate_trial
 from tests.support.chambers import pressure_history
 from tests.support.experiments import write_small_experiment
@@ -286,37 +284,6 @@ def test_invalid_names_and_values_of_faults_are_rejected(plant):
 def test_a_step_outside_its_range_is_rejected(plain):
     with pytest.raises(InputError, match="step of the plant: given 0.5; allowed"):
         Plant(plain[0], step=0.5)
-
-
-def test_noise_of_every_channel_has_the_declared_size_and_repeats_with_its_seed(plant):
-    sensors = SensorsTable(
-        pressure_noise=700.0, force_noise=0.01, force_tare=0.5, force_slow_noise=0.03,
-        force_slow_time=0.05, tip_noise=1e-3,
-    )  # fmt: skip
-    clean = plant.advance([1e5, None, None, 5e4], 0.1)
-
-    def series(seed, samples):
-        noise = SensorNoise(sensors, seed)
-        return [noise.add(clean._replace(t=H * i)) for i in range(samples)]
-
-    def off(name):
-        return np.array([getattr(x, name) for x in noisy]) - np.array(getattr(clean, name))
-
-    noisy = series(3, 6000)
-    pressures = off("pressures")
-    np.testing.assert_allclose(pressures.std(axis=0), 700.0 / np.sqrt(2.0), rtol=0.05)
-    np.testing.assert_allclose(pressures[:, 0] - pressures[:, 1], off("p_front"), atol=1e-9)
-    assert off("p_rear").std() == pytest.approx(700.0, rel=0.05)
-    assert off("tip_m").std() == pytest.approx(1e-3, rel=0.05)
-    for name in ("thrust_N", "recoil_N"):
-        force = off(name)
-        assert 0.05 < abs(force.mean()) < 1.5  # the tare
-        assert force.std() == pytest.approx(np.hypot(0.01, 0.03), rel=0.15)
-        rest = force - force.mean()
-        correlation = np.mean(rest[10:] * rest[:-10])  # at the slow time, without white noise
-        assert correlation == pytest.approx(0.03**2 / np.e, rel=0.3)
-    assert series(3, 20) == noisy[:20]
-    assert series(4, 1)[0].thrust_N != noisy[0].thrust_N
 
 
 def test_held_samples_of_a_square_wave_fill_a_chamber_like_the_wave():
