@@ -75,10 +75,7 @@ def report_lines(content: dict[str, Any]) -> list[str]:
         slope = here["tail_slopes"][name]
         lines.append(f"{name:40}{1e3 * wavelength:8.4g}{slope:8.3f}{slope / OWN:8.2f}")
     rms = here["rms_tail_slope"]
-    lines += [
-        f"{'root mean square slope':40}{'':8}{rms:8.3f}{rms / STATED:8.2f} (/ {STATED})",
-        "",
-    ]
+    lines += [f"{'root mean square slope':40}{'':8}{rms:8.3f}{rms / STATED:8.2f} (/ {STATED})", ""]
     lines.append(
         f"{'':48}{'cm^2':>8}{'cm/s':>8}{'A_t':>7}{'index':>8}{'lambda':>8}"
         f"{'shape':>8}{'zeros':>8}{'phase':>8}{'rms':>8}"

@@ -18,10 +18,7 @@ from slider_jax.cli.progress import Progress
 from slider_jax.dynamics.model import Drive
 from slider_jax.dynamics.step import Carry, at_rest
 from slider_jax.errors import SolverError
-from slider_jax.experiment.load import (
-    Experiment,
-    drag_and_added_mass,
-)
+from slider_jax.experiment.load import Experiment, drag_and_added_mass
 from slider_jax.experiment.prepare import divided_step, prepare
 from slider_jax.io.files import input_file, staged, versions, write_csv, write_json
 from slider_jax.simulation.trial import SavedSeries, advance_chunk, run_chunks

@@ -101,8 +101,7 @@ class DetectabilityMatrix:
 def required_gain(freedom: int, many: int) -> float:
     """Return the gain required of one of `many` candidates with `freedom` parameters."""
     return max(
-        DEFAULT_SETTINGS.min_gain,
-        float(chi2.isf(DEFAULT_SETTINGS.false_alarm_p / many, freedom)),
+        DEFAULT_SETTINGS.min_gain, float(chi2.isf(DEFAULT_SETTINGS.false_alarm_p / many, freedom))
     )
 
 
@@ -217,6 +216,5 @@ def effects_at_limits(
     sizes = {}
     for name in names:
         ends = [typical_size(x.parameter.prior) - x.parameter.prior.null for x in m.limit[name]]
-        found = [x.size for x in m.limit[name]]
-        sizes[name] = np.sign(ends) * np.minimum(np.abs(ends), found)
+        sizes[name] = np.sign(ends) * np.minimum(np.abs(ends), [x.size for x in m.limit[name]])
     return f, before, scoring_entries(f.entries), sizes

@@ -143,8 +143,7 @@ def plot_matrix(m: DetectabilityMatrix, path: Path) -> None:
     left.set_title(f"{m.information.experiment.name}: similarity of effects", loc="left")
     bar = figure.colorbar(image, ax=left, location="bottom", shrink=0.5, pad=0.01)
     bar.set_label(
-        "|cos| after projecting out C_d, m_a, k and K_Q (-); dots: not discriminated",
-        fontsize=8,
+        "|cos| after projecting out C_d, m_a, k and K_Q (-); dots: not discriminated", fontsize=8
     )
     for row, name in enumerate(names):
         share = min(x.relative for x in m.limit[name])

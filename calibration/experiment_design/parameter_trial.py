@@ -10,11 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from calibration.experiment_design.information import (
-    SensorModel,
-    TrialInformation,
-    information,
-)
+from calibration.experiment_design.information import SensorModel, TrialInformation, information
 from calibration.inference.gauss_newton import Fit, inverse
 from calibration.inference.noise import Noise
 from calibration.inference.problem import AbstractProblem, summed

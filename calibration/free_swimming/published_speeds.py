@@ -72,10 +72,7 @@ FIRST = PublishedPoint(
 )
 """The paper does not give the pressures and the tail; all `gaits` are assumed."""
 OPTIMUM = PublishedPoint(
-    "optimum: 6.3 Hz, phase 0.14",
-    MEASURED_SPEED,
-    0.004,
-    {"as the paper gives it": PAPER_GAIT},
+    "optimum: 6.3 Hz, phase 0.14", MEASURED_SPEED, 0.004, {"as the paper gives it": PAPER_GAIT}
 )
 PAPER_MODEL_AT_OPTIMUM = PUBLISHED["speed_m_per_s"].model
 """Speed [m/s] of the paper's own model."""

@@ -203,10 +203,7 @@ def _block(
     state, body, d_body = _body(layout, replace(model, drive=as_read), state, t0)
     true = jnp.concatenate([p, body], axis=1)
     d_true = jnp.concatenate(
-        [
-            jnp.pad(dp, ((0, 0), (0, 3)))[None],
-            jnp.pad(d_body, ((0, 0), (0, 0), (2, 0))),
-        ]
+        [jnp.pad(dp, ((0, 0), (0, 3)))[None], jnp.pad(d_body, ((0, 0), (0, 0), (2, 0)))]
     )
     state, read, d_read = _instruments(layout, model, state, at[1:], true, d_true)
     return state, BlockPrediction(read.T, jnp.swapaxes(d_read, 1, 2), jnp.moveaxis(faulty, 0, -1))

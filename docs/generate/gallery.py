@@ -151,9 +151,7 @@ ENTRIES = {
         "results/published/report.html#0",
     ),
     "rig simulate": Entry(
-        "rig simulate docs/experiment.toml",
-        "The simulated rig runs until Ctrl-C.",
-        needs="rig",
+        "rig simulate docs/experiment.toml", "The simulated rig runs until Ctrl-C.", needs="rig"
     ),
     "rig ports": Entry("rig ports", "The serial ports of the computer."),
     "rig check": Entry(

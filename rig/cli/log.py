@@ -11,11 +11,7 @@ from slider_jax.cli.options import Folder, Frequencies
 from slider_jax.errors import InputError
 
 
-def rig_log(
-    frequencies: tyro.conf.Positional[Frequencies],
-    port: Port,
-    out: Folder,
-) -> None:
+def rig_log(frequencies: tyro.conf.Positional[Frequencies], port: Port, out: Folder) -> None:
     """Run the sine test of the published Teensy firmware at each frequency, and record its logs.
 
     This firmware has no stop and no watchdog: only the supply's valve ends a test that has begun.

@@ -65,9 +65,7 @@ def rig_loop(
     given = load(experiment)
     if len(given.trials) < DEFAULT_SETTINGS.min_trials:
         raise InputError.value(
-            f"{experiment}: trials",
-            len(given.trials),
-            f"{DEFAULT_SETTINGS.min_trials} or more",
+            f"{experiment}: trials", len(given.trials), f"{DEFAULT_SETTINGS.min_trials} or more"
         )
     if any(trial.clamp_moves or trial.tow_speed for trial in given.trials):
         raise InputError(f"{experiment}: a clamp moves; allowed trials with a fixed clamp")

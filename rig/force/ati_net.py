@@ -125,7 +125,6 @@ class NetForce(ForceSource):
         self.patience = patience
         """Longest allowed silence [s] at the start and in the stream."""
         self.tally = rdt.StreamTally()
-        self._last: tuple[int, tuple[int, ...]] | None = None
         self._reader: ReaderThread | None = None
         self._sink: Sink
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -165,7 +164,7 @@ class NetForce(ForceSource):
         rdt.check_size(datagram, self.name)
         seq, _, status, *counts = rdt.RECORD.unpack(datagram)
         self.tally.count(seq, status)
-        self._last = now, tuple(counts)
+        self._last = now, np.array(counts)
 
     def start(self, sink: Sink) -> None:
         """Start the stream, after ending one that an earlier run may have left."""
@@ -193,12 +192,6 @@ class NetForce(ForceSource):
         """Take the present load as zero; the box subtracts it until it is switched off."""
         for _ in range(TRIES):  # the box does not confirm it, and a datagram may be lost
             self._send(rdt.BIAS)
-
-    def latest(self) -> tuple[int, np.ndarray] | None:
-        if self._last is None:
-            return None
-        now, counts = self._last
-        return now, self.calibration.wrench(np.array(counts))
 
     def health(self) -> Health:
         return Health(self.tally.received, len(self.tally.missing), self.tally.saturated)

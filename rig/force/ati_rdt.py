@@ -136,21 +136,13 @@ class Records:
         return self.seq[~self.present]
 
     @property
-    def gaps(self) -> list[tuple[int, int]]:
-        """First and last number of each run of missing records."""
-        runs = np.split(self.missing, np.flatnonzero(np.diff(self.missing) > 1) + 1)
-        return [(int(run[0]), int(run[-1])) for run in runs if len(run)]
-
-    @property
     def rate(self) -> float:
         """Rate of the records by the box's own clock [1/s], from `ft_seq`."""
         first, last = np.flatnonzero(self.present)[[0, -1]]
         samples = int(self.ft_seq[last] - self.ft_seq[first]) % 2**32
         if not samples:
             raise RigError.value(
-                "force sensor's record",
-                f"constant ft_seq {self.ft_seq[last]}",
-                "a rising count",
+                "force sensor's record", f"constant ft_seq {self.ft_seq[last]}", "a rising count"
             )
         return INTERNAL_RATE * int(last - first) / samples
 

@@ -144,7 +144,6 @@ class GaugeForce(ForceSource):
         self._error: type[Exception] = nidaqmx.errors.Error
         self._reader: ReaderThread | None = None
         self._recent: deque[np.ndarray] = deque(maxlen=round(BIAS / BLOCK))
-        self._last: tuple[int, np.ndarray] | None = None
         self._count = self._saturated = 0
         self._task: Any = None
         try:
@@ -220,12 +219,6 @@ class GaugeForce(ForceSource):
             time.sleep(0.002)
         zero = np.concatenate(list(self._recent)).mean(axis=0)
         self.calibration = replace(self.calibration, zero=tuple(zero.tolist()))
-
-    def latest(self) -> tuple[int, np.ndarray] | None:
-        if self._last is None:
-            return None
-        now, volts = self._last
-        return now, self.calibration.wrench(volts)
 
     def health(self) -> Health:
         return Health(self._count, 0, self._saturated)

@@ -15,7 +15,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from threading import Event, Thread
-from types import TracebackType
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -116,6 +115,7 @@ class ForceSource(ABC):
     """An open sensor. As a context manager it stops and closes, also after an error."""
 
     calibration: Calibration
+    _last: tuple[int, np.ndarray] | None = None
 
     @abstractmethod
     def start(self, sink: Sink) -> None:
@@ -125,9 +125,12 @@ class ForceSource(ABC):
     def bias(self) -> None:
         """Take the present load as zero. Call it at rest, before a recording."""
 
-    @abstractmethod
     def latest(self) -> tuple[int, np.ndarray] | None:
         """Return arrival [ns] and wrench (6,) [N, N m] of the last record, or None."""
+        if self._last is None:
+            return None
+        now, raw = self._last
+        return now, self.calibration.wrench(raw)
 
     @abstractmethod
     def health(self) -> Health:
@@ -148,12 +151,7 @@ class ForceSource(ABC):
     def __enter__(self) -> "ForceSource":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
 

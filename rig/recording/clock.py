@@ -55,11 +55,6 @@ class ClockFit(NamedTuple):
         """Host seconds per device second, over the whole record."""
         return float((self.host_s[-1] - self.host_s[0]) / (self.device_s[-1] - self.device_s[0]))
 
-    @property
-    def offset(self) -> float:
-        """Host time [s] at device time 0."""
-        return float(self.to_host(0.0))
-
     def to_host(self, device_s: np.ndarray | float) -> np.ndarray:
         """Return the host times [s] of device times [s]."""
         x, (knots, host) = np.asarray(device_s, float), self[:2]

@@ -30,9 +30,7 @@ class PublishedFirmware:
     """
 
     def __init__(
-        self,
-        test: Callable[[float, int], Script],
-        question: bytes = b"Enter frequency in Hz: ",
+        self, test: Callable[[float, int], Script], question: bytes = b"Enter frequency in Hz: "
     ):
         self._test, self._question = test, question
         self._typed, self._typed_at, self._ask_at = b"", 0, 0

@@ -10,7 +10,6 @@ from slider_jax.observables.energy import (
     stored_energy as stored_energy,
 )
 from slider_jax.observables.measured import (
-    carriage_force as carriage_force,
     lateral as lateral,
     midline as midline,
     recoil as recoil,

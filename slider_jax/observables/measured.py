@@ -5,7 +5,6 @@ The force sensor is mounted on the carriage. Its axes pitch with the carriage, b
 with a head that turns in a soft clamp.
 """
 
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from slider_jax.beam.state import fields, node_positions, to_plane
@@ -40,8 +39,7 @@ def _on_sensor(x: Snapshot) -> tuple[Array, Array]:
 def thrust(x: Snapshot) -> Float[Array, ""]:
     """Forward force [N] of the body on the carriage; equals -T at the head for a rigid clamp.
 
-    The axes pitch with the carriage, like those of the force sensor. `carriage_force` has axes
-    fixed to the tank.
+    The axes pitch with the carriage, like those of the force sensor.
     """
     return _on_sensor(x)[0]
 
@@ -52,9 +50,3 @@ def recoil(x: Snapshot) -> Float[Array, ""]:
     The axes are those of `thrust`.
     """
     return _on_sensor(x)[1]
-
-
-def carriage_force(x: Snapshot) -> Float[Array, "2"]:
-    """Force (x, y) [N] of the body on the carriage, in axes fixed to the tank."""
-    head = fields(x.y[:, -1])
-    return jnp.stack(to_plane(-head.T, -head.N, head.phi))

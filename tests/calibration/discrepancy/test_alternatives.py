@@ -5,10 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.discrepancy.alternatives import (
-    better_alternative,
-    judge_alternatives,
-)
+from calibration.discrepancy.alternatives import better_alternative, judge_alternatives
 from calibration.discrepancy.refits import Refits
 from calibration.discrepancy.rounds import Agreement
 from calibration.discrepancy.selection import select_effects

@@ -18,11 +18,7 @@ from calibration.experiment_design.detectability import (
     required_gain,
 )
 from calibration.experiment_design.detectability_report import detectability_record, matrix_table
-from calibration.experiment_design.information import (
-    SensorModel,
-    information,
-    predict_information,
-)
+from calibration.experiment_design.information import SensorModel, information, predict_information
 from calibration.experiment_design.pair_distance import effect_pairs, separating_trial
 from calibration.experiment_design.trial_search import SearchEffort, limits_of, trial_toml
 from calibration.inference.cache import Memo

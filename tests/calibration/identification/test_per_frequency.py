@@ -132,11 +132,7 @@ def compared(experiment, entries, records, each=("C_d", "m_a")):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("coefficients", "chosen"),
-    [
-        (PAPER, "paper"),
-        ([(2.5, 0.6)] * 5, "constant"),
-    ],
+    ("coefficients", "chosen"), [(PAPER, "paper"), ([(2.5, 0.6)] * 5, "constant")]
 )
 def test_the_true_ties_of_the_beam_are_chosen(quick, tmp_path, coefficients, chosen):
     path, out = write_ramp(tmp_path, runs(), coefficients), tmp_path / "out"

@@ -17,13 +17,7 @@ from rig.camera.scale import (
     scale_of_points,
     tip_excursion,
 )
-from rig.camera.source import (
-    Camera,
-    OpenCvSource,
-    Shot,
-    frames_between,
-    record_markers,
-)
+from rig.camera.source import Camera, OpenCvSource, Shot, frames_between, record_markers
 from rig.camera.tracking import Tracker, order_at_rest
 from rig.errors import RigError
 from rig.simulated.camera import AVI_FRAMES, AVI_LENGTH, Scene, SimulatedCamera, write_video

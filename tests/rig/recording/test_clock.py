@@ -41,7 +41,7 @@ def test_a_clock_that_drifts_200_ppm_is_aligned_within_a_millisecond_over_ten_mi
     fit = fit_clock(device, host)
     assert np.max(np.abs(fit.to_host(device) - true)) < 0.1 * MILLISECOND
     assert fit.rate == pytest.approx(1.0 / (1.0 + ppm * 1e-6), abs=1e-6)
-    assert fit.offset == pytest.approx(true[0] - device[0] * fit.rate, abs=MILLISECOND)
+    assert fit.to_host(0.0) == pytest.approx(true[0] - device[0] * fit.rate, abs=MILLISECOND)
     assert fit.early_max < 0.1 * MILLISECOND
     assert 0.5 * MILLISECOND < fit.late_median < 2.0 * MILLISECOND < fit.late_99 < 0.05
 
@@ -125,8 +125,8 @@ def test_a_restart_of_the_device_is_refused_and_each_slice_can_be_fitted():
         fit_clock(device, host)
     first, second = split_at_restarts(device)
     assert (first, second) == (slice(0, 1000), slice(1000, 3000))
-    assert fit_clock(device[first], host[first]).offset == pytest.approx(450.0)
-    assert fit_clock(device[second], host[second]).offset == pytest.approx(510.0)
+    assert fit_clock(device[first], host[first]).to_host(0.0) == pytest.approx(450.0)
+    assert fit_clock(device[second], host[second]).to_host(0.0) == pytest.approx(510.0)
 
 
 @pytest.mark.parametrize(

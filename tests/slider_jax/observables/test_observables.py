@@ -9,7 +9,7 @@ import pytest
 from slider_jax import observables as obs
 from slider_jax.actuation import SineWave
 from slider_jax.beam.parameters import Numerics
-from slider_jax.beam.state import to_body, to_plane
+from slider_jax.beam.state import fields, to_body, to_plane
 from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.effects import Gravity, NormalDrag, ReactiveForce, total_force
 from slider_jax.paper import force_coefficients
@@ -148,13 +148,14 @@ def test_coefficients_follow_the_papers_ramp():
 
 def everything(x):
     section, integral = x.section(), x.mesh.grid.integral
+    head = fields(x.y[:, -1])
     F_tau, F_n = total_force(x.stage.effects, section)
     in_plane = jnp.stack(to_plane(F_tau, F_n, section.phi))
     velocity = jnp.stack(to_plane(section.V_tau, section.V_n, section.phi))
     return dict(
         rates=obs.energy_rates(x),
         energy=obs.stored_energy(x).total,
-        force=obs.carriage_force(x),
+        force=jnp.stack(to_plane(-head.T, -head.N, head.phi)),
         thrust=obs.thrust(x),
         recoil=obs.recoil(x),
         phi_head=x.y[5, -1],

@@ -85,10 +85,7 @@ def test_the_papers_gait_is_in_the_box():
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        (
-            {"frequency": (5.0, 3.0)},
-            "--frequency: given 5 3; allowed LOW HIGH with LOW < HIGH",
-        ),
+        ({"frequency": (5.0, 3.0)}, "--frequency: given 5 3; allowed LOW HIGH with LOW < HIGH"),
         ({"front": (4e5, 4e5)}, "--front: given 400000 400000; allowed LOW HIGH"),
         ({"EI_tail": (-1.0, 0.01)}, "--EI-tail: given -1; allowed"),
         ({"tail_length": (0.02, 40.0)}, "--tail-length: given 40; allowed"),

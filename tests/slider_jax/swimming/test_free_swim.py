@@ -183,10 +183,7 @@ def test_bad_options_are_refused(tmp_path, capsys):
         (["--seed", "-1"], "--seed: given -1; allowed 0 to"),
         (["--process", "1"], "--process: given 1; allowed 0 to 0"),
         (["--processes", "2"], "several processes need --coordinator HOST:PORT"),
-        (
-            ["--steps-per-stride", "3"],
-            "--steps-per-stride: given 3; allowed an even number",
-        ),
+        (["--steps-per-stride", "3"], "--steps-per-stride: given 3; allowed an even number"),
     ):
         assert optimize(tmp_path, *words) == 2
         assert said in capsys.readouterr().err
