@@ -35,7 +35,7 @@ SHEET = {"EI_tail": 2.9e9 * 0.03 * 0.93e-3**3 / 12, "EA_tail": 2.9e9 * 0.03 * 0.
 
 
 def model(amplitude=250e3, **robot) -> Model:
-    """Return a robot clamped in still water, driven by a square wave of 4.8 Hz, as arrays."""
+    """Returns a robot clamped in still water, driven by a square wave of 4.8 Hz, as arrays."""
     drive = Drive(SquareWave(FREQUENCY, amplitude), SquareWave(FREQUENCY, 0.9 * amplitude, 0.15))
     body = Robot(**({"body_length": 0.3, "tail_length": 0.07} | robot))
     whole = Model(
@@ -45,12 +45,12 @@ def model(amplitude=250e3, **robot) -> Model:
 
 
 def numerics(nodes: int) -> Numerics:
-    """Return a mesh of `nodes`, divided between tail and body by length."""
+    """Returns a mesh of `nodes`, divided between tail and body by length."""
     return Numerics(*split_cells(nodes, 0.07, 0.3))
 
 
 def run(model: Model, nodes=NODES, steps=STEPS, strides=STRIDES):
-    """Return thrust [N] and tip [m] at every step, (steps, 2), and whether all steps converged."""
+    """Returns thrust [N] and tip [m] at every step, (steps, 2), and whether all steps converged."""
 
     def save(x):
         return jnp.stack([obs.thrust(x), obs.tip(x)])
@@ -61,12 +61,12 @@ def run(model: Model, nodes=NODES, steps=STEPS, strides=STRIDES):
 
 
 def with_amplitude(model: Model, amplitude) -> Model:
-    """Return the robot with another set pressure amplitude [Pa]."""
+    """Returns the robot with another set pressure amplitude [Pa]."""
     where = lambda m: (m.drive.front.amplitude, m.drive.rear.amplitude)  # noqa: E731
     return eqx.tree_at(where, model, (amplitude, 0.9 * amplitude))
 
 
 def mean_thrust_and_range(series, steps) -> np.ndarray:
-    """Return the mean thrust [N] and the tip's range [m] of the last stride."""
+    """Returns the mean thrust [N] and the tip's range [m] of the last stride."""
     last = np.asarray(series)[-steps:]
     return np.array([last[:, 0].mean(), np.ptp(last[:, 1])])

@@ -78,7 +78,7 @@ class Case(NamedTuple):
 
 
 def sizes_of(seed: int, out: Path) -> dict[tuple[str, str], float]:
-    """Return the detection limits in a tank from a file; compute and write the file if missing."""
+    """Returns the detection limits in a tank from a file; computes and writes it if missing."""
     path = out / f"limits_{seed}.json"
     if not path.exists():
         print(f"detection limits of tank {seed}", flush=True)
@@ -88,7 +88,7 @@ def sizes_of(seed: int, out: Path) -> dict[tuple[str, str], float]:
 
 
 def _sized(effect: str, parameter: str, times: float, seed: int, out: Path) -> dict[str, float]:
-    """Return an effect's parameter at a multiple of its limit, with a random sign.
+    """Returns an effect's parameter at a multiple of its limit, with a random sign.
 
     The result is empty if the prior range does not include the value.
     """
@@ -103,7 +103,7 @@ def _sized(effect: str, parameter: str, times: float, seed: int, out: Path) -> d
 
 
 def cases(kind: str, out: Path) -> Iterator[Case]:
-    """Yield the cases of a kind, without those whose size is outside the prior range."""
+    """Yields the cases of a kind, without those whose size is outside the prior range."""
     if kind == "single":
         for times in reversed(SIZES):
             for i, (effect, parameter) in enumerate(SIZE_PARAMETERS.items()):
@@ -123,13 +123,13 @@ def cases(kind: str, out: Path) -> Iterator[Case]:
 def error_over_floor(
     problem: AbstractProblem, predicted: list[np.ndarray], floor: dict[str, float]
 ) -> float:
-    """Return the rms over the channels of each channel's rms error divided by its noise floor."""
+    """Returns the rms over the channels of each channel's rms error divided by its noise floor."""
     error = rms_errors(problem, predicted)
     return float(np.sqrt(np.mean([(error[c] / floor[c]) ** 2 for c in error])))
 
 
 def run_case(case: Case, compared: bool, progress) -> dict[str, Any]:
-    """Run the loop on a case, and also the other methods if `compared`; return the results."""
+    """Runs the loop on a case, and also the other methods if `compared`; returns the results."""
     tank = sample_tank(case.seed)
     own = [UNKNOWN_EFFECTS[case.stranger].effect()] if case.stranger else []
     start = time.perf_counter()
@@ -173,7 +173,7 @@ def run_case(case: Case, compared: bool, progress) -> dict[str, Any]:
 
 
 def noise_seed(case: Case) -> int:
-    """Return a seed that is specific to a case."""
+    """Returns a seed that is specific to a case."""
     digest = hashlib.sha256(f"{case.seed} {case.kind} {case.name}".encode()).digest()
     return int.from_bytes(digest[:7])
 

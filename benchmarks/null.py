@@ -45,13 +45,13 @@ class MemoryCache:
 
 
 def interval_record(interval: tuple[float, float, float], truth: float) -> dict[str, float]:
-    """Return a fitted parameter's interval and true value."""
+    """Returns a fitted parameter's interval and true value."""
     value, low, high = interval
     return {"value": value, "low": low, "high": high, "truth": truth}
 
 
 def outcome_record(outcome: LoopOutcome, truth: Mapping[str, float]) -> dict[str, Any]:
-    """Return the loop's verdict, and the intervals and true values of the base parameters."""
+    """Returns the loop's verdict, and the intervals and true values of the base parameters."""
     cover = {}
     for i, p in enumerate(outcome.entries):
         if p.name in truth and not p.effect:
@@ -95,7 +95,7 @@ class LinearisedProblem(AbstractProblem):
 
 
 def replicates(seed: int, progress) -> dict[str, Any]:
-    """Return the loop's outcomes for replicates of the noise on one tank without missing effects.
+    """Returns the loop's outcomes for replicates of the noise on one tank without missing effects.
 
     The model is linearised about its fit to the tank without noise. The complete search runs on
     every replicate.
@@ -147,7 +147,7 @@ def replicates(seed: int, progress) -> dict[str, Any]:
 
 
 def coverage(seed: int, progress) -> dict[str, Any]:
-    """Return the base parameters' intervals of one tank, as `slider calibrate` computes them."""
+    """Returns the base parameters' intervals of one tank, as `slider calibrate` computes them."""
     tank = sample_tank(seed)
     entries = model_parameters(())
     found = noisy_records(tank, true_readings(tank, {}, names=()), seed)

@@ -59,7 +59,7 @@ class MethodInput(NamedTuple):
 def method_input(
     problem: AbstractProblem, rest: AbstractProblem, entries: Sequence[Parameter], base: Fit
 ) -> MethodInput:
-    """Return the calibrated model's residuals and its tangents along all parameters."""
+    """Returns the calibrated model's residuals and its tangents along all parameters."""
     white = problem.whiteners(base.predicted)
     tangents = effect_tangents(problem, entries, base.theta, base.free)
     residuals = problem.residuals(base.predicted, white)
@@ -68,7 +68,7 @@ def method_input(
 
 
 def refitted(s: MethodInput, names: Sequence[str]) -> Fit:
-    """Return the fit of the model with the effects `names`.
+    """Returns the fit of the model with the effects `names`.
 
     The fit starts from the linear step, or from the effects' own start values.
     """
@@ -89,13 +89,13 @@ def refitted(s: MethodInput, names: Sequence[str]) -> Fit:
 
 
 def oracle(s: MethodInput, truth: Sequence[str]) -> MethodResult:
-    """Return the result of the model with the true effects."""
+    """Returns the result of the model with the true effects."""
     best = refitted(s, truth)
     return MethodResult(list(truth), s.rest.predict(best.theta))
 
 
 def sparse(s: MethodInput) -> MethodResult:
-    """Return the result of the lasso over all effects' tangents."""
+    """Returns the result of the lasso over all effects' tangents."""
     columns = np.concatenate([*scoring_entries(s.entries).values()])
     free, trials = s.base.free, sorted({x.trial for x in s.blocks})
     A, b = summed(s.blocks)
@@ -122,7 +122,7 @@ def sparse(s: MethodInput) -> MethodResult:
 
 
 def _projected(A, b, free, columns, size) -> tuple[np.ndarray, np.ndarray]:
-    """Return normal matrix and vector of the columns at unit size, with `free` projected out."""
+    """Returns normal matrix and vector of the columns at unit size, with `free` projected out."""
     cross = A[np.ix_(columns, free)] @ inverse(A[np.ix_(free, free)])
     M = A[np.ix_(columns, columns)] - cross @ A[np.ix_(free, columns)]
     v = b[columns] - cross @ b[free]
@@ -130,7 +130,7 @@ def _projected(A, b, free, columns, size) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _path(A, b, free, columns, size, penalties) -> np.ndarray:
-    """Return the lasso's steps (parameters, penalties); the entries in `free` have no penalty."""
+    """Returns the lasso's steps (parameters, penalties); the entries in `free` have no penalty."""
     root, values = _as_rows(*_projected(A, b, free, columns, size))
     x = lasso_path(root, values, alphas=penalties / len(values), max_iter=20000)[1]
     steps = np.zeros((len(b), len(penalties)))
@@ -141,7 +141,7 @@ def _path(A, b, free, columns, size, penalties) -> np.ndarray:
 
 
 def _as_rows(M: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return rows and values whose normal equations are M x = v."""
+    """Returns rows and values whose normal equations are M x = v."""
     values, vectors = np.linalg.eigh(M)
     kept = values > 1e-10 * values.max()
     root = np.sqrt(values[kept])
@@ -149,7 +149,7 @@ def _as_rows(M: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def stepwise(s: MethodInput) -> MethodResult:
-    """Return the result of adding effects while the Bayesian information criterion decreases."""
+    """Returns the result of adding effects while the Bayesian information criterion decreases."""
     names: list[str] = []
     judged = scoring_entries(s.entries)
     samples = sum(x.n for x in s.blocks)
@@ -180,7 +180,7 @@ def stepwise(s: MethodInput) -> MethodResult:
 
 
 def _features(problem: AbstractProblem, predicted: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Return the inputs (samples, 12) of the Gaussian process for every trial.
+    """Returns the inputs (samples, 12) of the Gaussian process for every trial.
 
     They are the model's readings and their rates, the time in the stride and the settings.
     """
@@ -194,7 +194,7 @@ def _features(problem: AbstractProblem, predicted: Sequence[np.ndarray]) -> list
 
 
 def gp(s: MethodInput) -> MethodResult:
-    """Return the result of a Gaussian process for the residual of every channel."""
+    """Returns the result of a Gaussian process for the residual of every channel."""
     rng = np.random.default_rng(0)
     there = _features(s.problem, s.base.predicted)
     method_input = s.rest.predict(s.base.theta)

@@ -78,7 +78,7 @@ def _drag(velocity, tangents, node_lengths, coefficient, external_forces):
 
 @njit
 def _couples(now, state, p_set, frequency, delay, lag, weights, external_torques):
-    """Advance the chamber pressures (state: front, rear, time) and apply their couples."""
+    """Advances the chamber pressures (state: front, rear, time) and apply their couples."""
     decay = math.exp(-(now - state[2]) / lag)
     state[2] = now
     for c in range(2):
@@ -122,7 +122,7 @@ class Simulator(ea.BaseSystemCollection, ea.Constraints, ea.Forcing, ea.Damping)
 
 
 def make_rod(case):
-    """Return a straight rod along x that bends in the x-y plane (d1 = z)."""
+    """Returns a straight rod along x that bends in the x-y plane (d1 = z)."""
     density, young = LINE_MASS / (math.pi * RADIUS**2), 4 * EI_BODY / (math.pi * RADIUS**4)
     rod = ea.CosseratRod.straight_rod(
         N_ELEMENTS, np.zeros(3), np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]),
@@ -143,7 +143,7 @@ def make_rod(case):
 
 
 def make_simulator(case, step, members=1, p_set=P_SET, frequency=FREQUENCY, rate=DAMPING_RATE):
-    """Return one simulator with all rods, which are thus in one memory block, and the rods."""
+    """Returns one simulator with all rods, which are thus in one memory block, and the rods."""
     simulator, rods = Simulator(), []
     drag = RHO_WATER * C_DRAG * HEIGHT / 2
     for scale in np.linspace(1.0, 0.9, members):
@@ -162,7 +162,7 @@ def make_simulator(case, step, members=1, p_set=P_SET, frequency=FREQUENCY, rate
 
 
 def tip_history(case, step, duration=1.0, **kwargs):
-    """Return the lateral tip position after every step, or None if a value is not finite."""
+    """Returns the lateral tip position after every step, or None if a value is not finite."""
     simulator, rods = make_simulator(case, step, **kwargs)
     stepper, now = ea.PositionVerlet(), 0.0
     tip = np.empty(math.ceil(duration / step - 1e-9))
@@ -179,13 +179,13 @@ def tip_history(case, step, duration=1.0, **kwargs):
 
 
 def tip_range(case, step):
-    """Return the tip's peak-to-peak lateral motion [m] over the last stride of 1 s, or None."""
+    """Returns the tip's peak-to-peak lateral motion [m] over the last stride of 1 s, or None."""
     tip, stride = tip_history(case, step), round(1 / FREQUENCY / step)
     return None if tip is None else float(np.ptp(tip[-stride:]))
 
 
 def check_step(case, step):
-    """Return whether the step is usable, its tip range, and that of a quarter of the step."""
+    """Returns whether the step is usable, its tip range, and that of a quarter of the step."""
     if (here := tip_range(case, step)) is None:
         return False, None, None
     fine = tip_range(case, step / 4)
@@ -193,7 +193,7 @@ def check_step(case, step):
 
 
 def bisect_step(case):
-    """Return the largest usable step to 5 %, by geometric bisection around the default."""
+    """Returns the largest usable step to 5 %, by geometric bisection around the default."""
     low, high = STEP_S[case] / 2, STEP_S[case] * 2
     while not check_step(case, low)[0]:
         low, high = low / 2, low
@@ -207,7 +207,7 @@ def bisect_step(case):
 
 
 def core_seconds(case, step, members, window, repeats):
-    """Return CPU and wall seconds per simulated second after compilation, for each repeat."""
+    """Returns CPU and wall seconds per simulated second after compilation, for each repeat."""
     simulator, _ = make_simulator(case, step, members)
     stepper, now, cpu, wall = ea.PositionVerlet(), 0.0, [], []
     n_steps = round(window / step)
@@ -223,7 +223,7 @@ def core_seconds(case, step, members, window, repeats):
 
 
 def static_tip(pressure=45e3):
-    """Return the static tip [m] under a constant front pressure, and the small-slope beam value."""
+    """Returns the static tip [m] under a constant front pressure, and the small-slope value."""
     load = {"p_set": np.array([pressure, 0.0]), "frequency": 0.0, "rate": 8.4}  # nearly critical
     settled = tip_history("robot", STEP_S["robot"], 3.0, **load)
     start, end = CHAMBERS[0]

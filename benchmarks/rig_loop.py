@@ -52,7 +52,7 @@ start_swing = 2e-4
 
 
 def toml_table(name: str, values: dict[str, Any]) -> str:
-    """Return a TOML table."""
+    """Returns a TOML table."""
     lines = [f"{key} = {json.dumps(x)}" for key, x in values.items()]
     return "\n".join([name, *lines, "", ""])
 
@@ -60,7 +60,7 @@ def toml_table(name: str, values: dict[str, Any]) -> str:
 def experiment(
     parameters: dict[str, float], effects: dict[str, dict], trials: Sequence[dict[str, float]]
 ) -> str:
-    """Return the text of an experiment file with these trials."""
+    """Returns the text of an experiment file with these trials."""
     text = ROBOT + toml_table("[parameters]", parameters)
     for name, values in effects.items():
         text += toml_table("[[effects]]", {"name": name} | values)
@@ -70,14 +70,14 @@ def experiment(
 
 
 def slider(*words: object) -> None:
-    """Run a `slider` command; its output goes to the terminal."""
+    """Runs a `slider` command; its output goes to the terminal."""
     print("slider", *words, flush=True)
     subprocess.run(command(*words), check=True)
 
 
 @contextmanager
 def hidden_rig(folder: Path) -> Iterator[tuple[str, Path]]:
-    """Run the rig with the hidden effects; yield its port and its rig file."""
+    """Runs the rig with the hidden effects; yields its port and its rig file."""
     truth = folder / "truth.toml"
     truth.write_text(experiment(TRUE, HIDDEN, BEGIN))
     with simulated(truth, folder, "--noise", 300, "--force-noise", 3e-3) as served:
@@ -85,7 +85,7 @@ def hidden_rig(folder: Path) -> Iterator[tuple[str, Path]]:
 
 
 def report_summary(path: Path) -> dict[str, Any]:
-    """Return a report's verdict and effects, and whether its intervals contain the true values."""
+    """Returns a report's verdict and effects, and whether its intervals contain the true values."""
     report = json.loads(path.read_text())
     found = {effect["name"]: effect for effect in report["effects"]}
     intervals = dict(report["parameters"])
@@ -105,7 +105,7 @@ def report_summary(path: Path) -> dict[str, Any]:
 
 
 def first_of(sweep: Path, count: int, folder: Path) -> Path:
-    """Write an experiment with the sweep's first trials and return its path."""
+    """Writes an experiment with the sweep's first trials and returns its path."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "experiment.toml"
     path.write_text(experiment(GIVEN, {}, SWEEP[:count]))

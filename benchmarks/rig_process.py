@@ -10,14 +10,14 @@ from pathlib import Path
 
 
 def command(*words: object) -> list[str]:
-    """Return the command line of a `slider` command in this Python."""
+    """Returns the command line of a `slider` command in this Python."""
     code = "import sys; from slider_jax.cli.main import main; sys.exit(main(sys.argv[1:]))"
     return [sys.executable, "-c", code, *map(str, words)]
 
 
 @contextmanager
 def simulated(truth: Path, folder: Path, *options: object) -> Iterator[tuple[str, Path]]:
-    """Run `slider rig simulate` with an experiment; yield its port and its rig file in `folder`.
+    """Runs `slider rig simulate` with an experiment; yields its port and its rig file in `folder`.
 
     The process ends with the block, also after SIGTERM. Raises `RuntimeError` if it does not start;
     its own message on stderr gives the reason.

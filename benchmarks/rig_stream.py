@@ -31,18 +31,18 @@ from rig.trial.waveform import SegmentDrive
 
 
 def device() -> SimulatedRig:
-    """Return the simulated rig."""
+    """Returns the simulated rig."""
     return SimulatedRig(BenchTank())
 
 
 def _cpu() -> float:
-    """Return the processor time [s] of this process and of ended child processes."""
+    """Returns the processor time [s] of this process and of ended child processes."""
     ended = resource.getrusage(resource.RUSAGE_CHILDREN)
     return time.process_time() + ended.ru_utime + ended.ru_stime
 
 
 def measure(seconds: float, folder: Path) -> dict[str, float | int | str]:
-    """Record a trial of some seconds and return its statistics."""
+    """Records a trial of some seconds and returns its statistics."""
     path = folder / "stream.h5"
     switches = ManifoldSinks(SwitchableSink(), SwitchableSink())
     drive = SegmentDrive("sine", 1.3, 150e3, phase=0.15)

@@ -40,7 +40,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 def measure(seconds: float, experiment: Path, rate: float, folder: Path) -> dict[str, Any]:
-    """Watch a robot that leaks after some seconds; return the measured values.
+    """Watches a robot that leaks after some seconds; returns the measured values.
 
     Raises `RuntimeError` if the watch fails.
     """

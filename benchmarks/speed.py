@@ -31,7 +31,7 @@ print(time.perf_counter() - start)
 
 
 def least_cpu_seconds(call, repeats: int) -> float:
-    """Return the CPU seconds of the fastest of `repeats` calls."""
+    """Returns the CPU seconds of the fastest of `repeats` calls."""
     import jax
 
     spent = []
@@ -43,7 +43,7 @@ def least_cpu_seconds(call, repeats: int) -> float:
 
 
 def accuracy(**robot) -> dict:
-    """Return the error at the timed settings relative to a fine mesh and time step."""
+    """Returns the error at the timed settings relative to a fine mesh and time step."""
     import jax
     from cases import NODES, STEPS, mean_thrust_and_range, model, run
 
@@ -62,7 +62,7 @@ def accuracy(**robot) -> dict:
 
 
 def batch_cost(members: int, repeats: int, nodes=None, chunk=8) -> float:
-    """Return the cost per robot and simulated second of a batch in chunks that fit the cache."""
+    """Returns the cost per robot and simulated second of a batch in chunks that fit the cache."""
     import jax
     import jax.numpy as jnp
     from cases import NODES, SECONDS, model, run, with_amplitude
@@ -80,7 +80,7 @@ def batch_cost(members: int, repeats: int, nodes=None, chunk=8) -> float:
 
 
 def single_cost(repeats: int, nodes=None, **robot) -> float:
-    """Return the cost of one robot per simulated second after compilation."""
+    """Returns the cost of one robot per simulated second after compilation."""
     import jax
     from cases import NODES, SECONDS, model, run
 
@@ -91,7 +91,7 @@ def single_cost(repeats: int, nodes=None, **robot) -> float:
 
 
 def gradient_ratio(repeats: int) -> float:
-    """Return the cost of the thrust's forward derivatives over that of the thrust alone.
+    """Returns the cost of the thrust's forward derivatives over that of the thrust alone.
 
     The derivatives are with respect to C_d, m_a, k and K_Q.
     """
@@ -123,7 +123,7 @@ def gradient_ratio(repeats: int) -> float:
 
 
 def first_calls() -> dict:
-    """Return the wall seconds of import, compilation and run, without and with cache."""
+    """Returns the wall seconds of import, compilation and runs, without and with cache."""
     with tempfile.TemporaryDirectory() as cache:
         script = FIRST_CALL.format(here=str(HERE), cache=cache)
         seconds = [
@@ -138,7 +138,7 @@ def first_calls() -> dict:
 
 
 def peer(python: str) -> dict:
-    """Return the results of PyElastica for the same rod, in the same run and on the same core."""
+    """Returns the results of PyElastica for the same rod, in the same run and on the same core."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "peer.json"
         script = [python, str(HERE / "peer_pyelastica.py"), "--out", str(out)]
@@ -147,7 +147,7 @@ def peer(python: str) -> dict:
 
 
 def growth(repeats: int) -> dict:
-    """Return the cost against the number of nodes (one robot) and of robots in a batch."""
+    """Returns the cost against the number of nodes (one robot) and of robots in a batch."""
     nodes = {n: single_cost(repeats, n) for n in (26, 51, 101, 201, 401)}
     members = {b: batch_cost(b, repeats) for b in (1, 2, 4, 8, 16, 56, 112, 224, 448)}
     return {"nodes": nodes, "members": members}
@@ -174,7 +174,7 @@ def plot_growth(table: dict, path: Path) -> None:
 
 
 def cpu_name() -> str:
-    """Return the processor's name, as far as the system reports it."""
+    """Returns the processor's name, as far as the system reports it."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         return next(x.split(":")[1].strip() for x in lines if x.startswith("model name"))

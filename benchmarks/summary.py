@@ -18,13 +18,13 @@ EXPLAINABLE = 1.1
 
 
 def read_cases(out: Path, kind: str) -> list[dict[str, Any]]:
-    """Return the completed cases of a kind."""
+    """Returns the completed cases of a kind."""
     found = [json.loads(p.read_text()) for p in sorted((out / kind).glob("*.json"))]
     return [x for x in found if "left_out" not in x]
 
 
 def named_causes(case: dict[str, Any], method: str = "loop") -> list[set[str]]:
-    """Return the named causes, each as a set of equivalent effects."""
+    """Returns the named causes, each as a set of equivalent effects."""
     if method == "loop":
         if case["verdict"] not in NAMED:
             return []
@@ -33,7 +33,7 @@ def named_causes(case: dict[str, Any], method: str = "loop") -> list[set[str]]:
 
 
 def matched_effects(causes: Sequence[set[str]], truth: Iterable[str]) -> int:
-    """Return how many of the true effects are among the causes; each cause counts once."""
+    """Returns how many of the true effects are among the causes; each cause counts once."""
     match = np.array([[name in cause for name in truth] for cause in causes], float)
     if not match.size:
         return 0
@@ -42,14 +42,14 @@ def matched_effects(causes: Sequence[set[str]], truth: Iterable[str]) -> int:
 
 
 def is_right(case: dict[str, Any], method: str = "loop", most: int = 99) -> bool:
-    """Return whether only the true effect was named, in a class of at most `most` effects."""
+    """Returns whether only the true effect was named, in a class of at most `most` effects."""
     causes = named_causes(case, method)
     named = len(causes) == 1 and matched_effects(causes, case["case"]["effects"]) == 1
     return named and len(causes[0]) <= most
 
 
 def f1(found: Sequence[dict[str, Any]], method: str = "loop") -> float:
-    """Return the F1 score of the named causes over all cases."""
+    """Returns the F1 score of the named causes over all cases."""
     matched = sum(matched_effects(named_causes(x, method), x["case"]["effects"]) for x in found)
     named = sum(len(named_causes(x, method)) for x in found)
     true = sum(len(x["case"]["effects"]) for x in found)
@@ -57,7 +57,7 @@ def f1(found: Sequence[dict[str, Any]], method: str = "loop") -> float:
 
 
 def skills(found: Iterable[dict[str, Any]], method: str = "loop") -> list[float]:
-    """Return (before - after)/(before - floor) of the held-out trials with a residual."""
+    """Returns (before - after)/(before - floor) of the held-out trials with a residual."""
     errors = [x["held_out_over_floor"] for x in found]
     return [
         (e["refit only"] - e[method]) / (e["refit only"] - 1.0)
@@ -67,7 +67,7 @@ def skills(found: Iterable[dict[str, Any]], method: str = "loop") -> list[float]
 
 
 def location_verdict(case: dict[str, Any]) -> str:
-    """Return the rating of the loop's verdict on an effect outside the library."""
+    """Returns the rating of the loop's verdict on an effect outside the library."""
     truth = UNKNOWN_EFFECTS[case["case"]["stranger"]]
     if case["verdict"] == IDENTIFIED:
         return "wrong name"
@@ -88,7 +88,7 @@ def _share(flags: Sequence[bool]) -> str:
 
 
 def summary_tables(out: Path) -> str:
-    """Return all tables as Markdown."""
+    """Returns all tables as Markdown."""
     parts = []
     if tanks := read_cases(out, "null"):
         parts.append(_null_table(tanks))
@@ -143,7 +143,7 @@ def summary_tables(out: Path) -> str:
 
 
 def _null_table(tanks: Sequence[dict[str, Any]]) -> str:
-    """Return false alarms and coverage of the replicates, for the truth and a noise-free fit."""
+    """Returns false alarms and coverage of the replicates, for the truth and a noise-free fit."""
     nulls = [r for x in tanks for r in x["replicates"]]
     lines = [
         f"{len(nulls)} replicates of {len(tanks)} tanks without a missing effect: "
@@ -169,7 +169,7 @@ def _null_table(tanks: Sequence[dict[str, Any]]) -> str:
 
 
 def _coverage_list(fits: Sequence[dict[str, Any]]) -> str:
-    """Return how many intervals contain the truth; every fit is to another tank."""
+    """Returns how many intervals contain the truth; every fit is to another tank."""
     lines, all_of = [f"{len(fits)} calibrated tanks; intervals that contain the truth:", ""], []
     for p in fits[0]["parameters"]:
         inside = [v["low"] < v["truth"] < v["high"] for v in (x["parameters"][p] for x in fits)]
@@ -188,7 +188,7 @@ def _case_line(x: dict[str, Any]) -> str:
 
 
 def _method_table(found: Sequence[dict[str, Any]]) -> str:
-    """Return the table of all methods on the cases in which all methods ran."""
+    """Returns the table of all methods on the cases in which all methods ran."""
     found = [x for x in found if x["named_by"]]
     if not found:
         return ""

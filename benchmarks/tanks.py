@@ -65,7 +65,7 @@ class Tank:
 
 
 def sample_tank(seed: int, folder: Path = Path(".")) -> Tank:
-    """Return a tank with sampled base parameters and drives; resolutions are used in turn."""
+    """Returns a tank with sampled base parameters and drives; resolutions are used in turn."""
     truth = random_base_parameters(np.random.default_rng([seed, 1]))
     content = {
         "name": f"tank_{seed}", "robot": ROBOT, "parameters": START,
@@ -80,7 +80,7 @@ def sample_tank(seed: int, folder: Path = Path(".")) -> Tank:
 
 
 def true_model(tank: Tank) -> Experiment:
-    """Return the experiment with the tank's true base parameters."""
+    """Returns the experiment with the tank's true base parameters."""
     e = tank.experiment
     return e.model_copy(update={"parameters": e.parameters.model_copy(update=tank.truth)})
 
@@ -91,7 +91,7 @@ def true_readings(
     own: Sequence[Effect] = (),
     names: Sequence[str] | None = None,
 ) -> list[np.ndarray]:
-    """Return the readings (5, samples) of every trial without noise.
+    """Returns the readings (5, samples) of every trial without noise.
 
     `effects` are the true values of library effects. `own` are effects outside the library, which
     are added to the base model. Without `own`, the extended model has the effects `names` (default:
@@ -119,7 +119,7 @@ def true_readings(
 
 
 def noisy_records(tank: Tank, true: Sequence[np.ndarray], seed: int) -> list[Record]:
-    """Return the records of the tank's sensors for `true` readings."""
+    """Returns the records of the tank's sensors for `true` readings."""
     rng, records = np.random.default_rng([seed, 2]), []
     for trial, y in zip(tank.experiment.trials, true, strict=True):
         t = np.arange(y.shape[1]) / tank.experiment.sensors.sample_rate
@@ -130,7 +130,7 @@ def noisy_records(tank: Tank, true: Sequence[np.ndarray], seed: int) -> list[Rec
 
 
 def problem_of(tank: Tank, names: Sequence[str], memo=None):
-    """Return the function with which `conclude` makes a problem of some records."""
+    """Returns the function with which `conclude` makes a problem of some records."""
 
     def problem(chosen: Sequence[Record]) -> TankProblem:
         return replace(
@@ -146,7 +146,7 @@ def problem_of(tank: Tank, names: Sequence[str], memo=None):
 def close_tank_loop(
     tank: Tank, found: Sequence[Record], memo=None, progress=lambda text: None
 ) -> LoopOutcome:
-    """Return the loop's outcome on records of a tank, with all library effects as candidates."""
+    """Returns the loop's outcome on records of a tank, with all library effects as candidates."""
     names, base = tuple(candidate_effects()), base_values(tank.experiment)
     problem = problem_of(tank, names, memo)
     held = choose_held_out(found)
@@ -154,6 +154,6 @@ def close_tank_loop(
 
 
 def detection_limits(seed: int) -> dict[tuple[str, str], float]:
-    """Return every parameter's detection limit (SI) in a tank at its true base parameters."""
+    """Returns every parameter's detection limit (SI) in a tank at its true base parameters."""
     found = detectability_matrix(true_model(sample_tank(seed)))
     return {(x.parameter.effect, x.parameter.name): x.size for x in found.detection_limits}

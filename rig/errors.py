@@ -6,6 +6,6 @@ class RigError(Exception):
 
     @classmethod
     def value(cls, where: str, given: object, allowed: str, advice: str = "") -> "RigError":
-        """Return the error for one bad value. `where` names a field, an option or a device."""
+        """Returns the error for one bad value. `where` names a field, an option or a device."""
         message = f"{where}: given {given}; allowed {allowed}"
         return cls(f"{message}; {advice}" if advice else message)

@@ -12,7 +12,7 @@ import numpy as np
 
 
 def save_text(path: Path, text: str) -> None:
-    """Write `text` to a temporary file beside `path`, then rename it: no file is half-written."""
+    """Writes `text` to a temporary file beside `path`, then rename it: no file is half-written."""
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=".tmp-", suffix=path.suffix)
     try:
         with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
@@ -24,12 +24,12 @@ def save_text(path: Path, text: str) -> None:
 
 
 def save_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write `content` to `path` as JSON. Raises `ValueError` for a number that is not finite."""
+    """Writes `content` to `path` as JSON. Raises `ValueError` for a number that is not finite."""
     save_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
 
 
 def save_csv(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    """Write `columns` (name with unit -> values (n,)) to `path`. A NaN becomes an empty cell."""
+    """Writes `columns` (name with unit -> values (n,)) to `path`. A NaN becomes an empty cell."""
     cells = [["" if math.isnan(x) else f"{x:.9g}" for x in v.tolist()] for v in columns.values()]
     rows = [",".join(columns), *(",".join(row) for row in zip(*cells, strict=True))]
     save_text(path, "\n".join(rows) + "\n")

@@ -12,7 +12,7 @@ NICE = -10
 
 @contextmanager
 def real_time_priority(level: int = STREAM_PRIORITY) -> Iterator[str]:
-    """Run this thread, and the threads it starts in the block, before all ordinary ones.
+    """Runs this thread, and the threads it starts in the block, before all ordinary ones.
 
     A stream of 500 readings and 200 commands a second needs little processor time, but needs it at
     once: a manifold vents after 0.1 s without a command. On Linux, the `rtprio` limit of
@@ -27,7 +27,7 @@ def real_time_priority(level: int = STREAM_PRIORITY) -> Iterator[str]:
 
 
 def share_priority_with_all_threads() -> None:
-    """Give this thread's priority to all existing threads of the program, such as a library's."""
+    """Gives this thread's priority to all existing threads of the program, such as a library's."""
     if not os.path.isdir("/proc/self/task"):
         return
     policy, param = os.sched_getscheduler(0), os.sched_getparam(0)
@@ -37,7 +37,7 @@ def share_priority_with_all_threads() -> None:
 
 
 def raise_priority() -> None:
-    """Lower the niceness of this program's threads, and of those they start, if allowed.
+    """Lowers the niceness of this program's threads, and of those they start, if allowed.
 
     This is for programs that compute much. With real-time priority such a program kept the
     system's own threads waiting. Those are ordinary threads that carry a port's bytes, and the
@@ -52,7 +52,7 @@ def raise_priority() -> None:
 
 @contextmanager
 def ordinary_priority() -> Iterator[bool]:
-    """Start programs in the block without `real_time_priority`. Yields whether this thread has it.
+    """Starts programs in the block without `real_time_priority`. Yields whether this thread has it.
 
     A starting program computes for some tenths of a second. With real-time priority it could keep
     all other programs waiting for 0.1 s.
@@ -66,7 +66,7 @@ def ordinary_priority() -> Iterator[bool]:
 
 @contextmanager
 def _scheduled(policy: int, level: int) -> Iterator[bool]:
-    """Set this thread's policy and priority in the block; yields whether the system allows it."""
+    """Sets this thread's policy and priority in the block; yields whether the system allows it."""
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
         os.sched_setscheduler(0, policy, os.sched_param(level))

@@ -39,7 +39,7 @@ STEPS_PER_STRIDE = 100
 
 
 def sweeps(swimmer: Experiment, points: int) -> dict[str, Sweep]:
-    """Return the sweeps of maps a and b; each axis has `points` values and the plotted values."""
+    """Returns the sweeps of maps a and b; each axis has `points` values and the plotted values."""
     if points < 4:
         raise InputError.value("--points", points, "4 or more, to include a negative phase")
     lengths = _with(np.linspace(SHOWN_LENGTHS[0], SHOWN_LENGTHS[-1], points), SHOWN_LENGTHS)
@@ -55,12 +55,12 @@ def sweeps(swimmer: Experiment, points: int) -> dict[str, Sweep]:
 
 
 def _with(values: np.ndarray, more: tuple[float, ...]) -> tuple[float, ...]:
-    """Return the sorted union of both sets of values."""
+    """Returns the sorted union of both sets of values."""
     return tuple(map(float, np.unique(np.round([*values, *more], 9))))
 
 
 def map_of_sweep(sweep: Sweep, name: str, folder: Path) -> Map:
-    """Run a sweep and return its map; finished parts are in `folder`/partial."""
+    """Runs a sweep and returns its map; finished parts are in `folder`/partial."""
     folder.mkdir(exist_ok=True)
     count = {"done": 0, "all": 0}
 
@@ -82,7 +82,7 @@ def map_of_sweep(sweep: Sweep, name: str, folder: Path) -> Map:
 
 
 def lines_of(found: list[StatementCheck]) -> str:
-    """Return the checks as text."""
+    """Returns the checks as text."""
     return "\n".join(
         f"{number}. {x.claim}: {x.verdict}\n   measured: {x.measured}\n   rule: {x.rule}"
         for number, x in enumerate(found, 1)

@@ -27,7 +27,7 @@ from slider_jax.precision import enable_float64
 
 
 def effects_of(given: list[str]) -> dict[str, dict[str, float]]:
-    """Return parameters by effect, from texts like "valve_delay.delay=0.02"."""
+    """Returns parameters by effect, from texts like "valve_delay.delay=0.02"."""
     found: dict[str, dict[str, float]] = {}
     for text in given:
         label, _, number = text.partition("=")

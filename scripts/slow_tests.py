@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def outcome(case: ElementTree.Element) -> str:
-    """Return the outcome of one test in pytest's XML report: passed, failed, error or skipped."""
+    """Returns the outcome of one test in pytest's XML report: passed, failed, error or skipped."""
     for kind in ("failure", "error", "skipped"):
         if case.find(kind) is not None:
             return {"failure": "failed"}.get(kind, kind)
@@ -24,7 +24,7 @@ def outcome(case: ElementTree.Element) -> str:
 
 
 def results_table(report: Path) -> str:
-    """Return a Markdown table of the tests in pytest's XML report, the slowest first."""
+    """Returns a Markdown table of the tests in pytest's XML report, the slowest first."""
     cases = list(ElementTree.parse(report).iter("testcase"))
     cases.sort(key=lambda case: -float(case.get("time", 0.0)))
     lines = ["| test | outcome | seconds |", "|---|---|---|"]
@@ -36,7 +36,7 @@ def results_table(report: Path) -> str:
 
 
 def main(arguments: list[str]) -> int:
-    """Run pytest on the slow tests, print the table, and return pytest's exit code."""
+    """Runs pytest on the slow tests, prints the table, and returns pytest's exit code."""
     parallel = [] if any(x.startswith("-n") for x in arguments) else ["-n", "2"]
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "slow.xml"

@@ -39,7 +39,7 @@ AGAIN = ", resistance calibrated"
 
 
 def content_of(row: SteadyRow) -> dict[str, Any]:
-    """Return a row of table.json."""
+    """Returns a row of table.json."""
     found = {name: float(x) for name, x in performance_columns(row.performance).items()}
     return found | {
         "head_drag_area_m2": row.area,
@@ -50,7 +50,7 @@ def content_of(row: SteadyRow) -> dict[str, Any]:
 
 
 def line(name: str, x: dict[str, Any]) -> str:
-    """Return the line of one change of the model."""
+    """Returns the line of one change of the model."""
     slopes = x["tail_slopes"]
     return (
         f"{name:48}{1e4 * x['head_drag_area_m2']:8.1f}{1e2 * x['speed_m_per_s']:8.1f}"
@@ -61,7 +61,7 @@ def line(name: str, x: dict[str, Any]) -> str:
 
 
 def report_lines(content: dict[str, Any]) -> list[str]:
-    """Return the lines of the printed report."""
+    """Returns the lines of the printed report."""
     swims, held_head = content["swims"], content["head_clamped"]
     here = swims[next(iter(CHANGES))]
     lines = [swim_table(here, PUBLISHED)]
@@ -93,7 +93,7 @@ def report_lines(content: dict[str, Any]) -> list[str]:
 
 
 def plot_tail_slopes(content: dict[str, Any], rows: dict[str, SteadyRow], path: Path) -> None:
-    """Plot tail slopes by change and definition, and the midlines of three models."""
+    """Plots tail slopes by change and definition, and the midlines of three models."""
     swims, chosen = content["swims"], [next(iter(CHANGES)), *(n + AGAIN for n in RECALIBRATED[:2])]
     figure, axes = new_figure(1, 2, figsize=(12, 7), width_ratios=(3, 2))
     slopes, shapes = axes

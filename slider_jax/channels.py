@@ -56,7 +56,7 @@ CHANNELS: dict[str, Channel] = {}
 
 
 def register(channel: Channel) -> Channel:
-    """Add a channel to `CHANNELS` and return it.
+    """Adds a channel to `CHANNELS` and returns it.
 
     Raises `InputError` if another channel has its name or its column.
     """
@@ -101,22 +101,22 @@ BUILT_IN = tuple(CHANNELS)
 
 
 def channel_columns() -> tuple[str, ...]:
-    """Return the columns of a measured or simulated CSV file: the time and all channels."""
+    """Returns the columns of a measured or simulated CSV file: the time and all channels."""
     return TIME, *(channel.column for channel in CHANNELS.values())
 
 
 def row_of(name: str) -> int:
-    """Return the row of a channel in arrays of readings, its position in `CHANNELS`."""
+    """Returns the row of a channel in arrays of readings, its position in `CHANNELS`."""
     return list(CHANNELS).index(name)
 
 
 def true_readings(x: Snapshot) -> dict[str, Array]:
-    """Return the true reading of every channel, in SI units."""
+    """Returns the true reading of every channel, in SI units."""
     return {name: channel.observe(x) for name, channel in CHANNELS.items()}
 
 
 def recorded(effects: tuple[Effect, ...], true: Readings) -> Readings:
-    """Return the series that the sensors record, with the model's instruments applied in order."""
+    """Returns the series that the sensors record, with the model's instruments applied in order."""
     for effect in of_place(effects, Instrument):
         true = effect.read(true)
     return true
@@ -125,7 +125,7 @@ def recorded(effects: tuple[Effect, ...], true: Readings) -> Readings:
 def recorded_series(
     effects: tuple[Effect, ...], t: Array, true: dict[str, Array]
 ) -> dict[str, Array]:
-    """Return `recorded` for series (n,) by channel at times `t` (n,) [s].
+    """Returns `recorded` for series (n,) by channel at times `t` (n,) [s].
 
     Instruments act on the built-in channels; the other channels are unchanged.
     """

@@ -9,7 +9,7 @@ class InputError(Exception):
 
     @classmethod
     def value(cls, where: str, given: object, allowed: str, advice: str = "") -> "InputError":
-        """Return the error for an invalid value; `where` is a field's path, or a file and line."""
+        """Returns the error for an invalid value; `where` is a field's path, or a file and line."""
         message = f"{where}: given {given}; allowed {allowed}"
         return cls(f"{message}; {advice}" if advice else message)
 
@@ -19,7 +19,7 @@ class SolverError(Exception):
 
 
 def did_you_mean(given: str, allowed: Iterable[str]) -> str:
-    """Return a clause with the allowed name closest to `given`; empty if none is close."""
+    """Returns a clause with the allowed name closest to `given`; empty if none is close."""
     close = get_close_matches(given, list(allowed), 1)
     return f"; did you mean {close[0]}?" if close else ""
 
@@ -27,7 +27,7 @@ def did_you_mean(given: str, allowed: Iterable[str]) -> str:
 def refuse_unknown(
     where: str, names: Iterable[str], allowed: Iterable[str], listed: str = ""
 ) -> None:
-    """Raise `InputError` for the first of `names` that is not in `allowed`.
+    """Raises `InputError` for the first of `names` that is not in `allowed`.
 
     `listed` describes the allowed names in the message (default: all of them).
     """

@@ -37,7 +37,7 @@ RECOIL_AT, RECOIL_THERE = 1.0, 1.0
 
 
 def force_coefficients(frequency: Scalar) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Return (C_d, m_a) at a stride `frequency` [Hz]: constant below 2, above 3, linear between."""
+    """Returns (C_d, m_a) at a stride `frequency` [Hz]: linear between 2 and 3 Hz."""
     share = jnp.clip((frequency - RAMP_START) / (RAMP_END - RAMP_START), 0.0, 1.0)
     C_d, m_a = (
         low + share * (high - low) for low, high in zip(DRAG_DOMINATED, REACTIVE, strict=True)
@@ -66,7 +66,7 @@ class Assumed(eqx.Module):
 def head_fixed(
     frequency: Scalar, robot: Robot | None = None, assumed: Assumed | None = None
 ) -> Model:
-    """Return a model of the paper's head-fixed experiment in still water at a `frequency` [Hz]."""
+    """Returns a model of the paper's head-fixed experiment in still water at a `frequency` [Hz]."""
     robot = Robot() if robot is None else robot
     assumed = Assumed() if assumed is None else assumed
     C_d, m_a = force_coefficients(frequency)

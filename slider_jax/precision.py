@@ -2,7 +2,7 @@
 
 
 def enable_float64() -> None:
-    """Switch JAX to float64. Call this function before you create any array.
+    """Switches JAX to float64. Call this function before you create any array.
 
     The beam is stiff, so a time step in float32 cannot reach its tolerance.
     """

@@ -29,21 +29,21 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 
 def pytest_sessionstart() -> None:
-    """Stop a CI run at once that would skip the tests on measured data."""
+    """Stops a CI run at once that would skip the tests on measured data."""
     if problem := missing_in_ci():
         raise pytest.UsageError(problem)
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Compile in two thirds of the time, unless a test runs its programs for long."""
+    """Compiles in two thirds of the time, unless a test runs its programs for long."""
     long = any(item.get_closest_marker(name) for name in ("slow", "optimised"))
     jax.config.update("jax_disable_most_optimizations", not long)
 
 
 @pytest.fixture(autouse=True, scope="module")
 def few_memory_maps():
-    """Drop compiled programs before the kernel refuses more memory maps (65,530 by default).
+    """Drops compiled programs before the kernel refuses more memory maps (65,530 by default).
 
     Each compiled program holds maps of its own. A process that runs most of the suite needs more
     than the kernel gives, and XLA then aborts it.

@@ -38,7 +38,7 @@ def audit_measurements(
     least: int = 1,
     predict: Callable[[list[Record]], Sequence[np.ndarray]] | None = None,
 ) -> Audited:
-    """Return the usable trials of an experiment and the findings of the audit.
+    """Returns the usable trials of an experiment and the findings of the audit.
 
     `predict` returns the starting model's readings (5, n) of records; without it, forces and tip
     are not compared with a prediction. Raises `InputError` with the findings if fewer than `least`
@@ -95,7 +95,7 @@ def _read(experiment: Experiment) -> tuple[list[Record], list[Finding]]:
 def _within_duration(
     records: Sequence[Record], rate: float | None
 ) -> tuple[list[Record], list[Finding]]:
-    """Return the records without samples outside the trial's duration, and findings.
+    """Returns the records without samples outside the trial's duration, and findings.
 
     A finding also reports a sample rate other than the declared `rate` [Hz].
     """
@@ -122,7 +122,7 @@ def _within_duration(
 
 
 def _without_copies(records: Sequence[Record]) -> tuple[list[Record], list[Finding]]:
-    """Return the records without copies of another trial's readings, and findings."""
+    """Returns the records without copies of another trial's readings, and findings."""
     kept: list[Record] = []
     findings = []
     for r in records:

@@ -46,7 +46,7 @@ WRONG_PHASE = 0.05
 def check_clocks(
     records: Sequence[Record], rate: float | None
 ) -> tuple[list[Record], list[Finding]]:
-    """Return the records with corrected clocks, without those left out, and findings.
+    """Returns the records with corrected clocks, without those left out, and findings.
 
     The pressures' frequencies show the clock's error; `rate` [Hz] is the declared sample rate.
     """
@@ -80,7 +80,7 @@ def check_clocks(
 
 
 def _clock(r: Record) -> PeriodRatio | None:
-    """Return the frequency error on which both pressures agree."""
+    """Returns the frequency error on which both pressures agree."""
     assert r.trial.frequency is not None
     found = []
     for row in (0, 1):
@@ -99,7 +99,7 @@ def _clock(r: Record) -> PeriodRatio | None:
 def check_declared_drive(
     records: Sequence[Record], responses: DriveResponses
 ) -> tuple[list[Record], list[Finding]]:
-    """Return the trials that were driven as declared, and findings on the others."""
+    """Returns the trials that were driven as declared, and findings on the others."""
     least = np.array([responses.least_residual(i) for i in range(len(records))])
     usual = float(np.median(least))
     wrong = _late(records, responses, range(len(records)))
@@ -122,7 +122,7 @@ def check_declared_drive(
 
 
 def _partner(records: Sequence[Record], r: Record) -> str:
-    """Return a clause with the trial whose declared drive the pressures of `r` follow, if any."""
+    """Returns a clause with the trial whose declared drive the pressures of `r` follow, if any."""
     for other in records:
         chambers = declared_drives(other.trial)
         if other is r or chambers is None:
@@ -136,7 +136,7 @@ def _partner(records: Sequence[Record], r: Record) -> str:
 def _late(
     records: Sequence[Record], responses: DriveResponses, index: Sequence[int]
 ) -> dict[int, Finding]:
-    """Return findings on trials with another delay than the others, if the fit determines it."""
+    """Returns findings on trials with another delay than the others, if the fit determines it."""
     if len(records) < 4:
         return {}
     around = DELAYS[responses.at[1]] + np.arange(-0.2, 0.2, 0.005)
@@ -165,7 +165,7 @@ def _late(
 def _wrong_phase(
     records: Sequence[Record], responses: DriveResponses, index: Sequence[int]
 ) -> dict[int, Finding]:
-    """Return findings on rear chambers with another phase than declared."""
+    """Returns findings on rear chambers with another phase than declared."""
     pairs = [rear_lag_and_ratio(r) for r in records]
     off = np.array(
         [
@@ -194,7 +194,7 @@ def _wrong_phase(
 def _wrong_amplitude(
     records: Sequence[Record], responses: DriveResponses, index: Sequence[int]
 ) -> dict[int, Finding]:
-    """Return findings on trials in which both pressures have another amplitude than declared."""
+    """Returns findings on trials in which both pressures have another amplitude than declared."""
     if len(records) < 5:
         return {}
     gain = np.array([[responses.gain(i)[c, c] for c in (0, 1)] for i in index])

@@ -35,20 +35,20 @@ class DriveResponses:
         """Indices of the common lag and delay."""
 
     def gain(self, i: int) -> np.ndarray:
-        """Return the gains (2 or 5, 2) of trial i, columns by drives, at the common lag."""
+        """Returns the gains (2 or 5, 2) of trial i, columns by drives, at the common lag."""
         return self.all[i].gain[:, :, self.at[0], self.at[1]]
 
     def residual(self, i: int) -> np.ndarray:
-        """Return the residuals (2 or 5, 2) of trial i, columns by drives, at the common lag."""
+        """Returns the residuals (2 or 5, 2) of trial i, columns by drives, at the common lag."""
         return self.all[i].residual[:, :, self.at[0], self.at[1]]
 
     def least_residual(self, i: int) -> np.ndarray:
-        """Return the residuals (2,) of the pressures of trial i, each at its best lag and delay."""
+        """Returns the residuals (2,) of the pressures of trial i, at their best lags and delays."""
         return np.array([self.all[i].residual[c, c].min() for c in (0, 1)])
 
 
 def _fitted(r: Record, chambers: tuple[DeclaredDrive, DeclaredDrive]) -> LagFits:
-    """Return the fits of the pressures, or of all columns if the pressures do not respond."""
+    """Returns the fits of the pressures, or of all columns if the pressures do not respond."""
     found = fit_lags(r.t, r.values[:2], chambers)
     respond = (found.residual.min(axis=(0, 2, 3)) < MAX_RESIDUAL).all()
     plain = respond and not any(is_tiny(r, c) for c in (0, 1))
@@ -56,19 +56,19 @@ def _fitted(r: Record, chambers: tuple[DeclaredDrive, DeclaredDrive]) -> LagFits
 
 
 def is_tiny(r: Record, row: int) -> bool:
-    """Return whether the numbers in a pressure's column are far too small for Pa."""
+    """Returns whether the numbers in a pressure's column are far too small for Pa."""
     there = r.values[row][np.isfinite(r.values[row])]
     return bool(there.size and np.abs(there).max() < 1e-3 * (r.trial.amplitude or 0.0))
 
 
 def driven_chambers(records: Sequence[Record]) -> list[tuple[DeclaredDrive, DeclaredDrive]]:
-    """Return the declared drives of the trials that have any."""
+    """Returns the declared drives of the trials that have any."""
     found = [declared_drives(r.trial) for r in records]
     return [x for x in found if x is not None]
 
 
 def rear_lag_and_ratio(r: Record) -> tuple[float, float] | None:
-    """Return the rear pressure's lag behind the front's, and the ratio of front to rear amplitude.
+    """Returns the rear pressure's lag behind the front's, and the ratio of front to rear amplitude.
 
     The lag is a fraction of a period. Returns None for a trial with fewer than `STRIDES` settled
     strides, in which a parabola resembles a fundamental.
@@ -86,10 +86,10 @@ def rear_lag_and_ratio(r: Record) -> tuple[float, float] | None:
 
 
 def wrapped(phase: float) -> float:
-    """Return a phase in periods between -0.5 and 0.5."""
+    """Returns a phase in periods between -0.5 and 0.5."""
     return (phase + 0.5) % 1.0 - 0.5
 
 
 def trial_finding(r: Record, kind: str, channel: str, detail: str, action: Action) -> Finding:
-    """Return a finding on a channel of a whole trial."""
+    """Returns a finding on a channel of a whole trial."""
     return Finding(r.trial.file, kind, channel, float(r.t[0]), float(r.t[-1]), detail, action)

@@ -33,7 +33,7 @@ class DeclaredDrive(NamedTuple):
     rise: float
 
     def unit(self, t: np.ndarray) -> np.ndarray:
-        """Return the set pressure over its amplitude at `t` (n,) [s], 0 before the start."""
+        """Returns the set pressure over its amplitude at `t` (n,) [s], 0 before the start."""
         turn = self.frequency * t - self.phase
         if self.waveform == "sine":
             value = np.sin(2.0 * np.pi * turn)
@@ -47,7 +47,7 @@ class DeclaredDrive(NamedTuple):
 
 
 def declared_drives(trial: Trial) -> tuple[DeclaredDrive, DeclaredDrive] | None:
-    """Return a trial's front and rear drive; None if it has no pressure or a recorded one."""
+    """Returns a trial's front and rear drive; None if it has no pressure or a recorded one."""
     f, amplitude = trial.frequency, trial.amplitude
     if trial.waveform == "recorded" or not f or not amplitude or not trial.rear_ratio:
         return None
@@ -61,7 +61,7 @@ def declared_drives(trial: Trial) -> tuple[DeclaredDrive, DeclaredDrive] | None:
 def _lag_responses(
     drive: DeclaredDrive, duration: float, time_constants: np.ndarray
 ) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Return times (n,) [s] and each lag's response (n,) to a drive of amplitude 1, from rest."""
+    """Returns times (n,) [s] and each lag's response (n,) to a drive of amplitude 1, from rest."""
     spacing = min(1e-3, 1.0 / (200.0 * drive.frequency))
     t = spacing * np.arange(int(np.ceil(duration / spacing)) + 2)
     set_point, keep = drive.unit(t + 0.5 * spacing), np.exp(-spacing / time_constants)
@@ -81,7 +81,7 @@ class LagFits(NamedTuple):
 
 
 def _without_drift(t: np.ndarray, series: np.ndarray) -> np.ndarray:
-    """Return `series` (..., n) at `t` (n,) minus the best parabola, as slow drift is physics."""
+    """Returns `series` (..., n) at `t` (n,) minus the best parabola, as slow drift is physics."""
     x = (t - t.mean()) / max(float(np.ptp(t)), 1e-300)
     Q = np.linalg.qr(np.stack([np.ones_like(x), x, x**2], axis=1))[0]
     return series - (series @ Q) @ Q.T
@@ -94,7 +94,7 @@ def fit_lags(
     delays: np.ndarray = DELAYS,
     time_constants: np.ndarray = TIME_CONSTANTS,
 ) -> LagFits:
-    """Return the fits of `values` (m, n), NaN if missing, at `t` (n,) [s], each plus a parabola."""
+    """Returns fits of `values` (m, n), NaN if missing, at `t` (n,) [s], each plus a parabola."""
     shape = (len(values), 2, len(time_constants), len(delays))
     gain, residual = np.zeros(shape), np.ones(shape)
     every = max(1, len(t) // MAX_SAMPLES)
@@ -124,7 +124,7 @@ class PeriodRatio(NamedTuple):
 
 
 def period_ratio(t: np.ndarray, y: np.ndarray, frequency: float) -> PeriodRatio | None:
-    """Return the ratio from the drift of the fundamental's phase; None for less than two cycles.
+    """Returns the ratio from the drift of the fundamental's phase; None for less than two cycles.
 
     A distortion of every cycle, such as lag, delay or saturation, does not change the ratio. The
     first cycles are not used.
@@ -166,12 +166,12 @@ def _drift(t: np.ndarray, y: np.ndarray, frequency: float) -> PeriodRatio | None
 
 
 def settling_time(t: np.ndarray) -> float:
-    """Return the time [s] from which on a pressure is periodic; less in a short trial."""
+    """Returns the time [s] from which on a pressure is periodic; less in a short trial."""
     return min(SETTLED, 0.3 * float(t[-1]))
 
 
 def fundamental_tone(t: np.ndarray, y: np.ndarray, frequency: float) -> tuple[float, float]:
-    """Return amplitude and lag (fraction of a period) of the fundamental of y (n,).
+    """Returns amplitude and lag (fraction of a period) of the fundamental of y (n,).
 
     They are from a least-squares fit with harmonics and a parabola.
     """
@@ -187,7 +187,7 @@ def fundamental_tone(t: np.ndarray, y: np.ndarray, frequency: float) -> tuple[fl
 def leave_one_out(
     y: np.ndarray, x: np.ndarray, slopes: np.ndarray, floor: float
 ) -> list[tuple[float, float]]:
-    """Return deviation and its error of each value of y (n,) from a plane through the others.
+    """Returns deviation and its error of each value of y (n,) from a plane through the others.
 
     `x` (n, p) are the variables of the plane and `slopes` (p,) the prior standard deviations of its
     slopes. `floor` is the smallest scatter.

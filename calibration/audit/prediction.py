@@ -46,12 +46,12 @@ class _Correlations:
     lags: list[float]
 
     def correlation(self, i: int, column: int, row: int) -> float:
-        """Return the correlation of a column of trial i with a row's prediction, at its delay."""
+        """Returns the correlation of a column of trial i with a row's prediction, at its delay."""
         r, p = self.pairs[i]
         return _correlation(r, p, column, row, self.lags[BODY.index(row)])
 
     def size(self, i: int, row: int) -> float:
-        """Return the ratio of the measured to the predicted standard deviation [decades]."""
+        """Returns the ratio of the measured to the predicted standard deviation [decades]."""
         r, p = self.pairs[i]
         there = np.isfinite(r.values[row]) & np.isfinite(p[row])
         if there.sum() < 20 or not np.std(p[row, there]) or not np.std(r.values[row, there]):
@@ -60,7 +60,7 @@ class _Correlations:
 
 
 def _common_lag(pairs: Sequence[tuple[Record, np.ndarray]], row: int) -> float:
-    """Return the delay [s] behind a prediction that fits most trials, in any column."""
+    """Returns the delay [s] behind a prediction that fits most trials, in any column."""
     table = [
         [max(abs(_correlation(r, p, c, row, x)) for c in BODY) for x in LAGS] for r, p in pairs
     ]
@@ -82,7 +82,7 @@ def _correlation(r: Record, p: np.ndarray, column: int, row: int, lag: float) ->
 def check_predicted_channels(
     records: Sequence[Record], predicted: Sequence[np.ndarray]
 ) -> tuple[list[Record], list[Finding]]:
-    """Return the records with unambiguous faults of forces and tip repaired, and findings.
+    """Returns the records with unambiguous faults of forces and tip repaired, and findings.
 
     `predicted` are the starting model's readings (5, n) of every record. A channel that correlates
     with its prediction in all trials but one is masked in that trial.
@@ -121,7 +121,7 @@ def _columns(of: _Correlations) -> tuple[list[Record], list[Finding]]:
 
 
 def _order(C: np.ndarray) -> tuple[int, ...]:
-    """Return the column of each channel with the best correlations `C` (3, 3).
+    """Returns the column of each channel with the best correlations `C` (3, 3).
 
     Another order than the file's must be better by `MARGIN`.
     """
@@ -173,7 +173,7 @@ def _units(of: _Correlations) -> tuple[list[Record], list[Finding]]:
 
 
 def _strange_channels(of: _Correlations) -> tuple[list[Record], list[Finding]]:
-    """Return the records without channels that match their prediction only in other trials."""
+    """Returns the records without channels that match their prediction only in other trials."""
     n = len(of.pairs)
     table = np.array([[of.correlation(i, x, x) for x in BODY] for i in range(n)]).reshape(n, 3)
     kept, findings = [], []
@@ -200,7 +200,7 @@ def _strange_channels(of: _Correlations) -> tuple[list[Record], list[Finding]]:
 def residual_outliers(
     trials: Sequence[Trial], mean_squares: Mapping[str, np.ndarray]
 ) -> list[Finding]:
-    """Return findings on trials whose residual is far above that of all other trials.
+    """Returns findings on trials whose residual is far above that of all other trials.
 
     `mean_squares` (n,) are the whitened mean squares of every channel after the last fit, NaN
     without the channel. A trend over frequency, amplitude or tow speed is physics, no outlier. The

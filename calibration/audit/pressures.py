@@ -32,7 +32,7 @@ UNIT_MARGIN = np.log(1.6)
 def check_pressures(
     records: Sequence[Record], rate: float | None
 ) -> tuple[list[Record], list[Finding]]:
-    """Return the usable records with unambiguous faults repaired, and findings.
+    """Returns the usable records with unambiguous faults repaired, and findings.
 
     `rate` [Hz] is the declared sample rate, or None.
     """
@@ -54,7 +54,7 @@ def check_pressures(
 def _columns(
     records: Sequence[Record], responses: DriveResponses
 ) -> tuple[list[Record], list[Finding]]:
-    """Return the records with pressures moved from another sensor's column, and findings."""
+    """Returns the records with pressures moved from another sensor's column, and findings."""
     kept, findings = [], []
     for i, r in enumerate(records):
         gain, residual = responses.gain(i), responses.residual(i)
@@ -83,7 +83,7 @@ def _columns(
 def _units(
     records: Sequence[Record], responses: DriveResponses
 ) -> tuple[list[Record], list[Finding]]:
-    """Return the records with all pressures in Pa and with the drive's sign, and findings."""
+    """Returns the records with all pressures in Pa and with the drive's sign, and findings."""
     gains = [abs(responses.gain(i)[c, c]) for i in range(len(records)) for c in (0, 1)]
     normal = [gain for gain in gains if 0.2 < gain < 5.0]
     usual = float(np.median(normal)) if normal else 1.0
@@ -114,7 +114,7 @@ def _units(
 def _front_and_rear(
     records: Sequence[Record], responses: DriveResponses
 ) -> tuple[list[Record], list[Finding]]:
-    """Return the records with front and rear pressure in their own columns, and findings.
+    """Returns the records with front and rear pressure in their own columns, and findings.
 
     The rear pressure's phase and amplitude show a swap.
     """
@@ -138,7 +138,7 @@ def _front_and_rear(
 
 
 def _swapped_by_phase(r: Record, found: tuple[float, float] | None) -> bool | None:
-    """Return whether the phase shows a swap; None if the declared phase does not discriminate."""
+    """Returns whether the phase shows a swap; None if the declared phase does not discriminate."""
     if found is None or abs(wrapped(2.0 * r.trial.phase)) < 0.1:
         return None
     straight, crossed = (abs(wrapped(found[0] - s * r.trial.phase)) for s in (1.0, -1.0))
@@ -148,7 +148,7 @@ def _swapped_by_phase(r: Record, found: tuple[float, float] | None) -> bool | No
 
 
 def _swapped_by_size(found: float, rear_ratio: float, others: Sequence[float]) -> bool:
-    """Return whether the log amplitude ratio shows a swap, against those of the other trials."""
+    """Returns whether the log amplitude ratio shows a swap, against those of the other trials."""
     if len(others) < 2:
         return False
     usual = float(np.median(others))

@@ -40,7 +40,7 @@ class Unusable(Exception):
 
 
 def read_rows(path: Path) -> tuple[Rows, list[Finding]]:
-    """Return the readable rows of a trial's CSV, and findings on the others.
+    """Returns the readable rows of a trial's CSV, and findings on the others.
 
     Cells that are blank or not finite numbers are NaN. Raises `Unusable` if the time column is
     missing or too few rows are readable.
@@ -97,7 +97,7 @@ def _check_header(name: str, header: list[str]) -> list[Finding]:
 
 
 def _whole_rows(name, header, numbered) -> tuple[list[list[str]], list[Finding]]:
-    """Return the rows with as many cells as the header, and findings on the others."""
+    """Returns the rows with as many cells as the header, and findings on the others."""
     whole, findings, lines = [], [], []
     for position, (line, row) in enumerate(numbered):
         if len(row) == len(header):
@@ -117,7 +117,7 @@ def _whole_rows(name, header, numbered) -> tuple[list[list[str]], list[Finding]]
 
 
 def _numbers(name, header, rows) -> tuple[np.ndarray, list[Finding]]:
-    """Return the numbers (6, rows) in the order of `channel_columns()`, and findings."""
+    """Returns the numbers (6, rows) in the order of `channel_columns()`, and findings."""
     table, findings = np.full((len(channel_columns()), len(rows)), np.nan), []
     for i, column in enumerate(channel_columns()):
         if column not in header:

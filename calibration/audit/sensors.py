@@ -42,7 +42,7 @@ class Quantisation(NamedTuple):
 
 
 def quantisation(values: np.ndarray, declared: float) -> Quantisation:
-    """Return noise and step of readings (n,) without NaN; `declared` is the declared noise or 0.
+    """Returns noise and step of readings (n,) without NaN; `declared` is the declared noise or 0.
 
     The noise is measured where the signal varies least, so that motion does not count as noise, but
     not where it is constant. It is 0 if there is no such part.
@@ -63,7 +63,7 @@ def quantisation(values: np.ndarray, declared: float) -> Quantisation:
 
 
 def _step_of(values: np.ndarray) -> float:
-    """Return the step of readings (n,): nearly all their differences are multiples of it."""
+    """Returns the step of readings (n,): nearly all their differences are multiples of it."""
     steps = np.diff(np.unique(values))
     steps = steps[steps > 1e-12 * max(float(np.ptp(values)), 1e-300)]
     if not steps.size:
@@ -77,7 +77,7 @@ def _step_of(values: np.ndarray) -> float:
 
 
 def stuck(values: np.ndarray, g: Quantisation) -> np.ndarray:
-    """Return whether each reading (n,) is a stuck sensor's repetition; the first one is not."""
+    """Returns whether each reading (n,) is a stuck sensor's repetition; the first one is not."""
     n = len(values)
     edges = np.r_[0, np.flatnonzero(np.diff(values)) + 1, n]
     bad = np.zeros(n, bool)
@@ -93,7 +93,7 @@ def stuck(values: np.ndarray, g: Quantisation) -> np.ndarray:
 
 
 def _ends_with_jump(values: np.ndarray, a: int, b: int, g: Quantisation) -> bool:
-    """Return whether the run values[a:b] ends with a jump, and the signal moves on both sides.
+    """Returns whether the run values[a:b] ends with a jump, and the signal moves on both sides.
 
     The signal moved by the jump while the sensor was stuck. The jump exceeds all nearby steps.
     """
@@ -108,7 +108,7 @@ def _ends_with_jump(values: np.ndarray, a: int, b: int, g: Quantisation) -> bool
 
 
 def clipped(values: np.ndarray, g: Quantisation) -> np.ndarray:
-    """Return whether each reading (n,) is at the end of the sensor's range.
+    """Returns whether each reading (n,) is at the end of the sensor's range.
 
     The end is an extreme value that is read more often than its neighbour. No reading exceeds it,
     although the noise of an unclipped signal would.
@@ -138,7 +138,7 @@ def clipped(values: np.ndarray, g: Quantisation) -> np.ndarray:
 
 
 def spikes(values: np.ndarray, g: Quantisation) -> np.ndarray:
-    """Return whether each reading (n,) is one of one to three far from all their neighbours."""
+    """Returns whether each reading (n,) is one of one to three far from all their neighbours."""
     bad = np.zeros(len(values), bool)
     mirrored = np.pad(values, 4, "reflect")
     for width in (1, 2, 3):
@@ -157,7 +157,7 @@ def spikes(values: np.ndarray, g: Quantisation) -> np.ndarray:
 
 
 def _leaves_range(values: np.ndarray, a: int, b: int) -> bool:
-    """Return whether values[a:b] exceed the range of all others by half of the range.
+    """Returns whether values[a:b] exceed the range of all others by half of the range.
 
     First and last reading have neighbours on one side only, and a start from rest is a jump.
     """
@@ -175,7 +175,7 @@ def check_sensor(
     declared: float,
     rows: np.ndarray | None = None,
 ) -> tuple[np.ndarray, list[Finding]]:
-    """Return a channel's readings (n,) with NaN for faults, and findings.
+    """Returns a channel's readings (n,) with NaN for faults, and findings.
 
     `t` (n,) are the times [s], `declared` is the noise's standard deviation (0: unknown), and
     `rows` (n,) marks the rows of the file (default: all).
@@ -220,7 +220,7 @@ def _description(kind: str, channel: str, values: np.ndarray) -> str:
 
 
 def _frames(trial: str, channel: str, t: np.ndarray, values: np.ndarray) -> list[Finding]:
-    """Return a finding on the gaps of a channel that has a reading in every so many rows."""
+    """Returns a finding on the gaps of a channel that has a reading in every so many rows."""
     there = np.flatnonzero(np.isfinite(values))
     steps = np.diff(there)
     usual = int(np.median(steps))

@@ -22,7 +22,7 @@ FROZEN = 5
 
 
 def regular_rows(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
-    """Return rows at increasing, nearly regular times, and findings.
+    """Returns rows at increasing, nearly regular times, and findings.
 
     Missing rows are NaN. Raises `Unusable` if the times contradict each other.
     """
@@ -34,7 +34,7 @@ def regular_rows(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
 
 
 def _unit(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
-    """Return the rows with times in s, from a comparison with the trial's duration."""
+    """Returns the rows with times in s, from a comparison with the trial's duration."""
     longest = float(np.median(np.sort(rows.t)[-3:]))
     for factor, unit in ((1e3, "milliseconds"), (1e6, "microseconds")):
         if 0.5 < longest / (factor * trial.duration) < 1.2:
@@ -51,7 +51,7 @@ def _unit(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
 
 
 def _doubled(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
-    """Return the rows without copies."""
+    """Returns the rows without copies."""
     findings = []
     table = np.concatenate([rows.t[None], np.nan_to_num(rows.values, nan=-7e77)])
     first = {column.tobytes(): i for i, column in reversed([*enumerate(table.T)])}
@@ -66,7 +66,7 @@ def _doubled(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
 
 
 def _stale(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
-    """Return rows with NaN for readings equal to the previous row's, which noise excludes."""
+    """Returns rows with NaN for readings equal to the previous row's, which noise excludes."""
     same = np.diff(rows.values, axis=1) == 0.0
     # A sensor that is stuck or at the end of its range repeats readings in correct rows too.
     repeated = same & (same.mean(axis=1) < OFTEN)[:, None]
@@ -87,7 +87,7 @@ def _stale(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
 
 
 def _sorted(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
-    """Return the rows in order of time, without rows with equal times and different readings."""
+    """Returns the rows in order of time, without rows with equal times and different readings."""
     findings = []
     back = np.flatnonzero(np.diff(rows.t) < 0.0)
     if back.size:
@@ -117,7 +117,7 @@ def _sorted(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
 
 
 def _gaps(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
-    """Return the rows on the regular grid that fits their times, with NaN for missing rows."""
+    """Returns the rows on the regular grid that fits their times, with NaN for missing rows."""
     t, apart = rows.t, np.diff(rows.t)
     short = float(np.quantile(apart, 0.1))
     dt = float(np.median(apart[(apart > 0.75 * short) & (apart < 1.25 * short)]))

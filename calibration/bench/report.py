@@ -44,7 +44,7 @@ class Statics(NamedTuple):
 
 
 def statics_record(found: Statics, source: dict[str, Any]) -> dict[str, Any]:
-    """Return the content of statics.json, in SI units; `source` describes the input file."""
+    """Returns the content of statics.json, in SI units; `source` describes the input file."""
     shapes, ring = found.shapes, found.ring
     return {
         "parameters": {name: _estimate(name, x) for name, x in found.parameters.items()},
@@ -105,7 +105,7 @@ def _ring(found: Statics, ring: RingFit) -> dict[str, Any]:
 
 
 def _warnings(found: Statics) -> list[str]:
-    """Return a sentence for each contradiction between model and measurement."""
+    """Returns a sentence for each contradiction between model and measurement."""
     text = []
     shapes, ring = found.shapes, found.ring
     if shapes is not None:
@@ -134,7 +134,7 @@ def _warnings(found: Statics) -> list[str]:
 
 
 def statics_table(found: Statics) -> str:
-    """Return the identified parameters as text, one per line, and warnings."""
+    """Returns the identified parameters as text, one per line, and warnings."""
     lines = []
     for name, x in found.parameters.items():
         if x.determined:
@@ -145,7 +145,7 @@ def statics_table(found: Statics) -> str:
 
 
 def statics_model_file(found: Statics) -> str:
-    """Return the determined parameters as a model file for `slider simulate --model`."""
+    """Returns the determined parameters as a model file for `slider simulate --model`."""
     known = {n: x.value for n, x in found.parameters.items() if x.determined}
     tables = {
         table: {n: significant(x) for n, x in known.items() if (n == "K_Q") == own}
@@ -156,7 +156,7 @@ def statics_model_file(found: Statics) -> str:
 
 
 def draw_statics(found: Statics, folder: Path) -> None:
-    """Write a figure of every table to `folder`: measurement, model and residual."""
+    """Writes a figure of every table to `folder`: measurement, model and residual."""
     for i, one in enumerate(found.bench.shapes):
         assert found.shapes is not None
         _draw_shapes(one, found.shapes.predicted[i], folder / f"{Path(one.name).stem}.png")

@@ -73,7 +73,7 @@ class RingFit(NamedTuple):
 
 
 def fit_decay(t: np.ndarray, tip: np.ndarray) -> Decay:
-    """Return frequency and decay of the slowest mode, from the record after the first period.
+    """Returns frequency and decay of the slowest mode, from the record after the first period.
 
     Raises `InputError` if the record does not oscillate.
     """
@@ -103,7 +103,7 @@ def fit_decay(t: np.ndarray, tip: np.ndarray) -> Decay:
 
 
 def _model(theta, robot: Robot, density):
-    """Return the robot in air for theta = (log alpha, log stiffness, load, C_d in air)."""
+    """Returns the robot in air for theta = (log alpha, log stiffness, load, C_d in air)."""
     alpha, stiffness = jnp.exp(theta[0]), jnp.exp(theta[1])
     bent = replace(
         robot,
@@ -116,7 +116,7 @@ def _model(theta, robot: Robot, density):
 
 @eqx.filter_jit
 def _begin(theta, directions, robot: Robot, density, numerics: Numerics):
-    """Return the released robot's state and tip, and their tangents along `directions`."""
+    """Returns the released robot's state and tip, and their tangents along `directions`."""
 
     def carry(theta):
         model = _model(theta, robot, density)
@@ -129,7 +129,7 @@ def _begin(theta, directions, robot: Robot, density, numerics: Numerics):
 
 @eqx.filter_jit
 def _advance(theta, carry, d_theta, d_carry, robot, density, h, t0, numerics: Numerics):
-    """Return the state after `BLOCK` more steps, the tip (BLOCK,) [m], and their tangents."""
+    """Returns the state after `BLOCK` more steps, the tip (BLOCK,) [m], and their tangents."""
 
     def run(theta, carry):
         times = TimeGrid(h, BLOCK, t0)
@@ -155,7 +155,7 @@ def _with_tangents(function: Callable, arguments, directions):
 
 
 def _series(theta: np.ndarray, robot, density: float, grid: StepGrid, numerics: Numerics):
-    """Return the tip (n + 1,) [m] from the release on, and its tangents (4, n + 1)."""
+    """Returns the tip (n + 1,) [m] from the release on, and its tangents (4, n + 1)."""
     x, d, rho = jnp.asarray(theta), jnp.eye(len(theta)), jnp.asarray(density)
     (carry, tip), (d_carry, d_tip) = _begin(x, d, robot, rho, numerics)
     h = jnp.asarray(grid.h)
@@ -174,7 +174,7 @@ def _series(theta: np.ndarray, robot, density: float, grid: StepGrid, numerics: 
 def fit_ring_down(
     bench: Bench, robot: Robot | None = None, numerics: Numerics = Numerics()
 ) -> RingFit:
-    """Return the fit of alpha to the bench's ring-down; `robot` gives the initial values.
+    """Returns the fit of alpha to the bench's ring-down; `robot` gives the initial values.
 
     Without declared noise, the residual's standard deviation is the noise. The residual is
     correlated, so the effective number of samples is samples / correlation time.
@@ -190,7 +190,7 @@ def fit_ring_down(
     at = grid.times
 
     def predicted(x):
-        """Return the tip at the record's times and its tangents for x = (theta, delay, zero)."""
+        """Returns the tip at the record's times and its tangents for x = (theta, delay, zero)."""
         value, slope = _series(x[:4], robot, density, grid, numerics)
         t = record.t - x[4]
         rate = np.where(t < 0.0, 0.0, np.interp(t, at, np.gradient(value, grid.h)))
@@ -234,7 +234,7 @@ def fit_ring_down(
 
 
 def _start(record: RingDown, decay: Decay, robot, density, grid, numerics) -> np.ndarray:
-    """Return initial parameters whose simulation has the record's first tip, frequency and decay.
+    """Returns initial parameters whose simulation has the record's first tip, frequency and decay.
 
     The differences between two simulations and the record correct a first guess.
     """

@@ -45,7 +45,7 @@ class Minimum(NamedTuple):
 
 
 def levenberg_marquardt(linearised: Linearised, start: np.ndarray) -> Minimum:
-    """Return the minimum near `start`, by MINPACK's Levenberg-Marquardt.
+    """Returns the minimum near `start`, by MINPACK's Levenberg-Marquardt.
 
     Raises `InputError` if the model has no solution at the start.
     """
@@ -80,7 +80,7 @@ class BenchEstimate(NamedTuple):
 
     @classmethod
     def of(cls, value: float, error: float, times: float) -> "BenchEstimate":
-        """Return the interval of `times` standard errors; the lower limit is at least 0."""
+        """Returns the interval of `times` standard errors; the lower limit is at least 0."""
         return cls(value, max(0.0, value - times * error), value + times * error)
 
     @property
@@ -106,13 +106,13 @@ class ShapeFit(NamedTuple):
 
 
 def undriven_robot(robot: Robot) -> Model:
-    """Return the model of a clamped robot in air without drive."""
+    """Returns the model of a clamped robot in air without drive."""
     still = SineWave(1.0, 0.0)
     return Model(robot, (), Ideal(), Drive(still, still), Clamped())
 
 
 def tail_alone(robot: Robot) -> Robot:
-    """Return the tail as a separate robot on the same mesh."""
+    """Returns the tail as a separate robot on the same mesh."""
     return replace(
         robot,
         body_length=0.8 * robot.tail_length,
@@ -124,7 +124,7 @@ def tail_alone(robot: Robot) -> Robot:
 
 @eqx.filter_jit
 def _shapes(logs: Float[Array, "3"], robot: Robot, rows, numerics: Numerics):
-    """Return tip and joint (2, rows) [m] and their derivatives (2, rows, 3) with respect to `logs`.
+    """Returns tip and joint (2, rows) [m] and their derivatives (2, rows, 3) in `logs`.
 
     `logs` are those of EI_body, EI_tail and K_Q. `rows` are on_tail (rows,), force (rows,) and
     pressure (rows, 2).
@@ -148,7 +148,7 @@ def _shapes(logs: Float[Array, "3"], robot: Robot, rows, numerics: Numerics):
 
 
 def identifiable_parameters(shapes: Sequence[Shapes]) -> list[str]:
-    """Return the parameters that tables of these kinds can identify.
+    """Returns the parameters that tables of these kinds can identify.
 
     A load on the whole robot with the tip's displacement gives one stiffness, EI_body. EI_tail
     needs the joint's displacement, or a table with the tail alone.
@@ -165,7 +165,7 @@ def identifiable_parameters(shapes: Sequence[Shapes]) -> list[str]:
 
 
 def fit_shapes(bench: Bench, numerics: Numerics = Numerics()) -> ShapeFit:
-    """Return the fit of the identifiable EI_body, EI_tail and K_Q to all static shapes.
+    """Returns the fit of the identifiable EI_body, EI_tail and K_Q to all static shapes.
 
     Raises `InputError` if the pressures bend the measured robot and the model to opposite sides.
     """
@@ -184,7 +184,7 @@ def fit_shapes(bench: Bench, numerics: Numerics = Numerics()) -> ShapeFit:
     zeros = [np.r_[np.zeros(len(free)), np.arange(len(shapes)) == i] for i in range(len(shapes))]
 
     def tables(x):
-        """Return prediction and tangents of every table at x = (free logarithms, offsets)."""
+        """Returns prediction and tangents of every table at x = (free logarithms, offsets)."""
         logs = begin.copy()
         logs[free] = x[: len(free)]
         value, slope = _shapes(jnp.asarray(logs), robot, rows, numerics)
@@ -221,7 +221,7 @@ def fit_shapes(bench: Bench, numerics: Numerics = Numerics()) -> ShapeFit:
 
 
 def _scatter(shapes, found, noise, shared: int) -> list[float]:
-    """Return the standard deviation of every table; if not declared, from the residual."""
+    """Returns the standard deviation of every table; if not declared, from the residual."""
     result = []
     for s, (y, _), n in zip(shapes, found, noise, strict=True):
         if s.noise is None:

@@ -112,7 +112,7 @@ class Bench(NamedTuple):
 
 
 def load_bench(path: Path) -> Bench:
-    """Return the checked content of a bench file and its tables.
+    """Returns the checked content of a bench file and its tables.
 
     Raises `InputError` with file and line of a fault.
     """

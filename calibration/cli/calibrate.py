@@ -43,7 +43,7 @@ def manifold(
     out: Folder,
     plot: Pictures = True,
 ) -> None:
-    """Identify the pressure lag k from logs: for each log, and for all logs together.
+    """Identifies the pressure lag k from logs: for each log, and for all logs together.
 
     Writes DIR/manifold.json, DIR/model.toml (k, for `slider simulate --model`) and pictures. Prints
     whether a lag explains the logs, a table, and the shape of the residual.
@@ -71,7 +71,7 @@ def manifold(
 
 
 def refuse_same_names(logs: tuple[Path, ...]) -> None:
-    """Raise `InputError` if no log is given, or two logs with the same name."""
+    """Raises `InputError` if no log is given, or two logs with the same name."""
     if not logs:
         raise InputError("LOGS: nothing given; give one or more pressure logs")
     seen: dict[str, Path] = {}
@@ -97,7 +97,7 @@ def _draw(found: Identification, folder: Path) -> None:
 
 
 def lag_record(found: Identification, lines: list[str]) -> dict[str, Any]:
-    """Return the content of manifold.json; k in s, pressures in psi."""
+    """Returns the content of manifold.json; k in s, pressures in psi."""
     return {
         "pooled": {
             "k": found.k._asdict(),
@@ -145,7 +145,7 @@ def lag_record(found: Identification, lines: list[str]) -> dict[str, Any]:
 
 
 def lag_model_toml(found: Identification) -> str:
-    """Return a model file with the k of all logs."""
+    """Returns a model file with the k of all logs."""
     k = found.k
     names = ", ".join(x.log.path.name for x in found.logs)
     comment = (
@@ -159,7 +159,7 @@ def lag_model_toml(found: Identification) -> str:
 
 
 def lag_table(found: Identification) -> str:
-    """Return the result as text, with a line for each log."""
+    """Returns the result as text, with a line for each log."""
     lines = [
         f"{'log':<16}{'Hz':>7}{'samples':>9}{'k ms':>7}{'95 % interval':>16}{'widening':>10}"
         f"{'before':>9}{'after':>8}{'common k':>10}{'noise':>7}   (RMSE in psi)"

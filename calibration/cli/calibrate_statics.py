@@ -15,7 +15,7 @@ def statics(
     out: Folder,
     plot: Pictures = True,
 ) -> None:
-    """Identify EI, alpha and K_Q from tip loads, a ring-down and static pressures.
+    """Identifies EI, alpha and K_Q from tip loads, a ring-down and static pressures.
 
     Writes DIR/statics.json (values, 95 % intervals and the residuals of every table),
     DIR/model.toml (for `slider simulate --model`) and a picture of every table.

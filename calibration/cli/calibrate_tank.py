@@ -23,7 +23,7 @@ def tank(
     method: Method = "auto",
     model: ModelFile = None,
 ) -> None:
-    """Identify C_d, m_a, k and K_Q with 95 % intervals from measured trials.
+    """Identifies C_d, m_a, k and K_Q with 95 % intervals from measured trials.
 
     Writes DIR/calibration.json (values, intervals, correlations, errors and noise floors) and
     DIR/model.toml (for `slider simulate --model`). A parameter that the data do not determine gets
@@ -76,7 +76,7 @@ def tank(
 
 
 def _by_frequency(found, each, progress, stage: Path):
-    """Return the comparison's record, model file and table; write its CSV file and figure."""
+    """Returns the comparison's record, model file and table; writes its CSV file and figure."""
     from calibration.identification import per_frequency_report as report
     from calibration.identification.per_frequency import compare_ties
     from slider_jax.io.files import write_csv

@@ -23,7 +23,7 @@ def close_loop(
     out: Folder,
     model: ModelFile = None,
 ) -> None:
-    """Calibrate a model and find the effects that it lacks.
+    """Calibrates a model and finds the effects that it lacks.
 
     The command fits the model, traces the residual to effects of the library, adds them and
     reports. Writes DIR/report.html (to read), DIR/report.json (to process) and DIR/model.toml (the

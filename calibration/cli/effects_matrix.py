@@ -23,7 +23,7 @@ def effects_matrix(
     tow_speed: Range = None,
     model: ModelFile = None,
 ) -> None:
-    """Compute the detection limits of effects, and which effects an experiment cannot discriminate.
+    """Computes the detection limits of effects, and the effects an experiment cannot discriminate.
 
     The trials need not be measured. Writes DIR/matrix.json and DIR/matrix.png. With --separate, the
     command also searches the next trial that discriminates best between the given effects, and

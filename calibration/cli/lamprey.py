@@ -16,7 +16,7 @@ def lamprey(
     draws: Whole = 400,
     seed: Whole = 0,
 ) -> None:
-    """Compare the model's axial force on a swimming animal with the animal's momentum.
+    """Compares the model's axial force on a swimming animal with the animal's momentum.
 
     The measured midlines are prescribed. If the forces do not balance, the report states which
     effects would close the balance. FOLDER holds lampreydata.csv (t, frame, point, mxmm, mymm) and

@@ -8,7 +8,7 @@ from slider_jax.cli.progress import timed_printer
 
 
 def published(out: Folder) -> None:
-    """Compare the paper's free-swimming speeds with its equations and with added axial resistance.
+    """Compares the paper's free-swimming speeds with its equations and with added axial resistance.
 
     Each effect of axial resistance is calibrated on one published speed and predicts the other.
     The command takes some minutes. It writes DIR/report.html (to read) and DIR/report.json (to

@@ -42,7 +42,7 @@ DEFINITIONS = {
 def simulate_log(
     path: Path, model: Path | None, out: Path, drive: Literal["set", "measured"], plot: bool
 ) -> None:
-    """Simulate a log; write DIR/<log's stem>.csv, at the log's sample times, and DIR/summary.json.
+    """Simulates a log; writes DIR/<log stem>.csv, at the log's sample times, and DIR/summary.json.
 
     With the drive "set", the pressure model runs from the first measured sample on the command.
     With "measured", the measured pressure itself acts. Raise `InputError` for an invalid log or
@@ -76,7 +76,7 @@ def simulate_log(
 def drive_robot(
     log: ManifoldLog, experiment: Experiment, drive: str, progress=lambda done, total: None
 ) -> dict[str, np.ndarray]:
-    """Return the columns of a trial at the log's sample times.
+    """Returns the columns of a trial at the log's sample times.
 
     Missing samples of the drive are interpolated linearly. The function calls `progress` with the
     number of samples done and of all samples.
@@ -135,7 +135,7 @@ def log_summary(
     drive: str,
     columns: dict[str, np.ndarray],
 ) -> dict[str, Any]:
-    """Return the content of summary.json."""
+    """Returns the content of summary.json."""
     here = whole_cycles(log)
     thrust, recoil, tip = (columns[name][here] for name in ("thrust_N", "recoil_N", "tip_m"))
     error = (columns["p_front_Pa"] - log.pressure_Pa) / PA_PER_PSI

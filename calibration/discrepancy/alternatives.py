@@ -35,7 +35,7 @@ def equivalent_effects(
     blocks: Sequence[ChannelBlock],
     settings: SelectionSettings,
 ) -> list[str]:
-    """Return a round's candidates that explain as much as the best or have parallel tangents.
+    """Returns a round's candidates that explain as much as the best or have parallel tangents.
 
     `scored` holds the indices of the parameters that score each effect.
     """
@@ -55,7 +55,7 @@ def equivalent_effects(
 
 
 def judge_alternatives(refits: Refits, found: Selection) -> None:
-    """Substitute each alternative for its round's chosen effect and update the equivalence class.
+    """Substitutes each alternative for its round's chosen effect and updates the equivalence class.
 
     An alternative that cannot be fitted keeps the classification of its round. If a residual
     exceeds the noise floor, all keep it.
@@ -81,7 +81,7 @@ def judge_alternatives(refits: Refits, found: Selection) -> None:
 
 
 def better_alternative(found: Selection) -> tuple[SelectionStep, str] | None:
-    """Return a round and the alternative that fits better than its chosen effect, or None.
+    """Returns a round and the alternative that fits better than its chosen effect, or None.
 
     The round must have refitted the alternative, and its held-out trials must agree on it.
     """
@@ -111,7 +111,7 @@ def _contenders(round_: SelectionStep, settings: SelectionSettings) -> list[str]
 def _substituted(
     refits: Refits, found: Selection, round_: SelectionStep, alternative: str
 ) -> Fit | None:
-    """Return the final fit with an alternative substituted for a round's chosen effect.
+    """Returns the final fit with an alternative substituted for a round's chosen effect.
 
     The alternative may be in the fit already. Return None if another effect replaces the same law,
     or if the substitution cannot be simulated.

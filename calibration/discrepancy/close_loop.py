@@ -63,7 +63,7 @@ class LoopOutcome:
         return self.search.final if self.effects else self.search.base
 
     def interval(self, index: int) -> tuple[float, float, float]:
-        """Return value, lower and upper 95 % bound of a fitted entry."""
+        """Returns value, lower and upper 95 % bound of a fitted entry."""
         return confidence_interval(self.final, self.entries, index)
 
 
@@ -72,7 +72,7 @@ def choose_held_out(
     kept: Collection[str] = (),
     settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> list[int]:
-    """Return the indices of a quarter of the trials, or none if there are too few.
+    """Returns the indices of a quarter of the trials, or none if there are too few.
 
     The trials are spread over the frequencies, without the lowest and the highest. Two towed trials
     and two in still water are not held out, because an effect may act only on one kind. Trials of
@@ -103,7 +103,7 @@ def close_loop_on_trials(
     kept: Collection[str] = (),
     settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> LoopOutcome:
-    """Return the effects that the model of `experiment` lacks on its measured trials.
+    """Returns the effects that the model of `experiment` lacks on its measured trials.
 
     `effects` are the candidates' names (default: the whole library). Residuals are computed at the
     resolution `fine` and tangents at `coarse`. Trials of the files `kept` are not held out. Raise
@@ -155,7 +155,7 @@ def conclude(
     progress: Callable[[str], None],
     settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> LoopOutcome:
-    """Select effects, reach a verdict, predict the held-out trials and refit to all trials."""
+    """Selects effects, reach a verdict, predict the held-out trials and refit to all trials."""
     entries = model_parameters(names)
     used = [r for i, r in enumerate(found) if i not in held]
     all_trials = problem_of(found)

@@ -20,7 +20,7 @@ def locate_residuals(
     left: dict[str, Excess],
     noise_floor: float,
 ) -> list[dict[str, Any]]:
-    """Return a record of the residual of each channel above the noise floor.
+    """Returns a record of the residual of each channel above the noise floor.
 
     `predicted` are the readings (channels, samples) of every trial of `records`, and `left` is
     their excess.
@@ -52,7 +52,7 @@ def locate_residuals(
 
 
 def residual_timing(record: Record, channel: str, model: np.ndarray) -> dict[str, Any]:
-    """Return when in a trial the residual of a channel is largest.
+    """Returns when in a trial the residual of a channel is largest.
 
     `phase` is the eighth of the drive's period, from t = 0, with the largest `share` of the squared
     residual. `growing` is the share of the squared residual while the model's reading moves away
@@ -79,7 +79,7 @@ def residual_timing(record: Record, channel: str, model: np.ndarray) -> dict[str
 
 
 def _strongest(t: np.ndarray, r: np.ndarray) -> dict[str, float]:
-    """Return the sine that explains most of a squared residual; fill gaps by interpolation."""
+    """Returns the sine that explains most of a squared residual; fill gaps by interpolation."""
     even = np.arange(t[0], t[-1], float(np.median(np.diff(t))))
     y = np.interp(even, t, r - r.mean())
     power = np.abs(np.fft.rfft(y, 4 * len(y)))[1:] ** 2
@@ -90,7 +90,7 @@ def _strongest(t: np.ndarray, r: np.ndarray) -> dict[str, float]:
 
 
 def significant_trend(settings: Sequence[float | None], squares: np.ndarray) -> float | None:
-    """Return the rank correlation of the trials' mean squares with a setting.
+    """Returns the rank correlation of the trials' mean squares with a setting.
 
     Return None for fewer than five trials or a p-value of at least 0.05.
     """
@@ -103,7 +103,7 @@ def significant_trend(settings: Sequence[float | None], squares: np.ndarray) -> 
 
 
 def residual_text(x: dict[str, Any]) -> str:
-    """Return one entry of `locate_residuals` as a sentence."""
+    """Returns one entry of `locate_residuals` as a sentence."""
     text = f"{x['channel']}: {x['mean_square_over_noise']:.3g} times its noise floor"
     here = x["in_worst_trial"]
     worst = f"worst in {x['worst_trial']}"

@@ -15,7 +15,7 @@ SHOWN_STRIDES = 3.0
 
 
 def loop_page(outcome: LoopOutcome, record: dict[str, Any]) -> str:
-    """Return the report page of a loop; `record` is the content of report.json."""
+    """Returns the report page of a loop; `record` is the content of report.json."""
     known, settings = dict(record["parameters"]), outcome.search.settings
     for effect in record["effects"]:
         known |= {f"{effect['name']}.{n}": x for n, x in effect["parameters"].items()}
@@ -72,7 +72,7 @@ def _interval(x: dict[str, Any]) -> list[str]:
 
 
 def _refits(candidates: list[dict[str, Any]]) -> list[list[str]]:
-    """Return a row for every refitted candidate of each round, best first."""
+    """Returns a row for every refitted candidate of each round, best first."""
     rows = [x for x in candidates if "explained" in x]
     return [
         [
@@ -86,7 +86,7 @@ def _refits(candidates: list[dict[str, Any]]) -> list[list[str]]:
 
 
 def _alternatives(effects: list[dict[str, Any]]) -> list[list[str]]:
-    """Return a row for every alternative substituted for a chosen effect."""
+    """Returns a row for every alternative substituted for a chosen effect."""
     return [
         [
             f"{x['name']} for {effect['name']}", f"{x['loss']:.4g}",
@@ -113,7 +113,7 @@ def _consequence(record: dict[str, Any]) -> list[list[str]]:
 
 
 def readings_figure(outcome: LoopOutcome):
-    """Plot the readings of one trial's last strides, and all its residuals, with both models."""
+    """Plots the readings of one trial's last strides, and all its residuals, with both models."""
     import matplotlib.pyplot as plt
 
     record, before, after = _shown_trial(outcome)
@@ -145,7 +145,7 @@ def readings_figure(outcome: LoopOutcome):
 
 
 def _shown_trial(outcome: LoopOutcome):
-    """Return record and both predictions of the fitted trial on which the two fits differ most."""
+    """Returns record and both predictions of the fitted trial on which the two fits differ most."""
     fitted = [i for i in range(len(outcome.problem.records)) if i not in outcome.held]
     pairs = list(zip(outcome.search.base.predicted, outcome.chosen.predicted, strict=True))
     rows = [row_of(c) for c in outcome.problem.channels]
@@ -158,7 +158,7 @@ def _shown_trial(outcome: LoopOutcome):
 
 
 def score_figure(record: dict[str, Any]):
-    """Plot the best 12 scores of every round."""
+    """Plots the best 12 scores of every round."""
     import matplotlib.pyplot as plt
 
     rounds = sorted({x["round"] for x in record["candidates"]})

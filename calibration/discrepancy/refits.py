@@ -16,7 +16,7 @@ from calibration.model.extended import Parameter
 def initial_theta(
     refits: "Refits", theta: np.ndarray, group: np.ndarray, step: np.ndarray
 ) -> np.ndarray:
-    """Return the vector from which a refit with an effect starts.
+    """Returns the vector from which a refit with an effect starts.
 
     The effect's parameters start at their `Prior.start`, or else at theta plus a score's `step`.
     """
@@ -44,21 +44,21 @@ class Refits:
     settings: SelectionSettings = DEFAULT_SETTINGS
 
     def sizes(self, before: Fit, after: Fit) -> dict[str, float]:
-        """Return every channel's rms change from one fit to another, as a share of its rms."""
+        """Returns every channel's rms change from one fit to another, as a share of its rms."""
         return relative_changes(self.problem.channels, before.predicted, after.predicted)
 
     def fit(self, theta: np.ndarray, free: np.ndarray) -> Fit:
-        """Return the fit of the entries `free` from theta."""
+        """Returns the fit of the entries `free` from theta."""
         return fit_gauss_newton(self.problem, self.entries, theta, free, self.progress, self.white)
 
     def null(self, theta: np.ndarray, group: np.ndarray) -> np.ndarray:
-        """Return theta with the entries `group` at their null."""
+        """Returns theta with the entries `group` at their null."""
         theta = theta.copy()
         theta[group] = [self.entries[i].prior.null for i in group]
         return theta
 
     def joined(self, theta: np.ndarray, start: np.ndarray, free: np.ndarray) -> Fit | None:
-        """Return the fit of the entries `free` from `start`.
+        """Returns the fit of the entries `free` from `start`.
 
         While `start` cannot be simulated, it moves halfway to theta. Return None if that fails.
         """
@@ -70,7 +70,7 @@ class Refits:
         return None
 
     def without(self, current: Fit, name: str) -> Fit | None:
-        """Return the fit without an effect, or None if the loss exceeds the naming threshold."""
+        """Returns the fit without an effect, or None if the loss exceeds the naming threshold."""
         group = effect_entries(self.entries)[name]
         own = np.isin(current.free, group)
         null = self.null(current.theta, group)

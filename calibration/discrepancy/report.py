@@ -22,7 +22,7 @@ def loop_record(
     source: dict[str, Any],
     following: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Return the content of report.json.
+    """Returns the content of report.json.
 
     `source` names the input, `following` is the record of the next experiment.
     """
@@ -56,7 +56,7 @@ def loop_record(
 
 
 def effect_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
-    """Return every added effect with its equivalence class, alternatives and parameters."""
+    """Returns every added effect with its equivalence class, alternatives and parameters."""
     found, settings = [], outcome.search.settings
     same_place = effects_at_same_place(outcome.search) if _above_floor(outcome) else []
     for round_ in outcome.search.rounds:
@@ -90,13 +90,13 @@ def effect_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
 
 
 def nearest_effects(outcome: LoopOutcome) -> list[dict[str, Any]]:
-    """Return the effects that reduce an unexplained residual most; they are not in the model."""
+    """Returns the effects that reduce an unexplained residual most; they are not in the model."""
     names = [] if outcome.effects else outcome.search.effects
     return [{"name": n, "title": LIBRARY[n].title, "where": LIBRARY[n].place()} for n in names]
 
 
 def _above_floor(outcome: LoopOutcome) -> list[str]:
-    """Return the channels whose residual exceeds the noise floor."""
+    """Returns the channels whose residual exceeds the noise floor."""
     floor = outcome.search.settings.noise_floor
     return [c for c, x in outcome.excess.items() if x.all > floor]
 
@@ -107,7 +107,7 @@ def _interval(outcome: LoopOutcome, effect: str, name: str) -> dict[str, Any]:
 
 
 def candidate_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
-    """Return all candidates of all rounds, best first, with the test results of the refits."""
+    """Returns all candidates of all rounds, best first, with the test results of the refits."""
     rows = []
     for number, round_ in enumerate(outcome.search.rounds, start=1):
         refitted = {t.name: t for t in round_.refitted}
@@ -122,14 +122,14 @@ def candidate_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
 
 
 def residual_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
-    """Return where the final fit's residual exceeds the noise floor on the fitted trials."""
+    """Returns where the final fit's residual exceeds the noise floor on the fitted trials."""
     fitted = [r for i, r in enumerate(outcome.problem.records) if i not in outcome.held]
     floor = outcome.search.settings.noise_floor
     return locate_residuals(fitted, outcome.chosen.predicted, outcome.excess, floor)
 
 
 def verdict_text(outcome: LoopOutcome) -> str:
-    """Return the verdict as a sentence."""
+    """Returns the verdict as a sentence."""
     names = outcome.search.effects
     titles = ", ".join(f"{LIBRARY[n].title} ({n})" for n in names)
     match outcome.verdict:
@@ -160,7 +160,7 @@ def verdict_text(outcome: LoopOutcome) -> str:
 
 
 def parameter_lines(record: dict[str, Any]) -> list[str]:
-    """Return a line for each parameter of the added effects."""
+    """Returns a line for each parameter of the added effects."""
     return [
         f"{effect['name']}.{name} = {parameter_text(x)}"
         for effect in record["effects"]
@@ -169,7 +169,7 @@ def parameter_lines(record: dict[str, Any]) -> list[str]:
 
 
 def error_lines(record: dict[str, Any]) -> list[str]:
-    """Return a line for each channel's error on the held-out trials, or else on all trials."""
+    """Returns a line for each channel's error on the held-out trials, or else on all trials."""
     held = record["held_out"]
     errors, trials = held or record["errors"], "held-out trials" if held else "all trials"
     return [
@@ -180,7 +180,7 @@ def error_lines(record: dict[str, Any]) -> list[str]:
 
 
 def loop_model_toml(outcome: LoopOutcome) -> str:
-    """Return the calibrated model with its effects, for `slider simulate --model`."""
+    """Returns the calibrated model with its effects, for `slider simulate --model`."""
     entries, final = outcome.entries, outcome.final
     kept = [i for i, p in enumerate(entries) if p.effect or i in final.free]
     tables = model_tables([entries[i] for i in kept], final.theta[kept], outcome.effects)

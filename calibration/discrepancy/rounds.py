@@ -23,12 +23,12 @@ class Agreement(NamedTuple):
     """p-value of Wilcoxon's signed-rank test on them."""
 
     def agreed(self, settings: SelectionSettings = DEFAULT_SETTINGS) -> bool:
-        """Return whether the held-out trials agree that the candidate improves them."""
+        """Returns whether the held-out trials agree that the candidate improves them."""
         return bool(self.mean > settings.left_out_t or self.chance < settings.wilcoxon_p)
 
 
 def agreement(left_out: np.ndarray) -> Agreement:
-    """Return the agreement of the log gains `Score.left_out` (trials,)."""
+    """Returns the agreement of the log gains `Score.left_out` (trials,)."""
     n = len(left_out)
     spread = float(left_out.std(ddof=1)) / np.sqrt(n) if n > 1 else np.inf
     mean = float(left_out.mean()) / max(spread, 1e-300)
@@ -89,13 +89,13 @@ class Selection:
 
 
 def effect_entries(entries: Sequence[Parameter]) -> dict[str, np.ndarray]:
-    """Return the indices of every effect's parameters, by effect."""
+    """Returns the indices of every effect's parameters, by effect."""
     names = dict.fromkeys(p.effect for p in entries if p.effect)
     return {n: np.array([i for i, p in enumerate(entries) if p.effect == n]) for n in names}
 
 
 def scoring_entries(entries: Sequence[Parameter]) -> dict[str, np.ndarray]:
-    """Return the indices of the parameters that score each effect.
+    """Returns the indices of the parameters that score each effect.
 
     These are the parameters with a `Prior.start`, or all if the effect has none.
     """
@@ -109,7 +109,7 @@ def scoring_entries(entries: Sequence[Parameter]) -> dict[str, np.ndarray]:
 def relative_changes(
     channels: Sequence[str], before: Sequence[np.ndarray], after: Sequence[np.ndarray]
 ) -> dict[str, float]:
-    """Return the rms change of every channel as a share of its rms, all trials together."""
+    """Returns the rms change of every channel as a share of its rms, all trials together."""
     found = {}
     for channel in channels:
         row = row_of(channel)

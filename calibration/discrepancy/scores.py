@@ -37,19 +37,19 @@ class Score(NamedTuple):
 
 
 def least_squares_step(A: np.ndarray, b: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Return the least-squares step of the entries `index`, zero elsewhere."""
+    """Returns the least-squares step of the entries `index`, zero elsewhere."""
     step = np.zeros(len(b))
     step[index] = inverse(A[np.ix_(index, index)]) @ b[index]
     return step
 
 
 def square_reduction(blocks: Sequence[ChannelBlock], step: np.ndarray) -> float:
-    """Return the reduction of the sum of squares of `blocks` by a step."""
+    """Returns the reduction of the sum of squares of `blocks` by a step."""
     return sum(2.0 * step @ x.b - step @ x.A @ step for x in blocks)
 
 
 def square_after(blocks: Sequence[ChannelBlock], step: np.ndarray) -> float:
-    """Return the sum of squares of `blocks` after a step."""
+    """Returns the sum of squares of `blocks` after a step."""
     return max(sum(x.c for x in blocks) - square_reduction(blocks, step), 1e-300)
 
 
@@ -62,7 +62,7 @@ def score(
     many: int,
     settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> Score:
-    """Return the score of the candidate whose entries are `group`, given the free entries.
+    """Returns the score of the candidate whose entries are `group`, given the free entries.
 
     `unit` is the residual's mean square and `many` the number of candidates.
     """
@@ -88,7 +88,7 @@ def score(
 
 
 def tangent_cosine(A: np.ndarray, first: np.ndarray, second: np.ndarray, free: np.ndarray) -> float:
-    """Return the largest |cos| between two candidates' tangents, orthogonal to the free ones.
+    """Returns the largest |cos| between two candidates' tangents, orthogonal to the free ones.
 
     `A` is the normal matrix. The cosine is 1 if the data cannot discriminate between the two.
     """

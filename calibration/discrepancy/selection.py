@@ -48,7 +48,7 @@ def effect_tangents(
     free: np.ndarray,
     settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> list[np.ndarray]:
-    """Return the readings' change per unit of each parameter, for each trial.
+    """Returns the readings' change per unit of each parameter, for each trial.
 
     Each array has the shape (parameters, channels, samples). A parameter with a `Prior.start` has
     the secant from its null to that start; the secant is halved while it cannot be simulated. Other
@@ -89,7 +89,7 @@ def select_effects(
     base_names: Sequence[str] = tuple(BASE),
     settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> Selection:
-    """Select the effects of `entries` that the base model lacks on the problem's trials.
+    """Selects the effects of `entries` that the base model lacks on the problem's trials.
 
     `base_names` are the parameters of the base model to fit.
     """
@@ -118,7 +118,7 @@ def select_effects(
 
 
 def _add(refits: Refits, found: Selection) -> None:
-    """Add one effect in each round until no candidate exceeds the naming threshold."""
+    """Adds one effect in each round until no candidate exceeds the naming threshold."""
     settings = refits.settings
     while len(found.effects) < settings.max_effects and len(found.rounds) < settings.max_rounds:
         rest = [n for n in effect_entries(refits.entries) if _can_join(n, found.effects)]
@@ -135,7 +135,7 @@ def _add(refits: Refits, found: Selection) -> None:
 
 
 def _remove_unnecessary(refits: Refits, found: Selection, by: SelectionStep) -> None:
-    """Remove effects that the choice of the round `by` makes unnecessary.
+    """Removes effects that the choice of the round `by` makes unnecessary.
 
     The round `by` takes over their equivalent effects.
     """
@@ -188,7 +188,7 @@ def _round(refits: Refits, current: Fit, rest: Sequence[str]) -> SelectionStep:
 
 
 def _short_list(scores: list[Score], refits: Refits, scored) -> list[Score]:
-    """Return the candidates to refit: the best of those scored by tangents and by secants."""
+    """Returns the candidates to refit: the best of those scored by tangents and by secants."""
     entries, settings = refits.entries, refits.settings
     best = scores[0].gain
 

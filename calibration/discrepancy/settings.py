@@ -76,7 +76,7 @@ class SelectionSettings:
     """Share of the prior range from its ends within which a parameter is at a bound."""
 
     def worth_naming(self, gain: float, sizes: dict[str, float]) -> bool:
-        """Return whether an effect exceeds the naming threshold.
+        """Returns whether an effect exceeds the naming threshold.
 
         Its gain must exceed `min_gain`. Its change of some channel must exceed that channel's
         model-discretisation discrepancy. `sizes` are the channels' rms changes as shares of their

@@ -16,7 +16,7 @@ NAMED = (IDENTIFIED, CLASS)
 
 
 def effects_at_bounds(search: Selection, entries: Sequence[Parameter]) -> list[str]:
-    """Return the added effects with a parameter at a bound of its prior range."""
+    """Returns the added effects with a parameter at a bound of its prior range."""
     found, judged = [], scoring_entries(entries)
     for i, p in enumerate(entries):
         if p.effect not in search.effects or i not in judged[p.effect]:
@@ -29,7 +29,7 @@ def effects_at_bounds(search: Selection, entries: Sequence[Parameter]) -> list[s
 
 
 def effects_at_same_place(search: Selection) -> list[str]:
-    """Return the added effects that act at the same place and may have one cause.
+    """Returns the added effects that act at the same place and may have one cause.
 
     Effects that replace a law are excluded.
     """
@@ -39,7 +39,7 @@ def effects_at_same_place(search: Selection) -> list[str]:
 
 
 def rms_reduction(before: float, after: float) -> float:
-    """Return the relative reduction of a channel's rms above the noise floor.
+    """Returns the relative reduction of a channel's rms above the noise floor.
 
     `before` and `after` are mean squares of the whitened residual.
     """
@@ -53,7 +53,7 @@ def reach_verdict(
     before: dict[str, Excess],
     after: dict[str, Excess],
 ) -> str:
-    """Return the verdict on a selection from the excess of the base fit and of the final fit.
+    """Returns the verdict on a selection from the excess of the base fit and of the final fit.
 
     A parameter at a bound indicates a cause outside the candidates. Two effects at one place that
     leave a residual above the noise floor form a class.

@@ -42,7 +42,7 @@ class Campaign:
 
 
 def verdict_is_final(outcome: LoopOutcome, following: dict[str, Any]) -> bool:
-    """Return whether no further trial can change the kind of the verdict.
+    """Returns whether no further trial can change the kind of the verdict.
 
     A class is final if no trial within the limits is predicted to make it smaller. The verdicts
     "unexplained" and "inconclusive" are never final.
@@ -61,7 +61,7 @@ def run_campaign(
     progress: Callable[[str], None] = lambda text: None,
     close: Callable[..., LoopOutcome] = close_loop_on_trials,
 ) -> Campaign:
-    """Close the loop on the experiment file `path` repeatedly, with at most `budget` trials.
+    """Closes the loop on the experiment file `path` repeatedly, with at most `budget` trials.
 
     Each round captures the trials of the file that are not measured and closes the loop by `close`.
     Then it chooses a trial within `limits`, adds it to the file and writes `out`/round_NN.json. An
@@ -101,6 +101,6 @@ def run_campaign(
 
 
 def _chosen(out: Path) -> list[str]:
-    """Return the files of trials that earlier rounds chose; the selection must use these trials."""
+    """Returns the files of trials that earlier rounds chose; selections must use these trials."""
     reports = [json.loads(path.read_text()) for path in sorted(out.glob("round_*.json"))]
     return [x["next_experiment"]["trial"]["file"] for x in reports if x["next_experiment"]["trial"]]

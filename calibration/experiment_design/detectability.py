@@ -99,7 +99,7 @@ class DetectabilityMatrix:
 
 
 def required_gain(freedom: int, many: int) -> float:
-    """Return the gain required of one of `many` candidates with `freedom` parameters."""
+    """Returns the gain required of one of `many` candidates with `freedom` parameters."""
     return max(
         DEFAULT_SETTINGS.min_gain, float(chi2.isf(DEFAULT_SETTINGS.false_alarm_p / many, freedom))
     )
@@ -112,7 +112,7 @@ def detectability_matrix(
     coarse: Resolution = COARSE,
     memo: Memo | None = None,
 ) -> DetectabilityMatrix:
-    """Return the detectability of `effects` by the trials of `experiment`.
+    """Returns the detectability of `effects` by the trials of `experiment`.
 
     `effects` are names (default: all candidates). The trials need not be measured. Raise
     `InputError` if no noise is declared, `SolverError` if a trial cannot be simulated.
@@ -141,7 +141,7 @@ def detectability_matrix(
 def _limit(
     channels: Sequence[ChannelInformation], i: int, free: np.ndarray, gain: float
 ) -> tuple[float, float, float]:
-    """Return `significant`, `nameable` and `error` of the limit of the entry `i`."""
+    """Returns `significant`, `nameable` and `error` of the limit of the entry `i`."""
     A = information(channels)
     if not np.isfinite(A[i]).all():
         return np.nan, np.nan, np.nan
@@ -157,7 +157,7 @@ def _limit(
 
 
 def _pairs(A, names, indices, free, entries) -> tuple[np.ndarray, np.ndarray]:
-    """Return |cos| of all pairs, and whether signs discriminate between the two."""
+    """Returns |cos| of all pairs, and whether signs discriminate between the two."""
     n = len(names)
     cosines, opposed = np.full((n, n), np.nan), np.zeros((n, n), bool)
 
@@ -180,7 +180,7 @@ def _pairs(A, names, indices, free, entries) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _opposed(A, first, second, free, entries: Sequence[Parameter]) -> bool:
-    """Return whether two one-sided parameters change the readings in opposite directions."""
+    """Returns whether two one-sided parameters change the readings in opposite directions."""
     both = np.concatenate([first, second])
     priors = [entries[i].prior for i in both]
     sides = [int(p.low >= p.null) - int(p.high <= p.null) for p in priors]
@@ -192,7 +192,7 @@ def _opposed(A, first, second, free, entries: Sequence[Parameter]) -> bool:
 def equivalence_classes(
     names: Sequence[str], cosines: np.ndarray, opposed: np.ndarray, found: set[str]
 ) -> list[list[str]]:
-    """Return the classes of the effects `found` with |cos| above `parallel_cosine`."""
+    """Returns the classes of the effects `found` with |cos| above `parallel_cosine`."""
     linked = (np.nan_to_num(cosines) > DEFAULT_SETTINGS.parallel_cosine) & ~opposed
     there = np.array([name in found for name in names])
     linked &= there[:, None] & there
@@ -204,7 +204,7 @@ def equivalence_classes(
 def effects_at_limits(
     m: DetectabilityMatrix, names: Sequence[str]
 ) -> tuple[TrialInformation, np.ndarray, dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Return the first arguments of `separating_trial` for effects at their detection limits.
+    """Returns the first arguments of `separating_trial` for effects at their detection limits.
 
     A parameter whose limit is outside the prior range is at the end of that range.
     """

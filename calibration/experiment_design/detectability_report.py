@@ -36,7 +36,7 @@ NOTES = {
 
 
 def detectability_record(m: DetectabilityMatrix, source: dict[str, Any]) -> dict[str, Any]:
-    """Return the content of matrix.json; `source` names the input."""
+    """Returns the content of matrix.json; `source` names the input."""
     experiment, sensing = m.information.experiment, m.information.sensing
     return {
         "name": experiment.name,
@@ -88,7 +88,7 @@ def _row(x: DetectionLimit) -> dict[str, Any]:
 
 
 def matrix_table(m: DetectabilityMatrix) -> str:
-    """Return limits, classes and used channels as text."""
+    """Returns limits, classes and used channels as text."""
     rows = [("effect", "parameter", "limit", "prior range", "")]
     for x in m.limits:
         unit = "" if x.parameter.prior.unit == "-" else f" {x.parameter.prior.unit}"
@@ -116,7 +116,7 @@ def matrix_table(m: DetectabilityMatrix) -> str:
 
 
 def _clustered(m: DetectabilityMatrix) -> list[int]:
-    """Return the indices of the effects, sorted so that parallel effects are neighbours."""
+    """Returns the indices of the effects, sorted so that parallel effects are neighbours."""
     if len(m.names) < 3:
         return list(range(len(m.names)))
     distance = 1.0 - np.nan_to_num(m.cosines)
@@ -125,7 +125,7 @@ def _clustered(m: DetectabilityMatrix) -> list[int]:
 
 
 def plot_matrix(m: DetectabilityMatrix, path: Path) -> None:
-    """Plot |cos| of all pairs as a heat map, and the detection limits as bars."""
+    """Plots |cos| of all pairs as a heat map, and the detection limits as bars."""
     places = _clustered(m)
     names, n = [m.names[i] for i in places], len(places)
     side = max(5.0, 0.21 * n + 2.5)

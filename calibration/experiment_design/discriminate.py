@@ -60,7 +60,7 @@ class ModelDistance(NamedTuple):
 
 
 def model_distance(channels: Sequence[ChannelInformation], unit: float) -> ModelDistance:
-    """Return the distance between a refitted model and a second model.
+    """Returns the distance between a refitted model and a second model.
 
     The directions of `channels` are the refitted model's parameters and, last, the difference
     between the models. `unit` is the residual's mean square.
@@ -82,7 +82,7 @@ def discriminating_trial(
     effort: SearchEffort = SearchEffort(),
     progress: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
-    """Return the record of the trial that discriminates best between an effect and an alternative.
+    """Returns the record of the trial that discriminates best between an effect and an alternative.
 
     For each alternative to the effect `name`, `predictions` holds two models: with the alternative
     and with the effect. Each has the parameters of the second model in its field `other`. Both were
@@ -93,7 +93,7 @@ def discriminating_trial(
     before = [f.trials(trials, progress) for f in models]
 
     def after(channels: list[list[ChannelInformation]], times: int = 1) -> list[ModelDistance]:
-        """Return each alternative's distance after the trial is run `times` times."""
+        """Returns each alternative's distance after the trial is run `times` times."""
         pairs = zip(before, channels, strict=True)
         found = [model_distance([*a, *(times * b)], unit) for a, b in pairs]
         both = zip(found[::2], found[1::2], strict=True)
@@ -106,7 +106,7 @@ def discriminating_trial(
         return None
 
     def goal(channels: list[list[ChannelInformation]]) -> float:
-        """Return a score that prefers few repetitions, and then a large mean distance."""
+        """Returns a score that prefers few repetitions, and then a large mean distance."""
         found = np.array([x.threshold_ratio for x in after(channels)])
         far = np.mean(np.minimum(found, 1.0)) + 1e-2 * np.mean(found / (1.0 + found))
         return float(far) - 2.0 * (needed(channels) or MAX_REPEATS + 1)

@@ -56,7 +56,7 @@ class SensorModel:
 
     @classmethod
     def of(cls, experiment: Experiment, found: Sequence[Record] | None = None) -> "SensorModel":
-        """Return the sensors of the measured trials `found`, or else those that are declared.
+        """Returns the sensors of the measured trials `found`, or else those that are declared.
 
         By default, the trials' files are read. A channel that is neither measured nor declared has
         no sensor. Raise `InputError` if no channel has one.
@@ -87,7 +87,7 @@ class SensorModel:
         return cls(noise, every, {r.trial.file: r for r in found})
 
     def samples(self, trial: Trial, channel: str, n: int) -> np.ndarray:
-        """Return which samples (n,) of a trial the channel reads."""
+        """Returns which samples (n,) of a trial the channel reads."""
         if trial.file in self.measured:
             return self.measured[trial.file].there(channel)
         return np.arange(n) % self.every[channel] == 0
@@ -131,13 +131,13 @@ class TrialInformation:
         return [every[i] for i in self.chosen]
 
     def plan(self, trial: Trial) -> TrialPlan:
-        """Return the trial's plan; a measured trial keeps the sample times of its record."""
+        """Returns the trial's plan; a measured trial keeps the sample times of its record."""
         record = self.sensing.measured.get(trial.file)
         at = None if record is None else record.t
         return plan_trial(self.experiment, trial, self.effects, self.coarse, at)
 
     def trial(self, trial: Trial, number: int = 0) -> list[ChannelInformation]:
-        """Return the information of a trial. Raise `SolverError` if it cannot be simulated."""
+        """Returns the information of a trial. Raise `SolverError` if it cannot be simulated."""
         p = self.plan(trial)
         y, J = self._readings(trial, p)
         other = self._other(trial, p)
@@ -162,7 +162,7 @@ class TrialInformation:
         return found
 
     def _readings(self, trial: Trial, p: TrialPlan) -> list[np.ndarray]:
-        """Return the readings (5, n) of a trial and their tangents (k, 5, n).
+        """Returns the readings (5, n) of a trial and their tangents (k, 5, n).
 
         Without finite readings there are no tangents.
         """
@@ -177,7 +177,7 @@ class TrialInformation:
         return cached(self.memo, name, [self.theta, self.chosen, steps], make)
 
     def _other(self, trial: Trial, p: TrialPlan) -> np.ndarray | None:
-        """Return the readings (5, n) of the other model."""
+        """Returns the readings (5, n) of the other model."""
         other = self.other
         if other is None:
             return None
@@ -185,7 +185,7 @@ class TrialInformation:
         return cached(self.memo, name, [other], lambda: [predict_readings(p, other)])[0]
 
     def _tangents(self, p: TrialPlan, y: np.ndarray) -> np.ndarray:
-        """Return tangents or secants (k, 5, n); NaN if they cannot be simulated."""
+        """Returns tangents or secants (k, 5, n); NaN if they cannot be simulated."""
         straight = [j for j, i in enumerate(self.chosen) if i not in self.secants]
         J = np.empty((len(self.chosen), len(CHANNELS), len(p.at)))
         if straight:
@@ -199,7 +199,7 @@ class TrialInformation:
     def trials(
         self, chosen: Sequence[Trial], progress: Callable[[str], None] = lambda text: None
     ) -> list[ChannelInformation]:
-        """Return the information of all `chosen` trials, computed on all cores."""
+        """Returns the information of all `chosen` trials, computed on all cores."""
         done: list[int] = []
 
         def one(item: tuple[int, Trial]) -> list[ChannelInformation]:
@@ -218,7 +218,7 @@ def predict_information(
     coarse: Resolution = COARSE,
     memo: Memo | None = None,
 ) -> TrialInformation:
-    """Return the predictor for base parameters and `effects`, at the experiment's parameters.
+    """Returns the predictor for base parameters and `effects`, at the experiment's parameters.
 
     Raise `InputError` if the experiment fixes no values of C_d and m_a or declares no noise.
     """
@@ -237,14 +237,14 @@ def predict_information(
 
 
 def _secant(p: TrialPlan, theta: np.ndarray, y: np.ndarray, entry: int, step: float) -> np.ndarray:
-    """Return the change (5, n) of the readings, `y` at theta, per unit of an entry."""
+    """Returns the change (5, n) of the readings, `y` at theta, per unit of an entry."""
     moved = theta.copy()
     moved[entry] += step
     return (predict_readings(p, moved) - y) / step
 
 
 def secant_steps(f: TrialInformation) -> dict[int, float]:
-    """Return the steps of the parameters that need a secant.
+    """Returns the steps of the parameters that need a secant.
 
     These are parameters with a `Prior.start`, and those of effects that are nonlinear at the null
     on the experiment's shortest trial. If the secant cannot be simulated, the tangent stays.
@@ -281,12 +281,12 @@ def _is_nonlinear(tangent: np.ndarray, secant: np.ndarray) -> bool:
 
 
 def information(channels: Sequence[ChannelInformation]) -> np.ndarray:
-    """Return the information (k, k) of all trials and channels."""
+    """Returns the information (k, k) of all trials and channels."""
     return np.sum([x.A for x in channels], axis=0)
 
 
 def channel_shares(channels: Sequence[ChannelInformation], step: np.ndarray) -> dict[str, float]:
-    """Return each channel's rms change by a step (k,) as a share of its rms, over all trials."""
+    """Returns each channel's rms change by a step (k,) as a share of its rms, over all trials."""
     moved, found = np.flatnonzero(step), {}
     for channel in dict.fromkeys(x.channel for x in channels):
         parts = [x for x in channels if x.channel == channel]

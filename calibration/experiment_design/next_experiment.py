@@ -46,7 +46,7 @@ def next_experiment(
     limits: TrialLimits | None = None,
     effort: SearchEffort = LOOP_EFFORT,
 ) -> dict[str, Any]:
-    """Return the next experiment as in report.json: purpose, a sentence, and a trial or None.
+    """Returns the next experiment as in report.json: purpose, a sentence, and a trial or None.
 
     `limits` bound the trial (default: the ranges of the experiment's own trials, widened).
     """
@@ -67,7 +67,7 @@ def _none(text: str) -> dict[str, Any]:
 
 
 def _again(outcome: LoopOutcome) -> dict[str, Any]:
-    """Return a repetition of the trial with the largest residual over its noise."""
+    """Returns a repetition of the trial with the largest residual over its noise."""
     records = _fitted(outcome)
     channel, x = max(outcome.excess.items(), key=lambda item: np.nanmax(item[1].trials))
     worst = int(np.nanargmax(x.trials))
@@ -99,7 +99,7 @@ def _prediction(
 def _discriminating(
     outcome: LoopOutcome, limits: TrialLimits, effort: SearchEffort, progress: Progress
 ) -> dict[str, Any]:
-    """Return the trial for the first class that a trial makes smaller, or else for the last."""
+    """Returns the trial for the first class that a trial makes smaller, or else for the last."""
     found = _none("No trial is proposed: no alternative can be fitted instead of a chosen effect.")
     last, trials = outcome.search.final, [r.trial for r in _fitted(outcome)]
     for round_ in outcome.search.rounds:

@@ -49,7 +49,7 @@ def effect_pairs(
     sizes: Mapping[str, np.ndarray],
     free: np.ndarray,
 ) -> list[EffectPair]:
-    """Return all pairs of the effects in `indices` at their `sizes`, with the information A."""
+    """Returns all pairs of the effects in `indices` at their `sizes`, with the information A."""
     found = []
     for first, second in combinations(indices, 2):
         one, other = indices[first], indices[second]
@@ -75,7 +75,7 @@ def separating_trial(
     effort: SearchEffort = SearchEffort(),
     progress: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
-    """Return the record of the trial that discriminates best between effects.
+    """Returns the record of the trial that discriminates best between effects.
 
     `indices` are the effects' positions in `f.chosen` and `sizes` their assumed sizes. All other
     parameters are refitted. `before` (k, k) is the information of the existing trials.
@@ -84,7 +84,7 @@ def separating_trial(
     free = np.setdiff1d(np.arange(len(f.chosen)), effects)
 
     def goal(channels: list[list[ChannelInformation]]) -> float:
-        """Return the smallest squared distance plus 0.1 % of the mean."""
+        """Returns the smallest squared distance plus 0.1 % of the mean."""
         A = before + information(channels[0])
         squares = [pair.sigmas**2 for pair in effect_pairs(A, indices, sizes, free)]
         return min(squares) + 1e-3 * float(np.mean(squares))

@@ -52,7 +52,7 @@ class MeasuredInformation(NamedTuple):
 
     @classmethod
     def of(cls, problem: AbstractProblem, fit: Fit) -> "MeasuredInformation":
-        """Return the information and sensors of the fitted trials."""
+        """Returns the information and sensors of the fitted trials."""
         noise, every = {}, {}
         for channel in problem.channels:
             found = [x for (_, name), x in problem.noise.items() if name == channel]
@@ -66,7 +66,7 @@ class MeasuredInformation(NamedTuple):
 
 
 def feasible_trials(experiment: Experiment, frequency: float | None = None) -> list[Trial]:
-    """Return square-wave trials within the ranges of the experiment's own trials.
+    """Returns square-wave trials within the ranges of the experiment's own trials.
 
     They combine four frequencies, or the given `frequency` [Hz], with the smallest and largest
     amplitude, phase and tow speed. If the experiment has a single frequency, the range is half to
@@ -113,7 +113,7 @@ def best_trial(
     measured: MeasuredInformation,
     resolution: Resolution = COARSE,
 ) -> dict[int, Proposal]:
-    """Return, for every entry of `wanted` (indices), the candidate that narrows its interval most.
+    """Returns, for every entry of `wanted` (indices), the candidate that narrows its interval most.
 
     The interval follows from the measured data and the candidate together, with all free entries
     identified. Candidates that cannot be simulated are skipped.
@@ -151,7 +151,7 @@ def propose_trials(
     resolution: Resolution = COARSE,
     progress: Callable[[str], None] = lambda text: None,
 ) -> dict[int, Proposal]:
-    """Return a proposal for every fitted entry that the data do not determine."""
+    """Returns a proposal for every fitted entry that the data do not determine."""
     wanted = [
         int(i)
         for i in fit.free
@@ -168,7 +168,7 @@ def propose_trials(
 
 
 def proposal_record(x: Proposal) -> dict[str, Any]:
-    """Return a proposal as in calibration.json."""
+    """Returns a proposal as in calibration.json."""
     keys = ("frequency", "amplitude", "rear_ratio", "phase", "tow_speed", "duration")
     return {
         "trial": {name: getattr(x.trial, name) for name in keys},
@@ -178,7 +178,7 @@ def proposal_record(x: Proposal) -> dict[str, Any]:
 
 
 def proposal_sentence(p: Parameter, x: Proposal) -> str:
-    """Return a proposal as a sentence."""
+    """Returns a proposal as a sentence."""
     t = x.trial
     assert t.frequency is not None and t.amplitude is not None
     tow = f", towed at {t.tow_speed:g} m/s" if t.tow_speed else ", in still water"

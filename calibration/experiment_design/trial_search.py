@@ -60,7 +60,7 @@ class PredictedTrial(NamedTuple):
 def limits_of(
     experiment: Experiment, given: Mapping[str, tuple[float, float] | None] | None = None
 ) -> TrialLimits:
-    """Return the ranges `given`, and for the others those of the experiment's own trials, widened.
+    """Returns the ranges `given`, and for the others those of the experiment's own trials, widened.
 
     Raise `InputError` for a reversed range, a value outside the allowed one, or a missing range.
     """
@@ -100,7 +100,7 @@ def _own_range(experiment: Experiment, name: str, option: str) -> tuple[float, f
 
 
 def trial_at(experiment: Experiment, limits: TrialLimits, point: np.ndarray) -> Trial:
-    """Return the trial at a `point` (4,) of the unit cube of the limits, in round numbers."""
+    """Returns the trial at a `point` (4,) of the unit cube of the limits, in round numbers."""
     own = [t for t in experiment.trials if t.waveform != "recorded"]
     x = {}
     for name, (low, high), u in zip(QUANTITIES, limits, point, strict=True):
@@ -115,7 +115,7 @@ def trial_at(experiment: Experiment, limits: TrialLimits, point: np.ndarray) -> 
 
 
 def unused_file_name(experiment: Experiment) -> str:
-    """Return a file name that no trial and no file in the experiment's folder has."""
+    """Returns a file name that no trial and no file in the experiment's folder has."""
     taken = {t.file for t in experiment.trials}
     number = len(experiment.trials)
     while (name := f"trial_{number:02d}.csv") in taken or (experiment.folder / name).exists():
@@ -132,7 +132,7 @@ class TrialSearch:
     limits: TrialLimits
 
     def at(self, point: np.ndarray) -> PredictedTrial:
-        """Return the trial at a point of the unit cube."""
+        """Returns the trial at a point of the unit cube."""
         trial = trial_at(self.predictions[0].experiment, self.limits, point)
         try:
             channels = [f.trial(trial) for f in self.predictions]
@@ -146,7 +146,7 @@ class TrialSearch:
         effort: SearchEffort = SearchEffort(),
         progress: Callable[[str], None] = lambda text: None,
     ) -> PredictedTrial:
-        """Return the best trial. Raise `SolverError` if none can be simulated."""
+        """Returns the best trial. Raise `SolverError` if none can be simulated."""
         wide = np.array([high > low for low, high in self.limits])
         spread = qmc.Halton(4, scramble=False).fast_forward(1).random(effort.spread)
         points = [np.where(wide, u, 0.0) for u in spread]
@@ -186,7 +186,7 @@ class TrialSearch:
 
 
 def trial_text(trial: Trial) -> str:
-    """Return the main settings of a trial as text."""
+    """Returns the main settings of a trial as text."""
     if trial.frequency is None or trial.amplitude is None:
         return f"{trial.file} (recorded drive)"
     return (
@@ -196,20 +196,20 @@ def trial_text(trial: Trial) -> str:
 
 
 def trial_table(trial: Trial) -> dict[str, Any]:
-    """Return a trial's keys that are not at their defaults, and the searched quantities."""
+    """Returns a trial's keys that are not at their defaults, and the searched quantities."""
     content = trial.model_dump(exclude_defaults=True)
     return content | {name: getattr(trial, name) for name in QUANTITIES}
 
 
 def trial_toml(trial: Trial) -> str:
-    """Return a trial as a table to add to an experiment file."""
+    """Returns a trial as a table to add to an experiment file."""
     return toml_text({"trials": [{k: x for k, x in trial_table(trial).items() if x is not None}]})
 
 
 def next_trial_record(
     purpose: str, text: str, trial: Trial, limits: TrialLimits | None = None
 ) -> dict[str, Any]:
-    """Return the record of a proposed trial as in report.json; `text` gives the reason."""
+    """Returns the record of a proposed trial as in report.json; `text` gives the reason."""
     record = {
         "purpose": purpose,
         "said": text[0].upper() + text[1:],

@@ -90,7 +90,7 @@ HEAD_ADDED_MASSES = {"no point force at the head": 0.0, "added mass begins at th
 def paper_swimmer(
     gait: Gait, resisting: str | None = None, coefficient: float = 0.0, head: float = 0.0
 ) -> Model:
-    """Return the paper's robot swimming freely, with at most one effect of axial resistance.
+    """Returns the paper's robot swimming freely, with at most one effect of axial resistance.
 
     All such models have the same structure, so they share one compiled program.
     """
@@ -126,7 +126,7 @@ _find_steady = eqx.filter_jit(find_steady)
 
 
 def steady_swim(model: Model, gait: Gait, plan: SteadySettings = STEADY_SETTINGS) -> Steady:
-    """Return the steady swim of a model from `paper_swimmer`."""
+    """Returns the steady swim of a model from `paper_swimmer`."""
     return _find_steady(model, jnp.asarray(float(gait.frequency)), plan)
 
 
@@ -137,7 +137,7 @@ def coefficient_at(
     head: float = 0.0,
     plan: SteadySettings = STEADY_SETTINGS,
 ) -> float:
-    """Return the coefficient with which the robot swims steadily at a point's speed.
+    """Returns the coefficient with which the robot swims steadily at a point's speed.
 
     Raises `SolverError` if the search finds none.
     """
@@ -200,7 +200,7 @@ class SpeedPrediction:
 def unresisted_swims(
     plan: SteadySettings = STEADY_SETTINGS, strides: int = STRIDES_FROM_REST
 ) -> list[UnresistedSwim]:
-    """Return the swims by the paper's equations at every point and gait.
+    """Returns the swims by the paper's equations at every point and gait.
 
     Each is simulated without and with the point force at the head.
     """
@@ -222,7 +222,7 @@ def unresisted_swims(
 
 
 def _steady_speed(swim: Steady) -> float:
-    """Return the steady speed [m/s]; infinite if there is none."""
+    """Returns the steady speed [m/s]; infinite if there is none."""
     if not bool(swim.carry.ok):
         raise SolverError("a time step of the search for a steady speed did not converge")
     return float(swim.speed) if bool(swim.ok) else float("inf")
@@ -235,7 +235,7 @@ def predicted_speeds(
     heads: Sequence[str] = tuple(HEAD_ADDED_MASSES),
     done: Callable[[SpeedPrediction], None] = lambda x: None,
 ) -> list[SpeedPrediction]:
-    """Return the speeds that each effect, calibrated on one point, predicts at another.
+    """Returns the speeds that each effect, calibrated on one point, predicts at another.
 
     `done` receives each prediction when it is ready.
     """

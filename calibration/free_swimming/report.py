@@ -37,17 +37,17 @@ class CrossPrediction(NamedTuple):
 
 
 def allowed_error() -> float:
-    """Return the allowed error [m/s] of a prediction: twice both points' combined error."""
+    """Returns the allowed error [m/s] of a prediction: twice both points' combined error."""
     return 2.0 * math.hypot(FIRST.error, OPTIMUM.error)
 
 
 def unresisted_error(x: CrossPrediction) -> float:
-    """Return the smallest error [m/s] of the unresisted steady speed at the optimum."""
+    """Returns the smallest error [m/s] of the unresisted steady speed at the optimum."""
     return min(b.steady for b in x.before if b.point == OPTIMUM.name) - OPTIMUM.speed
 
 
 def speeds_verdict(x: CrossPrediction) -> tuple[str, SpeedPrediction]:
-    """Return the verdict and the most accurate prediction with a coefficient in its prior range.
+    """Returns the verdict and the most accurate prediction with a coefficient in its prior range.
 
     Each prediction uses one alternative for what the paper does not give. The verdict is
     "unexplained" if no prediction passes, and "inconclusive" if fewer than half pass.
@@ -68,7 +68,7 @@ def speeds_verdict(x: CrossPrediction) -> tuple[str, SpeedPrediction]:
 
 
 def speeds_sentence(x: CrossPrediction) -> str:
-    """Return the verdict in sentences."""
+    """Returns the verdict in sentences."""
     verdict, best = speeds_verdict(x)
     ends, steady = [b.by_stride[-1] for b in x.before], [b.steady for b in x.before]
     sentences = (
@@ -92,7 +92,7 @@ def speeds_sentence(x: CrossPrediction) -> str:
 
 
 def speeds_record(x: CrossPrediction, seconds: float) -> dict[str, Any]:
-    """Return the content of report.json."""
+    """Returns the content of report.json."""
     verdict, best = speeds_verdict(x)
     alone = verdict in (IDENTIFIED, UNEXPLAINED)
     others = [] if alone else [n for n in RESISTIVE_EFFECTS if n != best.resisting]
@@ -147,7 +147,7 @@ def speeds_record(x: CrossPrediction, seconds: float) -> dict[str, Any]:
 def _coefficient_range(
     predictions: list[SpeedPrediction], best: SpeedPrediction
 ) -> dict[str, dict[str, Any]]:
-    """Return the record of the best coefficient with its range, by the parameter's name."""
+    """Returns the record of the best coefficient with its range, by the parameter's name."""
     values = [a.coefficient for a in predictions if a.resisting == best.resisting]
     ((parameter, prior),) = RESISTIVE_EFFECTS[best.resisting](0.0).priors().items()
     record = {
@@ -173,7 +173,7 @@ PREDICTION_COLUMNS = ["effect", "head", "calibrated with", "coefficient", "in pr
 
 
 def speeds_table(x: CrossPrediction) -> str:
-    """Return the predictions of the optimum as a table for the terminal."""
+    """Returns the predictions of the optimum as a table for the terminal."""
     lines = [f"{'published':<44}{100 * OPTIMUM.speed:6.1f} cm/s"]
     for a in x.forward:
         lines.append(
@@ -184,7 +184,7 @@ def speeds_table(x: CrossPrediction) -> str:
 
 
 def speeds_page(x: CrossPrediction, record: dict[str, Any]) -> str:
-    """Return report.html; `record` is the content of report.json."""
+    """Returns report.html; `record` is the content of report.json."""
     return render_page(
         "free_swimming.html",
         title="The paper's free-swimming speeds",
@@ -199,7 +199,7 @@ def speeds_page(x: CrossPrediction, record: dict[str, Any]) -> str:
 
 
 def unresisted_figure(found: list[UnresistedSwim]):
-    """Draw the mean speed of each stride from rest without axial resistance."""
+    """Draws the mean speed of each stride from rest without axial resistance."""
     import matplotlib.pyplot as plt
 
     figure, axis = plt.subplots(figsize=(9, 3.8), layout="constrained")
@@ -214,7 +214,7 @@ def unresisted_figure(found: list[UnresistedSwim]):
 
 
 def prediction_figure(found: list[SpeedPrediction]):
-    """Draw the predictions with the published speed and its error."""
+    """Draws the predictions with the published speed and its error."""
     import matplotlib.pyplot as plt
 
     figure, axis = plt.subplots(figsize=(9, 3.6), layout="constrained")

@@ -53,7 +53,7 @@ class Identified(NamedTuple):
 
 
 def check_names(effects: Sequence[str], channels: Sequence[str], method: str) -> None:
-    """Raise `InputError` for a name that `identify_parameters` does not know."""
+    """Raises `InputError` for a name that `identify_parameters` does not know."""
     refuse_unknown("--method", [method], ("auto", *METHODS))
     refuse_unknown("--also", effects, LIBRARY, "the names that slider effects lists")
     refuse_unknown("--channels", channels, CHANNELS)
@@ -68,7 +68,7 @@ def identify_parameters(
     coarse: Resolution = COARSE,
     method: str = "auto",
 ) -> Identified:
-    """Fit C_d, m_a, k, K_Q and the parameters of `effects` to all measured trials.
+    """Fits C_d, m_a, k, K_Q and the parameters of `effects` to all measured trials.
 
     `method` is "lm", "lbfgs" or "auto": L-BFGS for `LBFGS_PARAMETERS` or more. Raise `InputError`
     for an unknown effect, channel or method, or if no measured trial can be used.
@@ -101,7 +101,7 @@ def identify_parameters(
 
 
 def residual_warning(problem: TankProblem, fit: Fit) -> str:
-    """Return a warning if the residual exceeds the noise floor, or else an empty text."""
+    """Returns a warning if the residual exceeds the noise floor, or else an empty text."""
     left = {
         c: x.all for c, x in excess(problem, fit).items() if x.all > DEFAULT_SETTINGS.noise_floor
     }
@@ -116,7 +116,7 @@ def residual_warning(problem: TankProblem, fit: Fit) -> str:
 
 
 def identification_record(found: Identified, source: dict[str, Any]) -> dict[str, Any]:
-    """Return the content of calibration.json."""
+    """Returns the content of calibration.json."""
     labels = [p.label for p in found.entries]
     return {
         "parameters": {
@@ -144,7 +144,7 @@ def identification_record(found: Identified, source: dict[str, Any]) -> dict[str
 
 
 def parameter_table(found: Identified) -> str:
-    """Return the result as text: a line for each parameter and each channel."""
+    """Returns the result as text: a line for each parameter and each channel."""
     labels = [p.label for p in found.entries]
     lines = entry_lines(found.fit, found.entries, labels, found.proposals)
     errors = channel_errors(found.problem, found.before, found.fit.predicted)
@@ -160,7 +160,7 @@ def parameter_table(found: Identified) -> str:
 def entry_lines(
     fit: Fit, entries: Sequence[Parameter], labels: Sequence[str], proposals: dict[int, Proposal]
 ) -> list[str]:
-    """Return a line for each entry, followed by its proposed trial."""
+    """Returns a line for each entry, followed by its proposed trial."""
     lines = []
     for i, (p, label) in enumerate(zip(entries, labels, strict=True)):
         lines.append(f"{label:<28} {parameter_text(parameter_record(fit, entries, i))}")
@@ -170,7 +170,7 @@ def entry_lines(
 
 
 def identified_model(found: Identified) -> str:
-    """Return the calibrated model as a file for `slider simulate --model`."""
+    """Returns the calibrated model as a file for `slider simulate --model`."""
     effects = list(dict.fromkeys(p.effect for p in found.entries if p.effect))
     comment = f"Identified from {len(found.problem.records)} trials of {found.experiment.name}."
     comment = f"{comment} {found.doubt}".strip()

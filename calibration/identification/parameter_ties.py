@@ -41,7 +41,7 @@ class ParameterTies(NamedTuple):
 
 
 def drive_frequencies(trials: Sequence[Trial]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the distinct drive frequencies [Hz], rising, and the index (trials,) of each trial's.
+    """Returns the distinct drive frequencies [Hz], rising, and the index (trials,) of each trial's.
 
     Raise `InputError` for a trial without a drive frequency.
     """
@@ -66,14 +66,14 @@ def drive_frequencies(trials: Sequence[Trial]) -> tuple[np.ndarray, np.ndarray]:
 def constant_ties(
     entries: Sequence[Parameter], theta: np.ndarray, at: np.ndarray, place: np.ndarray
 ) -> ParameterTies:
-    """Return the ties with the same values in all trials."""
+    """Returns the ties with the same values in all trials."""
     return per_frequency_ties(entries, theta, at, place, ())._replace(name=CONSTANT)
 
 
 def paper_ties(
     entries: Sequence[Parameter], theta: np.ndarray, at: np.ndarray, place: np.ndarray
 ) -> ParameterTies:
-    """Return the ties with C_d and m_a of the paper's ramp; the other parameters are common."""
+    """Returns the ties with C_d and m_a of the paper's ramp; the other parameters are common."""
     common = [i for i, p in enumerate(entries) if p.label not in RAMP_PARAMETERS]
     maps = []
     for g in place:
@@ -87,7 +87,7 @@ def paper_ties(
 def ramp_ties(
     entries: Sequence[Parameter], theta: np.ndarray, at: np.ndarray, place: np.ndarray
 ) -> ParameterTies:
-    """Return the ties with free values of C_d and m_a at both ends of the paper's ramp.
+    """Returns the ties with free values of C_d and m_a at both ends of the paper's ramp.
 
     The other parameters are common.
     """
@@ -115,7 +115,7 @@ def per_frequency_ties(
     place: np.ndarray,
     each: Sequence[str],
 ) -> ParameterTies:
-    """Return the ties with separate values of `each` (labels) by frequency; the rest is common."""
+    """Returns the ties with separate values of `each` (labels) by frequency; the rest is common."""
     common = [i for i, p in enumerate(entries) if p.label not in each]
     own = [_index(entries, name) for name in each]
     indices = [*common, *(i for i in own for _ in at)]
@@ -145,6 +145,6 @@ def _index(entries: Sequence[Parameter], label: str) -> int:
 
 
 def spans_ramp(at: np.ndarray) -> bool:
-    """Return whether the frequencies `at` [Hz] include both halves of the ramp."""
+    """Returns whether the frequencies `at` [Hz] include both halves of the ramp."""
     middle = 0.5 * (RAMP_START + RAMP_END)
     return bool((at < middle).any() and (at > middle).any())

@@ -92,7 +92,7 @@ def compare_ties(
     progress: Callable[[str], None] = lambda text: None,
     coarse: Resolution = COARSE,
 ) -> FrequencyComparison:
-    """Fit all ties, starting from the fit `initial` of constant values, and compare them.
+    """Fits all ties, starting from the fit `initial` of constant values, and compares them.
 
     `each` are labels of the parameters that may differ between frequencies. Raise `InputError` for
     an unknown label, a trial without a frequency, or a single frequency.
@@ -128,7 +128,7 @@ def compare_ties(
 
 
 def _proposals(found: FrequencyComparison, coarse: Resolution) -> dict[int, Proposal]:
-    """Return, for each undetermined entry, the trial at its frequency that narrows it most."""
+    """Returns, for each undetermined entry, the trial at its frequency that narrows it most."""
     ties, best = found.fitted[EACH].ties, found.fitted[EACH].fit
     A = summed(best.blocks)[0] / best.inflation
     measured, result = MeasuredInformation.of(found.problem, best), dict[int, Proposal]()
@@ -171,7 +171,7 @@ def _left_out(problem: TankProblem, ties: ParameterTies, fit: Fit, at, place, wh
 def _without(
     ties: ParameterTies, fit: Fit, at: np.ndarray, g: int, place: np.ndarray
 ) -> np.ndarray:
-    """Return the vector fitted without the frequency of index `g`."""
+    """Returns the vector fitted without the frequency of index `g`."""
     others = [x for x in fit.blocks if place[x.trial] != g]
     A, b = summed(others)
     x = fit.theta + least_squares_step(A, b, np.flatnonzero(ties.group != g))
@@ -185,7 +185,7 @@ def _without(
 
 
 def choose_ties(fitted: dict[str, FittedTies]) -> str | None:
-    """Return the name of the simplest ties within one standard error of the best, or None."""
+    """Returns the name of the simplest ties within one standard error of the best, or None."""
     if any(x.left_out is None for x in fitted.values()):
         return None
     squares = {n: np.asarray(x.left_out) for n, x in fitted.items()}
@@ -200,7 +200,7 @@ def choose_ties(fitted: dict[str, FittedTies]) -> str | None:
 
 
 def tied_values(fitted: FittedTies, label: str) -> list[tuple[float, float, float, bool]]:
-    """Return value, 95 % interval and whether it is determined, for each entry of a label."""
+    """Returns value, 95 % interval and whether it is determined, for each entry of a label."""
     found = []
     for i, p in enumerate(fitted.ties.entries):
         if p.label == label:
@@ -218,7 +218,7 @@ _DESCRIPTIONS = {
 
 
 def comparison_text(found: FrequencyComparison) -> str:
-    """Return the result of the comparison as text."""
+    """Returns the result of the comparison as text."""
     if found.chosen is None:
         return (
             f"The comparison needs {MIN_FREQUENCIES} frequencies for cross-validation; these data "
@@ -237,6 +237,6 @@ def comparison_text(found: FrequencyComparison) -> str:
 
 
 def _mean_square(fitted: FittedTies) -> float:
-    """Return the mean square of the whitened residuals of held-out frequencies."""
+    """Returns the mean square of the whitened residuals of held-out frequencies."""
     assert fitted.left_out is not None
     return float(fitted.left_out.sum()) / fitted.fit.samples

@@ -23,7 +23,7 @@ from slider_jax.paper import RAMP_END, RAMP_START, force_coefficients
 
 
 def per_frequency_record(found: FrequencyComparison) -> dict[str, Any]:
-    """Return the comparison as in calibration.json."""
+    """Returns the comparison as in calibration.json."""
     return {
         "said": comparison_text(found),
         "chosen": found.chosen,
@@ -65,7 +65,7 @@ def _fit_record(fitted: FittedTies) -> dict[str, Any]:
 
 
 def frequency_columns(found: FrequencyComparison, each: Sequence[str]) -> dict[str, np.ndarray]:
-    """Return the columns of per_frequency.csv, a row for each frequency.
+    """Returns the columns of per_frequency.csv, a row for each frequency.
 
     A value that the data do not determine is blank.
     """
@@ -85,14 +85,14 @@ def frequency_columns(found: FrequencyComparison, each: Sequence[str]) -> dict[s
 
 
 def per_frequency_table(found: FrequencyComparison) -> str:
-    """Return the comparison as text: a line for each value by frequency, then the result."""
+    """Returns the comparison as text: a line for each value by frequency, then the result."""
     each = found.fitted[EACH]
     lines = entry_lines(each.fit, each.ties.entries, each.ties.labels, found.proposals)
     return "\n".join([*lines, "", comparison_text(found)])
 
 
 def per_frequency_model(found: FrequencyComparison, each: Sequence[str]) -> str:
-    """Return the model that predicts best as a file for `slider simulate --model`.
+    """Returns the model that predicts best as a file for `slider simulate --model`.
 
     A ramp with identified end values, and values by frequency, become a table of C_d and m_a. A
     model file cannot hold other parameters by frequency; the file then has constant values.
@@ -127,7 +127,7 @@ def per_frequency_model(found: FrequencyComparison, each: Sequence[str]) -> str:
 
 
 def coefficient_table(found: FrequencyComparison) -> list[tuple[float, float, float]]:
-    """Return rows (frequency [Hz], C_d, m_a) between which the used ties are linear."""
+    """Returns rows (frequency [Hz], C_d, m_a) between which the used ties are linear."""
     ramp = found.used.ties.name == RAMP
     at = np.array([RAMP_START, RAMP_END]) if ramp else found.frequencies
     rows = []
@@ -138,7 +138,7 @@ def coefficient_table(found: FrequencyComparison) -> list[tuple[float, float, fl
 
 
 def plot_by_frequency(found: FrequencyComparison, each: Sequence[str], path: Path) -> None:
-    """Plot every parameter over drive frequency: values with intervals, constant, and ramps."""
+    """Plots every parameter over drive frequency: values with intervals, constant, and ramps."""
     figure, axes = new_figure(1, len(each), figsize=(5.2 * len(each), 4.2), squeeze=False)
     f = found.frequencies
     fine = np.linspace(0.9 * f.min(), 1.05 * f.max(), 200)

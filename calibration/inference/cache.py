@@ -28,7 +28,7 @@ class Memo:
     def cached(
         self, name: str, arrays: Sequence[np.ndarray], make: Callable[[], list[np.ndarray]]
     ) -> list[np.ndarray]:
-        """Return the cached result for `name` and `arrays`, or else compute it by `make`.
+        """Returns the cached result for `name` and `arrays`, or else compute it by `make`.
 
         A file that cannot be read is computed again.
         """
@@ -50,12 +50,12 @@ class Memo:
 def cached(
     memo: Memo | None, name: str, arrays: Sequence[np.ndarray], make: Callable[[], list[np.ndarray]]
 ) -> list[np.ndarray]:
-    """Return `memo.cached(...)`, or `make()` without a memo."""
+    """Returns `memo.cached(...)`, or `make()` without a memo."""
     return make() if memo is None else memo.cached(name, arrays, make)
 
 
 def source_digest() -> str:
-    """Return the SHA-256 digest of the program's source files and of loaded files of effects."""
+    """Returns the SHA-256 digest of the program's source files and of loaded files of effects."""
     folders = [Path(str(package.__file__)).parent for package in (slider_jax, calibration)]
     digest = hashlib.sha256()
     for path in (*(x for folder in folders for x in sorted(folder.rglob("*.py"))), *LOADED_FILES):
@@ -64,14 +64,14 @@ def source_digest() -> str:
 
 
 def input_settings(paths: Sequence[Path], folder: Path | None = None) -> dict[str, Any]:
-    """Return the settings of a run: digests of the files `paths` and of the tables in `folder`."""
+    """Returns the settings of a run: digests of the files `paths` and of the tables in `folder`."""
     tables = sorted(folder.glob("*.csv")) if folder else []
     return {"inputs": [input_file(p) for p in (*paths, *tables)]}
 
 
 @contextmanager
 def resumable(out: Path, settings: dict[str, Any]) -> Iterator[Memo]:
-    """Yield a cache under `out` for a run with these settings; delete it when the run succeeds.
+    """Yields a cache under `out` for a run with these settings; delete it when the run succeeds.
 
     A run with the same settings and program resumes from the cache of an interrupted run.
     """

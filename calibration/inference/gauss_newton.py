@@ -73,7 +73,7 @@ class Bounds(NamedTuple):
 
     @classmethod
     def of(cls, entries: Sequence[Parameter]) -> "Bounds":
-        """Return the prior ranges as bounds.
+        """Returns the prior ranges as bounds.
 
         A range that ends at the effect's null is extended by a twentieth beyond it. Then the fit
         of an absent effect can reach the null, which it would otherwise only approach.
@@ -86,17 +86,17 @@ class Bounds(NamedTuple):
         return cls(jnp.asarray(low), jnp.asarray(high))
 
     def theta_of(self, z):
-        """Return the parameters (parameters,) of z (parameters,)."""
+        """Returns the parameters (parameters,) of z (parameters,)."""
         return self.low + (self.high - self.low) / (1.0 + jnp.exp(-z))
 
     def z_of(self, theta):
-        """Return z of theta, after moving theta at least a millionth of the range inwards."""
+        """Returns z of theta, after moving theta at least a millionth of the range inwards."""
         share = jnp.clip((theta - self.low) / (self.high - self.low), 1e-6, 1.0 - 1e-6)
         return jnp.log(share / (1.0 - share))
 
 
 def inverse(A: np.ndarray) -> np.ndarray:
-    """Return the inverse of a normal matrix, computed after scaling to a unit diagonal.
+    """Returns the inverse of a normal matrix, computed after scaling to a unit diagonal.
 
     A direction that the data do not determine gets a variance of 1e12 times its scale.
     """
@@ -106,7 +106,7 @@ def inverse(A: np.ndarray) -> np.ndarray:
 
 
 def marginal_information(A: np.ndarray, group: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """Return the normal matrix of the entries `group` after projecting out the entries `free`."""
+    """Returns the normal matrix of the entries `group` after projecting out the entries `free`."""
     cross = A[np.ix_(group, free)]
     return A[np.ix_(group, group)] - cross @ inverse(A[np.ix_(free, free)]) @ cross.T
 
@@ -119,7 +119,7 @@ def fit_gauss_newton(
     progress: Callable[[str], None] = lambda text: None,
     white: dict[tuple[int, str], Whitener] | None = None,
 ) -> Fit:
-    """Return the fit of the entries `free` (indices) of `theta`; the other entries stay.
+    """Returns the fit of the entries `free` (indices) of `theta`; the other entries stay.
 
     A step that cannot be simulated is shortened. The fit does not converge if the start cannot be
     simulated or has no finite tangents. Sums of squares of two fits are comparable only if the
@@ -183,7 +183,7 @@ def _solve(root, rhs, start, bounds):
 
 
 def _linear_optimum(A, b, start, bounds: Bounds) -> np.ndarray:
-    """Return the x within the bounds that minimises (x - start) A (x - start) - 2 b (x - start)."""
+    """Returns the bounded x that minimises (x - start) A (x - start) - 2 b (x - start)."""
     size = np.sqrt(np.where(np.diag(A) > 0.0, np.diag(A), 1.0))
     values, vectors = np.linalg.eigh(A / np.outer(size, size))
     kept = np.maximum(values, 1e-12 * values.max())

@@ -19,7 +19,7 @@ class Excess(NamedTuple):
 
 
 def excess(problem: AbstractProblem, fit: Fit) -> dict[str, Excess]:
-    """Return the mean squares of a fit's whitened residuals by channel; noise alone gives 1."""
+    """Returns the mean squares of a fit's whitened residuals by channel; noise alone gives 1."""
     white = problem.whiteners(fit.predicted)
     residuals = problem.residuals(fit.predicted, white)
     found = {}
@@ -34,7 +34,7 @@ def excess(problem: AbstractProblem, fit: Fit) -> dict[str, Excess]:
 
 
 def rms_errors(problem: AbstractProblem, predicted: list[np.ndarray]) -> dict[str, float]:
-    """Return the rms of measured minus predicted by channel, in its unit, all trials together."""
+    """Returns the rms of measured minus predicted by channel, in its unit, all trials together."""
     found = {}
     for channel in problem.channels:
         row = row_of(channel)
@@ -51,14 +51,14 @@ def rms_errors(problem: AbstractProblem, predicted: list[np.ndarray]) -> dict[st
 def channel_errors(
     problem: AbstractProblem, before: list[np.ndarray], after: list[np.ndarray]
 ) -> dict[str, dict[str, float]]:
-    """Return the rms errors "before" and "after" and the noise "floor" by channel, in its unit."""
+    """Returns the rms errors "before" and "after" and the noise "floor" by channel, in its unit."""
     start, end = rms_errors(problem, before), rms_errors(problem, after)
     floor = noise_floors(problem, after)
     return {c: {"before": start[c], "after": end[c], "floor": floor[c]} for c in end}
 
 
 def noise_floors(problem: AbstractProblem, predicted: list[np.ndarray]) -> dict[str, float]:
-    """Return the noise floor of every channel, in its unit.
+    """Returns the noise floor of every channel, in its unit.
 
     It is the rms of noise, tare and model-discretisation discrepancy.
     """

@@ -36,7 +36,7 @@ class RecordDerivatives(NamedTuple):
 
 
 def correlation_time(residual: np.ndarray) -> float:
-    """Return the number of samples per independent sample of a residual (n,).
+    """Returns the number of samples per independent sample of a residual (n,).
 
     It is 1 + 2 times the sum of the autocorrelation, about the mean, up to its first zero. A
     residual that repeats in every cycle then counts as four to six independent values a cycle.
@@ -53,12 +53,12 @@ def correlation_time(residual: np.ndarray) -> float:
 
 
 def student_quantile(freedom: float) -> float:
-    """Return the two-sided Student quantile of `CONFIDENCE`."""
+    """Returns the two-sided Student quantile of `CONFIDENCE`."""
     return float(stdtrit(max(freedom, 1.0), 0.5 + 0.5 * CONFIDENCE))
 
 
 def record_interval(log_value: float, record: RecordDerivatives) -> Interval:
-    """Return the interval of a least-squares fit to one record.
+    """Returns the interval of a least-squares fit to one record.
 
     Its variance is the sandwich s^2 tau J.J / H^2 in log x, with tau the residual's
     `correlation_time`. H is the true curvature: J.J differs from it if the residual is large.
@@ -73,7 +73,7 @@ def record_interval(log_value: float, record: RecordDerivatives) -> Interval:
 
 
 def pooled_interval(log_value: float, records: Sequence[RecordDerivatives]) -> Interval:
-    """Return the interval of a common value, with the records as a sample of all such records.
+    """Returns the interval of a common value, with the records as a sample of all such records.
 
     All records have the same weight. The variance is the sandwich with one cluster a record: the
     spread of their scores J.r/n. Student's quantile has len(records) - 1 degrees of freedom. For a
@@ -88,7 +88,7 @@ def pooled_interval(log_value: float, records: Sequence[RecordDerivatives]) -> I
 
 
 def within_interval(log_value: float, records: Sequence[RecordDerivatives]) -> Interval:
-    """Return the interval of a common value for these records alone.
+    """Returns the interval of a common value for these records alone.
 
     It is `record_interval` summed over them and does not predict the value of a further record.
     """
@@ -98,7 +98,7 @@ def within_interval(log_value: float, records: Sequence[RecordDerivatives]) -> I
 
 
 def _score_variance(x: RecordDerivatives) -> float:
-    """Return the variance of a record's score J.r/n if its samples were independent."""
+    """Returns the variance of a record's score J.r/n if its samples were independent."""
     return float(x.residual @ x.residual) * float(x.tangent @ x.tangent) / len(x.residual) ** 3
 
 
@@ -109,7 +109,7 @@ def _effective_samples(records: Sequence[RecordDerivatives]) -> float:
 def _pooled(
     log_value: float, records: Sequence[RecordDerivatives], variance: float, quantile: float
 ) -> Interval:
-    """Return the interval from the `variance` of the summed scores and its Student quantile."""
+    """Returns the interval from the `variance` of the summed scores and its Student quantile."""
     H = sum(x.curvature / len(x.residual) for x in records)
     JJ = sum(float(x.tangent @ x.tangent) / len(x.residual) for x in records)
     width = quantile * math.sqrt(variance) / H if H > 0.0 else math.inf
@@ -126,7 +126,7 @@ def _around(log_value: float, width: float, naive: float, effective: float) -> I
 
 
 def noise_floor(values: np.ndarray, order: int = 4) -> float:
-    """Return the standard deviation of the white noise in `values` (n,).
+    """Returns the standard deviation of the white noise in `values` (n,).
 
     Differences of `order` cancel a signal that is smooth over a few samples. They multiply the
     variance of white noise by binomial(2 order, order).

@@ -44,7 +44,7 @@ def fit_lbfgs(
     progress: Callable[[str], None] = lambda text: None,
     white: dict[tuple[int, str], Whitener] | None = None,
 ) -> Fit:
-    """Return the fit of the entries `free` of `theta`; arguments as in `fit_gauss_newton`."""
+    """Returns the fit of the entries `free` of `theta`; arguments as in `fit_gauss_newton`."""
     bounds = Bounds.of([entries[i] for i in free])
     directions = np.eye(len(theta))[free]
     predicted = problem.predict(theta)
@@ -99,6 +99,6 @@ def fit_lbfgs(
 
 
 def _stretch(bounds: Bounds, z: np.ndarray) -> np.ndarray:
-    """Return d(theta)/dz (parameters,)."""
+    """Returns d(theta)/dz (parameters,)."""
     share = 1.0 / (1.0 + np.exp(-z))
     return np.asarray(bounds.high - bounds.low) * share * (1.0 - share)

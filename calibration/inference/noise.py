@@ -36,7 +36,7 @@ class Noise(NamedTuple):
 
 
 def channel_noise(sensors: SensorsTable, channel: str, values: np.ndarray) -> Noise:
-    """Return the noise that an experiment declares for a channel.
+    """Returns the noise that an experiment declares for a channel.
 
     If it declares no white noise, this is estimated from the measured `values` (n,). The smallest
     step between values gives the quantisation of a pressure.
@@ -57,7 +57,7 @@ def channel_noise(sensors: SensorsTable, channel: str, values: np.ndarray) -> No
 
 
 def quantisation_step(values: np.ndarray) -> float:
-    """Return the step of which all differences of the values are multiples, or 0 if none exists."""
+    """Returns the step of which all differences of values are multiples, or 0 if none exists."""
     steps = np.diff(np.unique(values))
     steps = steps[steps > 1e-12 * max(float(np.ptp(values)), 1e-300)]
     if not steps.size:
@@ -105,13 +105,13 @@ class Whitener:
         return series[:, : self._n].reshape(len(series), -1, self._group).mean(axis=2)
 
     def __call__(self, series: np.ndarray) -> np.ndarray:
-        """Return the whitened series (k, m) of `series` (k, n); non-finite values stay."""
+        """Returns the whitened series (k, m) of `series` (k, n); non-finite values stay."""
         averaged = self._averaged(np.atleast_2d(series))
         return solve_triangular(self._factor, averaged.T, lower=True, check_finite=False).T
 
 
 def _discrepancy_correlation(lag: np.ndarray, frequency: float | None) -> np.ndarray:
-    """Return the correlation of the model-discretisation discrepancy at a time `lag` [s].
+    """Returns the correlation of the model-discretisation discrepancy at a time `lag` [s].
 
     It is exponential in the chord of the phase circle, so that it returns after each stride, and
     decays slowly over strides.

@@ -61,7 +61,7 @@ class ChannelBlock(NamedTuple):
 
 
 def summed(blocks: Sequence[ChannelBlock]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the sums of A and b over all blocks."""
+    """Returns the sums of A and b over all blocks."""
     return np.sum([x.A for x in blocks], axis=0), np.sum([x.b for x in blocks], axis=0)
 
 
@@ -98,30 +98,30 @@ class AbstractProblem(ABC):
 
     @abstractmethod
     def spans(self) -> list[np.ndarray] | None:
-        """Return the change of every trial's readings by the initial swing.
+        """Returns the change of every trial's readings by the initial swing.
 
         Shape (2, channels, samples) for every trial; None if the trials start at rest.
         """
 
     def predict(self, theta: np.ndarray) -> list[np.ndarray]:
-        """Return the readings (channels, samples) of every trial."""
+        """Returns the readings (channels, samples) of every trial."""
         return self._cached("predict", [theta], lambda: self._predict(theta))
 
     def tangents(self, theta: np.ndarray, directions: np.ndarray) -> list[np.ndarray]:
-        """Return the derivatives (k, channels, samples) of every trial along k `directions`."""
+        """Returns the derivatives (k, channels, samples) of every trial along k `directions`."""
         return self._cached(
             "tangents", [theta, directions], lambda: self._tangents(theta, directions)
         )
 
     def secants(self, theta: np.ndarray, others: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Return the changes (k, channels, samples) of every trial from `theta` to k `others`."""
+        """Returns the changes (k, channels, samples) of every trial from `theta` to k `others`."""
         return self._cached("secants", [theta, *others], lambda: self._secants(theta, others))
 
     def _cached(self, kind: str, arrays: Sequence[np.ndarray], make) -> list[np.ndarray]:
         return cached(self.memo, f"{kind} {[r.trial.file for r in self.records]}", arrays, make)
 
     def whiteners(self, predicted: list[np.ndarray]) -> dict[tuple[int, str], Whitener]:
-        """Return the whitener of every trial and channel.
+        """Returns the whitener of every trial and channel.
 
         Noise that is a share of the signal is taken from the `predicted` signal.
         """
@@ -143,7 +143,7 @@ class AbstractProblem(ABC):
     def residuals(
         self, predicted: list[np.ndarray], white: dict[tuple[int, str], Whitener]
     ) -> dict[tuple[int, str], np.ndarray]:
-        """Return the whitened residuals, measured minus predicted, of every trial and channel."""
+        """Returns the whitened residuals, measured minus predicted, of every trial and channel."""
         found = {}
         for key, whiten in white.items():
             i, channel = key
@@ -157,7 +157,7 @@ class AbstractProblem(ABC):
         derivatives: list[np.ndarray],
         white: dict[tuple[int, str], Whitener],
     ) -> list[ChannelBlock]:
-        """Return the matrices of every trial and channel."""
+        """Returns the matrices of every trial and channel."""
         found = []
         for key, r in residuals.items():
             i, channel = key
@@ -190,7 +190,7 @@ class TankProblem(AbstractProblem):
         fine: Resolution = FINE,
         coarse: Resolution = COARSE,
     ) -> "TankProblem":
-        """Return the problem of an experiment's `records` for the extended model with `effects`.
+        """Returns the problem of an experiment's `records` for the extended model with `effects`.
 
         `channels` are the fitted channels (default: all).
         """
@@ -237,7 +237,7 @@ class TankProblem(AbstractProblem):
         return self.predict_each(self._own(theta))
 
     def predict_each(self, thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Return the readings (channels, samples) of every trial at its own parameters."""
+        """Returns the readings (channels, samples) of every trial at its own parameters."""
         pairs = list(zip(self.fine, thetas, strict=True))
         return on_all_cores(lambda pair: predict_readings(*pair), pairs)
 
@@ -266,11 +266,11 @@ class TankProblem(AbstractProblem):
         return on_all_cores(one, list(zip(self.coarse, self._own(theta), along, strict=True)))
 
     def _own(self, theta: np.ndarray) -> list[np.ndarray]:
-        """Return every trial's own parameters."""
+        """Returns every trial's own parameters."""
         return [theta] * len(self.fine) if self.maps is None else [m.at(theta) for m in self.maps]
 
 
 def total(residuals: dict[tuple[int, str], np.ndarray]) -> float:
-    """Return the sum of squares of all whitened residuals; failed channels count as `FAILED`."""
+    """Returns the sum of squares of all whitened residuals; failed channels count as `FAILED`."""
     parts = [float(r @ r) for r in residuals.values()]
     return sum(x if np.isfinite(x) else FAILED for x in parts)

@@ -30,14 +30,14 @@ HAUSMAN_LIMIT = 2.0
 
 
 def discretisation_share(p: Parameter) -> float:
-    """Return an entry's relative standard deviation between correct implementations."""
+    """Returns an entry's relative standard deviation between correct implementations."""
     return EFFECT_DISCREPANCY if p.effect else BASE_DISCREPANCY[p.name]
 
 
 def confidence_interval(
     fit: Fit, entries: Sequence[Parameter], index: int
 ) -> tuple[float, float, float]:
-    """Return value, lower and upper 95 % bound of the fitted entry `index`."""
+    """Returns value, lower and upper 95 % bound of the fitted entry `index`."""
     place = int(np.flatnonzero(fit.free == index)[0])
     value, p = float(fit.theta[index]), entries[index]
     error = float(np.hypot(fit.errors[place], discretisation_share(p) * value))
@@ -45,7 +45,7 @@ def confidence_interval(
 
 
 def hausman_check(problem: AbstractProblem, fit: Fit) -> Fit:
-    """Return the fit with `difference` and `widening` from Hausman's test.
+    """Returns the fit with `difference` and `widening` from Hausman's test.
 
     The test frees the tares, which removes the forces' means, and takes one linear step. The step's
     variance is the increase of the estimate's variance. A step below one standard error of the
@@ -81,7 +81,7 @@ def _normal(
 
 
 def value_by_variation(fit: Fit, index: int) -> float | None:
-    """Return the entry `index` estimated without the forces' means.
+    """Returns the entry `index` estimated without the forces' means.
 
     None if `hausman_check` found no significant difference.
     """
@@ -91,11 +91,11 @@ def value_by_variation(fit: Fit, index: int) -> float | None:
 
 
 def determined(p: Parameter, low: float, high: float) -> bool:
-    """Return whether the interval `low` to `high` is narrower than half the prior range."""
+    """Returns whether the interval `low` to `high` is narrower than half the prior range."""
     return high - low < 0.5 * (p.prior.high - p.prior.low)
 
 
 def correlations(fit: Fit) -> np.ndarray:
-    """Return the correlation matrix (k, k) of the fitted entries."""
+    """Returns the correlation matrix (k, k) of the fitted entries."""
     error = np.sqrt(np.diag(fit.covariance))
     return fit.covariance / np.outer(error, error)

@@ -44,11 +44,11 @@ class CrossSections:
     """Density of the animal [kg/m^3]."""
 
     def with_depth(self, aspect: float, tail_depth: float) -> "CrossSections":
-        """Return cross-sections with the same widths and another depth."""
+        """Returns cross-sections with the same widths and another depth."""
         return replace(self, aspect=aspect, tail_depth=tail_depth)
 
     def at(self, from_snout: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return width and depth [m] at positions from 0 (snout) to 1 (tail)."""
+        """Returns width and depth [m] at positions from 0 (snout) to 1 (tail)."""
         width = np.interp(from_snout, self.positions, self.width)
         before = (
             np.interp(np.minimum(from_snout, FIN_START), self.positions, self.width) * self.aspect
@@ -80,7 +80,7 @@ class AnimalBody(eqx.Module):
 
 
 def body_on_nodes(shape: CrossSections, s: np.ndarray) -> AnimalBody:
-    """Return the cross-sections on nodes at distances `s` [m] from the tail."""
+    """Returns the cross-sections on nodes at distances `s` [m] from the tail."""
     ends, middle, ds = 1.0 - s / s[-1], 1.0 - 0.5 * (s[1:] + s[:-1]) / s[-1], np.diff(s)
     width, depth = shape.at(middle, s[-1])
     _, at_nodes = shape.at(ends, s[-1])
@@ -111,7 +111,7 @@ class PrescribedMotion(eqx.Module):
 
 
 def prescribe(motion: Motion, shape: CrossSections) -> PrescribedMotion:
-    """Return the sections at every time of a motion, in water at rest."""
+    """Returns the sections at every time of a motion, in water at rest."""
     return _prescribe(jax.tree.map(jnp.asarray, motion), body_on_nodes(shape, motion.s))
 
 
@@ -127,7 +127,7 @@ def _prescribe(motion: Motion, body: AnimalBody) -> PrescribedMotion:
 
 
 def _section(structure: Structure, t, y, y_t) -> Section:
-    """Return the sections at one time; `y` (3, nodes) is V_tau, V_n, phi and `y_t` its rate."""
+    """Returns the sections at one time; `y` (3, nodes) is V_tau, V_n, phi and `y_t` its rate."""
     mid, mid_t = (0.5 * (v[:, 1:] + v[:, :-1]) for v in (y, y_t))
     slope, slope_t = ((v[:, 1:] - v[:, :-1]) / structure.ds for v in (y, y_t))
     dt = jnp.ones_like(t)
@@ -149,7 +149,7 @@ def _section(structure: Structure, t, y, y_t) -> Section:
 
 @jax.jit
 def force_on_body(effect: ForceDensity, p: PrescribedMotion) -> Float[Array, "times 2"]:
-    """Return the force (x, y) [N] of one effect on the whole body at every time."""
+    """Returns the force (x, y) [N] of one effect on the whole body at every time."""
     F_tau, F_n = jax.vmap(effect.force)(p.x)
     per_length = jnp.stack(to_plane(F_tau, F_n, p.x.phi), axis=-1)
     return jnp.sum(per_length * p.body.structure.ds[:, None], axis=1)
@@ -157,13 +157,13 @@ def force_on_body(effect: ForceDensity, p: PrescribedMotion) -> Float[Array, "ti
 
 @jax.jit
 def momentum(p: PrescribedMotion) -> Float[Array, "times 2"]:
-    """Return the momentum (x, y) [N s] of the body without its added mass."""
+    """Returns the momentum (x, y) [N s] of the body without its added mass."""
     return _mass_weighted(p, p.x.V_tau, p.x.V_n)
 
 
 @jax.jit
 def inertia(p: PrescribedMotion) -> Float[Array, "times 2"]:
-    """Return d(momentum)/dt (x, y) [N]."""
+    """Returns d(momentum)/dt (x, y) [N]."""
     x = p.x
     return _mass_weighted(p, x.V_tau_t - x.omega * x.V_n, x.V_n_t + x.omega * x.V_tau)
 

@@ -68,7 +68,7 @@ class StrideForces(NamedTuple):
     """(strides,): momentum gained per time."""
 
     def imbalance(self, C_d: float, m_a: float) -> np.ndarray:
-        """Return the modelled force minus the momentum gained per time, (strides,) [N]."""
+        """Returns the modelled force minus the momentum gained per time, (strides,) [N]."""
         return m_a * self.unit[BASE_EFFECTS[0]] + C_d * self.unit[BASE_EFFECTS[1]] - self.gain
 
 
@@ -82,7 +82,7 @@ class Course:
 
 
 def forces_by_stride(motion: Motion, shape: CrossSections, course: Course) -> StrideForces:
-    """Return the mean forces of a motion in every stride."""
+    """Returns the mean forces of a motion in every stride."""
     prescribed, t = prescribe(motion, shape), np.asarray(motion.t)
 
     def along(vector):
@@ -103,7 +103,7 @@ class BalanceSamples(NamedTuple):
     """(samples, strides): weight of each stride; each row sums to 1."""
 
     def mean(self, series: Sequence[np.ndarray]) -> np.ndarray:
-        """Return the weighted means over the strides, (samples,)."""
+        """Returns the weighted means over the strides, (samples,)."""
         return np.sum(self.weights * np.array(series), axis=1)
 
     @property
@@ -113,23 +113,23 @@ class BalanceSamples(NamedTuple):
         return self.mean([x.imbalance(C_d, m_a) for x, C_d, m_a in pairs])
 
     def unit(self, effect: str) -> np.ndarray:
-        """Return an effect's mean force at a unit coefficient, (samples,) [N]."""
+        """Returns an effect's mean force at a unit coefficient, (samples,) [N]."""
         return self.mean([x.unit[effect] for x in self.stride_forces])
 
     def closing(self, effect: str) -> np.ndarray:
-        """Return the coefficient at which one effect alone closes the balance, (samples,)."""
+        """Returns the coefficient at which one effect alone closes the balance, (samples,)."""
         current = {BASE_EFFECTS[0]: self.m_a, BASE_EFFECTS[1]: self.C_d}.get(effect, 0.0)
         return current - self.imbalance / self.unit(effect)
 
 
 def central_interval(values: np.ndarray) -> tuple[float, float]:
-    """Return the 2.5 % and 97.5 % quantiles."""
+    """Returns the 2.5 % and 97.5 % quantiles."""
     low, high = np.quantile(values, [0.025, 0.975])
     return float(low), float(high)
 
 
 def stride_weights(strides: int, samples: int, rng: np.random.Generator) -> np.ndarray:
-    """Return bootstrap weights of the strides, (samples, strides).
+    """Returns bootstrap weights of the strides, (samples, strides).
 
     With few strides a plain bootstrap interval is too narrow, because its variance divides by n and
     its tails are normal. The weights are scaled to give Student's interval of the mean.
@@ -143,7 +143,7 @@ def stride_weights(strides: int, samples: int, rng: np.random.Generator) -> np.n
 def alternative_motions(
     midlines: Midlines, smoothing: Smoothing, rng: np.random.Generator, count: int = MOTIONS
 ) -> list[Motion]:
-    """Return motions of the same midlines with other smoothing, body length and tracing noise."""
+    """Returns motions of the same midlines with other smoothing, body length and tracing noise."""
     across = float(np.median(midlines.lengths)) / (midlines.points.shape[1] - 1)
     noise = white_noise(measured_angles(midlines).phi) * across / np.sqrt(2.0)
     sigma = np.concatenate([noise[:1], noise])
@@ -171,7 +171,7 @@ def sample_balances(
     vary: Sequence[str],
     count: int = SAMPLES,
 ) -> BalanceSamples:
-    """Return samples in which `vary` of "strides", "reading", "shape" and "coefficients" vary.
+    """Returns samples in which `vary` of "strides", "reading", "shape" and "coefficients" vary.
 
     `motions[0]` is the motion of the unchanged midlines; `coefficients` is (C_d, m_a).
     """

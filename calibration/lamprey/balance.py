@@ -91,7 +91,7 @@ class BalanceAnalysis:
 
 
 def analyse_folder(folder: Path, seed: int = 0, samples: int = SAMPLES) -> BalanceAnalysis:
-    """Return the balance of the animal in a folder with lampreydata.csv and fishwidth.csv.
+    """Returns the balance of the animal in a folder with lampreydata.csv and fishwidth.csv.
 
     The intervals use `samples` samples from `seed`. Raises `InputError` if the data are unusable.
     """
@@ -104,7 +104,7 @@ def analyse_folder(folder: Path, seed: int = 0, samples: int = SAMPLES) -> Balan
 def analyse_midlines(
     midlines: Midlines, shape: CrossSections, seed: int = 0, samples: int = SAMPLES
 ) -> BalanceAnalysis:
-    """Return the balance of an animal of `shape` that moves as `midlines` show."""
+    """Returns the balance of an animal of `shape` that moves as `midlines` show."""
     rng = np.random.default_rng(seed)
     smoothing = choose_smoothing(midlines)
     motion = midline_motion(midlines, smoothing)
@@ -153,7 +153,7 @@ def _other_smoothings(x: Smoothing) -> dict[str, Smoothing]:
 
 
 def balance_verdict(x: BalanceAnalysis) -> tuple[str, list[str]]:
-    """Return the verdict and the effects that can close the balance, most probable first."""
+    """Returns the verdict and the effects that can close the balance, most probable first."""
     low, high = central_interval(x.samples.imbalance)
     if low <= 0.0 <= high:
         return "nothing_missing", []
@@ -167,7 +167,7 @@ def balance_verdict(x: BalanceAnalysis) -> tuple[str, list[str]]:
 
 
 def imbalance_errors(x: BalanceAnalysis, closer: str) -> dict[str, float]:
-    """Return the strides' rms imbalance [N] before and after closing, and its noise floor.
+    """Returns the strides' rms imbalance [N] before and after closing, and its noise floor.
 
     "after": each stride uses the coefficient of the effect `closer` from the other strides.
     """
@@ -181,7 +181,7 @@ def _rms(values: np.ndarray) -> float:
 
 
 def small_amplitude_thrust(x: BalanceAnalysis) -> float:
-    """Return Lighthill's mean thrust [N] of a wave of small amplitude, from the tail's end alone.
+    """Returns Lighthill's mean thrust [N] of a wave of small amplitude, from the tail's end alone.
 
         T = m_A ( (dh/dt)^2 - U^2 (dh/dx)^2 ) / 2,   mean over whole strides
 
@@ -198,7 +198,7 @@ def small_amplitude_thrust(x: BalanceAnalysis) -> float:
 
 
 def skin_friction(x: BalanceAnalysis) -> dict[str, Any]:
-    """Return the friction coefficient on the wetted area that closes the balance, and plates'."""
+    """Returns the friction coefficient on the wetted area that closes the balance, and plates'."""
     body = x.prescribed.body
     wetted = float(np.sum(body.perimeter * body.structure.ds))
     outline = float(np.sum(body.structure.height * body.structure.ds))
@@ -219,7 +219,7 @@ def skin_friction(x: BalanceAnalysis) -> dict[str, Any]:
 
 
 def frontal_coefficient(x: BalanceAnalysis) -> tuple[float, float, float]:
-    """Return the head's drag coefficient that closes the balance, with its 95 % interval."""
+    """Returns the head's drag coefficient that closes the balance, with its 95 % interval."""
     body = x.prescribed.body
     section = float(np.max(math.pi / 4.0 * body.width * body.structure.height))
     area = x.samples.closing("head_drag") / section
@@ -227,7 +227,7 @@ def frontal_coefficient(x: BalanceAnalysis) -> tuple[float, float, float]:
 
 
 def within_stride(x: BalanceAnalysis) -> dict[str, float]:
-    """Return axial amplitudes within a stride, which could discriminate between the candidates.
+    """Returns axial amplitudes within a stride, which could discriminate between the candidates.
 
     All are at twice the strides' frequency, as a symmetric swimmer's axial forces are: the model's
     force and the body's inertia [N], and the motions of the centre of mass [m] that they cause. The
@@ -262,7 +262,7 @@ def within_stride(x: BalanceAnalysis) -> dict[str, float]:
 
 
 def midline_misfit(x: BalanceAnalysis) -> float:
-    """Return the rms distance [m] of the measured points within the body's length from the body."""
+    """Returns the rms distance [m] of the body from the measured points within its length."""
     L, count = x.motion.length, x.midlines.points.shape[1]
     squares = []
     for frame, length, r in zip(x.midlines.points, x.midlines.lengths, x.motion.r, strict=True):

@@ -15,7 +15,7 @@ SOURCE_LABELS = {
 
 
 def body_figure(x: BalanceAnalysis):
-    """Draw the midlines of the last whole stride with the measured points, and the outline."""
+    """Draws the midlines of the last whole stride with the measured points, and the outline."""
     import matplotlib
     import matplotlib.pyplot as plt
 
@@ -40,7 +40,7 @@ def body_figure(x: BalanceAnalysis):
 
 
 def strides_figure(x: BalanceAnalysis):
-    """Draw the mean forces of every stride and the momentum gained."""
+    """Draws the mean forces of every stride and the momentum gained."""
     import matplotlib.pyplot as plt
 
     figure, axis = plt.subplots(figsize=(9, 3.6), layout="constrained")
@@ -61,7 +61,7 @@ def strides_figure(x: BalanceAnalysis):
 
 
 def imbalance_figure(x: BalanceAnalysis):
-    """Draw the intervals of the imbalance for each source of uncertainty and for all together."""
+    """Draws the intervals of the imbalance for each source of uncertainty and for all together."""
     import matplotlib.pyplot as plt
 
     figure, axis = plt.subplots(figsize=(9, 2.8), layout="constrained")

@@ -46,7 +46,7 @@ class Midlines:
 
 
 def read_midlines(path: Path) -> Midlines:
-    """Return the longest run of complete frames in a file of midlines.
+    """Returns the longest run of complete frames in a file of midlines.
 
     Raises `InputError` with the file and the line or frame unless the file is an evenly timed
     series of midlines in millimetres with the head first.
@@ -124,7 +124,7 @@ def _check(path: Path, midlines: Midlines, frames: np.ndarray) -> None:
 
 
 def read_width(path: Path, column: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return s from 0 at the snout to 1 at the tail, and the width as a share of the length.
+    """Returns s from 0 at the snout to 1 at the tail, and the width as a share of the length.
 
     Raises `InputError` if s does not increase from 0 to 1 or a width is not a plausible share.
     """

@@ -82,7 +82,7 @@ class Angles(NamedTuple):
 
 
 def measured_angles(midlines: Midlines) -> Angles:
-    """Return the measured angles, continuous along the body and in time."""
+    """Returns the measured angles, continuous along the body and in time."""
     steps = midlines.points[:, :-1] - midlines.points[:, 1:]
     size = np.hypot(steps[..., 0], steps[..., 1])
     phi = np.unwrap(np.arctan2(steps[..., 1], steps[..., 0]), axis=1)
@@ -92,14 +92,14 @@ def measured_angles(midlines: Midlines) -> Angles:
 
 
 def white_noise(series: np.ndarray) -> np.ndarray:
-    """Return the white noise (deviation) of series (times, ...), from their fourth differences."""
+    """Returns the white noise (deviation) of series (times, ...), from their fourth differences."""
     return np.sqrt(np.mean(np.diff(series, n=4, axis=0) ** 2, axis=0) / 70.0)
 
 
 def smooth_along_body(
     measured: Angles, s: np.ndarray, wavelength: float
 ) -> tuple[np.ndarray, float]:
-    """Return smoothed phi (frames, nodes) [rad] at `s` [m] from the tail, and the rms residual."""
+    """Returns smoothed phi (frames, nodes) [rad] at `s` [m] from the tail, and the rms residual."""
     L, rows, residuals = s[-1], [], []
     for phi, behind in zip(measured.phi, measured.behind, strict=True):
         fit = twicing_spline(behind / L, phi, 1.0 / wavelength)
@@ -109,7 +109,7 @@ def smooth_along_body(
 
 
 def choose_smoothing(midlines: Midlines) -> Smoothing:
-    """Return the wavelength and cutoff that remove only the measurement noise.
+    """Returns the wavelength and cutoff that remove only the measurement noise.
 
     The wavelength is the longest with a residual of at most `RESIDUAL_OVER_NOISE` times the angles'
     noise. The cutoff is the first frequency above the strides' at which the angles' power falls to
@@ -127,7 +127,7 @@ def choose_smoothing(midlines: Midlines) -> Smoothing:
 
 
 def _noise_frequency(phi: np.ndarray, interval: float) -> float:
-    """Return the frequency [Hz] at which the power of phi (times, nodes) falls to its noise.
+    """Returns the frequency [Hz] at which the power of phi (times, nodes) falls to its noise.
 
     The power is the mean over the body and over three neighbouring frequencies.
     """
@@ -144,7 +144,7 @@ def _noise_frequency(phi: np.ndarray, interval: float) -> float:
 
 
 def twicing_spline(x: np.ndarray, series: np.ndarray, cutoff: float) -> Callable[..., np.ndarray]:
-    """Return (at, n) -> d^n/dx^n of the smoothed series; half is kept at `cutoff` [1/x]."""
+    """Returns (at, n) -> d^n/dx^n of the smoothed series; half is kept at `cutoff` [1/x]."""
     weight = 1.0 / (np.mean(np.diff(x)) * (2.0 * math.pi * cutoff / _TWICING_RATIO) ** 4)
     first = make_smoothing_spline(x, series, lam=weight)
     second = make_smoothing_spline(x, series - first(x), lam=weight)
@@ -152,7 +152,7 @@ def twicing_spline(x: np.ndarray, series: np.ndarray, cutoff: float) -> Callable
 
 
 def midline_motion(midlines: Midlines, smoothing: Smoothing, length: float | None = None) -> Motion:
-    """Return the motion of a body of `length` [m] (default: the median) at the frames' times."""
+    """Returns the motion of a body of `length` [m] (default: the median) at the frames' times."""
     L = float(np.median(midlines.lengths)) if length is None else length
     t, s = midlines.t, np.linspace(0.0, L, NODES)
     phi, _ = smooth_along_body(measured_angles(midlines), s, smoothing.wavelength)
@@ -166,7 +166,7 @@ def midline_motion(midlines: Midlines, smoothing: Smoothing, length: float | Non
 def motion_from_angles(
     t: np.ndarray, s: np.ndarray, phi: list[np.ndarray], head: list[np.ndarray]
 ) -> Motion:
-    """Return the motion from phi (times, nodes) and head (times, 2), each with two derivatives."""
+    """Returns the motion from phi (times, nodes) and head (times, 2), each with two derivatives."""
     ds = np.diff(s)
     angle, omega, turn = (0.5 * (x[:, 1:] + x[:, :-1]) for x in phi)
     tau = np.stack([np.cos(angle), np.sin(angle)], axis=-1)

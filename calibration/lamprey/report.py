@@ -39,14 +39,14 @@ NEXT_ANIMAL_EXPERIMENT = (
 
 
 def interval_record(value: float, low: float, high: float, unit: str) -> dict[str, Any]:
-    """Return a number with its interval in the form of report.json."""
+    """Returns a number with its interval in the form of report.json."""
     return {"value": value, "low": low, "high": high, "unit": unit}
 
 
 def animal_record(
     x: BalanceAnalysis, seconds: float, sources: list[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Return the content of report.json; `sources` are the records of the input files."""
+    """Returns the content of report.json; `sources` are the records of the input files."""
     verdict, candidates = balance_verdict(x)
     closer = CANDIDATES[0]
     stride_errors = imbalance_errors(x, closer) | {"closed_by": closer}
@@ -99,7 +99,7 @@ def animal_record(
 
 
 def closing_effects(x: BalanceAnalysis, candidates: list[str]) -> list[dict[str, Any]]:
-    """Return the most probable effect and the effects equivalent to it."""
+    """Returns the most probable effect and the effects equivalent to it."""
     if not candidates:
         return []
     first, *others = candidates
@@ -115,7 +115,7 @@ def closing_effects(x: BalanceAnalysis, candidates: list[str]) -> list[dict[str,
 
 
 def _closing(x: BalanceAnalysis, name: str) -> dict[str, Any]:
-    """Return the record of the closing coefficient, by the parameter's name."""
+    """Returns the record of the closing coefficient, by the parameter's name."""
     ((parameter, prior),) = EFFECTS[name].priors().items()
     values = x.samples.closing(name)
     record = interval_record(float(np.median(values)), *central_interval(values), prior.unit)
@@ -123,7 +123,7 @@ def _closing(x: BalanceAnalysis, name: str) -> dict[str, Any]:
 
 
 def closing_candidates(x: BalanceAnalysis) -> list[dict[str, Any]]:
-    """Return the coefficient with which each effect alone would close the balance."""
+    """Returns the coefficient with which each effect alone would close the balance."""
     share = x.possible
     rows = []
     for name in sorted(EFFECTS, key=lambda n: -share[n]):
@@ -139,7 +139,7 @@ def closing_candidates(x: BalanceAnalysis) -> list[dict[str, Any]]:
 
 
 def _settings(x: BalanceAnalysis) -> dict[str, Any]:
-    """Return the chosen settings and the assumptions."""
+    """Returns the chosen settings and the assumptions."""
     return {
         "smoothing": {"wavelength_L": x.smoothing.wavelength, "cutoff_Hz": x.smoothing.cutoff},
         "width": f"{WIDTH_COLUMN} times {WIDTH_OVER_HALF_WIDTH:g}: assumed to be a half width",
@@ -156,7 +156,7 @@ def _settings(x: BalanceAnalysis) -> dict[str, Any]:
 
 
 def midline_quality(x: BalanceAnalysis) -> list[str]:
-    """Return sentences on the quality of the midlines."""
+    """Returns sentences on the quality of the midlines."""
     lengths = 1e3 * x.midlines.lengths
     return [
         f"{x.midlines.incomplete_frames} incomplete frames at the ends are omitted.",
@@ -168,7 +168,7 @@ def midline_quality(x: BalanceAnalysis) -> list[str]:
 
 
 def animal_sentence(x: BalanceAnalysis) -> str:
-    """Return the verdict in up to three sentences."""
+    """Returns the verdict in up to three sentences."""
     verdict, candidates = balance_verdict(x)
     low, high = (1e3 * v for v in central_interval(x.samples.imbalance))
     first = 1e3 * x.imbalance.mean()
@@ -194,7 +194,7 @@ def animal_sentence(x: BalanceAnalysis) -> str:
 
 
 def balance_table(x: BalanceAnalysis) -> str:
-    """Return the balance as a table for the terminal."""
+    """Returns the balance as a table for the terminal."""
     mean = {n: 1e3 * x.forces.unit[n].mean() for n in BASE_EFFECTS}
     low, high = (1e3 * v for v in central_interval(x.samples.imbalance))
     rows = [
@@ -215,7 +215,7 @@ def balance_table(x: BalanceAnalysis) -> str:
 
 
 def animal_page(x: BalanceAnalysis, record: dict[str, Any]) -> str:
-    """Return report.html; `record` is the content of report.json."""
+    """Returns report.html; `record` is the content of report.json."""
     return render_page(
         "lamprey.html",
         title="Axial force balance of a swimming lamprey",

@@ -34,7 +34,7 @@ class Strides(NamedTuple):
         return self.number / float(self.marks[-1] - self.marks[0])
 
     def means(self, t: np.ndarray, series: np.ndarray) -> np.ndarray:
-        """Return the mean of a series (times, ...) over each stride, (strides, ...)."""
+        """Returns the mean of a series (times, ...) over each stride, (strides, ...)."""
         steps = 0.5 * (series[1:] + series[:-1]) * _column(np.diff(t), series)
         total = np.concatenate([np.zeros_like(series[:1]), np.cumsum(steps, axis=0)])
         return np.diff(_interpolate(self.marks, t, total), axis=0) / _column(
@@ -42,7 +42,7 @@ class Strides(NamedTuple):
         )
 
     def gains(self, t: np.ndarray, series: np.ndarray) -> np.ndarray:
-        """Return the mean rate of change of a series over each stride, (strides, ...)."""
+        """Returns the mean rate of change of a series over each stride, (strides, ...)."""
         spans = _column(np.diff(self.marks), series)
         return np.diff(_interpolate(self.marks, t, series), axis=0) / spans
 
@@ -66,7 +66,7 @@ class AnimalGait(NamedTuple):
 
 
 def whole_strides(motion: Motion) -> Strides:
-    """Return the whole strides within a motion without its edge frames.
+    """Returns the whole strides within a motion without its edge frames.
 
     A travelling wave traces a closed loop in the plane of the two leading modes of phi(s, t). The
     phase is the angle in this plane. Raises `InputError` for fewer than `MIN_STRIDES` strides.
@@ -93,7 +93,7 @@ def whole_strides(motion: Motion) -> Strides:
 
 
 def animal_gait(motion: Motion, strides: Strides, viscosity: float) -> AnimalGait:
-    """Return the gait of a motion over its whole strides; `viscosity` in m^2/s."""
+    """Returns the gait of a motion over its whole strides; `viscosity` in m^2/s."""
     t, s = np.asarray(motion.t), motion.s
     middle = np.trapezoid(motion.r, s, axis=1) / motion.length
     ends = _interpolate(strides.marks[[0, -1]], t, middle)
@@ -119,7 +119,7 @@ def animal_gait(motion: Motion, strides: Strides, viscosity: float) -> AnimalGai
 
 
 def fundamental(t: np.ndarray, series: np.ndarray, strides: Strides) -> np.ndarray:
-    """Return the amplitude (nodes,) at the strides' phase of a detrended series (times, nodes)."""
+    """Returns the amplitude (nodes,) at the strides' phase of a detrended series (times, nodes)."""
     inside = (t >= strides.marks[0]) & (t <= strides.marks[-1])
     angle, at = 2.0 * math.pi * strides.phase[inside], t[inside] - t[inside].mean()
     basis = np.stack([np.ones_like(at), at, at**2, np.cos(angle), np.sin(angle)], axis=1)

@@ -24,16 +24,16 @@ class Record:
     """(channels, n) in the order of `CHANNELS`, NaN where a sample is missing."""
 
     def there(self, channel: str) -> np.ndarray:
-        """Return which of the n samples the channel has."""
+        """Returns which of the n samples the channel has."""
         return np.isfinite(self.values[row_of(channel)])
 
     def has(self, channel: str) -> bool:
-        """Return whether the channel has enough samples for a comparison, 20 or more."""
+        """Returns whether the channel has enough samples for a comparison, 20 or more."""
         return int(self.there(channel).sum()) >= 20
 
 
 def load_records(experiment: Experiment) -> list[Record]:
-    """Return the trials whose files exist. Raises `InputError` for none, or for a damaged file."""
+    """Returns the trials whose files exist. Raises `InputError` for none, or for a damaged file."""
     found = []
     for trial in experiment.trials:
         columns = read_measured(experiment, trial)
@@ -79,7 +79,7 @@ class Finding(NamedTuple):
 
 
 def true_runs(bad: np.ndarray) -> list[tuple[int, int]]:
-    """Return first and last index of every run of True in `bad` (n,)."""
+    """Returns first and last index of every run of True in `bad` (n,)."""
     edges = np.flatnonzero(np.diff(np.r_[0, bad.astype(int), 0]))
     return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
@@ -87,7 +87,7 @@ def true_runs(bad: np.ndarray) -> list[tuple[int, int]]:
 def masked_finding(
     trial: str, kind: str, channel: str, t: np.ndarray, bad: np.ndarray, text: str
 ) -> Finding:
-    """Return the finding that masks the samples `bad` (n,) of a channel at `t` (n,) [s]."""
+    """Returns the finding that masks the samples `bad` (n,) of a channel at `t` (n,) [s]."""
     runs, (begin, end) = true_runs(bad), (float(x) for x in t[bad][[0, -1]])
     many = f" in {len(runs)} intervals" if len(runs) > 1 else ""
     where = f"from {begin:.4g} to {end:.4g} s"

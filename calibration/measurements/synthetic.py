@@ -42,7 +42,7 @@ class Sensors(NamedTuple):
     """Relative standard deviation of a force channel's gain over the trials; not declared."""
 
     def declared(self) -> dict[str, float]:
-        """Return the values that the experiment file declares."""
+        """Returns the values that the experiment file declares."""
         return {k: v for k, v in self._asdict().items() if k != "gain_drift"}
 
 
@@ -55,7 +55,7 @@ class Truth(NamedTuple):
 
 
 def random_base_parameters(rng: np.random.Generator) -> dict[str, float]:
-    """Return random C_d, m_a, k and K_Q."""
+    """Returns random C_d, m_a, k and K_Q."""
     return {
         "C_d": float(rng.uniform(2.4, 4.2)), "m_a": float(rng.uniform(0.45, 0.95)),
         "k": float(rng.uniform(0.06, 0.11)), "K_Q": float(rng.uniform(4.2e-7, 5.2e-7)),
@@ -63,7 +63,7 @@ def random_base_parameters(rng: np.random.Generator) -> dict[str, float]:
 
 
 def random_trials(seed: int, count: int = 8, seconds: float = 1.0) -> list[dict[str, Any]]:
-    """Return trials with square waves of 0.6 to 6 Hz and random amplitude, phase and tow speed.
+    """Returns trials with square waves of 0.6 to 6 Hz and random amplitude, phase and tow speed.
 
     `seconds` scales their durations, which are 5 s at 0.6 Hz and 2 s from 3 Hz on.
     """
@@ -92,7 +92,7 @@ def write_tank(
     sensors: Sensors = Sensors(),
     numerics: Mapping[str, Any] = NUMERICS,
 ) -> Path:
-    """Simulate the trials `runs`, add noise, and write them; return the path of experiment.toml.
+    """Simulates the trials `runs`, adds noise, and writes them; returns experiment.toml's path.
 
     The file omits the effects and starts from the parameters `START`.
     """
@@ -118,7 +118,7 @@ def write_tank(
 def with_sensor_noise(
     true: Mapping[str, np.ndarray], sensors: Sensors, rng: np.random.Generator
 ) -> dict[str, np.ndarray]:
-    """Return the columns of one trial with the sensors' noise added."""
+    """Returns the columns of one trial with the sensors' noise added."""
     t = true["t_s"]
     n = len(t)
     columns = {"t_s": t}
@@ -138,7 +138,7 @@ def with_sensor_noise(
 
 
 def slow_noise(t: np.ndarray, time: float, rng: np.random.Generator) -> np.ndarray:
-    """Return noise (n,) of unit variance correlated over `time` [s]: Ornstein-Uhlenbeck."""
+    """Returns noise (n,) of unit variance correlated over `time` [s]: Ornstein-Uhlenbeck."""
     keep = np.exp(-np.diff(t, prepend=t[0]) / time)
     fresh = rng.normal(size=len(t))
     values = np.empty(len(t))

@@ -41,7 +41,7 @@ class Parameter(NamedTuple):
 
 
 def model_parameters(effects: Sequence[str]) -> list[Parameter]:
-    """Return the vector's entries: the base model's parameters, then those of `effects`."""
+    """Returns the vector's entries: the base model's parameters, then those of `effects`."""
     base = [Parameter("", name, prior) for name, prior in BASE.items()]
     return base + [
         Parameter(effect, name, prior)
@@ -51,7 +51,7 @@ def model_parameters(effects: Sequence[str]) -> list[Parameter]:
 
 
 def candidate_effects() -> list[str]:
-    """Return the names of all effects that the search may add to the model."""
+    """Returns the names of all effects that the search may add to the model."""
     return [name for name, kind in LIBRARY.items() if kind.is_candidate]
 
 
@@ -67,7 +67,7 @@ class ExtendedModel(eqx.Module):
     )
 
     def at(self, theta: Float[Array, " parameters"]) -> Model:
-        """Return the model with its parameters from the vector `theta`, in SI units."""
+        """Returns the model with its parameters from the vector `theta`, in SI units."""
         values = dict(
             zip(((p.effect, p.name) for p in model_parameters(self.effects)), theta, strict=True)
         )
@@ -96,12 +96,12 @@ class ExtendedModel(eqx.Module):
 
 
 def base_vector(entries: Sequence[Parameter], base: dict[str, float]) -> np.ndarray:
-    """Return the vector with the base model's `base` values and every effect at its null."""
+    """Returns the vector with the base model's `base` values and every effect at its null."""
     return np.array([p.prior.null if p.effect else base[p.name] for p in entries])
 
 
 def base_values(experiment: Experiment) -> dict[str, float]:
-    """Return the base parameters of an experiment; C_d and m_a are means over the trials."""
+    """Returns the base parameters of an experiment; C_d and m_a are means over the trials."""
     C_d, m_a = np.mean([drag_and_added_mass(experiment, t) for t in experiment.trials], axis=0)
     fixed = {"C_d": float(C_d), "m_a": float(m_a)}
     return {n: fixed[n] if n in fixed else getattr(experiment.parameters, n) for n in BASE}

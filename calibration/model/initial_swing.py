@@ -36,7 +36,7 @@ class SwingMode(NamedTuple):
 
 
 def first_mode(model: Model, numerics: Numerics) -> SwingMode:
-    """Return the clamped body's first mode in water, from its deflection under a uniform load."""
+    """Returns the clamped body's first mode in water, from its deflection under a uniform load."""
     mesh = make_mesh(model.body, numerics)
     grid, structure = mesh.grid, mesh.structure
     curvature = grid.mid(grid.s) ** 2 / structure.EI
@@ -59,7 +59,7 @@ def first_mode(model: Model, numerics: Numerics) -> SwingMode:
 
 @eqx.filter_jit
 def _along(model: Model, numerics: Numerics):
-    """Return the initial state's tangents along position and speed, and the mode's frequency.
+    """Returns the initial state's tangents along position and speed, and the mode's frequency.
 
     The tangents are padded to `DIRECTIONS`.
     """
@@ -78,7 +78,7 @@ def _along(model: Model, numerics: Numerics):
 
 
 def swing_spans(p: TrialPlan, theta: np.ndarray, size: float) -> np.ndarray:
-    """Return the readings' changes (2, channels, samples) by initial position and speed.
+    """Returns the readings' changes (2, channels, samples) by initial position and speed.
 
     Each change is for one standard deviation of a swing of `size` [m], linearised about the trial
     at `theta`. It is 0 if not finite, for example after a failed step.
@@ -94,6 +94,6 @@ def swing_spans(p: TrialPlan, theta: np.ndarray, size: float) -> np.ndarray:
 def declared_swing_spans(
     experiment: Experiment, p: TrialPlan, theta: np.ndarray
 ) -> np.ndarray | None:
-    """Return `swing_spans` for the swing that an experiment declares; None if it has none."""
+    """Returns `swing_spans` for the swing that an experiment declares; None if it has none."""
     size = experiment.sensors.start_swing
     return swing_spans(p, theta, size) if size > 0.0 else None

@@ -79,7 +79,7 @@ def plan_trial(
     resolution: Resolution,
     at: np.ndarray | None = None,
 ) -> TrialPlan:
-    """Return a trial's model and grids; `at` (n,) are the sample times [s] (default: the file's).
+    """Returns a trial's model and grids; `at` (n,) are the sample times [s] (default: the file's).
 
     A prepared trial has its own sample times. Raises `InputError` for an unusable trial.
     """
@@ -103,7 +103,7 @@ def plan_trial(
 
 
 def _chunk(extended: ExtendedModel, theta, carry: Carry, h, t0, numerics: Numerics, scheme: Scheme):
-    """Return the true readings (BLOCK, channels) of `BLOCK` more steps, and the last state."""
+    """Returns the true readings (BLOCK, channels) of `BLOCK` more steps, and the last state."""
 
     def save(x: Snapshot):
         return jnp.stack([channel.observe(x) for channel in extended.channels])
@@ -114,7 +114,7 @@ def _chunk(extended: ExtendedModel, theta, carry: Carry, h, t0, numerics: Numeri
 
 
 def _read(extended: ExtendedModel, theta, t, series):
-    """Return the readings (channels - 2, n) of true `series` (n, channels), without pressures."""
+    """Returns the readings (channels - 2, n) of true `series` (n, channels), without pressures."""
     names = [channel.name for channel in extended.channels]
     true = dict(zip(names, series.T, strict=True))
     read = recorded_series(extended.at(theta).effects, t, true)
@@ -122,7 +122,7 @@ def _read(extended: ExtendedModel, theta, t, series):
 
 
 def recorded_pressures(model: Model, t):
-    """Return p_front and p_rear (2, n) at regular times `t`, by exact steps between the times."""
+    """Returns p_front and p_rear (2, n) at regular times `t`, by exact steps between the times."""
     begin = start_chambers(model)
     front, rear = jnp.concatenate([begin.p[None], chamber_history(model, begin, t).p]).T
     zero = jnp.zeros_like(t)
@@ -135,7 +135,7 @@ def _pressures(extended: ExtendedModel, theta, t):
 
 
 def _along(function, arguments, directions):
-    """Return the tangents of function(*arguments) along `directions`.
+    """Returns the tangents of function(*arguments) along `directions`.
 
     Each argument's directions have an additional leading axis.
     """
@@ -184,7 +184,7 @@ def _chambers_along(extended: ExtendedModel, theta, t, d_theta):
 
 
 def _sample_grid(at: np.ndarray) -> np.ndarray:
-    """Return regular times from 0 that include the sample times `at`, in whole blocks."""
+    """Returns regular times from 0 that include the sample times `at`, in whole blocks."""
     spacing = divided_step(float(np.median(np.diff(at))), LONGEST_STEP)
     before = np.ceil(at[0] / spacing - 1e-9)
     n = -(-(round((at[-1] - at[0]) / spacing) + int(before) + 2) // BLOCK) * BLOCK
@@ -194,7 +194,7 @@ def _sample_grid(at: np.ndarray) -> np.ndarray:
 
 
 def _sampled(p: TrialPlan, body: np.ndarray, pressures: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Return series (..., channels, samples) at the trial's sample times.
+    """Returns series (..., channels, samples) at the trial's sample times.
 
     `body` (..., channels - 2, steps) is interpolated. `pressures` (..., 2, n) are at the times `t`,
     which include the sample times.
@@ -211,7 +211,7 @@ def _sampled(p: TrialPlan, body: np.ndarray, pressures: np.ndarray, t: np.ndarra
 
 
 def predict_readings(p: TrialPlan, theta: np.ndarray) -> np.ndarray:
-    """Return the readings (channels, samples) of a trial, NaN after a failed step."""
+    """Returns the readings (channels, samples) of a trial, NaN after a failed step."""
     series, failed_at = _series(p, jnp.asarray(theta))
     t = p.grid.h * np.arange(len(series))
     read = np.array(_recorded(p.extended, jnp.asarray(theta), jnp.asarray(t), series))
@@ -222,7 +222,7 @@ def predict_readings(p: TrialPlan, theta: np.ndarray) -> np.ndarray:
 
 
 def _series(p: TrialPlan, theta) -> tuple[Array, float]:
-    """Return the true series (n, channels) from t = 0 on, and the time of a failed step or inf."""
+    """Returns the true series (n, channels) from t = 0 on, and the time of a failed step or inf."""
     carry = _begin(p.extended, theta, p.numerics)
     start = jnp.concatenate([carry.chambers.p, jnp.zeros(len(p.extended.channels) - 2)])[None]
     h = jnp.asarray(p.grid.h)
@@ -236,7 +236,7 @@ def _series(p: TrialPlan, theta) -> tuple[Array, float]:
 
 
 def reading_tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Return the derivatives (k, channels, samples) of readings along `directions` (k, entries)."""
+    """Returns derivatives (k, channels, samples) of readings along `directions` (k, entries)."""
     at, grid = jnp.asarray(theta), _sample_grid(p.at)
     series, _ = _series(p, at)
     t = jnp.asarray(p.grid.h * np.arange(len(series)))
@@ -250,7 +250,7 @@ def reading_tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) ->
 
 
 def by_directions(function, directions: np.ndarray) -> np.ndarray:
-    """Return `function` of all `directions` (k, n), called with `DIRECTIONS` of them at a time."""
+    """Returns `function` of all `directions` (k, n), called with `DIRECTIONS` of them at a time."""
     padded = np.zeros((-(-len(directions) // DIRECTIONS), DIRECTIONS, directions.shape[1]))
     padded.reshape(-1, directions.shape[1])[: len(directions)] = directions
     found = [np.asarray(function(jnp.asarray(block))) for block in padded]
@@ -260,7 +260,7 @@ def by_directions(function, directions: np.ndarray) -> np.ndarray:
 def initial_state_tangents(
     p: TrialPlan, theta: np.ndarray, d_carry: Carry, initial: np.ndarray
 ) -> np.ndarray:
-    """Return the readings' derivatives (`DIRECTIONS`, channels, samples) by the initial state.
+    """Returns the readings' derivatives (`DIRECTIONS`, channels, samples) by the initial state.
 
     `d_carry` holds the state's tangents, with a leading axis. `initial` (`DIRECTIONS`, channels)
     are those of the readings at t = 0. The initial pressures do not change.
@@ -275,7 +275,7 @@ def initial_state_tangents(
 
 
 def _series_along(p: TrialPlan, theta, d_theta) -> Array:
-    """Return the tangents (directions, n, channels) of `_series`."""
+    """Returns the tangents (directions, n, channels) of `_series`."""
     return _carried_along(p, theta, d_theta, _begin_along(p.extended, theta, d_theta, p.numerics))
 
 
@@ -298,6 +298,6 @@ def _carried_along(p: TrialPlan, theta, d_theta, d_carry) -> Array:
 
 
 def on_all_cores(work, items: list) -> list:
-    """Return `work(item)` for every item, in order, computed on one thread per core."""
+    """Returns `work(item)` for every item, in order, computed on one thread per core."""
     with ThreadPoolExecutor(max_workers=available_cores()) as pool:
         return list(pool.map(work, items))

@@ -67,7 +67,7 @@ class CodeDensity(NamedTuple):
 def code_density(
     series: Sequence[np.ndarray], seed: int = 0, nulls: int = NULLS
 ) -> CodeDensity | None:
-    """Return the code density of one sensor from its readings (n,) in whole codes, one per log.
+    """Returns the code density of one sensor from its readings (n,) in whole codes, one per log.
 
     Returns None if the readings or their codes are too few. `seed` determines the `nulls` null
     samples.
@@ -98,7 +98,7 @@ def code_density(
 
 
 def _null(logs: Sequence[np.ndarray], rng: np.random.Generator) -> list[np.ndarray]:
-    """Return the smoothed logs with new white noise of the same size, in codes."""
+    """Returns the smoothed logs with new white noise of the same size, in codes."""
     found = []
     for x in logs:
         noise = float(np.sqrt(max(np.mean(np.diff(x, 4) ** 2) / 70.0 - 1.0 / 12.0, 0.0)))
@@ -108,7 +108,7 @@ def _null(logs: Sequence[np.ndarray], rng: np.random.Generator) -> list[np.ndarr
 
 
 def _histogram(logs: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the codes, their readings, and the readings expected from neighbouring codes."""
+    """Returns the codes, their readings, and the readings expected from neighbouring codes."""
     low, high = (int(f([f(x) for x in logs])) for f in (np.min, np.max))
     codes = np.arange(low, high + 1)
     seen, expected = np.zeros(len(codes)), np.zeros(len(codes))
@@ -120,7 +120,7 @@ def _histogram(logs: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def _strongest(codes: np.ndarray, seen: np.ndarray, expected: np.ndarray) -> tuple[float, float]:
-    """Return relative amplitude and length [codes] of the density's strongest period."""
+    """Returns relative amplitude and length [codes] of the density's strongest period."""
     looked = expected > LEAST_COUNT
     x, share = codes[looked], seen[looked] / expected[looked] - 1.0
     weight = np.minimum(expected[looked], np.median(expected[looked]))
@@ -139,7 +139,7 @@ def _over_phase(
     expected: np.ndarray,
     period: float,
 ) -> tuple[np.ndarray, float]:
-    """Return the density (bins,) over the wave's phase and its log's correlation with log noise."""
+    """Returns density (bins,) over the wave's phase and its log's correlation with log noise."""
     bins = max(min(12, int(period)), 3)
     phase = ((codes % period) / period * bins).astype(int)
     noise, many = np.zeros(len(codes)), np.zeros(len(codes))
@@ -172,7 +172,7 @@ MAX_JITTER = 1.0
 
 
 def audit_logs(logs: Sequence[ManifoldLog]) -> list[Finding]:
-    """Return the faults of the logs and of their common sensor.
+    """Returns the faults of the logs and of their common sensor.
 
     The audit lists repaired rows, clipped readings, valve duties that contradict the firmware's
     law, sample times that contradict the command, and codes of unequal width.
@@ -199,7 +199,7 @@ def audit_logs(logs: Sequence[ManifoldLog]) -> list[Finding]:
 
 
 def _unequal(found: CodeDensity) -> str:
-    """Return a sentence on the unequal pressure codes, in counts and psi."""
+    """Returns a sentence on the unequal pressure codes, in counts and psi."""
     rare = f"; {len(found.rare)} codes are rare" if found.rare else ""
     rare += f", {len(found.missing)} missing" if found.missing else ""
     return (
@@ -214,7 +214,7 @@ def _unequal(found: CodeDensity) -> str:
 
 
 def _duties(log: ManifoldLog) -> list[Finding]:
-    """Return a finding if valve duties contradict the error of their own row."""
+    """Returns a finding if valve duties contradict the error of their own row."""
     error = log.command - log.pressure
     law = np.minimum(FULL_DUTY, DUTY_PER_COUNT * np.abs(error))
     fill, vent = np.where(error > 0.0, law, 0.0), np.where(error > 0.0, 0.0, law)
@@ -230,7 +230,7 @@ def _duties(log: ManifoldLog) -> list[Finding]:
 
 
 def _times(log: ManifoldLog) -> list[Finding]:
-    """Return a finding if the command, a sine of the firmware's clock, contradicts the times."""
+    """Returns a finding if the command, a sine of the firmware's clock, contradicts the times."""
     turn = 2.0 * np.pi * log.frequency * log.t
     columns = np.stack([np.cos(turn), np.sin(turn), np.ones_like(turn)], axis=1)
     a, b, c = np.linalg.lstsq(columns, log.command)[0]

@@ -38,7 +38,7 @@ def close_loop_on_logs(
     progress: Callable[[str], None] = lambda text: None,
     memo: Memo | None = None,
 ) -> LoopOutcome:
-    """Return the effects that the pressure-lag model lacks on the rig's logs.
+    """Returns the effects that the pressure-lag model lacks on the rig's logs.
 
     `effects` are the candidates' names (default: all effects that a log can show). Every second
     log, in order of frequency, is held out. Raises `InputError` for fewer than five logs.
@@ -72,7 +72,7 @@ def close_loop_on_logs(
 def log_report(
     outcome: LoopOutcome, logs: Sequence[ManifoldLog], seconds: Callable[[], float]
 ) -> dict[str, Any]:
-    """Return the content of report.json; `seconds()` is the time since the loop began [s]."""
+    """Returns the content of report.json; `seconds()` is the time since the loop began [s]."""
     record = loop_record(outcome, 0.0, {"logs": [input_file(log.path) for log in logs]})
     record["errors_psi"] = {
         part: {c: {k: v / PA_PER_PSI for k, v in row.items()} for c, row in record[part].items()}
@@ -84,7 +84,7 @@ def log_report(
 
 
 def thrust_change(outcome: LoopOutcome) -> dict[str, Any]:
-    """Return the built-in robot's thrust at 4.8 Hz with three pressure models.
+    """Returns the built-in robot's thrust at 4.8 Hz with three pressure models.
 
     The models are the paper's lag, the lag that fits best, and the model with the found effects.
     """
@@ -108,7 +108,7 @@ def thrust_change(outcome: LoopOutcome) -> dict[str, Any]:
 
 
 def built_in_last_stride(parameters: Mapping[str, float], effects: list[dict]) -> dict[str, float]:
-    """Return the last stride of the built-in robot at `FREQUENCY`, with a given pressure model.
+    """Returns the last stride of the built-in robot at `FREQUENCY`, with a given pressure model.
 
     `parameters` and `effects` replace the robot's, in the format of an experiment file. Raises
     `SolverError` if a step fails.

@@ -23,7 +23,7 @@ PAPER_K = 0.087
 
 
 def rms(values: np.ndarray) -> float:
-    """Return the root mean square of `values`."""
+    """Returns the root mean square of `values`."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
@@ -66,7 +66,7 @@ class Identification:
     """For these logs only."""
 
     def pooled_rmse(self, which: str, settled: bool = False) -> float:
-        """Return the root of the mean over logs of their mean squares [psi]: equal weights.
+        """Returns the root of the mean over logs of their mean squares [psi]: equal weights.
 
         `which` is `before`, `after` or `pooled`; `settled` omits the first cycle.
         """
@@ -75,7 +75,7 @@ class Identification:
         return math.sqrt(np.mean([rms(r) ** 2 for r in values]))
 
     def sample_rmse(self, which: str) -> float:
-        """Return the root mean square over all samples of all logs [psi]: long logs weigh more."""
+        """Returns the root mean square over all samples of all logs [psi]: long logs weigh more."""
         return rms(np.concatenate([getattr(x, which) for x in self.logs]))
 
     @property
@@ -85,7 +85,7 @@ class Identification:
 
 
 def identify_lag(logs: Sequence[ManifoldLog]) -> Identification:
-    """Fit the lag to every log and to all together.
+    """Fits the lag to every log and to all together.
 
     Raises `InputError` if the logs together do not determine k.
     """

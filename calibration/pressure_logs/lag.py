@@ -32,7 +32,7 @@ class LogBatch(eqx.Module):
 
     @classmethod
     def of(cls, logs: Sequence[ManifoldLog]) -> "LogBatch":
-        """Return the batch of `logs`; the padding repeats the last command with weight 0.
+        """Returns the batch of `logs`; the padding repeats the last command with weight 0.
 
         The length is a multiple of `BLOCK`, so that sets of similar logs share compiled programs.
         """
@@ -57,12 +57,12 @@ class LogBatch(eqx.Module):
 
 
 def set_points(t: Float[Array, " n"], command: Float[Array, " n"]) -> Segment:
-    """Return the linear segments between the samples `command` at times `t` [s]."""
+    """Returns the linear segments between the samples `command` at times `t` [s]."""
     return jax.vmap(Recorded(t, command).segment)(t[:-1], t[1:])
 
 
 def free_run(k, set_point: Segment, start) -> Float[Array, " n"]:
-    """Return the pressure of a lag of `k` [s] under the command, in the command's unit.
+    """Returns the pressure of a lag of `k` [s] under the command, in the command's unit.
 
     The free run begins at the pressure `start` and uses no later measurement.
     """
@@ -78,7 +78,7 @@ def free_run(k, set_point: Segment, start) -> Float[Array, " n"]:
 
 
 def residual_psi(log_k, log: LogBatch) -> Float[Array, " n"]:
-    """Return measured minus free run [psi] of one log, 0 in the padding.
+    """Returns measured minus free run [psi] of one log, 0 in the padding.
 
     `log` is a `LogBatch` without its first axis.
     """
@@ -131,18 +131,18 @@ def _statistics(log_k, log: LogBatch):
 
 
 def _scaled(log_k, log: LogBatch):
-    """Return the residual scaled so that its sum of squares is the log's mean square."""
+    """Returns the residual scaled so that its sum of squares is the log's mean square."""
     return residual_psi(log_k, log) / jnp.sqrt(jnp.sum(log.weight))
 
 
 def _profile(batch: LogBatch):
-    """Return the mean square [psi^2] at each start: shape (starts, logs)."""
+    """Returns the mean square [psi^2] at each start: shape (starts, logs)."""
     each = jax.vmap(lambda x, log: jnp.sum(_scaled(x, log) ** 2), (None, 0))
     return jax.lax.map(lambda x: each(x, batch), jnp.asarray(_STARTS))
 
 
 def _lowest_minimum(square):
-    """Return the start at the lowest local minimum of the mean square, else at the lowest value.
+    """Returns the start at the lowest local minimum of the mean square, else at the lowest value.
 
     The edges of the range are no local minima: a lag longer than the log keeps the first pressure,
     which fits well if that is near the mean, but does not identify the lag.
@@ -156,7 +156,7 @@ def _lowest_minimum(square):
 
 @jax.jit
 def fit_each(batch: LogBatch) -> LagFit:
-    """Return k of every log separately.
+    """Returns k of every log separately.
 
     Levenberg-Marquardt with forward tangents starts at the lowest local minimum of a scan over
     `PLAUSIBLE`.
@@ -169,7 +169,7 @@ def fit_each(batch: LogBatch) -> LagFit:
 
 @jax.jit
 def fit_pooled(batch: LogBatch) -> LagFit:
-    """Return one k for all logs, which minimises the mean of their mean squares."""
+    """Returns one k for all logs, which minimises the mean of their mean squares."""
     start = _lowest_minimum(jnp.mean(_profile(batch), axis=1))
     log_k, converged = _solve(jax.vmap(_scaled, (None, 0)), start, batch)
     residual, tangent, curvature = jax.vmap(_statistics, (None, 0))(log_k, batch)
@@ -178,5 +178,5 @@ def fit_pooled(batch: LogBatch) -> LagFit:
 
 @jax.jit
 def residuals_at(k, batch: LogBatch) -> Float[Array, "logs samples"]:
-    """Return measured minus free run [psi] of every log at a given k [s]."""
+    """Returns measured minus free run [psi] of every log at a given k [s]."""
     return jax.vmap(lambda log: residual_psi(jnp.log(k), log))(batch)

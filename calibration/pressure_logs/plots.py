@@ -15,7 +15,7 @@ _FILL, _VENT = "tab:red", "tab:green"
 
 
 def plot_log(result: LogResult, reference_k: float, path: Path) -> None:
-    """Plot command, measurement, free runs and residuals over the first 2.5 cycles."""
+    """Plots command, measurement, free runs and residuals over the first 2.5 cycles."""
     log = result.log
     here = log.t <= 2.5 / log.frequency
     t, measured = log.t[here], psi(log.pressure)[here]
@@ -52,7 +52,7 @@ def _legend_below(axes, columns: int) -> None:
 
 
 def plot_phase(found: Identification, path: Path) -> None:
-    """Plot each log's residual against the command's phase, coloured by the open valve."""
+    """Plots each log's residual against the command's phase, coloured by the open valve."""
     count = len(found.logs)
     across = min(count, 4)
     down = math.ceil(count / across)
@@ -89,7 +89,7 @@ def plot_phase(found: Identification, path: Path) -> None:
 
 
 def plot_rate(found: Identification, path: Path) -> None:
-    """Plot all residuals against the rate of the measured pressure, by rising and falling."""
+    """Plots all residuals against the rate of the measured pressure, by rising and falling."""
     from matplotlib import colormaps
 
     figure, axes = new_figure(1, 2, figsize=(10.0, 4.4), sharey=True)
@@ -117,7 +117,7 @@ def plot_rate(found: Identification, path: Path) -> None:
 
 
 def plot_k(found: Identification, reference_k: float, path: Path) -> None:
-    """Plot each log's k, the k from gain, phase, filling and venting, and the RMSE."""
+    """Plots each log's k, the k from gain, phase, filling and venting, and the RMSE."""
     figure, (left, middle, right) = new_figure(1, 3, figsize=(14.0, 4.6))
     f = np.array([x.log.frequency for x in found.logs])
     k = 1e3 * np.array([[x.k.value, x.k.low, x.k.high] for x in found.logs]).T
@@ -163,7 +163,7 @@ def plot_k(found: Identification, reference_k: float, path: Path) -> None:
 
 
 def plot_driven(log: ManifoldLog, columns: Mapping[str, np.ndarray], path: Path) -> None:
-    """Plot the robot driven by a log: pressure, forces at the clamp and tip."""
+    """Plots the robot driven by a log: pressure, forces at the clamp and tip."""
     figure, axes = new_figure(4, 1, figsize=(9.0, 8.5), sharex=True)
     t = columns["t_s"]
     axes[0].plot(log.t, log.command_Pa / 1e3, "--", color=_COMMAND, label="command")

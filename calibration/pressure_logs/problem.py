@@ -39,7 +39,7 @@ FREE = ("k",)
 
 
 def log_candidates() -> list[str]:
-    """Return the effects that a log can show: on the command, the flow or the pressure sensor."""
+    """Returns the effects that a log can show: on the command, the flow or the pressure sensor."""
     return [
         name
         for name in candidate_effects()
@@ -50,7 +50,7 @@ def log_candidates() -> list[str]:
 
 
 def log_experiment(log: ManifoldLog, model: Path | None, numerics: dict[str, float]) -> Experiment:
-    """Return the built-in robot's experiment at the log's frequency, overridden by file `model`.
+    """Returns the built-in robot's experiment at the log's frequency, overridden by file `model`.
 
     C_d and m_a follow the paper's ramp. `numerics` is the [numerics] table.
     """
@@ -75,7 +75,7 @@ def log_experiment(log: ManifoldLog, model: Path | None, numerics: dict[str, flo
 
 
 def log_record(log: ManifoldLog, experiment: Experiment) -> Record:
-    """Return a log as a measured trial with the single channel `CHANNEL`."""
+    """Returns a log as a measured trial with the single channel `CHANNEL`."""
     values = np.full((len(CHANNELS), len(log.t)), np.nan)
     values[row_of(CHANNEL)] = log.pressure_Pa
     return Record(experiment.trials[0], log.t, values)
@@ -103,7 +103,7 @@ class PressureLogProblem(AbstractProblem):
 
     @classmethod
     def of_logs(cls, logs: Sequence[ManifoldLog], names: Sequence[str]) -> "PressureLogProblem":
-        """Return the problem of `logs` for the extended model with the effects `names`."""
+        """Returns the problem of `logs` for the extended model with the effects `names`."""
         experiments = [log_experiment(log, None, {}) for log in logs]
         records = [log_record(log, x) for log, x in zip(logs, experiments, strict=True)]
         row = row_of(CHANNEL)
@@ -134,7 +134,7 @@ class PressureLogProblem(AbstractProblem):
         )
 
     def spans(self) -> None:
-        """Return None: a log has no initial swing."""
+        """Returns None: a log has no initial swing."""
 
     def _predict(self, theta: np.ndarray) -> list[np.ndarray]:
         extended = self._moved(theta, np.zeros(len(theta), bool))
@@ -156,7 +156,7 @@ class PressureLogProblem(AbstractProblem):
         return [np.stack([x[i] - here[i] for x in there]) for i in range(len(here))]
 
     def _moved(self, theta: np.ndarray, along: np.ndarray) -> ExtendedModel:
-        """Return the model with the effects that have a parameter off its null or in `along`."""
+        """Returns the model with the effects that have a parameter off its null or in `along`."""
         found = dict.fromkeys(
             p.effect
             for i, p in enumerate(model_parameters(self.base.effects))
@@ -165,12 +165,12 @@ class PressureLogProblem(AbstractProblem):
         return replace(self.base, effects=tuple(found))
 
     def _entries(self, theta: np.ndarray, extended: ExtendedModel) -> np.ndarray:
-        """Return the entries of `theta` for the base model and the effects of `extended`."""
+        """Returns the entries of `theta` for the base model and the effects of `extended`."""
         entries, names = model_parameters(self.base.effects), ("", *extended.effects)
         return np.array([x for x, p in zip(theta, entries, strict=True) if p.effect in names])
 
     def _at_samples(self, series: np.ndarray) -> list[np.ndarray]:
-        """Return (channels, samples) of every log from (logs, n)."""
+        """Returns (channels, samples) of every log from (logs, n)."""
         found = []
         for log, x in zip(self.logs, series, strict=True):
             values = np.full((len(CHANNELS), len(log.t)), np.nan)
@@ -180,7 +180,7 @@ class PressureLogProblem(AbstractProblem):
 
 
 def _read(extended: ExtendedModel, theta, drive: LogDrive):
-    """Return the sensor's readings (logs, n) [Pa]."""
+    """Returns the sensor's readings (logs, n) [Pa]."""
     model = extended.at(theta)
 
     def one(at, command, start):

@@ -33,7 +33,7 @@ _DONE = re.compile(r"done\s*(\d*)", re.I)
 
 
 def psi(counts):
-    """Return the gauge pressure [psi] of ADC `counts`, by the calibration of the rig's sensor."""
+    """Returns the gauge pressure [psi] of ADC `counts`, by the calibration of the rig's sensor."""
     return PSI_PER_COUNT * counts + PSI_AT_ZERO
 
 
@@ -77,7 +77,7 @@ class ManifoldLog:
 
 
 def read_log(path: Path | str) -> ManifoldLog:
-    """Read a log, repair small faults and list them in `findings`.
+    """Reads a log, repair small faults and list them in `findings`.
 
     Raises `InputError` with file and line for faults that cannot be repaired: missing or unknown
     columns, a header without frequency or period, more than one test, too few valid rows or too
@@ -107,7 +107,7 @@ def read_log(path: Path | str) -> ManifoldLog:
 
 
 def _lines(path: Path) -> list[tuple[int, str]]:
-    """Return the lines that are not blank, each with its number."""
+    """Returns the lines that are not blank, each with its number."""
     try:
         text = read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -122,7 +122,7 @@ def _lines(path: Path) -> list[tuple[int, str]]:
 
 
 def _find_columns(path: Path, lines: list[tuple[int, str]]) -> int:
-    """Return the index of the line of column names."""
+    """Returns the index of the line of column names."""
     named = [i for i, (_, text) in enumerate(lines) if re.match(r"[A-Za-z]\w*\s*,", text)]
     if not named:
         raise InputError(f"{path}: no line of column names; expected {','.join(COLUMNS)}")
@@ -178,7 +178,7 @@ def _header(path: Path, lines: list[tuple[int, str]]) -> tuple[dict[str, float],
 def _body(
     path: Path, lines: list[tuple[int, str]], columns_at: int
 ) -> tuple[list[tuple[int, str]], list[RowFinding]]:
-    """Return the lines between the column names and `done`, and findings on the line count."""
+    """Returns the lines between the column names and `done`, and findings on the line count."""
     body = lines[columns_at + 1 :]
     end = next((i for i, (_, text) in enumerate(body) if _DONE.fullmatch(text)), None)
     rows = body[:end]
@@ -204,7 +204,7 @@ def _body(
 
 
 def _check_header(values: dict[str, float], rows: np.ndarray) -> list[RowFinding]:
-    """Return where the header's numbers of samples and of cycles differ from the rows."""
+    """Returns where the header's numbers of samples and of cycles differ from the rows."""
     details, last = [], int(rows[-1, 0])
     missing = {"start", "stop"} - values.keys()
     if missing:
@@ -220,7 +220,7 @@ def _check_header(values: dict[str, float], rows: np.ndarray) -> list[RowFinding
 
 
 def _check_frequency(frequency: float, t: np.ndarray, command: np.ndarray) -> list[RowFinding]:
-    """Return a finding if the upward crossings of the command's mid level contradict `frequency`.
+    """Returns a finding if the upward crossings of the command's mid level contradict `frequency`.
 
     `frequency` [Hz] is the header's.
     """

@@ -51,7 +51,7 @@ class ResidualShape(NamedTuple):
 
 
 def whole_cycles(log: ManifoldLog) -> np.ndarray:
-    """Return the mask (samples,) of whole cycles, without the first one if there are three."""
+    """Returns the mask (samples,) of whole cycles, without the first one if there are three."""
     cycles = math.floor(log.cycles + 0.02)
     first = 1 if cycles >= 3 else 0
     turn = log.t * log.frequency
@@ -59,7 +59,7 @@ def whole_cycles(log: ManifoldLog) -> np.ndarray:
 
 
 def harmonics(t: np.ndarray, x: np.ndarray, frequency: float, count: int):
-    """Return the mean, the c_n of Re(c_n e^{i n w t}) and the sum of a Fourier series fit to `x`.
+    """Returns the mean, the c_n of Re(c_n e^{i n w t}) and the sum of a Fourier series fit to `x`.
 
     The fit is by least squares, with `count` harmonics of `frequency` [Hz] at times `t` [s].
     """
@@ -80,7 +80,7 @@ def _response(omega: float, command: complex, pressure: complex) -> FrequencyRes
 def apparent_time_constants(
     t: np.ndarray, command: np.ndarray, pressure: np.ndarray
 ) -> tuple[float, float]:
-    """Return the best k [s] of dp/dt = (command - p)/k while filling and while venting.
+    """Returns the best k [s] of dp/dt = (command - p)/k while filling and while venting.
 
     The rate is a central difference over 20 samples. k is NaN if the mean product of error and rate
     is not positive.
@@ -96,7 +96,7 @@ def apparent_time_constants(
 
 
 def shape_of(log: ManifoldLog, residual: np.ndarray) -> ResidualShape:
-    """Return the shape of `residual` (samples,) [psi] of `log`."""
+    """Returns the shape of `residual` (samples,) [psi] of `log`."""
     here = whole_cycles(log)
     t, r = log.t[here], residual[here]
     command, pressure = psi(log.command)[here], psi(log.pressure)[here]

@@ -35,7 +35,7 @@ class RowFinding(NamedTuple):
 def clean_rows(
     path: Path, lines: list[tuple[int, str]], longest_gap: float
 ) -> tuple[np.ndarray, list[RowFinding]]:
-    """Return the valid rows (samples, 6) in the order of `COLUMNS`, and the findings.
+    """Returns the valid rows (samples, 6) in the order of `COLUMNS`, and the findings.
 
     The counter increases strictly. Raises `InputError` if more than `MAX_BAD_SHARE` of the rows are
     bad, the counter falls, or a gap exceeds `longest_gap` [samples].
@@ -62,7 +62,7 @@ def clean_rows(
 
 
 def _parse(text: str) -> list[float] | str:
-    """Return the row's six numbers, or the fault of the row as text."""
+    """Returns the row's six numbers, or the fault of the row as text."""
     cells = [cell.strip() for cell in text.split(",")]
     if len(cells) != len(COLUMNS):
         return f"{len(cells)} cells, expected {len(COLUMNS)}"
@@ -88,7 +88,7 @@ def _parse(text: str) -> list[float] | str:
 def _without_stale(
     table: np.ndarray, lines: list[int]
 ) -> tuple[np.ndarray, list[int], list[RowFinding]]:
-    """Return rows, lines and findings without stale rows.
+    """Returns rows, lines and findings without stale rows.
 
     A stale row belongs to an earlier test: the serial buffer still held it at the start.
     """
@@ -107,7 +107,7 @@ def _without_stale(
 def _in_order(
     path: Path, table: np.ndarray, lines: list[int], longest_gap: float
 ) -> tuple[np.ndarray, list[RowFinding]]:
-    """Return the rows with each counter value once, and findings on repeated and missing ones."""
+    """Returns the rows with each counter value once, and findings on repeated and missing ones."""
     if not len(table):
         return table, []
     findings = []
@@ -140,7 +140,7 @@ def _in_order(
 
 
 def _stuck(table: np.ndarray) -> list[RowFinding]:
-    """Return findings on runs of equal pressure longer than the sensor's noise allows."""
+    """Returns findings on runs of equal pressure longer than the sensor's noise allows."""
     if not len(table):
         return []
     pressure = table[:, 5]

@@ -34,7 +34,7 @@ class Valves(NamedTuple):
     dead: float = 0.2
 
     def rate(self, p: float, error: float) -> float:
-        """Return dp/dt [Pa/s] at the gauge pressure p [Pa] and the error p_set - p [Pa]."""
+        """Returns dp/dt [Pa/s] at the gauge pressure p [Pa] and the error p_set - p [Pa]."""
         duty = min(250.0, 10.0 * abs(error) / COUNT) / 255.0
         opening = max(duty - self.dead, 0.0) / (1.0 - self.dead)
         inside, supply = ATMOSPHERE + p, ATMOSPHERE + self.supply
@@ -43,7 +43,7 @@ class Valves(NamedTuple):
         return -self.vent * opening * inside * self._flow(ATMOSPHERE / inside)
 
     def _flow(self, ratio: float) -> float:
-        """Return the flow over the choked flow, at a pressure ratio (ISO 6358)."""
+        """Returns the flow over the choked flow, at a pressure ratio (ISO 6358)."""
         beyond = max(0.0, (ratio - self.critical) / (1.0 - self.critical))
         return math.sqrt(max(0.0, 1.0 - beyond**2))
 
@@ -51,7 +51,7 @@ class Valves(NamedTuple):
 def valve_series(
     valves: Valves, frequency: float, cycles: float, noise: float, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return command and measured pressure (samples,) in codes, for a sine from 0 to 54 psi.
+    """Returns command and measured pressure (samples,) in codes, for a sine from 0 to 54 psi.
 
     `noise` is the sensor's standard deviation in codes; the first pressure has no noise.
     """
@@ -70,7 +70,7 @@ def valve_series(
 
 
 def firmware_log(command: np.ndarray, pressure: np.ndarray, frequency: float) -> list[str]:
-    """Return the lines of a log as the firmware writes it, from command and pressure in codes.
+    """Returns the lines of a log as the firmware writes it, from command and pressure in codes.
 
     The firmware's valve duty is ten times the error, at most 250.
     """
@@ -101,7 +101,7 @@ def write_logs(
     noise: float = 1.7,
     seed: int = 0,
 ) -> list[Path]:
-    """Write one log per frequency [Hz] to `folder` and return their paths."""
+    """Writes one log per frequency [Hz] to `folder` and returns their paths."""
     folder = output_folder(folder)
     paths = []
     for i, f in enumerate(frequencies):

@@ -11,7 +11,7 @@ MAX_NOISE_RATIO = 2.0
 
 
 def lag_verdict(found: Identification) -> str:
-    """Return a sentence on whether one lag explains the logs."""
+    """Returns a sentence on whether one lag explains the logs."""
     times = found.pooled_rmse("pooled") / found.floor
     one, these = ("One lag", "these logs") if len(found.logs) > 1 else ("A lag", "this log")
     does = "explains" if times <= MAX_NOISE_RATIO else "does not explain"
@@ -22,7 +22,7 @@ def lag_verdict(found: Identification) -> str:
 
 
 def describe_lag(found: Identification) -> list[str]:
-    """Return sentences on k, the residual and its shape, `lag_verdict` first; without causes."""
+    """Returns sentences on k, the residual and its shape, `lag_verdict` first; without causes."""
     k, n = found.k, len(found.logs)
     before, after = found.pooled_rmse("before"), found.pooled_rmse("pooled")
     own, floor = found.pooled_rmse("after"), found.floor

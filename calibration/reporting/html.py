@@ -16,12 +16,12 @@ TEMPLATES = Environment(
 
 
 def render_page(template: str, **content: Any) -> str:
-    """Return the page of a template in `templates/`; it escapes every text of `content`."""
+    """Returns the page of a template in `templates/`; it escapes every text of `content`."""
     return TEMPLATES.get_template(template).render(content)
 
 
 def embedded_png(figure) -> str:
-    """Return a matplotlib figure as a base64 PNG and closes the figure."""
+    """Returns a matplotlib figure as a base64 PNG and closes the figure."""
     import matplotlib.pyplot as plt
 
     buffer = io.BytesIO()

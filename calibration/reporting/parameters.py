@@ -12,7 +12,7 @@ from slider_jax.io.toml import significant
 
 
 def parameter_record(fit: Fit, entries: Sequence[Parameter], index: int) -> dict[str, Any]:
-    """Return the record of a fitted parameter.
+    """Returns the record of a fitted parameter.
 
     If the data do not determine it, its value is None and its interval is clipped to the prior.
     """
@@ -26,14 +26,14 @@ def parameter_record(fit: Fit, entries: Sequence[Parameter], index: int) -> dict
 
 
 def parameter_text(x: dict[str, Any]) -> str:
-    """Return a `parameter_record` as text: value and 95 % interval."""
+    """Returns a `parameter_record` as text: value and 95 % interval."""
     within = f"({x['low']:.4g} to {x['high']:.4g}) {x['unit']}"
     value = "not determined by these data" if x["value"] is None else f"{x['value']:.4g}"
     return f"{value}  {within}" + (f"; {widened(x)}" if "by_variation_alone" in x else "")
 
 
 def widened(x: dict[str, Any]) -> str:
-    """Return the reason for a widened interval."""
+    """Returns the reason for a widened interval."""
     return (
         f"without the forces' means the value is {x['by_variation_alone']:.4g}; this difference "
         "is significant, so the interval is widened"
@@ -43,7 +43,7 @@ def widened(x: dict[str, Any]) -> str:
 def model_tables(
     entries: Sequence[Parameter], theta: np.ndarray, effects: Sequence[str]
 ) -> dict[str, Any]:
-    """Return the tables of a model file: the base parameters in `entries`, and `effects`."""
+    """Returns the tables of a model file: the base parameters in `entries`, and `effects`."""
     values = {(p.effect, p.name): significant(x) for p, x in zip(entries, theta, strict=True)}
     parts = [
         {name: x for (effect, name), x in values.items() if effect == which}

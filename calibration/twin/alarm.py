@@ -45,7 +45,7 @@ MIN_EXPLAINED = 0.4
 
 
 def run_length(reference: float, threshold: float, shift: float = 0.0) -> float:
-    """Return the mean number of windows to an alarm for independent normal values of mean `shift`.
+    """Returns the mean number of windows to an alarm for independent normal values of mean `shift`.
 
     Source: Siegmund, D. (1985), Sequential Analysis, eq. 2.56.
     """
@@ -88,7 +88,7 @@ class Window(NamedTuple):
 
 
 def channel_misfits(windows: list[Window]) -> dict[str, tuple[float, float]]:
-    """Return the channels whose relative residual exceeds `MAX_MISFIT`: its rms, and rms over S."""
+    """Returns channels whose relative residual exceeds `MAX_MISFIT`: its rms, and rms over S."""
     squares = np.array([w.mean_square for w in windows])
     sizes = np.array([w.size**2 for w in windows])
     found = {}
@@ -119,7 +119,7 @@ class Bands:
 
     @classmethod
     def declared(cls, sensors: SensorsTable, windows: list[Window]) -> "Bands":
-        """Return the bands that the sensors declare; measure white noise that is not declared."""
+        """Returns the bands that the sensors declare; measure white noise that is not declared."""
         values = np.concatenate([w.measured for w in windows], axis=1)
         size = np.sqrt(np.mean([w.size**2 for w in windows], axis=0))
         noise = MIN_NOISE * np.maximum(size, 1e-12)
@@ -132,7 +132,7 @@ class Bands:
 
     @classmethod
     def learned(cls, sensors: SensorsTable, windows: list[Window]) -> "Bands":
-        """Return the declared bands, widened to the residuals of these windows."""
+        """Returns the declared bands, widened to the residuals of these windows."""
         bands = cls.declared(sensors, windows)
         squares = np.array([w.mean_square for w in windows])
         sizes = np.array([w.size**2 for w in windows])
@@ -149,11 +149,11 @@ class Bands:
         return bands
 
     def variance(self, window: Window) -> np.ndarray:
-        """Return band^2, (5,)."""
+        """Returns band^2, (5,)."""
         return self.noise**2 + (self.share * np.maximum(window.size, self.reference_size)) ** 2
 
     def deviation(self, window: Window) -> np.ndarray:
-        """Return the standardised logarithm of a window, (5,); NaN for a channel without a test.
+        """Returns the standardised logarithm of a window, (5,); NaN for a channel without a test.
 
         It is at most 0 within the band. So a residual that was smaller in the first windows may
         increase up to the band without evidence for a fault.
@@ -163,7 +163,7 @@ class Bands:
         return np.where(logarithm > 0.0, standardised, np.minimum(standardised, 0.0))
 
     def logarithm(self, window: Window) -> np.ndarray:
-        """Return the log of mean square over band^2, (5,); NaN for a channel without a test."""
+        """Returns the log of mean square over band^2, (5,); NaN for a channel without a test."""
         return np.log(np.maximum(window.mean_square, 1e-300) / self.variance(window))
 
 
@@ -194,12 +194,12 @@ class SequentialTest:
         self._body, self._pull, self._normal = 0.0, np.zeros(3), np.zeros((3, 3))
 
     def inside(self, window: Window) -> np.ndarray:
-        """Return whether the CUSUM remains zero with this window, (5,)."""
+        """Returns whether the CUSUM remains zero with this window, (5,)."""
         deviation = np.nan_to_num(self.bands.deviation(window), nan=0.0)
         return (self.cusum + deviation - REFERENCE) <= 0.0
 
     def update(self, window: Window) -> None:
-        """Add a window and update the alarm."""
+        """Adds a window and updates the alarm."""
         deviation = np.nan_to_num(self.bands.deviation(window), nan=REFERENCE)
         change = np.minimum(deviation, MAX_DEVIATION) - REFERENCE
         self.cusum = np.clip(self.cusum + change, 0.0, 2.0 * THRESHOLD)
@@ -215,7 +215,7 @@ class SequentialTest:
         self.alarm = Alarm(True, channels, self._hint(on) if active else before.hint)
 
     def _add_evidence(self, window: Window) -> None:
-        """Add the products of the residual with each fault's change and each derivative."""
+        """Adds the products of the residual with each fault's change and each derivative."""
         variance = self.bands.variance(window)[:, None]
         finite = np.isfinite(window.residual)
         r = np.where(finite, window.residual, 0.0) / np.sqrt(variance)
@@ -241,7 +241,7 @@ class SequentialTest:
         return f"{cause}: the pressures fit the model, {channels} do not"
 
     def _explained(self, which: list[int]) -> float:
-        """Return the share of the body's residual that some `PARAMETERS` after k explain."""
+        """Returns the share of the body's residual that some `PARAMETERS` after k explain."""
         A, b = self._normal[np.ix_(which, which)], self._pull[which]
         size = np.sqrt(np.maximum(np.diag(A), 1e-300))
         x = np.linalg.lstsq(A / np.outer(size, size), b / size, rcond=1e-6)[0]

@@ -121,7 +121,7 @@ class BlockLayout:
 
 
 def live_model(experiment: Experiment, trial: Trial) -> Model:
-    """Return a trial's model with the experiment's lag; its drive comes from the stream."""
+    """Returns a trial's model with the experiment's lag; its drive comes from the stream."""
     wave = Recorded(jnp.zeros(2), jnp.zeros(2))
     return replace(
         to_model(experiment, trial),
@@ -131,13 +131,13 @@ def live_model(experiment: Experiment, trial: Trial) -> Model:
 
 
 def parameter_values(experiment: Experiment) -> np.ndarray:
-    """Return the values of `PARAMETERS` of an experiment."""
+    """Returns the values of `PARAMETERS` of an experiment."""
     parameters, robot = experiment.parameters, experiment.robot
     return np.array([parameters.k, parameters.K_Q, robot.EI_tail, robot.tail_length])
 
 
 def initial_block_state(model: Model, layout: BlockLayout, values: np.ndarray) -> BlockState:
-    """Return the state of a straight body at rest with empty chambers."""
+    """Returns the state of a straight body at rest with empty chambers."""
     body = at_rest(_of_body(model, jnp.asarray(values[1:])), layout.numerics)
     count, past = len(PARAMETERS), HISTORY if of_place(model.effects, Instrument) else 0
     moving = eqx.filter(body, eqx.is_inexact_array)
@@ -160,7 +160,7 @@ def initial_block_state(model: Model, layout: BlockLayout, values: np.ndarray) -
 def compile_block(
     model: Model, layout: BlockLayout, state: BlockState
 ) -> Callable[..., tuple[BlockState, BlockPrediction]]:
-    """Return the program of a block, compiled for models of this structure.
+    """Returns the program of a block, compiled for models of this structure.
 
     Its arguments are (model, state, values (4,), t0, set_pressure (2, HISTORY + 1 + samples),
     measured pressure (2, samples)). `t0` [s] is the time of the last sample before the block. A set
@@ -177,7 +177,7 @@ def compile_block(
 
 
 def _of_body(model: Model, values: Array) -> Model:
-    """Return the model that the sensors' pressures drive, with all `PARAMETERS` except k."""
+    """Returns the model that the sensors' pressures drive, with all `PARAMETERS` except k."""
     K_Q, EI_tail, tail_length = values
     return replace(
         model,
@@ -210,7 +210,7 @@ def _block(
 
 
 def _extrapolated(state: BlockState, values) -> BlockState:
-    """Return the state at other values of `PARAMETERS`, to first order."""
+    """Returns the state at other values of `PARAMETERS`, to first order."""
     change = values - state.values
     moving, rest = eqx.partition(state.body, eqx.is_inexact_array)
     moved = jax.tree.map(lambda x, d: x + jnp.tensordot(change[1:], d, 1), moving, state.d_body)
@@ -220,7 +220,7 @@ def _extrapolated(state: BlockState, values) -> BlockState:
 
 
 def _pressures(layout: BlockLayout, model: Model, state: BlockState, at, measured):
-    """Return state; p, dp/dk (samples, 2), sensed (samples + 1, 2), faulty (samples, faults, 2)."""
+    """Returns state, p and dp/dk (samples, 2), sensed (samples+1, 2), faulty (samples, faults, 2)."""
     flows, law = of_place(model.effects, Flow), model.pressure_law
     faults = jax.tree.map(lambda *x: jnp.stack(x), *(x.effect for x in FAULT_HYPOTHESES))
 
@@ -252,7 +252,7 @@ def _save(x: Snapshot):
 
 
 def _body(layout: BlockLayout, model: Model, state: BlockState, t0):
-    """Return state, (thrust, recoil, tip) (samples, 3) and derivatives (bodies, samples, 3)."""
+    """Returns state, (thrust, recoil, tip) (samples, 3) and derivatives (bodies, samples, 3)."""
     times = TimeGrid(
         jnp.asarray(layout.period * layout.per_step), layout.samples // layout.per_step, t0
     )
@@ -293,7 +293,7 @@ def _body(layout: BlockLayout, model: Model, state: BlockState, t0):
 
 
 def _instruments(layout: BlockLayout, model: Model, state: BlockState, at, true, d_true):
-    """Return the state, the instruments' readings of `true` (samples, 5) and their derivatives."""
+    """Returns the state, the instruments' readings of `true` (samples, 5) and their derivatives."""
     past = len(state.past)
     series = jnp.concatenate([state.past, true])
     d_series = jnp.concatenate([state.d_past, d_true], axis=1)

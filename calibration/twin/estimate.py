@@ -16,7 +16,7 @@ class ParameterEstimate(NamedTuple):
     deviation: float
 
     def with_share(self, share: float) -> "ParameterEstimate":
-        """Return the estimate with an additional independent deviation, relative to the value."""
+        """Returns the estimate with an additional independent deviation, relative to the value."""
         return ParameterEstimate(self.value, math.hypot(self.deviation, share * self.value))
 
 
@@ -49,7 +49,7 @@ class RecursiveEstimator:
         self._informed = 0.0
 
     def update(self, g: float, H: float) -> None:
-        """Update the value with a window; ignore a window without information."""
+        """Updates the value with a window; ignores a window without information."""
         if not (H > 0.0 and math.isfinite(g) and math.isfinite(H)):
             return
         keep = 1.0 - 1.0 / min(2.0 + 0.5 * self.windows, self.memory)
@@ -72,7 +72,7 @@ class RecursiveEstimator:
 
 
 def lag_gradient(window: Window, variance: np.ndarray) -> tuple[float, float]:
-    """Return g and H of `RecursiveEstimator.update` for k, from the pressures of a window.
+    """Returns g and H of `RecursiveEstimator.update` for k, from the pressures of a window.
 
     The part of the derivative that a time shift could also cause is removed, because set pressures
     change between two readings and valves have dead times.
@@ -85,7 +85,7 @@ def lag_gradient(window: Window, variance: np.ndarray) -> tuple[float, float]:
 
 
 def moment_gradient(window: Window, variance: np.ndarray) -> tuple[float, float]:
-    """Return g and H of `RecursiveEstimator.update` for K_Q, from thrust, recoil and tip."""
+    """Returns g and H of `RecursiveEstimator.update` for K_Q, from thrust, recoil and tip."""
     return _gradient(window.derivatives[1, 2:], window.residual[2:], variance[2:])
 
 

@@ -24,7 +24,7 @@ class Samples(NamedTuple):
     """(5, n) in the order of `slider_jax.channels.BUILT_IN`: Pa, Pa, N, N, m."""
 
     def checked(self) -> "Samples":
-        """Return the samples as float arrays. Raises `InputError` for other shapes."""
+        """Returns the samples as float arrays. Raises `InputError` for other shapes."""
         samples = Samples(*(np.asarray(x, float) for x in self))
         n = samples.t.shape[-1] if samples.t.ndim else 0
         for name, shape in {"t": (n,), "set_pressure": (2, n), "measured": (5, n)}.items():
@@ -72,7 +72,7 @@ class GapFiller:
         self._anew = True
 
     def add(self, readings: Samples) -> Iterator[UniformBlock]:
-        """Yield the blocks that these readings complete. Raises `InputError` for wrong shapes."""
+        """Yields the blocks that these readings complete. Raises `InputError` for wrong shapes."""
         t, set_pressure, measured = readings.checked()
         for i in np.flatnonzero(np.isfinite(t)):
             self._add(float(t[i]), set_pressure[:, i], measured[:, i])

@@ -139,7 +139,7 @@ class Twin:
     def of(
         cls, experiment: Experiment, trial: Trial | int = 0, settings: TwinSettings = TwinSettings()
     ) -> "Twin":
-        """Return a twin with a trial's coefficients and carriage, compiled and run once.
+        """Returns a twin with a trial's coefficients and carriage, compiled and run once.
 
         Takes seconds. Raises `InputError` for invalid settings.
         """
@@ -159,7 +159,7 @@ class Twin:
         return twin
 
     def restart(self) -> None:
-        """Prepare for a new stream: discard the bands and the estimates of k and K_Q."""
+        """Prepares for a new stream: discard the bands and the estimates of k and K_Q."""
         self._k = self._recursive("k", self._values[0], self.settings.memory_k)
         self._K_Q = self._recursive("K_Q", self._values[1], self.settings.memory_K_Q)
         self._state = self._rest
@@ -184,7 +184,7 @@ class Twin:
         )
 
     def feed(self, readings: Samples) -> list[TwinBlock]:
-        """Return the blocks that these readings complete. Raises `InputError` for wrong shapes."""
+        """Returns the blocks that these readings complete. Raises `InputError` for wrong shapes."""
         return [self._block(block) for block in self.gap_filler.add(readings)]
 
     def _block(self, block: UniformBlock) -> TwinBlock:
@@ -217,7 +217,7 @@ class Twin:
         return self._K_Q.estimate.with_share(SYSTEMATIC_K_Q)
 
     def _predict(self, block: UniformBlock) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the fields of `BlockPrediction`; after a restart from measured pressures."""
+        """Returns the fields of `BlockPrediction`; after a restart from measured pressures."""
         state = self._state
         if block.restarted:
             self._past = np.repeat(block.set_pressure[:, :1], HISTORY + 1, axis=1)
@@ -246,7 +246,7 @@ class Twin:
         self._settling = max(self._settling, round(duration / self.layout.period))
 
     def _valid(self, block: UniformBlock) -> np.ndarray:
-        """Return whether each sample is tested, (samples,)."""
+        """Returns whether each sample is tested, (samples,)."""
         if block.restarted:
             self._settle(SETTLING_AFTER_RESTART)
         valid = np.zeros(len(block.t), bool)
@@ -259,7 +259,7 @@ class Twin:
         return valid
 
     def _close_window(self) -> None:
-        """Learn from the complete window, or test it."""
+        """Learns from the complete window, or tests it."""
         whole = Window(*(np.concatenate(x, axis=-1) for x in zip(*self._parts, strict=True)))
         window = _aligned_forces(self._without_mean(whole), self.layout.period)
         self._parts = []
@@ -286,7 +286,7 @@ class Twin:
                 self.misfits = channel_misfits(self._raw_windows[warm:])
 
     def _without_mean(self, window: Window) -> Window:
-        """Return the window with the means of residual and derivatives subtracted.
+        """Returns the window with the means of residual and derivatives subtracted.
 
         The means of forces and tip are those of the last seconds. Those of the pressures are from
         before the test began, because a leak changes the mean.
@@ -309,7 +309,7 @@ class Twin:
 
 
 def _aligned_forces(window: Window, period: float) -> Window:
-    """Return the window with its forces shifted in time by up to `MAX_CLOCK_SHIFT`.
+    """Returns the window with its forces shifted in time by up to `MAX_CLOCK_SHIFT`.
 
     The shift fits the model best. The part of `derivatives` that a shift could cause is removed.
     """

@@ -9,7 +9,7 @@ FOLDER = "reference/api"
 
 
 def modules() -> dict[str, list[str]]:
-    """Return the public modules of each folder, by the folder's dotted name."""
+    """Returns the public modules of each folder, by the folder's dotted name."""
     found: dict[str, list[str]] = {}
     for package in PACKAGES:
         for path in sorted((ROOT / package).rglob("*.py")):
@@ -21,7 +21,7 @@ def modules() -> dict[str, list[str]]:
 
 
 def public_names(module: str) -> list[str]:
-    """Return the dotted names of the public functions and classes that a module defines."""
+    """Returns the dotted names of the public functions and classes that a module defines."""
     tree = ast.parse((ROOT / (module.replace(".", "/") + ".py")).read_text())
     kinds = (ast.FunctionDef, ast.ClassDef)
     names = [x.name for x in tree.body if isinstance(x, kinds) and not x.name.startswith("_")]
@@ -29,7 +29,7 @@ def public_names(module: str) -> list[str]:
 
 
 def page_name(folder: str) -> str:
-    """Return the path of a folder's page in the site's sources."""
+    """Returns the path of a folder's page in the site's sources."""
     return f"{FOLDER}/{folder}.md"
 
 
@@ -42,12 +42,12 @@ def _page(folder: str, members: list[str]) -> str:
 
 
 def pages() -> dict[str, str]:
-    """Return the pages of the API reference, by path."""
+    """Returns the pages of the API reference, by path."""
     return {page_name(folder): _page(folder, members) for folder, members in modules().items()}
 
 
 def navigation() -> list[dict[str, list[dict[str, str]]]]:
-    """Return the entries of the site's navigation: a list of pages for each package."""
+    """Returns the entries of the site's navigation: a list of pages for each package."""
     folders = list(modules())
     return [
         {package: [{x: page_name(x)} for x in folders if x.split(".")[0] == package]}

@@ -14,7 +14,7 @@ WIDTH = 88
 
 
 def help_text(name: str) -> str:
-    """Return what `slider NAME --help` prints."""
+    """Returns what `slider NAME --help` prints."""
     text = io.StringIO()
     before = os.environ.get("COLUMNS")
     os.environ["COLUMNS"] = str(WIDTH)
@@ -34,7 +34,7 @@ def help_text(name: str) -> str:
 
 
 def pages() -> dict[str, str]:
-    """Return the page of the command-line reference, by path."""
+    """Returns the page of the command-line reference, by path."""
     lines = [
         "# Command line",
         "",

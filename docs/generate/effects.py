@@ -26,7 +26,7 @@ def _effect(name: str) -> list[str]:
 
 
 def pages() -> dict[str, str]:
-    """Return the page of the effects library, by path."""
+    """Returns the page of the effects library, by path."""
     lines = [
         "# Effects library",
         "",

@@ -37,19 +37,19 @@ FILES: dict[str, tuple[type[BaseModel], str]] = {
 
 
 def descriptions() -> dict[str, dict[str, str]]:
-    """Return the description of each key, by the name of the schema's class and the key."""
+    """Returns the description of each key, by the name of the schema's class and the key."""
     return tomllib.loads(KEYS.read_text(encoding="utf-8"))
 
 
 def inner_table(field: FieldInfo) -> type[BaseModel] | None:
-    """Return the schema of a key that holds a table or an array of tables, or None."""
+    """Returns the schema of a key that holds a table or an array of tables, or None."""
     kinds = (field.annotation, *get_args(field.annotation))
     tables = [x for x in kinds if isinstance(x, type) and issubclass(x, BaseModel)]
     return tables[0] if tables else None
 
 
 def tables(table: type[BaseModel], path: str = "") -> dict[str, type[BaseModel]]:
-    """Return the tables of a file by their TOML header; the top level's header is empty."""
+    """Returns the tables of a file by their TOML header; the top level's header is empty."""
     found = {path: table}
     for key, field in table.model_fields.items():
         inner = inner_table(field)
@@ -64,7 +64,7 @@ def _is_list(field: FieldInfo) -> bool:
 
 
 def _kind(annotation: Any) -> str:
-    """Return the type of a value in the terms of TOML."""
+    """Returns the type of a value in the terms of TOML."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return "table"
     origin, inner = get_origin(annotation), get_args(annotation)
@@ -82,7 +82,7 @@ def _kind(annotation: Any) -> str:
 
 
 def _allowed(field: FieldInfo) -> str:
-    """Return the range and unit of a key."""
+    """Returns the range and unit of a key."""
     quantity = quantity_of(field)
     for inner in get_args(field.annotation):
         for item in getattr(inner, "__metadata__", ()):
@@ -160,7 +160,7 @@ def _csv() -> list[str]:
 
 
 def pages() -> dict[str, str]:
-    """Return the page of the file formats, by path."""
+    """Returns the page of the file formats, by path."""
     texts, shown = descriptions(), set()
     lines = [
         "# File formats",

@@ -204,7 +204,7 @@ def _link(work: Path, name: str, target: Path) -> None:
 
 
 def make_tank(work: Path) -> None:
-    """Write a tank experiment whose valves have a dead time of 20 ms."""
+    """Writes a tank experiment whose valves have a dead time of 20 ms."""
     from calibration.measurements.synthetic import (
         Truth,
         random_base_parameters,
@@ -224,7 +224,7 @@ def make_tank(work: Path) -> None:
 
 
 def make_bench(work: Path) -> None:
-    """Write a bench by the formulas of small deflections: EI 0.042 and 0.005 N m^2."""
+    """Writes a bench by the formulas of small deflections: EI 0.042 and 0.005 N m^2."""
     import numpy as np
 
     folder, L, tail, EI, EI_tail, K_Q = work / "bench", 0.368, 0.07, 0.042, 0.005, 4.3e-7
@@ -252,7 +252,7 @@ def make_bench(work: Path) -> None:
 
 @contextlib.contextmanager
 def simulated_rig(work: Path, *options: str) -> Iterator[str]:
-    """Run the simulated rig in `work` and return what it prints first, with its port."""
+    """Runs the simulated rig in `work` and returns what it prints first, with its port."""
     words = [sys.executable, "-c", INTERRUPTIBLE, "rig", "simulate", *options]
     with open(work / "rig.log", "w") as log:
         process = subprocess.Popen(words, cwd=work, stdout=log, stderr=subprocess.STDOUT)
@@ -270,7 +270,7 @@ def simulated_rig(work: Path, *options: str) -> Iterator[str]:
 
 
 def three_trials(work: Path) -> None:
-    """Write an experiment with three trials that differ in frequency."""
+    """Writes an experiment with three trials that differ in frequency."""
     text = (work / "docs" / "experiment.toml").read_text(encoding="utf-8")
     head = text.split("[[trials]]")[0]
     for frequency in (1.0, 2.0, 3.0):
@@ -290,7 +290,7 @@ INPUTS: dict[str, Callable[[Path], None]] = {
 
 
 def transcript(text: str) -> str:
-    """Return the printed lines, shortened."""
+    """Returns the printed lines, shortened."""
     lines = []
     for line in text.strip().splitlines():
         indent = " " * (len(line) - len(line.lstrip()) + 4)
@@ -299,7 +299,7 @@ def transcript(text: str) -> str:
 
 
 def save_picture(source: Path, number: int | None, path: Path) -> None:
-    """Write a picture file, or the report's picture `number`, as a small PNG."""
+    """Writes a picture file, or the report's picture `number`, as a small PNG."""
     from PIL import Image
 
     content = source.read_bytes()
@@ -318,7 +318,7 @@ def save_picture(source: Path, number: int | None, path: Path) -> None:
 
 
 def run_line(work: Path, line: str, port: str) -> str:
-    """Run a command line in `work` and return what it prints."""
+    """Runs a command line in `work` and returns what it prints."""
     words = []
     for word in shlex.split(line.replace(PORT, port)):
         words += (
@@ -337,7 +337,7 @@ def run_line(work: Path, line: str, port: str) -> str:
 
 
 def make_output(name: str, work: Path) -> str:
-    """Run a command and return its part of the page, after the command line."""
+    """Runs a command and returns its part of the page, after the command line."""
     entry = ENTRIES[name]
     if entry.needs in INPUTS:
         INPUTS[entry.needs](work)
@@ -371,14 +371,14 @@ def make_output(name: str, work: Path) -> str:
 
 
 def kept_outputs() -> dict[str, str]:
-    """Return the outputs in the page, by command."""
+    """Returns the outputs in the page, by command."""
     page = PAGE.read_text(encoding="utf-8") if PAGE.exists() else ""
     found = re.findall(r"<!-- output of slider (.*?) -->\n(.*?)\n<!-- end -->", page, re.DOTALL)
     return dict(found)
 
 
 def render(outputs: dict[str, str]) -> str:
-    """Return the page, given the output of each command."""
+    """Returns the page, given the output of each command."""
     from slider_jax.cli.commands import COMMANDS
 
     parts = [

@@ -14,13 +14,13 @@ from docs.generate import api, command_line, effects, file_formats  # noqa: E402
 
 
 def on_config(config: Any) -> Any:
-    """Append the API reference to the navigation."""
+    """Appends the API reference to the navigation."""
     config.nav.append({"API": api.navigation()})
     return config
 
 
 def on_files(files: Files, config: Any) -> Files:
-    """Add the generated pages to the site."""
+    """Adds the generated pages to the site."""
     for generator in (api, command_line, effects, file_formats):
         for path, text in generator.pages().items():
             files.append(File.generated(config, path, content=text))
@@ -28,7 +28,7 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 def on_post_build(config: Any) -> None:
-    """Stop the build if a public function or class has no entry in the API reference."""
+    """Stops the build if a public function or class has no entry in the API reference."""
     inventory = Path(config.site_dir) / "objects.inv"
     with inventory.open("rb") as file:
         known = Inventory.parse_sphinx(file)

@@ -34,12 +34,12 @@ class Cell(NamedTuple):
 
 
 def notebooks() -> list[Path]:
-    """Return the notebooks, in percent format."""
+    """Returns the notebooks, in percent format."""
     return sorted((ROOT / "notebooks").glob("*.py"))
 
 
 def cells(notebook: Path) -> list[Cell]:
-    """Return the cells of a notebook."""
+    """Returns the cells of a notebook."""
     found = []
     for part in re.split(r"^# %%", notebook.read_text(encoding="utf-8"), flags=re.MULTILINE)[1:]:
         kind, _, text = part.partition("\n")
@@ -51,13 +51,13 @@ def cells(notebook: Path) -> list[Cell]:
 
 
 def code_hash(notebook: Path) -> str:
-    """Return a hash of a notebook's code."""
+    """Returns a hash of a notebook's code."""
     code = "\n".join(cell.text for cell in cells(notebook) if cell.is_code)
     return hashlib.sha256(code.encode()).hexdigest()[:16]
 
 
 def page_of(notebook: Path) -> Path:
-    """Return the path of a notebook's page."""
+    """Returns the path of a notebook's page."""
     return PAGES / f"{notebook.stem}.md"
 
 
@@ -66,7 +66,7 @@ def _stamp(notebook: Path) -> str:
 
 
 def kept_outputs(notebook: Path, any_code: bool = False) -> dict[int, str] | None:
-    """Return the outputs in a notebook's page by cell.
+    """Returns the outputs in a notebook's page by cell.
 
     Without `any_code`, return None if the outputs are of other code.
     """
@@ -79,7 +79,7 @@ def kept_outputs(notebook: Path, any_code: bool = False) -> dict[int, str] | Non
 
 
 def render(notebook: Path, outputs: dict[int, str]) -> str:
-    """Return a notebook's page, given the outputs of its code cells."""
+    """Returns a notebook's page, given the outputs of its code cells."""
     parts = [_stamp(notebook)]
     for number, cell in enumerate(cells(notebook)):
         parts.append(f"```python\n{cell.text}\n```" if cell.is_code else cell.text)
@@ -91,7 +91,7 @@ def render(notebook: Path, outputs: dict[int, str]) -> str:
 
 
 def outdated() -> list[str]:
-    """Return the names of the notebooks whose page is missing or differs from the notebook."""
+    """Returns the names of the notebooks whose page is missing or differs from the notebook."""
     found = []
     for notebook in notebooks():
         outputs = kept_outputs(notebook)
@@ -103,7 +103,7 @@ def outdated() -> list[str]:
 
 
 def execute(notebook: Path) -> dict[int, str]:
-    """Run a notebook, write its pictures, and return the outputs by cell."""
+    """Runs a notebook, writes its pictures, and returns the outputs by cell."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -27,13 +27,13 @@ class SoftEllipse(NamedTuple):
         return self.amplitude * np.pi * (1 + np.pi**2 / (3 * self.k**2)) / (self.s_xx * self.s_yy)
 
     def inside(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return where |u| < 1."""
+        """Returns where |u| < 1."""
         dx, dy = x - self.x, y - self.y
         return np.hypot(self.s_xx * dx + self.s_xy * dy, self.s_yy * dy) < 1
 
 
 def initial_ellipse(center: np.ndarray, covariance: np.ndarray, mass: float) -> SoftEllipse:
-    """Return the ellipse with these moments, the start of the fit."""
+    """Returns the ellipse with these moments, the start of the fit."""
     inverse = np.linalg.inv(4 * covariance)  # a uniform ellipse ends where p' C^-1 p = 4
     s_xx = np.sqrt(inverse[0, 0])
     s_xy = inverse[0, 1] / s_xx
@@ -43,7 +43,7 @@ def initial_ellipse(center: np.ndarray, covariance: np.ndarray, mass: float) -> 
 
 
 def ellipse_model(q: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return m (n,) at pixels (n,) and its derivatives (n, 8) by the parameters q (8,)."""
+    """Returns m (n,) at pixels (n,) and its derivatives (n, 8) by the parameters q (8,)."""
     cx, cy, s_xx, s_xy, s_yy, k, amplitude, background = q
     dx, dy = x - cx, y - cy
     u, v = s_xx * dx + s_xy * dy, s_yy * dy
@@ -62,7 +62,7 @@ def ellipse_model(q: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarr
 def fit_ellipse(
     x: np.ndarray, y: np.ndarray, values: np.ndarray, start: SoftEllipse
 ) -> tuple[SoftEllipse, float] | None:
-    """Fit an ellipse to `values` (n,) at the visible pixels by the Levenberg-Marquardt method.
+    """Fits an ellipse to `values` (n,) at the visible pixels by the Levenberg-Marquardt method.
 
     Returns the ellipse and the standard error of its centre [px], or None without convergence.
     """

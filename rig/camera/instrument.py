@@ -48,7 +48,7 @@ class MarkerCamera:
         self._thread: threading.Thread | None = None
 
     def start(self, sink: Sink) -> None:
-        """Find the markers of the robot at rest, and start to track them."""
+        """Finds the markers of the robot at rest, and starts to track them."""
         self._failure = None
         self._camera = Camera(self._open())
         try:
@@ -63,7 +63,7 @@ class MarkerCamera:
         self._thread.start()
 
     def stop(self) -> None:
-        """Stop tracking and close the camera, if it runs."""
+        """Stops tracking and closes the camera, if it runs."""
         if self._camera is not None:
             self._camera.close()
         if self._thread is not None:
@@ -71,14 +71,14 @@ class MarkerCamera:
         self._camera = self._thread = None
 
     def check(self) -> None:
-        """Raise the error that ended the tracking, such as an unplugged camera."""
+        """Raises the error that ended the tracking, such as an unplugged camera."""
         if isinstance(self._failure, RigError):
             raise self._failure
         if self._failure is not None:
             raise RigError(f"camera: stopped: {self._failure!r}") from self._failure
 
     def close(self) -> None:
-        """Stop tracking and close the camera."""
+        """Stops tracking and closes the camera."""
         self.stop()
 
     def _find_at_rest(self, frames: Iterator[Frame]) -> np.ndarray:
@@ -101,7 +101,7 @@ class MarkerCamera:
 
 
 def camera_reader(scale: Scale) -> StreamReader:
-    """Return the reader of a camera's stream: tip_m, the tip's distance from the robot's axis."""
+    """Returns the reader of a camera's stream: tip_m, the tip's distance from the robot's axis."""
 
     def read(stream: RecordedStream) -> SampledColumns:
         tracks = read_records(stream.pieces())

@@ -15,7 +15,7 @@ POINT = np.dtype("<f4")
 
 
 def pack_record(number: int, source_ns: int, points: np.ndarray) -> bytes:
-    """Return the record of a frame; `points` (markers, 3) are x, y [px], quality."""
+    """Returns the record of a frame; `points` (markers, 3) are x, y [px], quality."""
     return HEADER.pack(number, source_ns, len(points)) + points.astype(POINT).tobytes()
 
 
@@ -33,7 +33,7 @@ class Tracks(NamedTuple):
 
 
 def read_records(records: Iterable[bytes]) -> Tracks:
-    """Return the tracks in `records`.
+    """Returns the tracks in `records`.
 
     Raises `RigError` for an incomplete record, or one with another number of markers.
     """

@@ -62,7 +62,7 @@ class Marker(NamedTuple):
 
 
 def import_opencv() -> Any:
-    """Return the module cv2. Raises `RigError` if it is not installed."""
+    """Returns the module cv2. Raises `RigError` if it is not installed."""
     try:
         import cv2
     except ImportError:
@@ -73,7 +73,7 @@ def import_opencv() -> Any:
 
 
 def find_markers(image: np.ndarray, criteria: MarkerCriteria = MarkerCriteria()) -> list[Marker]:
-    """Return the markers of an image, BGR uint8 (height, width, 3), in no particular order."""
+    """Returns the markers of an image, BGR uint8 (height, width, 3), in no particular order."""
     cv2 = import_opencv()
     hsv = cv2.cvtColor(image, cv2.COLOR_BGR2HSV)
     low, high = (criteria.hue[0], criteria.saturation, criteria.value), (criteria.hue[1], 255, 255)
@@ -111,7 +111,7 @@ def _measure(
     glare: np.ndarray,
     criteria: MarkerCriteria,
 ) -> Marker | None:
-    """Return the marker with the blue pixels `own` of a patch, or None if it is rejected."""
+    """Returns the marker with the blue pixels `own` of a patch, or None if it is rejected."""
     near = _dilated(cv2, own, 2)
     free = ~glare & ~_dilated(cv2, other, 4)
     around = free & ~_dilated(cv2, own, 4)
@@ -145,13 +145,13 @@ def _measure(
 
 
 def _dilated(cv2: Any, mask: np.ndarray, pixels: int) -> np.ndarray:
-    """Return a mask widened by `pixels`."""
+    """Returns a mask widened by `pixels`."""
     square = np.ones((2 * pixels + 1, 2 * pixels + 1), np.uint8)
     return cv2.dilate(mask.astype(np.uint8), square) > 0
 
 
 def _coverage(cv2: Any, levels: np.ndarray, own: np.ndarray, around: np.ndarray) -> np.ndarray:
-    """Return the marker's coverage of each pixel, from the colours of its pixels and around it.
+    """Returns the marker's coverage of each pixel, from the colours of its pixels and around it.
 
     The background is smoothed because patches of colour shift a centroid more than sensor noise.
     """
@@ -167,7 +167,7 @@ def _coverage(cv2: Any, levels: np.ndarray, own: np.ndarray, around: np.ndarray)
 def _moments(
     x: np.ndarray, y: np.ndarray, weight: np.ndarray
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """Return sum, centroid (2,) and covariance (2, 2) of the weights of a patch."""
+    """Returns sum, centroid (2,) and covariance (2, 2) of the weights of a patch."""
     mass = weight.sum()
     if mass <= 0:
         return 0.0, np.zeros(2), np.zeros((2, 2))
@@ -179,7 +179,7 @@ def _moments(
 
 
 def _is_round(covariance: np.ndarray, mass: float, criteria: MarkerCriteria) -> bool:
-    """Return whether the ratio of the axes is at most `criteria.aspect`."""
+    """Returns whether the ratio of the axes is at most `criteria.aspect`."""
     short, long = np.linalg.eigvalsh(covariance)
     return mass > 0 and short > 0 and long < criteria.aspect**2 * short
 
@@ -192,7 +192,7 @@ def _asymmetry(
     around: np.ndarray,
     center: np.ndarray,
 ) -> float:
-    """Return the rms difference (0 to 1) of the marker from itself turned by 180 deg."""
+    """Returns the rms difference (0 to 1) of the marker from itself turned by 180 deg."""
     turn = np.array([[-1, 0, 2 * center[0]], [0, -1, 2 * center[1]]])
     size, flags = coverage.shape[::-1], cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     turned = cv2.warpAffine(coverage, turn, size, flags=flags)

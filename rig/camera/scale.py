@@ -37,7 +37,7 @@ class Scale:
     lens: Lens | None = None
 
     def metres(self, px: np.ndarray) -> np.ndarray:
-        """Return positions (..., 2) [m] of positions (..., 2) [px]; NaN stays NaN."""
+        """Returns positions (..., 2) [m] of positions (..., 2) [px]; NaN stays NaN."""
         flat = undistort(px, self.lens) - np.array(self.origin)
         cos, sin = np.cos(self.angle), np.sin(self.angle)
         along = flat[..., 0] * cos + flat[..., 1] * sin
@@ -47,7 +47,7 @@ class Scale:
         return np.stack([along, left], axis=-1) / self.px_per_metre
 
     def along(self, rest: np.ndarray) -> "Scale":
-        """Return the scale with its origin at the straight robot's tip and x towards its head.
+        """Returns the scale with its origin at the straight robot's tip and x towards its head.
 
         `rest` (markers, 2) [px] are the markers, tip first. The axis is the line of least squared
         distances. y of the tip's marker is then the tip's excursion, positive to the robot's left.
@@ -66,7 +66,7 @@ class Scale:
 
 
 def undistort(px: np.ndarray, lens: Lens | None) -> np.ndarray:
-    """Return positions (..., 2) [px] without the lens distortion."""
+    """Returns positions (..., 2) [px] without the lens distortion."""
     px = np.asarray(px, float)
     if lens is None or not px.size:
         return px
@@ -78,7 +78,7 @@ def undistort(px: np.ndarray, lens: Lens | None) -> np.ndarray:
 
 
 def tip_excursion(xy: np.ndarray, scale: Scale) -> np.ndarray:
-    """Return the tip's lateral distance (frames,) [m] from the robot's axis, positive to the left.
+    """Returns the tip's lateral distance (frames,) [m] from the robot's axis, positive to the left.
 
     The tip is the first of the markers xy (frames, markers, 2) [px]; `scale` is from `Scale.along`.
     """
@@ -93,7 +93,7 @@ def scale_of_points(
     from_below: bool = False,
     lens: Lens | None = None,
 ) -> Scale:
-    """Return the scale of two points [px], `distance` [m] apart; x runs from first to second."""
+    """Returns the scale of two points [px], `distance` [m] apart; x runs from first to second."""
     if not (np.isfinite(distance) and distance > 0):
         raise RigError.value("camera: distance of two points", f"{distance} m", "above 0 m")
     px, metres = np.array([first, second]), np.array([[0.0, 0.0], [distance, 0.0]])
@@ -108,7 +108,7 @@ def scale_of_checkerboard(
     from_below: bool = False,
     lens: Lens | None = None,
 ) -> Scale:
-    """Return the scale from an image (height, width, 3) of a checkerboard in the robot's plane.
+    """Returns the scale from an image (height, width, 3) of a checkerboard in the robot's plane.
 
     `corners` are the numbers of inner corners along and across, `square` [m] is a square's side. x
     runs along the board. Raises `RigError` if the board is not found or is tilted.
@@ -136,7 +136,7 @@ def scale_of_aruco(
     from_below: bool = False,
     lens: Lens | None = None,
 ) -> Scale:
-    """Return the scale from an image (height, width, 3) of an ArUco grid board.
+    """Returns the scale from an image (height, width, 3) of an ArUco grid board.
 
     `markers` are their numbers along and across, `side` and `gap` are in m. The board must be in
     the robot's plane. Raises `RigError` if fewer than half of the markers are found, or if the
@@ -161,7 +161,7 @@ def scale_of_aruco(
 
 
 def _fit(px: np.ndarray, metres: np.ndarray, from_below: bool, lens: Lens | None) -> Scale:
-    """Fit the scale that maps `metres` (n, 2), y to the bottom, to `px` (n, 2)."""
+    """Fits the scale that maps `metres` (n, 2), y to the bottom, to `px` (n, 2)."""
     straight = undistort(px, lens)
     z, w = straight @ [1, 1j], metres @ [1, 1j]
     # OpenCV may return a checkerboard's corners in mirrored order.

@@ -51,7 +51,7 @@ class Source(Protocol):
     """Whether the source is a device, which does not wait: unread images are lost."""
 
     def read(self) -> Shot | None:
-        """Return the next image, None at the end. Raises `RigError` if the source fails."""
+        """Returns the next image, None at the end. Raises `RigError` if the source fails."""
 
     def close(self) -> None: ...
 
@@ -96,7 +96,7 @@ class OpenCvSource:
         self._opened, self._ends = time.monotonic_ns(), 0
 
     def read(self) -> Shot | None:
-        """Return the next frame. Raises `RigError` if a device stops or a file is incomplete."""
+        """Returns the next frame. Raises `RigError` if a device stops or a file is incomplete."""
         good = self._capture.grab()
         now = time.monotonic_ns()
         image = self._capture.retrieve()[1] if good else None
@@ -118,7 +118,7 @@ class OpenCvSource:
         return Shot(source_ns if source_ns > 0 else now, now, image)
 
     def close(self) -> None:
-        """Close the device or file."""
+        """Closes the device or file."""
         self._capture.release()
 
 
@@ -145,7 +145,7 @@ class Camera:
         self.close()
 
     def close(self) -> None:
-        """End the thread and the loop over the frames."""
+        """Ends the thread and the loop over the frames."""
         self._closed.set()
         self._thread.join(STALLED)
         self.source.close()
@@ -197,7 +197,7 @@ class Camera:
 
 
 def frames_between(before: int | None, now: int, fps: float) -> int:
-    """Return the step of the frame number between two shots [ns]: 1 if none was dropped."""
+    """Returns the step of the frame number between two shots [ns]: 1 if none was dropped."""
     return 1 if before is None else max(1, round((now - before) * 1e-9 * fps))
 
 
@@ -207,7 +207,7 @@ def record_markers(
     sink: Sink,
     criteria: MarkerCriteria = MarkerCriteria(),
 ) -> None:
-    """Track the markers until the camera's end, and call `sink(host_ns, record)` per frame."""
+    """Tracks the markers until the camera's end, and calls `sink(host_ns, records)` per frame."""
     last = -1
     for frame in camera:
         points = tracker.follow(find_markers(frame.image, criteria), frame.number - last)

@@ -12,7 +12,7 @@ MASS_RATIO = (0.6, 1.6)
 
 
 def order_at_rest(found: Sequence[Marker], count: int, head: tuple[float, float]) -> np.ndarray:
-    """Return the positions (count, 2) [px] of a straight robot's markers, tip first.
+    """Returns the positions (count, 2) [px] of a straight robot's markers, tip first.
 
     `head` [px] is a point beyond the head's end. Raises `RigError` for another number of markers.
     """
@@ -28,7 +28,7 @@ def order_at_rest(found: Sequence[Marker], count: int, head: tuple[float, float]
 
 
 def smallest_distance(positions: np.ndarray) -> float:
-    """Return the smallest distance [px] between two of the positions (markers, 2) [px]."""
+    """Returns the smallest distance [px] between two of the positions (markers, 2) [px]."""
     distances = np.hypot(*(positions[:, None] - positions).T)
     np.fill_diagonal(distances, np.inf)
     return float(distances.min())
@@ -56,7 +56,7 @@ class Tracker:
         self._mass = np.full(len(self._last), np.nan)
 
     def follow(self, found: Sequence[Marker], passed: int = 1) -> np.ndarray:
-        """Return x, y [px] and quality (markers, 3) in a frame, `passed` frames after the last.
+        """Returns x, y [px] and quality (markers, 3) in a frame, `passed` frames after the last.
 
         A lost marker has NaN, NaN, 0.
         """

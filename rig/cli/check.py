@@ -19,7 +19,7 @@ def rig_check(
         Path | None, tyro.conf.arg(metavar="CHECK.json", help_behavior_hint="(default: no file)")
     ] = None,
 ) -> int:
-    """Check the manifold's rate, losses, answer times and noise, and the pressure of each chamber.
+    """Checks the manifold's rate, losses, answer times and noise, and the pressure of each chamber.
 
     First, the force sensor of the rig file is checked for 1 s. Then each chamber alone is set to
     the test pressure for 1.5 s. All chambers vent at the end. The exit code is 1 if there is a

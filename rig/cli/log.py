@@ -12,7 +12,7 @@ from slider_jax.errors import InputError
 
 
 def rig_log(frequencies: tyro.conf.Positional[Frequencies], port: Port, out: Folder) -> None:
-    """Run the sine test of the published Teensy firmware at each frequency, and record its logs.
+    """Runs the sine test of the published Teensy firmware at each frequency, and records its logs.
 
     This firmware has no stop and no watchdog: only the supply's valve ends a test that has begun.
     DIR/<frequency>.txt is the firmware's unchanged output, for `slider calibrate manifold` and

@@ -30,7 +30,7 @@ def rig_loop(
     amplitude: Range = None,
     phase: Range = None,
 ) -> None:
-    """Measure trials, search for missing effects, and add the most informative trial.
+    """Measures trials, searches for missing effects, and adds the most informative trial.
 
     This repeats until the equivalence class is final or the budget is used. DIR/measured becomes
     the experiment's folder with all trials. DIR/round_NN.json is the result of each round;

@@ -60,7 +60,7 @@ class DrivePlayer:
         self._end_after(error)
 
     def _end_after(self, error: BaseException | None) -> None:
-        """End the thread, which vents. A failure is raised, or noted on an earlier `error`."""
+        """Ends the thread, which vents. A failure is raised, or noted on an earlier `error`."""
         self._stop.set()
         if self._thread.ident is not None:
             self._thread.join()
@@ -113,7 +113,7 @@ class _Ended(Exception):
 
 @contextmanager
 def _forces(table: ForceTable | None, stream: LiveStream) -> Iterator[ForceSource | None]:
-    """Open the force sensor, if any, and pass its samples to the stream in the block."""
+    """Opens the force sensor, if any, and passes its samples to the stream in the block."""
     if table is None:
         yield None
         return

@@ -25,7 +25,7 @@ def rig_replay(
     rig: RigFile = None,
     speed: Value = 1.0,
 ) -> int:
-    """Convert a run's recordings to CSV files again, or play one recording back on a port.
+    """Converts a run's recordings to CSV files again, or play one recording back on a port.
 
     For an experiment's folder of `slider rig run`, the command converts every recording to CSV
     files in --out, also that of a killed run. With --rig, it uses other axes or analogue sensors
@@ -103,7 +103,7 @@ class _Trial(NamedTuple):
 
 
 def _read_trial(path: Path, durations: dict[str, float]) -> _Trial:
-    """Return the trial of a recording, also of a killed run, which wrote no record.
+    """Returns the trial of a recording, also of a killed run, which wrote no record.
 
     `durations` has the durations of the experiment's trials by name [s].
     """
@@ -120,7 +120,7 @@ def _read_trial(path: Path, durations: dict[str, float]) -> _Trial:
 def _read_columns(
     trial: _Trial, given: RigTable | None, path: Path
 ) -> tuple[TrialColumns, list[str]]:
-    """Return the columns by the `given` rig, else by the recorded rig; and a finding if columns
+    """Returns the columns by the `given` rig, else by the recorded rig; and a finding if columns
     of the original run are missing."""
     stored = trial.recording.settings.get("rig", {})
     recorded = validate(RigTable, stored, f"{path}: settings")

@@ -32,7 +32,7 @@ def rig_run(
     limit: Pressures = None,
     force: Annotated[str | None, tyro.conf.arg(metavar="HOST", help_behavior_hint="")] = None,
 ) -> int:
-    """Run and record every trial of an experiment.
+    """Runs and records every trial of an experiment.
 
     All chambers vent at the end, on Ctrl-C, on an error and when the port is lost. If this program
     or the computer stops, the manifold's watchdog vents. DIR becomes the folder of the measured

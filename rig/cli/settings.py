@@ -83,7 +83,7 @@ class AnalogueTable(Table):
     zero: float | None = None
 
     def sensor(self) -> AnalogueSensor:
-        """Return the sensor of this table."""
+        """Returns the sensor of this table."""
         return AnalogueSensor(self.column, self.input, self.scale, self.zero)
 
 
@@ -107,7 +107,7 @@ class RigTable(Table):
 
 
 def load_rig(path: Path | None, changes: dict[str, Any] | None = None) -> RigTable:
-    """Return the settings of a rig file, or the defaults, with `changes` of the command line.
+    """Returns the settings of a rig file, or the defaults, with `changes` of the command line.
 
     `changes` has the changed keys of each table. Raises `InputError` with the file and key.
     """

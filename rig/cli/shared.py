@@ -44,7 +44,7 @@ LEAST_SWING = 1e-4
 
 
 def rig_ports() -> None:
-    """List this computer's serial ports: name, description, serial number."""
+    """Lists this computer's serial ports: name, description, serial number."""
     from rig.manifold.serial_port import serial_ports
 
     available = serial_ports()
@@ -55,13 +55,13 @@ def rig_ports() -> None:
 
 
 def load_trials(path: Path) -> tuple[ExperimentTable, list[PlannedTrial]]:
-    """Return an experiment's tables and its trials as the rig plays them. Raises `InputError`."""
+    """Returns an experiment's tables and its trials as the rig plays them. Raises `InputError`."""
     experiment = validate(ExperimentTable, read_toml(path), str(path))
     return experiment, [planned_trial(x, path) for x in experiment.trials]
 
 
 def copy_experiment(path: Path, folder: Path) -> None:
-    """Copy an experiment file, as experiment.toml, and its recorded drives to a folder."""
+    """Copies an experiment file, as experiment.toml, and its recorded drives to a folder."""
     table, _ = load_trials(path)
     write_bytes(folder / "experiment.toml", path.read_bytes())
     for name in {x.drive_file for x in table.trials if x.drive_file}:
@@ -69,7 +69,7 @@ def copy_experiment(path: Path, folder: Path) -> None:
 
 
 def install_experiment(path: Path, folder: Path) -> None:
-    """Copy an experiment file to a folder that may contain it from an earlier run.
+    """Copies an experiment file to a folder that may contain it from an earlier run.
 
     An earlier copy is kept if it differs only by added trials and the measured swing. Raises
     `InputError` if the folder has measured trials that the file lacks.
@@ -96,7 +96,7 @@ def _without_swing(tables: dict[str, Any]) -> dict[str, Any]:
 
 
 def declare_swing(path: Path, records: list[dict[str, Any]]) -> None:
-    """Write the tip's swing before the trials to an experiment file, if its value is smaller."""
+    """Writes the tip's swing before the trials to an experiment file, if its value is smaller."""
     swing = start_swing(records)
     declared = validate(ExperimentTable, read_toml(path), str(path)).sensors.start_swing
     if swing <= max(2.0 * declared, LEAST_SWING):
@@ -109,7 +109,7 @@ def declare_swing(path: Path, records: list[dict[str, Any]]) -> None:
 
 
 def planned_trial(trial: TrialTable, path: Path) -> PlannedTrial:
-    """Return a trial as the rig plays it. Raises `InputError` if its drive was measured."""
+    """Returns a trial as the rig plays it. Raises `InputError` if its drive was measured."""
     name = Path(trial.file).stem
     if trial.waveform != "recorded":
         return PlannedTrial(
@@ -132,14 +132,14 @@ def planned_trial(trial: TrialTable, path: Path) -> PlannedTrial:
 
 
 def warn_of_moving_clamp(trial: TrialTable) -> None:
-    """Print a warning if a trial's clamp is towed or moves, because the rig does not move it."""
+    """Prints a warning if a trial's clamp is towed or moves, because the rig does not move it."""
     if trial.tow_speed or trial.clamp_moves:
         moves = "is towed" if trial.tow_speed else "moves"
         print(f"{trial.file}: the clamp {moves}, but not by the rig", file=sys.stderr)
 
 
 def with_force_counts(settings: RigTable) -> RigTable:
-    """Return the settings with the force sensor's counts, from the box's web page if missing.
+    """Returns the settings with the force sensor's counts, from the box's web page if missing.
 
     The counts are stored in recordings, so that a recording can be converted without the box.
     """
@@ -151,21 +151,21 @@ def with_force_counts(settings: RigTable) -> RigTable:
 
 
 def force_calibration(table: ForceTable) -> NetCalibration:
-    """Return the calibration of the table, else of the box's web page."""
+    """Returns the calibration of the table, else of the box's web page."""
     if table.counts_per_N is not None and table.counts_per_Nm is not None:
         return NetCalibration(table.counts_per_N, table.counts_per_Nm)
     return NetCalibration.fetch(table.host, table.page_port)
 
 
 def open_force_sensor(table: ForceTable) -> tuple[ForceSource, StreamReader]:
-    """Return the opened force sensor and the reader of its stream."""
+    """Returns the opened force sensor and the reader of its stream."""
     calibration = force_calibration(table)
     source = NetForce(table.host, calibration, table.port)
     return source, force_reader(calibration, SensorMounting(table.thrust, table.recoil))
 
 
 def marker_camera(table: CameraTable) -> tuple[RecordedInstrument, StreamReader]:
-    """Return the camera and the reader of its stream."""
+    """Returns the camera and the reader of its stream."""
     from rig.camera.instrument import MarkerCamera, MarkerLayout, camera_reader
     from rig.camera.scale import Scale
     from rig.camera.source import OpenCvSource
@@ -178,7 +178,7 @@ def marker_camera(table: CameraTable) -> tuple[RecordedInstrument, StreamReader]
 
 @contextmanager
 def open_rig(port: str, table: RigTable) -> Iterator[Rig]:
-    """Open the rig of a table; when the block ends, also by an error, all chambers vent.
+    """Opens the rig of a table; when the block ends, also by an error, all chambers vent.
 
     SIGTERM and SIGHUP end the block as Ctrl-C does.
     """
@@ -213,7 +213,7 @@ def open_rig(port: str, table: RigTable) -> Iterator[Rig]:
 
 @contextmanager
 def signals_as_ctrl_c() -> Iterator[None]:
-    """Make SIGTERM and SIGHUP raise `KeyboardInterrupt` in the block."""
+    """Makes SIGTERM and SIGHUP raise `KeyboardInterrupt` in the block."""
 
     def interrupt(number: int, frame: object) -> None:
         raise KeyboardInterrupt
@@ -228,7 +228,7 @@ def signals_as_ctrl_c() -> Iterator[None]:
 
 
 def print_status(line: str) -> None:
-    """Print a line to stderr; on a terminal it replaces the previous status line."""
+    """Prints a line to stderr; on a terminal it replaces the previous status line."""
     if sys.stderr.isatty():
         width = shutil.get_terminal_size().columns - 1
         print(f"\r{line[:width]:<{width}}", end="", file=sys.stderr, flush=True)
@@ -244,7 +244,7 @@ class StatusLine:
         self._count, self._name = 0, ""
 
     def __call__(self, trial: str, phase: str, t: float) -> None:
-        """Print the trial, the phase and its time `t` [s], if the last line is old enough."""
+        """Prints the trial, the phase and its time `t` [s], if the last line is old enough."""
         now = time.monotonic()
         if trial != self._name:
             self._name, self._count = trial, self._count + 1
@@ -265,6 +265,6 @@ class StatusLine:
         print_status(line)
 
     def end(self) -> None:
-        """End the line on a terminal."""
+        """Ends the line on a terminal."""
         if sys.stderr.isatty():
             print(file=sys.stderr)

@@ -40,7 +40,7 @@ def rig_simulate(
     seed: Whole = 0,
     published: bool = False,
 ) -> None:
-    """Simulate a manifold on a pseudo-terminal and a force sensor on the network until Ctrl-C.
+    """Simulates a manifold on a pseudo-terminal and a force sensor on the network until Ctrl-C.
 
     The devices use the same protocols as real ones. The command prints the port and writes a
     matching rig file. With an experiment, it simulates the robot in water with all effects of the
@@ -143,7 +143,7 @@ def _serve_published(noise: float, seed: int) -> None:
 
 
 def _refuse_other(rig_file: Path) -> None:
-    """Raise `InputError` if the file exists and is not of a simulated rig."""
+    """Raises `InputError` if the file exists and is not of a simulated rig."""
     if rig_file.is_dir() or (
         rig_file.exists() and MADE_UP not in rig_file.read_text(errors="replace")
     ):
@@ -181,7 +181,7 @@ def _fault(text: str) -> tuple[str, float, float]:
 
 
 def _tank(experiment: Path | None, model: Path | None, faults: list[str]):
-    """Return the simulated tank and its function `inject(name, value)` for the named `faults`."""
+    """Returns the simulated tank and its function `inject(name, value)` for the named `faults`."""
     from rig.protocol.messages import CHAMBERS
     from rig.simulated.tank import BenchTank
 

@@ -53,7 +53,7 @@ def rig_watch(
     seconds: Seconds = None,
     out: MaybeFolder = None,
 ) -> int:
-    """Play a trial's drive and run the calibrated model beside it on the rig's readings.
+    """Plays a trial's drive and runs the calibrated model beside it on the rig's readings.
 
     The command prints on-line estimates of k and K_Q, measured and modelled values, and the model's
     delay. During the first seconds it learns a band for each channel's residual. When a residual
@@ -137,7 +137,7 @@ class WatchLog:
     _on: bool = False
 
     def add(self, block: TwinBlock, arrived_ns: int, lost: int) -> None:
-        """Add a block that was complete at `arrived_ns`, and the number of lost readings."""
+        """Adds a block that was complete at `arrived_ns`, and the number of lost readings."""
         if not self.rows:
             self.begun = float(block.t[0])
         lag = 1e-9 * (time.monotonic_ns() - arrived_ns)
@@ -153,7 +153,7 @@ class WatchLog:
             _print_line(block, self.rows[-1], lost, new)
 
     def add_misfits(self, misfits: dict[str, tuple[float, float]]) -> None:
-        """Store the model's misfits while the bands were learned, and print them once."""
+        """Stores the model's misfits while the bands were learned, and prints them once."""
         if misfits and not self.misfits:
             self.misfits = misfits
             print(f"\n{self._misfit_text()}", file=sys.stderr, flush=True)
@@ -170,7 +170,7 @@ class WatchLog:
         )
 
     def print_summary(self) -> None:
-        """Print the final estimates, the model's delay and the alarms."""
+        """Prints the final estimates, the model's delay and the alarms."""
         if self.rows:
             last, late = self.rows[-1], np.array([row["lag_s"] for row in self.rows])
             print(
@@ -185,7 +185,7 @@ class WatchLog:
             print(f"no alarm, but {self._misfit_text()}" if self.misfits else "no alarm")
 
     def write(self, out: Path, beside: dict[str, Any]) -> None:
-        """Write watch.csv, and watch.json with the entries of `beside`."""
+        """Writes watch.csv, and watch.json with the entries of `beside`."""
         with staged(out) as stage:
             columns = {k: np.array([r[k] for r in self.rows]) for k in self.rows[0]}
             write_csv(stage / "watch.csv", columns)
@@ -196,7 +196,7 @@ class WatchLog:
 
 
 def _arrived(block: TwinBlock, live: LiveReadings) -> int:
-    """Return the arrival time of the reading that completed a block [ns]."""
+    """Returns the arrival time of the reading that completed a block [ns]."""
     complete = np.searchsorted(live.device_s, block.t[-1] - 1e-3)
     return int(live.arrived_ns[min(complete, len(live.arrived_ns) - 1)])
 

@@ -46,7 +46,7 @@ class NetCalibration:
 
     @classmethod
     def from_page(cls, page: bytes, where: str) -> "NetCalibration":
-        """Read `netftapi2.xml`: counts per unit (cfgcpf, cfgcpt), and the units (scfgfu, scfgtu).
+        """Reads `netftapi2.xml`: counts per unit (cfgcpf, cfgcpt), and the units (scfgfu, scfgtu).
 
         Raises `RigError` for an incomplete page or an unknown unit; `where` names the page.
         """
@@ -78,7 +78,7 @@ class NetCalibration:
 
     @classmethod
     def fetch(cls, host: str, port: int = 80, timeout: float = 3.0) -> "NetCalibration":
-        """Read the page of the box at `host`. Raises `RigError` if it does not answer."""
+        """Reads the page of the box at `host`. Raises `RigError` if it does not answer."""
         where = f"http://{host}:{port}/{PAGE}"
         direct = urllib.request.build_opener(urllib.request.ProxyHandler({}))
         try:
@@ -93,11 +93,11 @@ class NetCalibration:
         return cls.from_page(page, where)
 
     def wrench(self, counts: np.ndarray) -> np.ndarray:
-        """Return forces [N] and torques [N m] (..., 6) of counts (..., 6)."""
+        """Returns forces [N] and torques [N m] (..., 6) of counts (..., 6)."""
         return counts / np.repeat([self.counts_per_N, self.counts_per_Nm], 3)
 
     def forces(self, host_ns: Sequence[int], datagrams: Sequence[bytes]) -> Forces:
-        """Return the forces of one stream. Raises `RigError` if it is empty or damaged."""
+        """Returns the forces of one stream. Raises `RigError` if it is empty or damaged."""
         records = rdt.record_table(host_ns, datagrams)
         wrench = self.wrench(records.counts)
         wrench[~records.present] = np.nan
@@ -167,7 +167,7 @@ class NetForce(ForceSource):
         self._last = now, np.array(counts)
 
     def start(self, sink: Sink) -> None:
-        """Start the stream, after ending one that an earlier run may have left."""
+        """Starts the stream, after ending one that an earlier run may have left."""
         self.stop()
         self.tally, self._last, self._sink = rdt.StreamTally(), None, sink
         for _ in range(TRIES):
@@ -189,7 +189,7 @@ class NetForce(ForceSource):
         self._reader = ReaderThread(self.name, receive, self._take, self.patience)
 
     def bias(self) -> None:
-        """Take the present load as zero; the box subtracts it until it is switched off."""
+        """Takes the present load as zero; the box subtracts it until it is switched off."""
         for _ in range(TRIES):  # the box does not confirm it, and a datagram may be lost
             self._send(rdt.BIAS)
 
@@ -197,7 +197,7 @@ class NetForce(ForceSource):
         return Health(self.tally.received, len(self.tally.missing), self.tally.saturated)
 
     def check(self) -> None:
-        """Raise `RigError` as `ForceSource.check`; saturation is counted in `health` instead."""
+        """Raises `RigError` as `ForceSource.check`; saturation is counted in `health` instead."""
         if self._reader is not None:
             self._reader.check()
         if self.tally.fault:

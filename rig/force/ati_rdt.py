@@ -27,12 +27,12 @@ _FIELDS = np.dtype([("rdt", ">u4"), ("ft", ">u4"), ("status", ">u4"), ("counts",
 
 
 def request_bytes(command: int, count: int = 0) -> bytes:
-    """Return the bytes of a command; a `count` of 0 streams until stopped."""
+    """Returns the bytes of a command; a `count` of 0 streams until stopped."""
     return struct.pack(">HHI", 0x1234, command, count)
 
 
 def check_size(datagram: bytes, where: str) -> None:
-    """Raise `RigError` if a datagram does not have the size of a record."""
+    """Raises `RigError` if a datagram does not have the size of a record."""
     if len(datagram) != RECORD.size:
         raise RigError.value(
             where,
@@ -43,17 +43,17 @@ def check_size(datagram: bytes, where: str) -> None:
 
 
 def has_box_error(status):
-    """Return whether a status (number or array) has an error other than saturation."""
+    """Returns whether a status (number or array) has an error other than saturation."""
     return (status & ~(ERROR | SATURATED | LATCHED) != 0) | (status == ERROR)
 
 
 def is_invalid(status):
-    """Return whether a status (number or array) shows saturation or another error."""
+    """Returns whether a status (number or array) shows saturation or another error."""
     return (status & SATURATED != 0) | has_box_error(status)
 
 
 def status_text(status: int) -> str:
-    """Return a description of a status; empty without an error."""
+    """Returns a description of a status; empty without an error."""
     parts = ["saturated"] if status & SATURATED else []
     if has_box_error(status):
         parts.append("an error of the box, see System Status Code in its manual")
@@ -68,7 +68,7 @@ class BoxTime:
         self._counts = 0
 
     def seconds(self, ft_seq: int) -> float | None:
-        """Return the time since the first record [s]; None for a duplicate or a late record."""
+        """Returns the time since the first record [s]; None for a duplicate or a late record."""
         if self._last is not None:
             step = (ft_seq - self._last + 2**31) % 2**32 - 2**31
             if step <= 0:
@@ -90,7 +90,7 @@ class StreamTally:
         self._highest = 0
 
     def count(self, rdt_seq: int, status: int) -> None:
-        """Count one record. A box numbers the records of a stream from 1."""
+        """Counts one record. A box numbers the records of a stream from 1."""
         self.received += 1
         self.saturated += bool(status & SATURATED)
         if has_box_error(status):
@@ -147,7 +147,7 @@ class Records:
         return INTERNAL_RATE * int(last - first) / samples
 
     def times(self) -> np.ndarray:
-        """Return the sampling times (n,) on the host's monotonic clock [ns], gaps included."""
+        """Returns the sampling times (n,) on the host's monotonic clock [ns], gaps included."""
         if len(self.seq) == 1:
             return self.host_ns
         at = self.present
@@ -170,7 +170,7 @@ class Records:
         return self.stuck | is_invalid(self.status)
 
     def findings(self) -> tuple[str, ...]:
-        """Return the problems for the user, one sentence each."""
+        """Returns the problems for the user, one sentence each."""
         found = []
         if len(self.missing):
             found.append(f"{len(self.missing)} of {len(self.seq)} records missing")
@@ -185,7 +185,7 @@ class Records:
 
 
 def record_table(host_ns: Sequence[int] | np.ndarray, datagrams: Sequence[bytes]) -> Records:
-    """Return the records of one stream, from arrival times [ns] and datagrams in order of arrival.
+    """Returns the records of one stream, from arrival times [ns] and datagrams in order of arrival.
 
     Losses before the first or after the last record cannot be detected. Raises `RigError` for an
     empty stream, a record of wrong size, or a repeated number with other content (a new stream).

@@ -59,7 +59,7 @@ class GaugeCalibration:
 
     @classmethod
     def read(cls, path: Path | str, rate: float = 1000.0) -> "GaugeCalibration":
-        """Read ATI's `FTxxxx.cal`. Raises `RigError` for an incomplete file."""
+        """Reads ATI's `FTxxxx.cal`. Raises `RigError` for an incomplete file."""
         where = str(path)
         advice = "give the .cal file that came with the sensor, unchanged"
         try:
@@ -94,15 +94,15 @@ class GaugeCalibration:
         return cls(tuple(matrix), volts, rate, serial=root.get("Serial", ""))
 
     def wrench(self, volts: np.ndarray) -> np.ndarray:
-        """Return forces [N] and torques [N m] (..., 6) of gauge voltages (..., 6)."""
+        """Returns forces [N] and torques [N m] (..., 6) of gauge voltages (..., 6)."""
         return (volts - np.asarray(self.zero)) @ np.asarray(self.matrix).T
 
     def saturated(self, volts: np.ndarray) -> np.ndarray:
-        """Return where (...) a gauge is at the end of its range: then all six axes are wrong."""
+        """Returns where (...) a gauge is at the end of its range: then all six axes are wrong."""
         return np.any(np.abs(volts) >= FULL * self.volts, axis=-1)
 
     def forces(self, host_ns: Sequence[int], blocks: Sequence[bytes]) -> Forces:
-        """Return the forces of one recording. Raises `RigError` for no blocks or a wrong rate."""
+        """Returns the forces of one recording. Raises `RigError` for no blocks or a wrong rate."""
         if not blocks:
             raise RigError(
                 "force sensor: no samples arrived during the recording; check the NI card"
@@ -210,7 +210,7 @@ class GaugeForce(ForceSource):
         self.check()
 
     def bias(self) -> None:
-        """Set the calibration's `zero` to the mean of the next `BIAS` seconds."""
+        """Sets the calibration's `zero` to the mean of the next `BIAS` seconds."""
         if self._reader is None:
             raise RigError(f"{self.name}: the stream has not started; call start before bias")
         self._recent.clear()

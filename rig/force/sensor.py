@@ -35,7 +35,7 @@ NEWTON_METRES = {
 
 
 def unit_in_si(unit: str, known: dict[str, float], where: str) -> float:
-    """Return the SI value [N or N m] of one `unit`. Raises `RigError` for an unknown unit."""
+    """Returns the SI value [N or N m] of one `unit`. Raises `RigError` for an unknown unit."""
     name = unit.strip().lower().replace("-", "").replace(" ", "").replace("lbin", "lbfin")
     if name not in known:
         raise RigError.value(
@@ -45,7 +45,7 @@ def unit_in_si(unit: str, known: dict[str, float], where: str) -> float:
 
 
 def check_positive(where: str, **values: float) -> None:
-    """Raise `RigError` if a value is not a finite number above 0."""
+    """Raises `RigError` if a value is not a finite number above 0."""
     for name, value in values.items():
         if not (math.isfinite(value) and value > 0):
             raise RigError.value(f"{where}, {name}", value, "a number above 0")
@@ -83,7 +83,7 @@ class SensorMounting:
             raise RigError.value("mounting.recoil", repr(self.recoil), "another axis than thrust's")
 
     def thrust_and_recoil(self, wrench: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return thrust and recoil (...) [N] of wrenches (..., 6)."""
+        """Returns thrust and recoil (...) [N] of wrenches (..., 6)."""
 
         def along(axis: str) -> np.ndarray:
             return (-1.0 if axis[0] == "-" else 1.0) * wrench[..., AXES.index(axis[1:])]
@@ -95,11 +95,11 @@ class Calibration(Protocol):
     """Conversion of raw records into forces."""
 
     def wrench(self, raw: np.ndarray, /) -> np.ndarray:
-        """Return forces [N] and torques [N m] (..., 6) of counts or volts (..., 6)."""
+        """Returns forces [N] and torques [N m] (..., 6) of counts or volts (..., 6)."""
         ...
 
     def forces(self, host_ns: Sequence[int], datagrams: Sequence[bytes]) -> Forces:
-        """Return the forces of one recording; the arguments are in order of arrival."""
+        """Returns the forces of one recording; the arguments are in order of arrival."""
         ...
 
 
@@ -119,14 +119,14 @@ class ForceSource(ABC):
 
     @abstractmethod
     def start(self, sink: Sink) -> None:
-        """Start the stream and wait for the first record. Raises `RigError` if none comes."""
+        """Starts the stream and waits for the first record. Raises `RigError` if none comes."""
 
     @abstractmethod
     def bias(self) -> None:
-        """Take the present load as zero. Call it at rest, before a recording."""
+        """Takes the present load as zero. Call it at rest, before a recording."""
 
     def latest(self) -> tuple[int, np.ndarray] | None:
-        """Return arrival [ns] and wrench (6,) [N, N m] of the last record, or None."""
+        """Returns arrival [ns] and wrench (6,) [N, N m] of the last record, or None."""
         if self._last is None:
             return None
         now, raw = self._last
@@ -134,19 +134,19 @@ class ForceSource(ABC):
 
     @abstractmethod
     def health(self) -> Health:
-        """Return the counts since `start`."""
+        """Returns the counts since `start`."""
 
     @abstractmethod
     def check(self) -> None:
-        """Raise `RigError` if the stream failed, fell silent, or reports an error."""
+        """Raises `RigError` if the stream failed, fell silent, or reports an error."""
 
     @abstractmethod
     def stop(self) -> None:
-        """End the stream, if there is one."""
+        """Ends the stream, if there is one."""
 
     @abstractmethod
     def close(self) -> None:
-        """Stop the stream and release the sensor."""
+        """Stops the stream and releases the sensor."""
 
     def __enter__(self) -> "ForceSource":
         return self
@@ -191,7 +191,7 @@ class ReaderThread:
             self._failure = error
 
     def check(self) -> None:
-        """Raise the exception that ended the thread, or `RigError` after a long silence."""
+        """Raises the exception that ended the thread, or `RigError` after a long silence."""
         if isinstance(self._failure, RigError):
             raise self._failure
         if self._failure is not None:
@@ -204,19 +204,19 @@ class ReaderThread:
             )
 
     def end(self, wait: float) -> bool:
-        """End the thread at the next silence; return whether it ended within `wait` [s]."""
+        """Ends the thread at the next silence; returns whether it ended within `wait` [s]."""
         self._ending.set()
         self._thread.join(wait)
         return not self._thread.is_alive()
 
     def abandon(self) -> None:
-        """End the thread even if more data arrive."""
+        """Ends the thread even if more data arrive."""
         self._abandoned.set()
         self._thread.join()
 
 
 def force_reader(calibration: Calibration, mounting: SensorMounting) -> StreamReader:
-    """Return the reader of a force sensor's stream: columns thrust_N and recoil_N."""
+    """Returns the reader of a force sensor's stream: columns thrust_N and recoil_N."""
 
     def read(stream: RecordedStream) -> SampledColumns:
         forces = calibration.forces(stream.host_ns.tolist(), stream.pieces())

@@ -106,7 +106,7 @@ class GantryAxis:
                 raise
 
     def stop(self) -> None:
-        """Slow down to rest and cancel the move; without an answer, reset at once."""
+        """Slows down to rest and cancels the move; without an answer, resets at once."""
         deadline = self._clock() + 1.0 + self.limits.speed / self._acceleration()
         try:
             self._send(HOLD)
@@ -117,7 +117,7 @@ class GantryAxis:
             self._send(RESET)
 
     def profile(self, travel: float, speed: float) -> MotionProfile:
-        """Return the move over `travel` [m] at `speed` [m/s] with GRBL's acceleration."""
+        """Returns the move over `travel` [m] at `speed` [m/s] with GRBL's acceleration."""
         fastest = min(self.limits.speed, self._settings[110] / 60e3)
         if not 0.0 < speed <= fastest:
             advice = "the limit is the lower of the lab's limit and GRBL's $110"
@@ -127,11 +127,11 @@ class GantryAxis:
         return MotionProfile(travel, speed, self._acceleration())
 
     def position(self) -> float:
-        """Return the axis' position [m]."""
+        """Returns the axis' position [m]."""
         return self._status()[1] - self._origin
 
     def move(self, profile: MotionProfile, back: bool = False) -> float:
-        """Make the move, or the same backwards, wait for its end, and return its start time [s]."""
+        """Makes the move, forwards or backwards; waits for its end; returns its start time [s]."""
         profile = self.profile(profile.travel, profile.speed)
         start, travel = self.position(), -profile.travel if back else profile.travel
         if not self.limits.low - 1e-6 <= start + travel <= self.limits.high + 1e-6:
@@ -185,11 +185,11 @@ class GantryAxis:
         self._origin = 0.0 if self._homed else self._status()[1]
 
     def _acceleration(self) -> float:
-        """Return GRBL's acceleration [m/s^2], or the lab's limit before the settings are read."""
+        """Returns GRBL's acceleration [m/s^2], or the lab's limit before the settings are read."""
         return self._settings.get(120, 1e3 * self.limits.acceleration) / 1e3
 
     def _status(self) -> tuple[str, float]:
-        """Return the state, and the position in GRBL's coordinates [m]."""
+        """Returns the state, and the position in GRBL's coordinates [m]."""
         self._send(STATUS)
         report = self._until(lambda line: line.startswith("<") and line.endswith(">"), 1.0)[-1]
         found = re.match(r"<([A-Za-z:0-9]+)\|MPos:(-?[0-9]+\.[0-9]+),", report)
@@ -198,12 +198,12 @@ class GantryAxis:
         return found[1], float(found[2]) / 1e3
 
     def _request(self, line: str, patience: float = 1.0) -> list[str]:
-        """Send a line and return the answer's lines before `ok`."""
+        """Sends a line and returns the answer's lines before `ok`."""
         self._send(line.encode() + b"\n")
         return self._until(lambda answer: answer == "ok", patience, line)[:-1]
 
     def _until(self, wanted: Callable[[str], bool], patience: float, asked: str = "") -> list[str]:
-        """Return the lines up to the first wanted one. Raises `RigError` for an error or alarm."""
+        """Returns the lines up to the first wanted one. Raises `RigError` for an error or alarm."""
         deadline, lines, late = self._clock() + patience, list[str](), False
         while not late:
             late = self._clock() >= deadline  # bytes that are already there still count
@@ -255,7 +255,7 @@ def gantry_measurement(
     settle: float,
     stride: float,
 ) -> Callable[[float], GantryPass | None]:
-    """Return the `measure` of `find_swimming_speed`: one pass over `travel` [m], and back.
+    """Returns the `measure` of `find_swimming_speed`: one pass over `travel` [m], and back.
 
     `film` starts robot and camera, calls its argument, which makes the pass, and returns the track
     of the marker: times [s, on the axis' clock] and positions [m, ahead of the camera, NaN where

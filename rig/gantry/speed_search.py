@@ -89,7 +89,7 @@ def find_swimming_speed(
     budget: int = 12,
     second: float | None = None,
 ) -> SpeedSearchResult:
-    """Search for the speed at which the displacement over the cruise is zero.
+    """Searches for the speed at which the displacement over the cruise is zero.
 
     `measure` makes a run at a speed [m/s] and returns None, or a NaN displacement, if the marker
     was lost. `first` and `second` are the first two speeds; the default of `second` is the zero for
@@ -165,7 +165,7 @@ def _check(first, limits, tolerance_px, scale, budget, second) -> None:
 
 
 def _noise(runs: list[tuple[float, GantryPass]]) -> tuple[float, int]:
-    """Return the pooled standard deviation [m] of repeated displacements, and their number."""
+    """Returns the pooled standard deviation [m] of repeated displacements, and their number."""
     groups = [[r.displacement_m for v, r in runs if v == speed] for speed in {v for v, _ in runs}]
     repeats = len(runs) - len(groups)
     squares = sum(len(group) * float(np.var(group)) for group in groups)
@@ -173,7 +173,7 @@ def _noise(runs: list[tuple[float, GantryPass]]) -> tuple[float, int]:
 
 
 def _line(runs: list[tuple[float, GantryPass]], noise: float) -> tuple[float, float]:
-    """Return the zero [m/s] of the fitted drift and its standard deviation [m/s].
+    """Returns the zero [m/s] of the fitted drift and its standard deviation [m/s].
 
     `FREE_SLOPE` is a prior of the slope, because runs at one speed or at close speeds cannot
     determine it.
@@ -199,7 +199,7 @@ def _line(runs: list[tuple[float, GantryPass]], noise: float) -> tuple[float, fl
 
 
 def _within_bracket(target: float, runs: list[tuple[float, GantryPass]], clear: float) -> float:
-    """Return `target`, or the middle of the bracket if `target` is outside.
+    """Returns `target`, or the middle of the bracket if `target` is outside.
 
     The bracket is from the fastest run that the robot overtook to the slowest run that overtook
     the robot, by more than `clear` [m].
@@ -212,7 +212,7 @@ def _within_bracket(target: float, runs: list[tuple[float, GantryPass]], clear: 
 
 
 def fit_drift(t, x, start: float, end: float, stride: float) -> GantryPass | None:
-    """Return the pass of a track: marker at x [m] ahead of the camera at times t [s] (frames,).
+    """Returns the pass of a track: marker at x [m] ahead of the camera at times t [s] (frames,).
 
     Only frames from `start` to `end` [s] count, and only until the marker is lost for half a
     `stride` [s]: a robot much faster or slower than the gantry leaves the view. The drift is the

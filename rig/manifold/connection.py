@@ -52,15 +52,15 @@ class Connection:
         return self.damaged > MAX_DAMAGED * (self.received + self.damaged)
 
     def start(self) -> None:
-        """Start the receiving thread."""
+        """Starts the receiving thread."""
         self._thread.start()
 
     def reset_counts(self) -> None:
-        """Set the counts of received and damaged frames to 0."""
+        """Sets the counts of received and damaged frames to 0."""
         self.received = self._decoder.damaged = 0
 
     def write(self, message: Message) -> None:
-        """Send `message`. Raises `PortLost`."""
+        """Sends `message`. Raises `PortLost`."""
         frame = encode_frame(message)
         try:
             self._port.write(frame)
@@ -70,7 +70,7 @@ class Connection:
             self._sent(host_ns(), frame)
 
     def close(self) -> None:
-        """End the thread and close the port."""
+        """Ends the thread and closes the port."""
         self._ends.set()
         self._thread.join(0.5)
         # Closing may wait long for unsent bytes. A lost port raises termios.error here.

@@ -95,7 +95,7 @@ class Manifold:
             )
 
     def stop_after(self, error: BaseException | None) -> None:
-        """Stop. If that fails, add a note to `error`, or raise `RigError` if there is none."""
+        """Stops. If that fails, add a note to `error`, or raise `RigError` if there is none."""
         try:
             self.stop()
         except RigError as failure:
@@ -106,7 +106,7 @@ class Manifold:
                 error.add_note(note)
 
     def check(self) -> None:
-        """Raise `RigError` after a lost port, a vent by the manifold itself, or a silence."""
+        """Raises `RigError` after a lost port, a vent by the manifold itself, or a silence."""
         failure = self._line.failure or self._own_vent
         if failure is not None:
             raise failure
@@ -117,7 +117,7 @@ class Manifold:
             )
 
     def configure(self, limits: PressureLimits) -> None:
-        """Send the limits. The manifold vents and clears a fault."""
+        """Sends the limits. The manifold vents and clears a fault."""
         assert self.ident is not None
         self.limits = limits.within(self.ident)
         # The new limits clear an earlier fault, such as a reset.
@@ -126,28 +126,28 @@ class Manifold:
         self._request(lambda seq: wire.SetLimits(seq, *(int(p) for p in limits)))
 
     def arm(self) -> None:
-        """Arm the manifold: its valves follow set pressures, and its watchdog is active."""
+        """Arms the manifold: its valves follow set pressures, and its watchdog is active."""
         self._request(wire.Arm)
         self._armed, self._last_reading = True, time.monotonic()
 
     def set(self, pressures: Sequence[float]) -> int:
-        """Send set gauge pressures (4,) [Pa] and return the command's number. Raises `RigError`."""
+        """Sends gauge pressures (4,) [Pa] and returns the command's number. Raises `RigError`."""
         self.check()
         values = checked_pressures(pressures, self.limits)
         return self._send(lambda seq: wire.SetPressures(seq, *values))
 
     def heartbeat(self) -> None:
-        """Send a heartbeat, which keeps the watchdog from venting."""
+        """Sends a heartbeat, which keeps the watchdog from venting."""
         self.check()
         self._send(wire.Heartbeat)
 
     def stop(self) -> None:
-        """Vent all chambers and wait for the confirmation. Raises `RigError` if none comes."""
+        """Vents all chambers and waits for the confirmation. Raises `RigError` if none comes."""
         self._armed = False
         self._request(wire.Stop)
 
     def upload(self, samples: Sequence[Sequence[float]], period: float) -> None:
-        """Send a waveform of set pressures (n, 4) [Pa], `period` [s] apart."""
+        """Sends a waveform of set pressures (n, 4) [Pa], `period` [s] apart."""
         assert self.ident is not None
         if not 2 <= len(samples) <= self.ident.samples:
             allowed = f"2 to {self.ident.samples}, the manifold's memory"
@@ -163,7 +163,7 @@ class Manifold:
             self._request(partial(_wave_piece, first, flat))
 
     def play(self, repeats: int = 1) -> None:
-        """Play the waveform, endlessly if `repeats` is 0. It needs heartbeats meanwhile."""
+        """Plays the waveform, endlessly if `repeats` is 0. It needs heartbeats meanwhile."""
         self._request(lambda seq: wire.WavePlay(seq, repeats))
 
     def _send(self, make: Callable[[int], wire.Message]) -> int:
@@ -181,7 +181,7 @@ class Manifold:
         return isinstance(self._line.failure, PortLost)
 
     def _request(self, make: Callable[[int], wire.Message]) -> None:
-        """Send a command and wait for its answer; without an answer, send it again."""
+        """Sends a command and waits for its answer; without an answer, sends it again."""
         for tried in range(TRIES):
             if self._is_gone:
                 self.check()

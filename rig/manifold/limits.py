@@ -21,7 +21,7 @@ class PressureLimits(NamedTuple):
 
     @classmethod
     def of(cls, pressures: Sequence[float], where: str = "limits") -> "PressureLimits":
-        """Return limits from one pressure for all chambers, or one for each [Pa].
+        """Returns limits from one pressure for all chambers, or one for each [Pa].
 
         Raises `RigError` for a wrong number or value; `where` names the source in its message.
         """
@@ -42,7 +42,7 @@ class PressureLimits(NamedTuple):
         return limits
 
     def within(self, ident: Ident) -> "PressureLimits":
-        """Return these limits. Raises `RigError` if one exceeds the manifold's hard limit."""
+        """Returns these limits. Raises `RigError` if one exceeds the manifold's hard limit."""
         for name, limit in zip(CHAMBERS, self, strict=True):
             hard = getattr(ident, name)
             if limit > hard:
@@ -56,7 +56,7 @@ class PressureLimits(NamedTuple):
 def checked_pressures(
     pressures: Sequence[float], limits: PressureLimits
 ) -> tuple[int, int, int, int]:
-    """Return the set gauge pressures (4,) in whole pascals, as the protocol sends them.
+    """Returns the set gauge pressures (4,) in whole pascals, as the protocol sends them.
 
     Raises `RigError` for a pressure above its limit: clipping it would change the gait.
     """

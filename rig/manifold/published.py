@@ -84,7 +84,7 @@ class PublishedManifold:
         on_row: Callable[[int, LogRow], None] = lambda at, row: None,
         sink: Sink = lambda at, piece: None,
     ) -> FrequencyOutcome:
-        """Wait for the question, answer with `frequency` [Hz], and read until the test's end.
+        """Waits for the question, answer with `frequency` [Hz], and read until the test's end.
 
         Calls `sink(host time [ns], bytes)` for all bytes of the test, and `on_row(host time [ns],
         LogRow)` when the last byte of a row was read. Raises `RigError` for a frequency that is not
@@ -103,7 +103,7 @@ class PublishedManifold:
             raise
 
     def _receive(self, asked: int) -> tuple[int, bytes, list[Event]]:
-        """Return (host time [ns], bytes, events) of one read that begins at `asked` [ns].
+        """Returns (host time [ns], bytes, events) of one read that begins at `asked` [ns].
 
         The silence is measured up to `asked`, before the read. Otherwise a pause of this program
         would count as a silence of the firmware.
@@ -147,7 +147,7 @@ class PublishedManifold:
             raise self._gone(error) from None
 
     def _gone(self, error: OSError) -> PortLost:
-        """Return the error for a lost port; pyserial's exceptions are `OSError` too."""
+        """Returns the error for a lost port; pyserial's exceptions are `OSError` too."""
         return PortLost(
             f"{self._port.name}: the port is gone ({error}); {CANNOT_STOP}, then check plug and "
             "cable"
@@ -195,7 +195,7 @@ class PublishedManifold:
 
 
 def _quoted(text: str) -> str:
-    """Return the beginning of `text` in quotation marks, or a remark that it is not text."""
+    """Returns the beginning of `text` in quotation marks, or a remark that it is not text."""
     begin = text[:QUOTED]
     printable = sum(x in string.printable for x in begin)
     return repr(begin) if printable >= MIN_PRINTABLE * len(begin) else "bytes that are not text"

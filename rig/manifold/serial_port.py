@@ -34,7 +34,7 @@ class SerialPortInfo(NamedTuple):
 
 
 def serial_ports() -> list[SerialPortInfo]:
-    """Return all serial ports, sorted by name."""
+    """Returns all serial ports, sorted by name."""
     return [
         SerialPortInfo(port.device, port.description or "", port.serial_number or "")
         for port in sorted(list_ports.comports(), key=lambda port: port.device)
@@ -42,7 +42,7 @@ def serial_ports() -> list[SerialPortInfo]:
 
 
 def open_port(name: str, baud: int = BAUD) -> serial.Serial:
-    """Open the port for this process alone; reads wait at most 50 ms, writes 0.5 s.
+    """Opens the port for this process alone; reads wait at most 50 ms, writes 0.5 s.
 
     Raises `RigError` for a port that is missing, busy, forbidden, or not a serial port.
     """
@@ -55,7 +55,7 @@ def open_port(name: str, baud: int = BAUD) -> serial.Serial:
 
 
 def read_piece(port: Readable) -> bytes:
-    """Return the received bytes, usually whole frames or lines; empty after the port's timeout.
+    """Returns the received bytes, usually whole frames or lines; empty after the port's timeout.
 
     The first read waits for one byte, and the second takes all further bytes. Returning the first
     byte alone would split each frame into two pieces and double the recorder's work.
@@ -66,7 +66,7 @@ def read_piece(port: Readable) -> bytes:
 
 
 def _open_failure(name: str, error: Exception) -> str:
-    """Return the message for a port that cannot be opened."""
+    """Returns the message for a port that cannot be opened."""
     number = getattr(error, "errno", None)
     if number is None and error.__context__ is not None:
         number = getattr(error.__context__, "errno", None)

@@ -223,12 +223,12 @@ _SAMPLE = struct.Struct("<4i")
 
 
 def type_byte(kind: type) -> int:
-    """Return the type byte of a message class."""
+    """Returns the type byte of a message class."""
     return _CODES[kind]
 
 
 def pack_message(message: Message) -> bytes:
-    """Return type byte and fields. Raises `struct.error` for a number too large for its field."""
+    """Returns type byte and fields. Raises `struct.error` for a number too large for its field."""
     code = _CODES[type(message)]
     layout = _LAYOUTS[code][1]
     if isinstance(message, Reading):
@@ -240,7 +240,7 @@ def pack_message(message: Message) -> bytes:
 
 
 def unpack_message(body: bytes) -> Message | None:
-    """Return the message in `body`; None if its type or length is unknown."""
+    """Returns the message in `body`; None if its type or length is unknown."""
     if not body or body[0] not in _LAYOUTS:
         return None
     kind, layout = _LAYOUTS[body[0]]
@@ -266,13 +266,13 @@ LONGEST_FRAME = 192
 
 
 def encode_frame(message: Message) -> bytes:
-    """Return the frame of a message, with its final zero byte."""
+    """Returns the frame of a message, with its final zero byte."""
     body = pack_message(message)
     return cobs.encode(body + crc32(body).to_bytes(4, "little")) + b"\0"
 
 
 def decode_frame(frame: bytes) -> Message | None:
-    """Return the message in `frame`, without its final zero; None if the frame is damaged."""
+    """Returns the message in `frame`, without its final zero; None if the frame is damaged."""
     try:
         content = cobs.decode(frame)
     except cobs.DecodeError:
@@ -294,7 +294,7 @@ class FrameDecoder:
         self._rest, self._noise = b"", False
 
     def feed(self, piece: bytes) -> list[Message]:
-        """Return the messages that end in this piece."""
+        """Returns the messages that end in this piece."""
         if not self._in_step:
             _, end, piece = piece.partition(b"\0")
             self._in_step = bool(end)

@@ -38,7 +38,7 @@ _END = re.compile(rb"\r\n|\r|\n")
 
 
 def counts_to_pascal(counts: float) -> float:
-    """Return the gauge pressure [Pa] of ADC `counts`."""
+    """Returns the gauge pressure [Pa] of ADC `counts`."""
     return PA_PER_PSI * (PSI_PER_COUNT * counts + PSI_AT_ZERO)
 
 
@@ -118,12 +118,12 @@ class Dialogue:
         self._candidate = 0
 
     def answered(self) -> None:
-        """Start a test; call it when the frequency is sent."""
+        """Starts a test; call it when the frequency is sent."""
         self._begin(DialogueStage.HEADER)
         self.unparsed, self.last_text, self._question = b"", "", ""
 
     def feed(self, piece: bytes) -> list[Event]:
-        """Return the events that `piece` completes, up to a test's end; keep the rest unparsed."""
+        """Returns events that `piece` completes, up to a test's end; keeps the rest unparsed."""
         self.unparsed += piece
         events: list[Event] = []
         at = 0
@@ -144,7 +144,7 @@ class Dialogue:
         return events
 
     def quiet(self) -> list[Event]:
-        """Return the events that a silence completes: a question, or a `done` without line end."""
+        """Returns the events that a silence completes: a question, or a `done` without line end."""
         if self.stage is DialogueStage.IDLE:
             text = _text(self.unparsed)
             question = text if _asks(text) else self._question
@@ -192,7 +192,7 @@ class Dialogue:
         return []
 
     def _accept(self, row: LogRow | None) -> list[Event]:
-        """Return the row if it is valid and in order. Only the order reveals a damaged number."""
+        """Returns the row if it is valid and in order. Only the order reveals a damaged number."""
         if row is None:
             self.damaged += 1
             return []

@@ -32,7 +32,7 @@ Sink = Callable[[int, bytes], None]
 
 
 def host_ns() -> int:
-    """Return the host's time [ns]; it never decreases and is the same in all processes."""
+    """Returns the host's time [ns]; it never decreases and is the same in all processes."""
     return time.monotonic_ns()
 
 
@@ -56,7 +56,7 @@ class ClockFit(NamedTuple):
         return float((self.host_s[-1] - self.host_s[0]) / (self.device_s[-1] - self.device_s[0]))
 
     def to_host(self, device_s: np.ndarray | float) -> np.ndarray:
-        """Return the host times [s] of device times [s]."""
+        """Returns the host times [s] of device times [s]."""
         x, (knots, host) = np.asarray(device_s, float), self[:2]
         left = np.clip(np.searchsorted(knots, x) - 1, 0, len(knots) - 2)
         slope = np.diff(host) / np.diff(knots)
@@ -64,7 +64,7 @@ class ClockFit(NamedTuple):
 
 
 def fit_clock(device_s: np.ndarray, host_s: np.ndarray) -> ClockFit:
-    """Return the clock fit of device times (n,) to arrival times at the host (n,), both [s].
+    """Returns the clock fit of device times (n,) to arrival times at the host (n,), both [s].
 
     Records longer than `PIECE` are fitted in pieces, because a quartz drifts with temperature.
     Raises `RigError` if the shapes differ, if device time decreases (the device restarted, see
@@ -118,7 +118,7 @@ class RunningClock:
         self._line: _Line | None = None
 
     def add(self, device_s: float, host_s: float) -> None:
-        """Add a message that was sent at `device_s` and arrived at `host_s`, both [s]."""
+        """Adds a message that was sent at `device_s` and arrived at `host_s`, both [s]."""
         if device_s < self._last:
             self.resets += 1
             self._blocks.clear()
@@ -131,7 +131,7 @@ class RunningClock:
                 del self._blocks[oldest]
 
     def to_host(self, device_s: np.ndarray | float) -> np.ndarray:
-        """Return the host times [s] of device times [s]. Raises `RigError` before any `add`."""
+        """Returns the host times [s] of device times [s]. Raises `RigError` before any `add`."""
         if not self._blocks:
             raise RigError("clock: no message has arrived yet; add a pair of times first")
         if self._line is None:
@@ -140,14 +140,14 @@ class RunningClock:
 
 
 def split_at_restarts(device_s: np.ndarray) -> list[slice]:
-    """Return the slices between restarts of the device, at which its time decreases."""
+    """Returns the slices between restarts of the device, at which its time decreases."""
     restarts = np.flatnonzero(np.diff(device_s) < 0) + 1
     ends = [0, *restarts.tolist(), len(device_s)]
     return [slice(a, b) for a, b in zip(ends, ends[1:], strict=False)]
 
 
 def unwrap_counter(counts: np.ndarray, modulus: int) -> np.ndarray:
-    """Return the counts (n,) of a counter that restarts from 0 at `modulus`, unwrapped (int64).
+    """Returns the counts (n,) of a counter that restarts from 0 at `modulus`, unwrapped (int64).
 
     A step larger than half the modulus is a wrap. A smaller backward step is kept: it is a
     reordered packet or a restart.
@@ -161,7 +161,7 @@ def unwrap_counter(counts: np.ndarray, modulus: int) -> np.ndarray:
 def host_sample_times(
     number: np.ndarray, arrived_ns: np.ndarray, rate: float, at: np.ndarray
 ) -> np.ndarray:
-    """Return the host times [ns], int64, of the samples numbered `at`, from numbers and rate.
+    """Returns the host times [ns], int64, of the samples numbered `at`, from numbers and rate.
 
     `number` (n,) are the increasing numbers of the samples that arrived at `arrived_ns` (n,).
     `rate` is the sensor's sampling rate [Hz], exact up to the tolerance of its quartz. Raises
@@ -193,7 +193,7 @@ class _Line(NamedTuple):
 
 
 def _line_below(x: np.ndarray, y: np.ndarray) -> _Line:
-    """Return the line below all points with the highest mean, for drifts up to `MAX_DRIFT`.
+    """Returns the line below all points with the highest mean, for drifts up to `MAX_DRIFT`.
 
     For a given drift the line touches one point. The line's mean is a concave function of the
     drift, with its maximum where the line touches points on both sides of the mean time. The loop
@@ -204,7 +204,7 @@ def _line_below(x: np.ndarray, y: np.ndarray) -> _Line:
     u, v = x - middle, y - x
 
     def touched(drift: float) -> int:
-        """Return the index of the point that the line of this drift touches."""
+        """Returns the index of the point that the line of this drift touches."""
         return int(np.argmin(v - drift * u))
 
     left, right = touched(-MAX_DRIFT), touched(MAX_DRIFT)

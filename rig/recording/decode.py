@@ -32,13 +32,13 @@ class DecodedReadings(NamedTuple):
     """Changes of the set pressures that the manifold followed, in order of arrival."""
 
     def pressures(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the signed pressures (n,) of the front and rear segment, left minus right [Pa]."""
+        """Returns signed pressures (n,) of the front and rear segment, left minus right [Pa]."""
         p = self.channels
         return p[:, 0] - p[:, 1], p[:, 2] - p[:, 3]
 
 
 def decode_readings(pieces: Iterable[tuple[int, bytes]]) -> DecodedReadings:
-    """Return the readings in a stream of (host time [ns], bytes).
+    """Returns the readings in a stream of (host time [ns], bytes).
 
     Bytes before the end of the first frame are not counted as damaged, because a recording may
     start within a frame.
@@ -83,7 +83,7 @@ class DriveSpan(NamedTuple):
 
 
 def drive_span(recording: Recording) -> DriveSpan:
-    """Return the span of the drive, from the recorded commands of an interrupted run.
+    """Returns the span of the drive, from the recorded commands of an interrupted run.
 
     Raises `RigError` if the drive had not begun.
     """

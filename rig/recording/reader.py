@@ -26,7 +26,7 @@ class RecordedStream(NamedTuple):
     """Incomplete pieces and bytes at the end of the file, which are omitted here."""
 
     def pieces(self) -> list[bytes]:
-        """Return each piece as it arrived."""
+        """Returns each piece as it arrived."""
         starts = [0, *self.ends.tolist()]
         return [self.data[a:b] for a, b in zip(starts, starts[1:], strict=False)]
 
@@ -44,7 +44,7 @@ class Recording(NamedTuple):
 
 
 def read_recording(path: Path | str) -> Recording:
-    """Return the recording at `path`; its end may be missing (see `RecordedStream.trimmed`).
+    """Returns the recording at `path`; its end may be missing (see `RecordedStream.trimmed`).
 
     Raises `RigError` if the file is missing, torn, of a newer schema, or not a recording.
     """

@@ -55,13 +55,13 @@ class AnalogueSensor:
             raise RigError.value("analogue scale", self.scale, "a finite number except 0")
 
     def signal(self, channels: np.ndarray) -> np.ndarray:
-        """Return values (...) for channels (..., 8), with 0 V for a `zero` of None."""
+        """Returns values (...) for channels (..., 8), with 0 V for a `zero` of None."""
         volts = 1e-6 * channels[..., CHANNELS.index(f"in_{self.input}_uV")]
         return self.scale * (volts - (self.zero or 0.0))
 
 
 def format_value(column: str, x: float) -> str:
-    """Return a column's value as text with its unit, lengths in mm and pressures in kPa."""
+    """Returns a column's value as text with its unit, lengths in mm and pressures in kPa."""
     unit = column.rsplit("_", 1)[-1]
     factor, shown = {"m": (1e3, "mm"), "Pa": (1e-3, "kPa")}.get(unit, (1.0, unit))
     return f"{factor * x:.3g} {shown}"
@@ -89,7 +89,7 @@ def trial_columns(
     instruments: dict[str, StreamReader],
     analogue: tuple[AnalogueSensor, ...] = (),
 ) -> TrialColumns:
-    """Return the columns from the drive's start at `begun_ns` (host time [ns]) to `duration` [s].
+    """Returns the columns from the drive's start at `begun_ns` (host time [ns]) to `duration` [s].
 
     The means at rest before the drive are subtracted from forces and tip, not from pressures.
     `instruments` has the reader of each stream by name. Raises `RigError` without readings.
@@ -149,7 +149,7 @@ def trial_columns(
 def _played_drive(
     readings: DecodedReadings, clock: ClockFit, begun_ns: int, duration: float
 ) -> dict[str, np.ndarray] | None:
-    """Return the columns of the played drive, or None if a change before `duration` was lost."""
+    """Returns the columns of the played drive, or None if a change before `duration` was lost."""
     if not readings.follows:
         return None
     sets = np.array([x[2:] for x in readings.follows], float)
@@ -190,7 +190,7 @@ def _rest(signal: np.ndarray) -> RestStatistics:
 def _motion_findings(
     column: str, quiet: np.ndarray, drive: np.ndarray, noise: float
 ) -> tuple[str, ...]:
-    """Return a finding if a sensor moved before the drive, else none."""
+    """Returns a finding if a sensor moved before the drive, else none."""
     pieces = np.array_split(quiet, max(1, len(quiet) // AVERAGED))
     before = float(np.ptp([x.mean() for x in pieces if x.size] or [0.0]))
     over = float(np.ptp(drive))
@@ -205,7 +205,7 @@ def _motion_findings(
 def resample_at_rows(
     rows: np.ndarray, at: np.ndarray, signal: np.ndarray, continuous: bool = True
 ) -> np.ndarray:
-    """Return a signal (m,), sampled at times `at` (m,) [s], at the times of `rows` (n,) [s].
+    """Returns a signal (m,), sampled at times `at` (m,) [s], at the times of `rows` (n,) [s].
 
     The result is NaN without a sample nearby; see `SampledColumns.continuous`.
     """

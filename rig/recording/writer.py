@@ -89,18 +89,18 @@ class _Stream:
                 self.size += len(piece)
 
     def shut(self) -> None:
-        """Count all further pieces as lost."""
+        """Counts all further pieces as lost."""
         with self.lock:
             self.max_size = -1
 
     def give_up(self) -> None:
-        """Count all pieces that are not on disk as lost."""
+        """Counts all pieces that are not on disk as lost."""
         with self.lock:
             self.waiting, self.size, self.max_size = [], 0, -1
             self.lost = (self.received[0] - self.recorded[0], self.received[1] - self.recorded[1])
 
     def write(self) -> None:
-        """Write the waiting bytes to disk, then their index."""
+        """Writes the waiting bytes to disk, then their index."""
         with self.lock:
             pieces, self.waiting, self.size = self.waiting, [], 0
             lost = self.lost
@@ -132,7 +132,7 @@ class AbstractRecorder(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Write the waiting pieces and end. Raises `RigError`."""
+        """Writes the waiting pieces and ends. Raises `RigError`."""
 
     def _raise_failure(self) -> None:
         if self._failure is not None and not self._raised:
@@ -182,7 +182,7 @@ class Recorder(AbstractRecorder):
         self._thread.start()
 
     def sink(self, stream: str) -> Sink:
-        """Return a function `sink(host_ns, piece)` that records a piece.
+        """Returns a function `sink(host_ns, piece)` that records a piece.
 
         Any thread may call it; it never waits. Raises `RigError` for an unknown stream.
         """
@@ -191,7 +191,7 @@ class Recorder(AbstractRecorder):
         return self._streams[stream].put
 
     def load(self) -> RecorderLoad:
-        """Return the recorder's present load."""
+        """Returns the recorder's present load."""
         streams = self._streams.items()
         return RecorderLoad(
             {name: stream.recorded[0] for name, stream in streams},
@@ -201,11 +201,11 @@ class Recorder(AbstractRecorder):
         )
 
     def check(self) -> None:
-        """Raise the disk's failure as `RigError`, once."""
+        """Raises the disk's failure as `RigError`, once."""
         self._raise_failure()
 
     def close(self) -> None:
-        """Write the waiting pieces and end; raises as `check`. A second call does nothing."""
+        """Writes the waiting pieces and ends; raises as `check`. A second call does nothing."""
         self._ending.set()
         self._thread.join()
         self.check()
@@ -244,7 +244,7 @@ class Recorder(AbstractRecorder):
 
 
 def _close_without_disk(file: h5py.File) -> None:
-    """Close the file, with HDF5's last writes redirected to memory.
+    """Closes the file, with HDF5's last writes redirected to memory.
 
     On a failed disk HDF5 cannot close the file, and would crash the process at its end.
     """
@@ -256,7 +256,7 @@ def _close_without_disk(file: h5py.File) -> None:
 
 
 def open_to_write(path: Path) -> h5py.File:
-    """Return the file, opened to write in SWMR mode from the start.
+    """Returns the file, opened to write in SWMR mode from the start.
 
     h5py opens a file normally before it switches to SWMR; a kill in between would block readers.
     """
@@ -264,7 +264,7 @@ def open_to_write(path: Path) -> h5py.File:
 
 
 def open_to_read(path: Path) -> h5py.File:
-    """Return the file, opened to read, also if it is being written or its writer was killed."""
+    """Returns the file, opened to read, also if it is being written or its writer was killed."""
     return _open_swmr(path, h5f.ACC_RDONLY | h5f.ACC_SWMR_READ)
 
 
@@ -285,7 +285,7 @@ def _append(dataset: h5py.Dataset, start: int, rows: np.ndarray) -> None:
 
 
 def _create(path: Path, streams: tuple[str, ...], settings: Mapping[str, Any]) -> None:
-    """Write an empty recording to `path`, atomically."""
+    """Writes an empty recording to `path`, atomically."""
     if not streams or len(set(streams)) < len(streams) or not all(map(str.isidentifier, streams)):
         raise RigError.value("streams", streams, "identifiers without repetition")
     text = settings_json(path, settings)
@@ -324,7 +324,7 @@ def _create(path: Path, streams: tuple[str, ...], settings: Mapping[str, Any]) -
 
 
 def settings_json(path: Path | str, settings: Mapping[str, Any]) -> str:
-    """Return `settings` as JSON. Raises `RigError`, which names the recording at `path`."""
+    """Returns `settings` as JSON. Raises `RigError`, which names the recording at `path`."""
     try:
         return json.dumps(settings, allow_nan=False)
     except (TypeError, ValueError) as error:

@@ -87,7 +87,7 @@ class ProcessRecorder(AbstractRecorder):
         return self._process.pid
 
     def sink(self, stream: str) -> Sink:
-        """Return a function `sink(host_ns, piece)`, as `Recorder.sink`."""
+        """Returns a function `sink(host_ns, piece)`, as `Recorder.sink`."""
         if stream not in self._names:
             raise RigError.value("stream", repr(stream), ", ".join(self._names))
         number = self._names.index(stream)
@@ -100,12 +100,12 @@ class ProcessRecorder(AbstractRecorder):
         return put
 
     def load(self) -> RecorderLoad:
-        """Return the recorder's load; allowed after `close` only."""
+        """Returns the recorder's load; allowed after `close` only."""
         assert self._load is not None
         return self._load
 
     def check(self) -> None:
-        """Raise the first failure as `RigError`, once."""
+        """Raises the first failure as `RigError`, once."""
         if self._size > self._most and self._failure is None:
             self._failure = RigError(
                 f"{self.path}: the disk is too slow, {self._size >> 20} MiB are waiting; record to "
@@ -114,7 +114,7 @@ class ProcessRecorder(AbstractRecorder):
         self._raise_failure()
 
     def close(self) -> None:
-        """Write the waiting pieces and end the process; raises as `check`."""
+        """Writes the waiting pieces and ends the process; raises as `check`."""
         if not self._closed:
             self._closed = True
             self._ending.set()
@@ -136,7 +136,7 @@ class ProcessRecorder(AbstractRecorder):
             self._process.stdin.close()
 
     def _write(self, content: bytes) -> None:
-        """Write to the process; `_listen` reports it if the process has ended."""
+        """Writes to the process; `_listen` reports it if the process has ended."""
         assert self._process.stdin is not None
         with suppress(OSError, ValueError):
             self._process.stdin.write(content)
@@ -176,7 +176,7 @@ class ProcessRecorder(AbstractRecorder):
 
 
 def write_from_stdin() -> None:
-    """Read a request (a line of JSON), then record pieces until the end of the standard input."""
+    """Reads a request (a line of JSON), then record pieces until the end of the standard input."""
     # The program handles these signals and closes the standard input.
     for name in ("SIGINT", "SIGHUP", "SIGTERM"):
         if hasattr(signal, name):

@@ -29,18 +29,18 @@ class HostClockedRig:
         self._zero_ns: int | None = None
 
     def feed(self, piece: bytes, now_us: int) -> bytes:
-        """Take bytes from the host and return the answer, as `Device.feed`."""
+        """Takes bytes from the host and returns the answer, as `Device.feed`."""
         return self.rig.feed(piece, now_us)
 
     def tick(self, now_us: int) -> bytes:
-        """Advance as `Device.tick`, and call `on_time` with the time since the start [s]."""
+        """Advances as `Device.tick`, and calls `on_time` with the time since the start [s]."""
         zero = time.monotonic_ns() - 1000 * now_us
         self._zero_ns = zero if self._zero_ns is None else min(zero, self._zero_ns)
         self._on_time(1e-6 * now_us)
         return self.rig.tick(now_us)
 
     def wrench(self, host_s: float) -> np.ndarray:
-        """Return forces [N] and torques [N m] (6,) at a host time [s]: thrust in x, recoil in y."""
+        """Returns forces [N], torques [N m] (6,) at a host time [s]: thrust in x, recoil in y."""
         zero = self._zero_ns or time.monotonic_ns()
         at = round((1e9 * host_s - zero) / 1000)
         # A delayed tank has no present force yet. A late record is detectable, and a guessed one
@@ -52,7 +52,7 @@ class HostClockedRig:
         return np.array([now.thrust, now.recoil, 0.0, 0.0, 0.0, 0.0])
 
     def on_step(self, host_s: float) -> float:
-        """Return the next host time [s] just before a step of the tank.
+        """Returns the next host time [s] just before a step of the tank.
 
         Records sampled between steps would wait for the next step and be late. The steps begin at
         the first tick, at any device time.
@@ -70,7 +70,7 @@ class ServedRig(NamedTuple):
     page_port: int
 
     def settings(self) -> str:
-        """Return the text of a rig file for this rig."""
+        """Returns the text of a rig file for this rig."""
         return (
             f"# {MADE_UP}.\n"
             "[force]\n"
@@ -91,7 +91,7 @@ def serve_rig(
     on_time: Callable[[float], None] = lambda seconds: None,
     seed: int = 0,
 ) -> Iterator[ServedRig]:
-    """Run the rig in threads of this process until the block ends.
+    """Runs the rig in threads of this process until the block ends.
 
     `force_noise` is the standard deviation of the forces [N]; `on_time` gets the time since the
     start [s] at each tick.
@@ -124,11 +124,11 @@ class ReplayDevice:
         return self._next == len(self._pieces)
 
     def feed(self, piece: bytes, now_us: int) -> bytes:
-        """Ignore bytes from the host."""
+        """Ignores bytes from the host."""
         return b""
 
     def tick(self, now_us: int) -> bytes:
-        """Return the bytes that are due up to `now_us`."""
+        """Returns the bytes that are due up to `now_us`."""
         first = self._next
         while not self.ended and self._due[self._next] <= now_us:
             self._next += 1

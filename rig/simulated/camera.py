@@ -50,11 +50,11 @@ class Scene:
     seed: int = 0
 
     def truth(self, number: int) -> np.ndarray:
-        """Return the marker positions (markers, 2) [px] in the middle of a frame's exposure."""
+        """Returns the marker positions (markers, 2) [px] in the middle of a frame's exposure."""
         return self.path(np.array([number / self.fps]))[0]
 
     def image(self, number: int) -> np.ndarray:
-        """Return frame `number`, BGR uint8 (height, width, 3)."""
+        """Returns frame `number`, BGR uint8 (height, width, 3)."""
         cv2 = import_opencv()
         rng = np.random.default_rng([self.seed, number])
         light = _water(self.size, number / self.fps, self.seed)
@@ -84,7 +84,7 @@ class SimulatedCamera:
         self._left = iter(n for n in range(scene.frames) if n not in scene.dropped)
 
     def read(self) -> Shot | None:
-        """Return the next frame that is not dropped; its time is from the scene's start."""
+        """Returns the next frame that is not dropped; its time is from the scene's start."""
         number = next(self._left, None)
         if number is None:
             return None
@@ -92,11 +92,11 @@ class SimulatedCamera:
         return Shot(time_ns, time_ns, self._scene.image(number))
 
     def close(self) -> None:
-        """Do nothing: there is no device to close."""
+        """Does nothing: there is no device to close."""
 
 
 def write_video(path: Path | str, scene: Scene) -> None:
-    """Write the scene as a lossless AVI (FFV1).
+    """Writes the scene as a lossless AVI (FFV1).
 
     A dropped frame becomes an empty chunk, as in a recorder's file, so the others keep their times.
     """
@@ -118,7 +118,7 @@ def write_video(path: Path | str, scene: Scene) -> None:
 
 
 def _with_gaps(avi: bytes, scene: Scene) -> bytes:
-    """Return an AVI with an empty chunk per dropped frame, and without its index."""
+    """Returns an AVI with an empty chunk per dropped frame, and without its index."""
     start = avi.index(b"movi") + 4
     chunks, at = [], start
     for number in range(scene.frames):
@@ -141,7 +141,7 @@ def _with_gaps(avi: bytes, scene: Scene) -> bytes:
 
 
 def _water(size: tuple[int, int], t: float, seed: int) -> np.ndarray:
-    """Return an image (height, width, 3) of uneven water with moving caustics."""
+    """Returns an image (height, width, 3) of uneven water with moving caustics."""
     rng = np.random.default_rng([seed, 10**6])
     y, x = np.mgrid[0 : size[0] : 4, 0 : size[1] : 4].astype(np.float32)
     swell, warp = np.zeros_like(x), np.zeros_like(x)
@@ -159,7 +159,7 @@ def _water(size: tuple[int, int], t: float, seed: int) -> np.ndarray:
 
 
 def _draw_body(light: np.ndarray, positions: np.ndarray, radius: float) -> None:
-    """Draw a dark band along the markers, narrower than a marker at the tip."""
+    """Draws a dark band along the markers, narrower than a marker at the tip."""
     points = np.rint(positions * 16).astype(int).tolist()
     cover = np.zeros(light.shape[:2], np.uint8)
     cv2 = import_opencv()
@@ -172,14 +172,14 @@ def _draw_body(light: np.ndarray, positions: np.ndarray, radius: float) -> None:
 
 
 def _patch(light: np.ndarray, positions: np.ndarray, reach: float) -> tuple[int, int, int, int]:
-    """Return left, top, right, bottom of the image area within `reach` of positions (k, 2)."""
+    """Returns left, top, right, bottom of the image area within `reach` of positions (k, 2)."""
     low = np.maximum(np.floor(positions.min(axis=0) - reach), 0).astype(int)
     high = np.ceil(positions.max(axis=0) + reach + 1).astype(int)
     return low[0], low[1], min(high[0], light.shape[1]), min(high[1], light.shape[0])
 
 
 def _draw_marker(light: np.ndarray, positions: np.ndarray, radius: float) -> None:
-    """Draw a disc averaged over positions (k, 2); a pixel is the mean of its samples."""
+    """Draws a disc averaged over positions (k, 2); a pixel is the mean of its samples."""
     left, top, right, bottom = _patch(light, positions, radius)
     if left >= right or top >= bottom:
         return
@@ -197,7 +197,7 @@ def _draw_marker(light: np.ndarray, positions: np.ndarray, radius: float) -> Non
 def _draw_glare(
     light: np.ndarray, center: np.ndarray, radius: float, rng: np.random.Generator
 ) -> None:
-    """Draw saturated white light on a part of a marker and beside it."""
+    """Draws saturated white light on a part of a marker and beside it."""
     angle, turn = rng.uniform(0, 2 * np.pi, 2)
     away = radius * rng.uniform(0.2, 1.1)
     x0, y0 = center[0] + away * np.cos(angle), center[1] + away * np.sin(angle)

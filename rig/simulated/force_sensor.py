@@ -49,7 +49,7 @@ class LossyNetwork:
         self._held: list[tuple[int, bytes]] = []
 
     def transmit(self, datagram: bytes) -> list[bytes]:
-        """Send a datagram and return those that arrive; a delayed one arrives 1 to 8 later."""
+        """Sends a datagram and returns those that arrive; a delayed one arrives 1 to 8 later."""
         out = []
         lost, late, twice = self._random.random(3) < (self.drop, self.reorder, self.duplicate)
         if lost:
@@ -100,7 +100,7 @@ class SimulatedForceBox:
         self._last = (0,) * 6
 
     def record(self, number: int, t: float) -> bytes:
-        """Return record `number` (from 0, consecutive) of the stream, sampled at `t` [s]."""
+        """Returns record `number` (from 0, consecutive) of the stream, sampled at `t` [s]."""
         load = np.asarray(self.wrench(t), float) + self.noise * self._random.standard_normal(6)
         status = self.status
         if np.any(np.abs(load) > self.limit):
@@ -112,7 +112,7 @@ class SimulatedForceBox:
         return rdt.RECORD.pack(number + 1, self._ft_seq, status, *self._last)
 
     def bias(self, t: float) -> None:
-        """Take the wrench at `t` [s] as zero."""
+        """Takes the wrench at `t` [s] as zero."""
         self.zero = np.clip(self.wrench(t), -self.limit, self.limit)
 
 
@@ -159,7 +159,7 @@ class SimulatedForceSensor:
         self._thread.start()
 
     def serve_page(self, port: int = 0) -> int:
-        """Serve the calibration page over HTTP and return the port."""
+        """Serves the calibration page over HTTP and returns the port."""
         sensor = self
 
         class Page(BaseHTTPRequestHandler):
@@ -177,7 +177,7 @@ class SimulatedForceSensor:
         return self._web.server_port
 
     def _due(self) -> float:
-        """Return the sampling time of the next record on the host's clock [s]."""
+        """Returns the sampling time of the next record on the host's clock [s]."""
         return self._start + self._sent * self.box.period / (1 + self.drift)
 
     def _serve(self) -> None:

@@ -33,7 +33,7 @@ class GrblAxis:
         self._rest, self._feed, self._relative = b"", 0.0, False
 
     def feed(self, data: bytes, now_us: int) -> bytes:
-        """Take bytes from the host and return the answer."""
+        """Takes bytes from the host and returns the answer."""
         out = self.tick(now_us)
         for byte in data:
             char = bytes([byte])
@@ -53,7 +53,7 @@ class GrblAxis:
         return out
 
     def tick(self, now_us: int) -> bytes:
-        """Advance to `now_us` and return the messages sent without a request."""
+        """Advances to `now_us` and returns the messages sent without a request."""
         if self.state == "Run":
             position = self._motion(now_us)[0]
             if self.switch_at is not None and position >= 1e3 * self.switch_at:
@@ -67,7 +67,7 @@ class GrblAxis:
         return b""
 
     def position(self, now_us) -> np.ndarray:
-        """Return the past, present or planned positions [m] at times `now_us` [us] of any shape."""
+        """Returns past, present or planned positions [m] at times `now_us` [us] of any shape."""
         t = np.asarray(now_us, float) / 1e6
         table = np.array(self._pieces)
         piece = table[np.searchsorted(table[1:, 0], t, side="right")]
@@ -75,11 +75,11 @@ class GrblAxis:
         return (position + speed * (t - start) + 0.5 * slope * (t - start) ** 2) / 1e3
 
     def speed(self, now_us: int) -> float:
-        """Return the speed [m/s]."""
+        """Returns the speed [m/s]."""
         return self._motion(now_us)[1] / 1e3
 
     def _motion(self, now_us: int) -> tuple[float, float]:
-        """Return position [mm] and speed [mm/s]."""
+        """Returns position [mm] and speed [mm/s]."""
         start, position, speed, slope = next(
             p for p in reversed(self._pieces) if p[0] <= now_us / 1e6
         )
@@ -138,7 +138,7 @@ class GrblAxis:
         return b"ok\r\n"
 
     def _go(self, distance: float, feed: float, now_us: int) -> None:
-        """Move from rest to rest over a distance [mm] at a feed [mm/min]."""
+        """Moves from rest to rest over a distance [mm] at a feed [mm/min]."""
         t, position, sign = now_us / 1e6, self._motion(now_us)[0], 1.0 if distance > 0.0 else -1.0
         slope = self.settings[120]
         speed = min(feed / 60.0, sqrt(slope * abs(distance)))
@@ -207,7 +207,7 @@ class Swimmer:
     """Standard deviation of U between runs [m/s]."""
 
     def swim(self, t, random: np.random.Generator) -> np.ndarray:
-        """Return the positions [m] at times t [s] of one run."""
+        """Returns the positions [m] at times t [s] of one run."""
         speed = self.speed + self.scatter * random.normal()
         turn, phase = self.turn * random.normal() + 1e-12, 2.0 * np.pi * random.random()
         steady = np.expm1(1j * turn * t) / (1j * turn)
@@ -243,7 +243,7 @@ class SimulatedFilm:
         self.random = np.random.default_rng(self.seed)
 
     def __call__(self, move) -> tuple[np.ndarray, np.ndarray]:
-        """Call `move()` and return times [s] and marker positions [m] meanwhile, NaN where lost."""
+        """Calls `move()` and returns times [s] and marker positions [m], NaN where lost."""
         start = self.clock_us()
         move()
         t = np.arange(0.0, (self.clock_us() - start) / 1e6, 1.0 / self.rate)

@@ -46,7 +46,7 @@ class ManifoldCore:
         return self._decoder.damaged + self._foreign
 
     def feed(self, piece: bytes, now_us: int) -> bytes:
-        """Take bytes from the host and return the answer."""
+        """Takes bytes from the host and returns the answer."""
         replies = self._watch(now_us)
         for message in self._decoder.feed(piece):
             if wire.type_byte(type(message)) < 0x80:  # the host's messages; the others are foreign
@@ -57,12 +57,12 @@ class ManifoldCore:
         return b"".join(map(wire.encode_frame, replies))
 
     def delay_last_command(self, now_us: int, fed_us: int) -> None:
-        """Set the time of the last valid command, if fed at `fed_us`, to `now_us`."""
+        """Sets the time of the last valid command, if fed at `fed_us`, to `now_us`."""
         if self._last_command == fed_us:
             self._last_command = now_us
 
     def tick(self, now_us: int, channels: Sequence[int]) -> bytes:
-        """Make one pass of the main loop with channels (8,); return the bytes sent."""
+        """Makes one pass of the main loop with channels (8,); returns the bytes sent."""
         sent: list[wire.Message] = []
         if self._due is None:
             self._due = now_us + self._period
@@ -197,7 +197,7 @@ class ManifoldCore:
 
 
 def _outside(pressures: Pressures, limits: Pressures) -> tuple[wire.Answer, int] | None:
-    """Return why the pressures are refused and the first wrong chamber, or None."""
+    """Returns why the pressures are refused and the first wrong chamber, or None."""
     for chamber, (pressure, limit) in enumerate(zip(pressures, limits, strict=True)):
         if pressure < 0:
             return wire.Answer.BELOW_ZERO, chamber

@@ -39,13 +39,13 @@ class PublishedFirmware:
         self._start = 0
 
     def feed(self, piece: bytes, now_us: int) -> bytes:
-        """Take bytes from the host; the answer comes at a later tick."""
+        """Takes bytes from the host; the answer comes at a later tick."""
         self._typed += piece
         self._typed_at = now_us
         return b""
 
     def tick(self, now_us: int) -> bytes:
-        """Return the bytes sent up to `now_us`."""
+        """Returns the bytes sent up to `now_us`."""
         if self._script is None:
             frequency = self._answer(now_us)
             if frequency is None:
@@ -73,7 +73,7 @@ class PublishedFirmware:
 
 
 def replay_log(log: bytes, period_us: int = PERIOD_US) -> Callable[[float, int], Script]:
-    """Return a test that sends a log byte for byte, one row every `period_us` (0: all at once).
+    """Returns a test that sends a log byte for byte, one row every `period_us` (0: all at once).
 
     The test ignores the frequency, so send the log's own.
     """
@@ -89,7 +89,7 @@ def replay_log(log: bytes, period_us: int = PERIOD_US) -> Callable[[float, int],
 
 
 def simulate_frequency_test(plant: Plant, cycles: int = 10) -> Callable[[float, int], Script]:
-    """Return a test of `plant` with the firmware's sine and valve law, a row every `PERIOD_US`.
+    """Returns a test of `plant` with the firmware's sine and valve law, a row every `PERIOD_US`.
 
     The duty is min(250, 10 |error|) with the error in counts. It drives the fill valve if the error
     is positive and the vent valve otherwise, until the next row.

@@ -52,7 +52,7 @@ class FaultyLine:
         self._random = Random(self.faults.seed)
 
     def damage(self, piece: bytes) -> bytes:
-        """Return the bytes of a piece that arrive."""
+        """Returns the bytes of a piece that arrive."""
         faults = self.faults
         share = faults.flipped + faults.dropped + faults.inserted
         if not share or not piece:
@@ -98,7 +98,7 @@ class SimulatedRig:
         self._followed: list[tuple[int, SetPoint]] = []
 
     def feed(self, piece: bytes, now_us: int) -> bytes:
-        """Take bytes from the host and return the answer."""
+        """Takes bytes from the host and returns the answer."""
         at = min(now_us, self._at + STALL)
         sent = self.core.feed(self._in.damage(piece), at)
         if at < now_us:
@@ -107,7 +107,7 @@ class SimulatedRig:
         return self._delayed(self._out.damage(sent), now_us)
 
     def tick(self, now_us: int) -> bytes:
-        """Advance to `now_us` and return the bytes sent meanwhile."""
+        """Advances to `now_us` and returns the bytes sent meanwhile."""
         if self._start is None:
             self._start = self._at = now_us
             self._followed.insert(0, (now_us, None))
@@ -134,7 +134,7 @@ class SimulatedRig:
         return self._states[-1][0] if self._states else 0
 
     def state_at(self, now_us: int) -> TankState:
-        """Return the tank's true state at a time within the last 0.25 s.
+        """Returns the tank's true state at a time within the last 0.25 s.
 
         It is linear between the steps, and extrapolated by at most one step.
         """
@@ -155,7 +155,7 @@ class SimulatedRig:
         return TankState((p[0], p[1], p[2], p[3]), *rest)
 
     def _mean_set(self) -> SetPoint:
-        """Return the mean set point over the step that ends now, and keep the later ones."""
+        """Returns the mean set point over the step that ends now, and keeps the later ones."""
         start, end = self._at - STEP, self._at
         times = [max(at, start) for at, _ in self._followed if at < end]
         sets = [x for at, x in self._followed if at < end]

@@ -24,7 +24,7 @@ class Tank(Protocol):
     """A robot in water, or a replacement of it."""
 
     def advance(self, set_pressures: tuple[int, ...] | None, seconds: float) -> TankState:
-        """Advance by `seconds` at set gauge pressures (4,) [Pa], None: vented; return the state."""
+        """Advances by `seconds` at gauge pressures (4,) [Pa], None: vented; returns the state."""
         ...
 
 
@@ -46,7 +46,7 @@ class BenchTank:
         self._tip = 0.0
 
     def advance(self, set_pressures: tuple[int, ...] | None, seconds: float) -> TankState:
-        """Advance as `Tank.advance`, exact for constant set pressures; the tail to first order."""
+        """Advances as `Tank.advance`, exact for constant set pressures; the tail to first order."""
         wanted = set_pressures or (0, 0, 0, 0)
         for i, target in enumerate(wanted):
             rate = 1.0 / self.lag + self.leak[i]
@@ -71,7 +71,7 @@ class BenchChamber:
         self._random, self._p = Random(seed), 0.0
 
     def __call__(self, fill: int, vent: int, seconds: float) -> float:
-        """Return the measured gauge pressure [Pa] after `seconds` at duties of 0 to 255."""
+        """Returns the measured gauge pressure [Pa] after `seconds` at duties of 0 to 255."""
         into, out = fill / 255.0 / self.lag, vent / 255.0 / self.lag
         if into + out > 0.0:
             steady = into * self.supply / (into + out)

@@ -27,11 +27,11 @@ class Device(Protocol):
     """A device that exchanges bytes; its time is in microseconds since it was switched on."""
 
     def feed(self, piece: bytes, now_us: int) -> bytes:
-        """Take bytes from the host and return the answer."""
+        """Takes bytes from the host and returns the answer."""
         ...
 
     def tick(self, now_us: int) -> bytes:
-        """Advance to `now_us` and return the bytes sent meanwhile."""
+        """Advances to `now_us` and returns the bytes sent meanwhile."""
         ...
 
 
@@ -57,7 +57,7 @@ class Terminal:
         self.path = os.ttyname(self._theirs)
 
     def wait_for_host(self) -> None:
-        """Wait until a program has opened the port."""
+        """Waits until a program has opened the port."""
         os.close(self._theirs)
         self._theirs = -1
         listener = select.poll()
@@ -69,7 +69,7 @@ class Terminal:
             self._theirs = os.open(self.path, os.O_RDWR | os.O_NOCTTY)
 
     def serve(self, ended: Callable[[], bool]) -> None:
-        """Run the device in real time until `ended()`; then remove the port."""
+        """Runs the device in real time until `ended()`; then remove the port."""
         start = time.monotonic_ns()
         try:
             while not ended():
@@ -105,7 +105,7 @@ class Terminal:
 
 @contextmanager
 def serve_in_thread(device: Device, backlog: int = BACKLOG) -> Iterator[ServedDevice]:
-    """Run the device in a thread of this process."""
+    """Runs the device in a thread of this process."""
     terminal, end = Terminal(device, backlog), threading.Event()
     thread = threading.Thread(target=terminal.serve, args=(end.is_set,), name="device", daemon=True)
 
@@ -124,7 +124,7 @@ def serve_in_thread(device: Device, backlog: int = BACKLOG) -> Iterator[ServedDe
 def serve_in_process(
     make: Callable[..., Device], *arguments: object, backlog: int = BACKLOG
 ) -> Iterator[ServedDevice]:
-    """Run the device `make(*arguments)` in its own process, which ends with this one.
+    """Runs the device `make(*arguments)` in its own process, which ends with this one.
 
     `make` must be a function or class of a module, because the new process imports it. Raises
     `RigError` if the device does not start.

@@ -23,19 +23,19 @@ class RecordedInstrument(Protocol):
     """An instrument that is recorded beside the manifold: a force sensor or a camera."""
 
     def start(self, sink: Sink) -> None:
-        """Begin to call `sink` with (host time [ns], bytes)."""
+        """Begins to call `sink` with (host time [ns], bytes)."""
         ...
 
     def stop(self) -> None:
-        """Stop calling the sink."""
+        """Stops calling the sink."""
         ...
 
     def check(self) -> None:
-        """Raise `RigError` if the instrument failed or sends no data."""
+        """Raises `RigError` if the instrument failed or sends no data."""
         ...
 
     def close(self) -> None:
-        """Release the instrument."""
+        """Releases the instrument."""
         ...
 
 
@@ -63,7 +63,7 @@ class PlannedTrial:
     """Duration of the drive without its fade [s]."""
 
     def check(self, limits: PressureLimits) -> None:
-        """Raise `RigError` with the trial's name if a set pressure exceeds its chamber's limit."""
+        """Raises `RigError` with the trial's name if a set pressure exceeds its chamber's limit."""
         try:
             self.drive.check(limits, self.duration)
         except RigError as error:
@@ -96,7 +96,7 @@ class ManifoldSinks(NamedTuple):
     sent: SwitchableSink
 
     def disconnect(self) -> None:
-        """Drop all further bytes."""
+        """Drops all further bytes."""
         self.received.to = self.sent.to = None
 
 
@@ -111,7 +111,7 @@ def record_trial(
     timing: TrialTiming = TrialTiming(),
     watch: Callable[[str, float], None] = lambda phase, t: None,
 ) -> RecordedTrial:
-    """Record a trial to `path` and return how it was played.
+    """Records a trial to `path` and returns how it was played.
 
     `instruments` has each instrument by the name of its stream. At the end and on every error, the
     manifold vents before anything else. `watch` is called about 100 times a second with the phase

@@ -83,7 +83,7 @@ class ReadingCollector:
         self.rows.append((host_ns, reading))
 
     def take(self) -> list[tuple[int, Reading]]:
-        """Return and remove the readings since the last call."""
+        """Returns and remove the readings since the last call."""
         rows = self.rows[: len(self.rows)]
         del self.rows[: len(rows)]
         return rows
@@ -95,7 +95,7 @@ def check_manifold(
     pressure: float,
     progress: Callable[[str], None] = lambda text: None,
 ) -> ManifoldCheck:
-    """Return the check of a configured manifold, with each chamber in turn at `pressure` [Pa].
+    """Returns the check of a configured manifold, with each chamber in turn at `pressure` [Pa].
 
     `collector` receives the manifold's readings. Raises `RigError`.
     """
@@ -144,7 +144,7 @@ def check_manifold(
 
 
 def check_force(source: ForceSource, mounting: SensorMounting, seconds: float = 1.0) -> ForceCheck:
-    """Return the check of a force sensor at rest, over `seconds`. Raises `RigError`."""
+    """Returns the check of a force sensor at rest, over `seconds`. Raises `RigError`."""
     received: list[tuple[int, bytes]] = []
     source.start(lambda host_ns, piece: received.append((host_ns, piece)))
     try:

@@ -61,7 +61,7 @@ class LiveStream:
         self.manifold: Manifold | None = None
 
     def set(self, pressures: Pressures) -> int:
-        """Send set pressures [Pa] to the manifold and return the command's number."""
+        """Sends set pressures [Pa] to the manifold and returns the command's number."""
         assert self.manifold is not None
         with self._lock:
             seq = self.manifold.set(pressures)
@@ -71,19 +71,19 @@ class LiveStream:
         return seq
 
     def reading(self, host_ns: int, reading: Reading) -> None:
-        """Add a reading that arrived at `host_ns`."""
+        """Adds a reading that arrived at `host_ns`."""
         self._received.append((host_ns, reading))
 
     def follows(self, change: Follows) -> None:
-        """Add a change of the set pressures that the valves follow."""
+        """Adds a change of the set pressures that the valves follow."""
         self._received.append(change)
 
     def force(self, host_ns: int, sensor_s: float, thrust: float, recoil: float) -> None:
-        """Add a force sample [N] of the sensor's time [s] that arrived at `host_ns`."""
+        """Adds a force sample [N] of the sensor's time [s] that arrived at `host_ns`."""
         self._forces_received.append((host_ns, sensor_s, thrust, recoil))
 
     def take(self) -> LiveReadings:
-        """Return the complete readings: up to the latest force sample, if forces are measured."""
+        """Returns the complete readings: up to the latest force sample, if forces are measured."""
         self._order()
         forces = np.array(self._forces).reshape(-1, 3).T
         if len(forces[0]):
@@ -112,7 +112,7 @@ class LiveStream:
         return LiveReadings(device, set_pressure, measured, arrived)
 
     def _order(self) -> None:
-        """Add to each new reading the mean set pressures since the previous reading."""
+        """Adds to each new reading the mean set pressures since the previous reading."""
         for host_ns, sensor_s, *forces in _all_of(self._forces_received):
             self._force_clock.add(sensor_s, 1e-9 * host_ns)
             self._forces.append((sensor_s, forces[0], forces[1]))
@@ -139,7 +139,7 @@ class LiveStream:
 
 
 def _all_of(items: deque[Item]) -> Iterator[Item]:
-    """Yield and remove the present items; another thread may append meanwhile."""
+    """Yields and remove the present items; another thread may append meanwhile."""
     for _ in range(len(items)):
         yield items.popleft()
 
@@ -151,20 +151,20 @@ class _Followed:
         self.forget()
 
     def forget(self) -> None:
-        """Return to the initial state without set pressures."""
+        """Returns to the initial state without set pressures."""
         self._at: list[float] = [-np.inf]
         self._sets: list[Signed] = [(0.0, 0.0)]
         self._since: float | None = None
 
     def change(self, t: float, pressures: Signed) -> None:
-        """Add a change at `t`."""
+        """Adds a change at `t`."""
         if t < self._at[-1]:  # the manifold restarted
             self.forget()
         self._at.append(t)
         self._sets.append(pressures)
 
     def at_reading(self, t: float, pressures: Signed) -> None:
-        """Add the set pressures that a reading at `t` reports.
+        """Adds the set pressures that a reading at `t` reports.
 
         If they are new, the report of the change was lost; the change is put halfway between this
         reading and the previous one.
@@ -173,7 +173,7 @@ class _Followed:
             self.change(t if self._since is None else 0.5 * (self._since + t), pressures)
 
     def mean_until(self, t: float) -> Signed:
-        """Return the mean since the last call's time, in the first call the value at `t`."""
+        """Returns the mean since the last call's time, in the first call the value at `t`."""
         last = bisect_right(self._at, t) - 1
         since, self._since = self._since, t
         if since is None or not since < t:

@@ -30,7 +30,7 @@ class PlaybackRecord(NamedTuple):
 
 
 def command_times(drive: SegmentDrive, duration: float, rate: float = RATE) -> np.ndarray:
-    """Return the times [s] of all commands in [0, duration)."""
+    """Returns the times [s] of all commands in [0, duration)."""
     regular = np.arange(int(np.ceil(duration * rate))) / rate
     regular = regular[regular < duration]
     times = np.union1d(regular, drive.edges(duration))
@@ -46,7 +46,7 @@ def play_drive(
     watch: Callable[[float], None] = lambda t: None,
     fade: float = 0.0,
 ) -> PlaybackRecord:
-    """Play a drive immediately and return the commands' lateness.
+    """Plays a drive immediately and returns the commands' lateness.
 
     `watch` is called with each command's time [s]; its errors end the trial. After `duration` the
     amplitude decreases over `fade` [s] as a squared cosine. After an abrupt end the body would
@@ -70,6 +70,6 @@ def play_drive(
 
 
 def wait_until(deadline: float) -> None:
-    """Sleep until `time.monotonic` reaches `deadline` [s]."""
+    """Sleeps until `time.monotonic` reaches `deadline` [s]."""
     while (remaining := deadline - time.monotonic()) > 0.0:
         time.sleep(remaining)

@@ -72,7 +72,7 @@ def run_trials(
     settings: dict[str, Any],
     watch: Callable[[str, str, float], None] = lambda trial, phase, t: None,
 ) -> list[dict[str, Any]]:
-    """Run all trials, write their files to `folder`, and return their records in order.
+    """Runs all trials, writes their files to `folder`, and returns their records in order.
 
     Trials that an earlier run with the same `settings` has finished are not repeated. An unfinished
     recording is kept under another name. `watch` is called often with the trial's name, its phase
@@ -99,7 +99,7 @@ def run_trial(
     settings: dict[str, Any],
     watch: Callable[[str, str, float], None],
 ) -> dict[str, Any]:
-    """Run a trial, write its files and return its record."""
+    """Runs a trial, writes its files and returns its record."""
     path = folder / RECORDINGS / f"{trial.name}.h5"
     _rename_earlier(path)
     recorded = record_trial(
@@ -119,7 +119,7 @@ def run_trial(
 
 
 def write_trial(folder: Path, name: str, columns: TrialColumns) -> None:
-    """Write NAME.csv, and the played drive to NAME.played.csv if it is known."""
+    """Writes NAME.csv, and the played drive to NAME.played.csv if it is known."""
     played = folder / f"{name}.played.csv"
     if columns.played is None:
         played.unlink(missing_ok=True)
@@ -129,7 +129,7 @@ def write_trial(folder: Path, name: str, columns: TrialColumns) -> None:
 
 
 def start_swing(records: Sequence[dict[str, Any]]) -> float:
-    """Return the tip's largest standard deviation before a trial, without the noise [m]."""
+    """Returns the tip's largest standard deviation before a trial, without the noise [m]."""
     squares = [
         x["at_rest_deviation"]["tip_m"] ** 2 - x["at_rest_noise"]["tip_m"] ** 2
         for x in records
@@ -141,7 +141,7 @@ def start_swing(records: Sequence[dict[str, Any]]) -> float:
 def wait_for_rest(
     rig: Rig, before: dict[str, Any] | None, watch: Callable[[str, float], None]
 ) -> None:
-    """Wait with vented chambers until the robot is at rest. Raises `RigError`.
+    """Waits with vented chambers until the robot is at rest. Raises `RigError`.
 
     `before` is the previous trial's record, or None for the first trial. `watch` is called with the
     sensor that still moves and the time since the beginning [s].
@@ -167,7 +167,7 @@ def wait_for_rest(
 def finished_record(
     folder: Path, trial: PlannedTrial, settings: dict[str, Any]
 ) -> dict[str, Any] | None:
-    """Return the record of a trial that an earlier run has finished, or None.
+    """Returns the record of a trial that an earlier run has finished, or None.
 
     Raises `RigError` if that run used another drive or other settings.
     """
@@ -185,7 +185,7 @@ def finished_record(
 
 
 def _drive(trial: PlannedTrial) -> dict[str, Any]:
-    """Return a trial's duration and drive for its record; a recorded drive has checksums."""
+    """Returns a trial's duration and drive for its record; a recorded drive has checksums."""
     plain = (str, float, int)
     drive = {key: x for key, x in asdict(trial.drive).items() if isinstance(x, plain)}
     for key in ("times", "recorded"):
@@ -195,14 +195,14 @@ def _drive(trial: PlannedTrial) -> dict[str, Any]:
 
 
 def changed_settings(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
-    """Return the full names of the changed settings, except for those in `MAY_CHANGE`."""
+    """Returns the full names of the changed settings, except for those in `MAY_CHANGE`."""
     # A round trip through JSON converts tuples to lists.
     a, b = _flat(before), _flat(json.loads(json.dumps(now)))
     return sorted(key for key in {*a, *b} - MAY_CHANGE if a.get(key) != b.get(key))
 
 
 def _flat(tables: dict[str, Any], name: str = "") -> dict[str, Any]:
-    """Return the values of nested tables by their full names."""
+    """Returns the values of nested tables by their full names."""
     found: dict[str, Any] = {}
     for key, value in tables.items():
         inner = isinstance(value, dict)
@@ -211,7 +211,7 @@ def _flat(tables: dict[str, Any], name: str = "") -> dict[str, Any]:
 
 
 def read_trial_record(recording: Path) -> dict[str, Any] | None:
-    """Return the record beside a recording, or None if its run did not end. Raises `RigError`."""
+    """Returns the record beside a recording, or None if its run did not end. Raises `RigError`."""
     path = recording.with_suffix(".json")
     try:
         record = json.loads(path.read_text())
@@ -227,7 +227,7 @@ def read_trial_record(recording: Path) -> dict[str, Any] | None:
 
 
 def _rename_earlier(path: Path) -> None:
-    """Rename a trial's earlier recording and record, so that they are not overwritten."""
+    """Renames a trial's earlier recording and record, so that they are not overwritten."""
     count = 1
     while path.exists():
         kept = path.with_name(f"{path.stem}.unfinished-{count}.h5")

@@ -36,7 +36,7 @@ class Stillness:
         self._seen: deque[tuple[float, np.ndarray]] = deque()
 
     def add(self, t: float, reading: Reading) -> None:
-        """Add the reading at `t` [s] after the pause began."""
+        """Adds the reading at `t` [s] after the pause began."""
         channels = np.array(reading.channels, float)
         self._seen.append((t, np.array([x.signal(channels) for x in self._sensors])))
         while self._seen and self._seen[0][0] < t - WINDOW:
@@ -63,14 +63,14 @@ class Stillness:
         )
 
     def _moved(self) -> np.ndarray:
-        """Return each sensor's range over the last `WINDOW`: (sensors,)."""
+        """Returns each sensor's range over the last `WINDOW`: (sensors,)."""
         return np.ptp(np.array([x for _, x in self._seen]), axis=0)
 
 
 def sensor_noise(
     manifold: Manifold, sensors: Sequence[AnalogueSensor], count: int = 50
 ) -> dict[str, float]:
-    """Return the standard deviation of each column's noise, independent of a slow swing.
+    """Returns the standard deviation of each column's noise, independent of a slow swing.
 
     It uses `count` readings, or the readings of one second if they are fewer. The noise is the part
     that is independent between consecutive readings.

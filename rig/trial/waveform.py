@@ -50,7 +50,7 @@ class SegmentDrive:
             raise RigError.value("drive's frequency", f"{self.frequency:g}", "0.01 to 50 Hz")
 
     def segments(self, t: float) -> tuple[float, float]:
-        """Return the set pressures (front, rear) [Pa] at time `t` [s]; 0 for t < 0."""
+        """Returns the set pressures (front, rear) [Pa] at time `t` [s]; 0 for t < 0."""
         if t < 0.0:
             return 0.0, 0.0
         if self.waveform == "recorded":
@@ -64,7 +64,7 @@ class SegmentDrive:
         )
 
     def _shape(self, turns: float) -> float:
-        """Return the waveform's value, -1 to 1, after `turns` periods."""
+        """Returns the waveform's value, -1 to 1, after `turns` periods."""
         if self.waveform == "sine":
             return sin(2.0 * pi * turns)
         if self.waveform == "square":
@@ -74,7 +74,7 @@ class SegmentDrive:
         return sign * min(max((turns - half_turns / 2.0) / (0.5 * self.rise), -1.0), 1.0)
 
     def edges(self, duration: float) -> np.ndarray:
-        """Return the times [s] in [0, duration) at which a set pressure steps."""
+        """Returns the times [s] in [0, duration) at which a set pressure steps."""
         if self.waveform != "square" or not self.amplitude:
             return np.empty(0)
         # Each segment's pressure steps at (n/2 + its phase) periods.
@@ -84,7 +84,7 @@ class SegmentDrive:
         return times[times < duration]
 
     def check(self, limits: PressureLimits, duration: float) -> None:
-        """Raise `RigError` if a set pressure exceeds its chamber's limit."""
+        """Raises `RigError` if a set pressure exceeds its chamber's limit."""
         if self.waveform == "recorded":
             assert self.recorded is not None
             extremes = [self.recorded.max(axis=0), self.recorded.min(axis=0)]
@@ -99,5 +99,5 @@ class SegmentDrive:
 
 
 def chamber_pressures(front: float, rear: float) -> tuple[float, float, float, float]:
-    """Return the four chambers' gauge pressures [Pa] from the segments' signed pressures [Pa]."""
+    """Returns the four chambers' gauge pressures [Pa] from the segments' signed pressures [Pa]."""
     return max(front, 0.0), max(-front, 0.0), max(rear, 0.0), max(-rear, 0.0)

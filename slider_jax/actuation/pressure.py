@@ -19,7 +19,7 @@ class PressureLaw(eqx.Module):
 
 
 def _ramp_response(p, a0, a1, span, k):
-    """Return p after `span` >= 0 [s] of dp/dt = (a - p)/k, exact for a linear from a0 to a1."""
+    """Returns p after `span` >= 0 [s] of dp/dt = (a - p)/k, exact for a linear from a0 to a1."""
     lagging = k > 0.0
     x = span / jnp.where(lagging, k, 1.0)
     small = x < 1e-6

@@ -31,7 +31,7 @@ class Waveform(eqx.Module):
 
     @abstractmethod
     def segment(self, t0: Array, t1: Array) -> Segment:
-        """Return the set pressure from `t0` to `t1` [s]. Each class states when it is exact."""
+        """Returns the set pressure from `t0` to `t1` [s]. Each class states when it is exact."""
 
 
 def _continuous(value, t0, t_break, t1) -> Segment:

@@ -24,17 +24,17 @@ class Chunks(NamedTuple):
     workers: int
 
     def indices(self, chunk: int) -> np.ndarray:
-        """Return the indices of the robots in `chunk`; the last chunk may repeat an index."""
+        """Returns the indices of the robots in `chunk`; the last chunk may repeat an index."""
         start = chunk * self.size
         return np.minimum(np.arange(start, start + self.size), self.robots - 1)
 
     def distinct(self, chunk: int) -> int:
-        """Return the number of robots in `chunk` without repetitions."""
+        """Returns the number of robots in `chunk` without repetitions."""
         return min(self.size, self.robots - chunk * self.size)
 
 
 def chunks_of(robots: int, size: int = 8, workers: int | None = None) -> Chunks:
-    """Return chunks of at most `size` robots, balanced for `workers` (default: one per core)."""
+    """Returns chunks of at most `size` robots, balanced for `workers` (default: one per core)."""
     workers = min(workers or available_cores(), robots)
     rounds = -(-robots // (size * workers))
     size = -(-robots // (rounds * workers))
@@ -42,26 +42,26 @@ def chunks_of(robots: int, size: int = 8, workers: int | None = None) -> Chunks:
 
 
 def available_cores() -> int:
-    """Return the number of cores that this process may use."""
+    """Returns the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def stack(trees: list[Any]) -> Any:
-    """Return one tree whose leaves have the trees' leaves along a new first axis, as floats."""
+    """Returns one tree whose leaves have the trees' leaves along a new first axis, as floats."""
     return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(x, float) for x in leaves]), *trees)
 
 
 def take(tree: Any, indices: np.ndarray) -> Any:
-    """Return the robots `indices` of a stacked tree."""
+    """Returns the robots `indices` of a stacked tree."""
     return jax.tree.map(lambda x: x[indices], tree)
 
 
 def run_in_threads(
     work: Callable[[int, Callable[[], bool]], Any], chunks: list[int], workers: int
 ) -> Iterator[tuple[int, Any]]:
-    """Yield (chunk, result) of `work(chunk, stopped)` in the order of completion.
+    """Yields (chunk, result) of `work(chunk, stopped)` in the order of completion.
 
     If a chunk fails or the caller leaves the loop, chunks that have not started are cancelled.
     `stopped()` then returns true in the running chunks.

@@ -55,7 +55,7 @@ class Programs(NamedTuple):
 
 
 def saved_quantities(x: Snapshot) -> dict[str, Array]:
-    """Return the series of a step: `true_readings`, `power` [W] and `midline` (2, nodes) [m]."""
+    """Returns the series of a step: `true_readings`, `power` [W] and `midline` (2, nodes) [m]."""
     return true_readings(x) | {
         "power": jnp.sum(obs.chamber_power(x)),
         "midline": obs.midline(x) - x.head[:, None],
@@ -65,7 +65,7 @@ def saved_quantities(x: Snapshot) -> dict[str, Array]:
 def one_stride(
     plan: Plan, robot: BatchRobot, number, carry: Carry
 ) -> tuple[Carry, dict[str, Array]]:
-    """Return the next carry and the series of stride `number` (from 0) of one robot."""
+    """Returns the next carry and the series of stride `number` (from 0) of one robot."""
     steps, f = plan.steps_per_stride, robot.frequency
     times = TimeGrid(h=1.0 / (f * steps), steps=steps, t0=number / f)
     out = continued(carry, robot.model, times, saved_quantities, plan.numerics, plan.scheme)
@@ -73,7 +73,7 @@ def one_stride(
 
 
 def compile_programs(plan: Plan, chunk: BatchRobot) -> Programs:
-    """Return compiled programs for chunks with the structure and size of `chunk`."""
+    """Returns compiled programs for chunks with the structure and size of `chunk`."""
     rest = jax.jit(jax.vmap(lambda robot: at_rest(robot.model, plan.numerics)))
     stride = jax.jit(jax.vmap(ft.partial(one_stride, plan), (0, None, 0)))
     number = jnp.asarray(0.0)
@@ -87,7 +87,7 @@ def run_strides(
     on_stride: Callable[[], None] = lambda: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> dict[str, np.ndarray]:
-    """Return the series of all strides of a chunk.
+    """Returns the series of all strides of a chunk.
 
     The series have the shape (robots, strides, steps, ...): t, power and every channel. `midline`
     (robots, POSES, 2, nodes) is of the last stride; `ok` (robots,) is False for a failed robot.
@@ -111,7 +111,7 @@ def run_strides(
 def steady_quantities(
     plan: Plan, robots: BatchRobot, runs: dict[str, np.ndarray], transient: int
 ) -> dict[str, np.ndarray]:
-    """Return quantities (robots,) of the strides after the first `transient`, by name with unit.
+    """Returns quantities (robots,) of the strides after the first `transient`, by name with unit.
 
     Means and rms values are over all these strides. `thrust_std_of_strides` is the standard
     deviation of the stride means. `thrust_std_within_stride` is the standard deviation within a

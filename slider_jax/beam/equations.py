@@ -90,7 +90,7 @@ class Section(eqx.Module):
 
 
 def strain(T, structure: Structure, reference: Reference):
-    """Return the strain eps [-] that solves T = EA (eps + alpha (eps - eps_ref)/dt)."""
+    """Returns the strain eps [-] that solves T = EA (eps + alpha (eps - eps_ref)/dt)."""
     lag = structure.damping_time / reference.dt
     return (T / structure.EA + lag * reference.strain) / (1.0 + lag)
 
@@ -98,7 +98,7 @@ def strain(T, structure: Structure, reference: Reference):
 def section(
     mid: Fields, slope: Fields, structure: Structure, reference: Reference, water, pressure, t
 ) -> Section:
-    """Return the kinematics in the cells at time `t` [s].
+    """Returns the kinematics in the cells at time `t` [s].
 
     `mid` and `slope` are the means and slopes d/ds of the unknowns. `water` holds the velocity
     [m/s] and acceleration [m/s^2] of the water, each (x, y) and uniform over the body. `pressure`
@@ -137,7 +137,7 @@ def section(
 def equations(
     mid: Fields, slope: Fields, x: Section, force: tuple[Array, Array], moment: Array
 ) -> tuple[Float[Array, " cells"], ...]:
-    """Return the residuals of the six equations of each cell, in the order of the module docstring.
+    """Returns residuals of the six equations of each cell, in the order of the module docstring.
 
     `force` is (F_tau, F_n) [N/m]; `moment` is M_extra - M_act [N m].
     """

@@ -22,23 +22,23 @@ class Grid(eqx.Module):
     tail_cells: int = eqx.field(static=True)
 
     def mid(self, x: Float[Array, "*b nodes"]) -> Float[Array, "*b cells"]:
-        """Return the mean of the values at the two nodes of each cell."""
+        """Returns the mean of the values at the two nodes of each cell."""
         return 0.5 * (x[..., 1:] + x[..., :-1])
 
     def slope(self, x: Float[Array, "*b nodes"]) -> Float[Array, "*b cells"]:
-        """Return the slope d/ds in each cell."""
+        """Returns the slope d/ds in each cell."""
         return (x[..., 1:] - x[..., :-1]) / self.ds
 
     def integral(self, cell_values: Float[Array, "*b cells"]) -> Float[Array, "*b"]:
-        """Return the integral of a cell quantity over the body (midpoint rule)."""
+        """Returns the integral of a cell quantity over the body (midpoint rule)."""
         return jnp.sum(cell_values * self.ds, axis=-1)
 
     def per_cell(self, tail, body) -> Float[Array, " cells"]:
-        """Return a cell quantity that equals `tail` in the tail and `body` in the body."""
+        """Returns a cell quantity that equals `tail` in the tail and `body` in the body."""
         return jnp.where(jnp.arange(self.ds.shape[-1]) < self.tail_cells, tail, body)
 
     def at_joint(self) -> Float[Array, " cells"]:
-        """Return a unit delta at the joint [1/m] in the two adjacent cells; zero without a joint.
+        """Returns a unit delta at the joint [1/m] in the two adjacent cells; zero without a joint.
 
         Its zeroth and first moments are exact.
         """
@@ -52,7 +52,7 @@ class Grid(eqx.Module):
 
 
 def make_grid(tail_length, body_length, tail_cells: int, body_cells: int) -> Grid:
-    """Return the grid of a body and a tail of the given lengths [m]."""
+    """Returns the grid of a body and a tail of the given lengths [m]."""
     tail = jnp.linspace(0.0, 1.0, tail_cells + 1)[:-1] * tail_length
     body = tail_length + jnp.linspace(0.0, 1.0, body_cells + 1) * body_length
     s = jnp.concatenate([tail, body])
@@ -65,7 +65,7 @@ def make_grid(tail_length, body_length, tail_cells: int, body_cells: int) -> Gri
 
 
 def split_cells(nodes: int, tail_length: float, body_length: float) -> tuple[int, int]:
-    """Return the numbers of tail and body cells in proportion to the lengths, at least 2 each.
+    """Returns the numbers of tail and body cells in proportion to the lengths, at least 2 each.
 
     Their sum is `nodes` - 1. A tail of zero length has no cells.
     """

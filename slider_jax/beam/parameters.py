@@ -69,7 +69,7 @@ class Numerics(eqx.Module):
 
 
 def grid_of(robot: Robot, numerics: Numerics) -> Grid:
-    """Return the grid of `robot`."""
+    """Returns the grid of `robot`."""
     return make_grid(robot.tail_length, robot.body_length, numerics.tail_cells, numerics.body_cells)
 
 

@@ -34,7 +34,7 @@ class Fields(NamedTuple):
 
 
 def fields(y: Unknowns) -> Fields:
-    """Return the six unknowns in `y` by name."""
+    """Returns the six unknowns in `y` by name."""
     return Fields(*y)
 
 
@@ -56,7 +56,7 @@ class Memory(eqx.Module):
 def straight_state(
     s: Float[Array, " nodes"], V_tau=0.0, V_n=0.0, phi=0.0, omega=0.0
 ) -> tuple[Unknowns, Memory]:
-    """Return the state of an unloaded straight body in rigid motion, with its head at the origin.
+    """Returns the state of an unloaded straight body in rigid motion, with its head at the origin.
 
     `s` [m]: positions of the nodes along the body. (V_tau, V_n) [m/s]: velocity of the head.
     `phi` [rad] and `omega` [rad/s]: angle and turning rate of the body.
@@ -67,14 +67,14 @@ def straight_state(
 
 
 def to_body(vector, phi):
-    """Return the components (tau, n) of a vector (x, y) in a frame rotated by `phi` [rad]."""
+    """Returns the components (tau, n) of a vector (x, y) in a frame rotated by `phi` [rad]."""
     x, y = vector
     c, s = jnp.cos(phi), jnp.sin(phi)
     return c * x + s * y, -s * x + c * y
 
 
 def to_plane(tau, n, phi):
-    """Return the components (x, y) of a vector (tau, n) in a frame rotated by `phi` [rad]."""
+    """Returns the components (x, y) of a vector (tau, n) in a frame rotated by `phi` [rad]."""
     c, s = jnp.cos(phi), jnp.sin(phi)
     return c * tau - s * n, s * tau + c * n
 

@@ -108,11 +108,11 @@ SIMULATE_LOG = "calibration.cli.simulate_log:simulate_log"
 
 
 def function_of(target: str) -> Callable[..., Any]:
-    """Import the module of a `module:function` and return the function."""
+    """Imports the module of a `module:function` and returns the function."""
     module, function = target.split(":")
     return getattr(import_module(module), function)
 
 
 def rig_error() -> type[Exception]:
-    """Return the exception class that the rig's commands raise for invalid input."""
+    """Returns the exception class that the rig's commands raise for invalid input."""
     return import_module("rig.errors").RigError

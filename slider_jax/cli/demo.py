@@ -8,7 +8,7 @@ from slider_jax.cli.options import Folder
 
 
 def demo(out: Folder = Path("slider_demo")) -> None:
-    """Run the paper's head-fixed frequency sweep, 0.4 to 7.0 Hz in 34 steps, and compare.
+    """Runs the paper's head-fixed frequency sweep, 0.4 to 7.0 Hz in 34 steps, and compares.
 
     The command writes sweep.csv, thrust_against_frequency.png (like the paper's Fig. 4) and
     settings.json to DIR. For 1 and 4.8 Hz it also writes series_*.csv and stride_*.png (like the

@@ -37,7 +37,7 @@ ExperimentFile = Annotated[
 def list_effects(
     name: NameArgument = None, out: MaybeFolder = None, experiment: ExperimentFile = None
 ) -> None:
-    """List the effects that a model may contain, or explain one of them.
+    """Lists the effects that a model may contain, or explain one of them.
 
     Without a NAME, the command lists all effects by the place at which they enter, with the prior
     ranges of their parameters and the sensors that they change. With a NAME, it prints the effect's
@@ -68,12 +68,12 @@ def list_effects(
 
 
 def place_of(kind: type[Effect]) -> type[Effect]:
-    """Return the place at which an effect enters."""
+    """Returns the place at which an effect enters."""
     return next(place for place in PLACES if issubclass(kind, place))
 
 
 def listing() -> str:
-    """Return the list of all effects, grouped by place."""
+    """Returns the list of all effects, grouped by place."""
     width = max(map(len, LIBRARY))
     lines = [f"{len(LIBRARY)} effects; slider effects NAME explains one"]
     for place in PLACES:
@@ -88,7 +88,7 @@ def listing() -> str:
 
 
 def explanation(name: str) -> str:
-    """Return the docstring and the priors of one effect; half of a typical size is the example."""
+    """Returns the docstring and the priors of one effect; half of a typical size is the example."""
     from slider_jax.simulation.effect_signature import typical_size
 
     kind = LIBRARY[name]
@@ -123,7 +123,7 @@ def _range(prior: Prior) -> str:
 
 
 def _draw(name: str, out: Path, path: Path | None) -> list[str]:
-    """Write the figure and return the lines that describe it."""
+    """Writes the figure and returns the lines that describe it."""
     from slider_jax.channels import CHANNELS
     from slider_jax.cli.progress import Progress
     from slider_jax.experiment.load import load

@@ -14,7 +14,7 @@ _GROUPS = {name.split()[0] for name in COMMANDS if " " in name} - {
 
 
 def usage(group: str = "") -> str:
-    """Return the list of subcommands, or those of a `group` such as "calibrate"."""
+    """Returns the list of subcommands, or those of a `group` such as "calibrate"."""
     shown = {name: x for name, x in COMMANDS.items() if name.startswith(group)}
     width = max(map(len, shown))
     lines = [f"  {name:<{width}}  {command.help}" for name, command in shown.items()]
@@ -23,7 +23,7 @@ def usage(group: str = "") -> str:
 
 
 def prepare_jax() -> None:
-    """Enable float64, and keep compiled programs in the user's cache folder between runs.
+    """Enables float64, and keeps compiled programs in the user's cache folder between runs.
 
     `JAX_COMPILATION_CACHE_DIR` names another folder; `SLIDER_CACHE=off` disables the cache.
     """
@@ -43,7 +43,7 @@ def prepare_jax() -> None:
 
 
 def find(arguments: Sequence[str]) -> tuple[str, list[str]]:
-    """Return the subcommand at the start of `arguments`, and the remaining arguments."""
+    """Returns the subcommand at the start of `arguments`, and the remaining arguments."""
     words = list(arguments)
     for name in COMMANDS:
         parts = name.split()
@@ -62,7 +62,7 @@ def find(arguments: Sequence[str]) -> tuple[str, list[str]]:
 
 
 def run_command(arguments: Sequence[str]) -> int:
-    """Run one command and return its exit code. Raises input and solver errors."""
+    """Runs one command and returns its exit code. Raises input and solver errors."""
     name, rest = find(arguments)
     if COMMANDS[name].jax:
         prepare_jax()
@@ -72,7 +72,7 @@ def run_command(arguments: Sequence[str]) -> int:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run `slider` and return its exit code.
+    """Runs `slider` and returns its exit code.
 
     The code is 0, 2 for invalid input or a failed solve, or 130 after an interruption.
     """

@@ -54,7 +54,7 @@ class SearchOptions:
     process: Whole = 0
 
     def start(self):
-        """Check the options, start JAX on all cores of all processes, return the experiment."""
+        """Checks the options, starts JAX on all cores of all processes, returns the experiment."""
         from slider_jax.batch.chunks import available_cores
         from slider_jax.optimise.population import start_devices
 
@@ -78,14 +78,14 @@ class SearchOptions:
         return given_or(optimum, self.experiment, self.model)
 
     def inputs(self) -> list[dict[str, Any]]:
-        """Return paths and digests of the input files."""
+        """Returns paths and digests of the input files."""
         from slider_jax.io.files import input_files
 
         return input_files(self.experiment, self.model)
 
 
 def _reporter() -> Callable[..., None]:
-    """Return a function that prints a line after every generation, in the first process only."""
+    """Returns a function that prints a line after every generation, in the first process only."""
     from slider_jax.cli.progress import timed_printer
     from slider_jax.optimise.population import is_first
 
@@ -104,7 +104,7 @@ def _reporter() -> Callable[..., None]:
 
 @contextmanager
 def _resumable(out: Path) -> Iterator[None]:
-    """Print how to resume if the block is interrupted after a first checkpoint."""
+    """Prints how to resume if the block is interrupted after a first checkpoint."""
     try:
         yield
     except KeyboardInterrupt:
@@ -123,7 +123,7 @@ def optimize_swim(
     rear: Range = None,
     phase: Range = None,
 ) -> None:
-    """Optimise drive and tail for the largest steady swimming speed.
+    """Optimises drive and tail for the largest steady swimming speed.
 
     The six variables are the frequency, the set pressure amplitudes of both chambers, the phase of
     the rear chamber, and the tail's length and bending stiffness EI. The command writes
@@ -176,7 +176,7 @@ def optimize_multimodal(
     betas: Whole = 7,
     algorithm: Literal["genetic", "cma-es"] = "genetic",
 ) -> None:
-    """Optimise one tail for swimming and climbing, with a drive for each task (the paper's Fig. 9).
+    """Optimises one tail for swimming and climbing, with a drive for each task (paper's Fig. 9).
 
     The objective is eta(beta) = beta E_swim/E_swim,only + (1 - beta) E_climb/E_climb,only. E_swim
     is the Froude efficiency of swimming, and E_climb is m g U/P of climbing. The command optimises

@@ -13,7 +13,7 @@ from slider_jax.errors import InputError
 def _read_by(
     read: Callable[[str], Any], metavar: str, allowed: str, count: int | Literal["*"] = 1
 ) -> PrimitiveConstructorSpec:
-    """Return a tyro type for an argument of `count` words, shown as `metavar` in the help.
+    """Returns a tyro type for an argument of `count` words, shown as `metavar` in the help.
 
     `read` converts a word and raises `ValueError` if it is not `allowed`.
     """
@@ -69,7 +69,7 @@ Pictures = Annotated[bool, tyro.conf.arg(help_behavior_hint="(default: draw them
 
 
 def chosen_trials(trials: tuple, number: int | None) -> tuple:
-    """Return all trials, or that of `--trial`. Raises `InputError` if it does not exist."""
+    """Returns all trials, or that of `--trial`. Raises `InputError` if it does not exist."""
     if number is None:
         return trials
     if not 0 <= number < len(trials):
@@ -78,7 +78,7 @@ def chosen_trials(trials: tuple, number: int | None) -> tuple:
 
 
 def refuse_own_folder(out: Path, folder: Path) -> None:
-    """Raise `InputError` if results would overwrite an experiment's measured data."""
+    """Raises `InputError` if results would overwrite an experiment's measured data."""
     if out.resolve() == folder.resolve():
         raise InputError(
             f"--out {out}: this is the experiment's own folder, whose files may be measured data; "

@@ -17,7 +17,7 @@ from slider_jax.errors import InputError, did_you_mean
 
 
 def call_of(command: Callable[..., Any], words: Sequence[str], name: str) -> Callable[[], Any]:
-    """Return a function that calls `command` with the arguments in `words`.
+    """Returns a function that calls `command` with the arguments in `words`.
 
     Raises `InputError` for invalid arguments, and `SystemExit` after `--help`.
     """
@@ -42,7 +42,7 @@ def call_of(command: Callable[..., Any], words: Sequence[str], name: str) -> Cal
 
 
 def _refuse_unknown_options(function: Callable[..., Any], words: Sequence[str]) -> None:
-    """Raise `InputError` for an unknown option.
+    """Raises `InputError` for an unknown option.
 
     tyro would take the word after it as its value and then report a missing file.
     """
@@ -66,7 +66,7 @@ def _refuse_unknown_options(function: Callable[..., Any], words: Sequence[str]) 
 
 
 def error_line(event: tyro_errors.ParseErrorEvent) -> str:
-    """Return one line that describes the error in the arguments."""
+    """Returns one line that describes the error in the arguments."""
     match event:
         case tyro_errors.MissingArgs():
             return f"{', '.join(_label(x.arg, True) for x in event.missing_arguments)}: missing"
@@ -85,7 +85,7 @@ def error_line(event: tyro_errors.ParseErrorEvent) -> str:
 
 
 def _label(argument: Any, with_value: bool = False) -> str:
-    """Return the argument as the help shows it: `FILE`, `--out`, or `--out DIR` with its value."""
+    """Returns the argument as the help shows it: `FILE`, `--out`, or `--out DIR` with its value."""
     metavar = str(argument.lowered.metavar)
     if argument.is_positional():
         return metavar

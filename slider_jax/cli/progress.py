@@ -34,18 +34,18 @@ class Progress:
         self._bar.close()
 
     def begin(self, total: int, done: int = 0) -> None:
-        """Set the total number of steps, of which `done` were completed in an earlier run."""
+        """Sets the total number of steps, of which `done` were completed in an earlier run."""
         self._total, self._done = total, done
         self._bar.total = total
         self._bar.update(done)
 
     def step(self) -> None:
-        """Report one completed step."""
+        """Reports one completed step."""
         with self._lock:
             self.to(self._done + 1, self._total)
 
     def to(self, done: int, total: int) -> None:
-        """Report that `done` of `total` steps are complete."""
+        """Reports that `done` of `total` steps are complete."""
         with self._lock:
             self._waiting.cancel()
             if not self._bar.disable:
@@ -63,7 +63,7 @@ class Progress:
 
 
 def timed_printer() -> Callable[[str], None]:
-    """Return a function that prints a text to stderr, after the seconds since this call."""
+    """Returns a function that prints a text to stderr, after the seconds since this call."""
     start = time.monotonic()
 
     def print_timed(text: str) -> None:

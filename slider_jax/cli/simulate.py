@@ -23,7 +23,7 @@ def simulate(
     scheme: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None,
     drive: Literal["set", "measured"] = "set",
 ) -> None:
-    """Simulate every trial of an experiment and write the sensors' readings.
+    """Simulates every trial of an experiment and writes the sensors' readings.
 
     The command writes DIR/<trial's file name> with the columns t_s, p_front_Pa, p_rear_Pa,
     thrust_N, recoil_N and tip_m at the trial's own sample times. It also writes DIR/summary.json

@@ -32,7 +32,7 @@ def sweep(
     steps_per_stride: Whole = 300,
     swim: bool = False,
 ) -> None:
-    """Simulate one trial for evenly spaced values of one or two fields.
+    """Simulates one trial for evenly spaced values of one or two fields.
 
     The command writes sweep.csv (one row for each point: means over the steady strides), sweep.json
     (settings and versions) and sweep.png to DIR. An interrupted run resumes when you repeat the

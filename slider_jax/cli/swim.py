@@ -25,7 +25,7 @@ def swim(
     model: ModelFile = None,
     trial: MaybeWhole = None,
 ) -> None:
-    """Simulate free swimming with each trial's drive and report the steady speed.
+    """Simulates free swimming with each trial's drive and reports the steady speed.
 
     The steady speed is computed twice: by root finding, and by swimming from rest until strides
     repeat. The command writes swim.json (all values, settings and versions) to DIR. For each trial
@@ -66,7 +66,7 @@ def climb(
     link: Value = 0.03,
     cap: Value = 172.3e3,
 ) -> None:
-    """Simulate climbing a wall with each trial's drive.
+    """Simulates climbing a wall with each trial's drive.
 
     The ends of a cross-link at the head are pinned alternately. Climbing is simulated in air:
     weight acts, hydrodynamic forces and the carriage clamp are omitted. The simulation runs until
@@ -121,7 +121,7 @@ def _run(
     simulated: Callable[..., tuple[dict[str, Any], dict[str, Any], list[str]]],
     values: dict[str, Any],
 ) -> None:
-    """Simulate and report trials of the experiment `given`, read from the `inputs`.
+    """Simulates and reports trials of the experiment `given`, read from the `inputs`.
 
     `check` raises `InputError` for an invalid trial. `simulated(trial, stem, say)` draws files
     whose paths begin with `stem`, and returns the trial's record, CSV columns and printed lines.

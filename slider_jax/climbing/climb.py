@@ -79,7 +79,7 @@ def _amounts(model: Model, frequency, series: ClimbSeries, plan: ClimbPlan):
 
 
 def period_of(rises: np.ndarray, link: float, least: int = 10) -> int:
-    """Return after how many strides the last `least` rises [m] repeat; 0 if not in `PERIODS`."""
+    """Returns after how many strides the last `least` rises [m] repeat; 0 if not in `PERIODS`."""
     last = rises[-least - PERIODS :]
     same = REPEATS * max(np.abs(last).mean(), 0.1 * link)
     for n in range(1, PERIODS + 1):
@@ -90,7 +90,7 @@ def period_of(rises: np.ndarray, link: float, least: int = 10) -> int:
 
 
 def climb_plan(experiment: Experiment, frequency: float) -> ClimbPlan:
-    """Return a plan with the experiment's mesh and an even number of steps in a stride."""
+    """Returns a plan with the experiment's mesh and an even number of steps in a stride."""
     settings = steady_settings(experiment, frequency)
     return ClimbPlan(
         steps_per_stride=settings.steps_per_stride,
@@ -102,7 +102,7 @@ def climb_plan(experiment: Experiment, frequency: float) -> ClimbPlan:
 def speeds_by_phase(
     base: Model, frequency: float, link: float, cap: float, plan: ClimbPlan
 ) -> dict[float, float]:
-    """Return the speed [m/s] by pin phase, for `PHASES` phases; NaN if a time step fails."""
+    """Returns the speed [m/s] by pin phase, for `PHASES` phases; NaN if a time step fails."""
 
     @jax.jit
     @jax.vmap
@@ -116,7 +116,7 @@ def speeds_by_phase(
 
 
 def _rough(experiment: Experiment, plan: ClimbPlan, frequency: float) -> ClimbPlan:
-    """Return a coarser plan to compare phases: at most `MESH` nodes and steps up to `STEP`."""
+    """Returns a coarser plan to compare phases: at most `MESH` nodes and steps up to `STEP`."""
     nodes = min(MESH, experiment.numerics.nodes)
     numerics, _ = to_numerics(experiment.with_values({"numerics.nodes": nodes}))
     steps = min(plan.steps_per_stride, max(96, 2 * half_period_steps(frequency, STEP)))
@@ -132,7 +132,7 @@ def simulate_climb(
     progress: Callable[[str], None] = lambda text: None,
     longest: int = 150,
 ) -> ClimbRun:
-    """Simulate climbing in air with a trial's drive.
+    """Simulates climbing in air with a trial's drive.
 
     The robot starts straight, with its centre of mass below the pin. It climbs in blocks of 15
     strides until they repeat or `longest` is reached. The result covers the last 15 strides, or
@@ -199,7 +199,7 @@ UNITS = {
 
 
 def climb_record(run: ClimbRun) -> dict[str, Any]:
-    """Return the results for JSON, in SI units, by names with units."""
+    """Returns the results for JSON, in SI units, by names with units."""
     values = {name: float(getattr(run.found, name)) for name in (*UNITS, "efficiency")}
     return {
         "file": run.trial.file,

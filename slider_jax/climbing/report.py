@@ -26,12 +26,12 @@ FILM_STRIDES, FRAMES_PER_STRIDE = 4, 24
 
 
 def climb_table(row: dict[str, Any]) -> str:
-    """Return the table of the quantities."""
+    """Returns the table of the quantities."""
     return "\n".join(value_lines(row, ROWS))
 
 
 def climb_summary(run: ClimbRun) -> list[str]:
-    """Return sentences on the pressure cap, the pin phase and how the strides repeat."""
+    """Returns sentences on the pressure cap, the pin phase and how the strides repeat."""
     trial, lines = run.trial, []
     if not trial.amplitude:
         return ["no pressure is set: the left end stays pinned and the robot hangs"]
@@ -60,7 +60,7 @@ def climb_summary(run: ClimbRun) -> list[str]:
 
 
 def series_columns(run: ClimbRun) -> dict[str, np.ndarray]:
-    """Return the columns of the last strides; x points up, and starts at the centre of mass."""
+    """Returns the columns of the last strides; x points up, and starts at the centre of mass."""
     x, steps = run.series, run.plan.steps_per_stride
     start = x.centre[0]
     places = {"head": x.midline[:, :, -1], "tip": x.midline[:, :, 0], "pin": x.pin,
@@ -77,12 +77,12 @@ def series_columns(run: ClimbRun) -> dict[str, np.ndarray]:
 
 
 def _sideways(points: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (right, up) [mm] of points (..., 2, n) in the picture: x is up, y is left."""
+    """Returns (right, up) [mm] of points (..., 2, n) in the picture: x is up, y is left."""
     return -1e3 * (points[..., 1, :] - origin[1]), 1e3 * (points[..., 0, :] - origin[0])
 
 
 def plot_climb(run: ClimbRun, path: Path) -> None:
-    """Plot one stride on the wall, and the rise over time."""
+    """Plots one stride on the wall, and the rise over time."""
     figure, (wall, right) = new_figure(1, 2, figsize=(9.5, 6), width_ratios=(2, 3))
     x, steps = run.series, run.plan.steps_per_stride
     origin = x.midline[-steps - 1, :, -1]
@@ -112,7 +112,7 @@ def plot_climb(run: ClimbRun, path: Path) -> None:
 def film(
     run: ClimbRun, path: Path, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> None:
-    """Write a GIF of the last strides with the body, the cross-link and its pinned end.
+    """Writes a GIF of the last strides with the body, the cross-link and its pinned end.
 
     Each frame shows its time. Lines on the wall are 10 mm apart.
     """

@@ -114,7 +114,7 @@ def _saved(x: Snapshot) -> ClimbSeries:
 
 
 def hanging(model: Model, numerics: Numerics) -> Carry:
-    """Return a straight body at rest, with its centre of mass below the left pin."""
+    """Returns a straight body at rest, with its centre of mass below the left pin."""
     assert isinstance(model.support, PinnedLink)
     angle = -jnp.arctan2(model.support.link_length, model.body.length)
     return with_motion(at_rest(model, numerics), lambda motion: motion.at[..., 2, :].add(angle))
@@ -123,7 +123,7 @@ def hanging(model: Model, numerics: Numerics) -> Carry:
 def climb_on(
     model: Model, frequency: Scalar, carry: Carry, count: int, plan: ClimbPlan
 ) -> tuple[Carry, ClimbSeries]:
-    """Simulate `count` strides of `frequency` [Hz], starting when the left end gets pinned.
+    """Simulates `count` strides of `frequency` [Hz], starting when the left end gets pinned.
 
     The model comes from `to_climber`. Pins change at the ends of time steps, whatever their phase;
     edges of the pressures may lie within steps.
@@ -137,7 +137,7 @@ def climb_on(
 
 
 def climb_of(model: Model, frequency: Scalar, series: ClimbSeries, plan: ClimbPlan) -> Climb:
-    """Return the performance over whole strides; `series` starts one time step before them."""
+    """Returns the performance over whole strides; `series` starts one time step before them."""
     steps = plan.steps_per_stride
     h = 1.0 / (frequency * steps)
     span = h * (len(series.angle) - 1)
@@ -162,14 +162,14 @@ def climb_of(model: Model, frequency: Scalar, series: ClimbSeries, plan: ClimbPl
 
 
 def join(before: ClimbSeries, after: ClimbSeries) -> ClimbSeries:
-    """Return `after` with the last time step of `before` in front."""
+    """Returns `after` with the last time step of `before` in front."""
     return jax.tree.map(lambda a, b: jnp.concatenate([a[-1:], b]), before, after)
 
 
 def climb_from_rest(
     model: Model, frequency: Scalar, plan: ClimbPlan = ClimbPlan()
 ) -> tuple[Climb, Bool[Array, ""]]:
-    """Return the performance of a climb from rest, and whether all time steps converged.
+    """Returns the performance of a climb from rest, and whether all time steps converged.
 
     The average covers `plan.strides` strides after `plan.settling`. Use vmap for several robots.
     """

@@ -123,7 +123,7 @@ def _inverse6(a):
 
 
 def _halving_order(cells: int) -> list[int]:
-    """Return the order of cells in which each level pairs its first half with its second half.
+    """Returns the order of cells in which each level pairs its first half with its second half.
 
     Neighbours are at positions i and i + k and an unpaired cell is last, so slices are contiguous.
     """
@@ -201,7 +201,7 @@ def _factorise(operator: BeamOperator) -> _Factors:
 
 
 def _solve(factors: _Factors, rhs):
-    """Return the solution y of A y = rhs, by operations that JAX can transpose; linear in `rhs`."""
+    """Returns the y of A y = rhs, by operations that JAX can transpose; linear in `rhs`."""
     r_cells, r_tail, r_head = rhs
     order = np.array(_halving_order(r_cells.shape[-1]))
     s = _keep(_mv(factors.cells, r_cells)[:, order])

@@ -63,7 +63,7 @@ class Mesh(eqx.Module):
 
 
 def make_mesh(robot: Robot, numerics: Numerics) -> Mesh:
-    """Return the mesh of `robot`, with its structure and chambers in each cell."""
+    """Returns the mesh of `robot`, with its structure and chambers in each cell."""
     grid = grid_of(robot, numerics)
     one = jnp.ones_like(grid.ds)
     structure = Structure(

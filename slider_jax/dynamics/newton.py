@@ -22,7 +22,7 @@ from slider_jax.dynamics.block_solver import BeamSolver
 
 
 def tangent_of(function: Callable[[Any], Any], inputs: Any, tangents: Any) -> Any:
-    """Return the tangent of function(inputs); inputs whose tangent is None are constants."""
+    """Returns the tangent of function(inputs); inputs whose tangent is None are constants."""
     moving = jax.tree.map(lambda t: t is not None, tangents, is_leaf=lambda t: t is None)
     dynamic, static = eqx.partition(inputs, moving)
     t_dynamic, _ = eqx.partition(tangents, moving)

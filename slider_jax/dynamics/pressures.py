@@ -35,14 +35,14 @@ class Chambers(eqx.Module):
 
 
 def start_chambers(model: Model) -> Chambers:
-    """Return the chambers in equilibrium at the initial pressures of the drive."""
+    """Returns the chambers in equilibrium at the initial pressures of the drive."""
     drive = model.drive
     p = jnp.stack([jnp.asarray(x, float) for x in (drive.start_front, drive.start_rear)])
     return Chambers(p, p, tuple(jnp.stack([p, p]) for _ in of_place(model.effects, ActingPressure)))
 
 
 def chamber_history(model: Model, begin: Chambers, times: Float[Array, " n"]) -> Chambers:
-    """Return the chambers (n - 1, ...) at the increasing `times` [s] after the first time."""
+    """Returns the chambers (n - 1, ...) at the increasing `times` [s] after the first time."""
     flows = of_place(model.effects, Flow)
     acting_effects = of_place(model.effects, ActingPressure)
 
@@ -60,7 +60,7 @@ def chamber_history(model: Model, begin: Chambers, times: Float[Array, " n"]) ->
 
 
 def set_pressures(model: Model, times: Float[Array, " n"]) -> Segment:
-    """Return the set pressures of both valves between the `times` [s]: fields (n - 1, 2)."""
+    """Returns the set pressures of both valves between the `times` [s]: fields (n - 1, 2)."""
     commands = of_place(model.effects, Command)
 
     def segments(wave, chamber):
@@ -114,7 +114,7 @@ def _rate(k, flows, side):
 
 
 def _through_zero(k, flows, p, a0, a1, span):
-    """Return the pressure after a Runge-Kutta step, split where the pressure changes its sign."""
+    """Returns the pressure after a Runge-Kutta step, split where the pressure changes its sign."""
     rate = _rate(k, flows, jnp.where(p == 0.0, jnp.sign(a0 + a1), jnp.sign(p)))
     whole = _runge_kutta(rate, p, a0, a1, span)
     crosses = p * whole < 0.0

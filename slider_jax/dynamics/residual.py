@@ -40,7 +40,7 @@ class Stage(eqx.Module):
 
 
 def cell_rows(mid: Fields, slope: Fields, stage: Stage) -> tuple[Array, ...]:
-    """Return the residuals of the six equations of every cell from means and slopes of unknowns."""
+    """Returns residuals of the six equations of every cell from means and slopes of unknowns."""
     x = section(mid, slope, stage.structure, stage.reference, stage.water, stage.pressure, stage.t)
     force = total_force(stage.effects, x)
     extra = sum((m for m, _ in internal_moments(x, stage)), jnp.zeros_like(mid.M))
@@ -59,12 +59,12 @@ def turning_rate(head: Fields, stage: Stage) -> Array:
 
 
 def load_rates(head: Float[Array, "6"], stage: Stage) -> Float[Array, "3"]:
-    """Return d(load)/dt of the lagged load: load + tau d(load)/dt = (T, N, M) at the head."""
+    """Returns d(load)/dt of the lagged load: load + tau d(load)/dt = (T, N, M) at the head."""
     return (head[:3] - stage.load_head) / (stage.reference.dt + MOUNT_LAG)
 
 
 def head_rows(head: Float[Array, "6"], stage: Stage) -> Float[Array, "3"]:
-    """Return the residuals of the support's conditions for the head's motion on its mounting."""
+    """Returns the residuals of the support's conditions for the head's motion on its mounting."""
     at_head, omega = fields(head), turning_rate(fields(head), stage)
     rates = HeadRates(*load_rates(head, stage))
     for effect in of_place(stage.effects, Mounting):
@@ -75,30 +75,30 @@ def head_rows(head: Float[Array, "6"], stage: Stage) -> Float[Array, "3"]:
 
 
 def tail_rows(tail: Float[Array, "6"]) -> Float[Array, "3"]:
-    """Return the residuals at the free tail end: T = N = M = 0."""
+    """Returns the residuals at the free tail end: T = N = M = 0."""
     return tail[:3]
 
 
 def mid_and_slope(y: Unknowns, ds) -> tuple[Fields, Fields]:
-    """Return the means and slopes of the six unknowns in each cell."""
+    """Returns the means and slopes of the six unknowns in each cell."""
     left, right = y[:, :-1], y[:, 1:]
     return fields(0.5 * (left + right)), fields((right - left) / ds)
 
 
 def at_cells(y: Unknowns, stage: Stage) -> Section:
-    """Return the kinematics in the cells."""
+    """Returns the kinematics in the cells."""
     at = mid_and_slope(y, stage.structure.ds)
     return section(*at, stage.structure, stage.reference, stage.water, stage.pressure, stage.t)
 
 
 def residual(y: Unknowns, stage: Stage):
-    """Return the residuals ((6, cells), (3,), (3,)) of cells, tail and head."""
+    """Returns the residuals ((6, cells), (3,), (3,)) of cells, tail and head."""
     mid, slope = mid_and_slope(y, stage.structure.ds)
     return jnp.stack(cell_rows(mid, slope, stage)), tail_rows(y[:, 0]), head_rows(y[:, -1], stage)
 
 
 def jacobian(y: Unknowns, stage: Stage) -> BeamOperator:
-    """Return the blocks of d(residual)/dy.
+    """Returns the blocks of d(residual)/dy.
 
     The equations of a cell depend on 12 values: the means and slopes of its six unknowns. They are
     elementwise along the body, so 12 forward tangents give all blocks of all cells.

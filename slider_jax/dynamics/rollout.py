@@ -24,7 +24,7 @@ class TimeGrid(eqx.Module):
 
     @classmethod
     def per_stride(cls, frequency: Scalar, steps_per_stride: int, strides: int) -> "TimeGrid":
-        """Return a grid with whole steps per stride, for a stride `frequency` [Hz].
+        """Returns a grid with whole steps per stride, for a stride `frequency` [Hz].
 
         With an even `steps_per_stride`, the edges of a square wave are at ends of steps.
         """
@@ -60,7 +60,7 @@ def rollout(
     begin: Carry | None = None,
     checkpoint: bool = True,
 ) -> Rollout:
-    """Integrate `model` over `times` and save `save(snapshot)` at the end of every step.
+    """Integrates `model` over `times` and saves `save(snapshot)` at the end of every step.
 
     Without `begin`, the body starts straight and at rest relative to its support. To continue an
     earlier rollout, pass its `final` as `begin`. A failed step freezes the state and sets `ok` to
@@ -93,5 +93,5 @@ def rollout(
 def continued(
     carry: Carry, model: Model, times: TimeGrid, save, numerics: Numerics, scheme: Scheme
 ) -> Rollout:
-    """Return the `rollout` that begins at `carry`, without checkpoints for reverse mode."""
+    """Returns the `rollout` that begins at `carry`, without checkpoints for reverse mode."""
     return rollout(model, times, save, numerics, scheme, begin=carry, checkpoint=False)

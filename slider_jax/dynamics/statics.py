@@ -48,7 +48,7 @@ class AtRest(NamedTuple):
 
 
 def at_rest_under(model: Model, loads: Loads, numerics: Numerics = Numerics()) -> AtRest:
-    """Return the static state of `model` under `loads`, clamped, without water and drive.
+    """Returns the static state of `model` under `loads`, clamped, without water and drive.
 
     It is differentiable with respect to every number, by the implicit function theorem.
     """
@@ -74,7 +74,7 @@ def at_rest_under(model: Model, loads: Loads, numerics: Numerics = Numerics()) -
 
 
 def release(model: Model, begin: AtRest, numerics: Numerics = Numerics()) -> Carry:
-    """Return the carry of a rollout that starts at a static state, without the tip load."""
+    """Returns the carry of a rollout that starts at a static state, without the tip load."""
     mesh = make_mesh(model.body, numerics)
     y = begin.y.at[3:5].set(0.0)
     eps = mesh.grid.mid(y[0]) / mesh.structure.EA
@@ -84,13 +84,13 @@ def release(model: Model, begin: AtRest, numerics: Numerics = Numerics()) -> Car
 
 
 def _tail_load(phi: Scalar, force: Float[Array, "2"]) -> Float[Array, "3"]:
-    """Return (T, N, M) at the tail end under a force (x, y) [N]."""
+    """Returns (T, N, M) at the tail end under a force (x, y) [N]."""
     T, N = to_body((-force[0], -force[1]), phi)
     return jnp.stack([T, N, jnp.zeros_like(T)])
 
 
 def _loaded(y: Unknowns, stage: Stage, force: Float[Array, "2"]):
-    """Return `residual` with a force on the tail end."""
+    """Returns `residual` with a force on the tail end."""
     cells, tail, head = residual(y, stage)
     return cells, tail - _tail_load(y[5, 0], force), head
 
@@ -102,7 +102,7 @@ def _loaded_jacobian(y: Unknowns, stage: Stage, force: Float[Array, "2"]) -> Bea
 
 
 def _newton(stage: Stage, force: Float[Array, "2"], scale: Float[Array, "6 1"]):
-    """Return the state, its last relative change, and the last factors of the Jacobian."""
+    """Returns the state, its last relative change, and the last factors of the Jacobian."""
     solver = BeamSolver()
 
     def correct(carry, share):
@@ -123,13 +123,13 @@ def _newton(stage: Stage, force: Float[Array, "2"], scale: Float[Array, "6 1"]):
 
 @eqx.filter_custom_jvp
 def _equilibrium(inputs):
-    """Return (y, error) for (stage, force, scale)."""
+    """Returns (y, error) for (stage, force, scale)."""
     return _newton(*inputs)[:2]
 
 
 @_equilibrium.def_jvp
 def _equilibrium_jvp(primals, tangents):
-    """Return dy = -J^-1 d(residual), with the factors of the last Newton step."""
+    """Returns dy = -J^-1 d(residual), with the factors of the last Newton step."""
     ((stage, force, scale),), (t_inputs,) = primals, tangents
     y, error, factors = _newton(stage, force, scale)
     t_value = tangent_of(lambda x: _loaded(y, *x), (stage, force), t_inputs[:2])

@@ -60,7 +60,7 @@ class Snapshot(eqx.Module):
         return self.memory.head
 
     def section(self) -> Section:
-        """Return the kinematics in the cells."""
+        """Returns the kinematics in the cells."""
         return at_cells(self.y, self.stage)
 
 
@@ -79,7 +79,7 @@ def _anchor(memory: Memory, support: Support, t) -> Float[Array, "2"]:
 
 
 def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
-    """Return the function that advances a `Carry` by one step.
+    """Returns the function that advances a `Carry` by one step.
 
     The function takes (carry, (t, h, chambers)): start `t` [s] and length `h` [s] of the step, and
     the stacked chambers at its stages. It returns the new carry and a `Snapshot` at the step's end.
@@ -168,7 +168,7 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
 
 
 def at_rest(model: Model, numerics: Numerics, t0: Scalar = 0.0) -> Carry:
-    """Return the carry of a straight, unloaded body at rest relative to its support at `t0` [s]."""
+    """Returns the carry of a straight unloaded body at rest relative to its support at `t0` [s]."""
     velocity, angle, rate = model.support.start(jnp.asarray(t0))
     V_tau, V_n = to_body(velocity, angle)
     s = grid_of(model.body, numerics).s
@@ -179,14 +179,14 @@ def at_rest(model: Model, numerics: Numerics, t0: Scalar = 0.0) -> Carry:
 
 
 def with_motion(carry: Carry, change: Callable[[Array], Array]) -> Carry:
-    """Return the carry after `change`, a function of (V_tau, V_n, phi), shape (..., 3, nodes)."""
+    """Returns the carry after `change`, a function of (V_tau, V_n, phi), shape (..., 3, nodes)."""
     history = carry.history.at[:, 3:].set(change(carry.history[:, 3:]))
     rows = change(carry.memory.motion), history
     return eqx.tree_at(lambda c: (c.memory.motion, c.history), carry, rows)
 
 
 def initial_carry(y: Unknowns, memory: Memory, chambers: Chambers) -> Carry:
-    """Return the carry of a rollout that starts at the state (y, memory, chambers)."""
+    """Returns the carry of a rollout that starts at the state (y, memory, chambers)."""
     return Carry(
         history=jnp.broadcast_to(y, (3, *y.shape)),
         memory=memory,

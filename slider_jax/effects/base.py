@@ -40,7 +40,7 @@ class Prior(NamedTuple):
 def parameter(
     null: float, low: float, high: float, unit: str, why: str, start: float | None = None
 ) -> Any:
-    """Return the field of an effect's parameter with this `Prior`; its default is the null."""
+    """Returns the field of an effect's parameter with this `Prior`; its default is the null."""
     return eqx.field(default=null, metadata={"prior": Prior(null, low, high, unit, why, start)})
 
 
@@ -71,17 +71,17 @@ class Effect(eqx.Module):
 
     @classmethod
     def name(cls) -> str:
-        """Return the class's name in lower case with underscores, as in files and reports."""
+        """Returns the class's name in lower case with underscores, as in files and reports."""
         return re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
 
     @classmethod
     def place(cls) -> str:
-        """Return the name of the base class for the place where the effect enters the model."""
+        """Returns the name of the base class for the place where the effect enters the model."""
         return next(kind.__name__ for kind in cls.__mro__[1:] if kind.__module__ == __name__)
 
     @classmethod
     def priors(cls) -> dict[str, Prior]:
-        """Return the priors of the parameters that can be identified, by parameter name."""
+        """Returns the priors of the parameters that can be identified, by parameter name."""
         return {f.name: f.metadata["prior"] for f in fields(cls) if "prior" in f.metadata}
 
 
@@ -93,7 +93,7 @@ class ForceDensity(Effect):
 
     @abstractmethod
     def force(self, x: Section) -> tuple[Array, Array]:
-        """Return the force per length (F_tau, F_n) [N/m] on a section of the body."""
+        """Returns the force per length (F_tau, F_n) [N/m] on a section of the body."""
 
 
 class BendingMoment(Effect):
@@ -101,7 +101,7 @@ class BendingMoment(Effect):
 
     @abstractmethod
     def moment(self, x: Section, memory: Array, dt: Array) -> tuple[Array, Array]:
-        """Return the moment (cells,) [N m] and the memory (cells,) at the end of the stage.
+        """Returns the moment (cells,) [N m] and the memory (cells,) at the end of the stage.
 
         The moment has the sign of EI kappa. The time derivative of the effect's state is
         (value - memory)/dt, and the new value must follow from the section in closed form. An
@@ -132,7 +132,7 @@ class Mounting(Effect):
 
     @abstractmethod
     def give(self, rates: HeadRates) -> tuple[Array, Array, Array]:
-        """Return the head's velocity (tau, n) [m/s] and rotation rate [rad/s] on the carriage."""
+        """Returns the head's velocity (tau, n) [m/s] and rotation rate [rad/s] on the carriage."""
 
 
 class BodyChange(Effect):
@@ -140,7 +140,7 @@ class BodyChange(Effect):
 
     @abstractmethod
     def change(self, robot: Robot) -> Robot:
-        """Return the actual robot, given the measured robot."""
+        """Returns the actual robot, given the measured robot."""
 
 
 class Command(Effect):
@@ -150,7 +150,7 @@ class Command(Effect):
 
     @abstractmethod
     def command(self, wave: Waveform, chamber: int) -> Waveform:
-        """Return the waveform that the valves follow; `chamber` is 0 for front, 1 for rear."""
+        """Returns the waveform that the valves follow; `chamber` is 0 for front, 1 for rear."""
 
 
 class Chamber(NamedTuple):
@@ -180,13 +180,13 @@ class Flow(Effect):
 
     @abstractmethod
     def rate(self, rate: Array, x: Chamber) -> Array:
-        """Return dp/dt [Pa/s], given the `rate` [Pa/s] of the model without the effect.
+        """Returns dp/dt [Pa/s], given the `rate` [Pa/s] of the model without the effect.
 
         It may differ between filling and venting, because steps are split where p is zero.
         """
 
     def replaces(self) -> Array | bool:
-        """Return whether the effect's rate replaces that of the lag."""
+        """Returns whether the effect's rate replaces that of the lag."""
         return False
 
 
@@ -197,7 +197,7 @@ class ActingPressure(Effect):
     def act(
         self, p: Float[Array, "2"], memory: Float[Array, "2 2"], dt: Array
     ) -> tuple[Array, Array]:
-        """Return the acting pressures (2,) [Pa] of front and rear after `dt` [s], and the memory.
+        """Returns the acting pressures (2,) [Pa] of front and rear after `dt` [s], and the memory.
 
         `memory` holds the effect's state (2,) and the previous pressure (2,). Both equal the
         pressure at the start. An effect without memory returns `memory` unchanged.
@@ -209,7 +209,7 @@ class WaterMotion(Effect):
 
     @abstractmethod
     def velocity(self, t: Array) -> tuple[Array, Array]:
-        """Return the water velocity (U_x, U_y) [m/s] at `t` [s], uniform along the body."""
+        """Returns the water velocity (U_x, U_y) [m/s] at `t` [s], uniform along the body."""
 
 
 class Readings(NamedTuple):
@@ -234,10 +234,10 @@ class Instrument(Effect):
 
     @abstractmethod
     def read(self, true: Readings) -> Readings:
-        """Return the recorded readings, given the `true` ones; `t` stays."""
+        """Returns the recorded readings, given the `true` ones; `t` stays."""
 
     def read_sample(self, true: Readings, read: Readings) -> Readings:
-        """Return the recorded reading (scalars) of the last sample of `true`.
+        """Returns the recorded reading (scalars) of the last sample of `true`.
 
         `read` contains the recorded readings of the previous samples. An instrument whose reading
         depends on its previous readings must override this method.
@@ -246,17 +246,17 @@ class Instrument(Effect):
 
 
 def last_sample(readings: Readings) -> Readings:
-    """Return the last sample of a series, as scalars."""
+    """Returns the last sample of a series, as scalars."""
     return Readings(*(x[-1] for x in readings))
 
 
 def of_place(effects: tuple[Effect, ...], place: type) -> tuple:
-    """Return the effects that enter at a place, in order."""
+    """Returns the effects that enter at a place, in order."""
     return tuple(effect for effect in effects if isinstance(effect, place))
 
 
 def total_force(effects: tuple[Effect, ...], x: Section) -> tuple[Array, Array]:
-    """Return the sum (F_tau, F_n) of the effects' force densities [N/m]."""
+    """Returns the sum (F_tau, F_n) of the effects' force densities [N/m]."""
     zero = jnp.zeros_like(x.V_n)
     parts = [effect.force(x) for effect in of_place(effects, ForceDensity)]
     return sum((p[0] for p in parts), zero), sum((p[1] for p in parts), zero)

@@ -12,17 +12,17 @@ at the limit."""
 
 
 def magnitude(x: Array, width: float) -> Array:
-    """Return |x|, rounded below `width`: sqrt(x^2 + width^2)."""
+    """Returns |x|, rounded below `width`: sqrt(x^2 + width^2)."""
     return jnp.sqrt(x**2 + width**2)
 
 
 def limited(x: Array, inverse: Array) -> Array:
-    """Return x limited to -1/inverse and 1/inverse: x/(1 + |inverse x|^32)^(1/32)."""
+    """Returns x limited to -1/inverse and 1/inverse: x/(1 + |inverse x|^32)^(1/32)."""
     return x / (1.0 + (inverse * x) ** LIMIT_EXPONENT) ** (1.0 / LIMIT_EXPONENT)
 
 
 def delayed(x: Float[Array, " n"], t: Float[Array, " n"], delay: Scalar) -> Float[Array, " n"]:
-    """Return x(t - delay) at the times `t` [s]; the delay may be negative, and x has constant ends.
+    """Returns x(t - delay) at the times `t` [s]; `delay` may be negative; x has constant ends.
 
     The interpolation is cubic Hermite with central differences as slopes, so the derivative with
     respect to the delay is continuous at the samples and at zero.
@@ -39,7 +39,7 @@ def delayed(x: Float[Array, " n"], t: Float[Array, " n"], delay: Scalar) -> Floa
 
 
 def lag_coefficients(tau: Scalar, dt: Array) -> tuple[Array, Array]:
-    """Return the decay e = exp(-dt/tau) of a lag in a step `dt` [s], and its mean (1 - e) tau/dt.
+    """Returns the decay e = exp(-dt/tau) of a lag in a step `dt` [s], and its mean (1 - e) tau/dt.
 
     At tau = 0 both are zero, and the derivative of the mean with respect to tau is 1/dt.
     """
@@ -53,7 +53,7 @@ def lag_coefficients(tau: Scalar, dt: Array) -> tuple[Array, Array]:
 def lagged(
     x: Float[Array, " n"], t: Float[Array, " n"], tau: Scalar, start: Array | None = None
 ) -> Float[Array, " n"]:
-    """Return the solution y of tau dy/dt = x - y from y = `start` (default: the first x).
+    """Returns the solution y of tau dy/dt = x - y from y = `start` (default: the first x).
 
     The solution is exact if x is linear within each step.
 
@@ -79,5 +79,5 @@ def lagged(
 def lagged_sample(
     x: Float[Array, " n"], t: Float[Array, " n"], tau: Scalar, y: Float[Array, " m"]
 ) -> Array:
-    """Return the last sample of `lagged`, given the readings `y` until the sample before it."""
+    """Returns the last sample of `lagged`, given the readings `y` until the sample before it."""
     return lagged(x[-2:], t[-2:], tau, y[-1])[-1]

@@ -14,14 +14,14 @@ from slider_jax.errors import InputError
 
 
 def defined_effects(module: ModuleType) -> list[type[Effect]]:
-    """Return the concrete effects that `module` defines, which are subclasses of a place."""
+    """Returns the concrete effects that `module` defines, which are subclasses of a place."""
     kinds = [x for x in vars(module).values() if isinstance(x, type) and issubclass(x, Effect)]
     kinds = [x for x in kinds if x.__module__ == module.__name__ and not inspect.isabstract(x)]
     return [x for x in kinds if Effect not in (x, *x.__bases__)]
 
 
 def _built_in() -> dict[str, type[Effect]]:
-    """Return the effects of the package's folders by name, without those of every model."""
+    """Returns the effects of the package's folders by name, without those of every model."""
     found = [m.name for m in walk_packages(effects.__path__, f"{effects.__name__}.")]
     modules = [importlib.import_module(name) for name in found if name != __name__]
     kinds = [kind for module in modules for kind in defined_effects(module)]
@@ -35,7 +35,7 @@ LOADED_FILES: list[Path] = []
 
 
 def load_effects(path: Path) -> list[str]:
-    """Add the effects that the Python file `path` defines to `LIBRARY`, and return their names.
+    """Adds the effects that the Python file `path` defines to `LIBRARY`, and returns their names.
 
     The file runs as Python code, so load only files that you trust. Raises `InputError`, and adds
     nothing, if the file cannot be imported or defines no effect, or if an effect has no title, no
@@ -68,7 +68,7 @@ def load_effects(path: Path) -> list[str]:
 
 
 def _check_effects(path: Path, kinds: list[type[Effect]]) -> None:
-    """Raise `InputError` if the library cannot take the effects of a file."""
+    """Raises `InputError` if the library cannot take the effects of a file."""
     if not kinds:
         raise InputError(
             f"{path}: defines no effect; define a class derived from a base class of "

@@ -16,7 +16,7 @@ MAX_DUTY = 250.0 / 255.0
 
 
 def opening(error: Array, dead: Scalar) -> Array:
-    """Return the share of the full flow with which a pressure error [Pa] opens a valve.
+    """Returns the share of the full flow with which a pressure error [Pa] opens a valve.
 
     The duty is min(250, 10 |error in codes|)/255. A duty below `dead` opens nothing. Source: the
     public repository bvanstratum/SoftSnakePressureControl.
@@ -38,7 +38,7 @@ class ValvePair(Flow):
 
     @abstractmethod
     def flows(self, p: Array) -> tuple[Array, Array]:
-        """Return |dp/dt| [Pa/s] of the open fill and vent valves at the pressure p >= 0 [Pa]."""
+        """Returns |dp/dt| [Pa/s] of the open fill and vent valves at the pressure p >= 0 [Pa]."""
 
     def rate(self, rate: Array, x: Chamber) -> Array:
         fill, vent = self.flows(jnp.abs(x.p))

@@ -48,7 +48,7 @@ class Experiment(ExperimentTable):
         return self._folder
 
     def with_values(self, values: dict[str, Any], source: str = "change") -> "Experiment":
-        """Return a validated copy with replaced fields, such as {"trials.0.frequency": 2.0}."""
+        """Returns a validated copy with replaced fields, such as {"trials.0.frequency": 2.0}."""
         content = self.model_dump()
         for path, value in values.items():
             *parents, last = path.split(".")
@@ -75,7 +75,7 @@ def _experiment(content: dict[str, Any], source: str, folder: Path) -> Experimen
 
 
 def load(path: Path | str, model: Path | str | None = None) -> Experiment:
-    """Return the validated experiment of a file, with the overrides of a model file if given.
+    """Returns the validated experiment of a file, with the overrides of a model file if given.
 
     The model file's keys of `[robot]` and `[parameters]` replace the experiment's; its
     `[[effects]]` are added. Its C_d and m_a replace `force_coefficients = "ramp"` or `"table"`,
@@ -88,7 +88,7 @@ def load(path: Path | str, model: Path | str | None = None) -> Experiment:
 def assemble(
     content: dict[str, Any], source: str, folder: Path, model: Path | str | None = None
 ) -> Experiment:
-    """Return an experiment from its tables; errors name the `source`. `model` is as in `load`."""
+    """Returns an experiment from its tables; errors name the `source`. `model` is as in `load`."""
     experiment = _experiment(content, source, folder)
     if model is None:
         return experiment
@@ -115,7 +115,7 @@ def assemble(
 
 
 def trial_conditions(experiment: Experiment, trial: Trial) -> dict[str, float]:
-    """Return a trial's values for effect fields of these names that the file omits."""
+    """Returns a trial's values for effect fields of these names that the file omits."""
     return {
         "density": experiment.robot.water_density,
         "stride_frequency": trial.frequency or 1.0,
@@ -124,7 +124,7 @@ def trial_conditions(experiment: Experiment, trial: Trial) -> dict[str, float]:
 
 
 def _effect(table: EffectTable, where: str, taken: dict[str, float] | None = None) -> Effect:
-    """Return the effect of a table; `taken` are the trial's values for omitted fields."""
+    """Returns the effect of a table; `taken` are the trial's values for omitted fields."""
     if table.name not in LIBRARY:
         raise InputError(
             f"{where}.name: given {table.name!r}; allowed {', '.join(LIBRARY)}; drag and added "
@@ -146,7 +146,7 @@ LONGEST_RECORD = 20.0
 
 
 def check_pascal(path: Path, columns: dict[str, np.ndarray], names: tuple[str, ...]) -> None:
-    """Raise `InputError` if the largest value of these columns cannot be a pressure in Pa."""
+    """Raises `InputError` if the largest value of these columns cannot be a pressure in Pa."""
     largest = max(float(np.abs(columns[name]).max()) for name in names)
     if largest > 2e6 or 0.0 < largest < 1e3:
         raise InputError.value(
@@ -158,7 +158,7 @@ def check_pascal(path: Path, columns: dict[str, np.ndarray], names: tuple[str, .
 
 
 def _recorded(experiment: Experiment, trial: Trial) -> tuple[Recorded, Recorded]:
-    """Return both chambers' recorded pressures, checked for length, spacing and magnitude."""
+    """Returns both chambers' recorded pressures, checked for length, spacing and magnitude."""
     path = experiment.folder / str(trial.drive_file)
     names = ("p_front_Pa", "p_rear_Pa")
     columns = read_csv(path, (TIME, *names))
@@ -201,14 +201,14 @@ def _drive(experiment: Experiment, trial: Trial) -> Drive:
 
 
 def to_numerics(experiment: Experiment) -> tuple[Numerics, Scheme]:
-    """Return the mesh with the tolerance, and the time scheme, of an experiment."""
+    """Returns the mesh with the tolerance, and the time scheme, of an experiment."""
     robot, numerics = experiment.robot, experiment.numerics
     cells = split_cells(numerics.nodes, robot.tail_length, robot.body_length)
     return Numerics(*cells, tolerance=numerics.tolerance), SCHEMES[numerics.scheme]
 
 
 def coefficients_at(parameters: ParametersTable, frequency: Scalar | None):
-    """Return (C_d, m_a) at a stride frequency [Hz], differentiable in the frequency."""
+    """Returns (C_d, m_a) at a stride frequency [Hz], differentiable in the frequency."""
     if parameters.force_coefficients == "fixed":
         return parameters.C_d, parameters.m_a
     assert frequency is not None
@@ -221,13 +221,13 @@ def coefficients_at(parameters: ParametersTable, frequency: Scalar | None):
 
 
 def drag_and_added_mass(experiment: Experiment, trial: Trial) -> tuple[float, float]:
-    """Return (C_d, m_a) of a trial: constants, the file's table, or the paper's ramp."""
+    """Returns (C_d, m_a) of a trial: constants, the file's table, or the paper's ramp."""
     C_d, m_a = coefficients_at(experiment.parameters, trial.frequency)
     return float(C_d), float(m_a)
 
 
 def to_model(experiment: Experiment, trial: Trial | int = 0) -> Model:
-    """Return the model of one trial, with arrays as leaves, so that it can be differentiated.
+    """Returns the model of one trial, with arrays as leaves, so that it can be differentiated.
 
     Trials with the same waveform have the same tree structure: stack them with `jax.tree.map` and
     use vmap. Raises `InputError` if a recorded drive is invalid.
@@ -258,7 +258,7 @@ def to_model(experiment: Experiment, trial: Trial | int = 0) -> Model:
 
 
 def read_measured(experiment: Experiment, trial: Trial) -> dict[str, np.ndarray] | None:
-    """Return the trial's measured columns, or None without its file. Blank cells are NaN.
+    """Returns the trial's measured columns, or None without its file. Blank cells are NaN.
 
     Only `t_s` is required; other columns are returned if present. Raises `InputError` if the file
     is invalid or contradicts the experiment.

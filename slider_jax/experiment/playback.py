@@ -37,7 +37,7 @@ class PlayedDrive(NamedTuple):
 
 
 def read_played(experiment: Experiment, trial: Trial) -> PlayedDrive | None:
-    """Return the drive in NAME.played.csv beside a trial's file, or None without that file.
+    """Returns the drive in NAME.played.csv beside a trial's file, or None without that file.
 
     Raises `InputError` if it does not cover the trial, is not in pascal, or has another amplitude
     than the trial.
@@ -69,7 +69,7 @@ def read_played(experiment: Experiment, trial: Trial) -> PlayedDrive | None:
 
 
 def _averaged(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the changes, averaged over each `AVERAGING_TIME` if they are more frequent."""
+    """Returns the changes, averaged over each `AVERAGING_TIME` if they are more frequent."""
     if np.diff(t[:-1]).min(initial=np.inf) >= 0.9 * AVERAGING_TIME:
         return t, values
     area = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(t))])
@@ -79,7 +79,7 @@ def _averaged(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def _held(t: np.ndarray, values: np.ndarray) -> Held:
-    """Return one chamber's wave without repeated values; it may change once within a step."""
+    """Returns one chamber's wave without repeated values; it may change once within a step."""
     kept = np.concatenate([[True], np.diff(values) != 0.0])
     t, values = t[kept], values[kept]
     rows = max(LEAST_ROWS, 1 << int(np.ceil(np.log2(len(t) + 1))))

@@ -57,7 +57,7 @@ def step_grid(
     spacing: float | None = None,
     played: PlayedDrive | None = None,
 ) -> StepGrid:
-    """Return the grid of steps of at most `longest` [s] up to `end` [s].
+    """Returns the grid of steps of at most `longest` [s] up to `end` [s].
 
     The step divides `spacing` [s] if given, else half a stride if the trial has a frequency.
     """
@@ -73,7 +73,7 @@ def step_grid(
 
 
 def divided_step(spacing: float, longest: float) -> float:
-    """Return the largest whole fraction of `spacing` [s] that is at most `longest` [s]."""
+    """Returns the largest whole fraction of `spacing` [s] that is at most `longest` [s]."""
     return spacing / np.ceil(spacing / longest * (1.0 - 1e-9))
 
 
@@ -103,7 +103,7 @@ def prepare(
     sample_times: np.ndarray | None = None,
     declared_drive: bool = False,
 ) -> PreparedTrial:
-    """Return a prepared trial: its files read, its model built, its steps by [numerics].
+    """Returns a prepared trial: its files read, its model built, its steps by [numerics].
 
     With `sample_times` (n,) [s], the trial's measured file is not read. Without them, they are the
     times in that file, or without the file those of the sensors' rate. With `declared_drive`, the
@@ -134,7 +134,7 @@ def prepare(
 
 
 def half_period_steps(frequency: float, longest: float, phase: float = 0.0) -> int:
-    """Return the number of steps per half period of `frequency` [Hz], at most `longest` [s] each.
+    """Returns the number of steps per half period of `frequency` [Hz], at most `longest` [s] each.
 
     The front chamber's pressure edges, at half periods, are always on steps. Up to a quarter more
     steps are used if the rear chamber's edges, `phase` periods later, are then on steps too.
@@ -147,7 +147,7 @@ def half_period_steps(frequency: float, longest: float, phase: float = 0.0) -> i
 
 
 def edge_steps(steps: int, half_period: int, phase: float = 0.0) -> np.ndarray:
-    """Return the indices of steps, with 0 and `steps`, between which the drive is smooth."""
+    """Returns the indices of steps, with 0 and `steps`, between which the drive is smooth."""
     delay = round(2 * half_period * phase) % half_period
     front, rear = np.arange(0, steps, half_period), np.arange(delay, steps, half_period)
     return np.unique(np.concatenate([front, rear, [0, steps]]))
@@ -156,7 +156,7 @@ def edge_steps(steps: int, half_period: int, phase: float = 0.0) -> np.ndarray:
 def sample_series(
     t: np.ndarray, values: np.ndarray, at: np.ndarray, edges: np.ndarray
 ) -> np.ndarray:
-    """Interpolate `values` (n, ...) at evenly spaced times `t` (n,) cubically to the times `at`.
+    """Interpolates `values` (n, ...) at evenly spaced times `t` (n,) cubically to the times `at`.
 
     Each result uses the four nearest steps between two neighbouring `edges` (indices into t), so
     that no polynomial crosses an edge. If there are fewer steps between the edges, it uses these.

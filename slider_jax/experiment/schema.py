@@ -18,7 +18,7 @@ FROM_LIST = BeforeValidator(lambda x: tuple(x) if isinstance(x, list) else x)
 
 
 def _plain_name(name: str) -> str:
-    """Return the name if it is a plain CSV name, so that it stays in the experiment's folder."""
+    """Returns the name if it is a plain CSV name, so that it stays in the experiment's folder."""
     parts = PurePath(name.replace("\\", "/")).parts
     if len(parts) != 1 or parts[0] in ("..", ".") or not name.endswith(".csv"):
         raise PydanticCustomError(
@@ -226,7 +226,7 @@ class ExperimentTable(Table):
 
 
 def _fail(where: str, given: Any, allowed: str) -> None:
-    """Raise a validation error for the key `where` of a table."""
+    """Raises a validation error for the key `where` of a table."""
     raise PydanticCustomError(
         "table",
         "{where}: given {given}; allowed {allowed}",

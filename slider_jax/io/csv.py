@@ -13,7 +13,7 @@ from slider_jax.io.toml import read_bytes
 def read_csv(
     path: Path, required: Sequence[str], blank: Sequence[str] = (), increasing: str = "time"
 ) -> dict[str, np.ndarray]:
-    """Return the columns of a time series, as `read_table`; the first of `required` must increase.
+    """Returns the columns of a time series, as `read_table`; the first of `required` must increase.
 
     `increasing` is that column's name in the error. Raises `InputError` with file and line.
     """
@@ -32,7 +32,7 @@ def read_csv(
 def read_table(
     path: Path, required: Sequence[str], blank: Sequence[str] = ()
 ) -> dict[str, np.ndarray]:
-    """Return the columns of a CSV file by name. Empty cells in the columns `blank` become NaN.
+    """Returns the columns of a CSV file by name. Empty cells in the columns `blank` become NaN.
 
     Raises `InputError` with file and line.
     """

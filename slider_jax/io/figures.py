@@ -10,7 +10,7 @@ FRAME = 50
 
 
 def new_figure(*args, **kwargs):
-    """Return a figure and its axes, which need no display; arguments as `plt.subplots`."""
+    """Returns a figure and its axes, which need no display; arguments as `plt.subplots`."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -20,7 +20,7 @@ def new_figure(*args, **kwargs):
 
 
 def save_figure(figure, path: Path) -> None:
-    """Write `figure` to `path` and close it."""
+    """Writes `figure` to `path` and closes it."""
     import matplotlib.pyplot as plt
 
     figure.savefig(path, dpi=150)
@@ -35,7 +35,7 @@ def save_film(
     path: Path,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> None:
-    """Write a GIF with one frame for each index in `shown`, and close the figure.
+    """Writes a GIF with one frame for each index in `shown`, and closes the figure.
 
     `move(index)` updates the artists `moving`. All other artists are drawn once, since their texts
     take most of the drawing time. `progress(frames done, all frames)` is called after each frame.

@@ -22,7 +22,7 @@ from slider_jax.errors import InputError
 
 
 def output_folder(path: Path | str) -> Path:
-    """Return `path` as a writable folder, created if missing. Raises `InputError` otherwise."""
+    """Returns `path` as a writable folder, created if missing. Raises `InputError` otherwise."""
     path = Path(path)
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -39,7 +39,7 @@ def output_folder(path: Path | str) -> Path:
 
 @contextmanager
 def tentative_folder(path: Path | str) -> Iterator[Path]:
-    """Yield the output folder `path`. If the block fails, new empty folders are removed."""
+    """Yields the output folder `path`. If the block fails, new empty folders are removed."""
     path = Path(path)
     created = [p for p in (path, *path.parents) if not os.path.exists(p)]
     try:
@@ -53,7 +53,7 @@ def tentative_folder(path: Path | str) -> Iterator[Path]:
 
 @contextmanager
 def replacing(path: Path | str) -> Iterator[Path]:
-    """Yield a temporary file next to `path` with the same suffix, renamed to `path` on success."""
+    """Yields a temporary file next to `path` with the same suffix, renamed to `path` on success."""
     path = Path(path)
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=".tmp-", suffix=path.suffix)
     os.close(handle)
@@ -68,7 +68,7 @@ def replacing(path: Path | str) -> Iterator[Path]:
 
 @contextmanager
 def staged(folder: Path | str) -> Iterator[Path]:
-    """Yield a temporary folder. Its files move into `folder` only if the block succeeds."""
+    """Yields a temporary folder. Its files move into `folder` only if the block succeeds."""
     with tentative_folder(folder) as out:
         stage = Path(tempfile.mkdtemp(dir=out, prefix=".tmp-"))
         try:
@@ -84,18 +84,18 @@ def staged(folder: Path | str) -> Iterator[Path]:
 
 
 def write_bytes(path: Path | str, content: bytes) -> None:
-    """Write `content` to `path` atomically."""
+    """Writes `content` to `path` atomically."""
     with replacing(path) as temporary:
         temporary.write_bytes(content)
 
 
 def write_text(path: Path | str, text: str) -> None:
-    """Write `text` to `path` atomically, as UTF-8 and with unchanged line ends."""
+    """Writes `text` to `path` atomically, as UTF-8 and with unchanged line ends."""
     write_bytes(path, text.encode())
 
 
 def _plain(value: Any) -> Any:
-    """Return `value` as JSON types; numbers that are not finite become None."""
+    """Returns `value` as JSON types; numbers that are not finite become None."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -110,7 +110,7 @@ def _plain(value: Any) -> Any:
 
 
 def write_json(path: Path | str, content: Any) -> None:
-    """Write `content` to `path` as JSON, atomically; numbers that are not finite become null."""
+    """Writes `content` to `path` as JSON, atomically; numbers that are not finite become null."""
     write_text(path, json.dumps(_plain(content), indent=2, allow_nan=False) + "\n")
 
 
@@ -119,7 +119,7 @@ def write_csv(
     columns: Mapping[str, Sequence[float] | np.ndarray],
     formats: Mapping[str, str] | None = None,
 ) -> None:
-    """Write `columns` (name with unit -> values, equal lengths) to `path` atomically.
+    """Writes `columns` (name with unit -> values, equal lengths) to `path` atomically.
 
     `formats` gives the format of a column, such as ".4f"; the default is ".9g". A NaN becomes an
     empty cell.
@@ -136,7 +136,7 @@ def write_csv(
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of this package, of Python and of the numerical libraries."""
+    """Returns the versions of this package, of Python and of the numerical libraries."""
     result = {"slider_jax": slider_jax.__version__, "python": platform.python_version()}
     for name in "jax jaxlib equinox optimistix lineax numpy scipy optax evosax".split():
         try:

@@ -20,7 +20,7 @@ TableType = TypeVar("TableType", bound=BaseModel)
 
 
 def read_bytes(path: Path) -> bytes:
-    """Return the content of an input file. Raises `InputError` if it cannot be read."""
+    """Returns the content of an input file. Raises `InputError` if it cannot be read."""
     if path.is_dir():
         raise InputError(f"{path}: is a folder; give the file in it")
     try:
@@ -32,7 +32,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Return the tables of a TOML file. Raises `InputError` with the line and column."""
+    """Returns the tables of a TOML file. Raises `InputError` with the line and column."""
     try:
         text = read_bytes(path).decode("utf-8")
         return tomllib.loads(text)
@@ -45,7 +45,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 def toml_text(
     content: Mapping[str, Any], comment: str = "", units: Mapping[str, str] = MappingProxyType({})
 ) -> str:
-    """Return values, tables and lists of tables as the text of a TOML file.
+    """Returns values, tables and lists of tables as the text of a TOML file.
 
     Each line of `comment` becomes a comment line at the top. `units` gives the unit of a key in a
     table; it follows the key's value as a comment.
@@ -63,7 +63,7 @@ def toml_text(
 
 
 def significant(value: float, digits: int = 9) -> float:
-    """Return the number that a file gets: rounded to so many significant digits."""
+    """Returns the number that a file gets: rounded to so many significant digits."""
     return float(f"{value:.{digits}g}")
 
 
@@ -81,7 +81,7 @@ def _unit_advice(text: str, error: tomllib.TOMLDecodeError) -> str:
 def field_at(
     table: type[BaseModel], location: Sequence[str | int]
 ) -> tuple[type[BaseModel], FieldInfo | None]:
-    """Return the innermost table and the field of a location such as ("trials", 0, "phase")."""
+    """Returns the innermost table and the field of a location such as ("trials", 0, "phase")."""
     field = None
     for part in location:
         if str(part).isdigit():
@@ -96,7 +96,7 @@ def field_at(
 
 
 def quantity_of(field: FieldInfo | None) -> Quantity | None:
-    """Return the unit and range of a field, or None if it has none."""
+    """Returns the unit and range of a field, or None if it has none."""
     candidates = list(field.metadata) if field is not None else []
     for inner in getattr(getattr(field, "annotation", None), "__args__", ()):
         candidates += getattr(inner, "__metadata__", ())
@@ -104,7 +104,7 @@ def quantity_of(field: FieldInfo | None) -> Quantity | None:
 
 
 def _message(table: type[BaseModel], error: Any) -> str:
-    """Return the message for one error of pydantic."""
+    """Returns the message for one error of pydantic."""
     location = tuple(part for part in error["loc"] if not str(part).startswith("function-"))
     where = ".".join(str(part) for part in location)
     owner, field = field_at(table, location)
@@ -137,7 +137,7 @@ def _message(table: type[BaseModel], error: Any) -> str:
 
 
 def validate(table: type[TableType], content: Any, source: str) -> TableType:
-    """Return `content` as a `table`. Raises `InputError` with source, key and allowed values."""
+    """Returns `content` as a `table`. Raises `InputError` with source, key and allowed values."""
     try:
         return table.model_validate(content)
     except ValidationError as failure:

@@ -47,7 +47,7 @@ class Quantity:
         return _ADVICE.get(self.unit, "")
 
     def check(self, value: float) -> float:
-        """Return `value` if it is allowed; otherwise raise an error that names the range."""
+        """Returns `value` if it is allowed; otherwise raise an error that names the range."""
         if self.or_zero and value == 0.0:
             return value
         if math.isfinite(value) and self.low <= value <= self.high:

@@ -96,7 +96,7 @@ def clamp_power(x: Snapshot) -> Float[Array, ""]:
 
 
 def energy_rates(x: Snapshot) -> EnergyRates:
-    """Return every term of the energy balance at one instant."""
+    """Returns every term of the energy balance at one instant."""
     section, body, integral = x.section(), x.mesh.structure, x.mesh.grid.integral
     stretch = 1.0 + section.strain
 

@@ -12,7 +12,7 @@ from slider_jax.dynamics.step import Snapshot
 
 
 def midline(x: Snapshot) -> Float[Array, "2 nodes"]:
-    """Return the positions (x, y) [m] of the nodes, tail first."""
+    """Returns the positions (x, y) [m] of the nodes, tail first."""
     return node_positions(x.y[5], x.memory.strain, x.head, x.mesh.grid)
 
 

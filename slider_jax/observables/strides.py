@@ -9,7 +9,7 @@ from slider_jax.beam.parameters import Scalar
 def stride_means(
     series: Float[Array, "*b steps"], steps_per_stride: int
 ) -> Float[Array, "*b strides"]:
-    """Return the mean over each stride; for a periodic series, this is the trapezoidal rule."""
+    """Returns the mean over each stride; for a periodic series, this is the trapezoidal rule."""
     steps = series.shape[-1]
     if steps % steps_per_stride:
         raise ValueError(
@@ -29,7 +29,7 @@ def strouhal_number(frequency: Scalar, excursion: Scalar, speed: Scalar) -> Scal
 
 
 def froude_efficiency(mean_thrust: Scalar, speed: Scalar, mean_power: Scalar) -> Scalar:
-    """Return eta = T U / P [-]: useful power over the mean mechanical power [W] of the chambers.
+    """Returns eta = T U / P [-]: useful power over the mean mechanical power [W] of the chambers.
 
     For a towed clamp, T [N] is the mean force on the clamp and U [m/s] is the tow speed. eta is
     zero at U = 0; use `force_efficiency` instead. Source: Lighthill, M. J. (1960), J. Fluid
@@ -47,7 +47,7 @@ def force_efficiency(mean_thrust: Scalar, mean_power: Scalar) -> Scalar:
 
 
 def tail_slope(amplitude: Scalar, wavelength: Scalar) -> Scalar:
-    """Return the paper's slope A_t / (lambda/4) [-] of the wave at the tail.
+    """Returns the paper's slope A_t / (lambda/4) [-] of the wave at the tail.
 
     `amplitude` A_t [m] is half the peak-to-peak excursion; lambda [m] is the body wavelength. This
     is the slope of the line from a zero to the crest. The sine at its zero is steeper by pi/2.

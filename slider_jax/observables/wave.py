@@ -14,13 +14,13 @@ from jaxtyping import Array, Complex, Float
 
 
 def _over(a, b):
-    """Return a/b for a real b; 0 with zero derivatives where b = 0."""
+    """Returns a/b for a real b; 0 with zero derivatives where b = 0."""
     inverse = jnp.where(b == 0.0, 0.0, 1.0 / jnp.where(b == 0.0, 1.0, b))
     return a * inverse.astype(jnp.result_type(a))
 
 
 def _root(x):
-    """Return sqrt(x); 0 with a zero derivative where x <= 0."""
+    """Returns sqrt(x); 0 with a zero derivative where x <= 0."""
     return jnp.where(x > 0.0, jnp.sqrt(jnp.where(x > 0.0, x, 1.0)), 0.0)
 
 
@@ -36,7 +36,7 @@ class BodyWave(eqx.Module):
 def fundamental_mode(
     y: Float[Array, "times points"], t: Float[Array, " times"], frequency
 ) -> Complex[Array, " points"]:
-    """Return c(s) [m] of the fundamental: the Fourier coefficient of `y` [m] at `frequency` [Hz].
+    """Returns c(s) [m] of the fundamental: the Fourier coefficient of `y` [m] at `frequency` [Hz].
 
     c = (2/n) sum_t y exp(-2 pi i f t). The times `t` [s] are equal steps over whole strides.
     """
@@ -47,7 +47,7 @@ def fundamental_mode(
 
 
 def orthogonal_mode(y: Float[Array, "times points"]) -> Complex[Array, " points"]:
-    """Return c(s) [m] of the first complex orthogonal mode of `y` [m], phases at the first sample.
+    """Returns c(s) [m] of the first complex orthogonal mode of `y` [m], phases at the first sample.
 
     The mode is the dominant eigenvector of the covariance of the analytic signal of y - mean(y).
     The rms in time scales it, so |c| is the amplitude; c is zero for a body at rest. The samples

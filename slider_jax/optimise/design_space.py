@@ -52,16 +52,16 @@ class GaitBounds:
     high: np.ndarray
 
     def gait(self, unit: Float[Array, "6"] | np.ndarray) -> Gait:
-        """Return the design at a point of the unit box."""
+        """Returns the design at a point of the unit box."""
         return Gait(*(self.low + unit * (self.high - self.low)))
 
     def unit(self, gait: Gait) -> np.ndarray:
-        """Return the point of the unit box of a design."""
+        """Returns the point of the unit box of a design."""
         return (np.array(gait) - self.low) / (self.high - self.low)
 
 
 def gait_bounds(given: Mapping[str, tuple[float, float] | None]) -> GaitBounds:
-    """Return the bounds `given`, and the default bounds of the other variables.
+    """Returns the bounds `given`, and the default bounds of the other variables.
 
     Raises `InputError` for reversed bounds and for bounds outside the physical range.
     """
@@ -82,7 +82,7 @@ def gait_bounds(given: Mapping[str, tuple[float, float] | None]) -> GaitBounds:
 
 
 def models(experiment: Experiment) -> Callable[[Gait], Model]:
-    """Return the free robot of an experiment's first trial as a function of the gait.
+    """Returns the free robot of an experiment's first trial as a function of the gait.
 
     The function is differentiable. Quantities that depend on the frequency follow the gait's
     frequency: drag and added mass (by ramp or table), and effects with a field `stride_frequency`.
@@ -106,7 +106,7 @@ def models(experiment: Experiment) -> Callable[[Gait], Model]:
 
 
 def speed_of(experiment: Experiment, box: GaitBounds, search: SteadySettings):
-    """Return the function from a point of the unit box to its steady speed [m/s] (NaN: no root)."""
+    """Returns the map from a point of the unit box to its steady speed [m/s] (NaN: no root)."""
     model = models(experiment)
 
     def speed(unit: Float[Array, "6"]) -> Float[Array, ""]:
@@ -118,7 +118,7 @@ def speed_of(experiment: Experiment, box: GaitBounds, search: SteadySettings):
 
 
 def slope_of(experiment: Experiment, box: GaitBounds, search: SteadySettings):
-    """Return the function from a point of the unit box to (steady speed [m/s], its gradient (6,)).
+    """Returns the map from a point of the unit box to (steady speed [m/s], its gradient (6,)).
 
     The gradient is in m/s per width of the bounds.
     """
@@ -133,7 +133,7 @@ def slope_of(experiment: Experiment, box: GaitBounds, search: SteadySettings):
 
 
 def with_gait(experiment: Experiment, gait: Gait) -> Experiment:
-    """Return the experiment with its first trial only, which gets this gait.
+    """Returns the experiment with its first trial only, which gets this gait.
 
     The time step is shortened if the gait's frequency requires it.
     """
@@ -147,5 +147,5 @@ def with_gait(experiment: Experiment, gait: Gait) -> Experiment:
 
 
 def to_toml(experiment: Experiment, comment: str = "") -> str:
-    """Return an experiment as the text of its file; values at their defaults are left out."""
+    """Returns an experiment as the text of its file; values at their defaults are left out."""
     return toml_text(experiment.model_dump(exclude_defaults=True, exclude_none=True), comment)

@@ -60,7 +60,7 @@ class Task(NamedTuple):
         bounds: Mapping[str, tuple[float, float] | None],
         steps_per_stride: int = 96,
     ) -> "Task":
-        """Return the task. Raises `InputError` for invalid bounds or another wave than a square."""
+        """Returns the task. Raises `InputError` for invalid bounds or a wave not square."""
         trial = experiment.trials[0]
         if trial.waveform != "square":
             raise InputError(
@@ -84,7 +84,7 @@ class Task(NamedTuple):
         return cls(experiment, box, search)
 
     def settings(self) -> dict[str, Any]:
-        """Return everything that a score depends on."""
+        """Returns everything that a score depends on."""
         bounds = np.stack([self.box.low, self.box.high], axis=1).tolist()
         search = self.search._asdict()
         return {
@@ -108,7 +108,7 @@ def search_fastest(
     resume: bool = False,
     on_generation: Callable[[Generation, float], None] = lambda generation, seconds: None,
 ) -> OptimisationResult:
-    """Return the fastest gait and tail; the arguments are those of `run_optimiser`.
+    """Returns the fastest gait and tail; the arguments are those of `run_optimiser`.
 
     Raises `SolverError` if no individual of any generation has a steady speed.
     """
@@ -145,7 +145,7 @@ class Sensitivity(NamedTuple):
 
 
 def sensitivity(task: Task, unit: np.ndarray, step: float = 0.02) -> Sensitivity:
-    """Return gradient and Hessian at a point of the unit box.
+    """Returns gradient and Hessian at a point of the unit box.
 
     The gradient uses the implicit function theorem; the Hessian is its central difference.
     """
@@ -164,14 +164,14 @@ def sensitivity(task: Task, unit: np.ndarray, step: float = 0.02) -> Sensitivity
 
 
 def speed_at(task: Task, gait: Gait) -> float:
-    """Return the steady speed [m/s] of a design, with the numerical settings of the task."""
+    """Returns the steady speed [m/s] of a design, with the numerical settings of the task."""
     return float(jax.jit(speed_of(*task))(jnp.asarray(task.box.unit(gait))))
 
 
 def write_optimum(
     task: Task, found: OptimisationResult, folder: Path, inputs: list[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Write best.toml, optimum.json and optimum.png; return the content of optimum.json."""
+    """Writes best.toml, optimum.json and optimum.png; returns the content of optimum.json."""
     gait = Gait(*(float(x) for x in task.box.gait(found.best)))
     own, _ = to_numerics(task.experiment)
     finer = task._replace(search=task.search._replace(numerics=own))
@@ -199,7 +199,7 @@ def write_optimum(
 
 
 def optimum_summary(content: dict[str, Any]) -> list[str]:
-    """Return the lines of a table that compares the optimum with the paper's."""
+    """Returns the lines of a table that compares the optimum with the paper's."""
     gait, paper = content["gait"], content["paper"]
     gradient = content["sensitivity"]["gradient"]
     hessian = np.diag(content["sensitivity"]["hessian"])
@@ -223,7 +223,7 @@ def optimum_summary(content: dict[str, Any]) -> list[str]:
 
 
 def plot_search_history(found: OptimisationResult, path: Path) -> None:
-    """Plot the best and the mean speed against the number of evaluations."""
+    """Plots the best and the mean speed against the number of evaluations."""
     figure, axes = new_figure(figsize=(8, 4.5))
     at = [x.evaluations for x in found.history]
     best = [1e2 * x.best_here for x in found.history]

@@ -52,7 +52,7 @@ class OptimisationResult(NamedTuple):
 
 
 def settings_of(optimiser: Optimiser, population: int, seed: int, task: dict[str, Any]) -> dict:
-    """Return everything that an optimisation depends on except the number of generations."""
+    """Returns everything that an optimisation depends on except the number of generations."""
     content = {"algorithm": optimiser.name, "population": population, "seed": seed, **task}
     return json.loads(json.dumps(content))
 
@@ -68,7 +68,7 @@ def run_optimiser(
     keep: bool = True,
     on_generation: Callable[[Generation, float], None] = lambda generation, seconds: None,
 ) -> OptimisationResult:
-    """Run an optimiser for `generations` in total and return the best individual.
+    """Runs an optimiser for `generations` in total and returns the best individual.
 
     `evaluate(population (n, d), gradients)` returns scores (n,), and gradients (n, d) if
     requested. `on_generation` is called after each generation with its summary and its duration in
@@ -106,7 +106,7 @@ def run_optimiser(
 
 
 def refuse_without(resume: bool, path: Path) -> None:
-    """Raise `InputError` without `resume`; `path` is a file of an earlier optimisation."""
+    """Raises `InputError` without `resume`; `path` is a file of an earlier optimisation."""
     if not resume:
         raise InputError(
             f"{path}: this folder holds an optimisation; add --resume to continue it, or give "
@@ -115,7 +115,7 @@ def refuse_without(resume: bool, path: Path) -> None:
 
 
 def refuse_other_settings(given: Any, saved: Any, path: Path) -> None:
-    """Raise `InputError` if the settings that the file `path` contains differ from those given."""
+    """Raises `InputError` if the settings that the file `path` contains differ from those given."""
     differ = differences(given, saved)
     if differ:
         more = f"; and {len(differ) - 3} more" if len(differ) > 3 else ""
@@ -138,7 +138,7 @@ def _save(path: Path, state: Any, result: OptimisationResult, settings: dict[str
 
 
 def _load(path: Path, state: Any, settings: dict[str, Any]) -> tuple[Any, OptimisationResult]:
-    """Return state and result of a checkpoint; `state` is a tree with the same structure."""
+    """Returns state and result of a checkpoint; `state` is a tree with the same structure."""
     damaged = InputError(
         f"{path}: the file is damaged or is not a checkpoint of this program; delete it to start "
         "again, or restore it from a copy"
@@ -163,7 +163,7 @@ def _load(path: Path, state: Any, settings: dict[str, Any]) -> tuple[Any, Optimi
 
 
 def differences(given: Any, saved: Any, place: str = "") -> list[str]:
-    """Return a text for every leaf that differs between two trees of JSON types."""
+    """Returns a text for every leaf that differs between two trees of JSON types."""
     if isinstance(given, dict) and isinstance(saved, dict):
         keys = list(dict.fromkeys([*given, *saved]))
         pairs = [(f"{place}.{k}".lstrip("."), given.get(k), saved.get(k)) for k in keys]

@@ -41,7 +41,7 @@ class Optimiser(NamedTuple):
 
 
 def standard(call: Callable[..., Any]) -> Callable[..., Any]:
-    """Wrap a library call that mixes dtypes, which strict dtype promotion would reject."""
+    """Wraps a library call that mixes dtypes, which strict dtype promotion would reject."""
 
     def inner(*arguments: Any) -> Any:
         with jax.numpy_dtype_promotion("standard"):
@@ -61,7 +61,7 @@ up."""
 
 
 def gradient(population: int, dimensions: int) -> Optimiser:
-    """Return gradient ascent from the best of a first generation of scrambled Sobol points.
+    """Returns gradient ascent from the best of a first generation of scrambled Sobol points.
 
     Adam sets the steps; points outside the box are clipped to its faces. Source: Kingma, D. P., Ba,
     J. (2015), Adam: a method for stochastic optimization, ICLR.
@@ -138,7 +138,7 @@ def _key(seed: int, generation: int, use: int) -> jax.Array:
 
 
 def _losses(scores: np.ndarray) -> jax.Array:
-    """Return finite losses: evosax minimises, and its weights and means need finite values."""
+    """Returns finite losses: evosax minimises, and its weights and means need finite values."""
     scores = np.asarray(scores, float)
     good = np.isfinite(scores)
     worst = scores[good].min() - 1.0 if good.any() else 0.0
@@ -146,7 +146,7 @@ def _losses(scores: np.ndarray) -> jax.Array:
 
 
 def genetic(population: int, dimensions: int) -> Optimiser:
-    """Return the paper's genetic algorithm."""
+    """Returns the paper's genetic algorithm."""
     schedule = optax.linear_schedule(*MUTATION, DECAY)
     ga = RankGA(population, jnp.zeros(dimensions), schedule)
     params = ga.default_params
@@ -171,7 +171,7 @@ def genetic(population: int, dimensions: int) -> Optimiser:
 def cma_es(
     population: int, dimensions: int, around: np.ndarray | None = None, spread: float = SPREAD
 ) -> Optimiser:
-    """Return CMA-ES (covariance matrix adaptation).
+    """Returns CMA-ES (covariance matrix adaptation).
 
     Points outside the box are clipped to its faces. The initial distribution has the mean
     `around` (default: the centre of the box) and the standard deviation `spread`, as a fraction of
@@ -204,7 +204,7 @@ OPTIMISERS: dict[str, tuple[int, Callable[[int, int], Optimiser]]] = {
 
 
 def make_optimiser(name: str, population: int, dimensions: int) -> Optimiser:
-    """Return an optimiser by name. Raises `InputError` for a population that is too small."""
+    """Returns an optimiser by name. Raises `InputError` for a population that is too small."""
     fewest, algorithm = OPTIMISERS[name]
     if population < fewest:
         raise InputError.value("--population", population, f"{fewest} or more individuals")

@@ -93,7 +93,7 @@ class FrontSearches:
         only: np.ndarray,
         near: bool = True,
     ) -> tuple[np.ndarray, float]:
-        """Return (design, eta) of the best design over the variables `free` of the design `base`.
+        """Returns (design, eta) of the best design over the variables `free` of the design `base`.
 
         The optimisation starts `near` the base design, or samples the whole box.
         """
@@ -134,7 +134,7 @@ class FrontSearches:
         return put(found.best[None])[0], found.score
 
     def alone(self, task: str, part: tuple[int, ...], beta: float) -> tuple[np.ndarray, float]:
-        """Return (design, eta) of the best design for one task.
+        """Returns (design, eta) of the best design for one task.
 
         A second optimisation starts from the best design of the first.
         """
@@ -152,7 +152,7 @@ def search_front(
     resume: bool = False,
     on_generation: Callable[[str, Generation, float], None] = lambda *progress: None,
 ) -> Front:
-    """Return the best designs for `betas` evenly spaced values of beta from 0 to 1.
+    """Returns the best designs for `betas` evenly spaced values of beta from 0 to 1.
 
     1. Optimise each task alone.
     2. Optimise each task's drive for the other task's tail.
@@ -198,7 +198,7 @@ def search_front(
 
 
 def _begin(folder: Path, settings: dict[str, Any], resume: bool) -> None:
-    """Write the settings of a new optimisation, or check those of one that resumes."""
+    """Writes the settings of a new optimisation, or checks those of one that resumes."""
     file, settings = folder / PLAN, json.loads(json.dumps(settings))
     if file.exists():
         refuse_without(resume, file)
@@ -225,7 +225,7 @@ def _begin(folder: Path, settings: dict[str, Any], resume: bool) -> None:
 def _best(
     beta: float, known: list[np.ndarray], efficiencies: np.ndarray, only: np.ndarray
 ) -> tuple[float, int]:
-    """Return eta and index of the best design; the sum of both efficiencies breaks ties."""
+    """Returns eta and index of the best design; the sum of both efficiencies breaks ties."""
     scores = eta(beta, efficiencies, only)
     other = np.nan_to_num((efficiencies / only).sum(axis=1), nan=-1.0)
     scores = np.where(np.isfinite(scores), scores, -np.inf)
@@ -234,7 +234,7 @@ def _best(
 
 
 def dominated(points: list[FrontPoint]) -> list[float]:
-    """Return the betas whose point is dominated by a neighbour.
+    """Returns the betas whose point is dominated by a neighbour.
 
     The neighbour is then at least as good at both tasks and better at one.
     """

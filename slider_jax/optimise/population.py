@@ -46,7 +46,7 @@ class Evaluation:
         self._sharding = jax.NamedSharding(mesh, rows)
 
     def __call__(self, population: np.ndarray) -> Any:
-        """Return scores (n, ...) of a population (n, d) as NumPy arrays; n does not recompile."""
+        """Returns scores (n, ...) of a population (n, d) as NumPy arrays; n does not recompile."""
         n = len(population)
         filled = population[np.minimum(np.arange(-(-n // self._rows) * self._rows), n - 1)]
         parts = filled.reshape(-1, self._rows, filled.shape[-1])
@@ -64,13 +64,13 @@ class Evaluation:
 
 
 def _local(part: jax.Array) -> np.ndarray:
-    """Return the rows that this process holds."""
+    """Returns the rows that this process holds."""
     shards = sorted(part.addressable_shards, key=lambda x: x.index[0].start or 0)
     return np.concatenate([np.asarray(x.data) for x in shards])
 
 
 def start_devices(cores: int, coordinator: str = "", processes: int = 1, process: int = 0) -> None:
-    """Configure JAX with one device for each of `cores` CPU cores, at least two.
+    """Configures JAX with one device for each of `cores` CPU cores, at least two.
 
     Call this before any JAX computation; later calls do not change the devices. `coordinator` is
     the host:port of process 0 if there are several processes. Under srun the processes find each
@@ -94,12 +94,12 @@ def start_devices(cores: int, coordinator: str = "", processes: int = 1, process
 
 
 def is_first() -> bool:
-    """Return whether this process is the one that prints and writes files."""
+    """Returns whether this process is the one that prints and writes files."""
     return jax.process_index() == 0
 
 
 def barrier(place: str) -> None:
-    """Wait until all processes reach this call; each must make the same number of calls."""
+    """Waits until all processes reach this call; each must make the same number of calls."""
     if jax.process_count() > 1:
         client = distributed.global_state.client
         assert client is not None

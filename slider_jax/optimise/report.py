@@ -28,7 +28,7 @@ of the front pressures also shows the rear ones."""
 
 
 def front_records(modes: TwoTasks, front: Front) -> list[dict[str, Any]]:
-    """Return each point of the front as a record for JSON, in SI units."""
+    """Returns each point of the front as a record for JSON, in SI units."""
     own = to_numerics(modes.task.experiment)[0]
     finer = modes.task.search._replace(numerics=own)
     E_swim = jax.jit(swim_efficiency(modes.task.experiment, finer))
@@ -53,7 +53,7 @@ def front_records(modes: TwoTasks, front: Front) -> list[dict[str, Any]]:
 def on_own_mesh(
     modes: TwoTasks, design: np.ndarray, E_swim: Callable[[jax.Array], jax.Array]
 ) -> dict[str, Any]:
-    """Return a design's results of `slider swim` and `slider climb`, on the experiment's mesh."""
+    """Returns a design's results of `slider swim` and `slider climb`, on the experiment's mesh."""
     swims, climbs, pin = modes.gaits(design)
     climbed = simulate_climb(with_gait(modes.task.experiment, climbs), 0, pin)
     return {
@@ -71,7 +71,7 @@ def write_front(
     folder: Path,
     inputs: list[dict[str, Any]],
 ) -> dict[str, Any]:
-    """Write multimodal.json, multimodal.png and two experiments a point; return the JSON."""
+    """Writes multimodal.json, multimodal.png and two experiments a point; returns the JSON."""
     found, only = front_records(modes, front), {"E_swim": front.only[0], "E_climb": front.only[1]}
     content = {
         "front": found,
@@ -100,7 +100,7 @@ def write_front(
 
 
 def front_summary(content: dict[str, Any]) -> list[str]:
-    """Return the lines of the table of a front, and remarks."""
+    """Returns the lines of the table of a front, and remarks."""
     lines = [
         f"{'beta':>6}{'eta':>8}{'E_swim':>9}{'E_climb':>9}{'tail mm':>9}{'mN m^2':>8}"
         f"{'swim Hz':>9}{'kPa':>9}{'phase':>7}{'climb Hz':>10}{'kPa':>9}{'phase':>7}{'pin':>6}"
@@ -139,7 +139,7 @@ def front_summary(content: dict[str, Any]) -> list[str]:
 
 
 def plot_front(found: list[dict[str, Any]], only: dict[str, float], path: Path) -> None:
-    """Plot the front and the optimal variables against beta, like the paper's Fig. 9."""
+    """Plots the front and the optimal variables against beta, like the paper's Fig. 9."""
     figure, axes = new_figure(2, 3, figsize=(11, 6.5))
     beta = np.array([x["beta"] for x in found])
     front, *others = axes.flat

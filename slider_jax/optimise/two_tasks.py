@@ -59,7 +59,7 @@ class TwoTasks(NamedTuple):
         EI_tail: tuple[float, float] | None = None,
         steps_per_stride: int = 96,
     ) -> "TwoTasks":
-        """Return both tasks of an experiment's robot.
+        """Returns both tasks of an experiment's robot.
 
         Raises `InputError` as `Task.of` does, and for a robot that cannot swim or climb.
         """
@@ -86,17 +86,17 @@ class TwoTasks(NamedTuple):
     def values(
         self, unit: np.ndarray | Float[Array, " n"], part: tuple[int, ...] = SWIM + CLIMB + TAIL
     ):
-        """Return SI values of the variables `part` from their coordinates in the unit box."""
+        """Returns SI values of the variables `part` from their coordinates in the unit box."""
         low, high = self.low[list(part)], self.high[list(part)]
         return low + unit * (high - low)
 
     def gaits(self, unit: np.ndarray) -> tuple[Gait, Gait, float]:
-        """Return the swimming gait, the climbing gait and the pin phase of a design (11,)."""
+        """Returns the swimming gait, the climbing gait and the pin phase of a design (11,)."""
         x = [float(v) for v in self.values(unit)]
         return Gait(*x[:4], *x[9:]), Gait(*x[4:8], *x[9:]), x[8]
 
     def settings(self) -> dict[str, Any]:
-        """Return everything that the efficiencies depend on."""
+        """Returns everything that the efficiencies depend on."""
         rows = np.stack([self.low, self.high], axis=1).tolist()
         bounds = dict(zip(NAMES, rows, strict=True))
         plan = {"settling": self.plan.settling, "strides": self.plan.strides,
@@ -105,7 +105,7 @@ class TwoTasks(NamedTuple):
 
 
 def swim_efficiency(experiment: Experiment, search: SteadySettings):
-    """Return the function from a gait (6,), SI, to its Froude efficiency; NaN if not steady."""
+    """Returns the function from a gait (6,), SI, to its Froude efficiency; NaN if not steady."""
     model = models(experiment)
 
     def one(x: Float[Array, "6"]) -> Float[Array, ""]:
@@ -118,7 +118,7 @@ def swim_efficiency(experiment: Experiment, search: SteadySettings):
 
 
 def climb_efficiency(experiment: Experiment, plan: ClimbPlan):
-    """Return the function from (7,) SI values (drive, pin phase, tail) to m g U/P.
+    """Returns the function from (7,) SI values (drive, pin phase, tail) to m g U/P.
 
     It returns NaN if a step fails or the error of the energy balance exceeds `UNACCOUNTED`.
     """
@@ -145,7 +145,7 @@ class TaskEfficiencies:
         self._climb = Evaluation(lambda x: climb(modes.values(x, CLIMB + TAIL)))
 
     def __call__(self, designs: np.ndarray, swims: bool, climbs: bool) -> np.ndarray:
-        """Return E_swim and E_climb (n, 2) of designs (n, 11); NaN if not requested or failed."""
+        """Returns E_swim and E_climb (n, 2) of designs (n, 11); NaN if not requested or failed."""
         found = np.full((len(designs), 2), np.nan)
         if swims:
             found[:, 0] = self._swim(np.ascontiguousarray(designs[:, SWIM + TAIL]))
@@ -155,7 +155,7 @@ class TaskEfficiencies:
 
 
 def eta(beta: float, efficiencies: np.ndarray, only: np.ndarray) -> np.ndarray:
-    """Return eta (n,) of efficiencies (n, 2); a task without weight may fail."""
+    """Returns eta (n,) of efficiencies (n, 2); a task without weight may fail."""
     weights = np.array([beta, 1.0 - beta])
     counts = weights > 0.0
     return (efficiencies[:, counts] / only[counts]) @ weights[counts]

@@ -13,7 +13,7 @@ from slider_jax.realtime.sensors import constant_past, read_now
 
 
 def check_commands(commands: tuple[Command, ...], h: float, samples: int) -> None:
-    """Raise `InputError` if the valves depend on more than the last `samples` set pressures.
+    """Raises `InputError` if the valves depend on more than the last `samples` set pressures.
 
     The check applies the effects to random set pressures, `h` [s] apart. It compares a waveform of
     the whole series with waveforms of the samples that a plant knows at each time.
@@ -49,7 +49,7 @@ def check_commands(commands: tuple[Command, ...], h: float, samples: int) -> Non
 
 
 def check_instrument(effect: Instrument, h: float, samples: int) -> None:
-    """Raise `InputError` if `read_now` differs from the instrument's reading of a whole series.
+    """Raises `InputError` if `read_now` differs from the instrument's reading of a whole series.
 
     The check uses a random series with steps of `h` [s]. It detects an instrument that needs future
     samples, or samples older than the last `samples`.

@@ -46,7 +46,7 @@ class ChamberFaults(Flow):
 
 
 def no_faults(EI_tail: float) -> Faults:
-    """Return the values without faults; `EI_tail` [N m^2] is the tail's nominal stiffness."""
+    """Returns the values without faults; `EI_tail` [N m^2] is the tail's nominal stiffness."""
     return Faults(np.zeros((2, 2)), np.zeros((2, 2)), np.asarray(EI_tail))
 
 
@@ -59,7 +59,7 @@ ALLOWED = {
 
 
 def with_fault(faults: Faults, name: str, value: float) -> Faults:
-    """Return the faults with one value changed. Raises `InputError` if name or value is invalid."""
+    """Returns the faults with one value changed. Raises `InputError` if either is invalid."""
     refuse_unknown("fault", [name], ALLOWED)
     low, high, unit = ALLOWED[name]
     if not low <= value <= high:

@@ -79,7 +79,7 @@ class Plant:
         self.begin(trial)
 
     def begin(self, trial: Trial | int = 0, settle: float = 0.0) -> SensorReading:
-        """Reset the plant to the start of a trial and return the reading at the start.
+        """Resets the plant to the start of a trial and returns the reading at the start.
 
         The plant uses the trial's clamp motion and effects, but not its drive. Faults are kept.
         The robot is straight and at rest relative to the clamp, and the chambers are empty. With
@@ -99,7 +99,7 @@ class Plant:
     def advance(
         self, set_pressures: Sequence[float | None] | np.ndarray, seconds: float
     ) -> SensorReading:
-        """Simulate `seconds` [s] with set gauge pressures [Pa] and return the last reading.
+        """Simulates `seconds` [s] with set gauge pressures [Pa] and returns the last reading.
 
         The chambers are in the order of `SensorReading.pressures`; None vents a chamber. Time
         advances in whole steps, each with the set pressures of the call that completes it. The
@@ -128,7 +128,7 @@ class Plant:
         return self.reading
 
     def inject(self, name: str, value: float) -> None:
-        """Set a fault from the next step on; the nominal value removes the fault.
+        """Sets a fault from the next step on; the nominal value removes the fault.
 
         `leak_CHAMBER` [1/s] is the leak's conductance over the capacity. `blocked_CHAMBER` is the
         missing fraction, 0 to 1, of the fill valve's flow. CHAMBER is `front_left`, for example.
@@ -185,7 +185,7 @@ def _with_faults(model: Model, faults: Faults) -> Model:
 
 
 def _pack(read: Readings, state: PlantState) -> Float[Array, "8"]:
-    """Return all values that leave the device in one array."""
+    """Returns all values that leave the device in one array."""
     values = jnp.stack([*read[1:], *state.shared])
     ok = state.carry.ok & jnp.all(jnp.isfinite(values))
     return jnp.concatenate([values, ok.astype(values.dtype)[None]])

@@ -19,14 +19,14 @@ class Past(NamedTuple):
 
 
 def constant_past(effect: Instrument, first: Readings, h: float, samples: int) -> Past:
-    """Return the past of an instrument with constant input: `samples` samples, `h` [s] apart."""
+    """Returns the past of an instrument with constant input: `samples` samples, `h` [s] apart."""
     held = jax.tree.map(lambda x: jnp.broadcast_to(x, (samples,)), first)
     shown = held._replace(t=first.t + h * jnp.arange(1.0 - samples, 1.0))
     return Past(shown, effect.read(shown))
 
 
 def read_now(effect: Instrument, past: Past, true: Readings) -> tuple[Readings, Past]:
-    """Return the reading of the next input `true` (scalars), and the new past."""
+    """Returns the reading of the next input `true` (scalars), and the new past."""
     shown = jax.tree.map(_append, past.shown, true)
     now = effect.read_sample(shown, past.read)
     return now, Past(shown, jax.tree.map(_append, past.read, now))

@@ -35,7 +35,7 @@ class StatementCheck(NamedTuple):
 
 
 def interior_optimum(over_stiffness: Map) -> StatementCheck:
-    """Check whether the speed has an interior maximum over stiffness at every length."""
+    """Checks whether the speed has an interior maximum over stiffness at every length."""
     lengths, peaks = over_stiffness.lengths, best_stiffness(over_stiffness)
     inside = np.array([np.nan if p.inside is None else p.inside for p in peaks])
     best = np.where(np.isnan(inside), np.nan, [1e3 * p.x for p in peaks])
@@ -51,7 +51,7 @@ def interior_optimum(over_stiffness: Map) -> StatementCheck:
 
 
 def short_tails_phase(over_phase: Map) -> StatementCheck:
-    """Check whether the best phase of the shorter half of the tails is the paper's."""
+    """Checks whether the best phase of the shorter half of the tails is the paper's."""
     short = _short(over_phase)
     lengths, best = over_phase.lengths[short], _tops(over_phase)[0][short]
     off = best - BEST_PHASE
@@ -66,7 +66,7 @@ def short_tails_phase(over_phase: Map) -> StatementCheck:
 
 
 def negative_is_slower(over_phase: Map) -> StatementCheck:
-    """Check whether the swimmer is slower if the rear chamber leads than if both act together."""
+    """Checks whether the swimmer is slower if the rear chamber leads than if both act together."""
     phases = over_phase.across
     negative = over_phase.speed[:, (phases < 0.0) & (phases > -0.5)]
     lead = over_phase.at(0.0) - np.max(negative, axis=1)
@@ -81,7 +81,7 @@ def negative_is_slower(over_phase: Map) -> StatementCheck:
 
 
 def half_is_poor(over_phase: Map) -> StatementCheck:
-    """Check whether chambers in antiphase are much slower than at the paper's good phase."""
+    """Checks whether chambers in antiphase are much slower than at the paper's good phase."""
     _, good, poor = (over_phase.at(phase) for phase in MARKED)
     both = np.isfinite(poor + good)
     slow, fast = (
@@ -96,7 +96,7 @@ def half_is_poor(over_phase: Map) -> StatementCheck:
 
 
 def long_tails_gain_less(over_phase: Map) -> StatementCheck:
-    """Check whether the best phase increases the speed less for the longer half of the tails."""
+    """Checks whether the best phase increases the speed less for the longer half of the tails."""
     gain, short = _tops(over_phase)[1] - over_phase.at(0.0), _short(over_phase)
     found = np.isfinite(gain)
     parts = (gain[found & part] for part in (~short, short))
@@ -112,7 +112,7 @@ def long_tails_gain_less(over_phase: Map) -> StatementCheck:
 
 
 def slice_of_phase(over_phase: Map) -> list[StatementCheck]:
-    """Check the paper's slice: best phase, order of the three points, and negative phases."""
+    """Checks the paper's slice: best phase, order of the three points, and negative phases."""
     one = over_phase.slice_at(MARKED_LENGTH)
     (top,), (speed,) = _tops(one)
     none, good, poor = (float(one.at(phase)[0]) for phase in MARKED)
@@ -137,7 +137,7 @@ def slice_of_phase(over_phase: Map) -> list[StatementCheck]:
 
 
 def findings(over_stiffness: Map, over_phase: Map) -> list[StatementCheck]:
-    """Return the results of all checks."""
+    """Returns the results of all checks."""
     return [
         interior_optimum(over_stiffness),
         short_tails_phase(over_phase),
@@ -149,7 +149,7 @@ def findings(over_stiffness: Map, over_phase: Map) -> list[StatementCheck]:
 
 
 def _tops(over_phase: Map) -> tuple[np.ndarray, np.ndarray]:
-    """Return best phases and their speeds; NaN where a neighbour of the best point is missing."""
+    """Returns best phases and their speeds; NaN where a neighbour of the best point is missing."""
     peaks = best_phase(over_phase)
     known = [p.inside is not None for p in peaks]
     best, speed = (np.array([getattr(p, name) for p in peaks]) for name in "xy")
@@ -161,7 +161,7 @@ def _short(over_phase: Map) -> np.ndarray:
 
 
 def _everywhere(condition, needed) -> bool | None:
-    """Return whether a condition holds wherever `needed` is finite; None if it never is."""
+    """Returns whether a condition holds wherever `needed` is finite; None if it never is."""
     found = np.isfinite(needed)
     return bool(np.all(np.asarray(condition)[found])) if found.any() else None
 
@@ -171,7 +171,7 @@ def _mm(lengths) -> str:
 
 
 def _text(lengths: np.ndarray, values, form: str) -> str:
-    """Return one value, or the values of the shortest and longest tail and the range.
+    """Returns one value, or the values of the shortest and longest tail and the range.
 
     The text also lists lengths whose value is missing.
     """

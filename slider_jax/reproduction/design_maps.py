@@ -28,11 +28,11 @@ class Map(NamedTuple):
     """(n, m) [m/s]"""
 
     def at(self, value: float) -> np.ndarray:
-        """Return the speeds (n,) where `across` is nearest to `value`."""
+        """Returns the speeds (n,) where `across` is nearest to `value`."""
         return self.speed[:, int(np.argmin(np.abs(self.across - value)))]
 
     def slice_at(self, length: float) -> "Map":
-        """Return the map at the one length nearest to `length` [m]."""
+        """Returns the map at the one length nearest to `length` [m]."""
         i = int(np.argmin(np.abs(self.lengths - length)))
         return Map(self.lengths[i : i + 1], self.across, self.speed[i : i + 1])
 
@@ -47,7 +47,7 @@ class Peak(NamedTuple):
 
 
 def curve_maximum(x: np.ndarray, y: np.ndarray) -> Peak:
-    """Return the maximum of the parabola through a curve's best point and its two neighbours."""
+    """Returns the maximum of the parabola through a curve's best point and its two neighbours."""
     if not np.isfinite(y).any():
         return Peak(np.nan, np.nan, None)
     i = int(np.nanargmax(y))
@@ -63,11 +63,11 @@ def curve_maximum(x: np.ndarray, y: np.ndarray) -> Peak:
 
 
 def best_stiffness(over_stiffness: Map) -> list[Peak]:
-    """Return the fastest stiffness [N m^2] at each length; the parabola is over its logarithm."""
+    """Returns the fastest stiffness [N m^2] at each length; the parabola is over its logarithm."""
     found = [curve_maximum(np.log(over_stiffness.across), row) for row in over_stiffness.speed]
     return [p._replace(x=float(np.exp(p.x))) for p in found]
 
 
 def best_phase(over_phase: Map) -> list[Peak]:
-    """Return the fastest phase at each length."""
+    """Returns the fastest phase at each length."""
     return [curve_maximum(over_phase.across, row) for row in over_phase.speed]

@@ -67,7 +67,7 @@ def run_frequency_sweep(
     on_begin: Callable[[int], None] = lambda strides: None,
     on_stride: Callable[[], None] = lambda: None,
 ) -> FrequencySweep:
-    """Run the sweep on all cores and return its result.
+    """Runs the sweep on all cores and returns its result.
 
     `on_begin(n)` is called once with the number of chunk-strides, and `on_stride()` after each.
     """

@@ -17,7 +17,7 @@ from slider_jax.reproduction.frequency_sweep import (
 def thrust_against_frequency(
     sweep: FrequencySweep, settings: FrequencySweepSettings, path: Path
 ) -> None:
-    """Plot mean thrust with bars of one standard deviation of strides, like the paper's Fig. 4."""
+    """Plots mean thrust with bars of one standard deviation of strides, like the paper's Fig. 4."""
     table = sweep.table
     f, mean = table["frequency_Hz"], 1e3 * table["thrust_mean_N"]
     figure, ax = new_figure(figsize=(8, 4.8))
@@ -49,7 +49,7 @@ def _subtitle(settings: FrequencySweepSettings) -> str:
 def stride_in_detail(
     frequency: float, series: FrequencySeries, settings: FrequencySweepSettings, path: Path
 ) -> None:
-    """Plot midlines of the last stride and three strides over time, like the paper's Figs. 5, 6."""
+    """Plots midlines of the last stride and three strides over time, as in Figs. 5 and 6."""
     figure, _ = new_figure(figsize=(10, 8.5))
     figure.clear()
     grid = figure.add_gridspec(3, 2, height_ratios=(1.3, 1.0, 1.0))

@@ -29,7 +29,7 @@ ASSUMED = {
 def write_frequency_sweep(
     sweep: FrequencySweep, settings: FrequencySweepSettings, folder: Path
 ) -> None:
-    """Write tables, pictures and settings; if one fails, none is written."""
+    """Writes tables, pictures and settings; if one fails, none is written."""
     with staged(folder) as stage:
         write_csv(stage / "sweep.csv", sweep.table)
         thrust_against_frequency(sweep, settings, stage / "thrust_against_frequency.png")
@@ -53,7 +53,7 @@ def _at(sweep: FrequencySweep, name: str, frequency: float) -> float:
 
 
 def comparison(sweep: FrequencySweep, settings: FrequencySweepSettings) -> str:
-    """Return the demo's table: the paper's values, this model's, and whether they agree."""
+    """Returns the demo's table: the paper's values, this model's, and whether they agree."""
     table, f = sweep.table, sweep.table["frequency_Hz"]
     thrust, recoil = 1e3 * table["thrust_mean_N"], 1e3 * table["recoil_peak_N"]
     if np.isnan(thrust).all():

@@ -95,7 +95,7 @@ class SteadyRow(NamedTuple):
     rms_tail_slope: float
 
     def slopes(self) -> dict[str, float]:
-        """Return A_t over a quarter of each wavelength."""
+        """Returns A_t over a quarter of each wavelength."""
         half = float(self.performance.tail_amplitude)
         return {k: float(obs.tail_slope(half, x)) for k, x in self.wavelengths.items()}
 
@@ -104,12 +104,12 @@ _steadily = eqx.filter_jit(steady_stride)
 
 
 def _arrays(model: Model) -> Model:
-    """Return the model with numbers as arrays, so that all changes share one compiled program."""
+    """Returns the model with numbers as arrays, so that all changes share one compiled program."""
     return jax.tree.map(lambda x: jnp.asarray(x, float), model)
 
 
 def steady_row(model: Model, frequency: float, search: SteadySettings) -> SteadyRow:
-    """Return the steady stride. Raises `SolverError` if there is none."""
+    """Returns the steady stride. Raises `SolverError` if there is none."""
     model = _arrays(model)
     stride, found, ok = jax.device_get(_steadily(model, jnp.asarray(frequency, float), search))
     if not bool(ok):
@@ -123,7 +123,7 @@ def steady_row(model: Model, frequency: float, search: SteadySettings) -> Steady
 def fit_head_drag(
     model: Model, frequency: float, speed: float, search: SteadySettings
 ) -> SteadyRow:
-    """Return the steady stride with the head's form-drag area fitted to `speed` [m/s], to 0.2 %.
+    """Returns the steady stride with the head's form-drag area fitted to `speed` [m/s], to 0.2 %.
 
     A secant method in the logarithms finds the area. The first slope assumes that only this drag
     balances a constant thrust. Raises `SolverError` if no area is found.
@@ -157,7 +157,7 @@ def _held(model: Model, frequency, search: SteadySettings):
 def clamped_performance(
     model: Model, frequency: float, tow_speed: float, search: SteadySettings
 ) -> dict[str, float]:
-    """Return mean thrust and shape with the head clamped and towed at `tow_speed` [m/s]."""
+    """Returns mean thrust and shape with the head clamped and towed at `tow_speed` [m/s]."""
     model = _arrays(replace(model, support=Clamped(tow_speed=tow_speed)))
     (t, midline, thrust), ok = jax.device_get(_held(model, jnp.asarray(frequency), search))
     if not bool(ok):
@@ -179,7 +179,7 @@ def clamped_performance(
 def head_fixed_thrust(
     change: str, amplitude: float, optimum: Model, search: SteadySettings
 ) -> float:
-    """Return the mean thrust [N] of the paper's head-fixed test at 4.8 Hz after a change."""
+    """Returns the mean thrust [N] of the paper's head-fixed test at 4.8 Hz after a change."""
     f = paper.THRUST_AT
     fixed = paper.head_fixed(f, Robot(), paper.Assumed(amplitude=amplitude))
     model = CHANGES[change](replace(optimum, robot=fixed.robot, drive=fixed.drive))

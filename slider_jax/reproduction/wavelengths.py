@@ -8,7 +8,7 @@ from slider_jax.swimming.performance import Stride
 
 
 def course_coordinates(stride: Stride) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions (steps, nodes) [m] along and left of the course.
+    """Returns positions (steps, nodes) [m] along and left of the course.
 
     The positions to the left have zero mean over the stride.
     """
@@ -20,7 +20,7 @@ def course_coordinates(stride: Stride) -> tuple[np.ndarray, np.ndarray]:
 
 
 def zeros_wavelength(y: np.ndarray, s: np.ndarray) -> float:
-    """Return twice the mean distance [m] between neighbouring zeros of shapes y (times, points).
+    """Returns twice the mean distance [m] between neighbouring zeros of shapes y (times, points).
 
     The weight of a shape is its mean square, because near the turning point of a standing wave
     all points cross the axis. Returns NaN if no shape has two zeros. `s` (points,) is in m.
@@ -36,19 +36,19 @@ def zeros_wavelength(y: np.ndarray, s: np.ndarray) -> float:
 
 
 def without_recoil(y: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Return shapes (times, points) minus the straight line fitted to each."""
+    """Returns shapes (times, points) minus the straight line fitted to each."""
     line = np.stack([np.ones_like(s), s], axis=1)
     return y - (line @ np.linalg.lstsq(line, y.T, rcond=None)[0]).T
 
 
 def rms_tail_slope(along: np.ndarray, across: np.ndarray) -> float:
-    """Return the root mean square of dy/dx [-] at the tail's end over the stride."""
+    """Returns the root mean square of dy/dx [-] at the tail's end over the stride."""
     slope = np.diff(across[:, :2])[:, 0] / np.diff(along[:, :2])[:, 0]
     return float(np.sqrt(((slope - slope.mean()) ** 2).mean()))
 
 
 def wavelengths(stride: Stride, s: np.ndarray, frequency: float) -> dict[str, float]:
-    """Return the wavelength [m] of a stride by each definition.
+    """Returns the wavelength [m] of a stride by each definition.
 
     Wavelengths from the phase are negative for a wave towards the head.
     """

@@ -18,7 +18,7 @@ ARROW = 50.0
 def animate_run(
     run: TrialRun, folder: Path, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> Path:
-    """Write `<stem>.gif` and return its path; `progress(frames done, total)` is called per frame.
+    """Writes `<stem>.gif` and returns its path; `progress(frames done, total)` is called per frame.
 
     The film shows the last two strides (or two seconds) in slow motion. The midline is coloured by
     the net internal moment; arrows are the water's force per length. Below are thrust and recoil
@@ -32,7 +32,7 @@ def animate_run(
 
 
 def _scene(run: TrialRun, steps: np.ndarray):
-    """Return the figure, its moving artists, and a function that moves them to a step."""
+    """Returns the figure, its moving artists, and a function that moves them to a step."""
     from matplotlib.collections import LineCollection
 
     line, moment = 1e3 * run.series["midline"], 1e3 * run.series["moment"]

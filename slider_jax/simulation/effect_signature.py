@@ -57,16 +57,16 @@ class EffectSignature(NamedTuple):
     traces: tuple[Trace, ...]
 
     def change(self, trace: Trace) -> Series:
-        """Return the stride with the effect minus the stride without it."""
+        """Returns the stride with the effect minus the stride without it."""
         return {name: trace.series[name] - x for name, x in self.without.items()}
 
     def rms(self, trace: Trace) -> dict[str, float]:
-        """Return the root mean square of the change, by column, in SI units."""
+        """Returns the root mean square of the change, by column, in SI units."""
         return {name: float(np.sqrt(np.mean(x**2))) for name, x in self.change(trace).items()}
 
 
 def built_in_experiment() -> Experiment:
-    """Return the demo's robot at 4.8 Hz, with enough strides for a steady last one."""
+    """Returns the demo's robot at 4.8 Hz, with enough strides for a steady last one."""
     robot, assumed = asdict(Robot()), paper.Assumed()
     K_Q = robot.pop("K_Q")
     C_d, m_a = map(float, paper.force_coefficients(FREQUENCY))
@@ -88,14 +88,14 @@ def built_in_experiment() -> Experiment:
 
 
 def typical_size(prior: Prior) -> float:
-    """Return the upper end of the prior range, or the lower end if the upper one is the null."""
+    """Returns the upper end of the prior range, or the lower end if the upper one is the null."""
     return prior.high if prior.high != prior.null else prior.low
 
 
 def effect_signature(
     experiment: Experiment, effect: str, progress: Callable[[int, int], None] | None = None
 ) -> EffectSignature:
-    """Return the signature of an effect in the experiment's first trial, for each parameter.
+    """Returns the signature of an effect in the experiment's first trial, for each parameter.
 
     A parameter is at the end of its prior range; if the simulation fails, it is halved up to three
     times. A trial of fewer than eight strides is extended. Raises `SolverError` if all sizes fail.
@@ -140,7 +140,7 @@ def _largest(run: Callable[..., TrialRun], name: str, prior: Prior) -> tuple[flo
 
 
 def _last_stride(run: TrialRun) -> slice:
-    """Return the steps of the last whole stride with both ends, else the last second."""
+    """Returns the steps of the last whole stride with both ends, else the last second."""
     length, end = run.grid.stride, run.grid.steps
     if run.grid.half_period:
         end = end // length * length
@@ -152,7 +152,7 @@ def _cut(run: TrialRun, shown: slice) -> Series:
 
 
 def plot_signature(shown: EffectSignature, path: Path) -> None:
-    """Draw each channel without and with the effect, and the difference on the right."""
+    """Draws each channel without and with the effect, and the difference on the right."""
     figure, axes = new_figure(len(CHANNELS), 2, figsize=(11, 10), sharex=True)
     for (left, right), channel in zip(axes, CHANNELS.values(), strict=True):
         name, unit, factor = channel.column, channel.plot_unit, channel.plot_factor

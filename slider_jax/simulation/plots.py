@@ -10,7 +10,7 @@ from slider_jax.simulation.trial import TrialRun
 
 
 def run_title(run: TrialRun) -> str:
-    """Return the trial's drive and tow speed as one line."""
+    """Returns the trial's drive and tow speed as one line."""
     trial = run.trial
     if trial.waveform == "recorded":
         drive = f"recorded drive {trial.drive_file}"
@@ -23,7 +23,7 @@ def run_title(run: TrialRun) -> str:
 
 
 def plot_run(run: TrialRun, rmse: dict[str, float] | None, folder: Path) -> None:
-    """Write `<stem>.png` (simulated and measured time series) and `<stem>_midlines.png`.
+    """Writes `<stem>.png` (simulated and measured time series) and `<stem>_midlines.png`.
 
     `rmse` is the root mean square of simulated minus measured, by column, in SI units.
     """
@@ -33,7 +33,7 @@ def plot_run(run: TrialRun, rmse: dict[str, float] | None, folder: Path) -> None
 
 
 def plot_series(run: TrialRun, rmse: dict[str, float], path: Path) -> None:
-    """Plot all channels against time, with measured samples, if any, in grey."""
+    """Plots all channels against time, with measured samples, if any, in grey."""
     measured = run.prepared.measured or {}
     figure, axes = new_figure(len(CHANNELS), 1, figsize=(9, 10), sharex=True)
     for ax, channel in zip(axes, CHANNELS.values(), strict=True):
@@ -59,7 +59,7 @@ def plot_series(run: TrialRun, rmse: dict[str, float], path: Path) -> None:
 
 
 def last_strides(run: TrialRun, frames: int, strides: int = 1, closed: bool = False) -> np.ndarray:
-    """Return `frames` step indices spread evenly over the last strides, or seconds without strides.
+    """Returns `frames` step indices spread evenly over the last strides (or seconds).
 
     `closed` includes the last step.
     """
@@ -68,7 +68,7 @@ def last_strides(run: TrialRun, frames: int, strides: int = 1, closed: bool = Fa
 
 
 def plot_midlines(run: TrialRun, path: Path) -> None:
-    """Plot midlines of the last stride in the clamp's frame, and the tip's path."""
+    """Plots midlines of the last stride in the clamp's frame, and the tip's path."""
     import matplotlib
 
     steps = last_strides(run, 16)

@@ -29,7 +29,7 @@ STEADY, STEADY_THRUST = 0.01, 1e-3
 
 
 def averaging_window(run: TrialRun) -> tuple[slice, int]:
-    """Return the steps of the averaging window, without its first step, and its whole strides."""
+    """Returns the steps of the averaging window, without its first step, and its whole strides."""
     half, steps = run.grid.half_period, run.grid.steps
     if half is None:
         return slice(steps // 2 + 1, steps + 1), 0
@@ -41,7 +41,7 @@ def averaging_window(run: TrialRun) -> tuple[slice, int]:
 
 
 def is_periodic(run: TrialRun) -> tuple[bool | None, str]:
-    """Return whether the last two strides agree (None: unknown), and a warning if they do not."""
+    """Returns whether the last two strides agree (None: unknown), and a warning if they do not."""
     half, steps = run.grid.half_period, run.grid.steps
     if half is None:
         return None, ""
@@ -69,7 +69,7 @@ def is_periodic(run: TrialRun) -> tuple[bool | None, str]:
 
 
 def rmse_to_measured(run: TrialRun) -> dict[str, float] | None:
-    """Return the root mean square of simulated minus measured by column; None without a file."""
+    """Returns the root mean square of simulated minus measured by column; None without a file."""
     columns = run.prepared.measured
     if columns is None:
         return None
@@ -83,7 +83,7 @@ def rmse_to_measured(run: TrialRun) -> dict[str, float] | None:
 
 
 def trial_summary(experiment: Experiment, run: TrialRun) -> dict[str, Any]:
-    """Return the quantities of `DEFINITIONS` for a trial, with coefficients, step and warnings."""
+    """Returns the quantities of `DEFINITIONS` for a trial, with coefficients, step and warnings."""
     span, strides = averaging_window(run)
     thrust, recoil = run.series["thrust"][span], run.series["recoil"][span]
     tip = run.series["tip"][span.start - 1 : span.stop]
@@ -119,7 +119,7 @@ def trial_summary(experiment: Experiment, run: TrialRun) -> dict[str, Any]:
 def simulation_summary(
     experiment: Experiment, trials: list[dict[str, Any]], path: Path, model: Path | None
 ) -> dict[str, Any]:
-    """Return the content of summary.json; `trials` are results of `trial_summary`."""
+    """Returns the content of summary.json; `trials` are results of `trial_summary`."""
     return {
         "name": experiment.name,
         "input": input_file(path),

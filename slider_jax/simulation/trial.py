@@ -53,7 +53,7 @@ class SavedSeries:
         }
 
     def start(self, model: Model, midline: np.ndarray) -> dict[str, np.ndarray]:
-        """Return these series for the initial state without force, and `midline` (2, nodes) [m]."""
+        """Returns the series for the initial state without force, and `midline` (2, nodes) [m]."""
         values = {x.name: np.asarray(x.start(midline), float) for x in self.channels}
         values["p_front"] = np.asarray(model.drive.start_front)
         values["p_rear"] = np.asarray(model.drive.start_rear)
@@ -66,7 +66,7 @@ class SavedSeries:
 
 @eqx.filter_jit
 def _begin(model: Model, numerics: Numerics) -> tuple[Carry, jax.Array]:
-    """Return the state at rest, and its midline (2, nodes) [m] relative to the head."""
+    """Returns the state at rest, and its midline (2, nodes) [m] relative to the head."""
     carry = at_rest(model, numerics)
     phi, strain, head = carry.memory.motion[2], carry.memory.strain, carry.memory.head
     return carry, node_positions(phi, strain, head, grid_of(model.body, numerics))
@@ -83,7 +83,7 @@ def advance_chunk(
     scheme: Scheme,
     steps: int,
 ) -> tuple[Any, Carry]:
-    """Run `steps` steps of `h` [s] from `t0` [s]; return the saved series and the final carry."""
+    """Runs `steps` steps of `h` [s] from `t0` [s]; returns the saved series and the final carry."""
     times = TimeGrid(h, steps, t0)
     run = continued(begin, model, times, save, numerics, scheme)
     return run.saved, run.final
@@ -96,7 +96,7 @@ def run_chunks(
     chunk: int,
     after: Callable[[int, Any, State], None] = lambda done, saved, carry: None,
 ) -> tuple[list[Any], State]:
-    """Run at least `steps` steps in chunks; return the saved parts and the final carry.
+    """Runs at least `steps` steps in chunks; returns the saved parts and the final carry.
 
     `advance(done, carry)` runs one chunk after `done` steps and returns its saved series and carry.
     `after(done, saved, carry)` is called after each chunk, with `done` at most `steps`.
@@ -138,7 +138,7 @@ class TrialRun:
 def simulate_trial(
     experiment: Experiment, trial: Trial | int = 0, *, declared_drive: bool = False, **options: Any
 ) -> TrialRun:
-    """Prepare and simulate one trial, with the `options` of `simulate_prepared`."""
+    """Prepares and simulate one trial, with the `options` of `simulate_prepared`."""
     return simulate_prepared(prepare(experiment, trial, declared_drive=declared_drive), **options)
 
 
@@ -149,7 +149,7 @@ def simulate_prepared(
     progress: Callable[[int, int], None] = lambda done, total: None,
     chunk: int = CHUNK,
 ) -> TrialRun:
-    """Simulate a prepared trial and interpolate its series at the sample times.
+    """Simulates a prepared trial and interpolate its series at the sample times.
 
     The robot starts straight and at rest relative to the clamp, without forces. With `shape`,
     midlines, moments and forces are saved too. `progress(steps done, total)` is called after each

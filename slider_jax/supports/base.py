@@ -29,27 +29,27 @@ class Support(eqx.Module):
 
     @abstractmethod
     def during(self, t0: Array, t1: Array) -> "Support":
-        """Return the support for the step from `t0` to `t1` [s]."""
+        """Returns the support for the step from `t0` to `t1` [s]."""
 
     @abstractmethod
     def rows(self, head: Fields, omega: Array, t: Array) -> tuple[Array, Array, Array]:
-        """Return the residuals of the three boundary conditions at `t` [s].
+        """Returns the residuals of the three boundary conditions at `t` [s].
 
         `head` holds the six unknowns at the head (scalars); `omega` [rad/s] is its turning rate.
         """
 
     @abstractmethod
     def start(self, t: Array) -> Start:
-        """Return the motion of a straight body at rest relative to the support at `t` [s]."""
+        """Returns the motion of a straight body at rest relative to the support at `t` [s]."""
 
     @abstractmethod
     def sensor_angle(self, phi: Array, t: Array) -> Array:
-        """Return the angle [rad] of the force sensor's axes for the head's angle `phi` [rad]."""
+        """Returns the angle [rad] of the force sensor's axes for the head's angle `phi` [rad]."""
 
     @abstractmethod
     def anchor_offset(self, phi: Array, t: Array) -> Float[Array, "2"]:
-        """Return the vector [m] from the head to the anchored point for the head's angle [rad]."""
+        """Returns the vector [m] from the head to the anchored point for the head's angle [rad]."""
 
     @abstractmethod
     def anchor_velocity(self, head: Fields, omega: Array, t: Array) -> Float[Array, "2"]:
-        """Return the velocity (x, y) [m/s] of the anchored point."""
+        """Returns the velocity (x, y) [m/s] of the anchored point."""

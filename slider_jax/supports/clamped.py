@@ -29,7 +29,7 @@ class Clamped(Support):
     pitch_phase: Scalar = eqx.field(default=0.0)
 
     def carriage(self, t):
-        """Return the carriage's velocity (x, y) [m/s], angle [rad] and rate [rad/s] at `t` [s]."""
+        """Returns the carriage's velocity (x, y) [m/s], angle [rad] and rate [rad/s] at `t` [s]."""
         turn = 2.0 * math.pi * self.frequency
         velocity = (jnp.asarray(self.tow_speed), self.heave * turn * jnp.cos(turn * t))
         phase = turn * t + self.pitch_phase

@@ -29,12 +29,12 @@ class PinnedLink(Support):
     phase: Scalar = eqx.field(default=0.0)
 
     def side(self, t):
-        """Return the sign sigma at `t` [s]."""
+        """Returns the sign sigma at `t` [s]."""
         turn = self.frequency * t - self.phase
         return jnp.where((self.frequency > 0) & (turn - jnp.floor(turn) >= 0.5), -1.0, 1.0)
 
     def arm(self, t):
-        """Return the position sigma l_p/2 [m] of the pin along n, relative to the head."""
+        """Returns the position sigma l_p/2 [m] of the pin along n, relative to the head."""
         return 0.5 * self.link_length * self.side(t)
 
     def during(self, t0, t1):

@@ -25,7 +25,7 @@ DRAWN_OF_SWIMMERS = (
 
 
 def plotted_columns(sweep: Sweep) -> tuple[tuple[str, str, float], ...]:
-    """Return the columns to plot: name, label with unit, factor from SI."""
+    """Returns the columns to plot: name, label with unit, factor from SI."""
     return DRAWN_OF_SWIMMERS if sweep.swim else DRAWN
 
 
@@ -33,7 +33,7 @@ FILES = ("sweep.csv", "sweep.json", "sweep.png")
 
 
 def is_written(sweep: Sweep, folder: Path) -> bool:
-    """Return whether `folder` holds the complete result of this sweep with the same versions."""
+    """Returns whether `folder` holds the complete result of this sweep with the same versions."""
     if not all((folder / name).is_file() for name in FILES):
         return False
     try:
@@ -44,7 +44,7 @@ def is_written(sweep: Sweep, folder: Path) -> bool:
 
 
 def write_sweep(sweep: Sweep, table: dict[str, np.ndarray], folder: Path, source: Path) -> None:
-    """Write sweep.csv, sweep.json and sweep.png; if one fails, none is written."""
+    """Writes sweep.csv, sweep.json and sweep.png; if one fails, none is written."""
     settings = sweep.settings()
     record = {
         "settings": settings,
@@ -65,14 +65,14 @@ _POWERS = str.maketrans({"2": "²", "3": "³", "^": None})
 
 
 def _axis(axis: Axis) -> tuple[np.ndarray, str]:
-    """Return the values of an axis in its displayed unit, and its label."""
+    """Returns the values of an axis in its displayed unit, and its label."""
     unit, factor = _SHOWN.get(axis.unit, (axis.unit.translate(_POWERS), 1.0))
     label = f"{axis.field} ({unit})" if unit else axis.field
     return factor * np.asarray(axis.values), label
 
 
 def plot_sweep(sweep: Sweep, table: dict[str, np.ndarray], path: Path) -> None:
-    """Plot lines over one field or filled contours over two; failed points are omitted."""
+    """Plots lines over one field or filled contours over two; failed points are omitted."""
     figure, axes = new_figure(2, 2, figsize=(10, 7), sharex=True)
     x, along = _axis(sweep.axes[0])
     for ax, (name, label, factor) in zip(axes.flat, plotted_columns(sweep), strict=True):
@@ -96,7 +96,7 @@ def plot_sweep(sweep: Sweep, table: dict[str, np.ndarray], path: Path) -> None:
 
 
 def plot_contours(figure, ax, x: np.ndarray, y: np.ndarray, values: np.ndarray, label: str) -> None:
-    """Plot labelled contour lines at round levels, with three colours between two levels."""
+    """Plots labelled contour lines at round levels, with three colours between two levels."""
     from matplotlib.ticker import MaxNLocator
 
     low, high = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)

@@ -38,7 +38,7 @@ class Axis(NamedTuple):
 
     @classmethod
     def spaced(cls, field: str, start: float, stop: float, count: int) -> "Axis":
-        """Return the axis with `count` evenly spaced values. Raises `InputError` if invalid."""
+        """Returns the axis with `count` evenly spaced values. Raises `InputError` if invalid."""
         if count < 2:
             raise InputError.value(f"--count of {field}", count, "2 or more values")
         if not np.isfinite([start, stop]).all() or start == stop:
@@ -54,7 +54,7 @@ class Axis(NamedTuple):
 
     @property
     def column(self) -> str:
-        """Name of the field's column in a table, with the unit."""
+        """Names of the field's column in a table, with the unit."""
         unit = self.unit.replace(" ", "_").replace("/", "_per_").replace("^", "")
         return f"{self.field}_{unit}" if unit and " of " not in self.unit else self.field
 
@@ -78,7 +78,7 @@ class Sweep(NamedTuple):
         return [tuple(map(float, row)) for row in np.stack([g.ravel() for g in grids], axis=1)]
 
     def settings(self) -> dict[str, Any]:
-        """Return everything that the result depends on, as JSON types."""
+        """Returns everything that the result depends on, as JSON types."""
         content = {
             "experiment": self.experiment.model_dump(),
             "fields": {axis.field: axis.values for axis in self.axes},
@@ -93,7 +93,7 @@ class Sweep(NamedTuple):
 
 
 def digest(settings: dict[str, Any]) -> str:
-    """Return the SHA-256 checksum of settings."""
+    """Returns the SHA-256 checksum of settings."""
     return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
 
 
@@ -108,7 +108,7 @@ class Group(NamedTuple):
 
 
 def groups_of(sweep: Sweep) -> list[Group]:
-    """Return the points grouped by compiled program; only fields of numerics need several.
+    """Returns the points grouped by compiled program; only fields of numerics need several.
 
     Raises `InputError` for a field that cannot be varied.
     """
@@ -158,7 +158,7 @@ def _check(sweep: Sweep) -> None:
 
 
 def _case(sweep: Sweep, point: tuple[float, ...]) -> tuple[Plan, BatchRobot]:
-    """Return the settings and the robot of a point."""
+    """Returns the settings and the robot of a point."""
     pairs = zip((axis.field for axis in sweep.axes), point, strict=True)
     values = {field: _whole(field, value) for field, value in pairs}
     experiment = sweep.experiment.with_values(values, "sweep")
@@ -174,7 +174,7 @@ def _case(sweep: Sweep, point: tuple[float, ...]) -> tuple[Plan, BatchRobot]:
 
 
 def _whole(field: str, value: float) -> float | int:
-    """Return `value`, converted to an integer if the field is one."""
+    """Returns `value`, converted to an integer if the field is one."""
     _, info = field_at(Experiment, field.split("."))
     if info is None or info.annotation is not int:
         return value
@@ -212,7 +212,7 @@ def run_sweep(
     on_begin: Callable[[int, int], None] = lambda strides, done: None,
     on_stride: Callable[[], None] = lambda: None,
 ) -> dict[str, np.ndarray]:
-    """Run a sweep and return its table, with one row for each point.
+    """Runs a sweep and returns its table, with one row for each point.
 
     Finished chunks are files in `folder`/partial, so an interrupted sweep resumes. `on_begin` gets
     the total number of chunk-strides and the number already complete; `on_stride` is called after
@@ -261,7 +261,7 @@ def _gathered(sweep: Sweep, groups: list[Group], chunks: list[Chunk]) -> dict[st
 
 
 def _take_up(sweep: Sweep, partial: Path) -> int:
-    """Create `partial`, or check its settings. Returns the largest size of its chunks."""
+    """Creates `partial`, or checks its settings. Returns the largest size of its chunks."""
     settings, record = sweep.settings(), partial / "settings.json"
     if record.exists():
         found = json.loads(record.read_text())

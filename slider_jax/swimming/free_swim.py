@@ -86,7 +86,7 @@ def _seen(model: Model, frequency, carry: Carry, search: SteadySettings):
 def _from_rest(
     model: Model, f: jax.Array, search: SteadySettings, least: int, most: int
 ) -> tuple[np.ndarray, MeanMotion, Carry, bool]:
-    """Return speeds at every tenth stride until one repeats, the last motion and state, repeats."""
+    """Returns speeds at every tenth stride until they repeat, last motion and state, repeats."""
     carry, speeds = at_rest(model, search.numerics), []
     while True:
         carry, pace = _some_strides(model, f, carry, search)
@@ -103,17 +103,17 @@ def _from_rest(
 
 
 def resisting(model: Model) -> str:
-    """Return the names of the effects that resist motion along the body."""
+    """Returns the names of the effects that resist motion along the body."""
     return ", ".join(e.name() for e in model.effects if e.resists_axially)
 
 
 def free_swimmer(experiment: Experiment, trial: Trial) -> tuple[float, Model]:
-    """Return frequency [Hz] and free robot of a trial. Raises `InputError` if it cannot swim."""
+    """Returns frequency [Hz] and free robot of a trial. Raises `InputError` if it cannot swim."""
     return stride_frequency(trial), to_swimmer(to_model(experiment, trial))
 
 
 def steady_settings(experiment: Experiment, frequency: float) -> SteadySettings:
-    """Return settings with the experiment's mesh and an even number of steps in a stride.
+    """Returns settings with the experiment's mesh and an even number of steps in a stride.
 
     No step is longer than the experiment's.
     """
@@ -128,7 +128,7 @@ def simulate_free_swim(
     progress: Callable[[str], None] = lambda text: None,
     longest: int = 300,
 ) -> Swim:
-    """Simulate free swimming with a trial's drive; towing and heaving are ignored.
+    """Simulates free swimming with a trial's drive; towing and heaving are ignored.
 
     `longest` is the largest number of strides from rest. Raises `InputError` for a recorded drive,
     and `SolverError` if a time step does not converge.
@@ -160,7 +160,7 @@ def simulate_free_swim(
 
 
 def swim_record(swim: Swim) -> dict[str, Any]:
-    """Return the results for JSON, in SI units, by names with units."""
+    """Returns the results for JSON, in SI units, by names with units."""
     return {
         "file": swim.trial.file,
         "frequency_Hz": swim.trial.frequency,

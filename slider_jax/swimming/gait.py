@@ -40,7 +40,7 @@ class Gait(NamedTuple):
 
 
 def to_swimmer(model: Model, gait: Gait | None = None) -> Model:
-    """Return the model without support in still water, with the `gait` if given.
+    """Returns the model without support in still water, with the `gait` if given.
 
     Raises `InputError` if an effect moves the water, because the speed is relative to still water.
     """
@@ -62,7 +62,7 @@ def to_climber(
     link: Scalar = LINK,
     cap: Scalar = CAP,
 ) -> Model:
-    """Return the model in air, head up, with the ends of its cross-link pinned alternately.
+    """Returns the model in air, head up, with the ends of its cross-link pinned alternately.
 
     `link` is the cross-link's length [m]. The left end is pinned for the first half of each period
     1/`frequency` [Hz], starting at `pin_phase` (fraction of a period). Without set pressure the
@@ -98,7 +98,7 @@ def _capped(wave: Waveform, cap: Scalar) -> Wave:
 
 
 def driven(model: Model, gait: Gait) -> Model:
-    """Return the model with the tail and the square-wave drive of a gait."""
+    """Returns the model with the tail and the square-wave drive of a gait."""
     robot = replace(model.robot, tail_length=gait.tail_length, EI_tail=gait.EI_tail)
     front = SquareWave(gait.frequency, gait.front)
     rear = SquareWave(gait.frequency, gait.rear, gait.phase)
@@ -106,7 +106,7 @@ def driven(model: Model, gait: Gait) -> Model:
 
 
 def stride_frequency(trial: Trial) -> float:
-    """Return a trial's frequency [Hz]. Raises `InputError` for a recorded drive."""
+    """Returns a trial's frequency [Hz]. Raises `InputError` for a recorded drive."""
     if trial.waveform == "recorded" or trial.frequency is None:
         raise InputError(
             f"{trial.file}: the drive is a recording, which has no strides; allowed are square, "

@@ -38,7 +38,7 @@ wavelength give 0.51. A sine with A/(lambda/4) = 0.51 has a root mean square slo
 
 
 def swimmer_content(**trial: Any) -> dict[str, Any]:
-    """Return the tables of an experiment: built-in robot, form drag at the head, and one trial."""
+    """Returns the tables of an experiment: built-in robot, form drag at the head, and one trial."""
     robot = asdict(Robot())
     K_Q = robot.pop("K_Q")
     return {
@@ -51,7 +51,7 @@ def swimmer_content(**trial: Any) -> dict[str, Any]:
 
 
 def optimum() -> Experiment:
-    """Return the experiment with `PAPER_GAIT`, the built-in robot and form drag at its head."""
+    """Returns the experiment with `PAPER_GAIT`, the built-in robot and form drag at its head."""
     f, front, rear, phase, tail_length, EI_tail = PAPER_GAIT
     content = swimmer_content(frequency=f, amplitude=front, rear_ratio=rear / front, phase=phase)
     content["robot"] |= {"tail_length": tail_length, "EI_tail": EI_tail}
@@ -59,7 +59,7 @@ def optimum() -> Experiment:
 
 
 def example_climber() -> Experiment:
-    """Return the experiment of the built-in robot with a climbing drive.
+    """Returns the experiment of the built-in robot with a climbing drive.
 
     The paper does not state its climbing drive.
     """
@@ -70,7 +70,7 @@ def example_climber() -> Experiment:
 def given_or(
     default: Callable[[], Experiment], path: Path | None, model: Path | None
 ) -> Experiment:
-    """Return the experiment at `path` with the overrides of `model`, or the default if no path.
+    """Returns the experiment at `path` with the overrides of `model`, or the default if no path.
 
     Raises `InputError` as `load` does, and for a model file without an experiment.
     """

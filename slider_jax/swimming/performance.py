@@ -87,7 +87,7 @@ class Performance(eqx.Module):
 
 
 def next_stride(model: Model, frequency, carry: Carry, search: SteadySettings) -> Stride:
-    """Return the second of the two strides that follow `carry`."""
+    """Returns the second of the two strides that follow `carry`."""
 
     def saved(x: Snapshot):
         cell, grid = x.section(), x.mesh.grid
@@ -105,7 +105,7 @@ def next_stride(model: Model, frequency, carry: Carry, search: SteadySettings) -
 
 
 def performance(model: Model, frequency, stride: Stride, search: SteadySettings) -> Performance:
-    """Return the performance of a steady stride."""
+    """Returns the performance of a steady stride."""
     mean, before = jnp.mean(stride.velocity, axis=0), stride.velocity_before
     pace = mean_motion(before, mean, stride.ahead, frequency)
     speed, along = pace.speed, pace.course
@@ -142,7 +142,7 @@ def performance(model: Model, frequency, stride: Stride, search: SteadySettings)
 def steady_stride(
     model: Model, frequency, search: SteadySettings
 ) -> tuple[Stride, Performance, Bool[Array, ""]]:
-    """Return a steady stride, its performance, and whether it is steady and converged."""
+    """Returns a steady stride, its performance, and whether it is steady and converged."""
     steady = find_steady(model, frequency, search)
     stride = next_stride(model, frequency, steady.carry, search)
     return stride, performance(model, frequency, stride, search), steady.ok & stride.ok
@@ -164,19 +164,19 @@ UNITS = {
 
 
 def names_with_units(values: dict[str, Any], units: dict[str, str]) -> dict[str, Any]:
-    """Return `values` with each name's unit, if it has one, appended to the name."""
+    """Returns `values` with each name's unit, if it has one, appended to the name."""
     return {f"{k}_{units[k]}" if k in units else k: value for k, value in values.items()}
 
 
 def performance_columns(found: Performance) -> dict[str, Scalar]:
-    """Return the quantities by their names with units."""
+    """Returns the quantities by their names with units."""
     return names_with_units(vars(found), UNITS)
 
 
 def compile_swim(
     plan: Plan, chunk: BatchRobot
 ) -> Callable[[BatchRobot], tuple[Performance, Array]]:
-    """Return the compiled function from robots stacked like `chunk` to (performance, ok)."""
+    """Returns the compiled function from robots stacked like `chunk` to (performance, ok)."""
     steps, _, numerics, scheme = plan
     search = SteadySettings(steps_per_stride=steps, numerics=numerics, scheme=scheme)
     one = jax.vmap(lambda robot: steady_stride(robot.model, robot.frequency, search)[1:])
@@ -184,6 +184,6 @@ def compile_swim(
 
 
 def performance_table(found: Performance, ok: Array) -> dict[str, np.ndarray]:
-    """Return the quantities (robots,) by their names with units; NaN where not `ok`."""
+    """Returns the quantities (robots,) by their names with units; NaN where not `ok`."""
     columns = performance_columns(found)
     return {name: np.where(ok, np.asarray(values), np.nan) for name, values in columns.items()}

@@ -32,7 +32,7 @@ ROWS = (
 
 
 def value_lines(record: dict[str, Any], rows: tuple[tuple[str, str, str, float], ...]) -> list[str]:
-    """Return a line with label, unit and value for each of `rows`, laid out like `ROWS`."""
+    """Returns a line with label, unit and value for each of `rows`, laid out like `ROWS`."""
     return [
         f"{label + (f' ({unit})' if unit else ''):36}{factor * record[name]:10.4g}"
         for name, label, unit, factor in rows
@@ -40,7 +40,7 @@ def value_lines(record: dict[str, Any], rows: tuple[tuple[str, str, str, float],
 
 
 def swim_table(row: dict[str, Any], published: dict[str, Published]) -> str:
-    """Return the table of the quantities, beside the paper's values if `published`."""
+    """Returns the table of the quantities, beside the paper's values if `published`."""
     head = f"{'':36}{'here':>10}"
     if published:
         head += f"{'paper model':>14}{'ratio':>8}{'measured':>12}{'ratio':>8}"
@@ -54,7 +54,7 @@ def swim_table(row: dict[str, Any], published: dict[str, Published]) -> str:
 
 
 def swim_summary(swim: Swim) -> list[str]:
-    """Return sentences on how the speed was reached, and on the speed without resistance."""
+    """Returns sentences on how the speed was reached, and on the speed without resistance."""
     end = swim.from_rest[-1]
     count = AT_ONCE * len(swim.from_rest)
     root, rest = f"{1e2 * float(swim.performance.speed):.2f} cm/s", f"{1e2 * end:.2f} cm/s"
@@ -92,7 +92,7 @@ def swim_summary(swim: Swim) -> list[str]:
 
 
 def stride_columns(swim: Swim) -> dict[str, np.ndarray]:
-    """Return the columns of the stride's table; positions are relative to the first midline."""
+    """Returns the columns of the stride's table; positions are relative to the first midline."""
     steps = swim.search.steps_per_stride
     stride = jax.tree.map(np.asarray, swim.stride)
     place = stride.midline - stride.midline[0].mean(axis=1)[:, None]
@@ -111,7 +111,7 @@ def stride_columns(swim: Swim) -> dict[str, np.ndarray]:
 
 
 def plot_swim(swim: Swim, path: Path) -> None:
-    """Plot the midlines over the stride, and the speed from rest until it is steady."""
+    """Plots the midlines over the stride, and the speed from rest until it is steady."""
     figure, (above, below) = new_figure(2, 1, figsize=(8, 6), height_ratios=(2, 3))
     midline, steps = np.asarray(swim.stride.midline), swim.search.steps_per_stride
     mean = np.asarray(swim.stride.velocity).mean(axis=0)

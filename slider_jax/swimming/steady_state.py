@@ -87,7 +87,7 @@ class Steady(eqx.Module):
 
 
 def with_added_velocity(carry: Carry, change: Float[Array, "2"]) -> Carry:
-    """Return the state with `change` (x, y) [m/s] added to the velocity of every point."""
+    """Returns the state with `change` (x, y) [m/s] added to the velocity of every point."""
 
     def add(motion):
         along, across = to_body(change, motion[..., 2, :])
@@ -97,27 +97,27 @@ def with_added_velocity(carry: Carry, change: Float[Array, "2"]) -> Carry:
 
 
 def stride_times(frequency, count: int, search: SteadySettings) -> TimeGrid:
-    """Return the time grid of `count` strides, long after the start of the drive."""
+    """Returns the time grid of `count` strides, long after the start of the drive."""
     h = 1.0 / (frequency * search.steps_per_stride)
     return TimeGrid(h, count * search.steps_per_stride, STRIDES_BEFORE_START / frequency)
 
 
 def velocity(x: Snapshot) -> Float[Array, "2"]:
-    """Return the velocity (x, y) [m/s] of the centre of mass."""
+    """Returns the velocity (x, y) [m/s] of the centre of mass."""
     cell, grid = x.section(), x.mesh.grid
     P = cell.linear_density * jnp.stack(to_plane(cell.V_tau, cell.V_n, cell.phi))
     return grid.integral(P) / grid.integral(cell.linear_density)
 
 
 def velocity_and_heading(x: Snapshot) -> Float[Array, "2 2"]:
-    """Return the velocity [m/s] of the centre of mass and the mean direction, tail to head."""
+    """Returns the velocity [m/s] of the centre of mass and the mean direction, tail to head."""
     cell, grid = x.section(), x.mesh.grid
     ahead = jnp.stack(to_plane(jnp.ones_like(cell.phi), jnp.zeros_like(cell.phi), cell.phi))
     return jnp.stack([velocity(x), grid.integral(ahead)])
 
 
 def mean_motion(before: Float[Array, "2"], mean, ahead, frequency) -> MeanMotion:
-    """Return the mean motion from the mean velocities of two strides and the head's direction.
+    """Returns the mean motion from the mean velocities of two strides and the head's direction.
 
     `ahead` need not be normalised.
     """
@@ -129,7 +129,7 @@ def mean_motion(before: Float[Array, "2"], mean, ahead, frequency) -> MeanMotion
 
 
 def simulate_strides(model: Model, frequency, carry: Carry, count: int, search: SteadySettings):
-    """Simulate `count` strides (at least two) of `frequency` [Hz].
+    """Simulates `count` strides (at least two) of `frequency` [Hz].
 
     Returns the final state and the mean motion of the last two strides.
     """
@@ -147,7 +147,7 @@ def simulate_strides(model: Model, frequency, carry: Carry, count: int, search: 
 
 
 def find_steady(model: Model, frequency, search: SteadySettings = SteadySettings()) -> Steady:
-    """Return the steady motion of a robot that starts from rest. Use vmap for several robots.
+    """Returns the steady motion of a robot that starts from rest. Use vmap for several robots.
 
     The model's support must be `Free`. For derivatives use `steady_speed`.
     """
@@ -175,7 +175,7 @@ def find_steady(model: Model, frequency, search: SteadySettings = SteadySettings
 def steady_speed(
     model: Model, frequency, search: SteadySettings = SteadySettings()
 ) -> Float[Array, ""]:
-    """Return the steady speed [m/s], NaN if none is found.
+    """Returns the steady speed [m/s], NaN if none is found.
 
     It is differentiable with respect to model and frequency, by the implicit function theorem.
     """

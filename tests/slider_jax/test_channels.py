@@ -35,7 +35,7 @@ register(Channel("marker", "marker_m", "m", "marker, lateral", "mm", 1e3, marker
 
 @pytest.fixture(scope="module")
 def marked(tmp_path_factory):
-    """Return the small experiment with a channel from a temporary file, and its simulated run."""
+    """Returns the small experiment with a channel from a temporary file, and its simulated run."""
     folder = tmp_path_factory.mktemp("marked")
     path = write_small_experiment(folder)
     plain = simulate_trial(load(path))

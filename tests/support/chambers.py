@@ -19,7 +19,7 @@ chamber_history = eqx.filter_jit(pneumatics.chamber_history)
 
 
 def pressure_history(law, waveform, start, times):
-    """Return the pressure [Pa] at increasing `times` [s]; it is `start` [Pa] at the first time."""
+    """Returns the pressure [Pa] at increasing `times` [s]; it is `start` [Pa] at the first time."""
     segments = jax.vmap(waveform.segment)(times[:-1], times[1:])
     first = jnp.asarray(start, times.dtype)
 
@@ -32,7 +32,7 @@ def pressure_history(law, waveform, start, times):
 
 
 def chambers(effects, front, rear, t, start=0.0, law=LAG):
-    """Return the chambers' history (n, ...) from the pressure `start` [Pa] in both."""
+    """Returns the chambers' history (n, ...) from the pressure `start` [Pa] in both."""
     model = Model(Robot(), tuple(effects), law, Drive(front, rear, start, start), Clamped())
     model = arrays(model)
     begin = pneumatics.start_chambers(model)
@@ -41,20 +41,20 @@ def chambers(effects, front, rear, t, start=0.0, law=LAG):
 
 
 def held(p_set):
-    """Return a constant set pressure [Pa]."""
+    """Returns a constant set pressure [Pa]."""
     return Recorded(jnp.asarray([-2.0, -1.0]), jnp.asarray([p_set, p_set]))
 
 
 def relaxation(effect, start, p_set, t):
-    """Return the front pressure (n,) [Pa] from `start` for a constant set pressure."""
+    """Returns the front pressure (n,) [Pa] from `start` for a constant set pressure."""
     return chambers([effect], held(p_set), held(p_set), t, start).p[:, 0]
 
 
 def square(effects, t, **options):
-    """Return the chambers under square waves; the rear one lags by 0.15 of a period."""
+    """Returns the chambers under square waves; the rear one lags by 0.15 of a period."""
     return chambers(effects, SquareWave(F, A), SquareWave(F, A, 0.15), t, **options)
 
 
 def strides(per_stride, count=3):
-    """Return the times [s] of `count` strides with `per_stride` steps each."""
+    """Returns the times [s] of `count` strides with `per_stride` steps each."""
     return np.arange(0, count * per_stride + 1) / (F * per_stride)

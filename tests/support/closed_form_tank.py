@@ -19,7 +19,7 @@ NOISE = {"p_front": 700.0, "p_rear": 700.0, "thrust": 0.01, "recoil": 0.01, "tip
 
 
 def readings(trial, t, theta):
-    """Return the readings (5, n) of a trial for theta = (C_d, m_a, k, K_Q, ...).
+    """Returns the readings (5, n) of a trial for theta = (C_d, m_a, k, K_Q, ...).
 
     Drag grows with f, added mass with f squared. Each further parameter adds a tone to the thrust.
     """
@@ -49,7 +49,7 @@ def predict(plan, theta):
 
 
 def tangents(plan, theta, directions):
-    """Return the derivatives (k, 5, n) by central differences."""
+    """Returns the derivatives (k, 5, n) by central differences."""
     h = 1e-4 * np.array([3.0, 1.0, 0.08, 4.5e-7] + [1.0] * (len(theta) - 4))
     each = [
         (predict(plan, theta + step) - predict(plan, theta - step)) / (2.0 * step.sum())
@@ -59,14 +59,14 @@ def tangents(plan, theta, directions):
 
 
 def replace_the_beam(monkeypatch):
-    """Replace the simulation of trials by `readings`."""
+    """Replaces the simulation of trials by `readings`."""
     for module in (problem, information):
         monkeypatch.setattr(module, "predict_readings", predict)
         monkeypatch.setattr(module, "reading_tangents", tangents)
 
 
 def experiment_of(frequencies, **changes):
-    """Return an experiment with a trial of one second for each frequency."""
+    """Returns an experiment with a trial of one second for each frequency."""
     trials = [
         {
             "file": f"trial_{i:02d}.csv", "frequency": f, "amplitude": 250e3, "rear_ratio": 0.9,
@@ -86,7 +86,7 @@ def experiment_of(frequencies, **changes):
 
 
 def measured(experiment, thetas, seed):
-    """Return records of the trials at `thetas`, with noise and a random gain for every channel."""
+    """Returns records of the trials at `thetas`, with noise and a random gain for every channel."""
     rng, found = np.random.default_rng(seed), []
     for trial, theta in zip(experiment.trials, thetas, strict=True):
         t = prepare(experiment, trial).sample_times

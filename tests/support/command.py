@@ -17,7 +17,7 @@ MAIN = "from slider_jax.cli.main import main; sys.exit(main(sys.argv[1:]))"
 
 
 def slider(*words, timeout=120.0, code=WITHOUT_JAX):
-    """Run a command in a process without JAX, as on the rig's computer; return the process."""
+    """Runs a command in a process without JAX, as on the rig's computer; returns the process."""
     return subprocess.run(
         [sys.executable, "-c", code + MAIN, *map(str, words)], capture_output=True, text=True,
         timeout=timeout, env=os.environ | {"PYTHONPATH": str(ROOT)},
@@ -26,7 +26,7 @@ def slider(*words, timeout=120.0, code=WITHOUT_JAX):
 
 @contextmanager
 def served(*words, cwd, code=WITHOUT_JAX):
-    """Run a command that prints a port and runs until Ctrl-C; yield the port."""
+    """Runs a command that prints a port and runs until Ctrl-C; yields the port."""
     child = subprocess.Popen(
         [sys.executable, "-u", "-c", code + MAIN, *map(str, words)],
         stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=cwd,

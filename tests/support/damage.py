@@ -28,7 +28,7 @@ ROW = {"p_front": 0, "p_rear": 1, "thrust": 2, "recoil": 3, "tip": 4}
 
 
 def lagged_square(t, frequency, phase, k=K, delay=0.0):
-    """Return a lag's response to a square wave from rest, by small explicit steps."""
+    """Returns a lag's response to a square wave from rest, by small explicit steps."""
     h = 2e-4
     fine = np.arange(0.0, t[-1] + 2.0 * h, h)
     turn = frequency * (fine - delay + 0.5 * h) - phase
@@ -40,7 +40,7 @@ def lagged_square(t, frequency, phase, k=K, delay=0.0):
 
 
 def quiet(run, gain=1.0, delay=0.0, k=K):
-    """Return times and readings (5, n) without noise, with simple laws for forces and tip.
+    """Returns times and readings (5, n) without noise, with simple laws for forces and tip.
 
     Recoil and tip follow the pressures, at the drive's frequency; thrust follows their squares.
     """
@@ -59,7 +59,7 @@ def quiet(run, gain=1.0, delay=0.0, k=K):
 
 
 def readings(run, seed, **physics):
-    """Return times (n,) and readings (5, n) with noise and quantisation."""
+    """Returns times (n,) and readings (5, n) with noise and quantisation."""
     t, true = quiet(run, **physics)
     rng, n = np.random.default_rng(seed), len(t)
     values = true.copy()
@@ -75,7 +75,7 @@ def readings(run, seed, **physics):
 
 
 def write_experiment(folder: Path, seed: int = 0, runs=RUNS, **physics) -> Path:
-    """Write an experiment file and its trials; return the file's path."""
+    """Writes an experiment file and its trials; returns the file's path."""
     folder.mkdir(parents=True, exist_ok=True)
     lines = ['name = "made up"', "[robot]"]
     lines += [f"{key} = {value}" for key, value in ROBOT.items()]
@@ -94,13 +94,13 @@ def write_experiment(folder: Path, seed: int = 0, runs=RUNS, **physics) -> Path:
 
 
 def save(path: Path, t, values) -> None:
-    """Write a trial's file."""
+    """Writes a trial's file."""
     formats = {"t_s": ".6g", "p_front_Pa": ".9g", "p_rear_Pa": ".9g"}
     write_csv(path, dict(zip(channel_columns(), [t, *values], strict=True)), formats)
 
 
 def read(path: Path):
-    """Return times (n,) and values (5, n) of an undamaged file."""
+    """Returns times (n,) and values (5, n) of an undamaged file."""
     rows = [line.split(",") for line in path.read_text().splitlines()[1:]]
     table = np.array([[float(cell or "nan") for cell in row] for row in rows])
     return table[:, 0], table[:, 1:].T.copy()
@@ -110,7 +110,7 @@ _QUIET: dict[str, tuple] = {}
 
 
 def predict(records):
-    """Return the prediction (5, n) of records by a model with slightly wrong parameters."""
+    """Returns the prediction (5, n) of records by a model with slightly wrong parameters."""
     found = []
     for r in records:
         if r.trial.file not in _QUIET:
@@ -126,7 +126,7 @@ def audited(folder, least=3):
 
 
 def alter(folder, number, change):
-    """Replace a trial's times and values by the result of `change(t, values)`."""
+    """Replaces a trial's times and values by the result of `change(t, values)`."""
     path = folder / f"trial_{number:02d}.csv"
     save(path, *change(*read(path)))
 
@@ -142,7 +142,7 @@ def kinds(found, number=None):
 
 
 def only(found, number, *expected):
-    """Assert that the audit has only the expected findings, all on one trial."""
+    """Asserts that the audit has only the expected findings, all on one trial."""
     assert kinds(found, number) == list(expected)
     assert len(found.findings) == len(expected), [str(x) for x in found.findings]
 

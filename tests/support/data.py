@@ -8,13 +8,13 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def data_dir() -> Path | None:
-    """Return the data folder: `SLIDER_DATA`, else `../shared/data`; None if there is none."""
+    """Returns the data folder: `SLIDER_DATA`, else `../shared/data`; None if there is none."""
     folder = Path(os.environ.get("SLIDER_DATA") or ROOT.parent / "shared" / "data")
     return folder if folder.is_dir() else None
 
 
 def missing_in_ci() -> str | None:
-    """Return the error of a CI run without the data, or None if the run may go on.
+    """Returns the error of a CI run without the data, or None if the run may go on.
 
     Tests that need the data skip without them, and a CI run would pass without those tests. A
     fork whose CI has no data sets `SLIDER_DATA_OPTIONAL=1`.

@@ -49,7 +49,7 @@ duration = 0.9
 
 
 def write_small_experiment(folder: Path, *changes: tuple[str, str]) -> Path:
-    """Write the small experiment after replacing each (old, new) of `changes`; return its path."""
+    """Writes the small experiment with each (old, new) of `changes` replaced; returns its path."""
     text = SMALL
     for old, new in changes:
         assert old in text, f"{old!r} is not in the small experiment"

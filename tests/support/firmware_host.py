@@ -36,7 +36,7 @@ class Pass(NamedTuple):
 
 
 def compiler() -> str:
-    """Return the path of g++ or clang++; skip the test if neither is installed."""
+    """Returns the path of g++ or clang++; skip the test if neither is installed."""
     found = shutil.which("g++") or shutil.which("clang++")
     if found is None:
         pytest.skip("no g++ or clang++ to compile the firmware for this computer")
@@ -44,7 +44,7 @@ def compiler() -> str:
 
 
 def build(source: str, folder: Path, *flags: str) -> Path:
-    """Compile tests/support/firmware/`source` with the firmware; return the program."""
+    """Compiles tests/support/firmware/`source` with the firmware; returns the program."""
     program = folder / Path(source).stem
     includes = ("-I", str(SKETCH), "-I", str(HERE / "firmware"))
     parts = (str(HERE / "firmware" / source), *map(str, sorted(SKETCH.glob("*.cpp"))))
@@ -55,7 +55,7 @@ def build(source: str, folder: Path, *flags: str) -> Path:
 
 
 def sanitizers(folder: Path) -> tuple[str, ...]:
-    """Return the flags of the sanitizers, or none if the compiler lacks their libraries."""
+    """Returns the flags of the sanitizers, or none if the compiler lacks their libraries."""
     empty = folder / "empty.cpp"
     empty.write_text("int main() {}\n")
     command = [compiler(), *SANITIZED, str(empty), "-o", str(folder / "empty")]
@@ -69,7 +69,7 @@ def _run(program: Path, given: bytes) -> bytes:
 
 
 def ask(program: Path, requests: list[Request]) -> list[Reply]:
-    """Return the replies of host.cpp, one per request."""
+    """Returns the replies of host.cpp, one per request."""
     heads = [kind + struct.pack("<QH", now, len(data)) + data for kind, now, data in requests]
     output, at, replies = _run(program, b"".join(heads)), 0, []
     while at < len(output):
@@ -83,7 +83,7 @@ def ask(program: Path, requests: list[Request]) -> list[Reply]:
 
 
 def run_sketch(program: Path, passes: list[tuple[int, list[int], int, bytes]]) -> list[Pass]:
-    """Return the results of sketch.cpp: of `setup`, then per pass (time [us], 8 counts, room,
+    """Returns the results of sketch.cpp: of `setup`, then per pass (time [us], 8 counts, room,
     bytes)."""
     given = b"".join(
         struct.pack("<Q8HHH", now, *counts, room, len(data)) + data

@@ -33,7 +33,7 @@ def swimmer(
     effects=None,
     **robot,
 ) -> Model:
-    """Return the built-in robot in water, clamped, with both chambers driven, as arrays."""
+    """Returns the built-in robot in water, clamped, with both chambers driven, as arrays."""
     model = Model(
         Robot(**robot),
         (NormalDrag(C_d), ReactiveForce(m_a)) if effects is None else effects,
@@ -45,12 +45,12 @@ def swimmer(
 
 
 def arrays(tree):
-    """Return the tree with float64 arrays, so that all values share one compiled program."""
+    """Returns the tree with float64 arrays, so that all values share one compiled program."""
     return jax.tree.map(lambda x: jnp.asarray(x, float), tree)
 
 
 def uniform(L=0.368, EI=0.038, effects=(), support=None, **robot) -> Model:
-    """Return a passive uniform rod without drive, by default without damping."""
+    """Returns a passive uniform rod without drive, by default without damping."""
     robot = {"damping_time": 0.0, "EA_body": 1e6, "EA_tail": 1e6} | robot
     rod = Robot(body_length=0.8 * L, tail_length=0.2 * L, EI_body=EI, EI_tail=EI, K_Q=0.0, **robot)
     return arrays(
@@ -65,12 +65,12 @@ def uniform(L=0.368, EI=0.038, effects=(), support=None, **robot) -> Model:
 
 
 def nodes_of(model: Model, numerics: Numerics):
-    """Return the nodes' distances from the tail [m]."""
+    """Returns the nodes' distances from the tail [m]."""
     return grid_of(model.body, numerics).s
 
 
 def stage_of(model: Model, numerics: Numerics, y_reference, dt, t=0.0, active_moment=None) -> Stage:
-    """Return a stage with time derivatives (q(y) - q(y_reference))/dt; a long dt gives statics."""
+    """Returns a stage with time derivatives (q(y) - q(y_reference))/dt; a long dt gives statics."""
     mesh = make_mesh(model.robot, numerics)
     T, _, _, V_tau, V_n, phi = mesh.grid.mid(y_reference)
     reference = Reference(
@@ -97,7 +97,7 @@ def stage_of(model: Model, numerics: Numerics, y_reference, dt, t=0.0, active_mo
 
 
 def flat_residual(y, stage, tail_load=None):
-    """Return the residual as one vector; `tail_load(phi)` gives (T, N, M) at the tail's end."""
+    """Returns the residual as one vector; `tail_load(phi)` gives (T, N, M) at the tail's end."""
     cells, tail, head = residual(y, stage)
     if tail_load is not None:
         tail = tail - tail_load(y[5, 0])
@@ -106,7 +106,7 @@ def flat_residual(y, stage, tail_load=None):
 
 @eqx.filter_jit
 def dense_newton(stage, y, tail_load=None, iterations=40):
-    """Solve by Newton's method with a dense Jacobian, as a reference; return y, max |residual|."""
+    """Solves by Newton's method with a dense Jacobian, as a reference; returns y, |residual|."""
 
     def value(v):
         return flat_residual(v.reshape(y.shape), stage, tail_load)
@@ -119,12 +119,12 @@ def dense_newton(stage, y, tail_load=None, iterations=40):
 
 
 def order(sizes, errors) -> float:
-    """Return the slope of log(error) over log(size) by least squares."""
+    """Returns the slope of log(error) over log(size) by least squares."""
     return float(np.polyfit(np.log(np.asarray(sizes)), np.log(np.asarray(errors)), 1)[0])
 
 
 def observe(x):
-    """Return thrust [N], recoil [N] and tip [m] of a clamped robot."""
+    """Returns thrust [N], recoil [N] and tip [m] of a clamped robot."""
     shape = node_positions(x.y[5], x.memory.strain, x.head, x.mesh.grid)
     return jnp.stack([-x.y[0, -1], -x.y[1, -1], shape[1, 0] - x.head[1]])
 
@@ -135,7 +135,7 @@ def _chunk(model, h, t0, begin, steps, save, numerics, scheme):
 
 
 def march(model, h, steps, save=observe, numerics=SMALL, scheme=SDIRK2, chunk=40):
-    """Run a rollout in chunks of one compiled program, for any step size and number of steps.
+    """Runs a rollout in chunks of one compiled program, for any step size and number of steps.
 
     Returns the times and the saved values as numpy arrays; a failed step fails the test.
     """

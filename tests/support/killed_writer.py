@@ -36,12 +36,12 @@ def start_program(code, *arguments, **keywords):
 
 
 def sent(name, count):
-    """Return the first `count` pieces of a stream of `WRITER`."""
+    """Returns the first `count` pieces of a stream of `WRITER`."""
     return [b"%s %d;" % (name.encode(), i) for i in range(count)]
 
 
 def printed_times(path):
-    """Return {stream: host times [ns]} from the output of `WRITER`, without an incomplete line."""
+    """Returns {stream: host times [ns]} from the output of `WRITER`, without an incomplete line."""
     times = {"manifold": [], "force": []}
     for line in path.read_text().splitlines(keepends=True):
         if line.endswith("\n"):

@@ -42,7 +42,7 @@ def _save(x):
 
 
 def set_pressures(drive, t):
-    """Return the front and rear means since the previous reading, (2, n)."""
+    """Returns the front and rear means since the previous reading, (2, n)."""
 
     def mean(wave):
         x = jax.vmap(wave.segment)(t - 1.0 / RATE, t)
@@ -53,7 +53,7 @@ def set_pressures(drive, t):
 
 
 def only(readings, keep):
-    """Return the kept readings; their set pressures are means since the previous kept reading."""
+    """Returns the kept readings; their set pressures are means since the previous kept reading."""
     runs = np.concatenate([[0], np.cumsum(keep)[:-1]])
     means = [np.bincount(runs, x) / np.bincount(runs) for x in readings.set_pressure]
     kept = int(keep.sum())
@@ -100,7 +100,7 @@ class Streaming:
         return jax.tree.map(lambda x: jnp.asarray(x, float), model)
 
     def readings(self) -> Samples:
-        """Return the next `CHUNK` readings."""
+        """Returns the next `CHUNK` readings."""
         self._carry, t, set_pressure, true = _advance(
             self.model, self._carry, jnp.asarray(self.t), self.numerics
         )
@@ -117,6 +117,6 @@ class Streaming:
         return Samples(t, np.asarray(set_pressure), true)
 
     def run(self, seconds: float) -> Iterator[Samples]:
-        """Yield the readings of the next `seconds`."""
+        """Yields the readings of the next `seconds`."""
         for _ in range(round(seconds * RATE / CHUNK)):
             yield self.readings()

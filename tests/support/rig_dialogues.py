@@ -40,7 +40,7 @@ def channels_of(*values):
 
 
 def expected_reply(twin, sent):
-    """Return the expected reply of the firmware after its twin has sent these bytes."""
+    """Returns the expected reply of the firmware after its twin has sent these bytes."""
     return Reply(sent, twin.state, twin.set_pressures or (-1,) * 4, twin.damaged, 0)
 
 
@@ -162,7 +162,7 @@ class Dialogue:
 
 
 def count_codes(replies):
-    """Return the number of occurrences of each (kind of message, code) in the replies."""
+    """Returns the number of occurrences of each (kind of message, code) in the replies."""
     count = Counter()
     for message in FrameDecoder().feed(b"".join(reply.sent for reply in replies)):
         match message:
@@ -178,7 +178,7 @@ def count_codes(replies):
 
 
 def all_codes():
-    """Return all (kind of message, code) that the dialogues must contain."""
+    """Returns all (kind of message, code) that the dialogues must contain."""
     done, state = Answer.DONE, Answer.WRONG_STATE
     refused, place = (Answer.ABOVE_LIMIT, Answer.BELOW_ZERO), Answer.WRONG_PLACE
     answers = {

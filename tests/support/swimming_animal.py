@@ -15,7 +15,7 @@ WAVES = 1.4
 
 
 def wave(amplitude, t, nodes=161, speed=U, grow=0.0):
-    """Return the exact motion with the head at y = a(s) cos(k s + w t) and phi the wave's slope."""
+    """Returns exact motion with the head at y = a(s) cos(k s + w t) and phi the wave's slope."""
     s = np.linspace(0.0, L, nodes)
     k, w = 2.0 * math.pi * WAVES / L, 2.0 * math.pi * F
     envelope = amplitude * (1.0 - grow * s / L)

@@ -9,7 +9,7 @@ from calibration.pressure_logs.synthetic import PERIOD, firmware_log
 
 
 def lagged(k, command, start, period=PERIOD):
-    """Return dp/dt = (c - p)/k for c linear between samples, by a loop over exact solutions."""
+    """Returns dp/dt = (c - p)/k for c linear between samples, by a loop over exact solutions."""
     p = [start]
     decay = math.exp(-period / k)
     for before, after in zip(command[:-1], command[1:], strict=True):
@@ -19,7 +19,7 @@ def lagged(k, command, start, period=PERIOD):
 
 
 def lag_series(k=0.1, frequency=1.0, cycles=3.0, noise=1.7, seed=0, middle=290.0, amplitude=190.0):
-    """Return (command, pressure) in counts: a sine, and a lag's response with white noise.
+    """Returns (command, pressure) in counts: a sine, and a lag's response with white noise.
 
     The first pressure, from which a free run starts, has no noise.
     """
@@ -32,11 +32,11 @@ def lag_series(k=0.1, frequency=1.0, cycles=3.0, noise=1.7, seed=0, middle=290.0
 
 
 def log_lines(k=0.1, frequency=1.0, **keywords):
-    """Return all lines of a log without a fault."""
+    """Returns all lines of a log without a fault."""
     return firmware_log(*lag_series(k, frequency, **keywords), frequency)
 
 
 def write_log(path: Path, lines, end="\r") -> Path:
-    """Write `lines`, each ended by `end`."""
+    """Writes `lines`, each ended by `end`."""
     path.write_bytes((end.join(lines) + end).encode())
     return path

@@ -10,7 +10,7 @@ from slider_jax.effects.pneumatics.chamber_expansion import ATMOSPHERE
 
 
 def characteristic(ratio: Array, b: Scalar) -> Array:
-    """Return the flow divided by the choked flow at the ratio r of downstream to upstream pressure.
+    """Returns flow divided by the choked flow at the ratio r of downstream to upstream pressure.
 
     psi(r) = sqrt(1 - ((r - b)/(1 - b))^2) for r > b,    1 below
     """

@@ -23,7 +23,7 @@ class RegulatorGain(Command):
     """g, relative error of the span."""
 
     def curve(self, p_set):
-        """Return the set pressure at the valves [Pa]."""
+        """Returns the set pressure at the valves [Pa]."""
         return (1.0 + self.gain) * p_set
 
     def command(self, wave, chamber):

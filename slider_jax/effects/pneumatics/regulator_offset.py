@@ -22,7 +22,7 @@ class RegulatorOffset(Command):
     """Offset p_0."""
 
     def curve(self, p_set):
-        """Return the set pressure at the valves [Pa]."""
+        """Returns the set pressure at the valves [Pa]."""
         return p_set + self.offset
 
     def command(self, wave, chamber):

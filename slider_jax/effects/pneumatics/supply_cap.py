@@ -25,7 +25,7 @@ class SupplyCap(Command):
     """1/P, inverse of the supply pressure."""
 
     def curve(self, p_set):
-        """Return the set pressure at the valves [Pa]."""
+        """Returns the set pressure at the valves [Pa]."""
         return limited(p_set, self.inverse)
 
     def command(self, wave, chamber):

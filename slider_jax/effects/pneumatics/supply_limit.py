@@ -26,7 +26,7 @@ class SupplyLimit(Command):
     """c = 1/p_supply."""
 
     def curve(self, p_set):
-        """Return the set pressure at the valves [Pa]."""
+        """Returns the set pressure at the valves [Pa]."""
         return p_set / (1.0 + self.inverse * jnp.abs(p_set))
 
     def command(self, wave, chamber):

@@ -36,7 +36,7 @@ class ForceResonance(Instrument):
     """b [1/s]; the default is 0.1 of critical damping at 16 Hz."""
 
     def follow(self, before: tuple[Array, Array, Array], F: Array, dt: Array) -> Array:
-        """Return the reading [N] at the force F [N]; `before` are the last three, latest first."""
+        """Returns the reading [N] at the force F [N]; `before` are the last three, latest first."""
         inertia = self.mass_over_stiffness / dt**2
         damping = self.mass_over_stiffness * self.damping_rate / (6.0 * dt)
         x1, x2, x3 = before

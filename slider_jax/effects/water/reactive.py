@@ -36,7 +36,7 @@ class ReactiveForce(ForceDensity):
     """rho [kg/m^3]."""
 
     def added_mass(self, height):
-        """Return m_A [kg/m] of a section of `height` [m]."""
+        """Returns m_A [kg/m] of a section of `height` [m]."""
         return self.m_a * math.pi * self.density * height**2 / 4.0
 
     def force(self, x):

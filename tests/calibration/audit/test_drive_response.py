@@ -13,7 +13,7 @@ PHASE, RATIO = 0.3, 0.8
 
 
 def record(seconds: float) -> Record:
-    """Return the record of a trial at 1 Hz."""
+    """Returns the record of a trial at 1 Hz."""
     drive = {"frequency": 1.0, "amplitude": 1e5, "rear_ratio": RATIO, "phase": PHASE}
     trial = Trial.model_validate({"file": "a.csv", "duration": seconds} | drive)
     t = np.arange(0.0, seconds, 0.002)

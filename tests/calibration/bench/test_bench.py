@@ -41,7 +41,7 @@ MESH = Numerics(tail_cells=6, body_cells=24)
 
 
 def elastica(force, pressure=(0.0, 0.0), length=None, EI=None, spans=()):
-    """Return tip and joint (2,) [m] of a clamped inextensible rod, by shooting.
+    """Returns tip and joint (2,) [m] of a clamped inextensible rod, by shooting.
 
     M' = -F cos(theta), EI theta' = M + K_Q p, M(L) = 0: an elastica under a force of constant
     direction and the moment of its chambers; EI changes at the joint.
@@ -99,7 +99,7 @@ def exact():
 
 
 def bench_of(exact, rng, declared=NOISE, zero=2e-3):
-    """Return a bench of three tables with noise and a ruler's zero."""
+    """Returns a bench of three tables with noise and a ruler's zero."""
     tips = [x + zero + NOISE * rng.normal(size=len(x)) for x in exact]
     still, none = np.zeros((8, 2)), np.zeros(8)
     both = np.stack([PRESSURES, 0.9 * PRESSURES], axis=1)
@@ -112,7 +112,7 @@ def bench_of(exact, rng, declared=NOISE, zero=2e-3):
 
 
 def model_tips(robot, on_tail, force, pressure):
-    """Return tips (8,) of the beam and their slopes; 24 rows share the compiled program."""
+    """Returns tips (8,) of the beam and their slopes; 24 rows share the compiled program."""
     rows = tuple(
         jnp.asarray(np.concatenate([np.asarray(x)] * 3)) for x in (on_tail, force, pressure)
     )
@@ -179,7 +179,7 @@ def test_pressures_with_the_wrong_sign_are_refused(exact):
 
 
 def ring(alpha, t, first=0.01, EI=0.038, zero=0.0):
-    """Return the tip [m] of a uniform 0.37 m cantilever released at `first`: eight modes."""
+    """Returns the tip [m] of a uniform 0.37 m cantilever released at `first`: eight modes."""
     L, m = 0.37, 0.7
     tip = np.zeros_like(t)
     for n in range(8):

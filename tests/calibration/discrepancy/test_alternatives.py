@@ -26,7 +26,7 @@ ONE_WITH_CURRENT = ONE + 0.04 * CURRENT + 0.05 * OTHER
 
 
 def select(truth, alternative, **more):
-    """Return the selection with an `alternative` (trials, samples) to the first effect `ONE`."""
+    """Returns the selection with an `alternative` (trials, samples) to the first effect `ONE`."""
     sums = Sums(truth, np.stack([BASE, ONE, alternative, CURRENT]), **more)
     return select_effects(sums, ENTRIES, np.zeros(4), base_names=("k",))
 

@@ -15,7 +15,7 @@ FREE, GROUP, ALTERNATIVE = np.array([0, 1]), np.array([2, 3]), np.array([4])
 
 
 def rows(seed=0):
-    """Return tangents (TRIALS, ROWS, 5) and white residuals (TRIALS, ROWS)."""
+    """Returns tangents (TRIALS, ROWS, 5) and white residuals (TRIALS, ROWS)."""
     rng = np.random.default_rng(seed)
     J = rng.normal(size=(TRIALS, ROWS, 5))
     J[..., 4] = J[..., 2] + 0.5 * J[..., 0] + 1e-3 * J[..., 4]
@@ -30,7 +30,7 @@ def blocks(J, r):
 
 
 def residual_square(J, r, columns):
-    """Return the sum of squares after least squares over `columns`."""
+    """Returns the sum of squares after least squares over `columns`."""
     flat = J[..., columns].reshape(-1, len(columns))
     return np.linalg.lstsq(flat, r.ravel(), rcond=None)[1][0]
 

@@ -14,7 +14,7 @@ BASE = {"C_d": 3.0, "m_a": 0.7, "k": 0.09, "K_Q": 4.8e-7}
 
 
 def verdict(before: float, after: float, effects=("valve_delay",), equivalent=(), converged=True):
-    """Return the verdict for `effects` and the tip's mean squares `before` and `after`."""
+    """Returns the verdict for `effects` and the tip's mean squares `before` and `after`."""
     theta = base_vector(ENTRIES, BASE)
     fit = Fit(theta, np.arange(4), 1.0, 100, [], [], converged)
     rounds = [SelectionStep([], [], name, list(equivalent)) for name in effects]

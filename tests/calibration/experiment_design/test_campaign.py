@@ -22,7 +22,7 @@ CANDIDATES = ("valve_delay", "clamp_compliance", "tangential_friction")
 
 
 def tank(folder, effects, count, seed=0):
-    """Return an experiment without measured trials, a function that captures them, and a log.
+    """Returns an experiment without measured trials, a function that captures them, and a log.
 
     The function captures trials of a hidden tank.
     """
@@ -57,7 +57,7 @@ class FakeLoop:
 
 @pytest.fixture(autouse=True)
 def short_report(request, monkeypatch):
-    """Replace the report by the verdict of a `FakeLoop`."""
+    """Replaces the report by the verdict of a `FakeLoop`."""
     if "slow" not in request.keywords:
 
         def loop_record(outcome, seconds, source, following):

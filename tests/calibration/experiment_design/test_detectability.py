@@ -58,7 +58,7 @@ def limit_of(still, effect):
 
 
 def measured(still, theta, seed):
-    """Return records of the trials at `theta` with the declared noise."""
+    """Returns records of the trials at `theta` with the declared noise."""
     rng, found = np.random.default_rng(seed), []
     for trial in still.information.experiment.trials:
         p = still.information.plan(trial)
@@ -73,7 +73,7 @@ def measured(still, theta, seed):
 
 
 def gain(still, effect, size, seed):
-    """Return the score of an effect of the true `size` on noisy readings."""
+    """Returns the score of an effect of the true `size` on noisy readings."""
     f = still.information
     theta, group = f.theta.copy(), effect_entries(f.entries)[effect]
     theta[group] += size

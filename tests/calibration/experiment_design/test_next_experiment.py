@@ -61,7 +61,7 @@ def tank(tmp_path_factory):
 
 
 def fitted(tank, theta, free, weight=1.0):
-    """Return a fit at `theta` with the information of the data times `weight`."""
+    """Returns a fit at `theta` with the information of the data times `weight`."""
     _, problem, _ = tank
     predicted = [r.values for r in problem.records]
     white = problem.whiteners(predicted)
@@ -97,7 +97,7 @@ def test_the_trial_with_the_largest_residual_is_repeated(tank, verdict):
 
 
 def class_outcome(tank, alternative):
-    """Return an outcome with a class of the carried mass and the fit `alternative`."""
+    """Returns an outcome with a class of the carried mass and the fit `alternative`."""
     theta = tank[2].copy()
     theta[MASS] = 0.1
     final = fitted(tank, theta, np.concatenate([FREE, MASS]))

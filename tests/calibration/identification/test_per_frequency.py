@@ -33,7 +33,7 @@ COMMON = {"k": 0.075, "K_Q": 4.5e-7}
 
 
 def write_ramp(folder, runs, coefficients):
-    """Write a tank in which every trial has its own C_d and m_a."""
+    """Writes a tank in which every trial has its own C_d and m_a."""
     for number, (run, (C_d, m_a)) in enumerate(zip(runs, coefficients, strict=True)):
         truth = Truth(COMMON | {"C_d": C_d, "m_a": m_a}, FRICTION)
         write_tank(folder, truth, [run], number, numerics=TANK)
@@ -53,7 +53,7 @@ def write_all(folder, runs):
 
 
 def runs():
-    """Return trials at five frequencies from 1 to 5 Hz, on both sides of the ramp."""
+    """Returns trials at five frequencies from 1 to 5 Hz, on both sides of the ramp."""
     given = random_trials(5, count=5)
     return [
         run | {"frequency": f, "amplitude": 250e3, "duration": 1.2}

@@ -27,7 +27,7 @@ MANY = ("leakage", "tangential_friction", "camera_scale", "force_gain", "tail_dr
 
 
 def difference(one, two):
-    """Return the difference of two fits in standard errors, for each entry."""
+    """Returns the difference of two fits in standard errors, for each entry."""
     return np.abs(one.theta - two.theta)[one.free] / np.sqrt(np.diag(one.covariance))
 
 

@@ -20,7 +20,7 @@ SIGNAL = 1e-9 * np.sin(2 * np.pi * T)
 
 
 def sampled_noise(count, seed=0):
-    """Return series (count, n) of white, slow and constant noise."""
+    """Returns series (count, n) of white, slow and constant noise."""
     rng = np.random.default_rng(seed)
     keep = np.exp(-1.0 / (500.0 * NOISE.slow_time))
     slow = np.zeros((count, len(T)))

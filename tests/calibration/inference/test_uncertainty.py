@@ -44,7 +44,7 @@ class Drag(AbstractProblem):
 
 
 def fitted(seed: int, varying: float):
-    """Return the tested fit to data with a = 1 in the mean and a = `varying` in the variation."""
+    """Returns the tested fit to data with a = 1 in the mean and a = `varying` in the variation."""
     rng = np.random.default_rng(seed)
     trial = Trial.model_validate(
         {"file": "a.csv", "frequency": 1.0, "amplitude": 1e5, "duration": 2.0}

@@ -30,7 +30,7 @@ from tests.support.swimming_animal import SHAPE, WAVES, F, L, U, one_stride, wav
 
 
 def traced(amplitude=0.012, noise=1e-4, frames=80, points=20):
-    """Return midlines of a swimming wave as a camera at 50 Hz traces them, and the exact motion."""
+    """Returns midlines of a swimming wave as a 50 Hz camera traces them, and the exact motion."""
     t = 0.02 * np.arange(frames)
     exact = wave(amplitude, t, grow=0.7)
     at = np.linspace(L, 0.0, points)

@@ -41,7 +41,7 @@ def _swing(model, place, speed, times, numerics, scheme):
 
 
 def swinging_tip(p, place, speed):
-    """Return the tip (n,) at the steps of a trial with an initial swing."""
+    """Returns the tip (n,) at the steps of a trial with an initial swing."""
     model, times = p.extended.at(jnp.asarray(THETA)), TimeGrid(p.grid.h, p.grid.steps)
     saved = _swing(model, jnp.asarray(place), jnp.asarray(speed), times, p.numerics, p.scheme)
     return np.concatenate([[place], np.asarray(saved)])

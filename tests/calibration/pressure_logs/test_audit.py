@@ -9,7 +9,7 @@ from tests.support.synthetic_log import log_lines, write_log
 
 
 def signals(seed, many=5, noise=1.7):
-    """Return unrounded pressures in counts, sines of several sizes as on the rig, and noises."""
+    """Returns unrounded pressures in counts, sines of several sizes as on the rig, and noises."""
     rng = np.random.default_rng(seed)
     found = []
     for i in range(many):
@@ -26,7 +26,7 @@ def even(seed, **keywords):
 
 
 def uneven(seed, period=31.0, error=1.5, **keywords):
-    """Return the readings of a converter whose error is a sine of `error` counts over the codes."""
+    """Returns readings of a converter whose error is a sine of `error` counts over the codes."""
     quiet, noise = signals(seed, **keywords)
     read = []
     for x, n in zip(quiet, noise, strict=True):

@@ -20,7 +20,7 @@ RIG_FREQUENCIES = ("0.55556", "0.86111", "1.1667", "1.4722", "1.7778")
 
 
 def shortened(log, samples):
-    """Return the first `samples` of a log."""
+    """Returns the first `samples` of a log."""
     here = np.round(log.t / log.period) < samples
     series = {n: getattr(log, n)[here] for n in ("t", "command", "pressure", "fill", "vent")}
     return replace(log, **series)
@@ -37,7 +37,7 @@ class Stopped(Exception):
 
 
 def stop_at(message):
-    """Return a progress function that ends the run at `message`."""
+    """Returns a progress function that ends the run at `message`."""
 
     def progress(text):
         if text == message:

@@ -38,7 +38,7 @@ NOISE = 1.7
 
 
 def made(k=0.1, frequency=1.0, cycles=2.0, extra=None, **keywords):
-    """Return a log in memory, with `extra` counts added to the pressure."""
+    """Returns a log in memory, with `extra` counts added to the pressure."""
     command, pressure = lag_series(k, frequency, cycles, **keywords)
     if extra is not None:
         pressure = pressure + extra[: len(pressure)]

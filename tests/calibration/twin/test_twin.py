@@ -51,7 +51,7 @@ def fresh(experiment):
 
 @pytest.fixture(scope="module")
 def started(experiment, fresh):
-    """Return twin, robot, blocks so far, and processor time [s] of each chunk of readings."""
+    """Returns twin, robot, blocks so far, and processor time [s] of each chunk of readings."""
     robot = Streaming(experiment, TRUE_K, TRUE_K_Q)
     blocks, spent = [], []
     for readings in robot.run(LEARNED):
@@ -63,18 +63,18 @@ def started(experiment, fresh):
 
 @pytest.fixture
 def running(started):
-    """Return copies of a twin with learned bands and of its robot."""
+    """Returns copies of a twin with learned bands and of its robot."""
     twin, robot, _, _ = started
     return copy.deepcopy(twin, {id(twin._program): twin._program}), copy.deepcopy(robot)
 
 
 def follow(twin, robot, seconds, damage=lambda readings: readings):
-    """Return the blocks of the next `seconds`."""
+    """Returns the blocks of the next `seconds`."""
     return [b for readings in robot.run(seconds) for b in twin.feed(damage(readings))]
 
 
 def alarm_after(blocks):
-    """Return the time [s] from the first block to the alarm, and the alarm."""
+    """Returns the time [s] from the first block to the alarm, and the alarm."""
     for block in blocks:
         if block.alarm.on:
             return block.t[-1] - blocks[0].t[0], block.alarm
@@ -175,7 +175,7 @@ def test_gaps_are_filled_in_and_marked_and_give_no_alarm(running):
     start = robot.t
 
     def damage(readings):
-        """Remove 2 % of the readings at random, gaps of 40 ms, 160 ms and 1.2 s, and the camera."""
+        """Removes 2 % of readings at random, gaps of 40 ms, 160 ms and 1.2 s, and the camera."""
         t = readings.t - start
         gaps = ((0.6, 0.64), (1.2, 1.36), (2.0, 3.2))
         keep = rng.random(len(t)) > 0.02

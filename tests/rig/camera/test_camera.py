@@ -29,7 +29,7 @@ BLUR, GLARE, NOISE = {"exposure": 0.006}, {"glare": 0.6}, {"noise": 5.0}
 
 
 def swimming(t):
-    """Return marker positions; the tip, at the image's left, swings by 36 px at 3 Hz."""
+    """Returns marker positions; the tip, at the image's left, swings by 36 px at 3 Hz."""
     s = np.linspace(1.0, 0.0, MARKERS)
     x = np.broadcast_to(50.0 + 300.0 * (1 - s), (len(t), MARKERS))
     y = 120.3 + 36.0 * s**2 * np.sin(2 * np.pi * (3.0 * t[:, None] + 0.6 * s))
@@ -41,7 +41,7 @@ def scene(**disturbances):
 
 
 def track(scene, camera=None):
-    """Return the tracks from the records of a scene."""
+    """Returns the tracks from the records of a scene."""
     records = []
     with Camera(camera or SimulatedCamera(scene)) as frames:
         tracker = Tracker(scene.truth(0), GATE)
@@ -50,7 +50,7 @@ def track(scene, camera=None):
 
 
 def errors(scene, tracks):
-    """Return the distances (frames, markers) [px] from the true positions."""
+    """Returns the distances (frames, markers) [px] from the true positions."""
     truth = np.array([scene.truth(number) for number in tracks.number])
     return np.hypot(*np.moveaxis(tracks.xy - truth, -1, 0))
 
@@ -295,7 +295,7 @@ def test_an_incomplete_record_is_refused():
 
 
 def checkerboard(angle=0.3, tilt=1.0, px=1500.0):
-    """Return an image of a board with 9 x 6 inner corners, 20 mm apart; `tilt` compresses it."""
+    """Returns an image of a board with 9 x 6 inner corners, 20 mm apart; `tilt` compresses it."""
     board = (np.indices((7, 10)).sum(axis=0) % 2 * 215 + 20).astype(np.uint8)
     board = np.pad(np.kron(board, np.ones((40, 40), np.uint8)), 40, constant_values=235)
     scale = px * 0.02 / 40

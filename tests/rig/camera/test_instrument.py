@@ -18,7 +18,7 @@ FPS, PX_PER_METRE = 100.0, 2000.0
 
 
 def scene(**changes):
-    """Return a scene of five markers that rest at first; then the tip swings."""
+    """Returns a scene of five markers that rest at first; then the tip swings."""
 
     def places(t):
         swing = np.where(t > 0.4, np.sin(2 * np.pi * 2.0 * (t - 0.4)), 0.0)[:, None]

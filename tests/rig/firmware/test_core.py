@@ -54,7 +54,7 @@ FROM_MANIFOLD = (Ident, Reading, Ack, Event, Follows)
 
 @pytest.fixture(scope="module", params=["plain", "sanitized"])
 def program(request, tmp_path_factory):
-    """Return the compiled core with stdin and stdout, without and with sanitizers."""
+    """Returns the compiled core with stdin and stdout, without and with sanitizers."""
     folder = tmp_path_factory.mktemp(request.param)
     if request.param == "plain":
         return build("host.cpp", folder)
@@ -65,7 +65,7 @@ def program(request, tmp_path_factory):
 
 
 def bodies(sent):
-    """Return the bodies that the decoder passes on, each after its size."""
+    """Returns the bodies that the decoder passes on, each after its size."""
     found = []
     while sent:
         found.append(sent[1 : 1 + sent[0]])
@@ -99,7 +99,7 @@ def test_every_message_has_the_same_bytes_in_both_languages(program):
 
 @cache
 def dialogues():
-    """Return the dialogues, computed once for both builds, because the twin is slow."""
+    """Returns the dialogues, computed once for both builds, because the twin is slow."""
     return [Dialogue(seed).run(500) for seed in range(30)]
 
 
@@ -115,7 +115,7 @@ def test_random_dialogues_have_the_twins_replies(program):
 
 
 def fuzzed(rng, frames):
-    """Return the frames' stream with 1 % of its bytes changed, dropped or inserted."""
+    """Returns the frames' stream with 1 % of its bytes changed, dropped or inserted."""
     stream = np.frombuffer(b"".join(frames), np.uint8)
     fate = rng.random(len(stream))
     flip, drop, more = fate < 0.0033, (0.0033 <= fate) & (fate < 0.0067), fate > 0.9967
@@ -126,7 +126,7 @@ def fuzzed(rng, frames):
 
 
 def some_frame(random, number):
-    """Return a frame of a random kind that is unique for this number."""
+    """Returns a frame of a random kind that is unique for this number."""
     values = [random.randint(-(2**31), 2**31 - 1) for _ in range(8)]
     low, high = number % 65_536, number // 65_536
     message: Message = random.choice(
@@ -188,7 +188,7 @@ def test_noise_of_any_length_counts_as_one_damaged_frame(program):
 
 
 def framed(body):
-    """Return a frame of any body with a correct CRC."""
+    """Returns a frame of any body with a correct CRC."""
     return cobs.encode(body + zlib.crc32(body).to_bytes(4, "little")) + b"\0"
 
 
@@ -217,7 +217,7 @@ def test_core_and_twin_accept_the_same_types_and_lengths(program):
 
 
 def backlog(program, passes):
-    """Return the reply to a host that sends Stop after `passes` unread readings."""
+    """Returns the reply to a host that sends Stop after `passes` unread readings."""
     idle = channels_of(*range(8))
     waiting = [(b"B", 2000 * i, idle) for i in range(passes + 1)]
     stop = (b"F", 2000 * passes, encode_frame(Stop(9)))
@@ -245,7 +245,7 @@ def test_a_full_ring_buffer_drops_whole_readings_and_the_core_still_answers(prog
 
 
 def duties(program, errors):
-    """Return the valves' duties (n, 2) at pressure errors in the published firmware's counts."""
+    """Returns the valves' duties (n, 2) at pressure errors in the published firmware's counts."""
     pascals = np.round(PA_PER_COUNT * np.asarray(errors)).astype("<i4")
     pairs = np.stack([pascals, np.zeros_like(pascals)], axis=1)
     pieces = [pairs[i : i + 5000].tobytes() for i in range(0, len(pairs), 5000)]

@@ -39,7 +39,7 @@ ARMED = commands(SetLimits(1, *(200_000,) * 4), Arm(2), SetPressures(3, 100_000,
 
 
 def heard(passes):
-    """Return the messages of all passes except `setup`."""
+    """Returns the messages of all passes except `setup`."""
     return FrameDecoder().feed(b"".join(p.sent for p in passes[1:]))
 
 

@@ -26,7 +26,7 @@ RATE = 1000.0
 
 
 def clock_in_force(start):
-    """Return a wrench that encodes its sampling time: Fz [N] is the time since `start` [s]."""
+    """Returns a wrench that encodes its sampling time: Fz [N] is the time since `start` [s]."""
     return lambda t: np.array([0.1, -0.2, t - start, 0.0, 0.0, 0.01])
 
 
@@ -37,7 +37,7 @@ def at_rest(t):
 def virtual_stream(
     seconds, line, *, drift=0.0, delay=0.3e-3, jitter=0.0, start=50.0, seed=1, **box
 ):
-    """Return (host_ns, datagrams) of a stream in virtual time, in order of arrival.
+    """Returns (host_ns, datagrams) of a stream in virtual time, in order of arrival.
 
     Delays [s] are `delay` plus an exponential `jitter`. The host sometimes sleeps for 40 ms.
     """
@@ -57,13 +57,13 @@ def virtual_stream(
 
 
 def within(dropped, records):
-    """Return the numbers of dropped records between the first and the last received record."""
+    """Returns the numbers of dropped records between the first and the last received record."""
     numbers = 1 + np.array(dropped, int)
     return numbers[(numbers > records.seq[0]) & (numbers < records.seq[-1])]
 
 
 def sampled_s(records):
-    """Return the true sampling times of the present records, encoded in Fz [s since the start]."""
+    """Returns the true sampling times of the present records, encoded in Fz [s since the start]."""
     return records.counts[records.present, 2] / COUNTS
 
 
@@ -287,7 +287,7 @@ def test_the_error_for_a_missing_page_names_its_address():
 
 
 def wait_until(condition):
-    """Wait up to 10 s until `condition()` is true, and return its value."""
+    """Waits up to 10 s until `condition()` is true, and returns its value."""
     end = time.monotonic() + 10.0
     while not condition() and time.monotonic() < end:
         time.sleep(0.01)
@@ -295,7 +295,7 @@ def wait_until(condition):
 
 
 def wait_for_error(force):
-    """Wait up to 10 s until `check` raises an error, and return its message."""
+    """Waits up to 10 s until `check` raises an error, and returns its message."""
     end = time.monotonic() + 10.0
     while time.monotonic() < end:
         try:
@@ -307,7 +307,7 @@ def wait_for_error(force):
 
 
 def stream_over_socket(seconds, rate, line, **settings):
-    """Return the records of a loopback stream, the start time of its Fz [s], and the source."""
+    """Returns the records of a loopback stream, the start time of its Fz [s], and the source."""
     host_ns, datagrams, start = [], [], time.monotonic()
 
     def sink(now, datagram):
@@ -328,7 +328,7 @@ def stream_over_socket(seconds, rate, line, **settings):
 
 
 def assert_located(records, start, line):
-    """Assert that the gaps are exact and the times wrong by less than half a sample."""
+    """Asserts that the gaps are exact and the times wrong by less than half a sample."""
     np.testing.assert_array_equal(records.missing, within(line.dropped, records))
     off = 1e-9 * records.times()[records.present] - start - sampled_s(records)
     assert np.abs(off).max() < 0.5 / records.rate

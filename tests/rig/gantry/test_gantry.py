@@ -109,7 +109,7 @@ def test_a_marker_seen_for_less_than_two_strides_is_lost(seen):
 
 
 def linear_drift(zero, noise=0.0, travel=2.0, slope=-1.0, seed=0):
-    """Return a measurement with a linear drift; its displacement is not linear."""
+    """Returns a measurement with a linear drift; its displacement is not linear."""
     random = np.random.default_rng(seed)
 
     def measure(v):
@@ -206,7 +206,7 @@ def test_two_close_first_speeds_do_not_misdirect_the_search():
 
 
 def with_lost_runs(measure, lost_at):
-    """Return `measure` with a lost marker in the runs `lost_at`, by None or by NaN."""
+    """Returns `measure` with a lost marker in the runs `lost_at`, by None or by NaN."""
     count = iter(range(1000))
 
     def measured(v):
@@ -295,7 +295,7 @@ class VirtualPort:
         return data
 
     def moves(self):
-        """Return (travel [m], speed [m/s]) of each sent move."""
+        """Returns (travel [m], speed [m/s]) of each sent move."""
         lines = [re.search(rb"X(\S+) F(\S+)", data) for _, data in self.sent]
         return [(float(m[1]) / 1e3, float(m[2]) / 60e3) for m in lines if m]
 
@@ -467,7 +467,7 @@ def test_the_error_for_grbls_soft_limits_names_them():
 
 
 def axis_with_reply(reply):
-    """Return an axis that answers each G1 with `reply`."""
+    """Returns an axis that answers each G1 with `reply`."""
     axis = GrblAxis()
     axis._block = lambda line, now_us: reply
     return axis
@@ -589,7 +589,7 @@ SPEEDS = (0.05, 0.1, 0.2, 0.35, 0.5)
 
 
 def bench(speed, seed=0, travel=2.4, **more):
-    """Return the axis, the measurement and the port of a simulated tank."""
+    """Returns the axis, the measurement and the port of a simulated tank."""
     swimmer = {k: more.pop(k) for k in ("turn", "scatter") if k in more}
     line = VirtualPort(GrblAxis({110: 36000.0}))
     robot = Swimmer(speed, **swimmer)
@@ -599,7 +599,7 @@ def bench(speed, seed=0, travel=2.4, **more):
 
 
 def accuracy(speed):
-    """Return the speed error [m/s] that one frame's noise causes over the longest cruise."""
+    """Returns the speed error [m/s] that one frame's noise causes over the longest cruise."""
     return 0.2 * SCALE / (2.4 / speed - 2.5)
 
 
@@ -650,7 +650,7 @@ def test_ctrl_c_in_a_search_stops_the_axis():
 
 
 def measure_without_axis(speed, seed):
-    """Return the same measurement without a simulated axis, for many fast searches."""
+    """Returns the same measurement without a simulated axis, for many fast searches."""
     random, robot = np.random.default_rng(seed), Swimmer(speed)
 
     def measure(v):
@@ -664,7 +664,7 @@ def measure_without_axis(speed, seed):
 
 
 def fixed_sweep(measure, count):
-    """Return the zero between two equally spaced speeds that enclose it, or None."""
+    """Returns the zero between two equally spaced speeds that enclose it, or None."""
     runs = [(v, measure(v)) for v in np.linspace(0.03, 0.6, count)]
     rates = [(v, run.displacement_m / run.cruise_time_s) for v, run in runs if run]
     for (v, rate), (w, next_rate) in zip(rates, rates[1:], strict=False):

@@ -36,7 +36,7 @@ def before_other_tests():
 
 
 def rig_on(port, **changes):
-    """Return a `Rig` on `port`; use it within its manifold's context."""
+    """Returns a `Rig` on `port`; use it within its manifold's context."""
     switches = ManifoldSinks(SwitchableSink(), SwitchableSink())
     manifold = Manifold(open_port(port), *switches)
     return Rig(

@@ -25,14 +25,14 @@ STALE = "1,0,250,406.25,-27.75,434"
 
 
 def make_log(end="\r", last_end=True, stale=False, frequency=2.0, cycles=2.0):
-    """Return a small log as bytes."""
+    """Returns a small log as bytes."""
     lines = log_lines(frequency=frequency, cycles=cycles)
     text = end.join([STALE, *lines[:-1], f"done{len(lines)}"] if stale else lines)
     return (text + end * last_end).encode()
 
 
 def naive_rows(log):
-    """Return the rows after the column names, by plain splitting."""
+    """Returns the rows after the column names, by plain splitting."""
     body = re.split(r"[\r\n]+", log.decode().partition("pressure\r")[2] or log.decode())
     rows = [line.split(",") for line in body if re.match(r"\d+,", line)]
     return [(int(a), int(b), int(c), float(d), float(e), int(f)) for a, b, c, d, e, f in rows]
@@ -85,7 +85,7 @@ class ScriptedDevice:
 
 
 def record(port, frequency, **keywords):
-    """Run a test; return its outcome, its bytes and its (time [ns], row) pairs."""
+    """Runs a test; returns its outcome, its bytes and its (time [ns], row) pairs."""
     pieces, rows = [], []
     manifold = PublishedManifold(port, **keywords)
     outcome = manifold.run_test(
@@ -100,7 +100,7 @@ def record_in_virtual_time(log, frequency, pieces=lambda: 4096, **keywords):
 
 
 def assert_same_log(tmp_path, recorded, log):
-    """Assert that `read_log` reads the same from both."""
+    """Asserts that `read_log` reads the same from both."""
     paths = tmp_path / "recorded.txt", tmp_path / "log.txt"
     for path, content in zip(paths, (recorded, log), strict=True):
         path.write_bytes(content)

@@ -55,7 +55,7 @@ class WatchedRig:
         return sent
 
     def vent_time(self, patience=5.0):
-        """Wait for the vent and return its time [ns]."""
+        """Waits for the vent and returns its time [ns]."""
         end = time.monotonic() + patience
         while not self.vented and time.monotonic() < end:
             time.sleep(0.002)
@@ -122,7 +122,7 @@ def test_a_killed_trial_vents(device, tmp_path):
 
 
 def run_trial(port, tmp_path, duration=60.0, watch=lambda phase, t: None):
-    """Record a trial in this process."""
+    """Records a trial in this process."""
     switches = ManifoldSinks(SwitchableSink(), SwitchableSink())
     with Manifold(open_port(port), *switches) as manifold:
         trial = PlannedTrial("a", DRIVE, duration)

@@ -131,7 +131,7 @@ def test_noise_without_a_zero_byte_is_dropped_and_counted_once():
 
 
 def fuzzed(count, seed, share=0.01):
-    """Return (sent messages, which were touched, decoded messages, damaged count) of a bad line."""
+    """Returns messages sent, which were touched, messages decoded, damaged count of a bad line."""
     chance, sent = random.Random(seed), make_readings(count)
     wire, touched = damage([encode_frame(m) for m in sent], share, chance)
     decoder, found = FrameDecoder(), []

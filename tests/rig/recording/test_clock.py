@@ -10,7 +10,7 @@ MILLISECOND = 1e-3
 
 
 def arrivals(seed, seconds=600.0, ppm=200.0, wander_ppm=0.0, start=5000.0003):
-    """Return (device, host, true) times [s] of a device that sends every 2 ms of its own clock.
+    """Returns (device, host, true) times [s] of a device that sends every 2 ms of its own clock.
 
     Delays are exponential (0.5 ms). About once a second the host sleeps for up to 50 ms, then gets
     all messages at once. USB delivers at whole milliseconds. `wander_ppm` is the amplitude of one

@@ -20,7 +20,7 @@ RATES = {"manifold": 500, "force": 1000}
 
 
 def kill_after(path, delay):
-    """Return (recording, {stream: printed times}) of a writer killed after `delay` s."""
+    """Returns (recording, {stream: printed times}) of a writer killed after `delay` s."""
     with (
         open(path.with_suffix(".out"), "wb") as out,
         start_program(WRITER, path, stdout=out) as writer,
@@ -34,7 +34,7 @@ def kill_after(path, delay):
 
 
 def missing_after_kills(folder, kills, seed):
-    """Return the longest time [s] that any stream lacks when writers are killed at random moments.
+    """Returns the longest time [s] that any stream lacks when writers are killed at random moments.
 
     The time is the number of missing pieces over the stream's rate, which is independent of the
     machine's load.
@@ -271,7 +271,7 @@ def test_an_unknown_stream_is_refused(tmp_path):
 
 @pytest.fixture
 def recorded(tmp_path):
-    """Return the path of a recording with 300 pieces of "force"."""
+    """Returns the path of a recording with 300 pieces of "force"."""
     path = tmp_path / "a.h5"
     with Recorder(path, ["force"]) as recorder:
         for i, piece in enumerate(sent("force", 300)):

@@ -18,7 +18,7 @@ def reading(tip):
 
 
 def rest_time(swing, noise=0.0, longest=200.0, sensors=(TIP,), ranges=None):
-    """Return the time [s] until a tip that moves by `swing(t)` [m] counts as at rest."""
+    """Returns the time [s] until a tip that moves by `swing(t)` [m] counts as at rest."""
     still = Stillness(sensors, {"tip_m": RANGE} if ranges is None else ranges, {"tip_m": noise})
     rng = np.random.default_rng(0)
     for t in np.arange(0.0, longest, 0.05):

@@ -14,7 +14,7 @@ BASE = swimmer(frequency=4.8)
 
 
 def outcome(parameters):
-    """Return the loss, its parts and whether the run converged, for (C_d, EI_body, K_Q factor)."""
+    """Returns the loss, its parts and whether the run converged, for (C_d, EI_body, K_Q factor)."""
     C_d, EI, K = parameters
     model = eqx.tree_at(
         lambda m: (m.effects[0].C_d, m.robot.EI_body, m.robot.K_Q),

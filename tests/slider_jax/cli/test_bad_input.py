@@ -95,7 +95,7 @@ TOML_CASES = {
 
 
 def _refused(arguments, capsys, out, *fragments) -> None:
-    """Check that the command exits with 2, prints one line with `fragments` and writes nothing."""
+    """Checks that the command exits with 2, prints one line with `fragments` and writes nothing."""
     assert main([str(argument) for argument in arguments]) == 2
     message = capsys.readouterr().err.strip()
     assert message.startswith("slider: error: ")

@@ -50,7 +50,7 @@ MOUNTINGS = (SurgeCompliance, SwayCompliance)
 
 
 def settled(effects, tail_load=None, dt=1e9, **robot):
-    """Return the unknowns (6, N) of the clamped rod one step `dt` [s] after it was straight."""
+    """Returns the unknowns (6, N) of the clamped rod one step `dt` [s] after it was straight."""
     model = uniform(L, effects=effects)
     model = dataclasses.replace(model, robot=arrays(dataclasses.replace(model.robot, **robot)))
     model = dataclasses.replace(model, robot=model.body)
@@ -66,7 +66,7 @@ def settled(effects, tail_load=None, dt=1e9, **robot):
 
 
 def end_load(T=0.0, N=0.0, M=0.0):
-    """Load at the tail's end, in axes that rotate with the tail."""
+    """Loads at the tail's end, in axes that rotate with the tail."""
     return lambda phi: jnp.stack([T + 0.0 * phi, N + 0.0 * phi, M + 0.0 * phi])
 
 

@@ -36,7 +36,7 @@ class WallFriction(ForceDensity):
 
 @pytest.fixture(autouse=True)
 def library():
-    """Restore the library after each test."""
+    """Restores the library after each test."""
     before, files = dict(LIBRARY), list(LOADED_FILES)
     yield before
     LIBRARY.clear()

@@ -91,7 +91,7 @@ def differs(found):
 
 
 def changing_at_null(names):
-    """Return the effects that change a reading at their null, found by bisection."""
+    """Returns the effects that change a reading at their null, found by bisection."""
     found = np.asarray(jax.jit(lambda: readings(tuple(LIBRARY[name]() for name in names)))())
     if not differs(found).any():
         return []

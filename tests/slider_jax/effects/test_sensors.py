@@ -30,7 +30,7 @@ def made_of(value, t):
 
 
 def untouched(effect, true, read):
-    """Check that t and the other channels are bitwise unchanged."""
+    """Checks that t and the other channels are bitwise unchanged."""
     seen = ("p_front", "p_rear") if "pressure" in effect.sensors else ()
     for name in ("t", *CHANNELS):
         if name not in (*seen, *effect.sensors):

@@ -42,7 +42,7 @@ MOVING = ("tow_speed = 0.0", "tow_speed = 0.1\nheave = 0.03\npitch = 0.1")
 
 
 def tables(effects):
-    """Return the change to the small experiment's text that adds effects with their parameters."""
+    """Returns the change to the small experiment's text that adds effects with their parameters."""
     lines = []
     for name, values in effects.items():
         lines += ["[[effects]]", f'name = "{name}"', *(f"{k} = {v}" for k, v in values.items())]
@@ -50,12 +50,12 @@ def tables(effects):
 
 
 def sides(front, rear):
-    """Return the set pressures of the four chambers for two signed pressures."""
+    """Returns the set pressures of the four chambers for two signed pressures."""
     return [max(front, 0.0), max(-front, 0.0), max(rear, 0.0), max(-rear, 0.0)]
 
 
 def set_pressures(trial, steps):
-    """Return a controller's set pressures (steps, 4) at the start of each step of H."""
+    """Returns a controller's set pressures (steps, 4) at the start of each step of H."""
     middle = (jnp.arange(float(steps)) + 0.5) * H
     waves = (
         SquareWave(trial.frequency, trial.amplitude),
@@ -88,14 +88,14 @@ def assert_equals_the_simulation(plant, experiment, trial, rtol=1e-10):
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory):
-    """Return the small experiment with a moving clamp in its first trial, and its plant."""
+    """Returns the small experiment with a moving clamp in its first trial, and its plant."""
     experiment = load(write_small_experiment(tmp_path_factory.mktemp("plain"), MOVING))
     return experiment, Plant(experiment, step=H)
 
 
 @pytest.fixture
 def plant(plain):
-    """Return the plant at the start of the second trial, without faults."""
+    """Returns the plant at the start of the second trial, without faults."""
     _, plant = plain
     plant.begin(1)
     yield plant

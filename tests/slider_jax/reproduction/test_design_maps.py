@@ -38,7 +38,7 @@ STIFFNESS = np.geomspace(1e-4, 1e-1, 13)
 
 
 def over_phase(best, height=0.3, curvature=2.0):
-    """Return a parabola over phase for each length; a scalar is used for all lengths."""
+    """Returns a parabola over phase for each length; a scalar is used for all lengths."""
     best, height, curvature = (
         np.broadcast_to(x, LENGTHS.shape)[:, None] for x in (best, height, curvature)
     )
@@ -46,7 +46,7 @@ def over_phase(best, height=0.3, curvature=2.0):
 
 
 def over_stiffness(best):
-    """Return a parabola over the logarithm of the stiffness with its maximum at `best` [N m^2]."""
+    """Returns a parabola over the logarithm of the stiffness with its maximum at `best` [N m^2]."""
     best = np.broadcast_to(best, LENGTHS.shape)[:, None]
     return Map(LENGTHS, STIFFNESS, 0.3 - 0.02 * np.log(STIFFNESS / best) ** 2)
 
@@ -193,7 +193,7 @@ def test_a_missing_swimmer_file_is_refused(tmp_path):
 
 
 def made_up_table(batch, _):
-    """Replace the simulation by the parabola over phase of `PAPERS`."""
+    """Replaces the simulation by the parabola over phase of `PAPERS`."""
     model = batch.model
     bend = 0.1 / np.asarray(model.robot.tail_length)
     return {"speed_m_per_s": 0.3 - bend * (np.asarray(model.drive.rear.phase) - 0.15) ** 2}

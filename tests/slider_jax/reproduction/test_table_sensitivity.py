@@ -41,7 +41,7 @@ QUICK = SteadySettings(steps_per_stride=48, numerics=Numerics(4, 8))
 
 
 def made(standing=0.0, turned=0.0):
-    """Return a stride of a small wave towards the tail, on a course at an angle `turned` [rad]."""
+    """Returns a stride of a small wave towards the tail, on a course at an angle `turned` [rad]."""
     phase, k = 2 * np.pi * F * T[:, None], 2 * np.pi / LAMBDA
     y = 0.05 + A * (np.sin(phase + k * S) + standing * np.sin(phase - k * S)) / (1.0 + standing)
     x = S + 0.3 * T[:, None]

@@ -89,7 +89,7 @@ def test_bad_input_is_refused_in_one_line(words, message, capsys, tmp_path, monk
 
 @pytest.fixture(scope="module")
 def gain(tmp_path_factory):
-    """Return the signature of a force sensor's gain in the first trial of the small experiment."""
+    """Returns the signature of a force sensor's gain in the first trial of the small experiment."""
     experiment = load(write_small_experiment(tmp_path_factory.mktemp("signature")))
     return effect_signature(experiment, "force_gain")
 

@@ -18,7 +18,7 @@ def head(x):
 
 
 def carriage(t):
-    """Return the carriage's displacement (x, y) [m] and angle [rad] in closed form."""
+    """Returns the carriage's displacement (x, y) [m] and angle [rad] in closed form."""
     angle = PITCH * np.sin(2 * np.pi * F * t + PHASE)
     return np.stack([TOW * t, HEAVE * np.sin(2 * np.pi * F * t), angle], axis=1)
 

@@ -19,7 +19,7 @@ STEPS, H = 400, 2.5e-4
 
 
 def budget(x):
-    """Return momentum [N s], force of the water [N], and the integrals of their magnitudes."""
+    """Returns momentum [N s], force of the water [N], and the integrals of their magnitudes."""
     cell, grid = x.section(), x.mesh.grid
     P = cell.linear_density * jnp.stack(to_plane(cell.V_tau, cell.V_n, cell.phi))
     stretch = 1.0 + cell.strain
@@ -39,7 +39,7 @@ def free_swimmer(**options):
 
 
 def spinning(model):
-    """Return a state that rotates at 3 rad/s about mid-body, which moves at (0.3, 0.1) m/s."""
+    """Returns a state that rotates at 3 rad/s about mid-body, which moves at (0.3, 0.1) m/s."""
     s = nodes_of(model, FINE)
     return straight_state(s, 0.3, 0.1 + 1.5 * s[-1], omega=3.0)
 

@@ -16,7 +16,7 @@ FREQUENCY, PER_STRIDE, STRIDES = 2.0, 160, 3
 
 
 def pin(x):
-    """Return the pin's position, velocity and moment [N m], and the head, the tip and its speed."""
+    """Returns the pin's position, velocity and moment [N m], the head, the tip and its speed."""
     T, _, M, V_tau, V_n, phi = x.y[:, -1]
     omega = (phi - x.stage.phi_head) / x.stage.reference.dt
     arm = x.stage.support.arm(x.t)
@@ -30,7 +30,7 @@ def pin(x):
 
 
 def climber(sign=1.0, frequency=0.0):
-    """Return a driven robot in air with its weight; `sign` = -1 mirrors drive and link."""
+    """Returns a driven robot in air with its weight; `sign` = -1 mirrors drive and link."""
     support = PinnedLink(0.03, frequency, 0.0 if sign > 0 else 0.5)
     effects = (NormalDrag(3.0, 1.2), Gravity(G))
     return swimmer(FREQUENCY, sign * 200e3, effects=effects, support=support)
@@ -58,7 +58,7 @@ def test_the_pin_neither_moves_nor_carries_moment():
 
 
 def hanging(EI, link):
-    """Return the nodal angles (N,) of a rod at rest on a link under its weight."""
+    """Returns the nodal angles (N,) of a rod at rest on a link under its weight."""
     model = uniform(L, EI, (Gravity(G),), PinnedLink(link))
     y, _ = straight_state(nodes_of(model, FINE))
     y, error = dense_newton(stage_of(model, FINE, y, 1e9), y)
@@ -75,7 +75,7 @@ def test_a_stiff_body_hangs_with_its_centre_of_mass_below_the_pin(link):
 
 
 def hanging_elastica(EI, link):
-    """Return phi at tail and head by shooting.
+    """Returns phi at tail and head by shooting.
 
     EI phi' = M, M' = m g s sin(phi), M(0) = 0 at the tail, M(L) + (l_p/2) m g L cos(phi(L)) = 0.
     The weight below each section is (m g s, 0).

@@ -163,7 +163,7 @@ def test_the_ramp_follows_a_swept_frequency(experiment):
 
 @pytest.fixture
 def without_physics(monkeypatch, one_core_chunks_of_two):
-    """Replace the simulation of a sweep: every thrust is 1 N."""
+    """Replaces the simulation of a sweep: every thrust is 1 N."""
     names = ("thrust_mean_N", "recoil_rms_N", "tip_half_range_m", "chamber_power_W")
     monkeypatch.setattr(sweeping, "compile_programs", lambda *args: None)
     monkeypatch.setattr(sweeping, "run_strides", lambda *args: None)
