@@ -220,7 +220,7 @@ def _extrapolated(state: BlockState, values) -> BlockState:
 
 
 def _pressures(layout: BlockLayout, model: Model, state: BlockState, at, measured):
-    """Returns state, p and dp/dk (samples, 2), sensed (samples+1, 2), faulty (samples, faults, 2)."""
+    """Returns state, p, dp/dk (samples, 2), sensed (samples+1, 2), faulty (samples, faults, 2)."""
     flows, law = of_place(model.effects, Flow), model.pressure_law
     faults = jax.tree.map(lambda *x: jnp.stack(x), *(x.effect for x in FAULT_HYPOTHESES))
 
