@@ -1,4 +1,4 @@
-"""Defines the sensors' channels: reading, column, units and declared noise.
+"""Defines the channels: the signal of each sensor, with its CSV column, units and noise.
 
 All code that reads, simulates, plots or fits sensor data iterates over `CHANNELS`. To add a sensor,
 define a `Channel` and pass it to `register` before you load data:
@@ -24,31 +24,31 @@ TIME = "t_s"
 
 @dataclass(frozen=True)
 class Channel:
-    """One sensor channel. `observe` returns its true reading from a snapshot of the simulation."""
+    """The signal of one sensor. `observe` returns the true reading at a simulated snapshot."""
 
     name: str
     column: str
-    """Column of a trial's CSV file, in SI units."""
+    """Name of the channel's column in a trial's CSV file."""
     unit: str
     """SI unit of the column."""
     label: str
-    """Name in plots and printed lines."""
+    """Name of the channel in plots and printed lines."""
     plot_unit: str
     plot_factor: float
-    """`plot_unit` per `unit`."""
+    """Factor that converts a reading from `unit` to `plot_unit`."""
     observe: Callable[[Snapshot], Array]
     kind: Literal["pressure", "force", "camera", "other"] = "other"
-    """Force sensors have a tare and slow noise, pressures a quantisation step."""
+    """Kind of sensor: forces have a tare and slow noise; pressures have a quantisation step."""
     noise: str = ""
-    """Key of [sensors] that declares the white noise; "" measures it from the data."""
+    """Key of [sensors] that declares the white noise. If "", the data determine the noise."""
     gain: float = 0.01
-    """Relative standard deviation of a trial's gain, from calibration and drift of the sensor."""
+    """Relative standard deviation of a trial's gain. Calibration errors and drift cause it."""
     discrepancy: float = 0.05
     """Model-discretisation discrepancy, as a fraction of the channel's rms."""
     digits: str = ".7g"
-    """Format of the CSV cells."""
+    """Format of the numbers in the CSV column."""
     start: Callable[[np.ndarray], float] = lambda midline: 0.0
-    """Reading at t = 0 from the midline (2, nodes) [m] relative to the head; not for pressures."""
+    """Returns the reading at t = 0 from the midline (2, nodes) [m]; not used for pressures."""
 
 
 CHANNELS: dict[str, Channel] = {}
@@ -85,8 +85,8 @@ def _force(name: str, observe: Callable[[Snapshot], Array], discrepancy: float) 
     )  # fmt: skip
 
 
-# Discrepancies measured against an independent program in twelve noise-free trials: pressures 0.05
-# to 0.3 %, thrust 5 to 28 % (median 7), recoil 0.7 to 2.1 %, tip 0.1 to 0.9 %.
+# Rms differences from an independent program (see the glossary) in twelve noise-free trials:
+# pressures 0.05 to 0.3 %, thrust 5 to 28 % (median 7), recoil 0.7 to 2.1 %, tip 0.1 to 0.9 %.
 register(_pressure("p_front", "front pressure", 0))
 register(_pressure("p_rear", "rear pressure", 1))
 register(_force("thrust", obs.thrust, 0.07))
@@ -106,7 +106,7 @@ def channel_columns() -> tuple[str, ...]:
 
 
 def row_of(name: str) -> int:
-    """Returns the row of a channel in arrays of readings, its position in `CHANNELS`."""
+    """Returns the row of a channel in arrays of readings: the channel's position in `CHANNELS`."""
     return list(CHANNELS).index(name)
 
 
@@ -116,7 +116,7 @@ def true_readings(x: Snapshot) -> dict[str, Array]:
 
 
 def recorded(effects: tuple[Effect, ...], true: Readings) -> Readings:
-    """Returns the series that the sensors record, with the model's instruments applied in order."""
+    """Returns the readings that the sensors record: `Instrument` effects change the true ones."""
     for effect in of_place(effects, Instrument):
         true = effect.read(true)
     return true
@@ -125,9 +125,9 @@ def recorded(effects: tuple[Effect, ...], true: Readings) -> Readings:
 def recorded_series(
     effects: tuple[Effect, ...], t: Array, true: dict[str, Array]
 ) -> dict[str, Array]:
-    """Returns `recorded` for series (n,) by channel at times `t` (n,) [s].
+    """Returns the series (n,) that each channel records at times `t` (n,) [s], from true series.
 
-    Instruments act on the built-in channels; the other channels are unchanged.
+    `Instrument` effects change only the built-in channels.
     """
     read = recorded(effects, Readings(t, *(true[name] for name in BUILT_IN)))
     return true | dict(zip(BUILT_IN, read[1:], strict=True))

@@ -1,4 +1,4 @@
-"""The package's two user-facing errors. Each message says what the user can do next."""
+"""The package's two errors for users. Each message says what the user can do next."""
 
 from collections.abc import Iterable
 from difflib import get_close_matches
@@ -9,7 +9,7 @@ class InputError(Exception):
 
     @classmethod
     def value(cls, where: str, given: object, allowed: str, advice: str = "") -> "InputError":
-        """Returns the error for an invalid value; `where` is a field's path, or a file and line."""
+        """Returns the error for an invalid value. `where` names the field, or the file and line."""
         message = f"{where}: given {given}; allowed {allowed}"
         return cls(f"{message}; {advice}" if advice else message)
 
@@ -19,7 +19,7 @@ class SolverError(Exception):
 
 
 def did_you_mean(given: str, allowed: Iterable[str]) -> str:
-    """Returns a clause with the allowed name closest to `given`; empty if none is close."""
+    """Returns a clause that suggests the allowed name closest to `given`, or "" without one."""
     close = get_close_matches(given, list(allowed), 1)
     return f"; did you mean {close[0]}?" if close else ""
 
@@ -29,7 +29,7 @@ def refuse_unknown(
 ) -> None:
     """Raises `InputError` for the first of `names` that is not in `allowed`.
 
-    `listed` describes the allowed names in the message (default: all of them).
+    `listed` describes the allowed names in the message (default: a list of all allowed names).
     """
     known = list(allowed)
     for name in names:

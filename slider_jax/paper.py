@@ -1,7 +1,7 @@
-"""Values that the paper publishes, and assumed values for the quantities that it omits.
+"""Values that the paper publishes, and assumed values of quantities that the paper omits.
 
 Source of every published value: Van Stratum et al., Model-based Optimization of Anguilliform
-Swimming Gaits for Soft Robotic Applications. Comments mark our own values as "assumed".
+Swimming Gaits for Soft Robotic Applications. The class `Assumed` contains our own values.
 """
 
 import equinox as eqx
@@ -15,29 +15,29 @@ from slider_jax.effects import NormalDrag, ReactiveForce
 from slider_jax.supports import Clamped
 
 RAMP_START, RAMP_END = 2.0, 3.0
-"""Frequencies [Hz] between which the force coefficients change linearly."""
+"""Stride frequencies [Hz] between which the force coefficients change linearly."""
 DRAG_DOMINATED = (4.0, 0.0)
-"""(C_d, m_a) below `RAMP_START`."""
+"""Coefficients of drag and added mass (C_d, m_a) at frequencies below `RAMP_START`."""
 REACTIVE = (3.0, 1.0)
-"""(C_d, m_a) above `RAMP_END`."""
+"""Coefficients of drag and added mass (C_d, m_a) at frequencies above `RAMP_END`."""
 
 PRESSURE_LAG = 0.087
 """Time constant k [s] of the pressure."""
 TRANSIENT_STRIDES = 3
-"""Strides before the steady ones: the paper's motion is steady "after three tailbeats"."""
+"""Number of strides before the motion is steady; the paper says "after three tailbeats"."""
 SWEEP = tuple(round(0.4 + 0.2 * i, 1) for i in range(34))
-"""Frequencies [Hz] of the head-fixed sweep: 0.4 to 7.0 in steps of 0.2."""
+"""Frequencies [Hz] of the head-fixed sweep: 0.4 to 7.0 Hz in steps of 0.2 Hz."""
 
 MINIMUM_NEAR = 1.0
 """Frequency [Hz] near which the mean thrust has its negative minimum."""
 THRUST_AT, THRUST_THERE = 4.8, 0.060
-"""Mean thrust "about 60 mN" [N] near 4.8 Hz."""
+"""Frequency [Hz] and the mean thrust [N] near it; the paper says "about 60 mN"."""
 RECOIL_AT, RECOIL_THERE = 1.0, 1.0
-"""The recoil [N] exceeds 1000 mN at 1 Hz."""
+"""The recoil exceeds `RECOIL_THERE` [N] at the frequency `RECOIL_AT` [Hz]."""
 
 
 def force_coefficients(frequency: Scalar) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Returns (C_d, m_a) at a stride `frequency` [Hz]: linear between 2 and 3 Hz."""
+    """Returns (C_d, m_a) at a stride `frequency` [Hz]; both change linearly from 2 to 3 Hz."""
     share = jnp.clip((frequency - RAMP_START) / (RAMP_END - RAMP_START), 0.0, 1.0)
     C_d, m_a = (
         low + share * (high - low) for low, high in zip(DRAG_DOMINATED, REACTIVE, strict=True)
@@ -46,7 +46,7 @@ def force_coefficients(frequency: Scalar) -> tuple[Float[Array, ""], Float[Array
 
 
 class Assumed(eqx.Module):
-    """Assumed values of quantities that the paper omits. `Robot` has the assumed chamber spans.
+    """Values of quantities that the paper omits. The assumed chamber spans are in `Robot`.
 
     | field | unit | meaning |
     |---|---|---|
@@ -54,8 +54,8 @@ class Assumed(eqx.Module):
     | `rear_ratio` | - | ratio of the rear to the front amplitude |
     | `phase` | - | delay of the rear chamber, as a fraction of a stride |
 
-    Amplitude and phase are chosen to match the paper's thrust at 4.8 Hz and its minimum near 1 Hz.
-    The minimum depends on the phase: 1.0 Hz at 0 to 0.05, 1.4 Hz at 0.15; absent at 0.3.
+    The mean thrust at 4.8 Hz and its minimum near 1 Hz then match the paper. A phase of 0 to 0.05
+    puts the minimum at 1.0 Hz, and 0.15 at 1.4 Hz; with a phase of 0.3 there is no minimum.
     """
 
     amplitude: Scalar = 260e3

@@ -1,10 +1,10 @@
-"""Floating-point precision. Programs set it; importing the library does not change it."""
+"""Sets JAX's floating-point precision, which importing the library does not change."""
 
 
 def enable_float64() -> None:
     """Switches JAX to float64. Call this function before you create any array.
 
-    The beam is stiff, so a time step in float32 cannot reach its tolerance.
+    The beam's equations are stiff, so a time step in float32 cannot reach the solver's tolerance.
     """
     import jax
 

@@ -1,4 +1,4 @@
-"""Set pressures in time, the lag that follows them, and the bending moment. May import `beam`."""
+"""Set pressure in time, lag of the pressure, and moment of a chamber. It may import `beam`."""
 
 from slider_jax.actuation.moment import chamber_windows
 from slider_jax.actuation.pressure import FirstOrderLag, Ideal, PressureLaw

@@ -1,4 +1,4 @@
-"""Bending moment of a chamber, from regularised couples at its two ends (Peskin's delta)."""
+"""Bending moment of a chamber: two couples at its ends, regularised by Peskin's delta."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -8,9 +8,9 @@ from slider_jax.beam.parameters import Robot, Scalar
 
 
 def peskin_delta(r):
-    """Peskin's four-point regularised delta at the distance `r`, in grid spacings.
+    """Returns Peskin's four-point regularised delta at the distance `r` [grid spacings].
 
-    On a uniform grid its values sum to 1 and its first moment is zero for every position.
+    On a uniform grid, the values sum to 1 and the first moment is zero for every position.
     Source: Peskin, C. S. (2002), The immersed boundary method, Acta Numerica 11, eq. 6.27.
     """
     r = jnp.abs(r)
@@ -21,11 +21,11 @@ def peskin_delta(r):
 
 
 def spread(position: Scalar, grid: Grid) -> Float[Array, " nodes"]:
-    """Nodal weights of a unit couple at `position` [m]; zeroth and first moments are exact.
+    """Returns nodal weights of a unit couple at `position` [m]; zeroth and first moments are exact.
 
-    The weights are Peskin's delta if its four nodes are all in the tail or all in the body, since
-    both have uniform grids. Near an end or the joint they are the two-point (linear) delta, whose
-    moments are exact on any grid.
+    Peskin's delta requires a uniform grid, so its four nodes must be all in the tail or all in the
+    body. Near an end or the joint, the weights are the two-point (linear) delta, whose moments are
+    exact on any grid.
     """
     nodes = grid.s.shape[0]
     index = jnp.arange(nodes, dtype=grid.s.dtype)
@@ -41,10 +41,10 @@ def spread(position: Scalar, grid: Grid) -> Float[Array, " nodes"]:
 
 
 def chamber_windows(robot: Robot, grid: Grid) -> Float[Array, "2 cells"]:
-    """Fraction of each chamber's moment in each cell; row 0 is the front, row 1 the rear chamber.
+    """Returns the moment of the front and rear chamber in each cell, as a fraction of K_Q p.
 
-    The paper's distributed moment is Q = d(M_act)/ds: two opposite couples K_Q p at the ends of the
-    chamber. Hence M_act = K_Q (window_front p_front + window_rear p_rear).
+    The paper's distributed moment Q = d(M_act)/ds consists of two opposite couples K_Q p at the
+    ends of a chamber. Hence M_act = K_Q (window_front p_front + window_rear p_rear).
     """
 
     def window(span):

@@ -11,15 +11,15 @@ from slider_jax.beam.parameters import Scalar
 
 
 class PressureLaw(eqx.Module):
-    """Dynamics of the pressure in one chamber."""
+    """Law by which the pressure in one chamber follows the set pressure."""
 
     @abstractmethod
     def advance(self, p: Array, set_point: Segment) -> Array:
-        """Pressure [Pa] at the end of a segment, given the pressure `p` [Pa] at its start."""
+        """Returns the pressure [Pa] at a segment's end from the pressure `p` [Pa] at its start."""
 
 
 def _ramp_response(p, a0, a1, span, k):
-    """Returns p after `span` >= 0 [s] of dp/dt = (a - p)/k, exact for a linear from a0 to a1."""
+    """Returns p after `span` [s] of dp/dt = (a - p)/k, where a changes linearly from a0 to a1."""
     lagging = k > 0.0
     x = span / jnp.where(lagging, k, 1.0)
     small = x < 1e-6
@@ -33,8 +33,8 @@ def _ramp_response(p, a0, a1, span, k):
 class FirstOrderLag(PressureLaw):
     """The paper's pneumatic lag dp/dt = (p_set - p)/k, integrated exactly.
 
-    Range of k: 10 to 300 ms; the paper's rig has 87 ms. At k = 0, p = p_set and the derivative with
-    respect to k is undefined.
+    Typical values of k are 10 to 300 ms; the paper's rig has 87 ms. At k = 0, the pressure p equals
+    p_set and the derivative with respect to k is undefined.
     """
 
     k: Scalar
@@ -47,7 +47,7 @@ class FirstOrderLag(PressureLaw):
 
 
 class Ideal(PressureLaw):
-    """No lag, p = p_set, for a drive that is a measured pressure."""
+    """A pressure without lag, p = p_set. It is used if the drive is a measured pressure."""
 
     def advance(self, p, set_point):
         return jnp.broadcast_to(set_point.b1, jnp.shape(p))

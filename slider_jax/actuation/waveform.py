@@ -1,4 +1,4 @@
-"""Waveforms of the set pressure: piecewise linear, with at most one break in a time step."""
+"""Waveforms of the set pressure. They are piecewise linear with at most one break in a step."""
 
 import math
 from abc import abstractmethod
@@ -14,7 +14,7 @@ from slider_jax.beam.parameters import Scalar
 class Segment(eqx.Module):
     """Set pressure [Pa] in a step from `t0` to `t1` [s].
 
-    It changes linearly from `a0` to `a1` until `t_break`, then linearly from `b0` to `b1`.
+    The pressure changes linearly from `a0` to `a1` until `t_break`, and from `b0` to `b1` after it.
     """
 
     t0: Array
@@ -31,7 +31,7 @@ class Waveform(eqx.Module):
 
     @abstractmethod
     def segment(self, t0: Array, t1: Array) -> Segment:
-        """Returns the set pressure from `t0` to `t1` [s]. Each class states when it is exact."""
+        """Returns the segment from `t0` to `t1` [s]. Each class states when a segment is exact."""
 
 
 def _continuous(value, t0, t_break, t1) -> Segment:
@@ -44,9 +44,9 @@ class SquareWave(Waveform):
     """A square wave of +-`amplitude` [Pa], positive in the first half of each period.
 
     The period is 1/`frequency` [s], and `phase` is the delay as a fraction of a period. The segment
-    is exact for steps of up to half a period. It is differentiable with respect to frequency and
-    phase, because an edge is a time rather than an index and may cross the end of a step. At an
-    edge, where the pressure has a corner, the derivative is the left-sided one.
+    is exact for steps of up to half a period. The segment is differentiable with respect to
+    frequency and phase, because the time of an edge is not rounded to a step. The pressure has a
+    corner at an edge, and the derivative there is the left-sided derivative.
     """
 
     frequency: Scalar
@@ -68,7 +68,7 @@ class SquareWave(Waveform):
 
 
 class SineWave(Waveform):
-    """amplitude sin(2 pi (f t - phase)) [Pa], piecewise linear, with second order in the step."""
+    """The wave amplitude sin(2 pi (f t - phase)) [Pa]; its segments have second-order accuracy."""
 
     frequency: Scalar
     amplitude: Scalar
@@ -82,10 +82,10 @@ class SineWave(Waveform):
 
 
 class Trapezoid(Waveform):
-    """A square wave whose edges are replaced by centred ramps of length `rise`.
+    """A square wave whose edges are replaced by ramps, which are centred on the edges.
 
-    `rise` is a fraction of a period. The segment is exact for steps shorter than both the ramp and
-    the plateau.
+    `rise` is the length of a ramp as a fraction of a period. The segment is exact for steps that
+    are shorter than the ramp and the plateau.
     """
 
     frequency: Scalar
@@ -111,7 +111,7 @@ class Trapezoid(Waveform):
 
 
 class Recorded(Waveform):
-    """Linear interpolation of samples [Pa] at increasing times [s], constant outside them.
+    """Linear interpolation of samples [Pa] at increasing times [s]; constant before and after them.
 
     The segment is exact for steps that are not longer than the sample spacing.
     """
@@ -126,10 +126,10 @@ class Recorded(Waveform):
 
 
 class Held(Waveform):
-    """Set pressures [Pa] that each hold from their own time [s] until the next time.
+    """Set pressures [Pa]; each value is constant from its time [s] until the next time.
 
     The segment is exact for steps that are not longer than the time between changes. Two equal
-    neighbours make no break, so derivatives with respect to single values are unavailable.
+    neighbouring values make no break, so derivatives with respect to one value are unavailable.
     """
 
     times: Float[Array, " samples"]
@@ -147,7 +147,7 @@ class Held(Waveform):
 
 
 class Delayed(Waveform):
-    """`wave`, delayed by `delay` [s]; zero until its start."""
+    """`wave`, delayed by `delay` [s]. The set pressure is zero until the delayed wave starts."""
 
     wave: Waveform
     delay: Scalar
@@ -156,14 +156,14 @@ class Delayed(Waveform):
         early = self.wave.segment(jnp.where(t0 > self.delay, t0 - self.delay, 0.0), t1 - self.delay)
         smooth = early.t_break >= early.t1
         before = t1 <= self.delay
-        # A start at t0 also counts at zero delay, so that the tangent there moves the start.
+        # At zero delay the wave starts at t0. This start counts, so that the tangent moves it.
         starts = ((t0 < self.delay) | ((t0 == self.delay) & smooth)) & (t1 > self.delay)
 
         def choose(inside, beginning):
             return jnp.where(before, 0.0, jnp.where(starts, beginning, inside))
 
-        # If the wave starts within the step, the break is the start, because no edge follows in
-        # the same step. A wave that is zero at first starts at its first edge.
+        # If the wave starts within the step, the break is the wave's start, because no edge of the
+        # wave follows in this step. If the wave is zero at first, its first edge is the break.
         late = ~smooth & (early.a0 == 0.0)
         break_at = jnp.where(starts & ~late, self.delay, early.t_break + self.delay)
         return Segment(
@@ -178,10 +178,10 @@ class Delayed(Waveform):
 
 
 class Shaped(Waveform):
-    """curve(wave); exact for linear curves and for piecewise constant set pressures.
+    """The set pressure curve(wave), exact if the curve is linear or the wave piecewise constant.
 
-    `curve` maps a set pressure [Pa] to a set pressure [Pa]. It is a pytree, such as a method of an
-    effect.
+    `curve` maps a set pressure [Pa] to a set pressure [Pa]. The function must be a pytree, such as
+    a method of an effect.
     """
 
     wave: Waveform

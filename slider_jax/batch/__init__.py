@@ -1,2 +1,2 @@
-"""Simulates batches of robots by strides on all cores. May import `simulation` and the rooms below
-it."""
+"""Simulates batches of robots on all cores, one stride at a time. It may import `simulation` and
+lower layers."""

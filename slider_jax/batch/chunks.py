@@ -1,7 +1,7 @@
 """Divides a batch of robots into chunks and simulates the chunks in threads.
 
-A chunk of about eight robots fits the cache of a core, so it costs less per robot than one large
-batch. One chunk per thread uses every core, because compiled programs release Python's lock.
+A chunk of about eight robots fits the cache of a core, so a robot takes less time than in one large
+batch. The threads use all cores, because compiled programs release Python's global lock.
 """
 
 import os
@@ -16,7 +16,7 @@ import numpy as np
 
 
 class Chunks(NamedTuple):
-    """`total` chunks of `size` robots; repetitions of the last robot fill the last chunk."""
+    """`total` chunks of `size` robots. The last chunk repeats the last robot until it is full."""
 
     robots: int
     size: int
@@ -49,12 +49,12 @@ def available_cores() -> int:
 
 
 def stack(trees: list[Any]) -> Any:
-    """Returns one tree whose leaves have the trees' leaves along a new first axis, as floats."""
+    """Returns one tree. Each leaf stacks the leaves of the `trees` along a new first axis."""
     return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(x, float) for x in leaves]), *trees)
 
 
 def take(tree: Any, indices: np.ndarray) -> Any:
-    """Returns the robots `indices` of a stacked tree."""
+    """Returns the robots of a stacked tree that have the `indices`."""
     return jax.tree.map(lambda x: x[indices], tree)
 
 
@@ -63,8 +63,8 @@ def run_in_threads(
 ) -> Iterator[tuple[int, Any]]:
     """Yields (chunk, result) of `work(chunk, stopped)` in the order of completion.
 
-    If a chunk fails or the caller leaves the loop, chunks that have not started are cancelled.
-    `stopped()` then returns true in the running chunks.
+    If a chunk fails or the caller leaves the loop, chunks that have not started are cancelled, and
+    `stopped()` returns true in the running chunks.
     """
     stop = threading.Event()
     pool = ThreadPoolExecutor(max_workers=workers)

@@ -1,7 +1,7 @@
-"""Simulates a chunk of robots by strides and computes quantities of their steady strides.
+"""Simulates a chunk of robots stride by stride and computes quantities of the steady strides.
 
-One stride is compiled and run repeatedly, so that a caller can show progress and stop between
-strides.
+The program of one stride is compiled and run repeatedly. The caller can therefore show progress
+and stop between strides.
 """
 
 import functools as ft
@@ -38,24 +38,24 @@ class BatchRobot(eqx.Module):
 
 
 class Plan(NamedTuple):
-    """Settings that are static in a run's compiled programs."""
+    """Settings that are constants of the compiled programs."""
 
     steps_per_stride: int
-    """A multiple of `POSES`."""
+    """Number of time steps per stride, a multiple of `POSES`."""
     strides: int
     numerics: Numerics
     scheme: Scheme = SDIRK2
 
 
 class Programs(NamedTuple):
-    """Programs compiled for chunks of one size: the initial carry and one stride."""
+    """Compiled programs for chunks of one size: `rest` begins a run, `stride` runs one stride."""
 
     rest: Callable[[BatchRobot], Carry]
     stride: Callable[[BatchRobot, Array, Carry], tuple[Carry, dict[str, Array]]]
 
 
 def saved_quantities(x: Snapshot) -> dict[str, Array]:
-    """Returns the series of a step: `true_readings`, `power` [W] and `midline` (2, nodes) [m]."""
+    """Returns what a step saves: `true_readings`, `power` [W] and `midline` (2, nodes) [m]."""
     return true_readings(x) | {
         "power": jnp.sum(obs.chamber_power(x)),
         "midline": obs.midline(x) - x.head[:, None],
@@ -65,7 +65,7 @@ def saved_quantities(x: Snapshot) -> dict[str, Array]:
 def one_stride(
     plan: Plan, robot: BatchRobot, number, carry: Carry
 ) -> tuple[Carry, dict[str, Array]]:
-    """Returns the next carry and the series of stride `number` (from 0) of one robot."""
+    """Simulates stride `number` (from 0) of one robot. Returns the carry at its end and series."""
     steps, f = plan.steps_per_stride, robot.frequency
     times = TimeGrid(h=1.0 / (f * steps), steps=steps, t0=number / f)
     out = continued(carry, robot.model, times, saved_quantities, plan.numerics, plan.scheme)
@@ -89,8 +89,8 @@ def run_strides(
 ) -> dict[str, np.ndarray]:
     """Returns the series of all strides of a chunk.
 
-    The series have the shape (robots, strides, steps, ...): t, power and every channel. `midline`
-    (robots, POSES, 2, nodes) is of the last stride; `ok` (robots,) is False for a failed robot.
+    t, power and every channel have the shape (robots, strides, steps). `midline` (robots, POSES, 2,
+    nodes) contains shapes in the last stride. `ok` (robots,) is False for a robot that failed.
     Raises `StopRequested` if `stopped()` is true between strides.
     """
     carry, series = programs.rest(chunk), []
@@ -111,11 +111,11 @@ def run_strides(
 def steady_quantities(
     plan: Plan, robots: BatchRobot, runs: dict[str, np.ndarray], transient: int
 ) -> dict[str, np.ndarray]:
-    """Returns quantities (robots,) of the strides after the first `transient`, by name with unit.
+    """Returns quantities (robots,) of all strides after the first `transient` strides.
 
-    Means and rms values are over all these strides. `thrust_std_of_strides` is the standard
-    deviation of the stride means. `thrust_std_within_stride` is the standard deviation within a
-    stride. Peaks and ranges are means over the strides. The wave quantities describe the
+    A key is a name with unit. `thrust_std_of_strides` is the standard deviation of the stride
+    means. `thrust_std_within_stride` is the mean of the standard deviations within the strides.
+    Peaks and ranges are also means of the strides' values. The wave quantities describe the
     fundamental of the last stride. All quantities of a failed robot are NaN.
     """
     thrust, recoil, power, tip = (

@@ -1,2 +1,2 @@
-"""The planar beam: robot and numerical settings, grid, state, body frame, and the equations of one
-cell. May import `errors` and `precision`."""
+"""The planar beam: robot, numerical settings, grid, state, body frame, and the equations of one
+cell. It may import `errors` and `precision`."""

@@ -1,6 +1,6 @@
 """The equations of a planar beam in one cell: geometry, constitutive laws and balances.
 
-With kappa = d(phi)/ds, omega = d(phi)/dt and the strain eps, in the paper's notation,
+With kappa = d(phi)/ds, omega = d(phi)/dt and the symbols of docs/reference/glossary.md,
 
     d(eps)/dt           = dV_tau/ds - kappa V_n                                   (stretch)
     (1 + eps) omega     = dV_n/ds + kappa V_tau                                   (turn)
@@ -12,7 +12,7 @@ With kappa = d(phi)/ds, omega = d(phi)/dt and the strain eps, in the paper's not
 M_extra is the sum of the moments that the model's effects add. The axial law
 T = EA (eps + alpha d(eps)/dt) is solved for eps in each cell, so eps is not an unknown.
 
-Every stage of a time scheme writes a time derivative as (value - reference)/dt.
+In every stage of a time scheme, a time derivative is (value - reference)/dt.
 """
 
 import equinox as eqx
@@ -22,7 +22,7 @@ from slider_jax.beam.state import Fields, to_body
 
 
 class Structure(eqx.Module):
-    """Cell values of the structure, each of shape (cells,)."""
+    """Properties of the structure in the cells, each of shape (cells,)."""
 
     linear_density: Array
     EI: Array
@@ -40,7 +40,7 @@ class Structure(eqx.Module):
 
 
 class Reference(eqx.Module):
-    """The reference values at mid-cells and the dt [s] in (value - reference)/dt."""
+    """Reference values in the cells and dt [s], for time derivatives (value - reference)/dt."""
 
     V_tau: Array
     V_n: Array
@@ -71,7 +71,7 @@ class Section(eqx.Module):
     t: Array
     phi: Array
     pressure: Array
-    """Pressure [Pa] of the chamber at the cell, as it bends the body."""
+    """Pressure [Pa] that bends the body, of the chamber at the cell."""
     kappa: Array
     kappa_t: Array
     omega: Array
@@ -100,9 +100,9 @@ def section(
 ) -> Section:
     """Returns the kinematics in the cells at time `t` [s].
 
-    `mid` and `slope` are the means and slopes d/ds of the unknowns. `water` holds the velocity
-    [m/s] and acceleration [m/s^2] of the water, each (x, y) and uniform over the body. `pressure`
-    [Pa] is that of the chambers in the cells.
+    `mid` and `slope` are the means and slopes d/ds of the unknowns. `water` contains the velocity
+    [m/s] and acceleration [m/s^2] of the water, each (x, y) and uniform along the body. `pressure`
+    (cells,) [Pa] is the pressure of the chamber at each cell.
     """
     dt = reference.dt
     omega = (mid.phi - reference.phi) / dt

@@ -1,8 +1,8 @@
 """The spatial grid: nodes from the tail (s = 0) to the head (s = L), cells between them.
 
 Tail and body each have a uniform mesh. The joint is therefore always on a node, and every cell has
-one bending stiffness. Lengths are traced and cell counts are static, so the nodes move smoothly
-with a design variable such as the tail length and remain differentiable.
+one bending stiffness. The numbers of cells are static, so the positions of the nodes are
+differentiable with respect to a length, such as the tail length.
 """
 
 import equinox as eqx
@@ -40,7 +40,7 @@ class Grid(eqx.Module):
     def at_joint(self) -> Float[Array, " cells"]:
         """Returns a unit delta at the joint [1/m] in the two adjacent cells; zero without a joint.
 
-        Its zeroth and first moments are exact.
+        The zeroth and first moments of the delta are exact.
         """
         joint = self.tail_cells
         zero = jnp.zeros_like(self.ds)
@@ -65,9 +65,9 @@ def make_grid(tail_length, body_length, tail_cells: int, body_cells: int) -> Gri
 
 
 def split_cells(nodes: int, tail_length: float, body_length: float) -> tuple[int, int]:
-    """Returns the numbers of tail and body cells in proportion to the lengths, at least 2 each.
+    """Returns the numbers of tail and body cells, in proportion to the lengths; at least 2 each.
 
-    Their sum is `nodes` - 1. A tail of zero length has no cells.
+    The sum of the two numbers is `nodes` - 1. A tail of zero length has no cells.
     """
     cells = nodes - 1
     tail = round(cells * tail_length / (tail_length + body_length))

@@ -1,6 +1,6 @@
 """The robot's parameters and the numerical settings, in SI units.
 
-Every physical number is a leaf of the pytree, so it can be batched and differentiated.
+Every physical number is a leaf of the pytree, so JAX can batch and differentiate the number.
 """
 
 import equinox as eqx
@@ -26,7 +26,7 @@ class Robot(eqx.Module):
     | `EA_body`, `EA_tail` | N | axial stiffness |
     | `damping_time` | s | alpha, Kelvin-Voigt: E = E_el (1 + alpha d/dt) |
     | `height` | m | H, out-of-plane height that determines the forces of the water |
-    | `front_chamber`, `rear_chamber` | m | distances (near, far) of its two ends from the head |
+    | `front_chamber`, `rear_chamber` | m | distances of a chamber's (near, far) end from the head |
     | `K_Q` | m^3 | bending moment of a chamber per unit pressure |
     """
 
@@ -53,8 +53,8 @@ class Numerics(eqx.Module):
     """Size of the mesh and tolerance of a step; all fields are static.
 
     The mesh has N_p = `tail_cells` + `body_cells` + 1 nodes. `tolerance` bounds the estimated error
-    of each root relative to the robot's scales. `max_newton` bounds the number of factorisations
-    per root.
+    of each implicit solve, relative to `scales_of` the robot. `max_newton` bounds the number of
+    factorisations of the Jacobian per solve.
     """
 
     tail_cells: int = eqx.field(static=True, default=10)
@@ -74,9 +74,9 @@ def grid_of(robot: Robot, numerics: Numerics) -> Grid:
 
 
 def scales_of(robot: Robot) -> Float[Array, "6 1"]:
-    """Characteristic size of each nodal unknown, for the convergence test.
+    """Returns the characteristic size of each nodal unknown, for the convergence test.
 
-    Force EI/L^2, moment EI/L, speed L/T with T = L^2 sqrt(m/EI), angle 1 rad.
+    The force is EI/L^2, the moment EI/L, the angle 1 rad and the speed sqrt(EI/m)/L.
     """
     L, EI = robot.length, robot.EI_body
     force = EI / L**2

@@ -1,7 +1,7 @@
 """The unknowns of the box method at the nodes, the state between steps, and the body frame.
 
-The array of unknowns has shape (6, N): component first, node last. Operations are therefore
-elementwise along the contiguous node axis. In the body frame, tau points towards the head and n is
+The array of unknowns has shape (6, N). The nodes are along the last axis, which is contiguous, and
+operations are elementwise along this axis. In the body frame, tau points towards the head and n is
 tau rotated by +90 degrees.
 """
 
@@ -17,7 +17,7 @@ Unknowns = Float[Array, "6 nodes"]
 
 
 class Fields(NamedTuple):
-    """The six unknowns by name; the values may be at nodes or mid-cells, or be slopes d/ds."""
+    """The six unknowns by name: values at nodes, or means or slopes d/ds in cells."""
 
     T: Array
     """Axial force [N], positive in tension."""
@@ -42,8 +42,8 @@ class Memory(eqx.Module):
     """The quantities with a time derivative, which a step passes to the next step.
 
     `motion` (3, N): V_tau [m/s], V_n [m/s] and phi [rad] at the nodes. `strain` (N - 1,): eps [-]
-    in the cells. `head` (2,): position [m] of the head. `load` (3,): T, N, M at the head with the
-    lag of the mounting. `internal`: a state (N - 1,) for each `BendingMoment` effect, in order.
+    in the cells. `head` (2,): position [m] of the head. `load` (3,): T, N, M at the head, filtered
+    with `MOUNT_LAG`. `internal`: a state (N - 1,) for each `BendingMoment` effect, in order.
     """
 
     motion: Float[Array, "3 nodes"]
@@ -82,7 +82,7 @@ def to_plane(tau, n, phi):
 def node_positions(
     phi: Float[Array, " nodes"], strain: Float[Array, " cells"], head: Float[Array, "2"], grid: Grid
 ) -> Float[Array, "2 nodes"]:
-    """Node positions [m], integrated backwards from the head: dr/ds = (1 + eps) tau."""
+    """Returns node positions r [m], integrated backwards from the head: dr/ds = (1 + eps) tau."""
     angle = grid.mid(phi)
     step = (1.0 + strain) * grid.ds * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
     behind = jnp.cumsum(step[:, ::-1], axis=1)[:, ::-1]

@@ -1,19 +1,18 @@
 """The Jacobian of a stage as a linear operator, and its structured direct solver.
 
 The unknowns per node are the forces f = (T, N, M) and the motion v = (V_tau, V_n, phi). Six
-equations connect the left node j of a cell to its right node j + 1. Three more hold at the tail and
-three at the head. The solver first transforms all cells at once to their *scattering* form
+equations connect the left node j of a cell to the right node j + 1. Three boundary conditions hold
+at the tail and three at the head. The solver first transforms all cells to the *scattering* form
 
     v_left  = S11 f_left + S12 v_right + s1
     f_right = S21 f_left + S22 v_right + s2
 
-This is the response of a short cantilever with given forces at its tail side and given motion at
-its head side, which is always well posed. Redheffer's star product joins two neighbours into a
-longer cantilever, so pairwise joining solves the whole body in log2(cells) levels. Unlike transfer
-matrices, the method loses no digits on long or soft bodies. The pivots never mix forces and motion,
-so no support requires pivoting.
-
-The cell axis is last, where it is contiguous, and all operations are elementwise along it.
+with matrices S and vectors s. It is the response of a short cantilever to given forces at the tail
+side and given motion at the head side, a problem that is always well posed. Redheffer's star
+product joins two neighbours into a longer cantilever. Pairwise joining solves the whole body in
+log2(cells) levels. Unlike transfer matrices, the method loses no digits on long or soft bodies. No
+support requires pivoting, because the pivots never mix forces and motion. The cells are along the
+last axis, and all operations are elementwise along this contiguous axis.
 
 Source: Redheffer, R. (1959), Inequalities for a matrix Riccati equation, J. Math. Mech. 8, 349-367.
 """
@@ -30,7 +29,7 @@ class BeamOperator(lx.AbstractLinearOperator):
     """Jacobian of the box-method residual with respect to the nodal unknowns (6, N).
 
     `left`, `right` (6 rows, 6 unknowns, cells): derivatives of the cell equations with respect to
-    the two nodes of the cell. `tail`, `head` (3 rows, 6 unknowns): those of the boundary
+    the two nodes of the cell. `tail`, `head` (3 rows, 6 unknowns): derivatives of the boundary
     conditions. Rows are in the order of `residual`: cells, tail, head.
     """
 
@@ -51,7 +50,7 @@ class BeamOperator(lx.AbstractLinearOperator):
         return columns(jnp.eye(y.size)).T
 
     def transpose(self):
-        raise NotImplementedError("to solve with A^T use BeamSolver.transpose")
+        raise NotImplementedError("BeamOperator: to solve with A^T, use BeamSolver.transpose")
 
     def in_structure(self):
         return jax.ShapeDtypeStruct((6, self.left.shape[-1] + 1), self.left.dtype)
@@ -75,12 +74,12 @@ for _query in (
     _query.register(BeamOperator)(lambda operator: False)
 
 
-# The barrier makes the compiler compute a value once instead of once in each expression with it.
+# The barrier makes the compiler compute a value once, and not in each expression that uses it.
 _keep = jax.lax.optimization_barrier
 
 
 def _mm(a, b):
-    """Product of 3 x 3 and 3 x n blocks, elementwise along the last axis."""
+    """Returns the product of 3 x 3 and 3 x n blocks, elementwise along the last axis."""
     return sum(a[:, k, None] * b[None, k] for k in range(a.shape[1]))
 
 
@@ -89,7 +88,7 @@ def _mv(a, x):
 
 
 def _inverse3(a):
-    """Inverse of 3 x 3 blocks by cofactors, elementwise along the last axis."""
+    """Returns the inverse of 3 x 3 blocks by cofactors, elementwise along the last axis."""
     (a0, a1, a2), (b0, b1, b2), (c0, c1, c2) = a
     r0 = b1 * c2 - b2 * c1
     r1 = b2 * c0 - b0 * c2
@@ -104,9 +103,9 @@ def _inverse3(a):
 
 
 def _inverse6(a):
-    """Inverse of 6 x 6 blocks by Gauss-Jordan without pivoting, elementwise along the last axis.
+    """Inverts 6 x 6 blocks by Gauss-Jordan without pivoting, elementwise along the last axis.
 
-    The six pivots are in a loop, because its carry prevents the compiler from recomputing the
+    A loop eliminates the six pivots. The loop's carry prevents the compiler from recomputing the
     entries of `a` for each entry of the result.
     """
     unit = jnp.eye(6, dtype=a.dtype)
@@ -123,9 +122,9 @@ def _inverse6(a):
 
 
 def _halving_order(cells: int) -> list[int]:
-    """Returns the order of cells in which each level pairs its first half with its second half.
+    """Returns an order of the cells in which each level joins two contiguous slices of k pieces.
 
-    Neighbours are at positions i and i + k and an unpaired cell is last, so slices are contiguous.
+    Each level joins the neighbours at positions i and i + k. A piece without a partner is last.
     """
     if cells == 1:
         return [0]
@@ -135,7 +134,7 @@ def _halving_order(cells: int) -> list[int]:
 
 
 class _Join(eqx.Module):
-    """One level of joining: the matrices for motion and forces where two pieces meet."""
+    """Matrices of one level of joins, for the motion and forces at the node between two pieces."""
 
     E: Array
     A12: Array
@@ -147,7 +146,7 @@ class _Join(eqx.Module):
 
 
 class _Factors(eqx.Module):
-    """A factorised Jacobian: inverses of the cells, joins, and matrices of the two ends."""
+    """A factorised Jacobian: inverses of the cells' blocks, joins, and matrices of both ends."""
 
     cells: Array
     joins: tuple[_Join, ...]
@@ -160,7 +159,7 @@ class _Factors(eqx.Module):
 
 
 def _join(A, B):
-    """Star product of the scattering matrices (6, 6, k) of neighbours; A is on the tail side."""
+    """Joins neighbours: star product of scattering matrices (6, 6, k); A is on the tail side."""
     A11, A12, A21, A22 = A[:3, :3], A[:3, 3:], A[3:, :3], A[3:, 3:]
     B11, B12, B21, B22 = B[:3, :3], B[:3, 3:], B[3:, :3], B[3:, 3:]
     one = jnp.eye(3, dtype=A.dtype)[:, :, None]
@@ -175,8 +174,8 @@ def _join(A, B):
 
 def _factorise(operator: BeamOperator) -> _Factors:
     left, right = operator.left, operator.right
-    # Each cell is solved for the motion of its left node and the forces of its right node. With the
-    # rows in their order (stretch, turn, moment law, balances) the diagonal is then about 1/ds.
+    # Each cell is solved for the motion of its left node and the forces of its right node. The rows
+    # are in the order stretch, turn, moment law, balances, so the diagonal is about 1/ds.
     cells = _inverse6(jnp.concatenate([left[:, 3:], right[:, :3]], axis=1))
     S = -_mm(cells, jnp.concatenate([left[:, :3], right[:, 3:]], axis=1))
     S = S[..., np.array(_halving_order(S.shape[-1]))]
@@ -201,7 +200,7 @@ def _factorise(operator: BeamOperator) -> _Factors:
 
 
 def _solve(factors: _Factors, rhs):
-    """Returns the y of A y = rhs, by operations that JAX can transpose; linear in `rhs`."""
+    """Returns the solution y of A y = rhs. It is linear in `rhs`, and JAX can transpose it."""
     r_cells, r_tail, r_head = rhs
     order = np.array(_halving_order(r_cells.shape[-1]))
     s = _keep(_mv(factors.cells, r_cells)[:, order])
@@ -222,7 +221,7 @@ def _solve(factors: _Factors, rhs):
     v_tail = v_tail0 + factors.tail_solve @ (S[:3, 3:] @ v_head)
     f_tail = f_tail0 + factors.tail_v @ v_tail
     f_head = S[3:, :3] @ f_tail + S[3:, 3:] @ v_head + s[3:]
-    # On the way back, the forces at each piece's left and the motion at its right end are known.
+    # On the way back, the forces at a piece's left end and the motion at its right end are known.
     ends = jnp.concatenate([f_tail, v_head])[:, None]
     for join, (v0, f0) in zip(reversed(factors.joins), reversed(meetings), strict=True):
         pairs = v0.shape[-1]
@@ -241,8 +240,8 @@ def _solve(factors: _Factors, rhs):
 class BeamSolver(lx.AbstractLinearSolver):
     """Direct solver for a `BeamOperator` with O(cells) operations and O(log cells) depth.
 
-    `init` factorises. `compute` solves and may be called repeatedly with the same factors. JAX can
-    transpose `compute`, so reverse mode needs no transposed operator.
+    `init` factorises the operator. `compute` solves with these factors and may be called
+    repeatedly. JAX can transpose `compute`, so reverse mode needs no transposed operator.
     """
 
     def init(self, operator, options):

@@ -1,4 +1,4 @@
-"""The physical model: robot, effects, pressure law, drive, support and water; and its mesh."""
+"""The physical model (robot, effects, pressure law, drive, support and water) and the mesh."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -24,7 +24,7 @@ class Drive(eqx.Module):
 class Model(eqx.Module):
     """All physical properties of a simulation; the effects add terms to the equations of motion.
 
-    `robot` is the body as measured. `body` is the body after the effects changed it.
+    `robot` has the measured parameters. `body` has the parameters after all `BodyChange` effects.
     """
 
     robot: Robot
@@ -44,7 +44,7 @@ class Model(eqx.Module):
         return robot
 
     def water_velocity(self, t: Array) -> Float[Array, "2"]:
-        """Velocity (U_x, U_y) [m/s] of the water at `t` [s], including `WaterMotion` effects."""
+        """Returns the water's velocity (U_x, U_y) [m/s] at `t` [s], with `WaterMotion` effects."""
         velocity = jnp.stack([jnp.asarray(u, float) for u in self.water])
         for effect in of_place(self.effects, WaterMotion):
             velocity = velocity + jnp.stack(effect.velocity(t))
@@ -59,7 +59,7 @@ class Mesh(eqx.Module):
     chambers: Float[Array, "2 cells"]
     """Moment in each cell per unit pressure in each chamber [m^3]."""
     windows: Float[Array, "2 cells"]
-    """Fraction of each chamber's moment in each cell."""
+    """Moment of each chamber in each cell, as a fraction of K_Q p [-]."""
 
 
 def make_mesh(robot: Robot, numerics: Numerics) -> Mesh:

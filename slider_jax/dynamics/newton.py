@@ -1,11 +1,11 @@
 """The root finder of an implicit stage, and its derivative by the implicit function theorem.
 
 `BeamNewton` reads three options. `options["jacobian"]` is a function (y, args) -> BeamOperator.
-`options["scale"]` is the scale of each unknown. If `options["skip"]` is true, it stops at once, so
-a failed member of a batch costs no further time.
+`options["scale"]` is the scale of each unknown. If `options["skip"]` is true, the iteration stops
+at once, so a robot that failed takes no further time in a batch.
 
-`BeamAdjoint` differentiates the root with the same Jacobian. A failed member invalidates its own
-derivative only. Neither class calls back to the host, so compiled programs can be cached.
+`BeamAdjoint` differentiates the root with the same Jacobian. A robot that failed invalidates only
+its own derivative. Neither class calls Python at run time, so compiled programs can be cached.
 """
 
 import functools as ft
@@ -34,8 +34,8 @@ class BeamNewton(optx.AbstractRootFinder):
 
     Each iteration makes `corrections` (at least 2) steps with the same factors. The increments
     decrease at a steady rate r, so |increment| r/(1 - r) estimates the error after the last step.
-    The iteration stops when this estimate over max(`options["scale"]`, |y|) is below `rtol`.
-    optimistix requires `atol`, which must be 0, since the six unknowns have different units.
+    The iteration stops when this estimate, divided by max(`options["scale"]`, |y|), is below
+    `rtol`. optimistix requires `atol`. It must be 0, since the six unknowns have different units.
 
     Source: Shamanskii, V. E. (1967), A modification of Newton's method, Ukr. Math. J. 19, 118-122.
     """
@@ -81,9 +81,9 @@ class BeamNewton(optx.AbstractRootFinder):
 
 
 class BeamAdjoint(optx.AbstractAdjoint):
-    """Derivative dy = -J(y)^-1 df of the root y of f(y, args) = 0, with one factorisation per root.
+    """Returns dy = -J^-1 df for the root y of f(y, args) = 0, with the Jacobian J = df/dy at y.
 
-    Forward tangents share the factorisation, and reverse mode transposes the same solve.
+    J is factorised once per root for all forward tangents. Reverse mode transposes this solve.
     """
 
     linear_solver: BeamSolver = BeamSolver()

@@ -1,9 +1,9 @@
-"""Histories of the chamber pressures, computed from the set pressures before the rollout.
+"""Computes the chamber pressures from the set pressures before the rollout.
 
     set pressure -> Command effects -> pressure law and Flow effects -> p at the pressure sensor
                  -> ActingPressure effects -> pressure that bends the body
 
-The body does not affect the pressure, so its history is known before the rollout.
+This is possible because the motion of the body does not affect the pressures.
 """
 
 import functools as ft
@@ -31,7 +31,7 @@ class Chambers(eqx.Module):
     acting: Float[Array, "2"]
     """Pressure [Pa] that bends the body."""
     memories: tuple[Float[Array, "2 2"], ...] = ()
-    """For each `ActingPressure` effect, in order: its state and the previous pressure."""
+    """State of each `ActingPressure` effect and the previous pressure, in the effects' order."""
 
 
 def start_chambers(model: Model) -> Chambers:
@@ -42,7 +42,7 @@ def start_chambers(model: Model) -> Chambers:
 
 
 def chamber_history(model: Model, begin: Chambers, times: Float[Array, " n"]) -> Chambers:
-    """Returns the chambers (n - 1, ...) at the increasing `times` [s] after the first time."""
+    """Returns the chambers, entries (n - 1, ...), at the `times` [s] that follow the first time."""
     flows = of_place(model.effects, Flow)
     acting_effects = of_place(model.effects, ActingPressure)
 
@@ -60,7 +60,7 @@ def chamber_history(model: Model, begin: Chambers, times: Float[Array, " n"]) ->
 
 
 def set_pressures(model: Model, times: Float[Array, " n"]) -> Segment:
-    """Returns the set pressures of both valves between the `times` [s]: fields (n - 1, 2)."""
+    """Returns both chambers' set pressures between the `times` [s]; fields are (n - 1, 2)."""
     commands = of_place(model.effects, Command)
 
     def segments(wave, chamber):
@@ -75,12 +75,12 @@ def set_pressures(model: Model, times: Float[Array, " n"]) -> Segment:
 def advance(
     law: PressureLaw, flows: tuple[Flow, ...], p: Float[Array, "2"], x: Segment
 ) -> Float[Array, "2"]:
-    """Front and rear pressures [Pa] at the end of the segment `x`, given `p` [Pa] at its start.
+    """Returns front and rear pressures [Pa] at the end of segment `x` from `p` [Pa] at its start.
 
-    Without flow effects, this is the exact step of the law. Flow effects on a lag add the change
-    that they make to a classical Runge-Kutta step, so effects with null values change nothing. The
-    Runge-Kutta steps are split at the break of the set pressure. They are also split where the
-    pressure passes through zero, since there the opposite chamber starts to fill.
+    Without `Flow` effects, this is the exact step of the law. `Flow` effects on a lag add the
+    difference of two classical Runge-Kutta steps, with and without the effects. Effects at their
+    null therefore change nothing. Both Runge-Kutta steps are split at the break of the set pressure
+    and at zero pressure, where the opposite chamber starts to fill.
     """
     exact = law.advance(p, x)
     if not flows or not isinstance(law, FirstOrderLag):

@@ -23,8 +23,8 @@ from slider_jax.supports import Support
 class Stage(eqx.Module):
     """The quantities that are constant while an implicit stage is solved.
 
-    `water` holds velocity [m/s] and acceleration [m/s^2], each (x, y). `phi_head` and `load_head`
-    are the reference values at the head; `load_head` is (T, N, M) with the lag `MOUNT_LAG`.
+    `water` contains velocity [m/s] and acceleration [m/s^2], each (x, y). `phi_head` and
+    `load_head`, (T, N, M) filtered with `MOUNT_LAG`, are reference values at the head.
     """
 
     structure: Structure
@@ -40,7 +40,7 @@ class Stage(eqx.Module):
 
 
 def cell_rows(mid: Fields, slope: Fields, stage: Stage) -> tuple[Array, ...]:
-    """Returns residuals of the six equations of every cell from means and slopes of unknowns."""
+    """Returns residuals of each cell's six equations from means and slopes of the unknowns."""
     x = section(mid, slope, stage.structure, stage.reference, stage.water, stage.pressure, stage.t)
     force = total_force(stage.effects, x)
     extra = sum((m for m, _ in internal_moments(x, stage)), jnp.zeros_like(mid.M))
@@ -48,23 +48,23 @@ def cell_rows(mid: Fields, slope: Fields, stage: Stage) -> tuple[Array, ...]:
 
 
 def internal_moments(x: Section, stage: Stage) -> list[tuple[Array, Array]]:
-    """Moment [N m] in the cells and new state of every `BendingMoment` effect."""
+    """Returns the moment [N m] in the cells and the new state of each `BendingMoment` effect."""
     pairs = zip(of_place(stage.effects, BendingMoment), stage.reference.internal, strict=True)
     return [effect.moment(x, memory, stage.reference.dt) for effect, memory in pairs]
 
 
 def turning_rate(head: Fields, stage: Stage) -> Array:
-    """Turning rate omega [rad/s] of the head."""
+    """Returns the turning rate omega [rad/s] of the head."""
     return (head.phi - stage.phi_head) / stage.reference.dt
 
 
 def load_rates(head: Float[Array, "6"], stage: Stage) -> Float[Array, "3"]:
-    """Returns d(load)/dt of the lagged load: load + tau d(load)/dt = (T, N, M) at the head."""
+    """Returns d(load)/dt, where load + `MOUNT_LAG` d(load)/dt = (T, N, M) at the head."""
     return (head[:3] - stage.load_head) / (stage.reference.dt + MOUNT_LAG)
 
 
 def head_rows(head: Float[Array, "6"], stage: Stage) -> Float[Array, "3"]:
-    """Returns the residuals of the support's conditions for the head's motion on its mounting."""
+    """Returns residuals of the support's conditions, for the head's motion minus the mounting's."""
     at_head, omega = fields(head), turning_rate(fields(head), stage)
     rates = HeadRates(*load_rates(head, stage))
     for effect in of_place(stage.effects, Mounting):
@@ -100,8 +100,8 @@ def residual(y: Unknowns, stage: Stage):
 def jacobian(y: Unknowns, stage: Stage) -> BeamOperator:
     """Returns the blocks of d(residual)/dy.
 
-    The equations of a cell depend on 12 values: the means and slopes of its six unknowns. They are
-    elementwise along the body, so 12 forward tangents give all blocks of all cells.
+    The equations of a cell depend on 12 values: the means and slopes of the six unknowns. Cells do
+    not depend on each other's values, so 12 forward tangents give all blocks of all cells.
     """
     mid, slope = mid_and_slope(y, stage.structure.ds)
     values = (*mid, *slope)

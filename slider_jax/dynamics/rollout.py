@@ -1,4 +1,4 @@
-"""Simulation of one robot over many time steps; differentiable, and batched with vmap."""
+"""Simulates one robot for many time steps; JAX can differentiate and batch the simulation."""
 
 from collections.abc import Callable
 from typing import Any
@@ -24,9 +24,9 @@ class TimeGrid(eqx.Module):
 
     @classmethod
     def per_stride(cls, frequency: Scalar, steps_per_stride: int, strides: int) -> "TimeGrid":
-        """Returns a grid with whole steps per stride, for a stride `frequency` [Hz].
+        """Returns a grid of `strides` strides at the `frequency` [Hz].
 
-        With an even `steps_per_stride`, the edges of a square wave are at ends of steps.
+        If `steps_per_stride` is even, the edges of a square wave are at ends of steps.
         """
         return cls(1.0 / (frequency * steps_per_stride), steps_per_stride * strides)
 
@@ -60,13 +60,12 @@ def rollout(
     begin: Carry | None = None,
     checkpoint: bool = True,
 ) -> Rollout:
-    """Integrates `model` over `times` and saves `save(snapshot)` at the end of every step.
+    """Integrates `model` over `times` and stores `save(snapshot)` at the end of every step.
 
     Without `begin`, the body starts straight and at rest relative to its support. To continue an
-    earlier rollout, pass its `final` as `begin`. A failed step freezes the state and sets `ok` to
-    false. It raises no error, so one member of a batch cannot stop the others (`simulate` raises
-    for a single run). With `checkpoint`, reverse mode stores only the carry of each step and
-    recomputes the rest.
+    earlier rollout, pass its `final` as `begin`. If a step fails, the state remains frozen and `ok`
+    is false; no error stops the other robots of a batch. With `checkpoint`, reverse mode stores
+    only the carry of each step and recomputes all other values.
     """
     mesh = make_mesh(model.body, numerics)
     if begin is None:

@@ -20,7 +20,7 @@ from slider_jax.dynamics.step import Carry, initial_carry
 from slider_jax.effects import BendingMoment, of_place
 
 LONG = 1e9
-"""The dt [s] of a static stage, so long that all rates of finite changes vanish."""
+"""Value of dt [s] in a static stage. It is so large that rates (value - reference)/dt vanish."""
 INCREMENTS = 8
 """Number of load increments; each static shape is the initial guess for the next one."""
 CORRECTIONS, LAST = 3, 4
@@ -48,9 +48,9 @@ class AtRest(NamedTuple):
 
 
 def at_rest_under(model: Model, loads: Loads, numerics: Numerics = Numerics()) -> AtRest:
-    """Returns the static state of `model` under `loads`, clamped, without water and drive.
+    """Returns the static state under `loads` of a `model` with a clamp, in still water.
 
-    It is differentiable with respect to every number, by the implicit function theorem.
+    The drive is ignored. Implicit differentiation gives derivatives with respect to all numbers.
     """
     mesh = make_mesh(model.body, numerics)
     zero = jnp.zeros_like(mesh.grid.ds)
@@ -74,7 +74,7 @@ def at_rest_under(model: Model, loads: Loads, numerics: Numerics = Numerics()) -
 
 
 def release(model: Model, begin: AtRest, numerics: Numerics = Numerics()) -> Carry:
-    """Returns the carry of a rollout that starts at a static state, without the tip load."""
+    """Returns the carry of a rollout from the static state `begin`, without the load on the tip."""
     mesh = make_mesh(model.body, numerics)
     y = begin.y.at[3:5].set(0.0)
     eps = mesh.grid.mid(y[0]) / mesh.structure.EA

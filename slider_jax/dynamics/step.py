@@ -1,4 +1,4 @@
-"""One time step of the simulation; each of its implicit stages solves for a root."""
+"""One time step of the simulation. Each implicit stage of the step solves for a root."""
 
 import functools as ft
 from collections.abc import Callable
@@ -33,7 +33,7 @@ class Carry(eqx.Module):
     """The state that one step passes to the next step."""
 
     history: Float[Array, "3 6 nodes"]
-    """The last three solutions, oldest first, from which the next is predicted."""
+    """The last three solutions, oldest first. They predict the next solution."""
     memory: Memory
     chambers: Chambers
     ok: Bool[Array, ""]
@@ -81,9 +81,9 @@ def _anchor(memory: Memory, support: Support, t) -> Float[Array, "2"]:
 def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
     """Returns the function that advances a `Carry` by one step.
 
-    The function takes (carry, (t, h, chambers)): start `t` [s] and length `h` [s] of the step, and
-    the stacked chambers at its stages. It returns the new carry and a `Snapshot` at the step's end.
-    Raises `ValueError` for a mesh in float32.
+    The returned function takes (carry, (t, h, chambers)): start `t` [s] and length `h` [s] of the
+    step, and the stacked chambers at all stages. It returns the new carry and a `Snapshot` at the
+    step's end. Raises `ValueError` for a mesh in float32.
     """
     if mesh.grid.s.dtype != jnp.float64:
         raise ValueError(
@@ -179,7 +179,7 @@ def at_rest(model: Model, numerics: Numerics, t0: Scalar = 0.0) -> Carry:
 
 
 def with_motion(carry: Carry, change: Callable[[Array], Array]) -> Carry:
-    """Returns the carry after `change`, a function of (V_tau, V_n, phi), shape (..., 3, nodes)."""
+    """Returns the carry with `change` applied to its (V_tau, V_n, phi), shape (..., 3, nodes)."""
     history = carry.history.at[:, 3:].set(change(carry.history[:, 3:]))
     rows = change(carry.memory.motion), history
     return eqx.tree_at(lambda c: (c.memory.motion, c.history), carry, rows)

@@ -1,8 +1,8 @@
 """Implicit time schemes: sequences of stages that resemble backward-Euler steps.
 
-Stage i of a step of length h solves the equations with every d(q)/dt written as
-(q - reference_i)/(gamma h). Here reference_i = base + weight_i (last - base), `base` is q at the
-start of the step, and `last` is q from the previous stage.
+In stage i of a step of length h, every time derivative d(q)/dt is (q - reference_i)/(gamma h). Here
+reference_i = base + weight_i (last - base), `base` is q at the start of the step, and `last` is q
+from the previous stage.
 """
 
 import math
@@ -11,7 +11,7 @@ import equinox as eqx
 
 
 class Scheme(eqx.Module):
-    """A diagonally implicit, stiffly accurate scheme; its last stage is the new state."""
+    """A diagonally implicit, stiffly accurate scheme: the last stage gives the new state."""
 
     name: str = eqx.field(static=True)
     order: int = eqx.field(static=True)
@@ -40,7 +40,7 @@ SCHEMES = {scheme.name: scheme for scheme in (BACKWARD_EULER, SDIRK2)}
 
 
 def extrapolation(scheme: Scheme) -> list[list[float]]:
-    """For each stage, the weights of the last three solutions (oldest first) in its prediction."""
+    """Returns the weights of the last three solutions (oldest first) that predict each stage."""
     times = [node - back for back in (3, 2, 1, 0) for node in scheme.nodes]
     rows = []
     for stage in range(scheme.stages):

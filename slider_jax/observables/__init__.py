@@ -1,5 +1,5 @@
-"""Pure, differentiable functions of a `Snapshot`, or of series saved by a rollout, that compute
-forces, shapes, energies and waves. May import `dynamics` and the rooms below it."""
+"""Pure, differentiable functions that compute forces, shapes, energies and waves from a `Snapshot`
+or from the saved series of a rollout. They may import `dynamics` and lower layers."""
 
 from slider_jax.observables.energy import (
     EnergyRates as EnergyRates,

@@ -1,6 +1,6 @@
 """Energy balance of the body: power input, stored energy, dissipation and work on the effects.
 
-The momentum balance of `beam.equations`, multiplied by the velocities and integrated over the body:
+The momentum balance of `beam.equations`, multiplied by the velocities and integrated, is
 
     P_clamp + P_chambers = d(kinetic + bending + stretching)/dt + dissipated + given away
 
@@ -11,8 +11,8 @@ The momentum balance of `beam.equations`, multiplied by the velocities and integ
     given away = -int (1 + eps) (F_tau V_tau + F_n V_n) ds, one term for each effect.
 
 The product rule is exact for the means and slopes of the box method. At every stage, the discrete
-equations therefore satisfy this balance to the solver's tolerance. The residual over a stride is
-the error of the time integration.
+equations therefore satisfy this balance to the solver's tolerance. The residual of the balance,
+integrated over a stride, is the error of the time integration.
 """
 
 import equinox as eqx
@@ -48,8 +48,8 @@ class EnergyRates(eqx.Module):
     dissipated_bending: Float[Array, ""]
     dissipated_stretching: Float[Array, ""]
     given: tuple[Float[Array, ""], ...]
-    """Power output through each effect, in the model's order. Drag and reactive force give it to
-    the water (in the tank's frame); gravity gives it to potential energy."""
+    """Power that each effect takes from the body, in the model's order. Drag and reactive force
+    give the power to the water (in the tank's frame), and gravity to potential energy."""
 
     @property
     def put_in(self) -> Float[Array, ""]:
@@ -63,12 +63,12 @@ class EnergyRates(eqx.Module):
 
     @property
     def to_effects(self) -> Float[Array, ""]:
-        """Power output through all effects."""
+        """Power that all effects take from the body."""
         return sum(self.given, jnp.zeros_like(self.clamp))
 
 
 def stored_energy(x: Snapshot) -> StoredEnergy:
-    """Kinetic, bending and stretching energy [J] of the body."""
+    """Returns the kinetic, bending and stretching energy [J] of the body."""
     section, body, integral = x.section(), x.mesh.structure, x.mesh.grid.integral
     return StoredEnergy(
         kinetic=integral(0.5 * body.linear_density * (section.V_tau**2 + section.V_n**2)),
@@ -78,18 +78,18 @@ def stored_energy(x: Snapshot) -> StoredEnergy:
 
 
 def chamber_power(x: Snapshot) -> Float[Array, "2"]:
-    """Mechanical power [W] of the front and rear chamber on the body: int K_Q p w kappa_t ds.
+    """Returns the mechanical power [W] of the front and rear chamber on the body.
 
-    It is positive while the body bends in the direction of the chamber's moment. Losses of valves
-    and supply are excluded.
+    The power is int K_Q p kappa_t ds in the chamber's span, without losses of valves and supply. It
+    is positive while the body bends in the direction of the chamber's moment.
     """
     return x.mesh.grid.integral(x.chambers.acting[:, None] * x.mesh.chambers * x.section().kappa_t)
 
 
 def clamp_power(x: Snapshot) -> Float[Array, ""]:
-    """Power [W] of the support on the body: T V_tau + N V_n + M omega at the head.
+    """Returns the power [W] of the support on the body: T V_tau + N V_n + M omega at the head.
 
-    It is zero for a clamp at rest, and minus thrust times speed for a towed clamp.
+    The power is zero for a clamp at rest. For a towed clamp, it is minus the thrust times speed.
     """
     head = fields(x.y[:, -1])
     return head.T * head.V_tau + head.N * head.V_n + head.M * turning_rate(head, x.stage)

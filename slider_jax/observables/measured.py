@@ -1,6 +1,6 @@
 """Quantities that instruments on the carriage measure: forces at the head and the body's position.
 
-The clamp exerts T tau + N n on the body at the head, and the body exerts the opposite on the clamp.
+The clamp exerts the force T tau + N n on the head, and the head exerts the opposite force on it.
 The force sensor is mounted on the carriage. Its axes pitch with the carriage, but they do not turn
 with a head that turns in a soft clamp.
 """
@@ -17,7 +17,7 @@ def midline(x: Snapshot) -> Float[Array, "2 nodes"]:
 
 
 def lateral(x: Snapshot) -> Float[Array, " nodes"]:
-    """Lateral positions y [m] of the nodes relative to the head, tail first.
+    """Returns the lateral positions y [m] of the nodes relative to the head, tail first.
 
     A camera on the carriage measures these positions.
     """
@@ -26,7 +26,7 @@ def lateral(x: Snapshot) -> Float[Array, " nodes"]:
 
 
 def tip(x: Snapshot) -> Float[Array, ""]:
-    """Lateral position [m] of the tail tip relative to the head."""
+    """Returns the lateral position [m] of the tail tip relative to the head."""
     return lateral(x)[0]
 
 
@@ -37,16 +37,16 @@ def _on_sensor(x: Snapshot) -> tuple[Array, Array]:
 
 
 def thrust(x: Snapshot) -> Float[Array, ""]:
-    """Forward force [N] of the body on the carriage; equals -T at the head for a rigid clamp.
+    """Returns the body's forward force [N] on the carriage; -T at the head for a rigid clamp.
 
-    The axes pitch with the carriage, like those of the force sensor.
+    The axes of the forces pitch with the carriage, like the axes of the force sensor.
     """
     return _on_sensor(x)[0]
 
 
 def recoil(x: Snapshot) -> Float[Array, ""]:
-    """Force [N] of the body on the carriage to the left; equals -N at the head for a rigid clamp.
+    """Returns the body's force [N] to the left on the carriage; -N at the head for a rigid clamp.
 
-    The axes are those of `thrust`.
+    The axes are the same as in `thrust`.
     """
     return _on_sensor(x)[1]

@@ -1,4 +1,4 @@
-"""Stride statistics of series, and the dimensionless numbers of swimming from their means."""
+"""Means over strides of a series, and dimensionless numbers of swimming from such means."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -9,7 +9,7 @@ from slider_jax.beam.parameters import Scalar
 def stride_means(
     series: Float[Array, "*b steps"], steps_per_stride: int
 ) -> Float[Array, "*b strides"]:
-    """Returns the mean over each stride; for a periodic series, this is the trapezoidal rule."""
+    """Returns the mean of each stride. For a periodic series, it equals the trapezoidal rule."""
     steps = series.shape[-1]
     if steps % steps_per_stride:
         raise ValueError(
@@ -20,7 +20,7 @@ def stride_means(
 
 
 def strouhal_number(frequency: Scalar, excursion: Scalar, speed: Scalar) -> Scalar:
-    """St = f A / U [-] with the tail's peak-to-peak excursion A [m] and swimming speed U [m/s].
+    """Returns St = f A / U [-] from the tail's peak-to-peak excursion A [m] and the speed U [m/s].
 
     Source: Triantafyllou, G. S., Triantafyllou, M. S., Grosenbaugh, M. A. (1993), J. Fluids
     Struct. 7, 205-224.
@@ -29,19 +29,19 @@ def strouhal_number(frequency: Scalar, excursion: Scalar, speed: Scalar) -> Scal
 
 
 def froude_efficiency(mean_thrust: Scalar, speed: Scalar, mean_power: Scalar) -> Scalar:
-    """Returns eta = T U / P [-]: useful power over the mean mechanical power [W] of the chambers.
+    """Returns eta = T U / P [-]: useful power divided by the chambers' mean mechanical power P [W].
 
-    For a towed clamp, T [N] is the mean force on the clamp and U [m/s] is the tow speed. eta is
-    zero at U = 0; use `force_efficiency` instead. Source: Lighthill, M. J. (1960), J. Fluid
-    Mech. 9, 305-317.
+    For a towed clamp, T [N] is the mean force on the clamp and U [m/s] is the tow speed. Since eta
+    is zero at U = 0, use `force_efficiency` for a robot that is held in place. Source: Lighthill,
+    M. J. (1960), J. Fluid Mech. 9, 305-317.
     """
     return mean_thrust * speed / mean_power
 
 
 def force_efficiency(mean_thrust: Scalar, mean_power: Scalar) -> Scalar:
-    """T / P [N/W]: mean thrust [N] over the mean mechanical power [W] of the chambers.
+    """Returns T / P [N/W]: mean thrust [N] divided by the chambers' mean mechanical power [W].
 
-    Use it for a robot that is held in place, since its useful power is zero.
+    Use it for a robot that is held in place, because the robot's useful power T U is zero.
     """
     return mean_thrust / mean_power
 
@@ -49,7 +49,8 @@ def force_efficiency(mean_thrust: Scalar, mean_power: Scalar) -> Scalar:
 def tail_slope(amplitude: Scalar, wavelength: Scalar) -> Scalar:
     """Returns the paper's slope A_t / (lambda/4) [-] of the wave at the tail.
 
-    `amplitude` A_t [m] is half the peak-to-peak excursion; lambda [m] is the body wavelength. This
-    is the slope of the line from a zero to the crest. The sine at its zero is steeper by pi/2.
+    `amplitude` A_t [m] is half the peak-to-peak excursion; lambda [m] is the body wavelength. A
+    straight line from a zero of the wave to the crest has this slope. At the zero, a sine wave is
+    steeper by the factor pi/2.
     """
     return amplitude / (wavelength / 4.0)

@@ -1,8 +1,8 @@
 """Wavelength, speed and travelling index of the body wave.
 
 A lateral motion y(s, t) = Re( c(s) exp(2 pi i f t) ) has an amplitude |c| and a phase arg c at each
-point; s is measured from the tail. A wave whose phase increases towards the head travels from head
-to tail.
+point s, measured from the tail. A wave whose phase increases towards the head travels from head to
+tail.
 """
 
 import math
@@ -38,7 +38,7 @@ def fundamental_mode(
 ) -> Complex[Array, " points"]:
     """Returns c(s) [m] of the fundamental: the Fourier coefficient of `y` [m] at `frequency` [Hz].
 
-    c = (2/n) sum_t y exp(-2 pi i f t). The times `t` [s] are equal steps over whole strides.
+    c = (2/n) sum_t y exp(-2 pi i f t). The n times `t` [s] are evenly spaced in whole strides.
     """
     angle = 2.0 * math.pi * frequency * t[:, None]
     return 2.0 * jax.lax.complex(
@@ -47,11 +47,11 @@ def fundamental_mode(
 
 
 def orthogonal_mode(y: Float[Array, "times points"]) -> Complex[Array, " points"]:
-    """Returns c(s) [m] of the first complex orthogonal mode of `y` [m], phases at the first sample.
+    """Returns c(s) [m] of the first complex orthogonal mode of `y` [m].
 
-    The mode is the dominant eigenvector of the covariance of the analytic signal of y - mean(y).
-    The rms in time scales it, so |c| is the amplitude; c is zero for a body at rest. The samples
-    are equal steps over whole strides; the frequency is not required.
+    The mode is the dominant eigenvector of the covariance of the analytic signal of y - mean(y). It
+    is scaled by its rms in time, so |c| is the amplitude, and it has the phases of the first
+    sample. For a body at rest, c is zero. The samples are evenly spaced in whole strides.
 
     Source: Feeny, B. F. (2008), A complex orthogonal decomposition for wave motion analysis, J.
     Sound Vib. 310, 77-90.
@@ -64,8 +64,8 @@ def orthogonal_mode(y: Float[Array, "times points"]) -> Complex[Array, " points"
     )
     analytic = jnp.fft.ifft(spectrum * keep[:, None].astype(spectrum.dtype), axis=0)
     covariance = analytic.T @ jnp.conj(analytic) / float(steps)
-    # Repeated squaring gives the projector on the dominant eigenvector. An SVD has no derivative if
-    # other singular values coincide, and almost all of them are zero.
+    # Repeated squaring gives the projector on the dominant eigenvector. An SVD has no derivative
+    # here, because almost all singular values are zero and therefore coincide.
     projector = covariance
     for _ in range(12):
         projector = _over(projector, jnp.real(jnp.trace(projector)))
@@ -77,16 +77,16 @@ def orthogonal_mode(y: Float[Array, "times points"]) -> Complex[Array, " points"
 
 
 def body_wave(mode: Complex[Array, " points"], s: Float[Array, " points"], frequency) -> BodyWave:
-    """Wavelength and speed of a mode c(s) with `frequency` [Hz]; `s` [m] is measured from the tail.
+    """Returns wavelength and speed of a mode c(s) with `frequency` [Hz]; `s` [m] is from the tail.
 
-    The wavenumber is the slope of a line fitted to the phase along the body, and lambda =
-    2 pi/wavenumber. The fit has weights |c|^2, since the phase of a nearly still point is
-    uncertain. The phase must change by less than half a turn between neighbouring points. In a
-    nearly standing wave (`travelling_index` below about 0.2) the phase jumps by half a turn at each
-    wave node, in either direction. Neither the wavelength nor its sign is then reliable.
+    The wavelength is 2 pi/wavenumber, and the wavenumber is the slope of a line fitted to the phase
+    along the body. The fit has weights |c|^2, since the phase of a nearly still point is uncertain.
+    The phase must change by less than half a turn between neighbouring points. In a nearly standing
+    wave (`travelling_index` below about 0.2), the phase jumps by half a turn, in either direction,
+    at each wave node. The wavelength and its sign are then unreliable.
     """
     turned = mode[1:] * jnp.conj(mode[:-1])
-    # At a clamped head, where the amplitude is zero, the phase is undefined and has zero weight.
+    # At a clamped head, the amplitude is zero. The phase there is undefined and has zero weight.
     still = jnp.abs(turned) == 0.0
     phase_steps = jnp.where(still, 0.0, jnp.angle(jnp.where(still, 1.0, turned)))
     phase = jnp.concatenate([jnp.zeros(1), jnp.cumsum(phase_steps)])
@@ -101,14 +101,13 @@ def body_wave(mode: Complex[Array, " points"], s: Float[Array, " points"], frequ
 def shape_wavelength(
     mode: Complex[Array, " points"], s: Float[Array, " points"]
 ) -> Float[Array, ""]:
-    """Wavelength lambda [m] of the shape, from the ratio of lateral motion to slope over a stride.
+    """Returns the wavelength lambda [m] of a mode c(s) from the ratio of lateral motion to slope.
 
         lambda = 2 pi sqrt( int |c|^2 ds / int |dc/ds|^2 ds ),    `s` [m] from the tail
 
-    For a travelling wave of constant amplitude, lambda is the wavelength on a body of any length.
-    For a standing or mixed wave, it is the wavelength on a body of whole half waves. Unlike
-    `body_wave`, it has the same meaning for all these waves, but no direction. It is infinite if
-    all points move equally.
+    For a travelling wave of constant amplitude, lambda is exact on a body of any length. For a
+    standing or mixed wave, lambda is exact on a body of whole half waves. lambda has no direction;
+    `body_wave` returns a wavelength with direction. lambda is infinite if all points move equally.
     """
     ds = s[1:] - s[:-1]
     size, step = (jnp.real(c * jnp.conj(c)) for c in (mode, mode[1:] - mode[:-1]))
@@ -118,10 +117,10 @@ def shape_wavelength(
 
 
 def travelling_index(mode: Complex[Array, " points"]) -> Float[Array, ""]:
-    """Travelling index [-]: 1 for a pure travelling wave, 0 for a pure standing wave.
+    """Returns the travelling index [-]: 1 for a pure travelling wave, 0 for a pure standing wave.
 
-    It is the ratio of the singular values of [Re c, Im c] (Feeny 2008, the reciprocal condition
-    number), and 0 for a body at rest.
+    The index is the smaller singular value of [Re c, Im c] divided by the larger one (Feeny 2008,
+    the reciprocal condition number). It is 0 for a body at rest.
     """
     a, b = jnp.real(mode), jnp.imag(mode)
     mean, cross = 0.5 * (a @ a + b @ b), a @ b

@@ -1,4 +1,4 @@
-"""The interface of a support of the head. The tail end is always free: T = N = M = 0."""
+"""Base class of the supports of the head. The tail end is always free: T = N = M = 0."""
 
 from abc import abstractmethod
 from typing import NamedTuple
@@ -21,10 +21,9 @@ class Start(NamedTuple):
 
 
 class Support(eqx.Module):
-    """Three boundary conditions at the head and an anchored point, the head itself or a pin.
+    """Three boundary conditions at the head, and an anchored point: the head itself or a pin.
 
-    A support may change between steps but not within a step. `during` returns the support for a
-    step.
+    A support may change between steps but not within a step. `during` returns a step's support.
     """
 
     @abstractmethod
@@ -35,7 +34,7 @@ class Support(eqx.Module):
     def rows(self, head: Fields, omega: Array, t: Array) -> tuple[Array, Array, Array]:
         """Returns the residuals of the three boundary conditions at `t` [s].
 
-        `head` holds the six unknowns at the head (scalars); `omega` [rad/s] is its turning rate.
+        `head` contains the six unknowns at the head; `omega` [rad/s] is the head's turning rate.
         """
 
     @abstractmethod

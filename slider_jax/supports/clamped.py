@@ -17,9 +17,9 @@ class Clamped(Support):
 
         y_h = heave sin(2 pi f t),    phi_h = pitch sin(2 pi f t + pitch_phase)
 
-    with `heave` [m], `pitch` [rad], f = `frequency` [Hz], `pitch_phase` [rad]. The clamp prescribes
-    the rate of phi_h, so that rate, clamp forces and angle have the order of the time scheme. With
-    a prescribed angle, its rate and the clamp forces would only be first-order accurate.
+    y_h [m] and phi_h [rad] are the carriage's position and angle, with `heave` [m], `pitch` [rad],
+    f = `frequency` [Hz] and `pitch_phase` [rad]. The clamp prescribes the rate of phi_h. With a
+    prescribed phi_h, the rate and the clamp forces would be only first-order accurate.
     """
 
     tow_speed: Scalar = eqx.field(default=0.0)
