@@ -1,10 +1,10 @@
-"""Write the gallery: what each command prints and draws, from runs with small settings.
+"""Write the gallery page: it shows what each command prints and draws, from runs on small meshes.
 
     python docs/generate/gallery.py --work DIR [COMMAND ...]    # such as swim "rig check"
 
-Without a COMMAND, the script runs all of them, in an hour on two cores. Inputs and results are in
-DIR, so that a later run can use those of an earlier run. The lamprey's midlines and the pressure
-logs of the rig are measured data: `SLIDER_DATA` names their folder.
+Without a COMMAND, the script runs all commands, which takes an hour on two cores. It writes inputs
+and results to DIR. A later run uses the inputs and results that are already in DIR. The lamprey's
+midlines and the pressure logs of the rig are measured data. `SLIDER_DATA` names their folder.
 """
 
 import argparse
@@ -27,15 +27,15 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 PAGE, PICTURES = ROOT / "docs" / "gallery.md", ROOT / "docs" / "img" / "gallery"
 LARGEST_PICTURE = 100_000
-"""Bytes of a picture, so that the repository stays small."""
+"""Largest size of a picture file [bytes], so that the repository stays small."""
 WIDEST = 900
-"""Pixels of a picture: about the width of the site's text."""
+"""Largest width of a picture [pixels]: about the width of the site's text."""
 LONGEST = 24
-"""Lines of a transcript; the others are replaced by "..."."""
+"""Largest number of lines of a transcript; "..." replaces the other lines."""
 COLUMNS = 110
-"""Columns of a transcript."""
+"""Largest number of characters in a line of a transcript."""
 PORT = "/dev/pts/3"
-"""Port in the text, in place of the simulated rig's actual port."""
+"""Port in the text of the page; it replaces the simulated rig's actual port."""
 
 
 INTERRUPTIBLE = """
@@ -44,7 +44,7 @@ from slider_jax.cli.main import main
 signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.exit(main(sys.argv[1:]))
 """
-"""Program of a command that obeys SIGINT, which the children of background jobs ignore."""
+"""Program that runs a command and stops it at SIGINT, which children of background jobs ignore."""
 
 
 class Entry(NamedTuple):
@@ -53,134 +53,146 @@ class Entry(NamedTuple):
     line: str
     """The command line, without `slider`."""
     text: str
-    """What the picture or the transcript shows."""
+    """Sentences on what the picture or the transcript shows."""
     picture: str = ""
-    """File that the run writes, or `report.html#N` for the report's picture N; none if empty."""
+    """Picture that the run writes, or `report.html#N` for picture N of the report; may be empty."""
     needs: str = ""
-    """Name of the input that `INPUTS` makes."""
+    """Name of the function in `INPUTS` that makes the input, or of a simulated rig."""
     more: str = ""
-    """Sentence that links to a larger run."""
+    """Sentence with a link to a larger run."""
 
 
 ENTRIES = {
     "demo": Entry(
         "demo",
-        "Thrust against stride frequency, beside the paper's statements.",
+        "The picture shows the mean thrust against the stride frequency, and the paper's values.",
         "slider_demo/thrust_against_frequency.png",
     ),
     "simulate": Entry(
         "simulate docs/experiment.toml --out results/example --plot",
-        "Pressures, thrust, recoil and tip of the second trial, which is towed.",
+        "The picture shows pressures, thrust, recoil and tip position of the second trial, in "
+        "which the robot is towed.",
         "results/example/towed.png",
     ),
     "sweep": Entry(
         "sweep docs/experiment.toml --field robot.EI_tail --from 0.002 --to 0.02 --count 8 "
         "--strides 5 --steps-per-stride 100 --out results/tail",
-        "Means over the steady strides against the tail's bending stiffness.",
+        "The picture shows means over the steady strides against the tail's bending stiffness.",
         "results/tail/sweep.png",
     ),
     "swim": Entry(
         "swim docs/swimmer.toml --out results/swim",
-        "Midlines of one steady stride, and the speed from rest, also without the head's drag.",
+        "The picture shows the midlines of one steady stride. It also shows the speed from rest, "
+        "with and without the drag of the head.",
         "results/swim/swim_swim.png",
     ),
     "climb": Entry(
         "climb --out results/climb",
-        "One steady stride on the wall, and the rise over all strides.",
+        "The picture shows one steady stride on the wall, and the rise of the robot over the last "
+        "strides.",
         "results/climb/climb_climb.png",
     ),
     "optimize swim": Entry(
         "optimize swim --population 16 --generations 5 --steps-per-stride 48 --out results/optimum",
-        "Swimming speed against the number of evaluations. A real search uses the defaults.",
+        "The picture shows the swimming speed against the number of evaluations. For a real "
+        "search, use the default population and number of generations.",
         "results/optimum/optimum.png",
     ),
     "optimize multimodal": Entry(
         "optimize multimodal --betas 3 --population 8 --generations 3 --steps-per-stride 48 "
         "--out results/multimodal",
-        "The best tail and drives between climbing (0) and swimming (1). A real search uses the "
-        "defaults.",
+        "The picture shows the best tail and the best drives for each weight beta, from climbing "
+        "alone (beta = 0) to swimming alone (beta = 1). For a real search, use the defaults.",
         "results/multimodal/multimodal.png",
         more="[Climbing](how-to/climbing.md#one-tail-for-both-tasks) describes a complete search.",
     ),
     "effects": Entry(
         "effects valve_delay --out results/effects",
-        "What a dead time of the valves changes on each sensor in one steady stride.",
+        "The picture shows how a dead time of the valves changes each sensor's reading in one "
+        "steady stride.",
         "results/effects/valve_delay.png",
     ),
     "effects matrix": Entry(
         "effects matrix tank/experiment.toml --effects valve_delay line_lag leakage "
         "regulator_gain pressure_gain tail_stiffness --out results/matrix",
-        "Detection limits of six effects, and which of them the trials cannot discriminate.",
+        "The picture shows the similarity of six effects and their detection limits. Dots mark "
+        "pairs of effects between which the trials cannot discriminate.",
         "results/matrix/matrix.png",
         "tank",
     ),
     "calibrate": Entry(
         "calibrate tank/experiment.toml --out results/calibrated",
-        "The four base parameters with 95 % intervals. The tank's valves have a dead time of "
-        "20 ms, which the model lacks.",
+        "The output lists the four base parameters with 95 % intervals. The valves of the "
+        "simulated tank have a dead time of 20 ms, which the model does not contain.",
         needs="tank",
     ),
     "calibrate statics": Entry(
         "calibrate statics bench/bench.toml --out results/bench",
-        "Displacements under tip loads, and the fitted shapes.",
+        "The picture shows the displacements under tip loads, and the fitted shapes.",
         "results/bench/whole.png",
         "bench",
     ),
     "calibrate manifold": Entry(
         "calibrate manifold logs/*.txt --out results/manifold",
-        "A measured log and its fitted first-order lag.",
+        "The picture shows a measured log and the fitted first-order lag.",
         "results/manifold/1.1667.png",
         "logs",
     ),
     "close-loop": Entry(
         "close-loop tank/experiment.toml --out results/tank",
-        "The loop finds the dead time of 20 ms. The picture is from `report.html`.",
+        "The measured trials are those of the simulated tank under `slider calibrate`. The command "
+        "finds the dead time of 20 ms. The picture is from `report.html`.",
         "results/tank/report.html#0",
         "tank",
-        "[How well the loop finds missing effects](explanation/how_well_it_traces.md) has more.",
+        "[How well the loop finds missing effects](explanation/how_well_it_traces.md) shows the "
+        "results for many tanks.",
     ),
     "lamprey": Entry(
         "lamprey midlines --draws 40 --out results/lamprey",
-        "Midlines of a lamprey (E. D. Tytell, fishmechr, CC-BY-4.0) and the axial force balance.",
+        "The picture shows midlines of a lamprey (E. D. Tytell, fishmechr, CC-BY-4.0) in one "
+        "stride, and the depth and width of its body. The output lists the axial force balance.",
         "results/lamprey/report.html#0",
         "midlines",
     ),
     "published": Entry(
         "published --out results/published",
-        "The paper's swimming speeds beside those of its equations.",
+        "The picture shows the published speeds (dotted lines), and speeds from rest that follow "
+        "from the paper's equations.",
         "results/published/report.html#0",
     ),
     "rig simulate": Entry(
         "rig simulate docs/experiment.toml", "The simulated rig runs until Ctrl-C.", needs="rig"
     ),
-    "rig ports": Entry("rig ports", "The serial ports of the computer."),
+    "rig ports": Entry("rig ports", "The output lists one port for each line."),
     "rig check": Entry(
         f"rig check --port {PORT} --rig simulated_rig.toml",
-        "Rate, noise and leaks of the simulated rig.",
+        "The output shows the data rate, the noise and the leak test of the simulated rig.",
         needs="bench rig",
     ),
     "rig run": Entry(
         f"rig run docs/experiment.toml --port {PORT} --rig simulated_rig.toml --out measured",
-        "Two trials on the simulated rig.",
+        "This run records two trials on the simulated rig.",
         needs="bench rig",
     ),
     "rig replay": Entry(
-        "rig replay measured --out again", "The CSV files again, from the recordings."
+        "rig replay measured --out again",
+        "This run computes the CSV files again from the recordings of the previous command.",
     ),
     "rig watch": Entry(
         f"rig watch docs/experiment.toml --port {PORT} --rig simulated_rig.toml --seconds 35",
-        "The model beside the simulated rig for 35 s.",
+        "This run watches the simulated rig for 35 s.",
         needs="rig",
     ),
     "rig log": Entry(
         f"rig log 1 2 --port {PORT} --out new_logs",
-        "Two pressure logs of a simulated manifold with the published firmware.",
+        "This run records two pressure logs of a simulated manifold with the published firmware.",
         needs="published rig",
     ),
     "rig loop": Entry(
         f"rig loop three_trials.toml --port {PORT} --rig simulated_rig.toml --budget 3 "
         "--out results/loop",
-        "The rig measures three trials; a larger budget adds trials.",
+        "In this run, the rig measures the three trials of the file. With a larger budget, the "
+        "command adds trials.",
         needs="rig",
         more="[How well the loop finds missing effects]"
         "(explanation/how_well_it_traces.md#on-a-simulated-rig) describes a complete run.",
@@ -224,7 +236,7 @@ def make_tank(work: Path) -> None:
 
 
 def make_bench(work: Path) -> None:
-    """Writes a bench by the formulas of small deflections: EI 0.042 and 0.005 N m^2."""
+    """Writes a bench from the formulas for small deflections, with EI 0.042 and 0.005 N m^2."""
     import numpy as np
 
     folder, L, tail, EI, EI_tail, K_Q = work / "bench", 0.368, 0.07, 0.042, 0.005, 4.3e-7
@@ -383,9 +395,9 @@ def render(outputs: dict[str, str]) -> str:
 
     parts = [
         "# Gallery",
-        "One run of each command, with settings that are small enough for a laptop. "
-        "`docs/generate/gallery.py` makes this page. The [command-line "
-        "reference](reference/command_line.md) explains all options.",
+        "This page shows one run of each command. The settings are small enough for a laptop. The "
+        "[command-line reference](reference/command_line.md) explains all options. "
+        "`docs/generate/gallery.py` writes this page.",
     ]
     for name, entry in ENTRIES.items():
         help_line = COMMANDS[name].help
