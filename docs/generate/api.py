@@ -1,4 +1,4 @@
-"""Pages of the API reference: one for each folder of the three packages, from the docstrings."""
+"""Generates the API reference from the docstrings: one page for each folder of the packages."""
 
 import ast
 from pathlib import Path
@@ -9,7 +9,7 @@ FOLDER = "reference/api"
 
 
 def modules() -> dict[str, list[str]]:
-    """Returns the public modules of each folder, by the folder's dotted name."""
+    """Returns a dictionary from the dotted name of each folder to the folder's public modules."""
     found: dict[str, list[str]] = {}
     for package in PACKAGES:
         for path in sorted((ROOT / package).rglob("*.py")):
@@ -42,7 +42,7 @@ def _page(folder: str, members: list[str]) -> str:
 
 
 def pages() -> dict[str, str]:
-    """Returns the pages of the API reference, by path."""
+    """Returns a dictionary from the path of each page of the API reference to its text."""
     return {page_name(folder): _page(folder, members) for folder, members in modules().items()}
 
 

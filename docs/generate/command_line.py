@@ -1,4 +1,4 @@
-"""Page of the command-line reference: the help text of each command of the command table."""
+"""Generates the page of the command-line reference from the help text of each command."""
 
 import io
 import os
@@ -10,7 +10,7 @@ from slider_jax.cli.parse import call_of
 
 PAGE = "reference/command_line.md"
 WIDTH = 88
-"""Columns of the help texts: about as many as fit beside the site's two side bars."""
+"""Width of the help texts in characters; about as many fit beside the site's two side bars."""
 
 
 def help_text(name: str) -> str:
@@ -34,13 +34,14 @@ def help_text(name: str) -> str:
 
 
 def pages() -> dict[str, str]:
-    """Returns the page of the command-line reference, by path."""
+    """Returns a dictionary from the path of the command-line page to its text."""
     lines = [
         "# Command line",
         "",
         "`slider COMMAND --help` prints the text that this page shows for each command. A command",
-        "exits with code 0 if it succeeded, 2 for invalid input or a failed solution, and 130 if",
-        "it was interrupted. The [gallery](../gallery.md) shows a run of each command.",
+        "exits with code 0 if it succeeded, with code 2 if the input is invalid or a solution",
+        "failed, and with code 130 if it was interrupted. The [gallery](../gallery.md) shows a run",
+        "of each command.",
     ]
     for name in sorted(COMMANDS):
         lines += ["", f"## slider {name}", "", "```text", help_text(name), "```"]

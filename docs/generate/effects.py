@@ -1,4 +1,4 @@
-"""Page of the effects library: name, equation, source, parameters and prior ranges."""
+"""Generates the page of the effects library from the classes of the effects."""
 
 import inspect
 
@@ -26,13 +26,14 @@ def _effect(name: str) -> list[str]:
 
 
 def pages() -> dict[str, str]:
-    """Returns the page of the effects library, by path."""
+    """Returns a dictionary from the path of the effects page to its text."""
     lines = [
         "# Effects library",
         "",
-        f"The library has {len(LIBRARY)} effects. `slider effects` lists them, and `slider effects",
-        "NAME --out DIR` draws what one changes on each sensor. A table in an experiment or model",
-        "file adds an effect to the model:",
+        f"The library has {len(LIBRARY)} effects. `slider effects` lists all effects.",
+        "`slider effects NAME --out DIR` draws the change that the effect NAME causes in the",
+        "readings of each sensor. A table in an experiment or model file adds an effect to the",
+        "model:",
         "",
         "```toml",
         "[[effects]]",
@@ -40,9 +41,9 @@ def pages() -> dict[str, str]:
         "delay = 0.02",
         "```",
         "",
-        "At its null value a parameter removes the effect. The prior range is the range that",
-        "calibration searches. [Adding an effect](../how-to/adding_an_effect.md) explains how to",
-        "write another one.",
+        "If a parameter has its null value, the effect vanishes. The prior range is the range in",
+        "which calibration searches the parameter. [Adding an",
+        "effect](../how-to/adding_an_effect.md) explains how to write a new effect.",
         "",
     ]
     for place in PLACES:

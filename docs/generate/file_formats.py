@@ -1,4 +1,4 @@
-"""Page of the file formats: every key of the TOML files from the schemas, and the CSV columns."""
+"""Generates the page of the file formats: the keys of the TOML files, and the CSV columns."""
 
 import tomllib
 from pathlib import Path
@@ -19,18 +19,18 @@ KEYS = Path(__file__).with_name("file_keys.toml")
 FILES: dict[str, tuple[type[BaseModel], str]] = {
     "Experiment file": (
         ExperimentTable,
-        "Describes a robot and its trials. [experiment.toml](../experiment.toml) is a complete "
-        "example. Most commands read it.",
+        "An experiment file describes a robot and its trials. Most commands read this file. "
+        "[experiment.toml](../experiment.toml) is a complete example.",
     ),
     "Bench file": (
         StaticsTable,
-        "Describes bench measurements in air, for `slider calibrate statics`. "
+        "A bench file describes bench measurements in air, for `slider calibrate statics`. "
         "[bench.toml](../bench.toml) is a complete example.",
     ),
     "Rig file": (
         RigTable,
-        "Describes the lab's hardware, for `slider rig`. [The rig](../how-to/rig.md#the-rig-file) "
-        "has a complete example.",
+        "A rig file describes the hardware of the lab, for `slider rig`. [The "
+        "rig](../how-to/rig.md#the-rig-file) has a complete example.",
     ),
 }
 """Heading, schema and purpose of each TOML file."""
@@ -124,38 +124,41 @@ def _csv() -> list[str]:
     lines = [
         "## Measured trial",
         "",
-        "A CSV file beside the experiment file, named by the trial's key `file`: one line with the",
-        "column names, then one line for each sample. Only the time is required. A blank cell is a",
-        "missing sample. `slider simulate` writes files of the same format.",
+        "A measured trial is a CSV file in the folder of the experiment file. The trial's key",
+        "`file` gives its name. The first line contains the column names, and each further line",
+        "contains one sample. Only the column of the time is required. A blank cell is a missing",
+        "sample. `slider simulate` writes files of the same format.",
         "",
         "| column | unit | content |",
         "|---|---|---|",
-        f"| `{TIME}` | s | time since the set pressure began, from rest |",
+        f"| `{TIME}` | s | time since the start of the drive; the robot starts from rest |",
     ]
     lines += [f"| `{x.column}` | {x.unit} | {x.label} |" for x in CHANNELS.values()]
     return [
         *lines,
         "",
         "A pressure is the difference between the two sides of a chamber, with the sign of the set",
-        "pressure. Thrust is the force of the robot on its clamp, positive head first. Recoil is",
-        "the lateral force, positive to the robot's left. The tip's displacement is measured from",
-        "the straight robot, positive to the left.",
+        "pressure. Thrust is the axial force of the robot on its clamp, positive towards the head.",
+        "Recoil is the lateral force of the robot on its clamp, positive to the robot's left. The",
+        "displacement of the tip is measured from the straight robot, positive to the left.",
         "",
         "## Played drive",
         "",
         "`NAME.played.csv` beside `NAME.csv` records the set pressures that the valves followed.",
-        "`slider rig run` writes this file. If the file exists, it replaces the trial's waveform.",
+        "`slider rig run` writes this file. If the file exists, its set pressures replace the",
+        "waveform of the trial.",
         "",
         "| column | unit | content |",
         "|---|---|---|",
-        "| `t_s` | s | time from which the row's pressures apply; the last row ends the trial |",
+        "| `t_s` | s | time from which this row applies; the last row is the end of the trial |",
         "| `set_front_Pa` | Pa | set pressure of the front chamber |",
         "| `set_rear_Pa` | Pa | set pressure of the rear chamber |",
         "",
         "## Recorded drive",
         "",
-        "The CSV file named by the trial's key `drive_file`, with evenly spaced samples of `t_s`,",
-        "`p_front_Pa` and `p_rear_Pa` that cover the trial.",
+        "The trial's key `drive_file` gives the name of this CSV file. It has the columns `t_s`,",
+        "`p_front_Pa` and `p_rear_Pa`, with evenly spaced samples for the whole duration of the",
+        "trial.",
     ]
 
 
@@ -165,9 +168,10 @@ def pages() -> dict[str, str]:
     lines = [
         "# File formats",
         "",
-        "All files use SI units. A number outside its range, an unknown key or a damaged file is",
-        "refused with one line that names the file, the key and the allowed values. The ranges",
-        "detect wrong units, for example millimetres or kilopascals.",
+        "All files use SI units. If a number is outside its range, a key is unknown or a file is",
+        "damaged, the command stops with one line that names the file, the key and the allowed",
+        "values. The ranges detect wrong units, for example millimetres or kilopascals. In the",
+        "tables, a default of `none` means that the key is optional and has no value.",
     ]
     for heading, (schema, purpose) in FILES.items():
         lines += ["", f"## {heading}", "", purpose]
@@ -182,10 +186,11 @@ def pages() -> dict[str, str]:
         "",
         "## Model file",
         "",
-        "A TOML file for the option `--model`. It overrides an experiment file. The calibration",
-        "commands write one. It may hold `name`, any keys of `[robot]` and `[parameters]`, and",
-        "`[[effects]]` tables, which are added to the experiment's. `C_d` and `m_a` in a model",
-        "file replace `force_coefficients`, and the reverse.",
+        "A model file is a TOML file for the option `--model`. Its values override those of the",
+        "experiment file. The calibration commands write model files. A model file may contain",
+        "`name`, any keys of `[robot]` and `[parameters]`, and `[[effects]]` tables. The effects",
+        "are added to the effects of the experiment file. `C_d` and `m_a` in a model file replace",
+        "`force_coefficients` of the experiment file, and the reverse.",
         "",
         *_csv(),
     ]

@@ -37,4 +37,4 @@ def on_post_build(config: Any) -> None:
     ]
     missing = [name for name in names if name not in known]
     if missing:
-        raise PluginError(f"the API reference lacks {', '.join(missing)}")
+        raise PluginError(f"these names have no entry in the API reference: {', '.join(missing)}")

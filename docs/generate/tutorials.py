@@ -1,8 +1,8 @@
-"""Write the tutorials: the notebooks with their output and pictures, as pages in docs/tutorials/.
+"""Writes the tutorials: the notebooks with their output and pictures, as pages in docs/tutorials/.
 
     python docs/generate/tutorials.py [NAME ...]    # runs the notebooks whose code changed
     python docs/generate/tutorials.py --check       # lists the pages that are out of date
-    python docs/generate/tutorials.py --keep-output # after a change that no output shows
+    python docs/generate/tutorials.py --keep-output # keeps the output although the code changed
 
 A page keeps a hash of its notebook's code. If only the text of a notebook changed, the page gets
 the new text and keeps its output.
@@ -22,7 +22,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parents[2]
 PAGES, PICTURES = ROOT / "docs" / "tutorials", ROOT / "docs" / "img" / "tutorials"
 LARGEST_PICTURE = 100_000
-"""Bytes of a picture, so that the repository stays small."""
+"""Largest size of a picture file in bytes, so that the repository stays small."""
 DPI = 80
 
 
@@ -66,9 +66,10 @@ def _stamp(notebook: Path) -> str:
 
 
 def kept_outputs(notebook: Path, any_code: bool = False) -> dict[int, str] | None:
-    """Returns the outputs in a notebook's page by cell.
+    """Returns the outputs in a notebook's page, by the number of the cell.
 
-    Without `any_code`, return None if the outputs are of other code.
+    Returns None if the page does not exist. Without `any_code`, also returns None if the notebook's
+    code has changed since the outputs were written.
     """
     path = page_of(notebook)
     page = path.read_text(encoding="utf-8") if path.exists() else ""
@@ -117,7 +118,7 @@ def execute(notebook: Path) -> dict[int, str]:
             path = PICTURES / f"{notebook.stem}_{len(pictures) + 1}.png"
             plt.figure(number).savefig(path, dpi=DPI, pil_kwargs={"optimize": True})
             if path.stat().st_size > LARGEST_PICTURE:
-                raise SystemExit(f"{path}: has over {LARGEST_PICTURE} bytes; draw less in it")
+                raise SystemExit(f"{path}: over {LARGEST_PICTURE} bytes; draw a simpler picture")
             pictures.append(path)
         plt.close("all")
 
@@ -145,10 +146,10 @@ def execute(notebook: Path) -> dict[int, str]:
 
 
 def main() -> int:
-    """Entry point: 0, or 1 if `--check` finds a page that is out of date."""
+    """Runs the script; returns 1 if `--check` finds a page that is out of date, or else 0."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("names", nargs="*", help="names of notebooks to run (default: if changed)")
-    parser.add_argument("--check", action="store_true", help="only list the pages out of date")
+    parser.add_argument("names", nargs="*", help="notebooks to run (default: those that changed)")
+    parser.add_argument("--check", action="store_true", help="only list outdated pages")
     parser.add_argument(
         "--keep-output", action="store_true", help="keep the output although the code changed"
     )
