@@ -1,4 +1,4 @@
-"""The error that a user of the rig can meet: one message that says what to do next."""
+"""The rig's error, whose message says what is wrong and what to do next."""
 
 
 class RigError(Exception):
@@ -6,6 +6,6 @@ class RigError(Exception):
 
     @classmethod
     def value(cls, where: str, given: object, allowed: str, advice: str = "") -> "RigError":
-        """Returns the error for one bad value. `where` names a field, an option or a device."""
+        """Returns the error for one invalid value. `where` names a field, an option or a device."""
         message = f"{where}: given {given}; allowed {allowed}"
         return cls(f"{message}; {advice}" if advice else message)

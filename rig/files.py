@@ -1,4 +1,4 @@
-"""Atomic writing of the files beside a recording."""
+"""Writes the files beside a recording atomically: a file is complete or does not exist."""
 
 import json
 import math
@@ -12,7 +12,7 @@ import numpy as np
 
 
 def save_text(path: Path, text: str) -> None:
-    """Writes `text` to a temporary file beside `path`, then rename it: no file is half-written."""
+    """Writes `text` to a temporary file beside `path`, then renames that file to `path`."""
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=".tmp-", suffix=path.suffix)
     try:
         with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:

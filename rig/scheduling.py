@@ -1,23 +1,23 @@
-"""Thread priorities on a busy computer, where the operating system allows them."""
+"""Sets thread priorities for a busy computer, if the operating system allows them."""
 
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 STREAM_PRIORITY, RECORDER_PRIORITY = 2, 1
-"""The threads that command and read go before the recorder; both go before ordinary programs."""
+"""Real-time priorities of threads that command and read, and of the recorder; larger runs first."""
 NICE = -10
-"""With this niceness a program gets nine tenths of a core that an ordinary program also wants."""
+"""A program with this niceness gets 90 % of a core that it shares with an ordinary program."""
 
 
 @contextmanager
 def real_time_priority(level: int = STREAM_PRIORITY) -> Iterator[str]:
-    """Runs this thread, and the threads it starts in the block, before all ordinary ones.
+    """Gives this thread, and threads it starts in the block, priority over ordinary threads.
 
-    A stream of 500 readings and 200 commands a second needs little processor time, but needs it at
-    once: a manifold vents after 0.1 s without a command. On Linux, the `rtprio` limit of
+    A stream of 500 readings and 200 commands per second needs little processor time, but without
+    delay: the manifold vents after 0.1 s without a command. On Linux, the `rtprio` limit of
     /etc/security/limits.conf grants the permission. `level` is `STREAM_PRIORITY` or
-    `RECORDER_PRIORITY`. Yields "real time", or "ordinary" if the system does not allow it.
+    `RECORDER_PRIORITY`. Yields "real time", or "ordinary" if the system refuses the priority.
     """
     if not hasattr(os, "sched_setscheduler"):
         yield "ordinary"
@@ -37,11 +37,11 @@ def share_priority_with_all_threads() -> None:
 
 
 def raise_priority() -> None:
-    """Lowers the niceness of this program's threads, and of those they start, if allowed.
+    """Lowers the niceness of this program's threads, and of threads they start, if allowed.
 
-    This is for programs that compute much. With real-time priority such a program kept the
-    system's own threads waiting. Those are ordinary threads that carry a port's bytes, and the
-    readings stopped. On Linux, the `nice` limit of /etc/security/limits.conf grants the permission.
+    Use this function in a program that computes much. With real-time priority, such a program
+    delayed the system's ordinary threads, which transfer a port's bytes, and the readings stopped.
+    On Linux, the `nice` limit of /etc/security/limits.conf grants the permission.
     """
     if not hasattr(os, "setpriority"):
         return
@@ -52,10 +52,10 @@ def raise_priority() -> None:
 
 @contextmanager
 def ordinary_priority() -> Iterator[bool]:
-    """Starts programs in the block without `real_time_priority`. Yields whether this thread has it.
+    """Removes this thread's real-time priority in the block. Yields whether the thread had one.
 
-    A starting program computes for some tenths of a second. With real-time priority it could keep
-    all other programs waiting for 0.1 s.
+    Start other programs in this block. A program computes for some tenths of a second when it
+    starts. With real-time priority, the new program could delay all other programs by 0.1 s.
     """
     if not hasattr(os, "sched_setscheduler") or os.sched_getscheduler(0) == os.SCHED_OTHER:
         yield False

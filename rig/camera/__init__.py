@@ -1,1 +1,2 @@
-"""Marker positions in metres from camera frames. May import `recording` and `protocol`."""
+"""Marker positions in metres from camera frames.
+This package may import `recording` and `protocol`."""

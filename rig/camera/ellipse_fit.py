@@ -6,11 +6,14 @@ import numpy as np
 
 MAX_STEPS = 40
 SOFTEST, SHARPEST = 1.5, 60.0
-"""Bounds of the edge's sharpness k; beyond them the image hardly changes with k."""
+"""Bounds of the edge's sharpness k. Outside these bounds the image hardly changes with k."""
 
 
 class SoftEllipse(NamedTuple):
-    """m(p) = b + A / (1 + exp(k (|u| - 1))), u = S (p - c), S upper triangular [1/px]."""
+    """Marker with a soft edge: m(p) = b + A / (1 + exp(k (|u| - 1))) at pixel p, u = S (p - c).
+
+    c = (x, y) [px] is the centre, A the amplitude, b the background. S [1/px] is upper triangular.
+    """
 
     x: float
     y: float
@@ -23,17 +26,17 @@ class SoftEllipse(NamedTuple):
 
     @property
     def mass(self) -> float:
-        """Integral of m - b over the plane; motion blur does not change it."""
+        """Integral of m - b over the image plane [px^2], which motion blur does not change."""
         return self.amplitude * np.pi * (1 + np.pi**2 / (3 * self.k**2)) / (self.s_xx * self.s_yy)
 
     def inside(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Returns where |u| < 1."""
+        """Returns True for each pixel inside the ellipse, where |u| < 1."""
         dx, dy = x - self.x, y - self.y
         return np.hypot(self.s_xx * dx + self.s_xy * dy, self.s_yy * dy) < 1
 
 
 def initial_ellipse(center: np.ndarray, covariance: np.ndarray, mass: float) -> SoftEllipse:
-    """Returns the ellipse with these moments, the start of the fit."""
+    """Returns the ellipse with the given moments, which is the initial estimate of the fit."""
     inverse = np.linalg.inv(4 * covariance)  # a uniform ellipse ends where p' C^-1 p = 4
     s_xx = np.sqrt(inverse[0, 0])
     s_xy = inverse[0, 1] / s_xx
@@ -43,7 +46,7 @@ def initial_ellipse(center: np.ndarray, covariance: np.ndarray, mass: float) -> 
 
 
 def ellipse_model(q: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns m (n,) at pixels (n,) and its derivatives (n, 8) by the parameters q (8,)."""
+    """Returns m (n,) at pixels (n,), and the derivatives (n, 8) of m with respect to q (8,)."""
     cx, cy, s_xx, s_xy, s_yy, k, amplitude, background = q
     dx, dy = x - cx, y - cy
     u, v = s_xx * dx + s_xy * dy, s_yy * dy
@@ -64,7 +67,7 @@ def fit_ellipse(
 ) -> tuple[SoftEllipse, float] | None:
     """Fits an ellipse to `values` (n,) at the visible pixels by the Levenberg-Marquardt method.
 
-    Returns the ellipse and the standard error of its centre [px], or None without convergence.
+    Returns the ellipse and the centre's standard error [px], or None if the fit does not converge.
     """
     q, damping = np.array(start), 1e-3
     found, slopes = ellipse_model(q, x, y)

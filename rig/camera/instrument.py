@@ -1,4 +1,4 @@
-"""Camera as an instrument of a trial: it finds, tracks and records the robot's markers."""
+"""Camera that finds, tracks and records the robot's markers during a trial."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -17,28 +17,28 @@ from rig.recording.reader import RecordedStream
 from rig.recording.table import SampledColumns, StreamReader
 
 REST_FRAMES = 20
-"""Number of frames in which all markers must be found at once while the robot is at rest."""
+"""Number of frames at rest, of which at least one must show all markers."""
 MIN_SEEN = 0.8
-"""Share of the frames in which the tip must be found."""
+"""If the tip is found in a smaller fraction of the frames, the reader adds a finding."""
 
 
 @dataclass(frozen=True)
 class MarkerLayout:
-    """Layout of the markers at rest: their number, and the position of the head in the image."""
+    """Number of markers, and position of the head in the image, for the robot at rest."""
 
     markers: int
     head: tuple[float, float]
-    """A point beyond the head's marker [px]."""
+    """Position in the image of a point beyond the head's marker [px]."""
     gate: float | None = None
-    """Largest motion of a marker between frames [px]; default: just below half of the smallest
-    distance between two markers, so that markers cannot be confused."""
+    """Largest motion of a marker between frames [px]. The default is just below half of the
+    smallest distance between two markers, so that markers cannot be confused."""
     criteria: MarkerCriteria = MarkerCriteria()
 
 
 class MarkerCamera:
     """An instrument (`start`, `stop`, `check`) that records the marker positions in every frame.
 
-    `open_source` opens the camera again for every trial. Raises `RigError` if that fails.
+    `open_source` opens the camera for each trial. Raises `RigError` if the camera does not open.
     """
 
     def __init__(self, open_source: Callable[[], Source], layout: MarkerLayout):
@@ -63,7 +63,7 @@ class MarkerCamera:
         self._thread.start()
 
     def stop(self) -> None:
-        """Stops tracking and closes the camera, if it runs."""
+        """Stops tracking and closes the camera, if the camera is open."""
         if self._camera is not None:
             self._camera.close()
         if self._thread is not None:
@@ -101,7 +101,7 @@ class MarkerCamera:
 
 
 def camera_reader(scale: Scale) -> StreamReader:
-    """Returns the reader of a camera's stream: tip_m, the tip's distance from the robot's axis."""
+    """Returns the reader that converts a camera's stream to tip_m [m], the tip's excursion."""
 
     def read(stream: RecordedStream) -> SampledColumns:
         tracks = read_records(stream.pieces())
@@ -111,7 +111,7 @@ def camera_reader(scale: Scale) -> StreamReader:
         tip = tip_excursion(tracks.xy, scale.along(rest))
         seen = float(np.isfinite(tip).mean()) if len(tip) else 0.0
         findings = []
-        # Frames before the first record were used to find the markers.
+        # Frames before the first record are not dropped: they were used to find the markers.
         dropped = int(tracks.number[-1] - tracks.number[0] + 1 - len(tracks.number))
         if dropped:
             findings.append(f"{dropped} camera frames were dropped")

@@ -11,7 +11,8 @@ from rig.errors import RigError
 HEADER = struct.Struct("<IQB")
 """Header of a record: frame number, time by the source's clock [ns], number of markers."""
 POINT = np.dtype("<f4")
-"""The header is followed by x [px], y [px], quality per marker, tip first; NaN, NaN, 0 if lost."""
+"""Type of x [px], y [px] and quality, which follow the header for each marker, tip first. A lost
+marker has NaN, NaN, 0."""
 
 
 def pack_record(number: int, source_ns: int, points: np.ndarray) -> bytes:
@@ -23,19 +24,19 @@ class Tracks(NamedTuple):
     """Marker tracks as arrays; a lost marker has NaN positions and quality 0."""
 
     number: np.ndarray
-    """(frames,) frame numbers; missing numbers are dropped frames."""
+    """(frames,) frame numbers; a missing number is a dropped frame."""
     source_ns: np.ndarray
     """(frames,) times by the source's clock [ns]"""
     xy: np.ndarray
     """(frames, markers, 2) positions [px]"""
     quality: np.ndarray
-    """(frames, markers)"""
+    """(frames, markers) quality, as in `rig.camera.markers.Marker`"""
 
 
 def read_records(records: Iterable[bytes]) -> Tracks:
     """Returns the tracks in `records`.
 
-    Raises `RigError` for an incomplete record, or one with another number of markers.
+    Raises `RigError` if a record is incomplete, or if the number of markers changes.
     """
     heads: list[tuple[int, int]] = []
     points: list[np.ndarray] = []
@@ -45,7 +46,7 @@ def read_records(records: Iterable[bytes]) -> Tracks:
             raise RigError(f"camera record {i}: incomplete ({len(record)} bytes); repeat the trial")
         if points and points[0].size != 3 * markers:
             raise RigError.value(
-                f"camera record {i}", f"{markers} markers", f"{len(points[0])}, as in the first"
+                f"camera record {i}", f"{markers} markers", f"{len(points[0])}, as in record 0"
             )
         heads.append(HEADER.unpack_from(record)[:2])
         points.append(np.frombuffer(record, POINT, offset=HEADER.size).reshape(-1, 3))

@@ -1,11 +1,11 @@
 """Detection of blue markers in an image, with their centres to a fraction of a pixel.
 
-Thresholds in HSV select the blue pixels. The centre is the centroid of the coverage, the share of
-each pixel that the marker covers. The coverage is a linear function of colour: 1 on the marker and
-0 around it. Fisher's discriminant (1936) makes it insensitive to the variation of body, water and
-white light around the marker. Pixels that are saturated by glare are excluded, and a soft ellipse
-is fitted to the others. A blue region is rejected if it is cut off, too small, too long, too much
-covered, or asymmetric about its centre.
+Thresholds in HSV select the blue pixels. The centre is the centroid of the coverage, which is the
+fraction of a pixel that the marker covers. The coverage is a linear function of colour: 1 on the
+marker and 0 around the marker. Fisher's discriminant (1936) makes this function insensitive to
+variations of body, water and white light. Pixels that glare saturates are excluded, and an ellipse
+with a soft edge is fitted to the remaining pixels. A blue region is rejected if the region is cut
+off by the image's edge, too small, too long, mostly hidden by glare, or asymmetric.
 """
 
 from typing import Any, NamedTuple
@@ -18,15 +18,15 @@ from rig.errors import RigError
 MARGIN = 10
 """Margin of the image patch around a marker [px]."""
 MIN_PIXELS = 30
-"""Smallest number of pixels for the background's colour and for a fit."""
+"""Smallest number of pixels to estimate the background's colour or to fit an ellipse."""
 SMOOTH = (5, 5)
-"""Size of the moving average [px] before the covariance of the background's colour."""
+"""Window [px] of the moving average that smooths the background's colour."""
 WHITE, NOISE = 100.0, 2.0
-"""Rms of white light and sensor noise [counts] that is added to that covariance."""
+"""Rms of white light and sensor noise [counts], added to the background's colour covariance."""
 
 
 class MarkerCriteria(NamedTuple):
-    """Criteria for a marker. HSV as in OpenCV: hue in steps of two degrees, the others to 255."""
+    """Criteria for a marker. OpenCV's HSV has hue in steps of 2 deg, saturation, value to 255."""
 
     hue: tuple[int, int] = (102, 130)
     """Lowest and highest hue of a blue pixel."""
@@ -41,20 +41,20 @@ class MarkerCriteria(NamedTuple):
     aspect: float = 5.0
     """Largest ratio of the axes; motion blur lengthens a disc."""
     seen: float = 0.3
-    """Smallest share of the marker without glare."""
+    """Smallest fraction of the marker's area that is free of glare."""
     error: float = 0.3
     """Largest standard error of the centre of a marker with glare [px]."""
     quality: float = 0.8
-    """Lowest quality, as in `Marker`."""
+    """Lowest accepted `Marker.quality`."""
 
 
 class Marker(NamedTuple):
     """One marker in one image."""
 
     x: float
-    """Centre, from the centre of the first pixel to the right [px]."""
+    """Position of the centre [px], measured to the right from the centre of the first pixel."""
     y: float
-    """Centre, from the centre of the first pixel downwards [px]."""
+    """Position of the centre [px], measured downwards from the centre of the first pixel."""
     mass: float
     """Covered area [px^2], independent of motion blur."""
     quality: float
@@ -111,7 +111,7 @@ def _measure(
     glare: np.ndarray,
     criteria: MarkerCriteria,
 ) -> Marker | None:
-    """Returns the marker with the blue pixels `own` of a patch, or None if it is rejected."""
+    """Returns the marker with the blue pixels `own` of a patch, or None for a rejected marker."""
     near = _dilated(cv2, own, 2)
     free = ~glare & ~_dilated(cv2, other, 4)
     around = free & ~_dilated(cv2, own, 4)
@@ -151,9 +151,9 @@ def _dilated(cv2: Any, mask: np.ndarray, pixels: int) -> np.ndarray:
 
 
 def _coverage(cv2: Any, levels: np.ndarray, own: np.ndarray, around: np.ndarray) -> np.ndarray:
-    """Returns the marker's coverage of each pixel, from the colours of its pixels and around it.
+    """Returns the coverage of each pixel, from the colours of the marker and around the marker.
 
-    The background is smoothed because patches of colour shift a centroid more than sensor noise.
+    The background is smoothed because patches of colour shift the centroid more than noise does.
     """
     share = cv2.blur(around.astype(np.float32), SMOOTH)[around]
     background = cv2.blur(levels * around[..., None], SMOOTH)[around] / share[:, None]
@@ -192,7 +192,7 @@ def _asymmetry(
     around: np.ndarray,
     center: np.ndarray,
 ) -> float:
-    """Returns the rms difference (0 to 1) of the marker from itself turned by 180 deg."""
+    """Returns the relative rms difference (0 to 1) of coverage and coverage turned by 180 deg."""
     turn = np.array([[-1, 0, 2 * center[0]], [0, -1, 2 * center[1]]])
     size, flags = coverage.shape[::-1], cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     turned = cv2.warpAffine(coverage, turn, size, flags=flags)

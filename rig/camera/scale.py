@@ -9,7 +9,7 @@ from rig.camera.markers import import_opencv
 from rig.errors import RigError
 
 MISFIT = 0.005
-"""Largest rms deviation of a board's corners from the fitted scale, relative to its length."""
+"""Largest accepted rms misfit of a board's corners, as a fraction of the board's length."""
 
 
 class Lens(NamedTuple):
@@ -25,8 +25,8 @@ class Lens(NamedTuple):
 class Scale:
     """Mapping from pixels to metres in the plane in which the robot moves.
 
-    The x axis has the angle `angle` [rad] to the image's right, positive towards its bottom. The y
-    axis points to the left of x, seen from above. `origin` [px] is in the undistorted image.
+    `angle` [rad] is between the image's right and the x axis, positive towards the image's bottom.
+    The y axis points to the left of x, seen from above. `origin` [px] is in the undistorted image.
     """
 
     px_per_metre: float
@@ -49,8 +49,8 @@ class Scale:
     def along(self, rest: np.ndarray) -> "Scale":
         """Returns the scale with its origin at the straight robot's tip and x towards its head.
 
-        `rest` (markers, 2) [px] are the markers, tip first. The axis is the line of least squared
-        distances. y of the tip's marker is then the tip's excursion, positive to the robot's left.
+        `rest` (markers, 2) [px] are the markers, tip first. The x axis has the least squared
+        distances from the markers. The y axis points to the robot's left.
         """
         positions = undistort(rest, self.lens)
         if len(positions) < 2 or not np.isfinite(positions).all():
@@ -71,7 +71,7 @@ def undistort(px: np.ndarray, lens: Lens | None) -> np.ndarray:
     if lens is None or not px.size:
         return px
     flat = np.ascontiguousarray(px.reshape(-1, 1, 2))
-    # OpenCV cannot process NaN: the image centre replaces it for this call.
+    # OpenCV cannot process NaN, so the image centre replaces NaN in this call.
     filled = np.where(np.isnan(flat), lens.matrix[:2, 2], flat)
     straight = import_opencv().undistortPoints(filled, *lens, P=lens.matrix).reshape(px.shape)
     return np.where(np.isnan(px), np.nan, straight)
@@ -93,7 +93,7 @@ def scale_of_points(
     from_below: bool = False,
     lens: Lens | None = None,
 ) -> Scale:
-    """Returns the scale of two points [px], `distance` [m] apart; x runs from first to second."""
+    """Returns the scale from two points [px] at a `distance` [m]; x points to the second point."""
     if not (np.isfinite(distance) and distance > 0):
         raise RigError.value("camera: distance of two points", f"{distance} m", "above 0 m")
     px, metres = np.array([first, second]), np.array([[0.0, 0.0], [distance, 0.0]])
@@ -110,8 +110,8 @@ def scale_of_checkerboard(
 ) -> Scale:
     """Returns the scale from an image (height, width, 3) of a checkerboard in the robot's plane.
 
-    `corners` are the numbers of inner corners along and across, `square` [m] is a square's side. x
-    runs along the board. Raises `RigError` if the board is not found or is tilted.
+    `corners` are the numbers of inner corners along and across the board. `square` [m] is a side of
+    a square. x points along the board. Raises `RigError` if the board is not found or is tilted.
     """
     cv2 = import_opencv()
     gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
@@ -138,13 +138,13 @@ def scale_of_aruco(
 ) -> Scale:
     """Returns the scale from an image (height, width, 3) of an ArUco grid board.
 
-    `markers` are their numbers along and across, `side` and `gap` are in m. The board must be in
-    the robot's plane. Raises `RigError` if fewer than half of the markers are found, or if the
-    board is tilted.
+    `markers` are the numbers of markers along and across the board, `side` [m] is a marker's side,
+    and `gap` [m] is the distance between markers. The board must be in the robot's plane. Raises
+    `RigError` if fewer than half of the markers are found, or if the board is tilted.
     """
     aruco = import_opencv().aruco
     if not hasattr(aruco, dictionary):
-        raise RigError.value("camera: ArUco dictionary", dictionary, "OpenCV's, as DICT_4X4_50")
+        raise RigError.value("camera: ArUco dictionary", dictionary, "a name such as DICT_4X4_50")
     codes = aruco.getPredefinedDictionary(getattr(aruco, dictionary))
     board = aruco.GridBoard(markers, side, gap, codes)
     settings = aruco.DetectorParameters()
@@ -161,7 +161,7 @@ def scale_of_aruco(
 
 
 def _fit(px: np.ndarray, metres: np.ndarray, from_below: bool, lens: Lens | None) -> Scale:
-    """Fits the scale that maps `metres` (n, 2), y to the bottom, to `px` (n, 2)."""
+    """Fits the scale that maps `metres` (n, 2) to `px` (n, 2). y of `metres` points downwards."""
     straight = undistort(px, lens)
     z, w = straight @ [1, 1j], metres @ [1, 1j]
     # OpenCV may return a checkerboard's corners in mirrored order.
@@ -171,13 +171,13 @@ def _fit(px: np.ndarray, metres: np.ndarray, from_below: bool, lens: Lens | None
     (factor, origin), misfit = min(zip(fits, misfits, strict=True), key=lambda each: each[1])
     length = float(np.abs(z - z.mean()).max() * 2)
     if not length > 0:
-        raise RigError.value("camera: points of the scale", straight.tolist(), "apart in the image")
+        raise RigError.value("camera: points of the scale", straight.tolist(), "points far apart")
     if misfit > MISFIT * length:
         raise RigError.value(
             "camera: board",
-            f"its corners are {misfit:.2g} px rms from a flat, square view",
+            f"corners with an rms misfit of {misfit:.2g} px",
             f"up to {MISFIT * length:.2g} px",
-            "put it in the robot's plane, square to the camera, or give the lens distortion",
+            "put the board in the robot's plane, square to the camera, or give the lens distortion",
         )
     return Scale(
         float(abs(factor)),

@@ -1,6 +1,6 @@
-"""Numbered and timed frames of a camera or a video file, and recording of their markers.
+"""Reads numbered and timed frames from a camera or a video file, and records their markers.
 
-The source's own times determine a frame's number, so a dropped frame leaves a gap in the numbers.
+A frame's number is computed from the source's times, so a dropped frame leaves a gap.
 """
 
 import queue
@@ -19,11 +19,11 @@ from rig.errors import RigError
 from rig.recording.clock import Sink
 
 STALLED = 5.0
-"""Longest time without a frame of a live source [s]; then it counts as unplugged."""
+"""A live source counts as unplugged after this time without a frame [s]."""
 
 
 class Shot(NamedTuple):
-    """An image of a source, with its times."""
+    """An image of a source, with the image's times."""
 
     source_ns: int
     """Time by the source's clock [ns]."""
@@ -48,7 +48,7 @@ class Source(Protocol):
     name: str
     fps: float
     live: bool
-    """Whether the source is a device, which does not wait: unread images are lost."""
+    """True for a device, which loses unread images; False for a file."""
 
     def read(self) -> Shot | None:
         """Returns the next image, None at the end. Raises `RigError` if the source fails."""
@@ -60,7 +60,7 @@ class OpenCvSource:
     """A video file (a path) or a device (its index), read by OpenCV.
 
     The host time of a file's frame is the time of opening plus the frame's time in the file. `fps`
-    [Hz] is the camera's true rate, needed if the device or file does not contain it (slow motion).
+    [Hz] is the camera's true rate. Give `fps` if the source does not state it (slow motion).
     Raises `RigError` if the source cannot be opened.
     """
 
@@ -123,10 +123,10 @@ class OpenCvSource:
 
 
 class Camera:
-    """A thread that reads a source, so a slow consumer does not delay it. Use it in a `with`.
+    """A context manager whose thread reads a source, so that slow processing does not delay it.
 
-    `for frame in camera` ends with the source and raises the source's `RigError`. A frame of a live
-    source is dropped if `room` frames are waiting.
+    A loop `for frame in camera` ends when the source ends, and raises the source's `RigError`. A
+    frame of a live source is dropped if `room` frames are already waiting.
     """
 
     def __init__(self, source: Source, room: int = 32):
@@ -197,7 +197,7 @@ class Camera:
 
 
 def frames_between(before: int | None, now: int, fps: float) -> int:
-    """Returns the step of the frame number between two shots [ns]: 1 if none was dropped."""
+    """Returns the increase of the frame number between two shots [ns]; 1 without dropped frames."""
     return 1 if before is None else max(1, round((now - before) * 1e-9 * fps))
 
 
@@ -207,7 +207,7 @@ def record_markers(
     sink: Sink,
     criteria: MarkerCriteria = MarkerCriteria(),
 ) -> None:
-    """Tracks the markers until the camera's end, and calls `sink(host_ns, records)` per frame."""
+    """Tracks the markers until `camera` ends. Calls `sink(host_ns, record)` for each frame."""
     last = -1
     for frame in camera:
         points = tracker.follow(find_markers(frame.image, criteria), frame.number - last)

@@ -8,13 +8,13 @@ from rig.camera.markers import Marker
 from rig.errors import RigError
 
 MASS_RATIO = (0.6, 1.6)
-"""Allowed ratio of a marker's area to its first area: a hidden marker has less, another more."""
+"""Allowed ratio of a marker's area to the same marker's first area; outside, it counts as lost."""
 
 
 def order_at_rest(found: Sequence[Marker], count: int, head: tuple[float, float]) -> np.ndarray:
     """Returns the positions (count, 2) [px] of a straight robot's markers, tip first.
 
-    `head` [px] is a point beyond the head's end. Raises `RigError` for another number of markers.
+    `head` [px] is a point beyond the head's end. Raises `RigError` if `found` is not `count` long.
     """
     if len(found) != count or count < 1:
         raise RigError.value(
@@ -35,11 +35,11 @@ def smallest_distance(positions: np.ndarray) -> float:
 
 
 class Tracker:
-    """Tracker of markers that begin at `start` (markers, 2) [px].
+    """Follows markers from their first positions `start` (markers, 2) [px].
 
-    `gate` [px] is the largest motion of a marker between frames, less than half the smallest
-    distance between two markers. A found marker is assigned if each is the other's nearest, within
-    the gate. The gate of a lost marker grows with every frame, up to that smallest distance.
+    `gate` [px] is the largest motion of a marker between frames. It must be below half the smallest
+    distance between two markers. A found and a followed marker match if they are mutually nearest
+    within the gate. The gate of a lost marker grows with every frame up to the smallest distance.
     """
 
     def __init__(self, start: np.ndarray, gate: float):
@@ -56,9 +56,9 @@ class Tracker:
         self._mass = np.full(len(self._last), np.nan)
 
     def follow(self, found: Sequence[Marker], passed: int = 1) -> np.ndarray:
-        """Returns x, y [px] and quality (markers, 3) in a frame, `passed` frames after the last.
+        """Returns x [px], y [px] and quality (markers, 3); NaN, NaN, 0 for a lost marker.
 
-        A lost marker has NaN, NaN, 0.
+        `passed` is the number of frames since the previous call.
         """
         self._unseen += passed
         points = np.tile([np.nan, np.nan, 0.0], (len(self._last), 1))

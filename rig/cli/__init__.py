@@ -1,1 +1,1 @@
-"""The rig's commands. May import every room; only the table of commands refers to them."""
+"""The rig's commands. They may import all packages; only the table of commands refers to them."""

@@ -19,11 +19,11 @@ def rig_check(
         Path | None, tyro.conf.arg(metavar="CHECK.json", help_behavior_hint="(default: no file)")
     ] = None,
 ) -> int:
-    """Checks the manifold's rate, losses, answer times and noise, and the pressure of each chamber.
+    """Checks the manifold's readings, answer times and noise, and the pressure of each chamber.
 
-    First, the force sensor of the rig file is checked for 1 s. Then each chamber alone is set to
-    the test pressure for 1.5 s. All chambers vent at the end. The exit code is 1 if there is a
-    finding.
+    First, the command checks the force sensor of the rig file for 1 s. Then it sets one chamber
+    after another to the test pressure for 1.5 s. All chambers vent at the end. The exit code is 1
+    if there is a finding.
 
     Args:
         port: serial port of the manifold; `slider rig ports` lists all.
@@ -44,7 +44,7 @@ def rig_check(
 
     if not pressure >= 1e3:
         raise InputError.value(
-            "--pressure", f"{pressure:g}", "1000 Pa or more", "pascal, not kPa or psi"
+            "--pressure", f"{pressure:g}", "1000 Pa or more", "give pascal, not kPa or psi"
         )
     if out is not None:
         if out.is_dir():
@@ -77,21 +77,21 @@ def rig_check(
     assert ident is not None
     trip = 1e3 * found.round_trip
     print(f"firmware {ident.major}.{ident.minor}.{ident.patch}, protocol {ident.protocol}")
-    print(f"{found.rate:.0f} readings a second, {found.lost} lost, {found.damaged} frames damaged")
+    print(f"{found.rate:.0f} readings/s, {found.lost} lost; {found.damaged} damaged frames")
     if len(trip):
         median = sorted(trip)[len(trip) // 2]
-        print(f"a command is answered after {median:.1f} ms (median), {trip.max():.1f} ms at most")
+        print(f"answer time to a command: median {median:.1f} ms, maximum {trip.max():.1f} ms")
     for name, offset, noise in zip(CHANNELS, found.offset, found.noise, strict=True):
         print(f"{name:<20} at rest {offset:10.1f}, noise {noise:8.2f}")
     for x in found.held:
         print(
-            f"{x.name:<12} {1e-3 * x.reached:7.2f} of {1e-3 * x.asked:g} kPa, 63 % after "
-            f"{1e3 * x.rise:.0f} ms"
+            f"{x.name:<12} reached {1e-3 * x.reached:7.2f} of {1e-3 * x.asked:g} kPa, "
+            f"63 % of it after {1e3 * x.rise:.0f} ms"
         )
     findings, content = list(found.findings), found._asdict()
     content["held"] = [x._asdict() for x in found.held]
     if forces is not None:
-        print(f"force sensor: {forces.rate:.0f} records a second, {forces.lost} lost")
+        print(f"force sensor: {forces.rate:.0f} records/s, {forces.lost} lost")
         for i, name in enumerate(("thrust_N", "recoil_N")):
             print(f"{name:<20} at rest {forces.offset[i]:10.4f}, noise {forces.noise[i]:8.4f}")
         findings += forces.findings

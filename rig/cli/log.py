@@ -12,11 +12,11 @@ from slider_jax.errors import InputError
 
 
 def rig_log(frequencies: tyro.conf.Positional[Frequencies], port: Port, out: Folder) -> None:
-    """Runs the sine test of the published Teensy firmware at each frequency, and records its logs.
+    """Runs the sine test of the published Teensy firmware at each frequency, and records the logs.
 
-    This firmware has no stop and no watchdog: only the supply's valve ends a test that has begun.
-    DIR/<frequency>.txt is the firmware's unchanged output, for `slider calibrate manifold` and
-    `slider close-loop`. The output of an interrupted test is in DIR/<frequency>.unfinished.
+    This firmware has no stop command and no watchdog. To end a running test, close the supply valve
+    by hand. DIR/<frequency>.txt is the firmware's unchanged output, for `slider calibrate manifold`
+    and `slider close-loop`. The output of an interrupted test is in DIR/<frequency>.unfinished.
     Existing logs are not recorded again.
 
     Args:
@@ -35,7 +35,7 @@ def rig_log(frequencies: tyro.conf.Positional[Frequencies], port: Port, out: Fol
         if not low <= frequency <= high:
             raise InputError.value("frequencies", f"{frequency:g}", f"{low:g} to {high:g} Hz")
     folder = output_folder(out)
-    print("this firmware has no stop: keep a hand on the supply's valve", file=sys.stderr)
+    print("this firmware has no stop command: be ready to close the supply valve", file=sys.stderr)
     for frequency in frequencies:
         path = folder / f"{frequency:g}.txt"
         if path.exists():
@@ -43,7 +43,7 @@ def rig_log(frequencies: tyro.conf.Positional[Frequencies], port: Port, out: Fol
             continue
         print(f"{frequency:g} Hz ...", file=sys.stderr, flush=True)
         begun = path.with_suffix(".unfinished")
-        # Unbuffered, so that all received bytes are on disk if the program is killed.
+        # The file is unbuffered, so that all received bytes are kept if the program is killed.
         with begun.open("wb", buffering=0) as file:
             outcome = PublishedManifold(open_port(port)).run_test(
                 frequency, sink=partial(_keep, file)

@@ -32,10 +32,10 @@ def rig_loop(
 ) -> None:
     """Measures trials, searches for missing effects, and adds the most informative trial.
 
-    This repeats until the equivalence class is final or the budget is used. DIR/measured becomes
-    the experiment's folder with all trials. DIR/round_NN.json is the result of each round;
-    report.html, report.json and model.toml are the result of the last one. An interrupted loop
-    resumes when you repeat the command. During computations the chambers are vented.
+    The command repeats these steps until the equivalence class is final or the budget is used.
+    DIR/measured becomes the experiment's folder with all trials. DIR/round_NN.json contains the
+    result of a round; report.html, report.json and model.toml contain the result of the last round.
+    An interrupted loop resumes when you repeat the command. Chambers vent during computations.
 
     Args:
         experiment: experiment file with three or more trials, which are run first.
@@ -68,7 +68,10 @@ def rig_loop(
             f"{experiment}: trials", len(given.trials), f"{DEFAULT_SETTINGS.min_trials} or more"
         )
     if any(trial.clamp_moves or trial.tow_speed for trial in given.trials):
-        raise InputError(f"{experiment}: a clamp moves; allowed trials with a fixed clamp")
+        raise InputError(
+            f"{experiment}: a trial's clamp moves or is towed; allowed are fixed clamps; remove "
+            "this trial"
+        )
     allowed = {"frequency": frequency, "amplitude": amplitude, "phase": phase}
     allowed["tow_speed"] = (0.0, 0.0)
 
@@ -88,7 +91,7 @@ def rig_loop(
     install_experiment(experiment, folder)
 
     def capture(trials: tuple[Trial, ...]) -> None:
-        # Opened for each round, so that between rounds the manifold is vented and its port free.
+        # The rig is opened for each round: between rounds it is vented and the port is free.
         with open_rig(port, settings) as machine:
             planned = [planned_trial(trial, path) for trial in trials]
             live = StatusLine(machine, len(planned))

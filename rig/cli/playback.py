@@ -35,7 +35,7 @@ class DrivePlayer:
         self.stream = LiveStream(analogue, settings.force is not None)
         self._stop, self._begun = threading.Event(), threading.Event()
         self.lost = 0
-        """Number of the manifold's lost readings."""
+        """Number of lost readings of the manifold."""
         self._force: ForceSource | None = None
         self._thread = threading.Thread(target=self._play, name="player", daemon=True)
 
@@ -60,7 +60,7 @@ class DrivePlayer:
         self._end_after(error)
 
     def _end_after(self, error: BaseException | None) -> None:
-        """Ends the thread, which vents. A failure is raised, or noted on an earlier `error`."""
+        """Ends the thread, which vents. Raises the thread's failure, or adds it to `error`."""
         self._stop.set()
         if self._thread.ident is not None:
             self._thread.join()
@@ -108,7 +108,7 @@ class DrivePlayer:
 
 
 class _Ended(Exception):
-    """The context ended before the drive."""
+    """The block of the context manager ended before the drive did."""
 
 
 @contextmanager

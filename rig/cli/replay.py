@@ -1,4 +1,4 @@
-"""`slider rig replay`: converts recordings to CSV again, or plays one back on a port."""
+"""`slider rig replay`: converts recordings to CSV again, or plays one recording back on a port."""
 
 import sys
 from pathlib import Path
@@ -25,20 +25,20 @@ def rig_replay(
     rig: RigFile = None,
     speed: Value = 1.0,
 ) -> int:
-    """Converts a run's recordings to CSV files again, or play one recording back on a port.
+    """Converts a run's recordings to CSV files again, or plays one recording back on a port.
 
-    For an experiment's folder of `slider rig run`, the command converts every recording to CSV
-    files in --out, also that of a killed run. With --rig, it uses other axes or analogue sensors
-    than during the run. For a single recording, it sends the manifold's recorded bytes to a
-    pseudo-terminal at the recorded times, from when a program opens the port. The exit code is 1
-    if a recording could not be read.
+    Give an output folder of `slider rig run` to convert all recordings in it, also those of a
+    killed run, to CSV files in --out. --rig replaces the sensors and axes that the run used. Give a
+    single recording to play it back on a pseudo-terminal. When a program opens that port, the
+    command sends the manifold's recorded bytes at the recorded times. The exit code is 1 if a
+    recording could not be read.
 
     Args:
         recording: an experiment's folder, or one recording (.h5).
         out: folder for the converted trials, required for an experiment's folder; created if
             missing. Existing files are replaced.
-        rig: TOML file of the rig, whose sensors replace the recorded ones. If the file lacks the
-            force sensor's counts, the recorded counts are used.
+        rig: TOML file of the rig, whose sensors replace the recorded sensors. If the file does not
+            contain the force sensor's counts, the recorded counts are used.
         speed: playback speed as a multiple of the recorded speed.
     """
     if recording.is_dir():
@@ -90,7 +90,7 @@ def _convert(folder: Path, out: Path, rig: Path | None) -> int:
 
 
 class _Trial(NamedTuple):
-    """A recording and the time of its drive."""
+    """A recording, and the start and duration of its drive."""
 
     recording: Recording
     begun_ns: int
@@ -103,9 +103,9 @@ class _Trial(NamedTuple):
 
 
 def _read_trial(path: Path, durations: dict[str, float]) -> _Trial:
-    """Returns the trial of a recording, also of a killed run, which wrote no record.
+    """Returns the trial of a recording, also if the run was killed before it wrote a record.
 
-    `durations` has the durations of the experiment's trials by name [s].
+    `durations` contains the duration of each trial of the experiment by name [s].
     """
     recording, record = read_recording(path), read_trial_record(path)
     if record is not None:
@@ -113,15 +113,15 @@ def _read_trial(path: Path, durations: dict[str, float]) -> _Trial:
         return _Trial(recording, record["begun_host_ns"], record["duration_s"], columns, ())
     span = drive_span(recording)
     seconds = min(span.seconds, durations.get(path.stem.split(".unfinished-")[0], span.seconds))
-    finding = f"unfinished: {seconds:.2f} s of its drive were recorded"
+    finding = f"unfinished: only {seconds:.2f} s of the drive were recorded"
     return _Trial(recording, span.begun_ns, seconds, (), (finding,))
 
 
 def _read_columns(
     trial: _Trial, given: RigTable | None, path: Path
 ) -> tuple[TrialColumns, list[str]]:
-    """Returns the columns by the `given` rig, else by the recorded rig; and a finding if columns
-    of the original run are missing."""
+    """Returns the columns for the sensors of `given`, or for the recorded sensors if it is None.
+    Also returns a finding if columns of the original run are missing."""
     stored = trial.recording.settings.get("rig", {})
     recorded = validate(RigTable, stored, f"{path}: settings")
     settings = recorded if given is None else given
@@ -133,7 +133,7 @@ def _read_columns(
             force = force.model_copy(update=counts)
         if force.counts_per_N is None:
             raise InputError(
-                f"{path}: force.counts_per_N: is missing, and a replay cannot ask the box for it; "
+                f"{path}: force.counts_per_N: is missing; a replay does not read it from the box; "
                 "give --rig with counts_per_N and counts_per_Nm"
             )
         mounting = SensorMounting(force.thrust, force.recoil)
@@ -143,7 +143,7 @@ def _read_columns(
     analogue = tuple(x.sensor() for x in settings.analogue)
     columns = trial_columns(trial.recording, trial.begun_ns, trial.seconds, readers, analogue)
     missing = [name for name in trial.columns if name not in columns.values]
-    return columns, [f"no {', '.join(missing)}: the rig file has no such sensor"] if missing else []
+    return columns, [f"no {', '.join(missing)}: not a sensor of the rig file"] if missing else []
 
 
 def _play_back(path: Path, speed: float) -> None:
@@ -156,8 +156,8 @@ def _play_back(path: Path, speed: float) -> None:
     print(f"port {terminal.path}", flush=True)
     seconds = (stream.host_ns[-1] - stream.host_ns[0]) * 1e-9 / speed if len(stream.ends) else 0.0
     print(
-        f"plays {len(stream.data)} bytes in {seconds:.1f} s when a program opens the port; Ctrl-C "
-        "ends it",
+        f"when a program opens the port, the command sends {len(stream.data)} bytes in "
+        f"{seconds:.1f} s; press Ctrl-C to stop",
         file=sys.stderr,
     )
     terminal.wait_for_host()

@@ -21,7 +21,7 @@ from slider_jax.cli.options import Folder, Pressures
 from slider_jax.errors import InputError
 
 MAX_LOST = 0.01
-"""Largest fraction of lost readings of a trial that counts as good."""
+"""Largest accepted fraction of lost readings in a trial."""
 
 
 def rig_run(
@@ -35,21 +35,21 @@ def rig_run(
     """Runs and records every trial of an experiment.
 
     All chambers vent at the end, on Ctrl-C, on an error and when the port is lost. If this program
-    or the computer stops, the manifold's watchdog vents. DIR becomes the folder of the measured
-    experiment, for `slider calibrate` and `slider close-loop`. It contains experiment.toml and the
-    trials' CSV files. If the tip's measured swing at rest exceeds the declared one, it is written
-    to experiment.toml. DIR/recordings contains all received bytes. An interrupted run resumes with
-    the missing trials when you repeat the command. The exit code is 1 if a trial lost more than 1 %
-    of its readings.
+    or the computer stops, the manifold's watchdog vents all chambers. The command writes the
+    measured experiment to DIR: experiment.toml and the trials' CSV files, for `slider calibrate`
+    and `slider close-loop`. If the tip swings at rest by more than twice the declared swing, the
+    command writes the measured swing to experiment.toml. DIR/recordings contains all received
+    bytes. An interrupted run resumes with the missing trials when you repeat the command. The exit
+    code is 1 if a trial lost more than 1 % of its readings.
 
     Args:
         experiment: experiment file; its [robot] and [parameters] are not used.
         port: serial port of the manifold; `slider rig ports` lists all.
         out: folder for the measured experiment; created if missing.
         rig: TOML file of the rig: limits, command rate, pauses and sensors.
-        limit: highest set pressure of all chambers or of each of the four, in Pa (default: the rig
-            file's, else 250e3).
-        force: host name or address of an ATI Net F/T box (default: the rig file's).
+        limit: highest set pressure, in Pa: one value for all chambers, or four values (default: the
+            limits of the rig file, or 250e3).
+        force: host name or address of an ATI Net F/T box (default: the host in the rig file).
     """
     from rig.cli.settings import load_rig
     from rig.manifold.limits import PressureLimits
@@ -57,7 +57,7 @@ def rig_run(
     from slider_jax.io.files import input_file, output_folder
 
     if out.resolve() == experiment.resolve().parent:
-        raise InputError(f"--out {out}: is the experiment's own folder; give another")
+        raise InputError(f"--out {out}: is the experiment's own folder; give another folder")
     table, trials = load_trials(experiment)
     changes: dict[str, dict[str, Any]] = {}
     if limit is not None:
@@ -73,7 +73,7 @@ def rig_run(
     recorded = {"experiment_sha256": source["sha256"], "rig": settings.model_dump(mode="json")}
     with open_rig(port, settings) as machine:
         if not machine.readers and not machine.analogue:
-            print("without --rig and sensors, only pressures are measured", file=sys.stderr)
+            print("only pressures are measured; --rig adds other sensors", file=sys.stderr)
         ident = machine.manifold.ident
         assert ident is not None
         rate = table.sensors.sample_rate
@@ -86,7 +86,7 @@ def rig_run(
         for planned in trials:
             planned.check(machine.limits.within(ident))
         folder = output_folder(out)
-        # Checked before anything is written: a finished trial with other settings is refused.
+        # Nothing is written yet: this check refuses finished trials with different settings.
         for planned in trials:
             finished_record(folder, planned, recorded)
         install_experiment(experiment, folder)
@@ -112,8 +112,8 @@ def rig_run(
         poor += record["readings_lost"] > MAX_LOST * record["readings"]
         late_ms = 1e3 * record["command_late_99_s"]
         print(
-            f"{record['trial']}.csv  {record['rows']} rows, 99 % of commands within "
-            f"{late_ms:.1f} ms: {'; '.join(findings) or 'no findings'}"
+            f"{record['trial']}.csv  {record['rows']} rows, 99 % of commands at most "
+            f"{late_ms:.1f} ms late: {'; '.join(findings) or 'no findings'}"
         )
     if poor:
         print(
@@ -122,6 +122,6 @@ def rig_run(
             file=sys.stderr,
         )
         return 1
-    print(f"experiment.toml and the trials are in {folder}; next: slider close-loop "
+    print(f"experiment.toml and the trials are in {folder}; next, run: slider close-loop "
           f"{folder / 'experiment.toml'} --out ...", file=sys.stderr)  # fmt: skip
     return 0

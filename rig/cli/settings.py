@@ -17,7 +17,7 @@ Axis = Literal["+Fx", "-Fx", "+Fy", "-Fy", "+Fz", "-Fz"]
 
 
 class ManifoldTable(Table):
-    """[manifold]: highest set pressure of all chambers or of each, command rate and pauses."""
+    """[manifold]: highest set pressures (one for all chambers, or four), command rate, pauses."""
 
     limits: Annotated[
         tuple[Pressure, ...], FROM_LIST, FROM_NUMBER, Field(min_length=1, max_length=4)
@@ -37,9 +37,9 @@ class ManifoldTable(Table):
 
 
 class ForceTable(Table):
-    """[force]: an ATI Net F/T box, and its axes of thrust and recoil.
+    """[force]: an ATI Net F/T box, and the box's axes that measure thrust and recoil.
 
-    If the counts per N and N m are missing, they are read from the box's web page.
+    If the counts per N and per N m are missing, they are read from the box's web page.
     """
 
     host: str
@@ -62,8 +62,8 @@ class ForceTable(Table):
 
 
 class CameraTable(Table):
-    """[camera]: a device's number or a video file, the number of blue markers from the tip on, and
-    the image's scale."""
+    """[camera]: the number of a device or a video file, the number of blue markers, and the image's
+    scale."""
 
     source: int | str
     markers: Annotated[int, Field(ge=2, le=50)]
@@ -75,7 +75,7 @@ class CameraTable(Table):
 
 
 class AnalogueTable(Table):
-    """[[analogue]]: a sensor on an input of the manifold; column = scale (voltage - zero)."""
+    """[[analogue]]: a sensor at an analogue input, with the value scale (voltage - zero)."""
 
     column: Literal["thrust_N", "recoil_N", "tip_m"]
     input: Literal[1, 2, 3]
@@ -107,9 +107,9 @@ class RigTable(Table):
 
 
 def load_rig(path: Path | None, changes: dict[str, Any] | None = None) -> RigTable:
-    """Returns the settings of a rig file, or the defaults, with `changes` of the command line.
+    """Returns the settings of a rig file, or the defaults if `path` is None.
 
-    `changes` has the changed keys of each table. Raises `InputError` with the file and key.
+    `changes` are keys by table, set on the command line. Raises `InputError` with file and key.
     """
     content = read_toml(path) if path is not None else {}
     if "robot" in content or "trials" in content:

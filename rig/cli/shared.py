@@ -1,4 +1,4 @@
-"""Functions that the rig's commands share, and `slider rig ports`."""
+"""`slider rig ports`, and functions that several of the rig's commands use."""
 
 import shutil
 import signal
@@ -40,11 +40,11 @@ RigFile = Annotated[
     Path | None, tyro.conf.arg(metavar="RIG.toml", help_behavior_hint="(default: none)")
 ]
 LEAST_SWING = 1e-4
-"""Smallest swing of the tip before a trial that is written to the experiment file [m]."""
+"""A smaller swing of the tip at rest is not written to the experiment file [m]."""
 
 
 def rig_ports() -> None:
-    """Lists this computer's serial ports: name, description, serial number."""
+    """Lists this computer's serial ports with name, description and serial number."""
     from rig.manifold.serial_port import serial_ports
 
     available = serial_ports()
@@ -55,13 +55,13 @@ def rig_ports() -> None:
 
 
 def load_trials(path: Path) -> tuple[ExperimentTable, list[PlannedTrial]]:
-    """Returns an experiment's tables and its trials as the rig plays them. Raises `InputError`."""
+    """Returns an experiment's tables and trials, as the rig plays them. Raises `InputError`."""
     experiment = validate(ExperimentTable, read_toml(path), str(path))
     return experiment, [planned_trial(x, path) for x in experiment.trials]
 
 
 def copy_experiment(path: Path, folder: Path) -> None:
-    """Copies an experiment file, as experiment.toml, and its recorded drives to a folder."""
+    """Copies an experiment file to experiment.toml in a folder, with the file's recorded drives."""
     table, _ = load_trials(path)
     write_bytes(folder / "experiment.toml", path.read_bytes())
     for name in {x.drive_file for x in table.trials if x.drive_file}:
@@ -69,10 +69,10 @@ def copy_experiment(path: Path, folder: Path) -> None:
 
 
 def install_experiment(path: Path, folder: Path) -> None:
-    """Copies an experiment file to a folder that may contain it from an earlier run.
+    """Copies an experiment file to a folder that may contain a copy of an earlier run.
 
     An earlier copy is kept if it differs only by added trials and the measured swing. Raises
-    `InputError` if the folder has measured trials that the file lacks.
+    `InputError` if the folder contains measured trials that are not in the file.
     """
     earlier = folder / "experiment.toml"
     if earlier.exists():
@@ -84,7 +84,7 @@ def install_experiment(path: Path, folder: Path) -> None:
         extra = [x["file"] for x in before if x["file"] not in given_files]
         if extra := [name for name in extra if (folder / name).exists()]:
             raise InputError(
-                f"{folder}: has {', '.join(extra)}, which {path} lacks; give another --out, or add "
+                f"{folder}: contains {', '.join(extra)}, not in {path}; give another --out, or add "
                 "these trials to the file"
             )
     copy_experiment(path, folder)
@@ -96,7 +96,7 @@ def _without_swing(tables: dict[str, Any]) -> dict[str, Any]:
 
 
 def declare_swing(path: Path, records: list[dict[str, Any]]) -> None:
-    """Writes the tip's swing before the trials to an experiment file, if its value is smaller."""
+    """Writes the tip's swing at rest to an experiment file that declares less than half of it."""
     swing = start_swing(records)
     declared = validate(ExperimentTable, read_toml(path), str(path)).sensors.start_swing
     if swing <= max(2.0 * declared, LEAST_SWING):
@@ -109,7 +109,7 @@ def declare_swing(path: Path, records: list[dict[str, Any]]) -> None:
 
 
 def planned_trial(trial: TrialTable, path: Path) -> PlannedTrial:
-    """Returns a trial as the rig plays it. Raises `InputError` if its drive was measured."""
+    """Returns a trial as the rig plays it. Raises `InputError` for a measured drive."""
     name = Path(trial.file).stem
     if trial.waveform != "recorded":
         return PlannedTrial(
@@ -132,16 +132,16 @@ def planned_trial(trial: TrialTable, path: Path) -> PlannedTrial:
 
 
 def warn_of_moving_clamp(trial: TrialTable) -> None:
-    """Prints a warning if a trial's clamp is towed or moves, because the rig does not move it."""
+    """Prints a warning if a trial's clamp moves or is towed, which the rig cannot do."""
     if trial.tow_speed or trial.clamp_moves:
         moves = "is towed" if trial.tow_speed else "moves"
-        print(f"{trial.file}: the clamp {moves}, but not by the rig", file=sys.stderr)
+        print(f"{trial.file}: the clamp {moves}; the rig does not do this", file=sys.stderr)
 
 
 def with_force_counts(settings: RigTable) -> RigTable:
-    """Returns the settings with the force sensor's counts, from the box's web page if missing.
+    """Returns the settings, with missing counts of the force sensor from the box's web page.
 
-    The counts are stored in recordings, so that a recording can be converted without the box.
+    A recording stores these counts, so that it can be converted without the box.
     """
     if settings.force is None:
         return settings
@@ -151,21 +151,21 @@ def with_force_counts(settings: RigTable) -> RigTable:
 
 
 def force_calibration(table: ForceTable) -> NetCalibration:
-    """Returns the calibration of the table, else of the box's web page."""
+    """Returns the calibration from the table, or from the box's web page if the table has none."""
     if table.counts_per_N is not None and table.counts_per_Nm is not None:
         return NetCalibration(table.counts_per_N, table.counts_per_Nm)
     return NetCalibration.fetch(table.host, table.page_port)
 
 
 def open_force_sensor(table: ForceTable) -> tuple[ForceSource, StreamReader]:
-    """Returns the opened force sensor and the reader of its stream."""
+    """Returns the opened force sensor and the reader of the sensor's stream."""
     calibration = force_calibration(table)
     source = NetForce(table.host, calibration, table.port)
     return source, force_reader(calibration, SensorMounting(table.thrust, table.recoil))
 
 
 def marker_camera(table: CameraTable) -> tuple[RecordedInstrument, StreamReader]:
-    """Returns the camera and the reader of its stream."""
+    """Returns the camera and the reader of the camera's stream."""
     from rig.camera.instrument import MarkerCamera, MarkerLayout, camera_reader
     from rig.camera.scale import Scale
     from rig.camera.source import OpenCvSource
@@ -178,9 +178,9 @@ def marker_camera(table: CameraTable) -> tuple[RecordedInstrument, StreamReader]
 
 @contextmanager
 def open_rig(port: str, table: RigTable) -> Iterator[Rig]:
-    """Opens the rig of a table; when the block ends, also by an error, all chambers vent.
+    """Opens the rig of a table. All chambers vent when the block ends, also after an error.
 
-    SIGTERM and SIGHUP end the block as Ctrl-C does.
+    SIGTERM and SIGHUP end the block like Ctrl-C.
     """
     from rig.manifold.serial_port import open_port
 
@@ -228,7 +228,7 @@ def signals_as_ctrl_c() -> Iterator[None]:
 
 
 def print_status(line: str) -> None:
-    """Prints a line to stderr; on a terminal it replaces the previous status line."""
+    """Prints a line to stderr. On a terminal, the line replaces the previous status line."""
     if sys.stderr.isatty():
         width = shutil.get_terminal_size().columns - 1
         print(f"\r{line[:width]:<{width}}", end="", file=sys.stderr, flush=True)
@@ -237,7 +237,7 @@ def print_status(line: str) -> None:
 
 
 class StatusLine:
-    """The progress of a run in one line of a terminal, or a line every 2 s on another stderr."""
+    """Prints a run's progress in one line of a terminal. Elsewhere, prints a line every 2 s."""
 
     def __init__(self, rig: Rig, total: int):
         self._rig, self._total, self._next = rig, total, 0.0

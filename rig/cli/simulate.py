@@ -43,8 +43,8 @@ def rig_simulate(
     """Simulates a manifold on a pseudo-terminal and a force sensor on the network until Ctrl-C.
 
     The devices use the same protocols as real ones. The command prints the port and writes a
-    matching rig file. With an experiment, it simulates the robot in water with all effects of the
-    file, in real time. Without one, the tail follows the pressures in air with a first-order lag.
+    matching rig file. With an experiment, the command simulates the robot in water with all effects
+    of the file, in real time. Otherwise, the rig is a tail in air with delayed pressures.
 
     Args:
         experiment: experiment file whose robot, water and effects are simulated (default: a tail
@@ -56,7 +56,7 @@ def rig_simulate(
         noise: standard deviation of the measured pressures, in Pa.
         force_noise: standard deviation of the measured forces, in N.
         tip_noise: standard deviation of the measured tip position, in m.
-        inject: faults with their values and start times, in s; leak_front_left=5@20 is a leak of
+        inject: faults, each with a value and a start time in s. leak_front_left=5@20 is a leak of
             5 1/s from 20 s on (default: none).
         seed: seed of the random numbers.
         published: simulate the authors' published firmware with one chamber, for `slider rig log`.
@@ -82,7 +82,7 @@ def rig_simulate(
         }  # fmt: skip
         if any(given.values()):
             found = ", ".join(name for name, x in given.items() if x)
-            raise InputError.value("--published", f"with {found}", "--noise and --seed")
+            raise InputError.value("--published", f"with {found}", "--noise and --seed only")
         _serve_published(noise, seed)
         return
     _refuse_other(rig_file)
@@ -95,7 +95,7 @@ def rig_simulate(
             inject_fault(name, value)
             print(f"{seconds:.1f} s: {name} is {value:g}", file=sys.stderr, flush=True)
 
-    # With the default interval, the manifold's and the force sensor's threads may delay each other
+    # With Python's default interval, the threads of manifold and force sensor may delay each other
     # by 5 ms.
     sys.setswitchinterval(2e-4)
     line_faults = LineFaults(
@@ -113,7 +113,7 @@ def rig_simulate(
             f"  slider rig check --port {rig.port} --rig {rig_file}\n"
             f"  slider rig run {experiment or 'docs/experiment.toml'} --port {rig.port} "
             f"--rig {rig_file} --out measured\n"
-            "Ctrl-C ends it",
+            "press Ctrl-C to stop the simulated rig",
             file=sys.stderr,
             flush=True,
         )
@@ -134,7 +134,7 @@ def _serve_published(noise: float, seed: int) -> None:
     print(
         "in another terminal, run for example:\n"
         f"  slider rig log 1 2 --port {terminal.path} --out logs\n"
-        "Ctrl-C ends it",
+        "press Ctrl-C to stop the simulated manifold",
         file=sys.stderr,
         flush=True,
     )
@@ -143,17 +143,18 @@ def _serve_published(noise: float, seed: int) -> None:
 
 
 def _refuse_other(rig_file: Path) -> None:
-    """Raises `InputError` if the file exists and is not of a simulated rig."""
+    """Raises `InputError` if the file exists and was not written by `slider rig simulate`."""
     if rig_file.is_dir() or (
         rig_file.exists() and MADE_UP not in rig_file.read_text(errors="replace")
     ):
         raise InputError(
-            f"--rig-file {rig_file}: exists, and is not of a simulated rig; give another name"
+            f"--rig-file {rig_file}: exists, and was not written by `slider rig simulate`; give "
+            "another name"
         )
 
 
 class RobotTank:
-    """A `rig.simulated.tank.Tank` of an experiment's robot, water and effects."""
+    """A `rig.simulated.tank.Tank` that simulates an experiment's robot, water and effects."""
 
     def __init__(self, plant: "Plant"):
         self._plant = plant
@@ -187,7 +188,7 @@ def _tank(experiment: Path | None, model: Path | None, faults: list[str]):
 
     if experiment is not None:
         if hasattr(os, "sched_setaffinity"):
-            # On one core, because XLA's threads double the time of so small a step.
+            # One core, because several threads of XLA double the time of such a small step.
             os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
         from slider_jax.cli.main import prepare_jax
         from slider_jax.experiment.load import load

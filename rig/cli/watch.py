@@ -39,7 +39,7 @@ STATUS_CHANNELS = (
     (2, "thrust", 1.0, "6.3f", "N"),
     (4, "tip", 1e3, "5.1f", "mm"),
 )
-"""Channels of the status line: index, name, factor, format, unit of the mean absolute value."""
+"""Channels of the status line: index and name; factor, format and unit of the mean magnitude."""
 LINE_INTERVAL = 2.0
 """Time between status lines if stderr is not a terminal [s]."""
 
@@ -53,23 +53,23 @@ def rig_watch(
     seconds: Seconds = None,
     out: MaybeFolder = None,
 ) -> int:
-    """Plays a trial's drive and runs the calibrated model beside it on the rig's readings.
+    """Plays a trial's drive, and compares the readings with the calibrated model in real time.
 
-    The command prints on-line estimates of k and K_Q, measured and modelled values, and the model's
-    delay. During the first seconds it learns a band for each channel's residual. When a residual
-    leaves its band, an alarm names possible causes: a leak, a blocked valve, a changed tail. Faults
-    present during learning raise no alarm; if the model did not fit then, a message says so. All
-    chambers vent at the end, and on an alarm if stderr is not a terminal. The exit code is 1 after
-    an alarm.
+    The command prints estimates of k (time constant of the pressure) and K_Q (moment of a chamber
+    per unit pressure), measured and modelled values, and the model's delay. During the first
+    seconds, it learns the normal band of each channel's residual. A fault of this time raises no
+    alarm, but a message reports a poor fit. When a residual later leaves its band, an alarm names
+    possible causes: a leak, a blocked valve, a changed tail. All chambers vent at the end, and on
+    an alarm if stderr is not a terminal. The exit code is 1 after an alarm.
 
     Args:
         experiment: experiment file of the robot.
         port: serial port of the manifold; `slider rig ports` lists all.
         rig: TOML file of the rig: limits, command rate and sensors.
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's, for
-            example of `slider calibrate`.
+            example from `slider calibrate`.
         trial: number of the trial whose drive is played, counted from 0.
-        seconds: duration of the drive, in s (default: the trial's).
+        seconds: duration of the drive, in s (default: the trial's duration).
         out: folder for watch.json and watch.csv, with one row per block of readings; created if
             missing. The files are also written after Ctrl-C or an error (default: no files).
     """
@@ -78,7 +78,7 @@ def rig_watch(
     warn_of_moving_clamp(chosen)
     settings = with_force_counts(load_rig(rig))
     if settings.camera is not None:
-        print("the camera is not used: its tip is available only after a trial", file=sys.stderr)
+        print("the camera is not used: it yields the tip only after a trial", file=sys.stderr)
     played = planned_trial(chosen, experiment)
     duration = played.duration if seconds is None else seconds
     if not duration > 0.0:
@@ -108,7 +108,7 @@ def rig_watch(
                 if log.alarms and not sys.stderr.isatty():
                     log.ended = "by the alarm"
                     break
-    except BaseException as error:  # the log is written also after Ctrl-C
+    except BaseException as error:  # Ctrl-C too: `finally` writes the log, which needs the reason
         log.ended = "\n".join([str(error) or "stopped", *getattr(error, "__notes__", ())])
         raise
     finally:
@@ -121,7 +121,7 @@ def rig_watch(
 
 @dataclass
 class WatchLog:
-    """Prints and stores the twin's blocks; times are since the first reading [s]."""
+    """Prints and stores the twin's blocks. Times are measured from the first reading [s]."""
 
     rows: list[dict[str, float]] = field(default_factory=list)
     alarms: list[dict[str, Any]] = field(default_factory=list)
@@ -132,7 +132,7 @@ class WatchLog:
     judged: bool = False
     """Whether the bands were learned."""
     misfits: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """`Twin.misfits`."""
+    """The value of `Twin.misfits`."""
     _printed: float = 0.0
     _on: bool = False
 
@@ -153,7 +153,7 @@ class WatchLog:
             _print_line(block, self.rows[-1], lost, new)
 
     def add_misfits(self, misfits: dict[str, tuple[float, float]]) -> None:
-        """Stores the model's misfits while the bands were learned, and prints them once."""
+        """Stores the misfits of the time when the bands were learned, and prints them once."""
         if misfits and not self.misfits:
             self.misfits = misfits
             print(f"\n{self._misfit_text()}", file=sys.stderr, flush=True)
@@ -161,12 +161,12 @@ class WatchLog:
     def _misfit_text(self) -> str:
         names = dict(zip(BUILT_IN, CHANNELS_OUT, strict=True))
         found = ", ".join(
-            f"{name} by {format_value(names[name], rms)} ({100.0 * share:.0f} % of the model's)"
+            f"{name} {format_value(names[name], rms)}, {100.0 * share:.0f} % of the modelled rms"
             for name, (rms, share) in self.misfits.items()
         )
         return (
-            f"the model did not fit while its bands were learned, {found}: faults present then "
-            "raise no alarm; run `slider rig check`, or calibrate again"
+            f"the model did not fit while the bands were learned (rms residuals: {found}); earlier "
+            "faults raise no alarm; run `slider rig check`, or calibrate again"
         )
 
     def print_summary(self) -> None:
@@ -175,9 +175,9 @@ class WatchLog:
             last, late = self.rows[-1], np.array([row["lag_s"] for row in self.rows])
             print(
                 f"k {last['k_s']:.4g} +- {last['k_deviation_s']:.2g} s, K_Q {last['K_Q_m3']:.4g} "
-                f"+- {last['K_Q_deviation_m3']:.2g} m^3; the model's blocks were "
-                f"{1e3 * np.median(late):.0f} ms late (median), 99 % of them at most "
-                f"{1e3 * np.percentile(late, 99):.0f} ms"
+                f"+- {last['K_Q_deviation_m3']:.2g} m^3; the model was "
+                f"{1e3 * np.median(late):.0f} ms late in the median, and at most "
+                f"{1e3 * np.percentile(late, 99):.0f} ms in 99 % of the blocks"
             )
         for alarm in self.alarms:
             print(f"ALARM at {alarm['t_s']:.2f} s: {alarm['said']}")
@@ -229,12 +229,12 @@ def _print_line(block: TwinBlock, row: dict[str, float], lost: int, new: bool) -
         for i, name, factor, form, unit in STATUS_CHANNELS
         if valid[i].any()
     ]
-    state = "ALARM, " if block.alarm.on else "" if block.watching else "learning its bands, "
+    state = "ALARM, " if block.alarm.on else "" if block.watching else "learning the bands, "
     line = (
         f"{row['t_s']:6.1f} s  {state}{', '.join(shown)}, k {block.k.value:.4f} s, "
         f"K_Q {block.K_Q.value:.3g} m^3, {1e3 * row['lag_s']:.0f} ms late, lost {lost}"
     )
     print_status(line)
     if new:
-        advice = "\nthe drive continues; Ctrl-C vents" if sys.stderr.isatty() else ""
+        advice = "\nthe drive continues; press Ctrl-C to vent" if sys.stderr.isatty() else ""
         print(f"\nALARM: {block.alarm.hint}{advice}", file=sys.stderr, flush=True)

@@ -1,4 +1,2 @@
 """Force sensors: an ATI Net F/T box over UDP, and strain gauges on an NI card.
-
-May import `recording` and `protocol`.
-"""
+This package may import `recording` and `protocol`."""

@@ -1,4 +1,2 @@
-"""The gantry: its motion profile, its driver, and the search for the swimming speed.
-
-May import `camera`, `force`, `manifold` and the rooms below them.
-"""
+"""The gantry's motion profile and driver, and the search for the swimming speed.
+This package may import `camera`, `force`, `manifold` and packages of lower layers."""

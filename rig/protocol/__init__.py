@@ -1,1 +1,2 @@
-"""Messages and frames of the serial protocols, without input or output. May import `errors`."""
+"""Messages and frames of the serial protocols, without input or output.
+This package may import `errors`."""

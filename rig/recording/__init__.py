@@ -1,2 +1,2 @@
-"""Writes all readings of a trial to an HDF5 file that survives a killed process, and reads it.
-May import `protocol`."""
+"""Writes and reads recordings: HDF5 files that stay readable if the writing process is killed.
+This package may import `protocol`."""

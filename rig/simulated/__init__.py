@@ -1,4 +1,2 @@
-"""Simulated rig behind real ports and sockets, with faults.
-
-May import `camera`, `force`, `manifold` and the rooms below them.
-"""
+"""A simulated rig behind real ports and sockets, with faults.
+This package may import `camera`, `force`, `manifold` and packages of lower layers."""

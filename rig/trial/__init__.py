@@ -1,2 +1,2 @@
-"""Plays a drive, records the sensors, and runs an experiment's trials. May import `camera`,
-`force`, `manifold` and the rooms below them."""
+"""Plays a drive, records the sensors, and runs an experiment's trials.
+This package may import `camera`, `force`, `manifold` and packages of lower layers."""

@@ -316,7 +316,7 @@ def test_a_checkerboard_gives_the_scale_and_its_direction(angle):
 
 
 def test_a_tilted_or_missing_board_is_refused():
-    with pytest.raises(RigError, match="corners are .* px rms from a flat, square view"):
+    with pytest.raises(RigError, match="corners with an rms misfit of .* px"):
         scale_of_checkerboard(checkerboard(tilt=0.93), (9, 6), 0.02)
     with pytest.raises(RigError, match="no checkerboard with 8 x 5"):
         scale_of_checkerboard(np.full((240, 320, 3), 128, np.uint8), (8, 5), 0.02)

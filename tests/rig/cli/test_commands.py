@@ -66,7 +66,7 @@ def test_a_check_prints_the_firmware_and_has_no_findings(rig):
     arguments = ("rig", "check", "--port", port, "--rig", rig_file, "--out", folder / "check.json")
     done = slider(*arguments)
     assert done.returncode == 0, done.stderr
-    assert re.search(r"force sensor: (99\d|100\d) records a second, 0 lost", done.stdout)
+    assert re.search(r"force sensor: (99\d|100\d) records/s, 0 lost", done.stdout)
     assert "firmware 1.1.0, protocol 1" in done.stdout and "no findings" in done.stdout
     found = json.loads((folder / "check.json").read_text())
     assert [x["name"] for x in found["held"]][0] == "front_left"
@@ -130,7 +130,7 @@ def test_a_replay_converts_the_recording_of_a_killed_run(measured, tmp_path):
     (recordings / "b.h5").write_bytes(b"torn")
     done = slider("rig", "replay", folder, "--out", out)
     assert done.returncode == 1, done.stderr
-    assert "unfinished: 1.00 s of its drive were recorded" in done.stdout
+    assert "unfinished: only 1.00 s of the drive were recorded" in done.stdout
     assert "b.h5: not converted: recording" in done.stderr and "is incomplete" in done.stderr
     before, after = (
         np.genfromtxt(path, delimiter=",", names=True)
@@ -180,7 +180,7 @@ def test_the_tips_swing_is_declared_and_the_folder_can_be_used_again(sensors, af
     assert path.read_text() == added + "duration = 1.0\n"
     given.write_text(given.read_text().replace("C_d = 2.0", "C_d = 2.1"))
     (path.parent / "b.csv").touch()
-    with pytest.raises(InputError, match=r"has b\.csv, which .*given\.toml lacks"):
+    with pytest.raises(InputError, match=r"contains b\.csv, not in .*given\.toml"):
         install_experiment(given, path.parent)
     (path.parent / "b.csv").unlink()
     install_experiment(given, path.parent)
@@ -200,7 +200,7 @@ def test_a_replay_uses_other_axes_of_a_rig_file(measured, tmp_path):
     )
     assert np.allclose(after["thrust_N"], -before["thrust_N"], atol=1e-12)
     assert np.array_equal(after["t_s"], before["t_s"]) and "tip_m" not in after.dtype.names
-    assert "no tip_m: the rig file has no such sensor" in done.stdout
+    assert "no tip_m: not a sensor of the rig file" in done.stdout
 
 
 def test_a_replay_sends_the_recorded_bytes_on_a_port(measured, tmp_path):
@@ -236,7 +236,7 @@ def test_a_replay_sends_the_recorded_bytes_on_a_port(measured, tmp_path):
         (("simulate", "--inject", "leak"), "--inject: given 'leak'; allowed FAULT=VALUE@SECONDS"),
         (("simulate", "--flipped", "2"), "--flipped: given 2; allowed 0 to 0.5, a fraction"),
         (("simulate", "--noise", "-1"), "--noise: given -1; allowed 0 or more"),
-        (("simulate", "--rig-file", "{exp}"), "exists, and is not of a simulated rig"),
+        (("simulate", "--rig-file", "{exp}"), "exists, and was not written by `slider rig"),
         (
             ("simulate", "{exp}", "--published"),
             "--published: given with an experiment; allowed --noise",
