@@ -11,15 +11,18 @@
 # ---
 
 # %% [markdown]
-# # Calibrating C_d and m_a from thrust
+# # Calibrating drag and added mass
 #
-# The head of a robot is clamped in a tank. A force sensor measures thrust and recoil, two sensors
-# the pressures, and a camera the tip. This tutorial identifies the drag coefficient C_d and the
-# added-mass coefficient m_a from these data, with their uncertainty.
+# The head of a robot is clamped in a tank. A force sensor measures thrust and recoil. Two pressure
+# sensors measure the pressures of the front and the rear chamber. A camera measures the position of
+# the tail's tip. This tutorial identifies the drag coefficient C_d and the added-mass coefficient
+# m_a from these data. It also computes the uncertainty of both coefficients.
 #
-# Set `SLIDER_EXPERIMENT` to your own experiment.toml, with the trials beside it. Otherwise, the
-# notebook simulates a tank with known coefficients. Its sensors are noisy, and their gain differs
-# by a percent from trial to trial. The calibration does not use the known coefficients.
+# To use your own data, set the environment variable `SLIDER_EXPERIMENT` to the path of your
+# experiment.toml. The CSV files of the trials must be in the same folder. Without this variable,
+# the notebook simulates a tank with known coefficients. The simulated sensors have noise, and the
+# gain of the force sensor differs by about one percent between the trials. The calibration does not
+# use the known coefficients.
 
 # %%
 import os
@@ -58,9 +61,11 @@ for trial in tank.trials:
 # %% [markdown]
 # ## All channels together
 #
-# C_d and m_a determine the forces. The forces also depend on how far the body bends, which K_Q
-# determines, and on the pressure in the chambers, which k determines. All four are therefore fitted
-# to all channels of all trials at once, with forward derivatives of the simulation.
+# C_d and m_a determine the forces of the water. These forces also depend on how far the body bends,
+# and on the pressures in the chambers. K_Q, the moment per unit pressure, determines how far the
+# body bends. The time constant k determines how fast the pressures follow their set pressures. The
+# calibration therefore fits all four parameters together, to all channels of all trials. It uses
+# forward-mode derivatives of the simulation.
 
 # %%
 found = identify_parameters(tank, progress=print, fine=mesh, coarse=mesh)
@@ -85,14 +90,18 @@ axes[0].legend(fontsize="small")
 plt.show()
 
 # %% [markdown]
-# Each trial has its own tare and gain of the sensors. They are not fitted; they are part of the
-# noise, which is correlated. A residual that is shifted by a constant can therefore be noise.
+# In the upper plot, "before" is the simulation with the initial parameters, and "calibrated" is the
+# simulation with the fitted parameters. In each trial, the sensors have another tare (offset) and
+# another gain. The calibration does not fit tares and gains. It treats them as noise that is
+# correlated in time. A constant shift of the residual is therefore no sign of a wrong model.
 #
 # ## Uncertainty
 #
-# C_d and m_a act on the same forces, a quarter of a stride apart: drag follows the velocity of the
-# crossflow, added mass its acceleration. The ellipse is the 95 % confidence region from noise
-# alone. The cross is the reported interval, which includes the discretisation.
+# The drag and the added-mass force both act normal to the body, but a quarter of a stride apart.
+# The drag depends on the velocity of the crossflow. The added-mass force depends on the
+# acceleration of the crossflow. The data can therefore discriminate between C_d and m_a. The
+# ellipse shows the 95 % confidence region from the noise alone. The cross shows the reported 95 %
+# intervals. These intervals also include the discretisation error of the model.
 
 # %%
 labels = [p.label for p in found.entries]
@@ -124,7 +133,8 @@ print(f"correlation of C_d and m_a: {correlations(found.fit)[pair[0], pair[1]]:.
 # %% [markdown]
 # ## From thrust alone
 #
-# The same fit with the force sensor only. The intervals show how much less the data determine.
+# This fit uses only the thrust. The wider intervals show that the thrust alone contains less
+# information than all channels.
 
 # %%
 alone = identify_parameters(
@@ -142,7 +152,8 @@ for i, label in enumerate(labels):
 # %% [markdown]
 # ## Prediction
 #
-# Mean thrust of every trial after the first stride, measured and calibrated.
+# The plot compares the measured mean thrust of each trial with that of the calibrated model. The
+# mean excludes the first stride.
 
 # %%
 means = []
@@ -160,7 +171,7 @@ worst = 1e3 * np.abs(measured - predicted).max()
 print(f"largest difference {worst:.0f} mN, tare and gain included")
 
 # %% [markdown]
-# `slider calibrate EXPERIMENT.toml --out DIR` does the same, and writes the model for `slider
-# simulate --model`. With `--per-frequency` it compares constant coefficients with coefficients that
-# depend on the frequency. If the residual exceeds the noise, the model lacks an effect: `slider
-# close-loop` searches for it.
+# The command `slider calibrate EXPERIMENT.toml --out DIR` makes the same calibration. It writes a
+# model file that you can use with `slider simulate --model`. With the option `--per-frequency`, the
+# command also tests whether the coefficients depend on the frequency. If the residual exceeds the
+# noise, the model lacks a physical effect. `slider close-loop` searches for this effect.

@@ -13,13 +13,14 @@
 # %% [markdown]
 # # Designing a tail
 #
-# How long and how stiff should the tail be? The objective is the steady swimming speed. This
-# tutorial maximises it in three ways: with a map, with gradient ascent, and with the genetic
-# algorithm. The drive is fixed, so that the two remaining variables fit in one plot. `slider
-# optimize swim` optimises all six variables.
+# How long and how stiff should the tail be? This tutorial searches for the tail with the highest
+# steady swimming speed. It uses three methods: a map, gradient ascent, and the genetic algorithm.
+# The frequency, the pressures and the phase of the drive are fixed. The two remaining variables,
+# the tail's length and stiffness, fit in one plot. The command `slider optimize swim` optimises all
+# six variables.
 #
-# To be quick, the robot has 17 nodes and a stride has 48 steps. The last section repeats the result
-# on a finer mesh.
+# To save time, the simulation uses a coarse mesh of 17 nodes and only 48 time steps per stride. The
+# last section repeats the simulation of the best design on a finer mesh.
 
 # %%
 import jax
@@ -43,9 +44,10 @@ sj.enable_float64()
 # %% [markdown]
 # ## The objective
 #
-# The built-in robot has form drag at its head (docs/how-to/swimming.md has the reason). Its drive
-# is 5 Hz and 365 kPa, and the rear chamber is 0.15 of a stride late. The stiffness range spans a
-# factor of 38, so the variable is its logarithm.
+# The built-in robot has form drag at its head; docs/how-to/swimming.md explains why. The drive has
+# a frequency of 5 Hz and a set pressure of 365 kPa in both chambers. The rear chamber follows the
+# front chamber with a delay of 0.15 of a stride. The largest allowed stiffness is 38 times the
+# smallest one. The optimisation therefore uses the logarithm of the stiffness as its variable.
 
 # %%
 LENGTHS, STIFFNESSES = (0.02, 0.10), (0.001, 0.038)
@@ -77,8 +79,9 @@ speeds = Evaluation(speed)  # evaluates many designs at once, on all devices
 # %% [markdown]
 # ## Map
 #
-# A map evaluates every design of a grid. It shows the whole landscape, but its cost grows with the
-# number of grid points, so it suits two variables only.
+# For a map, we compute the speed at every point of a grid of designs. The map shows how the speed
+# depends on both variables. However, the number of grid points grows exponentially with the number
+# of variables. A map is therefore practical only for about two variables.
 
 # %%
 side = np.linspace(0.0, 1.0, 9)
@@ -90,9 +93,10 @@ print(f"{len(grid)} designs; the fastest {100 * np.nanmax(on_grid):.1f} cm/s, {t
 # %% [markdown]
 # ## Gradient ascent
 #
-# `steady_speed` is differentiable. The speed is a root, so its derivative follows from the
-# implicit function theorem. The derivative by both variables costs about two more evaluations.
-# Adam starts at a short and stiff tail.
+# The function `steady_speed` is differentiable. It finds the speed as the root of an equation, so
+# its derivative follows from the implicit function theorem. The derivatives with respect to both
+# variables cost about as much as two more evaluations of the speed. The optimiser Adam starts from
+# a short and stiff tail.
 
 
 # %%
@@ -119,8 +123,8 @@ print(f"{len(path)} steps; the fastest {100 * np.nanmax(heights):.1f} cm/s, {tai
 # %% [markdown]
 # ## Genetic algorithm
 #
-# This is the paper's method. It needs no derivative and can leave a local maximum, but it needs
-# more evaluations.
+# The paper uses a genetic algorithm. This method needs no derivatives, and it can leave a local
+# maximum. However, it needs more evaluations than gradient ascent.
 
 # %%
 members, generations = 16, 8
@@ -137,6 +141,9 @@ print(f"{evaluations} evaluations; the fastest {100 * bred.score:.1f} cm/s, {tai
 
 # %% [markdown]
 # ## Comparison
+#
+# The left plot shows the map, the path of gradient ascent, and the last generation of the genetic
+# algorithm. The right plot shows the best speed of each method against the number of evaluations.
 
 # %%
 figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.5), layout="constrained")
@@ -165,8 +172,8 @@ plt.show()
 # %% [markdown]
 # ## Finer mesh
 #
-# The mesh limits the accuracy of a design, because a soft tail bends sharply. The design of the
-# gradient ascent, on 51 nodes with 96 steps in a stride:
+# A soft tail bends sharply, so a coarse mesh limits the accuracy of the speed. We therefore
+# simulate the best design of gradient ascent again, with 51 nodes and 96 steps per stride:
 
 # %%
 fine = SteadySettings(steps_per_stride=96, numerics=Numerics())
@@ -174,6 +181,7 @@ finer = float(jax.jit(lambda unit: speed(unit, fine))(jnp.asarray(summit)))
 print(f"{100 * np.nanmax(heights):.2f} cm/s on 17 nodes, {100 * finer:.2f} cm/s on 51")
 
 # %% [markdown]
-# `slider optimize swim --out results/optimum` optimises all six variables on all cores and writes
-# checkpoints; `--algorithm gradient` selects gradient ascent. `python scripts/fig7_design_maps.py
-# results/fig7` draws the paper's maps.
+# The command `slider optimize swim --out results/optimum` optimises all six variables. It uses all
+# cores and writes checkpoints. The option `--algorithm gradient` selects gradient ascent. The
+# script `python scripts/fig7_design_maps.py results/fig7` draws design maps like those of the
+# paper.

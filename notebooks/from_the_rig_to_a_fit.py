@@ -13,11 +13,14 @@
 # %% [markdown]
 # # From a trial on the rig to a fit
 #
-# This tutorial drives the pneumatics, records all data, and fits the model to the recordings. Set
-# `SLIDER_PORT` to the port of your manifold, `SLIDER_RIG` to your rig file and `SLIDER_EXPERIMENT`
-# to the trials. Otherwise, the notebook starts a simulated rig: a manifold on a pseudo-terminal, a
-# force sensor on the network, and a robot in a tank whose coefficients differ from the experiment
-# file.
+# This tutorial drives the pneumatics, records all data, and fits the model to the recordings.
+#
+# To use your own rig, set three environment variables: `SLIDER_PORT` to the serial port of your
+# manifold, `SLIDER_RIG` to the path of your rig file, and `SLIDER_EXPERIMENT` to the path of your
+# experiment file. Without these variables, the notebook starts a simulated rig. The simulated rig
+# has a manifold on a pseudo-terminal, a force sensor on the network, and a robot in a tank. The
+# coefficients of the simulated robot differ from those in the experiment file. The fit at the end
+# of this tutorial identifies them.
 
 # %%
 import os
@@ -90,8 +93,12 @@ else:
 # %% [markdown]
 # ## On the rig
 #
-# Each trial begins with a second of rest, which gives tares and noise, and then plays its drive.
-# The chambers vent at the end of a trial, also after an error.
+# Each trial begins with one second of rest. The program measures the tares and the noise of the
+# sensors in this second. Then it plays the drive of the trial. The chambers vent at the end of each
+# trial, and also after an error.
+#
+# The notebook prints the number of readings of each trial, and how many readings were lost. It also
+# prints the delay that 99 % of the commands did not exceed.
 
 # %%
 measured = Path("measured")
@@ -125,9 +132,10 @@ for trial in summaries:
 # %% [markdown]
 # ## The recording
 #
-# The recording contains every byte as it arrived. This cell decodes the messages again, and
-# compares the manifold's clock with the computer's. The fitted clock is the zero line; points
-# above it are messages that arrived late.
+# The recording contains every received byte with its time of arrival. The next cell decodes the
+# messages again and compares the clock of the manifold with the clock of the computer. In the upper
+# plot, a delay of zero means that a message arrived exactly on the fitted clock line. Points above
+# zero are messages that arrived later. The lower plot shows the recorded pressures.
 
 # %%
 stream = read_recording(measured / "recordings" / f"{trials[0].name}.h5").streams["manifold"]
@@ -148,7 +156,9 @@ print(f"the manifold's clock runs at {clock.rate:.6f} of the computer's")
 # %% [markdown]
 # ## The fit
 #
-# The folder is an experiment. `slider calibrate measured/experiment.toml` fits it in the same way.
+# The folder `measured` now contains an experiment file and its measured trials. The next cell fits
+# four parameters of the model to these trials. The command
+# `slider calibrate measured/experiment.toml --out DIR` makes the same fit on a finer mesh.
 
 # %%
 mesh = Resolution(21, 60, 4.0e-3)

@@ -13,13 +13,15 @@
 # %% [markdown]
 # # One stride
 #
-# SLIDER is clamped at the head in still water and drives its two chambers 4.8 times a second. This
-# tutorial follows one stride through the simulator, in the order of the computation: the pressures,
-# the shape, the forces of the water along the body, and the reading of a force sensor at the clamp.
+# In this tutorial, the head of SLIDER is clamped in still water, and both pairs of chambers are
+# driven at 4.8 Hz. The tutorial follows one stride through the simulator in the order of the
+# computation. First come the pressures, then the shape of the body, the forces of the water along
+# the body, and the reading of a force sensor at the clamp.
 #
-# All quantities are in SI units. s increases from the tail's tip (s = 0) to the head (s = L). tau
-# points towards the head, and n is tau rotated by +90 degrees. The straight robot is on the x axis
-# with its head at x = 0.
+# All quantities are in SI units. The coordinate s increases along the body from the tail's tip (s =
+# 0) to the head (s = L, the length of the robot). The unit vector tau is tangential to the body and
+# points towards the head. The unit vector n is tau rotated by +90 degrees. The straight robot lies
+# on the x axis with its head at x = 0. docs/reference/glossary.md defines all symbols.
 
 # %%
 import jax
@@ -37,10 +39,11 @@ sj.enable_float64()
 # %% [markdown]
 # ## The model
 #
-# A model is data: the robot, a tuple of effects that act on it, the law of the pressures, the drive
-# of the chambers, and the support of the head. Each part is a frozen class whose numbers are leaves
-# of a JAX pytree. The paper does not state the chambers' amplitude and delay; the values here are
-# assumptions.
+# A model contains five parts: the robot, a tuple of effects that act on the robot, the law of the
+# pressures, the drive of the chambers, and the support of the head. Each part is an immutable
+# class, and JAX can differentiate with respect to its numbers. The paper does not state the
+# pressure amplitude of the chambers and the delay of the rear chamber, so the values in this cell
+# are assumptions.
 
 # %%
 frequency = 4.8
@@ -59,10 +62,11 @@ model = sj.Model(
 # %% [markdown]
 # ## The rollout
 #
-# A stride has a whole number of time steps, so the valves switch between steps and never within
-# one. After every step, `save` gets a `Snapshot` of the system and returns the quantities to keep.
-# A section holds the kinematics in the cells of the grid. An effect needs nothing else to compute
-# its force per length.
+# A rollout simulates the model step by step. A stride has a whole number of time steps, so the
+# valves never switch within a step. After every step, the simulator calls the function `save` with
+# a `Snapshot`, the state of the system at the end of the step. `save` returns the quantities to
+# keep. Its `section` contains the shape and the velocities in all cells of the grid. From these
+# values, an effect computes its force per length.
 
 
 # %%
@@ -93,9 +97,10 @@ cells = 0.5 * (s[1:] + s[:-1])
 # %% [markdown]
 # ## Pressures
 #
-# The valves switch the set pressure between +260 and -260 kPa. The sign says which side's chamber
-# is filled. The air needs time: dp/dt = (p_set - p)/k with k = 87 ms, and half a stride lasts 104
-# ms. The chambers therefore reach little more than half of the set pressure.
+# The set pressure p_set switches between +260 and -260 kPa. Its sign states whether the left or the
+# right chamber is filled. The pressure p follows with a lag, dp/dt = (p_set - p)/k, where the time
+# constant k is 87 ms. Half a stride lasts 104 ms. The chambers therefore reach only a little more
+# than half of the set pressure.
 
 # %%
 set_pressure = {
@@ -114,9 +119,12 @@ plt.show()
 # %% [markdown]
 # ## Shape
 #
-# A pressurised chamber bends its span of the body: M = EI (kappa + alpha dkappa/dt) - M_act, with
-# M_act = K_Q p in the span. At this frequency the inertia of the water determines the shape. The
-# body swings about a node near the tail's joint, and the tail follows half a stride later.
+# A pressurised chamber bends its span of the body. The internal moment is M = EI (kappa + alpha
+# dkappa/dt) - M_act, where EI is the bending stiffness, kappa the curvature, and alpha the damping
+# time of the body. The moment of the chamber is M_act = K_Q p in its span and zero elsewhere.
+#
+# At this frequency, mainly the inertia of the water determines the shape. The body swings about a
+# node near the joint between body and tail. The tail moves half a stride later than the body.
 
 # %%
 figure, ax = plt.subplots(figsize=(9, 3.4), layout="constrained")
@@ -133,9 +141,10 @@ ax.legend(title="phase (-)", ncols=2, fontsize="small", loc="center left", bbox_
 plt.show()
 
 # %% [markdown]
-# The phase of the fundamental along the body distinguishes a travelling wave from a standing wave.
-# This wave is mostly standing: the index is near 0, and 1 would be a travelling wave. A clamped
-# head and two chambers nearly in phase cause this.
+# The travelling index is 1 for a travelling wave and 0 for a standing wave. It is computed from the
+# amplitude and phase of the motion's fundamental along the body. Here the index is close to 0, so
+# the wave is mostly a standing wave. The reasons are the clamped head and the small delay between
+# the two chambers.
 
 # %%
 t = np.asarray(run.t)[-steps:]
@@ -145,17 +154,26 @@ print(f"travelling index {obs.travelling_index(mode):.2f}")
 # %% [markdown]
 # ## Forces along the body
 #
-# Two effects act on every section, as forces per length:
+# In this model, two effects act on every section of the body. Each effect is a force per length:
 #
-# - drag of the crossflow, F_n = -rho C_d H |u_n| u_n / 2, which opposes the motion;
-# - Lighthill's reactive force, the change in momentum of the water that moves with the body,
+# - The drag of the crossflow opposes the motion normal to the body:
+#   F_n = -rho C_d H |u_n| u_n / 2.
+# - Lighthill's reactive force is the change in momentum of the water that moves with the body:
 #   F_n = -m_A (du_n/dt - d(u_tau u_n)/ds + u_n^2 kappa/2),
 #   F_tau = -m_A (-u_n omega + u_tau u_n kappa + u_n du_n/ds).
 #
-# A body that does not stretch turns at omega = dV_n/ds + kappa V_tau, so F_tau is zero in still
-# water. Both forces are then normal to the body, and push forward only where the body is inclined.
-# The plots show two instants. At the largest thrust, the body is about to reverse, and only its
-# acceleration matters. A quarter of a stride earlier, the tail is fast and drag contributes.
+# Here F_tau and F_n are the components along the body and normal to it. u_tau and u_n are the
+# components of the body's velocity relative to the water. rho is the density of the water, C_d
+# the drag coefficient, H the height of the body, m_A the added mass per length, kappa the
+# curvature, and omega the turning rate of a section.
+#
+# If the body does not stretch, its turning rate is omega = du_n/ds + kappa u_tau in still water.
+# The component F_tau of the reactive force is then zero. Both forces are therefore normal to the
+# body. They have a forward component only where the body is inclined to the x axis.
+#
+# The plots show the forces at two instants. At the instant of the largest thrust, the body is
+# about to reverse its motion. Its velocity is small, so only its acceleration matters. A quarter
+# of a stride earlier, the tail moves fast, and the drag contributes to the force.
 
 # %%
 best = int(np.argmax(last["thrust"]))
@@ -187,8 +205,9 @@ axes[0, 0].legend(loc="upper right")
 plt.show()
 
 # %% [markdown]
-# The mean of the forward force over the stride shows where thrust originates. Its integral over the
-# body is the mean thrust, because the body gains no momentum over a steady stride.
+# The next plot shows the forward force per length, averaged over the stride. It shows which parts
+# of the body produce thrust. The integral of this mean force along the body is equal to the mean
+# thrust, because the body gains no momentum in a steady stride.
 
 # %%
 mean_forward = {name: forward(name).mean(axis=0) for name in ("reactive", "drag")}
@@ -209,10 +228,11 @@ print(f"mean thrust {1e3 * last['thrust'].mean():.2f} mN")
 # %% [markdown]
 # ## Thrust and recoil
 #
-# A sensor between robot and clamp reads the force of the robot on the clamp: thrust = -T and
-# recoil = -N at the head. Both half-strides push forward, so thrust has two peaks in a stride, and
-# recoil has one. The mean thrust is small compared with its amplitude: it is the difference of
-# large forces.
+# A sensor between robot and clamp measures the force of the robot on the clamp. Thrust is the
+# forward component, and recoil is the lateral component. At the head, thrust is -T and recoil is
+# -N, where T is the axial force and N the shear force in the body. Both half-strides push forward,
+# so the thrust has two peaks per stride. The recoil has one peak per stride. The mean thrust is the
+# difference between large forward and backward forces, so it is much smaller than the peaks.
 
 # %%
 figure, axes = plt.subplots(1, 2, figsize=(9, 3.2), layout="constrained")
@@ -232,8 +252,9 @@ print(f"thrust per power {obs.force_efficiency(mean_thrust, mean_power):.2f} N/W
 # %% [markdown]
 # ## Is it steady?
 #
-# The mean thrust of each stride, from rest on. The paper treats strides as steady after three
-# tailbeats.
+# The next cell prints the mean thrust of each stride, beginning with the first stride from rest.
+# The paper treats strides as steady after three tailbeats. In this simulation, the mean thrust
+# changes by less than 1 mN per stride from the fourth stride on.
 
 # %%
 per_stride = np.asarray(obs.stride_means(run.saved["thrust"], steps))

@@ -13,14 +13,17 @@
 # %% [markdown]
 # # Tracing the valve
 #
-# The rig's firmware regulates the pressure of a chamber and logs it. The paper models this as a
-# lag, dp/dt = (p_set - p)/k with k = 87 ms. This tutorial compares the lag with the rig's own
-# logs, examines the residual, lets the loop identify the missing effect, and tests the result on
-# held-out logs.
+# The firmware of the rig regulates the pressure p of a chamber and writes p to a log. The paper
+# models the regulated pressure as a first-order lag behind the set pressure p_set: dp/dt = (p_set -
+# p)/k, with the time constant k = 87 ms. This tutorial compares this lag with pressure logs and
+# examines the residual. The function behind `slider close-loop`, called "the loop" below, then
+# identifies the effect that the lag lacks. The last steps test the result on logs that the fit did
+# not use.
 #
-# The logs are public (bvanstratum/SoftSnakePressureControl, sweep of 2022-12-21) and not part of
-# this repository. Put them in `$SLIDER_DATA/manifold`. Without them, the notebook simulates logs
-# of a chamber with known valves.
+# The logs of the real rig are public (GitHub repository bvanstratum/SoftSnakePressureControl, sweep
+# of 2022-12-21). They are not part of this repository. To use them, put the files into the folder
+# `$SLIDER_DATA/manifold`. Without these files, the notebook simulates the logs of a chamber with
+# known valves. The output on this page is from simulated logs.
 
 # %%
 import os
@@ -48,9 +51,11 @@ print(", ".join(f"{log.frequency:.3g} Hz ({len(log.t)} samples)" for log in logs
 # %% [markdown]
 # ## The lag and the measured rate
 #
-# Each sample gives the error of the pressure and the rate at which the pressure then changed. For a
-# lag, the rate is proportional to the error, at every pressure. The firmware opens a valve fully if
-# the error exceeds 25 codes (3.4 psi). Beyond that error, the rate is the flow of an open valve.
+# Each sample of a log gives the pressure error, p_set - p, and the rate at which the pressure
+# changes. If the pressure followed a lag, the rate would be proportional to the error, whatever the
+# pressure. The firmware opens a valve fully if the error exceeds 25 codes of the converter (3.4
+# psi). The plots show the rate for errors above 4 psi, so a valve is fully open at every point.
+# Blue circles are mean rates.
 
 # %%
 filling, venting = [], []
@@ -79,16 +84,23 @@ axes[1].axline((-14.7, 0.0), slope=-1.4, color="C3", ls="--", lw=1)
 plt.show()
 
 # %% [markdown]
-# The rate depends on the pressure, not on the error. The venting rate is proportional to the
-# absolute pressure: a line through the data is zero near -14.7 psi, a vacuum, like the dashed line.
-# The dotted line is a flow proportional to the gauge pressure, and does not fit. Venting is
-# therefore a choked orifice. Filling slows down as the chamber approaches the supply pressure.
+# The rate depends on the pressure and not on the error. A lag therefore cannot describe these
+# valves. While the chamber vents, the rate is proportional to the absolute pressure: a line through
+# the data reaches zero near a gauge pressure of -14.7 psi, which is a vacuum. The dashed line has
+# this property. The dotted line is proportional to the gauge pressure and does not fit. The vent
+# valve therefore acts as a choked orifice. While the chamber fills, the rate decreases as the
+# pressure approaches the supply pressure.
 #
 # ## The result of the loop
 #
-# The loop gets the logs, and as candidates the effects that a pressure log can show. Every second
-# log, in order of frequency, is held out. `slider close-loop logs/*.txt --out DIR` does the same
-# with all candidates, and writes a report.
+# The loop receives the logs and a list of candidate effects. To save time, this notebook uses four
+# candidates. The loop orders the logs by frequency and holds out every second log. The command
+# `slider close-loop logs/*.txt --out DIR` makes the same analysis with all effects that a pressure
+# log can show, and writes a report.
+#
+# The bar chart after the next two cells compares the fits. It shows the mean square of the whitened
+# residual: the residual in units of its noise. A value near 1 means that the residual is at the
+# noise floor.
 
 # %%
 candidates = (
@@ -109,8 +121,9 @@ plt.show()
 # %% [markdown]
 # ## Parameters
 #
-# The parameters with 95 % intervals. The lag's k has no influence in the model found, and the loop
-# reports that these logs do not determine it.
+# The next cell prints the parameters of the identified model with 95 % intervals. The valve law
+# replaces the lag in this model, so the time constant k has no influence on the pressure. The loop
+# therefore reports that these logs do not determine k.
 
 # %%
 for i in outcome.final.free:
@@ -124,7 +137,8 @@ for i in outcome.final.free:
 # %% [markdown]
 # ## Held-out logs
 #
-# Free runs: the model gets the command and the first measured sample only.
+# The next cell predicts the held-out logs. The model receives only the set pressures of the log and
+# the first measured sample. Such a prediction is called a free run.
 
 # %%
 errors = outcome.held_out["p_front"]
@@ -157,9 +171,11 @@ plt.show()
 # %% [markdown]
 # ## An error of the instrument
 #
-# Over many cycles, the pressure of a chamber passes smoothly through all values. All codes of the
-# converter near one pressure should therefore be equally frequent. If their density varies, the
-# cause is the instrument.
+# The pressure sensor's analogue-to-digital converter represents each pressure by a whole number,
+# its code. Over many cycles, the pressure of a chamber passes smoothly through all values.
+# Neighbouring codes should therefore occur equally often. If the density of the codes, which is how
+# often each code occurs, varies with a period, the cause is the instrument. The right plot shows
+# the power of each period of this variation.
 
 # %%
 codes = np.concatenate([log.pressure for log in logs]).astype(int)
@@ -179,13 +195,19 @@ plt.show()
 print(f"strongest period {period[inside][np.argmax(power[1:][inside])]:.1f} codes")
 
 # %% [markdown]
-# On the rig's logs, the density has a period of about 32 codes: the weight of the converter's fifth
-# bit is wrong. No chamber causes this. The effect `pressure_ripple`, a periodic error of the
-# converter, is one of the candidates.
+# The simulated logs contain no error of the converter. The period that the cell prints for
+# simulated logs is therefore due to chance. In the logs of the real rig, the density has a clear
+# period of about 32 codes: the weight of the converter's fifth bit, whose pattern repeats every 32
+# codes, is wrong. No behaviour of a chamber can cause such a period. For this reason, the
+# candidates include the effect `pressure_ripple`, a periodic error of the converter.
 #
 # ## Influence on the thrust
 #
-# The same robot with each of the pressure models, driven by a square wave at 4.8 Hz.
+# The next cell simulates the built-in robot with three pressure models, driven by a square wave at
+# 4.8 Hz. The models are the paper's lag, the lag that fits the logs best, and the model that the
+# loop identified. The cell prints the amplitude of the pressure in the front chamber, and the mean
+# thrust. The identified valves belong to the simulated logs, so the last value holds only for these
+# valves.
 
 # %%
 table = thrust_change(outcome)
