@@ -38,10 +38,9 @@ def pages() -> dict[str, str]:
     lines = [
         "# Command line",
         "",
-        "`slider COMMAND --help` prints the text that this page shows for each command. A command",
-        "exits with code 0 if it succeeded, with code 2 if the input is invalid or a solution",
-        "failed, and with code 130 if it was interrupted. The [gallery](../gallery.md) shows a run",
-        "of each command.",
+        "`slider COMMAND --help` prints the text that this page shows for each command. The exit",
+        "code is 0 after success, 2 for invalid input or a failed solution, and 130 after an",
+        "interruption. The [gallery](../gallery.md) shows a run of each command.",
     ]
     for name in sorted(COMMANDS):
         lines += ["", f"## slider {name}", "", "```text", help_text(name), "```"]

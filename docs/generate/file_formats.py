@@ -124,10 +124,9 @@ def _csv() -> list[str]:
     lines = [
         "## Measured trial",
         "",
-        "A measured trial is a CSV file in the folder of the experiment file. The trial's key",
-        "`file` gives its name. The first line contains the column names, and each further line",
-        "contains one sample. Only the column of the time is required. A blank cell is a missing",
-        "sample. `slider simulate` writes files of the same format.",
+        "The trial's key `file` names this CSV file in the experiment file's folder. The first",
+        "line has the column names, and each further line has one sample. Only time is required.",
+        "A blank cell is a missing sample. `slider simulate` writes files of this format too.",
         "",
         "| column | unit | content |",
         "|---|---|---|",
@@ -145,8 +144,7 @@ def _csv() -> list[str]:
         "## Played drive",
         "",
         "`NAME.played.csv` beside `NAME.csv` records the set pressures that the valves followed.",
-        "`slider rig run` writes this file. If the file exists, its set pressures replace the",
-        "waveform of the trial.",
+        "`slider rig run` writes this file. If it exists, it replaces the waveform of the trial.",
         "",
         "| column | unit | content |",
         "|---|---|---|",
@@ -156,9 +154,8 @@ def _csv() -> list[str]:
         "",
         "## Recorded drive",
         "",
-        "The trial's key `drive_file` gives the name of this CSV file. It has the columns `t_s`,",
-        "`p_front_Pa` and `p_rear_Pa`, with evenly spaced samples for the whole duration of the",
-        "trial.",
+        "The trial's key `drive_file` names this CSV file. It has the columns `t_s`, `p_front_Pa`",
+        "and `p_rear_Pa`, with evenly spaced samples that cover the whole trial.",
     ]
 
 
@@ -169,9 +166,8 @@ def pages() -> dict[str, str]:
         "# File formats",
         "",
         "All files use SI units. If a number is outside its range, a key is unknown or a file is",
-        "damaged, the command stops with one line that names the file, the key and the allowed",
-        "values. The ranges detect wrong units, for example millimetres or kilopascals. In the",
-        "tables, a default of `none` means that the key is optional and has no value.",
+        "damaged, the command stops. It prints the file, the key and the allowed values. The",
+        "ranges detect wrong units, for example millimetres or kilopascals.",
     ]
     for heading, (schema, purpose) in FILES.items():
         lines += ["", f"## {heading}", "", purpose]
@@ -186,11 +182,10 @@ def pages() -> dict[str, str]:
         "",
         "## Model file",
         "",
-        "A model file is a TOML file for the option `--model`. Its values override those of the",
-        "experiment file. The calibration commands write model files. A model file may contain",
-        "`name`, any keys of `[robot]` and `[parameters]`, and `[[effects]]` tables. The effects",
-        "are added to the effects of the experiment file. `C_d` and `m_a` in a model file replace",
-        "`force_coefficients` of the experiment file, and the reverse.",
+        "A model file is a TOML file for the option `--model`. It overrides the experiment file.",
+        "The calibration commands write model files. A model file may contain `name`, keys of",
+        "`[robot]` and `[parameters]`, and `[[effects]]` tables, whose effects are added to the",
+        "experiment's. `C_d` and `m_a` in a model file replace `force_coefficients` or vice versa.",
         "",
         *_csv(),
     ]

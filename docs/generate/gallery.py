@@ -1,4 +1,4 @@
-"""Write the gallery page: it shows what each command prints and draws, from runs on small meshes.
+"""Writes the gallery page: the output and a picture of each command, from runs on small meshes.
 
     python docs/generate/gallery.py --work DIR [COMMAND ...]    # such as swim "rig check"
 
@@ -206,7 +206,7 @@ def _data(name: str) -> Path:
 
     folder = data_dir()
     if folder is None:
-        raise SystemExit(f"SLIDER_DATA: no folder with {name}; set it to the measured data")
+        raise SystemExit(f"SLIDER_DATA: no folder {name}; set it to the folder of measured data")
     return folder / name
 
 
@@ -264,7 +264,7 @@ def make_bench(work: Path) -> None:
 
 @contextlib.contextmanager
 def simulated_rig(work: Path, *options: str) -> Iterator[str]:
-    """Runs the simulated rig in `work` and returns what it prints first, with its port."""
+    """Runs the simulated rig in `work` and yields its first output, with its port."""
     words = [sys.executable, "-c", INTERRUPTIBLE, "rig", "simulate", *options]
     with open(work / "rig.log", "w") as log:
         process = subprocess.Popen(words, cwd=work, stdout=log, stderr=subprocess.STDOUT)
@@ -302,7 +302,7 @@ INPUTS: dict[str, Callable[[Path], None]] = {
 
 
 def transcript(text: str) -> str:
-    """Returns the printed lines, shortened."""
+    """Returns the printed lines, wrapped to `COLUMNS` and cut to `LONGEST` lines."""
     lines = []
     for line in text.strip().splitlines():
         indent = " " * (len(line) - len(line.lstrip()) + 4)
@@ -326,11 +326,11 @@ def save_picture(source: Path, number: int | None, path: Path) -> None:
         picture.quantize(colours).save(path, optimize=True)
         if path.stat().st_size <= LARGEST_PICTURE:
             return
-    raise SystemExit(f"{path}: has over {LARGEST_PICTURE} bytes")
+    raise SystemExit(f"{path}: over {LARGEST_PICTURE} bytes; draw a simpler picture")
 
 
 def run_line(work: Path, line: str, port: str) -> str:
-    """Runs a command line in `work` and returns what it prints."""
+    """Runs a command line in `work` and returns its output."""
     words = []
     for word in shlex.split(line.replace(PORT, port)):
         words += (
@@ -349,7 +349,7 @@ def run_line(work: Path, line: str, port: str) -> str:
 
 
 def make_output(name: str, work: Path) -> str:
-    """Runs a command and returns its part of the page, after the command line."""
+    """Runs a command and returns its picture and its output as Markdown."""
     entry = ENTRIES[name]
     if entry.needs in INPUTS:
         INPUTS[entry.needs](work)
@@ -358,7 +358,7 @@ def make_output(name: str, work: Path) -> str:
             pass
         text = re.sub(r"/dev/pts/\d+", PORT, text)
     elif "rig" in entry.needs:
-        # Only the model beside the rig and the loop need the robot; without it the rig is light.
+        # Only `rig watch` and `rig loop` need the simulated robot, which costs CPU time.
         options = {"bench rig": (), "published rig": ("--published",)}.get(
             entry.needs, ("docs/experiment.toml",)
         )
@@ -374,7 +374,7 @@ def make_output(name: str, work: Path) -> str:
         files = sorted(work.glob(source))
         if not files:
             wrote = [str(x.relative_to(work)) for x in (work / source).parent.glob("*")]
-            raise SystemExit(f"{name}: {source} is missing; {wrote}")
+            raise SystemExit(f"{name}: {source} is missing; the folder has {wrote}")
         save_picture(files[0], int(number) if number else None, path)
         parts.append(f"![slider {name}: {entry.text}](img/gallery/{path.name})")
     if text.strip():
@@ -412,7 +412,7 @@ def render(outputs: dict[str, str]) -> str:
 
 
 def main() -> None:
-    """Entry point."""
+    """Runs the script."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("names", nargs="*", help="commands to run (default: all)")
     parser.add_argument("--work", type=Path, required=True, help="folder for inputs and results")
