@@ -1,6 +1,6 @@
-"""Physical effects, one in each file: pneumatics, body, water, sensors.
+"""Physical effects of pneumatics, body, water and sensors; each file contains one effect.
 
-May import `actuation`, `supports` and the rooms below them.
+The effects may import `actuation`, `supports` and lower layers.
 """
 
 from slider_jax.effects.base import (

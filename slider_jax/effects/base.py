@@ -2,8 +2,8 @@
 
 A model contains a list of effects, and the solver treats all effects alike. Every effect enters the
 model at one of the places below. Each place is a class with one abstract method. `parameter`
-declares a parameter of an effect: its null value, at which the effect vanishes, and its prior range
-with the reason for this range.
+declares a parameter of an effect, with the null at which the effect vanishes, the prior range and
+the reason for this range.
 """
 
 import math
@@ -25,8 +25,8 @@ from slider_jax.beam.parameters import Robot
 class Prior(NamedTuple):
     """Prior range of a parameter, `low` to `high`; the effect vanishes at `null`.
 
-    `start` is the value at which the loop first tries the effect. It is needed if the derivative at
-    the null does not predict the effect at full size, as for a threshold, a limit or another law.
+    `start` is the value at which the loop first tries the effect. A threshold, a limit or a law
+    needs a start, because the derivative at the null does not predict the full effect.
     """
 
     null: float
@@ -40,7 +40,7 @@ class Prior(NamedTuple):
 def parameter(
     null: float, low: float, high: float, unit: str, why: str, start: float | None = None
 ) -> Any:
-    """Returns the field of an effect's parameter with this `Prior`; its default is the null."""
+    """Returns the field of an effect's parameter with this `Prior`. The default is the null."""
     return eqx.field(default=null, metadata={"prior": Prior(null, low, high, unit, why, start)})
 
 
@@ -59,12 +59,12 @@ class Effect(eqx.Module):
     """Whether the loop may add the effect to explain a residual. False if the effect cannot occur
     in a horizontal tank with a clamped head."""
     rear_only: ClassVar[bool] = False
-    """Whether the effect acts only on the rear chamber, so a log of one chamber cannot show it."""
+    """Whether the effect acts only on the rear chamber. A pressure log cannot show the effect."""
     lacks_weight: ClassVar[bool] = False
-    """Whether the effect adds inertia without weight, so climbing in air cannot include it."""
+    """Whether the effect adds inertia without weight. Simulations of climbing in air exclude it."""
     resists_axially: ClassVar[bool] = False
-    """Whether the effect is a force density that resists axial motion. Normal drag and added mass
-    are not."""
+    """Whether the effect is a force density that resists axial motion, which is false for normal
+    drag and added mass."""
     replaces_law: ClassVar[str] = ""
     """Part of the model that the effect replaces, or empty. A model may contain only one effect for
     each part."""
@@ -110,10 +110,10 @@ class BendingMoment(Effect):
 
 
 MOUNT_LAG = 1e-3
-"""Time constant [s] of a mounting, a spring parallel to a dashpot: x + MOUNT_LAG dx/dt = -c load.
+"""Time constant [s] of a mounting, which is a spring of compliance c parallel to a dashpot.
 
-The loss factor is 0.03 at 5 Hz, which is typical of bolted joints. The dashpot also bounds the
-derivative at c = 0, where a spring alone would follow every wave front of the body."""
+The displacement x satisfies x + MOUNT_LAG dx/dt = -c load. The loss factor is 0.03 at 5 Hz, which
+is typical of bolted joints. The dashpot also bounds the derivative with respect to c at c = 0."""
 
 
 class HeadRates(NamedTuple):
@@ -132,7 +132,7 @@ class Mounting(Effect):
 
     @abstractmethod
     def give(self, rates: HeadRates) -> tuple[Array, Array, Array]:
-        """Returns the head's velocity (tau, n) [m/s] and rotation rate [rad/s] on the carriage."""
+        """Returns the head's velocity (tau, n) [m/s] and turning rate [rad/s] to the carriage."""
 
 
 class BodyChange(Effect):
@@ -157,15 +157,15 @@ class Chamber(NamedTuple):
     """State of the chambers and their valves at one instant; entries are (2,), front and rear."""
 
     p: Array
-    """[Pa]"""
+    """Pressure [Pa]."""
     p_set: Array
-    """[Pa]"""
+    """Set pressure [Pa]."""
     k: Array
     """Time constant [s] of the lag, a scalar."""
     rear: np.ndarray
-    """1 for the rear chamber, 0 for the front one."""
+    """1 for the rear chamber, 0 for the front chamber."""
     side: Array
-    """Sign of the pressure, constant during a step."""
+    """Sign of the pressure; it is constant during a step."""
 
     @property
     def filling(self) -> Array:
@@ -182,11 +182,11 @@ class Flow(Effect):
     def rate(self, rate: Array, x: Chamber) -> Array:
         """Returns dp/dt [Pa/s], given the `rate` [Pa/s] of the model without the effect.
 
-        It may differ between filling and venting, because steps are split where p is zero.
+        The rate may differ between filling and venting, because steps are split where p is zero.
         """
 
     def replaces(self) -> Array | bool:
-        """Returns whether the effect's rate replaces that of the lag."""
+        """Returns whether the effect's rate replaces the rate of the lag."""
         return False
 
 
@@ -199,8 +199,8 @@ class ActingPressure(Effect):
     ) -> tuple[Array, Array]:
         """Returns the acting pressures (2,) [Pa] of front and rear after `dt` [s], and the memory.
 
-        `memory` holds the effect's state (2,) and the previous pressure (2,). Both equal the
-        pressure at the start. An effect without memory returns `memory` unchanged.
+        `memory` contains the effect's state (2,) and the previous pressure (2,). At the start, both
+        equal the pressure. An effect without memory returns `memory` unchanged.
         """
 
 
@@ -216,17 +216,17 @@ class Readings(NamedTuple):
     """Sensor readings at the evenly spaced times of a rollout; each entry is (n,)."""
 
     t: Array
-    """[s]"""
+    """Time [s]."""
     p_front: Array
-    """[Pa]"""
+    """Front pressure [Pa]."""
     p_rear: Array
-    """[Pa]"""
+    """Rear pressure [Pa]."""
     thrust: Array
-    """[N]"""
+    """Thrust [N]."""
     recoil: Array
-    """[N]"""
+    """Recoil [N]."""
     tip: Array
-    """[m]"""
+    """Lateral position [m] of the tail tip relative to the head."""
 
 
 class Instrument(Effect):
@@ -234,7 +234,7 @@ class Instrument(Effect):
 
     @abstractmethod
     def read(self, true: Readings) -> Readings:
-        """Returns the recorded readings, given the `true` ones; `t` stays."""
+        """Returns the recorded readings from the `true` readings; `t` is unchanged."""
 
     def read_sample(self, true: Readings, read: Readings) -> Readings:
         """Returns the recorded reading (scalars) of the last sample of `true`.
@@ -251,7 +251,7 @@ def last_sample(readings: Readings) -> Readings:
 
 
 def of_place(effects: tuple[Effect, ...], place: type) -> tuple:
-    """Returns the effects that enter at a place, in order."""
+    """Returns the effects that enter the model at `place`, in their order."""
     return tuple(effect for effect in effects if isinstance(effect, place))
 
 

@@ -7,8 +7,8 @@ from jaxtyping import Array, Float
 from slider_jax.beam.parameters import Scalar
 
 LIMIT_EXPONENT = 32
-"""Exponent of a limit. The result is 0.1 % too small at nine tenths of the limit and 2 % too small
-at the limit."""
+"""Exponent in `limited`. For an x at the limit, the result is 2 % too small; for an x at nine
+tenths of the limit, it is 0.1 % too small."""
 
 
 def magnitude(x: Array, width: float) -> Array:
@@ -22,10 +22,10 @@ def limited(x: Array, inverse: Array) -> Array:
 
 
 def delayed(x: Float[Array, " n"], t: Float[Array, " n"], delay: Scalar) -> Float[Array, " n"]:
-    """Returns x(t - delay) at the times `t` [s]; `delay` may be negative; x has constant ends.
+    """Returns x(t - delay) at the times `t` [s]; x is constant outside `t`.
 
     The interpolation is cubic Hermite with central differences as slopes, so the derivative with
-    respect to the delay is continuous at the samples and at zero.
+    respect to the delay is continuous at the samples and at zero. `delay` may be negative.
     """
     last = x.shape[0] - 1
     place = jnp.arange(last + 1.0) - delay / (t[1] - t[0])
@@ -39,7 +39,7 @@ def delayed(x: Float[Array, " n"], t: Float[Array, " n"], delay: Scalar) -> Floa
 
 
 def lag_coefficients(tau: Scalar, dt: Array) -> tuple[Array, Array]:
-    """Returns the decay e = exp(-dt/tau) of a lag in a step `dt` [s], and its mean (1 - e) tau/dt.
+    """Returns the decay e = exp(-dt/tau) in a step `dt` [s], and the mean decay (1 - e) tau/dt.
 
     At tau = 0 both are zero, and the derivative of the mean with respect to tau is 1/dt.
     """
@@ -55,19 +55,18 @@ def lagged(
 ) -> Float[Array, " n"]:
     """Returns the solution y of tau dy/dt = x - y from y = `start` (default: the first x).
 
-    The solution is exact if x is linear within each step.
-
-    For a step dt, with e and m from `lag_coefficients`,
+    The solution is exact if x is linear within each step. For a step, with the decay e and the mean
+    decay m of `lag_coefficients`,
 
         y_1 = e y_0 + (1 - e) x_0 + (1 - m) (x_1 - x_0)
 
-    At tau = 0 the result is x, and its derivative with respect to tau is that of a slow x, -dx/dt.
+    At tau = 0 the result is x, and the derivative with respect to tau is -dx/dt, as for a slow x.
     """
     e, m = lag_coefficients(tau, t[1] - t[0])
 
     def body(y, ends):
         x_0, x_1 = ends
-        # Written as x_1 minus the lag, which is exact at tau = 0.
+        # This form is x_1 minus the lag, so it is exact at tau = 0.
         y = x_1 + e * (y - x_0) - m * (x_1 - x_0)
         return y, y
 
@@ -79,5 +78,5 @@ def lagged(
 def lagged_sample(
     x: Float[Array, " n"], t: Float[Array, " n"], tau: Scalar, y: Float[Array, " m"]
 ) -> Array:
-    """Returns the last sample of `lagged`, given the readings `y` until the sample before it."""
+    """Returns the last sample of `lagged` from the readings `y` of the previous samples."""
     return lagged(x[-2:], t[-2:], tau, y[-1])[-1]

@@ -1,4 +1,4 @@
-"""The library of effects by name. Discovery imports each file in the folders next to this file."""
+"""The library of effects by name. It imports each file in the folders next to this file."""
 
 import importlib
 import importlib.util
@@ -14,14 +14,14 @@ from slider_jax.errors import InputError
 
 
 def defined_effects(module: ModuleType) -> list[type[Effect]]:
-    """Returns the concrete effects that `module` defines, which are subclasses of a place."""
+    """Returns the effects that `module` defines: concrete subclasses of the places' classes."""
     kinds = [x for x in vars(module).values() if isinstance(x, type) and issubclass(x, Effect)]
     kinds = [x for x in kinds if x.__module__ == module.__name__ and not inspect.isabstract(x)]
     return [x for x in kinds if Effect not in (x, *x.__bases__)]
 
 
 def _built_in() -> dict[str, type[Effect]]:
-    """Returns the effects of the package's folders by name, without those of every model."""
+    """Returns the effects in the package by name, without the effects of every model."""
     found = [m.name for m in walk_packages(effects.__path__, f"{effects.__name__}.")]
     modules = [importlib.import_module(name) for name in found if name != __name__]
     kinds = [kind for module in modules for kind in defined_effects(module)]
@@ -37,9 +37,10 @@ LOADED_FILES: list[Path] = []
 def load_effects(path: Path) -> list[str]:
     """Adds the effects that the Python file `path` defines to `LIBRARY`, and returns their names.
 
-    The file runs as Python code, so load only files that you trust. Raises `InputError`, and adds
-    nothing, if the file cannot be imported or defines no effect, or if an effect has no title, no
-    parameter, a parameter whose null is outside its prior range, or a name that exists.
+    The file runs as Python code, so load only files that you trust. Raises `InputError` and adds no
+    effect if the file cannot be imported or defines no effect, or if one of the effects is invalid.
+    An effect is invalid without a title or a parameter, with a null outside the prior range, or
+    with the name of another effect.
     """
     module_name = f"_effects_of_{path.stem}"
     spec = importlib.util.spec_from_file_location(module_name, path)
@@ -77,7 +78,9 @@ def _check_effects(path: Path, kinds: list[type[Effect]]) -> None:
     for kind in kinds:
         where = f"{path}: {kind.__name__}"
         if kind.name() in LIBRARY:
-            raise InputError(f"{where}: the effect {kind.name()!r} exists; rename the class")
+            raise InputError(
+                f"{where}: the effect {kind.name()!r} exists already; rename the class"
+            )
         if not kind.title:
             raise InputError(f'{where}: has no title; add title = "its name in reports"')
         if not kind.priors():

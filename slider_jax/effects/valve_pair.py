@@ -1,4 +1,4 @@
-"""Base class of the effects that model the two valves pulsed by the firmware."""
+"""Base class of the effects that model a chamber's two valves, which the firmware pulses."""
 
 from abc import abstractmethod
 
@@ -10,15 +10,15 @@ from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Chamber, Flow
 
 FULL_DUTY_ERROR = 25 * 932.8
-"""Error [Pa] at the largest duty: 25 codes, because the firmware adds 10 per code up to 250."""
+"""Pressure error [Pa] of 25 codes, at which the duty is largest: 10 per code, at most 250."""
 MAX_DUTY = 250.0 / 255.0
 """Largest duty that the firmware sets."""
 
 
 def opening(error: Array, dead: Scalar) -> Array:
-    """Returns the share of the full flow with which a pressure error [Pa] opens a valve.
+    """Returns the flow of a valve at a pressure error [Pa], as a fraction of the full flow.
 
-    The duty is min(250, 10 |error in codes|)/255. A duty below `dead` opens nothing. Source: the
+    The duty is min(250, 10 |error in codes|)/255. A duty below `dead` opens no valve. Source: the
     public repository bvanstratum/SoftSnakePressureControl.
     """
     duty = MAX_DUTY * jnp.minimum(jnp.abs(error) / FULL_DUTY_ERROR, 1.0)
@@ -26,9 +26,9 @@ def opening(error: Array, dead: Scalar) -> Array:
 
 
 class ValvePair(Flow):
-    """A supply valve and a vent valve, opened by the firmware's duty, replace the lag.
+    """A fill valve and a vent valve, which the firmware opens with its duty, replace the lag.
 
-    At the null, `fill` = 0, the lag is unchanged.
+    At the null `fill` = 0, the lag is unchanged.
     """
 
     replaces_law = "lag"

@@ -1,1 +1,1 @@
-"""Effects of the body and its mounting; may import `effects` and the rooms below it."""
+"""Effects of the body and its mounting. They may import `effects` and lower layers."""

@@ -7,7 +7,7 @@ from slider_jax.effects.base import BodyChange, parameter
 
 
 class AxialFlexibility(BodyChange):
-    """Additional axial compliance of the actuated body, in series with its own.
+    """Additional axial compliance of the actuated body, in series with its compliance 1/EA_body.
 
         1/EA_body -> 1/EA_body + c
 
@@ -19,7 +19,7 @@ class AxialFlexibility(BodyChange):
     order = 300
 
     compliance: Scalar = parameter(
-        0.0, 0.0, 4e-3, "1/N", "2e-3 for walls 8 mm from the midline with EI = 0.038 N m^2"
+        0.0, 0.0, 4e-3, "1/N", "walls 8 mm from the midline with EI = 0.038 N m^2 have 2e-3"
     )
     """c, strain per force."""
 

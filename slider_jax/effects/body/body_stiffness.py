@@ -18,9 +18,9 @@ class BodyStiffness(BodyChange):
     order = 260
 
     x: Scalar = parameter(
-        0.0, -0.3, 0.4, "-", "bend tests err by a tenth; age, tubes and a sleeve stiffen"
+        0.0, -0.3, 0.4, "-", "bend tests have 10 % error; age, tubes and a sleeve add stiffness"
     )
-    """Relative change."""
+    """x, relative change of the stiffness."""
 
     def change(self, robot):
         return dataclasses.replace(robot, EI_body=robot.EI_body * (1.0 + self.x))

@@ -7,11 +7,11 @@ from slider_jax.effects.base import BodyChange, parameter
 
 
 class CarriedMass(BodyChange):
-    """Water held in folds, sensors and tubes, distributed evenly over body and tail.
+    """Mass of water in folds, of sensors and of tubes, distributed evenly along body and tail.
 
         m -> m + dm
 
-    Unlike added mass of the water, it acts both along and across the body.
+    Unlike added mass of the water, this mass acts along and across the body.
     Source: balance of momentum; Newman, J. N. (1977), Marine Hydrodynamics, MIT Press, ch. 4.
     """
 
@@ -19,9 +19,9 @@ class CarriedMass(BodyChange):
     order = 290
 
     dm: Scalar = parameter(
-        0.0, 0.0, 0.4, "kg/m", "water in 4 cm^2 of folds; sensors and tubes weigh about 0.05"
+        0.0, 0.0, 0.4, "kg/m", "folds of 4 cm^2 hold 0.4; sensors and tubes weigh about 0.05"
     )
-    """Mass per length."""
+    """Additional mass per length."""
 
     def change(self, robot):
         return dataclasses.replace(robot, linear_density=robot.linear_density + self.dm)

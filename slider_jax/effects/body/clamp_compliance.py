@@ -12,15 +12,15 @@ class ClampCompliance(Mounting):
         phi_head - phi_carriage = -c M_head,    M filtered with `MOUNT_LAG`
 
     M_head is the moment of the clamp on the body, positive if it bends the body to positive
-    curvature. The body turns the clamp the other way. Source: Euler-Bernoulli beam on an elastic
-    support, e.g. Blevins, R. D. (1979), Formulas for natural frequency and mode shape, ch. 8.
+    curvature. The body turns the clamp in the opposite direction. Source: Euler-Bernoulli beam on
+    an elastic support, Blevins, R. D. (1979), Formulas for natural frequency and mode shape, ch. 8.
     """
 
     title = "the clamp rotates under load"
     order = 370
 
     compliance: Scalar = parameter(
-        0.0, 0.0, 3.0, "rad/(N m)", "from rigid to a third of the body's EI/L = 0.1 N m/rad"
+        0.0, 0.0, 3.0, "rad/(N m)", "from rigid to a third of the body's compliance L/EI of 10"
     )
     """c, the inverse of the clamp's stiffness [N m/rad]."""
 

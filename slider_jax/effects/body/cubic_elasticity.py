@@ -9,7 +9,7 @@ class CubicElasticity(BendingMoment):
 
         M = EI kappa (1 + b kappa^2)
 
-    `Stiffening` acts on the actuated body only. A negative b softens. Source: Nayfeh, A. H. and
+    A negative b softens. `Stiffening` acts only on the actuated body. Source: Nayfeh, A. H. and
     Mook, D. T. (1979), Nonlinear Oscillations, Wiley, ch. 2.
     """
 
@@ -17,9 +17,9 @@ class CubicElasticity(BendingMoment):
     order = 320
 
     b: Scalar = parameter(
-        0.0, -0.005, 0.1, "m^2", "doubles the stiffness at kappa = 3 1/m; softens by a tenth"
+        0.0, -0.005, 0.1, "m^2", "at kappa = 3 1/m, from 5 % less to twice the stiffness"
     )
-    """Relative increase of the stiffness per squared curvature."""
+    """b, relative increase of the stiffness per squared curvature."""
 
     def moment(self, x, memory, dt):
         return x.EI * self.b * x.kappa**3, memory

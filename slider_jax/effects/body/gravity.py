@@ -8,13 +8,13 @@ from slider_jax.effects.base import ForceDensity, parameter
 
 
 class Gravity(ForceDensity):
-    """Weight minus buoyancy per unit length, along -x; the x axis points up along a climber.
+    """Weight minus buoyancy per unit length, along -x. For a climbing robot, the x axis points up.
 
         (F_x, F_y) = (-m g/(1 + eps), 0)
 
-    m is the mass per unstretched length. In water use the reduced g (1 - rho A/m); there the robot
-    is nearly neutrally buoyant. Source: Archimedes' principle, e.g. Batchelor, G. K. (1967), An
-    Introduction to Fluid Dynamics, Cambridge University Press, section 1.4.
+    m is the mass per unstretched length. In water, use g (1 - rho A/m) with the cross-section A.
+    The robot is nearly neutrally buoyant in water. Source: Archimedes' principle, Batchelor, G. K.
+    (1967), An Introduction to Fluid Dynamics, Cambridge University Press, section 1.4.
     """
 
     title = "weight"
@@ -22,8 +22,8 @@ class Gravity(ForceDensity):
     is_candidate = False
     in_air = True
 
-    g: Scalar = parameter(0.0, 0.0, 9.81, "m/s^2", "9.81 in air; nearly neutral in water")
-    """Acceleration."""
+    g: Scalar = parameter(0.0, 0.0, 9.81, "m/s^2", "9.81 in air; almost 0 in water")
+    """g, acceleration of gravity, reduced by buoyancy."""
 
     def force(self, x):
         weight = x.linear_density * self.g / (1.0 + x.strain)

@@ -7,11 +7,11 @@ from slider_jax.effects.base import BodyChange, parameter
 
 
 class MaterialDamping(BodyChange):
-    """Kelvin-Voigt damping of body and tail.
+    """A change of the Kelvin-Voigt damping of body and tail.
 
         alpha -> alpha (1 + x)
 
-    It has no effect if the robot's alpha is zero.
+    The effect vanishes if the robot's alpha is zero.
     Source: Christensen, R. M. (1982), Theory of Viscoelasticity, 2nd ed., Academic Press, ch. 1.
     """
 
@@ -19,9 +19,9 @@ class MaterialDamping(BodyChange):
     order = 280
 
     x: Scalar = parameter(
-        0.0, -0.9, 4.0, "-", "rubber's damping varies by a factor with batch, temperature and rate"
+        0.0, -0.9, 4.0, "-", "rubber's damping varies strongly with batch, temperature and rate"
     )
-    """Relative change."""
+    """x, relative change of the damping time."""
 
     def change(self, robot):
         return dataclasses.replace(robot, damping_time=robot.damping_time * (1.0 + self.x))

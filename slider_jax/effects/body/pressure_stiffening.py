@@ -19,9 +19,9 @@ class PressureStiffening(BendingMoment):
     order = 330
 
     c: Scalar = parameter(
-        0.0, -5e-8, 2e-7, "N m^2/Pa", "from a third less to twice the stiffness at 250 kPa"
+        0.0, -5e-8, 2e-7, "N m^2/Pa", "at 250 kPa, from a third less to twice the stiffness"
     )
-    """Stiffness per pressure."""
+    """c, additional stiffness per pressure."""
 
     def moment(self, x, memory, dt):
         return self.c * jnp.abs(x.pressure) * x.kappa, memory

@@ -5,7 +5,7 @@ from slider_jax.effects.base import BendingMoment, parameter
 
 
 class RestCurvature(BendingMoment):
-    """The actuated body has the curvature m_0/EI without pressure.
+    """Without pressure, the actuated body has the curvature m_0/EI.
 
         M = EI kappa - m_0
 
@@ -17,9 +17,9 @@ class RestCurvature(BendingMoment):
     order = 360
 
     m_0: Scalar = parameter(
-        0.0, -0.03, 0.03, "N m", "walls that differ by a tenth, or a storage set of 0.8 1/m"
+        0.0, -0.03, 0.03, "N m", "walls that differ by 10 %, or bending by 0.8 1/m in storage"
     )
-    """Moment that would straighten the body; positive values bend it like positive pressure."""
+    """Moment that would straighten the body. A positive m_0 bends it like a positive pressure."""
 
     def moment(self, x, memory, dt):
         return -(1.0 - x.in_tail) * self.m_0, memory

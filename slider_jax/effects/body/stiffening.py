@@ -5,12 +5,12 @@ from slider_jax.effects.base import BendingMoment, parameter
 
 
 class Stiffening(BendingMoment):
-    """Cubic elasticity of the actuated body, from strongly stretched rubber walls or folds.
+    """Cubic elasticity of the actuated body, caused by strongly stretched rubber walls or folds.
 
         M = EI kappa + beta kappa^3
 
-    It is the first odd term after the linear one. A negative beta softens; the body stays stable
-    while 3 |beta| kappa^2 < EI. Source: Nayfeh, A. H. and Mook, D. T. (1979), Nonlinear
+    The cubic term is the first odd term after the linear term. A negative beta softens; the body is
+    stable while 3 |beta| kappa^2 < EI. Source: Nayfeh, A. H. and Mook, D. T. (1979), Nonlinear
     Oscillations, Wiley, ch. 2.
     """
 
@@ -18,7 +18,7 @@ class Stiffening(BendingMoment):
     order = 310
 
     beta: Scalar = parameter(
-        0.0, -2e-4, 2e-3, "N m^4", "half of EI kappa at kappa = 3 1/m; softens by a twentieth"
+        0.0, -2e-4, 2e-3, "N m^4", "at kappa = 3 1/m, from 5 % less to 50 % more moment"
     )
     """Coefficient of the cubic term."""
 

@@ -7,11 +7,11 @@ from slider_jax.effects.base import BendingMoment, parameter
 
 
 class StressRelaxation(BendingMoment):
-    """Standard linear solid: a spring and a dashpot in series, parallel to the body's EI.
+    """Standard linear solid: a spring E_1 and a dashpot in series, both parallel to the body's EI.
 
         M = EI kappa + E_1 q,    dq/dt = d(kappa)/dt - q/tau
 
-    The memory q is the curvature of the spring in this arm.
+    The memory q is the curvature of the spring E_1.
     Source: Christensen, R. M. (1982), Theory of Viscoelasticity, 2nd ed., Academic Press, ch. 1.
     """
 
@@ -19,11 +19,11 @@ class StressRelaxation(BendingMoment):
     order = 340
 
     E_1: Scalar = parameter(
-        0.0, 0.0, 0.02, "N m^2", "silicone and sleeves relax by a tenth to a half of EI = 0.038"
+        0.0, 0.0, 0.02, "N m^2", "silicone and sleeves relax by 10 to 50 % of EI = 0.038 N m^2"
     )
-    """Stiffness of the arm."""
+    """Stiffness of the spring in series with the dashpot."""
     tau: Scalar = eqx.field(default=0.1)
-    """Relaxation time [s]; the default relaxes partly within a stride of 0.2 s."""
+    """Relaxation time [s]; with the default, stress relaxes partly within a stride of 0.2 s."""
 
     def moment(self, x, memory, dt):
         q = (memory + dt * x.kappa_t) / (1.0 + dt / self.tau)

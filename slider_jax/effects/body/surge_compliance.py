@@ -11,9 +11,9 @@ class SurgeCompliance(Mounting):
 
         V_tau - V_tau,carriage = -c dT/dt,    T filtered with `MOUNT_LAG`
 
-    T is the force of the mounting on the head. The spring carries -T, the thrust, and yields in
-    its direction. Source: Meirovitch, L. (2001), Fundamentals of Vibrations, McGraw-Hill,
-    ch. 1.
+    T is the force of the mounting on the head. The thrust -T acts on the spring, which yields in
+    the direction of the thrust. Source: Meirovitch, L. (2001), Fundamentals of Vibrations,
+    McGraw-Hill, ch. 1.
     """
 
     title = "the mounting yields axially"
@@ -24,7 +24,7 @@ class SurgeCompliance(Mounting):
         0.0,
         3e-4,
         "m/N",
-        "a soft sensor or strut has 3 kN/m; softer ones would let the robot bounce",
+        "a soft sensor or strut has 3 kN/m; on a softer mounting, the robot would bounce",
         3e-5,
     )
     """c, the inverse of the mounting's stiffness [N/m]."""

@@ -19,9 +19,9 @@ class TailStiffness(BodyChange):
     order = 270
 
     x: Scalar = parameter(
-        0.0, -0.5, 0.8, "-", "EI varies by half per sixth of thickness; a joint's overlap stiffens"
+        0.0, -0.5, 0.8, "-", "a sixth of the thickness changes EI by half; the joint adds more"
     )
-    """Relative change."""
+    """x, relative change of the stiffness."""
 
     def change(self, robot):
         return dataclasses.replace(robot, EI_tail=robot.EI_tail * (1.0 + self.x))

@@ -8,12 +8,12 @@ from slider_jax.effects.base import ForceDensity, parameter
 
 
 class TipMass(ForceDensity):
-    """A camera marker or glue, distributed over the last `length` l of the tail.
+    """Mass of a camera marker or glue, distributed along the last `length` l of the tail.
 
         (1 + eps) F_tau = -(mass/l) (dV_tau/dt - omega V_n)
         (1 + eps) F_n   = -(mass/l) (dV_n/dt + omega V_tau)      for s < l
 
-    The acceleration is that of the body, not relative to the water.
+    The acceleration is relative to the tank, not to the water.
     Source: balance of momentum; Blevins, R. D. (1979), Formulas for natural frequency and mode
     shape, ch. 8, on beams that carry masses.
     """
@@ -23,11 +23,11 @@ class TipMass(ForceDensity):
     lacks_weight = True
 
     mass: Scalar = parameter(
-        0.0, 0.0, 5e-3, "kg", "a plastic marker has 1 g, more with glue; the tail has 50 g"
+        0.0, 0.0, 5e-3, "kg", "a plastic marker weighs 1 g, more with glue; the tail weighs 50 g"
     )
     """Mass of the marker."""
     length: Scalar = eqx.field(default=0.01)
-    """Length l [m]."""
+    """Length l [m] of the tail that carries the mass."""
 
     def force(self, x):
         covered = jnp.clip((self.length - x.s) / x.ds + 0.5, 0.0, 1.0)

@@ -1,1 +1,1 @@
-"""Effects of valves, flow and chambers; may import `effects` and the rooms below it."""
+"""Effects of valves, flow and chambers. They may import `effects` and lower layers."""

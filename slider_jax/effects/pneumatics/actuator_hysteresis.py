@@ -12,21 +12,21 @@ class ActuatorHysteresis(ActingPressure):
 
         p_act = p - A z,    w dz/dt = dp/dt - |dp/dt| z
 
-    z approaches the sign of dp/dt within a few w of pressure, so a wide loop is 2 A high. It
-    depends on the path of p, not on time. The step is exact: z_1 = s + (z_0 - s) exp(-|dp|/w),
-    where s is the sign of dp. Source: Wen, Y.-K. (1976), Method for random vibration of hysteretic
-    systems, J. Eng. Mech. Div. ASCE 102, 249-263, with exponent 1 and one slope.
+    While the pressure changes by a few w, z approaches the sign of dp/dt, so a wide loop is 2 A
+    high. The loop does not depend on the rate of p. The step is exact: z_1 = s + (z_0 - s)
+    exp(-|dp|/w), where s is the sign of dp. Source: Wen, Y.-K. (1976), Method for random vibration
+    of hysteretic systems, J. Eng. Mech. Div. ASCE 102, 249-263, with exponent 1 and one slope.
     """
 
     title = "hysteresis of the actuators"
     order = 250
 
     amplitude: Scalar = parameter(
-        0.0, 0.0, 50e3, "Pa", "loops of elastomer bending actuators are up to a third of the stroke"
+        0.0, 0.0, 50e3, "Pa", "hysteresis of elastomer actuators is up to a third of the stroke"
     )
     """A, half the height of a wide loop."""
     width: Scalar = eqx.field(default=50e3)
-    """w [Pa], the change of pressure over which z reverses."""
+    """w [Pa], the change of pressure that reverses z."""
 
     def act(self, p, memory, dt):
         # The memory is p - w z: at the start it is p, and z is zero.

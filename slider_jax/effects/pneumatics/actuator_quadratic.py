@@ -11,16 +11,16 @@ class ActuatorQuadratic(ActingPressure):
 
         p_act = p (1 + q |p|)
 
-    To first order it is `ActuatorSaturation` with the opposite sign. Source:
-    Polygerinos, P. et al. (2015), Modeling of soft fiber-reinforced bending actuators, IEEE Trans.
-    Robot. 31, 778-789.
+    To first order in q, this is `ActuatorSaturation` with the opposite sign. Source: Polygerinos,
+    P. et al. (2015), Modeling of soft fiber-reinforced bending actuators, IEEE Trans. Robot. 31,
+    778-789.
     """
 
     title = "the actuators' moment grows faster than the pressure"
     order = 210
 
     quadratic: Scalar = parameter(
-        0.0, 0.0, 3e-6, "1/Pa", "the moment per pressure at most doubles at 330 kPa"
+        0.0, 0.0, 3e-6, "1/Pa", "at 330 kPa, the moment per pressure at most doubles"
     )
     """q, relative growth of the moment per pressure."""
 

@@ -1,4 +1,4 @@
-"""Chambers that also bend each other's span."""
+"""Chambers that also bend the span of the other chamber."""
 
 import jax.numpy as jnp
 
@@ -7,7 +7,7 @@ from slider_jax.effects.base import ActingPressure, parameter
 
 
 class ChamberCrosstalk(ActingPressure):
-    """Each chamber also bends the span of the other, through the common skin.
+    """Each chamber also bends the span of the other chamber, because both have a common skin.
 
         p_act = (p_front + c p_rear, p_rear + c p_front)
 
@@ -15,13 +15,13 @@ class ChamberCrosstalk(ActingPressure):
     McGraw-Hill, ch. 2.
     """
 
-    title = "each chamber also bends the other's span"
+    title = "each chamber also bends the other chamber's span"
     order = 240
 
     share: Scalar = parameter(
-        0.0, -0.1, 0.3, "-", "spans share 1 cm of 13 and the skin; small values of either sign"
+        0.0, -0.1, 0.3, "-", "the chambers are 1 cm apart and have a common skin"
     )
-    """c, share of a chamber's moment in the span of the other."""
+    """c, fraction of a chamber's moment that acts in the span of the other chamber."""
 
     def act(self, p, memory, dt):
         return jnp.stack([p[0] + self.share * p[1], p[1] + self.share * p[0]]), memory

@@ -14,8 +14,8 @@ class ChamberExpansion(Flow):
 
         dp/dt = (p_set - p)/k / (1 + c (p_a + 2 |p|))
 
-    This follows from d((p_a + |p|) V)/dt = R_gas T dm/dt at constant temperature. k is the time
-    constant of a rigid chamber.
+    This follows from d((p_a + |p|) V)/dt = R_gas T dm/dt for the mass m of air at the constant
+    temperature T. k is the time constant of a rigid chamber.
     Source: mass balance of a variable volume, Beater, P. (2007), Pneumatic Drives, Springer.
     """
 

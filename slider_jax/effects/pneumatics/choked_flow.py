@@ -7,11 +7,11 @@ from slider_jax.effects.base import Flow, parameter
 
 
 class ChokedFlow(Flow):
-    """The valve reduces the flow smoothly towards a largest rate.
+    """The rate of the pressure approaches a largest rate smoothly.
 
         dp/dt = r/(1 + c |r|),    r = (p_set - p)/k
 
-    |dp/dt| stays below R = 1/c. At sonic speed in the throat the mass flow depends only on the
+    |dp/dt| stays below R = 1/c. At sonic speed in the valve, the mass flow depends only on the
     upstream pressure and no longer increases with the pressure difference. Source: ISO 6358-1
     (2013), Pneumatic fluid power: determination of flow-rate characteristics of components.
     """

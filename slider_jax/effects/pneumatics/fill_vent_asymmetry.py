@@ -19,9 +19,9 @@ class FillVentAsymmetry(Flow):
     order = 70
 
     ratio: Scalar = parameter(
-        1.0, 0.3, 3.0, "-", "venting up to three times slower than filling, or faster"
+        1.0, 0.3, 3.0, "-", "venting is up to three times slower or faster than filling"
     )
-    """r, time constant of venting over that of filling, k."""
+    """r, time constant of venting divided by the time constant k of filling."""
 
     def rate(self, rate, x):
         return jnp.where(x.filling, rate, rate / self.ratio)

@@ -8,38 +8,37 @@ from slider_jax.effects.valve_pair import ValvePair
 
 
 class FirmwareValves(ValvePair):
-    """Two pulsed valves, one to the supply and one to the room, replace the lag.
+    """Two pulsed valves, one to the supply and one to the atmosphere, replace the lag.
 
         dp/dt =  c_f u P_s psi((p_a + |p|)/P_s)            filling, with the sign of p_set - p
         dp/dt =  c_v u (p_a + |p|) psi(p_a/(p_a + |p|))    venting, with the sign of p_set - p
         psi(r) = sqrt(1 - ((r - b)/(1 - b))^2),    1 for r < b
 
-    u is the firmware's duty for the error (`valve_pair.opening`). P_s = p_a + p_s is the absolute
-    pressure of the supply. Below the pressure ratio b the flow is choked: it does not depend on the
-    pressure downstream, so a vent's rate is proportional to the absolute pressure. At c_f = 0 the
-    lag stays; at c_f > 0 the valves replace it. Source: ISO 6358-1 (2013), Pneumatic fluid power:
-    determination of flow-rate characteristics of components; firmware:
-    bvanstratum/SoftSnakePressureControl.
+    u is the opening of the valve for the error p_set - p (`valve_pair.opening`). P_s = p_a + p_s is
+    the supply's absolute pressure with the atmospheric pressure p_a. Below the pressure ratio b the
+    flow is choked and does not depend on the downstream pressure. At c_f = 0 the lag is unchanged;
+    at c_f > 0 it is replaced. Source: ISO 6358-1 (2013), Pneumatic fluid power: determination
+    of flow-rate characteristics of components; firmware: bvanstratum/SoftSnakePressureControl.
     """
 
-    title = "pulsed valves of the firmware, choked or not"
+    title = "pulsed valves of the firmware with choked or subsonic flow"
     order = 160
 
     fill: Scalar = parameter(
         0.0, 0.0, 8.0, "1/s", "a valve of 1 mm fills 0.1 l in a fraction of a second", 1.5
     )
-    """c_f, choked flow of the fill valve divided by the volume."""
+    """c_f, choked flow of the fill valve divided by the chamber's volume."""
     vent: Scalar = parameter(
         1.5, 0.05, 8.0, "1/s", "a valve of 1 mm empties 0.1 l in a fraction of a second"
     )
-    """c_v of the vent valve."""
+    """c_v, choked flow of the vent valve divided by the chamber's volume."""
     supply: Scalar = parameter(
-        450e3, 200e3, 1.1e6, "Pa", "laboratory regulators and compressors, gauge"
+        450e3, 200e3, 1.1e6, "Pa", "gauge pressure of laboratory regulators and compressors"
     )
     """Supply pressure p_s, gauge."""
     critical: Scalar = parameter(0.3, 0.1, 0.6, "-", "0.2 to 0.5 for valves, 0.528 for a nozzle")
     """Critical pressure ratio b."""
-    dead: Scalar = parameter(0.05, 0.0, 0.5, "-", "pulses too short to lift the armature")
+    dead: Scalar = parameter(0.05, 0.0, 0.5, "-", "short pulses do not lift the armature")
     """Duty below which a valve stays closed."""
 
     def flows(self, p):

@@ -6,20 +6,20 @@ from slider_jax.effects.functions import magnitude
 
 
 class FlowExponent(Flow):
-    """Turbulent flow through the valve is a power below 1 of the pressure difference.
+    """The flow through the valve is a power of the pressure difference with an exponent below 1.
 
         dp/dt = (|e|/p_ref)^(-b) e/k,    e = p_set - p,    p_ref = 100 kPa
 
     b = 0 is laminar flow. b = 1/2 is incompressible flow through an orifice, for which e reaches
-    zero in finite time. |e| is rounded below 5 kPa. Source: Bernoulli, e.g. White, F. M. (2011),
-    Fluid Mechanics, 7th ed., McGraw-Hill, sec. 6.12.
+    zero in finite time. |e| is rounded below 5 kPa. Source: Bernoulli's equation, White, F. M.
+    (2011), Fluid Mechanics, 7th ed., McGraw-Hill, sec. 6.12.
     """
 
     title = "flow grows more slowly than the pressure difference"
     order = 140
 
-    exponent: Scalar = parameter(0.0, 0.0, 0.5, "-", "laminar to turbulent")
-    """b; the flow is the power 1 - b of the pressure difference."""
+    exponent: Scalar = parameter(0.0, 0.0, 0.5, "-", "0 for laminar flow, 0.5 for an orifice")
+    """b. The flow is proportional to the power 1 - b of the pressure difference."""
 
     def rate(self, rate, x):
         return (magnitude(x.p_set - x.p, 5e3) / 100e3) ** (-self.exponent) * rate

@@ -20,7 +20,7 @@ class LagMismatch(Flow):
     x: Scalar = parameter(
         0.0, -0.5, 1.0, "-", "hoses and volumes of the two chambers differ by up to a factor of two"
     )
-    """Relative excess of the rear chamber's time constant."""
+    """x, relative difference of the rear chamber's time constant from the front chamber's k."""
 
     def rate(self, rate, x):
         return rate / (1.0 + self.x * x.rear)

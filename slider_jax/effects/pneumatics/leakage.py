@@ -5,7 +5,7 @@ from slider_jax.effects.base import Flow, parameter
 
 
 class Leakage(Flow):
-    """Air escapes in proportion to the pressure.
+    """Air escapes from the chambers at a rate proportional to the pressure.
 
         dp/dt = (p_set - p)/k - q p
 
@@ -17,9 +17,9 @@ class Leakage(Flow):
     order = 130
 
     leak: Scalar = parameter(
-        0.0, 0.0, 3.0, "1/s", "intact chambers hold for minutes, a torn seam for 0.3 s"
+        0.0, 0.0, 3.0, "1/s", "intact chambers hold pressure for minutes, torn ones for 0.3 s"
     )
-    """q = 1/tau, inverse of the time constant of a closed chamber's pressure."""
+    """q, inverse of the time constant of the pressure in a closed chamber."""
 
     def rate(self, rate, x):
         return rate - self.leak * x.p

@@ -21,9 +21,9 @@ class LineLag(ActingPressure):
     order = 190
 
     tau: Scalar = parameter(
-        0.0, 0.0, 0.05, "s", "a metre of thin tube into a bladder takes 5 to 50 ms"
+        0.0, 0.0, 0.05, "s", "1 m of thin tube to a bladder has a time constant of 5 to 50 ms"
     )
-    """Time constant."""
+    """tau, time constant of the tube."""
 
     def act(self, p, memory, dt):
         y, before = memory

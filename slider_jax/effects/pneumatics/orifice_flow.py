@@ -10,9 +10,9 @@ from slider_jax.effects.pneumatics.chamber_expansion import ATMOSPHERE
 
 
 def characteristic(ratio: Array, b: Scalar) -> Array:
-    """Returns flow divided by the choked flow at the ratio r of downstream to upstream pressure.
+    """Returns psi(r), flow divided by choked flow; r is the downstream by the upstream pressure.
 
-    psi(r) = sqrt(1 - ((r - b)/(1 - b))^2) for r > b,    1 below
+    psi(r) = sqrt(1 - ((r - b)/(1 - b))^2) for r > b,    1 for r <= b
     """
     beyond = jnp.clip((ratio - b) / (1.0 - b), 0.0, 1.0)
     left = 1.0 - beyond**2
@@ -21,26 +21,26 @@ def characteristic(ratio: Array, b: Scalar) -> Array:
 
 
 class OrificeFlow(Flow):
-    """The valve opens in proportion to the error; its flow is that of a compressible gas.
+    """The valve opens in proportion to the error p_set - p, and the gas is compressible.
 
         dp/dt = (1 - w + w c) (p_set - p)/k
         c = psi((p_a + |p|)/(p_a + p_s))                            filling, supply to chamber
-        c = (p_a + |p|)/(p_a + p_s) psi(p_a/(p_a + |p|))            venting, chamber to room
+        c = (p_a + |p|)/(p_a + p_s) psi(p_a/(p_a + |p|))            venting, chamber to atmosphere
 
     psi(r) = sqrt(1 - ((r - b)/(1 - b))^2) for subsonic flow, and 1 below the critical ratio b. p_s
-    is the supply's gauge pressure. Source: ISO 6358-1 (2013), Pneumatic fluid power: determination
-    of flow-rate characteristics of components.
+    is the supply's gauge pressure, and p_a the atmospheric pressure. Source: ISO 6358-1 (2013),
+    Pneumatic fluid power: determination of flow-rate characteristics of components.
     """
 
     title = "compressible flow through the valves"
     order = 150
 
-    share: Scalar = parameter(0.0, 0.0, 1.0, "-", "from the linear lag to an orifice")
-    """w, share of orifice flow."""
+    share: Scalar = parameter(0.0, 0.0, 1.0, "-", "0 for the linear lag, 1 for an orifice")
+    """w, weight of orifice flow; 1 - w is the weight of the linear lag."""
     supply: Scalar = eqx.field(default=600e3)
-    """p_s [Pa]."""
+    """Supply pressure p_s [Pa], gauge."""
     critical: Scalar = eqx.field(default=0.3)
-    """b [-], between 0.2 and 0.5 for valves."""
+    """Critical pressure ratio b [-]; valves have 0.2 to 0.5."""
 
     def rate(self, rate, x):
         inside, supply = ATMOSPHERE + jnp.abs(x.p), ATMOSPHERE + self.supply

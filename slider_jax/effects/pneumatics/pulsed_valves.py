@@ -8,31 +8,32 @@ from slider_jax.effects.valve_pair import ValvePair
 
 
 class PulsedValves(ValvePair):
-    """`FirmwareValves` with laminar flow instead of orifice flow.
+    """Two pulsed valves as in `FirmwareValves`, with laminar flow instead of orifice flow.
 
         dp/dt = c_f u (p_s - |p|)    filling, with the sign of p_set - p
         dp/dt = c_v u |p|            venting, with the sign of p_set - p
 
+    u is the opening of the valve for the error p_set - p (`valve_pair.opening`).
     Source: laminar restriction, Andersen, B. W. (1967), The analysis and design of pneumatic
     systems, Wiley; firmware: bvanstratum/SoftSnakePressureControl.
     """
 
-    title = "pulsed valves of the firmware, laminar"
+    title = "pulsed valves of the firmware with laminar flow"
     order = 170
 
     fill: Scalar = parameter(
         0.0, 0.0, 10.0, "1/s", "a valve of 1 mm fills 0.1 l in a fraction of a second", 1.5
     )
-    """c_f of the fill valve."""
+    """c_f, laminar conductance of the fill valve."""
     vent: Scalar = parameter(
         2.0, 0.05, 10.0, "1/s", "a valve of 1 mm empties 0.1 l in a fraction of a second"
     )
-    """c_v of the vent valve."""
+    """c_v, laminar conductance of the vent valve."""
     supply: Scalar = parameter(
-        600e3, 200e3, 1.1e6, "Pa", "laboratory regulators and compressors, gauge"
+        600e3, 200e3, 1.1e6, "Pa", "gauge pressure of laboratory regulators and compressors"
     )
     """Supply pressure p_s, gauge."""
-    dead: Scalar = parameter(0.05, 0.0, 0.5, "-", "pulses too short to lift the armature")
+    dead: Scalar = parameter(0.05, 0.0, 0.5, "-", "short pulses do not lift the armature")
     """Duty below which a valve stays closed."""
 
     def flows(self, p):

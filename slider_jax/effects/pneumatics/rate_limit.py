@@ -6,22 +6,21 @@ from slider_jax.effects.functions import limited
 
 
 class RateLimit(Flow):
-    """The rate is that of the lag up to a largest rate.
+    """The rate of the pressure follows the lag up to a largest rate R.
 
         dp/dt = min(max((p_set - p)/k, -R), R)
 
-    `limited` rounds the corners. `ChokedFlow` reduces every rate; this effect acts only near its
-    limit. Source: saturation of a valve, Beater, P. (2007), Pneumatic
-    Drives, Springer.
+    The function `limited` rounds the corners. `ChokedFlow` reduces every rate; this effect acts
+    only near R. Source: saturation of a valve, Beater, P. (2007), Pneumatic Drives, Springer.
     """
 
     title = "the flow has a hard limit"
     order = 100
 
     inverse: Scalar = parameter(
-        0.0, 0.0, 2e-6, "s/Pa", "6 MPa/s reverse 250 kPa at k = 87 ms; R is 0.5 MPa/s or more", 4e-7
+        0.0, 0.0, 2e-6, "s/Pa", "a reversal of 250 kPa needs 6 MPa/s; R is 0.5 MPa/s or more", 4e-7
     )
-    """1/R, the inverse of the largest rate."""
+    """1/R, inverse of the largest rate. With k = 87 ms, reversing 250 kPa needs 6 MPa/s."""
 
     def rate(self, rate, x):
         return limited(rate, self.inverse)

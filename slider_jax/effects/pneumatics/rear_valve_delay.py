@@ -19,9 +19,9 @@ class RearValveDelay(Command):
     rear_only = True
 
     delay: Scalar = parameter(
-        0.0, 0.0, 0.03, "s", "one valve may be later by its whole switching time"
+        0.0, 0.0, 0.03, "s", "the rear valve may be late by its whole switching time"
     )
-    """Dead time minus that of the front chamber."""
+    """Dead time of the rear valve minus the dead time of the front valve."""
 
     def command(self, wave, chamber):
         return Delayed(wave, self.delay) if chamber == 1 else wave

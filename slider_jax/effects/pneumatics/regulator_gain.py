@@ -14,13 +14,13 @@ class RegulatorGain(Command):
     Doebelin, E. O. (2003), Measurement Systems, 5th ed., McGraw-Hill, ch. 3.
     """
 
-    title = "gain of the regulator"
+    title = "gain error of the regulator"
     order = 20
 
     gain: Scalar = parameter(
-        0.0, -0.2, 0.2, "-", "analogue regulators err by a few percent, more under flow"
+        0.0, -0.2, 0.2, "-", "analogue regulators have a few percent error, and more under flow"
     )
-    """g, relative error of the span."""
+    """g, relative error of the gain."""
 
     def curve(self, p_set):
         """Returns the set pressure at the valves [Pa]."""

@@ -10,16 +10,16 @@ class RegulatorOffset(Command):
 
         p_set,valve = p_set + p_0
 
-    The side of positive pressure then reaches a higher pressure than the other side. The sensors
-    read the actual pressure, so the measured p changes too. Source: zero drift, Doebelin, E. O.
-    (2003), Measurement Systems, 5th ed., McGraw-Hill, ch. 3.
+    With a positive p_0, the side of positive pressure reaches a higher pressure than the opposite
+    side. The sensors read the actual pressure, so the measured p changes too. Source: zero drift,
+    Doebelin, E. O. (2003), Measurement Systems, 5th ed., McGraw-Hill, ch. 3.
     """
 
-    title = "zero of the regulator"
+    title = "zero error of the regulator"
     order = 30
 
     offset: Scalar = parameter(0.0, -20e3, 20e3, "Pa", "zero error of 2 % for a regulator of 1 MPa")
-    """Offset p_0."""
+    """p_0, zero error of the regulator."""
 
     def curve(self, p_set):
         """Returns the set pressure at the valves [Pa]."""

@@ -7,12 +7,12 @@ from slider_jax.effects.functions import limited
 
 
 class SupplyCap(Command):
-    """The regulator delivers the set pressure up to the pressure of the supply.
+    """The regulator delivers the set pressure up to the supply pressure P.
 
         p_set,valve = min(max(p_set, -P), P)
 
-    `limited` rounds the corners. `SupplyLimit` reduces every set pressure; this effect acts only
-    near its limit. Source: Andersen, B. W. (1967), The analysis and design of pneumatic systems,
+    The function `limited` rounds the corners. `SupplyLimit` reduces every set pressure; this effect
+    acts only near P. Source: Andersen, B. W. (1967), The analysis and design of pneumatic systems,
     Wiley.
     """
 
@@ -20,7 +20,7 @@ class SupplyCap(Command):
     order = 50
 
     inverse: Scalar = parameter(
-        0.0, 0.0, 8e-6, "1/Pa", "compressors of such rigs hold 125 kPa or more", 3.5e-6
+        0.0, 0.0, 8e-6, "1/Pa", "compressors of such rigs supply 125 kPa or more", 3.5e-6
     )
     """1/P, inverse of the supply pressure."""
 

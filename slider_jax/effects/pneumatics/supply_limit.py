@@ -12,9 +12,9 @@ class SupplyLimit(Command):
 
         p_set,valve = p_set/(1 + c |p_set|)
 
-    It never exceeds the supply pressure 1/c. Unlike a hard limit, the effect has a tangent at its
-    null: -c |p_set| p_set. Source: regulator droop, Andersen, B. W. (1967), The analysis
-    and design of pneumatic systems, Wiley.
+    The regulator's pressure never exceeds the supply pressure 1/c. Unlike a hard limit, the effect
+    has a nonzero tangent at the null: -|p_set| p_set. Source: regulator droop, Andersen, B. W.
+    (1967), The analysis and design of pneumatic systems, Wiley.
     """
 
     title = "the supply cannot reach the set pressure"
@@ -23,7 +23,7 @@ class SupplyLimit(Command):
     inverse: Scalar = parameter(
         0.0, 0.0, 3e-6, "1/Pa", "a supply of 330 kPa halves the largest set pressure"
     )
-    """c = 1/p_supply."""
+    """c, inverse of the supply pressure."""
 
     def curve(self, p_set):
         """Returns the set pressure at the valves [Pa]."""

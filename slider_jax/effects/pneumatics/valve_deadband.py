@@ -8,23 +8,24 @@ from slider_jax.effects.functions import LIMIT_EXPONENT, magnitude
 
 
 class ValveDeadband(Flow):
-    """The valves are closed within a band of the error; outside it the lag is unchanged.
+    """The valves stay closed at an error below d; at a larger error, the lag is unchanged.
 
         dp/dt = e/k exp(-(d/|e|)^32),    e = p_set - p
 
-    Half of the flow remains at |e| = 1.01 d, and 1e-9 of it at 0.9 d. The pressure therefore stops
-    at the band before its set point. `ValveOverlap` also reduces the flow outside the band. Source:
-    on-off control of a pressure, Beater, P. (2007), Pneumatic Drives, Springer.
+    The flow is half of the lag's flow at |e| = 1.01 d, and 1e-9 of it at 0.91 d. The pressure
+    therefore stops changing about d before the set pressure. `ValveOverlap` also reduces the flow
+    at larger errors. Source: on-off control of a pressure, Beater, P. (2007), Pneumatic Drives,
+    Springer.
     """
 
     title = "deadband of the valves"
     order = 110
 
     band: Scalar = parameter(
-        0.0, 0.0, 40e3, "Pa", "an eighth of the largest set pressure; short pulses open nothing",
+        0.0, 0.0, 40e3, "Pa", "an eighth of the largest set pressure; short pulses open no valve",
         12e3,
     )  # fmt: skip
-    """d, half the width of the band."""
+    """d, the error below which the valves stay closed."""
 
     def rate(self, rate, x):
         share = jnp.minimum(self.band / magnitude(x.p_set - x.p, 1.0), 1.5)

@@ -17,9 +17,9 @@ class ValveDelay(Command):
     order = 10
 
     delay: Scalar = parameter(
-        0.0, 0.0, 0.06, "s", "switching takes 5 to 30 ms, and the controller's cycle adds to it"
+        0.0, 0.0, 0.06, "s", "switching takes 5 to 30 ms; the controller's cycle adds a delay"
     )
-    """Dead time."""
+    """Dead time of all valves."""
 
     def command(self, wave, chamber):
         return Delayed(wave, self.delay)

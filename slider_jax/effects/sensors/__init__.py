@@ -1,1 +1,1 @@
-"""Effects of the sensors; may import `effects` and the rooms below it."""
+"""Effects of the sensors. They may import `effects` and lower layers."""

@@ -6,7 +6,7 @@ from slider_jax.effects.functions import delayed
 
 
 class CameraDelay(Instrument):
-    """The time stamps of the tip are late.
+    """The time stamps of the tip's positions are late.
 
         tip_read(t) = tip(t - delay)
 
@@ -19,7 +19,7 @@ class CameraDelay(Instrument):
     sensors = ("tip",)
 
     delay: Scalar = parameter(
-        0.0, 0.0, 0.1, "s", "exposure and transfer: up to a few frames of a 30 to 60 Hz camera"
+        0.0, 0.0, 0.1, "s", "exposure and transfer take up to a few frames at 30 to 60 Hz"
     )
     """Delay of the time stamps [s]."""
 

@@ -13,12 +13,12 @@ class CameraScale(Instrument):
     Vision, 2nd ed., Cambridge University Press, ch. 6.
     """
 
-    title = "scale of the camera"
+    title = "scale error of the camera"
     order = 650
     sensors = ("tip",)
 
     gain: Scalar = parameter(
-        0.0, -0.1, 0.1, "-", "a ruler outside the plane of the tip, or seen through the surface"
+        0.0, -0.1, 0.1, "-", "the ruler is outside the tip's plane or seen through the surface"
     )
     """g, relative error of the scale."""
 

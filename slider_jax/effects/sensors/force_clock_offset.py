@@ -19,9 +19,9 @@ class ForceClockOffset(Instrument):
     sensors = ("thrust", "recoil")
 
     delay: Scalar = parameter(
-        0.0, -0.03, 0.03, "s", "two recorders started by hand or by software: tens of ms"
+        0.0, -0.03, 0.03, "s", "two recorders start tens of ms apart, by hand or by software"
     )
-    """Delay of the time stamps [s]; negative if they are early."""
+    """Delay of the time stamps [s]. It is negative if the time stamps are early."""
 
     def read(self, true):
         return true._replace(

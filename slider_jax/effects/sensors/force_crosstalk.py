@@ -7,7 +7,7 @@ from slider_jax.effects.base import Instrument, parameter
 
 
 class ForceCrosstalk(Instrument):
-    """The sensor's axes are rotated by an angle a, in the sense of phi, from the clamp's axes.
+    """The sensor's axes are rotated from the clamp's axes by an angle a in the direction of phi.
 
         thrust_read = cos a thrust + sin a recoil
         recoil_read = cos a recoil - sin a thrust
@@ -20,7 +20,7 @@ class ForceCrosstalk(Instrument):
     order = 600
     sensors = ("thrust", "recoil")
 
-    angle: Scalar = parameter(0.0, -0.1, 0.1, "rad", "mounting by eye is good to 5 degrees")
+    angle: Scalar = parameter(0.0, -0.1, 0.1, "rad", "mounting by eye has 5 degrees of error")
     """Angle a [rad]."""
 
     def read(self, true):

@@ -13,7 +13,7 @@ class ForceGain(Instrument):
     5th ed., McGraw-Hill, ch. 3.
     """
 
-    title = "gain of the force sensor"
+    title = "gain error of the force sensor"
     order = 580
     sensors = ("thrust", "recoil")
 

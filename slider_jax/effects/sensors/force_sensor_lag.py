@@ -10,7 +10,7 @@ class ForceSensorLag(Instrument):
 
         tau dF_read/dt = F - F_read
 
-    It is exact for a force that is linear between samples. Source: first-order instruments,
+    The solution is exact if the force is linear between samples. Source: first-order instruments,
     Doebelin, E. O. (2003), Measurement Systems, 5th ed., McGraw-Hill, ch. 3.
     """
 
@@ -19,7 +19,7 @@ class ForceSensorLag(Instrument):
     sensors = ("thrust", "recoil")
 
     tau: Scalar = parameter(
-        0.0, 0.0, 0.03, "s", "low-pass filters of bridge amplifiers down to 5 Hz"
+        0.0, 0.0, 0.03, "s", "bridge amplifiers have low-pass filters of 5 Hz and higher"
     )
     """Time constant [s]."""
 

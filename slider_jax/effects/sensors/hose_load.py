@@ -18,11 +18,11 @@ class HoseLoad(Instrument):
     sensors = ("thrust", "recoil")
 
     along: Scalar = parameter(
-        0.0, -4e-7, 4e-7, "N/Pa", "0.1 N at 250 kPa for a well guided soft hose of 4 mm"
+        0.0, -4e-7, 4e-7, "N/Pa", "a well guided soft hose of 4 mm exerts 0.1 N at 250 kPa"
     )
     """Coefficient a of the thrust."""
     across: Scalar = parameter(
-        0.0, -4e-7, 4e-7, "N/Pa", "0.1 N at 250 kPa for a well guided soft hose of 4 mm"
+        0.0, -4e-7, 4e-7, "N/Pa", "a well guided soft hose of 4 mm exerts 0.1 N at 250 kPa"
     )
     """Coefficient b of the recoil."""
 

@@ -13,12 +13,12 @@ class PressureGain(Instrument):
     5th ed., McGraw-Hill, ch. 3.
     """
 
-    title = "gain of the pressure sensors"
+    title = "gain error of the pressure sensors"
     order = 540
     sensors = ("pressure",)
 
     gain: Scalar = parameter(
-        0.0, -0.1, 0.1, "-", "sensors and their supply voltage err by a few percent"
+        0.0, -0.1, 0.1, "-", "sensors and their supply voltage have a few percent error"
     )
     """g, relative error of the sensitivity."""
 

@@ -13,12 +13,12 @@ class PressureOffset(Instrument):
     McGraw-Hill, ch. 3.
     """
 
-    title = "zero of the pressure sensors"
+    title = "zero error of the pressure sensors"
     order = 550
     sensors = ("pressure",)
 
     offset: Scalar = parameter(0.0, -20e3, 20e3, "Pa", "zero drift of 2 % for a sensor of 1 MPa")
-    """p_0 [Pa]."""
+    """p_0, zero error [Pa]."""
 
     def read(self, true):
         return true._replace(p_front=true.p_front + self.offset, p_rear=true.p_rear + self.offset)

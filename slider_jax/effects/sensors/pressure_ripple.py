@@ -10,7 +10,7 @@ from slider_jax.effects.base import Instrument, parameter
 
 
 class PressureRipple(Instrument):
-    """The pressure converter has a periodic error, because the weight of one bit is wrong.
+    """The analogue-to-digital converter has a periodic error, since one bit has a wrong weight.
 
         p_read = p + a sin(2 pi p/P) + b cos(2 pi p/P)
 
@@ -21,12 +21,12 @@ class PressureRipple(Instrument):
     order = 560
     sensors = ("pressure",)
 
-    a: Scalar = parameter(0.0, -6e3, 6e3, "Pa", "six codes of 0.93 kPa")
+    a: Scalar = parameter(0.0, -6e3, 6e3, "Pa", "six codes of the converter, 0.93 kPa each")
     """Amplitude of the sine."""
-    b: Scalar = parameter(0.0, -6e3, 6e3, "Pa", "six codes of 0.93 kPa")
+    b: Scalar = parameter(0.0, -6e3, 6e3, "Pa", "six codes of the converter, 0.93 kPa each")
     """Amplitude of the cosine."""
     period: Scalar = eqx.field(default=32 * 932.8)
-    """P [Pa]; 32 codes, the fifth bit of the rig's converter."""
+    """Period P [Pa] of the error; the default is 32 codes, the fifth bit of the rig's converter."""
 
     def read(self, true):
         def off(p):

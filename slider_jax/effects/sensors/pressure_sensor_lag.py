@@ -6,13 +6,13 @@ from slider_jax.effects.functions import lagged, lagged_sample
 
 
 class PressureSensorLag(Instrument):
-    """Both pressures pass a first-order low-pass filter: the sensor's tube or its electronics.
+    """Both pressures pass a first-order low-pass filter: the sensor's tube or electronics.
 
         tau dp_read/dt = p - p_read
 
-    It is exact for a pressure that is linear between samples. The pressure on the body is p, not
-    p_read. Source: first-order instruments, Doebelin, E. O. (2003), Measurement Systems, 5th ed.,
-    McGraw-Hill, ch. 3.
+    The solution is exact if the pressure is linear between samples. The pressure p, not p_read,
+    bends the body. Source: first-order instruments, Doebelin, E. O. (2003), Measurement Systems,
+    5th ed., McGraw-Hill, ch. 3.
     """
 
     title = "lag of the pressure sensors"
@@ -20,7 +20,7 @@ class PressureSensorLag(Instrument):
     sensors = ("pressure",)
 
     tau: Scalar = parameter(
-        0.0, 0.0, 0.05, "s", "thin tubes to the sensors and noise filters lag by tens of ms"
+        0.0, 0.0, 0.05, "s", "thin tubes and noise filters have time constants of tens of ms"
     )
     """Time constant [s]."""
 

@@ -1,1 +1,1 @@
-"""Effects of the water; may import `effects` and the rooms below it."""
+"""Effects of the water. They may import `effects` and lower layers."""

@@ -7,12 +7,12 @@ from slider_jax.effects.base import ForceDensity, parameter
 
 
 class AxialAddedMass(ForceDensity):
-    """Inertia of water that follows the axial motion of the body only.
+    """Inertia of water that follows only the axial motion of the body.
 
         F_tau = -m_t (du_tau/dt - omega u_n)
 
-    Source: Newman, J. N. (1977), Marine Hydrodynamics, MIT Press, ch. 4: for a slender ellipsoid it
-    is a few per cent of the displaced mass.
+    For a slender ellipsoid, this added mass is a few per cent of the displaced mass. Source:
+    Newman, J. N. (1977), Marine Hydrodynamics, MIT Press, ch. 4.
     """
 
     title = "added mass along the axis"
@@ -21,7 +21,7 @@ class AxialAddedMass(ForceDensity):
     m_t: Scalar = parameter(
         0.0, 0.0, 0.3, "kg/m", "0.03 for a smooth body of 0.7 kg/m; tubes and seams carry more"
     )
-    """Added mass per length."""
+    """m_t, added mass per length."""
 
     def force(self, x):
         F_tau = -self.m_t * (x.u_tau_t - x.omega * x.u_n)

@@ -24,7 +24,7 @@ class NormalDrag(ForceDensity):
     )
     """Drag coefficient."""
     density: Scalar = eqx.field(default=1000.0)
-    """rho [kg/m^3]."""
+    """Density rho [kg/m^3] of the water."""
 
     def force(self, x):
         F_n = -0.5 * self.density * self.C_d * x.height * jnp.abs(x.u_n) * x.u_n

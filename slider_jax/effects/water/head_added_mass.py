@@ -15,9 +15,9 @@ class HeadAddedMass(ForceDensity):
         F_tau =  m_A u_n^2/2 delta(s - L)
         m_A   =  m_a pi rho H^2/4
 
-    The water ahead of the body has no lateral momentum. At a blunt head the water gains its
-    momentum at once. A clamped head has u_n = 0, so the force is zero. The force acts in the cell
-    at the head. Source: Lighthill, M. J. (1971), as `ReactiveForce`; Jones, R. T. (1946),
+    The water ahead of the body has no lateral momentum and gains momentum suddenly at a blunt head.
+    A clamped head in still water has u_n = 0, so the force is zero. The force acts in the cell at
+    the head. Source: Lighthill, M. J. (1971), as in `ReactiveForce`; Jones, R. T. (1946),
     Properties of low-aspect-ratio pointed wings at speeds below and above the speed of sound, NACA
     Report 835.
     """
@@ -27,11 +27,11 @@ class HeadAddedMass(ForceDensity):
     is_candidate = False
 
     m_a: Scalar = parameter(
-        0.0, 0.0, 1.5, "-", "that of the body for a blunt head, less if the flow separates"
+        0.0, 0.0, 1.5, "-", "a blunt head has the body's m_a, and less if the flow separates"
     )
     """Added-mass coefficient at the head."""
     density: Scalar = eqx.field(default=1000.0)
-    """rho [kg/m^3]."""
+    """Density rho [kg/m^3] of the water."""
 
     def force(self, x):
         at_head = jnp.where(x.s == x.s[-1], 1.0 / x.ds, 0.0)

@@ -8,13 +8,13 @@ from slider_jax.effects.base import ForceDensity, parameter
 
 
 class HeadDrag(ForceDensity):
-    """Pressure drag of a blunt front end, its fitting, or the tubes that it pulls.
+    """Pressure drag of a blunt front end, of fittings at the head, or of the tubes.
 
         F_tau = -rho A |u_tau| u_tau / 2 delta(s - L)
 
-    A is the drag area, coefficient times frontal area; the force acts in the cell at the head.
-    Source: Hoerner, S. F. (1965), Fluid-Dynamic Drag, ch. 3: 0.8 to 1.2 on the frontal area of
-    blunt bodies, 0.2 for rounded ones.
+    A is the drag coefficient times the frontal area. The coefficient is 0.8 to 1.2 for blunt bodies
+    and 0.2 for rounded bodies. The force acts in the cell at the head.
+    Source: Hoerner, S. F. (1965), Fluid-Dynamic Drag, ch. 3.
     """
 
     title = "form drag of the head"
@@ -22,11 +22,11 @@ class HeadDrag(ForceDensity):
     resists_axially = True
 
     area: Scalar = parameter(
-        0.0, 0.0, 3e-3, "m^2", "0.9e-3 for a blunt end of 30 by 30 mm; tubes and fittings add"
+        0.0, 0.0, 3e-3, "m^2", "a blunt end of 30 by 30 mm has 0.9e-3; tubes and fittings add A"
     )
     """A, drag coefficient times frontal area."""
     density: Scalar = eqx.field(default=1000.0)
-    """rho [kg/m^3]."""
+    """Density rho [kg/m^3] of the water."""
 
     def force(self, x):
         at_head = jnp.where(x.s == x.s[-1], 1.0 / x.ds, 0.0)

@@ -9,18 +9,18 @@ from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import ForceDensity, parameter
 
 MIN_KC = 0.3
-"""Smallest KC, to bound the coefficient: strokes of a twentieth of the plate's height."""
+"""Smallest KC, which bounds the coefficient: strokes of a twentieth of the plate's height H."""
 
 
 class KeuleganCarpenterDrag(ForceDensity):
-    """Drag of a plate oscillating at f, added to the drag with a constant coefficient.
+    """Drag of a plate that oscillates at f, in addition to drag with a constant coefficient.
 
         F_n = -rho C KC^(-1/3) H |u_n| u_n / 2
         KC  = U/(f H),    U^2 = u_n^2 + (du_n/dt)^2/(2 pi f)^2
 
-    For a sinusoidal u_n, U is its amplitude. A smooth limit keeps KC above 0.3. Source: Keulegan,
-    G. H. and Carpenter, L. H. (1958), Forces on cylinders and plates in an oscillating fluid, J.
-    Res. Natl. Bur. Stand. 60, 423-440; the power and C = 8 are from Graham, J. M. R. (1980), The
+    U is the amplitude of a sinusoidal u_n. A smooth limit keeps KC above 0.3. Source: Keulegan, G.
+    H. and Carpenter, L. H. (1958), Forces on cylinders and plates in an oscillating fluid, J. Res.
+    Natl. Bur. Stand. 60, 423-440; the exponent -1/3 and C = 8 are from Graham, J. M. R. (1980), The
     forces on sharp-edged cylinders in oscillatory flow at low Keulegan-Carpenter numbers, J. Fluid
     Mech. 97, 331-346.
     """
@@ -29,13 +29,13 @@ class KeuleganCarpenterDrag(ForceDensity):
     order = 500
 
     C: Scalar = parameter(
-        0.0, 0.0, 10.0, "-", "8 for a sharp-edged plate; less with rounded edges or a constant part"
+        0.0, 0.0, 10.0, "-", "8 for a sharp-edged plate, less with round edges or with a large C_d"
     )
-    """Drag coefficient at KC = 1."""
+    """C, drag coefficient at KC = 1."""
     stride_frequency: Scalar = eqx.field(default=5.0)
     """Drive frequency f [Hz] of the trial."""
     density: Scalar = eqx.field(default=1000.0)
-    """rho [kg/m^3]."""
+    """Density rho [kg/m^3] of the water."""
 
     def force(self, x):
         U_2 = x.u_n**2 + (x.u_n_t / (2.0 * math.pi * self.stride_frequency)) ** 2

@@ -9,7 +9,7 @@ from slider_jax.effects.base import ForceDensity, parameter
 
 
 class ReactiveForce(ForceDensity):
-    """Large-amplitude elongated-body theory with all three terms, per unit length.
+    """Force per length of the large-amplitude elongated-body theory, with all three terms.
 
     f = -[ d(m_A u_n n)/dt - d(m_A u_tau u_n n)/ds + d(m_A u_n^2/2 tau)/ds ], with
     d(tau)/ds = kappa n, d(n)/ds = -kappa tau, d(n)/dt = -omega tau:
@@ -18,8 +18,8 @@ class ReactiveForce(ForceDensity):
         F_tau = -m_A ( -u_n omega + u_tau u_n kappa + u_n du_n/ds ) - dm_A/ds u_n^2/2
         m_A   = m_a pi rho H^2/4
 
-    The robot's height is uniform, so dm_A/ds = 0. No point force acts at its blunt head; see
-    docs/explanation/decisions.md.
+    The robot's height H is uniform, so dm_A/ds = 0. No point force acts at the robot's blunt head;
+    docs/explanation/decisions.md gives the reason.
 
     Source: Lighthill, M. J. (1971), Large-amplitude elongated-body theory of fish locomotion, Proc.
     R. Soc. B 179, 125-138; the paper's equations for F_a.
@@ -33,7 +33,7 @@ class ReactiveForce(ForceDensity):
     )
     """Added-mass coefficient."""
     density: Scalar = eqx.field(default=1000.0)
-    """rho [kg/m^3]."""
+    """Density rho [kg/m^3] of the water."""
 
     def added_mass(self, height):
         """Returns m_A [kg/m] of a section of `height` [m]."""

@@ -8,16 +8,16 @@ from slider_jax.effects.water.reactive import ReactiveForce
 
 
 class TailAddedMass(ForceDensity):
-    """Reactive force of the difference in added mass between tail and body.
+    """Reactive force due to the difference in added mass between tail and body.
 
-    The terms of `ReactiveForce` act along the tail. At the joint, where the added mass begins, its
-    momentum fluxes leave a point force, like lift at the leading edge of a slender wing:
+    The terms of `ReactiveForce` act along the tail. At the joint, the added mass changes suddenly.
+    The momentum fluxes cause a point force there, like lift at the leading edge of a slender wing:
 
         F_n   = -m_A u_tau u_n delta(s - s_joint)
         F_tau =  m_A u_n^2/2 delta(s - s_joint)
         m_A   =  m_a pi rho H^2/4
 
-    Source: Lighthill, M. J. (1971), as `ReactiveForce`; Jones, R. T. (1946), Properties of
+    Source: Lighthill, M. J. (1971), as in `ReactiveForce`; Jones, R. T. (1946), Properties of
     low-aspect-ratio pointed wings at speeds below and above the speed of sound, NACA Report 835.
     """
 
@@ -25,11 +25,11 @@ class TailAddedMass(ForceDensity):
     order = 470
 
     m_a: Scalar = parameter(
-        0.0, -0.5, 0.8, "-", "1 for a sheet, less if the flow separates; the body's walls are thick"
+        0.0, -0.5, 0.8, "-", "a sheet has 1, or less if the flow separates; the body is thick"
     )
-    """Added-mass coefficient of the tail minus that of the body."""
+    """Added-mass coefficient of the tail minus the coefficient of the body."""
     density: Scalar = eqx.field(default=1000.0)
-    """rho [kg/m^3]."""
+    """Density rho [kg/m^3] of the water."""
 
     def force(self, x):
         reactive = ReactiveForce(self.m_a, self.density)

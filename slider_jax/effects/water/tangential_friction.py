@@ -21,11 +21,11 @@ class TangentialFriction(ForceDensity):
     resists_axially = True
 
     C_t: Scalar = parameter(
-        0.0, 0.0, 0.2, "-", "0.005 for a smooth plate, more with tubes, seams, a clamp"
+        0.0, 0.0, 0.2, "-", "0.005 for a smooth plate, and more with tubes, seams or a clamp"
     )
-    """Friction coefficient on the wetted area, 2 H per length of a flat body."""
+    """Friction coefficient for the wetted area of a flat body, 2 H per length."""
     density: Scalar = eqx.field(default=1000.0)
-    """rho [kg/m^3]."""
+    """Density rho [kg/m^3] of the water."""
 
     def force(self, x):
         F_tau = -self.density * self.C_t * x.height * jnp.abs(x.u_tau) * x.u_tau

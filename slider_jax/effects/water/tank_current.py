@@ -11,8 +11,8 @@ class TankCurrent(WaterMotion):
 
         U = (U_x, U_y)
 
-    Source: momentum of a jet, Batchelor, G. K. (1967), An Introduction to Fluid Dynamics,
-    Cambridge, ch. 5: a thrust of 0.1 N over 0.03 m by 0.1 m makes a jet of about 0.2 m/s.
+    A thrust of 0.1 N on an area of 0.03 m by 0.1 m causes a jet of about 0.2 m/s. Source: momentum
+    of a jet, Batchelor, G. K. (1967), An Introduction to Fluid Dynamics, Cambridge, ch. 5.
     """
 
     title = "the tank has a steady current"
@@ -22,7 +22,7 @@ class TankCurrent(WaterMotion):
         0.0, -0.2, 0.2, "m/s", "the robot's jet of 0.2 m/s recirculates in a small tank"
     )
     """Velocity along x."""
-    U_y: Scalar = parameter(0.0, -0.1, 0.1, "m/s", "convection reaches some cm/s, pumps more")
+    U_y: Scalar = parameter(0.0, -0.1, 0.1, "m/s", "convection reaches some cm/s, and pumps more")
     """Velocity along y."""
 
     def velocity(self, t):

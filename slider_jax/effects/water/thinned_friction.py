@@ -1,4 +1,4 @@
-"""Axial friction under a boundary layer that the crossflow thins."""
+"""Axial friction in a boundary layer that the crossflow makes thinner."""
 
 import equinox as eqx
 
@@ -7,7 +7,7 @@ from slider_jax.effects.base import ForceDensity, parameter
 from slider_jax.effects.functions import magnitude
 
 CROSSFLOW_ROUNDING = 1e-3
-"""Crossflow [m/s] below which the root is rounded, so that its derivative stays finite."""
+"""Crossflow [m/s] below which the root is rounded, so that the derivative stays finite."""
 
 
 class ThinnedFriction(ForceDensity):
@@ -15,24 +15,24 @@ class ThinnedFriction(ForceDensity):
 
         F_tau = -2.7 c rho (nu H |u_n|)^(1/2) u_tau
 
-    The crossflow removes the boundary layer, so friction increases with the crossflow. Lighthill
-    and Bone explain the large drag of swimming fish by this thinning. |u_n| is rounded below 1
-    mm/s. Source: Taylor, G. (1952), Analysis of the swimming of long and narrow animals, Proc. R.
-    Soc. A 214, 158-183, for a circular section (c = 1).
+    The crossflow makes the boundary layer thinner, so friction increases with the crossflow.
+    Lighthill and Bone explain the large drag of swimming fish by this effect. |u_n| is rounded
+    below 1 mm/s. Source: Taylor, G. (1952), Analysis of the swimming of long and narrow animals,
+    Proc. R. Soc. A 214, 158-183, for a circular section (c = 1).
     """
 
-    title = "friction under a thinned boundary layer"
+    title = "friction in a thinned boundary layer"
     order = 420
     resists_axially = True
 
     c: Scalar = parameter(
         0.0, 0.0, 3.0, "-", "1 for a smooth round cylinder; a flat section has more surface"
     )
-    """Ratio of the friction to Taylor's value."""
+    """c, friction divided by Taylor's value."""
     viscosity: Scalar = eqx.field(default=1.0e-6)
-    """nu [m^2/s]."""
+    """Kinematic viscosity nu [m^2/s] of the water."""
     density: Scalar = eqx.field(default=1000.0)
-    """rho [kg/m^3]."""
+    """Density rho [kg/m^3] of the water."""
 
     def force(self, x):
         root = (self.viscosity * x.height * magnitude(x.u_n, CROSSFLOW_ROUNDING)) ** 0.5

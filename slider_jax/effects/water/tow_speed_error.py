@@ -8,7 +8,7 @@ from slider_jax.effects.base import WaterMotion, parameter
 
 
 class TowSpeedError(WaterMotion):
-    """The carriage moves faster than declared; for the robot this is a flow from ahead.
+    """The carriage moves faster than declared, which for the robot is a flow from ahead.
 
         U_x = -g U_tow
 
@@ -20,7 +20,7 @@ class TowSpeedError(WaterMotion):
     order = 520
 
     gain: Scalar = parameter(
-        0.0, -0.2, 0.2, "-", "lost motor steps or a wrong wheel diameter: up to a fifth"
+        0.0, -0.2, 0.2, "-", "lost motor steps or a wrong wheel diameter cause up to 20 %"
     )
     """g, relative error of the speed."""
     tow_speed: Scalar = eqx.field(default=0.1)
