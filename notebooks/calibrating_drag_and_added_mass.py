@@ -16,7 +16,7 @@
 # The head of a robot is clamped in a tank. A force sensor measures thrust and recoil. Two pressure
 # sensors measure the pressures of the front and the rear chamber. A camera measures the position of
 # the tail's tip. This tutorial identifies the drag coefficient C_d and the added-mass coefficient
-# m_a from these data. It also computes the uncertainty of both coefficients.
+# m_a from these data. The tutorial also computes the uncertainty of both coefficients.
 #
 # To use your own data, set the environment variable `SLIDER_EXPERIMENT` to the path of your
 # experiment.toml. The CSV files of the trials must be in the same folder. Without this variable,
@@ -64,8 +64,8 @@ for trial in tank.trials:
 # C_d and m_a determine the forces of the water. These forces also depend on how far the body bends,
 # and on the pressures in the chambers. K_Q, the moment per unit pressure, determines how far the
 # body bends. The time constant k determines how fast the pressures follow their set pressures. The
-# calibration therefore fits all four parameters together, to all channels of all trials. It uses
-# forward-mode derivatives of the simulation.
+# calibration therefore fits all four parameters together, to all channels of all trials. The
+# derivatives of the simulation are forward-mode derivatives.
 
 # %%
 found = identify_parameters(tank, progress=print, fine=mesh, coarse=mesh)
@@ -92,8 +92,9 @@ plt.show()
 # %% [markdown]
 # In the upper plot, "before" is the simulation with the initial parameters, and "calibrated" is the
 # simulation with the fitted parameters. In each trial, the sensors have another tare (offset) and
-# another gain. The calibration does not fit tares and gains. It treats them as noise that is
-# correlated in time. A constant shift of the residual is therefore no sign of a wrong model.
+# another gain. The calibration does not fit tares and gains. Tares and gains are treated as noise
+# that is correlated in time. A constant shift of the residual is therefore no sign of a wrong
+# model.
 #
 # ## Uncertainty
 #
@@ -171,7 +172,8 @@ worst = 1e3 * np.abs(measured - predicted).max()
 print(f"largest difference {worst:.0f} mN, tare and gain included")
 
 # %% [markdown]
-# The command `slider calibrate EXPERIMENT.toml --out DIR` makes the same calibration. It writes a
-# model file that you can use with `slider simulate --model`. With the option `--per-frequency`, the
-# command also tests whether the coefficients depend on the frequency. If the residual exceeds the
-# noise, the model lacks a physical effect. `slider close-loop` searches for this effect.
+# The command `slider calibrate EXPERIMENT.toml --out DIR` makes the same calibration. The command
+# writes a model file that you can use with `slider simulate --model`. With the option
+# `--per-frequency`, the command also tests whether the coefficients depend on the frequency. If the
+# residual exceeds the noise, the model lacks a physical effect. `slider close-loop` searches for
+# this effect.

@@ -14,10 +14,10 @@
 # # Designing a tail
 #
 # How long and how stiff should the tail be? This tutorial searches for the tail with the highest
-# steady swimming speed. It uses three methods: a map, gradient ascent, and the genetic algorithm.
-# The frequency, the pressures and the phase of the drive are fixed. The two remaining variables,
-# the tail's length and stiffness, fit in one plot. The command `slider optimize swim` optimises all
-# six variables.
+# steady swimming speed. The tutorial uses three methods: a map, gradient ascent, and the genetic
+# algorithm. The frequency, the pressures and the phase of the drive are fixed. The two remaining
+# variables, the tail's length and stiffness, fit in one plot. The command `slider optimize swim`
+# optimises all six variables.
 #
 # To save time, the simulation uses a coarse mesh of 17 nodes and only 48 time steps per stride. The
 # last section repeats the simulation of the best design on a finer mesh.
@@ -93,8 +93,8 @@ print(f"{len(grid)} designs; the fastest {100 * np.nanmax(on_grid):.1f} cm/s, {t
 # %% [markdown]
 # ## Gradient ascent
 #
-# The function `steady_speed` is differentiable. It finds the speed as the root of an equation, so
-# its derivative follows from the implicit function theorem. The derivatives with respect to both
+# The function `steady_speed` is differentiable. The speed is the root of an equation, so the
+# derivative follows from the implicit function theorem. The derivatives with respect to both
 # variables cost about as much as two more evaluations of the speed. The optimiser Adam starts from
 # a short and stiff tail.
 
@@ -181,7 +181,7 @@ finer = float(jax.jit(lambda unit: speed(unit, fine))(jnp.asarray(summit)))
 print(f"{100 * np.nanmax(heights):.2f} cm/s on 17 nodes, {100 * finer:.2f} cm/s on 51")
 
 # %% [markdown]
-# The command `slider optimize swim --out results/optimum` optimises all six variables. It uses all
-# cores and writes checkpoints. The option `--algorithm gradient` selects gradient ascent. The
-# script `python scripts/fig7_design_maps.py results/fig7` draws design maps like those of the
+# The command `slider optimize swim --out results/optimum` optimises all six variables. The command
+# uses all cores and writes checkpoints. The option `--algorithm gradient` selects gradient ascent.
+# The script `python scripts/fig7_design_maps.py results/fig7` draws design maps like those of the
 # paper.

@@ -97,8 +97,8 @@ else:
 # sensors in this second. Then it plays the drive of the trial. The chambers vent at the end of each
 # trial, and also after an error.
 #
-# The notebook prints the number of readings of each trial, and how many readings were lost. It also
-# prints the delay that 99 % of the commands did not exceed.
+# The notebook prints the number of readings of each trial, and how many readings were lost. The
+# number in ms is the delay that 99 % of the commands did not exceed.
 
 # %%
 measured = Path("measured")

@@ -65,8 +65,8 @@ model = sj.Model(
 # A rollout simulates the model step by step. A stride has a whole number of time steps, so the
 # valves never switch within a step. After every step, the simulator calls the function `save` with
 # a `Snapshot`, the state of the system at the end of the step. `save` returns the quantities to
-# keep. Its `section` contains the shape and the velocities in all cells of the grid. From these
-# values, an effect computes its force per length.
+# keep. The snapshot's `section` contains the shape and the velocities in all cells of the grid. An
+# effect computes its force per length from these values.
 
 
 # %%
@@ -97,10 +97,10 @@ cells = 0.5 * (s[1:] + s[:-1])
 # %% [markdown]
 # ## Pressures
 #
-# The set pressure p_set switches between +260 and -260 kPa. Its sign states whether the left or the
-# right chamber is filled. The pressure p follows with a lag, dp/dt = (p_set - p)/k, where the time
-# constant k is 87 ms. Half a stride lasts 104 ms. The chambers therefore reach only a little more
-# than half of the set pressure.
+# The set pressure p_set switches between +260 and -260 kPa. The sign of p_set states whether the
+# left or the right chamber is filled. The pressure p follows with a lag, dp/dt = (p_set - p)/k,
+# where the time constant k is 87 ms. Half a stride lasts 104 ms. The chambers therefore reach only
+# a little more than half of the set pressure.
 
 # %%
 set_pressure = {
@@ -141,10 +141,10 @@ ax.legend(title="phase (-)", ncols=2, fontsize="small", loc="center left", bbox_
 plt.show()
 
 # %% [markdown]
-# The travelling index is 1 for a travelling wave and 0 for a standing wave. It is computed from the
-# amplitude and phase of the motion's fundamental along the body. Here the index is close to 0, so
-# the wave is mostly a standing wave. The reasons are the clamped head and the small delay between
-# the two chambers.
+# The travelling index is 1 for a travelling wave and 0 for a standing wave. The index follows from
+# the amplitude and phase of the motion's fundamental along the body. Here the index is close to 0,
+# so the wave is mostly a standing wave. The reasons are the clamped head and the small delay
+# between the two chambers.
 
 # %%
 t = np.asarray(run.t)[-steps:]
@@ -164,15 +164,15 @@ print(f"travelling index {obs.travelling_index(mode):.2f}")
 #
 # Here F_tau and F_n are the components along the body and normal to it. u_tau and u_n are the
 # components of the body's velocity relative to the water. rho is the density of the water, C_d
-# the drag coefficient, H the height of the body, m_A the added mass per length, kappa the
+# the drag coefficient, and H the height of the body. m_A is the added mass per length, kappa the
 # curvature, and omega the turning rate of a section.
 #
 # If the body does not stretch, its turning rate is omega = du_n/ds + kappa u_tau in still water.
 # The component F_tau of the reactive force is then zero. Both forces are therefore normal to the
-# body. They have a forward component only where the body is inclined to the x axis.
+# body, and have a forward component only where the body is inclined to the x axis.
 #
 # The plots show the forces at two instants. At the instant of the largest thrust, the body is
-# about to reverse its motion. Its velocity is small, so only its acceleration matters. A quarter
+# about to reverse its motion: the velocity is small, and only the acceleration matters. A quarter
 # of a stride earlier, the tail moves fast, and the drag contributes to the force.
 
 # %%
@@ -205,9 +205,9 @@ axes[0, 0].legend(loc="upper right")
 plt.show()
 
 # %% [markdown]
-# The next plot shows the forward force per length, averaged over the stride. It shows which parts
-# of the body produce thrust. The integral of this mean force along the body is equal to the mean
-# thrust, because the body gains no momentum in a steady stride.
+# The next plot shows the forward force per length, averaged over the stride. The plot shows which
+# parts of the body produce thrust. The integral of this mean force along the body is equal to the
+# mean thrust, because the body gains no momentum in a steady stride.
 
 # %%
 mean_forward = {name: forward(name).mean(axis=0) for name in ("reactive", "drag")}

@@ -21,9 +21,9 @@
 # not use.
 #
 # The logs of the real rig are public (GitHub repository bvanstratum/SoftSnakePressureControl, sweep
-# of 2022-12-21). They are not part of this repository. To use them, put the files into the folder
-# `$SLIDER_DATA/manifold`. Without these files, the notebook simulates the logs of a chamber with
-# known valves. The output on this page is from simulated logs.
+# of 2022-12-21). These files are not part of this repository. To use the files, put them into the
+# folder `$SLIDER_DATA/manifold`. Without the files, the notebook simulates the logs of a chamber
+# with known valves. The output on this page is from simulated logs.
 
 # %%
 import os
@@ -98,9 +98,9 @@ plt.show()
 # `slider close-loop logs/*.txt --out DIR` makes the same analysis with all effects that a pressure
 # log can show, and writes a report.
 #
-# The bar chart after the next two cells compares the fits. It shows the mean square of the whitened
-# residual: the residual in units of its noise. A value near 1 means that the residual is at the
-# noise floor.
+# The bar chart after the next two cells compares the fits. Each bar is the mean square of the
+# whitened residual, which is the residual in units of its noise. A value near 1 means that the
+# residual is at the noise floor.
 
 # %%
 candidates = (
