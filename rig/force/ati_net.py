@@ -1,4 +1,4 @@
-"""ATI Net F/T box: its calibration from its web page, and its stream over UDP."""
+"""Reads an ATI Net F/T box: the calibration from the box's web page, and the stream over UDP."""
 
 import socket
 import time
@@ -31,7 +31,7 @@ TRIES = 3
 
 @dataclass(frozen=True)
 class NetCalibration:
-    """Counts of a Net F/T box per newton and per newton metre."""
+    """Numbers of counts of a Net F/T box per newton and per newton metre."""
 
     counts_per_N: float
     counts_per_Nm: float
@@ -78,7 +78,7 @@ class NetCalibration:
 
     @classmethod
     def fetch(cls, host: str, port: int = 80, timeout: float = 3.0) -> "NetCalibration":
-        """Reads the page of the box at `host`. Raises `RigError` if it does not answer."""
+        """Reads the page of the box at `host`. Raises `RigError` if the box does not answer."""
         where = f"http://{host}:{port}/{PAGE}"
         direct = urllib.request.build_opener(urllib.request.ProxyHandler({}))
         try:
@@ -93,7 +93,7 @@ class NetCalibration:
         return cls.from_page(page, where)
 
     def wrench(self, counts: np.ndarray) -> np.ndarray:
-        """Returns forces [N] and torques [N m] (..., 6) of counts (..., 6)."""
+        """Returns forces [N] and torques [N m] (..., 6) from counts (..., 6)."""
         return counts / np.repeat([self.counts_per_N, self.counts_per_Nm], 3)
 
     def forces(self, host_ns: Sequence[int], datagrams: Sequence[bytes]) -> Forces:
@@ -107,7 +107,7 @@ class NetCalibration:
 class NetForce(ForceSource):
     """A Net F/T box that streams over UDP.
 
-    Raises `RigError` at once if `host` is unreachable, and in `start` if it does not answer.
+    Raises `RigError` at once if `host` is unreachable, and in `start` if the box does not answer.
     """
 
     def __init__(
@@ -123,12 +123,12 @@ class NetForce(ForceSource):
         self.calibration = calibration
         self.name = f"force sensor {host}:{port}"
         self.patience = patience
-        """Longest allowed silence [s] at the start and in the stream."""
+        """Longest allowed time without data [s], at the start and in the stream."""
         self.tally = rdt.StreamTally()
         self._reader: ReaderThread | None = None
         self._sink: Sink
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        # The kernel needs about 0.7 kB per record; it may grant less than this buffer.
+        # The kernel needs about 0.7 kB per record, and may grant a smaller buffer than requested.
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer)
         try:
             self._socket.connect((host, port))  # accepts datagrams of this box only
@@ -167,7 +167,7 @@ class NetForce(ForceSource):
         self._last = now, np.array(counts)
 
     def start(self, sink: Sink) -> None:
-        """Starts the stream, after ending one that an earlier run may have left."""
+        """Ends a stream that an earlier run may have left running, then starts a new stream."""
         self.stop()
         self.tally, self._last, self._sink = rdt.StreamTally(), None, sink
         for _ in range(TRIES):
@@ -189,15 +189,15 @@ class NetForce(ForceSource):
         self._reader = ReaderThread(self.name, receive, self._take, self.patience)
 
     def bias(self) -> None:
-        """Takes the present load as zero; the box subtracts it until it is switched off."""
-        for _ in range(TRIES):  # the box does not confirm it, and a datagram may be lost
+        """Sets the present load as zero. The box subtracts this load until it loses power."""
+        for _ in range(TRIES):  # the box does not confirm the request, which may be lost
             self._send(rdt.BIAS)
 
     def health(self) -> Health:
         return Health(self.tally.received, len(self.tally.missing), self.tally.saturated)
 
     def check(self) -> None:
-        """Raises `RigError` as `ForceSource.check`; saturation is counted in `health` instead."""
+        """Raises `RigError` as `ForceSource.check`, but not for saturation (see `health`)."""
         if self._reader is not None:
             self._reader.check()
         if self.tally.fault:

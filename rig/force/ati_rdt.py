@@ -1,7 +1,7 @@
 """RDT, the stream format of an ATI Net F/T box: requests, records, and tables of records.
 
 A UDP datagram contains one request of 8 bytes or one record of 36 bytes, big endian (ATI manual
-9620-05-NET FT). UDP may lose, duplicate and reorder records; their numbers show which are missing.
+9620-05-NET FT). UDP may lose, duplicate and reorder records. The records are therefore numbered.
 """
 
 import struct
@@ -16,18 +16,18 @@ from rig.recording.clock import host_sample_times
 PORT = 49152
 STOP, START, BIAS = 0, 2, 0x42
 INTERNAL_RATE = 7000.0
-"""Rate [1/s] of the box's own samples, which `ft_seq` counts; the box sends only some of them."""
+"""Rate [1/s] of the box's own samples, which `ft_seq` counts. Not every sample is sent."""
 ERROR, SATURATED, LATCHED = 1 << 31, 1 << 17, 1 << 16
 """Bits of the status: any error; saturated transducer; a threshold was passed (not an error)."""
 STUCK = 0.1
-"""Six axes with constant counts for this time [s] are stuck: a working sensor has noise."""
+"""If all six counts stay constant for this time [s], the sensor is stuck: normally it has noise."""
 
 RECORD = struct.Struct(">III6i")
 _FIELDS = np.dtype([("rdt", ">u4"), ("ft", ">u4"), ("status", ">u4"), ("counts", ">i4", 6)])
 
 
 def request_bytes(command: int, count: int = 0) -> bytes:
-    """Returns the bytes of a command; a `count` of 0 streams until stopped."""
+    """Returns the bytes of a command. With a `count` of 0, the box streams until it is stopped."""
     return struct.pack(">HHI", 0x1234, command, count)
 
 
@@ -53,7 +53,7 @@ def is_invalid(status):
 
 
 def status_text(status: int) -> str:
-    """Returns a description of a status; empty without an error."""
+    """Returns a description of the errors in a status; empty without an error."""
     parts = ["saturated"] if status & SATURATED else []
     if has_box_error(status):
         parts.append("an error of the box, see System Status Code in its manual")
@@ -61,7 +61,7 @@ def status_text(status: int) -> str:
 
 
 class BoxTime:
-    """Time of each record by the box's own clock: sampling is regular, arrival is not."""
+    """Computes record times by the box's own clock, because records arrive irregularly."""
 
     def __init__(self) -> None:
         self._last: int | None = None
@@ -79,7 +79,7 @@ class BoxTime:
 
 
 class StreamTally:
-    """Counts of a running stream, record by record."""
+    """Counts the records of a running stream."""
 
     def __init__(self) -> None:
         self.received = self.late = self.duplicates = self.saturated = 0
@@ -114,11 +114,11 @@ class Records:
     | field | meaning |
     |---|---|
     | `seq` | number, continued over the overflow of the box's 32 bits |
-    | `present` | False for a missing record; the fields below are 0 there |
+    | `present` | False for a missing record, whose fields below are 0 |
     | `host_ns` | arrival on the host's monotonic clock [ns] |
     | `ft_seq`, `status` | the box's count of its own samples, and its status |
     | `counts` | (n, 6) Fx, Fy, Fz, Tx, Ty, Tz |
-    | `late`, `duplicates` | numbers of records that arrived after a later one, or twice |
+    | `late`, `duplicates` | numbers of records that arrived late, and of repeated records |
     """
 
     seq: np.ndarray
@@ -147,7 +147,7 @@ class Records:
         return INTERNAL_RATE * int(last - first) / samples
 
     def times(self) -> np.ndarray:
-        """Returns the sampling times (n,) on the host's monotonic clock [ns], gaps included."""
+        """Returns the sampling times (n,) on the host's clock [ns], also of missing records."""
         if len(self.seq) == 1:
             return self.host_ns
         at = self.present
@@ -175,9 +175,9 @@ class Records:
         if len(self.missing):
             found.append(f"{len(self.missing)} of {len(self.seq)} records missing")
         if self.late or self.duplicates:
-            found.append(f"{self.late} records arrived late and {self.duplicates} twice; sorted")
+            found.append(f"{self.late} late and {self.duplicates} repeated records were sorted")
         if stuck := int(self.stuck.sum()):
-            found.append(f"{stuck} records repeat the same counts for {STUCK:g} s or longer: stuck")
+            found.append(f"{stuck} records of a stuck sensor: constant for {STUCK:g} s or longer")
         for status in np.unique(self.status):
             if text := status_text(int(status)):
                 found.append(f"{int((self.status == status).sum())} records with {text}")
@@ -188,7 +188,7 @@ def record_table(host_ns: Sequence[int] | np.ndarray, datagrams: Sequence[bytes]
     """Returns the records of one stream, from arrival times [ns] and datagrams in order of arrival.
 
     Losses before the first or after the last record cannot be detected. Raises `RigError` for an
-    empty stream, a record of wrong size, or a repeated number with other content (a new stream).
+    empty stream, a record of wrong size, or one number with two contents (a second stream).
     """
     if not datagrams:
         raise RigError("force sensor: no records arrived in the recording; run `slider rig check`")
@@ -200,7 +200,7 @@ def record_table(host_ns: Sequence[int] | np.ndarray, datagrams: Sequence[bytes]
     rdt = raw["rdt"].astype(np.uint32)
     number = rdt[0] + (rdt - rdt[0]).astype(np.int32).astype(
         np.int64
-    )  # also over the 32-bit overflow
+    )  # valid across the 32-bit overflow
     unique, first, back = np.unique(number, return_index=True, return_inverse=True)
     other = np.flatnonzero((content != content[first[back]]).any(axis=1))
     if len(other) or unique[-1] - unique[0] > 100 * len(raw) + 10**6:

@@ -1,7 +1,7 @@
-"""ATI sensor without a box: an NI card reads six gauge voltages, and a matrix converts them.
+"""Reads an ATI sensor without a box: an NI card measures six voltages, and a matrix converts them.
 
 The sink gets blocks of samples, little endian: the number of the first sample (u64), then six
-voltages per sample (f64). The module needs NI-DAQmx and the extra `ni`.
+voltages per sample (f64). The module needs NI-DAQmx and the package extra `ni`.
 """
 
 import struct
@@ -31,19 +31,19 @@ from rig.recording.clock import Sink, host_sample_times
 
 _FIRST = struct.Struct("<Q")
 FULL = 0.995
-"""Share of a gauge's voltage range above which it counts as saturated."""
+"""A gauge counts as saturated above this fraction of the gauge's voltage range."""
 BIAS = 0.25
-"""Duration of the samples whose mean becomes the zero [s]."""
+"""The mean of the samples over this time [s] becomes the zero."""
 BLOCK = 0.02
 """Duration of one block of samples [s]."""
 
 
 @dataclass(frozen=True)
 class GaugeCalibration:
-    """A sensor's matrix (6, 6) [N or N m per V], rows in the order of `AXES`, and its zero.
+    """Calibration of a sensor: `matrix` (6, 6) [N/V or N m/V] with rows in the order of `AXES`.
 
-    The voltage range is -`volts` to `volts`, `rate` is the sampling rate [1/s], and `zero` are the
-    gauge voltages (6,) without load.
+    The voltage range is from -`volts` to `volts`. `rate` is the sampling rate [1/s]. `zero` (6,)
+    are the gauge voltages without load.
     """
 
     matrix: tuple[tuple[float, ...], ...]
@@ -94,15 +94,15 @@ class GaugeCalibration:
         return cls(tuple(matrix), volts, rate, serial=root.get("Serial", ""))
 
     def wrench(self, volts: np.ndarray) -> np.ndarray:
-        """Returns forces [N] and torques [N m] (..., 6) of gauge voltages (..., 6)."""
+        """Returns forces [N] and torques [N m] (..., 6) from gauge voltages (..., 6)."""
         return (volts - np.asarray(self.zero)) @ np.asarray(self.matrix).T
 
     def saturated(self, volts: np.ndarray) -> np.ndarray:
-        """Returns where (...) a gauge is at the end of its range: then all six axes are wrong."""
+        """Returns True (...) where a gauge is saturated, which makes all six axes wrong."""
         return np.any(np.abs(volts) >= FULL * self.volts, axis=-1)
 
     def forces(self, host_ns: Sequence[int], blocks: Sequence[bytes]) -> Forces:
-        """Returns the forces of one recording. Raises `RigError` for no blocks or a wrong rate."""
+        """Returns the forces of one recording. Raises `RigError` if empty or at a wrong rate."""
         if not blocks:
             raise RigError(
                 "force sensor: no samples arrived during the recording; check the NI card"
@@ -159,7 +159,7 @@ class GaugeForce(ForceSource):
                 sample_mode=constants.AcquisitionType.CONTINUOUS,
                 samps_per_chan=round(10 * calibration.rate),
             )
-            # The card divides its clock by a whole number, so its rate may differ.
+            # The card divides its clock by a whole number, so the actual rate may differ.
             self.calibration: GaugeCalibration = replace(
                 calibration, rate=float(self._task.timing.samp_clk_rate)
             )

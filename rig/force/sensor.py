@@ -39,7 +39,7 @@ def unit_in_si(unit: str, known: dict[str, float], where: str) -> float:
     name = unit.strip().lower().replace("-", "").replace(" ", "").replace("lbin", "lbfin")
     if name not in known:
         raise RigError.value(
-            where, f"unit {unit!r}", ", ".join(known), "set the sensor to N and N-m, or convert"
+            where, f"unit {unit!r}", ", ".join(known), "set the sensor's units to N and N-m"
         )
     return known[name]
 
@@ -66,9 +66,9 @@ class Forces(NamedTuple):
 
 @dataclass(frozen=True)
 class SensorMounting:
-    """Mounting of the sensor: its axes, with sign, for thrust and recoil.
+    """The sensor's axes, with sign, that measure thrust and recoil.
 
-    Both are forces of the robot on its clamp: thrust towards the head, recoil to the robot's left.
+    Thrust is the force of the robot on the clamp towards the head; recoil is the force to the left.
     """
 
     thrust: str = "+Fx"
@@ -112,18 +112,18 @@ class Health(NamedTuple):
 
 
 class ForceSource(ABC):
-    """An open sensor. As a context manager it stops and closes, also after an error."""
+    """An open sensor and context manager, which closes the sensor at the end or after an error."""
 
     calibration: Calibration
     _last: tuple[int, np.ndarray] | None = None
 
     @abstractmethod
     def start(self, sink: Sink) -> None:
-        """Starts the stream and waits for the first record. Raises `RigError` if none comes."""
+        """Starts the stream. Raises `RigError` if no first record arrives."""
 
     @abstractmethod
     def bias(self) -> None:
-        """Takes the present load as zero. Call it at rest, before a recording."""
+        """Sets the present load as zero. Call this function at rest, before a recording."""
 
     def latest(self) -> tuple[int, np.ndarray] | None:
         """Returns arrival [ns] and wrench (6,) [N, N m] of the last record, or None."""
@@ -138,11 +138,11 @@ class ForceSource(ABC):
 
     @abstractmethod
     def check(self) -> None:
-        """Raises `RigError` if the stream failed, fell silent, or reports an error."""
+        """Raises `RigError` if the stream failed, sends no data, or reports an error."""
 
     @abstractmethod
     def stop(self) -> None:
-        """Ends the stream, if there is one."""
+        """Ends the stream, if a stream runs."""
 
     @abstractmethod
     def close(self) -> None:
@@ -167,7 +167,7 @@ class ReaderThread:
     receive: Callable[[], bytes | None]
     take: Callable[[int, bytes], None]
     patience: float
-    """Longest allowed silence [s]; after a longer one, `check` raises an error."""
+    """`check` raises an error after this time without data [s]."""
     last_ns: int = field(default_factory=time.monotonic_ns)
     _failure: BaseException | None = None
     _ending: Event = field(default_factory=Event)
@@ -191,7 +191,7 @@ class ReaderThread:
             self._failure = error
 
     def check(self) -> None:
-        """Raises the exception that ended the thread, or `RigError` after a long silence."""
+        """Raises the exception that ended the thread, or `RigError` if no data arrive."""
         if isinstance(self._failure, RigError):
             raise self._failure
         if self._failure is not None:
@@ -199,12 +199,12 @@ class ReaderThread:
         silent = 1e-9 * (time.monotonic_ns() - self.last_ns)
         if silent > self.patience:
             raise RigError(
-                f"{self.name}: no data for {silent:.1f} s; check its power and cable, and that no "
-                "other computer or program requested its stream; then start again"
+                f"{self.name}: no data for {silent:.1f} s; check the sensor's power and cable, and "
+                "that no other computer or program requested the stream; then start again"
             )
 
     def end(self, wait: float) -> bool:
-        """Ends the thread at the next silence; returns whether it ended within `wait` [s]."""
+        """Ends the thread when no data arrive. Returns True if it ended within `wait` [s]."""
         self._ending.set()
         self._thread.join(wait)
         return not self._thread.is_alive()

@@ -1,7 +1,7 @@
-"""Driver of the gantry's axis with a GRBL 1.1 controller, and passes over the robot.
+"""Drives the gantry's axis with a GRBL 1.1 controller, and measures runs above the robot.
 
-GRBL computes the trapezoid itself, from its acceleration ($120) and the feed of each line. If this
-computer fails, the move ends by itself within the limits that were checked before it was sent.
+GRBL computes the trapezoidal speed from its acceleration ($120) and from the feed (speed) of each
+command. If this computer fails, GRBL ends the move within the limits that were checked before.
 Source: https://github.com/gnea/grbl, doc/markdown (commands, interface, settings).
 """
 
@@ -21,7 +21,7 @@ HOLD, RESET, STATUS = b"!", b"\x18", b"?"
 PAUSE = 0.05
 """Time between two status requests [s]; GRBL allows about ten requests a second."""
 ARRIVED = 0.5e-3
-"""Largest distance from its target at the end of a move [m]."""
+"""Largest distance between the axis and the target at the end of a move [m]."""
 ALARMS = {
     1: "the axis hit a limit switch; its position is lost",
     2: "the move leaves the soft limits ($130)",
@@ -47,7 +47,7 @@ ERRORS = {
 
 
 class GrblPort(Readable, Protocol):
-    """The part of `serial.Serial` that `GantryAxis` needs; GRBL uses 115200 baud."""
+    """The part of `serial.Serial` that `GantryAxis` needs. GRBL uses 115200 baud."""
 
     timeout: float | None
 
@@ -55,7 +55,7 @@ class GrblPort(Readable, Protocol):
 
 
 class GantryLimits(NamedTuple):
-    """The lab's limits of the gantry. Positions are from home, or from the position on entry."""
+    """The lab's limits of the gantry. Positions are measured from the origin of `GantryAxis`."""
 
     low: float
     """Lowest position [m]."""
@@ -68,12 +68,12 @@ class GantryLimits(NamedTuple):
 
 
 class GantryAxis:
-    """The X axis of a GRBL on an open port; the context stops it at its end, also after an error.
+    """Context manager of a GRBL's X axis on an open port.
 
-    On entry, the driver resets GRBL and reads its settings. If the position is unknown, the axis is
-    homed. With `homed=False` (no limit switches), the axis is unlocked instead, and its position on
-    entry is 0. At the end the axis slows down (feed hold) and is reset. Raises `RigError` for an
-    error or alarm of GRBL, and for a lost port.
+    On entry, the driver resets GRBL and reads GRBL's settings. If the position is unknown, the axis
+    moves to its home, which is the origin. With `homed=False` (no limit switches), the axis is only
+    unlocked, and the position on entry is the origin. At the end or after an error, the axis slows
+    down (feed hold) and GRBL is reset. Raises `RigError` for GRBL's errors and for a lost port.
     """
 
     def __init__(
@@ -106,7 +106,7 @@ class GantryAxis:
                 raise
 
     def stop(self) -> None:
-        """Slows down to rest and cancels the move; without an answer, resets at once."""
+        """Slows the axis down to rest and resets GRBL. Without an answer, only resets GRBL."""
         deadline = self._clock() + 1.0 + self.limits.speed / self._acceleration()
         try:
             self._send(HOLD)
@@ -131,7 +131,7 @@ class GantryAxis:
         return self._status()[1] - self._origin
 
     def move(self, profile: MotionProfile, back: bool = False) -> float:
-        """Makes the move, forwards or backwards; waits for its end; returns its start time [s]."""
+        """Moves the axis, waits for the end of the move, and returns the start time [s]."""
         profile = self.profile(profile.travel, profile.speed)
         start, travel = self.position(), -profile.travel if back else profile.travel
         if not self.limits.low - 1e-6 <= start + travel <= self.limits.high + 1e-6:
@@ -151,7 +151,7 @@ class GantryAxis:
             self._rest += self._receive()
         raise RigError(
             f"gantry: the axis has not arrived {patience:.1f} s after the start of a move of "
-            f"{profile.duration:.1f} s (GRBL reports {state}); check whether it is held"
+            f"{profile.duration:.1f} s (GRBL reports {state}); check whether the axis is blocked"
         )
 
     def _connect(self) -> None:
@@ -206,7 +206,7 @@ class GantryAxis:
         """Returns the lines up to the first wanted one. Raises `RigError` for an error or alarm."""
         deadline, lines, late = self._clock() + patience, list[str](), False
         while not late:
-            late = self._clock() >= deadline  # bytes that are already there still count
+            late = self._clock() >= deadline  # bytes that arrived before the deadline still count
             self._rest += self._receive()
             while b"\n" in self._rest:
                 line, self._rest = self._rest.split(b"\n", 1)
@@ -243,8 +243,8 @@ def _raise_refusal(text: str, asked: str) -> None:
 
 def _port_lost(error: OSError) -> RigError:
     return RigError(
-        f"gantry: the port is gone ({error}); the axis ends its last move by itself; use its "
-        "emergency stop if necessary, then plug it in again and home it"
+        f"gantry: the port is gone ({error}); the axis still ends the last move; use the emergency "
+        "stop if necessary, then plug in the cable and home the axis"
     )
 
 
@@ -255,11 +255,11 @@ def gantry_measurement(
     settle: float,
     stride: float,
 ) -> Callable[[float], GantryPass | None]:
-    """Returns the `measure` of `find_swimming_speed`: one pass over `travel` [m], and back.
+    """Returns the `measure` of `find_swimming_speed`: one run over `travel` [m], and back.
 
-    `film` starts robot and camera, calls its argument, which makes the pass, and returns the track
-    of the marker: times [s, on the axis' clock] and positions [m, ahead of the camera, NaN where
-    the marker is lost]. The first `settle` seconds are ignored; `stride` is a stride's period [s].
+    `film` starts robot and camera, and calls its argument, which moves the gantry. It returns the
+    marker's track: times on the axis' clock [s], and positions ahead of the camera [m], NaN if
+    lost. The first `settle` seconds are ignored. `stride` is the period of a stride [s].
     """
 
     def measure(speed: float) -> GantryPass | None:

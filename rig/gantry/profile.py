@@ -1,4 +1,4 @@
-"""The gantry's trapezoidal motion: it speeds up, cruises at a constant speed, and slows down."""
+"""The gantry's trapezoidal speed profile: acceleration, constant speed (cruise), deceleration."""
 
 from dataclasses import dataclass
 from math import inf, sqrt
@@ -12,8 +12,8 @@ from rig.errors import RigError
 class MotionProfile:
     """A move from rest to rest over `travel` [m] at `speed` [m/s] and `acceleration` [m/s^2].
 
-    Each ramp lasts speed / acceleration and covers speed^2 / (2 acceleration); the cruise covers
-    the remaining travel. Raises `RigError` if the ramps are longer than the travel.
+    Each ramp takes speed / acceleration [s] and covers speed^2 / (2 acceleration) [m]. The cruise
+    covers the remaining travel. Raises `RigError` if the ramps are longer than the travel.
     """
 
     travel: float
@@ -31,7 +31,7 @@ class MotionProfile:
                 "gantry travel",
                 f"{self.travel:g} m",
                 f"at least {shortest:g} m at {self.speed:g} m/s and {self.acceleration:g} m/s^2",
-                f"lengthen it, or use at most {sqrt(self.travel * self.acceleration):g} m/s",
+                f"use a longer travel, or at most {sqrt(self.travel * self.acceleration):g} m/s",
             )
 
     @property

@@ -1,9 +1,9 @@
 """Search for the swimming speed: the gantry's speed at which its camera sees the robot at rest.
 
-The search applies Newton's method to the drift, displacement / cruise time. The drift has the same
-zero as the displacement and is almost linear in the gantry's speed. The displacement is not,
-because faster runs are shorter. The slope is a least-squares line through the last runs, weighted
-by their noise and by their distance from the zero.
+The search applies Newton's method to the drift: the displacement divided by the cruise time. The
+drift has the same zero as the displacement. Only the drift is almost linear in the gantry's speed,
+because faster runs take less time. The slope is that of a least-squares line through the last runs,
+which are weighted by noise and by distance from the zero.
 """
 
 from collections.abc import Callable
@@ -19,25 +19,25 @@ from rig.errors import RigError
 MIN_STRIDES = 2.0
 """Shortest unbroken track of a valid run, in strides."""
 FITTED_SPEEDS = 4
-"""Number of last speeds whose runs determine the slope."""
+"""The runs at this number of most recent speeds determine the slope."""
 CURVATURE = 0.1
-"""Assumed relative error of the straight line, per distance from the zero."""
+"""Assumed error of the straight line, as a fraction of a run's distance from the zero."""
 FREE_SLOPE = (-1.0, 0.5)
-"""Slope of the drift for a robot without tether forces, and its prior standard deviation."""
+"""Prior of the drift's slope: value for a robot without tether forces, and standard deviation."""
 FLATTEST = -0.2
-"""Upper bound of the slope, which limits steps where the drift levels off or rises by chance."""
+"""Upper bound of the slope. It limits steps if the drift is almost constant or rises by chance."""
 STUDENT = (1.96, 12.7, 4.3, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26)
-"""Half width of Student's 95 % interval in standard deviations, for 1, 2, ... repeats. The first
-value is for a known standard deviation, or for more repeats."""
+"""Half widths of Student's 95 % interval in standard deviations, for 1, 2, ... repeats. The first
+value applies to a known standard deviation, and to more repeats than the table contains."""
 
 
 class GantryPass(NamedTuple):
-    """One pass of the gantry at a constant speed."""
+    """One run of the gantry at a constant speed."""
 
     displacement_m: float
     """Displacement of the robot relative to the camera, positive ahead; NaN if lost."""
     cruise_time_s: float
-    """Duration of the displacement."""
+    """Time over which the displacement was measured [s]."""
     frames: int
     lost: int
     """Number of frames without the marker."""
@@ -48,7 +48,7 @@ class StopReason(Enum):
 
     CONVERGED = "the predicted change of speed is within the tolerance"
     NOISE = "the displacement is within the noise of repeated runs, which exceeds the tolerance"
-    LOST = "the camera lost the marker twice at one speed; check the light, or start nearer"
+    LOST = "the camera lost the marker twice at one speed; check the light, or change the speed"
     LIMIT = (
         "the displacement has no zero within the limits of speed; "
         "check whether the tether tows the robot, and the camera's direction"
@@ -92,13 +92,14 @@ def find_swimming_speed(
     """Searches for the speed at which the displacement over the cruise is zero.
 
     `measure` makes a run at a speed [m/s] and returns None, or a NaN displacement, if the marker
-    was lost. `first` and `second` are the first two speeds; the default of `second` is the zero for
-    a free swimmer. `limits` are the lowest and highest speed [m/s]. `budget` is the largest number
-    of runs, including lost ones. `tolerance_px` [px] must not be below the camera's noise, because
-    two runs cannot detect a noise slightly above the tolerance. `scale` [m/px] converts it.
+    was lost. `first` and `second` are the first two speeds [m/s]. The default of `second` assumes a
+    robot without tether forces. `limits` are the lowest and highest speed [m/s]. `budget` is the
+    largest number of runs. `tolerance_px` [px] is the largest accepted displacement, and must not
+    be below the camera's noise: two runs cannot detect a noise slightly above the tolerance.
+    `scale` [m/px] converts pixels to metres.
 
-    A found speed is repeated once, and once more if the noise ends the search. A speed is also
-    repeated, to measure the noise, if a Newton step does not halve the displacement.
+    The run at the found speed is repeated once, and once more if noise ends the search. To measure
+    the noise, a run is also repeated if a Newton step does not halve the displacement.
     """
     _check(first, limits, tolerance_px, scale, budget, second)
     low, high = limits
@@ -201,8 +202,8 @@ def _line(runs: list[tuple[float, GantryPass]], noise: float) -> tuple[float, fl
 def _within_bracket(target: float, runs: list[tuple[float, GantryPass]], clear: float) -> float:
     """Returns `target`, or the middle of the bracket if `target` is outside.
 
-    The bracket is from the fastest run that the robot overtook to the slowest run that overtook
-    the robot, by more than `clear` [m].
+    The bracket begins at the highest speed at which the robot overtook the gantry by more than
+    `clear` [m]. It ends at the lowest speed at which the gantry overtook the robot by more.
     """
     slower = max((v for v, run in runs if run.displacement_m > clear), default=-inf)
     faster = min((v for v, run in runs if run.displacement_m < -clear), default=inf)
@@ -212,11 +213,11 @@ def _within_bracket(target: float, runs: list[tuple[float, GantryPass]], clear: 
 
 
 def fit_drift(t, x, start: float, end: float, stride: float) -> GantryPass | None:
-    """Returns the pass of a track: marker at x [m] ahead of the camera at times t [s] (frames,).
+    """Returns the run with the marker at x [m] ahead of the camera at times t [s] (frames,).
 
-    Only frames from `start` to `end` [s] count, and only until the marker is lost for half a
-    `stride` [s]: a robot much faster or slower than the gantry leaves the view. The drift is the
-    slope of a straight line, fitted together with the first two harmonics of the stride. Returns
+    Only frames from `start` to `end` [s] count, until the marker is lost for half a `stride` [s]. A
+    robot much faster or slower than the gantry leaves the camera's view. The drift is the slope of
+    a straight line, which is fitted together with the first two harmonics of the stride. Returns
     None for a track shorter than `MIN_STRIDES`.
     """
     t, x = np.asarray(t, float), np.asarray(x, float)

@@ -13,15 +13,14 @@ from rig.recording.clock import Sink, host_ns
 
 VENTS = "the manifold vents by itself 0.1 s after the last command"
 MAX_DAMAGED = 1e-3
-"""Share of damaged frames above which errors are blamed on the line."""
+"""If a larger fraction of frames is damaged, an error's text names the line as possible cause."""
 
 
 class Connection:
     """A port with a thread that calls `take(host time [ns], message)` for each message.
 
-    The thread also calls `sink(host time [ns], bytes)` for each received piece. The writing thread
-    calls `sent(host time [ns], bytes)` for each sent frame. `failed` is called after `failure` is
-    set.
+    The thread also calls `sink(host time [ns], bytes)` for the bytes of each read. The writing
+    thread calls `sent(host time [ns], bytes)` for each frame. `failed` is called after an error.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Driver of the manifold: it sends commands, receives readings, and always stops at the end."""
+"""Drives the manifold: sends commands, receives readings, and always vents at the end."""
 
 import threading
 import time
@@ -15,9 +15,9 @@ from rig.protocol import messages as wire
 from rig.recording.clock import Sink
 
 ANSWER_WAIT, TRIES = 0.08, 8
-"""Wait for an answer [s], shorter than the watchdog's 0.1 s; number of tries of a command."""
+"""Longest wait for an answer [s], below the watchdog's 0.1 s; number of tries of a command."""
 MAX_SILENCE = 0.5
-"""Longest time without a reading while armed [s]. A host without readings must not drive on."""
+"""Longest time without a reading while armed [s]. A host without readings must stop the drive."""
 _VENT_REASONS = {
     wire.Cause.RESET: "it has reset (power, or its hardware watchdog)",
     wire.Cause.WATCHDOG: "it received no command for {detail} ms",
@@ -27,9 +27,9 @@ _VENT_REASONS = {
 
 
 class Manifold:
-    """Context manager of a manifold. At its end, also after an error, it stops the manifold.
+    """Context manager of a manifold, which vents all chambers at the end, also after an error.
 
-    The reading thread calls `sink(host time [ns], bytes)` for each received piece,
+    The reading thread calls `sink(host time [ns], bytes)` for the bytes of each read,
     `on_reading(host time [ns], Reading)` and `on_follows(Follows)`, in the order of arrival. The
     commanding thread calls `sent(host time [ns], bytes)` for each sent frame.
     """
@@ -71,8 +71,8 @@ class Manifold:
             version = ".".join(map(str, self.ident[1:4]))
             raise RigError(
                 f"{self._line.name}: firmware {version} uses protocol {self.ident.protocol}, this "
-                f"program uses {wire.PROTOCOL}; flash the firmware in rig/firmware, or install the "
-                "program version of this firmware"
+                f"program uses {wire.PROTOCOL}; flash the firmware in rig/firmware, or install a "
+                "program version with this protocol"
             )
         return self
 
@@ -90,12 +90,12 @@ class Manifold:
     def _blame_line(self, error: RigError) -> None:
         if self._line.is_bad:
             error.add_note(
-                f"before the error {self.damaged} frames arrived damaged and {self.lost} readings "
+                f"before the error, {self.damaged} frames arrived damaged and {self.lost} readings "
                 "were lost; check the cable and the plugs"
             )
 
     def stop_after(self, error: BaseException | None) -> None:
-        """Stops. If that fails, add a note to `error`, or raise `RigError` if there is none."""
+        """Vents all chambers. If this fails, adds a note to `error`, or raises `RigError`."""
         try:
             self.stop()
         except RigError as failure:
@@ -106,7 +106,7 @@ class Manifold:
                 error.add_note(note)
 
     def check(self) -> None:
-        """Raises `RigError` after a lost port, a vent by the manifold itself, or a silence."""
+        """Raises `RigError` if the port is lost, the manifold has vented, or no readings arrive."""
         failure = self._line.failure or self._own_vent
         if failure is not None:
             raise failure
@@ -142,7 +142,7 @@ class Manifold:
         self._send(wire.Heartbeat)
 
     def stop(self) -> None:
-        """Vents all chambers and waits for the confirmation. Raises `RigError` if none comes."""
+        """Vents all chambers. Raises `RigError` if the manifold does not confirm this."""
         self._armed = False
         self._request(wire.Stop)
 
@@ -163,7 +163,7 @@ class Manifold:
             self._request(partial(_wave_piece, first, flat))
 
     def play(self, repeats: int = 1) -> None:
-        """Plays the waveform, endlessly if `repeats` is 0. It needs heartbeats meanwhile."""
+        """Plays the waveform `repeats` times, or endlessly for 0. Send heartbeats meanwhile."""
         self._request(lambda seq: wire.WavePlay(seq, repeats))
 
     def _send(self, make: Callable[[int], wire.Message]) -> int:
@@ -251,7 +251,7 @@ class Manifold:
                     self._changed.notify_all()
             case wire.Ident():
                 if self.ident is None:
-                    # Messages from before are leftovers in buffers.
+                    # Earlier messages are old: they were waiting in buffers.
                     self.latest, self.lost, self.duplicated = None, 0, 0
                     self._line.reset_counts()
                 with self._changed:

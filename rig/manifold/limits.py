@@ -8,7 +8,7 @@ from rig.errors import RigError
 from rig.protocol.messages import CHAMBERS, Ident
 
 LARGEST_LIMIT = 2_000_000.0
-"""Gauge pressure [Pa]; a higher limit is probably a mistake of units."""
+"""Highest allowed limit, a gauge pressure [Pa]. A higher limit is probably a mistake of units."""
 
 
 class PressureLimits(NamedTuple):
@@ -23,7 +23,7 @@ class PressureLimits(NamedTuple):
     def of(cls, pressures: Sequence[float], where: str = "limits") -> "PressureLimits":
         """Returns limits from one pressure for all chambers, or one for each [Pa].
 
-        Raises `RigError` for a wrong number or value; `where` names the source in its message.
+        Raises `RigError` for a wrong number or value. `where` is the source that the error names.
         """
         if len(pressures) not in (1, 4):
             raise RigError.value(
@@ -58,7 +58,7 @@ def checked_pressures(
 ) -> tuple[int, int, int, int]:
     """Returns the set gauge pressures (4,) in whole pascals, as the protocol sends them.
 
-    Raises `RigError` for a pressure above its limit: clipping it would change the gait.
+    Raises `RigError` for a pressure above the limit, because clipping would change the gait.
     """
     if len(pressures) != len(CHAMBERS):
         raise RigError.value(

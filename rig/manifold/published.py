@@ -1,4 +1,4 @@
-"""Driver of the authors' published firmware: one test at one frequency, row by row."""
+"""Drives the authors' published firmware, which runs one test at one frequency."""
 
 import string
 import time
@@ -15,9 +15,9 @@ from rig.recording.clock import Sink
 FREQUENCIES = (0.1, 5.0)
 """Allowed frequencies [Hz]; the published sweep is from 0.25 to 3 Hz."""
 QUOTED, MIN_PRINTABLE = 60, 0.9
-"""Number of received characters that a message quotes, and the share that must be printable."""
+"""An error quotes this number of received characters, if this fraction of them is printable."""
 MAX_START_WAIT = 5.0
-"""Longest wait for the question, and after the answer for the first row [s]."""
+"""Longest wait for the firmware's question, and for the first row after the answer [s]."""
 MAX_ROW_WAIT = 0.5
 """Longest wait for the next row of a test [s]."""
 QUIET = 0.05
@@ -64,7 +64,7 @@ class PublishedManifold:
     the test. Closing the supply valve by hand is the only stop. After any error in a test the port
     is closed.
 
-    `ending` is sent after the frequency; `clock` returns the host's time [ns].
+    `ending` are the bytes after the frequency. `clock` returns the host's time [ns].
     """
 
     def __init__(
@@ -84,12 +84,12 @@ class PublishedManifold:
         on_row: Callable[[int, LogRow], None] = lambda at, row: None,
         sink: Sink = lambda at, piece: None,
     ) -> FrequencyOutcome:
-        """Waits for the question, answer with `frequency` [Hz], and read until the test's end.
+        """Waits for the firmware's question, sends `frequency` [Hz], and reads to the test's end.
 
         Calls `sink(host time [ns], bytes)` for all bytes of the test, and `on_row(host time [ns],
-        LogRow)` when the last byte of a row was read. Raises `RigError` for a frequency that is not
-        allowed (before sending it), for a missing question, for another frequency in the header,
-        and if no rows come; raises `PortLost` if the port disappears.
+        LogRow)` after each row. Before sending, raises `RigError` if the frequency is not allowed.
+        Also raises `RigError` for a missing question, a different frequency in the header, and
+        missing rows. Raises `PortLost` if the port disappears.
         """
         low, high = self._frequencies
         if not low <= frequency <= high:  # also refuses NaN
@@ -105,8 +105,8 @@ class PublishedManifold:
     def _receive(self, asked: int) -> tuple[int, bytes, list[Event]]:
         """Returns (host time [ns], bytes, events) of one read that begins at `asked` [ns].
 
-        The silence is measured up to `asked`, before the read. Otherwise a pause of this program
-        would count as a silence of the firmware.
+        The firmware's silence is measured up to `asked`, before the read. Otherwise, a pause of
+        this program would count as a silence of the firmware.
         """
         try:
             piece = read_piece(self._port)
@@ -135,8 +135,8 @@ class PublishedManifold:
         raise RigError(
             f"{self._port.name}: no question for a frequency in {MAX_START_WAIT:g} s; received "
             f"{_quoted(text) if text else 'nothing'}; check that this is the Teensy's port, at "
-            f"{BAUD} baud, with the published firmware, and reset the board: it asks at its start; "
-            "for the firmware in rig/firmware use `slider rig check`"
+            f"{BAUD} baud, with the published firmware; reset the board, so that it asks again; "
+            "for the firmware in rig/firmware, use `slider rig check`"
         )
 
     def _answer(self, frequency: float) -> None:

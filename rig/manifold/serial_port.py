@@ -1,4 +1,4 @@
-"""Serial ports: listing, opening and reading them."""
+"""Lists, opens and reads serial ports."""
 
 import errno
 import os
@@ -42,7 +42,7 @@ def serial_ports() -> list[SerialPortInfo]:
 
 
 def open_port(name: str, baud: int = BAUD) -> serial.Serial:
-    """Opens the port for this process alone; reads wait at most 50 ms, writes 0.5 s.
+    """Opens the port for this process only. Reads wait at most 50 ms, writes at most 0.5 s.
 
     Raises `RigError` for a port that is missing, busy, forbidden, or not a serial port.
     """
@@ -57,8 +57,8 @@ def open_port(name: str, baud: int = BAUD) -> serial.Serial:
 def read_piece(port: Readable) -> bytes:
     """Returns the received bytes, usually whole frames or lines; empty after the port's timeout.
 
-    The first read waits for one byte, and the second takes all further bytes. Returning the first
-    byte alone would split each frame into two pieces and double the recorder's work.
+    The first read waits for one byte, and the second read takes all further bytes. Returning the
+    first byte alone would split each frame in two and double the recorder's work.
     """
     piece = port.read(1)
     waiting = port.in_waiting if piece else 0
@@ -81,7 +81,7 @@ def _open_failure(name: str, error: Exception) -> str:
             f"(sudo usermod -aG dialout $USER) and log in again"
         )
     if number in (errno.EAGAIN, errno.EBUSY) or "lock" in str(error):
-        return f"--port {name}: busy; another program has opened the port: close that program"
+        return f"--port {name}: busy; another program has opened the port; close that program"
     if number == errno.ENOTTY:
         return f"--port {name}: not a serial port; `slider rig ports` lists the serial ports"
     return f"--port {name}: cannot be opened ({error})"

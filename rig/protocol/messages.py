@@ -2,8 +2,8 @@
 
 A message is a type byte and its fields, little endian (table in docs/reference/rig_protocol.md).
 Pressures are gauge pressures in whole pascals, so none can be NaN. A frame is a message and its
-CRC-32, encoded by COBS and ended by a zero byte. The CRC is that of zlib and Ethernet, little
-endian. It has four bytes because a two-byte CRC would accept about 15 of a million damaged frames.
+CRC-32, encoded by COBS and ended by a zero byte. The CRC is the one of zlib and Ethernet, little
+endian. A CRC of two bytes instead of four would accept about 15 of a million damaged frames.
 """
 
 import struct
@@ -75,7 +75,7 @@ class Hello(NamedTuple):
 
 
 class SetLimits(NamedTuple):
-    """Set the highest pressure of each chamber [Pa], clear a fault, and vent. Gets an `Ack`."""
+    """Sets the highest pressure of each chamber [Pa], clears a fault, and vents. Answer: `Ack`."""
 
     seq: int
     front_left: int
@@ -85,13 +85,13 @@ class SetLimits(NamedTuple):
 
 
 class Arm(NamedTuple):
-    """Change from READY to ARMED, with set pressures of 0. Gets an `Ack`."""
+    """Changes the state from READY to ARMED, with set pressures of 0. Answer: `Ack`."""
 
     seq: int
 
 
 class SetPressures(NamedTuple):
-    """Set the pressures [Pa]. Gets an `Ack` only if refused; readings carry its `seq`."""
+    """Sets the pressures [Pa]. Answer: `Ack`, only if refused. Readings contain the last `seq`."""
 
     seq: int
     front_left: int
@@ -101,19 +101,19 @@ class SetPressures(NamedTuple):
 
 
 class Heartbeat(NamedTuple):
-    """Keep the watchdog from venting. Gets no answer."""
+    """Keeps the watchdog from venting. The manifold does not answer."""
 
     seq: int
 
 
 class Stop(NamedTuple):
-    """Vent all chambers and disarm, in any state. Gets an `Ack`."""
+    """Vents all chambers and disarms, in any state. Answer: `Ack`."""
 
     seq: int
 
 
 class WaveBegin(NamedTuple):
-    """Announce a waveform of `samples` samples, `period_us` apart. Gets an `Ack`."""
+    """Announces a waveform of `samples` samples at intervals of `period_us`. Answer: `Ack`."""
 
     seq: int
     samples: int
@@ -121,7 +121,7 @@ class WaveBegin(NamedTuple):
 
 
 class WavePiece(NamedTuple):
-    """Upload samples from number `first` on, four pressures [Pa] each. Gets an `Ack`."""
+    """Uploads samples from number `first` on, four pressures [Pa] each. Answer: `Ack`."""
 
     seq: int
     first: int
@@ -129,14 +129,14 @@ class WavePiece(NamedTuple):
 
 
 class WavePlay(NamedTuple):
-    """Change from ARMED to PLAYING, `repeats` times or endlessly if 0. Gets an `Ack`."""
+    """Plays the waveform `repeats` times, or endlessly for 0, if ARMED. Answer: `Ack`."""
 
     seq: int
     repeats: int
 
 
 class Ident(NamedTuple):
-    """Firmware version of the manifold, and its hard limits [Pa], which no command can raise."""
+    """The manifold's firmware version, and hard limits [Pa], which no command can raise."""
 
     protocol: int
     major: int
@@ -182,9 +182,10 @@ class Event(NamedTuple):
 
 
 class Follows(NamedTuple):
-    """Set pressures [Pa] that the valves follow from now on; sent when armed and at each change.
+    """Set pressures [Pa] that the valves follow from now on.
 
-    Commands arrive late, so a trial's drive is computed from these messages, not from the commands.
+    The manifold sends this message when armed and at each change. A trial's drive is computed from
+    these messages, because commands arrive late.
     """
 
     number: int
@@ -287,7 +288,7 @@ class FrameDecoder:
     """Decoder of a byte stream in pieces of any size. It drops and counts damaged frames."""
 
     def __init__(self, in_step: bool = True) -> None:
-        """With `in_step` False, the stream may start within a frame, whose tail is not damage."""
+        """With `in_step` False, an incomplete first frame does not count as damaged."""
         self._in_step = in_step
         self.damaged = 0
         """Number of byte runs between zeros that were not a message."""

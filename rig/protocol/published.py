@@ -2,10 +2,10 @@
 
 The firmware asks for a frequency and waits. Then it runs one test and sends a header with one
 `name value` pair per line, a line of column names, one row per sample, and the last line `done`,
-which may contain the number of lines before it. Lines end in CR, LF or CRLF. Source: the public
-repository bvanstratum/SoftSnakePressureControl and the logs of its sweep of 2022-12-21. In these
-logs, neither a count nor a line end follows `done`, a row may come before the header, and the text
-of the question is missing.
+which may contain the number of preceding lines. Lines end in CR, LF or CRLF. Source: the public
+repository bvanstratum/SoftSnakePressureControl and its frequency tests of 2022-12-21. In the logs
+of these tests, neither a count nor a line end follows `done`. A row may come before the header, and
+the text of the question is missing.
 """
 
 import re
@@ -43,7 +43,7 @@ def counts_to_pascal(counts: float) -> float:
 
 
 class Question(NamedTuple):
-    """The firmware's question for a frequency; it waits for the answer."""
+    """The firmware's question for a frequency. The firmware then waits for the answer."""
 
     text: str
 
@@ -80,7 +80,7 @@ class LogRow(NamedTuple):
 
 
 class Done(NamedTuple):
-    """End of the test; `counted` is the firmware's count of its lines, if it sends one."""
+    """End of the test. `counted` is the firmware's own count of lines, if it sends a count."""
 
     counted: int | None
 

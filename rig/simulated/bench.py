@@ -93,9 +93,7 @@ def serve_rig(
 ) -> Iterator[ServedRig]:
     """Runs the rig in threads of this process until the block ends.
 
-    `force_noise` is the standard deviation of the forces [N]; `on_time` gets the time since the
-    start [s] at each tick.
-    """
+    `force_noise` [N] is a standard deviation. `on_time` gets the time since the start [s]."""
     device, ends = HostClockedRig(rig, on_time), threading.Event()
     terminal = Terminal(device)
     sensor = SimulatedForceSensor(SimulatedForceBox(device.wrench, noise=force_noise, seed=seed))

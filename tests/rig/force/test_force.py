@@ -184,7 +184,7 @@ def test_a_stuck_sensor_is_reported_and_a_quiet_one_is_not():
     forces = CALIBRATION.forces([10**6 * k for k in range(1000)], datagrams)
     assert 400 <= np.flatnonzero(forces.doubtful)[0] + 1 <= 401
     assert np.flatnonzero(forces.doubtful)[-1] == 699
-    assert any("301 records repeat" in finding for finding in forces.findings)
+    assert any("301 records of a stuck" in finding for finding in forces.findings)
 
 
 def test_saturated_samples_are_marked():
