@@ -78,9 +78,7 @@ def _check_effects(path: Path, kinds: list[type[Effect]]) -> None:
     for kind in kinds:
         where = f"{path}: {kind.__name__}"
         if kind.name() in LIBRARY:
-            raise InputError(
-                f"{where}: the effect {kind.name()!r} exists already; rename the class"
-            )
+            raise InputError(f"{where}: the effect {kind.name()!r} exists; rename the class")
         if not kind.title:
             raise InputError(f'{where}: has no title; add title = "its name in reports"')
         if not kind.priors():

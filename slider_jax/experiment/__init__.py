@@ -1,2 +1,2 @@
-"""Reads experiment files and prepares their trials: models, played drives and measured data. May
-import `paper`, `channels` and the rooms below them."""
+"""Reads experiment files and prepares trials: models, played drives and measured data. It may
+import `paper`, `channels` and lower layers."""

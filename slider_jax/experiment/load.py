@@ -1,4 +1,4 @@
-"""Reads an experiment: a TOML file with its measured CSV files, and the models of its trials."""
+"""Reads an experiment (a TOML file and measured CSV files) and builds the models of the trials."""
 
 from collections.abc import Callable
 from dataclasses import fields
@@ -38,7 +38,7 @@ from slider_jax.supports import Clamped
 
 
 class Experiment(ExperimentTable):
-    """A validated experiment; `folder` contains its trials' files."""
+    """A validated experiment. `folder` contains the files of the trials."""
 
     _folder: Path = PrivateAttr(default=Path("."))
 
@@ -48,7 +48,7 @@ class Experiment(ExperimentTable):
         return self._folder
 
     def with_values(self, values: dict[str, Any], source: str = "change") -> "Experiment":
-        """Returns a validated copy with replaced fields, such as {"trials.0.frequency": 2.0}."""
+        """Returns a validated copy with new `values`, such as {"trials.0.frequency": 2.0}."""
         content = self.model_dump()
         for path, value in values.items():
             *parents, last = path.split(".")
@@ -75,11 +75,11 @@ def _experiment(content: dict[str, Any], source: str, folder: Path) -> Experimen
 
 
 def load(path: Path | str, model: Path | str | None = None) -> Experiment:
-    """Returns the validated experiment of a file, with the overrides of a model file if given.
+    """Returns the validated experiment of the file `path`, changed by the file `model` if given.
 
-    The model file's keys of `[robot]` and `[parameters]` replace the experiment's; its
-    `[[effects]]` are added. Its C_d and m_a replace `force_coefficients = "ramp"` or `"table"`,
-    and vice versa. Raises `InputError` with the file and key.
+    Keys of `[robot]` and `[parameters]` in the model file replace keys of the experiment, and
+    `[[effects]]` are added. C_d and m_a replace `force_coefficients = "ramp"` or `"table"`, and
+    vice versa. Raises `InputError` with the file and key.
     """
     path = Path(path)
     return assemble(read_toml(path), str(path), path.parent, model)
@@ -88,7 +88,7 @@ def load(path: Path | str, model: Path | str | None = None) -> Experiment:
 def assemble(
     content: dict[str, Any], source: str, folder: Path, model: Path | str | None = None
 ) -> Experiment:
-    """Returns an experiment from its tables; errors name the `source`. `model` is as in `load`."""
+    """Returns the experiment of the tables `content`, as `load`; errors name the `source`."""
     experiment = _experiment(content, source, folder)
     if model is None:
         return experiment
@@ -98,7 +98,9 @@ def assemble(
         if key not in allowed:
             raise InputError(f"{model}: {key}: unknown key; allowed {', '.join(allowed)}")
         if not isinstance(value, allowed[key]):
-            raise InputError(f"{model}: {key}: given {value!r}; allowed a TOML {key} table")
+            raise InputError(
+                f"{model}: {key}: given {value!r}; allowed is {key} as in an experiment file"
+            )
     changed = changes.get("parameters", {})
     replaced: set[str] = set()
     if changed.get("force_coefficients") in ("ramp", "table"):
@@ -115,7 +117,7 @@ def assemble(
 
 
 def trial_conditions(experiment: Experiment, trial: Trial) -> dict[str, float]:
-    """Returns a trial's values for effect fields of these names that the file omits."""
+    """Returns a trial's values of effect fields, by field, for fields that the file omits."""
     return {
         "density": experiment.robot.water_density,
         "stride_frequency": trial.frequency or 1.0,
@@ -124,7 +126,7 @@ def trial_conditions(experiment: Experiment, trial: Trial) -> dict[str, float]:
 
 
 def _effect(table: EffectTable, where: str, taken: dict[str, float] | None = None) -> Effect:
-    """Returns the effect of a table; `taken` are the trial's values for omitted fields."""
+    """Returns the effect of a table; `taken` contains the trial's values of omitted fields."""
     if table.name not in LIBRARY:
         raise InputError(
             f"{where}.name: given {table.name!r}; allowed {', '.join(LIBRARY)}; drag and added "
@@ -142,7 +144,7 @@ def _effect(table: EffectTable, where: str, taken: dict[str, float] | None = Non
 
 
 LONGEST_RECORD = 20.0
-"""Longest recorded drive, in durations of its trial; longer times are probably not in seconds."""
+"""Longest recorded drive, in durations of the trial. Longer times are probably not in seconds."""
 
 
 def check_pascal(path: Path, columns: dict[str, np.ndarray], names: tuple[str, ...]) -> None:
@@ -158,7 +160,7 @@ def check_pascal(path: Path, columns: dict[str, np.ndarray], names: tuple[str, .
 
 
 def _recorded(experiment: Experiment, trial: Trial) -> tuple[Recorded, Recorded]:
-    """Returns both chambers' recorded pressures, checked for length, spacing and magnitude."""
+    """Returns both chambers' recorded pressures after checks of duration, spacing and size."""
     path = experiment.folder / str(trial.drive_file)
     names = ("p_front_Pa", "p_rear_Pa")
     columns = read_csv(path, (TIME, *names))
@@ -172,14 +174,14 @@ def _recorded(experiment: Experiment, trial: Trial) -> tuple[Recorded, Recorded]
         )
     if times[-1] - times[0] > LONGEST_RECORD * trial.duration:
         raise InputError(
-            f"{path}: t_s covers {times[0]:g} to {times[-1]:g}, the trial {trial.file} "
+            f"{path}: t_s covers {times[0]:g} to {times[-1]:g}, but the trial {trial.file} lasts "
             f"{trial.duration:g} s; t_s is in seconds: divide milliseconds by 1000, or cut the "
             f"recording to at most {LONGEST_RECORD:g} times the trial's duration"
         )
     if times[0] > spacing.mean() or times[-1] < trial.duration - 1.5 * spacing.mean():
         raise InputError(
             f"{path}: covers {times[0]:g} to {times[-1]:g} s; the trial {trial.file} needs 0 to "
-            f"{trial.duration:g} s"
+            f"{trial.duration:g} s; give a longer recording or a shorter duration"
         )
     for name in names:
         check_pascal(path, columns, (name,))
@@ -201,7 +203,7 @@ def _drive(experiment: Experiment, trial: Trial) -> Drive:
 
 
 def to_numerics(experiment: Experiment) -> tuple[Numerics, Scheme]:
-    """Returns the mesh with the tolerance, and the time scheme, of an experiment."""
+    """Returns the numerical settings and the time scheme of an experiment."""
     robot, numerics = experiment.robot, experiment.numerics
     cells = split_cells(numerics.nodes, robot.tail_length, robot.body_length)
     return Numerics(*cells, tolerance=numerics.tolerance), SCHEMES[numerics.scheme]
@@ -221,16 +223,16 @@ def coefficients_at(parameters: ParametersTable, frequency: Scalar | None):
 
 
 def drag_and_added_mass(experiment: Experiment, trial: Trial) -> tuple[float, float]:
-    """Returns (C_d, m_a) of a trial: constants, the file's table, or the paper's ramp."""
+    """Returns (C_d, m_a) of a trial from the file's constants or table, or the paper's ramp."""
     C_d, m_a = coefficients_at(experiment.parameters, trial.frequency)
     return float(C_d), float(m_a)
 
 
 def to_model(experiment: Experiment, trial: Trial | int = 0) -> Model:
-    """Returns the model of one trial, with arrays as leaves, so that it can be differentiated.
+    """Returns the model of one trial, with arrays as leaves, so that JAX can differentiate it.
 
-    Trials with the same waveform have the same tree structure: stack them with `jax.tree.map` and
-    use vmap. Raises `InputError` if a recorded drive is invalid.
+    Models of trials with the same waveform have the same tree structure, so `jax.tree.map` can
+    stack them for vmap. Raises `InputError` if a recorded drive is invalid.
     """
     if isinstance(trial, int):
         trial = experiment.trials[trial]
@@ -258,9 +260,9 @@ def to_model(experiment: Experiment, trial: Trial | int = 0) -> Model:
 
 
 def read_measured(experiment: Experiment, trial: Trial) -> dict[str, np.ndarray] | None:
-    """Returns the trial's measured columns, or None without its file. Blank cells are NaN.
+    """Returns the columns of a trial's measured file, or None without this file.
 
-    Only `t_s` is required; other columns are returned if present. Raises `InputError` if the file
+    Only `t_s` is required; blank cells of other columns become NaN. Raises `InputError` if the file
     is invalid or contradicts the experiment.
     """
     path = experiment.folder / trial.file
@@ -270,8 +272,8 @@ def read_measured(experiment: Experiment, trial: Trial) -> dict[str, np.ndarray]
     times = columns["t_s"]
     if times[0] < 0.0 or times[-1] > trial.duration * (1.0 + 1e-6):
         raise InputError(
-            f"{path}: samples from {times[0]:g} to {times[-1]:g} s; trial {trial.file} runs from 0 "
-            f"to duration = {trial.duration:g} s"
+            f"{path}: samples from {times[0]:g} to {times[-1]:g} s; allowed 0 to the trial's "
+            f"duration of {trial.duration:g} s; correct the file or the duration of {trial.file}"
         )
     rate, declared = 1.0 / float(np.median(np.diff(times))), experiment.sensors.sample_rate
     if "sensors" in experiment.model_fields_set and abs(rate - declared) > 0.05 * declared:

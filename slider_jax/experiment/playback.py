@@ -1,8 +1,8 @@
 """Reads the played drive of a trial: the set pressures that the valves followed, and their times.
 
-Other programs, the serial line and the manifold's control loop delay each pressure step
-differently. At a step of 400 kPa, a delay of 1 ms changes the pressure by several kilopascals while
-the chamber fills, many times the sensors' noise. The played drive removes this error.
+Other programs of the computer, the serial line and the manifold's control loop delay each pressure
+step by a different time. In a step of 400 kPa, a delay of 1 ms changes the pressure by several
+kilopascals, many times the sensors' noise. The played drive removes this error.
 """
 
 from pathlib import Path
@@ -19,13 +19,13 @@ from slider_jax.experiment.schema import Trial
 from slider_jax.io.csv import read_csv
 
 PLAYED_COLUMNS = ("t_s", "set_front_Pa", "set_rear_Pa")
-"""A row's signed set pressures are valid from its time on; the last row is the trial's end."""
+"""Columns of the file: signed set pressures from the time `t_s` on. The last row is the end."""
 LEAST_ROWS = 64
-"""Smallest number of rows. Rows are padded to a power of two, so that trials share programs."""
+"""Smallest number of rows. Padding to a power of two lets trials share compiled programs."""
 LONGEST_STEP = 2.5e-3
 """Longest step of a simulation with a played drive [s]."""
 AVERAGING_TIME = 5e-3
-"""Time over which changes of a smooth wave are averaged [s]; short against a chamber's lag."""
+"""Interval [s] in which changes of a smooth wave are averaged. It is much shorter than the lag."""
 
 
 class PlayedDrive(NamedTuple):
@@ -39,8 +39,8 @@ class PlayedDrive(NamedTuple):
 def read_played(experiment: Experiment, trial: Trial) -> PlayedDrive | None:
     """Returns the drive in NAME.played.csv beside a trial's file, or None without that file.
 
-    Raises `InputError` if it does not cover the trial, is not in pascal, or has another amplitude
-    than the trial.
+    Raises `InputError` if the drive does not cover the trial, is not in pascal, or has an amplitude
+    that differs from the trial's amplitude.
     """
     path = experiment.folder / f"{Path(trial.file).stem}.played.csv"
     if not path.exists() or trial.drive_is == "measured":
@@ -69,7 +69,7 @@ def read_played(experiment: Experiment, trial: Trial) -> PlayedDrive | None:
 
 
 def _averaged(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the changes, averaged over each `AVERAGING_TIME` if they are more frequent."""
+    """Returns times and set pressures; frequent changes are averaged in each `AVERAGING_TIME`."""
     if np.diff(t[:-1]).min(initial=np.inf) >= 0.9 * AVERAGING_TIME:
         return t, values
     area = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(t))])
@@ -79,7 +79,7 @@ def _averaged(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def _held(t: np.ndarray, values: np.ndarray) -> Held:
-    """Returns one chamber's wave without repeated values; it may change once within a step."""
+    """Returns one chamber's wave without repeated values. The wave may change once in a step."""
     kept = np.concatenate([[True], np.diff(values) != 0.0])
     t, values = t[kept], values[kept]
     rows = max(LEAST_ROWS, 1 << int(np.ceil(np.log2(len(t) + 1))))

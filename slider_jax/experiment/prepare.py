@@ -30,7 +30,7 @@ class StepGrid:
 
     @property
     def stride(self) -> int:
-        """Steps per stride, or per second for a drive without a frequency."""
+        """Number of steps per stride, or per second for a drive without a frequency."""
         return 2 * self.half_period if self.half_period else round(1.0 / self.h)
 
     @property
@@ -40,7 +40,7 @@ class StepGrid:
 
     @property
     def edges(self) -> np.ndarray:
-        """Indices of steps between which the drive is smooth; a played edge is at the nearest."""
+        """Indices of steps between which the drive is smooth. Played edges are rounded to steps."""
         if self.played is not None:
             near = np.round(np.asarray(self.played) / self.h).astype(int)
             inner = near[(near > 0) & (near < self.steps)]
@@ -57,9 +57,9 @@ def step_grid(
     spacing: float | None = None,
     played: PlayedDrive | None = None,
 ) -> StepGrid:
-    """Returns the grid of steps of at most `longest` [s] up to `end` [s].
+    """Returns a grid up to `end` [s] with steps of at most `longest` [s].
 
-    The step divides `spacing` [s] if given, else half a stride if the trial has a frequency.
+    The step divides `spacing` [s] if given, or half a stride if the trial has a frequency.
     """
     half, edges = None, None if played is None else played.edges
     if spacing is not None:
@@ -73,7 +73,7 @@ def step_grid(
 
 
 def divided_step(spacing: float, longest: float) -> float:
-    """Returns the largest whole fraction of `spacing` [s] that is at most `longest` [s]."""
+    """Returns the largest step [s] that divides `spacing` [s] and is at most `longest` [s]."""
     return spacing / np.ceil(spacing / longest * (1.0 - 1e-9))
 
 
@@ -83,16 +83,16 @@ class PreparedTrial:
 
     trial: Trial
     model: Model
-    """The trial's model, with the played drive if that is known."""
+    """The trial's model, with the played drive if it is known."""
     numerics: Numerics
     scheme: Scheme
     grid: StepGrid
     sample_times: np.ndarray
     """Sample times (n,) [s]."""
     played: PlayedDrive | None
-    """The played drive; None without its file."""
+    """The played drive, or None without a file of it."""
     measured: dict[str, np.ndarray] | None
-    """Columns of the trial's file; None without it."""
+    """Columns of the trial's measured file, or None without this file."""
     channels: tuple[Channel, ...]
 
 
@@ -103,11 +103,11 @@ def prepare(
     sample_times: np.ndarray | None = None,
     declared_drive: bool = False,
 ) -> PreparedTrial:
-    """Returns a prepared trial: its files read, its model built, its steps by [numerics].
+    """Reads a trial's files, builds the trial's model and chooses the steps by [numerics].
 
-    With `sample_times` (n,) [s], the trial's measured file is not read. Without them, they are the
-    times in that file, or without the file those of the sensors' rate. With `declared_drive`, the
-    played drive is not used. Raises `InputError` if one of the files is invalid.
+    With `sample_times` (n,) [s], the trial's measured file is not read. Without them, the sample
+    times are the times in this file; without the file, they follow from the sensors' sample rate.
+    With `declared_drive`, the played drive is not used. Raises `InputError` if a file is invalid.
     """
     if isinstance(trial, int):
         trial = experiment.trials[trial]
@@ -136,8 +136,8 @@ def prepare(
 def half_period_steps(frequency: float, longest: float, phase: float = 0.0) -> int:
     """Returns the number of steps per half period of `frequency` [Hz], at most `longest` [s] each.
 
-    The front chamber's pressure edges, at half periods, are always on steps. Up to a quarter more
-    steps are used if the rear chamber's edges, `phase` periods later, are then on steps too.
+    Edges of the front chamber's pressure, at half periods, are always at ends of steps. Up to a
+    quarter more steps are used if they also put the rear chamber's edges at ends of steps.
     """
     least = max(2, int(np.ceil(0.5 / (frequency * longest) * (1.0 - 1e-12))))
     for steps in range(least, least + least // 4 + 1):
@@ -147,7 +147,7 @@ def half_period_steps(frequency: float, longest: float, phase: float = 0.0) -> i
 
 
 def edge_steps(steps: int, half_period: int, phase: float = 0.0) -> np.ndarray:
-    """Returns the indices of steps, with 0 and `steps`, between which the drive is smooth."""
+    """Returns the indices of steps between which the drive is smooth, including 0 and `steps`."""
     delay = round(2 * half_period * phase) % half_period
     front, rear = np.arange(0, steps, half_period), np.arange(delay, steps, half_period)
     return np.unique(np.concatenate([front, rear, [0, steps]]))
@@ -158,8 +158,8 @@ def sample_series(
 ) -> np.ndarray:
     """Interpolates `values` (n, ...) at evenly spaced times `t` (n,) cubically to the times `at`.
 
-    Each result uses the four nearest steps between two neighbouring `edges` (indices into t), so
-    that no polynomial crosses an edge. If there are fewer steps between the edges, it uses these.
+    Each result uses the four nearest steps between two neighbouring `edges` (indices of t), so no
+    polynomial crosses an edge. If fewer steps are between the edges, the result uses all of them.
     """
     h = (t[-1] - t[0]) / (len(t) - 1)
     place = np.clip((at - t[0]) / h, 0.0, len(t) - 1.0)

@@ -13,17 +13,17 @@ Stiffness = Annotated[float, Quantity(1.0, 1e7, "N")]
 Speed = Annotated[float, Quantity(-3.0, 3.0, "m/s")]
 Force = Annotated[float, Quantity(0.0, 10.0, "N")]
 FEWEST_NODES = 11
-"""Smallest number of nodes along a robot; fewer do not resolve its bending."""
+"""Smallest number of nodes along a robot; fewer nodes do not resolve the bending."""
 FROM_LIST = BeforeValidator(lambda x: tuple(x) if isinstance(x, list) else x)
 
 
 def _plain_name(name: str) -> str:
-    """Returns the name if it is a plain CSV name, so that it stays in the experiment's folder."""
+    """Returns a valid name of a CSV file, without folder, so the file is beside the experiment."""
     parts = PurePath(name.replace("\\", "/")).parts
     if len(parts) != 1 or parts[0] in ("..", ".") or not name.endswith(".csv"):
         raise PydanticCustomError(
             "file_name",
-            "given {given}; allowed a plain file name ending in .csv, beside the experiment",
+            "given {given}; allowed a plain file name without folder, ending in .csv",
             {"given": repr(name)},
         )
     return name
@@ -59,14 +59,14 @@ class RobotTable(Table):
         spans = {"front_chamber": self.front_chamber, "rear_chamber": self.rear_chamber}
         for name, (near, far) in spans.items():
             if near >= far:
-                _fail(name, [near, far], "near end < far end, from the clamp")
+                _fail(name, [near, far], "[near, far] with near < far, distances from the clamp")
             if far > self.body_length:
                 _fail(name, [near, far], f"spans within the body, 0 to {self.body_length:g} m")
         if self.front_chamber[1] > self.rear_chamber[0]:
             _fail(
                 "rear_chamber",
                 list(self.rear_chamber),
-                f"a near end from the front chamber's far end, {self.front_chamber[1]:g} m, on",
+                f"a near end of at least {self.front_chamber[1]:g} m, the front chamber's far end",
             )
         return self
 
@@ -86,9 +86,9 @@ class CoefficientsAt(Table):
 class ParametersTable(Table):
     """[parameters]: the values that calibration identifies.
 
-    `force_coefficients` is the source of C_d and m_a. With "fixed", they are the numbers here. With
-    "ramp", they are the paper's ramp at each trial's frequency. With "table", `coefficients` are
-    interpolated linearly in the frequency, and constant beyond the table.
+    `force_coefficients` is the source of C_d and m_a. With "fixed", C_d and m_a are the numbers in
+    this table. With "ramp", they follow the paper's ramp at each trial's frequency. With "table",
+    they are interpolated linearly in the frequency; outside the table they are constant.
     """
 
     force_coefficients: Literal["fixed", "ramp", "table"] = "fixed"
@@ -108,7 +108,7 @@ class ParametersTable(Table):
                 _fail(name, given, 'only with force_coefficients = "fixed"; omit it')
         given_at = [x.frequency for x in self.coefficients]
         if (self.force_coefficients == "table") != bool(given_at):
-            allowed = 'one table or more if force_coefficients = "table", else none'
+            allowed = 'at least one table if force_coefficients = "table", otherwise none'
             _fail("coefficients", f"{len(given_at)} tables", allowed)
         if any(b <= a for a, b in zip(given_at, given_at[1:], strict=False)):
             _fail("coefficients", given_at, "frequencies that increase from table to table")
@@ -129,13 +129,13 @@ class SensorsTable(Table):
 
 
 class WaterTable(Table):
-    """[water]: a steady uniform stream (x along the straight robot, y to its left)."""
+    """[water]: velocity (x, y) of a steady uniform stream; x points forward, y to the left."""
 
     velocity: Annotated[tuple[Speed, Speed], FROM_LIST] = (0.0, 0.0)
 
 
 class NumericsTable(Table):
-    """[numerics]: nodes along the robot, longest time step, time scheme and a step's tolerance."""
+    """[numerics]: nodes along the robot, longest time step, time scheme and tolerance of a step."""
 
     nodes: Annotated[int, Field(strict=True, ge=FEWEST_NODES, le=1001)] = 51
     step: Annotated[float, Quantity(1e-5, 0.02, "s")] = 1e-3
@@ -144,8 +144,8 @@ class NumericsTable(Table):
 
 
 class Trial(Table):
-    """[[trials]]: one trial. The rear chamber's set pressure is `rear_ratio` times the front's,
-    delayed by `phase` periods. `drive_is`: a recorded drive is set or measured pressure."""
+    """[[trials]]: one trial. The rear set pressure is `rear_ratio` times the front set pressure and
+    `phase` periods later. `drive_is`: whether a recorded drive is set or measured pressure."""
 
     file: FileName
     waveform: Literal["square", "sine", "trapezoid", "recorded"] = "square"
@@ -168,13 +168,13 @@ class Trial(Table):
     def _drive_is_complete(self) -> "Trial":
         if self.waveform == "recorded":
             if self.drive_file is None:
-                _fail("drive_file", "nothing", 'a CSV name, as waveform is "recorded"')
+                _fail("drive_file", "nothing", 'a CSV file, because waveform is "recorded"')
             if self.drive_file == self.file:
-                _fail("drive_file", repr(self.file), "a file other than the trial's")
+                _fail("drive_file", repr(self.file), "a file other than the trial's `file`")
             return self
         for name in ("frequency", "amplitude"):
             if getattr(self, name) is None:
-                _fail(name, "nothing", f'a number, as waveform is "{self.waveform}"')
+                _fail(name, "nothing", f'a number, because waveform is "{self.waveform}"')
         if self.drive_file is not None:
             _fail("drive_file", repr(self.drive_file), 'only with waveform = "recorded"')
         return self
@@ -214,7 +214,7 @@ class ExperimentTable(Table):
             seen[trial.file] = index
             source = self.parameters.force_coefficients
             if source != "fixed" and trial.frequency is None:
-                needed = f'a number, as parameters.force_coefficients is "{source}"'
+                needed = f'a number, because parameters.force_coefficients is "{source}"'
                 _fail(f"trials.{index}.frequency", "nothing", needed)
             fastest = max(trial.frequency or 0.0, trial.clamp_frequency or 0.0)
             if trial.clamp_moves and not fastest:

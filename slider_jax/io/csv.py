@@ -1,4 +1,4 @@
-"""Reading of CSV files with named columns of numbers; errors name the file and the line."""
+"""Reads CSV files with named columns of numbers. Errors name the file and the line."""
 
 import csv
 from collections.abc import Sequence
@@ -13,9 +13,9 @@ from slider_jax.io.toml import read_bytes
 def read_csv(
     path: Path, required: Sequence[str], blank: Sequence[str] = (), increasing: str = "time"
 ) -> dict[str, np.ndarray]:
-    """Returns the columns of a time series, as `read_table`; the first of `required` must increase.
+    """Returns the columns of a series, as `read_table`. The first `required` column must increase.
 
-    `increasing` is that column's name in the error. Raises `InputError` with file and line.
+    `increasing` names this column in the error. Raises `InputError` with file and line.
     """
     columns, lines = _read(path, required, blank)
     times = columns[required[0]]
@@ -45,7 +45,7 @@ def _read(
     try:
         text = read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not UTF-8 text (byte {error.start})") from None
+        raise InputError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from None
     rows = list(csv.reader(text.splitlines()))
     if not rows:
         raise InputError(f"{path}: empty; add a header with {', '.join(required)}")

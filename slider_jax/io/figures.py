@@ -1,4 +1,4 @@
-"""Creation and writing of figures and animations."""
+"""Creates and writes figures and animations."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -10,7 +10,7 @@ FRAME = 50
 
 
 def new_figure(*args, **kwargs):
-    """Returns a figure and its axes, which need no display; arguments as `plt.subplots`."""
+    """Returns a figure without display and its axes; the arguments are those of `plt.subplots`."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -37,7 +37,7 @@ def save_film(
 ) -> None:
     """Writes a GIF with one frame for each index in `shown`, and closes the figure.
 
-    `move(index)` updates the artists `moving`. All other artists are drawn once, since their texts
+    `move(index)` updates the artists `moving`. All other artists are drawn only once, because texts
     take most of the drawing time. `progress(frames done, all frames)` is called after each frame.
     """
     import matplotlib.pyplot as plt

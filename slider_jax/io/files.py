@@ -1,6 +1,6 @@
-"""Atomic writing of result files, and the versions and input digests that they record.
+"""Writes result files atomically, and determines the versions and input digests in result files.
 
-A file is written under a temporary name and then renamed, so no file is ever half-written.
+A file is written under a temporary name and then renamed, so no file is ever incomplete.
 """
 
 import hashlib
@@ -119,9 +119,9 @@ def write_csv(
     columns: Mapping[str, Sequence[float] | np.ndarray],
     formats: Mapping[str, str] | None = None,
 ) -> None:
-    """Writes `columns` (name with unit -> values, equal lengths) to `path` atomically.
+    """Writes `columns`, lists of equal length by name with unit, to `path` atomically.
 
-    `formats` gives the format of a column, such as ".4f"; the default is ".9g". A NaN becomes an
+    `formats` contains formats by column name, such as ".4f"; the default is ".9g". A NaN becomes an
     empty cell.
     """
     formats = formats or {}
@@ -147,11 +147,11 @@ def versions() -> dict[str, str]:
 
 
 def input_file(path: Path | str) -> dict[str, Any]:
-    """Path and SHA-256 digest of an input file, for the record of its results."""
+    """Returns path and SHA-256 digest of an input file, which result files record."""
     path = Path(path)
     return {"path": str(path), "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
 
 
 def input_files(*paths: Path | None) -> list[dict[str, Any]]:
-    """`input_file` of each path that is given."""
+    """Returns `input_file` of each path that is not None."""
     return [input_file(path) for path in paths if path is not None]

@@ -1,4 +1,4 @@
-"""Reading, validation and writing of TOML; an error names the place and the allowed values."""
+"""Reads, validates and writes TOML. An error names the place and the allowed values."""
 
 import difflib
 import re
@@ -22,7 +22,7 @@ TableType = TypeVar("TableType", bound=BaseModel)
 def read_bytes(path: Path) -> bytes:
     """Returns the content of an input file. Raises `InputError` if it cannot be read."""
     if path.is_dir():
-        raise InputError(f"{path}: is a folder; give the file in it")
+        raise InputError(f"{path}: is a folder; give a file in this folder")
     try:
         return path.read_bytes()
     except FileNotFoundError:
@@ -47,8 +47,8 @@ def toml_text(
 ) -> str:
     """Returns values, tables and lists of tables as the text of a TOML file.
 
-    Each line of `comment` becomes a comment line at the top. `units` gives the unit of a key in a
-    table; it follows the key's value as a comment.
+    Each line of `comment` becomes a comment line at the top. `units` contains units by key. The
+    unit follows the value of the key as a comment.
     """
     document = tomlkit.document()
     for line in comment.splitlines():
@@ -63,19 +63,19 @@ def toml_text(
 
 
 def significant(value: float, digits: int = 9) -> float:
-    """Returns the number that a file gets: rounded to so many significant digits."""
+    """Returns `value` rounded to `digits` significant digits, for a file."""
     return float(f"{value:.{digits}g}")
 
 
 def _unit_advice(text: str, error: tomllib.TOMLDecodeError) -> str:
-    """Advice for a number that a unit follows, the most common mistake; otherwise empty."""
+    """Returns advice for the most common mistake, a unit after a number; otherwise ""."""
     at = re.search(r"at line (\d+)", str(error))
     lines = text.split("\n")
     line = lines[int(at[1]) - 1] if at and int(at[1]) <= len(lines) else ""
     number = re.search(r"=\s*([-+]?\d[\d_.]*(?:[eE][-+]?\d+)?)\s*([^\W\d_][^\s#]*)", line)
     if not number:
         return ""
-    return f"; numbers are in SI without a unit: convert {number[1]} and remove {number[2]}"
+    return f"; write numbers in SI units, without the unit: convert {number[1]}, remove {number[2]}"
 
 
 def field_at(
@@ -145,5 +145,5 @@ def validate(table: type[TableType], content: Any, source: str) -> TableType:
         # A misspelt key is both unknown and missing; the error for the unknown key comes first.
         errors.sort(key=lambda error: error["type"] != "extra_forbidden")
         messages = [_message(table, error) for error in errors]
-        more = f" (and {len(messages) - 1} more after it)" if len(messages) > 1 else ""
+        more = f" (number of other errors: {len(messages) - 1})" if len(messages) > 1 else ""
         raise InputError(f"{source}: {messages[0]}{more}") from None

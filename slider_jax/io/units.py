@@ -27,7 +27,7 @@ class Quantity:
     """A number in [low, high]: `Annotated[float, Quantity(low, high, unit)]` in a pydantic model.
 
     With `or_zero`, exactly 0 is also allowed. The range detects a wrong unit (millimetres, grams,
-    kPa): it admits all plausible values, but is narrow compared with a factor of 1000.
+    kPa): it contains all plausible values, but is too narrow for most errors of a factor of 1000.
     """
 
     low: float
@@ -43,11 +43,11 @@ class Quantity:
 
     @property
     def advice(self) -> str:
-        """A reminder of the unit."""
+        """A sentence that names the unit."""
         return _ADVICE.get(self.unit, "")
 
     def check(self, value: float) -> float:
-        """Returns `value` if it is allowed; otherwise raise an error that names the range."""
+        """Returns `value` if it is allowed; otherwise raises an error that names the range."""
         if self.or_zero and value == 0.0:
             return value
         if math.isfinite(value) and self.low <= value <= self.high:

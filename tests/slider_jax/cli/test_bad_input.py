@@ -13,7 +13,7 @@ TOML_CASES = {
     "not TOML": (("C_d = 3.0", "C_d = = 3.0"), ("not valid TOML", "line 16, column 7")),
     "number with a unit": (
         ("amplitude = 150000.0", "amplitude = 150 kPa"),
-        ("not valid TOML", "numbers are in SI without a unit: convert 150 and remove kPa"),
+        ("not valid TOML", "numbers in SI units, without the unit: convert 150, remove kPa"),
     ),
     "key given twice": (("m_a = 1.0", "C_d = 1.0"), ("not valid TOML", "line 17")),
     "unknown table": (("[sensors]", "[sensor]"), ("sensor: unknown key", "did you mean sensors?")),
@@ -53,7 +53,7 @@ TOML_CASES = {
     "no frequency": (("frequency = 4.0\n", ""), ("trials.0.frequency", "square")),
     "chambers overlap": (("[0.155, 0.28]", "[0.1, 0.28]"), ("robot.rear_chamber", "0.145 m")),
     "chamber beyond the body": (("0.28]", "0.31]"), ("robot.rear_chamber", "0 to 0.3 m")),
-    "chamber reversed": (("[0.02, 0.145]", "[0.145, 0.02]"), ("robot.front_chamber", "near end")),
+    "chamber reversed": (("[0.02, 0.145]", "[0.145, 0.02]"), ("robot.front_chamber", "near < far")),
     "chamber with one end": (("[0.02, 0.145]", "[0.02]"), ("robot.front_chamber.1: missing",)),
     "duplicate trial files": (
         ('"trial_01.csv"', '"trial_00.csv"'),
@@ -135,7 +135,7 @@ CSV_CASES = {
     "torn line": ("t_s,thrust_N\n0.000,1\n0.002\n", ("line 3: 1 cells; the header has 2",)),
     "time stands still": ("t_s\n0.000\n0.002\n0.002\n0.004\n", ("line 4", "must increase")),
     "time runs back": ("t_s\n0.000\n0.002\n0.001\n0.004\n", ("line 4", "must increase")),
-    "past the duration": ("t_s\n0.7\n0.750\n0.760\n", ("duration = 0.75 s",)),
+    "past the duration": ("t_s\n0.7\n0.750\n0.760\n", ("duration of 0.75 s",)),
     "before the start": ("t_s\n-0.002\n0.000\n0.002\n", ("samples from -0.002",)),
     "another rate than the sensors'": ("t_s\n0.0\n0.001\n0.002\n", ("1000 Hz", "500 Hz")),
 }
@@ -214,7 +214,9 @@ def test_missing_files_and_folders_are_rejected(tmp_path, capsys):
     folder = tmp_path / "folder.toml"
     folder.mkdir()
     _refused(["simulate", folder, "--out", out], capsys, out, "is a folder")
-    _refused(["simulate", tmp_path, "--out", out], capsys, out, "is a folder; give the file in it")
+    _refused(
+        ["simulate", tmp_path, "--out", out], capsys, out, "is a folder; give a file in this folder"
+    )
     _refused(["calibrate", "manifold", tmp_path, "--out", out], capsys, out, "is a folder")
 
 
