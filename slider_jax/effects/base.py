@@ -25,8 +25,8 @@ from slider_jax.beam.parameters import Robot
 class Prior(NamedTuple):
     """Prior range of a parameter, `low` to `high`; the effect vanishes at `null`.
 
-    `start` is the value at which the loop first tries the effect. A threshold, a limit or a replaced
-    law needs a start, because the derivative at the null does not predict the full effect.
+    `start` is the value at which the loop first tries the effect. Thresholds, limits and replaced
+    laws need a start, because the derivative at the null does not predict the full effect.
     """
 
     null: float
