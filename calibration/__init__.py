@@ -1,1 +1,1 @@
-"""Identification of the simulator's parameters from measurements."""
+"""Identifies the simulator's parameters from measured data and finds missing effects."""

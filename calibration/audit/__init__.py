@@ -1,2 +1,2 @@
-"""Finds faults of sensors, clocks, units and columns in measured trials before anything is fitted.
-May import `measurements` and `model`."""
+"""Finds faults of sensors, clocks, units and columns in measured trials before the fit. This
+package may import `measurements` and `model`."""

@@ -1,2 +1,2 @@
-"""Identifies stiffness, damping and K_Q from a bench in air. May import `inference` and the rooms
-below it."""
+"""Identifies stiffness, damping and K_Q from bench tests in air. This package may import
+`inference` and packages of lower layers."""

@@ -1,1 +1,2 @@
-"""The calibration's commands. May import every room; only the table of commands names them."""
+"""Commands of the calibration. This package may import all packages. Only the table of commands
+refers to them."""

@@ -1,2 +1,2 @@
-"""The loop: it scores, refits and selects effects, decides the verdict and reports it. May import
-`reporting`, `inference`, `audit` and the rooms below them."""
+"""Finds missing effects: scores, refits, selection, verdict and report. This package may import
+`reporting`, `inference`, `audit` and packages of lower layers."""

@@ -1,2 +1,2 @@
-"""Predicts the information of trials and proposes the next trial. May import `discrepancy` and the
-rooms below it."""
+"""Predicts the information of trials and proposes the next trial. This package may import
+`discrepancy` and packages of lower layers."""

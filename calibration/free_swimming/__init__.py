@@ -1,2 +1,2 @@
-"""Compares the paper's published free-swimming speeds with its equations. May import `discrepancy`
-and the rooms below it."""
+"""Compares the paper's published swimming speeds with those of its equations. This package may
+import `discrepancy` and packages of lower layers."""

@@ -1,2 +1,2 @@
-"""Identification of parameters from measured trials, also by drive frequency. May import
-`experiment_design` and the rooms below it."""
+"""Identifies the base parameters from measured trials, for all or for each drive frequency. This
+package may import `experiment_design` and packages of lower layers."""

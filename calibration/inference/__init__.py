@@ -1,2 +1,2 @@
-"""Least squares on whitened residuals: problem, optimisers, noise, intervals, uncertainty and
-cache. May import `measurements` and `model`."""
+"""Fits parameters by least squares: noise model, optimisers, intervals and cached fits. This
+package may import `measurements` and `model`."""

@@ -1,2 +1,2 @@
-"""Evaluates the axial force balance of a swimming lamprey from its measured midlines. May import
-`reporting`, `inference` and the rooms below them."""
+"""Computes the axial force balance of a swimming lamprey from its measured midlines. This package
+may import `reporting`, `inference` and packages of lower layers."""

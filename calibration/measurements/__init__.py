@@ -1,2 +1,2 @@
-"""Measured trials as records, findings about them, and synthetic tanks with a known answer. May
-import `model`."""
+"""Records of measured trials, and simulated tanks with known parameters. This package may import
+`model`."""

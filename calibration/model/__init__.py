@@ -1,2 +1,2 @@
-"""The simulator with candidate effects, and its predictions and tangents on measured trials. May
-import every room of `slider_jax` except `cli`."""
+"""Predicts the readings of trials and their tangents, for a model with all candidate effects. This
+package may import every package of `slider_jax` except `cli`."""

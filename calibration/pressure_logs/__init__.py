@@ -1,2 +1,2 @@
-"""Reads, audits and fits the rig's pressure logs, and closes the loop on them. May import
-`discrepancy` and the rooms below it."""
+"""Reads, audits and fits the rig's pressure logs, and finds missing effects in them. This package
+may import `discrepancy` and packages of lower layers."""

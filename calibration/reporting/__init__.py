@@ -1,2 +1,2 @@
-"""HTML pages, and fitted parameters as text, JSON and TOML. May import `inference` and the rooms
-below it."""
+"""Writes HTML pages, and fitted parameters as text, JSON and TOML. This package may import
+`inference` and packages of lower layers."""

@@ -1,2 +1,2 @@
-"""Marker positions in metres from camera frames.
-This package may import `recording` and `protocol`."""
+"""Computes marker positions in metres from camera frames. This package may import `recording` and
+`protocol`."""

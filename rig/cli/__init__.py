@@ -1,1 +1,2 @@
-"""The rig's commands. They may import all packages; only the table of commands refers to them."""
+"""Commands of the rig. This package may import all packages. Only the table of commands refers to
+them."""

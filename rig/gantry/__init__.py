@@ -1,2 +1,2 @@
-"""The gantry's motion profile and driver, and the search for the swimming speed.
-This package may import `camera`, `force`, `manifold` and packages of lower layers."""
+"""Drives the gantry and searches for the swimming speed: motion profile, driver and search. This
+package may import `camera`, `force`, `manifold` and packages of lower layers."""

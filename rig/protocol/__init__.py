@@ -1,2 +1,2 @@
-"""Messages and frames of the serial protocols, without input or output.
-This package may import `errors`."""
+"""Encodes and decodes the messages of the serial protocols, without input or output. This package
+may import `errors`."""

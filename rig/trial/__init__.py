@@ -1,2 +1,2 @@
-"""Plays a drive, records the sensors, and runs an experiment's trials.
-This package may import `camera`, `force`, `manifold` and packages of lower layers."""
+"""Plays drives, records the sensors, and runs all trials of an experiment. This package may import
+`camera`, `force`, `manifold` and packages of lower layers."""

@@ -1,4 +1,5 @@
-"""Set pressure in time, lag of the pressure, and moment of a chamber. It may import `beam`."""
+"""Set pressures, pressure lag and bending moment of the chambers. This package may import
+`beam`."""
 
 from slider_jax.actuation.moment import chamber_windows
 from slider_jax.actuation.pressure import FirstOrderLag, Ideal, PressureLaw

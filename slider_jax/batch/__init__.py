@@ -1,2 +1,2 @@
-"""Simulates batches of robots on all cores, one stride at a time. It may import `simulation` and
-lower layers."""
+"""Simulates batches of robots, one stride at a time, on all cores. This package may import
+`simulation` and packages of lower layers."""

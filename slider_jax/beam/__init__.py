@@ -1,2 +1,2 @@
-"""The planar beam: robot, numerical settings, grid, state, body frame, and the equations of one
-cell. It may import `errors` and `precision`."""
+"""The planar beam: parameters, grid, state, body frame, and the equations of one cell. This package
+may import `errors` and `precision`."""

@@ -1,1 +1,2 @@
-"""The `slider` command. May import every package of the project; nothing imports it."""
+"""The `slider` command. This package may import every package of the project. No other package
+imports `cli`."""

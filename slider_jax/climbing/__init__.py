@@ -1,2 +1,2 @@
-"""Climbing in air, pinned to a wall: strides, performance, table, picture and film. May import
-`swimming` and the rooms below it."""
+"""Simulates climbing in air, pinned to a wall, and reports speed and efficiency. This package may
+import `swimming` and packages of lower layers."""

@@ -1,2 +1,2 @@
-"""The model and its solution in time: pressures, residual, structured solver, Newton's method,
-steps, rollouts and shapes at rest. It may import `effects` and lower layers."""
+"""Solves the model in time: pressures, residual, Newton solver, time steps, rollouts and static
+shapes. This package may import `effects` and packages of lower layers."""

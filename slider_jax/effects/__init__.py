@@ -1,7 +1,5 @@
-"""Physical effects of pneumatics, body, water and sensors; each file contains one effect.
-
-The effects may import `actuation`, `supports` and lower layers.
-"""
+"""Physical effects of pneumatics, body, water and sensors, one effect in each file. This package
+may import `actuation`, `supports` and packages of lower layers."""
 
 from slider_jax.effects.base import (
     MOUNT_LAG as MOUNT_LAG,

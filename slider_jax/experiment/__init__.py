@@ -1,2 +1,2 @@
-"""Reads experiment files and prepares trials: models, played drives and measured data. It may
-import `paper`, `channels` and lower layers."""
+"""Reads experiment files and prepares their trials: models, played drives and measured data. This
+package may import `paper`, `channels` and packages of lower layers."""

@@ -1,1 +1,2 @@
-"""Files: atomic writing, provenance, CSV, TOML, units and figures. May import `errors`."""
+"""Reads and writes files: TOML, CSV, figures, units and provenance. This package may import
+`errors`."""

@@ -1,5 +1,5 @@
-"""Pure, differentiable functions that compute forces, shapes, energies and waves from a `Snapshot`
-or from the saved series of a rollout. They may import `dynamics` and lower layers."""
+"""Computes forces, shapes, energies and waves from a `Snapshot` or a saved series, differentiably.
+This package may import `dynamics` and packages of lower layers."""
 
 from slider_jax.observables.energy import (
     EnergyRates as EnergyRates,

@@ -1,2 +1,2 @@
-"""Optimises tail and gait for one task or two: optimisers, populations, design spaces and reports.
-May import `climbing`, `sweep` and the rooms below them."""
+"""Optimises tail and gait for swimming, or for swimming and climbing. This package may import
+`climbing`, `sweep` and packages of lower layers."""

@@ -1,2 +1,2 @@
-"""Simulates one robot in real time from set pressures to readings, with faults. May import
-`simulation` and the rooms below it."""
+"""Simulates one robot in real time from set pressures to readings, with faults. This package may
+import `simulation` and packages of lower layers."""

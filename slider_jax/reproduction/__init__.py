@@ -1,2 +1,2 @@
-"""Reproduces the paper's frequency sweep, performance table and design maps. May import
-`climbing`, `sweep` and the rooms below them."""
+"""Reproduces the paper's frequency sweep, performance table and design maps. This package may
+import `climbing`, `sweep` and packages of lower layers."""

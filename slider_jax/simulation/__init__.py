@@ -1,2 +1,2 @@
-"""Simulates an experiment's trials: sensor readings, summaries, plots, films and the signatures of
-effects. May import `experiment` and the rooms below it."""
+"""Simulates an experiment's trials: readings, summaries, plots, films and signatures of effects.
+This package may import `experiment` and packages of lower layers."""

@@ -1,2 +1,2 @@
-"""Sweeps one or two numbers of an experiment over ranges. May import `swimming` and the rooms below
-it."""
+"""Varies one or two numbers of an experiment over ranges. This package may import `swimming` and
+packages of lower layers."""

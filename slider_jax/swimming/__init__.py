@@ -1,2 +1,2 @@
-"""Free swimming: gaits, the steady state as a root, performance and reports. May import `batch` and
-the rooms below it."""
+"""Simulates free swimming and computes the steady speed, the performance and reports. This package
+may import `batch` and packages of lower layers."""
