@@ -1,2 +1,1 @@
-"""Commands of the calibration. This package may import all packages. Only the table of commands
-refers to them."""
+"""The calibration's commands. They may import all packages. Only the command table imports them."""

@@ -1,2 +1,1 @@
-"""Records of measured trials, and simulated tanks with known parameters. This package may import
-`model`."""
+"""Measured trials, and simulated tanks with known parameters. This package may import `model`."""

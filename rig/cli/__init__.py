@@ -1,2 +1,1 @@
-"""Commands of the rig. This package may import all packages. Only the table of commands refers to
-them."""
+"""The rig's commands. They may import all packages. Only the table of commands refers to them."""

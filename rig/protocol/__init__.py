@@ -1,2 +1,1 @@
-"""Encodes and decodes the messages of the serial protocols, without input or output. This package
-may import `errors`."""
+"""Encodes and decodes the serial protocols' messages. This package may import `errors`."""

@@ -1,2 +1,1 @@
-"""The `slider` command. This package may import every package of the project. No other package
-imports `cli`."""
+"""The `slider` command, which may import all packages. No other package imports `cli`."""

@@ -1,2 +1,1 @@
-"""Reads and writes files: TOML, CSV, figures, units and provenance. This package may import
-`errors`."""
+"""Reads and writes TOML, CSV and figures, with units. This package may import `errors`."""

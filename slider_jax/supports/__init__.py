@@ -1,5 +1,4 @@
-"""Supports of the head: clamped, free and pinned, one support in each file. This package may import
-`beam`."""
+"""Supports of the head: clamped, free and pinned. The supports may import `beam`."""
 
 from slider_jax.supports.base import Support as Support
 from slider_jax.supports.clamped import Clamped as Clamped

@@ -1,2 +1,1 @@
-"""Effects of the body and its mounting. This package may import `effects` and packages of lower
-layers."""
+"""Effects of the body and its mounting. They may import `effects` and lower layers."""
