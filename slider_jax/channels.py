@@ -58,7 +58,7 @@ CHANNELS: dict[str, Channel] = {}
 def register(channel: Channel) -> Channel:
     """Adds a channel to `CHANNELS` and returns it.
 
-    Raises `InputError` if another channel has its name or its column.
+    Raises `InputError` if another channel has the same name or column.
     """
     taken = {TIME} | {x.column for x in CHANNELS.values()}
     if channel.name in CHANNELS or channel.column in taken:
@@ -116,7 +116,7 @@ def true_readings(x: Snapshot) -> dict[str, Array]:
 
 
 def recorded(effects: tuple[Effect, ...], true: Readings) -> Readings:
-    """Returns the readings that the sensors record: `Instrument` effects change the true ones."""
+    """Returns the recorded readings: the `true` readings after all `Instrument` effects."""
     for effect in of_place(effects, Instrument):
         true = effect.read(true)
     return true

@@ -54,8 +54,8 @@ class Assumed(eqx.Module):
     | `rear_ratio` | - | ratio of the rear to the front amplitude |
     | `phase` | - | delay of the rear chamber, as a fraction of a stride |
 
-    The mean thrust at 4.8 Hz and its minimum near 1 Hz then match the paper. A phase of 0 to 0.05
-    puts the minimum at 1.0 Hz, and 0.15 at 1.4 Hz; with a phase of 0.3 there is no minimum.
+    These values match the paper's mean thrust at 4.8 Hz. The mean thrust has a minimum at 1.0 Hz
+    for a phase of 0 to 0.05, as in the paper, at 1.4 Hz for 0.15, and no minimum for 0.3.
     """
 
     amplitude: Scalar = 260e3

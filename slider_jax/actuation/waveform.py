@@ -14,7 +14,7 @@ from slider_jax.beam.parameters import Scalar
 class Segment(eqx.Module):
     """Set pressure [Pa] in a step from `t0` to `t1` [s].
 
-    The pressure changes linearly from `a0` to `a1` until `t_break`, and from `b0` to `b1` after it.
+    It changes linearly from `a0` to `a1` before `t_break`, and from `b0` to `b1` after `t_break`.
     """
 
     t0: Array
@@ -55,7 +55,7 @@ class SquareWave(Waveform):
 
     def segment(self, t0, t1):
         def half_turns(t):
-            # The tolerance keeps an edge at the end of a step in the next step despite rounding.
+            # With this tolerance, an edge at the end of a step belongs to the next step.
             return jnp.floor(2.0 * (self.frequency * t - self.phase) - 1e-9)
 
         whole = half_turns(t0)
@@ -68,7 +68,7 @@ class SquareWave(Waveform):
 
 
 class SineWave(Waveform):
-    """The wave amplitude sin(2 pi (f t - phase)) [Pa]; its segments have second-order accuracy."""
+    """A sine, amplitude sin(2 pi (f t - phase)) [Pa]. A segment has second-order accuracy."""
 
     frequency: Scalar
     amplitude: Scalar
@@ -111,7 +111,7 @@ class Trapezoid(Waveform):
 
 
 class Recorded(Waveform):
-    """Linear interpolation of samples [Pa] at increasing times [s]; constant before and after them.
+    """Linear interpolation of samples [Pa] at increasing times [s], constant outside these times.
 
     The segment is exact for steps that are not longer than the sample spacing.
     """
@@ -156,7 +156,7 @@ class Delayed(Waveform):
         early = self.wave.segment(jnp.where(t0 > self.delay, t0 - self.delay, 0.0), t1 - self.delay)
         smooth = early.t_break >= early.t1
         before = t1 <= self.delay
-        # At zero delay the wave starts at t0. This start counts, so that the tangent moves it.
+        # With zero delay, the start is at t0. It must count, since the derivative shifts the start.
         starts = ((t0 < self.delay) | ((t0 == self.delay) & smooth)) & (t1 > self.delay)
 
         def choose(inside, beginning):

@@ -65,7 +65,7 @@ def saved_quantities(x: Snapshot) -> dict[str, Array]:
 def one_stride(
     plan: Plan, robot: BatchRobot, number, carry: Carry
 ) -> tuple[Carry, dict[str, Array]]:
-    """Simulates stride `number` (from 0) of one robot. Returns the carry at its end and series."""
+    """Simulates stride `number` (from 0) of one robot; returns the next carry and the series."""
     steps, f = plan.steps_per_stride, robot.frequency
     times = TimeGrid(h=1.0 / (f * steps), steps=steps, t0=number / f)
     out = continued(carry, robot.model, times, saved_quantities, plan.numerics, plan.scheme)
@@ -89,8 +89,8 @@ def run_strides(
 ) -> dict[str, np.ndarray]:
     """Returns the series of all strides of a chunk.
 
-    t, power and every channel have the shape (robots, strides, steps). `midline` (robots, POSES, 2,
-    nodes) contains shapes in the last stride. `ok` (robots,) is False for a robot that failed.
+    `t`, `power` and all channels have the shape (robots, strides, steps). `midline` (robots, POSES,
+    2, nodes) contains shapes in the last stride. `ok` (robots,) is False for a robot that failed.
     Raises `StopRequested` if `stopped()` is true between strides.
     """
     carry, series = programs.rest(chunk), []

@@ -34,7 +34,7 @@ class Structure(eqx.Module):
     s: Array
     ds: Array
     in_tail: Array
-    """1 in the cells of the tail, 0 in those of the body."""
+    """1 in the cells of the tail, 0 in the cells of the body."""
     joint: Array
     """Unit delta at the joint [1/m], spread over the two adjacent cells."""
 
@@ -55,7 +55,7 @@ class Section(eqx.Module):
     """The local state of the body that an effect reads; every entry has shape (cells,).
 
     Velocities [m/s] are in the body frame: V relative to the tank, u relative to the water. The
-    suffix `_s` is d/ds and `_t` is d/dt. The fields up to `joint` are those of `Structure`.
+    suffix `_s` is d/ds and `_t` is d/dt. The fields up to `joint` are the fields of `Structure`.
     """
 
     linear_density: Array

@@ -7,8 +7,8 @@ at the tail and three at the head. The solver first transforms all cells to the 
     v_left  = S11 f_left + S12 v_right + s1
     f_right = S21 f_left + S22 v_right + s2
 
-with matrices S and vectors s. It is the response of a short cantilever to given forces at the tail
-side and given motion at the head side, a problem that is always well posed. Redheffer's star
+with matrices S and vectors s. This is the response of a short cantilever to forces at the tail
+side and motion at the head side, a problem that is always well posed. Redheffer's star
 product joins two neighbours into a longer cantilever. Pairwise joining solves the whole body in
 log2(cells) levels. Unlike transfer matrices, the method loses no digits on long or soft bodies. No
 support requires pivoting, because the pivots never mix forces and motion. The cells are along the

@@ -3,7 +3,7 @@
     set pressure -> Command effects -> pressure law and Flow effects -> p at the pressure sensor
                  -> ActingPressure effects -> pressure that bends the body
 
-This is possible because the motion of the body does not affect the pressures.
+The pressures are known before the rollout, because the motion of the body does not affect them.
 """
 
 import functools as ft

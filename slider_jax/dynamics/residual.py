@@ -24,7 +24,7 @@ class Stage(eqx.Module):
     """The quantities that are constant while an implicit stage is solved.
 
     `water` contains velocity [m/s] and acceleration [m/s^2], each (x, y). `phi_head` and
-    `load_head`, (T, N, M) filtered with `MOUNT_LAG`, are reference values at the head.
+    `load_head` are reference values at the head; `load_head` is (T, N, M), filtered in time.
     """
 
     structure: Structure

@@ -33,7 +33,7 @@ class Carry(eqx.Module):
     """The state that one step passes to the next step."""
 
     history: Float[Array, "3 6 nodes"]
-    """The last three solutions, oldest first. They predict the next solution."""
+    """The last three solutions, oldest first, which predict the next solution."""
     memory: Memory
     chambers: Chambers
     ok: Bool[Array, ""]

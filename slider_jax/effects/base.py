@@ -132,7 +132,7 @@ class Mounting(Effect):
 
     @abstractmethod
     def give(self, rates: HeadRates) -> tuple[Array, Array, Array]:
-        """Returns the head's velocity (tau, n) [m/s] and turning rate [rad/s] to the carriage."""
+        """Returns the head's (V_tau, V_n) [m/s] and omega [rad/s] relative to the carriage."""
 
 
 class BodyChange(Effect):

@@ -10,7 +10,7 @@ from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Chamber, Flow
 
 FULL_DUTY_ERROR = 25 * 932.8
-"""Pressure error [Pa] of 25 codes, at which the duty is largest: 10 per code, at most 250."""
+"""Pressure error [Pa] at the largest duty: 25 codes, since the duty is 10 per code, at most 250."""
 MAX_DUTY = 250.0 / 255.0
 """Largest duty that the firmware sets."""
 

@@ -89,7 +89,7 @@ def chamber_power(x: Snapshot) -> Float[Array, "2"]:
 def clamp_power(x: Snapshot) -> Float[Array, ""]:
     """Returns the power [W] of the support on the body: T V_tau + N V_n + M omega at the head.
 
-    The power is zero for a clamp at rest. For a towed clamp, it is minus the thrust times speed.
+    The power is zero for a clamp at rest, and -(thrust times speed) for a towed clamp.
     """
     head = fields(x.y[:, -1])
     return head.T * head.V_tau + head.N * head.V_n + head.M * turning_rate(head, x.stage)

@@ -1,6 +1,6 @@
 """Quantities that instruments on the carriage measure: forces at the head and the body's position.
 
-The clamp exerts the force T tau + N n on the head, and the head exerts the opposite force on it.
+The clamp exerts the force T tau + N n on the head and receives the opposite force from the head.
 The force sensor is mounted on the carriage. Its axes pitch with the carriage, but they do not turn
 with a head that turns in a soft clamp.
 """

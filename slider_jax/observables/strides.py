@@ -9,7 +9,7 @@ from slider_jax.beam.parameters import Scalar
 def stride_means(
     series: Float[Array, "*b steps"], steps_per_stride: int
 ) -> Float[Array, "*b strides"]:
-    """Returns the mean of each stride. For a periodic series, it equals the trapezoidal rule."""
+    """Returns the mean of each stride, which is the trapezoidal rule for a periodic series."""
     steps = series.shape[-1]
     if steps % steps_per_stride:
         raise ValueError(
@@ -41,7 +41,7 @@ def froude_efficiency(mean_thrust: Scalar, speed: Scalar, mean_power: Scalar) ->
 def force_efficiency(mean_thrust: Scalar, mean_power: Scalar) -> Scalar:
     """Returns T / P [N/W]: mean thrust [N] divided by the chambers' mean mechanical power [W].
 
-    Use it for a robot that is held in place, because the robot's useful power T U is zero.
+    Use this number for a robot that is held in place, because the useful power T U is zero.
     """
     return mean_thrust / mean_power
 

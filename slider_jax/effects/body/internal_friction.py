@@ -16,7 +16,7 @@ class InternalFriction(BendingMoment):
         M = EI kappa + z_c q,    kappa_c dq/dt = d(kappa)/dt - |d(kappa)/dt| q
 
     The memory q changes from -1 to 1 while the curvature changes by a few kappa_c. Here |r| means
-    sqrt(r^2 + w^2) with w = 1/(m s), so the friction decays slowly while the body is at rest.
+    sqrt(r^2 + w^2) with w = 1 1/(m s), so the friction decays slowly while the body is at rest.
     Source: Dahl, P. R. (1976), Solid friction damping of mechanical vibrations, AIAA J. 14,
     1675-1682.
     """

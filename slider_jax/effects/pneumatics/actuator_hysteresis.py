@@ -29,7 +29,7 @@ class ActuatorHysteresis(ActingPressure):
     """w [Pa], the change of pressure that reverses z."""
 
     def act(self, p, memory, dt):
-        # The memory is p - w z: at the start it is p, and z is zero.
+        # The memory is p - w z. At the start, the memory is p, so z is zero.
         held, before = memory
         sign = jnp.sign(p - before)
         z = sign + ((before - held) / self.width - sign) * jnp.exp(
