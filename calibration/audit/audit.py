@@ -1,9 +1,9 @@
 """The audit of measured trials: faults of instruments and files, before any fit.
 
 The audit reads the rows, sorts the times, checks the sensors, and compares the pressures with the
-drive. With a prediction it also compares forces and tip. It repairs unambiguous faults and excludes
-a trial with other faults. Most checks compare a trial with the others. A deviation that all trials
-share is therefore no fault, but may be a missing effect.
+drive. With a prediction, it also compares forces and tip with the prediction. The audit repairs
+unambiguous faults, masks faulty readings, and excludes unusable trials. Most checks compare a trial
+with the other trials. A deviation that all trials share may be a missing effect, so it is no fault.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,7 +22,7 @@ from slider_jax.errors import InputError
 from slider_jax.experiment.load import Experiment
 
 MAX_LISTED = 5
-"""Findings that an error message lists."""
+"""Largest number of findings that an error message lists."""
 
 
 @dataclass(frozen=True)
@@ -40,9 +40,9 @@ def audit_measurements(
 ) -> Audited:
     """Returns the usable trials of an experiment and the findings of the audit.
 
-    `predict` returns the starting model's readings (5, n) of records; without it, forces and tip
-    are not compared with a prediction. Raises `InputError` with the findings if fewer than `least`
-    trials are usable.
+    `predict` returns the readings (5, n) of each record that the starting model predicts. Without
+    `predict`, the audit does not compare forces and tip with a prediction. Raises `InputError` with
+    the findings if fewer than `least` trials are usable.
     """
     records, findings = _read(experiment)
     rate = None
@@ -97,23 +97,23 @@ def _within_duration(
 ) -> tuple[list[Record], list[Finding]]:
     """Returns the records without samples outside the trial's duration, and findings.
 
-    A finding also reports a sample rate other than the declared `rate` [Hz].
+    A finding also reports a sample rate that differs from the declared `rate` [Hz].
     """
     kept, findings = [], []
     for r in records:
         name, end = r.trial.file, r.trial.duration
         dt = float(np.median(np.diff(r.t)))
         if rate and abs(1.0 / dt - rate) > 0.05 * rate:
-            detail = f"the sample rate is {1.0 / dt:.5g} Hz; sensors.sample_rate is {rate:g} Hz"
+            detail = f"the sample rate is {1.0 / dt:.5g} Hz, but sensors.sample_rate is {rate:g} Hz"
             findings.append(Finding(name, "sample_rate", "t_s", None, None, detail, "used"))
         inside = (r.t >= -1e-9) & (r.t <= end * (1.0 + 1e-6))
         out = int(np.sum(~inside))
         if out > 2:
             span = float(r.t[~inside].min()), float(r.t[~inside].max())
-            detail = f"{out} rows are outside the trial's 0 to {end:g} s and are not used"
+            detail = f"{out} rows are outside the trial's time of 0 to {end:g} s and are not used"
             findings.append(Finding(name, "outside", "t_s", *span, detail, "masked"))
         if inside.sum() < 20:
-            detail = f"fewer than 20 rows are within the trial's 0 to {end:g} s"
+            detail = f"fewer than 20 rows are within the trial's time of 0 to {end:g} s"
             findings.append(Finding(name, "outside", "t_s", None, None, detail, "left out"))
             continue
         times = np.maximum(r.t[inside], 0.0)
@@ -151,9 +151,9 @@ def _refusal(
     bad = [x for x in findings if x.action == "left out"]
     missing = sum(x.kind == "missing_file" for x in findings)
     text = "; ".join(f"{x.trial}: {x.detail}" for x in bad[:MAX_LISTED])
-    more = f"; and {len(bad) - MAX_LISTED} more" if len(bad) > MAX_LISTED else ""
+    more = f"; and {len(bad) - MAX_LISTED} more faults" if len(bad) > MAX_LISTED else ""
     absent = f"; {missing} files do not exist" if missing else ""
     return (
-        f"{experiment.folder}: {len(records)} measured trials are usable; {least} or more are "
+        f"{experiment.folder}: {len(records)} measured trials are usable, but at least {least} are "
         f"needed{'; ' if text else ''}{text}{more}{absent}; repair or repeat these trials"
     )

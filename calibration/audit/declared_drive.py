@@ -1,4 +1,4 @@
-"""Trials with another clock, frequency, phase, amplitude or start than declared."""
+"""Reports trials whose clock, frequency, phase, amplitude or start is not as declared."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -27,26 +27,26 @@ from calibration.measurements.records import Finding, Record
 from slider_jax.channels import BUILT_IN
 
 SKEW = 0.004
-"""Relative clock error below which slow transients may be the cause."""
+"""Smallest relative clock error that is a fault. Slow transients may cause a smaller one."""
 MAX_SKEW = 0.03
 """Largest relative error of a clock; a larger one means another drive than declared."""
 WRONG_DRIVE = 0.8
-"""Relative residual at every lag and delay above which a pressure has another drive."""
+"""A pressure has another drive if its relative residual at every lag and delay exceeds this."""
 STRANGE, TIMES = 0.25, 6.0
-"""The same, if the residual also exceeds `TIMES` times the median of all trials."""
+"""Residual that is enough if it also exceeds `TIMES` times the median of all trials."""
 WRONG_AMPLITUDE = np.log(1.25)
 FITS = 0.1
-"""Largest relative residual with which a pressure's delay is determined."""
+"""A pressure's delay is determined if the relative residual is below this."""
 LATE = 0.02
-"""Largest difference of a trial's delay from the other trials [s]."""
+"""Largest accepted difference of a trial's delay from the delay of the other trials [s]."""
 WRONG_PHASE = 0.05
-"""Largest difference of the rear chamber's phase from the declared one [periods]."""
+"""Largest accepted difference of the rear chamber's phase from the declared phase [periods]."""
 
 
 def check_clocks(
     records: Sequence[Record], rate: float | None
 ) -> tuple[list[Record], list[Finding]]:
-    """Returns the records with corrected clocks, without those left out, and findings.
+    """Returns the usable records with corrected clocks, and findings.
 
     The pressures' frequencies show the clock's error; `rate` [Hz] is the declared sample rate.
     """
@@ -61,11 +61,11 @@ def check_clocks(
         ticks = 1.0 / (rate * float(np.median(np.diff(r.t)))) - 1.0 if rate else np.nan
         text = (
             f"the pressures' frequency is {abs(p.off):.2%} {'above' if p.off > 0 else 'below'} "
-            f"{r.trial.frequency:g} Hz"
+            f"the declared {r.trial.frequency:g} Hz"
         )
         both = abs(ticks - p.off) < 0.1 * abs(p.off) + 1e-3
         if both or (alike > 2 and alike > 0.7 * len(known)):
-            why = "the sample rate has the same error" if both else "the other trials agree"
+            why = "the sample rate has the same error" if both else "other trials have it too"
             detail = f"{text}, and {why}: the clock is skewed; the times were rescaled"
             scale = 1.0 + (ticks if both else float(np.median(known)))
             kept.append(replace(r, t=r.t * scale))
@@ -80,7 +80,7 @@ def check_clocks(
 
 
 def _clock(r: Record) -> PeriodRatio | None:
-    """Returns the frequency error on which both pressures agree."""
+    """Returns the frequency error; None if the two pressures disagree."""
     assert r.trial.frequency is not None
     found = []
     for row in (0, 1):
@@ -99,7 +99,7 @@ def _clock(r: Record) -> PeriodRatio | None:
 def check_declared_drive(
     records: Sequence[Record], responses: DriveResponses
 ) -> tuple[list[Record], list[Finding]]:
-    """Returns the trials that were driven as declared, and findings on the others."""
+    """Returns the trials that were driven as declared, and findings on the other trials."""
     least = np.array([responses.least_residual(i) for i in range(len(records))])
     usual = float(np.median(least))
     wrong = _late(records, responses, range(len(records)))
@@ -122,21 +122,21 @@ def check_declared_drive(
 
 
 def _partner(records: Sequence[Record], r: Record) -> str:
-    """Returns a clause with the trial whose declared drive the pressures of `r` follow, if any."""
+    """Returns a text that names the trial whose drive the pressures of `r` follow, or ''."""
     for other in records:
         chambers = declared_drives(other.trial)
         if other is r or chambers is None:
             continue
         residual = fit_lags(r.t, r.values[:2], chambers).residual
         if max(residual[c, c].min() for c in (0, 1)) < 0.5 * STRANGE:
-            return f"; they follow the drive of {other.trial.file}: the files may be exchanged"
+            return f"; they follow the drive of {other.trial.file}: the files may be swapped"
     return ""
 
 
 def _late(
     records: Sequence[Record], responses: DriveResponses, index: Sequence[int]
 ) -> dict[int, Finding]:
-    """Returns findings on trials with another delay than the others, if the fit determines it."""
+    """Returns findings on trials whose delay is determined and unlike that of the others."""
     if len(records) < 4:
         return {}
     around = DELAYS[responses.at[1]] + np.arange(-0.2, 0.2, 0.005)
@@ -165,7 +165,7 @@ def _late(
 def _wrong_phase(
     records: Sequence[Record], responses: DriveResponses, index: Sequence[int]
 ) -> dict[int, Finding]:
-    """Returns findings on rear chambers with another phase than declared."""
+    """Returns findings on trials whose rear chamber has another phase than declared."""
     pairs = [rear_lag_and_ratio(r) for r in records]
     off = np.array(
         [
@@ -212,8 +212,8 @@ def _wrong_amplitude(
         if abs(off) > max(WRONG_AMPLITUDE, 8.0 * error) and alike:
             r = records[j]
             detail = (
-                f"the gain from the declared amplitude, {r.trial.amplitude:g} Pa, to both "
-                f"pressures is {np.exp(off):.2f} times that of the other trials"
+                f"the ratio of both pressures to the declared amplitude, {r.trial.amplitude:g} Pa, "
+                f"is {np.exp(off):.2f} times the ratio in the other trials"
             )
             channels = "p_front, p_rear"
             found[index[j]] = trial_finding(r, "wrong_amplitude", channels, detail, "left out")

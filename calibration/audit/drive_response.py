@@ -1,4 +1,4 @@
-"""Response of the pressures of all trials to their declared drives."""
+"""Fits of all trials' pressures with the lag's response to their declared drives."""
 
 from collections.abc import Sequence
 
@@ -17,13 +17,13 @@ from slider_jax.channels import BUILT_IN, CHANNELS
 
 NAMES = tuple(CHANNELS[name].column for name in BUILT_IN)
 MAX_RESIDUAL = 0.6
-"""Largest residual of a pressure that responds to a drive, over the pressure's rms."""
+"""A pressure responds to a drive if the residual's rms is below this fraction of its own rms."""
 STRIDES = 1.2
-"""Fewest strides after settling that determine a fundamental."""
+"""Smallest number of strides after settling that determines a fundamental."""
 
 
 class DriveResponses:
-    """Fits of all trials, and the common lag and delay that fit most of them."""
+    """Fits of all trials, and the common lag and delay that fit most trials."""
 
     def __init__(self, records: Sequence[Record]):
         chambers = driven_chambers(records)
@@ -35,15 +35,15 @@ class DriveResponses:
         """Indices of the common lag and delay."""
 
     def gain(self, i: int) -> np.ndarray:
-        """Returns the gains (2 or 5, 2) of trial i, columns by drives, at the common lag."""
+        """Returns trial i's gains (2 or 5 columns, 2 drives) at the common lag and delay."""
         return self.all[i].gain[:, :, self.at[0], self.at[1]]
 
     def residual(self, i: int) -> np.ndarray:
-        """Returns the residuals (2 or 5, 2) of trial i, columns by drives, at the common lag."""
+        """Returns trial i's residuals (2 or 5 columns, 2 drives) at the common lag and delay."""
         return self.all[i].residual[:, :, self.at[0], self.at[1]]
 
     def least_residual(self, i: int) -> np.ndarray:
-        """Returns the residuals (2,) of the pressures of trial i, at their best lags and delays."""
+        """Returns the residuals (2,) of trial i's pressures, each at its best lag and delay."""
         return np.array([self.all[i].residual[c, c].min() for c in (0, 1)])
 
 
@@ -62,7 +62,7 @@ def is_tiny(r: Record, row: int) -> bool:
 
 
 def driven_chambers(records: Sequence[Record]) -> list[tuple[DeclaredDrive, DeclaredDrive]]:
-    """Returns the declared drives of the trials that have any."""
+    """Returns the declared drives of all trials that have declared drives."""
     found = [declared_drives(r.trial) for r in records]
     return [x for x in found if x is not None]
 
@@ -71,7 +71,7 @@ def rear_lag_and_ratio(r: Record) -> tuple[float, float] | None:
     """Returns the rear pressure's lag behind the front's, and the ratio of front to rear amplitude.
 
     The lag is a fraction of a period. Returns None for a trial with fewer than `STRIDES` settled
-    strides, in which a parabola resembles a fundamental.
+    strides: in so short a trial, a slow drift resembles a fundamental.
     """
     if not r.trial.frequency or (r.t[-1] - settling_time(r.t)) * r.trial.frequency < STRIDES:
         return None

@@ -1,7 +1,7 @@
-"""Response of lags to a trial's declared drive, in numpy, and its fit to measured series.
+"""Fits a first-order lag's response to the declared drive to measured series, in numpy.
 
-Amplitude and offset are free. Time constant and delay are common to all trials, so that physics
-that all trials share is no fault.
+Gain and slow drift are free. The audit uses one time constant and one delay for all trials, so that
+a physical effect that all trials share does not count as a fault.
 """
 
 from typing import NamedTuple
@@ -12,15 +12,15 @@ from scipy.signal import lfilter
 from slider_jax.experiment.schema import Trial
 
 TIME_CONSTANTS = np.geomspace(0.02, 0.5, 14)
-"""Time constants of the lag that are compared [s]."""
+"""Candidate time constants of the lag [s]."""
 DELAYS = np.linspace(-0.01, 0.11, 13)
-"""Delays of the pressure behind the lag's response that are compared [s]."""
+"""Candidate delays of the pressure behind the lag's response [s]."""
 SETTLED = 0.5
 """Time after which the start no longer affects a cycle's phase [s]."""
 TWO_CYCLE_ERROR = 2e-3
-"""Error of a phase drift from only two cycles [rad per cycle]."""
+"""Standard error that is assumed for a phase drift from only two cycles [rad per cycle]."""
 MAX_SAMPLES = 300
-"""Samples of a series that are fitted; longer series are thinned."""
+"""Number of samples of a series in a fit. Longer series are thinned."""
 
 
 class DeclaredDrive(NamedTuple):
@@ -33,7 +33,7 @@ class DeclaredDrive(NamedTuple):
     rise: float
 
     def unit(self, t: np.ndarray) -> np.ndarray:
-        """Returns the set pressure over its amplitude at `t` (n,) [s], 0 before the start."""
+        """Returns the set pressure divided by its amplitude at `t` (n,) [s]; 0 for t < 0."""
         turn = self.frequency * t - self.phase
         if self.waveform == "sine":
             value = np.sin(2.0 * np.pi * turn)
@@ -47,7 +47,7 @@ class DeclaredDrive(NamedTuple):
 
 
 def declared_drives(trial: Trial) -> tuple[DeclaredDrive, DeclaredDrive] | None:
-    """Returns a trial's front and rear drive; None if it has no pressure or a recorded one."""
+    """Returns a trial's front and rear drive; None if one is zero or the drive is recorded."""
     f, amplitude = trial.frequency, trial.amplitude
     if trial.waveform == "recorded" or not f or not amplitude or not trial.rear_ratio:
         return None
@@ -61,7 +61,7 @@ def declared_drives(trial: Trial) -> tuple[DeclaredDrive, DeclaredDrive] | None:
 def _lag_responses(
     drive: DeclaredDrive, duration: float, time_constants: np.ndarray
 ) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Returns times (n,) [s] and each lag's response (n,) to a drive of amplitude 1, from rest."""
+    """Returns times (n,) [s] and each lag's response (n,) from rest to a drive of amplitude 1."""
     spacing = min(1e-3, 1.0 / (200.0 * drive.frequency))
     t = spacing * np.arange(int(np.ceil(duration / spacing)) + 2)
     set_point, keep = drive.unit(t + 0.5 * spacing), np.exp(-spacing / time_constants)
@@ -70,10 +70,10 @@ def _lag_responses(
 
 
 class LagFits(NamedTuple):
-    """Fits of m series by the responses of both chambers, all lags and delays.
+    """Fits of m series with the response of each chamber's drive, for all lags and delays.
 
-    `gain` is signed, over the drive's amplitude. `residual` is the residual's rms over the series'
-    rms. Both have the shape (m, 2, lags, delays).
+    `gain` is the signed ratio of a series to the response. `residual` is the fit residual's rms
+    divided by the series' rms. Both arrays have the shape (m, 2 chambers, lags, delays).
     """
 
     gain: np.ndarray
@@ -81,7 +81,7 @@ class LagFits(NamedTuple):
 
 
 def _without_drift(t: np.ndarray, series: np.ndarray) -> np.ndarray:
-    """Returns `series` (..., n) at `t` (n,) minus the best parabola, as slow drift is physics."""
+    """Returns `series` (..., n) at `t` (n,) minus a fitted parabola, which removes slow drift."""
     x = (t - t.mean()) / max(float(np.ptp(t)), 1e-300)
     Q = np.linalg.qr(np.stack([np.ones_like(x), x, x**2], axis=1))[0]
     return series - (series @ Q) @ Q.T
@@ -94,7 +94,7 @@ def fit_lags(
     delays: np.ndarray = DELAYS,
     time_constants: np.ndarray = TIME_CONSTANTS,
 ) -> LagFits:
-    """Returns fits of `values` (m, n), NaN if missing, at `t` (n,) [s], each plus a parabola."""
+    """Returns fits of `values` (m, n) at `t` (n,) [s]. A missing value is NaN."""
     shape = (len(values), 2, len(time_constants), len(delays))
     gain, residual = np.zeros(shape), np.ones(shape)
     every = max(1, len(t) // MAX_SAMPLES)
@@ -117,17 +117,17 @@ def fit_lags(
 
 
 class PeriodRatio(NamedTuple):
-    """Relative excess of a series' frequency over the declared one, and its standard error."""
+    """Relative error of a frequency (positive: above the declared one), and its standard error."""
 
     off: float
     error: float
 
 
 def period_ratio(t: np.ndarray, y: np.ndarray, frequency: float) -> PeriodRatio | None:
-    """Returns the ratio from the drift of the fundamental's phase; None for less than two cycles.
+    """Returns the frequency's error from the phase drift of the fundamental; None for < 2 cycles.
 
-    A distortion of every cycle, such as lag, delay or saturation, does not change the ratio. The
-    first cycles are not used.
+    A distortion that all cycles share, such as lag, delay or saturation, does not change the
+    result. The first cycles are not used.
     """
     faster, found = 1.0, None
     for _ in range(3):
@@ -144,7 +144,7 @@ def _drift(t: np.ndarray, y: np.ndarray, frequency: float) -> PeriodRatio | None
     first = min(max(1, int(np.ceil(2.0 * SETTLED * frequency))), max(last - 4, 1))
     spacing = float(np.median(np.diff(t)))
     phases, cycles = [], []
-    for j in range(first, last):  # windows of a cycle, half a cycle apart
+    for j in range(first, last):  # one window per half cycle, one cycle long
         inside = (t >= 0.5 * j / frequency) & (t < (0.5 * j + 1.0) / frequency)
         if inside.sum() * spacing * frequency < 0.9:
             continue
@@ -166,14 +166,14 @@ def _drift(t: np.ndarray, y: np.ndarray, frequency: float) -> PeriodRatio | None
 
 
 def settling_time(t: np.ndarray) -> float:
-    """Returns the time [s] from which on a pressure is periodic; less in a short trial."""
+    """Returns the time [s] after which a pressure counts as periodic, shorter in short trials."""
     return min(SETTLED, 0.3 * float(t[-1]))
 
 
 def fundamental_tone(t: np.ndarray, y: np.ndarray, frequency: float) -> tuple[float, float]:
-    """Returns amplitude and lag (fraction of a period) of the fundamental of y (n,).
+    """Returns the amplitude and the lag (fraction of a period) of the fundamental of y (n,).
 
-    They are from a least-squares fit with harmonics and a parabola.
+    The least-squares fit includes two harmonics and a parabola.
     """
     late = t >= settling_time(t)
     turn = 2.0 * np.pi * frequency * t[late]
@@ -187,10 +187,10 @@ def fundamental_tone(t: np.ndarray, y: np.ndarray, frequency: float) -> tuple[fl
 def leave_one_out(
     y: np.ndarray, x: np.ndarray, slopes: np.ndarray, floor: float
 ) -> list[tuple[float, float]]:
-    """Returns deviation and its error of each value of y (n,) from a plane through the others.
+    """Returns the deviation of each y (n,) from a plane through the others, and its standard error.
 
     `x` (n, p) are the variables of the plane and `slopes` (p,) the prior standard deviations of its
-    slopes. `floor` is the smallest scatter.
+    slopes. `floor` is the smallest scatter about the plane.
     """
     found = []
     for i in range(len(y)):

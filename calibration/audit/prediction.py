@@ -1,7 +1,7 @@
-"""Check of forces and tip against a prediction (columns, units, signs), and outlier trials.
+"""Compares forces and tip with a prediction (columns, units, signs), and reports outlier trials.
 
-The prediction is from the starting model. It may be inaccurate: a unit, a sign or a pair of swapped
-columns is evident without the exact parameters.
+The starting model predicts the readings. The prediction may be inaccurate, because a wrong unit, a
+wrong sign or swapped columns are evident without the exact parameters.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,23 +19,23 @@ from slider_jax.experiment.schema import Trial
 BODY = (2, 3, 4)
 """Rows of thrust, recoil and tip."""
 LAGS = np.arange(-0.03, 0.1, 0.01)
-"""Delays of a sensor that are compared [s]; the delay is physics, common to all trials."""
+"""Candidate delays of a sensor [s]. A delay that is the same in all trials is no fault."""
 CLEAR = 0.8
-"""Correlation with the prediction that identifies a channel."""
+"""Smallest correlation with the prediction that identifies a channel."""
 COMPARABLE = 0.7
-"""Correlation that all other trials must reach before the check of one trial."""
+"""A channel of a trial is checked only if all other trials reach this correlation."""
 MARGIN = 0.5
-"""Gain of the summed correlations from which on columns are swapped."""
+"""Columns count as swapped if the swap raises the sum of the correlations by more than this."""
 STRANGE = 0.4
-"""A channel with a lower correlation at every delay does not belong to the trial."""
+"""A channel does not belong to a trial if its correlation is below this value at every delay."""
 UNIT_MARGIN = np.log10(3.0)
-"""Largest distance of a size ratio from a factor of 1000 [decades]."""
+"""Largest difference between a size ratio and a factor of 1000 or 1/1000 [decades]."""
 SMALL = {1e3: ("mN", "mN", "mm"), 1e-3: ("kN", "kN", "km")}
-"""Units of thrust, recoil and tip by the ratio to SI."""
+"""Units of thrust, recoil and tip. A key is a number in the unit divided by that in SI units."""
 OUTLIER = 30.0
-"""Smallest ratio of an outlier's mean square to the other trials' median."""
+"""Smallest ratio of an outlier's mean square to the median of the other trials' mean squares."""
 BEYOND = 4.0
-"""Smallest ratio of an outlier's mean square to the other trials' largest one."""
+"""Smallest ratio of an outlier's mean square to the largest mean square of the other trials."""
 
 
 @dataclass(frozen=True)
@@ -46,12 +46,12 @@ class _Correlations:
     lags: list[float]
 
     def correlation(self, i: int, column: int, row: int) -> float:
-        """Returns the correlation of a column of trial i with a row's prediction, at its delay."""
+        """Returns the correlation of trial i's measured column and predicted row, at its delay."""
         r, p = self.pairs[i]
         return _correlation(r, p, column, row, self.lags[BODY.index(row)])
 
     def size(self, i: int, row: int) -> float:
-        """Returns the ratio of the measured to the predicted standard deviation [decades]."""
+        """Returns log10 of the measured standard deviation divided by the predicted one."""
         r, p = self.pairs[i]
         there = np.isfinite(r.values[row]) & np.isfinite(p[row])
         if there.sum() < 20 or not np.std(p[row, there]) or not np.std(r.values[row, there]):
@@ -60,7 +60,7 @@ class _Correlations:
 
 
 def _common_lag(pairs: Sequence[tuple[Record, np.ndarray]], row: int) -> float:
-    """Returns the delay [s] behind a prediction that fits most trials, in any column."""
+    """Returns the delay [s] behind a predicted row at which most trials have a similar column."""
     table = [
         [max(abs(_correlation(r, p, c, row, x)) for c in BODY) for x in LAGS] for r, p in pairs
     ]
@@ -84,8 +84,8 @@ def check_predicted_channels(
 ) -> tuple[list[Record], list[Finding]]:
     """Returns the records with unambiguous faults of forces and tip repaired, and findings.
 
-    `predicted` are the starting model's readings (5, n) of every record. A channel that correlates
-    with its prediction in all trials but one is masked in that trial.
+    `predicted` contains the starting model's readings (5, n) of every record. A channel that
+    correlates with its prediction in all trials except one is masked in that one trial.
     """
     found, findings = list(records), []
     lags = [_common_lag([*zip(found, predicted, strict=True)], row) for row in BODY]
@@ -114,16 +114,16 @@ def _columns(of: _Correlations) -> tuple[list[Record], list[Finding]]:
         rows = [0, 1, *(BODY[c] for c in best)]
         names = " and ".join(NAMES[BODY[x]] for x in moved)
         channels = ", ".join(BUILT_IN[BODY[x]] for x in moved)
-        detail = f"the columns {names} are swapped: each correlates with the other's prediction"
+        detail = f"the columns {names} are swapped: each correlates with another one's prediction"
         findings.append(trial_finding(r, "swapped_columns", channels, detail, "mended"))
         kept.append(replace(r, values=r.values[rows]))
     return kept, findings
 
 
 def _order(C: np.ndarray) -> tuple[int, ...]:
-    """Returns the column of each channel with the best correlations `C` (3, 3).
+    """Returns the column of each channel, from the correlations `C` (3 columns, 3 channels).
 
-    Another order than the file's must be better by `MARGIN`.
+    The order in the file is kept unless another order has a sum larger by `MARGIN`.
     """
     best = max(permutations(range(3)), key=lambda order: _total(C, order))
     return best if _total(C, best) > _total(C, (0, 1, 2)) + MARGIN else (0, 1, 2)
@@ -143,7 +143,7 @@ def _signs(of: _Correlations) -> tuple[list[Record], list[Finding]]:
             if value > -CLEAR or not sure:
                 continue
             name = NAMES[channel]
-            detail = f"{name} has the opposite sign (correlation {value:.2f}); it was inverted"
+            detail = f"{name} has the wrong sign (correlation {value:.2f}); the sign was inverted"
             findings.append(trial_finding(r, "sign", BUILT_IN[channel], detail, "mended"))
             values[channel] *= -1.0
         kept.append(replace(r, values=values))
@@ -158,13 +158,13 @@ def _units(of: _Correlations) -> tuple[list[Record], list[Finding]]:
         values = r.values.copy()
         for x, row in enumerate(BODY):
             ratio = next((f for f in SMALL if abs(sizes[i, x] - np.log10(f)) < UNIT_MARGIN), None)
-            # A wrong model also scales a channel. One channel or trial must have the right size.
+            # A wrong model may also scale a channel: one channel or trial must have a normal size.
             if ratio is None or not (ordinary[:, x].any() or ordinary[i].any()):
                 continue
             unit, name = SMALL[ratio][x], NAMES[row]
             detail = (
-                f"{name} is {10 ** sizes[i, x]:.3g} times its prediction: it is in {unit}, and was "
-                f"multiplied by {1.0 / ratio:g}"
+                f"{name} is {10 ** sizes[i, x]:.3g} times its prediction: the numbers are in "
+                f"{unit}, and were multiplied by {1.0 / ratio:g}"
             )
             findings.append(trial_finding(r, "units", BUILT_IN[row], detail, "mended"))
             values[row] /= ratio
@@ -173,7 +173,7 @@ def _units(of: _Correlations) -> tuple[list[Record], list[Finding]]:
 
 
 def _strange_channels(of: _Correlations) -> tuple[list[Record], list[Finding]]:
-    """Returns the records without channels that match their prediction only in other trials."""
+    """Returns the records and findings; masks a channel that fits only in all other trials."""
     n = len(of.pairs)
     table = np.array([[of.correlation(i, x, x) for x in BODY] for i in range(n)]).reshape(n, 3)
     kept, findings = [], []
@@ -186,8 +186,8 @@ def _strange_channels(of: _Correlations) -> tuple[list[Record], list[Finding]]:
             best = max(abs(_correlation(r, p, row, row, lag)) for lag in LAGS)
             if best < STRANGE:
                 detail = (
-                    f"{NAMES[row]} has a correlation of at most {best:.2f} with its prediction, "
-                    f"{rest.min():.2f} or more in the other trials; it is not used in this trial"
+                    f"the correlation of {NAMES[row]} with its prediction is at most {best:.2f}, "
+                    f"but {rest.min():.2f} or more in other trials; this trial's is not used"
                 )
                 findings.append(
                     trial_finding(r, "strange_channel", BUILT_IN[row], detail, "masked")
@@ -200,11 +200,11 @@ def _strange_channels(of: _Correlations) -> tuple[list[Record], list[Finding]]:
 def residual_outliers(
     trials: Sequence[Trial], mean_squares: Mapping[str, np.ndarray]
 ) -> list[Finding]:
-    """Returns findings on trials whose residual is far above that of all other trials.
+    """Returns findings on trials whose residual is far larger than in all other trials.
 
-    `mean_squares` (n,) are the whitened mean squares of every channel after the last fit, NaN
-    without the channel. A trend over frequency, amplitude or tow speed is physics, no outlier. The
-    check needs five trials.
+    `mean_squares` maps a channel to the whitened residual's mean square (n,) in each trial after
+    the last fit, NaN without the channel. Trends with frequency, amplitude and tow speed are
+    removed, because they may be physical. A channel is checked if five or more trials have it.
     """
     found = []
     slow = [abs(t.tow_speed) for t in trials]
@@ -232,8 +232,9 @@ def residual_outliers(
                 worst = ratio, channel
         if worst[1]:
             detail = (
-                f"the residual's mean square in {worst[1]} is {worst[0]:.0f} times that of the "
-                "other trials, and no effect explains it: check the trial's settings, or repeat it"
+                f"the residual's mean square in {worst[1]} is {worst[0]:.0f} times the median of "
+                "the other trials, and no effect explains the residual: check the trial's "
+                "settings, or repeat the trial"
             )
             found.append(Finding(trial.file, "outlier", worst[1], None, None, detail, "left out"))
     return found

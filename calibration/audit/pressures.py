@@ -1,7 +1,7 @@
-"""Check of measured pressures against the declared drives: columns, units, signs, settings.
+"""Compares measured pressures with the declared drives: columns, units, signs, settings.
 
-Lag, delay and gain are common to all trials. A deviation that all trials share is physics, except
-for a unit, a sign or swapped columns.
+Lag, delay and gain are the same for all trials. A deviation that all trials share is no fault,
+except a wrong unit, a wrong sign or swapped columns.
 """
 
 from collections.abc import Sequence
@@ -24,9 +24,9 @@ from calibration.measurements.records import Finding, Record
 from slider_jax.channels import BUILT_IN
 
 UNITS = {1e-3: "kPa", 1e3: "mPa", 1.0 / 6894.757: "psi", 1e-5: "bar", 1e-6: "MPa"}
-"""Units by the ratio of a number in the unit to the number in Pa."""
+"""Names of units. Each key is the ratio of a number in the unit to the number in Pa."""
 UNIT_MARGIN = np.log(1.6)
-"""Largest distance of a log gain from a unit's; the units differ by factors of 6.9 or more."""
+"""Largest difference of ln(gain) from ln(a unit's ratio). Unit ratios differ by factors >= 6.9."""
 
 
 def check_pressures(
@@ -54,7 +54,7 @@ def check_pressures(
 def _columns(
     records: Sequence[Record], responses: DriveResponses
 ) -> tuple[list[Record], list[Finding]]:
-    """Returns the records with pressures moved from another sensor's column, and findings."""
+    """Returns the records with pressures moved back from another sensor's column, and findings."""
     kept, findings = [], []
     for i, r in enumerate(records):
         gain, residual = responses.gain(i), responses.residual(i)
@@ -74,7 +74,7 @@ def _columns(
             kept.append(r)
             continue
         moved = [NAMES[x] for x in range(5) if order[x] != x]
-        detail = f"the columns {' and '.join(moved)} are swapped: each has the other's readings"
+        detail = f"the columns {' and '.join(moved)} are swapped: each has another one's readings"
         findings.append(trial_finding(r, "swapped_columns", ", ".join(moved), detail, "mended"))
         kept.append(replace(r, values=r.values[order]))
     return kept, findings
@@ -98,8 +98,8 @@ def _units(
             unit = min(UNITS, key=lambda u: abs(np.log(ratio / u)))
             if abs(np.log(ratio / unit)) < UNIT_MARGIN:
                 detail = (
-                    f"{NAMES[c]} is {ratio:.4g} times the drive's response: it is in "
-                    f"{UNITS[unit]}, and was multiplied by {1.0 / unit:.6g}"
+                    f"{NAMES[c]} is {ratio:.4g} times the drive's response: the numbers are in "
+                    f"{UNITS[unit]}, and were multiplied by {1.0 / unit:.6g}"
                 )
                 values[c] /= unit
                 findings.append(trial_finding(r, "units", BUILT_IN[c], detail, "mended"))
@@ -116,7 +116,7 @@ def _front_and_rear(
 ) -> tuple[list[Record], list[Finding]]:
     """Returns the records with front and rear pressure in their own columns, and findings.
 
-    The rear pressure's phase and amplitude show a swap.
+    A swap is visible in the rear pressure's phase and amplitude relative to the front pressure.
     """
     both = [rear_lag_and_ratio(r) for r in records]
     swapped = [_swapped_by_phase(r, x) for r, x in zip(records, both, strict=True)]
@@ -131,7 +131,7 @@ def _front_and_rear(
         if not s:
             kept.append(r)
             continue
-        detail = "p_front_Pa and p_rear_Pa are swapped: each follows the other chamber's drive"
+        detail = "p_front_Pa and p_rear_Pa are swapped: each follows the drive of the other chamber"
         findings.append(trial_finding(r, "swapped_columns", "p_front, p_rear", detail, "mended"))
         kept.append(replace(r, values=r.values[[1, 0, 2, 3, 4]]))
     return kept, findings
@@ -148,7 +148,10 @@ def _swapped_by_phase(r: Record, found: tuple[float, float] | None) -> bool | No
 
 
 def _swapped_by_size(found: float, rear_ratio: float, others: Sequence[float]) -> bool:
-    """Returns whether the log amplitude ratio shows a swap, against those of the other trials."""
+    """Returns whether `found`, ln(front/rear amplitude), shows that the columns are swapped.
+
+    `others` are the differences between this logarithm and the declared one in other trials.
+    """
     if len(others) < 2:
         return False
     usual = float(np.median(others))

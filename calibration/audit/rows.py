@@ -1,4 +1,4 @@
-"""The rows of a measured trial's CSV, without damaged rows."""
+"""Reads the rows of a measured trial's CSV and drops damaged rows."""
 
 import csv
 import math
@@ -13,19 +13,19 @@ from slider_jax.errors import InputError
 from slider_jax.io.toml import read_bytes
 
 MAX_BAD_SHARE = 0.5
-"""A file with a larger share of bad rows is excluded."""
+"""A file with a larger fraction of damaged rows is excluded."""
 MIN_ROWS = 20
 
 
 class Rows(NamedTuple):
-    """Rows in the file's order: times (n,), and the other columns (5, n)."""
+    """The times (n,) and the other columns (5, n) of a file, in the order of its rows."""
 
     t: np.ndarray
     values: np.ndarray
 
 
 class Unusable(Exception):
-    """A trial is unusable; `finding` holds the reason."""
+    """Raised for an unusable trial; `finding` contains the reason."""
 
     def __init__(
         self,
@@ -40,9 +40,9 @@ class Unusable(Exception):
 
 
 def read_rows(path: Path) -> tuple[Rows, list[Finding]]:
-    """Returns the readable rows of a trial's CSV, and findings on the others.
+    """Returns the readable rows of a trial's CSV, and findings on the other rows.
 
-    Cells that are blank or not finite numbers are NaN. Raises `Unusable` if the time column is
+    Cells that are blank or not finite numbers become NaN. Raises `Unusable` if the time column is
     missing or too few rows are readable.
     """
     name = path.name
@@ -71,8 +71,8 @@ def read_rows(path: Path) -> tuple[Rows, list[Finding]]:
     lost = len(numbered) - 1 - int(timed.sum())
     if lost > MAX_BAD_SHARE * len(numbered) or timed.sum() < MIN_ROWS:
         detail = (
-            f"only {timed.sum()} of {len(numbered) - 1} rows are readable; at least {MIN_ROWS}, "
-            f"and {1.0 - MAX_BAD_SHARE:.0%} of all, are needed"
+            f"only {timed.sum()} of {len(numbered) - 1} rows are readable; at least {MIN_ROWS} "
+            f"rows and {1.0 - MAX_BAD_SHARE:.0%} of all rows must be readable"
         )
         raise Unusable(name, "bad_row" if lost else "few_rows", detail)
     return Rows(t[timed], table[1:, timed]), findings + more + worse
@@ -80,7 +80,7 @@ def read_rows(path: Path) -> tuple[Rows, list[Finding]]:
 
 def _check_header(name: str, header: list[str]) -> list[Finding]:
     if "t_s" not in header:
-        detail = f"the first line has no column t_s; its columns are {', '.join(header)[:80]}"
+        detail = f"the first line has no column t_s; it has the columns {', '.join(header)[:80]}"
         raise Unusable(name, "missing_column", detail)
     repeated = sorted({x for x in channel_columns() if header.count(x) > 1})
     if repeated:
@@ -97,7 +97,7 @@ def _check_header(name: str, header: list[str]) -> list[Finding]:
 
 
 def _whole_rows(name, header, numbered) -> tuple[list[list[str]], list[Finding]]:
-    """Returns the rows with as many cells as the header, and findings on the others."""
+    """Returns the rows with as many cells as the header, and findings on the other rows."""
     whole, findings, lines = [], [], []
     for position, (line, row) in enumerate(numbered):
         if len(row) == len(header):
@@ -109,8 +109,8 @@ def _whole_rows(name, header, numbered) -> tuple[list[list[str]], list[Finding]]
             lines.append(line)
     if lines:
         detail = (
-            f"{len(lines)} rows do not have {len(header)} cells and are dropped; the first is "
-            f"line {lines[0]}"
+            f"{len(lines)} rows do not have {len(header)} cells and are dropped; the first one "
+            f"is line {lines[0]}"
         )
         findings.append(Finding(name, "bad_row", None, None, None, detail, "masked"))
     return whole, findings

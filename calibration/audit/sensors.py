@@ -1,7 +1,7 @@
 """Faults of one sensor: stuck or clipped readings, spikes, missing frames.
 
-Repeated readings are a fault only if noise and quantisation make them improbable. A constant
-pressure repeats its codes, and a signal that saturates by physics still has noise.
+Repeated readings are a fault only if noise and quantisation make them improbable. A faultless
+sensor of a constant pressure may repeat a quantised reading. A saturated signal still has noise.
 """
 
 import math
@@ -13,39 +13,39 @@ from scipy.special import ndtr
 from calibration.measurements.records import Finding, masked_finding
 
 IMPOSSIBLE = 1e-6
-"""A repetition is a fault below this probability of its occurrence in a whole series."""
+"""Repeated readings are a fault if their probability in a whole series is below this value."""
 MIN_REPEATS = 5
-"""Equal successive readings that a stuck sensor has at least."""
+"""Smallest number of equal successive readings that count as a stuck sensor."""
 SPIKE = 15.0
-"""A spike exceeds its neighbours by at least this many standard deviations of the noise."""
+"""A spike differs from its neighbours by at least this many standard deviations of the noise."""
 BRIDGED = 5
 """Up to this many readings between two clipped readings count as clipped."""
 MIN_SHARE = 1.0 / 3.0
-"""A channel with a smaller share of faultless readings is not used."""
+"""A channel is not used if less than this fraction of its readings is free of faults."""
 
 
 class Quantisation(NamedTuple):
-    """White noise (one standard deviation) and quantisation step of a series."""
+    """White noise (as a standard deviation) and quantisation step of a series of readings."""
 
     noise: float
-    """Smallest plausible noise."""
+    """Smallest plausible standard deviation of the noise."""
     step: float
     most: float = 0.0
-    """Largest plausible noise."""
+    """Largest plausible standard deviation of the noise."""
 
     @property
     def repeat(self) -> float:
-        """Largest probability of two equal readings of a constant signal."""
+        """Returns the largest probability that two readings of a constant signal are equal."""
         if self.noise <= 0.0:
             return 1.0
         return float(2.0 * ndtr(0.5 * self.step / self.noise) - 1.0)
 
 
 def quantisation(values: np.ndarray, declared: float) -> Quantisation:
-    """Returns noise and step of readings (n,) without NaN; `declared` is the declared noise or 0.
+    """Returns the noise and the step of readings (n,) without NaN.
 
-    The noise is measured where the signal varies least, so that motion does not count as noise, but
-    not where it is constant. It is 0 if there is no such part.
+    `declared` is the noise's declared standard deviation, or 0. The noise is measured in those
+    parts where the signal varies least but is not constant, so that motion does not count as noise.
     """
     step = _step_of(values)
     apart = np.abs(np.diff(values, 4)) / math.sqrt(math.comb(8, 4))
@@ -63,7 +63,7 @@ def quantisation(values: np.ndarray, declared: float) -> Quantisation:
 
 
 def _step_of(values: np.ndarray) -> float:
-    """Returns the step of readings (n,): nearly all their differences are multiples of it."""
+    """Returns the quantisation step of readings (n,); nearly all differences are its multiples."""
     steps = np.diff(np.unique(values))
     steps = steps[steps > 1e-12 * max(float(np.ptp(values)), 1e-300)]
     if not steps.size:
@@ -77,12 +77,12 @@ def _step_of(values: np.ndarray) -> float:
 
 
 def stuck(values: np.ndarray, g: Quantisation) -> np.ndarray:
-    """Returns whether each reading (n,) is a stuck sensor's repetition; the first one is not."""
+    """Returns for each reading (n,) whether a stuck sensor repeats the reading before it."""
     n = len(values)
     edges = np.r_[0, np.flatnonzero(np.diff(values)) + 1, n]
     bad = np.zeros(n, bool)
     longest, rest = math.inf, 1e-9 * float(np.abs(values).max())
-    if g.noise > 0.0 and g.repeat <= 0.9999:  # so many readings of a constant are improbable
+    if g.noise > 0.0 and g.repeat <= 0.9999:  # a longer repetition is improbable
         longest = max(MIN_REPEATS, math.ceil(math.log(IMPOSSIBLE / n) / math.log(g.repeat)) + 1)
     for a, b in zip(edges[:-1], edges[1:], strict=True):
         if abs(values[a]) < rest:  # before the start, the signal is 0 without noise
@@ -93,9 +93,9 @@ def stuck(values: np.ndarray, g: Quantisation) -> np.ndarray:
 
 
 def _ends_with_jump(values: np.ndarray, a: int, b: int, g: Quantisation) -> bool:
-    """Returns whether the run values[a:b] ends with a jump, and the signal moves on both sides.
+    """Returns whether a jump follows the equal values[a:b], and the signal moves on both sides.
 
-    The signal moved by the jump while the sensor was stuck. The jump exceeds all nearby steps.
+    While a sensor is stuck, the signal moves on. The jump afterwards exceeds all nearby steps.
     """
     after, before = values[b : b + 8], values[max(a - 8, 0) : a]
     if len(after) < 8 or len(before) < 8:
@@ -108,10 +108,10 @@ def _ends_with_jump(values: np.ndarray, a: int, b: int, g: Quantisation) -> bool
 
 
 def clipped(values: np.ndarray, g: Quantisation) -> np.ndarray:
-    """Returns whether each reading (n,) is at the end of the sensor's range.
+    """Returns for each reading (n,) whether it is at a limit of the sensor's range.
 
-    The end is an extreme value that is read more often than its neighbour. No reading exceeds it,
-    although the noise of an unclipped signal would.
+    A limit is an extreme value that occurs more often than the value beside it. No reading exceeds
+    the limit, although the noise of an unclipped signal would.
     """
     bad = np.zeros(len(values), bool)
     if g.noise <= 0.0 or g.repeat > 0.9999:
@@ -138,7 +138,7 @@ def clipped(values: np.ndarray, g: Quantisation) -> np.ndarray:
 
 
 def spikes(values: np.ndarray, g: Quantisation) -> np.ndarray:
-    """Returns whether each reading (n,) is one of one to three far from all their neighbours."""
+    """Returns for each reading (n,) whether it is in a spike of up to three successive readings."""
     bad = np.zeros(len(values), bool)
     mirrored = np.pad(values, 4, "reflect")
     for width in (1, 2, 3):
@@ -157,9 +157,10 @@ def spikes(values: np.ndarray, g: Quantisation) -> np.ndarray:
 
 
 def _leaves_range(values: np.ndarray, a: int, b: int) -> bool:
-    """Returns whether values[a:b] exceed the range of all others by half of the range.
+    """Returns whether values[a:b] exceed the range of all other readings by half of that range.
 
-    First and last reading have neighbours on one side only, and a start from rest is a jump.
+    A spike at an end of the series must pass this test: it has neighbours on one side only, and a
+    start from rest is also a jump.
     """
     rest = np.r_[values[:a], values[b:]]
     low, high = float(rest.min()), float(rest.max())
@@ -178,7 +179,7 @@ def check_sensor(
     """Returns a channel's readings (n,) with NaN for faults, and findings.
 
     `t` (n,) are the times [s], `declared` is the noise's standard deviation (0: unknown), and
-    `rows` (n,) marks the rows of the file (default: all).
+    `rows` (n,) marks the rows that the file contains (default: all).
     """
     there = np.flatnonzero(np.isfinite(values))
     if len(there) < 20:
@@ -203,7 +204,7 @@ def check_sensor(
             findings.append(masked_finding(trial, kind, channel, at, bad, text))
             kept &= ~bad
     if kept.sum() < max(MIN_SHARE * len(there), 20):
-        detail = f"too few readings of {channel} remain; the channel is not used in this trial"
+        detail = f"too few readings of {channel} are faultless; this channel of the trial is masked"
         findings.append(Finding(trial, "channel_lost", channel, *span, detail, "masked"))
         kept[:] = False
     usable[there[~kept]] = np.nan
@@ -212,15 +213,15 @@ def check_sensor(
 
 def _description(kind: str, channel: str, values: np.ndarray) -> str:
     if kind == "spikes":
-        return f"{channel} has spikes, readings far from all their neighbours"
+        return f"{channel} has spikes (readings far from all neighbouring readings)"
     if kind == "clipped":
         ends = sorted({float(values.min()), float(values.max())})
         return f"{channel} is clipped at {' and '.join(f'{x:.4g}' for x in ends)}"
-    return f"{channel} is stuck: it repeats one reading for longer than its noise allows"
+    return f"{channel} is stuck: it has equal readings for longer than its noise allows"
 
 
 def _frames(trial: str, channel: str, t: np.ndarray, values: np.ndarray) -> list[Finding]:
-    """Returns a finding on the gaps of a channel that has a reading in every so many rows."""
+    """Returns a finding on a channel's gaps. A channel may have a reading in every nth row only."""
     there = np.flatnonzero(np.isfinite(values))
     steps = np.diff(there)
     usual = int(np.median(steps))

@@ -1,4 +1,4 @@
-"""Times of a measured trial: unit, order, repeated rows, gaps, and a regular grid of rows."""
+"""Checks times of a trial (unit, order, repeats, gaps) and puts the rows on a regular grid."""
 
 from collections import Counter
 
@@ -9,16 +9,15 @@ from calibration.measurements.records import Finding, true_runs
 from slider_jax.experiment.schema import Trial
 
 JITTER = 0.2
-"""Largest rms of the time stamps about a regular grid, in spacings."""
+"""Largest rms deviation of the time stamps from a regular grid, in units of its spacing."""
 MAX_CONFLICTS = 0.02
-"""Largest share of rows that have the time of another row but other values."""
+"""Largest fraction of rows that may have the time of another row, but different values."""
 MANY_GAPS = 20
 """Number of gaps above which one finding describes all gaps of a file."""
 OFTEN = 0.4
-"""Share of readings equal to the previous one, above which such a reading is no sign of a doubled
-row."""
+"""A channel that repeats its reading in more than this fraction of rows shows no repeated row."""
 FROZEN = 5
-"""Successive repeated rows from which on the logger is stuck."""
+"""Smallest number of successive repeated rows that count as a stuck logger."""
 
 
 def regular_rows(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
@@ -34,31 +33,31 @@ def regular_rows(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
 
 
 def _unit(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
-    """Returns the rows with times in s, from a comparison with the trial's duration."""
+    """Returns the rows with times in s; a comparison with the trial's duration shows the unit."""
     longest = float(np.median(np.sort(rows.t)[-3:]))
     for factor, unit in ((1e3, "milliseconds"), (1e6, "microseconds")):
         if 0.5 < longest / (factor * trial.duration) < 1.2:
             detail = (
-                f"t_s ends at {longest:g}, the trial lasts {trial.duration:g} s: the times are in "
-                f"{unit} and were divided by {factor:g}"
+                f"t_s ends at {longest:g}, but the trial lasts {trial.duration:g} s: the times are "
+                f"in {unit} and were divided by {factor:g}"
             )
             found = Finding(trial.file, "units", "t_s", None, None, detail, "mended")
             return Rows(rows.t / factor, rows.values), [found]
     if longest > 20.0 * trial.duration:
-        detail = f"t_s ends at {longest:g}, the trial lasts {trial.duration:g} s"
+        detail = f"t_s ends at {longest:g}, but the trial lasts {trial.duration:g} s"
         raise Unusable(trial.file, "units", detail, "t_s")
     return rows, []
 
 
 def _doubled(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
-    """Returns the rows without copies."""
+    """Returns the rows without exact copies of rows, and findings."""
     findings = []
     table = np.concatenate([rows.t[None], np.nan_to_num(rows.values, nan=-7e77)])
     first = {column.tobytes(): i for i, column in reversed([*enumerate(table.T)])}
     keep = np.isin(np.arange(len(rows.t)), [*first.values()])
     if not keep.all():
         at = rows.t[~keep]
-        detail = f"{np.sum(~keep)} rows are copies, from {at.min():.4g} s on, and were dropped"
+        detail = f"{np.sum(~keep)} copies of rows, from {at.min():.4g} s on, were dropped"
         span = float(at.min()), float(at.max())
         findings.append(Finding(trial.file, "doubled_rows", None, *span, detail, "mended"))
         rows = Rows(rows.t[keep], rows.values[:, keep])
@@ -66,7 +65,7 @@ def _doubled(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
 
 
 def _stale(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
-    """Returns rows with NaN for readings equal to the previous row's, which noise excludes."""
+    """Returns the rows, with NaN where a row repeats the previous readings despite noise."""
     same = np.diff(rows.values, axis=1) == 0.0
     # A sensor that is stuck or at the end of its range repeats readings in correct rows too.
     repeated = same & (same.mean(axis=1) < OFTEN)[:, None]
@@ -78,7 +77,7 @@ def _stale(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
     frozen = max(b - a + 1 for a, b in true_runs(stale)) >= FROZEN
     detail = (
         f"{stale.sum()} rows repeat the readings of the previous row"
-        f"{', all sensors at once' if frozen else ''}, and count as missing"
+        f"{' in all sensors' if frozen else ''}, and count as missing"
     )
     span = float(at.min()), float(at.max())
     kind = "stuck" if frozen else "doubled_rows"
@@ -125,15 +124,15 @@ def _gaps(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
     index = np.r_[0, np.cumsum(steps)]
     if index[-1] > 20 * len(t):
         at = float(t[np.argmax(steps)])
-        detail = f"rows are {dt:.4g} s apart, but {apart.max():.4g} s after {at:.4g} s"
+        detail = f"rows are {dt:.4g} s apart, but a gap of {apart.max():.4g} s follows {at:.4g} s"
         raise Unusable(trial.file, "gap", detail, "t_s", (at, at + float(apart.max())))
     slope, first = np.polyfit(index, t, 1)
     jitter = float(np.sqrt(np.mean((t - first - slope * index) ** 2))) / slope
     if jitter > JITTER:
         common = [f"{1.0 / s:.4g}" for s, _ in Counter(np.round(apart, 5)).most_common(2) if s]
         detail = (
-            f"the time stamps are irregular, {jitter:.2g} spacings rms about a regular grid; the "
-            f"most frequent rates are {' and '.join(common)} Hz"
+            f"the time stamps are irregular: they deviate by {jitter:.2g} spacings (rms) from a "
+            f"regular grid; the most frequent rates are {' and '.join(common)} Hz"
         )
         raise Unusable(trial.file, "sample_rate", detail, "t_s")
     there = np.zeros(index[-1] + 1, bool)
@@ -156,7 +155,7 @@ def _gap_findings(trial: Trial, t: np.ndarray, there: np.ndarray, dt: float) -> 
         kind = "sample_rate" if np.mean(~there) > 0.2 else "gap"
         return [Finding(trial.file, kind, None, *span, detail, "used")]
     spans = [(float(t[a - 1]), float(t[b + 1]), b - a + 1) for a, b in runs]
-    # A skewed clock shifts the end by up to 3 %; the check of the clocks reports it.
+    # A skewed clock shifts the end by up to 3 %, which the check of the clocks reports.
     margin = max(5.0 * dt, 0.035 * trial.duration)
     if t[0] > margin:
         spans.insert(0, (0.0, float(t[0]), int(t[0] / dt)))
@@ -164,6 +163,6 @@ def _gap_findings(trial: Trial, t: np.ndarray, there: np.ndarray, dt: float) -> 
         spans.append((float(t[-1]), trial.duration, int((trial.duration - t[-1]) / dt)))
     return [
         Finding(trial.file, "gap", None, a, b,
-                f"{n} rows are missing between {a:.4g} and {b:.4g} s; the rest is used", "used")
+                f"{n} rows are missing between {a:.4g} and {b:.4g} s; the others are used", "used")
         for a, b, n in spans
     ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Results of a bench as statics.json, model.toml, text and figures."""
+"""Writes the results of a bench as statics.json, model.toml, text and figures."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,20 +13,20 @@ from slider_jax.io.files import versions
 from slider_jax.io.toml import significant, toml_text
 
 DEFINITIONS = {
-    "interval": "95 %, from the larger of the tables' scatter about the fit and the declared "
-    "tip_noise; lengths, masses and loads count as exact",
-    "determined": f"half of the interval is below {DETERMINED:g} of the value",
-    "offset": "the zero of a table's ruler, identified with the parameters [m]",
-    "K_Q": "its interval includes the uncertainty of the EI identified from the tip loads",
-    "damping_time": "alpha of E = E_el (1 + alpha d/dt), from the whole ring-down of the full beam "
-    f"with the air's drag, C_d = {AIR_DRAG[0]:g} +- {AIR_DRAG[1]:g} (one standard deviation)",
-    "stiffness": "factor on EI_body and EI_tail that gives the ring-down's frequency",
+    "interval": "95 % interval, from the declared tip_noise or the tables' scatter about the fit, "
+    "whichever is larger; lengths, masses and loads are assumed to be exact",
+    "determined": f"half of the interval's width is less than {DETERMINED:g} times the value",
+    "offset": "reading of a table's ruler at zero displacement, fitted with the parameters [m]",
+    "K_Q": "the interval of K_Q includes the uncertainty of EI, which the tip loads identify",
+    "damping_time": "alpha in the modulus E_el (1 + alpha d/dt), from the whole ring-down; the fit "
+    f"includes drag in air, C_d = {AIR_DRAG[0]:g} +- {AIR_DRAG[1]:g} (one standard deviation)",
+    "stiffness": "factor on EI_body and EI_tail with which the model has the measured frequency",
 }
 ADVICE = {
     "EI_body": "larger or more loads on the tail's end",
     "EI_tail": 'a [[tip_load]] table of the tail alone, clamped at its root: clamped = "joint"',
     "K_Q": "pressures that bend the tip by a tenth of the length or more",
-    "damping_time": "a longer ring-down, until the amplitude is a third of its start",
+    "damping_time": "a longer ring-down, until the amplitude is a third of its initial value",
 }
 
 
@@ -114,21 +114,21 @@ def _warnings(found: Statics) -> list[str]:
         if shapes.mean_square > 4.0:
             text.append(
                 f"The residual of the static shapes is {np.sqrt(shapes.mean_square):.1f} times "
-                "tip_noise: see the pictures; the intervals are wider by this factor."
+                "tip_noise. The intervals are wider by this factor; see the figures."
             )
     if ring is not None:
         if not ring.converged:
-            text.append("The fit of the ring-down did not converge: see the picture.")
+            text.append("The fit of the ring-down did not converge: see the figure.")
         if ring.mean_square > 4.0:
             text.append(
                 f"The residual of the ring-down is {np.sqrt(ring.mean_square):.1f} times "
-                "tip_noise: see the picture; the interval is wider by this factor."
+                "tip_noise. The interval is wider by this factor; see the figure."
             )
         low, high = ring.stiffness.low, ring.stiffness.high
         if not low - 0.03 < 1.0 < high + 0.03:
             text.append(
-                f"The ring-down's frequency gives EI times {ring.stiffness.value:.3g} "
-                f"({low:.3g} to {high:.3g}): stiffness, mass or lengths contradict it."
+                f"The ring-down's frequency requires {ring.stiffness.value:.3g} times the given EI "
+                f"({low:.3g} to {high:.3g}): check the given stiffness, mass and lengths."
             )
     return text
 

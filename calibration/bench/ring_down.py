@@ -1,9 +1,9 @@
-"""The damping time alpha from a ring-down: the full beam, released from a bent shape, in air.
+"""Fits the damping time alpha to a ring-down of the robot, released from a bent shape in air.
 
-A small oscillation of a Kelvin-Voigt beam decays as exp(-alpha omega^2 t/2). This gives the initial
-value. The fit to the whole record has six parameters: alpha, a factor on both stiffnesses (from
-the frequency), the load before the release, the air's drag coefficient with the prior `AIR_DRAG`,
-the time of the release, and the ruler's zero.
+A small oscillation of a Kelvin-Voigt beam with angular frequency omega decays as exp(-alpha omega^2
+t/2), which gives an initial value of alpha. The fit to the whole record has six parameters: alpha,
+a factor on both stiffnesses (from the frequency), the load before the release, the drag coefficient
+in air with the prior `AIR_DRAG`, the time of the release, and the ruler's zero.
 """
 
 from collections.abc import Callable
@@ -29,12 +29,12 @@ from slider_jax.experiment.prepare import StepGrid
 from slider_jax.simulation.trial import run_chunks
 
 AIR_DRAG = (2.0, 0.7)
-"""C_d of the crossflow in air and its standard deviation: 2 for a plate in steady flow, more at
-small strokes."""
+"""Mean and standard deviation of the prior on C_d, the drag coefficient of the cross-flow in air.
+A plate in steady flow has C_d = 2; small strokes increase it."""
 STEPS = 200
-"""Steps per period of the first mode."""
+"""Number of time steps per period of the first mode."""
 BLOCK = 1000
-"""Steps per compiled program, so that records of similar length share it."""
+"""Number of time steps in a compiled program. Records of similar length share one program."""
 MIN_DAMPING = 1e-6
 """Smallest initial value of alpha [s]."""
 
@@ -49,7 +49,7 @@ class Decay(NamedTuple):
 
     @property
     def damping_time(self) -> float:
-        """alpha [s] of a Kelvin-Voigt mode with this decay: 2 rate/omega^2."""
+        """Returns alpha [s] of a Kelvin-Voigt mode with this decay: 2 rate/(2 pi frequency)^2."""
         return 2.0 * self.rate / (2.0 * np.pi * self.frequency) ** 2
 
 
@@ -59,14 +59,14 @@ class RingFit(NamedTuple):
     damping_time: BenchEstimate
     """alpha [s]."""
     stiffness: BenchEstimate
-    """Factor on EI_body and EI_tail that gives the measured frequency; 1 if they are right."""
+    """Factor on EI_body and EI_tail that gives the measured frequency; 1 if both are correct."""
     decay: Decay
     predicted: np.ndarray
-    """(n,) [m] at the record's times."""
+    """Predicted tip (n,) [m] at the record's times."""
     noise: float
     """Standard deviation of the tip's noise [m]."""
     mean_square: float
-    """Mean square of the residual over the noise."""
+    """Mean square of the residual divided by the noise."""
     load: float
     """Force before the release [N]."""
     converged: bool
@@ -96,8 +96,8 @@ def fit_decay(t: np.ndarray, tip: np.ndarray) -> Decay:
     residual = np.std(tip[late] - cosine(t[late], *found))
     if not residual < 0.5 * np.std(tip[late]):
         raise InputError(
-            f"the ring-down is no decaying oscillation near {frequency:.3g} Hz: the residual of a "
-            "damped cosine exceeds half of its amplitude; start the record at the release"
+            f"the ring-down has no decaying oscillation near {frequency:.3g} Hz: the residual of a "
+            "fitted damped cosine is half of the signal or more; start the record at the release"
         )
     return Decay(float(found[3]), float(found[2]))
 
@@ -176,8 +176,8 @@ def fit_ring_down(
 ) -> RingFit:
     """Returns the fit of alpha to the bench's ring-down; `robot` gives the initial values.
 
-    Without declared noise, the residual's standard deviation is the noise. The residual is
-    correlated, so the effective number of samples is samples / correlation time.
+    If no noise is declared, the residual's standard deviation is used as noise. The residual is
+    correlated, so the number of samples is divided by the correlation time (in samples).
     """
     record = bench.ring_down
     assert record is not None
@@ -236,7 +236,7 @@ def fit_ring_down(
 def _start(record: RingDown, decay: Decay, robot, density, grid, numerics) -> np.ndarray:
     """Returns initial parameters whose simulation has the record's first tip, frequency and decay.
 
-    The differences between two simulations and the record correct a first guess.
+    Two simulations are compared with the record to correct a first estimate.
     """
     length, EI = float(robot.length), float(robot.EI_body)
     first = float(np.mean(record.tip[: max(2, len(record.tip) // 200)]) - np.mean(record.tip))

@@ -1,7 +1,7 @@
-"""Stiffness and moment per pressure from static shapes, all tables of a bench at once.
+"""Fits stiffness and moment per pressure to the static shapes of all tables of a bench together.
 
 The model is the beam of `slider simulate`. Every table has its own offset, the zero of its ruler.
-Tip loads identify EI, pressures identify K_Q. The interval of K_Q includes the uncertainty of EI.
+Tip loads identify EI, and pressures identify K_Q. K_Q's interval includes the uncertainty of EI.
 """
 
 from collections.abc import Callable, Sequence
@@ -27,11 +27,11 @@ from slider_jax.supports import Clamped
 
 UNITS = {"EI_body": "N m^2", "EI_tail": "N m^2", "K_Q": "m^3", "damping_time": "s"}
 DETERMINED = 0.5
-"""Largest half width of the interval over the value of a determined parameter."""
+"""A parameter is determined if half of its interval's width is below this fraction of its value."""
 FIRST_NOISE = 1e-3
-"""Noise of a table without declared noise, in the first of two fits [m]."""
+"""Noise that the first of two fits assumes for a table without declared noise [m]."""
 Linearised = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""Maps x (k,) to the residual (n,), in standard deviations, and its derivative (n, k)."""
+"""Maps x (k,) to the residual (n,) in standard deviations, and the residual's derivative (n, k)."""
 
 
 class Minimum(NamedTuple):
@@ -61,8 +61,8 @@ def levenberg_marquardt(linearised: Linearised, start: np.ndarray) -> Minimum:
 
     if not np.isfinite(linearised(start)[0]).all():
         raise InputError(
-            "the robot of this file cannot bend as far as its tables show; check loads, stiffness "
-            "and units"
+            "the model has no solution for the loads of this file at the given stiffness; check "
+            "loads, stiffness and units"
         )
     found = least_squares(
         lambda x: at(x)[0], start, lambda x: at(x)[1], method="lm", x_scale="jac", max_nfev=60
@@ -97,11 +97,11 @@ class ShapeFit(NamedTuple):
     predicted: list[np.ndarray]
     """Tip of every table, followed by the joint if it was measured [m]."""
     noise: list[float]
-    """Standard deviation of every table [m]."""
+    """Standard deviation of the noise in every table [m]."""
     offsets: list[float]
     """Zero of every table's ruler [m]."""
     mean_square: float
-    """Mean square of the residual over the noise; NaN unless all tables declare their noise."""
+    """Mean square of the residual divided by the noise; NaN unless all tables declare noise."""
     converged: bool
 
 
@@ -126,8 +126,8 @@ def tail_alone(robot: Robot) -> Robot:
 def _shapes(logs: Float[Array, "3"], robot: Robot, rows, numerics: Numerics):
     """Returns tip and joint (2, rows) [m] and their derivatives (2, rows, 3) in `logs`.
 
-    `logs` are those of EI_body, EI_tail and K_Q. `rows` are on_tail (rows,), force (rows,) and
-    pressure (rows, 2).
+    `logs` are the logarithms of EI_body, EI_tail and K_Q. `rows` are on_tail (rows,), force (rows,)
+    and pressure (rows, 2).
     """
 
     def displacements(logs):
@@ -150,8 +150,8 @@ def _shapes(logs: Float[Array, "3"], robot: Robot, rows, numerics: Numerics):
 def identifiable_parameters(shapes: Sequence[Shapes]) -> list[str]:
     """Returns the parameters that tables of these kinds can identify.
 
-    A load on the whole robot with the tip's displacement gives one stiffness, EI_body. EI_tail
-    needs the joint's displacement, or a table with the tail alone.
+    The tip's displacement under a load on the whole robot identifies only one stiffness, EI_body.
+    EI_tail needs the joint's displacement, or a table for the tail alone.
     """
     loads = [x for x in shapes if x.kind == "tip_load"]
     names = []
@@ -221,7 +221,7 @@ def fit_shapes(bench: Bench, numerics: Numerics = Numerics()) -> ShapeFit:
 
 
 def _scatter(shapes, found, noise, shared: int) -> list[float]:
-    """Returns the standard deviation of every table; if not declared, from the residual."""
+    """Returns every table's noise [m]: the declared one, or else the residual's."""
     result = []
     for s, (y, _), n in zip(shapes, found, noise, strict=True):
         if s.noise is None:
@@ -261,7 +261,7 @@ def _check_sides(shapes, found) -> None:
         here = y[: len(s.tip)]
         if s.kind == "pressure" and float((s.tip - s.tip.mean()) @ (here - here.mean())) < 0.0:
             raise InputError(
-                f"{s.name}: the model bends to the other side under these pressures; tip_m is "
-                "positive to the left, as seen from the tail; change the sign of tip_m, or of "
+                f"{s.name}: the model bends to the other side under these pressures; tip_m must "
+                "be positive to the left, as seen from the tail: change the sign of tip_m or of "
                 "both pressures"
             )

@@ -1,4 +1,4 @@
-"""Reader of bench measurements of a robot in air: a TOML file and the tables that it names."""
+"""Reads bench measurements of a robot in air: a TOML file, and the tables that the file names."""
 
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
@@ -14,11 +14,11 @@ from slider_jax.io.toml import read_toml, validate
 from slider_jax.io.units import Quantity
 
 MIN_ROWS = 5
-"""Fewest rows of a table of static shapes."""
+"""Smallest number of rows in a table of static shapes."""
 MIN_CYCLES, MIN_SAMPLES = 3.0, 10.0
-"""Fewest periods of a ring-down, and fewest samples per period."""
+"""Smallest number of periods in a ring-down, and of samples per period."""
 MAX_LOAD = 30.0
-"""Largest P L^2/EI with the stiffness of the file; a larger load is not in newtons."""
+"""Largest load, times length^2/EI of the file. A larger load is probably not in newtons."""
 
 Clamp = Literal["head", "joint"]
 TipNoise = Annotated[float, Quantity(1e-6, 0.02, "m")] | None
@@ -55,8 +55,8 @@ class StaticParameters(Table):
 
 
 class StaticsTable(Table):
-    """The whole file. Its EI_body, EI_tail, damping_time and K_Q are initial values; they keep
-    these values if no table identifies them."""
+    """The whole file. EI_body, EI_tail, damping_time and K_Q are initial values. A parameter keeps
+    its initial value if no table identifies the parameter."""
 
     name: str
     robot: RobotTable
@@ -74,19 +74,19 @@ class Shapes(NamedTuple):
     on_tail: bool
     """Whether the tail alone is clamped, at the joint."""
     force: np.ndarray
-    """(rows,) lateral [N]."""
+    """Lateral force on the tail's end (rows,) [N]."""
     pressure: np.ndarray
-    """(rows, 2) [Pa]."""
+    """Front and rear pressure (rows, 2) [Pa]."""
     tip: np.ndarray
-    """(rows,) [m]."""
+    """Displacement of the tail's end (rows,) [m]."""
     joint: np.ndarray | None
-    """(rows,) displacement of the tail's joint [m], if measured."""
+    """Displacement of the tail's joint (rows,) [m], if measured."""
     noise: float | None
     """Standard deviation of tip and joint [m], if declared."""
 
     @property
     def measured(self) -> np.ndarray:
-        """The tip, followed by the joint if measured [m]."""
+        """Returns the displacement of the tip, followed by that of the joint if measured [m]."""
         return self.tip if self.joint is None else np.concatenate([self.tip, self.joint])
 
 
@@ -95,9 +95,9 @@ class RingDown(NamedTuple):
 
     name: str
     t: np.ndarray
-    """(n,) since the release [s]."""
+    """Times (n,) since the release [s]."""
     tip: np.ndarray
-    """(n,) [m]."""
+    """Displacement of the tail's end (n,) [m]."""
     noise: float | None
     air_density: float
 
@@ -112,10 +112,7 @@ class Bench(NamedTuple):
 
 
 def load_bench(path: Path) -> Bench:
-    """Returns the checked content of a bench file and its tables.
-
-    Raises `InputError` with file and line of a fault.
-    """
+    """Returns the checked content of a bench file and its tables; raises `InputError`."""
     table = validate(StaticsTable, read_toml(path), str(path))
     robot = Robot(**table.robot.model_dump(exclude={"water_density"}), K_Q=table.parameters.K_Q)
     folder = path.parent
@@ -169,7 +166,7 @@ def _pressure(folder: Path, x: PressureTable, robot: RobotTable) -> Shapes:
     if not 1e3 <= largest <= 2e6:
         raise InputError.value(
             f"{path}, columns p_front_Pa and p_rear_Pa",
-            f"at most {largest:g}",
+            f"a peak of {largest:g}",
             "peaks of 1e3 to 2e6 Pa",
             "pressures are in pascal, not kPa or psi",
         )
@@ -192,7 +189,7 @@ def _ring_down(folder: Path, x: RingDownTable, robot: RobotTable) -> RingDown:
     if np.abs(spacing - np.median(spacing)).max() > 0.05 * np.median(spacing):
         worst = int(np.argmax(np.abs(spacing - np.median(spacing))))
         raise InputError(
-            f"{path}: irregular samples: {np.median(spacing):.4g} s apart, but "
+            f"{path}: samples are {np.median(spacing):.4g} s apart, but the next sample is "
             f"{spacing[worst]:.4g} s after t_s = {t[worst]:g}; cut the record there or record again"
         )
     if t[0] < 0.0:
@@ -201,7 +198,7 @@ def _ring_down(folder: Path, x: RingDownTable, robot: RobotTable) -> RingDown:
     period = 2.0 * np.pi * length**2 / 3.516 * np.sqrt(robot.linear_density / robot.EI_body)
     if t[-1] - t[0] < MIN_CYCLES * 0.5 * period or np.median(spacing) > period / MIN_SAMPLES:
         raise InputError(
-            f"{path}: {len(t)} samples over {t[-1] - t[0]:.3g} s; the period is about "
+            f"{path}: {len(t)} samples in {t[-1] - t[0]:.3g} s; the period is about "
             f"{period:.2g} s: give {MIN_CYCLES:g} periods or more, with {MIN_SAMPLES:g} samples or "
             "more per period, and times in seconds"
         )
@@ -218,7 +215,7 @@ def _displacement(path: Path, name: str, values: np.ndarray, length: float) -> N
     if not 1e-4 * length <= largest <= length:
         raise InputError.value(
             f"{path}, column {name}",
-            f"at most {largest:g}",
+            f"a peak of {largest:g}",
             f"peaks of {1e-4 * length:.2g} to {length:g} m, the length of the bending part",
             "lengths are in metres",
         )
@@ -228,5 +225,5 @@ def _same_way(path: Path, load: np.ndarray, tip: np.ndarray, name: str) -> None:
     slope = float(np.sum((load - load.mean()) * (tip - tip.mean())))
     if slope <= 0.0:
         raise InputError(
-            f"{path}: tip_m decreases with {name}; both must be positive to the same side"
+            f"{path}: tip_m decreases where {name} increases; both must be positive to one side"
         )

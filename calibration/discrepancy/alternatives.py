@@ -1,10 +1,11 @@
-"""Alternative effects: which of them fit as well as a chosen effect.
+"""Compares alternative effects with a chosen effect.
 
-In the round that chooses an effect, alternatives are candidates that explain as much as the effect
-or have parallel tangents. At that time another missing effect can hide their differences. So they
-are compared again after the selection, if no residual exceeds the noise floor. Each alternative is
-substituted for the chosen effect, and all parameters are refitted. An alternative that fits worse
-by the naming threshold is excluded; the others form the equivalence class.
+The alternatives of a chosen effect are candidates of the same round with nearly the same gain or
+with parallel tangents. In that round, another missing effect can hide differences between these
+candidates. So the alternatives are compared again after the selection, if no residual exceeds the
+noise floor. Each alternative is substituted for the chosen effect, and all parameters are refitted.
+If the fit is worse by the naming threshold, the alternative is excluded. All other alternatives
+form the equivalence class.
 """
 
 from collections.abc import Mapping, Sequence
@@ -35,9 +36,9 @@ def equivalent_effects(
     blocks: Sequence[ChannelBlock],
     settings: SelectionSettings,
 ) -> list[str]:
-    """Returns a round's candidates that explain as much as the best or have parallel tangents.
+    """Returns the round's candidates with nearly the best one's gain or with parallel tangents.
 
-    `scored` holds the indices of the parameters that score each effect.
+    `scored` contains the indices of the parameters that score each effect.
     """
     A, _ = summed(blocks)
     enough = settings.equal_gain_share * best.gain
@@ -57,8 +58,8 @@ def equivalent_effects(
 def judge_alternatives(refits: Refits, found: Selection) -> None:
     """Substitutes each alternative for its round's chosen effect and updates the equivalence class.
 
-    An alternative that cannot be fitted keeps the classification of its round. If a residual
-    exceeds the noise floor, all keep it.
+    An alternative keeps the classification from its round if it cannot be fitted, or if a residual
+    exceeds the noise floor.
     """
     settings = refits.settings
     for round_ in found.rounds:
@@ -83,7 +84,7 @@ def judge_alternatives(refits: Refits, found: Selection) -> None:
 def better_alternative(found: Selection) -> tuple[SelectionStep, str] | None:
     """Returns a round and the alternative that fits better than its chosen effect, or None.
 
-    The round must have refitted the alternative, and its held-out trials must agree on it.
+    The round must have refitted the alternative, and cross-validation must confirm the alternative.
     """
     settings = found.settings
     for round_ in found.rounds:
@@ -113,7 +114,7 @@ def _substituted(
 ) -> Fit | None:
     """Returns the final fit with an alternative substituted for a round's chosen effect.
 
-    The alternative may be in the fit already. Return None if another effect replaces the same law,
+    The alternative may be in the fit already. Returns None if another effect replaces the same law,
     or if the substitution cannot be simulated.
     """
     assert round_.chosen is not None

@@ -74,9 +74,9 @@ def choose_held_out(
 ) -> list[int]:
     """Returns the indices of a quarter of the trials, or none if there are too few.
 
-    The trials are spread over the frequencies, without the lowest and the highest. Two towed trials
-    and two in still water are not held out, because an effect may act only on one kind. Trials of
-    the files `kept` are never held out.
+    The held-out trials cover the range of frequencies, except the lowest and the highest one. At
+    least two towed trials and two trials in still water are not held out, because an effect may act
+    on one kind of trial only. Trials of the files `kept` are never held out.
     """
     if len(found) < 2 * settings.min_trials:
         return []
@@ -103,10 +103,10 @@ def close_loop_on_trials(
     kept: Collection[str] = (),
     settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> LoopOutcome:
-    """Returns the effects that the model of `experiment` lacks on its measured trials.
+    """Returns the loop's result: effects that the model lacks on the measured trials.
 
     `effects` are the candidates' names (default: the whole library). Residuals are computed at the
-    resolution `fine` and tangents at `coarse`. Trials of the files `kept` are not held out. Raise
+    resolution `fine` and tangents at `coarse`. Trials of the files `kept` are not held out. Raises
     `InputError` if fewer than `settings.min_trials` trials can be used.
     """
 
@@ -155,7 +155,7 @@ def conclude(
     progress: Callable[[str], None],
     settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> LoopOutcome:
-    """Selects effects, reach a verdict, predict the held-out trials and refit to all trials."""
+    """Selects effects, reaches a verdict, predicts the held-out trials and refits to all trials."""
     entries = model_parameters(names)
     used = [r for i, r in enumerate(found) if i not in held]
     all_trials = problem_of(found)

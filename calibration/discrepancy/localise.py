@@ -11,7 +11,7 @@ from calibration.measurements.records import Record
 from slider_jax.channels import row_of
 
 PHASES = 8
-"""Phase bins of a stride."""
+"""Number of phase bins per stride."""
 
 
 def locate_residuals(
@@ -22,8 +22,8 @@ def locate_residuals(
 ) -> list[dict[str, Any]]:
     """Returns a record of the residual of each channel above the noise floor.
 
-    `predicted` are the readings (channels, samples) of every trial of `records`, and `left` is
-    their excess.
+    `predicted` are the readings (channels, samples) of every trial of `records`. `left` contains
+    the excess of every channel.
     """
     found = []
     for channel, x in left.items():
@@ -54,10 +54,11 @@ def locate_residuals(
 def residual_timing(record: Record, channel: str, model: np.ndarray) -> dict[str, Any]:
     """Returns when in a trial the residual of a channel is largest.
 
-    `phase` is the eighth of the drive's period, from t = 0, with the largest `share` of the squared
-    residual. `growing` is the share of the squared residual while the model's reading moves away
-    from its mean. `mean` is the residual's mean over its rms. After subtraction of the mean, the
-    sine of frequency `peak_Hz` explains the largest share of the square, `peak_share`.
+    `phase` is the eighth of the drive's period with the largest squared residual, and `share` its
+    fraction of the total. `growing` is the fraction of the squared residual at times when the
+    model's reading moves away from its mean. `mean` is the residual's mean divided by its rms.
+    `peak_Hz` is the frequency of the sine that explains most of the residual without its mean, and
+    `peak_share` is the fraction of the squared residual that this sine explains.
     """
     there = record.there(channel)
     r = (record.values[row_of(channel)] - model)[there]
@@ -79,7 +80,7 @@ def residual_timing(record: Record, channel: str, model: np.ndarray) -> dict[str
 
 
 def _strongest(t: np.ndarray, r: np.ndarray) -> dict[str, float]:
-    """Returns the sine that explains most of a squared residual; fill gaps by interpolation."""
+    """Returns the sine that explains most of a squared residual; gaps are interpolated."""
     even = np.arange(t[0], t[-1], float(np.median(np.diff(t))))
     y = np.interp(even, t, r - r.mean())
     power = np.abs(np.fft.rfft(y, 4 * len(y)))[1:] ** 2
@@ -92,7 +93,7 @@ def _strongest(t: np.ndarray, r: np.ndarray) -> dict[str, float]:
 def significant_trend(settings: Sequence[float | None], squares: np.ndarray) -> float | None:
     """Returns the rank correlation of the trials' mean squares with a setting.
 
-    Return None for fewer than five trials or a p-value of at least 0.05.
+    Returns None for fewer than five trials or a p-value of 0.05 or more.
     """
     x = np.array([np.nan if s is None else s for s in settings], float)
     there = np.isfinite(x) & np.isfinite(squares)
@@ -104,7 +105,7 @@ def significant_trend(settings: Sequence[float | None], squares: np.ndarray) -> 
 
 def residual_text(x: dict[str, Any]) -> str:
     """Returns one entry of `locate_residuals` as a sentence."""
-    text = f"{x['channel']}: {x['mean_square_over_noise']:.3g} times its noise floor"
+    text = f"{x['channel']}: mean square {x['mean_square_over_noise']:.3g} times the noise floor"
     here = x["in_worst_trial"]
     worst = f"worst in {x['worst_trial']}"
     settings = [
@@ -118,8 +119,8 @@ def residual_text(x: dict[str, Any]) -> str:
     if "phase" in here:
         low, high = here["phase"]
         text += f", largest at {low:.3g} to {high:.3g} of the stride"
-    text += f"; peak frequency {here['peak_Hz']:.3g} Hz ({here['peak_share']:.0%} of the square)"
-    text += f"; {here['growing']:.0%} of the square while the reading moves away from its mean"
+    text += f"; a sine of {here['peak_Hz']:.3g} Hz explains {here['peak_share']:.0%} of the square"
+    text += f"; {here['growing']:.0%} of the square while the model moves away from its mean"
     for name, rank in x["grows_with"].items():
         if rank is not None:
             word = "grows" if rank > 0 else "falls"

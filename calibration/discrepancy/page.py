@@ -11,7 +11,7 @@ from calibration.reporting.parameters import widened
 from slider_jax.channels import CHANNELS, row_of
 
 SHOWN_STRIDES = 3.0
-"""Strides at the end of the trial in the figure of readings; seconds if it has no frequency."""
+"""Number of last strides in the figure of readings; seconds if the trial has no frequency."""
 
 
 def loop_page(outcome: LoopOutcome, record: dict[str, Any]) -> str:
@@ -113,7 +113,7 @@ def _consequence(record: dict[str, Any]) -> list[list[str]]:
 
 
 def readings_figure(outcome: LoopOutcome):
-    """Plots the readings of one trial's last strides, and all its residuals, with both models."""
+    """Plots one trial's last strides and whole residual, for the models before and after."""
     import matplotlib.pyplot as plt
 
     record, before, after = _shown_trial(outcome)
@@ -145,7 +145,7 @@ def readings_figure(outcome: LoopOutcome):
 
 
 def _shown_trial(outcome: LoopOutcome):
-    """Returns record and both predictions of the fitted trial on which the two fits differ most."""
+    """Returns the fitted trial for which the two fits differ most, and both its predictions."""
     fitted = [i for i in range(len(outcome.problem.records)) if i not in outcome.held]
     pairs = list(zip(outcome.search.base.predicted, outcome.chosen.predicted, strict=True))
     rows = [row_of(c) for c in outcome.problem.channels]

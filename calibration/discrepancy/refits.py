@@ -18,7 +18,8 @@ def initial_theta(
 ) -> np.ndarray:
     """Returns the vector from which a refit with an effect starts.
 
-    The effect's parameters start at their `Prior.start`, or else at theta plus a score's `step`.
+    The effect's parameters with a `Prior.start` start there. Without any such parameter, the refit
+    starts at `theta` plus the score's `step`.
     """
     entries = refits.entries
     starts = [i for i in group if entries[i].prior.start is not None]
@@ -35,7 +36,7 @@ def initial_theta(
 
 @dataclass(frozen=True)
 class Refits:
-    """Refits that share problem and whiteners, so that their sums of squares are comparable."""
+    """Refits of one problem with the same whiteners, so that sums of squares are comparable."""
 
     problem: AbstractProblem
     entries: Sequence[Parameter]
@@ -44,7 +45,7 @@ class Refits:
     settings: SelectionSettings = DEFAULT_SETTINGS
 
     def sizes(self, before: Fit, after: Fit) -> dict[str, float]:
-        """Returns every channel's rms change from one fit to another, as a share of its rms."""
+        """Returns each channel's rms change between two fits as a fraction of the channel's rms."""
         return relative_changes(self.problem.channels, before.predicted, after.predicted)
 
     def fit(self, theta: np.ndarray, free: np.ndarray) -> Fit:
@@ -60,7 +61,7 @@ class Refits:
     def joined(self, theta: np.ndarray, start: np.ndarray, free: np.ndarray) -> Fit | None:
         """Returns the fit of the entries `free` from `start`.
 
-        While `start` cannot be simulated, it moves halfway to theta. Return None if that fails.
+        A start that cannot be simulated is moved halfway to theta. Returns None if no start works.
         """
         for _ in range(self.settings.max_halvings):
             found = self.fit(start, free)
@@ -70,7 +71,7 @@ class Refits:
         return None
 
     def without(self, current: Fit, name: str) -> Fit | None:
-        """Returns the fit without an effect, or None if the loss exceeds the naming threshold."""
+        """Returns the fit without an effect, or None if the fit worsens by the naming threshold."""
         group = effect_entries(self.entries)[name]
         own = np.isin(current.free, group)
         null = self.null(current.theta, group)

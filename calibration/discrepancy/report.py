@@ -22,10 +22,7 @@ def loop_record(
     source: dict[str, Any],
     following: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Returns the content of report.json.
-
-    `source` names the input, `following` is the record of the next experiment.
-    """
+    """Returns report.json; `source` describes the input, `following` is the next experiment."""
     trials, given = outcome.problem.records, base_values(outcome.experiment)
     return {
         "verdict": outcome.verdict,
@@ -134,14 +131,14 @@ def verdict_text(outcome: LoopOutcome) -> str:
     titles = ", ".join(f"{LIBRARY[n].title} ({n})" for n in names)
     match outcome.verdict:
         case "nothing_missing":
-            return "The model lacks nothing at the precision of these data: the residual is noise."
+            return "No effect is missing at the precision of these data: the residual is noise."
         case "identified":
             return f"The model lacked: {titles}."
         case "class":
             others = ", ".join(n for e in effect_records(outcome) for n in e["class"])
             return (
                 f"The model lacked: {titles}. These data cannot discriminate between "
-                f"{'it' if len(names) == 1 else 'these'} and {others}."
+                f"{'this effect' if len(names) == 1 else 'these effects'} and {others}."
             )
         case "unexplained":
             channels = ", ".join(_above_floor(outcome))
@@ -150,13 +147,13 @@ def verdict_text(outcome: LoopOutcome) -> str:
             text += ", and no candidate explains the residual."
             edge = effects_at_bounds(outcome.search, outcome.entries)
             if edge:
-                text += f" At a bound of the prior range: {', '.join(edge)}."
+                text += f" A parameter is at a bound of its prior range: {', '.join(edge)}."
             elif names:
-                text += f" The nearest candidate, {titles}, leaves too large a residual."
+                text += f" The residual remains too large with the best candidate, {titles}."
             return text
     if not outcome.search.final.converged:
         return "Inconclusive: the final fit did not converge."
-    return "Inconclusive: a candidate has a significant gain, but the held-out trials disagree."
+    return "Inconclusive: a candidate's gain is significant, but cross-validation rejects it."
 
 
 def parameter_lines(record: dict[str, Any]) -> list[str]:
@@ -169,7 +166,7 @@ def parameter_lines(record: dict[str, Any]) -> list[str]:
 
 
 def error_lines(record: dict[str, Any]) -> list[str]:
-    """Returns a line for each channel's error on the held-out trials, or else on all trials."""
+    """Returns a line for each channel's error on held-out trials (on all, if none is held out)."""
     held = record["held_out"]
     errors, trials = held or record["errors"], "held-out trials" if held else "all trials"
     return [

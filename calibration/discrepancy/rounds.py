@@ -15,15 +15,15 @@ from slider_jax.channels import row_of
 
 
 class Agreement(NamedTuple):
-    """Cross-validation of a candidate: whether it improves held-out trials consistently."""
+    """Cross-validation of a candidate: whether the candidate consistently improves other trials."""
 
     mean: float
-    """t-statistic of the log gains `Score.left_out`: their mean over its standard error."""
+    """t-statistic of the log gains `Score.left_out`: their mean divided by its standard error."""
     chance: float
-    """p-value of Wilcoxon's signed-rank test on them."""
+    """p-value of Wilcoxon's signed-rank test on these log gains."""
 
     def agreed(self, settings: SelectionSettings = DEFAULT_SETTINGS) -> bool:
-        """Returns whether the held-out trials agree that the candidate improves them."""
+        """Returns whether cross-validation confirms the candidate."""
         return bool(self.mean > settings.left_out_t or self.chance < settings.wilcoxon_p)
 
 
@@ -44,7 +44,7 @@ class Refit:
     gain: float
     """Reduction of the sum of squares, in units of the refit's mean square."""
     sizes: dict[str, float]
-    """rms change of each channel by the candidate, as a share of the channel's rms."""
+    """rms change of each channel by the candidate, as a fraction of the channel's rms."""
     agreement: Agreement
     worth_naming: bool
     """Whether gain and sizes exceed the naming threshold."""
@@ -57,7 +57,7 @@ class Alternative(NamedTuple):
     loss: float
     """Increase of the sum of squares, in units of the final fit's mean square."""
     sizes: dict[str, float]
-    """rms difference of the two fits in each channel, as a share of the channel's rms."""
+    """rms difference of the two fits in each channel, as a fraction of the channel's rms."""
 
 
 @dataclass
@@ -68,13 +68,13 @@ class SelectionStep:
     refitted: list[Refit] = field(default_factory=list)
     chosen: str | None = None
     equivalent: list[str] = field(default_factory=list)
-    """Effects that these data cannot discriminate from the chosen one."""
+    """Effects that these data cannot discriminate from the chosen effect."""
     alternatives: dict[str, Alternative] = field(default_factory=dict)
-    """Effects substituted for the chosen one after the selection, equivalent or not."""
+    """Effects substituted for the chosen effect after the selection, equivalent or not."""
     taken_out: str | None = None
-    """Effect that was chosen here and removed when a later round made it unnecessary."""
+    """Effect that this round chose and that a later round removed as unnecessary."""
     replaced: str | None = None
-    """Effect that was chosen here before an alternative replaced it."""
+    """Effect that this round chose first and that an alternative replaced."""
 
 
 @dataclass
@@ -89,7 +89,7 @@ class Selection:
 
 
 def effect_entries(entries: Sequence[Parameter]) -> dict[str, np.ndarray]:
-    """Returns the indices of every effect's parameters, by effect."""
+    """Returns the indices of the parameters of every effect."""
     names = dict.fromkeys(p.effect for p in entries if p.effect)
     return {n: np.array([i for i, p in enumerate(entries) if p.effect == n]) for n in names}
 
@@ -97,7 +97,7 @@ def effect_entries(entries: Sequence[Parameter]) -> dict[str, np.ndarray]:
 def scoring_entries(entries: Sequence[Parameter]) -> dict[str, np.ndarray]:
     """Returns the indices of the parameters that score each effect.
 
-    These are the parameters with a `Prior.start`, or all if the effect has none.
+    These are the parameters with a `Prior.start`, or all parameters if none has a `Prior.start`.
     """
     found = {}
     for name, group in effect_entries(entries).items():
@@ -109,7 +109,7 @@ def scoring_entries(entries: Sequence[Parameter]) -> dict[str, np.ndarray]:
 def relative_changes(
     channels: Sequence[str], before: Sequence[np.ndarray], after: Sequence[np.ndarray]
 ) -> dict[str, float]:
-    """Returns the rms change of every channel as a share of its rms, all trials together."""
+    """Returns every channel's rms change over all trials, as a fraction of the channel's rms."""
     found = {}
     for channel in channels:
         row = row_of(channel)

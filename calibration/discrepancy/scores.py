@@ -1,13 +1,13 @@
 """Scores of candidate effects from one linearisation.
 
-Let r be the whitened residual after the fit of the free parameters F, J_F their tangents and G a
-candidate's tangents, all stacked over trials and channels. The score uses the part of G that is
-orthogonal to J_F:
+Let r be the whitened residual after the fit of the free parameters, J the whitened tangents of the
+free parameters, and G those of a candidate, all stacked over trials and channels. P projects onto
+the columns of J. The score uses the part G1 of G that is orthogonal to J:
 
-    G' = G - P_F G,    gain = b' A'^-1 b',    A' = G'.G',    b' = G'.r
+    G1 = G - P G,    A = G1^T G1,    b = G1^T r,    gain = b^T A^-1 b
 
 The gain is the reduction of the sum of squares if candidate and free parameters are fitted
-together. Cross-validation fits both to the other trials and evaluates the reduction on each trial.
+together. Cross-validation fits both to all trials but one and evaluates the gain on that trial.
 """
 
 from collections.abc import Sequence
@@ -32,8 +32,8 @@ class Score(NamedTuple):
     step: np.ndarray
     """Change (parameters,) of all entries, in SI units."""
     left_out: np.ndarray
-    """Cross-validated log gain of each trial that the candidate changes visibly: log of the factor
-    by which the candidate lowers the held-out trial's sum of squares."""
+    """Cross-validated log gain of each trial that the candidate changes visibly: logarithm of the
+    factor by which the candidate lowers the held-out trial's sum of squares."""
 
 
 def least_squares_step(A: np.ndarray, b: np.ndarray, index: np.ndarray) -> np.ndarray:
@@ -88,9 +88,9 @@ def score(
 
 
 def tangent_cosine(A: np.ndarray, first: np.ndarray, second: np.ndarray, free: np.ndarray) -> float:
-    """Returns the largest |cos| between two candidates' tangents, orthogonal to the free ones.
+    """Returns the largest |cos| of two candidates' tangents, orthogonal to the free tangents.
 
-    `A` is the normal matrix. The cosine is 1 if the data cannot discriminate between the two.
+    `A` is the normal matrix. If the cosine is 1, the data cannot discriminate between the effects.
     """
     A, n = marginal_information(A, np.concatenate([first, second]), free), len(first)
 

@@ -1,13 +1,13 @@
 """Forward-backward selection of effects: fit, score all, refit the best, choose one, repeat.
 
 A candidate can be chosen if three conditions hold. Its gain is significant for the number of
-candidates. The held-out trials agree. It changes some channel by more than the
+candidates. Cross-validation confirms the gain. The candidate changes some channel by more than the
 model-discretisation discrepancy, which `slider_jax.channels` declares before any data.
 
 A chosen effect is removed again if effects chosen later make it unnecessary. While two effects are
-missing, a wrong effect that resembles both can explain more than either. Source: Zhang, T. (2011),
-Adaptive forward-backward greedy algorithm for learning sparse representations, IEEE Trans. Inf.
-Theory 57, 4689-4708.
+missing, a wrong effect that resembles both can explain more than each of the right effects. Source:
+Zhang, T. (2011), Adaptive forward-backward greedy algorithm for learning sparse representations,
+IEEE Trans. Inf. Theory 57, 4689-4708.
 
 After the selection, alternatives are substituted for the chosen effects (`alternatives`). An
 alternative that fits better replaces the chosen effect.
@@ -50,10 +50,10 @@ def effect_tangents(
 ) -> list[np.ndarray]:
     """Returns the readings' change per unit of each parameter, for each trial.
 
-    Each array has the shape (parameters, channels, samples). A parameter with a `Prior.start` has
-    the secant from its null to that start; the secant is halved while it cannot be simulated. Other
-    parameters have the tangent at `theta`. Arrays are zero for the other parameters of an effect
-    with a start, and for parameters without a finite tangent.
+    Each array has the shape (parameters, channels, samples). For a parameter with a `Prior.start`,
+    the array contains the secant from null to start, or to half the distance while the start cannot
+    be simulated. If no parameter of an effect has a start, the array contains tangents at `theta`.
+    The array is zero for all other parameters, and where a tangent is not finite.
     """
     scored = np.unique(np.concatenate([free, *scoring_entries(entries).values()]))
     finite = [i for i in scored if entries[i].prior.start is not None and i not in free]
@@ -91,7 +91,7 @@ def select_effects(
 ) -> Selection:
     """Selects the effects of `entries` that the base model lacks on the problem's trials.
 
-    `base_names` are the parameters of the base model to fit.
+    `base_names` are the parameters of the base model that are fitted.
     """
     free = np.array([i for i, p in enumerate(entries) if not p.effect and p.name in base_names])
     progress("calibrating the base model")
@@ -137,7 +137,7 @@ def _add(refits: Refits, found: Selection) -> None:
 def _remove_unnecessary(refits: Refits, found: Selection, by: SelectionStep) -> None:
     """Removes effects that the choice of the round `by` makes unnecessary.
 
-    The round `by` takes over their equivalent effects.
+    The equivalence classes of the removed effects are added to the class of the round `by`.
     """
     for name in [n for n in found.effects if n != by.chosen]:
         less = refits.without(found.final, name)
@@ -188,7 +188,7 @@ def _round(refits: Refits, current: Fit, rest: Sequence[str]) -> SelectionStep:
 
 
 def _short_list(scores: list[Score], refits: Refits, scored) -> list[Score]:
-    """Returns the candidates to refit: the best of those scored by tangents and by secants."""
+    """Returns the candidates to refit: the best ones by tangents and the best ones by secants."""
     entries, settings = refits.entries, refits.settings
     best = scores[0].gain
 

@@ -1,4 +1,4 @@
-"""The verdict on a selection, one of five."""
+"""Returns one of five verdicts on a selection."""
 
 from collections.abc import Sequence
 
@@ -29,10 +29,7 @@ def effects_at_bounds(search: Selection, entries: Sequence[Parameter]) -> list[s
 
 
 def effects_at_same_place(search: Selection) -> list[str]:
-    """Returns the added effects that act at the same place and may have one cause.
-
-    Effects that replace a law are excluded.
-    """
+    """Returns the added effects at the same place, except effects that replace a law."""
     kinds = {name: LIBRARY[name] for name in search.effects if not LIBRARY[name].replaces_law}
     places = [kind.place() for kind in kinds.values()]
     return [name for name, kind in kinds.items() if places.count(kind.place()) > 1]
@@ -55,8 +52,8 @@ def reach_verdict(
 ) -> str:
     """Returns the verdict on a selection from the excess of the base fit and of the final fit.
 
-    A parameter at a bound indicates a cause outside the candidates. Two effects at one place that
-    leave a residual above the noise floor form a class.
+    A parameter at a bound indicates that no candidate is the cause. If the residual is above the
+    noise floor, two effects at one place form a class.
     """
     settings = search.settings
     left = {c: x.all for c, x in after.items() if x.all > settings.noise_floor}

@@ -212,7 +212,7 @@ def test_too_few_trials_are_refused_with_the_reasons(tank):
     with pytest.raises(InputError) as caught:
         audited(tank)
     text = str(caught.value)
-    assert "2 measured trials are usable; 3 or more are needed" in text
+    assert "2 measured trials are usable, but at least 3 are needed" in text
     assert "trial_00.csv: the first line has no column t_s" in text and "\n" not in text
 
 

@@ -52,7 +52,7 @@ def test_a_trend_with_a_setting_is_reported():
     assert grows["frequency"] == pytest.approx(1.0)
     assert grows["amplitude"] is None and grows["tow_speed"] is None
     text = residual_text(found)
-    assert "thrust: 13.2 times its noise floor, worst in 5.csv (5 Hz, 100 kPa)" in text
+    assert "thrust: mean square 13.2 times the noise floor, worst in 5.csv (5 Hz, 100 kPa)" in text
     assert "grows with frequency" in text and "amplitude" not in text.split(";", 1)[1]
 
 
