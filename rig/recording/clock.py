@@ -1,10 +1,10 @@
 """Converts device times to the host's monotonic clock, which is common to all streams.
 
-A message arrives after a delay that varies but is never negative. Plotted against device time,
-arrivals are therefore above the line of the device's clock. The estimate is the highest line below
-all arrivals, by the sum of distances. That line is the edge of their lower convex hull that spans
-the mean device time (Moon, Skelly and Towsley, "Estimation and removal of clock skew from network
-delay measurements", INFOCOM 1999). The smallest delay is unobservable and taken as zero.
+A message arrives after a delay that varies but is never negative. In a plot against device time,
+all arrivals are therefore above the line of the device's clock. The estimate is the line below all
+arrivals with the smallest sum of distances. This line is the edge of the arrivals' lower convex
+hull that spans the mean device time (Moon, Skelly and Towsley, "Estimation and removal of clock
+skew from network delay measurements", INFOCOM 1999). The unobservable smallest delay is set to 0.
 """
 
 import time
@@ -16,19 +16,19 @@ import numpy as np
 from rig.errors import RigError
 
 MAX_DRIFT = 1e-3
-"""Largest accepted difference of two clock rates; a quartz keeps 2e-4."""
+"""Largest accepted relative difference of two clock rates. A quartz is within 2e-4."""
 PIECE = 60.0
 """Duration over which a clock's rate is taken as constant [s]."""
 _SHORT = 10.0
-"""In a shorter record the delay's jitter hides the rate [s]."""
+"""If a record is shorter [s], the scatter of the delays hides the clock's rate."""
 _BLOCK = 0.5
 """The on-line fit keeps one arrival for each interval of this duration [s]."""
 MAX_MEDIAN_DELAY = 0.5
-"""Largest median delay of samples [s]; a larger one shows that the sensor has another rate."""
+"""Largest median delay of samples [s]. A larger delay shows that the sensor has another rate."""
 
 
 Sink = Callable[[int, bytes], None]
-"""Receiver of a stream: it gets the host's time of arrival [ns] and the bytes of each piece."""
+"""Function that receives the host's time of arrival [ns] and the bytes of each piece."""
 
 
 def host_ns() -> int:
@@ -37,18 +37,18 @@ def host_ns() -> int:
 
 
 class ClockFit(NamedTuple):
-    """Host time as a function of device time: linear between knots, extrapolated beyond them."""
+    """Host time as a function of device time: linear between knots, extrapolated outside."""
 
     device_s: np.ndarray
     """(knots,) device times [s]"""
     host_s: np.ndarray
     """(knots,) host times [s]"""
     late_median: float
-    """Median delay of the arrivals after the fit [s]."""
+    """Median delay of the arrivals relative to the fit [s]."""
     late_99: float
     """99th percentile of the delay [s]."""
     early_max: float
-    """Largest negative delay [s]; above 0 if the rate changes within a piece of the record."""
+    """Largest lead of an arrival [s]. It is above 0 if the rate changes within `PIECE`."""
 
     @property
     def rate(self) -> float:
@@ -72,9 +72,9 @@ def fit_clock(device_s: np.ndarray, host_s: np.ndarray) -> ClockFit:
     """
     x, y = np.asarray(device_s, float), np.asarray(host_s, float)
     if x.ndim != 1 or x.shape != y.shape or not x.size:
-        raise RigError.value("clock", f"arrays {x.shape} and {y.shape}", "two of (n,), n > 0")
+        raise RigError.value("clock", f"arrays {x.shape} and {y.shape}", "two arrays (n,), n > 0")
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
-        raise RigError.value("clock", "times that are not finite", "finite times; omit the others")
+        raise RigError.value("clock", "times that are not finite", "finite times only")
     if len(split_at_restarts(x)) > 1:
         at = split_at_restarts(x)[1].start
         raise RigError(
@@ -84,8 +84,8 @@ def fit_clock(device_s: np.ndarray, host_s: np.ndarray) -> ClockFit:
     length = x[-1] - x[0]
     if length >= _SHORT and abs(_line_below(x, y).drift) >= MAX_DRIFT:
         raise RigError(
-            f"clock: {length:g} s of the device take {y[-1] - y[0]:g} s of the host; allowed "
-            f"a difference of {1e6 * MAX_DRIFT:g} ppm; give both in seconds, from one run"
+            f"clock: {length:g} s of the device take {y[-1] - y[0]:g} s of the host; allowed is "
+            f"a difference of {1e6 * MAX_DRIFT:g} ppm; give both times in seconds, from one run"
         )
     pieces = max(1, min(round(length / PIECE), x.size // 2))
     pairs = zip(np.array_split(x, pieces), np.array_split(y, pieces), strict=True)
@@ -112,7 +112,7 @@ class RunningClock:
 
     def __init__(self) -> None:
         self.resets = 0
-        """Number of device restarts, at which device time decreases and the fit starts again."""
+        """Number of device restarts. Device time then decreases, and the fit starts again."""
         self._blocks: dict[int, tuple[float, float]] = {}
         self._last = -np.inf
         self._line: _Line | None = None
@@ -149,7 +149,7 @@ def split_at_restarts(device_s: np.ndarray) -> list[slice]:
 def unwrap_counter(counts: np.ndarray, modulus: int) -> np.ndarray:
     """Returns the counts (n,) of a counter that restarts from 0 at `modulus`, unwrapped (int64).
 
-    A step larger than half the modulus is a wrap. A smaller backward step is kept: it is a
+    A step larger than half the modulus is a wrap. A smaller backward step is kept, because it is a
     reordered packet or a restart.
     """
     counts = np.asarray(counts).astype(np.int64)
@@ -161,11 +161,11 @@ def unwrap_counter(counts: np.ndarray, modulus: int) -> np.ndarray:
 def host_sample_times(
     number: np.ndarray, arrived_ns: np.ndarray, rate: float, at: np.ndarray
 ) -> np.ndarray:
-    """Returns the host times [ns], int64, of the samples numbered `at`, from numbers and rate.
+    """Returns the host times [ns] (int64) of the samples with the numbers `at`.
 
     `number` (n,) are the increasing numbers of the samples that arrived at `arrived_ns` (n,).
-    `rate` is the sensor's sampling rate [Hz], exact up to the tolerance of its quartz. Raises
-    `RigError` if the samples did not arrive at that rate.
+    `rate` is the sensor's sampling rate [Hz], exact up to the tolerance of the sensor's quartz.
+    Raises `RigError` if the samples did not arrive at this rate.
     """
     start = arrived_ns.min()  # subtracted, so that float64 resolves nanoseconds
     clock = fit_clock((number - number[0]) / rate, 1e-9 * (arrived_ns - start))
@@ -195,10 +195,9 @@ class _Line(NamedTuple):
 def _line_below(x: np.ndarray, y: np.ndarray) -> _Line:
     """Returns the line below all points with the highest mean, for drifts up to `MAX_DRIFT`.
 
-    For a given drift the line touches one point. The line's mean is a concave function of the
-    drift, with its maximum where the line touches points on both sides of the mean time. The loop
-    narrows down to these two points. The drift of a short record is 0 if all lines touch the same
-    point.
+    For a given drift, the highest line touches one point. The line's mean is a concave function of
+    the drift. At the maximum, the line touches a point on either side of the mean time. The loop
+    searches for these two points. If all lines touch the same point, the drift is 0.
     """
     middle = x.mean()
     u, v = x - middle, y - x

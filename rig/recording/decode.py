@@ -1,4 +1,4 @@
-"""Decodes the manifold's recorded streams: readings, numbers of losses, the drive's span."""
+"""Decodes the manifold's recorded streams to readings, numbers of losses, and the drive's span."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -74,10 +74,10 @@ def decode_readings(pieces: Iterable[tuple[int, bytes]]) -> DecodedReadings:
 
 
 class DriveSpan(NamedTuple):
-    """When the drive began in a recording, and its duration."""
+    """Start and duration of the drive in a recording."""
 
     begun_ns: int
-    """Host time of its first command [ns]."""
+    """Host time of the drive's first command [ns]."""
     seconds: float
     """Time from the first command to the manifold's last bytes [s]."""
 

@@ -1,4 +1,4 @@
-"""Reads recordings of `rig.recording.writer`: finished, being written, or cut off by a kill."""
+"""Reads recordings that are finished, still being written, or cut off by a killed writer."""
 
 import json
 from pathlib import Path
@@ -21,9 +21,9 @@ class RecordedStream(NamedTuple):
     """Offset in `data` at which each piece ends."""
     data: bytes
     lost: tuple[int, int]
-    """Pieces and bytes that arrived but that the recorder could not write."""
+    """Numbers of pieces and bytes that arrived but could not be written."""
     trimmed: tuple[int, int]
-    """Incomplete pieces and bytes at the end of the file, which are omitted here."""
+    """Numbers of incomplete pieces and of bytes at the file's end, which are omitted here."""
 
     def pieces(self) -> list[bytes]:
         """Returns each piece as it arrived."""
@@ -40,13 +40,13 @@ class Recording(NamedTuple):
     wall_ns_at_host_0: int
     """Unix time [ns] of host time 0."""
     closed: bool
-    """True if the recorder ended normally; False if it was killed, its disk failed, or it runs."""
+    """False if the recorder was killed, its disk failed, or it still runs; otherwise True."""
 
 
 def read_recording(path: Path | str) -> Recording:
-    """Returns the recording at `path`; its end may be missing (see `RecordedStream.trimmed`).
+    """Returns the recording at `path`, without an incomplete end (`RecordedStream.trimmed`).
 
-    Raises `RigError` if the file is missing, torn, of a newer schema, or not a recording.
+    Raises `RigError` if the file is missing, damaged, of a newer schema, or not a recording.
     """
     path = Path(path)
     try:

@@ -15,11 +15,11 @@ from rig.recording.reader import RecordedStream, Recording
 ORDER = ("t_s", "p_front_Pa", "p_rear_Pa", "thrust_N", "recoil_N", "tip_m")
 """Order of the columns in a trial's file."""
 AVERAGED = 25
-"""Number of readings at rest that are averaged before testing for motion."""
+"""The test for motion uses means of this number of readings at rest."""
 QUIET_NOISE_RANGE = 5.0
-"""Range of these means that noise may cause, in standard deviations of a mean."""
+"""Range of such means that noise may cause, in standard deviations of a mean."""
 QUIET_RANGE = 0.02
-"""Range at rest above which a sensor counts as moving, as a fraction of its range in the drive."""
+"""A sensor with a larger range at rest counts as moving; a fraction of the range in the drive."""
 MAX_SAMPLE_GAP = 0.006
 """Longest interval between an instrument's samples that is interpolated [s]."""
 
@@ -32,7 +32,7 @@ class SampledColumns(NamedTuple):
     """NaN for lost or invalid samples."""
     findings: tuple[str, ...]
     continuous: bool = True
-    """True if sampled faster than the manifold; else each value goes to the nearest row only."""
+    """True if sampled faster than the manifold. Otherwise each value sets only the nearest row."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class AnalogueSensor:
     """A sensor on an analogue input of the manifold, such as a laser that measures the tail's tip.
 
     column = scale (voltage - zero), with `input` 1 to 3, `scale` [unit / V] and `zero` [V].
-    A `zero` of None is the mean voltage at rest before the drive.
+    If `zero` is None, the mean voltage at rest before the drive is used.
     """
 
     column: str
@@ -61,7 +61,7 @@ class AnalogueSensor:
 
 
 def format_value(column: str, x: float) -> str:
-    """Returns a column's value as text with its unit, lengths in mm and pressures in kPa."""
+    """Returns a column's value as text with the unit, lengths in mm and pressures in kPa."""
     unit = column.rsplit("_", 1)[-1]
     factor, shown = {"m": (1e3, "mm"), "Pa": (1e-3, "kPa")}.get(unit, (1.0, unit))
     return f"{factor * x:.3g} {shown}"
@@ -71,13 +71,13 @@ StreamReader = Callable[[RecordedStream], SampledColumns]
 
 
 class TrialColumns(NamedTuple):
-    """The columns of a trial's files and the record of their quality."""
+    """The columns of a trial's files, and a record of the data's quality."""
 
     values: dict[str, np.ndarray]
     """t_s, p_front_Pa, p_rear_Pa and the instruments' columns, (n,) each."""
     played: dict[str, np.ndarray] | None
-    """t_s, set_front_Pa, set_rear_Pa: the signed set pressures that the manifold followed from t_s
-    on. The last row is the trial's end. None if changes were not recorded."""
+    """t_s, set_front_Pa, set_rear_Pa: the manifold followed these signed set pressures from t_s on.
+    The last row is the trial's end. None if a change was not recorded."""
     record: dict[str, Any]
     """Losses, delays, ranges, statistics at rest and findings, for the trial's JSON file."""
 
@@ -92,7 +92,7 @@ def trial_columns(
     """Returns the columns from the drive's start at `begun_ns` (host time [ns]) to `duration` [s].
 
     The means at rest before the drive are subtracted from forces and tip, not from pressures.
-    `instruments` has the reader of each stream by name. Raises `RigError` without readings.
+    `instruments` contains the reader of each stream by name. Raises `RigError` without readings.
     """
     received = recording.streams["manifold"]
     readings = decode_readings(zip(received.host_ns.tolist(), received.pieces(), strict=True))
@@ -154,13 +154,13 @@ def _played_drive(
         return None
     sets = np.array([x[2:] for x in readings.follows], float)
     t = clock.to_host(np.array([1e-6 * x.device_us for x in readings.follows])) - begun_ns * 1e-9
-    # Up to the first change after the trial: losses in the fade do not matter.
+    # Only changes up to the first change after the trial matter, not those in the fade.
     needed = int(np.searchsorted(t, duration)) + 1
     steps = np.diff([x.number for x in readings.follows[:needed]]) % 2**16
     if t[0] > 0.0 or (steps != 1).any():
         return None
-    # The first row is the value at t = 0, the last row that at the end. Of changes at the same time
-    # only the last is kept.
+    # The first row is the value at t = 0, and the last row is the value at the end. Of changes at
+    # one time, only the last change is kept.
     before, within = np.flatnonzero(t <= 0.0)[-1], np.flatnonzero((t > 0.0) & (t < duration))
     within = within[np.append(np.diff(t[within]) > 0.0, True)[: len(within)]]
     rows = np.concatenate([[before], within, [within[-1] if len(within) else before]])
@@ -176,7 +176,7 @@ class RestStatistics(NamedTuple):
     deviation: float = 0.0
     """Standard deviation of the readings."""
     noise: float = 0.0
-    """Standard deviation of the noise that is independent between consecutive readings."""
+    """Standard deviation of the part that is independent between consecutive readings."""
 
 
 def _rest(signal: np.ndarray) -> RestStatistics:
@@ -190,7 +190,7 @@ def _rest(signal: np.ndarray) -> RestStatistics:
 def _motion_findings(
     column: str, quiet: np.ndarray, drive: np.ndarray, noise: float
 ) -> tuple[str, ...]:
-    """Returns a finding if a sensor moved before the drive, else none."""
+    """Returns a finding if a sensor moved before the drive, otherwise an empty tuple."""
     pieces = np.array_split(quiet, max(1, len(quiet) // AVERAGED))
     before = float(np.ptp([x.mean() for x in pieces if x.size] or [0.0]))
     over = float(np.ptp(drive))
@@ -219,8 +219,8 @@ def resample_at_rows(
     value = np.interp(rows, at, signal, left=np.nan, right=np.nan)
     if continuous:
         return np.where(at[after] - at[after - 1] <= MAX_SAMPLE_GAP, value, np.nan)
-    # The signal between frames is unknown: only the row nearest to a frame gets a value, which is
-    # interpolated to the row's time.
+    # The signal between frames is unknown. Therefore only the row nearest to a frame gets a value,
+    # which is interpolated to the row's time.
     nearest = np.clip(np.searchsorted(rows, at), 1, len(rows) - 1)
     nearest -= (at - rows[nearest - 1]) < (rows[nearest] - at)
     known = np.zeros(len(rows), bool)
@@ -236,7 +236,7 @@ def _manifold_findings(readings: DecodedReadings, clock: ClockFit) -> tuple[str,
         findings.append(f"{readings.damaged} damaged frames of the manifold were dropped")
     if clock.early_max > 1e-3:
         findings.append(
-            f"the manifold's clock is uneven: a reading is {1e3 * clock.early_max:.1f} ms early"
+            f"the manifold's clock is irregular: a reading is {1e3 * clock.early_max:.1f} ms early"
         )
     return tuple(findings)
 
@@ -251,7 +251,7 @@ def _quality_record(
 ) -> dict[str, Any]:
     unwritten = {name: x.lost[0] for name, x in recording.streams.items() if x.lost[0]}
     if unwritten:
-        findings += (f"the disk was too slow; pieces lost by stream: {unwritten}",)
+        findings += (f"the disk was too slow; numbers of lost pieces, by stream: {unwritten}",)
     return {
         "readings": len(readings.seq),
         "rows": len(values["t_s"]),

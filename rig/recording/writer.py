@@ -1,6 +1,6 @@
 """Writes one HDF5 file per trial with the received bytes and their times, safe against kill -9.
 
-A piece is the bytes of one read.
+The bytes of one read are called a piece.
 
 | in the file | content |
 |---|---|
@@ -11,8 +11,8 @@ A piece is the bytes of one read.
 | `streams/NAME/lost` | int64 (2,): pieces and bytes that arrived but could not be written |
 
 The file follows HDF5's rules for a single writer and many readers (SWMR). `rig.recording.reader`
-can therefore read it at any time, even if the writer was killed. Bytes are written before their
-index; the CRC shows whether they match.
+can therefore read the file at any time, even if the writer was killed. Bytes are written before
+the index. The CRC shows whether bytes and index match.
 """
 
 import ctypes
@@ -42,34 +42,34 @@ from rig.recording.clock import Sink
 SCHEMA = 1
 STREAMS = ("manifold", "force", "camera", "commands")
 FLUSH_INTERVAL = 0.05
-"""Time between flushes [s]; a killed recorder loses at most the data of this time."""
+"""Time between flushes to disk [s]. A killed recorder loses at most the data of this time."""
 MAX_WAITING = 64 * 2**20
-"""Largest number of bytes of a stream that wait for the disk; further pieces count as lost."""
+"""Largest number of bytes of a stream that wait for the disk. Further pieces are lost."""
 CRC_OF_NOTHING = 1
-"""Initial value of the CRC. With 0, an index of zeros would look like pieces without bytes."""
+"""Initial value of the CRC. With 0, an index of zeros would seem to be valid and empty pieces."""
 _BYTES_A_CHUNK, _ROWS_A_CHUNK = 16384, 512
-"""HDF5 chunk sizes, for at least 0.25 s of the manifold's stream. A flush rewrites the last chunk,
-which costs less than a new chunk; with 4096 and 64, each flush created one."""
+"""HDF5 chunk sizes in bytes and rows, for at least 0.25 s of the manifold's data. A flush rewrites
+the last chunk, which is faster than a new chunk. With 4096 and 64, each flush created a chunk."""
 _ATTEMPTS = 27
-"""Attempts of HDF5 to read metadata that a writer may be changing. The wait doubles each time, to
-0.1 s in total. With the default of 100, an incomplete file would block readers."""
+"""Number of HDF5's attempts to read metadata that a writer may be changing. The wait doubles after
+each attempt, to 0.1 s in total. With the default of 100, an incomplete file would block readers."""
 
 
 class RecorderLoad(NamedTuple):
-    """The load of a recorder; all counts are numbers of pieces."""
+    """The load of a recorder. All counts are numbers of pieces."""
 
     recorded: dict[str, int]
     """Pieces on disk, by stream."""
     lost: dict[str, int]
-    """Pieces not written, by stream, because too many were waiting or the recorder had ended."""
+    """Lost pieces, by stream: too many pieces were waiting, or the recorder had ended."""
     waiting: int
     """Pieces of all streams that wait for the disk."""
     slowest_flush: float
-    """Longest time from one flush to the end of the next [s]; `FLUSH_INTERVAL` on a fast disk."""
+    """Longest time between the ends of two flushes [s]; `FLUSH_INTERVAL` on a fast disk."""
 
 
 class _Stream:
-    """A stream's waiting pieces and its datasets. Tallies are (pieces, bytes)."""
+    """A stream's waiting pieces and datasets. Tallies are (number of pieces, number of bytes)."""
 
     def __init__(self, group: h5py.Group, max_waiting: int) -> None:
         self.bytes, self.index, self.tally = group["bytes"], group["index"], group["lost"]
@@ -125,7 +125,7 @@ def _add_piece(tally: tuple[int, int], piece: bytes) -> tuple[int, int]:
 
 
 class AbstractRecorder(ABC):
-    """A context manager that closes itself at the end and raises its failure once."""
+    """A context manager that closes itself at the end and raises a failure once."""
 
     _failure: RigError | None = None
     _raised = False
@@ -154,8 +154,8 @@ class AbstractRecorder(ABC):
 class Recorder(AbstractRecorder):
     """A context manager that records named streams to `path` until it is closed.
 
-    `settings` is stored as JSON. If the disk fails, the recorder's thread calls `on_failure` once
-    and immediately, for example to vent; the data recorded before are kept.
+    `settings` is stored as JSON. If the disk fails, the recorder's thread immediately calls
+    `on_failure`, for example to vent. The data recorded before the failure are kept.
 
     Raises `RigError` if `path` exists or cannot be created, if `settings` is not JSON, or if a
     stream's name is not an identifier.
@@ -184,7 +184,7 @@ class Recorder(AbstractRecorder):
     def sink(self, stream: str) -> Sink:
         """Returns a function `sink(host_ns, piece)` that records a piece.
 
-        Any thread may call it; it never waits. Raises `RigError` for an unknown stream.
+        Any thread may call `sink`, which never waits. Raises `RigError` for an unknown stream.
         """
         if stream not in self._streams:
             raise RigError.value("stream", repr(stream), ", ".join(self._streams))
@@ -246,7 +246,7 @@ class Recorder(AbstractRecorder):
 def _close_without_disk(file: h5py.File) -> None:
     """Closes the file, with HDF5's last writes redirected to memory.
 
-    On a failed disk HDF5 cannot close the file, and would crash the process at its end.
+    HDF5 cannot close a file on a failed disk, and would crash the process when the process ends.
     """
     with suppress(Exception):
         memory = os.memfd_create("recorder")
@@ -258,7 +258,8 @@ def _close_without_disk(file: h5py.File) -> None:
 def open_to_write(path: Path) -> h5py.File:
     """Returns the file, opened to write in SWMR mode from the start.
 
-    h5py opens a file normally before it switches to SWMR; a kill in between would block readers.
+    h5py itself opens a file normally and then switches to SWMR. A kill between these two steps
+    would block readers.
     """
     return _open_swmr(path, h5f.ACC_RDWR | h5f.ACC_SWMR_WRITE)
 

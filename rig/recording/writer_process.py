@@ -1,8 +1,8 @@
 """Runs the recorder in a separate process.
 
-While another program fills the disk, the 99th percentile of the commands' lateness is 30 to 43 ms
-with the recorder in the commands' process, 14 ms with this one, and 7 to 19 ms without a recorder.
-All pieces that this process has received are written even if the program is killed.
+While another program filled the disk, the 99th percentile of the commands' lateness was 30 to 43 ms
+with the recorder in the commanding process. It was 14 ms with a separate process, and 7 to 19 ms
+without a recorder. The recorder's process writes all received pieces even if the program is killed.
 """
 
 import json
@@ -30,14 +30,14 @@ from rig.recording.writer import (
 from rig.scheduling import RECORDER_PRIORITY, ordinary_priority, real_time_priority
 
 TRANSFER_INTERVAL = 0.02
-"""Time between transfers to the process [s]; a kill loses at most the data of this time."""
+"""Time between transfers to the process [s]. A killed program loses the data of this time."""
 PROCESS_TIMEOUT = 60.0
-"""Longest time for starting, and for writing the waiting pieces at the end [s]."""
+"""Longest time for the process to start, and to write the waiting pieces at the end [s]."""
 _HEAD = struct.Struct("<BqI")
 
 
 class ProcessRecorder(AbstractRecorder):
-    """A `rig.recording.writer.Recorder` in a separate process, with the same sinks and errors.
+    """A `rig.recording.writer.Recorder` in a separate process, with equal sinks and errors.
 
     `check` and `close` also raise `RigError` if the process has ended unexpectedly.
     """
@@ -60,7 +60,7 @@ class ProcessRecorder(AbstractRecorder):
             "streams": self._names,
             "settings": dict(settings or {}),
         }
-        # A new program, because `multiprocessing` would run the caller's main module again.
+        # This starts a new program, because `multiprocessing` would rerun the caller's main module.
         with ordinary_priority() as request["real_time"]:
             text = settings_json(path, request)
             self._process = subprocess.Popen(
@@ -100,7 +100,7 @@ class ProcessRecorder(AbstractRecorder):
         return put
 
     def load(self) -> RecorderLoad:
-        """Returns the recorder's load; allowed after `close` only."""
+        """Returns the recorder's load. Call this function after `close` only."""
         assert self._load is not None
         return self._load
 
@@ -136,7 +136,7 @@ class ProcessRecorder(AbstractRecorder):
             self._process.stdin.close()
 
     def _write(self, content: bytes) -> None:
-        """Writes to the process; `_listen` reports it if the process has ended."""
+        """Writes to the process. If the process has ended, `_listen` reports this."""
         assert self._process.stdin is not None
         with suppress(OSError, ValueError):
             self._process.stdin.write(content)
@@ -155,7 +155,7 @@ class ProcessRecorder(AbstractRecorder):
                 self._fail(message["content"])
         if not self._ended.is_set():
             self._fail(
-                f"{self.path}: the recorder's process ended unexpectedly; the data so far are kept"
+                f"{self.path}: the recorder's process ended unexpectedly; earlier data are kept"
             )
         self._started.set()
         self._ended.set()
@@ -176,8 +176,8 @@ class ProcessRecorder(AbstractRecorder):
 
 
 def write_from_stdin() -> None:
-    """Reads a request (a line of JSON), then record pieces until the end of the standard input."""
-    # The program handles these signals and closes the standard input.
+    """Reads a request (a line of JSON), then records pieces until the standard input ends."""
+    # The parent program handles these signals and closes the standard input.
     for name in ("SIGINT", "SIGHUP", "SIGTERM"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
@@ -209,7 +209,7 @@ def _record(request: Mapping[str, Any], source: BinaryIO, send: Callable[..., No
         piece = source.read(size)
         if len(piece) == size:
             sinks[number](host_ns, piece)
-    with suppress(RigError):  # was sent when it occurred
+    with suppress(RigError):  # the error was sent when it occurred
         recorder.close()
     send("ended", recorder.load()._asdict())
 

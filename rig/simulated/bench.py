@@ -1,4 +1,4 @@
-"""Complete simulated rig: a manifold on a pseudo-terminal, and a force sensor on the network."""
+"""A complete simulated rig: a manifold on a pseudo-terminal, and a force sensor on the network."""
 
 import threading
 import time
@@ -16,9 +16,9 @@ from rig.simulated.terminal import Terminal
 
 MADE_UP = "The rig that `slider rig simulate` made up"
 LEAD_US = 5
-"""A record is sampled this long before a step [us], because times are rounded."""
+"""A force record is sampled this time before a step of the tank [us], because times are rounded."""
 MAX_TANK_WAIT = 0.2
-"""Longest wait of a force for the tank's state [s]."""
+"""Longest time for which a force record waits for the tank's state [s]."""
 
 
 class HostClockedRig:
@@ -40,11 +40,11 @@ class HostClockedRig:
         return self.rig.tick(now_us)
 
     def wrench(self, host_s: float) -> np.ndarray:
-        """Returns forces [N], torques [N m] (6,) at a host time [s]: thrust in x, recoil in y."""
+        """Returns forces [N] and torques [N m] (6,) at a host time [s]. x is thrust, y recoil."""
         zero = self._zero_ns or time.monotonic_ns()
         at = round((1e9 * host_s - zero) / 1000)
-        # A delayed tank has no present force yet. A late record is detectable, and a guessed one
-        # would be wrong.
+        # A delayed tank has no present force yet. A late record is better than a guessed force:
+        # the host detects a late record, but not a wrong force.
         deadline = time.monotonic() + MAX_TANK_WAIT
         while self.rig.reached_us < at and time.monotonic() < deadline:
             time.sleep(2e-4)
@@ -54,8 +54,8 @@ class HostClockedRig:
     def on_step(self, host_s: float) -> float:
         """Returns the next host time [s] just before a step of the tank.
 
-        Records sampled between steps would wait for the next step and be late. The steps begin at
-        the first tick, at any device time.
+        A record sampled between two steps would wait for the next step and be late. The steps
+        begin at the first tick.
         """
         zero, reached = self._zero_ns or time.monotonic_ns(), self.rig.reached_us
         steps = ceil((1e-3 * (1e9 * host_s - zero) - reached) / STEP)
@@ -109,7 +109,7 @@ def serve_rig(
 
 
 class ReplayDevice:
-    """A device that sends a recording's stream at its recorded times and ignores its input."""
+    """A device that sends a recorded stream at the recorded times and ignores all input."""
 
     def __init__(self, stream: RecordedStream, speed: float = 1.0):
         start = int(stream.host_ns[0]) if len(stream.host_ns) else 0

@@ -1,7 +1,7 @@
-"""Simulated camera above a tank: images of blue markers on a moving body.
+"""A simulated camera above a tank, which yields images of blue markers on a moving body.
 
-Every disturbance is a field with the default 0: motion blur, glare that saturates part of a marker,
-sensor noise, and dropped frames. A frame depends only on the seed and its number.
+The disturbances are motion blur, glare that saturates part of a marker, sensor noise, and dropped
+frames. Each is a field with the default 0. A frame depends only on the seed and the frame's number.
 """
 
 import os
@@ -17,19 +17,19 @@ from rig.camera.source import Shot
 from rig.errors import RigError
 
 FINE = 5
-"""Number of samples along a pixel's side."""
+"""Number of samples along each side of a pixel."""
 AVI_FRAMES, AVI_LENGTH = 48, 140
-"""Offsets of the number of frames in an AVI with one stream: dwTotalFrames and dwLength."""
+"""Byte offsets of the number of frames in an AVI with one stream: dwTotalFrames and dwLength."""
 MARKER, BODY = (196.0, 78.0, 26.0), (66.0, 62.0, 58.0)
 """Colours (BGR)."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Scene in front of the camera, and the camera's properties.
+    """The scene in front of the camera, and the camera's properties.
 
-    `path` returns the marker positions [px] at times [s]: (k,) -> (k, markers, 2), in order along
-    the body. `hidden` are the covered markers as (frame, marker).
+    `path` returns the marker positions (k, markers, 2) [px] at times (k,) [s], in order along the
+    body. `hidden` contains the covered markers as (frame, marker).
     """
 
     path: Callable[[np.ndarray], np.ndarray]
@@ -44,7 +44,7 @@ class Scene:
     glare: float = 0.0
     """Probability of glare on a marker in a frame."""
     noise: float = 0.0
-    """Rms noise of a colour channel [counts]; the light's shot noise is added."""
+    """Rms noise of a colour channel [counts]. The shot noise of the light is added to it."""
     hidden: frozenset[tuple[int, int]] = frozenset()
     dropped: frozenset[int] = frozenset()
     seed: int = 0
@@ -75,7 +75,7 @@ class Scene:
 
 
 class SimulatedCamera:
-    """A `rig.camera.source.Source` of a scene, which waits for its reader."""
+    """A `rig.camera.source.Source` of a scene. It waits for the reader and loses no frame."""
 
     live = False
 
@@ -84,7 +84,7 @@ class SimulatedCamera:
         self._left = iter(n for n in range(scene.frames) if n not in scene.dropped)
 
     def read(self) -> Shot | None:
-        """Returns the next frame that is not dropped; its time is from the scene's start."""
+        """Returns the next frame that is not dropped, with the time since the scene's start."""
         number = next(self._left, None)
         if number is None:
             return None
@@ -98,7 +98,7 @@ class SimulatedCamera:
 def write_video(path: Path | str, scene: Scene) -> None:
     """Writes the scene as a lossless AVI (FFV1).
 
-    A dropped frame becomes an empty chunk, as in a recorder's file, so the others keep their times.
+    A dropped frame becomes an empty chunk, so the other frames keep their times.
     """
     cv2 = import_opencv()
     path = Path(path)
@@ -118,7 +118,7 @@ def write_video(path: Path | str, scene: Scene) -> None:
 
 
 def _with_gaps(avi: bytes, scene: Scene) -> bytes:
-    """Returns an AVI with an empty chunk per dropped frame, and without its index."""
+    """Returns an AVI with an empty chunk per dropped frame, and without an index."""
     start = avi.index(b"movi") + 4
     chunks, at = [], start
     for number in range(scene.frames):

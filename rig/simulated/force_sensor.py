@@ -1,7 +1,7 @@
-"""Simulated Net F/T box: it streams RDT over UDP in real time and can have faults.
+"""A simulated Net F/T box, which streams RDT over UDP in real time and can have faults.
 
-`SimulatedForceBox` makes records and `LossyNetwork` drops, delays and duplicates them, both without
-a clock or a socket. `SimulatedForceSensor` sends them over the network.
+`SimulatedForceBox` makes records. `LossyNetwork` drops, delays and duplicates records. Neither has
+a clock or a socket. `SimulatedForceSensor` sends the records over the network.
 """
 
 import select
@@ -42,14 +42,14 @@ class LossyNetwork:
                 raise RigError.value(f"simulated force sensor, {name}", chance, "0 to 1")
         self.drop, self.reorder, self.duplicate = drop, reorder, duplicate
         self.dropped: list[int] = []
-        """Indices from 0 of the dropped datagrams."""
+        """Indices of the dropped datagrams, counted from 0."""
         self.late = self.doubled = 0
         self._random = np.random.default_rng(seed)
         self._passed = 0
         self._held: list[tuple[int, bytes]] = []
 
     def transmit(self, datagram: bytes) -> list[bytes]:
-        """Sends a datagram and returns those that arrive; a delayed one arrives 1 to 8 later."""
+        """Sends a datagram and returns arriving datagrams. A delay is 1 to 8 datagrams long."""
         out = []
         lost, late, twice = self._random.random(3) < (self.drop, self.reorder, self.duplicate)
         if lost:
@@ -68,11 +68,11 @@ class LossyNetwork:
 
 @dataclass
 class SimulatedForceBox:
-    """Source of the records of a wrench; all fields except `seed` may change while it runs."""
+    """Makes records of a wrench. All fields except `seed` may change while the box runs."""
 
     wrench: Wrench
     rate: float = 1000.0
-    """Rate of the records [1/s], rounded to 7000 divided by a whole number."""
+    """Rate of the records [1/s]. It is rounded to 7000 divided by a whole number."""
     noise: float = 2e-3
     """Standard deviation of white noise [N, N m]."""
     limit: float = 1000.0
@@ -83,10 +83,10 @@ class SimulatedForceBox:
     """Status bits of every record."""
     seed: int = 0
     zero: np.ndarray = field(default_factory=lambda: np.zeros(6))
-    """Load that the box subtracts since the last bias [N, N m]."""
+    """Load that the box has subtracted since the last call of `bias` [N, N m]."""
 
     def __post_init__(self) -> None:
-        if not 0 < self.limit <= 1000.0:  # keeps also biased counts within 32 bits
+        if not 0 < self.limit <= 1000.0:  # so that biased counts also fit into 32 bits
             raise RigError.value("simulated force sensor, limit", self.limit, "above 0, up to 1000")
         if not 0 < self.rate <= rdt.INTERNAL_RATE:
             raise RigError.value(
@@ -96,7 +96,7 @@ class SimulatedForceBox:
         self.period = self.step / rdt.INTERNAL_RATE
         """Time between records by the box's own clock [s]."""
         self._random = np.random.default_rng(self.seed)
-        self._ft_seq = int(self._random.integers(2**32))  # counts since power-up, not per stream
+        self._ft_seq = int(self._random.integers(2**32))  # a real box counts from power-up
         self._last = (0,) * 6
 
     def record(self, number: int, t: float) -> bytes:
@@ -112,15 +112,15 @@ class SimulatedForceBox:
         return rdt.RECORD.pack(number + 1, self._ft_seq, status, *self._last)
 
     def bias(self, t: float) -> None:
-        """Takes the wrench at `t` [s] as zero."""
+        """Sets the wrench at `t` [s] as zero."""
         self.zero = np.clip(self.wrench(t), -self.limit, self.limit)
 
 
 class SimulatedForceSensor:
-    """A Net F/T box on the network, in its own thread until closed.
+    """A Net F/T box on the network, which runs in its own thread until it is closed.
 
-    `drift` is the relative error of its clock (200e-6: 200 ppm too fast). `box` and `line` may
-    change while it runs. With `silent`, it ignores requests and sends nothing.
+    `drift` is the relative error of the box's clock (200e-6 is 200 ppm too fast). `box` and `line`
+    may change while the thread runs. With `silent`, the box ignores requests and sends nothing.
     """
 
     def __init__(
@@ -136,7 +136,7 @@ class SimulatedForceSensor:
         self.begins: Callable[[float], float] = lambda t: t
         """Returns the time of the first record of a stream that is requested at `t` [s]."""
         self.page = PAGE
-        """Content of its web page."""
+        """Content of the box's web page."""
         self.requests: list[int] = []
         """Received commands in order."""
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -1,8 +1,8 @@
-"""Simulated GRBL axis in virtual time, and a robot that swims below the gantry's camera.
+"""A simulated GRBL axis in virtual time, and a robot that swims below the gantry's camera.
 
-The axis takes bytes and the time in microseconds and returns bytes, so a test or a pseudo-terminal
-can drive it. It supports the commands of `rig.gantry.axis`: `$$`, `$H`, `$X`, `?`, `!`, Ctrl-X, and
-G1 in G21 G94.
+The axis takes bytes and the time in microseconds and returns bytes. A test or a pseudo-terminal can
+therefore drive it. The axis supports the commands of `rig.gantry.axis`: `$$`, `$H`, `$X`, `?`, `!`,
+Ctrl-X, and G1 in G21 G94.
 """
 
 import re
@@ -17,7 +17,7 @@ _WORD = re.compile(r"([GXF])(-?\d+(?:\.\d*)?)")
 
 
 class GrblAxis:
-    """One axis with GRBL's `settings` (in mm and minutes). It starts locked if it can home."""
+    """One axis with GRBL's `settings` (in mm and minutes). With homing on, it starts locked."""
 
     def __init__(self, settings: dict[int, float] | None = None, position: float = 0.0) -> None:
         """`position` [m] is the carriage's position at power-up."""
@@ -26,7 +26,7 @@ class GrblAxis:
         self.switch_at: float | None = None
         """Position of a limit switch [m], or None."""
         self.deaf = False
-        """Whether the axis gives no more answers; it keeps moving."""
+        """If True, the axis no longer answers, but continues to move."""
         self.state = "Alarm" if self.settings[22] else "Idle"
         self._pieces = [(0.0, 1e3 * position, 0.0, 0.0)]
         """Motion from each time [s] on: position [mm], speed [mm/s], acceleration [mm/s^2]."""
@@ -189,8 +189,8 @@ class GrblAxis:
 class Swimmer:
     """A robot that starts from rest at the start of a film.
 
-    Its forward speed is U (1 - exp(-t / start_up)) cos(turn t) plus the stride's ripple. U and the
-    turn rate differ between runs.
+    The forward speed is U (1 - exp(-t / start_up)) cos(turn t) plus a ripple with the period of a
+    stride. The final speed U and the turn rate differ between runs.
     """
 
     speed: float
@@ -219,7 +219,7 @@ class Swimmer:
 
 @dataclass
 class SimulatedFilm:
-    """Camera on a `GrblAxis` above a `Swimmer`: the `film` of `gantry_measurement`."""
+    """A camera on a `GrblAxis` above a `Swimmer`, used as `film` of `gantry_measurement`."""
 
     axis: GrblAxis
     swimmer: Swimmer
@@ -228,7 +228,7 @@ class SimulatedFilm:
     scale: float = 0.5e-3
     """Size of a pixel [m]."""
     noise: float = 0.2
-    """Standard deviation of the marker's position [px]."""
+    """Standard deviation of the noise in the marker's position [px]."""
     view: float = 0.5
     """Half of the field of view along the travel [m]."""
     rate: float = 60.0

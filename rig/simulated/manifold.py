@@ -1,16 +1,16 @@
-"""State machine of a manifold in virtual time, equivalent to that in `rig/firmware`."""
+"""The manifold's state machine in virtual time, equivalent to the firmware in `rig/firmware`."""
 
 from collections.abc import Sequence
 
 from rig.protocol import messages as wire
 
 HARD_LIMITS = (500_000, 500_000, 500_000, 500_000)
-"""Hard limits: gauge pressures [Pa] that no command can exceed."""
+"""Hard limits of the chambers: gauge pressures [Pa] that no command can exceed."""
 Pressures = tuple[int, ...]
 
 
 class ManifoldCore:
-    """The state machine of docs/reference/rig_protocol.md. Times are the device's microseconds."""
+    """The state machine of docs/reference/rig_protocol.md. Times are device times [us]."""
 
     def __init__(
         self,
@@ -49,7 +49,7 @@ class ManifoldCore:
         """Takes bytes from the host and returns the answer."""
         replies = self._watch(now_us)
         for message in self._decoder.feed(piece):
-            if wire.type_byte(type(message)) < 0x80:  # the host's messages; the others are foreign
+            if wire.type_byte(type(message)) < 0x80:  # a message of the host
                 self._last_command = now_us
                 replies += self._obey(message, now_us)
             else:
@@ -57,12 +57,12 @@ class ManifoldCore:
         return b"".join(map(wire.encode_frame, replies))
 
     def delay_last_command(self, now_us: int, fed_us: int) -> None:
-        """Sets the time of the last valid command, if fed at `fed_us`, to `now_us`."""
+        """Sets the time of the last valid command to `now_us` if the command came at `fed_us`."""
         if self._last_command == fed_us:
             self._last_command = now_us
 
     def tick(self, now_us: int, channels: Sequence[int]) -> bytes:
-        """Makes one pass of the main loop with channels (8,); returns the bytes sent."""
+        """Runs the main loop once with channels (8,), and returns the bytes sent."""
         sent: list[wire.Message] = []
         if self._due is None:
             self._due = now_us + self._period
@@ -197,7 +197,7 @@ class ManifoldCore:
 
 
 def _outside(pressures: Pressures, limits: Pressures) -> tuple[wire.Answer, int] | None:
-    """Returns why the pressures are refused and the first wrong chamber, or None."""
+    """Returns the reason for a refusal and the first wrong chamber, or None if all are allowed."""
     for chamber, (pressure, limit) in enumerate(zip(pressures, limits, strict=True)):
         if pressure < 0:
             return wire.Answer.BELOW_ZERO, chamber

@@ -1,4 +1,4 @@
-"""Simulated published firmware: its dialogue for a replayed or simulated test."""
+"""Simulates the published firmware's dialogue, with a replayed or simulated test."""
 
 import re
 from collections.abc import Callable, Iterator
@@ -10,23 +10,23 @@ PERIOD_US = 2_000
 MIDDLE, AMPLITUDE = 291.0, 200.0
 """Mean and amplitude of the commanded sine [counts] in all published logs."""
 ASK_US = 1_000_000
-"""Time between two questions [us]; opening a port discards earlier ones."""
+"""Time between two questions [us]. Opening a port discards earlier questions."""
 PAUSE_US = 200_000
 """Time from the end of a test to the next question [us]."""
 TYPED_US = 1_000_000
-"""A number without a line end is complete after this time [us], as in Arduino's `parseFloat`."""
+"""A number without a line end is complete after this time [us], as for Arduino's `parseFloat`."""
 
 Script = Iterator[tuple[int, bytes]]
 """Pieces of text with their times after the answer [us]."""
 Plant = Callable[[int, int, float], float]
-"""Maps duties of fill and vent valve (0 to 255) and a duration [s] to the gauge pressure [Pa]."""
+"""Function of fill duty, vent duty (0 to 255) and duration [s] that returns gauge pressure [Pa]."""
 
 
 class PublishedFirmware:
     """A device that repeatedly asks for a frequency and runs a test.
 
-    `test` gets the frequency [Hz] and the device's time [us] and returns the test's text. Input
-    during a test waits and answers the next question, as in the original firmware.
+    `test` gets the frequency [Hz] and the device's time [us], and returns the test's text. As in
+    the original firmware, input during a test waits and then answers the next question.
     """
 
     def __init__(
@@ -73,9 +73,9 @@ class PublishedFirmware:
 
 
 def replay_log(log: bytes, period_us: int = PERIOD_US) -> Callable[[float, int], Script]:
-    """Returns a test that sends a log byte for byte, one row every `period_us` (0: all at once).
+    """Returns a test that sends an unchanged log, one row every `period_us`, or all rows for 0.
 
-    The test ignores the frequency, so send the log's own.
+    The test ignores the frequency, so send the frequency of the log.
     """
 
     def test(frequency: float, now_us: int) -> Script:
@@ -89,10 +89,10 @@ def replay_log(log: bytes, period_us: int = PERIOD_US) -> Callable[[float, int],
 
 
 def simulate_frequency_test(plant: Plant, cycles: int = 10) -> Callable[[float, int], Script]:
-    """Returns a test of `plant` with the firmware's sine and valve law, a row every `PERIOD_US`.
+    """Returns a test of `plant` with the firmware's sine and control law, a row per `PERIOD_US`.
 
-    The duty is min(250, 10 |error|) with the error in counts. It drives the fill valve if the error
-    is positive and the vent valve otherwise, until the next row.
+    The duty is min(250, 10 |error|) with the error in counts. This duty applies to the fill valve
+    if the error is positive, otherwise to the vent valve, until the next row.
     """
 
     def test(frequency: float, now_us: int) -> Script:

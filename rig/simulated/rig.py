@@ -1,4 +1,4 @@
-"""Simulated manifold with its tank, in the device's time, and faults of the serial line."""
+"""A simulated manifold with a tank, in device time, and faults of the serial line."""
 
 from collections import deque
 from collections.abc import Callable
@@ -13,16 +13,16 @@ SetPoint = tuple[int, ...] | None
 STEP = 1_000
 """Time step of the tank and of the manifold's main loop [us]."""
 TIP_PER_VOLT = 0.1
-"""Scale of the tip's sensor, on the first analogue input [m/V]."""
+"""Scale of the tip's sensor at the first analogue input [m/V]."""
 STALL = 20_000
-"""If this program pauses for longer [us], bytes that arrived in the pause act this long after its
-start. For the watchdog they count as arriving at the pause's end, which is possible."""
+"""If this program pauses for a longer time [us], bytes from the pause act this time after the start
+of the pause. For the watchdog, these bytes count as arriving at the end of the pause."""
 
 
 @dataclass(frozen=True)
 class LineFaults:
-    """Faults of line and sensors: shares of flipped, dropped and inserted bytes in each direction,
-    and events at device times [s]."""
+    """Faults of line and sensors: fractions of flipped, dropped and inserted bytes in each
+    direction, and events at device times [s]."""
 
     flipped: float = 0.0
     dropped: float = 0.0
@@ -30,7 +30,7 @@ class LineFaults:
     reset_at: float | None = None
     """Time at which the manifold resets."""
     silent: tuple[float, float] | None = None
-    """Start and end of a silence; the bytes of the silence are sent at its end."""
+    """Start and end of a silence [s]. The delayed bytes are sent at the end of the silence."""
     stuck: tuple[int, float] | None = None
     """Index of a channel, and the time from which its reading is constant."""
     noise: float = 0.0
@@ -42,7 +42,7 @@ class LineFaults:
 
 @dataclass
 class FaultyLine:
-    """A line that damages bytes according to `faults` and counts the damaged ones."""
+    """A line that damages bytes according to `faults` and counts the damaged bytes."""
 
     faults: LineFaults
     damaged: int = 0
@@ -136,7 +136,7 @@ class SimulatedRig:
     def state_at(self, now_us: int) -> TankState:
         """Returns the tank's true state at a time within the last 0.25 s.
 
-        It is linear between the steps, and extrapolated by at most one step.
+        The state is interpolated linearly between steps, and extrapolated by at most one step.
         """
         states = list(self._states)
         if not states:
@@ -155,7 +155,7 @@ class SimulatedRig:
         return TankState((p[0], p[1], p[2], p[3]), *rest)
 
     def _mean_set(self) -> SetPoint:
-        """Returns the mean set point over the step that ends now, and keeps the later ones."""
+        """Returns the mean set point over the step that ends now. Later set points are kept."""
         start, end = self._at - STEP, self._at
         times = [max(at, start) for at, _ in self._followed if at < end]
         sets = [x for at, x in self._followed if at < end]

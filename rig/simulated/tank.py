@@ -1,4 +1,4 @@
-"""Tanks of the simulated rig: simple chambers, which the simulator's robot can replace."""
+"""Simple chambers of the simulated rig, which the simulator's robot can replace."""
 
 from math import exp
 from random import Random
@@ -21,20 +21,20 @@ class TankState(NamedTuple):
 
 
 class Tank(Protocol):
-    """A robot in water, or a replacement of it."""
+    """A robot in water, or a simpler model with the same signals."""
 
     def advance(self, set_pressures: tuple[int, ...] | None, seconds: float) -> TankState:
-        """Advances by `seconds` at gauge pressures (4,) [Pa], None: vented; returns the state."""
+        """Returns the state after `seconds` at set gauge pressures (4,) [Pa]; None vents all."""
         ...
 
 
 class BenchTank:
-    """Chambers with a first-order lag, and a tail in air that follows them.
+    """Chambers with a first-order lag, and a tail in air that follows the chambers' pressures.
 
-    The tank serves to try every command of the rig: thrust and tip depend on the set pressures. It
-    is not a model of swimming. `lag` and `tail` [s] are the time constants of chambers and tail,
-    `leak` [1/s] is the loss rate of a chamber's pressure, and `gain` [m/Pa] is the tip's excursion
-    per pressure difference.
+    With this tank, users try the rig's commands: thrust and tip depend on the set pressures. The
+    tank is not a model of swimming. `lag` and `tail` [s] are the time constants of chambers and
+    tail, `leak` [1/s] is the relative loss rate of a chamber's pressure, and `gain` [m/Pa] is the
+    tip's excursion per pressure difference.
     """
 
     def __init__(
@@ -46,7 +46,7 @@ class BenchTank:
         self._tip = 0.0
 
     def advance(self, set_pressures: tuple[int, ...] | None, seconds: float) -> TankState:
-        """Advances as `Tank.advance`, exact for constant set pressures; the tail to first order."""
+        """Implements `Tank.advance`. Pressures are exact; the tail is accurate to first order."""
         wanted = set_pressures or (0, 0, 0, 0)
         for i, target in enumerate(wanted):
             rate = 1.0 / self.lag + self.leak[i]
@@ -62,8 +62,8 @@ class BenchTank:
 class BenchChamber:
     """One chamber with a fill and a vent valve, as driven by the published firmware.
 
-    The flow is proportional to a valve's duty and to the pressure across it. With a fully open
-    valve, the difference to the supply or to the room falls to 37 % in `lag` [s].
+    The flow is proportional to a valve's duty and to the pressure difference across the valve. If
+    the valve is fully open, this difference decreases to 37 % in `lag` [s].
     """
 
     def __init__(self, lag: float = 0.12, supply: float = 550e3, noise: float = 0.0, seed: int = 0):

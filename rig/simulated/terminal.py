@@ -1,4 +1,4 @@
-"""Pseudo-terminal for a simulated device, which programs open like a serial port."""
+"""A pseudo-terminal for a simulated device, which programs open like a serial port."""
 
 import multiprocessing
 import os
@@ -20,11 +20,11 @@ STEP = 0.001
 BACKLOG = 65_536
 """Largest number of unread bytes; older bytes are dropped, as in a ring buffer."""
 MAX_START_TIME = 60.0
-"""Longest start of a device in its own process [s]."""
+"""Longest time for a device to start in its own process [s]."""
 
 
 class Device(Protocol):
-    """A device that exchanges bytes; its time is in microseconds since it was switched on."""
+    """A device that exchanges bytes. Device time is in microseconds since power-up."""
 
     def feed(self, piece: bytes, now_us: int) -> bytes:
         """Takes bytes from the host and returns the answer."""
@@ -65,11 +65,11 @@ class Terminal:
         # The system reports POLLHUP while no program has opened the other end.
         while any(event & select.POLLHUP for _, event in listener.poll(0)):
             time.sleep(0.01)
-        with suppress(OSError):  # the host has exclusive access; the port ends with it
+        with suppress(OSError):  # the host has exclusive access; the port ends with the host
             self._theirs = os.open(self.path, os.O_RDWR | os.O_NOCTTY)
 
     def serve(self, ended: Callable[[], bool]) -> None:
-        """Runs the device in real time until `ended()`; then remove the port."""
+        """Runs the device in real time until `ended()` is True, then removes the port."""
         start = time.monotonic_ns()
         try:
             while not ended():
@@ -80,7 +80,7 @@ class Terminal:
                 self._write(sent + self._device.tick(now_us))
         finally:
             os.close(self._ours)
-            # This end stays open until now because `_ours` is unreadable without it or a host.
+            # This end stayed open until now, so that `_ours` could be read without a host.
             if self._theirs >= 0:
                 os.close(self._theirs)
 
@@ -124,7 +124,7 @@ def serve_in_thread(device: Device, backlog: int = BACKLOG) -> Iterator[ServedDe
 def serve_in_process(
     make: Callable[..., Device], *arguments: object, backlog: int = BACKLOG
 ) -> Iterator[ServedDevice]:
-    """Runs the device `make(*arguments)` in its own process, which ends with this one.
+    """Runs the device `make(*arguments)` in its own process, which ends with this process.
 
     `make` must be a function or class of a module, because the new process imports it. Raises
     `RigError` if the device does not start.
@@ -162,5 +162,5 @@ def _serve(
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the program that started this one handles Ctrl-C
     terminal = Terminal(make(*arguments), backlog)
     pipe.send(terminal.path)
-    # The pipe becomes readable when its other end closes, by `unplug` or the other process's end.
+    # The pipe becomes readable when `unplug` or the end of the other process closes its other end.
     terminal.serve(pipe.poll)

@@ -1,4 +1,4 @@
-"""Records one trial: rest, drive, rest; all streams go to one recording, and chambers vent last."""
+"""Records one trial (rest, drive, rest) with all streams in one file, and vents the chambers."""
 
 import time
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from rig.trial.waveform import SegmentDrive
 
 
 class RecordedInstrument(Protocol):
-    """An instrument that is recorded beside the manifold: a force sensor or a camera."""
+    """An instrument that is recorded with the manifold: a force sensor or a camera."""
 
     def start(self, sink: Sink) -> None:
         """Begins to call `sink` with (host time [ns], bytes)."""
@@ -49,7 +49,7 @@ class TrialTiming(NamedTuple):
     rate: float = RATE
     """Commands per second."""
     fade: float = 2.0
-    """Time after the trial over which the drive's amplitude decreases to 0 [s]."""
+    """Time after the drive over which the amplitude decreases to 0 [s]."""
 
 
 @dataclass(frozen=True)
@@ -113,9 +113,9 @@ def record_trial(
 ) -> RecordedTrial:
     """Records a trial to `path` and returns how it was played.
 
-    `instruments` has each instrument by the name of its stream. At the end and on every error, the
-    manifold vents before anything else. `watch` is called about 100 times a second with the phase
-    and the time since its beginning [s]. Raises `RigError`.
+    `instruments` contains each instrument by the stream's name. At the end and on every error, the
+    manifold vents before anything else. `watch` is called about 100 times per second with the phase
+    and the time since the phase began [s]. Raises `RigError`.
     """
     trial.check(limits)
     streams = ("manifold", "commands", *instruments)

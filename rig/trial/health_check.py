@@ -1,4 +1,4 @@
-"""Checks a rig before a trial: rate, losses, answer times, noise, each chamber, the forces."""
+"""Checks a rig before a trial: readings, answer times, noise, each chamber, and forces."""
 
 import time
 from collections.abc import Callable
@@ -12,8 +12,8 @@ from rig.manifold.driver import Manifold
 from rig.protocol.messages import CHAMBERS, Reading
 
 ANSWER_TIMEOUT = 0.02
-"""Longest wait for the reading that answers a command [s]. It is short, so that several may be lost
-in a row before the watchdog vents."""
+"""Longest wait for the reading that answers a command [s]. It is short, so that several consecutive
+readings may be lost before the watchdog vents."""
 HOLD_TIME = 1.5
 """Duration of each chamber's test [s]."""
 TIMED_COMMANDS = 50
@@ -35,7 +35,7 @@ class ChamberCheck(NamedTuple):
     reached: float
     """Mean pressure over the last fifth of the test [Pa]."""
     rise: float
-    """Time until 63 % of `reached` [s]."""
+    """Time until the pressure is 63 % of `reached` [s]."""
     others: float
     """Highest pressure of another chamber in the last fifth of the test [Pa]."""
 
@@ -50,7 +50,7 @@ class ManifoldCheck(NamedTuple):
     damaged: int
     """Number of damaged frames."""
     round_trip: np.ndarray
-    """(n,) time from a command to the first reading with its number [s]."""
+    """(n,) time from a command to the first reading with the command's number [s]."""
     noise: np.ndarray
     """(8,) standard deviations at rest, in the channels' units."""
     offset: np.ndarray
@@ -83,7 +83,7 @@ class ReadingCollector:
         self.rows.append((host_ns, reading))
 
     def take(self) -> list[tuple[int, Reading]]:
-        """Returns and remove the readings since the last call."""
+        """Returns and removes the readings since the last call."""
         rows = self.rows[: len(self.rows)]
         del self.rows[: len(rows)]
         return rows
@@ -118,13 +118,13 @@ def check_manifold(
         held.append(_check_chamber(manifold, collector, chamber, pressure))
     manifold.stop()
     findings = [
-        f"{x.name} reads {1e-3 * x.reached:.1f} kPa, set are {1e-3 * x.asked:.1f}: a leak, a "
-        "blocked valve, or a low supply pressure"
+        f"{x.name} reached {1e-3 * x.reached:.1f} kPa instead of {1e-3 * x.asked:.1f}: possibly a "
+        "leak, a blocked valve, or a low supply pressure"
         for x in held
         if x.reached < LEAST_HELD * x.asked
     ] + [
-        f"with only {x.name} pressurised, another chamber reads {1e-3 * x.others:.1f} kPa: swapped "
-        "tubes, or a vent that does not open"
+        f"with only {x.name} pressurised, another chamber reads {1e-3 * x.others:.1f} kPa: "
+        "possibly swapped tubes, or a vent that does not open"
         for x in held
         if x.others > 0.2 * x.asked
     ]
@@ -133,7 +133,7 @@ def check_manifold(
     if len(trips) < TIMED_COMMANDS:
         findings.append(
             f"{TIMED_COMMANDS - len(trips)} of {TIMED_COMMANDS} commands were not answered within "
-            f"{1e3 * ANSWER_TIMEOUT:g} ms: lost on the line, or the computer is too busy"
+            f"{1e3 * ANSWER_TIMEOUT:g} ms: the line lost them, or the computer is too busy"
         )
     if manifold.lost or manifold.damaged:
         findings.append(f"{manifold.lost} readings lost, {manifold.damaged} frames damaged")
@@ -144,7 +144,7 @@ def check_manifold(
 
 
 def check_force(source: ForceSource, mounting: SensorMounting, seconds: float = 1.0) -> ForceCheck:
-    """Returns the check of a force sensor at rest, over `seconds`. Raises `RigError`."""
+    """Returns the check of a force sensor during `seconds` at rest. Raises `RigError`."""
     received: list[tuple[int, bytes]] = []
     source.start(lambda host_ns, piece: received.append((host_ns, piece)))
     try:

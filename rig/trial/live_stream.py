@@ -1,4 +1,4 @@
-"""Combines a rig's streams during a trial: set and measured values at each reading."""
+"""Combines a rig's streams during a trial to set and measured values at each reading."""
 
 from bisect import bisect_right
 from collections import deque
@@ -18,9 +18,9 @@ CHANNELS_OUT = ORDER[1:]
 MAX_FORCE_DELAY = 0.05
 """Longest wait for a force sample [s]."""
 MAX_KEPT = 4096
-"""Largest number of readings, commands or force samples in memory: 4 s of forces at 1 kHz."""
+"""Largest number of readings, commands or force samples in memory, 4 s of forces at 1 kHz."""
 FORCE_MEMORY = 0.2
-"""Time before the latest reading for which force samples are kept [s]."""
+"""Force samples are kept up to this time before the latest reading [s]."""
 Pressures = tuple[float, float, float, float]
 Item = TypeVar("Item")
 Signed = tuple[float, float]
@@ -44,8 +44,8 @@ class LiveStream:
     """Combines the streams of several threads, which only append to deques.
 
     Pass `reading` and `follows` to the manifold as callbacks, and the stream itself to `play_drive`
-    in place of the manifold. Readings are used only while the valves follow set pressures. Only the
-    thread that calls `take` uses the other state.
+    in place of the manifold. Readings are used only while the valves follow set pressures. All
+    state except the deques belongs to the thread that calls `take`.
     """
 
     def __init__(self, analogue: tuple[AnalogueSensor, ...] = (), has_force: bool = False):
@@ -79,11 +79,11 @@ class LiveStream:
         self._received.append(change)
 
     def force(self, host_ns: int, sensor_s: float, thrust: float, recoil: float) -> None:
-        """Adds a force sample [N] of the sensor's time [s] that arrived at `host_ns`."""
+        """Adds a force sample [N], taken at sensor time `sensor_s`, that arrived at `host_ns`."""
         self._forces_received.append((host_ns, sensor_s, thrust, recoil))
 
     def take(self) -> LiveReadings:
-        """Returns the complete readings: up to the latest force sample, if forces are measured."""
+        """Returns the complete readings. A force sensor's latest sample limits them."""
         self._order()
         forces = np.array(self._forces).reshape(-1, 3).T
         if len(forces[0]):
@@ -127,7 +127,7 @@ class LiveStream:
             host_ns, reading = item
             t, resets = 1e-6 * reading.device_us, self._clock.resets
             self._clock.add(t, 1e-9 * host_ns)
-            if self._clock.resets > resets:  # earlier times are of another clock
+            if self._clock.resets > resets:  # earlier times belong to the clock before the restart
                 self._rows.clear()
                 self._followed.forget()
             if reading.state not in (ManifoldState.ARMED, ManifoldState.PLAYING):
@@ -139,13 +139,13 @@ class LiveStream:
 
 
 def _all_of(items: deque[Item]) -> Iterator[Item]:
-    """Yields and remove the present items; another thread may append meanwhile."""
+    """Yields and removes the present items. Another thread may append items meanwhile."""
     for _ in range(len(items)):
         yield items.popleft()
 
 
 class _Followed:
-    """The signed set pressures that the manifold followed, against its time [s]."""
+    """The signed set pressures that the manifold followed, as a function of device time [s]."""
 
     def __init__(self) -> None:
         self.forget()
@@ -166,14 +166,14 @@ class _Followed:
     def at_reading(self, t: float, pressures: Signed) -> None:
         """Adds the set pressures that a reading at `t` reports.
 
-        If they are new, the report of the change was lost; the change is put halfway between this
-        reading and the previous one.
+        If they are new, the message of the change was lost. The change is then assumed halfway
+        between this reading and the previous reading.
         """
         if self._sets[-1] != pressures:
             self.change(t if self._since is None else 0.5 * (self._since + t), pressures)
 
     def mean_until(self, t: float) -> Signed:
-        """Returns the mean since the last call's time, in the first call the value at `t`."""
+        """Returns the mean since the last call's time. The first call returns the value at `t`."""
         last = bisect_right(self._at, t) - 1
         since, self._since = self._since, t
         if since is None or not since < t:

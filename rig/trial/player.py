@@ -1,4 +1,4 @@
-"""Plays a drive: sends set pressures at a constant rate, and in addition at each pressure step."""
+"""Plays a drive: sends set pressures at a constant rate and also at each pressure step."""
 
 import time
 from collections.abc import Callable
@@ -11,7 +11,7 @@ from rig.recording.clock import host_ns
 from rig.trial.waveform import SegmentDrive, chamber_pressures
 
 RATE = 200.0
-"""Commands per second by default; a manifold vents after 0.1 s without a command."""
+"""Default number of commands per second. The manifold vents after 0.1 s without a command."""
 
 
 class Settable(Protocol):
@@ -34,7 +34,7 @@ def command_times(drive: SegmentDrive, duration: float, rate: float = RATE) -> n
     regular = np.arange(int(np.ceil(duration * rate))) / rate
     regular = regular[regular < duration]
     times = np.union1d(regular, drive.edges(duration))
-    # If rounding separates a step from a regular time, the later one is after both.
+    # If rounding separates a step from a regular time, only the later of these times is kept.
     return times[np.append(np.diff(times) > 1e-6, True)]
 
 
@@ -48,9 +48,9 @@ def play_drive(
 ) -> PlaybackRecord:
     """Plays a drive immediately and returns the commands' lateness.
 
-    `watch` is called with each command's time [s]; its errors end the trial. After `duration` the
-    amplitude decreases over `fade` [s] as a squared cosine. After an abrupt end the body would
-    swing for a minute, because quadratic drag hardly damps small motions.
+    `watch` is called with each command's time [s]. An error of `watch` ends the trial. After
+    `duration`, the amplitude decreases as a squared cosine for `fade` [s]. After an abrupt end, the
+    body would swing for a minute, because quadratic drag hardly damps small motions.
     """
     end = duration + fade
     times = command_times(drive, end, rate)

@@ -1,4 +1,4 @@
-"""Runs an experiment's trials on the rig into a folder; an interrupted run can be resumed."""
+"""Runs an experiment's trials on the rig and writes a folder. An interrupted run can be resumed."""
 
 import hashlib
 import json
@@ -31,24 +31,24 @@ from rig.trial.capture import (
 from rig.trial.settling import Stillness, sensor_noise
 
 ASSUMED_RANGES = {"thrust_N": 1.0, "recoil_N": 1.0, "tip_m": 0.08}
-"""Assumed ranges of the sensors before the first trial."""
+"""Assumed ranges of the sensors before the first trial [N, N, m]."""
 LATE_COMMANDS = 3e-3
-"""99th percentile of the commands' lateness above which a finding is recorded [s]."""
+"""A finding is recorded if the commands' lateness has a larger 99th percentile [s]."""
 LATE_READINGS = 4e-3
-"""Median lateness of readings above which a finding is recorded [s]; it is 0.7 ms on a computer
-without other load."""
+"""A finding is recorded if the readings' lateness has a larger median [s]. The median is 0.7 ms on
+a computer without other load."""
 SLOW_FLUSH = 0.15
-"""Time between flushes of the recording above which a finding is recorded [s]."""
+"""A finding is recorded if the time between flushes of the recording is longer [s]."""
 MAY_CHANGE = {"rig.force.host", "rig.force.port", "rig.force.page_port", "experiment_sha256"}
-"""Settings that may change before a run is resumed: an instrument's address, but not its other
-settings, and the experiment's other trials."""
+"""Settings that may change before a run is resumed: the force sensor's address, and the experiment
+file, which may contain more trials."""
 RECORDINGS = "recordings"
 """Folder of the trials' recordings NAME.h5 and records NAME.json, in the experiment's folder."""
 
 
 @dataclass(frozen=True)
 class Rig:
-    """The devices and settings of a run; instruments and readers by the name of their stream."""
+    """Devices and settings of a run. Instruments and readers have the stream's name as key."""
 
     manifold: Manifold
     sinks: ManifoldSinks
@@ -56,13 +56,13 @@ class Rig:
     instruments: dict[str, RecordedInstrument]
     readers: dict[str, StreamReader]
     force: ForceSource | None = None
-    """The force sensor among the instruments, for showing its latest sample."""
+    """The force sensor among the instruments, whose latest sample is displayed."""
     analogue: tuple[AnalogueSensor, ...] = ()
     timing: TrialTiming = TrialTiming()
     pause: float = 2.0
-    """Shortest pause between trials, for the water to come to rest [s]."""
+    """Shortest pause between trials, in which the water comes to rest [s]."""
     longest_pause: float = 60.0
-    """Longest pause, if the analogue sensors still detect motion [s]."""
+    """Longest pause, which applies if the analogue sensors still detect motion [s]."""
 
 
 def run_trials(
@@ -144,7 +144,7 @@ def wait_for_rest(
     """Waits with vented chambers until the robot is at rest. Raises `RigError`.
 
     `before` is the previous trial's record, or None for the first trial. `watch` is called with the
-    sensor that still moves and the time since the beginning [s].
+    name of a sensor that still moves, and the time since the pause began [s].
     """
     # Discards earlier events of the manifold, such as a reset.
     rig.manifold.configure(rig.limits)
@@ -179,13 +179,13 @@ def finished_record(
     if differ := changed_settings(record["settings"] | before, settings | {"trial": _drive(trial)}):
         raise RigError(
             f"{path}: trial {trial.name} exists already, with other values of {', '.join(differ)}; "
-            "give another --out, or the same settings to resume the run"
+            "give another --out, or use the earlier settings to resume the run"
         )
     return record if (folder / f"{trial.name}.csv").exists() else None
 
 
 def _drive(trial: PlannedTrial) -> dict[str, Any]:
-    """Returns a trial's duration and drive for its record; a recorded drive has checksums."""
+    """Returns a trial's duration and drive for the record. A recorded drive has checksums."""
     plain = (str, float, int)
     drive = {key: x for key, x in asdict(trial.drive).items() if isinstance(x, plain)}
     for key in ("times", "recorded"):
@@ -211,7 +211,7 @@ def _flat(tables: dict[str, Any], name: str = "") -> dict[str, Any]:
 
 
 def read_trial_record(recording: Path) -> dict[str, Any] | None:
-    """Returns the record beside a recording, or None if its run did not end. Raises `RigError`."""
+    """Returns the record beside a recording, or None if the run did not end. Raises `RigError`."""
     path = recording.with_suffix(".json")
     try:
         record = json.loads(path.read_text())
@@ -246,16 +246,16 @@ def _trial_record(
     findings = list(columns.record["findings"])
     if late_99 > LATE_COMMANDS:
         findings.append(
-            f"1 % of the commands were {1e3 * late_99:.1f} ms late: the computer is too busy"
+            f"1 % of the commands were over {1e3 * late_99:.1f} ms late: the computer is too busy"
         )
     if columns.record["late_median_s"] > LATE_READINGS:
         findings.append(
             f"the readings' median delay was {1e3 * columns.record['late_median_s']:.0f} ms: the "
-            "computer is too busy, and forces may be off by 1 to 2 ms against the pressures"
+            "computer is too busy, and the force times may be 1 to 2 ms wrong relative to pressures"
         )
     if recorded.load.slowest_flush > SLOW_FLUSH:
         findings.append(
-            f"the disk was slow: a kill would have lost {recorded.load.slowest_flush:.2f} s of data"
+            f"slow disk: a crash would have lost {recorded.load.slowest_flush:.2f} s of data"
         )
     return {
         "trial": trial.name,

@@ -1,4 +1,4 @@
-"""Detects with the analogue sensors whether the robot is at rest, as a trial must begin at rest."""
+"""Detects whether the robot is at rest before a trial, with the analogue sensors."""
 
 import time
 from collections import deque
@@ -11,18 +11,18 @@ from rig.protocol.messages import Reading
 from rig.recording.table import AnalogueSensor, format_value
 
 WINDOW = 2.5
-"""Duration of the readings that are tested [s]; long enough to detect a slow swing."""
+"""Duration of the tested readings [s], which is long enough to detect a slow swing."""
 MAX_NOISE_RANGE = 6.0
 """Range of about 50 readings that noise may cause, in standard deviations of a reading's noise."""
 MAX_REST_RANGE = 0.005
-"""Range at rest, as a fraction of a sensor's range in the previous trial."""
+"""Largest range at rest, as a fraction of the sensor's range in the previous trial."""
 
 
 class Stillness:
-    """A test for rest on the readings of a pause.
+    """Tests the readings of a pause for rest.
 
-    `ranges` and `noise` are each column's range in the previous trial and the standard deviation of
-    a reading's noise, in the column's unit.
+    `ranges` are the columns' ranges in the previous trial. `noise` are the standard deviations of a
+    reading's noise. Both have the column's unit.
     """
 
     def __init__(
@@ -72,8 +72,8 @@ def sensor_noise(
 ) -> dict[str, float]:
     """Returns the standard deviation of each column's noise, independent of a slow swing.
 
-    It uses `count` readings, or the readings of one second if they are fewer. The noise is the part
-    that is independent between consecutive readings.
+    The function waits for `count` readings, at most for one second. Noise is the part that is
+    independent between consecutive readings.
     """
     seen: dict[int, tuple[int, ...]] = {}
     end = time.monotonic() + 1.0
@@ -85,5 +85,5 @@ def sensor_noise(
     if len(seen) < 3:
         return {}
     channels = np.array(list(seen.values()), float)
-    # First differences would contain a swing at 3 Hz of 100 times the noise; second ones do not.
+    # Second differences remove a swing at 3 Hz that is 100 times the noise; first ones would not.
     return {x.column: float(np.diff(x.signal(channels), 2).std() / np.sqrt(6.0)) for x in sensors}

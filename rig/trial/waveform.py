@@ -1,8 +1,8 @@
-"""Defines the set pressures of a trial as functions of time, and of each chamber.
+"""Defines the set pressures of a trial's segments and chambers as functions of time.
 
 Each segment of the robot has a left and a right chamber. As in the simulator and the experiment
-files, a segment's signed pressure is the left chamber's pressure minus the right chamber's. Only
-one of the two is pressurised at a time.
+files, a segment's signed pressure is the left chamber's pressure minus the right chamber's
+pressure. Only one chamber of a segment is pressurised at a time.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ Waveform = Literal["square", "sine", "trapezoid", "recorded"]
 
 @dataclass(frozen=True)
 class SegmentDrive:
-    """Signed set pressures of both segments, equal to the simulator's waveforms.
+    """Signed set pressures of the front and rear segment, equal to the simulator's waveforms.
 
     The front segment has the `amplitude` [Pa] and the `frequency` [Hz]. The rear segment has
     `rear_ratio` times the amplitude and a delay of `phase` periods. `rise` is the duration of a

@@ -81,7 +81,7 @@ def test_a_check_finds_a_leak(tmp_path):
     with served("rig", "simulate", "--inject", leak, "--noise", "0", cwd=tmp_path) as port:
         done = slider("rig", "check", "--port", port)
     assert done.returncode == 1
-    assert "rear_left reads 43.5 kPa, set are 50.0: a leak" in done.stdout
+    assert "rear_left reached 43.5 kPa instead of 50.0: possibly a leak" in done.stdout
     assert done.stdout.count("a leak") == 1
 
 
