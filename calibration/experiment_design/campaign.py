@@ -1,6 +1,6 @@
-"""Campaign: capture trials, close the loop and choose the next trial, until the verdict is final.
+"""Captures trials, closes the loop and chooses the next trial, until the verdict is final.
 
-The function `capture` makes the trials: it may use a rig, a simulated rig or another program.
+The function `capture` makes the trials with a rig, a simulated rig or another program.
 """
 
 import json
@@ -21,7 +21,7 @@ from slider_jax.experiment.schema import Trial
 from slider_jax.io.files import input_file, write_json, write_text
 
 Capture = Callable[[tuple[Trial, ...]], None]
-"""Makes the files of these trials in the experiment's folder."""
+"""Function that writes the files of the given trials to the experiment's folder."""
 BUDGET = 12
 """Default limit on the number of trials."""
 
@@ -31,8 +31,7 @@ class Campaign:
     """All rounds of a campaign."""
 
     rounds: list[dict[str, Any]]
-    """Number of trials, verdict, effects, and sentences on verdict and next trial, as in
-    report.json."""
+    """Each round's number of trials, verdict, effects, and sentences on verdict and next trial."""
     outcome: LoopOutcome
     """Outcome of the last round."""
     report: dict[str, Any]
@@ -63,10 +62,10 @@ def run_campaign(
 ) -> Campaign:
     """Closes the loop on the experiment file `path` repeatedly, with at most `budget` trials.
 
-    Each round captures the trials of the file that are not measured and closes the loop by `close`.
-    Then it chooses a trial within `limits`, adds it to the file and writes `out`/round_NN.json. An
-    interrupted campaign resumes when it is called again. Raise `InputError` if the budget is
-    smaller than the number of trials in the file.
+    Each round captures the file's trials that are not yet measured and closes the loop with
+    `close`. The round then adds a trial within `limits` to the file and writes `out`/round_NN.json.
+    A repeated call resumes an interrupted campaign. Raises `InputError` if the budget is smaller
+    than the number of trials in the file.
     """
     experiment = load(path)
     if budget < len(experiment.trials):

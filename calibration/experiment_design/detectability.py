@@ -1,15 +1,15 @@
-"""Detection limits of effects in an experiment, and the effects it cannot discriminate.
+"""Computes effects' detection limits in an experiment, and effects that it cannot discriminate.
 
 No data are needed. A is the Fisher information of all trials, F the base parameters, and e one
-parameter of an effect. For a size s of the parameter, calibration of F cannot absorb the gain
+parameter of an effect, with the size s. Calibration of F absorbs a part of the effect. The rest is
 
-    gain = s^2 A'_ee,    A' = A_ee - A_eF A_FF^-1 A_Fe
+    gain = s^2 (A_ee - A_eF A_FF^-1 A_Fe)
 
 The loop names the effect if two conditions hold. The gain reaches the threshold of the selection,
 and some channel changes by more than the model-discretisation discrepancy. The detection limit
-exceeds both sizes, so that noise lets nine of ten such effects pass (Currie, L. A. (1968), Limits
-for qualitative detection and quantitative determination, Anal. Chem. 40, 586-593). Two effects with
-parallel A' form a class.
+exceeds both sizes, so that nine of ten such effects are detected in spite of noise (Currie, L. A.
+(1968), Limits for qualitative detection and quantitative determination, Anal. Chem. 40, 586-593).
+Two effects form a class if their tangents, without the parts that F absorbs, are parallel.
 """
 
 from collections.abc import Callable, Sequence
@@ -40,39 +40,39 @@ from slider_jax.experiment.load import Experiment
 from slider_jax.simulation.effect_signature import typical_size
 
 DETECTION_MARGIN = 1.2816
-"""Standard errors above the decision limit at which nine of ten effects are detected."""
+"""Distance between decision limit and detection limit in standard errors, for a power of 90 %."""
 ABSORBED_SHARE = 1e-9
-"""Calibration absorbs a parameter if at most this share of its information remains."""
+"""Calibration absorbs a parameter if at most this fraction of its information remains."""
 
 
 class DetectionLimit(NamedTuple):
-    """The size above which the loop would name an effect's parameter."""
+    """The size above which the loop would name an effect, for one parameter of the effect."""
 
     parameter: Parameter
     significant: float
     """Distance from the null at which the gain is significant, in SI units. Infinite if calibration
     absorbs the effect, NaN if the effect cannot be simulated."""
     nameable: float
-    """Distance from the null at which the change of a channel equals its discrepancy, in SI."""
+    """Distance from the null at which a channel's change equals its discrepancy, in SI units."""
     error: float
-    """Standard error of the parameter by noise, in SI units."""
+    """Standard error of the parameter due to noise, in SI units."""
     finite: bool
     """Whether a secant replaces the tangent at the null."""
 
     @property
     def size(self) -> float:
-        """Detection limit, in SI units: nine of ten effects of this size are named."""
+        """Returns the detection limit, in SI units: nine of ten effects of this size are named."""
         return float(np.maximum(self.significant, self.nameable) + DETECTION_MARGIN * self.error)
 
     @property
     def relative(self) -> float:
-        """Limit as a share of the distance from the null to the far end of the prior range."""
+        """Returns the limit divided by the distance from the null to the prior range's far end."""
         prior = self.parameter.prior
         return self.size / max(abs(prior.low - prior.null), abs(prior.high - prior.null))
 
     @property
     def share(self) -> float:
-        """Share of the prior range beyond the limit, 0 to 1."""
+        """Returns the fraction of the prior range that is beyond the limit, 0 to 1."""
         prior = self.parameter.prior
         beyond = [max(abs(end - prior.null) - self.size, 0.0) for end in (prior.low, prior.high)]
         return sum(beyond) / (prior.high - prior.low) if np.isfinite(self.size) else 0.0
@@ -87,19 +87,19 @@ class DetectabilityMatrix:
     limits: list[DetectionLimit]
     names: list[str]
     cosines: np.ndarray
-    """(n, n) |cos| of two effects; NaN for an effect that no channel observes."""
+    """|cos| of two effects (n, n); NaN for an effect that no channel observes."""
     opposed: np.ndarray
-    """(n, n) whether the signs of the parameters discriminate between two effects."""
+    """Whether the signs of the parameters discriminate between two effects (n, n)."""
     classes: list[list[str]]
 
     @property
     def limit(self) -> dict[str, list[DetectionLimit]]:
-        """Limits by effect."""
+        """Returns the limits of each effect."""
         return {n: [x for x in self.limits if x.parameter.effect == n] for n in self.names}
 
 
 def required_gain(freedom: int, many: int) -> float:
-    """Returns the gain required of one of `many` candidates with `freedom` parameters."""
+    """Returns the gain that one of `many` candidates needs if it has `freedom` parameters."""
     return max(
         DEFAULT_SETTINGS.min_gain, float(chi2.isf(DEFAULT_SETTINGS.false_alarm_p / many, freedom))
     )
@@ -114,8 +114,8 @@ def detectability_matrix(
 ) -> DetectabilityMatrix:
     """Returns the detectability of `effects` by the trials of `experiment`.
 
-    `effects` are names (default: all candidates). The trials need not be measured. Raise
-    `InputError` if no noise is declared, `SolverError` if a trial cannot be simulated.
+    `effects` are names (default: all candidates). The trials need not be measured. Raises
+    `InputError` if no noise is declared, and `SolverError` if a trial cannot be simulated.
     """
     names = list(dict.fromkeys(candidate_effects() if effects is None else effects))
     f = predict_information(experiment, names, progress, coarse, memo)
@@ -157,7 +157,7 @@ def _limit(
 
 
 def _pairs(A, names, indices, free, entries) -> tuple[np.ndarray, np.ndarray]:
-    """Returns |cos| of all pairs, and whether signs discriminate between the two."""
+    """Returns |cos| of all pairs, and whether the parameters' signs discriminate each pair."""
     n = len(names)
     cosines, opposed = np.full((n, n), np.nan), np.zeros((n, n), bool)
 
@@ -206,7 +206,7 @@ def effects_at_limits(
 ) -> tuple[TrialInformation, np.ndarray, dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Returns the first arguments of `separating_trial` for effects at their detection limits.
 
-    A parameter whose limit is outside the prior range is at the end of that range.
+    If a limit is outside the prior range, the end of that range replaces the limit.
     """
     indices, entries = scoring_entries(m.information.entries), m.information.entries
     free = np.flatnonzero([not p.effect for p in entries])

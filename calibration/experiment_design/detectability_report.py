@@ -1,4 +1,4 @@
-"""The detectability matrix as text, as matrix.json and as a picture."""
+"""Writes the detectability matrix as text, as matrix.json and as a figure."""
 
 from itertools import permutations
 from pathlib import Path
@@ -21,22 +21,22 @@ from slider_jax.io.figures import new_figure, save_figure
 from slider_jax.io.files import versions
 
 NOTES = {
-    "limit": "distance from the null at which nine of ten such experiments detect the effect: its "
-    "gain is significant after C_d, m_a, k and K_Q are refitted, and its change of some channel "
-    "exceeds the model-discretisation discrepancy. Half of the experiments detect it at the larger "
-    "of significant_from and worth_naming_from. At least two trials must observe the effect",
-    "share_of_range": "share of the prior range beyond the limit",
-    "limit_over_range": "limit over the distance from the null to the far end of the prior range",
+    "limit": "distance from the null at which nine of ten experiments detect the effect. Detection "
+    "requires a significant gain after C_d, m_a, k and K_Q are refitted, and a change of a channel "
+    "that exceeds the model-discretisation discrepancy. Half of the experiments detect the effect "
+    "at the larger of significant_from and worth_naming_from. Two trials or more must observe it",
+    "share_of_range": "fraction of the prior range that is beyond the limit",
+    "limit_over_range": "limit divided by the distance from the null to the prior range's far end",
     "alike": "|cos| between two effects' tangents after projecting out C_d, m_a, k and K_Q",
-    "finite_start": f"computed with a step of {FINITE_START:g} of the prior range, because the "
-    "effect is nonlinear at the null",
-    "told_by_sign": "pairs of parallel effects whose parameters cannot change sign and act in "
-    "opposite directions",
+    "finite_start": f"computed with a step of {FINITE_START:g} of the prior range or a declared "
+    "start value, because the effect is nonlinear at the null",
+    "told_by_sign": "pairs of parallel effects whose parameters cannot change sign and change the "
+    "readings in opposite directions",
 }
 
 
 def detectability_record(m: DetectabilityMatrix, source: dict[str, Any]) -> dict[str, Any]:
-    """Returns the content of matrix.json; `source` names the input."""
+    """Returns the content of matrix.json; `source` describes the input file."""
     experiment, sensing = m.information.experiment, m.information.sensing
     return {
         "name": experiment.name,

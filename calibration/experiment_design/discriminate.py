@@ -1,15 +1,16 @@
-"""The trial that discriminates between a chosen effect and its alternatives.
+"""Searches for the trial that discriminates between a chosen effect and its alternatives.
 
-After the selection, the model was fitted with the chosen effect and with each alternative. It is
-not known which of the two is true. If the first is true, let d be the difference of the two models'
-readings and J the tangents of the second model, which is refitted:
+After the selection, the model was fitted with the chosen effect and with each alternative. Suppose
+that the first of two models is true. Let d be the difference between the readings of both models, J
+the tangents of the second model, x a change of the second model's parameters, and W the whitening:
 
     lambda = min over x of |W (d + J x)|^2
 
-The norm is over the existing trials and one more. Lambda is the expected loss of the second model:
-the noncentrality of the chi-square test against it. If the second model is true, the two exchange
-roles. The larger lambda counts: a model with more parameters may imitate the other one, but not the
-reverse. `alternatives` excludes a model by this loss and by the difference of the channels.
+The sum of squares includes the existing trials and one more trial. Lambda is the expected loss of
+the second model: the noncentrality of the chi-square test that rejects this model. If the second
+model is true, the models exchange roles. The larger lambda counts, because only a model with more
+parameters may imitate the other model. `alternatives` excludes a model according to this loss and
+the difference of the channels.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -36,25 +37,25 @@ from slider_jax.channels import CHANNELS
 from slider_jax.experiment.schema import Trial
 
 MAX_REPEATS = 12
-"""Largest number of repetitions of a trial to predict."""
+"""Largest number of repetitions of a trial that are predicted."""
 
 
 class ModelDistance(NamedTuple):
     """Distance between the readings of two models, one of them refitted."""
 
     sigmas: float
-    """Root of lambda: the distance in standard deviations."""
+    """Square root of lambda: the distance in standard deviations."""
     shares: dict[str, float]
-    """rms difference of every channel, as a share of its rms."""
+    """rms difference of every channel, as a fraction of the channel's rms."""
 
     @property
     def threshold_ratio(self) -> float:
-        """Ratio of the distance to the naming threshold, in squares; above 1 it discriminates."""
+        """Returns the squared distance divided by the naming threshold; above 1 discriminates."""
         return min(self.sigmas**2 / DEFAULT_SETTINGS.min_gain, self.channel[1] ** 2)
 
     @property
     def channel(self) -> tuple[str, float]:
-        """Channel with the largest difference over its discrepancy, and that ratio."""
+        """Returns the channel with the largest ratio difference/discrepancy, and this ratio."""
         found = {c: x / CHANNELS[c].discrepancy for c, x in self.shares.items()}
         return max(found.items(), key=lambda item: item[1])
 
@@ -84,10 +85,10 @@ def discriminating_trial(
 ) -> dict[str, Any]:
     """Returns the record of the trial that discriminates best between an effect and an alternative.
 
-    For each alternative to the effect `name`, `predictions` holds two models: with the alternative
-    and with the effect. Each has the parameters of the second model in its field `other`. Both were
-    fitted to `trials` with a residual of mean square `unit`. In the record, "times" is the number
-    of repetitions until an alternative is excluded, or None if `MAX_REPEATS` are too few.
+    For each alternative to the effect `name`, `predictions` contains two models: one with the
+    alternative and one with the effect. The field `other` of each contains the other's parameters.
+    Both were fitted to `trials`, with a residual of mean square `unit`. In the record, "times" is
+    the number of repetitions that excludes an alternative, or None if `MAX_REPEATS` are too few.
     """
     models = [f for pair in predictions.values() for f in pair]
     before = [f.trials(trials, progress) for f in models]
@@ -122,11 +123,11 @@ def discriminating_trial(
     )
     if times is None:
         text += (
-            " No trial within the limits excludes one of them, even if it is run up to "
+            " No trial within the limits excludes one of the effects, even if the trial is run "
             f"{MAX_REPEATS} times."
         )
     elif times > 1:
-        text += f" {times} such trials would exclude one of them."
+        text += f" {times} such trials would exclude one of the effects."
     rows = [
         {"first": name, "second": other}
         | {"sigmas_before": a.sigmas, "sigmas_after": b.sigmas}
@@ -139,8 +140,8 @@ def discriminating_trial(
 def _difference(now: ModelDistance, then: ModelDistance) -> str:
     channel, _ = then.channel
     return (
-        f"their distance grows from {now.sigmas:.1f} to {then.sigmas:.1f} standard deviations, and "
-        f"their difference in {channel} from {100.0 * now.shares[channel]:.2g} to "
+        f"the distance grows from {now.sigmas:.1f} to {then.sigmas:.1f} standard deviations, and "
+        f"the difference in {channel} from {100.0 * now.shares[channel]:.2g} to "
         f"{100.0 * then.shares[channel]:.2g} % (model-discretisation discrepancy "
         f"{100.0 * CHANNELS[channel].discrepancy:.2g} %)"
     )

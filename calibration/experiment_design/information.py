@@ -1,11 +1,11 @@
-"""Fisher information of trials about a model's parameters, predicted before the trials are run.
+"""Predicts the Fisher information of trials about a model's parameters, before the trials are run.
 
-For every trial and channel, J (k, n) are the tangents of the readings y along k parameters, and W
-whitens the declared noise:
+For every trial and channel, J (k, n) contains the tangents of the n readings y along k parameters,
+and W whitens the declared noise:
 
     A = (W J) (W J)^T,    raw = J J^T,    square = y.y
 
-A is the normal matrix of least squares. `raw` and `square` compare a change with the signal y.
+A is the normal matrix of least squares. `raw` and `square` compare a change of y with y.
 """
 
 from collections.abc import Callable, Sequence
@@ -35,12 +35,12 @@ from slider_jax.experiment.schema import Trial
 from slider_jax.simulation.effect_signature import typical_size
 
 FINITE_START = 0.1
-"""Step of a secant, as a share of the prior range. A secant replaces the tangent of an effect that
-is nonlinear at its null."""
+"""Step of a secant, as a fraction of the prior range. A secant replaces the tangent of an effect
+that is nonlinear at its null."""
 MIN_COSINE = 0.9
-"""An effect is nonlinear if the cosine between its tangent and secant is smaller."""
+"""An effect is nonlinear if the cosine between its tangent and its secant is below this."""
 MAX_LENGTH_RATIO = 1.5
-"""An effect is also nonlinear if the lengths of tangent and secant differ by a larger factor."""
+"""An effect is also nonlinear if tangent and secant differ in length by more than this factor."""
 
 
 @dataclass(frozen=True)
@@ -50,16 +50,16 @@ class SensorModel:
     noise: dict[str, Noise]
     """Noise of each channel."""
     every: dict[str, int]
-    """Sampling interval of each channel, in samples."""
+    """Each channel has a reading in every so many samples of a trial."""
     measured: dict[str, Record]
-    """Measured trials by file; they keep their own samples."""
+    """Measured trial of each file. A measured trial keeps its own samples."""
 
     @classmethod
     def of(cls, experiment: Experiment, found: Sequence[Record] | None = None) -> "SensorModel":
-        """Returns the sensors of the measured trials `found`, or else those that are declared.
+        """Returns the sensors of the measured trials `found`, or else the declared sensors.
 
         By default, the trials' files are read. A channel that is neither measured nor declared has
-        no sensor. Raise `InputError` if no channel has one.
+        no sensor. Raises `InputError` if no channel has a sensor.
         """
         if found is None:
             there = any((experiment.folder / t.file).exists() for t in experiment.trials)
@@ -113,7 +113,7 @@ class TrialInformation:
     """Effects of the extended model; programs are compiled for all of them."""
     theta: np.ndarray
     chosen: np.ndarray
-    """(k,) indices of the parameters in theta along which the tangents are computed."""
+    """Indices (k,) of the parameters in theta along which the tangents are computed."""
     sensing: SensorModel
     secants: dict[int, float]
     """Step of each parameter whose secant replaces its tangent."""
@@ -121,12 +121,12 @@ class TrialInformation:
     memo: Memo | None = None
     """Cache of simulated readings."""
     other: np.ndarray | None = None
-    """Parameters of another model. The difference of its readings to this model's readings is then
-    the last direction."""
+    """Parameters of another model. If given, the last direction is the difference between the
+    readings of that model and of this model."""
 
     @property
     def entries(self) -> list[Parameter]:
-        """The k chosen parameters."""
+        """Returns the k chosen parameters."""
         every = model_parameters(self.effects)
         return [every[i] for i in self.chosen]
 
@@ -137,14 +137,14 @@ class TrialInformation:
         return plan_trial(self.experiment, trial, self.effects, self.coarse, at)
 
     def trial(self, trial: Trial, number: int = 0) -> list[ChannelInformation]:
-        """Returns the information of a trial. Raise `SolverError` if it cannot be simulated."""
+        """Returns the information of a trial; raises `SolverError` if the simulation fails."""
         p = self.plan(trial)
         y, J = self._readings(trial, p)
         other = self._other(trial, p)
         if not np.isfinite(y).all() or not (other is None or np.isfinite(other).all()):
             raise SolverError(
-                f"{trial.file}: cannot be simulated with these parameters; check K_Q, stiffness "
-                "and amplitude: the bending moment may be too large for the body"
+                f"{trial.file}: the trial cannot be simulated with these parameters; check K_Q, "
+                "stiffness and amplitude: the bending moment may be too large for the body"
             )
         if other is not None:
             J = np.stack([*J, other - y])
@@ -162,10 +162,7 @@ class TrialInformation:
         return found
 
     def _readings(self, trial: Trial, p: TrialPlan) -> list[np.ndarray]:
-        """Returns the readings (5, n) of a trial and their tangents (k, 5, n).
-
-        Without finite readings there are no tangents.
-        """
+        """Returns readings (5, n) and tangents (k, 5, n); k = 0 if a reading is not finite."""
 
         def make() -> list[np.ndarray]:
             y = predict_readings(p, self.theta)
@@ -220,7 +217,7 @@ def predict_information(
 ) -> TrialInformation:
     """Returns the predictor for base parameters and `effects`, at the experiment's parameters.
 
-    Raise `InputError` if the experiment fixes no values of C_d and m_a or declares no noise.
+    Raises `InputError` if the experiment has no fixed C_d and m_a, or declares no noise.
     """
     if experiment.parameters.force_coefficients == "ramp":
         raise InputError(
@@ -246,8 +243,8 @@ def _secant(p: TrialPlan, theta: np.ndarray, y: np.ndarray, entry: int, step: fl
 def secant_steps(f: TrialInformation) -> dict[int, float]:
     """Returns the steps of the parameters that need a secant.
 
-    These are parameters with a `Prior.start`, and those of effects that are nonlinear at the null
-    on the experiment's shortest trial. If the secant cannot be simulated, the tangent stays.
+    These parameters have a `Prior.start`, or belong to an effect that is nonlinear at the null in
+    the experiment's shortest trial. If a secant cannot be simulated, the tangent is used.
     """
     p = min((f.plan(t) for t in f.experiment.trials), key=lambda p: p.grid.steps)
     y = predict_readings(p, f.theta)
@@ -286,7 +283,7 @@ def information(channels: Sequence[ChannelInformation]) -> np.ndarray:
 
 
 def channel_shares(channels: Sequence[ChannelInformation], step: np.ndarray) -> dict[str, float]:
-    """Returns each channel's rms change by a step (k,) as a share of its rms, over all trials."""
+    """Returns each channel's rms change by a step (k,), as a fraction of the channel's rms."""
     moved, found = np.flatnonzero(step), {}
     for channel in dict.fromkeys(x.channel for x in channels):
         parts = [x for x in channels if x.channel == channel]

@@ -1,8 +1,8 @@
-"""The next trial to measure after a verdict of the loop.
+"""Proposes the next trial to measure after a verdict of the loop.
 
-A class needs the trial that makes it smaller. If a residual is unexplained, or exceeds the noise
-floor beside a class, or trials disagree, the worst trial is repeated. After all other verdicts, the
-trial narrows the widest interval.
+For a class, the trial discriminates between the effects of the class. The worst trial is repeated
+if the verdict is "unexplained" or "inconclusive", or if a class has a residual above the noise
+floor. After all other verdicts, the trial narrows the widest interval.
 """
 
 from collections.abc import Callable
@@ -36,7 +36,7 @@ from calibration.measurements.records import Record
 from slider_jax.errors import InputError, SolverError
 
 LOOP_EFFORT = SearchEffort(spread=12, rounds=1)
-"""Effort of the trial search at the end of the loop, so that the loop takes minutes."""
+"""Effort of the trial search at the end of the loop. A larger effort would take too long."""
 Progress = Callable[[str], None]
 
 
@@ -67,16 +67,16 @@ def _none(text: str) -> dict[str, Any]:
 
 
 def _again(outcome: LoopOutcome) -> dict[str, Any]:
-    """Returns a repetition of the trial with the largest residual over its noise."""
+    """Returns a repetition of the trial with the largest ratio of residual to noise."""
     records = _fitted(outcome)
     channel, x = max(outcome.excess.items(), key=lambda item: np.nanmax(item[1].trials))
     worst = int(np.nanargmax(x.trials))
     trial = records[worst].trial
     again = trial.model_copy(update={"file": unused_file_name(outcome.experiment)})
     text = (
-        f"Repeat {trial.file} ({trial_text(trial)}): the mean square of its residual in {channel} "
-        f"is {x.trials[worst]:.1f} times that of the noise. If the repetition has the same "
-        "residual, its cause is in the tank; if not, it was in the set-up of that trial."
+        f"Repeat {trial.file} ({trial_text(trial)}): the residual's mean square in {channel} is "
+        f"{x.trials[worst]:.1f} times the noise's. If the repetition has the same residual, the "
+        "cause is in the tank. If not, the set-up of the first trial was the cause."
     )
     return next_trial_record("repeat", text, again)
 
@@ -99,7 +99,7 @@ def _prediction(
 def _discriminating(
     outcome: LoopOutcome, limits: TrialLimits, effort: SearchEffort, progress: Progress
 ) -> dict[str, Any]:
-    """Returns the trial for the first class that a trial makes smaller, or else for the last."""
+    """Returns the trial for the first class that a trial makes smaller, or for the last class."""
     found = _none("No trial is proposed: no alternative can be fitted instead of a chosen effect.")
     last, trials = outcome.search.final, [r.trial for r in _fitted(outcome)]
     for round_ in outcome.search.rounds:
@@ -133,7 +133,7 @@ def _narrowing(
     if errors[widest] <= floor[widest]:
         return _none(
             "No trial is proposed: the model-discretisation discrepancy is the larger part of "
-            "every interval, so more data would not narrow any."
+            "every interval, so more data would not narrow an interval."
         )
     f = _prediction(outcome, final.theta, final.free)
     p, before = own[widest], summed(final.blocks)[0]
@@ -147,7 +147,7 @@ def _narrowing(
     unit = "" if p.prior.unit == "-" else f" {p.prior.unit}"
     text = (
         f"{trial_text(best.trial)} narrows the widest interval, that of {p.label}, most: "
-        f"its standard error by noise falls from {errors[widest]:.2g} to {after:.2g}{unit}."
+        f"the standard error due to noise falls from {errors[widest]:.2g} to {after:.2g}{unit}."
     )
     return next_trial_record("narrow", text, best.trial, limits) | {
         "parameter": p.label,

@@ -1,12 +1,12 @@
-"""Distance between the readings of two effects, and the trial that maximises it.
+"""Computes the distance between the readings of two effects, and the trial that maximises it.
 
-Let a be an effect of size s. A second effect b and the base parameters F are fitted to its readings
-and leave
+Let a be an effect of size s, A the Fisher information, and R the base parameters together with a
+second effect b. After a fit of R to the readings of a, the residual's sum of squares is
 
-    lambda = s^2 (A_aa - A_aR A_RR^-1 A_Ra),    R = F and b
+    lambda = s^2 (A_aa - A_aR A_RR^-1 A_Ra)
 
-This is the noncentrality of the chi-square test of b against a. Its root is the distance in
-standard deviations. A pair has the smaller distance of both directions.
+Lambda is the noncentrality of the chi-square test of b against a. The square root of lambda is the
+distance in standard deviations. The smaller one of both directions is the distance of a pair.
 """
 
 from collections.abc import Callable, Mapping
@@ -49,7 +49,7 @@ def effect_pairs(
     sizes: Mapping[str, np.ndarray],
     free: np.ndarray,
 ) -> list[EffectPair]:
-    """Returns all pairs of the effects in `indices` at their `sizes`, with the information A."""
+    """Returns all pairs of the effects in `indices` at their `sizes`, given the information A."""
     found = []
     for first, second in combinations(indices, 2):
         one, other = indices[first], indices[second]
@@ -84,7 +84,7 @@ def separating_trial(
     free = np.setdiff1d(np.arange(len(f.chosen)), effects)
 
     def goal(channels: list[list[ChannelInformation]]) -> float:
-        """Returns the smallest squared distance plus 0.1 % of the mean."""
+        """Returns the smallest squared distance plus 0.1 % of the mean squared distance."""
         A = before + information(channels[0])
         squares = [pair.sigmas**2 for pair in effect_pairs(A, indices, sizes, free)]
         return min(squares) + 1e-3 * float(np.mean(squares))

@@ -1,7 +1,7 @@
-"""The trial that would narrow a parameter's interval most, predicted before it is run.
+"""Proposes the trial that is predicted to narrow a parameter's interval most.
 
-A trial adds its information J J^T to that of the measured data. J are the whitened tangents at the
-fitted parameters. The sum gives the interval before the trial is measured.
+A trial adds its Fisher information J J^T to the information of the measured data. J contains the
+whitened tangents of the readings at the fitted parameters. The sum predicts the interval.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -27,7 +27,7 @@ from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.schema import Trial
 
 GRID_FREQUENCIES, GRID_STRIDES, MIN_SECONDS = 4, 3.0, 2.0
-"""Number of frequencies in the default grid, and a trial's strides and shortest duration [s]."""
+"""Number of frequencies in the grid, number of strides of a trial, and its least duration [s]."""
 
 
 class Proposal(NamedTuple):
@@ -68,9 +68,9 @@ class MeasuredInformation(NamedTuple):
 def feasible_trials(experiment: Experiment, frequency: float | None = None) -> list[Trial]:
     """Returns square-wave trials within the ranges of the experiment's own trials.
 
-    They combine four frequencies, or the given `frequency` [Hz], with the smallest and largest
-    amplitude, phase and tow speed. If the experiment has a single frequency, the range is half to
-    double of it.
+    The trials combine four frequencies, or the given `frequency` [Hz], with the smallest and the
+    largest amplitude, phase and tow speed of the experiment. If the experiment has a single
+    frequency, the four frequencies range from half to twice that frequency.
     """
     driven = [x for x in experiment.trials if x.frequency is not None]
     if not driven:
@@ -113,10 +113,10 @@ def best_trial(
     measured: MeasuredInformation,
     resolution: Resolution = COARSE,
 ) -> dict[int, Proposal]:
-    """Returns, for every entry of `wanted` (indices), the candidate that narrows its interval most.
+    """Returns for each entry in `wanted` (indices) the candidate that narrows its interval most.
 
     The interval follows from the measured data and the candidate together, with all free entries
-    identified. Candidates that cannot be simulated are skipped.
+    fitted. Candidates that cannot be simulated are skipped.
     """
     effects = tuple(dict.fromkeys(p.effect for p in entries if p.effect))
     model = TrialInformation(
@@ -189,4 +189,4 @@ def proposal_sentence(p: Parameter, x: Proposal) -> str:
     to = f"{p.label} to ±{x.half_width:.2g} {p.prior.unit}".rstrip(" -")
     if x.determined:
         return f"a trial of {how}, would determine {to}"
-    return f"no trial within this experiment's limits determines it; the best ({how}) gives {to}"
+    return f"no trial in this experiment's limits is sufficient; the best one ({how}) narrows {to}"

@@ -1,7 +1,7 @@
-"""Search for the trial that maximises an objective of its predicted information.
+"""Searches for the trial that maximises an objective, a function of its predicted information.
 
-Evenly spread trials come first. A pattern search then starts from the best of them. The variables
-are frequency, amplitude, phase of the rear chamber and tow speed.
+The search evaluates evenly spread trials first. A pattern search then starts from the best trial.
+The variables are frequency, amplitude, phase of the rear chamber and tow speed.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -23,10 +23,10 @@ from slider_jax.experiment.schema import Trial
 from slider_jax.io.toml import quantity_of, toml_text, validate
 
 TRIAL_STRIDES, MAX_SECONDS, MIN_STRIDES = 6.0, 2.0, 2.0
-"""A trial lasts `TRIAL_STRIDES`, but at most `MAX_SECONDS`, and at least `MIN_STRIDES`."""
+"""A trial lasts `TRIAL_STRIDES` or `MAX_SECONDS` [s], if shorter, but at least `MIN_STRIDES`."""
 WIDENING = 0.1
-"""Share by which each end of the experiment's own range is widened: a share of the end itself for
-logarithmic quantities, else of the range."""
+"""Fraction by which each end of the experiment's own range is widened. It refers to the end's value
+for logarithmic quantities, and to the range's width for all other quantities."""
 LOGARITHMIC = ("frequency", "amplitude")
 QUANTITIES = ("frequency", "amplitude", "phase", "tow_speed")
 
@@ -41,7 +41,7 @@ class TrialLimits(NamedTuple):
 
 
 class SearchEffort(NamedTuple):
-    """Number of evenly spread trials, and of rounds of the pattern search."""
+    """Number of evenly spread trials, and number of rounds of the pattern search."""
 
     spread: int = 24
     rounds: int = 3
@@ -52,7 +52,7 @@ class PredictedTrial(NamedTuple):
 
     trial: Trial
     channels: list[list[ChannelInformation]]
-    """Information by every model."""
+    """Information that each model predicts."""
     value: float
     """Objective, to be maximised; -inf if the trial cannot be simulated."""
 
@@ -60,9 +60,9 @@ class PredictedTrial(NamedTuple):
 def limits_of(
     experiment: Experiment, given: Mapping[str, tuple[float, float] | None] | None = None
 ) -> TrialLimits:
-    """Returns the ranges `given`, and for the others those of the experiment's own trials, widened.
+    """Returns the ranges `given`. The default range is that of the experiment's trials, widened.
 
-    Raise `InputError` for a reversed range, a value outside the allowed one, or a missing range.
+    Raises `InputError` for a reversed range, a value that is not allowed, or a missing range.
     """
     ranges = []
     for name in QUANTITIES:
@@ -83,7 +83,7 @@ def _own_range(experiment: Experiment, name: str, option: str) -> tuple[float, f
     values = [getattr(t, name) for t in experiment.trials if t.waveform != "recorded"]
     if not values:
         raise InputError(
-            f"{option}: given nothing; the experiment has recorded drives only, so its trials have "
+            f"{option}: no range is given, and the experiment has recorded drives only, which have "
             "no range of this quantity; give LOW HIGH"
         )
     low, high = min(values), max(values)
@@ -95,12 +95,12 @@ def _own_range(experiment: Experiment, name: str, option: str) -> tuple[float, f
     def rounded(x: float) -> float:
         return float(np.clip(float(f"{x:.3g}"), allowed.low, allowed.high))
 
-    # A tank that never towed, or only in one direction, may be unable to do more.
+    # An end at zero is not widened: the tank may be unable to tow, or to tow in both directions.
     return rounded(low - lower if low else 0.0), rounded(high + upper if high else 0.0)
 
 
 def trial_at(experiment: Experiment, limits: TrialLimits, point: np.ndarray) -> Trial:
-    """Returns the trial at a `point` (4,) of the unit cube of the limits, in round numbers."""
+    """Returns the trial at `point` (4,), scaled from 0 to 1 within the limits, in round numbers."""
     own = [t for t in experiment.trials if t.waveform != "recorded"]
     x = {}
     for name, (low, high), u in zip(QUANTITIES, limits, point, strict=True):
@@ -125,7 +125,7 @@ def unused_file_name(experiment: Experiment) -> str:
 
 @dataclass(frozen=True)
 class TrialSearch:
-    """Maximises the objective `goal` of a trial's information by every model in `predictions`."""
+    """Maximises the objective `goal` of the information that `predictions` give for a trial."""
 
     predictions: Sequence[TrialInformation]
     goal: Callable[[list[list[ChannelInformation]]], float]
@@ -146,7 +146,7 @@ class TrialSearch:
         effort: SearchEffort = SearchEffort(),
         progress: Callable[[str], None] = lambda text: None,
     ) -> PredictedTrial:
-        """Returns the best trial. Raise `SolverError` if none can be simulated."""
+        """Returns the best trial. Raises `SolverError` if no trial can be simulated."""
         wide = np.array([high > low for low, high in self.limits])
         spread = qmc.Halton(4, scramble=False).fast_forward(1).random(effort.spread)
         points = [np.where(wide, u, 0.0) for u in spread]
@@ -166,7 +166,7 @@ class TrialSearch:
                 step *= 0.5
         if not np.isfinite(best.value):
             raise SolverError(
-                "no trial within the limits can be simulated; give smaller limits, first of the "
+                "no trial within the limits can be simulated; reduce the limits, starting with the "
                 "amplitude"
             )
         return best
@@ -196,7 +196,7 @@ def trial_text(trial: Trial) -> str:
 
 
 def trial_table(trial: Trial) -> dict[str, Any]:
-    """Returns a trial's keys that are not at their defaults, and the searched quantities."""
+    """Returns a trial's keys with values other than the defaults, and the searched quantities."""
     content = trial.model_dump(exclude_defaults=True)
     return content | {name: getattr(trial, name) for name in QUANTITIES}
 

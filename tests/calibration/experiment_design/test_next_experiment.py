@@ -250,7 +250,7 @@ def test_no_trial_is_proposed_for_recorded_drives(tank):
     found = next_experiment(
         outcome((recorded, problem, theta), "nothing_missing", fitted(tank, theta, FREE))
     )
-    assert found["trial"] is None and "recorded drives only" in found["said"]
+    assert found["trial"] is None and "has recorded drives only" in found["said"]
 
 
 def test_fit_and_prediction_have_the_same_information(tank):
