@@ -1,4 +1,4 @@
-"""The robot of the speed benchmark; the benchmark also measures the error at these settings."""
+"""Defines the robot, mesh and time step of the speed benchmark."""
 
 import os
 
@@ -29,13 +29,13 @@ FREQUENCY = 4.8
 STRIDES = 6
 SECONDS = STRIDES / FREQUENCY
 NODES, STEPS = 31, 60
-"""The timed settings: number of nodes and of time steps per stride."""
+"""Number of nodes, and number of time steps per stride, of the timed runs."""
 SHEET = {"EI_tail": 2.9e9 * 0.03 * 0.93e-3**3 / 12, "EA_tail": 2.9e9 * 0.03 * 0.93e-3}
-"""A tail of a sheet of 0.93 mm by 30 mm with E = 2.9 GPa."""
+"""Bending and axial stiffness of a tail made of a sheet, 0.93 mm by 30 mm, with E = 2.9 GPa."""
 
 
 def model(amplitude=250e3, **robot) -> Model:
-    """Returns a robot clamped in still water, driven by a square wave of 4.8 Hz, as arrays."""
+    """Returns a robot that is clamped in still water and driven by a square wave of 4.8 Hz."""
     drive = Drive(SquareWave(FREQUENCY, amplitude), SquareWave(FREQUENCY, 0.9 * amplitude, 0.15))
     body = Robot(**({"body_length": 0.3, "tail_length": 0.07} | robot))
     whole = Model(
@@ -45,7 +45,7 @@ def model(amplitude=250e3, **robot) -> Model:
 
 
 def numerics(nodes: int) -> Numerics:
-    """Returns a mesh of `nodes`, divided between tail and body by length."""
+    """Returns a mesh of `nodes`, divided between tail and body in proportion to their lengths."""
     return Numerics(*split_cells(nodes, 0.07, 0.3))
 
 
@@ -61,7 +61,7 @@ def run(model: Model, nodes=NODES, steps=STEPS, strides=STRIDES):
 
 
 def with_amplitude(model: Model, amplitude) -> Model:
-    """Returns the robot with another set pressure amplitude [Pa]."""
+    """Returns the robot with the given amplitude of the set pressure [Pa]."""
     where = lambda m: (m.drive.front.amplitude, m.drive.rear.amplitude)  # noqa: E731
     return eqx.tree_at(where, model, (amplitude, 0.9 * amplitude))
 

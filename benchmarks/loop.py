@@ -3,8 +3,8 @@
     python benchmarks/loop.py null coverage single double outside --out DIR
     python benchmarks/loop.py table --out DIR
 
-Each case writes one file under DIR. An interrupted run resumes when you repeat the command. `table`
-prints a summary of all files. The other methods need scikit-learn.
+The benchmark writes one file per case to DIR. An interrupted run resumes when you repeat the
+command. `table` prints a summary of all files. The other methods need scikit-learn.
 """
 
 import argparse
@@ -45,7 +45,7 @@ SIZE_PARAMETERS = {
     "force_crosstalk": "angle", "camera_delay": "delay",
     "chamber_mismatch": "difference", "pressure_sensor_lag": "tau",
 }  # fmt: skip
-"""Effects, and the parameter that sets the size of each."""
+"""Effects, and for each effect the parameter that sets the effect's size."""
 SIZES = (1, 3, 10)
 """Sizes of the effects, as multiples of the detection limit."""
 PAIRS = (
@@ -61,7 +61,7 @@ KINDS = ("null", "coverage", "single", "double", "outside", "table")
 COMPARED_SIZES = (3, PAIR_SIZE)
 """Sizes of the effects for which the other methods also run."""
 TANKS = 3
-"""Number of tanks that the cases with an effect share."""
+"""Number of tanks in which the effects are simulated."""
 
 
 class Case(NamedTuple):
@@ -78,7 +78,7 @@ class Case(NamedTuple):
 
 
 def sizes_of(seed: int, out: Path) -> dict[tuple[str, str], float]:
-    """Returns the detection limits in a tank from a file; computes and writes it if missing."""
+    """Returns the detection limits in a tank from a file. Computes and writes a missing file."""
     path = out / f"limits_{seed}.json"
     if not path.exists():
         print(f"detection limits of tank {seed}", flush=True)
@@ -88,7 +88,7 @@ def sizes_of(seed: int, out: Path) -> dict[tuple[str, str], float]:
 
 
 def _sized(effect: str, parameter: str, times: float, seed: int, out: Path) -> dict[str, float]:
-    """Returns an effect's parameter at a multiple of its limit, with a random sign.
+    """Returns an effect's parameter at `times` the detection limit, with a random sign.
 
     The result is empty if the prior range does not include the value.
     """
@@ -103,7 +103,7 @@ def _sized(effect: str, parameter: str, times: float, seed: int, out: Path) -> d
 
 
 def cases(kind: str, out: Path) -> Iterator[Case]:
-    """Yields the cases of a kind, without those whose size is outside the prior range."""
+    """Yields the cases of a kind. Effects with a size outside the prior range are omitted."""
     if kind == "single":
         for times in reversed(SIZES):
             for i, (effect, parameter) in enumerate(SIZE_PARAMETERS.items()):
@@ -123,13 +123,13 @@ def cases(kind: str, out: Path) -> Iterator[Case]:
 def error_over_floor(
     problem: AbstractProblem, predicted: list[np.ndarray], floor: dict[str, float]
 ) -> float:
-    """Returns the rms over the channels of each channel's rms error divided by its noise floor."""
+    """Returns the rms, over all channels, of a channel's rms error divided by its noise floor."""
     error = rms_errors(problem, predicted)
     return float(np.sqrt(np.mean([(error[c] / floor[c]) ** 2 for c in error])))
 
 
 def run_case(case: Case, compared: bool, progress) -> dict[str, Any]:
-    """Runs the loop on a case, and also the other methods if `compared`; returns the results."""
+    """Returns the results of the loop on a case, and of the other methods if `compared`."""
     tank = sample_tank(case.seed)
     own = [UNKNOWN_EFFECTS[case.stranger].effect()] if case.stranger else []
     start = time.perf_counter()

@@ -28,12 +28,12 @@ SEED = 100
 COVERED, FIRST_COVERED = 104, 2000
 """Number of tanks for the interval coverage, and the seed of the first tank."""
 COMPARED = 6
-"""Number of replicates of each tank on which the other methods also run."""
+"""The other methods run on this number of replicates of each tank."""
 
 
 @dataclass
 class MemoryCache:
-    """A cache of simulations, because the other methods repeat those of the loop."""
+    """A cache of simulations, because the other methods repeat the loop's simulations."""
 
     results: dict[bytes, list[np.ndarray]] = field(default_factory=dict)
 
@@ -97,8 +97,8 @@ class LinearisedProblem(AbstractProblem):
 def replicates(seed: int, progress) -> dict[str, Any]:
     """Returns the loop's outcomes for replicates of the noise on one tank without missing effects.
 
-    The model is linearised about its fit to the tank without noise. The complete search runs on
-    every replicate.
+    The model is linearised about the fit to data without noise. The complete search runs on every
+    replicate.
     """
     tank, names = sample_tank(seed), tuple(candidate_effects())
     entries = model_parameters(names)

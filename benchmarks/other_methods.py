@@ -1,14 +1,16 @@
 """Other methods that identify missing effects, on the same data as the loop.
 
-All methods start from the same calibrated model, residuals and tangents, whitened by the declared
-noise:
+All methods start from the same calibrated model, and from the same residuals and tangents. These
+are whitened by the declared noise.
 
-- sparse: the lasso over all effects' tangents (scikit-learn). Cross-validation over trials with the
-  one-standard-error rule selects the penalty. The largest effects, at most eight, are refitted.
-- stepwise: adds the effect with the largest linear gain and refits while this lowers the Bayesian
-  information criterion, for at most four effects. Every sample counts.
-- gp: a Gaussian process for the residual of each channel (scikit-learn). Its inputs are the model's
-  readings, the time in the stride and the trial's settings. It predicts but does not name effects.
+- sparse: the lasso on the tangents of all effects (scikit-learn). Cross-validation over trials with
+  the one-standard-error rule selects the penalty. The largest effects, at most eight, are refitted.
+- stepwise: repeatedly adds the effect with the largest linear gain and refits. The method stops
+  after four effects, or when the Bayesian information criterion no longer decreases. Every sample
+  counts.
+- gp: a Gaussian process for the residual of each channel (scikit-learn). The inputs are the model's
+  readings, the time in the stride and the trial's settings. The method predicts readings, but does
+  not name effects.
 - oracle: refits the model with the true effects.
 """
 
@@ -37,7 +39,7 @@ MAX_EFFECTS, MAX_REFITTED = 4, 8
 
 
 class MethodResult(NamedTuple):
-    """The effects that a method names, and its prediction of the held-out trials."""
+    """The effects that a method names, and the method's prediction of the held-out trials."""
 
     effects: list[str]
     predicted: list[np.ndarray]
@@ -59,7 +61,7 @@ class MethodInput(NamedTuple):
 def method_input(
     problem: AbstractProblem, rest: AbstractProblem, entries: Sequence[Parameter], base: Fit
 ) -> MethodInput:
-    """Returns the calibrated model's residuals and its tangents along all parameters."""
+    """Returns the calibrated model's residuals, and the tangents along all parameters."""
     white = problem.whiteners(base.predicted)
     tangents = effect_tangents(problem, entries, base.theta, base.free)
     residuals = problem.residuals(base.predicted, white)
@@ -182,7 +184,7 @@ def stepwise(s: MethodInput) -> MethodResult:
 def _features(problem: AbstractProblem, predicted: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Returns the inputs (samples, 12) of the Gaussian process for every trial.
 
-    They are the model's readings and their rates, the time in the stride and the settings.
+    The inputs are the model's readings, their rates, the time in the stride and the settings.
     """
     features = []
     for r, y in zip(problem.records, predicted, strict=True):
@@ -214,7 +216,7 @@ def gp(s: MethodInput) -> MethodResult:
         kernel += WhiteKernel(0.5, (1e-4, 1e2))
         process = GaussianProcessRegressor(kernel, n_restarts_optimizer=0)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ConvergenceWarning)  # from inputs without influence
+            warnings.simplefilter("ignore", ConvergenceWarning)  # if an input has no influence
             process.fit(X[pick], y[pick] / size)
         for z, f in zip(predicted, asked, strict=True):
             z[row] += size * process.predict(scaler.transform(f))

@@ -6,16 +6,17 @@
 The script uses the documented stable time steps (STEP_S below); ``--bisect`` searches for them.
 ``--quick`` uses shorter windows and omits the comparison with a quarter of the time step.
 
-The rod, clamped at the head, is a typical PyElastica model of this robot:
-  * It has 50 equal elements over 0.37 m. The tail's bending stiffness begins at the cell of the
-    Voronoi node at 0.3034 m, that is at 0.2997 m.
-  * The section is circular with a radius of 15 mm, half the body's height. Its density gives the
-    structural plus the lateral added mass, which thus also acts along the rod. E = 4 EI / (pi R^4)
-    and G = E / 3. The stable step is proportional to this radius.
-  * Case "sheet": the tail's stretch, shear and bend matrices are those of a thin plate. Its mass
-    and rotary inertia are those of the 15 mm section, because the plate's rotary inertia would need
-    a time step about eight times smaller. Motion is planar; both bend entries are the small one.
-  * AnalyticalLinearDamper replaces Kelvin-Voigt damping. Its rate tau * (2 pi f)^2 is that of a
+The rod is clamped at the head. It is a typical PyElastica model of this robot:
+  * The rod has 50 equal elements over 0.37 m. The tail's bending stiffness begins at 0.2997 m,
+    which is the edge of the cell of the Voronoi node at 0.3034 m.
+  * The section is circular with a radius R of 15 mm, which is half the body's height. The density
+    gives the structural mass plus the lateral added mass. The added mass therefore also acts along
+    the rod. Young's modulus is E = 4 EI / (pi R^4), and the shear modulus is G = E / 3. The stable
+    time step is proportional to R.
+  * Case "sheet": the tail has the stretch, shear and bend matrices of a thin plate, but the mass
+    and rotary inertia of the 15 mm section. The plate's rotary inertia would need a time step about
+    eight times smaller. Motion is planar, so both bend entries have the smaller value.
+  * AnalyticalLinearDamper replaces Kelvin-Voigt damping. The rate tau * (2 pi f)^2 is the rate of a
     mode at the drive frequency f with the Kelvin-Voigt time tau.
   * One custom forcing class with numba kernels applies drag and actuation. A Python loop calls
     PositionVerlet without callbacks. In a batch, each rod has its own pressure.
@@ -39,7 +40,7 @@ import elastica as ea  # noqa: E402
 import numpy as np  # noqa: E402
 from numba import njit  # noqa: E402
 
-# Largest stable steps from --bisect (PyElastica 1.0.0, 50 elements), to about 5 %.
+# Largest stable time steps [s] from --bisect (PyElastica 1.0.0, 50 elements), accurate to 5 %.
 STEP_S = {"robot": 3.1e-4, "sheet": 3.0e-5}
 
 N_ELEMENTS = 50
@@ -60,7 +61,7 @@ DAMPING_RATE = 2e-3 * (2 * math.pi * FREQUENCY) ** 2  # 1/s
 
 @njit
 def _drag(velocity, tangents, node_lengths, coefficient, external_forces):
-    """Quadratic drag of the velocity normal to the rod, at the nodes."""
+    """Adds the quadratic drag of the velocity normal to the rod to the nodes' forces."""
     last = velocity.shape[1] - 1
     for k in range(last + 1):
         before, after = max(k - 1, 0), min(k, last - 1)
@@ -78,7 +79,7 @@ def _drag(velocity, tangents, node_lengths, coefficient, external_forces):
 
 @njit
 def _couples(now, state, p_set, frequency, delay, lag, weights, external_torques):
-    """Advances the chamber pressures (state: front, rear, time) and apply their couples."""
+    """Advances the chamber pressures (state: front, rear, time) and applies their couples."""
     decay = math.exp(-(now - state[2]) / lag)
     state[2] = now
     for c in range(2):
@@ -92,7 +93,7 @@ def _couples(now, state, p_set, frequency, delay, lag, weights, external_torques
 
 
 class SwimmerForcing(ea.NoForces):
-    """Drag and actuation by the two chambers; with ``frequency=0`` set pressures are constant."""
+    """Drag and actuation by the two chambers. With ``frequency=0``, set pressures are constant."""
 
     def __init__(self, p_set, frequency, drag_coefficient):
         self.p_set, self.frequency, self.drag_coefficient = p_set, frequency, drag_coefficient
@@ -100,7 +101,8 @@ class SwimmerForcing(ea.NoForces):
         length = LENGTH / N_ELEMENTS
         self.node_lengths = np.full(N_ELEMENTS + 1, length)
         self.node_lengths[[0, -1]] *= 0.5
-        # A couple between two element centres is divided between them and keeps its first moment.
+        # A couple between two element centres is divided between these elements. Its first moment
+        # is conserved.
         self.weights = np.zeros((2, N_ELEMENTS))
         for c, ends in enumerate(CHAMBERS):
             for end, sign in zip(ends, (-1.0, 1.0), strict=True):
@@ -143,7 +145,7 @@ def make_rod(case):
 
 
 def make_simulator(case, step, members=1, p_set=P_SET, frequency=FREQUENCY, rate=DAMPING_RATE):
-    """Returns one simulator with all rods, which are thus in one memory block, and the rods."""
+    """Returns one simulator with all rods in one memory block, and the rods."""
     simulator, rods = Simulator(), []
     drag = RHO_WATER * C_DRAG * HEIGHT / 2
     for scale in np.linspace(1.0, 0.9, members):
@@ -185,7 +187,7 @@ def tip_range(case, step):
 
 
 def check_step(case, step):
-    """Returns whether the step is usable, its tip range, and that of a quarter of the step."""
+    """Returns whether the step is usable, and the tip ranges with this step and a quarter of it."""
     if (here := tip_range(case, step)) is None:
         return False, None, None
     fine = tip_range(case, step / 4)
@@ -193,7 +195,7 @@ def check_step(case, step):
 
 
 def bisect_step(case):
-    """Returns the largest usable step to 5 %, by geometric bisection around the default."""
+    """Returns the largest usable step with an error of 5 %, by bisection around the default."""
     low, high = STEP_S[case] / 2, STEP_S[case] * 2
     while not check_step(case, low)[0]:
         low, high = low / 2, low
@@ -207,7 +209,7 @@ def bisect_step(case):
 
 
 def core_seconds(case, step, members, window, repeats):
-    """Returns CPU and wall seconds per simulated second after compilation, for each repeat."""
+    """Returns CPU and wall seconds per simulated second of each repeat, without compilation."""
     simulator, _ = make_simulator(case, step, members)
     stepper, now, cpu, wall = ea.PositionVerlet(), 0.0, [], []
     n_steps = round(window / step)
@@ -223,7 +225,7 @@ def core_seconds(case, step, members, window, repeats):
 
 
 def static_tip(pressure=45e3):
-    """Returns the static tip [m] under a constant front pressure, and the small-slope value."""
+    """Returns the static tip [m] at a constant front pressure: simulated, and for small slopes."""
     load = {"p_set": np.array([pressure, 0.0]), "frequency": 0.0, "rate": 8.4}  # nearly critical
     settled = tip_history("robot", STEP_S["robot"], 3.0, **load)
     start, end = CHAMBERS[0]
@@ -246,10 +248,12 @@ def machine_line():
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", metavar="FILE.json", help="JSON file for the results")
-    parser.add_argument("--quick", action="store_true", help="use short windows, check no step")
-    parser.add_argument("--bisect", action="store_true", help="search for the stable steps")
+    parser.add_argument(
+        "--quick", action="store_true", help="use short windows, check no time step"
+    )
+    parser.add_argument("--bisect", action="store_true", help="search for the stable time steps")
     for case in STEP_S:
-        text = f"stable step, in s (default: {STEP_S[case]:g})"
+        text = f"stable time step of this case, in s (default: {STEP_S[case]:g})"
         parser.add_argument(f"--step-{case}", type=float, default=STEP_S[case], help=text)
     args = parser.parse_args()
 

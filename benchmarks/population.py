@@ -3,7 +3,7 @@
     python benchmarks/population.py --members 1000 --seconds 10
 
 Each swimmer starts from rest and swims whole strides at 5 Hz, with 96 time steps per stride and 31
-nodes, as in the optimisation. The memory is that of the whole process.
+nodes, as in the optimisation. The reported memory is the peak of the whole process.
 """
 
 import argparse

@@ -1,12 +1,13 @@
-"""Compares `slider rig loop` with a fixed sweep on a simulated rig with two hidden effects.
+"""Compares `slider rig loop` with a fixed series of trials on a rig with two hidden effects.
 
     python benchmarks/rig_loop.py --out DIR
 
 The hidden effects are a valve overlap of 4 kPa and a current of 5 cm/s in the tank. The loop's
-experiment file contains neither, and all four base parameters in it are wrong. Loop and sweep begin
-with the same three trials. The loop then chooses its trials. The sweep varies the frequency at each
-pressure, and `slider close-loop` runs on its first COUNTS trials. All commands use a
-pseudo-terminal and UDP in real time. An interrupted run resumes when you repeat the command.
+experiment file contains neither effect, and wrong values of all four base parameters. The loop and
+the fixed series (the sweep) begin with the same three trials. The loop then chooses further trials.
+The sweep varies the frequency at each pressure, and `slider close-loop` runs on the sweep's first
+COUNTS trials. The simulated rig runs in real time behind a pseudo-terminal and UDP. An interrupted
+run resumes when you repeat the command.
 """
 
 import argparse
@@ -60,7 +61,7 @@ def toml_table(name: str, values: dict[str, Any]) -> str:
 def experiment(
     parameters: dict[str, float], effects: dict[str, dict], trials: Sequence[dict[str, float]]
 ) -> str:
-    """Returns the text of an experiment file with these trials."""
+    """Returns the text of an experiment file with the given parameters, effects and trials."""
     text = ROBOT + toml_table("[parameters]", parameters)
     for name, values in effects.items():
         text += toml_table("[[effects]]", {"name": name} | values)
@@ -70,14 +71,14 @@ def experiment(
 
 
 def slider(*words: object) -> None:
-    """Runs a `slider` command; its output goes to the terminal."""
+    """Runs a `slider` command, whose output goes to the terminal."""
     print("slider", *words, flush=True)
     subprocess.run(command(*words), check=True)
 
 
 @contextmanager
 def hidden_rig(folder: Path) -> Iterator[tuple[str, Path]]:
-    """Runs the rig with the hidden effects; yields its port and its rig file."""
+    """Runs the rig with the hidden effects. Yields the rig's port and rig file."""
     truth = folder / "truth.toml"
     truth.write_text(experiment(TRUE, HIDDEN, BEGIN))
     with simulated(truth, folder, "--noise", 300, "--force-noise", 3e-3) as served:
@@ -85,7 +86,7 @@ def hidden_rig(folder: Path) -> Iterator[tuple[str, Path]]:
 
 
 def report_summary(path: Path) -> dict[str, Any]:
-    """Returns a report's verdict and effects, and whether its intervals contain the true values."""
+    """Returns a report's verdict and effects, and whether the intervals contain the true values."""
     report = json.loads(path.read_text())
     found = {effect["name"]: effect for effect in report["effects"]}
     intervals = dict(report["parameters"])
@@ -119,7 +120,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add = parser.add_argument
     add("--out", type=Path, required=True, help="folder for the results")
-    counts = "numbers of the sweep's trials on which the loop is closed (default: 4 5 12)"
+    counts = "numbers of the sweep's trials for `slider close-loop` (default: 4 5 12)"
     add("--counts", type=int, nargs="*", default=[4, 5, 12], help=counts)
     arguments = parser.parse_args()
     out = arguments.out

@@ -17,10 +17,10 @@ def command(*words: object) -> list[str]:
 
 @contextmanager
 def simulated(truth: Path, folder: Path, *options: object) -> Iterator[tuple[str, Path]]:
-    """Runs `slider rig simulate` with an experiment; yields its port and its rig file in `folder`.
+    """Runs `slider rig simulate` with an experiment. Yields the port, and the rig file in `folder`.
 
-    The process ends with the block, also after SIGTERM. Raises `RuntimeError` if it does not start;
-    its own message on stderr gives the reason.
+    The process ends with the block, also after SIGTERM. Raises `RuntimeError` if the process does
+    not start. The message of the process on stderr gives the reason.
     """
     rig = folder / "rig.toml"
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)

@@ -1,10 +1,12 @@
-"""Measures a recorded stream of 500 readings of 8 channels and 200 commands per second.
+"""Measures how well a stream of 500 readings and 200 commands per second is recorded.
 
     python benchmarks/rig_stream.py [SECONDS]
 
-A simulated manifold runs in a separate process behind a pseudo-terminal. The benchmark reports lost
-and repeated readings, the delay of commands until they are written, and the host's share of a core
-for driver, recorder and pacing. The limits are 0, 0, 5 ms for 99 of 100 commands, and 15 %.
+A simulated manifold runs in a separate process behind a pseudo-terminal. The benchmark reports:
+
+- the number of lost readings and of repeated readings (limit: 0);
+- the delay until a command is written (limit: 5 ms for 99 of 100 commands);
+- the fraction of a core that the host needs for driver, recorder and timing (limit: 15 %).
 """
 
 import json
@@ -42,7 +44,7 @@ def _cpu() -> float:
 
 
 def measure(seconds: float, folder: Path) -> dict[str, float | int | str]:
-    """Records a trial of some seconds and returns its statistics."""
+    """Records a trial of `seconds` and returns the statistics of the stream."""
     path = folder / "stream.h5"
     switches = ManifoldSinks(SwitchableSink(), SwitchableSink())
     drive = SegmentDrive("sine", 1.3, 150e3, phase=0.15)

@@ -2,14 +2,14 @@
 
     python benchmarks/rig_watch.py [SECONDS] [--experiment FILE] [--leak RATE]
 
-The rig is a separate process on the same cores (`slider rig simulate` with pseudo-terminal and
-UDP). It has no fault for SECONDS (default: 600). Then its front left chamber leaks until an alarm
-ends the watch. The benchmark reports, with limits:
+The rig (`slider rig simulate`) is a separate process on the same cores. The rig has no fault for
+SECONDS (default: 600). Then the front left chamber leaks until an alarm ends `slider rig watch`.
+The benchmark reports:
 
-- the model's delay without a fault (50 ms for 99 of 100 blocks);
-- the share of the time that the model computes;
-- the number of false alarms (none);
-- the time from the leak to its alarm (2 s).
+- the model's delay without a fault (limit: 50 ms for 99 of 100 blocks);
+- the fraction of the time in which the model computes;
+- the number of false alarms (limit: 0);
+- the time from the start of the leak to the alarm (limit: 2 s).
 """
 
 import argparse
@@ -27,11 +27,11 @@ from rig_process import command, simulated
 from calibration.twin.twin import TwinSettings
 
 START = 25.0
-"""Time [s] on the rig's clock at which the model is compiled and the watch has begun."""
+"""Time [s] on the rig's clock at which `slider rig watch` has compiled the model and has begun."""
 WAIT_AFTER_LEAK = 40.0
-"""Time [s] from the leak to the end of a watch without an alarm."""
+"""Time [s] after the start of the leak, after which the benchmark stops waiting for an alarm."""
 START_UP = 3.0
-"""Initial time [s] of the watch that is omitted, because the first blocks wait for the clocks."""
+"""Initial time [s] that is omitted, because the first blocks wait for the clock estimates."""
 MIN_SECONDS = 20.0
 """Shortest time [s] without a fault that is long enough to learn the bands."""
 BLOCK = TwinSettings().samples / TwinSettings().rate
@@ -40,14 +40,14 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 def measure(seconds: float, experiment: Path, rate: float, folder: Path) -> dict[str, Any]:
-    """Watches a robot that leaks after some seconds; returns the measured values.
+    """Runs `slider rig watch` on a robot that leaks after `seconds`. Returns the measured values.
 
-    Raises `RuntimeError` if the watch fails.
+    Raises `RuntimeError` if the command fails.
     """
     leak, out = seconds + START, folder / "watch"
     fault = ("--inject", f"leak_front_left={rate:g}@{leak:g}")
     with simulated(experiment, folder, *fault) as (port, rig):
-        # Without a terminal, the watch ends with the first alarm.
+        # Without a terminal, `slider rig watch` ends at the first alarm.
         done = subprocess.run(
             command("rig", "watch", experiment, "--port", port, "--rig", rig,
                     "--out", out, "--seconds", leak + WAIT_AFTER_LEAK),

@@ -1,10 +1,11 @@
-"""Measures the simulator's speed on one core, and its ratio to PyElastica in the same run.
+"""Measures the simulator's speed on one core, and compares it with PyElastica's speed.
 
     python benchmarks/speed.py --peer-python /path/to/python/with/pyelastica --out speed.json
 
-Costs are CPU seconds of one core per simulated second (per robot in a batch), the smallest of
-several repeats. The same run measures the error at the timed settings. Without `--peer-python`,
-PyElastica is omitted. `--growth` adds tables and a plot of the cost against nodes and batch size.
+A cost is the CPU time of one core divided by the simulated time, and in a batch also divided by the
+number of robots. The smallest cost of several repeats is reported. The benchmark also measures the
+error with the timed mesh and time step. Without `--peer-python`, PyElastica is omitted. `--growth`
+adds tables and a plot of the cost against the number of nodes and the batch size.
 """
 
 import argparse
@@ -43,7 +44,7 @@ def least_cpu_seconds(call, repeats: int) -> float:
 
 
 def accuracy(**robot) -> dict:
-    """Returns the error at the timed settings relative to a fine mesh and time step."""
+    """Returns the error of the timed mesh and time step relative to a fine mesh and time step."""
     import jax
     from cases import NODES, STEPS, mean_thrust_and_range, model, run
 
@@ -62,7 +63,7 @@ def accuracy(**robot) -> dict:
 
 
 def batch_cost(members: int, repeats: int, nodes=None, chunk=8) -> float:
-    """Returns the cost per robot and simulated second of a batch in chunks that fit the cache."""
+    """Returns a batch's cost per robot and simulated second, in chunks that fit the cache."""
     import jax
     import jax.numpy as jnp
     from cases import NODES, SECONDS, model, run, with_amplitude
@@ -80,7 +81,7 @@ def batch_cost(members: int, repeats: int, nodes=None, chunk=8) -> float:
 
 
 def single_cost(repeats: int, nodes=None, **robot) -> float:
-    """Returns the cost of one robot per simulated second after compilation."""
+    """Returns the cost of one robot per simulated second, without compilation."""
     import jax
     from cases import NODES, SECONDS, model, run
 
@@ -91,7 +92,7 @@ def single_cost(repeats: int, nodes=None, **robot) -> float:
 
 
 def gradient_ratio(repeats: int) -> float:
-    """Returns the cost of the thrust's forward derivatives over that of the thrust alone.
+    """Returns the cost of the thrust's forward derivatives divided by the cost of the thrust.
 
     The derivatives are with respect to C_d, m_a, k and K_Q.
     """
@@ -123,7 +124,7 @@ def gradient_ratio(repeats: int) -> float:
 
 
 def first_calls() -> dict:
-    """Returns the wall seconds of import, compilation and runs, without and with cache."""
+    """Returns the wall time [s] of import, compilation and run, without and with a cache."""
     with tempfile.TemporaryDirectory() as cache:
         script = FIRST_CALL.format(here=str(HERE), cache=cache)
         seconds = [
@@ -147,7 +148,7 @@ def peer(python: str) -> dict:
 
 
 def growth(repeats: int) -> dict:
-    """Returns the cost against the number of nodes (one robot) and of robots in a batch."""
+    """Returns the cost for several numbers of nodes (one robot), and of robots in a batch."""
     nodes = {n: single_cost(repeats, n) for n in (26, 51, 101, 201, 401)}
     members = {b: batch_cost(b, repeats) for b in (1, 2, 4, 8, 16, 56, 112, 224, 448)}
     return {"nodes": nodes, "members": members}
@@ -174,7 +175,7 @@ def plot_growth(table: dict, path: Path) -> None:
 
 
 def cpu_name() -> str:
-    """Returns the processor's name, as far as the system reports it."""
+    """Returns the processor's name, if the system reports a name."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         return next(x.split(":")[1].strip() for x in lines if x.startswith("model name"))
@@ -186,7 +187,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add = parser.add_argument
     add("--peer-python", help="Python interpreter with pyelastica (default: omit PyElastica)")
-    add("--out", type=Path, default=Path("speed.json"), help="results (default: speed.json)")
+    add("--out", type=Path, default=Path("speed.json"), help="results file (default: speed.json)")
     add("--repeats", type=int, default=5, help="number of repeats of each timing (default: 5)")
     add("--growth", action="store_true", help="also measure the cost against nodes and batch size")
     options = parser.parse_args()

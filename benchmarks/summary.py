@@ -14,7 +14,7 @@ from slider_jax.effects.library import LIBRARY
 
 METHODS = ("refit only", "sparse", "stepwise", "gp", "loop", "oracle")
 EXPLAINABLE = 1.1
-"""Held-out rms over the noise floor above which there is a residual to explain."""
+"""A case has a residual to explain if the held-out rms divided by the noise floor is larger."""
 
 
 def read_cases(out: Path, kind: str) -> list[dict[str, Any]]:
@@ -33,7 +33,7 @@ def named_causes(case: dict[str, Any], method: str = "loop") -> list[set[str]]:
 
 
 def matched_effects(causes: Sequence[set[str]], truth: Iterable[str]) -> int:
-    """Returns how many of the true effects are among the causes; each cause counts once."""
+    """Returns the number of true effects among the causes. Each cause counts once."""
     match = np.array([[name in cause for name in truth] for cause in causes], float)
     if not match.size:
         return 0
@@ -42,7 +42,7 @@ def matched_effects(causes: Sequence[set[str]], truth: Iterable[str]) -> int:
 
 
 def is_right(case: dict[str, Any], method: str = "loop", most: int = 99) -> bool:
-    """Returns whether only the true effect was named, in a class of at most `most` effects."""
+    """Returns True if only the true effect was named, in a class of at most `most` effects."""
     causes = named_causes(case, method)
     named = len(causes) == 1 and matched_effects(causes, case["case"]["effects"]) == 1
     return named and len(causes[0]) <= most
@@ -57,7 +57,10 @@ def f1(found: Sequence[dict[str, Any]], method: str = "loop") -> float:
 
 
 def skills(found: Iterable[dict[str, Any]], method: str = "loop") -> list[float]:
-    """Returns (before - after)/(before - floor) of the held-out trials with a residual."""
+    """Returns the skill (before - after)/(before - noise floor) of the error in held-out trials.
+
+    Only cases with a residual count.
+    """
     errors = [x["held_out_over_floor"] for x in found]
     return [
         (e["refit only"] - e[method]) / (e["refit only"] - 1.0)
@@ -97,8 +100,8 @@ def summary_tables(out: Path) -> str:
     singles = read_cases(out, "single")
     if singles:
         lines = [
-            "| size / limit | correct | correct, class of one | mean class size | median skill "
-            "| smallest skill | cases |",
+            "| size divided by detection limit | correct | correct, without equivalent effects "
+            "| mean number of effects in a class | median skill | smallest skill | cases |",
             "|---|---|---|---|---|---|---|",
         ]
         for size in sorted({x["case"]["size"] for x in singles}):
@@ -143,11 +146,11 @@ def summary_tables(out: Path) -> str:
 
 
 def _null_table(tanks: Sequence[dict[str, Any]]) -> str:
-    """Returns false alarms and coverage of the replicates, for the truth and a noise-free fit."""
+    """Returns the number of false alarms and the coverage of the intervals in the replicates."""
     nulls = [r for x in tanks for r in x["replicates"]]
     lines = [
         f"{len(nulls)} replicates of {len(tanks)} tanks without a missing effect: "
-        f"{sum(r['verdict'] != NOTHING for r in nulls)} have another verdict than nothing missing, "
+        f"{sum(r['verdict'] != NOTHING for r in nulls)} have a verdict other than nothing missing, "
         f"{sum(r['verdict'] in NAMED for r in nulls)} name an effect.",
         "",
         "| | interval contains the truth | noise interval contains the fit without noise |",
@@ -169,7 +172,7 @@ def _null_table(tanks: Sequence[dict[str, Any]]) -> str:
 
 
 def _coverage_list(fits: Sequence[dict[str, Any]]) -> str:
-    """Returns how many intervals contain the truth; every fit is to another tank."""
+    """Returns how many intervals contain the true value. Each fit is to a different tank."""
     lines, all_of = [f"{len(fits)} calibrated tanks; intervals that contain the truth:", ""], []
     for p in fits[0]["parameters"]:
         inside = [v["low"] < v["truth"] < v["high"] for v in (x["parameters"][p] for x in fits)]
@@ -183,7 +186,7 @@ def _case_line(x: dict[str, Any]) -> str:
     truth = dict(case["effects"]) or case["stranger"]
     return (
         f"- {case['name']} (tank {case['seed']}): {x['verdict']} {effects}, truth {truth}, "
-        f"held-out rms over floor {x['held_out_over_floor']}, {x['seconds']:.0f} s"
+        f"held-out rms / noise floor {x['held_out_over_floor']}, {x['seconds']:.0f} s"
     )
 
 
@@ -197,8 +200,8 @@ def _method_table(found: Sequence[dict[str, Any]]) -> str:
     lines = [
         f"{len(singles)} single effects and {len(doubles)} pairs:",
         "",
-        "| | one effect, correct | two effects, F1 | median held-out rms over floor | largest | "
-        "median skill | smallest |",
+        "| method | one effect, correct | two effects, F1 score | median held-out rms / floor "
+        "| largest held-out rms / noise floor | median skill | smallest skill |",
         "|---|---|---|---|---|---|---|",
     ]
     for method in METHODS:

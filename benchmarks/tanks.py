@@ -1,8 +1,8 @@
 """Synthetic tanks with known effects for the benchmark of the loop.
 
-A tank's mesh and time step differ from those of the fit, and one in six tanks has another time
-scheme. The sensors have a tare, slow noise and a gain that drifts from trial to trial. The result
-has the form of an experiment's files.
+The mesh and time step of a tank differ from the fit's mesh and time step. One in six tanks also has
+a different time scheme. The sensors have a tare, slow noise, and a gain that drifts from trial to
+trial. The data have the form of an experiment's files.
 """
 
 from collections.abc import Mapping, Sequence
@@ -37,7 +37,7 @@ from slider_jax.effects import Effect
 from slider_jax.experiment.load import Experiment, assemble
 
 COUNT, SECONDS = 6, 0.33
-"""Trials per tank, and factor on their durations (0.66 s at 6 Hz to 1.65 s at 0.6 Hz)."""
+"""Number of trials per tank, and factor of the durations (0.66 s at 6 Hz to 1.65 s at 0.6 Hz)."""
 FITTER_RESOLUTION = Resolution(51, 120, 2.0e-3)
 """Resolution of the fit's residuals."""
 TANK_RESOLUTIONS = [
@@ -48,15 +48,16 @@ TANK_RESOLUTIONS = [
     Resolution(151, 200, 1.0e-3),
     Resolution(35, 120, 2.0e-3),
 ]
-"""Mesh, step and scheme of the tanks, in turn. In fits without noise they change C_d by -1 to
-0.8 %, m_a by -1.6 to 1 % and K_Q by -0.6 to 0.4 %; an independent program changes m_a by 1.2 %.
-Backward Euler adds damping like a material with a damping time of one step; the robot's is 2 ms.
-With steps of 0.15 ms the loop identifies this as material damping."""
+"""Mesh, time step and time scheme of the tanks, in turn. In fits without noise, they change C_d by
+-1 to 0.8 %, m_a by -1.6 to 1 % and K_Q by -0.6 to 0.4 %. For comparison, data of a separately
+written simulation program change m_a by 1.2 %. Backward Euler adds damping like a material with a
+damping time of one time step; the robot's damping time is 2 ms. With time steps of 0.15 ms, the
+loop identifies this numerical damping as material damping."""
 
 
 @dataclass(frozen=True)
 class Tank:
-    """An experiment with its true base parameters and the resolution of its simulation."""
+    """An experiment, the true base parameters, and the resolution of the simulation."""
 
     experiment: Experiment
     truth: dict[str, float]
@@ -65,7 +66,7 @@ class Tank:
 
 
 def sample_tank(seed: int, folder: Path = Path(".")) -> Tank:
-    """Returns a tank with sampled base parameters and drives; resolutions are used in turn."""
+    """Returns a tank with sampled base parameters and drives. Resolutions are used in turn."""
     truth = random_base_parameters(np.random.default_rng([seed, 1]))
     content = {
         "name": f"tank_{seed}", "robot": ROBOT, "parameters": START,
@@ -94,8 +95,8 @@ def true_readings(
     """Returns the readings (5, samples) of every trial without noise.
 
     `effects` are the true values of library effects. `own` are effects outside the library, which
-    are added to the base model. Without `own`, the extended model has the effects `names` (default:
-    all).
+    are added to the base model. Without `own`, the extended model contains the effects `names`
+    (default: all effects of the library).
     """
     names = () if own else tuple(candidate_effects() if names is None else names)
     entries = model_parameters(names)
@@ -130,7 +131,7 @@ def noisy_records(tank: Tank, true: Sequence[np.ndarray], seed: int) -> list[Rec
 
 
 def problem_of(tank: Tank, names: Sequence[str], memo=None):
-    """Returns the function with which `conclude` makes a problem of some records."""
+    """Returns the function with which `conclude` makes a problem from records."""
 
     def problem(chosen: Sequence[Record]) -> TankProblem:
         return replace(

@@ -1,7 +1,7 @@
 """Effects outside the library, to test the loop's verdict on unknown causes.
 
-Each effect has the channels that it changes, and the places of library effects that describe the
-same part of the rig.
+Each effect lists the channels that the effect changes, and the places of library effects that
+describe the same part of the rig.
 """
 
 from collections.abc import Callable
@@ -45,7 +45,7 @@ class SidedValves(Flow):
 
 
 class SidedMoment(ActingPressure):
-    """The chambers of one side are farther from the axis, so their moment is larger."""
+    """The chambers of one side are farther from the axis, so these chambers' moment is larger."""
 
     share: float = 0.25
 

@@ -1,4 +1,4 @@
-"""Compute the paper's design maps (Fig. 7): steady speed over the tail's length and EI or phase.
+"""Computes the paper's maps (Fig. 7) of steady speed against tail length and EI, or phase.
 
     python scripts/fig7_design_maps.py results/fig7
 
@@ -32,14 +32,14 @@ from slider_jax.sweep.sweep import Axis, Sweep, run_sweep
 
 SWIMMER = Path(__file__).resolve().parent.parent / "docs" / "swimmer.toml"
 STIFFNESS = (3e-5, 0.038)
-"""Smallest and largest EI of the tail [N m^2]; assumed. The fastest tail of 20 mm has the smallest
-value; the largest value is that of the body."""
+"""Assumed smallest and largest EI of the tail [N m^2]. The smallest value is the EI of the fastest
+tail of 20 mm. The largest value is the EI of the body."""
 STEPS_PER_STRIDE = 100
-"""With 300 steps, speeds change by less than 0.05 %."""
+"""Number of time steps per stride. With 300 steps, speeds change by less than 0.05 %."""
 
 
 def sweeps(swimmer: Experiment, points: int) -> dict[str, Sweep]:
-    """Returns the sweeps of maps a and b; each axis has `points` values and the plotted values."""
+    """Returns the sweeps of maps a and b. Each axis has `points` values and the plotted values."""
     if points < 4:
         raise InputError.value("--points", points, "4 or more, to include a negative phase")
     lengths = _with(np.linspace(SHOWN_LENGTHS[0], SHOWN_LENGTHS[-1], points), SHOWN_LENGTHS)
@@ -55,12 +55,12 @@ def sweeps(swimmer: Experiment, points: int) -> dict[str, Sweep]:
 
 
 def _with(values: np.ndarray, more: tuple[float, ...]) -> tuple[float, ...]:
-    """Returns the sorted union of both sets of values."""
+    """Returns the sorted union of `values` and `more`."""
     return tuple(map(float, np.unique(np.round([*values, *more], 9))))
 
 
 def map_of_sweep(sweep: Sweep, name: str, folder: Path) -> Map:
-    """Runs a sweep and returns its map; finished parts are in `folder`/partial."""
+    """Runs a sweep and returns the map of the sweep. Finished parts are in `folder`/partial."""
     folder.mkdir(exist_ok=True)
     count = {"done": 0, "all": 0}
 
@@ -93,7 +93,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path, metavar="OUT_DIR", help="folder for the results")
     parser.add_argument(
-        "--points", type=int, default=17, metavar="N", help="values along each axis (default: 17)"
+        "--points", type=int, default=17, metavar="N", help="values per axis (default: 17)"
     )
     parser.add_argument(
         "--swimmer", type=Path, default=SWIMMER, metavar="FILE",

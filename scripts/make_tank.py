@@ -1,11 +1,11 @@
-"""Write a synthetic tank experiment with a known effect, to try `slider close-loop` without data.
+"""Writes a synthetic tank experiment with a known effect, to try `slider close-loop` without data.
 
     python scripts/make_tank.py results/tank --effect valve_delay.delay=0.02
     slider close-loop results/tank/experiment.toml --out results/found
 
-The measured data contain the effect; the experiment file does not name it. Parameters of the base
-model are sampled. DIR/truth.json contains all true values; the loop does not read it.
-`slider effects` lists the effects.
+The data contain the effect, but the experiment file does not name this effect. The script samples
+the parameters of the base model. DIR/truth.json contains all true values. `slider close-loop` does
+not read that file. `slider effects` lists the effects.
 """
 
 import argparse
@@ -27,7 +27,7 @@ from slider_jax.precision import enable_float64
 
 
 def effects_of(given: list[str]) -> dict[str, dict[str, float]]:
-    """Returns parameters by effect, from texts like "valve_delay.delay=0.02"."""
+    """Returns the parameters of each effect, from texts such as "valve_delay.delay=0.02"."""
     found: dict[str, dict[str, float]] = {}
     for text in given:
         label, _, number = text.partition("=")
@@ -55,10 +55,11 @@ def main(argv: list[str] | None = None) -> int:
     add = parser.add_argument
     add("folder", type=Path, metavar="DIR", help="folder for the experiment")
     add("--effect", action="append", default=[], metavar="EFFECT.PARAMETER=NUMBER",
-        help="effect in the data, in SI units; repeat for more (default: none)")  # fmt: skip
+        help="effect in the data and its size in SI units; repeat the option for further effects "
+        "(default: none)")  # fmt: skip
     add("--seed", type=int, default=0, help="seed of the random numbers (default: 0)")
     add("--trials", type=int, default=8, help="number of trials (default: 8)")
-    add("--seconds", type=float, default=1.0, help="factor on all durations (default: 1)")
+    add("--seconds", type=float, default=1.0, help="factor of all durations (default: 1)")
     given = parser.parse_args(argv)
     enable_float64()
     base = random_base_parameters(np.random.default_rng(given.seed))

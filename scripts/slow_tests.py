@@ -1,9 +1,9 @@
-"""Run all slow tests and print a table with test, outcome and seconds.
+"""Runs all slow tests and prints a table with test, outcome and seconds.
 
     python scripts/slow_tests.py [PYTEST ARGUMENTS]
 
 The script passes its arguments to pytest, for example `-n 2` (the default) or a folder of tests.
-The exit code is pytest's.
+The exit code is the exit code of pytest.
 """
 
 import subprocess

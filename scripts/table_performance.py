@@ -1,9 +1,10 @@
-"""Compare the paper's table of its optimum with this model, and compute the table's sensitivity.
+"""Compares the paper's table of the optimum with this model, and computes the table's sensitivity.
 
     python scripts/table_performance.py results/table
 
-The script prints the table, the tail slope by several definitions of the wavelength, and both after
-single changes of the model. It writes table.json and table.png. It takes about five minutes.
+The script prints the table, and the tail slope for several definitions of the wavelength. It also
+prints these values after single changes of the model. The script writes table.json and table.png,
+and takes about five minutes.
 """
 
 import argparse
@@ -34,7 +35,7 @@ STATED, OWN = PUBLISHED["tail_slope"].model, PUBLISHED["shape_tail_slope"].model
 LENGTHS_PER_S = 0.59
 """Measured speed of the paper's optimum in body lengths per second."""
 HEAD_FIXED = 365e3
-"""Pressure [Pa] of the head-fixed test: the paper's Q_set divided by its K_Q."""
+"""Pressure [Pa] of the head-fixed test: the paper's Q_set divided by the paper's K_Q."""
 AGAIN = ", resistance calibrated"
 
 
@@ -87,13 +88,13 @@ def report_lines(content: dict[str, Any]) -> list[str]:
         f"{1e3 * held_head['shape_wavelength_m']:8.0f}{held_head['shape_tail_slope']:8.3f}{'':16}"
         f"{held_head['rms_tail_slope']:8.3f}"
     )
-    lines += ["", f"mean thrust, head fixed, 4.8 Hz, {1e-3 * HEAD_FIXED:g} kPa; the paper: 60 mN"]
+    lines += ["", f"mean thrust, head fixed, 4.8 Hz, {1e-3 * HEAD_FIXED:g} kPa (paper: 60 mN)"]
     lines += [f"{name:48}{1e3 * x:8.1f} mN" for name, x in content["head_fixed_thrust_N"].items()]
     return lines
 
 
 def plot_tail_slopes(content: dict[str, Any], rows: dict[str, SteadyRow], path: Path) -> None:
-    """Plots tail slopes by change and definition, and the midlines of three models."""
+    """Plots tail slopes for each change and definition, and the midlines of three models."""
     swims, chosen = content["swims"], [next(iter(CHANGES)), *(n + AGAIN for n in RECALIBRATED[:2])]
     figure, axes = new_figure(1, 2, figsize=(12, 7), width_ratios=(3, 2))
     slopes, shapes = axes

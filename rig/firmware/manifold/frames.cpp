@@ -30,7 +30,7 @@ size_t encode(const uint8_t* body, size_t size, uint8_t* frame) {
     return at;
 }
 
-// Decodes COBS in place; false if a distance exceeds the end.
+// Decodes COBS in place. Returns false if a distance exceeds the end.
 static bool decode_cobs(uint8_t* bytes, size_t size, size_t& decoded) {
     size_t to = 0;
     for (size_t at = 0; at < size;) {

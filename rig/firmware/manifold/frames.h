@@ -1,4 +1,4 @@
-// Frames of the serial line: a body and its CRC-32 in COBS, then a zero byte. Host's side: rig/protocol/messages.py.
+// Frames of the serial line: a body and CRC-32, encoded by COBS, then a zero byte. Host: rig/protocol/messages.py.
 #pragma once
 
 #include <cstddef>
@@ -9,7 +9,7 @@ namespace slider {
 constexpr size_t LONGEST_FRAME = 192;  // bytes between two zeros; a longer run is noise
 constexpr size_t LONGEST_BODY = 160;   // largest body of `encode`; the longest message has 133
 
-// CRC-32 of zlib and Ethernet.
+// Returns the CRC-32 as defined by zlib and Ethernet.
 uint32_t crc32(const uint8_t* from, size_t size);
 
 // Writes the frame of a body, with its final zero, to `frame` (LONGEST_FRAME bytes). Returns the frame's size,
@@ -19,7 +19,7 @@ size_t encode(const uint8_t* body, size_t size, uint8_t* frame);
 // Decodes the bodies in a byte stream, and counts damaged frames.
 class Decoder {
 public:
-    // Takes one byte. Returns true if it completes a valid body, which stays in `body()` until the next byte.
+    // Takes one byte. Returns true if this byte completes a valid body, which stays in `body()` until the next byte.
     bool take(uint8_t byte);
     const uint8_t* body() const { return frame_; }
     size_t size() const { return body_; }

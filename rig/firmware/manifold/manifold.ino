@@ -1,5 +1,5 @@
-// Firmware of a manifold with four chambers on a Teensy 4.x; protocol in docs/reference/rig_protocol.md.
-// Read rig/firmware/README.md before you flash it: pins, valves without current, and calibration.
+// Firmware of a manifold with four chambers on a Teensy 4.x. docs/reference/rig_protocol.md defines the protocol.
+// Before you flash the firmware, read rig/firmware/README.md on pins, valves without current, and calibration.
 
 #include <Watchdog_t4.h>  // comes with Teensyduino
 
@@ -18,11 +18,11 @@ constexpr uint8_t VENT_PINS[CHAMBERS] = {6, 7, 8, 9};
 constexpr uint8_t PRESSURE_PINS[CHAMBERS] = {14, 15, 16, 17};  // A0 to A3
 constexpr uint8_t SUPPLY_PIN = 18;                             // A4
 constexpr uint8_t INPUT_PINS[3] = {19, 20, 21};                // A5 to A7
-// True if the vent valves are open without current. Such valves are safer, see the README.
+// True if the vent valves are open without current. Such valves are safer (see rig/firmware/README.md).
 constexpr bool VENT_OPEN_WITHOUT_CURRENT = false;
 
 // ---- Calibration: twelve-bit counts to gauge pascals, Pa = slope (count - zero) ----------------------------
-// Preset: the published rig's sensor, psi = 0.13529 count - 12.4282 with ten bits. Measure yours.
+// The preset is the published rig's sensor: psi = 0.13529 count - 12.4282 with ten bits. Measure your own sensors.
 struct Line {
     float slope, zero;
 };
@@ -30,13 +30,13 @@ constexpr Line CHAMBER_LINES[CHAMBERS] = {
     {233.2f, 367.5f}, {233.2f, 367.5f}, {233.2f, 367.5f}, {233.2f, 367.5f}};
 constexpr Line SUPPLY_LINE = {233.2f, 367.5f};
 constexpr float UV_PER_COUNT = 3.3e6f / 4096;
-// A sensor outside these counts is broken or unplugged. It then reads BROKEN_Pa, above any limit, so the
-// manifold vents. Otherwise a sensor that reads zero would keep its fill valve open.
+// A sensor outside these counts is broken or unplugged. The reading is then BROKEN_Pa, which is above any limit, so
+// the manifold vents. Otherwise a sensor that reads zero would keep the chamber's fill valve open.
 constexpr int LEAST_COUNT = 120, MOST_COUNT = 4050;
 constexpr int32_t BROKEN_Pa = 10000000;
 
 // ---- Content of Ident ---------------------------------------------------------------------------------------
-// Set the hard limits to the pressures that your chambers withstand. The published sweep reached 372 kPa.
+// Set the hard limits to the pressures that your chambers withstand. The published tests reached 372 kPa.
 constexpr uint16_t LONGEST = 2000;
 constexpr Settings SETTINGS = {PROTOCOL, {1, 1, 0}, LONGEST, 500, {400000, 400000, 400000, 400000}};
 
@@ -79,7 +79,7 @@ static uint64_t now_us() {
     return now;
 }
 
-// Takes the available bytes, at most 256 per pass: the host may stop within a frame, or send without end.
+// Takes the available bytes, at most 256 per loop, because the host may send without end or stop within a frame.
 static void receive() {
     uint8_t bytes[256];
     size_t size = 0;
@@ -87,7 +87,7 @@ static void receive() {
     core.feed(bytes, size, now_us());
 }
 
-// Sends only the bytes that the link accepts at once: a write that waits would stop the valve control.
+// Sends only the bytes that the link accepts without waiting, because a wait would stop the valve control.
 static void transmit() {
     const int room = LINK.availableForWrite();
     if (room <= 0) return;
@@ -114,7 +114,7 @@ void loop() {
     receive();
     read_all(channels);
     core.tick(now_us(), channels);
-    drive_all(channels);  // after both, so every vent acts in the same pass
+    drive_all(channels);  // last, so that a vent acts in the same loop
     transmit();
     watchdog.feed();
 }

@@ -2,7 +2,7 @@
 
 namespace slider {
 
-// Bytes that readings leave free for answers and events, so a host that returns late gets an answer.
+// Readings do not use these bytes of the buffer. They are reserved for answers and events to a slow host.
 static constexpr size_t RESERVED_FOR_ANSWERS = 1024;
 
 void ManifoldCore::feed(const uint8_t* bytes, size_t size, uint64_t now_us) {

@@ -1,5 +1,5 @@
-// The manifold's state machine (docs/reference/rig_protocol.md), without a board. The tests compare its messages
-// byte for byte with those of rig/simulated/manifold.py.
+// The manifold's state machine (docs/reference/rig_protocol.md), which needs no board. The tests compare its messages
+// byte for byte with the messages of rig/simulated/manifold.py.
 #pragma once
 
 #include "frames.h"
@@ -30,7 +30,7 @@ public:
 
     // Takes bytes from the host.
     void feed(const uint8_t* bytes, size_t size, uint64_t now_us);
-    // Makes one pass of the main loop with the newest channels.
+    // Runs the main loop once with the newest channels.
     void tick(uint64_t now_us, const int32_t (&channels)[CHANNELS]);
 
     // Set pressures (4,) [Pa] that the valves follow; null while all vent.
@@ -42,7 +42,7 @@ public:
     uint32_t damaged() const { return decoder_.damaged() + foreign_; }
 
 private:
-    // Reason for refusing a command; DONE if it is accepted.
+    // Reason for refusing a command; DONE for an accepted command.
     struct Verdict {
         Answer answer = Answer::DONE;
         int32_t detail = 0;
@@ -81,7 +81,7 @@ private:
     uint16_t changes_ = 0;    // number of Follows messages sent
     uint32_t readings_ = 0;
     uint64_t last_command_ = 0;
-    bool running_ = false;    // whether the first pass was made
+    bool running_ = false;    // whether the main loop has run once
     uint64_t due_ = 0;        // time of the next reading
 
     uint16_t samples_ = 0;    // number of the waveform's samples; 0: no waveform

@@ -1,4 +1,4 @@
-// Messages between host and manifold, protocol 1: docs/reference/rig_protocol.md. Host's side: rig/protocol/messages.py.
+// Messages of protocol 1 (docs/reference/rig_protocol.md) between host and manifold. Host: rig/protocol/messages.py.
 #pragma once
 
 #include <cstddef>

@@ -1,4 +1,4 @@
-// Buffer of frames to send. It takes only whole frames, so a slow host never receives parts of frames.
+// Buffer of frames to send. The buffer takes only whole frames, so a slow host never receives parts of frames.
 #pragma once
 
 #include <cstddef>
@@ -12,7 +12,7 @@ public:
     // 2.4 s of readings (54 bytes at 500 Hz), or 320 ms of a full line at 2 Mbaud.
     static constexpr size_t SIZE = 65536;
 
-    // Takes a frame if `spare` bytes stay free after it; otherwise counts the frame as lost.
+    // Takes a frame if `spare` bytes remain free. Otherwise counts the frame as lost.
     bool push(const uint8_t* frame, size_t size, size_t spare = 0) {
         if (size + spare > SIZE - filled_) {
             ++lost_;

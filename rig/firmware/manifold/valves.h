@@ -1,5 +1,5 @@
-// Valve law of the published firmware (bvanstratum/SoftSnakePressureControl). The duty is min(250, 10 |error|) of
-// 255, with the error in counts of its ten-bit converter: of the fill valve if positive, else of the vent valve.
+// Valve law of the published firmware (bvanstratum/SoftSnakePressureControl). The duty is min(250, 10 |error|) of 255,
+// with the error in counts of a ten-bit converter. It applies to the fill valve if positive, else to the vent valve.
 #pragma once
 
 #include <cstdint>
@@ -10,7 +10,7 @@ constexpr float PA_PER_PUBLISHED_COUNT = 932.8f;  // 0.13529 psi
 constexpr float GAIN = 10.0f / PA_PER_PUBLISHED_COUNT;  // duty of 255 per pascal
 constexpr float MAX_DUTY = 250.0f;
 
-// Duties of a chamber's two valves, of 255.
+// Duties of a chamber's two valves, from 0 to 255.
 struct Duty {
     uint8_t fill;
     uint8_t vent;
