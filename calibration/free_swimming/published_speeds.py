@@ -2,8 +2,8 @@
 
 The paper's drag acts only normal to the body, so nothing resists axial motion. In the model, the
 robot accelerates far beyond the measured speed, until its stroke no longer gives thrust. An effect
-that resists axial motion is calibrated on one published point and predicts the other. Quantities
-that the paper does not give are varied, which gives the prediction an interval.
+that resists axial motion is calibrated on one published point and predicts the speed at another
+point. Variation of the quantities that the paper does not give shows the prediction's uncertainty.
 """
 
 import itertools
@@ -41,20 +41,20 @@ from slider_jax.swimming.steady_state import (
 
 STEADY_SETTINGS = SteadySettings(steps_per_stride=160)
 CORRECTIONS_FACTOR = 3
-"""Factor on the number of speed corrections without resistance, where the final speed is ten times
-as high."""
+"""Factor on the number of speed corrections if there is no resistance: the final speed is then ten
+times as high."""
 STRIDES_FROM_REST = 60
-"""Number of simulated strides from rest; enough to show whether the speed settles."""
+"""Number of simulated strides from rest, sufficient to show whether the speed settles."""
 
 
 class PublishedPoint(NamedTuple):
-    """A published speed. `gaits` are the assumed alternatives for what the paper does not give."""
+    """A published speed. `gaits` are alternative assumptions on what the paper does not give."""
 
     name: str
     speed: float
     """[m/s]"""
     error: float
-    """[m/s]; assumed for the first point, because the paper gives none."""
+    """[m/s]; assumed for the first point, because the paper gives no error there."""
     gaits: dict[str, Gait]
 
 
@@ -84,7 +84,7 @@ RESISTIVE_EFFECTS: dict[str, Callable[[Any], Effect]] = {
 INITIAL_COEFFICIENTS = {"tangential_friction": 0.1, "head_drag": 2e-3}
 """Initial values of the secant search for a coefficient."""
 HEAD_ADDED_MASSES = {"no point force at the head": 0.0, "added mass begins at the head": 1.0}
-"""m_a of `HeadAddedMass`. The paper's local form of the reactive force has no such force."""
+"""m_a of `HeadAddedMass`. The paper's local form of the reactive force has no such point force."""
 
 
 def paper_swimmer(
@@ -139,7 +139,7 @@ def coefficient_at(
 ) -> float:
     """Returns the coefficient with which the robot swims steadily at a point's speed.
 
-    Raises `SolverError` if the search finds none.
+    Raises `SolverError` if the search finds no such coefficient.
     """
 
     def coefficient(x: float) -> float:
@@ -159,7 +159,7 @@ def coefficient_at(
 
 @dataclass(frozen=True)
 class UnresistedSwim:
-    """Free swimming by the paper's equations without axial resistance."""
+    """Free swimming according to the paper's equations, without axial resistance."""
 
     point: str
     gait: str
@@ -187,23 +187,20 @@ class SpeedPrediction:
 
     @property
     def in_prior(self) -> bool:
-        """Whether the coefficient is within the effect's prior range."""
+        """Returns whether the coefficient is within the effect's prior range."""
         (prior,) = RESISTIVE_EFFECTS[self.resisting](0.0).priors().values()
         return prior.low <= self.coefficient <= prior.high
 
     @property
     def error(self) -> float:
-        """Predicted minus published speed [m/s]."""
+        """Returns the predicted minus the published speed [m/s]."""
         return self.predicted - self.published
 
 
 def unresisted_swims(
     plan: SteadySettings = STEADY_SETTINGS, strides: int = STRIDES_FROM_REST
 ) -> list[UnresistedSwim]:
-    """Returns the swims by the paper's equations at every point and gait.
-
-    Each is simulated without and with the point force at the head.
-    """
+    """Returns the swims at every point and gait, without and with the point force at the head."""
     swims = []
     for point, head in itertools.product((FIRST, OPTIMUM), HEAD_ADDED_MASSES):
         for name, gait in point.gaits.items():

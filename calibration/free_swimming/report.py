@@ -19,15 +19,15 @@ from calibration.reporting.html import embedded_png, render_page
 from slider_jax.io.files import versions
 
 EQUIVALENT_SHARE = 0.8
-"""An effect is equivalent if it removes more than this share of the error at the optimum."""
+"""An effect is equivalent if it removes more than this fraction of the error at the optimum."""
 NEXT_SPEED_EXPERIMENT = (
     "Record the set pressures and the tail of the 5 Hz test. Tow the straight, unpowered robot at "
-    "0.1 to 0.4 m/s to measure its resistance without a model, with and without the tubes."
+    "0.1 to 0.4 m/s, with and without the tubes, to measure the resistance without a model."
 )
 
 
 class CrossPrediction(NamedTuple):
-    """The unresisted swims, and the predictions of each point from the other."""
+    """Swims without axial resistance, and predictions of each point's speed from another point."""
 
     before: list[UnresistedSwim]
     forward: list[SpeedPrediction]
@@ -37,20 +37,21 @@ class CrossPrediction(NamedTuple):
 
 
 def allowed_error() -> float:
-    """Returns the allowed error [m/s] of a prediction: twice both points' combined error."""
+    """Returns the allowed error [m/s] of a prediction: twice the combined error of both points."""
     return 2.0 * math.hypot(FIRST.error, OPTIMUM.error)
 
 
 def unresisted_error(x: CrossPrediction) -> float:
-    """Returns the smallest error [m/s] of the unresisted steady speed at the optimum."""
+    """Returns the smallest error [m/s] of the steady speed without resistance at the optimum."""
     return min(b.steady for b in x.before if b.point == OPTIMUM.name) - OPTIMUM.speed
 
 
 def speeds_verdict(x: CrossPrediction) -> tuple[str, SpeedPrediction]:
     """Returns the verdict and the most accurate prediction with a coefficient in its prior range.
 
-    Each prediction uses one alternative for what the paper does not give. The verdict is
-    "unexplained" if no prediction passes, and "inconclusive" if fewer than half pass.
+    Each prediction assumes one set of the quantities that the paper does not give. The verdict is
+    "unexplained" if no prediction is within the allowed error, and "inconclusive" if fewer than
+    half of the predictions are.
     """
     in_prior = [a for a in x.forward if a.in_prior] or x.forward
     best = min(in_prior, key=lambda a: abs(a.error))
@@ -80,14 +81,14 @@ def speeds_sentence(x: CrossPrediction) -> str:
     sentences += (
         f" Calibrated at 5 Hz ({best.gait}; {best.head}), {best.resisting} predicts "
         f"{100 * best.predicted:.1f} cm/s at the optimum (published {100 * OPTIMUM.speed:.1f}, the "
-        f"paper's model {100 * PAPER_MODEL_AT_OPTIMUM:.1f} cm/s). With the alternatives for what "
-        f"the paper does not give, the prediction is {100 * min(predicted):.1f} to "
-        f"{100 * max(predicted):.1f} cm/s."
+        f"paper's model {100 * PAPER_MODEL_AT_OPTIMUM:.1f} cm/s). With all assumptions about "
+        f"quantities that the paper does not give, the predictions are {100 * min(predicted):.1f} "
+        f"to {100 * max(predicted):.1f} cm/s."
     )
     if verdict == UNEXPLAINED:
         return sentences + " No coefficient within its prior range agrees with both points."
     if verdict == INCONCLUSIVE:
-        sentences += " The resistance depends on what the paper does not give."
+        sentences += " The resistance depends on quantities that the paper does not give."
     return sentences + " These points cannot discriminate between axial friction and form drag."
 
 
@@ -130,7 +131,7 @@ def speeds_record(x: CrossPrediction, seconds: float) -> dict[str, Any]:
         "audit": [
             "The paper does not give the pressures and the tail of the 5 Hz test; three "
             "alternatives are assumed.",
-            "The paper gives no error of the 5 Hz speed; that of the optimum is assumed.",
+            "The paper gives no error of the 5 Hz speed; the error at the optimum is assumed.",
         ],
         "next_experiment": NEXT_SPEED_EXPERIMENT,
         "settings": {
@@ -152,7 +153,7 @@ def _coefficient_range(
     ((parameter, prior),) = RESISTIVE_EFFECTS[best.resisting](0.0).priors().items()
     record = {
         "value": best.coefficient, "low": min(values), "high": max(values), "unit": prior.unit,
-        "interval": "over the alternatives for what the paper does not give",
+        "interval": "range with all assumptions about quantities that the paper does not give",
     }  # fmt: skip
     return {parameter: record}
 

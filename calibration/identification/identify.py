@@ -1,4 +1,4 @@
-"""Identification of a model's parameters from measured trials, without selection of effects."""
+"""Identifies a model's parameters from measured trials, without selection of effects."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -31,7 +31,7 @@ from slider_jax.io.toml import toml_text
 
 METHODS = {"lm": fit_gauss_newton, "lbfgs": fit_lbfgs}
 LBFGS_PARAMETERS = 12
-"""Number of free parameters from which the method "auto" is L-BFGS."""
+"""The method "auto" is L-BFGS for this number of free parameters or more."""
 
 
 class Identified(NamedTuple):
@@ -45,7 +45,7 @@ class Identified(NamedTuple):
     fit: Fit
     method: str
     proposals: dict[int, Proposal]
-    """A trial for every entry that the data do not determine."""
+    """Proposed trial for every entry that the data do not determine."""
     audit: list[Finding]
     """Faults of the data and the actions taken."""
     doubt: str
@@ -53,7 +53,7 @@ class Identified(NamedTuple):
 
 
 def check_names(effects: Sequence[str], channels: Sequence[str], method: str) -> None:
-    """Raises `InputError` for a name that `identify_parameters` does not know."""
+    """Raises `InputError` for a name that `identify_parameters` does not accept."""
     refuse_unknown("--method", [method], ("auto", *METHODS))
     refuse_unknown("--also", effects, LIBRARY, "the names that slider effects lists")
     refuse_unknown("--channels", channels, CHANNELS)
@@ -70,7 +70,7 @@ def identify_parameters(
 ) -> Identified:
     """Fits C_d, m_a, k, K_Q and the parameters of `effects` to all measured trials.
 
-    `method` is "lm", "lbfgs" or "auto": L-BFGS for `LBFGS_PARAMETERS` or more. Raise `InputError`
+    `method` is "lm", "lbfgs" or "auto": L-BFGS for `LBFGS_PARAMETERS` or more. Raises `InputError`
     for an unknown effect, channel or method, or if no measured trial can be used.
     """
     check_names(effects, channels, method)
@@ -83,7 +83,7 @@ def identify_parameters(
     base = base_vector(entries, base_values(experiment))
     initial = base.copy()
     for i, p in enumerate(entries):
-        if p.effect:  # a fit from the null itself could not leave the bound there
+        if p.effect:  # a fit that starts at the null could not leave this bound
             initial[i] += 0.02 * (p.prior.high - p.prior.low)
     progress("auditing the data")
     audited = audit_measurements(experiment, 1, lambda few: problem_of(few).predict(base))

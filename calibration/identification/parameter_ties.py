@@ -1,4 +1,4 @@
-"""Ties between the parameters of trials: affine maps of one fitted vector to every trial.
+"""Ties of parameters: affine maps from one fitted vector to the parameters of every trial.
 
 Four kinds of ties describe how C_d and m_a depend on the drive frequency: `constant` values, the
 `paper`'s ramp with its published values, a `ramp` with identified end values, and separate values
@@ -24,26 +24,26 @@ SAME_FREQUENCY = 0.02
 
 
 class ParameterTies(NamedTuple):
-    """A vector of entries, and its map to every trial's parameters."""
+    """A vector of entries, and the maps from this vector to every trial's parameters."""
 
     name: str
     entries: list[Parameter]
     labels: list[str]
-    """Labels of the entries, with the frequency if an entry belongs to one."""
+    """Labels of the entries, with the frequency if an entry belongs to one frequency."""
     maps: tuple[Affine, ...]
     """Map to the parameters of each trial."""
     start: np.ndarray
-    """(entries,) initial values of a fit."""
+    """Initial values (entries,) of a fit."""
     group: np.ndarray
-    """(entries,) index of the frequency to which an entry belongs, or -1."""
+    """Index (entries,) of the frequency to which an entry belongs, or -1."""
     parameter: np.ndarray
-    """(entries,) index of the entry's parameter among those of a trial."""
+    """Index (entries,) of the entry's parameter among a trial's parameters."""
 
 
 def drive_frequencies(trials: Sequence[Trial]) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the distinct drive frequencies [Hz], rising, and the index (trials,) of each trial's.
+    """Returns the distinct drive frequencies [Hz], ascending, and each trial's index (trials,).
 
-    Raise `InputError` for a trial without a drive frequency.
+    Raises `InputError` for a trial without a drive frequency.
     """
     given = []
     for trial in trials:
@@ -73,7 +73,7 @@ def constant_ties(
 def paper_ties(
     entries: Sequence[Parameter], theta: np.ndarray, at: np.ndarray, place: np.ndarray
 ) -> ParameterTies:
-    """Returns the ties with C_d and m_a of the paper's ramp; the other parameters are common."""
+    """Returns the ties with C_d and m_a of the paper's ramp; all trials share the rest."""
     common = [i for i, p in enumerate(entries) if p.label not in RAMP_PARAMETERS]
     maps = []
     for g in place:
@@ -89,7 +89,7 @@ def ramp_ties(
 ) -> ParameterTies:
     """Returns the ties with free values of C_d and m_a at both ends of the paper's ramp.
 
-    The other parameters are common.
+    All trials share the other parameters.
     """
     common = [i for i, p in enumerate(entries) if p.label not in RAMP_PARAMETERS]
     moving = [_index(entries, name) for name in RAMP_PARAMETERS]
@@ -115,7 +115,7 @@ def per_frequency_ties(
     place: np.ndarray,
     each: Sequence[str],
 ) -> ParameterTies:
-    """Returns the ties with separate values of `each` (labels) by frequency; the rest is common."""
+    """Returns the ties with a value per frequency for the labels `each`; all share the rest."""
     common = [i for i, p in enumerate(entries) if p.label not in each]
     own = [_index(entries, name) for name in each]
     indices = [*common, *(i for i in own for _ in at)]

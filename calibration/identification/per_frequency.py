@@ -1,9 +1,9 @@
-"""Comparison of constant C_d and m_a with the paper's ramp and with values by drive frequency.
+"""Compares constant C_d and m_a with the paper's ramp and with separate values per frequency.
 
 All ties of `parameter_ties` are fitted to all trials and compared by cross-validation. Each
-frequency is left out in turn, the vector is fitted to the others by the linearisation at the
-optimum, and the held-out trials are simulated. Values by frequency are interpolated from the
-neighbours. The simplest ties within one standard error of the best are chosen.
+frequency is held out in turn. The fit to all other frequencies uses the linearisation at the
+optimum. Separate values are interpolated to the held-out frequency, whose trials are simulated. The
+comparison chooses the simplest ties whose error is within one standard error of the smallest error.
 """
 
 from collections.abc import Callable, Sequence
@@ -47,16 +47,16 @@ from slider_jax.errors import InputError, refuse_unknown
 from slider_jax.experiment.load import Experiment
 
 MIN_FREQUENCIES = 4
-"""Fewest frequencies for the cross-validation."""
+"""Smallest number of frequencies for the cross-validation."""
 
 
 class FittedTies(NamedTuple):
-    """Fitted ties with their cross-validation."""
+    """Fitted ties with the result of their cross-validation."""
 
     ties: ParameterTies
     fit: Fit
     left_out: np.ndarray | None
-    """(frequencies,) sum of squares of the whitened residuals of each held-out frequency."""
+    """Sum of squares (frequencies,) of the whitened residuals at each held-out frequency."""
 
 
 class FrequencyComparison(NamedTuple):
@@ -66,20 +66,20 @@ class FrequencyComparison(NamedTuple):
     entries: list[Parameter]
     """Parameters of one trial."""
     problem: TankProblem
-    """Problem without maps."""
+    """Fitting problem without maps of the parameters."""
     frequencies: np.ndarray
-    """(frequencies,) [Hz]"""
+    """Drive frequencies (frequencies,) [Hz]."""
     place: np.ndarray
-    """(trials,) index of each trial's frequency."""
+    """Index (trials,) of each trial's frequency."""
     fitted: dict[str, FittedTies]
     chosen: str | None
-    """Name of the ties that predict best, or None for too few frequencies."""
+    """Name of the chosen ties, or None for too few frequencies."""
     proposals: dict[int, Proposal]
-    """A trial for every entry of the values by frequency that the data do not determine."""
+    """Proposed trial for every entry of the per-frequency ties that the data do not determine."""
 
     @property
     def used(self) -> FittedTies:
-        """The ties that model.toml contains: the chosen ones, or else constant values."""
+        """Returns the ties that model.toml contains: the chosen ties, or else constant values."""
         return self.fitted[self.chosen or CONSTANT]
 
 
@@ -94,8 +94,8 @@ def compare_ties(
 ) -> FrequencyComparison:
     """Fits all ties, starting from the fit `initial` of constant values, and compares them.
 
-    `each` are labels of the parameters that may differ between frequencies. Raise `InputError` for
-    an unknown label, a trial without a frequency, or a single frequency.
+    `each` are labels of the parameters that may differ between frequencies. Raises `InputError` for
+    an unknown label, a trial without a frequency, or if all trials have the same frequency.
     """
     refuse_unknown("--each", each, [p.label for p in entries])
     at, place = drive_frequencies([r.trial for r in problem.records])
@@ -128,7 +128,7 @@ def compare_ties(
 
 
 def _proposals(found: FrequencyComparison, coarse: Resolution) -> dict[int, Proposal]:
-    """Returns, for each undetermined entry, the trial at its frequency that narrows it most."""
+    """Returns for each undetermined entry the trial at its frequency that narrows it most."""
     ties, best = found.fitted[EACH].ties, found.fitted[EACH].fit
     A = summed(best.blocks)[0] / best.inflation
     measured, result = MeasuredInformation.of(found.problem, best), dict[int, Proposal]()
@@ -185,7 +185,7 @@ def _without(
 
 
 def choose_ties(fitted: dict[str, FittedTies]) -> str | None:
-    """Returns the name of the simplest ties within one standard error of the best, or None."""
+    """Returns the name of the simplest ties within one standard error of the best ties, or None."""
     if any(x.left_out is None for x in fitted.values()):
         return None
     squares = {n: np.asarray(x.left_out) for n, x in fitted.items()}
@@ -200,7 +200,7 @@ def choose_ties(fitted: dict[str, FittedTies]) -> str | None:
 
 
 def tied_values(fitted: FittedTies, label: str) -> list[tuple[float, float, float, bool]]:
-    """Returns value, 95 % interval and whether it is determined, for each entry of a label."""
+    """Returns each entry of a label: value, 95 % interval, and whether the value is determined."""
     found = []
     for i, p in enumerate(fitted.ties.entries):
         if p.label == label:
@@ -230,9 +230,9 @@ def comparison_text(found: FrequencyComparison) -> str:
         if n != found.chosen
     )
     return (
-        "The simplest description that predicts held-out frequencies as well as the best is "
-        f"{_DESCRIPTIONS[found.chosen]}. Its mean square over the noise is "
-        f"{_mean_square(found.used):.3g} (others: {rest})."
+        "The simplest description that predicts held-out frequencies as accurately as the best one "
+        f"is {_DESCRIPTIONS[found.chosen]}. The residual's mean square in units of the noise is "
+        f"{_mean_square(found.used):.3g} (other descriptions: {rest})."
     )
 
 

@@ -1,4 +1,4 @@
-"""The comparison of ties as calibration.json, per_frequency.csv, model.toml, text and figure."""
+"""Writes the comparison of ties as JSON, per_frequency.csv, model.toml, text and figure."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -42,11 +42,11 @@ def per_frequency_record(found: FrequencyComparison) -> dict[str, Any]:
             for i, x in found.proposals.items()
         },
         "definitions": {
-            "left_out": "sum of squares of the whitened residuals of every frequency's trials, "
-            "simulated with parameters fitted to the other frequencies; values by frequency are "
-            "interpolated",
-            "chosen": "fewest parameters within one standard error of the smallest sum of squares "
-            "on held-out frequencies",
+            "left_out": "sum of squares of the whitened residuals at each frequency. The trials of "
+            "this frequency are simulated with parameters that are fitted to all other frequencies "
+            "and, if they depend on frequency, interpolated",
+            "chosen": "description with the fewest parameters whose sum of squares on held-out "
+            "frequencies is within one standard error of the smallest one",
         },
     }
 
@@ -85,7 +85,7 @@ def frequency_columns(found: FrequencyComparison, each: Sequence[str]) -> dict[s
 
 
 def per_frequency_table(found: FrequencyComparison) -> str:
-    """Returns the comparison as text: a line for each value by frequency, then the result."""
+    """Returns the comparison as text: a line for each value at each frequency, then the result."""
     each = found.fitted[EACH]
     lines = entry_lines(each.fit, each.ties.entries, each.ties.labels, found.proposals)
     return "\n".join([*lines, "", comparison_text(found)])
@@ -94,8 +94,9 @@ def per_frequency_table(found: FrequencyComparison) -> str:
 def per_frequency_model(found: FrequencyComparison, each: Sequence[str]) -> str:
     """Returns the model that predicts best as a file for `slider simulate --model`.
 
-    A ramp with identified end values, and values by frequency, become a table of C_d and m_a. A
-    model file cannot hold other parameters by frequency; the file then has constant values.
+    A ramp with fitted end values, or separate values for each frequency, become a table of C_d and
+    m_a. If other parameters depend on frequency, the file contains constant values, because a model
+    file has no table for them.
     """
     used = found.used
     entries, theta = used.ties.entries, used.fit.theta
@@ -103,8 +104,8 @@ def per_frequency_model(found: FrequencyComparison, each: Sequence[str]) -> str:
     if used.ties.name == EACH and not set(each) <= set(RAMP_PARAMETERS):
         constant = found.fitted[CONSTANT]
         comment = (
-            f"{comparison_text(found)} A model file cannot hold these parameters by frequency; it "
-            "contains constant values."
+            f"{comparison_text(found)} A model file cannot contain these parameters for each "
+            "frequency, so this file contains constant values."
         )
         return toml_text(model_tables(constant.ties.entries, constant.fit.theta, effects), comment)
     if used.ties.name == CONSTANT:
@@ -127,7 +128,7 @@ def per_frequency_model(found: FrequencyComparison, each: Sequence[str]) -> str:
 
 
 def coefficient_table(found: FrequencyComparison) -> list[tuple[float, float, float]]:
-    """Returns rows (frequency [Hz], C_d, m_a) between which the used ties are linear."""
+    """Returns rows (frequency [Hz], C_d, m_a) between which C_d and m_a are linear."""
     ramp = found.used.ties.name == RAMP
     at = np.array([RAMP_START, RAMP_END]) if ramp else found.frequencies
     rows = []
@@ -138,7 +139,7 @@ def coefficient_table(found: FrequencyComparison) -> list[tuple[float, float, fl
 
 
 def plot_by_frequency(found: FrequencyComparison, each: Sequence[str], path: Path) -> None:
-    """Plots every parameter over drive frequency: values with intervals, constant, and ramps."""
+    """Plots every parameter against drive frequency: values with intervals, constant, and ramps."""
     figure, axes = new_figure(1, len(each), figsize=(5.2 * len(each), 4.2), squeeze=False)
     f = found.frequencies
     fine = np.linspace(0.9 * f.min(), 1.05 * f.max(), 200)

@@ -28,10 +28,7 @@ class Memo:
     def cached(
         self, name: str, arrays: Sequence[np.ndarray], make: Callable[[], list[np.ndarray]]
     ) -> list[np.ndarray]:
-        """Returns the cached result for `name` and `arrays`, or else compute it by `make`.
-
-        A file that cannot be read is computed again.
-        """
+        """Returns the cached result for `name` and `arrays`; calls `make` if it is not readable."""
         digest = hashlib.sha256(name.encode())
         for array in arrays:
             digest.update(np.ascontiguousarray(array).tobytes())
@@ -71,7 +68,7 @@ def input_settings(paths: Sequence[Path], folder: Path | None = None) -> dict[st
 
 @contextmanager
 def resumable(out: Path, settings: dict[str, Any]) -> Iterator[Memo]:
-    """Yields a cache under `out` for a run with these settings; delete it when the run succeeds.
+    """Yields a cache under `out` for a run with these settings; deletes it when the run succeeds.
 
     A run with the same settings and program resumes from the cache of an interrupted run.
     """

@@ -19,14 +19,14 @@ from calibration.inference.problem import AbstractProblem, ChannelBlock, summed,
 from calibration.model.extended import Parameter
 
 MAX_ITERATIONS = 24
-"""Most fits take 3 to 6 iterations; fits with an effect that replaces a law take more."""
+"""Most fits need 3 to 6 iterations. Fits with an effect that replaces a law need more."""
 GAIN_TOLERANCE = 0.02
 """A fit ends if the next step would lower the sum of squares by less than this multiple of the
 residual's mean square. The parameters are then within a seventh of a standard error."""
 POOR_FIT, ROUGH_GAIN_TOLERANCE = 20.0, 0.5
 """A mean square above `POOR_FIT` means that the model lacks an effect. Such a fit converges slowly
-and is repeated with the missing effect, so it ends at the rough tolerance: two thirds of a standard
-error."""
+and is repeated with the missing effect. It therefore ends at the rough tolerance, with parameters
+within two thirds of a standard error."""
 
 
 class Fit(NamedTuple):
@@ -39,29 +39,29 @@ class Fit(NamedTuple):
     """Sum of squares of the whitened residuals."""
     samples: int
     blocks: list[ChannelBlock]
-    """Linearised at `theta`, along the `free` entries only."""
+    """Normal equations, linearised at `theta` along the `free` entries only."""
     predicted: list[np.ndarray]
     converged: bool
     difference: np.ndarray | None = None
-    """Significant shift (k,) of the fitted entries if only the forces' variation is used, else 0.
-    None before `uncertainty.hausman_check`."""
+    """Shift (k,) of the fitted entries if the forces' means are not used, or 0 if the shift is not
+    significant. None before `uncertainty.hausman_check`."""
     widening: np.ndarray | float = 1.0
     """Factor (k,) on the standard errors that accounts for `difference`."""
 
     @property
     def inflation(self) -> float:
-        """Mean square of the whitened residuals, at least 1; near 1 if the noise is as declared."""
+        """Returns the mean square of the whitened residuals, at least 1."""
         return max(1.0, self.square / max(self.samples - len(self.free), 1))
 
     @property
     def covariance(self) -> np.ndarray:
-        """Covariance (k, k) of the free entries: the inverse normal matrix times `inflation`."""
+        """Returns the covariance (k, k) of the free entries, which includes `inflation`."""
         A, _ = summed(self.blocks)
         return self.inflation * inverse(A) if np.isfinite(A).all() else np.full(A.shape, np.inf)
 
     @property
     def errors(self) -> np.ndarray:
-        """Standard errors (k,) of the free entries, times `widening`."""
+        """Returns the standard errors (k,) of the free entries, times `widening`."""
         return np.sqrt(np.diag(self.covariance)) * self.widening
 
 
@@ -75,8 +75,8 @@ class Bounds(NamedTuple):
     def of(cls, entries: Sequence[Parameter]) -> "Bounds":
         """Returns the prior ranges as bounds.
 
-        A range that ends at the effect's null is extended by a twentieth beyond it. Then the fit
-        of an absent effect can reach the null, which it would otherwise only approach.
+        A range that ends at the effect's null is extended beyond the null by a twentieth of the
+        range. A fit only approaches a bound. The extension allows a fit to reach the null.
         """
         low, high = [], []
         for p in entries:
@@ -86,11 +86,11 @@ class Bounds(NamedTuple):
         return cls(jnp.asarray(low), jnp.asarray(high))
 
     def theta_of(self, z):
-        """Returns the parameters (parameters,) of z (parameters,)."""
+        """Returns theta (parameters,) of z (parameters,)."""
         return self.low + (self.high - self.low) / (1.0 + jnp.exp(-z))
 
     def z_of(self, theta):
-        """Returns z of theta, after moving theta at least a millionth of the range inwards."""
+        """Returns z of theta, after a theta at a bound is moved by a millionth of the range."""
         share = jnp.clip((theta - self.low) / (self.high - self.low), 1e-6, 1.0 - 1e-6)
         return jnp.log(share / (1.0 - share))
 
@@ -119,11 +119,11 @@ def fit_gauss_newton(
     progress: Callable[[str], None] = lambda text: None,
     white: dict[tuple[int, str], Whitener] | None = None,
 ) -> Fit:
-    """Returns the fit of the entries `free` (indices) of `theta`; the other entries stay.
+    """Returns the fit of the entries `free` (indices) of `theta`; the other entries are fixed.
 
     A step that cannot be simulated is shortened. The fit does not converge if the start cannot be
-    simulated or has no finite tangents. Sums of squares of two fits are comparable only if the
-    fits share `white` (default: the whiteners at the start).
+    simulated or has no finite tangents. Sums of squares of two fits are comparable only if both
+    fits use the same `white` (default: the whiteners at the start).
     """
     bounds = Bounds.of([entries[i] for i in free])
     directions = np.eye(len(theta))[free]
@@ -183,7 +183,7 @@ def _solve(root, rhs, start, bounds):
 
 
 def _linear_optimum(A, b, start, bounds: Bounds) -> np.ndarray:
-    """Returns the bounded x that minimises (x - start) A (x - start) - 2 b (x - start)."""
+    """Returns the x within `bounds` that minimises d A d - 2 b d, with d = x - start."""
     size = np.sqrt(np.where(np.diag(A) > 0.0, np.diag(A), 1.0))
     values, vectors = np.linalg.eigh(A / np.outer(size, size))
     kept = np.maximum(values, 1e-12 * values.max())

@@ -1,4 +1,4 @@
-"""Residual of a fit compared with the noise floor."""
+"""Compares the residual of a fit with the noise floor."""
 
 from typing import NamedTuple
 
@@ -13,13 +13,13 @@ class Excess(NamedTuple):
     """Mean squares of a channel's whitened residuals."""
 
     trials: np.ndarray
-    """(trials,) of every trial; NaN if the trial lacks the channel."""
+    """Mean square (trials,) of every trial; NaN if the trial has no such channel."""
     all: float
-    """Of all trials together."""
+    """Mean square of all trials together."""
 
 
 def excess(problem: AbstractProblem, fit: Fit) -> dict[str, Excess]:
-    """Returns the mean squares of a fit's whitened residuals by channel; noise alone gives 1."""
+    """Returns each channel's mean squares of a fit's whitened residuals; noise alone gives 1."""
     white = problem.whiteners(fit.predicted)
     residuals = problem.residuals(fit.predicted, white)
     found = {}
@@ -34,7 +34,7 @@ def excess(problem: AbstractProblem, fit: Fit) -> dict[str, Excess]:
 
 
 def rms_errors(problem: AbstractProblem, predicted: list[np.ndarray]) -> dict[str, float]:
-    """Returns the rms of measured minus predicted by channel, in its unit, all trials together."""
+    """Returns each channel's rms error over all trials, in the unit of the channel."""
     found = {}
     for channel in problem.channels:
         row = row_of(channel)
@@ -51,7 +51,7 @@ def rms_errors(problem: AbstractProblem, predicted: list[np.ndarray]) -> dict[st
 def channel_errors(
     problem: AbstractProblem, before: list[np.ndarray], after: list[np.ndarray]
 ) -> dict[str, dict[str, float]]:
-    """Returns the rms errors "before" and "after" and the noise "floor" by channel, in its unit."""
+    """Returns each channel's rms errors "before" and "after" and its noise "floor", in its unit."""
     start, end = rms_errors(problem, before), rms_errors(problem, after)
     floor = noise_floors(problem, after)
     return {c: {"before": start[c], "after": end[c], "floor": floor[c]} for c in end}
@@ -60,7 +60,7 @@ def channel_errors(
 def noise_floors(problem: AbstractProblem, predicted: list[np.ndarray]) -> dict[str, float]:
     """Returns the noise floor of every channel, in its unit.
 
-    It is the rms of noise, tare and model-discretisation discrepancy.
+    The noise floor is the rms of noise, tare and model-discretisation discrepancy together.
     """
     found = {}
     for channel in problem.channels:

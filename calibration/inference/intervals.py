@@ -1,4 +1,4 @@
-"""Confidence intervals of a parameter with a correlated residual, and the white-noise estimate."""
+"""Computes confidence intervals of a parameter x from correlated residuals, and white noise."""
 
 import math
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ class Interval(NamedTuple):
     effective: float
     """Effective number of samples."""
     widening: float
-    """Width in log x over the width of the interval that takes all samples as independent."""
+    """Width in log x, divided by the width of the interval for independent samples."""
 
     @property
     def fixed(self) -> bool:
@@ -28,7 +28,7 @@ class Interval(NamedTuple):
 
 
 class RecordDerivatives(NamedTuple):
-    """One record at the fit: r, J = dr/d(log x), H = d^2(r.r/2)/d(log x)^2."""
+    """Residual r of one record at the fitted x, J = dr/d(log x), and H = d^2(r.r/2)/d(log x)^2."""
 
     residual: np.ndarray
     tangent: np.ndarray
@@ -38,8 +38,8 @@ class RecordDerivatives(NamedTuple):
 def correlation_time(residual: np.ndarray) -> float:
     """Returns the number of samples per independent sample of a residual (n,).
 
-    It is 1 + 2 times the sum of the autocorrelation, about the mean, up to its first zero. A
-    residual that repeats in every cycle then counts as four to six independent values a cycle.
+    This is 1 plus twice the sum of the autocorrelation of the residual minus its mean, up to the
+    first zero. A residual that repeats in every cycle counts as four to six values per cycle.
     """
     x = residual - residual.mean()
     n = len(x)
@@ -60,8 +60,8 @@ def student_quantile(freedom: float) -> float:
 def record_interval(log_value: float, record: RecordDerivatives) -> Interval:
     """Returns the interval of a least-squares fit to one record.
 
-    Its variance is the sandwich s^2 tau J.J / H^2 in log x, with tau the residual's
-    `correlation_time`. H is the true curvature: J.J differs from it if the residual is large.
+    The variance of log x is the sandwich estimate s^2 tau J.J/H^2, with the residual's variance s^2
+    and `correlation_time` tau. J.J differs from the true curvature H if the residual is large.
     """
     r, J, H = record
     n, time = len(r), correlation_time(r)
@@ -75,9 +75,9 @@ def record_interval(log_value: float, record: RecordDerivatives) -> Interval:
 def pooled_interval(log_value: float, records: Sequence[RecordDerivatives]) -> Interval:
     """Returns the interval of a common value, with the records as a sample of all such records.
 
-    All records have the same weight. The variance is the sandwich with one cluster a record: the
-    spread of their scores J.r/n. Student's quantile has len(records) - 1 degrees of freedom. For a
-    single record this is `record_interval`.
+    All records have the same weight. The variance is the sandwich estimate with one cluster per
+    record: the spread of the records' scores J.r/n, with n samples. Student's quantile has
+    len(records) - 1 degrees of freedom. For a single record, the result is `record_interval`.
     """
     count = len(records)
     if count == 1:
@@ -90,7 +90,7 @@ def pooled_interval(log_value: float, records: Sequence[RecordDerivatives]) -> I
 def within_interval(log_value: float, records: Sequence[RecordDerivatives]) -> Interval:
     """Returns the interval of a common value for these records alone.
 
-    It is `record_interval` summed over them and does not predict the value of a further record.
+    The variances of `record_interval` are summed. The interval does not apply to further records.
     """
     variance = sum(_score_variance(x) * correlation_time(x.residual) for x in records)
     quantile = student_quantile(_effective_samples(records) - 1.0)
@@ -98,7 +98,7 @@ def within_interval(log_value: float, records: Sequence[RecordDerivatives]) -> I
 
 
 def _score_variance(x: RecordDerivatives) -> float:
-    """Returns the variance of a record's score J.r/n if its samples were independent."""
+    """Returns the variance that a record's score J.r/n would have with independent samples."""
     return float(x.residual @ x.residual) * float(x.tangent @ x.tangent) / len(x.residual) ** 3
 
 

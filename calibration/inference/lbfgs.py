@@ -3,8 +3,8 @@
 The gradient of the sum of squares is -2 J r, with the same forward tangents J as in `gauss_newton`.
 Optax's L-BFGS computes the direction in the unbounded variables, each scaled to unit curvature. A
 backtracking line search on the simulated sum of squares computes the step. Many effects have nearly
-parallel tangents. They make a Gauss-Newton step long and inaccurate, but not an L-BFGS step, which
-does not invert the normal matrix.
+parallel tangents, which make a Gauss-Newton step long and inaccurate. An L-BFGS step does not
+invert the normal matrix, so parallel tangents do not make it inaccurate.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,20 +20,20 @@ from calibration.inference.problem import AbstractProblem, ChannelBlock, summed,
 from calibration.model.extended import Parameter
 
 MAX_GRADIENTS = 60
-"""Largest number of gradients."""
+"""Largest number of gradients that a fit computes."""
 MEMORY = 20
 """Number of past gradients that L-BFGS uses."""
 PREDICTED_GAIN_TOLERANCE = 0.003
-"""The fit ends if the linearised model predicts a smaller gain, in units of the residual's mean
+"""The fit ends if the linearised model predicts a gain below this, in units of the residual's mean
 square. Every parameter is then within 0.06 standard errors of its optimum."""
 MAX_SCALE_CHANGE = 2.0
-"""Factor by which the root of a variable's curvature may change before L-BFGS restarts."""
+"""L-BFGS restarts if the square root of a variable's curvature changes by more than this factor."""
 ARMIJO_SHARE = 1e-4
-"""Share of the gain predicted by the slope that a step must reach (Armijo's condition)."""
+"""A step must give at least this fraction of the gain from the slope (Armijo's condition)."""
 STEP_SHARES = (1.0, 0.3, 0.1, 0.03, 0.01)
-"""Shares of a direction that the line search tries, in this order."""
+"""Fractions of a step that the line search tries, in this order."""
 MAX_STEP = 2.0
-"""Largest step of each unbounded variable; it moves a parameter from 0.5 to 0.88 of its range."""
+"""Largest step of an unbounded variable. It moves a parameter from 0.5 to 0.88 of its range."""
 
 
 def fit_lbfgs(

@@ -1,9 +1,10 @@
 """Noise model of a channel, and the whitening of residuals.
 
 A sensor's noise has three parts: white noise (with quantisation), slow noise correlated over
-`slow_time`, and a tare that is constant over a trial. Two further parts are shares of the signal: a
-gain that differs between trials, and the model-discretisation discrepancy. `slider_jax.channels`
-declares both before any data. The loop cannot name an effect that is smaller.
+`slow_time`, and a tare that is constant in a trial. Two further parts are proportional to the
+signal: a gain that differs between trials, and the model-discretisation discrepancy.
+`slider_jax.channels` declares both parts before any data. The loop cannot name an effect that
+changes the readings less than these parts.
 """
 
 from typing import NamedTuple
@@ -16,14 +17,14 @@ from slider_jax.channels import CHANNELS
 from slider_jax.experiment.schema import SensorsTable
 
 DISCREPANCY_TIME = 0.02
-"""Correlation time of the model-discretisation discrepancy within a stride [s]: that of the beam,
-not of the drive."""
+"""Correlation time of the model-discretisation discrepancy within a stride [s]. It depends on the
+beam, not on the drive."""
 DISCREPANCY_STRIDES = 10.0
-"""Strides over which the discrepancy stays correlated, so that strides do not average it out.
-Measured after one stride: a correlation of 0.86 to 0.94."""
+"""Number of strides over which the discrepancy stays correlated, so that more strides do not reduce
+it. The correlation that was measured after one stride is 0.86 to 0.94."""
 MAX_SAMPLES = 1250
-"""Most samples of a whitened series, which bounds the Cholesky factor; longer series are averaged
-in groups."""
+"""Largest number of samples in a whitened series, to limit the Cholesky factor's size. Longer
+series are averaged in groups."""
 
 
 class Noise(NamedTuple):
@@ -38,8 +39,8 @@ class Noise(NamedTuple):
 def channel_noise(sensors: SensorsTable, channel: str, values: np.ndarray) -> Noise:
     """Returns the noise that an experiment declares for a channel.
 
-    If it declares no white noise, this is estimated from the measured `values` (n,). The smallest
-    step between values gives the quantisation of a pressure.
+    If the experiment declares no white noise, the noise is estimated from the measured `values`
+    (n,). For a pressure, the smallest step between values is the quantisation.
     """
     key, kind = CHANNELS[channel].noise, CHANNELS[channel].kind
     white = getattr(sensors, key) if key else 0.0
@@ -71,9 +72,9 @@ class Whitener:
     """Whitens series of one trial and channel: independent samples of unit variance.
 
     `t` (n,) [s] are the sample times. `model` (n,) is the model's series; it scales the noise that
-    is a share of the signal. With the drive's `frequency` [Hz], the model-discretisation
-    discrepancy repeats. Tare, gain and `spans` (k, n) are marginalised: a span is a series of
-    unknown size, given as its standard deviation.
+    is proportional to the signal. If the drive's `frequency` [Hz] is given, the
+    model-discretisation discrepancy repeats with it. Tare, gain and `spans` (k, n) are
+    marginalised. A span is a series with an unknown factor of unit variance.
     """
 
     def __init__(
@@ -105,7 +106,7 @@ class Whitener:
         return series[:, : self._n].reshape(len(series), -1, self._group).mean(axis=2)
 
     def __call__(self, series: np.ndarray) -> np.ndarray:
-        """Returns the whitened series (k, m) of `series` (k, n); non-finite values stay."""
+        """Returns the whitened series (k, m) of `series` (k, n); non-finite values are kept."""
         averaged = self._averaged(np.atleast_2d(series))
         return solve_triangular(self._factor, averaged.T, lower=True, check_finite=False).T
 
@@ -113,8 +114,8 @@ class Whitener:
 def _discrepancy_correlation(lag: np.ndarray, frequency: float | None) -> np.ndarray:
     """Returns the correlation of the model-discretisation discrepancy at a time `lag` [s].
 
-    It is exponential in the chord of the phase circle, so that it returns after each stride, and
-    decays slowly over strides.
+    The correlation decreases exponentially with the chord between two phases on a circle, so that
+    it is high again after each stride. It also decreases slowly from stride to stride.
     """
     if not frequency:
         return np.exp(-lag / DISCREPANCY_TIME)

@@ -1,11 +1,11 @@
 """Fitting problems: simulated trials, whitened residuals and their normal equations.
 
-For every trial and channel, with the whitened residual r and tangents J (parameters, m):
+For every trial and channel, with the whitened residual r (n,) and tangents J (parameters, n):
 
-    A = J J^T,    b = J r,    c = r.r,    n samples
+    A = J J^T,    b = J r,    c = r.r
 
-Least squares, scores, cross-validation and equivalence classes need only sums of these matrices. So
-each parameter vector is simulated once.
+Least squares, scores, cross-validation and equivalence classes need only sums of these quantities.
+Each parameter vector is therefore simulated only one time.
 """
 
 from abc import ABC, abstractmethod
@@ -40,13 +40,13 @@ class Swing(NamedTuple):
     """Initial swing of the trials."""
 
     size: float
-    """Standard deviation at the tip [m]."""
+    """Standard deviation of the swing at the tip [m]."""
     theta: np.ndarray
-    """Parameters at which its effect on the channels is simulated."""
+    """Parameters at which the swing's effect on the channels is simulated."""
 
 
 FAILED = 1e12
-"""Sum of squares of a channel whose simulation failed; larger than that of any other."""
+"""Sum of squares of a channel whose simulation failed; any other sum of squares is smaller."""
 
 
 class ChannelBlock(NamedTuple):
@@ -98,9 +98,9 @@ class AbstractProblem(ABC):
 
     @abstractmethod
     def spans(self) -> list[np.ndarray] | None:
-        """Returns the change of every trial's readings by the initial swing.
+        """Returns the change (2, channels, samples) of every trial's readings by the initial swing.
 
-        Shape (2, channels, samples) for every trial; None if the trials start at rest.
+        Returns None if the trials start at rest.
         """
 
     def predict(self, theta: np.ndarray) -> list[np.ndarray]:
@@ -123,7 +123,7 @@ class AbstractProblem(ABC):
     def whiteners(self, predicted: list[np.ndarray]) -> dict[tuple[int, str], Whitener]:
         """Returns the whitener of every trial and channel.
 
-        Noise that is a share of the signal is taken from the `predicted` signal.
+        Noise that is proportional to the signal is computed from the `predicted` signal.
         """
         swing = self.spans()
 
@@ -157,7 +157,7 @@ class AbstractProblem(ABC):
         derivatives: list[np.ndarray],
         white: dict[tuple[int, str], Whitener],
     ) -> list[ChannelBlock]:
-        """Returns the matrices of every trial and channel."""
+        """Returns the normal equations of every trial and channel."""
         found = []
         for key, r in residuals.items():
             i, channel = key
@@ -177,7 +177,7 @@ class TankProblem(AbstractProblem):
     mesh: Resolution = COARSE
     """Resolution of the tangents."""
     maps: tuple[Affine, ...] | None = None
-    """Maps from the fitted vector to each trial's parameters; None if all trials share them."""
+    """Maps from the fitted vector to each trial's parameters; None if these are the same."""
     swing: Swing | None = None
 
     @classmethod

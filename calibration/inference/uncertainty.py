@@ -1,7 +1,7 @@
 """Confidence intervals of fitted parameters.
 
-They account for noise, for the model-discretisation discrepancy, and for a disagreement between the
-means of the forces and the rest of the data.
+The intervals account for noise, for the model-discretisation discrepancy, and for a disagreement
+between the means of the forces and the rest of the data.
 """
 
 from collections.abc import Sequence
@@ -16,17 +16,17 @@ from slider_jax.channels import BUILT_IN, CHANNELS
 
 BASE_DISCREPANCY = {"C_d": 0.004, "m_a": 0.010, "k": 0.0005, "K_Q": 0.0023}
 """Relative standard deviation of the base parameters between two correct implementations of the
-model. It is the part that all trials share; the noise model has the part that differs between them.
-Each value is the quadratic mean of two rms values of fits without noise. Seven meshes and steps of
-three tanks give 0.4, 0.8, 0.02 and 0.3 %. Four tanks of an independent program give 0.35, 1.2, 0.07
-and 0.12 %."""
+model, without the part that differs between trials, which the noise model contains. Each value is
+the quadratic mean of two rms values from fits to simulations without noise. The first rms values,
+0.4, 0.8, 0.02 and 0.3 %, are from seven meshes and steps of three tanks. The second, 0.35, 1.2,
+0.07 and 0.12 %, are from four tanks that a separately written program simulates."""
 EFFECT_DISCREPANCY = 0.02
-"""The same share for an effect's parameter."""
+"""Relative standard deviation of an effect's parameter between two such implementations."""
 FORCES = tuple(name for name in BUILT_IN if CHANNELS[name].kind == "force")
 FREED_TARE = 1e3
-"""Multiple of the larger of a sensor's noise and tare. So large a tare removes the mean."""
+"""Factor on a sensor's noise or tare, whichever is larger. Such a large tare removes the mean."""
 HAUSMAN_LIMIT = 2.0
-"""Standard errors of the difference above which the forces' means and the rest disagree."""
+"""The forces' means and the rest disagree if the difference exceeds this many standard errors."""
 
 
 def discretisation_share(p: Parameter) -> float:
@@ -49,9 +49,9 @@ def hausman_check(problem: AbstractProblem, fit: Fit) -> Fit:
 
     The test frees the tares, which removes the forces' means, and takes one linear step. The step's
     variance is the increase of the estimate's variance. A step below one standard error of the
-    estimate does not count. A significant step widens the standard error by Birge's ratio: the step
-    over its own standard error. Source: Hausman, J. A. (1978), Econometrica 46, 1251-1271; Birge,
-    R. T. (1932), Phys. Rev. 40, 207-227.
+    estimate is ignored. A significant step widens the standard error by Birge's ratio, the step
+    divided by its own standard error. Source: Hausman, J. A. (1978), Econometrica 46, 1251-1271;
+    Birge, R. T. (1932), Phys. Rev. 40, 207-227.
     """
     if not any(channel in FORCES for _, channel in problem.noise):
         return fit
@@ -81,9 +81,9 @@ def _normal(
 
 
 def value_by_variation(fit: Fit, index: int) -> float | None:
-    """Returns the entry `index` estimated without the forces' means.
+    """Returns the entry `index`, estimated without the forces' means.
 
-    None if `hausman_check` found no significant difference.
+    Returns None if `hausman_check` found no significant difference.
     """
     place = int(np.flatnonzero(fit.free == index)[0])
     difference = 0.0 if fit.difference is None else float(fit.difference[place])
