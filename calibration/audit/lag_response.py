@@ -100,16 +100,22 @@ def fit_lags(
     every = max(1, len(t) // MAX_SAMPLES)
     for j, drive in enumerate(chambers):
         times, responses = _lag_responses(drive, float(t[-1]) + 0.02, time_constants)
+        regressors: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}  # by the rows that are there
         for i, series in enumerate(values):
             there = np.flatnonzero(np.isfinite(series))
             there = there[:: max(1, min(every, len(there) // 60))]
             if len(there) < 20 or np.ptp(series[there]) == 0.0:
                 continue
-            at = t[there]
-            R = np.stack([np.interp(at - d, times, y) for y in responses for d in delays])
-            R, m = _without_drift(at, R), _without_drift(at, series[there])
-            size, along = np.einsum("ij,ij->i", R, R), R @ m
-            size = np.maximum(size, 1e-12 * len(at))
+            at, key = t[there], there.tobytes()
+            if key not in regressors:
+                shifted = at - delays[:, None]
+                R = np.concatenate([np.interp(shifted, times, y) for y in responses])
+                R = _without_drift(at, R)
+                size = np.maximum(np.einsum("ij,ij->i", R, R), 1e-12 * len(at))
+                regressors[key] = R, size
+            R, size = regressors[key]
+            m = _without_drift(at, series[there])
+            along = R @ m
             gain[i, j] = (along / size / drive.amplitude).reshape(shape[2:])
             share = np.clip(1.0 - along**2 / size / max(float(m @ m), 1e-300), 0.0, 1.0)
             residual[i, j] = np.sqrt(share).reshape(shape[2:])

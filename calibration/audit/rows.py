@@ -122,12 +122,14 @@ def _numbers(name, header, rows) -> tuple[np.ndarray, list[Finding]]:
     for i, column in enumerate(channel_columns()):
         if column not in header:
             continue
-        at, wrong = header.index(column), []
-        for j, row in enumerate(rows):
-            cell = row[at].strip()
-            table[i, j] = _number(cell)
-            if cell and not math.isfinite(table[i, j]):
-                wrong.append(cell)
+        at = header.index(column)
+        cells = [row[at].strip() for row in rows]
+        try:
+            table[i] = list(map(float, cells))
+        except ValueError:
+            table[i] = list(map(_number, cells))
+        table[i, ~np.isfinite(table[i])] = np.nan
+        wrong = [cells[j] for j in np.flatnonzero(np.isnan(table[i])) if cells[j]]
         if wrong:
             detail = (
                 f"{len(wrong)} cells of {column} are not finite numbers ({wrong[0][:20]!r}"
@@ -139,7 +141,6 @@ def _numbers(name, header, rows) -> tuple[np.ndarray, list[Finding]]:
 
 def _number(cell: str) -> float:
     try:
-        value = float(cell)
+        return float(cell)
     except ValueError:
         return math.nan
-    return value if math.isfinite(value) else math.nan

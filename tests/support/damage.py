@@ -10,7 +10,7 @@ from slider_jax.channels import channel_columns
 from slider_jax.experiment import load as experiment
 from slider_jax.io.files import write_csv, write_text
 
-RATE = 500.0
+RATE = 250.0
 QUANTUM = 932.8
 K = 0.085
 RUNS = [  # frequency, amplitude, phase, tow speed, duration
@@ -23,7 +23,7 @@ RUNS = [  # frequency, amplitude, phase, tow speed, duration
     (4.8, 250e3, 0.0, 0.0, 1.5),
     (6.0, 150e3, 0.3, 0.22, 1.5),
 ]
-CAMERA_EVERY = 8
+CAMERA_EVERY = 4
 ROW = {"p_front": 0, "p_rear": 1, "thrust": 2, "recoil": 3, "tip": 4}
 
 

@@ -56,7 +56,7 @@ def test_the_measured_sets_give_no_finding(data, name):
 # Rows and times
 
 
-@pytest.mark.parametrize(("number", "first", "many"), [(0, 700, 40), (3, 200, 300), (7, 600, 7)])
+@pytest.mark.parametrize(("number", "first", "many"), [(0, 350, 40), (3, 100, 150), (7, 300, 7)])
 def test_a_gap_is_reported_and_the_rows_stay_missing(tank, whole, number, first, many):
     def cut(lines):
         return lines[: first + 1] + lines[first + 1 + many :]
@@ -221,7 +221,7 @@ def test_too_few_trials_are_refused_with_the_reasons(tank):
 
 @pytest.mark.parametrize(("channel", "number"), [*zip(ROW, [0, 5, 7, 2, 4], strict=True)])
 def test_readings_of_a_stuck_sensor_are_masked(tank, channel, number):
-    row, a, b = ROW[channel], 320, 320 + (150 if channel == "tip" else 90)
+    row, a, b = ROW[channel], 160, 160 + (150 if channel == "tip" else 90)
 
     def stick(t, values):
         first = values[row, a:b][np.isfinite(values[row, a:b])][0]
@@ -233,7 +233,9 @@ def test_readings_of_a_stuck_sensor_are_masked(tank, channel, number):
     only(found, number, ("stuck", channel, "masked"))
     r = record(found, number)
     assert np.isfinite(r.values[row, a + 8 : b - 1]).sum() == 0
-    assert np.isfinite(r.values[row, :a]).sum() == len(range(0, a, 8 if channel == "tip" else 1))
+    assert np.isfinite(r.values[row, :a]).sum() == len(
+        range(0, a, damage.CAMERA_EVERY if channel == "tip" else 1)
+    )
 
 
 def test_a_sensor_that_is_constant_in_a_trial_is_masked_in_that_trial(tank):

@@ -199,5 +199,5 @@ def test_a_trial_with_another_sample_rate_is_reported_and_used(tank):
     lines_of(tank, 4, lambda x: [x[0], *x[1::2]])
     found = audited(tank)
     only(found, 4, ("sample_rate", "t_s", "used"))
-    lines_of(tank, 5, lambda x: [x[0], *x[1:250], *x[250::2]])
+    lines_of(tank, 5, lambda x: [x[0], *x[1:125], *x[125::2]])
     assert ("sample_rate", None, "used") in kinds(audited(tank), 5)

@@ -13,8 +13,8 @@ from calibration.model.predict import Resolution
 from slider_jax.cli.main import main
 
 TRUTH = {"C_d": 3.0, "m_a": 0.8, "k": 0.075, "K_Q": 4.5e-7}
-COARSE_TANK = {"nodes": 21, "step": 2e-3, "scheme": "sdirk2"}
-MESH = Resolution(21, 60, 3.0e-3)
+COARSE_TANK = {"nodes": 13, "step": 2e-3, "scheme": "sdirk2"}
+MESH = Resolution(13, 40, 4.0e-3)
 
 
 @pytest.fixture(scope="module")

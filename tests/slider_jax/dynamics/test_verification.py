@@ -9,6 +9,8 @@ from slider_jax.beam.parameters import Numerics
 from slider_jax.experiment import load as experiment
 from tests.support.helpers import arrays, march
 
+pytestmark = pytest.mark.optimised
+
 MESH = Numerics(tail_cells=10, body_cells=40)
 LARGEST_STEP, CHUNK = 5e-4, 100
 
