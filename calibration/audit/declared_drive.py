@@ -33,7 +33,7 @@ MAX_SKEW = 0.03
 WRONG_DRIVE = 0.8
 """A pressure has another drive if its relative residual at every lag and delay exceeds this."""
 STRANGE, TIMES = 0.25, 6.0
-"""Residual that is enough if it also exceeds `TIMES` times the median of all trials."""
+"""`STRANGE` is sufficient if the residual also exceeds `TIMES` times the median of all trials."""
 WRONG_AMPLITUDE = np.log(1.25)
 FITS = 0.1
 """A pressure's delay is determined if the relative residual is below this."""
@@ -65,7 +65,7 @@ def check_clocks(
         )
         both = abs(ticks - p.off) < 0.1 * abs(p.off) + 1e-3
         if both or (alike > 2 and alike > 0.7 * len(known)):
-            why = "the sample rate has the same error" if both else "other trials have it too"
+            why = "the sample rate has the same error" if both else "other trials have this error"
             detail = f"{text}, and {why}: the clock is skewed; the times were rescaled"
             scale = 1.0 + (ticks if both else float(np.median(known)))
             kept.append(replace(r, t=r.t * scale))

@@ -46,7 +46,7 @@ class _Correlations:
     lags: list[float]
 
     def correlation(self, i: int, column: int, row: int) -> float:
-        """Returns the correlation of trial i's measured column and predicted row, at its delay."""
+        """Returns the correlation of a column with the predicted row at the delay of this row."""
         r, p = self.pairs[i]
         return _correlation(r, p, column, row, self.lags[BODY.index(row)])
 
@@ -114,7 +114,7 @@ def _columns(of: _Correlations) -> tuple[list[Record], list[Finding]]:
         rows = [0, 1, *(BODY[c] for c in best)]
         names = " and ".join(NAMES[BODY[x]] for x in moved)
         channels = ", ".join(BUILT_IN[BODY[x]] for x in moved)
-        detail = f"the columns {names} are swapped: each correlates with another one's prediction"
+        detail = f"the columns {names} are swapped: each follows another channel's prediction"
         findings.append(trial_finding(r, "swapped_columns", channels, detail, "mended"))
         kept.append(replace(r, values=r.values[rows]))
     return kept, findings
@@ -173,7 +173,7 @@ def _units(of: _Correlations) -> tuple[list[Record], list[Finding]]:
 
 
 def _strange_channels(of: _Correlations) -> tuple[list[Record], list[Finding]]:
-    """Returns the records and findings; masks a channel that fits only in all other trials."""
+    """Returns the records and findings; masks a channel that fits in all trials but this one."""
     n = len(of.pairs)
     table = np.array([[of.correlation(i, x, x) for x in BODY] for i in range(n)]).reshape(n, 3)
     kept, findings = [], []
@@ -187,7 +187,7 @@ def _strange_channels(of: _Correlations) -> tuple[list[Record], list[Finding]]:
             if best < STRANGE:
                 detail = (
                     f"the correlation of {NAMES[row]} with its prediction is at most {best:.2f}, "
-                    f"but {rest.min():.2f} or more in other trials; this trial's is not used"
+                    f"but {rest.min():.2f} or more in other trials; the channel is masked"
                 )
                 findings.append(
                     trial_finding(r, "strange_channel", BUILT_IN[row], detail, "masked")

@@ -74,7 +74,7 @@ def _columns(
             kept.append(r)
             continue
         moved = [NAMES[x] for x in range(5) if order[x] != x]
-        detail = f"the columns {' and '.join(moved)} are swapped: each has another one's readings"
+        detail = f"the columns {' and '.join(moved)} are swapped: each has another's readings"
         findings.append(trial_finding(r, "swapped_columns", ", ".join(moved), detail, "mended"))
         kept.append(replace(r, values=r.values[order]))
     return kept, findings

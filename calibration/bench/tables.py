@@ -18,7 +18,7 @@ MIN_ROWS = 5
 MIN_CYCLES, MIN_SAMPLES = 3.0, 10.0
 """Smallest number of periods in a ring-down, and of samples per period."""
 MAX_LOAD = 30.0
-"""Largest load, times length^2/EI of the file. A larger load is probably not in newtons."""
+"""Largest dimensionless load, load x length^2/EI. A larger load is probably not in newtons."""
 
 Clamp = Literal["head", "joint"]
 TipNoise = Annotated[float, Quantity(1e-6, 0.02, "m")] | None

@@ -103,7 +103,7 @@ def close_loop_on_trials(
     kept: Collection[str] = (),
     settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> LoopOutcome:
-    """Returns the loop's result: effects that the model lacks on the measured trials.
+    """Returns the loop's result: the effects that the model lacks in the measured trials.
 
     `effects` are the candidates' names (default: the whole library). Residuals are computed at the
     resolution `fine` and tangents at `coarse`. Trials of the files `kept` are not held out. Raises

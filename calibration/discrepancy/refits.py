@@ -71,7 +71,7 @@ class Refits:
         return None
 
     def without(self, current: Fit, name: str) -> Fit | None:
-        """Returns the fit without an effect, or None if the fit worsens by the naming threshold."""
+        """Returns the fit without an effect, or None if the loss exceeds the naming threshold."""
         group = effect_entries(self.entries)[name]
         own = np.isin(current.free, group)
         null = self.null(current.theta, group)

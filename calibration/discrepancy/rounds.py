@@ -15,7 +15,7 @@ from slider_jax.channels import row_of
 
 
 class Agreement(NamedTuple):
-    """Cross-validation of a candidate: whether the candidate consistently improves other trials."""
+    """Cross-validation: whether a candidate consistently improves the fit to held-out trials."""
 
     mean: float
     """t-statistic of the log gains `Score.left_out`: their mean divided by its standard error."""

@@ -64,10 +64,10 @@ class SelectionSettings:
     parallel_cosine: float = 0.95
     """Two effects are equivalent if |cos| between their tangents is larger than this."""
     equal_gain_share: float = 0.95
-    """A candidate is equivalent to the chosen effect above this fraction of the effect's gain."""
+    """A candidate with more than this fraction of the chosen effect's gain is equivalent."""
     contender_gain_share: float = 0.8
-    """A candidate is an alternative after the selection above this fraction of the chosen effect's
-    gain. A wrong effect can explain part of another missing effect, so the fraction is lower."""
+    """A candidate with more than this fraction of the chosen effect's gain is compared after the
+    selection. The fraction is low because a wrong effect can explain part of another effect."""
 
     min_explained: float = 0.9
     """If a residual above the noise floor remains, effects are named only if they reduce the rms

@@ -1,7 +1,7 @@
 """Computes effects' detection limits in an experiment, and effects that it cannot discriminate.
 
 No data are needed. A is the Fisher information of all trials, F the base parameters, and e one
-parameter of an effect, with the size s. Calibration of F absorbs a part of the effect. The rest is
+parameter of an effect, with the size s. Calibration of F absorbs a part of the gain and leaves
 
     gain = s^2 (A_ee - A_eF A_FF^-1 A_Fe)
 

@@ -151,7 +151,7 @@ def plot_matrix(m: DetectabilityMatrix, path: Path) -> None:
             right.barh(row, 100.0 * share, color="tab:blue", height=0.7)
         else:
             right.text(1.1e-1, row, "not detectable", fontsize=6, va="center")
-    right.set(xscale="log", xlim=(0.1, 100.0), xlabel="share of the prior range (%)")
+    right.set(xscale="log", xlim=(0.1, 100.0), xlabel="limit (% of the prior range)")
     right.set_title("detection limit", loc="left", fontsize=10)
     right.tick_params(labelleft=False)
     right.grid(axis="x", color="0.9", lw=0.6)

@@ -50,7 +50,7 @@ class ModelDistance(NamedTuple):
 
     @property
     def threshold_ratio(self) -> float:
-        """Returns the squared distance divided by the naming threshold; above 1 discriminates."""
+        """Returns the squared distance divided by the naming threshold; values > 1 discriminate."""
         return min(self.sigmas**2 / DEFAULT_SETTINGS.min_gain, self.channel[1] ** 2)
 
     @property

@@ -50,7 +50,7 @@ class SensorModel:
     noise: dict[str, Noise]
     """Noise of each channel."""
     every: dict[str, int]
-    """Each channel has a reading in every so many samples of a trial."""
+    """Number of samples of a trial for each reading of a channel."""
     measured: dict[str, Record]
     """Measured trial of each file. A measured trial keeps its own samples."""
 

@@ -73,7 +73,7 @@ def constant_ties(
 def paper_ties(
     entries: Sequence[Parameter], theta: np.ndarray, at: np.ndarray, place: np.ndarray
 ) -> ParameterTies:
-    """Returns the ties with C_d and m_a of the paper's ramp; all trials share the rest."""
+    """Returns the ties with C_d and m_a of the paper's ramp, and the same others in all trials."""
     common = [i for i, p in enumerate(entries) if p.label not in RAMP_PARAMETERS]
     maps = []
     for g in place:
@@ -115,7 +115,7 @@ def per_frequency_ties(
     place: np.ndarray,
     each: Sequence[str],
 ) -> ParameterTies:
-    """Returns the ties with a value per frequency for the labels `each`; all share the rest."""
+    """Returns the ties with a value per frequency for labels in `each`, and constant others."""
     common = [i for i, p in enumerate(entries) if p.label not in each]
     own = [_index(entries, name) for name in each]
     indices = [*common, *(i for i in own for _ in at)]
