@@ -1,4 +1,4 @@
-"""`slider calibrate manifold`: identifies the pressure lag from the rig's own logs."""
+"""`slider calibrate manifold`: identifies the pressure lag from the rig's pressure logs."""
 
 import sys
 from pathlib import Path
@@ -17,21 +17,22 @@ from slider_jax.io.files import input_file, staged, versions, write_json, write_
 from slider_jax.io.toml import significant, toml_text
 
 DEFINITIONS = {
-    "rmse": "root mean square over all samples of measured minus free run; the free run starts at "
-    "the first measured sample and then depends on the command only",
-    "pooled rmse": "root of the mean over logs of their mean squares: all logs have equal weight",
-    "settled": "without the first cycle of each log",
-    "over samples": "root mean square over the samples of all logs: long logs have more weight",
-    "k": "least squares by Levenberg-Marquardt in log k, from the lowest minimum of a scan of "
-    f"{PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g} s; for all logs: smallest pooled rmse",
-    "interval": "95 %, from the sandwich variance with the true curvature, in log k. The residual "
-    "is correlated: the effective number of samples is samples / (1 + 2 times the sum of its "
-    "autocorrelation up to the first zero). For all logs: k is clustered by log, with logs - 1 "
-    "degrees of freedom of Student's t; k_within is for these logs alone",
-    "widening": "width of the interval over the width if all samples were independent",
-    "floor": "standard deviation of the white noise in the measured pressure, from its fourth "
-    "differences; without drift and slow noise",
-    "shape": "residual at the log's own k over whole cycles after the first; in psi, s and rad",
+    "rmse": "root mean square of the residual, measured minus simulated pressure. The simulated "
+    "pressure (free run) starts at the first measured sample and then depends on the command only",
+    "pooled rmse": "root of the mean of all logs' mean squares; all logs have the same weight",
+    "settled": "value without the first cycle of each log",
+    "over samples": "root mean square of the samples of all logs; long logs have more weight",
+    "k": "least-squares estimate by the Levenberg-Marquardt method in log k. It starts at the "
+    f"lowest local minimum of a scan from {PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g} s. The common k of "
+    "all logs minimises the pooled rmse",
+    "interval": "95 % interval from the sandwich variance of log k. The effective number of "
+    "samples is samples / (1 + 2 c), with the sum c of the residual's autocorrelation up to its "
+    "first zero. The interval of the common k has one cluster per log and Student's t with "
+    "logs - 1 degrees of freedom. The interval k_within is valid for these logs only",
+    "widening": "width of the interval, divided by its width for independent samples",
+    "floor": "standard deviation of the white noise of the measured pressure, estimated from "
+    "fourth differences; it does not include drift and slow noise",
+    "shape": "shape of the residual at the log's own k, in whole cycles after the first cycle",
 }
 
 
@@ -43,14 +44,14 @@ def manifold(
     out: Folder,
     plot: Pictures = True,
 ) -> None:
-    """Identifies the pressure lag k from logs: for each log, and for all logs together.
+    """Identifies the pressure lag k from pressure logs, for each log and for all logs together.
 
-    Writes DIR/manifold.json, DIR/model.toml (k, for `slider simulate --model`) and pictures. Prints
-    whether a lag explains the logs, a table, and the shape of the residual.
+    The command writes DIR/manifold.json, pictures, and DIR/model.toml (for `slider simulate
+    --model`). It prints whether one lag explains the logs, and a table of the fits.
 
     Args:
-        logs: pressure logs in the format of the rig's firmware.
-        out: folder for the results; created if missing, files of the same name are replaced.
+        logs: one or more pressure logs (.txt) in the format of the published firmware.
+        out: folder for the results; created if missing. Files of the same name are replaced.
         plot: do not draw the pictures (PNG).
     """
     refuse_same_names(logs)
@@ -71,15 +72,14 @@ def manifold(
 
 
 def refuse_same_names(logs: tuple[Path, ...]) -> None:
-    """Raises `InputError` if no log is given, or two logs with the same name."""
+    """Raises `InputError` if no log is given, or if two logs have the same name."""
     if not logs:
-        raise InputError("LOGS: nothing given; give one or more pressure logs")
+        raise InputError("LOG.txt: no file given; give one or more pressure logs")
     seen: dict[str, Path] = {}
     for path in logs:
         if path.stem in seen:
             raise InputError(
-                f"{path}: has the same name as {seen[path.stem]}; give each log once and with a "
-                "name of its own"
+                f"{path}: same name as {seen[path.stem]}; rename one log, or give each log once"
             )
         seen[path.stem] = path
 
@@ -97,7 +97,7 @@ def _draw(found: Identification, folder: Path) -> None:
 
 
 def lag_record(found: Identification, lines: list[str]) -> dict[str, Any]:
-    """Returns the content of manifold.json; k in s, pressures in psi."""
+    """Returns the content of manifold.json: k in s, pressures in psi."""
     return {
         "pooled": {
             "k": found.k._asdict(),
@@ -145,21 +145,21 @@ def lag_record(found: Identification, lines: list[str]) -> dict[str, Any]:
 
 
 def lag_model_toml(found: Identification) -> str:
-    """Returns a model file with the k of all logs."""
+    """Returns a model file with the common k of all logs."""
     k = found.k
     names = ", ".join(x.log.path.name for x in found.logs)
     comment = (
         f"{lag_verdict(found)}\n"
-        f"Pressure lag from {len(found.logs)} logs by slider calibrate manifold: {names}\n"
-        f"95 % interval {k.low:.4f} to {k.high:.4f} s; free-run RMSE "
-        f"{found.pooled_rmse('before'):.2f} psi before, {found.pooled_rmse('pooled'):.2f} after, "
-        f"noise {found.floor:.2f}"
+        f"slider calibrate manifold identified this pressure lag from {len(found.logs)} logs: "
+        f"{names}\nThe 95 % interval of k is {k.low:.4f} to {k.high:.4f} s. The RMSE is "
+        f"{found.pooled_rmse('before'):.2f} psi with the paper's k and "
+        f"{found.pooled_rmse('pooled'):.2f} psi with this k; sensor noise {found.floor:.2f} psi"
     )
     return toml_text({"parameters": {"k": significant(k.value, 6)}}, comment, {"k": "s"})
 
 
 def lag_table(found: Identification) -> str:
-    """Returns the result as text, with a line for each log."""
+    """Returns the result as a table with a line for each log."""
     lines = [
         f"{'log':<16}{'Hz':>7}{'samples':>9}{'k ms':>7}{'95 % interval':>16}{'widening':>10}"
         f"{'before':>9}{'after':>8}{'common k':>10}{'noise':>7}   (RMSE in psi)"

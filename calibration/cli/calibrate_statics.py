@@ -17,12 +17,12 @@ def statics(
 ) -> None:
     """Identifies EI, alpha and K_Q from tip loads, a ring-down and static pressures.
 
-    Writes DIR/statics.json (values, 95 % intervals and the residuals of every table),
+    The command writes DIR/statics.json (values, 95 % intervals and the residuals of every table),
     DIR/model.toml (for `slider simulate --model`) and a picture of every table.
 
     Args:
-        bench: bench file (.toml) with its tables (.csv) in the same folder.
-        out: folder for the results; created if missing, files of the same name are replaced.
+        bench: bench file (.toml). Its tables (.csv) must be in the same folder.
+        out: folder for the results; created if missing. Files of the same name are replaced.
         plot: do not draw the pictures (PNG).
     """
     import equinox as eqx

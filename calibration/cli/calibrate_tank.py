@@ -25,22 +25,24 @@ def tank(
 ) -> None:
     """Identifies C_d, m_a, k and K_Q with 95 % intervals from measured trials.
 
-    Writes DIR/calibration.json (values, intervals, correlations, errors and noise floors) and
-    DIR/model.toml (for `slider simulate --model`). A parameter that the data do not determine gets
-    no value; the command proposes the trial that would determine it. With --per-frequency, the
-    command also identifies C_d and m_a for every drive frequency. It compares them with constant
-    values and with the paper's ramp by cross-validation, in DIR/per_frequency.csv and .png.
+    The command writes DIR/calibration.json (values, intervals, correlations, errors and noise
+    floors) and DIR/model.toml (for `slider simulate --model`). If the data do not determine a
+    parameter, the command gives no value and proposes a trial that would determine the parameter.
+    With --per-frequency, the command also identifies C_d and m_a for every drive frequency. It
+    compares these values by cross-validation with constant values and with the paper's ramp, in
+    DIR/per_frequency.csv and DIR/per_frequency.png.
 
     Args:
-        experiment: experiment file (.toml) with its measured trials in the same folder.
-        out: folder for the results; created if missing, files of the same name are replaced.
-        also: names of effects whose parameters are also identified (default: none); slider effects
-            lists the names.
+        experiment: experiment file (.toml). Its measured trials must be in the same folder.
+        out: folder for the results; created if missing. Files of the same name are replaced.
+        also: names of effects whose parameters are also identified (default: none). The command
+            slider effects lists the names.
         channels: names of the channels to fit (default: p_front p_rear thrust recoil tip).
         per_frequency: compare values for every drive frequency with constant values.
         each: names of the parameters that may differ between frequencies (default: C_d m_a).
-        method: lm (Levenberg-Marquardt), lbfgs (L-BFGS), or auto (lbfgs for 12 parameters or more).
-        model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
+        method: lm (Gauss-Newton with step shortening), lbfgs (L-BFGS), or auto (lbfgs for 12
+            parameters or more, otherwise lm).
+        model: TOML file. Its [robot], [parameters], [[effects]] override those of the experiment.
     """
     from calibration.identification.identify import (
         check_names,
@@ -76,7 +78,7 @@ def tank(
 
 
 def _by_frequency(found, each, progress, stage: Path):
-    """Returns the comparison's record, model file and table; writes its CSV file and figure."""
+    """Returns record, model file and table of the comparison; writes a CSV file and a figure."""
     from calibration.identification import per_frequency_report as report
     from calibration.identification.per_frequency import compare_ties
     from slider_jax.io.files import write_csv

@@ -23,18 +23,18 @@ def close_loop(
     out: Folder,
     model: ModelFile = None,
 ) -> None:
-    """Calibrates a model and finds the effects that it lacks.
+    """Calibrates a model and finds the effects that the model lacks.
 
-    The command fits the model, traces the residual to effects of the library, adds them and
-    reports. Writes DIR/report.html (to read), DIR/report.json (to process) and DIR/model.toml (the
-    calibrated model with the effects, for `slider simulate --model`). An interrupted run resumes
-    when you repeat the command.
+    The command fits the model and adds effects of the library that explain the residual. It writes
+    DIR/report.html (to read), DIR/report.json (to process) and DIR/model.toml. The model file has
+    the fitted parameters and the added effects, for `slider simulate --model`. An interrupted run
+    resumes when you repeat the command.
 
     Args:
-        inputs: experiment file (.toml) with its measured trials in the same folder; or five or more
-            pressure logs of the rig at different frequencies.
-        out: folder for the results; created if missing, files of the same name are replaced.
-        model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
+        inputs: experiment file (.toml) with its measured trials in the same folder, or five or more
+            pressure logs (.txt) of the rig at different frequencies.
+        out: folder for the results; created if missing. Files of the same name are replaced.
+        model: TOML file. Its [robot], [parameters], [[effects]] override those of the experiment.
     """
     from calibration.discrepancy.page import loop_page
     from calibration.discrepancy.report import error_lines, loop_model_toml, parameter_lines
@@ -66,18 +66,16 @@ def close_loop(
 
 def _are_logs(inputs: tuple[Path, ...], model: Path | None) -> bool:
     if not inputs:
-        raise InputError("inputs: nothing given; give an experiment file or pressure logs")
+        raise InputError("inputs: no file given; give an experiment file or pressure logs")
     tables = [path for path in inputs if path.suffix == ".toml"]
     if not tables:
         if model is not None:
-            raise InputError(
-                f"--model {model}: given with logs; allowed only with an experiment file"
-            )
+            raise InputError(f"--model {model}: not allowed with logs; omit --model")
         return True
     if len(inputs) > 1:
         raise InputError(
             f"inputs: given {', '.join(map(str, inputs))}; "
-            "allowed one experiment file, or logs only"
+            "allowed one experiment file, or only pressure logs"
         )
     return False
 
@@ -88,7 +86,7 @@ def _announce_replacement(out: Path) -> None:
         name = source["path"] if "path" in source else f"{len(source['logs'])} logs"
     except (OSError, ValueError, KeyError, TypeError):
         return
-    print(f"{out}: this run will replace the report on {name}", file=sys.stderr)
+    print(f"{out}: this run will replace the existing report on {name}", file=sys.stderr)
 
 
 def _logs(paths: tuple[Path, ...]):

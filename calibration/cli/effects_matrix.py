@@ -1,4 +1,4 @@
-"""`slider effects matrix`: detection limits of effects in an experiment, before any data."""
+"""`slider effects matrix`: predicts the detection limits of effects before an experiment."""
 
 import sys
 from pathlib import Path
@@ -25,23 +25,23 @@ def effects_matrix(
 ) -> None:
     """Computes the detection limits of effects, and the effects an experiment cannot discriminate.
 
-    The trials need not be measured. Writes DIR/matrix.json and DIR/matrix.png. With --separate, the
-    command also searches the next trial that discriminates best between the given effects, and
-    writes it to DIR/matrix.json and DIR/next_trial.toml. An interrupted run resumes when you repeat
-    the command.
+    The trials need not be measured. The command writes DIR/matrix.json and DIR/matrix.png. The
+    option --separate also searches for the next trial that best discriminates between the given
+    effects, and writes this trial to DIR/matrix.json and DIR/next_trial.toml. An interrupted run
+    resumes when you repeat the command.
 
     Args:
-        experiment: experiment file (.toml); measured trials in its folder are used but not needed.
-        out: folder for the results; created if missing, files of the same name are replaced.
-        effects: names of the effects (default: those of --separate, or else all).
-        separate: names of two or more effects between which the next trial discriminates.
-        frequency: lowest and highest frequency of the next trial, in Hz. Without this option or one
-            of the next three, the range is that of the experiment's trials, widened by 10 %.
-        amplitude: lowest and highest set pressure of the next trial, in Pa.
-        phase: lowest and highest phase of the rear chamber in the next trial, as a fraction of a
-            period.
-        tow_speed: lowest and highest tow speed of the next trial, in m/s.
-        model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
+        experiment: experiment file (.toml). Measured trials in its folder are used, but not needed.
+        out: folder for the results; created if missing. Files of the same name are replaced.
+        effects: names of the effects (default: the effects of --separate if given, otherwise all).
+        separate: names of two or more effects that the next trial discriminates (default: none).
+        frequency: lowest and highest frequency of the next trial, in Hz. The default of this and
+            the next three options is the range of the experiment's trials, widened by 10 %.
+        amplitude: lowest and highest amplitude of the next trial, in Pa (default: as above).
+        phase: lowest and highest phase of the rear chamber, as a fraction of a period (default: as
+            above).
+        tow_speed: lowest and highest tow speed of the next trial, in m/s (default: as above).
+        model: TOML file. Its [robot], [parameters], [[effects]] override those of the experiment.
     """
     from calibration.experiment_design.detectability import detectability_matrix
     from calibration.experiment_design.detectability_report import (
@@ -59,12 +59,12 @@ def effects_matrix(
         listed = "the names that slider effects lists, except gravity"
         refuse_unknown(option, names, candidate_effects(), listed)
     if separate and len(set(separate)) < 2:
-        raise InputError("--separate: given one effect; allowed two or more")
+        raise InputError("--separate: given one effect; allowed two or more effects")
     given = dict(zip(TrialLimits._fields, (frequency, amplitude, phase, tow_speed), strict=True))
     for name, limits in given.items():
         if limits is not None and not separate:
             option = f"--{name.replace('_', '-')}"
-            raise InputError(f"{option}: limits the next trial; allowed only with --separate")
+            raise InputError(f"{option}: works only with --separate; add --separate or omit it")
     loaded = load(experiment, model)
     within = limits_of(loaded, given) if separate else None
     progress = timed_printer()
@@ -98,14 +98,14 @@ def _next_trial(found: Any, names: tuple[str, ...], limits: Any, progress) -> An
     failed = [n for n in names if not np.all(np.isfinite(sizes[n]))]
     if failed:
         raise InputError(
-            f"--separate {failed[0]}: cannot be simulated in this experiment at its detection "
-            "limit; omit it"
+            f"--separate {failed[0]}: the simulation of this effect at its detection limit fails "
+            "in this experiment; omit the effect"
         )
     return separating_trial(information, before, indices, sizes, limits, progress=progress)
 
 
 def _next_trial_text(record: dict[str, Any]) -> str:
-    lines = [record["said"], "Predicted for effects at their detection limits:"]
+    lines = [record["said"], "Prediction for effects at their detection limits, before -> after:"]
     for x in record["pairs"]:
         lines.append(
             f"  {x['first']}, {x['second']}: |cos| {x['cos_before']:.3f} -> {x['cos_after']:.3f}, "

@@ -1,4 +1,4 @@
-"""`slider lamprey`: the model's axial force on a swimming animal, from measured midlines."""
+"""`slider lamprey`: computes the axial force on a swimming animal from its measured midlines."""
 
 import sys
 import time
@@ -16,16 +16,17 @@ def lamprey(
     draws: Whole = 400,
     seed: Whole = 0,
 ) -> None:
-    """Compares the model's axial force on a swimming animal with the animal's momentum.
+    """Compares the modelled axial force on a swimming animal with the animal's gain of momentum.
 
-    The measured midlines are prescribed. If the forces do not balance, the report states which
-    effects would close the balance. FOLDER holds lampreydata.csv (t, frame, point, mxmm, mymm) and
-    fishwidth.csv (s, ammowidth). Writes DIR/report.html (to read) and DIR/report.json (to process).
+    The body of the model follows the measured midlines. If force and gain of momentum differ, the
+    report states which effects would explain the difference. The command writes DIR/report.html and
+    DIR/report.json.
 
     Args:
-        folder: folder with the two files.
-        out: folder for the results; created if missing, files of the same name are replaced.
-        draws: number of samples for the 95 % intervals, at least 20.
+        folder: folder with lampreydata.csv (t, frame, point, mxmm, mymm) and fishwidth.csv (s,
+            ammowidth).
+        out: folder for the results; created if missing. Files of the same name are replaced.
+        draws: number of random samples for the 95 % intervals, at least 20.
         seed: seed of the random samples.
     """
     from calibration.lamprey.balance import analyse_folder
@@ -36,7 +37,7 @@ def lamprey(
     if draws < 20:
         raise InputError.value("--draws", draws, "20 or more")
     start = time.monotonic()
-    print("sampling the uncertainties (half a minute) ...", file=sys.stderr, flush=True)
+    print("sampling the uncertainties (about 30 s) ...", file=sys.stderr, flush=True)
     with staged(out) as stage:
         balance = analyse_folder(folder, seed, draws)
         sources = [input_file(folder / name) for name in ("lampreydata.csv", "fishwidth.csv")]

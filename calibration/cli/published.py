@@ -1,4 +1,4 @@
-"""`slider published`: compares the paper's free-swimming speeds with its own equations."""
+"""`slider published`: compares the paper's free-swimming speeds with the paper's equations."""
 
 import sys
 import time
@@ -10,12 +10,11 @@ from slider_jax.cli.progress import timed_printer
 def published(out: Folder) -> None:
     """Compares the paper's free-swimming speeds with its equations and with added axial resistance.
 
-    Each effect of axial resistance is calibrated on one published speed and predicts the other.
-    The command takes some minutes. It writes DIR/report.html (to read) and DIR/report.json (to
-    process).
+    Each effect is calibrated on one of the paper's two speeds and predicts the other speed. The
+    command takes some minutes. It writes DIR/report.html and DIR/report.json.
 
     Args:
-        out: folder for the results; created if missing, files of the same name are replaced.
+        out: folder for the results; created if missing. Files of the same name are replaced.
     """
     from calibration.free_swimming.published_speeds import (
         FIRST,

@@ -24,29 +24,29 @@ from slider_jax.io.files import input_file, staged, versions, write_csv, write_j
 from slider_jax.simulation.trial import SavedSeries, advance_chunk, run_chunks
 
 CHUNK = 125
-"""Samples per call of the compiled program."""
+"""Number of samples per call of the compiled program."""
 NUMERICS = {"step": 1e-3}
-"""Longest step [s]; the actual step divides the log's sampling period. At 3 Hz, compared with a
-step of 0.25 ms, the thrust differs by 0.4 % of its standard deviation and the recoil by 0.1 %. The
-same holds for the measured pressure with its noise."""
+"""Longest time step [s]. The sampling period of the log is a multiple of the actual step. In a log
+at 3 Hz, steps of 1 ms and 0.25 ms change the thrust by 0.4 % of the thrust's standard deviation and
+the recoil by 0.1 %, also with the measured pressure and its noise."""
 
 DEFINITIONS = {
-    "mapping": "the log has the gauge pressure of one chamber; both chambers of the built-in robot "
-    "get it with the same sign, so that both bend the body to the same side",
-    "start": "the robot starts straight and at rest, and the pressure at the first measured "
-    "sample; the first cycle contains the transient",
-    "averaged": "over the log's whole cycles after the first",
+    "mapping": "the log has the gauge pressure of one chamber. Both chambers of the built-in robot "
+    "have this pressure with the same sign, so both chambers bend the body to the same side",
+    "start": "the robot starts straight and at rest. The pressure starts at the first measured "
+    "sample. The first cycle contains the transient",
+    "averaged": "averages are over the log's whole cycles after the first cycle",
 }
 
 
 def simulate_log(
     path: Path, model: Path | None, out: Path, drive: Literal["set", "measured"], plot: bool
 ) -> None:
-    """Simulates a log; writes DIR/<log stem>.csv, at the log's sample times, and DIR/summary.json.
+    """Simulates a log; writes DIR/<name of the log>.csv and DIR/summary.json.
 
-    With the drive "set", the pressure model runs from the first measured sample on the command.
-    With "measured", the measured pressure itself acts. Raise `InputError` for an invalid log or
-    model file, `SolverError` if a step does not converge.
+    The CSV file has the log's sample times. With `drive` "set", the pressure model starts at the
+    first measured sample and follows the command. With "measured", the measured pressure acts.
+    Raises `InputError` for an invalid log or model file, `SolverError` if a step fails.
     """
     log = read_log(path)
     for finding in log.findings:
@@ -79,7 +79,7 @@ def drive_robot(
     """Returns the columns of a trial at the log's sample times.
 
     Missing samples of the drive are interpolated linearly. The function calls `progress` with the
-    number of samples done and of all samples.
+    number of finished samples and the number of all samples.
     """
     source = log.pressure_Pa if drive == "measured" else log.command_Pa
     count = round(log.t[-1] / log.period)
@@ -90,7 +90,7 @@ def drive_robot(
     h = divided_step(log.period, experiment.numerics.step)
     every = round(log.period / h)
     base, numerics = prepared.model, prepared.numerics
-    if drive == "measured":  # a lag of zero shares the compiled program
+    if drive == "measured":  # with a lag of zero, both drives share one compiled program
         base = replace(base, pressure_law=FirstOrderLag(jnp.asarray(0.0, float)))
     start = jnp.asarray(log.pressure_Pa[0])
     base = replace(base, drive=replace(base.drive, start_front=start, start_rear=start))

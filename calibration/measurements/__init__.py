@@ -1,1 +1,1 @@
-"""Measured trials, and simulated tanks with known parameters. This package may import `model`."""
+"""Measured trials, and simulated trials with known parameters. This package may import `model`."""

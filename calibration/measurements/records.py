@@ -1,4 +1,4 @@
-"""Measured trials as arrays, and findings of an audit about them."""
+"""Measured trials as arrays, and the findings of an audit of these trials."""
 
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -19,21 +19,21 @@ class Record:
 
     trial: Trial
     t: np.ndarray
-    """(n,) [s]."""
+    """Sample times (n,) [s]."""
     values: np.ndarray
-    """(channels, n) in the order of `CHANNELS`, NaN where a sample is missing."""
+    """Readings (channels, n) in SI units, in the order of `CHANNELS`. A missing sample is NaN."""
 
     def there(self, channel: str) -> np.ndarray:
-        """Returns which of the n samples the channel has."""
+        """Returns a mask (n,) of the samples that the channel has."""
         return np.isfinite(self.values[row_of(channel)])
 
     def has(self, channel: str) -> bool:
-        """Returns whether the channel has enough samples for a comparison, 20 or more."""
+        """Returns whether the channel has at least 20 samples, enough for a comparison."""
         return int(self.there(channel).sum()) >= 20
 
 
 def load_records(experiment: Experiment) -> list[Record]:
-    """Returns the trials whose files exist. Raises `InputError` for none, or for a damaged file."""
+    """Returns the trials with a file. Raises `InputError` for no file or a damaged file."""
     found = []
     for trial in experiment.trials:
         columns = read_measured(experiment, trial)
@@ -45,27 +45,26 @@ def load_records(experiment: Experiment) -> list[Record]:
         found.append(Record(trial, columns["t_s"], values))
     if not found:
         raise InputError(
-            f"{experiment.folder}: no file of the experiment's {len(experiment.trials)} trials "
-            f"({experiment.trials[0].file}, ...) exists; put the measured data beside the "
-            "experiment file"
+            f"{experiment.folder}: no file of the {len(experiment.trials)} trials "
+            f"({experiment.trials[0].file}, ...) exists; copy the trial files to this folder"
         )
     return found
 
 
 class Finding(NamedTuple):
-    """One fault of one file.
+    """One fault of one file, with the action of the audit.
 
-    | action | what was done |
+    | action | meaning |
     |---|---|
-    | `masked` | the samples are treated as missing |
-    | `mended` | the fault is corrected, see `detail` |
-    | `left out` | the whole trial is not used |
-    | `used` | none; the finding is for information |
-    | `refused` | the whole experiment is not usable |
+    | `masked` | the audit treats the samples as missing |
+    | `mended` | the audit corrects the fault; `detail` states how |
+    | `left out` | the calibration does not use the trial |
+    | `used` | the calibration uses the data without a change |
+    | `refused` | the calibration cannot use the experiment |
     """
 
     trial: str
-    """The file."""
+    """Name of the trial's file."""
     kind: str
     channel: str | None
     from_s: float | None
@@ -79,7 +78,7 @@ class Finding(NamedTuple):
 
 
 def true_runs(bad: np.ndarray) -> list[tuple[int, int]]:
-    """Returns first and last index of every run of True in `bad` (n,)."""
+    """Returns the first and the last index of every run of True in `bad` (n,)."""
     edges = np.flatnonzero(np.diff(np.r_[0, bad.astype(int), 0]))
     return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
@@ -87,7 +86,7 @@ def true_runs(bad: np.ndarray) -> list[tuple[int, int]]:
 def masked_finding(
     trial: str, kind: str, channel: str, t: np.ndarray, bad: np.ndarray, text: str
 ) -> Finding:
-    """Returns the finding that masks the samples `bad` (n,) of a channel at `t` (n,) [s]."""
+    """Returns the finding that masks the samples `bad` (n,) of a channel; `t` (n,) is in s."""
     runs, (begin, end) = true_runs(bad), (float(x) for x in t[bad][[0, -1]])
     many = f" in {len(runs)} intervals" if len(runs) > 1 else ""
     where = f"from {begin:.4g} to {end:.4g} s"

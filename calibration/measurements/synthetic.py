@@ -1,7 +1,7 @@
 """Synthetic tank experiments with known parameters: simulated trials with sensor noise.
 
-Mesh and step differ from those of `calibration.model.predict`, so that a fit cannot succeed by
-equal arithmetic.
+Mesh and time step differ from those of `calibration.model.predict`. Otherwise, the discretisation
+errors of data and fit would cancel.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,20 +16,20 @@ from slider_jax.io.toml import toml_text
 from slider_jax.simulation.trial import simulate_trial
 
 NUMERICS = {"nodes": 81, "step": 1e-3, "scheme": "sdirk2", "tolerance": 1e-9}
-"""Mesh and step of the simulated tank."""
+"""Mesh, time step [s] and solver of the simulated tank."""
 ROBOT = {
     "body_length": 0.3, "tail_length": 0.07, "linear_density": 0.7, "EI_body": 0.038,
     "EI_tail": 0.0058, "damping_time": 0.002, "height": 0.03,
     "front_chamber": [0.02, 0.145], "rear_chamber": [0.155, 0.28],
 }  # fmt: skip
 START = {"C_d": 3.5, "m_a": 0.7, "k": 0.087, "K_Q": 4.79e-7}
-"""Initial parameters in the experiment file."""
+"""Parameters in the experiment file, from which a fit starts."""
 CAMERA_EVERY = 5
-"""Samples of the force sensors per frame of the camera."""
+"""Number of samples of the force sensors per frame of the camera."""
 
 
 class Sensors(NamedTuple):
-    """Noise of the sensors: standard deviations in SI units, and the drift of the gain."""
+    """Standard deviations of the sensors' noise, correlation time and sample rate, in SI units."""
 
     pressure_noise: float = 700.0
     force_noise: float = 0.02
@@ -39,7 +39,7 @@ class Sensors(NamedTuple):
     tip_noise: float = 5e-4
     sample_rate: float = 500.0
     gain_drift: float = 0.01
-    """Relative standard deviation of a force channel's gain over the trials; not declared."""
+    """Relative standard deviation of a force sensor's gain between trials; not declared."""
 
     def declared(self) -> dict[str, float]:
         """Returns the values that the experiment file declares."""
@@ -51,11 +51,11 @@ class Truth(NamedTuple):
 
     parameters: Mapping[str, float]
     effects: Mapping[str, Mapping[str, float]]
-    """Parameters of every effect, by its name."""
+    """Parameters of each effect; the key is the name of the effect."""
 
 
 def random_base_parameters(rng: np.random.Generator) -> dict[str, float]:
-    """Returns random C_d, m_a, k and K_Q."""
+    """Returns random values of C_d, m_a, k [s] and K_Q [m^3]."""
     return {
         "C_d": float(rng.uniform(2.4, 4.2)), "m_a": float(rng.uniform(0.45, 0.95)),
         "k": float(rng.uniform(0.06, 0.11)), "K_Q": float(rng.uniform(4.2e-7, 5.2e-7)),
@@ -65,7 +65,7 @@ def random_base_parameters(rng: np.random.Generator) -> dict[str, float]:
 def random_trials(seed: int, count: int = 8, seconds: float = 1.0) -> list[dict[str, Any]]:
     """Returns trials with square waves of 0.6 to 6 Hz and random amplitude, phase and tow speed.
 
-    `seconds` scales their durations, which are 5 s at 0.6 Hz and 2 s from 3 Hz on.
+    With `seconds` = 1, a trial lasts 5 s at 0.6 Hz, and 2 s from 1.5 Hz on.
     """
     rng = np.random.default_rng(seed)
     found = []
@@ -92,9 +92,9 @@ def write_tank(
     sensors: Sensors = Sensors(),
     numerics: Mapping[str, Any] = NUMERICS,
 ) -> Path:
-    """Simulates the trials `runs`, adds noise, and writes them; returns experiment.toml's path.
+    """Simulates the trials `runs`, adds noise and writes all files; returns experiment.toml's path.
 
-    The file omits the effects and starts from the parameters `START`.
+    The experiment file has the parameters `START` and no effects.
     """
     folder.mkdir(parents=True, exist_ok=True)
     declared = {
@@ -118,7 +118,7 @@ def write_tank(
 def with_sensor_noise(
     true: Mapping[str, np.ndarray], sensors: Sensors, rng: np.random.Generator
 ) -> dict[str, np.ndarray]:
-    """Returns the columns of one trial with the sensors' noise added."""
+    """Returns the columns `true` of one trial with added sensor noise."""
     t = true["t_s"]
     n = len(t)
     columns = {"t_s": t}
@@ -138,7 +138,7 @@ def with_sensor_noise(
 
 
 def slow_noise(t: np.ndarray, time: float, rng: np.random.Generator) -> np.ndarray:
-    """Returns noise (n,) of unit variance correlated over `time` [s]: Ornstein-Uhlenbeck."""
+    """Returns Ornstein-Uhlenbeck noise (n,) with unit variance and correlation time `time` [s]."""
     keep = np.exp(-np.diff(t, prepend=t[0]) / time)
     fresh = rng.normal(size=len(t))
     values = np.empty(len(t))

@@ -1,4 +1,4 @@
-"""Report pages from templates: one HTML file with its tables and pictures inside."""
+"""Makes a report page from a template: one HTML file that contains its tables and pictures."""
 
 import base64
 import io
@@ -16,7 +16,7 @@ TEMPLATES = Environment(
 
 
 def render_page(template: str, **content: Any) -> str:
-    """Returns the page of a template in `templates/`; it escapes every text of `content`."""
+    """Returns the page of a template in `templates/`, with every text of `content` escaped."""
     return TEMPLATES.get_template(template).render(content)
 
 

@@ -1,4 +1,4 @@
-"""Fitted parameters as records, texts and model files."""
+"""Writes fitted parameters as records, texts and model files."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -14,7 +14,8 @@ from slider_jax.io.toml import significant
 def parameter_record(fit: Fit, entries: Sequence[Parameter], index: int) -> dict[str, Any]:
     """Returns the record of a fitted parameter.
 
-    If the data do not determine it, its value is None and its interval is clipped to the prior.
+    If the data do not determine the parameter, its value is None and its interval is clipped to
+    the prior range.
     """
     p, (value, low, high) = entries[index], confidence_interval(fit, entries, index)
     record = {"value": value, "low": low, "high": high, "unit": p.prior.unit}
@@ -35,7 +36,7 @@ def parameter_text(x: dict[str, Any]) -> str:
 def widened(x: dict[str, Any]) -> str:
     """Returns the reason for a widened interval."""
     return (
-        f"without the forces' means the value is {x['by_variation_alone']:.4g}; this difference "
+        f"without the mean forces, the fit gives {x['by_variation_alone']:.4g}; this difference "
         "is significant, so the interval is widened"
     )
 
@@ -43,7 +44,7 @@ def widened(x: dict[str, Any]) -> str:
 def model_tables(
     entries: Sequence[Parameter], theta: np.ndarray, effects: Sequence[str]
 ) -> dict[str, Any]:
-    """Returns the tables of a model file: the base parameters in `entries`, and `effects`."""
+    """Returns the tables of a model file: base parameters of `entries`, and the given `effects`."""
     values = {(p.effect, p.name): significant(x) for p, x in zip(entries, theta, strict=True)}
     parts = [
         {name: x for (effect, name), x in values.items() if effect == which}

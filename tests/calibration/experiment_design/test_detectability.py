@@ -275,7 +275,7 @@ def test_default_limits_are_the_ranges_of_the_trials_widened(still):
         (["--separate", "carried_mas", "tip_mass"], "did you mean carried_mass?"),
         (["--effects", "gravity"], "--effects: given 'gravity'"),
         (["--separate", "tip_mass"], "--separate: given one effect; allowed two or more"),
-        (["--frequency", "1", "2"], "--frequency: limits the next trial"),
+        (["--frequency", "1", "2"], "--frequency: works only with --separate"),
         (["--frequency", "3", "2"], "--frequency: given 3 2; allowed LOW HIGH"),
         (["--amplitude", "100", "300"], "--amplitude: given 100; allowed 0, or 1000 to 2e+06 Pa"),
         (["--tow-speed", "0", "9"], "--tow-speed: given 9; allowed -3 to 3 m/s"),

@@ -75,6 +75,6 @@ def test_a_disagreement_is_recorded_and_widens_the_interval(varying):
     narrow = found._replace(difference=None, widening=1.0)
     record = parameter_record(found, ENTRIES, 0)
     assert record["by_variation_alone"] == pytest.approx(varying, abs=0.06)
-    assert "without the forces' means" in parameter_text(record)
+    assert "without the mean forces" in parameter_text(record)
     assert "forces" not in parameter_text(parameter_record(narrow, ENTRIES, 0))
     assert high - low > 2.0 * np.diff(confidence_interval(narrow, ENTRIES, 0)[1:])[0]
