@@ -1,4 +1,4 @@
-"""The table of subcommands. It lists functions as text, so that only the called one is imported."""
+"""Lists the subcommands. Functions are given as text, so that only the called one is imported."""
 
 from collections.abc import Callable
 from importlib import import_module
@@ -6,15 +6,15 @@ from typing import Any, NamedTuple
 
 
 class Subcommand(NamedTuple):
-    """A subcommand: its `module:function`, imported only when it runs, and its line of help.
+    """A subcommand: its function as `module:function`, and its line of help.
 
-    tyro builds the command line from the function's signature. It returns None or an exit code.
+    tyro builds the options from the function's signature. The function may return an exit code.
     """
 
     target: str
     help: str
     alone: bool = False
-    """Whether the command has the name of a group and may run without arguments."""
+    """Whether the command has the name of a group, as `effects`, and may run without arguments."""
     jax: bool = True
     """Whether the command needs JAX, which may not be installed on the rig's computer."""
 
@@ -22,20 +22,20 @@ class Subcommand(NamedTuple):
 COMMANDS = {
     "simulate": Subcommand(
         "slider_jax.cli.simulate:simulate",
-        "simulates an experiment's trials, or the thrust of a pressure log",
+        "simulates the trials of an experiment, or the thrust from a pressure log",
     ),
     "demo": Subcommand(
-        "slider_jax.cli.demo:demo", "simulates the paper's frequency sweep; needs no input"
+        "slider_jax.cli.demo:demo", "simulates the paper's frequency sweep, without an input file"
     ),
     "sweep": Subcommand(
-        "slider_jax.cli.sweep:sweep", "varies one or two fields of an experiment over ranges"
+        "slider_jax.cli.sweep:sweep", "simulates a trial for many values of one or two fields"
     ),
     "swim": Subcommand(
         "slider_jax.cli.swim:swim", "simulates free swimming and computes the steady speed"
     ),
-    "climb": Subcommand("slider_jax.cli.swim:climb", "simulates climbing in air, pinned to a wall"),
+    "climb": Subcommand("slider_jax.cli.swim:climb", "simulates a robot that climbs a wall in air"),
     "optimize swim": Subcommand(
-        "slider_jax.cli.optimize:optimize_swim", "optimises tail and gait for the fastest swimming"
+        "slider_jax.cli.optimize:optimize_swim", "optimises tail and drive for the fastest swimming"
     ),
     "optimize multimodal": Subcommand(
         "slider_jax.cli.optimize:optimize_multimodal",
@@ -43,31 +43,31 @@ COMMANDS = {
     ),
     "close-loop": Subcommand(
         "calibration.cli.close_loop:close_loop",
-        "finds the effects that a model lacks, from measured trials",
+        "finds out from measured trials which effects a model lacks",
     ),
     "lamprey": Subcommand(
         "calibration.cli.lamprey:lamprey",
-        "computes a swimming animal's axial force balance from its midlines",
+        "computes the axial force balance of a swimming animal from measured midlines",
     ),
     "published": Subcommand(
         "calibration.cli.published:published",
-        "compares the paper's swimming speeds with its equations",
+        "compares the published swimming speeds with speeds from the paper's equations",
     ),
     "effects matrix": Subcommand(
         "calibration.cli.effects_matrix:effects_matrix",
-        "computes which effects an experiment can detect and discriminate between",
+        "computes which effects an experiment can detect, and which it cannot discriminate",
     ),
     "effects": Subcommand(
         "slider_jax.cli.effects:list_effects",
-        "lists the effects that a model may lack and how sensors show them",
+        "lists the effects of the library, or explains one effect",
         alone=True,
     ),
     "calibrate manifold": Subcommand(
-        "calibration.cli.calibrate:manifold", "fits the pressure lag to the rig's own logs"
+        "calibration.cli.calibrate:manifold", "fits the pressure lag to pressure logs of the rig"
     ),
     "calibrate statics": Subcommand(
         "calibration.cli.calibrate_statics:statics",
-        "fits EI, damping and K_Q to bench tests in air",
+        "fits bending stiffness, damping and K_Q to bench tests in air",
     ),
     "calibrate": Subcommand(
         "calibration.cli.calibrate_tank:tank", "fits C_d, m_a, k and K_Q to measured trials"
@@ -77,24 +77,24 @@ COMMANDS = {
     ),
     "rig check": Subcommand(
         "rig.cli.check:rig_check",
-        "checks a rig's serial line, noise and leaks in a minute",
+        "checks the serial line, the sensor noise and the leaks of a rig in a minute",
         jax=False,
     ),
     "rig run": Subcommand(
-        "rig.cli.run:rig_run", "runs and records an experiment's trials on the rig", jax=False
+        "rig.cli.run:rig_run", "runs and records the trials of an experiment on the rig", jax=False
     ),
     "rig log": Subcommand(
         "rig.cli.log:rig_log", "records pressure logs of the published firmware", jax=False
     ),
     "rig replay": Subcommand(
-        "rig.cli.replay:rig_replay", "recomputes a recording's columns, or plays it back", jax=False
+        "rig.cli.replay:rig_replay", "converts recordings to CSV, or plays one back", jax=False
     ),
     "rig watch": Subcommand(
         "rig.cli.watch:rig_watch",
         "runs the calibrated model in parallel with the rig and raises alarms",
     ),
     "rig loop": Subcommand(
-        "rig.cli.loop:rig_loop", "measures trials and closes the loop until the class is final"
+        "rig.cli.loop:rig_loop", "measures trials, finds missing effects, and adds trials"
     ),
     "rig simulate": Subcommand(
         "rig.cli.simulate:rig_simulate",

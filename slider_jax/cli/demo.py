@@ -1,4 +1,4 @@
-"""`slider demo`: simulates the paper's head-fixed frequency sweep; needs no input."""
+"""`slider demo`: simulates the paper's head-fixed frequency sweep, without an input file."""
 
 import sys
 import time
@@ -8,12 +8,12 @@ from slider_jax.cli.options import Folder
 
 
 def demo(out: Folder = Path("slider_demo")) -> None:
-    """Runs the paper's head-fixed frequency sweep, 0.4 to 7.0 Hz in 34 steps, and compares.
+    """Simulates the head-fixed frequency sweep of the paper and compares the results.
 
-    The command writes sweep.csv, thrust_against_frequency.png (like the paper's Fig. 4) and
-    settings.json to DIR. For 1 and 4.8 Hz it also writes series_*.csv and stride_*.png (like the
-    paper's Figs. 5 and 6). The paper does not state the chambers' spans and pressures;
-    settings.json lists the assumed values.
+    The sweep has 34 frequencies from 0.4 to 7.0 Hz. The command writes sweep.csv,
+    thrust_against_frequency.png (like the paper's Fig. 4) and settings.json to DIR. For 1 and 4.8
+    Hz it also writes series_*.csv and stride_*.png (like the paper's Figs. 5 and 6). The paper does
+    not state the positions and pressures of the chambers. settings.json lists the assumed values.
 
     Args:
         out: folder for the results; created if missing. Existing files are replaced.

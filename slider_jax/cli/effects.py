@@ -1,4 +1,4 @@
-"""`slider effects`: lists the library's effects, and shows how each changes the sensors."""
+"""`slider effects`: lists the library's effects, or shows how one effect changes the readings."""
 
 import inspect
 from pathlib import Path
@@ -24,7 +24,7 @@ PLACES = (
     effects.WaterMotion,
     effects.Instrument,
 )
-"""The places at which an effect enters, from the valves to the sensors."""
+"""The places of the model at which an effect acts, in the order from the valves to the sensors."""
 
 NameArgument = Annotated[
     tyro.conf.Positional[str | None], tyro.conf.arg(metavar="NAME", help_behavior_hint="")
@@ -37,45 +37,45 @@ ExperimentFile = Annotated[
 def list_effects(
     name: NameArgument = None, out: MaybeFolder = None, experiment: ExperimentFile = None
 ) -> None:
-    """Lists the effects that a model may contain, or explain one of them.
+    """Lists the effects that a model may contain, or explains one effect.
 
-    Without a NAME, the command lists all effects by the place at which they enter, with the prior
-    ranges of their parameters and the sensors that they change. With a NAME, it prints the effect's
-    equation, source and priors. With --out, it also draws DIR/NAME.png: the change in one steady
-    stride at the end of the prior range. `slider effects matrix` computes which effects an
-    experiment can detect.
+    Without NAME, the command lists all effects, grouped by the place in the model where they act.
+    The list shows the prior range of each parameter and the sensors that the effect changes. With
+    NAME, the command prints the equation, the source and the prior ranges of one effect. With
+    --out, it also draws DIR/NAME.png. This figure shows how the readings of one steady stride
+    change if a parameter of the effect is at the end of its prior range.
 
     Args:
         name: name of the effect to explain (default: list all effects).
-        out: folder for the figure; created if missing. An existing file is replaced (default: no
+        out: folder for the figure; created if missing. An existing figure is replaced (default: no
             figure).
-        experiment: experiment file (.toml) whose first trial is drawn (default: the built-in robot
-            at 4.8 Hz).
+        experiment: experiment file (.toml); the figure shows the first trial of this file (default:
+            the built-in robot at 4.8 Hz).
     """
     if name is None:
         for option, given in {"--out": out, "--experiment": experiment}.items():
             if given is not None:
-                raise InputError(f"{option}: applies to the figure of one effect; add its NAME")
+                raise InputError(f"{option}: is only for the figure of one effect; add the NAME")
         print(listing())
         return
     if name not in LIBRARY:
         near = did_you_mean(name, (*LIBRARY, "matrix"))  # `effects matrix` is a command
-        raise InputError(f"NAME: given {name!r}; allowed are the names in `slider effects`{near}")
+        raise InputError(f"NAME: given {name!r}; allowed are the names of `slider effects`{near}")
     if experiment is not None and out is None:
-        raise InputError("--experiment: applies to the figure; add --out DIR")
+        raise InputError("--experiment: is only for the figure of the effect; add --out DIR")
     changes = [] if out is None else _draw(name, out, experiment)
     print("\n".join([explanation(name), *changes]))
 
 
 def place_of(kind: type[Effect]) -> type[Effect]:
-    """Returns the place at which an effect enters."""
+    """Returns the place of the model at which an effect acts."""
     return next(place for place in PLACES if issubclass(kind, place))
 
 
 def listing() -> str:
     """Returns the list of all effects, grouped by place."""
     width = max(map(len, LIBRARY))
-    lines = [f"{len(LIBRARY)} effects; slider effects NAME explains one"]
+    lines = [f"{len(LIBRARY)} effects; `slider effects NAME` explains one effect"]
     for place in PLACES:
         kinds = {name: kind for name, kind in LIBRARY.items() if place_of(kind) is place}
         if kinds:
@@ -88,7 +88,7 @@ def listing() -> str:
 
 
 def explanation(name: str) -> str:
-    """Returns the docstring and the priors of one effect; half of a typical size is the example."""
+    """Returns the docstring, priors and example of an effect, midway from null to typical size."""
     from slider_jax.simulation.effect_signature import typical_size
 
     kind = LIBRARY[name]
@@ -97,8 +97,8 @@ def explanation(name: str) -> str:
         "",
         indent(inspect.getdoc(kind) or "", "  "),
         "",
-        f"enters at: {_first_line(place_of(kind))}",
-        f"sensors:   {', '.join(kind.sensors)}",
+        f"place:   {_first_line(place_of(kind))}",
+        f"sensors: {', '.join(kind.sensors)}",
         "",
         "parameters",
     ]
@@ -139,7 +139,7 @@ def _draw(name: str, out: Path, path: Path | None) -> list[str]:
         with Progress(name, "step") as progress:
             found = effect_signature(experiment, name, progress.to)
         plot_signature(found, stage / f"{name}.png")
-    lines = ["", "rms change over the stride"]
+    lines = ["", "rms change of the readings in this stride"]
     for trace in found.traces:
         rms = found.rms(trace)
         changes = [

@@ -14,7 +14,7 @@ _GROUPS = {name.split()[0] for name in COMMANDS if " " in name} - {
 
 
 def usage(group: str = "") -> str:
-    """Returns the list of subcommands, or those of a `group` such as "calibrate"."""
+    """Returns the list of all subcommands, or of the subcommands of a `group` like "calibrate"."""
     shown = {name: x for name, x in COMMANDS.items() if name.startswith(group)}
     width = max(map(len, shown))
     lines = [f"  {name:<{width}}  {command.help}" for name, command in shown.items()]
@@ -25,9 +25,9 @@ def usage(group: str = "") -> str:
 def prepare_jax() -> None:
     """Enables float64, and keeps compiled programs in the user's cache folder between runs.
 
-    `JAX_COMPILATION_CACHE_DIR` names another folder; `SLIDER_CACHE=off` disables the cache.
+    `JAX_COMPILATION_CACHE_DIR` sets another folder. `SLIDER_CACHE=off` disables the cache.
     """
-    # XLA logs a warning at a long compilation that looks like a fault. Errors are raised anyway.
+    # XLA logs a warning during long compilations. It looks like an error, but errors are raised.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     from slider_jax.precision import enable_float64
 
@@ -48,7 +48,7 @@ def find(arguments: Sequence[str]) -> tuple[str, list[str]]:
     for name in COMMANDS:
         parts = name.split()
         rest = words[len(parts) :]
-        # A word after a group's own command is a mistyped subcommand unless it is a file.
+        # After the name of a group, a word that is not a file is a mistyped subcommand.
         mistyped = name in _GROUPS and rest and rest[0].isalpha() and not Path(rest[0]).exists()
         if words[: len(parts)] == parts and not mistyped:
             return name, rest
@@ -74,7 +74,7 @@ def run_command(arguments: Sequence[str]) -> int:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs `slider` and returns its exit code.
 
-    The code is 0, 2 for invalid input or a failed solve, or 130 after an interruption.
+    The code is 0 after success, 2 for invalid input or a failed solution, 130 if interrupted.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
     if not arguments or arguments[0] in ("-h", "--help", "help"):
@@ -95,7 +95,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (InputError, SolverError, KeyboardInterrupt, rig_error()) as error:
         stopped = isinstance(error, KeyboardInterrupt)
         text = "interrupted" if stopped else f"error: {error}"
-        # The notes are further failures while the command stopped.
+        # The notes describe errors that occurred while the command was stopping.
         print("\n".join([f"slider: {text}", *getattr(error, "__notes__", ())]), file=sys.stderr)
         return 130 if stopped else 2
 

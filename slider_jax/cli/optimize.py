@@ -1,4 +1,4 @@
-"""`slider optimize`: optimises the fastest swimmer, and one tail for swimming and climbing."""
+"""`slider optimize`: optimises the speed of a swimmer, or one tail for swimming and climbing."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -17,24 +17,24 @@ Address = Annotated[str, tyro.conf.arg(metavar="HOST:PORT", help_behavior_hint="
 
 @dataclass(frozen=True)
 class SearchOptions:
-    """Options of every optimisation.
+    """Options of `slider optimize swim` and `slider optimize multimodal`.
 
     Args:
-        experiment: experiment file (.toml) with the other properties of robot and water. Its first
-            trial must have a square wave, which the optimised drive replaces (default: the paper's
-            robot, with form drag at the head calibrated on its measured speed).
+        experiment: experiment file (.toml) with the properties of robot and water that are not
+            optimised. The first trial must have a square wave (default: the paper's robot, with
+            the head's form drag fitted to the measured speed).
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
-        population: number of individuals in a generation; multimodal optimisations between the two
-            tasks use a quarter of it.
-        generations: total number of generations, including those before an interruption; multimodal
-            optimisations between the two tasks use half.
+        population: number of individuals in a generation. In `multimodal`, an optimisation that
+            starts from a known design uses a quarter of this number.
+        generations: total number of generations, also those before an interruption. In
+            `multimodal`, an optimisation that starts from a known design uses half of this number.
         seed: seed of the random numbers.
-        resume: continue the optimisation in DIR, if there is one.
+        resume: continue an interrupted optimisation in DIR.
         tail_length: bounds of the tail's length, in m (default: 0.02 0.1).
         EI_tail: bounds of the tail's bending stiffness, in N m^2 (default: 0.001 0.038).
-        steps_per_stride: number of time steps in a swimming stride, an even number; a climbing
-            stride has a third more.
-        coordinator: host and port where the first of several processes listens; not needed under
+        steps_per_stride: number of time steps in a swimming stride, an even number. A climbing
+            stride has a third more time steps.
+        coordinator: host and port at which the first of several processes listens; not needed under
             SLURM (default: none).
         processes: number of processes.
         process: number of this process, counted from 0.
@@ -54,7 +54,7 @@ class SearchOptions:
     process: Whole = 0
 
     def start(self):
-        """Checks the options, starts JAX on all cores of all processes, returns the experiment."""
+        """Checks the options, starts JAX on all cores and returns the experiment."""
         from slider_jax.batch.chunks import available_cores
         from slider_jax.optimise.population import start_devices
 
@@ -62,8 +62,8 @@ class SearchOptions:
             raise InputError.value("--process", self.process, f"0 to {self.processes - 1}")
         if (self.processes > 1) != bool(self.coordinator):
             raise InputError(
-                f"--processes {self.processes}: several processes need --coordinator HOST:PORT, "
-                "and a single process must not have it"
+                f"--processes {self.processes}: several processes need --coordinator HOST:PORT; "
+                "omit --coordinator for a single process"
             )
         if self.generations < 1:
             raise InputError.value("--generations", self.generations, "1 or more")
@@ -104,7 +104,7 @@ def _reporter() -> Callable[..., None]:
 
 @contextmanager
 def _resumable(out: Path) -> Iterator[None]:
-    """Prints how to resume if the block is interrupted after a first checkpoint."""
+    """Prints how to resume if the block is interrupted after the first checkpoint."""
     try:
         yield
     except KeyboardInterrupt:
@@ -126,14 +126,14 @@ def optimize_swim(
     """Optimises drive and tail for the largest steady swimming speed.
 
     The six variables are the frequency, the set pressure amplitudes of both chambers, the phase of
-    the rear chamber, and the tail's length and bending stiffness EI. The command writes
+    the rear chamber, and the length and bending stiffness EI of the tail. The command writes
     checkpoint.npz to DIR after every generation. At the end it writes optimum.json (history,
     settings, versions), optimum.png and best.toml, an experiment for `slider swim`.
 
     Args:
         out: folder for the results; created if missing.
-        algorithm: optimiser: the paper's genetic algorithm, gradient ascent from the best of many
-            scattered designs, or CMA-ES.
+        algorithm: optimiser: the genetic algorithm of the paper, gradient ascent from the best
+            individuals of the first generation, or CMA-ES.
         frequency: bounds of the stride frequency, in Hz (default: 1 7).
         front: bounds of the front chamber's pressure amplitude, in Pa (default: 50e3 448e3).
         rear: bounds of the rear chamber's pressure amplitude, in Pa (default: 50e3 448e3).
@@ -179,15 +179,16 @@ def optimize_multimodal(
     """Optimises one tail for swimming and climbing, with a drive for each task (paper's Fig. 9).
 
     The objective is eta(beta) = beta E_swim/E_swim,only + (1 - beta) E_climb/E_climb,only. E_swim
-    is the Froude efficiency of swimming, and E_climb is m g U/P of climbing. The command optimises
-    each task alone and then each beta, starting from the best known design. It writes to DIR:
+    is the Froude efficiency of swimming. E_climb is weight times speed divided by power, for
+    climbing. The index "only" marks the largest efficiency. The command optimises each task alone,
+    and then both tasks for each beta, starting from the best known design. It writes to DIR:
     multimodal.json, multimodal.png, and for each beta an experiment for `slider swim` and one for
     `slider climb`. Each optimisation has a folder with a checkpoint.
 
     Args:
         out: folder for the results; created if missing.
         betas: number of evenly spaced values of beta from 0 (climbing alone) to 1 (swimming alone).
-        algorithm: optimiser for one task alone; the optimisations between use CMA-ES.
+        algorithm: first optimiser of each task alone; all later optimisations use CMA-ES.
     """
     experiment = search.start()
     from slider_jax.io.files import output_folder
@@ -198,7 +199,7 @@ def optimize_multimodal(
     from slider_jax.optimise.two_tasks import TwoTasks
 
     if not 2 <= betas <= 101:
-        raise InputError.value("--betas", betas, "2 to 101, including both ends")
+        raise InputError.value("--betas", betas, "2 to 101 values, with beta = 0 and 1")
     make_optimiser(algorithm, search.population, 6)
     effort = FrontEffort(algorithm, search.population, search.generations, search.seed)
     modes = TwoTasks.of(experiment, search.tail_length, search.EI_tail, search.steps_per_stride)
@@ -214,7 +215,7 @@ def optimize_multimodal(
     with _resumable(out):
         found = search_front(modes, betas, effort, out, search.resume, on_generation)
     if is_first():
-        print("repeating every design on the experiment's own mesh ...", file=sys.stderr)
+        print("simulating the best designs on the experiment's mesh ...", file=sys.stderr)
         content = write_front(modes, found, effort._asdict(), out, search.inputs())
         print("\n".join(front_summary(content)))
         print(f"wrote multimodal.json, multimodal.png and experiments to {out}", file=sys.stderr)

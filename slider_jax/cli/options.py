@@ -1,4 +1,4 @@
-"""Types of command-line arguments with their names in the help and their error messages."""
+"""Defines types of command-line arguments, with their names in the help and error messages."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +15,7 @@ def _read_by(
 ) -> PrimitiveConstructorSpec:
     """Returns a tyro type for an argument of `count` words, shown as `metavar` in the help.
 
-    `read` converts a word and raises `ValueError` if it is not `allowed`.
+    `read` converts a word, or raises `ValueError`. The error message then states what is `allowed`.
     """
 
     def instance(words: list[str]) -> Any:
@@ -65,11 +65,11 @@ MaybeValue = Annotated[float | None, _VALUE, _DEFAULT_IN_HELP]
 Whole = Annotated[int, _WHOLE]
 MaybeWhole = Annotated[int | None, _WHOLE, _DEFAULT_IN_HELP]
 Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...", help_behavior_hint="")]
-Pictures = Annotated[bool, tyro.conf.arg(help_behavior_hint="(default: draw them)")]
+Pictures = Annotated[bool, tyro.conf.arg(help_behavior_hint="(default: pictures are drawn)")]
 
 
 def chosen_trials(trials: tuple, number: int | None) -> tuple:
-    """Returns all trials, or that of `--trial`. Raises `InputError` if it does not exist."""
+    """Returns all trials, or only the trial `number`. Raises `InputError` if it does not exist."""
     if number is None:
         return trials
     if not 0 <= number < len(trials):

@@ -44,7 +44,7 @@ def call_of(command: Callable[..., Any], words: Sequence[str], name: str) -> Cal
 def _refuse_unknown_options(function: Callable[..., Any], words: Sequence[str]) -> None:
     """Raises `InputError` for an unknown option.
 
-    tyro would take the word after it as its value and then report a missing file.
+    tyro would use the next word as the value of this option and then report a missing file.
     """
     allowed, parameters = ["--help"], list[inspect.Parameter]()
     for x in inspect.signature(function).parameters.values():
@@ -85,7 +85,7 @@ def error_line(event: tyro_errors.ParseErrorEvent) -> str:
 
 
 def _label(argument: Any, with_value: bool = False) -> str:
-    """Returns the argument as the help shows it: `FILE`, `--out`, or `--out DIR` with its value."""
+    """Returns the argument as in the help: `FILE`, `--out`, or `--out DIR` if `with_value`."""
     metavar = str(argument.lowered.metavar)
     if argument.is_positional():
         return metavar

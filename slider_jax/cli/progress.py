@@ -10,11 +10,11 @@ from tqdm import tqdm
 PATIENCE = 2.0
 """Time [s] without progress after which a line with the current activity is printed."""
 PAUSE = 10.0
-"""Time [s] between two lines."""
+"""Shortest time [s] between two printed lines."""
 
 
 class Progress:
-    """A context that shows progress. Any thread may report steps. The bar is erased at the end."""
+    """Context manager that shows progress and erases the bar at the end. All threads may report."""
 
     def __init__(self, name: str, unit: str, first: str = "compiling"):
         self._name, self._unit = name, unit

@@ -23,32 +23,32 @@ def simulate(
     scheme: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None,
     drive: Literal["set", "measured"] = "set",
 ) -> None:
-    """Simulates every trial of an experiment and writes the sensors' readings.
+    """Simulates all trials of an experiment, and writes the readings of the sensors.
 
-    The command writes DIR/<trial's file name> with the columns t_s, p_front_Pa, p_rear_Pa,
-    thrust_N, recoil_N and tip_m at the trial's own sample times. It also writes DIR/summary.json
-    with cycle means, settings and versions.
+    For each trial, the command writes a CSV file to DIR; the key `file` of the trial is its name.
+    The columns are t_s, p_front_Pa, p_rear_Pa, thrust_N, recoil_N and tip_m. The command also
+    writes DIR/summary.json with cycle means, settings and versions.
 
     Args:
-        input: experiment file (.toml), or a pressure log of the rig (any other suffix).
+        input: experiment file (.toml), or pressure log of the rig (any other suffix).
         out: folder for the results; created if missing. Existing files are replaced.
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
         plot: also draw the simulated and measured time series and the midlines of each trial (PNG).
         animate: also draw the last two strides of each trial as a film (GIF).
-        step: longest time step, in s; for experiments (default: numerics.step of the file, or
-            0.001).
-        nodes: number of nodes along the robot; for experiments (default: numerics.nodes of the
-            file, or 51).
-        scheme: time scheme, sdirk2 or backward_euler; for experiments (default: numerics.scheme of
-            the file, or sdirk2).
-        drive: input of the model for a log: its set pressure (set) or its measured pressure
-            (measured).
+        step: longest time step, in s; only for an experiment (default: numerics.step of the file,
+            or 0.001).
+        nodes: number of nodes along the robot; only for an experiment (default: numerics.nodes of
+            the file, or 51).
+        scheme: time scheme, sdirk2 or backward_euler; only for an experiment (default:
+            numerics.scheme of the file, or sdirk2).
+        drive: pressure of the log that drives the model: the set pressure (set) or the measured
+            pressure (measured); only for a log.
     """
     if input.suffix.lower() != ".toml":
         options = {"--animate": animate, "--step": step, "--nodes": nodes, "--scheme": scheme}
         for name, value in options.items():
             if value:
-                raise InputError(f"{name}: applies to experiments; remove it for a log")
+                raise InputError(f"{name}: is only for an experiment; omit it for a log")
         return function_of(SIMULATE_LOG)(input, model, out, drive, plot)
     from slider_jax.channels import CHANNELS, TIME
     from slider_jax.cli.progress import Progress
@@ -61,7 +61,7 @@ def simulate(
 
     if drive != "set":
         raise InputError(
-            "--drive measured: applies to logs; set drive_is in an experiment's trials"
+            "--drive measured: is only for a log; in an experiment, set drive_is of the trials"
         )
     experiment = load(input, model)
     settings = {"numerics.step": step, "numerics.nodes": nodes, "numerics.scheme": scheme}

@@ -1,4 +1,4 @@
-"""`slider sweep`: varies one or two fields of an experiment."""
+"""`slider sweep`: simulates one trial for a range of values of one or two fields."""
 
 import re
 import shutil
@@ -34,9 +34,9 @@ def sweep(
 ) -> None:
     """Simulates one trial for evenly spaced values of one or two fields.
 
-    The command writes sweep.csv (one row for each point: means over the steady strides), sweep.json
-    (settings and versions) and sweep.png to DIR. An interrupted run resumes when you repeat the
-    command. A complete result with the same settings is not computed again.
+    The command writes sweep.csv, sweep.json (settings and versions) and sweep.png to DIR. Each row
+    of sweep.csv contains the means over the steady strides of one point. An interrupted sweep
+    resumes when you repeat the command. A complete sweep with the same settings is not repeated.
 
     Args:
         experiment: experiment file (.toml).
@@ -50,14 +50,14 @@ def sweep(
         stop2: last value of the second field, in SI units (required with --field2).
         count2: number of evenly spaced values of the second field (required with --field2).
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
-        trial: number of the trial to simulate, counted from 0 (default: N if the field is
-            trials.N..., otherwise 0).
+        trial: number of the trial to simulate, counted from 0 (default: N if a field begins with
+            trials.N, otherwise 0).
         strides: number of strides to simulate.
         transient: number of initial strides that the means exclude.
-        steps_per_stride: number of time steps in a stride, a multiple of 20; if numerics.step is
-            varied, it sets this number instead.
-        swim: simulate free swimming and report the steady stride; --strides and --transient are
-            then ignored.
+        steps_per_stride: number of time steps in a stride, a multiple of 20. If the sweep varies
+            numerics.step, the command ignores this option.
+        swim: simulate free swimming, and report the steady stride. The command then ignores
+            --strides and --transient.
     """
     from slider_jax.cli.progress import Progress
     from slider_jax.experiment.load import load
@@ -80,7 +80,7 @@ def sweep(
     if is_written(task, out):
         print(
             f"{out / 'sweep.csv'} already contains all {len(task.points)} points of this sweep, "
-            f"with the same settings and versions; delete {out / 'sweep.json'} to run it again",
+            f"with the same settings and versions; delete {out / 'sweep.json'} to repeat the sweep",
             file=sys.stderr,
         )
         return

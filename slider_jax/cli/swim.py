@@ -27,16 +27,16 @@ def swim(
 ) -> None:
     """Simulates free swimming with each trial's drive and reports the steady speed.
 
-    The steady speed is computed twice: by root finding, and by swimming from rest until strides
-    repeat. The command writes swim.json (all values, settings and versions) to DIR. For each trial
-    NAME it also writes NAME_swim.png and NAME_swim.csv, which contain one steady stride.
+    The command computes the steady speed twice: by root finding, and by a simulation from rest
+    until strides repeat. It writes swim.json (all values, settings and versions) to DIR. For each
+    trial NAME it also writes NAME_swim.png and NAME_swim.csv, which contain one steady stride.
 
     Args:
-        experiment: experiment file (.toml); towing and heaving of its trials are ignored (default:
-            the paper's optimum, with form drag at the head calibrated on its measured speed).
+        experiment: experiment file (.toml); towing and heaving of the trials are ignored (default:
+            the paper's optimum, with the head's form drag fitted to the measured speed).
         out: folder for the results; created if missing. Existing files are replaced.
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
-        trial: number of the only trial to run, counted from 0 (default: all trials).
+        trial: number of the trial to simulate, counted from 0 (default: all trials).
     """
     from slider_jax.swimming.free_swim import free_swimmer, simulate_free_swim, swim_record
     from slider_jax.swimming.paper_optimum import PUBLISHED, given_or, optimum
@@ -69,21 +69,22 @@ def climb(
     """Simulates climbing a wall with each trial's drive.
 
     The ends of a cross-link at the head are pinned alternately. Climbing is simulated in air:
-    weight acts, hydrodynamic forces and the carriage clamp are omitted. The simulation runs until
-    strides repeat and reports the last 15. It writes climb.json (all values, settings and versions)
-    to DIR, and for each trial NAME: NAME_climb.png, NAME_climb.csv and the film NAME_climb.gif.
+    hydrodynamic forces and the carriage clamp are omitted. The simulation runs until strides
+    repeat. The command reports the last 15 strides and writes climb.json (all values, settings and
+    versions) to DIR. For each trial NAME it also writes NAME_climb.png, NAME_climb.csv and the film
+    NAME_climb.gif.
 
     Args:
-        experiment: experiment file (.toml); towing, heaving and water of its trials are ignored
-            (default: the built-in robot at 2 Hz).
+        experiment: experiment file (.toml); towing, heaving and water are ignored (default: the
+            built-in robot at 2 Hz).
         out: folder for the results; created if missing. Existing files are replaced.
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
-        trial: number of the only trial to run, counted from 0 (default: all trials).
-        pin_phase: delay from the front chamber's positive pressure step to pinning the left end,
-            as a fraction of a period; the right end is pinned half a period later (default: the
+        trial: number of the trial to simulate, counted from 0 (default: all trials).
+        pin_phase: delay from the positive step of the front chamber to the pinning of the left end,
+            as a fraction of a period. The right end is pinned half a period later (default: the
             fastest of 16 phases).
         link: length of the cross-link, in m.
-        cap: highest set pressure, in Pa; larger amplitudes are reduced to it.
+        cap: highest set pressure, in Pa; larger amplitudes are reduced to this value.
     """
     from slider_jax.cli.progress import Progress
     from slider_jax.climbing import report
@@ -92,7 +93,7 @@ def climb(
     from slider_jax.swimming.paper_optimum import example_climber, given_or
 
     if pin_phase is not None and not -1.0 <= pin_phase <= 1.0:
-        raise InputError.value("--pin-phase", f"{pin_phase:g}", "-1 to 1, of a period")
+        raise InputError.value("--pin-phase", f"{pin_phase:g}", "-1 to 1, a fraction of a period")
     if not 0.005 <= link <= 0.2:
         raise InputError.value("--link", f"{link:g}", "0.005 to 0.2 m")
     if not 1e3 <= cap <= 2e6:
@@ -121,7 +122,7 @@ def _run(
     simulated: Callable[..., tuple[dict[str, Any], dict[str, Any], list[str]]],
     values: dict[str, Any],
 ) -> None:
-    """Simulates and reports trials of the experiment `given`, read from the `inputs`.
+    """Simulates and reports trials of the experiment `given`, which was read from `inputs`.
 
     `check` raises `InputError` for an invalid trial. `simulated(trial, stem, say)` draws files
     whose paths begin with `stem`, and returns the trial's record, CSV columns and printed lines.

@@ -1,4 +1,4 @@
-"""The climbing test: from hanging straight until strides repeat."""
+"""Simulates the climbing test: the robot hangs straight, and climbs until strides repeat."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -30,13 +30,13 @@ from slider_jax.swimming.gait import CAP, LINK, stride_frequency, to_climber
 from slider_jax.swimming.performance import names_with_units
 
 PHASES = 16
-"""Number of pin phases that are compared if none is given."""
+"""Number of pin phases that are compared if no pin phase is given."""
 PERIODS = 5
-"""Longest period of a climb, in strides: lightly damped swings repeat after several strides."""
+"""Longest period of a climb, in strides. Lightly damped swings repeat after several strides."""
 REPEATS = 3e-2
-"""Largest difference between the rises of strides that count as repeating, relative to the mean."""
+"""Largest difference of the rises of repeating strides, as a fraction of the mean rise."""
 MESH, STEP = 31, 5e-3
-"""Most nodes and longest time step [s] for the comparison of pin phases."""
+"""Largest number of nodes and longest time step [s] for the comparison of pin phases."""
 
 
 @dataclass(frozen=True)
@@ -46,21 +46,21 @@ class ClimbRun:
     trial: Trial
     plan: ClimbPlan
     pin_phase: float
-    """Fraction of a period."""
+    """Pin phase, as a fraction of a period."""
     link: float
     """Length of the cross-link [m]."""
     cap: float
     """Highest set pressure [Pa]."""
     tried: dict[float, float]
-    """Speed [m/s] by pin phase, empty if the phase was given; NaN if a time step failed."""
+    """Speed [m/s] at each compared pin phase; NaN if a step failed. Empty without comparison."""
     found: Climb
-    """Performance over the last `plan.strides`, or over the largest number of whole periods."""
+    """Performance over the last `plan.strides` strides, or over the whole periods in them."""
     series: Any
-    """`ClimbSeries` of these strides, starting one time step before them."""
+    """`ClimbSeries` of the strides in `found` and of the time step before these strides."""
     rises: np.ndarray
     """Rise of the head [m] in every stride from the 16th on."""
     period: int
-    """Number of strides after which the last strides repeat; 0 if they do not."""
+    """Number of strides after which the last strides repeat; 0 if they do not repeat."""
 
     @property
     def frequency(self) -> float:
@@ -79,7 +79,7 @@ def _amounts(model: Model, frequency, series: ClimbSeries, plan: ClimbPlan):
 
 
 def period_of(rises: np.ndarray, link: float, least: int = 10) -> int:
-    """Returns after how many strides the last `least` rises [m] repeat; 0 if not in `PERIODS`."""
+    """Returns the period of the last `least` rises [m] in strides; 0 if longer than `PERIODS`."""
     last = rises[-least - PERIODS :]
     same = REPEATS * max(np.abs(last).mean(), 0.1 * link)
     for n in range(1, PERIODS + 1):
@@ -102,7 +102,7 @@ def climb_plan(experiment: Experiment, frequency: float) -> ClimbPlan:
 def speeds_by_phase(
     base: Model, frequency: float, link: float, cap: float, plan: ClimbPlan
 ) -> dict[float, float]:
-    """Returns the speed [m/s] by pin phase, for `PHASES` phases; NaN if a time step fails."""
+    """Returns the speed [m/s] at each of `PHASES` pin phases; NaN if a time step fails."""
 
     @jax.jit
     @jax.vmap
@@ -116,7 +116,7 @@ def speeds_by_phase(
 
 
 def _rough(experiment: Experiment, plan: ClimbPlan, frequency: float) -> ClimbPlan:
-    """Returns a coarser plan to compare phases: at most `MESH` nodes and steps up to `STEP`."""
+    """Returns a coarser plan to compare pin phases: at most `MESH` nodes, steps up to `STEP`."""
     nodes = min(MESH, experiment.numerics.nodes)
     numerics, _ = to_numerics(experiment.with_values({"numerics.nodes": nodes}))
     steps = min(plan.steps_per_stride, max(96, 2 * half_period_steps(frequency, STEP)))
@@ -135,9 +135,9 @@ def simulate_climb(
     """Simulates climbing in air with a trial's drive.
 
     The robot starts straight, with its centre of mass below the pin. It climbs in blocks of 15
-    strides until they repeat or `longest` is reached. The result covers the last 15 strides, or
-    the largest number of whole periods in them. Without `pin_phase` (fraction of a period), the
-    fastest of `PHASES` phases is used. `link` is in m, `cap` in Pa. Raises `InputError` for a
+    strides until strides repeat, or until `longest` strides. The result covers the last 15 strides,
+    or the whole periods in these strides. Without `pin_phase` (fraction of a period), the function
+    uses the fastest of `PHASES` phases. `link` is in m, `cap` in Pa. Raises `InputError` for a
     recorded drive, and `SolverError` if a time step does not converge.
     """
     if isinstance(trial, int):
@@ -152,7 +152,7 @@ def simulate_climb(
         if not np.isfinite(list(tried.values())).any():
             raise SolverError(
                 f"{trial.file}: climbing: a time step fails for every pin phase; try a shorter "
-                "numerics.step, lower pressures, or a --pin-phase of your own"
+                "numerics.step or lower pressures, or give --pin-phase"
             )
         pin_phase = max(tried, key=lambda x: np.nan_to_num(tried[x], nan=-np.inf))
     pin_phase = pin_phase or 0.0
@@ -199,7 +199,7 @@ UNITS = {
 
 
 def climb_record(run: ClimbRun) -> dict[str, Any]:
-    """Returns the results for JSON, in SI units, by names with units."""
+    """Returns the results for JSON in SI units; each name ends in its unit."""
     values = {name: float(getattr(run.found, name)) for name in (*UNITS, "efficiency")}
     return {
         "file": run.trial.file,

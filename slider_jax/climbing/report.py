@@ -1,4 +1,4 @@
-"""Table, summary, picture and film of a climb."""
+"""Writes the table, the summary, the picture and the film of a climb."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -15,13 +15,13 @@ ROWS = (
     ("drift_m_per_s", "drift to the left", "mm/s", 1e3),
     ("power_W", "power P", "mW", 1e3),
     ("efficiency", "efficiency m g U/P", "", 1.0),
-    ("dissipated_of_power", "dissipated, share of P", "%", 1e2),
-    ("stored_of_power", "stored in the swing, share of P", "%", 1e2),
-    ("unaccounted_of_power", "error of time steps, share of P", "%", 1e2),
+    ("dissipated_of_power", "dissipated power", "% of P", 1e2),
+    ("stored_of_power", "power stored in the swing", "% of P", 1e2),
+    ("unaccounted_of_power", "error of the time steps", "% of P", 1e2),
     ("swing_rad", "swing of the head, peak to peak", "deg", 180.0 / np.pi),
     ("tail_swing_m", "swing of the tip, peak to peak", "mm", 1e3),
 )
-"""Name in `climb_record`, label, displayed unit, factor from SI to it."""
+"""Name in `climb_record`, label, displayed unit, factor from the SI unit to the displayed unit."""
 FILM_STRIDES, FRAMES_PER_STRIDE = 4, 24
 
 
@@ -31,36 +31,36 @@ def climb_table(row: dict[str, Any]) -> str:
 
 
 def climb_summary(run: ClimbRun) -> list[str]:
-    """Returns sentences on the pressure cap, the pin phase and how the strides repeat."""
+    """Returns sentences about the pressure cap, the pin phase and the period of the strides."""
     trial, lines = run.trial, []
     if not trial.amplitude:
-        return ["no pressure is set: the left end stays pinned and the robot hangs"]
+        return ["the set pressures are 0: the left end stays pinned and the robot hangs"]
     set_pressures = {"front": trial.amplitude, "rear": trial.amplitude * trial.rear_ratio}
     cut = [f"{k} {1e-3 * abs(p):g} kPa" for k, p in set_pressures.items() if abs(p) > run.cap]
     if cut:
-        lines.append(f"set pressures are capped at {1e-3 * run.cap:g} kPa: {', '.join(cut)} given")
+        lines.append(f"set pressures are cut to {1e-3 * run.cap:g} kPa; given: {', '.join(cut)}")
     left, right = run.pin_phase % 1.0, (run.pin_phase + 0.5) % 1.0
-    phase = f"the pin changes sides at {left:g} and {right:g} of a period"
-    lines.append(phase + (f", the fastest of {len(run.tried)} phases" if run.tried else ""))
+    phase = f"the left end is pinned at {left:g} of a period, the right end at {right:g}"
+    lines.append(phase + (f"; fastest of {len(run.tried)} pin phases" if run.tried else ""))
     if float(run.found.power) <= 0.0:
-        lines.append("the chambers absorb more power than they give: efficiency is undefined")
+        lines.append("the chambers absorb more power than they supply: efficiency is undefined")
     last = 1e3 * np.asarray(run.found.rises)
-    each = f"{last.mean():.2f} mm a stride"
+    each = f"{last.mean():.2f} mm per stride"
     if run.period == 1:
-        lines.append(f"strides repeat: {each}")
+        lines.append(f"strides repeat: the robot rises by {each}")
     elif run.period:
-        lines.append(f"the motion repeats after {run.period} strides: {each} on average")
+        lines.append(f"the motion repeats after {run.period} strides; mean rise {each}")
     else:
         spread = f"{last.min():.1f} to {last.max():.1f}"
         lines.append(
-            f"strides do not repeat within {len(run.rises) + run.plan.strides}: the last "
-            f"{run.plan.strides} rise by {spread} mm, {each} on average"
+            f"strides do not repeat within {len(run.rises) + run.plan.strides} strides; the last "
+            f"{run.plan.strides} strides rise by {spread} mm, mean rise {each}"
         )
     return lines
 
 
 def series_columns(run: ClimbRun) -> dict[str, np.ndarray]:
-    """Returns the columns of the last strides; x points up, and starts at the centre of mass."""
+    """Returns the columns of the last strides. x points up; the centre of mass starts at 0."""
     x, steps = run.series, run.plan.steps_per_stride
     start = x.centre[0]
     places = {"head": x.midline[:, :, -1], "tip": x.midline[:, :, 0], "pin": x.pin,
@@ -77,12 +77,12 @@ def series_columns(run: ClimbRun) -> dict[str, np.ndarray]:
 
 
 def _sideways(points: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns (right, up) [mm] of points (..., 2, n) in the picture: x is up, y is left."""
+    """Returns points (..., 2, n) as (right, up) [mm] from the origin; x is up, y is left."""
     return -1e3 * (points[..., 1, :] - origin[1]), 1e3 * (points[..., 0, :] - origin[0])
 
 
 def plot_climb(run: ClimbRun, path: Path) -> None:
-    """Plots one stride on the wall, and the rise over time."""
+    """Plots one stride on the wall, and the rise against time."""
     figure, (wall, right) = new_figure(1, 2, figsize=(9.5, 6), width_ratios=(2, 3))
     x, steps = run.series, run.plan.steps_per_stride
     origin = x.midline[-steps - 1, :, -1]
@@ -112,10 +112,7 @@ def plot_climb(run: ClimbRun, path: Path) -> None:
 def film(
     run: ClimbRun, path: Path, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> None:
-    """Writes a GIF of the last strides with the body, the cross-link and its pinned end.
-
-    Each frame shows its time. Lines on the wall are 10 mm apart.
-    """
+    """Writes a GIF of the last strides: body, cross-link, pin, time and lines 10 mm apart."""
     x, steps = run.series, run.plan.steps_per_stride
     shown = np.linspace(
         max(0, len(x.angle) - 1 - FILM_STRIDES * steps), len(x.angle) - 1,

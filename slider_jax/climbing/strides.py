@@ -1,13 +1,13 @@
-"""Climbing strides of a robot on alternating pins, as pure functions.
+"""Simulates climbing strides of a robot on alternating pins, as pure functions.
 
 The x axis points up. While one end of the cross-link is pinned, the body swings the other end up.
-Then the pin changes to that end. Over whole strides the energy balance is
+Then this other end is pinned. The energy balance from time 1 to time 2, over whole strides, is
 
-    W = m g (x_2 - x_1) + D + (E_2 - E_1) + error in time
+    W = m g (x_2 - x_1) + D + (E_2 - E_1) + error of the time steps
 
-W is the work of the chambers, x the height of the centre of mass, D the dissipation, and E the
-kinetic and elastic energy. A new pin stops a moving end and excites waves; D includes their
-dissipation.
+W is the work of the chambers, m g the weight, x the height of the centre of mass, D the dissipated
+energy, and E the kinetic and elastic energy. Pinning stops a moving end and excites waves. D
+includes the dissipation of these waves.
 """
 
 from typing import NamedTuple
@@ -34,9 +34,9 @@ class ClimbPlan(NamedTuple):
     """Number of strides and numerical settings of a climb."""
 
     settling: int = 15
-    """Strides from rest that the averages exclude."""
+    """Number of strides from rest that the averages exclude."""
     strides: int = 15
-    """Strides over which speed and power are averaged; the paper's value."""
+    """Number of strides over which speed and power are averaged (the paper's value)."""
     steps_per_stride: int = 96
     numerics: Numerics = Numerics(tail_cells=6, body_cells=24)
     scheme: Scheme = SDIRK2
@@ -64,23 +64,23 @@ class ClimbSeries(eqx.Module):
 
 
 class Climb(eqx.Module):
-    """Performance over some strides; scalars unless a shape is given."""
+    """Performance over whole strides; all fields are scalars unless a shape is given."""
 
     speed: Scalar
-    """U [m/s], upward speed of the centre of mass."""
+    """Upward speed U of the centre of mass [m/s]."""
     drift: Scalar
     """Speed of the centre of mass to the left [m/s]."""
     power: Scalar
-    """P [W], mean power of the chambers on the body."""
+    """Mean power P of the chambers on the body [W]."""
     efficiency: Scalar
-    """m g U/P [-]. Here P excludes the growth of stored energy, which is zero if strides repeat.
-    NaN, like the shares of P, if the chambers do no positive work."""
+    """m g U/P [-] with the weight m g. Here P excludes the increase of stored energy, which is zero
+    if strides repeat. NaN, like the fractions of P below, if the chambers do no positive work."""
     dissipated: Scalar
-    """Share of P that is dissipated."""
+    """Fraction of P that is dissipated [-]."""
     stored: Scalar
-    """Share of P that becomes kinetic and elastic energy."""
+    """Fraction of P that becomes kinetic and elastic energy [-]."""
     unaccounted: Scalar
-    """Residual of the energy balance as a share of P: the error of the time steps."""
+    """Residual of the energy balance as a fraction of P [-]: the error of the time steps."""
     swing: Scalar
     """Peak-to-peak angle of the head [rad]."""
     tail_swing: Scalar
@@ -123,10 +123,10 @@ def hanging(model: Model, numerics: Numerics) -> Carry:
 def climb_on(
     model: Model, frequency: Scalar, carry: Carry, count: int, plan: ClimbPlan
 ) -> tuple[Carry, ClimbSeries]:
-    """Simulates `count` strides of `frequency` [Hz], starting when the left end gets pinned.
+    """Simulates `count` strides at `frequency` [Hz], starting when the left end is pinned.
 
-    The model comes from `to_climber`. Pins change at the ends of time steps, whatever their phase;
-    edges of the pressures may lie within steps.
+    `to_climber` returns the model. The pin changes at the end of a time step for every pin phase.
+    Edges of the pressures may be within time steps.
     """
     assert isinstance(model.support, PinnedLink)
     steps = plan.steps_per_stride
@@ -137,7 +137,7 @@ def climb_on(
 
 
 def climb_of(model: Model, frequency: Scalar, series: ClimbSeries, plan: ClimbPlan) -> Climb:
-    """Returns the performance over whole strides; `series` starts one time step before them."""
+    """Returns the performance over whole strides; `series` starts one step before the strides."""
     steps = plan.steps_per_stride
     h = 1.0 / (frequency * steps)
     span = h * (len(series.angle) - 1)
@@ -171,7 +171,7 @@ def climb_from_rest(
 ) -> tuple[Climb, Bool[Array, ""]]:
     """Returns the performance of a climb from rest, and whether all time steps converged.
 
-    The average covers `plan.strides` strides after `plan.settling`. Use vmap for several robots.
+    The average covers `plan.strides` strides after `plan.settling` strides. Batch it with vmap.
     """
     begin = hanging(model, plan.numerics)
     carry, before = climb_on(model, frequency, begin, plan.settling, plan)

@@ -166,7 +166,7 @@ def test_without_pressure_the_command_says_that_it_hangs(tmp_path, capsys):
     (tmp_path / "wall.toml").write_text(to_toml(coarse(**{"trials.0.amplitude": 0.0})))
     assert main(["climb", str(tmp_path / "wall.toml"), "--out", str(tmp_path / "out")]) == 0
     assert (
-        "no pressure is set: the left end stays pinned and the robot hangs"
+        "the set pressures are 0: the left end stays pinned and the robot hangs"
         in capsys.readouterr().out
     )
     (row,) = json.loads((tmp_path / "out" / "climb.json").read_text())["climbs"]
@@ -212,7 +212,7 @@ def test_the_command_writes_what_it_found(ordered):
     ("words", "said"),
     [
         (["--cap", "172.3"], "--cap: given 172.3; allowed 1e3 to 2e6 Pa; pascal, not kPa or psi"),
-        (["--pin-phase", "7"], "--pin-phase: given 7; allowed -1 to 1, of a period"),
+        (["--pin-phase", "7"], "--pin-phase: given 7; allowed -1 to 1, a fraction of a period"),
         (["--link", "30"], "--link: given 30; allowed 0.005 to 0.2 m"),
         (["--trial", "3"], "--trial: given 3; allowed 0 to 0"),
         (

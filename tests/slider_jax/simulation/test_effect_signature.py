@@ -70,11 +70,14 @@ def test_every_effect_can_be_explained_and_added_as_it_says(name, capsys, tmp_pa
     [
         (
             ("valve_dely",),
-            "NAME: given 'valve_dely'; allowed are the names in `slider effects`; "
+            "NAME: given 'valve_dely'; allowed are the names of `slider effects`; "
             "did you mean valve_delay?",
         ),
-        (("--out", "x"), "--out: applies to the figure of one effect; add its NAME"),
-        (("valve_delay", "--experiment", "x"), "--experiment: applies to the figure; add --out"),
+        (("--out", "x"), "--out: is only for the figure of one effect; add the NAME"),
+        (
+            ("valve_delay", "--experiment", "x"),
+            "--experiment: is only for the figure of the effect; add --out",
+        ),
         (("valve_delay", "--out", "y", "--experiment", "x"), "x: no such file"),
         (("valve_delay", "--outt", "y"), "--outt: unknown option"),
     ],
