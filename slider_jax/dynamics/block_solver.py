@@ -79,7 +79,7 @@ _keep = jax.lax.optimization_barrier
 
 
 def _mm(a, b):
-    """Returns the product of 3 x 3 and 3 x n blocks, elementwise along the last axis."""
+    """Returns the product of m x k and k x n blocks, elementwise along the last axis."""
     return sum(a[:, k, None] * b[None, k] for k in range(a.shape[1]))
 
 

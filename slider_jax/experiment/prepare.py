@@ -22,7 +22,7 @@ class StepGrid:
     """Time step [s]."""
     steps: int
     half_period: int | None = None
-    """Steps per half stride; None for a drive without a frequency."""
+    """Number of steps per half stride; None for a recorded drive, even if it has a frequency."""
     phase: float = 0.0
     """Delay of the rear chamber, as a fraction of a stride."""
     played: np.ndarray | None = None
@@ -30,7 +30,7 @@ class StepGrid:
 
     @property
     def stride(self) -> int:
-        """Number of steps per stride, or per second for a drive without a frequency."""
+        """Number of steps per stride, or per second if `half_period` is None."""
         return 2 * self.half_period if self.half_period else round(1.0 / self.h)
 
     @property
@@ -59,7 +59,7 @@ def step_grid(
 ) -> StepGrid:
     """Returns a grid up to `end` [s] with steps of at most `longest` [s].
 
-    The step divides `spacing` [s] if given, or half a stride if the trial has a frequency.
+    The step divides `spacing` [s] if given, otherwise half a stride if the trial has a frequency.
     """
     half, edges = None, None if played is None else played.edges
     if spacing is not None:

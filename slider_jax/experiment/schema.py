@@ -162,7 +162,7 @@ class Trial(Table):
     pitch_phase: Annotated[float, Quantity(-6.2832, 6.2832, "rad")] = 0.0
     clamp_frequency: Annotated[float, Quantity(0.05, 20.0, "Hz")] | None = None
     duration: Annotated[float, Quantity(0.01, 600.0, "s")]
-    initial: Any = None
+    initial: Any = None  # accepted and ignored
 
     @model_validator(mode="after")
     def _drive_is_complete(self) -> "Trial":

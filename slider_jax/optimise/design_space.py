@@ -1,4 +1,4 @@
-"""Designs of a swimmer: bounds of the design variables, models, and experiment files."""
+"""Defines the designs of a swimmer: bounds of the variables, models, and experiment files."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
@@ -23,13 +23,13 @@ class Variable(NamedTuple):
 
     low: float
     high: float
-    """Default bounds, SI."""
+    """Default bounds, in SI units."""
     table: type[Trial] | type[RobotTable]
     field: str
-    """Field of that table in an experiment file; its physical range limits the bounds."""
+    """Field of `table` in an experiment file. The bounds must be in the field's physical range."""
     unit: str
     factor: float
-    """Displayed unit, and the factor from SI to it."""
+    """Displayed unit, and factor from the SI unit to the displayed unit."""
 
 
 VARIABLES = {
@@ -40,13 +40,13 @@ VARIABLES = {
     "tail_length": Variable(0.020, 0.100, RobotTable, "tail_length", "mm", 1e3),
     "EI_tail": Variable(0.001, 0.038, RobotTable, "EI_tail", "mN m^2", 1e3),
 }
-"""In the order of `Gait`. The bounds are assumed: up to the paper's highest frequency and pressure,
-and a tail that is no stiffer than the body."""
+"""Design variables in the order of `Gait`. The upper bounds are assumed: the paper's highest
+frequency and pressure, and a tail that is as stiff as the body."""
 
 
 @dataclass(frozen=True)
 class GaitBounds:
-    """Bounds (6,) of the design variables, in the order of `Gait`, SI."""
+    """Bounds (6,) of the design variables in SI units, in the order of `Gait`."""
 
     low: np.ndarray
     high: np.ndarray
@@ -56,7 +56,7 @@ class GaitBounds:
         return Gait(*(self.low + unit * (self.high - self.low)))
 
     def unit(self, gait: Gait) -> np.ndarray:
-        """Returns the point of the unit box of a design."""
+        """Returns the point of the unit box for a design."""
         return (np.array(gait) - self.low) / (self.high - self.low)
 
 
@@ -106,7 +106,7 @@ def models(experiment: Experiment) -> Callable[[Gait], Model]:
 
 
 def speed_of(experiment: Experiment, box: GaitBounds, search: SteadySettings):
-    """Returns the map from a point of the unit box to its steady speed [m/s] (NaN: no root)."""
+    """Returns the function from a point of the unit box to the steady speed [m/s] (NaN: none)."""
     model = models(experiment)
 
     def speed(unit: Float[Array, "6"]) -> Float[Array, ""]:
@@ -118,7 +118,7 @@ def speed_of(experiment: Experiment, box: GaitBounds, search: SteadySettings):
 
 
 def slope_of(experiment: Experiment, box: GaitBounds, search: SteadySettings):
-    """Returns the map from a point of the unit box to (steady speed [m/s], its gradient (6,)).
+    """Returns the function from a point of the unit box to (steady speed [m/s], gradient (6,)).
 
     The gradient is in m/s per width of the bounds.
     """
@@ -133,7 +133,7 @@ def slope_of(experiment: Experiment, box: GaitBounds, search: SteadySettings):
 
 
 def with_gait(experiment: Experiment, gait: Gait) -> Experiment:
-    """Returns the experiment with its first trial only, which gets this gait.
+    """Returns the experiment with only its first trial, with the drive and tail of a gait.
 
     The time step is shortened if the gait's frequency requires it.
     """
@@ -147,5 +147,5 @@ def with_gait(experiment: Experiment, gait: Gait) -> Experiment:
 
 
 def to_toml(experiment: Experiment, comment: str = "") -> str:
-    """Returns an experiment as the text of its file; values at their defaults are left out."""
+    """Returns an experiment as the text of its file; default values are omitted."""
     return toml_text(experiment.model_dump(exclude_defaults=True, exclude_none=True), comment)

@@ -1,4 +1,4 @@
-"""Optimisation of the fastest swimmer: the task, the result, and the files that it writes."""
+"""Optimises the speed of a swimmer: the task, the result and the written files."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -36,14 +36,14 @@ from slider_jax.swimming.paper_optimum import PAPER_GAIT, PUBLISHED
 from slider_jax.swimming.steady_state import SteadySettings, steady_speed
 
 MESH = 31
-"""Most nodes of the mesh on which designs are compared. The speed differs from that on 51 nodes by
-at most 0.7 % for tails of 6 mN m^2 and more, and is 6 % too high for a tail of 1 mN m^2. The report
-therefore also gives the best design's speed on the experiment's own mesh."""
+"""Largest number of nodes for the comparison of designs. The speed differs from the speed with 51
+nodes by at most 0.7 % for tails of 6 mN m^2 and more. It is 6 % too high for a tail of 1 mN m^2.
+The report therefore also contains the speed of the best design on the experiment's own mesh."""
 STIFFEST = 10
 """Largest upper bound of the tail's EI, in units of the body's EI."""
 ASCENDING = 2
-"""Individuals that a device evaluates together with gradients: gradient ascent has few, and all
-cores should work."""
+"""Number of individuals whose gradients a device evaluates together. It is small, because gradient
+ascent has few individuals and all cores should work."""
 
 
 class Task(NamedTuple):
@@ -60,7 +60,7 @@ class Task(NamedTuple):
         bounds: Mapping[str, tuple[float, float] | None],
         steps_per_stride: int = 96,
     ) -> "Task":
-        """Returns the task. Raises `InputError` for invalid bounds or a wave not square."""
+        """Returns the task. Raises `InputError` for invalid bounds and for a non-square wave."""
         trial = experiment.trials[0]
         if trial.waveform != "square":
             raise InputError(
@@ -128,9 +128,9 @@ def search_fastest(
     )
     if not np.isfinite(found.score):
         raise SolverError(
-            f"none of {found.history[-1].evaluations} designs has a steady speed: either a time "
-            "step fails, or no effect resists motion along the body; add an effect such as "
-            "head_drag, or narrow the bounds"
+            f"no steady speed was found for any of {found.history[-1].evaluations} designs: a time "
+            "step fails, or no effect such as head_drag resists motion along the body, so that the "
+            "speed is far too high; add such an effect, or narrow the bounds"
         )
     return found
 
@@ -141,13 +141,13 @@ class Sensitivity(NamedTuple):
     gradient: np.ndarray
     """(6,) [m/s per width of the bounds]"""
     hessian: np.ndarray
-    """(6, 6) [m/s per product of widths], by differences of the gradient over 4 % of a width."""
+    """(6, 6) [m/s per product of widths], from differences of gradients 4 % of a width apart."""
 
 
 def sensitivity(task: Task, unit: np.ndarray, step: float = 0.02) -> Sensitivity:
     """Returns gradient and Hessian at a point of the unit box.
 
-    The gradient uses the implicit function theorem; the Hessian is its central difference.
+    The implicit function theorem gives the gradient. Central differences give the Hessian.
     """
     model, box = models(task.experiment), task.box
 
@@ -199,7 +199,7 @@ def write_optimum(
 
 
 def optimum_summary(content: dict[str, Any]) -> list[str]:
-    """Returns the lines of a table that compares the optimum with the paper's."""
+    """Returns the lines of a table that compares the optimum with the paper's optimum."""
     gait, paper = content["gait"], content["paper"]
     gradient = content["sensitivity"]["gradient"]
     hessian = np.diag(content["sensitivity"]["hessian"])
@@ -210,7 +210,9 @@ def optimum_summary(content: dict[str, Any]) -> list[str]:
             f"{label:22}{factor * gait[name]:10.4g}{factor * paper['gait'][name]:10.4g}"
             f"{1e2 * gradient[i]:12.3g}{1e2 * hessian[i]:12.3g}"
         )
-    lines.append("gradient and curvature of the speed are in cm/s per width of the bounds")
+    lines.append(
+        "gradient and curvature of the speed: cm/s per width of the bounds, or per squared width"
+    )
     published, own = paper["published_m_per_s"], content["own_mesh"]
     lines.append(
         f"best speed {1e2 * content['speed_m_per_s']:.2f} cm/s, on {own['nodes']} nodes "

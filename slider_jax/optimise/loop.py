@@ -1,4 +1,4 @@
-"""The loop of an optimisation over generations, with a checkpoint after each."""
+"""Runs an optimiser generation by generation, with a checkpoint after each generation."""
 
 import hashlib
 import io
@@ -18,11 +18,11 @@ from slider_jax.optimise.optimiser import Optimiser
 
 CHECKPOINT = "checkpoint.npz"
 PLAN = "search.json"
-"""File with the settings of an optimisation that consists of several, each in its own folder."""
+"""File with the settings of a multimodal optimisation, beside the folders of its optimisations."""
 
 
 class Generation(NamedTuple):
-    """Summary of one generation. Scores are in the unit of the objective."""
+    """Summary of a generation. Scores are in the unit of the objective."""
 
     number: int
     best: float
@@ -34,7 +34,7 @@ class Generation(NamedTuple):
     failed: int
     """Number of individuals that failed."""
     evaluations: int
-    """Total so far; an evaluation with gradient counts for several."""
+    """Number of evaluations so far; an evaluation with gradient counts as several."""
 
 
 class OptimisationResult(NamedTuple):
@@ -71,9 +71,9 @@ def run_optimiser(
     """Runs an optimiser for `generations` in total and returns the best individual.
 
     `evaluate(population (n, d), gradients)` returns scores (n,), and gradients (n, d) if
-    requested. `on_generation` is called after each generation with its summary and its duration in
-    seconds. With `resume` the optimisation continues from the checkpoint in `folder`, if there is
-    one. Of several processes, only one may `keep` the checkpoint. Raises `InputError` for a
+    requested. `on_generation` is called after each generation with the summary and the duration in
+    seconds. With `resume`, the optimisation continues from the checkpoint in `folder`, if any. Of
+    several processes, only one may `keep` (write) checkpoints. Raises `InputError` for a
     checkpoint that has other `settings` or is damaged, and for any checkpoint without `resume`.
     """
     state, none = optimiser.begin(seed), np.full(0, np.nan)
@@ -115,7 +115,7 @@ def refuse_without(resume: bool, path: Path) -> None:
 
 
 def refuse_other_settings(given: Any, saved: Any, path: Path) -> None:
-    """Raises `InputError` if the settings that the file `path` contains differ from those given."""
+    """Raises `InputError` if the `saved` settings of the file `path` differ from `given`."""
     differ = differences(given, saved)
     if differ:
         more = f"; and {len(differ) - 3} more" if len(differ) > 3 else ""

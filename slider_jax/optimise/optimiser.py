@@ -1,6 +1,6 @@
-"""Optimisers of the unit box, one generation at a time, and their table of names.
+"""Defines optimisers in the unit box that compute one generation at a time.
 
-All maximise. evosax and optax minimise; the change of sign stays within this module.
+All optimisers maximise a score. evosax and optax minimise, so this module changes the sign.
 """
 
 from collections.abc import Callable
@@ -27,17 +27,17 @@ class Optimiser(NamedTuple):
 
     name: str
     begin: Callable[[int], Any]
-    """Return the state before the first generation, from the seed."""
+    """Returns the state before the first generation, from the seed."""
     ask: Callable[[Any, int, int], tuple[np.ndarray, Any]]
-    """Return (population (n, d) in the unit box, state) from a state, the seed and the generation
+    """Returns (population (n, d) in the unit box, state) from a state, the seed and the generation
     number."""
     tell: Callable[[Any, int, int, np.ndarray, np.ndarray, np.ndarray | None], Any]
-    """Return the next state from a state, the seed, the generation number, the population, its
-    scores (n,), and its gradients (n, d) if `wants_gradients`."""
+    """Returns the next state from a state, the seed, the generation number, the population, scores
+    (n,), and gradients (n, d) if `wants_gradients`."""
     wants_gradients: Callable[[int], bool] = lambda generation: False
     """Whether the optimiser needs the gradients of a generation."""
     cost: int = 1
-    """Number of evaluations that one evaluation with gradient counts for."""
+    """Number of evaluations as which one evaluation with gradient counts."""
 
 
 def standard(call: Callable[..., Any]) -> Callable[..., Any]:
@@ -51,13 +51,13 @@ def standard(call: Callable[..., Any]) -> Callable[..., Any]:
 
 
 ASCENT_STARTS = 8
-"""Number of individuals of the first generation that gradient ascent continues from."""
+"""Number of individuals of the first generation from which gradient ascent continues."""
 STEP, STEPS, LAST = 0.08, 30, 0.05
 """Cosine schedule of Adam's learning rate: initial value as a fraction of the bounds' width, number
-of generations, and final value as a fraction of the initial one."""
+of generations, and final value as a fraction of the initial value."""
 COST = 3
-"""Evaluations that one evaluation with gradient counts for: the ratio of their times, rounded
-up."""
+"""Number of evaluations as which one evaluation with gradient counts: the ratio of the computing
+times with and without gradient, rounded up."""
 
 
 def gradient(population: int, dimensions: int) -> Optimiser:
@@ -92,13 +92,13 @@ def gradient(population: int, dimensions: int) -> Optimiser:
 
 
 DECAY = 100
-"""Generations over which the mutation's standard deviation falls (the paper's value)."""
+"""Number of generations in which the mutations become smaller (the paper's value)."""
 MUTATION = (0.15, 0.002)
-"""Standard deviation of a mutation in the first generation and from `DECAY` on, as a fraction of
-the bounds' width."""
+"""Standard deviation of mutations in the first generation and from generation `DECAY` on, as a
+fraction of the bounds' width."""
 PRESSURE = 1.8
-"""Selection pressure: expected offspring of the best individual. The mean is 1; the worst
-individual has 2 - PRESSURE."""
+"""Selection pressure: expected number of offspring of the best individual. The expected number is 2
+- PRESSURE for the worst individual, and 1 on average."""
 ELITE = 2
 """Number of best individuals that each generation copies unchanged."""
 SPREAD = 0.3
@@ -138,7 +138,7 @@ def _key(seed: int, generation: int, use: int) -> jax.Array:
 
 
 def _losses(scores: np.ndarray) -> jax.Array:
-    """Returns finite losses: evosax minimises, and its weights and means need finite values."""
+    """Returns losses for evosax, which minimises. The worst score replaces a missing score."""
     scores = np.asarray(scores, float)
     good = np.isfinite(scores)
     worst = scores[good].min() - 1.0 if good.any() else 0.0
@@ -200,7 +200,7 @@ OPTIMISERS: dict[str, tuple[int, Callable[[int, int], Optimiser]]] = {
     "gradient": (ASCENT_STARTS, gradient),
     "cma-es": (4, cma_es),
 }
-"""Fewest individuals that each algorithm can work with, and its function."""
+"""Smallest population of each algorithm, and the function that returns the optimiser."""
 
 
 def make_optimiser(name: str, population: int, dimensions: int) -> Optimiser:

@@ -1,4 +1,4 @@
-"""The Pareto front of one tail for two tasks, from swimming alone to climbing alone."""
+"""Computes the Pareto front of one tail for two tasks, from swimming alone to climbing alone."""
 
 import json
 from collections.abc import Callable
@@ -24,10 +24,10 @@ from slider_jax.optimise.population import barrier, is_first
 from slider_jax.optimise.two_tasks import CLIMB, NAMES, SWIM, TAIL, TaskEfficiencies, TwoTasks, eta
 
 NEAR = 0.06
-"""Initial standard deviation of an optimisation that starts from the best design of another, as a
-fraction of the bounds' width."""
+"""Initial standard deviation of an optimisation that starts from a known design, as a fraction of
+the bounds' width."""
 BLENDS = 5
-"""Number of tails between the two tasks' best tails that are evaluated as starting points."""
+"""Number of starting points with a tail between the best tail of each task."""
 
 
 class FrontPoint(NamedTuple):
@@ -36,9 +36,9 @@ class FrontPoint(NamedTuple):
     beta: float
     eta: float
     efficiencies: np.ndarray
-    """(2,) E_swim, E_climb."""
+    """E_swim and E_climb (2,) [-]."""
     design: np.ndarray
-    """(11,) in the unit box."""
+    """Variables (11,) in the unit box, in the order of `NAMES`."""
 
 
 class Front(NamedTuple):
@@ -47,19 +47,15 @@ class Front(NamedTuple):
     points: list[FrontPoint]
     """Points of the front, by increasing beta."""
     only: np.ndarray
-    """E_swim,only and E_climb,only (2,): the largest values over all designs evaluated."""
+    """E_swim,only and E_climb,only (2,): the largest values of all evaluated designs."""
     alone: np.ndarray
-    """E_swim and E_climb (2,) of the designs from optimising each task alone."""
+    """E_swim and E_climb (2,): the best values from the optimisations of one task alone."""
     evaluations: dict[str, int]
     """Number of evaluations of each optimisation, by its name."""
 
 
 class FrontEffort(NamedTuple):
-    """Algorithm, population size, generations and seed.
-
-    Optimisations between the two tasks use a quarter of the individuals and half of the
-    generations.
-    """
+    """Algorithm, population size, generations and seed of a front's optimisations."""
 
     algorithm: str = "genetic"
     population: int = 112
@@ -68,13 +64,13 @@ class FrontEffort(NamedTuple):
 
     @property
     def between(self) -> tuple[int, int]:
-        """Population and generations of an optimisation that starts from another's best design."""
+        """Population (a quarter) and generations (half) of a start from a known design."""
         return max(6, self.population // 4), max(1, self.generations // 2)
 
 
 @dataclass
 class FrontSearches:
-    """The optimisations that a front consists of; each has its own folder with a checkpoint."""
+    """Optimisations that compute a front. Each has its own folder with a checkpoint."""
 
     modes: TwoTasks
     effort: FrontEffort
@@ -93,9 +89,10 @@ class FrontSearches:
         only: np.ndarray,
         near: bool = True,
     ) -> tuple[np.ndarray, float]:
-        """Returns (design, eta) of the best design over the variables `free` of the design `base`.
+        """Returns (design, eta) of the best design.
 
-        The optimisation starts `near` the base design, or samples the whole box.
+        Only variables with the indices `free` vary; the others keep the values of `base`. The
+        optimisation starts from `base` if `near`. Otherwise it samples the whole box.
         """
         effort, columns = self.effort, list(free)
         population, generations = effort.population, effort.generations
@@ -127,8 +124,8 @@ class FrontSearches:
         if not np.isfinite(found.score):
             raise SolverError(
                 f"{name}: all {found.history[-1].evaluations} designs fail: a time step does not "
-                "converge, there is no steady speed, or the energy balance of the climb has too "
-                "large an error; increase --population, or change the bounds"
+                "converge, no steady speed is found, or the error of the climb's energy balance is "
+                "too large; increase --population, or change the bounds"
             )
         self.evaluations[name] = found.history[-1].evaluations
         return put(found.best[None])[0], found.score
@@ -156,12 +153,12 @@ def search_front(
 
     1. Optimise each task alone.
     2. Optimise each task's drive for the other task's tail.
-    3. Go from swimming to climbing, beta by beta; each optimisation starts from the best known
-       design.
-    4. Take for each beta the best of all designs.
+    3. Optimise both tasks for each beta, from swimming to climbing. Each optimisation starts from
+       the best known design.
+    4. Select the best of all designs for each beta.
 
-    With `resume` an interrupted optimisation continues. Raises `InputError` if `folder` holds an
-    optimisation and `resume` is not given, or if any of its settings differ.
+    With `resume`, an interrupted optimisation continues. Raises `InputError` if `folder` contains
+    an optimisation but `resume` is not given, or if the settings of this optimisation differ.
     """
     _begin(folder, {"betas": betas, **effort._asdict(), **modes.settings()}, resume)
     searches = FrontSearches(modes, effort, folder, on_generation)
@@ -175,7 +172,7 @@ def search_front(
             )
     only = alone = np.array([E_swim, E_climb])
     known = list[np.ndarray]()
-    for share in np.linspace(0.0, 1.0, BLENDS + 2):  # share of the climber's tail; both best drives
+    for share in np.linspace(0.0, 1.0, BLENDS + 2):  # 0: swimmer's tail, 1: climber's tail
         design = swims.copy()
         design[list(CLIMB)] = climbs[list(CLIMB)]
         design[list(TAIL)] += share * (climbs - swims)[list(TAIL)]
@@ -198,7 +195,7 @@ def search_front(
 
 
 def _begin(folder: Path, settings: dict[str, Any], resume: bool) -> None:
-    """Writes the settings of a new optimisation, or checks those of one that resumes."""
+    """Writes the settings of a new optimisation, or checks the settings of a resumed one."""
     file, settings = folder / PLAN, json.loads(json.dumps(settings))
     if file.exists():
         refuse_without(resume, file)
@@ -234,9 +231,9 @@ def _best(
 
 
 def dominated(points: list[FrontPoint]) -> list[float]:
-    """Returns the betas whose point is dominated by a neighbour.
+    """Returns the betas of the points that a neighbour dominates.
 
-    The neighbour is then at least as good at both tasks and better at one.
+    The neighbour's efficiencies are then at least as large in both tasks, and larger in one task.
     """
     return [
         point.beta

@@ -1,7 +1,7 @@
-"""Evaluation of a population on all devices of all processes.
+"""Evaluates a population on all devices of all processes.
 
-The population is divided into chunks of one size, whatever the number of devices. Each individual's
-score is therefore the same to the last bit on one device and on many.
+All chunks of a population have one size, which does not depend on the number of devices. Therefore
+the score of an individual is the same to the last bit on one device and on many devices.
 """
 
 import itertools
@@ -12,25 +12,24 @@ from typing import Any
 
 import jax
 import numpy as np
-from jax._src import distributed  # its barrier takes a timeout; a collective does not
+from jax._src import distributed  # its barrier accepts a timeout
 from jax.experimental import multihost_utils
 from jax.sharding import Mesh, PartitionSpec
 
 from slider_jax.errors import InputError
 
 CHUNK = 8
-"""Individuals that a device evaluates together: as many as fit into a core's cache."""
+"""Number of individuals that a device evaluates together. They fit into the cache of a core."""
 PATIENCE = 3600
-"""Time [s] for which a process waits for a late one; it does not wait for one that ended."""
+"""Time [s] for which a process waits for a slow process. It does not wait for an ended process."""
 _meetings = itertools.count()
 
 
 class Evaluation:
     """Computes `objective` for every row of a population.
 
-    All processes must make the same calls. Devices exchange nothing while they compute: if another
-    program slows one device, the others wait for it, and a collective operation would time out
-    after some seconds.
+    All processes must make the same calls. Devices exchange no data while they compute, because
+    another program may slow one device. A collective operation would then time out within seconds.
     """
 
     def __init__(self, objective: Callable[[jax.Array], Any], chunk: int = CHUNK):
@@ -46,11 +45,11 @@ class Evaluation:
         self._sharding = jax.NamedSharding(mesh, rows)
 
     def __call__(self, population: np.ndarray) -> Any:
-        """Returns scores (n, ...) of a population (n, d) as NumPy arrays; n does not recompile."""
+        """Returns scores (n, ...) of a population (n, d), of any n without recompilation."""
         n = len(population)
         filled = population[np.minimum(np.arange(-(-n // self._rows) * self._rows), n - 1)]
         parts = filled.reshape(-1, self._rows, filled.shape[-1])
-        found = [self._compiled(self._given(part)) for part in parts]  # all start at once
+        found = [self._compiled(self._given(part)) for part in parts]  # all parts start
         scores = jax.tree.map(lambda *x: np.stack([_local(part) for part in x]), *found)
         if jax.process_count() > 1:
             barrier("scores")
@@ -73,13 +72,13 @@ def start_devices(cores: int, coordinator: str = "", processes: int = 1, process
     """Configures JAX with one device for each of `cores` CPU cores, at least two.
 
     Call this before any JAX computation; later calls do not change the devices. `coordinator` is
-    the host:port of process 0 if there are several processes. Under srun the processes find each
-    other, so omit it. Raises `InputError` if the processes have different numbers of cores.
+    the host:port of process 0 if there are several processes. Omit `coordinator` under srun, where
+    the processes find each other. Raises `InputError` if processes have different numbers of cores.
     """
-    # This variable counts the processes of a job step; in the batch script itself it is at most 1.
+    # This is the number of processes of a SLURM job step. It is at most 1 in the batch script.
     slurm = int(os.environ.get("SLURM_STEP_NUM_TASKS", "1")) > 1
     with suppress(RuntimeError):
-        # XLA compiles a program for one device differently, and its last bit differs.
+        # XLA compiles a program for one device differently: the last bit of results would differ.
         jax.config.update("jax_num_cpu_devices", max(2, cores))
     if coordinator or slurm:
         jax.config.update("jax_cpu_collectives_implementation", "gloo")
@@ -88,8 +87,8 @@ def start_devices(cores: int, coordinator: str = "", processes: int = 1, process
         counts = np.bincount([device.process_index for device in jax.devices()])
         if len(set(counts)) > 1:
             raise InputError(
-                f"processes: they have {', '.join(map(str, counts))} cores; all must have the same "
-                "number: restrict the larger ones with taskset or --cpus-per-task"
+                f"processes: given {', '.join(map(str, counts))} cores; allowed is one number of "
+                "cores for all processes; set the number with taskset or --cpus-per-task"
             )
 
 
@@ -99,7 +98,7 @@ def is_first() -> bool:
 
 
 def barrier(place: str) -> None:
-    """Waits until all processes reach this call; each must make the same number of calls."""
+    """Waits until all processes reach this call. All must make the same number of calls."""
     if jax.process_count() > 1:
         client = distributed.global_state.client
         assert client is not None

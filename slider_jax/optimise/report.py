@@ -1,4 +1,4 @@
-"""Files, table and picture of a Pareto front."""
+"""Writes the files, the table and the picture of a Pareto front."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -23,8 +23,8 @@ SHOWN = (
     ("front", "pressures (kPa)", 1e-3),
     ("phase", "phase (of a period)", 1.0),
 )
-"""Variable, axis label, factor from SI. Each panel also shows the climber's variable, and the panel
-of the front pressures also shows the rear ones."""
+"""Variable, axis label, and factor from the SI unit to the unit in the label. A panel also shows
+the climber's variable. The panel of the front pressures also shows the rear pressures."""
 
 
 def front_records(modes: TwoTasks, front: Front) -> list[dict[str, Any]]:
@@ -53,7 +53,7 @@ def front_records(modes: TwoTasks, front: Front) -> list[dict[str, Any]]:
 def on_own_mesh(
     modes: TwoTasks, design: np.ndarray, E_swim: Callable[[jax.Array], jax.Array]
 ) -> dict[str, Any]:
-    """Returns a design's results of `slider swim` and `slider climb`, on the experiment's mesh."""
+    """Returns the results of `slider swim` and `slider climb`, on the experiment's own mesh."""
     swims, climbs, pin = modes.gaits(design)
     climbed = simulate_climb(with_gait(modes.task.experiment, climbs), 0, pin)
     return {
@@ -71,7 +71,7 @@ def write_front(
     folder: Path,
     inputs: list[dict[str, Any]],
 ) -> dict[str, Any]:
-    """Writes multimodal.json, multimodal.png and two experiments a point; returns the JSON."""
+    """Writes multimodal.json (and returns it), multimodal.png, two experiments for each point."""
     found, only = front_records(modes, front), {"E_swim": front.only[0], "E_climb": front.only[1]}
     content = {
         "front": found,
@@ -100,7 +100,7 @@ def write_front(
 
 
 def front_summary(content: dict[str, Any]) -> list[str]:
-    """Returns the lines of the table of a front, and remarks."""
+    """Returns the lines of a front's table, and remarks."""
     lines = [
         f"{'beta':>6}{'eta':>8}{'E_swim':>9}{'E_climb':>9}{'tail mm':>9}{'mN m^2':>8}"
         f"{'swim Hz':>9}{'kPa':>9}{'phase':>7}{'climb Hz':>10}{'kPa':>9}{'phase':>7}{'pin':>6}"
@@ -118,14 +118,14 @@ def front_summary(content: dict[str, Any]) -> list[str]:
         )
     only, total = content["only"], sum(content["evaluations"].values())
     lines.append(
-        f"best for one task: swimming {only['E_swim']:.4f}, climbing {only['E_climb']:.4f}; "
+        f"largest efficiency: E_swim {only['E_swim']:.4f}, E_climb {only['E_climb']:.4f}; "
         f"{total} evaluations"
     )
     for name, found in content["alone"].items():
         if found < 0.99 * only[name]:
             lines.append(
-                f"optimising {name} alone reached {found:.4f}, less than another optimisation did: "
-                "repeat with more --generations in a new folder"
+                f"the optimisation of {name} alone reached {found:.4f}, less than a later "
+                "optimisation; repeat the command with more --generations in a new folder"
             )
     for name in ("E_swim", "E_climb"):
         own = ", ".join(f"{x['own_mesh'][name]:.4f}" for x in content["front"])
@@ -134,7 +134,7 @@ def front_summary(content: dict[str, Any]) -> list[str]:
     if other := [f"{x['beta']:.3f}" for x in content["front"] if x["own_mesh"][steady] is None]:
         lines.append(f"beta {', '.join(other)}: the strides of the climb do not repeat")
     if content["dominated_by_a_neighbour"]:
-        lines.append(f"dominated by a neighbour: {content['dominated_by_a_neighbour']}")
+        lines.append(f"a neighbour dominates beta {content['dominated_by_a_neighbour']}")
     return lines
 
 

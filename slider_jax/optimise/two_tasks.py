@@ -1,11 +1,11 @@
-"""One tail for two tasks: swimming and climbing, each with its own drive.
+"""Defines the objective of one tail for two tasks, swimming and climbing, with a drive for each.
 
     eta(beta) = beta E_swim/E_swim,only + (1 - beta) E_climb/E_climb,only,    0 <= beta <= 1
 
-E_swim is the Froude efficiency of a steady stride, and E_climb = m g U/P over 15 strides. The index
-"only" marks the largest value when one task alone is optimised. A design has two drives and one
-tail. At beta = 0 or 1 one task has no weight; its drive is then optimised for the other task's
-tail.
+beta is the weight of swimming. E_swim is the Froude efficiency of a steady stride. E_climb is m g
+U/P over 15 strides, with the weight m g, the upward speed U and the power P of the chambers. The
+index "only" marks the largest efficiency for one task alone. A design has two drives and one tail.
+At beta = 0 or 1, the drive of the task without weight is optimised for the tail of the other task.
 """
 
 from typing import Any, NamedTuple
@@ -35,21 +35,21 @@ CLIMBER_BOUNDS = {
     "climb_phase": (-0.5, 0.5),
     "pin_phase": (-0.5, 0.5),
 }
-"""Bounds of the climber's drive, SI; assumed, except for the pressure cap."""
+"""Bounds of the climber's drive, in SI units. All are assumed, except for the pressure cap."""
 UNACCOUNTED = 0.02
-"""Largest error of a climb's energy balance, as a fraction of its power. A larger error means that
-the time step is too long, so the efficiency counts as missing."""
+"""Largest error of a climb's energy balance, as a fraction of the power. If the error is larger,
+the time step is too long, and the efficiency is NaN."""
 
 
 class TwoTasks(NamedTuple):
     """Both tasks of one robot, and the bounds of the designs."""
 
     task: Task
-    """The swimming task; its bounds are those of the swimmer's drive and the tail."""
+    """The swimming task, with the bounds of the swimmer's drive and of the tail."""
     plan: ClimbPlan
     low: np.ndarray
     high: np.ndarray
-    """Bounds (11,) of `NAMES`, SI."""
+    """Bounds (11,) of `NAMES`, in SI units."""
 
     @classmethod
     def of(
@@ -59,10 +59,7 @@ class TwoTasks(NamedTuple):
         EI_tail: tuple[float, float] | None = None,
         steps_per_stride: int = 96,
     ) -> "TwoTasks":
-        """Returns both tasks of an experiment's robot.
-
-        Raises `InputError` as `Task.of` does, and for a robot that cannot swim or climb.
-        """
+        """Returns both tasks. Raises `InputError` for invalid bounds, drive or effects."""
         bounds = {"tail_length": tail_length, "EI_tail": EI_tail}
         task = Task.of(experiment, bounds, steps_per_stride)
         climbing = np.array(list(CLIMBER_BOUNDS.values())).T
@@ -78,8 +75,8 @@ class TwoTasks(NamedTuple):
         to_climber(model, 1.0, 0.0)
         if not any(effect.resists_axially for effect in model.effects):
             raise InputError(
-                "effects: no effect resists motion along the body, so no swimmer reaches a steady "
-                "speed; add an effect such as head_drag"
+                "effects: no effect resists motion along the body, so a swimmer would be about ten "
+                "times too fast; add an effect such as head_drag"
             )
         return cls(task, plan, low, high)
 
@@ -105,7 +102,7 @@ class TwoTasks(NamedTuple):
 
 
 def swim_efficiency(experiment: Experiment, search: SteadySettings):
-    """Returns the function from a gait (6,), SI, to its Froude efficiency; NaN if not steady."""
+    """Returns the function from a gait (6,) in SI units to the Froude efficiency (NaN: none)."""
     model = models(experiment)
 
     def one(x: Float[Array, "6"]) -> Float[Array, ""]:
@@ -155,7 +152,7 @@ class TaskEfficiencies:
 
 
 def eta(beta: float, efficiencies: np.ndarray, only: np.ndarray) -> np.ndarray:
-    """Returns eta (n,) of efficiencies (n, 2); a task without weight may fail."""
+    """Returns eta (n,) of efficiencies (n, 2); NaN is allowed for a task with weight 0."""
     weights = np.array([beta, 1.0 - beta])
     counts = weights > 0.0
     return (efficiencies[:, counts] / only[counts]) @ weights[counts]

@@ -1,4 +1,4 @@
-"""Checks that effects need neither future values nor values older than a plant keeps."""
+"""Checks that effects need no future values and no values that are older than a plant stores."""
 
 import equinox as eqx
 import jax
@@ -15,8 +15,8 @@ from slider_jax.realtime.sensors import constant_past, read_now
 def check_commands(commands: tuple[Command, ...], h: float, samples: int) -> None:
     """Raises `InputError` if the valves depend on more than the last `samples` set pressures.
 
-    The check applies the effects to random set pressures, `h` [s] apart. It compares a waveform of
-    the whole series with waveforms of the samples that a plant knows at each time.
+    The check applies the effects to random set pressures, `h` [s] apart. It compares the waveform
+    of the whole series with the waveforms of the samples that a plant knows at each time.
     """
     length = 2 * samples + 10
     times = jnp.asarray(h * np.arange(float(length)))
@@ -42,9 +42,9 @@ def check_commands(commands: tuple[Command, ...], h: float, samples: int) -> Non
             whole, live = map(jax.tree.leaves, both(commands[:count], chamber))
             if not all(np.allclose(a, b, 1e-9, 1e-9) for a, b in zip(whole, live, strict=True)):
                 raise InputError(
-                    f"effects: {commands[count - 1].name()}: in real time the valves know the set "
-                    f"pressures of the last {h * (samples - 3):g} s and no future ones; allowed "
-                    f"a total dead time of 0 to {h * (samples - 3):g} s; remove the effect"
+                    f"effects: {commands[count - 1].name()}: in real time only the set pressures "
+                    f"of the last {h * (samples - 3):g} s are known; allowed is a total dead time "
+                    f"of 0 to {h * (samples - 3):g} s; remove the effect"
                 )
 
 
@@ -75,7 +75,7 @@ def check_instrument(effect: Instrument, h: float, samples: int) -> None:
         error = np.abs(np.asarray(reading) - np.asarray(expected)[1:])[:-4]
         if not error.max() < 1e-9 * np.abs(expected).max():
             raise InputError(
-                f"effects: {effect.name()}: in real time a sensor knows the last {h * samples:g} s "
-                f"and no future values; allowed a delay of 0, or of {h:g} s (one step) to "
+                f"effects: {effect.name()}: in real time only values of the last {h * samples:g} s "
+                f"are known; allowed is a delay of 0, or of {h:g} s (one step) to "
                 f"{h * (samples - 3):g} s; remove the effect, or simulate the whole trial"
             )

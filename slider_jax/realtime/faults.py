@@ -1,4 +1,4 @@
-"""Faults of a running plant: leaking chambers, blocked valves and a changed tail stiffness."""
+"""Defines faults of a plant: leaking chambers, blocked valves and a changed tail stiffness."""
 
 from typing import NamedTuple
 
@@ -14,12 +14,12 @@ CHAMBERS = ("front_left", "front_right", "rear_left", "rear_right")
 
 
 class Faults(NamedTuple):
-    """Fault values, which may change between steps. `leak` and `blocked` are [segment, side]."""
+    """Fault values, which may change between steps. Indices of arrays are [segment, side]."""
 
     leak: Float[Array, "2 2"] | np.ndarray
-    """Conductance of the leak over the capacity of the chamber [1/s]."""
+    """Leak rate [1/s]: conductance of the leak divided by the capacity of the chamber."""
     blocked: Float[Array, "2 2"] | np.ndarray
-    """Missing fraction [-] of the fill valve's flow."""
+    """Blocked fraction of the fill valve's flow [-]."""
     EI_tail: Float[Array, ""] | np.ndarray
     """Bending stiffness of the tail [N m^2]."""
 
@@ -27,10 +27,10 @@ class Faults(NamedTuple):
 class ChamberFaults(Flow):
     """Blocked fill valves and leaks of single chambers.
 
-        dp/dt = (1 - b) r - q p    while |p| increases,    r - q p    while it decreases
+        dp/dt = (1 - b) r - q p    while |p| increases,    r - q p    while |p| decreases
 
-    r is dp/dt from the pressure law and all other effects. b and q belong to the chamber that holds
-    p, which is the left chamber for p > 0. Source: as for `Leakage`.
+    p is the signed pressure, and r is dp/dt from the pressure law and all other effects. b and q
+    are the values of the left chamber for p > 0, else of the right chamber. Source: see `Leakage`.
     """
 
     title = "faults of single chambers"
@@ -52,14 +52,17 @@ def no_faults(EI_tail: float) -> Faults:
 
 ALLOWED = {
     **{f"leak_{chamber}": (0.0, 100.0, "1/s") for chamber in CHAMBERS},
-    **{f"blocked_{chamber}": (0.0, 1.0, "share of the fill valve's flow") for chamber in CHAMBERS},
+    **{
+        f"blocked_{chamber}": (0.0, 1.0, "fraction of the fill valve's flow")
+        for chamber in CHAMBERS
+    },
     "EI_tail": (1e-6, 100.0, "N m^2"),
 }
 """Lowest value, highest value and unit of each fault."""
 
 
 def with_fault(faults: Faults, name: str, value: float) -> Faults:
-    """Returns the faults with one value changed. Raises `InputError` if either is invalid."""
+    """Returns the faults with one changed value. Raises `InputError` for a bad name or value."""
     refuse_unknown("fault", [name], ALLOWED)
     low, high, unit = ALLOWED[name]
     if not low <= value <= high:

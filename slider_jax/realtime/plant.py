@@ -1,7 +1,7 @@
-"""Real-time simulation of a robot in its tank, driven by set pressures as they arrive.
+"""Simulates a robot in its tank in real time, driven by set pressures as they arrive.
 
-The constructor compiles one step of the simulator; nothing is traced afterwards. `rollout` takes
-each step, so effects act as in a whole simulation and effects with a state keep it.
+The constructor compiles one step of the simulator. Later calls compile nothing. Each step calls
+`rollout`, so that effects act as in the simulation of a whole trial, and keep their states.
 """
 
 from collections.abc import Sequence
@@ -38,7 +38,7 @@ class PlantState(eqx.Module):
 
     carry: Carry
     commanded: Float[Array, "samples 2"]
-    """Signed set pressures of the last steps, oldest first."""
+    """Signed set pressures of the last steps [Pa], oldest first."""
     shared: Float[Array, "2"]
     """Common pressure [Pa] of a segment's two chambers, which does not bend the segment."""
     instruments: tuple[Past, ...]
@@ -47,11 +47,10 @@ class PlantState(eqx.Module):
 class Plant:
     """Real-time simulation of an experiment's robot and effects, sample by sample.
 
-    Steps are `step` [s] long; the mesh is the experiment's. Compilation in the constructor takes
-    about ten seconds. A step then computes faster than real time. The left chamber holds a
-    segment's positive signed pressure, and the right chamber holds a negative one. A set pressure
-    common to both chambers follows with the lag alone and does not bend the body. A vented chamber
-    has the set pressure 0.
+    Steps are `step` [s] long. The constructor compiles for about ten seconds. A step then computes
+    faster than real time. The left chamber of a segment holds a positive signed pressure, the right
+    chamber a negative signed pressure. A set pressure that is common to both chambers follows with
+    the lag alone and does not bend the body. A vented chamber has the set pressure 0.
 
     Raises `InputError` if an effect needs future values.
     """
@@ -81,7 +80,7 @@ class Plant:
     def begin(self, trial: Trial | int = 0, settle: float = 0.0) -> SensorReading:
         """Resets the plant to the start of a trial and returns the reading at the start.
 
-        The plant uses the trial's clamp motion and effects, but not its drive. Faults are kept.
+        The plant uses the trial's clamp motion and effects, but not the drive. It keeps all faults.
         The robot is straight and at rest relative to the clamp, and the chambers are empty. With
         `settle`, the robot is in this state `settle` [s] before the start and vented until then.
         """
@@ -102,10 +101,10 @@ class Plant:
         """Simulates `seconds` [s] with set gauge pressures [Pa] and returns the last reading.
 
         The chambers are in the order of `SensorReading.pressures`; None vents a chamber. Time
-        advances in whole steps, each with the set pressures of the call that completes it. The
-        remaining time is kept for the next call. A step that does not converge stops the plant
-        until `begin`: `ok` of the readings is then false, and `failed_at` is the time [s] of that
-        step. Raises `InputError` for a pressure that is negative or not finite.
+        advances in whole steps. A step uses the set pressures of the call that completes the step.
+        The next call adds the remaining time. A step that does not converge stops the plant until
+        `begin`: then `ok` of the readings is false, and `failed_at` is the time [s] of this step.
+        Raises `InputError` for a pressure that is negative or not finite.
         """
         commanded = np.concatenate([[0.0], _checked(set_pressures)])
         self._remaining += seconds
@@ -130,9 +129,9 @@ class Plant:
     def inject(self, name: str, value: float) -> None:
         """Sets a fault from the next step on; the nominal value removes the fault.
 
-        `leak_CHAMBER` [1/s] is the leak's conductance over the capacity. `blocked_CHAMBER` is the
-        missing fraction, 0 to 1, of the fill valve's flow. CHAMBER is `front_left`, for example.
-        `EI_tail` is the tail's bending stiffness [N m^2].
+        `leak_CHAMBER` [1/s] is the leak's conductance divided by the capacity of the chamber.
+        `blocked_CHAMBER` is the blocked fraction, 0 to 1, of the fill valve's flow. CHAMBER is
+        `front_left`, for example. `EI_tail` is the tail's bending stiffness [N m^2].
         """
         self.faults = with_fault(self.faults, name, value)
         self._faults = jax.device_put(self.faults)

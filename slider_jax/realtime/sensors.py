@@ -1,4 +1,4 @@
-"""Readings of the sensors in real time: instruments sample by sample."""
+"""Computes the readings of the sensors in real time, sample by sample."""
 
 from typing import NamedTuple
 
@@ -26,7 +26,7 @@ def constant_past(effect: Instrument, first: Readings, h: float, samples: int) -
 
 
 def read_now(effect: Instrument, past: Past, true: Readings) -> tuple[Readings, Past]:
-    """Returns the reading of the next input `true` (scalars), and the new past."""
+    """Returns the instrument's reading for the next input `true` (scalars), and the new past."""
     shown = jax.tree.map(_append, past.shown, true)
     now = effect.read_sample(shown, past.read)
     return now, Past(shown, jax.tree.map(_append, past.read, now))
@@ -43,10 +43,10 @@ class SensorReading(NamedTuple):
     pressures: tuple[float, float, float, float]
     """Gauge pressures [Pa] of the chambers: front left, front right, rear left, rear right."""
     p_front: float
-    """Signed pressure [Pa], left minus right, as in the model and its columns; also `p_rear`."""
+    """Signed pressure [Pa]: left minus right, as in the model and in CSV columns; also `p_rear`."""
     p_rear: float
     thrust_N: float
     recoil_N: float
     tip_m: float
     ok: bool
-    """False after a failed step; the reading is then the last valid one."""
+    """False after a failed step; the other values are then the last valid values."""

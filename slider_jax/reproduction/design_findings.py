@@ -15,7 +15,7 @@ from slider_jax.reproduction.design_maps import (
 )
 
 POOR = 0.5
-"""A speed counts as poor if it is less than this fraction of the other; our choice."""
+"""A speed counts as poor if it is less than this fraction of the better speed (assumed)."""
 
 
 class StatementCheck(NamedTuple):
@@ -26,7 +26,7 @@ class StatementCheck(NamedTuple):
     """Criterion of the check."""
     measured: str
     agrees: bool | None
-    """Whether the maps agree with the claim; None without steady speeds at the needed points."""
+    """Whether the maps agree with the claim; None if needed points have no steady speed."""
 
     @property
     def verdict(self) -> str:
@@ -35,7 +35,7 @@ class StatementCheck(NamedTuple):
 
 
 def interior_optimum(over_stiffness: Map) -> StatementCheck:
-    """Checks whether the speed has an interior maximum over stiffness at every length."""
+    """Checks whether, at every length, the fastest stiffness is inside the range of stiffness."""
     lengths, peaks = over_stiffness.lengths, best_stiffness(over_stiffness)
     inside = np.array([np.nan if p.inside is None else p.inside for p in peaks])
     best = np.where(np.isnan(inside), np.nan, [1e3 * p.x for p in peaks])
@@ -51,14 +51,14 @@ def interior_optimum(over_stiffness: Map) -> StatementCheck:
 
 
 def short_tails_phase(over_phase: Map) -> StatementCheck:
-    """Checks whether the best phase of the shorter half of the tails is the paper's."""
+    """Checks whether the best phase of the shorter tails is near the paper's best phase."""
     short = _short(over_phase)
     lengths, best = over_phase.lengths[short], _tops(over_phase)[0][short]
     off = best - BEST_PHASE
     far = lengths[np.abs(off) > TOLERANCE]
     return StatementCheck(
         f"the best phase is near {BEST_PHASE:g} for short tails",
-        f"it differs by at most {TOLERANCE:g} for every tail up to {_mm(MARKED_LENGTH)}",
+        f"the difference is at most {TOLERANCE:g} for every tail up to {_mm(MARKED_LENGTH)}",
         f"best {_text(lengths, best, '.3f')}; difference {_text(lengths, off, '+.3f')}"
         + (f"; too large for {_mm(far)}" if far.size else ""),
         _everywhere(np.abs(off) <= TOLERANCE, best),
@@ -72,8 +72,8 @@ def negative_is_slower(over_phase: Map) -> StatementCheck:
     lead = over_phase.at(0.0) - np.max(negative, axis=1)
     return StatementCheck(
         "negative phase is slower",
-        "at every length every negative phase is slower than phase 0; -0.5 is excluded, as it "
-        "equals 0.5",
+        "at every length every negative phase is slower than phase 0; phase -0.5 is excluded, "
+        "because it equals phase 0.5",
         "the fastest negative phase is slower by "
         + f"{_text(over_phase.lengths, 1e2 * lead, '.1f')} (cm/s)",
         _everywhere(lead > 0.0, lead),
@@ -81,7 +81,7 @@ def negative_is_slower(over_phase: Map) -> StatementCheck:
 
 
 def half_is_poor(over_phase: Map) -> StatementCheck:
-    """Checks whether chambers in antiphase are much slower than at the paper's good phase."""
+    """Checks whether antiphase is much slower than the paper's good phase of 0.2."""
     _, good, poor = (over_phase.at(phase) for phase in MARKED)
     both = np.isfinite(poor + good)
     slow, fast = (
@@ -89,22 +89,22 @@ def half_is_poor(over_phase: Map) -> StatementCheck:
     )
     return StatementCheck(
         f"phase {MARKED[2]:g} is poor compared with {MARKED[1]:g}",
-        f"at every length its speed is less than {POOR:g} times that at {MARKED[1]:g}",
+        f"at every length the speed is less than {POOR:g} times the speed at {MARKED[1]:g}",
         f"{slow}, compared with {fast} (cm/s)",
         _everywhere(poor < POOR * good, poor + good),
     )
 
 
 def long_tails_gain_less(over_phase: Map) -> StatementCheck:
-    """Checks whether the best phase increases the speed less for the longer half of the tails."""
+    """Checks whether the best phase increases the speed less for the longer tails."""
     gain, short = _tops(over_phase)[1] - over_phase.at(0.0), _short(over_phase)
     found = np.isfinite(gain)
     parts = (gain[found & part] for part in (~short, short))
     long_mean, short_mean = (1e2 * float(np.mean(x)) if x.size else np.nan for x in parts)
     return StatementCheck(
-        "longer tails gain less from phase",
-        "the mean gain in speed from phase 0 to the best phase is smaller over tails longer than "
-        f"{_mm(MARKED_LENGTH)} than over the others",
+        "longer tails gain less speed from the best phase",
+        "the mean gain in speed from phase 0 to the best phase is smaller for tails longer than "
+        f"{_mm(MARKED_LENGTH)} than for shorter tails",
         f"{long_mean:.1f} compared with {short_mean:.1f}; "
         f"{_text(over_phase.lengths, 1e2 * gain, '.1f')} (cm/s)",
         _everywhere(long_mean < short_mean, long_mean - short_mean),
@@ -128,7 +128,7 @@ def slice_of_phase(over_phase: Map) -> list[StatementCheck]:
         StatementCheck(
             f"{of_slice}phase {MARKED[2]:g} is slower than {MARKED[0]:g}, and {MARKED[0]:g} is "
             f"slower than {MARKED[1]:g}",
-            "the three speeds are in that order",
+            "the three speeds are in this order",
             ", ".join(f"{1e2 * x:.1f} cm/s at {phase:g}" for phase, x in points),
             _everywhere(poor < none < good, poor + none + good),
         ),
@@ -161,7 +161,7 @@ def _short(over_phase: Map) -> np.ndarray:
 
 
 def _everywhere(condition, needed) -> bool | None:
-    """Returns whether a condition holds wherever `needed` is finite; None if it never is."""
+    """Returns whether a condition holds wherever `needed` is finite; None if it is all NaN."""
     found = np.isfinite(needed)
     return bool(np.all(np.asarray(condition)[found])) if found.any() else None
 
@@ -171,10 +171,7 @@ def _mm(lengths) -> str:
 
 
 def _text(lengths: np.ndarray, values, form: str) -> str:
-    """Returns one value, or the values of the shortest and longest tail and the range.
-
-    The text also lists lengths whose value is missing.
-    """
+    """Returns one value, or values of the shortest and longest tail, range and missing lengths."""
     values, found = np.asarray(values, float), np.isfinite(values)
     lost = f"; missing for {_mm(lengths[~found])}" if not found.all() else ""
     if not found.any():

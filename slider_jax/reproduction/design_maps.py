@@ -1,7 +1,6 @@
-"""Defines maps of speed over the tail's length and a second variable, with maxima at each length.
+"""Defines maps of the speed against the tail's length and a second variable, and their maxima.
 
-Speeds [m/s] are positive if the head leads, so a swimmer whose tail leads has a negative speed. NaN
-means that no steady speed was found.
+Speeds [m/s] are positive if the head leads. NaN means that no steady speed was found.
 """
 
 from typing import NamedTuple
@@ -9,30 +8,30 @@ from typing import NamedTuple
 import numpy as np
 
 BEST_PHASE, TOLERANCE = 0.15, 0.05
-"""The paper's best phase of short tails, and the largest difference that counts as near, both as
-fractions of a period."""
+"""The paper's best phase of short tails, and the largest difference from it that counts as
+agreement, both as fractions of a period."""
 MARKED = (0.0, 0.2, 0.5)
-"""Phases of the points that the paper compares."""
+"""Phases of the three points that the paper compares, as fractions of a period."""
 MARKED_LENGTH = 0.06
-"""Length of the tail [m] in the slice with these points."""
+"""Length of the tail [m] at the three points `MARKED`."""
 
 
 class Map(NamedTuple):
-    """Speed over the tail's length and a second variable."""
+    """Speed against the tail's length and a second variable."""
 
     lengths: np.ndarray
-    """(n,) [m], increasing"""
+    """Increasing lengths of the tail (n,) [m]."""
     across: np.ndarray
-    """(m,), increasing: the tail's stiffness [N m^2], or the phase of the rear chamber."""
+    """Increasing second variable (m,): the tail's EI [N m^2], or the phase of the rear chamber."""
     speed: np.ndarray
-    """(n, m) [m/s]"""
+    """Steady speed (n, m) [m/s]."""
 
     def at(self, value: float) -> np.ndarray:
         """Returns the speeds (n,) where `across` is nearest to `value`."""
         return self.speed[:, int(np.argmin(np.abs(self.across - value)))]
 
     def slice_at(self, length: float) -> "Map":
-        """Returns the map at the one length nearest to `length` [m]."""
+        """Returns the map at the length that is nearest to `length` [m]."""
         i = int(np.argmin(np.abs(self.lengths - length)))
         return Map(self.lengths[i : i + 1], self.across, self.speed[i : i + 1])
 
@@ -57,17 +56,17 @@ def curve_maximum(x: np.ndarray, y: np.ndarray) -> Peak:
     if np.isnan(y[i - 1 : i + 2]).any():
         return best._replace(inside=None)
     a, b, c = np.polyfit(x[i - 1 : i + 2] - x[i], y[i - 1 : i + 2], 2)
-    if not a < 0.0:  # all three are equal
+    if not a < 0.0:  # all three values are equal
         return best
     return Peak(float(x[i] - 0.5 * b / a), float(c - 0.25 * b**2 / a), True)
 
 
 def best_stiffness(over_stiffness: Map) -> list[Peak]:
-    """Returns the fastest stiffness [N m^2] at each length; the parabola is over its logarithm."""
+    """Returns the fastest EI [N m^2] at each length, by a parabola in the logarithm of EI."""
     found = [curve_maximum(np.log(over_stiffness.across), row) for row in over_stiffness.speed]
     return [p._replace(x=float(np.exp(p.x))) for p in found]
 
 
 def best_phase(over_phase: Map) -> list[Peak]:
-    """Returns the fastest phase at each length."""
+    """Returns the phase with the largest speed at each length."""
     return [curve_maximum(over_phase.across, row) for row in over_phase.speed]

@@ -23,7 +23,7 @@ LENGTH, SPEED = "length of the tail (mm)", "steady speed, head first (cm/s)"
 
 
 def plot_design_maps(over_stiffness: Map, over_phase: Map, title: str, path: Path) -> None:
-    """Writes the picture. Without a steady speed, maps are hatched and slices have gaps."""
+    """Writes the picture. Where speeds are NaN, maps are hatched and slices have gaps."""
     figure, ((a, b), (c, d)) = new_figure(2, 2, figsize=(11, 8.6))
     _draw_map(figure, a, over_stiffness, best_stiffness(over_stiffness), 1e3)
     a.set(yscale="log", ylabel=STIFFNESS)
@@ -73,7 +73,7 @@ def _draw_slices(ax, drawn: Map, peaks: list[Peak], factor: float) -> None:
 
 
 def _mark(ax, over_phase: Map) -> None:
-    """Marks the paper's three points on its slice, and its best phase."""
+    """Marks the paper's three points on the paper's slice, and the paper's best phase."""
     one = over_phase.slice_at(MARKED_LENGTH)
     speeds = [1e2 * float(one.at(phase)[0]) for phase in MARKED]
     ax.plot(MARKED, speeds, "ko", ms=6, zorder=5, clip_on=False)

@@ -25,10 +25,10 @@ SHOWN_FREQUENCIES = (1.0, 4.8)
 
 
 class FrequencySweepSettings(eqx.Module):
-    """Settings of the sweep; the defaults are the demo's.
+    """Settings of the sweep; the defaults are those of `slider demo`.
 
-    With 400 or 500 steps per stride, each mean thrust differs by at most 0.02 mN. Steps per stride
-    must be a multiple of 20, so that pressure edges and poses are on time steps.
+    With 400 or 500 instead of 300 steps per stride, each mean thrust changes by at most 0.02 mN.
+    Steps per stride must be a multiple of 20, so that pressure edges and poses are on time steps.
     """
 
     robot: Robot = Robot()
@@ -44,11 +44,11 @@ class FrequencySeries(NamedTuple):
     """Time series of one frequency over all strides."""
 
     t: np.ndarray
-    """(steps,) [s]"""
+    """Times (steps,) [s]."""
     channels: dict[str, np.ndarray]
-    """(steps,) readings of every channel by name, in SI units."""
+    """Readings (steps,) of every channel by name, in SI units."""
     midlines: np.ndarray
-    """(poses, 2, nodes) [m] of the last stride, relative to the head."""
+    """Midlines (poses, 2, nodes) [m] of the last stride, relative to the head."""
 
 
 class FrequencySweep(NamedTuple):
@@ -56,10 +56,10 @@ class FrequencySweep(NamedTuple):
 
     table: dict[str, np.ndarray]
     stride_thrust: np.ndarray
-    """(F, strides) mean thrust [N] of every stride, including transient strides."""
+    """Mean thrust (F, strides) [N] of every stride, including transient strides."""
     shown: dict[float, FrequencySeries]
     ok: np.ndarray
-    """(F,) False if a time step did not converge; that row is NaN."""
+    """Whether all time steps converged (F,). Otherwise, the row in `table` is NaN."""
 
 
 def run_frequency_sweep(
@@ -69,7 +69,8 @@ def run_frequency_sweep(
 ) -> FrequencySweep:
     """Runs the sweep on all cores and returns its result.
 
-    `on_begin(n)` is called once with the number of chunk-strides, and `on_stride()` after each.
+    `on_begin` is called once with the number of strides of all chunks together. `on_stride` is
+    called after each stride of a chunk.
     """
     frequencies = np.asarray(settings.frequencies, float)
     plan = Plan(settings.steps_per_stride, settings.strides, settings.numerics)

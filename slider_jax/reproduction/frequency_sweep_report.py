@@ -15,7 +15,7 @@ from slider_jax.reproduction.frequency_sweep_figures import (
 )
 
 ASSUMED = {
-    "front_chamber, rear_chamber": "spans from the head in m; not given in the paper",
+    "front_chamber, rear_chamber": "positions from the head in m; not given in the paper",
     "amplitude, rear_ratio, phase": "not given in the paper; 260 kPa in both chambers, the rear "
     "0.05 of a stride later, match the paper's mean thrust at 4.8 Hz and its minimum near 1 Hz, so "
     "these two values do not test the model",
@@ -53,7 +53,7 @@ def _at(sweep: FrequencySweep, name: str, frequency: float) -> float:
 
 
 def comparison(sweep: FrequencySweep, settings: FrequencySweepSettings) -> str:
-    """Returns the demo's table: the paper's values, this model's, and whether they agree."""
+    """Returns the demo's table: values of the paper and of this model, and whether they agree."""
     table, f = sweep.table, sweep.table["frequency_Hz"]
     thrust, recoil = 1e3 * table["thrust_mean_N"], 1e3 * table["recoil_peak_N"]
     if np.isnan(thrust).all():
@@ -68,7 +68,7 @@ def comparison(sweep: FrequencySweep, settings: FrequencySweepSettings) -> str:
     rows = [
         ("", "paper", "here", ""),
         (
-            "least mean thrust",
+            "smallest mean thrust",
             f"negative, near {paper.MINIMUM_NEAR:g} Hz",
             least,
             _verdict(thrust[low] < 0.0 and abs(f[low] - paper.MINIMUM_NEAR) < 0.25),
@@ -81,7 +81,7 @@ def comparison(sweep: FrequencySweep, settings: FrequencySweepSettings) -> str:
         ),
         (
             f"largest recoil at {paper.RECOIL_AT:g} Hz",
-            f"beyond {stated[1]:.0f} mN",
+            f"above {stated[1]:.0f} mN",
             f"{peak:.0f} mN",
             _verdict(peak > stated[1]),
         ),
@@ -90,16 +90,16 @@ def comparison(sweep: FrequencySweep, settings: FrequencySweepSettings) -> str:
     lines = ["  ".join(x.ljust(w) for x, w in zip(row, widths, strict=True)) for row in rows]
     negative = f[thrust < 0.0]
     notes = [
-        f"The largest mean thrust is {most}; the largest recoil {np.nanmax(recoil):.0f} mN "
+        f"The largest mean thrust is {most}. The largest recoil is {np.nanmax(recoil):.0f} mN "
         f"at {f[int(np.nanargmax(recoil))]:g} Hz.",
         f"Mean thrust is negative from {negative.min():g} to {negative.max():g} Hz."
         if negative.size
-        else "Mean thrust is negative at no frequency.",
-        f"Means are over {settings.strides - settings.transient} strides after "
-        f"{settings.transient} transient strides. Pressures, chamber spans, damping and axial "
+        else "Mean thrust is not negative at any frequency.",
+        f"Each mean covers {settings.strides - settings.transient} strides after "
+        f"{settings.transient} transient strides. Pressures, chamber positions, damping and axial "
         "stiffness are assumed (settings.json). Amplitude and delay were chosen to match the first "
-        "two lines, so these do not test the model. Where a figure differs from the paper's, the "
-        "cause may be an assumed parameter or the model itself.",
+        "two lines, so these lines do not test the model. Where a value differs from the paper's, "
+        "the cause may be an assumed parameter or the model itself.",
     ]
     if not sweep.ok.all():
         notes.append(f"Not converged: {', '.join(f'{x:g} Hz' for x in f[~sweep.ok])}.")

@@ -23,10 +23,10 @@ from slider_jax.swimming.performance import Performance, Stride, steady_stride
 from slider_jax.swimming.steady_state import SteadySettings
 
 K_Q_OF_THE_TIP = 1.623e-6
-"""K_Q [m^3] with which 45 kPa in both chambers move the tip by 102 mm, the paper's figure for K_Q.
-It is 3.4 times the value from the paper's Q_set = 175 mN m at 365 kPa."""
+"""K_Q [m^3] with which 45 kPa in both chambers move the tip by 102 mm, as the paper states. It is
+3.4 times the value from the paper's Q_set = 175 mN m at 365 kPa."""
 TRANSIENT_STRIDES, MEAN_STRIDES = 12, 4
-"""Strides of a robot with clamped head: transient strides, and strides for the mean thrust."""
+"""Numbers of transient strides, and of strides for the mean thrust, with a clamped head."""
 
 
 def _robot(**changed: Any) -> Callable[[Model], Model]:
@@ -91,11 +91,11 @@ class SteadyRow(NamedTuple):
     area: float
     """Form-drag area of the head [m^2]."""
     wavelengths: dict[str, float]
-    """Wavelength [m] by definition."""
+    """Wavelength [m] for each definition."""
     rms_tail_slope: float
 
     def slopes(self) -> dict[str, float]:
-        """Returns A_t over a quarter of each wavelength."""
+        """Returns the tail amplitude A_t divided by a quarter of each wavelength."""
         half = float(self.performance.tail_amplitude)
         return {k: float(obs.tail_slope(half, x)) for k, x in self.wavelengths.items()}
 
@@ -123,10 +123,10 @@ def steady_row(model: Model, frequency: float, search: SteadySettings) -> Steady
 def fit_head_drag(
     model: Model, frequency: float, speed: float, search: SteadySettings
 ) -> SteadyRow:
-    """Returns the steady stride with the head's form-drag area fitted to `speed` [m/s], to 0.2 %.
+    """Returns the steady stride whose speed is `speed` [m/s] to 0.2 %, by a fitted head-drag area.
 
-    A secant method in the logarithms finds the area. The first slope assumes that only this drag
-    balances a constant thrust. Raises `SolverError` if no area is found.
+    A secant method in the logarithms of area and speed computes the area. The first slope assumes
+    that only head drag balances a constant thrust. Raises `SolverError` if no area is found.
     """
     rows: list[SteadyRow] = []
     area, power = float(next(e.area for e in model.effects if isinstance(e, HeadDrag))), -0.5

@@ -22,8 +22,8 @@ def course_coordinates(stride: Stride) -> tuple[np.ndarray, np.ndarray]:
 def zeros_wavelength(y: np.ndarray, s: np.ndarray) -> float:
     """Returns twice the mean distance [m] between neighbouring zeros of shapes y (times, points).
 
-    The weight of a shape is its mean square, because near the turning point of a standing wave
-    all points cross the axis. Returns NaN if no shape has two zeros. `s` (points,) is in m.
+    The mean weights each shape with the shape's mean square, because near the turning point of a
+    standing wave all points cross the axis. Returns NaN if no shape has two zeros. `s` is in m.
     """
     lengths, weights = [], []
     for row in y:
@@ -36,7 +36,7 @@ def zeros_wavelength(y: np.ndarray, s: np.ndarray) -> float:
 
 
 def without_recoil(y: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Returns shapes (times, points) minus the straight line fitted to each."""
+    """Returns shapes (times, points) minus the straight line fitted to each shape."""
     line = np.stack([np.ones_like(s), s], axis=1)
     return y - (line @ np.linalg.lstsq(line, y.T, rcond=None)[0]).T
 
@@ -48,9 +48,9 @@ def rms_tail_slope(along: np.ndarray, across: np.ndarray) -> float:
 
 
 def wavelengths(stride: Stride, s: np.ndarray, frequency: float) -> dict[str, float]:
-    """Returns the wavelength [m] of a stride by each definition.
+    """Returns the wavelength [m] of a stride for each definition.
 
-    Wavelengths from the phase are negative for a wave towards the head.
+    Wavelengths from a phase are negative for a wave towards the head.
     """
     along, y = course_coordinates(stride)
     t = jnp.asarray(stride.t)
