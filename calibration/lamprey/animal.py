@@ -1,7 +1,7 @@
-"""The forces that the robot model's effects predict on an animal's body under a prescribed motion.
+"""Computes the forces of the robot model's effects on the body of an animal with a given motion.
 
-A measured motion is converted to the `Section` that the robot's effects take as input. Depth and
-mass vary along the body. The force densities are thus those of the robot's model, not copies.
+The measured motion is converted to the `Section` that the robot's effects take as input. So the
+force densities are the code of the robot's model. Depth and mass vary along the animal.
 """
 
 import math
@@ -19,36 +19,36 @@ from slider_jax.beam.state import Fields, to_body, to_plane
 from slider_jax.effects import ForceDensity
 
 VISCOSITY = 1.0e-6
-"""Kinematic viscosity nu [m^2/s] of water at 20 degrees Celsius."""
+"""Kinematic viscosity [m^2/s] of water at 20 degrees Celsius."""
 SNOUT_SHARE = 0.04
-"""The snout is rounded as an ellipse over this share of the body length."""
+"""Length of the snout, divided by the body length. The snout is rounded as an ellipse."""
 FIN_START = 0.6
-"""The fins form the outline from here to the tail's end; in body lengths from the snout."""
+"""Position where the fins begin, in body lengths from the snout. The fins end at the tail's end."""
 
 
 @dataclass(frozen=True, eq=False)
 class CrossSections:
-    """The cross-sections: ellipses of the measured width and an assumed depth.
+    """The cross-sections of the animal: ellipses of the measured width and an assumed depth.
 
     In front of the fins, the depth is `aspect` times the width. Along the fins, the depth changes
-    linearly to `tail_depth` (a share of the length) at the tail's end, which is blunt like a fin.
+    linearly to `tail_depth` [body lengths] at the tail's end. The tail's end is blunt like a fin.
     """
 
     positions: np.ndarray
-    """(n,) from 0 at the snout to 1 at the tail."""
+    """Positions (n,) of the widths, from 0 at the snout to 1 at the tail."""
     width: np.ndarray
-    """(n,) full width, in body lengths."""
+    """Full width (n,), in body lengths."""
     aspect: float = 1.5
     tail_depth: float = 0.04
     density: float = 1040.0
     """Density of the animal [kg/m^3]."""
 
     def with_depth(self, aspect: float, tail_depth: float) -> "CrossSections":
-        """Returns cross-sections with the same widths and another depth."""
+        """Returns cross-sections of the same width with another depth."""
         return replace(self, aspect=aspect, tail_depth=tail_depth)
 
     def at(self, from_snout: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-        """Returns width and depth [m] at positions from 0 (snout) to 1 (tail)."""
+        """Returns width and depth [m] at positions `from_snout`, from 0 (snout) to 1 (tail)."""
         width = np.interp(from_snout, self.positions, self.width)
         before = (
             np.interp(np.minimum(from_snout, FIN_START), self.positions, self.width) * self.aspect
@@ -61,31 +61,31 @@ class CrossSections:
 
 
 class AnimalBody(eqx.Module):
-    """The cross-sections on the nodes of a motion; constant in time."""
+    """The cross-sections in the cells between the nodes of a motion. They are constant in time."""
 
     structure: Structure
     width: Float[Array, " cells"]
-    """[m]"""
+    """Width [m] of the cross-sections."""
 
     @property
     def mass(self) -> float:
-        """[kg]"""
+        """Mass [kg] of the animal."""
         return float(jnp.sum(self.structure.linear_density * self.structure.ds))
 
     @property
     def perimeter(self) -> Float[Array, " cells"]:
-        """Perimeter [m] of the elliptic sections, by Ramanujan's approximation."""
+        """Perimeter [m] of the elliptic cross-sections, by Ramanujan's approximation."""
         a, b = 0.5 * self.width, 0.5 * self.structure.height
         return math.pi * (3.0 * (a + b) - jnp.sqrt((3.0 * a + b) * (a + 3.0 * b)))
 
 
 def body_on_nodes(shape: CrossSections, s: np.ndarray) -> AnimalBody:
-    """Returns the cross-sections on nodes at distances `s` [m] from the tail."""
+    """Returns the cross-sections between nodes at distances `s` [m] from the tail."""
     ends, middle, ds = 1.0 - s / s[-1], 1.0 - 0.5 * (s[1:] + s[:-1]) / s[-1], np.diff(s)
     width, depth = shape.at(middle, s[-1])
     _, at_nodes = shape.at(ends, s[-1])
-    # The added mass is proportional to the depth squared. With this slope, the momentum fluxes of
-    # neighbouring cells cancel exactly.
+    # The added mass is proportional to the squared depth. With this slope of the depth, the
+    # momentum fluxes of neighbouring cells cancel exactly.
     slope = np.diff(at_nodes**2) / (2.0 * depth * ds)
     one = np.ones_like(middle)
     structure = Structure(
@@ -104,14 +104,14 @@ def body_on_nodes(shape: CrossSections, s: np.ndarray) -> AnimalBody:
 
 
 class PrescribedMotion(eqx.Module):
-    """A motion in the form that effects take: sections whose first axis is time."""
+    """A motion as sections, the input of the effects. The first axis of the sections is time."""
 
     body: AnimalBody
     x: Section
 
 
 def prescribe(motion: Motion, shape: CrossSections) -> PrescribedMotion:
-    """Returns the sections at every time of a motion, in water at rest."""
+    """Returns the sections in water at rest, at every time of `motion`."""
     return _prescribe(jax.tree.map(jnp.asarray, motion), body_on_nodes(shape, motion.s))
 
 
@@ -119,7 +119,7 @@ def prescribe(motion: Motion, shape: CrossSections) -> PrescribedMotion:
 def _prescribe(motion: Motion, body: AnimalBody) -> PrescribedMotion:
     V_tau, V_n = to_body(jnp.moveaxis(motion.V, 2, 0), motion.phi)
     A_tau, A_n = to_body(jnp.moveaxis(motion.A, 2, 0), motion.phi)
-    # The body frame rotates at omega, so the rates of the components differ from A.
+    # The body frame rotates at omega, so the components' rates differ from the acceleration A.
     rates = (A_tau + motion.omega * V_n, A_n - motion.omega * V_tau, motion.omega)
     at = jax.vmap(_section, (None, 0, 0, 0))
     values = jnp.stack([V_tau, V_n, motion.phi], axis=1)
@@ -127,7 +127,7 @@ def _prescribe(motion: Motion, body: AnimalBody) -> PrescribedMotion:
 
 
 def _section(structure: Structure, t, y, y_t) -> Section:
-    """Returns the sections at one time; `y` (3, nodes) is V_tau, V_n, phi and `y_t` its rate."""
+    """Returns the sections at time `t`; `y` (3, nodes) is V_tau, V_n, phi, and `y_t` is dy/dt."""
     mid, mid_t = (0.5 * (v[:, 1:] + v[:, :-1]) for v in (y, y_t))
     slope, slope_t = ((v[:, 1:] - v[:, :-1]) / structure.ds for v in (y, y_t))
     dt = jnp.ones_like(t)
@@ -157,13 +157,13 @@ def force_on_body(effect: ForceDensity, p: PrescribedMotion) -> Float[Array, "ti
 
 @jax.jit
 def momentum(p: PrescribedMotion) -> Float[Array, "times 2"]:
-    """Returns the momentum (x, y) [N s] of the body without its added mass."""
+    """Returns the momentum (x, y) [N s] of the body without added mass, at every time."""
     return _mass_weighted(p, p.x.V_tau, p.x.V_n)
 
 
 @jax.jit
 def inertia(p: PrescribedMotion) -> Float[Array, "times 2"]:
-    """Returns d(momentum)/dt (x, y) [N]."""
+    """Returns the time derivative (x, y) [N] of `momentum` at every time."""
     x = p.x
     return _mass_weighted(p, x.V_tau_t - x.omega * x.V_n, x.V_n_t + x.omega * x.V_tau)
 

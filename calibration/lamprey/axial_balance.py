@@ -1,11 +1,11 @@
-"""The balance of axial force on a swimmer in every stride, and its uncertainty for one animal.
+"""The axial force balance of a swimmer in every stride, and the uncertainty of this balance.
 
-Over whole strides
+For whole strides, the balance is
 
-    mean force of the water along the course = change of the body's momentum / time
+    mean force of the water along the course = change of the body's momentum / duration
 
-The imbalance is the modelled mean force minus the momentum gained per time. It is zero if the model
-is complete. Every force is linear in its coefficient, so forces at unit coefficients are enough.
+The imbalance is the modelled mean force minus the momentum gained per time. The imbalance of a
+complete model is zero. Each force is its coefficient times the force at a coefficient of 1.
 """
 
 from collections.abc import Sequence
@@ -37,48 +37,48 @@ EFFECTS: dict[str, ForceDensity] = {
     "thinned_friction": ThinnedFriction(1.0),
     "head_drag": HeadDrag(1.0),
 }
-"""The effects of the balance at unit coefficients."""
+"""All effects of the balance, with coefficients of 1."""
 BASE_EFFECTS = ("reactive_force", "normal_drag")
-"""Effects that the robot's model includes, with coefficients m_a and C_d."""
+"""Effects that the robot's model includes, with the coefficients m_a and C_d."""
 CANDIDATES = ("tangential_friction", "thinned_friction", "head_drag")
 """Effects that the robot's model omits."""
 
 C_D_RANGE = (1.0, 4.0)
-"""From a smooth round section in steady flow to the largest value of the paper."""
+"""Range of C_d, from a smooth round section in steady flow to the largest value of the paper."""
 M_A_RANGE = (0.7, 1.1)
-"""Less than 1 if the fins shed vortices ahead of the tail, more than 1 for thick sections."""
+"""Range of m_a: below 1 if the fins shed vortices ahead of the tail, above 1 for thick sections."""
 ASPECT_RANGE = (1.1, 1.9)
-"""Depth over width: from nearly round to the largest that a sea lamprey's mass allows."""
+"""Range of depth divided by width: from nearly round to the limit of a sea lamprey's mass."""
 TAIL_RANGE = (0.025, 0.055)
-"""Depth at the tail's end, in body lengths."""
+"""Range of the depth at the tail's end, in body lengths."""
 LENGTH_ERROR = 0.01
-"""Relative standard deviation of the length: half the spread of the traced lengths."""
+"""Relative standard deviation of the body length. It is half the spread of the traced lengths."""
 SMOOTHING_FACTORS = (0.75, 1.5)
-"""Range of the factor on the smoothing's wavelength and of the divisor of its cutoff."""
+"""Range of factors by which the wavelength is multiplied or the cutoff frequency is divided."""
 MOTIONS, SAMPLES = 24, 400
-"""Numbers of alternative motions and of samples of all uncertain quantities."""
+"""Number of alternative motions, and number of samples of all uncertain quantities."""
 
 
 class StrideForces(NamedTuple):
     """Mean forces [N] along the course in every stride."""
 
     unit: dict[str, np.ndarray]
-    """Force of each effect (strides,) at a unit coefficient."""
+    """Force (strides,) of each effect with a coefficient of 1."""
     gain: np.ndarray
-    """(strides,): momentum gained per time."""
+    """Momentum gained per time, (strides,) [N]."""
 
     def imbalance(self, C_d: float, m_a: float) -> np.ndarray:
-        """Returns the modelled force minus the momentum gained per time, (strides,) [N]."""
+        """Returns the imbalance (strides,) [N]: modelled force minus momentum gained per time."""
         return m_a * self.unit[BASE_EFFECTS[0]] + C_d * self.unit[BASE_EFFECTS[1]] - self.gain
 
 
 @dataclass(frozen=True)
 class Course:
-    """The strides over which forces are averaged, and the direction of the mean course."""
+    """The strides in which forces are averaged, and the direction of the mean course."""
 
     strides: Strides
     direction: np.ndarray
-    """(2,) unit vector."""
+    """Unit vector (2,) of the mean course."""
 
 
 def forces_by_stride(motion: Motion, shape: CrossSections, course: Course) -> StrideForces:
@@ -94,16 +94,16 @@ def forces_by_stride(motion: Motion, shape: CrossSections, course: Course) -> St
 
 
 class BalanceSamples(NamedTuple):
-    """Samples of the quantities that the data and the assumptions leave uncertain."""
+    """Random samples of all uncertain quantities."""
 
     stride_forces: Sequence[StrideForces]
     C_d: np.ndarray
     m_a: np.ndarray
     weights: np.ndarray
-    """(samples, strides): weight of each stride; each row sums to 1."""
+    """Weight of each stride, (samples, strides). The sum of each row is 1."""
 
     def mean(self, series: Sequence[np.ndarray]) -> np.ndarray:
-        """Returns the weighted means over the strides, (samples,)."""
+        """Returns the weighted mean (samples,) of `series` (samples, strides) over the strides."""
         return np.sum(self.weights * np.array(series), axis=1)
 
     @property
@@ -113,17 +113,17 @@ class BalanceSamples(NamedTuple):
         return self.mean([x.imbalance(C_d, m_a) for x, C_d, m_a in pairs])
 
     def unit(self, effect: str) -> np.ndarray:
-        """Returns an effect's mean force at a unit coefficient, (samples,) [N]."""
+        """Returns the mean force (samples,) [N] of an effect with a coefficient of 1."""
         return self.mean([x.unit[effect] for x in self.stride_forces])
 
     def closing(self, effect: str) -> np.ndarray:
-        """Returns the coefficient at which one effect alone closes the balance, (samples,)."""
+        """Returns the coefficient (samples,) of `effect` that closes the balance by itself."""
         current = {BASE_EFFECTS[0]: self.m_a, BASE_EFFECTS[1]: self.C_d}.get(effect, 0.0)
         return current - self.imbalance / self.unit(effect)
 
 
 def central_interval(values: np.ndarray) -> tuple[float, float]:
-    """Returns the 2.5 % and 97.5 % quantiles."""
+    """Returns the 2.5 % and 97.5 % quantiles of `values`."""
     low, high = np.quantile(values, [0.025, 0.975])
     return float(low), float(high)
 
@@ -131,8 +131,8 @@ def central_interval(values: np.ndarray) -> tuple[float, float]:
 def stride_weights(strides: int, samples: int, rng: np.random.Generator) -> np.ndarray:
     """Returns bootstrap weights of the strides, (samples, strides).
 
-    With few strides a plain bootstrap interval is too narrow, because its variance divides by n and
-    its tails are normal. The weights are scaled to give Student's interval of the mean.
+    With few strides, a plain bootstrap interval is too narrow: it uses the biased variance and the
+    normal distribution. The weights are scaled to give Student's interval of the mean.
     """
     picked = rng.multinomial(strides, np.full(strides, 1.0 / strides), size=samples) / strides
     student = stats.t.ppf(0.975, strides - 1) / stats.norm.ppf(0.975)
@@ -143,7 +143,7 @@ def stride_weights(strides: int, samples: int, rng: np.random.Generator) -> np.n
 def alternative_motions(
     midlines: Midlines, smoothing: Smoothing, rng: np.random.Generator, count: int = MOTIONS
 ) -> list[Motion]:
-    """Returns motions of the same midlines with other smoothing, body length and tracing noise."""
+    """Returns motions of `midlines` with other smoothing, body length and tracing noise."""
     across = float(np.median(midlines.lengths)) / (midlines.points.shape[1] - 1)
     noise = white_noise(measured_angles(midlines).phi) * across / np.sqrt(2.0)
     sigma = np.concatenate([noise[:1], noise])
@@ -171,9 +171,9 @@ def sample_balances(
     vary: Sequence[str],
     count: int = SAMPLES,
 ) -> BalanceSamples:
-    """Returns samples in which `vary` of "strides", "reading", "shape" and "coefficients" vary.
+    """Returns samples with the sources `vary` of "strides", "reading", "shape", "coefficients".
 
-    `motions[0]` is the motion of the unchanged midlines; `coefficients` is (C_d, m_a).
+    `motions[0]` is the motion of the measured midlines. `coefficients` is (C_d, m_a).
     """
     strides = course.strides.number
     equal = np.full((count, strides), 1.0 / strides)

@@ -1,8 +1,8 @@
-"""Compares the robot model's axial force on a swimming animal with the animal's momentum.
+"""Compares the modelled axial force on a swimming animal with the animal's gain of momentum.
 
-The measured midlines are prescribed and the model's effects give the force. Its mean over whole
-strides is compared with the momentum gained. One mean force is one number, so several effects may
-close the balance. The result states the coefficient that each effect needs, and its 95 % interval.
+The effects of the robot's model compute the force on the measured midlines. The mean force in whole
+strides is compared with the gained momentum. Several effects may close the balance, because it has
+one equation. The result is the required coefficient of each effect, with a 95 % interval.
 """
 
 import math
@@ -41,17 +41,17 @@ from slider_jax.effects import ForceDensity, NormalDrag, ReactiveForce
 
 WIDTH_COLUMN = "ammowidth"
 WIDTH_OVER_HALF_WIDTH = 2.0
-"""The file's widths are assumed to be half widths. As full widths they would give the animal of
-155 mm a mass of 1 g; sea lampreys of that length have about 5 g."""
+"""Factor from the widths in the file, assumed to be half widths, to full widths. If the file had
+full widths, the animal of 155 mm would have a mass of 1 g instead of about 5 g (sea lamprey)."""
 MIN_POSSIBLE_SHARE = 0.1
-"""An effect can close the balance if at least this share of the samples needs a coefficient within
-the effect's prior range."""
+"""An effect can close the balance if the required coefficient is within the prior range in at least
+this fraction of the samples."""
 SOURCES = ("strides", "reading", "shape", "coefficients")
 
 
 @dataclass(frozen=True)
 class BalanceAnalysis:
-    """The balance of one animal. Forces are in N along the mean course."""
+    """The axial force balance of one animal. Forces [N] are along the mean course."""
 
     midlines: Midlines
     smoothing: Smoothing
@@ -64,24 +64,24 @@ class BalanceAnalysis:
     m_a: float
     forces: StrideForces
     by_source: dict[str, tuple[float, float]]
-    """95 % interval of the imbalance if one source of uncertainty alone varies."""
+    """95 % interval [N] of the imbalance if only one source of uncertainty varies."""
     samples: BalanceSamples
     """Samples in which all sources of uncertainty vary."""
     noise_floor: float
-    """rms change [N] of a stride's imbalance between the motion and the alternative motions."""
+    """rms difference [N] between a stride's imbalance in the motion and in `alternatives`."""
     other_smoothings: dict[str, tuple[Smoothing, float]]
-    """Other smoothing settings, and the mean imbalance [N] with each."""
+    """Other smoothing settings, each with its mean imbalance [N]."""
     alternatives: list[Motion]
-    """Motions that the same midlines allow."""
+    """Alternative motions that agree with the measured midlines."""
 
     @property
     def imbalance(self) -> np.ndarray:
-        """Imbalance with the paper's coefficients, (strides,)."""
+        """Imbalance (strides,) [N] with the paper's coefficients."""
         return self.forces.imbalance(self.C_d, self.m_a)
 
     @property
     def possible(self) -> dict[str, float]:
-        """Share of the samples in which each effect closes the balance within its prior range."""
+        """Fraction of the samples in which an effect closes the balance within its prior range."""
         shares = {}
         for name, effect in EFFECTS.items():
             (prior,) = effect.priors().values()
@@ -93,7 +93,7 @@ class BalanceAnalysis:
 def analyse_folder(folder: Path, seed: int = 0, samples: int = SAMPLES) -> BalanceAnalysis:
     """Returns the balance of the animal in a folder with lampreydata.csv and fishwidth.csv.
 
-    The intervals use `samples` samples from `seed`. Raises `InputError` if the data are unusable.
+    `samples` is the number of samples for the intervals. Raises `InputError` for unusable data.
     """
     midlines = read_midlines(folder / "lampreydata.csv")
     positions, half_width = read_width(folder / "fishwidth.csv", WIDTH_COLUMN)
@@ -104,7 +104,7 @@ def analyse_folder(folder: Path, seed: int = 0, samples: int = SAMPLES) -> Balan
 def analyse_midlines(
     midlines: Midlines, shape: CrossSections, seed: int = 0, samples: int = SAMPLES
 ) -> BalanceAnalysis:
-    """Returns the balance of an animal of `shape` that moves as `midlines` show."""
+    """Returns the balance of an animal with the cross-sections `shape` and the given midlines."""
     rng = np.random.default_rng(seed)
     smoothing = choose_smoothing(midlines)
     motion = midline_motion(midlines, smoothing)
@@ -167,9 +167,9 @@ def balance_verdict(x: BalanceAnalysis) -> tuple[str, list[str]]:
 
 
 def imbalance_errors(x: BalanceAnalysis, closer: str) -> dict[str, float]:
-    """Returns the strides' rms imbalance [N] before and after closing, and its noise floor.
+    """Returns the strides' rms imbalance [N] without and with the effect `closer`, and noise floor.
 
-    "after": each stride uses the coefficient of the effect `closer` from the other strides.
+    For "after", the coefficient of each stride is computed from the other strides.
     """
     before, unit = x.imbalance, x.forces.unit[closer]
     after = before - unit * (before.sum() - before) / (unit.sum() - unit)
@@ -181,10 +181,11 @@ def _rms(values: np.ndarray) -> float:
 
 
 def small_amplitude_thrust(x: BalanceAnalysis) -> float:
-    """Returns Lighthill's mean thrust [N] of a wave of small amplitude, from the tail's end alone.
+    """Returns Lighthill's mean thrust [N] for waves of small amplitude, from the tail's end only.
 
-        T = m_A ( (dh/dt)^2 - U^2 (dh/dx)^2 ) / 2,   mean over whole strides
+        T = mean over whole strides of m_A ( (dh/dt)^2 - U^2 (dh/dx)^2 ) / 2
 
+    m_A is the added mass per length, h the lateral position and U the speed.
     Source: Lighthill, M. J. (1960), Note on the swimming of slender fish, J. Fluid Mech. 9, 305.
     """
     depth = x.prescribed.body.structure.height[0]
@@ -198,7 +199,7 @@ def small_amplitude_thrust(x: BalanceAnalysis) -> float:
 
 
 def skin_friction(x: BalanceAnalysis) -> dict[str, Any]:
-    """Returns the friction coefficient on the wetted area that closes the balance, and plates'."""
+    """Returns the skin-friction coefficient that closes the balance, and values of flat plates."""
     body = x.prescribed.body
     wetted = float(np.sum(body.perimeter * body.structure.ds))
     outline = float(np.sum(body.structure.height * body.structure.ds))
@@ -219,7 +220,7 @@ def skin_friction(x: BalanceAnalysis) -> dict[str, Any]:
 
 
 def frontal_coefficient(x: BalanceAnalysis) -> tuple[float, float, float]:
-    """Returns the head's drag coefficient that closes the balance, with its 95 % interval."""
+    """Returns the head's drag coefficient that closes the balance, and its 95 % interval."""
     body = x.prescribed.body
     section = float(np.max(math.pi / 4.0 * body.width * body.structure.height))
     area = x.samples.closing("head_drag") / section
@@ -227,12 +228,11 @@ def frontal_coefficient(x: BalanceAnalysis) -> tuple[float, float, float]:
 
 
 def within_stride(x: BalanceAnalysis) -> dict[str, float]:
-    """Returns axial amplitudes within a stride, which could discriminate between the candidates.
+    """Returns axial amplitudes within a stride, to discriminate between the candidates.
 
-    All are at twice the strides' frequency, as a symmetric swimmer's axial forces are: the model's
-    force and the body's inertia [N], and the motions of the centre of mass [m] that they cause. The
-    largest difference of this motion between two candidates that close the balance is compared with
-    the rms change of the measured motion over the alternative motions.
+    The amplitudes of the forces [N] and of the motion of the centre of mass [m] are at twice the
+    stride frequency, as for any symmetric swimmer. The spread is the rms change of the measured
+    motion between the alternative motions.
     """
     double = Strides(x.strides.marks, 2.0 * x.strides.phase)
 
@@ -262,7 +262,7 @@ def within_stride(x: BalanceAnalysis) -> dict[str, float]:
 
 
 def midline_misfit(x: BalanceAnalysis) -> float:
-    """Returns the rms distance [m] of the body from the measured points within its length."""
+    """Returns the rms distance [m] of the smoothed body from the measured points on its length."""
     L, count = x.motion.length, x.midlines.points.shape[1]
     squares = []
     for frame, length, r in zip(x.midlines.points, x.midlines.lengths, x.motion.r, strict=True):

@@ -10,12 +10,12 @@ SOURCE_LABELS = {
     "reading": "tracing noise and smoothing",
     "shape": "depth of body and tail",
     "coefficients": "C_d and m_a",
-    "all together": "all together",
+    "all together": "all sources together",
 }
 
 
 def body_figure(x: BalanceAnalysis):
-    """Draws the midlines of the last whole stride with the measured points, and the outline."""
+    """Draws midlines and points of the last whole stride, and depth and width of the body."""
     import matplotlib
     import matplotlib.pyplot as plt
 
@@ -29,18 +29,18 @@ def body_figure(x: BalanceAnalysis):
         left.plot(*(1e3 * x.midlines.points[i].T), ".", color=colour, ms=3)
         left.plot(*(1e3 * x.motion.r[i].T), "-", color=colour, lw=1.0)
     left.set(aspect="equal", xlabel="x (mm)", ylabel="y (mm)")
-    left.set_title("last stride: points measured, lines smoothed", loc="left", fontsize="medium")
+    left.set_title("last stride: measured points, smoothed lines", loc="left", fontsize="medium")
     body = x.prescribed.body
     ahead = 1e3 * (x.motion.length - np.asarray(body.structure.s))
     right.plot(ahead, 1e3 * body.structure.height, label="depth (assumed)")
-    right.plot(ahead, 1e3 * body.width, label="width (2 x given)")
-    right.set(xlabel="from the snout (mm)", ylabel="mm", ylim=(0.0, None))
+    right.plot(ahead, 1e3 * body.width, label="width (2 x file)")
+    right.set(xlabel="distance from the snout (mm)", ylabel="size (mm)", ylim=(0.0, None))
     right.legend(fontsize="small")
     return figure
 
 
 def strides_figure(x: BalanceAnalysis):
-    """Draws the mean forces of every stride and the momentum gained."""
+    """Draws the mean forces and the momentum gained per time of every stride."""
     import matplotlib.pyplot as plt
 
     figure, axis = plt.subplots(figsize=(9, 3.6), layout="constrained")
@@ -50,7 +50,7 @@ def strides_figure(x: BalanceAnalysis):
     for offset, values, name in (
         (-0.3, reactive, f"reactive force, m_a = {x.m_a:g}"),
         (-0.1, drag, f"axial part of the normal drag, C_d = {x.C_d:g}"),
-        (0.1, 1e3 * x.forces.gain, "momentum gained"),
+        (0.1, 1e3 * x.forces.gain, "momentum gained per time"),
         (0.3, 1e3 * x.imbalance, "imbalance"),
     ):
         axis.bar(number + offset, values, 0.2, label=name)
@@ -61,7 +61,7 @@ def strides_figure(x: BalanceAnalysis):
 
 
 def imbalance_figure(x: BalanceAnalysis):
-    """Draws the intervals of the imbalance for each source of uncertainty and for all together."""
+    """Draws the intervals of the imbalance for each source of uncertainty and for all sources."""
     import matplotlib.pyplot as plt
 
     figure, axis = plt.subplots(figsize=(9, 2.8), layout="constrained")

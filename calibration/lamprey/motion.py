@@ -1,17 +1,18 @@
 """Converts midlines to the motion of an inextensible body: angles, velocities and accelerations.
 
-The angle phi(s, t) of the midline is smoothed along the body and in time. The body is reconstructed
-from the head:
+The angle phi(s, t) of the midline is smoothed along the body and in time. The positions r(s, t) of
+a body with constant length L are computed from the head, with the unit vector tau along the body:
 
-    dr/ds = tau(phi),     r(L, t) the head's track
+    dr/ds = tau(phi),     r(L, t) = track of the head
 
-so that its length is constant. Distances along the body are measured from the head, because its
-track has little noise. Changes of the traced length are errors at the tail's end.
+The track of the head has little noise. Changes of the traced length are errors at the tail's end.
 
-Both smoothings apply a cubic smoothing spline to a series and again to the residual (twicing). This
-keeps a share 1 - (1 - g)^2 of an amplitude, g = 1/(1 + (f/f_1)^4) at frequency or wavenumber f. The
-settings give the f at which half the amplitude is kept. Source: Reinsch, C. H. (1967), Smoothing by
-spline functions, Numer. Math. 10, 177-183; Tukey, J. W. (1977), Exploratory Data Analysis, ch. 16.
+Both smoothings apply a cubic smoothing spline to a series, and again to the residual (twicing). At
+a frequency or wavenumber f, twicing multiplies amplitudes by 1 - (1 - g)^2 with
+g = 1/(1 + (f/f_1)^4). One spline without twicing halves an amplitude at f_1. The settings are the
+values of f at which twicing halves an amplitude.
+Sources: Reinsch, C. H. (1967), Smoothing by spline functions, Numer. Math. 10, 177-183; Tukey,
+J. W. (1977), Exploratory Data Analysis, ch. 16.
 """
 
 import math
@@ -24,51 +25,51 @@ from scipy.interpolate import make_smoothing_spline
 from calibration.lamprey.midlines import Midlines
 
 NODES = 81
-"""Nodes of the body, evenly spaced."""
+"""Number of nodes of the body. The nodes are evenly spaced."""
 WAVELENGTHS = (0.6, 0.5, 0.4, 0.35, 0.3, 0.25, 0.2, 0.15)
-"""Wavelengths of smoothing along the body that are tried, in body lengths."""
+"""Wavelengths [body lengths] of the smoothing along the body, from which one is chosen."""
 RESIDUAL_OVER_NOISE = 1.5
 """A wavelength is short enough if the smoothing residual is at most this multiple of the noise."""
 FRAME_STRIDE = 4
-"""Every fourth frame is enough to choose the wavelength."""
+"""Step between the frames that choose the wavelength. Every fourth frame is enough."""
 NOISE_BAND = 0.7
-"""Above this share of the highest frequency, the angles are assumed to contain only noise."""
+"""Fraction of the highest frequency above which the angles are assumed to contain only noise."""
 POWER_OVER_NOISE = 2.0
 """The cutoff is the frequency at which the angles' power falls to this multiple of the noise."""
 _TWICING_RATIO = (1.0 / (1.0 - math.sqrt(0.5)) - 1.0) ** 0.25
-"""Ratio of the cutoff to f_1."""
+"""Ratio of the cutoff frequency to f_1 of the module's formula."""
 
 
 class Smoothing(NamedTuple):
     """Settings of the smoothing of midlines."""
 
     wavelength: float
-    """Wavelength along the body, in body lengths, at which half the amplitude is kept."""
+    """Wavelength along the body [body lengths] at which the smoothing halves an amplitude."""
     cutoff: float
-    """Frequency [Hz] at which half the amplitude is kept."""
+    """Frequency [Hz] at which the smoothing halves an amplitude."""
 
 
 class Motion(NamedTuple):
-    """The body's motion; arrays (times, nodes), nodes from the tail (s = 0) to the head (s = L)."""
+    """The motion of a body, with nodes from the tail (s = 0) to the head (s = L)."""
 
     t: np.ndarray
-    """(times,) [s]"""
+    """Times (times,) [s]."""
     s: np.ndarray
-    """(nodes,) [m]"""
+    """Positions of the nodes along the body (nodes,) [m]."""
     phi: np.ndarray
-    """[rad]"""
+    """Angle of the body (times, nodes) [rad]."""
     omega: np.ndarray
-    """d(phi)/dt [rad/s]"""
+    """Turning rate d(phi)/dt (times, nodes) [rad/s]."""
     r: np.ndarray
-    """(times, nodes, 2) [m]"""
+    """Position x and y (times, nodes, 2) [m]."""
     V: np.ndarray
-    """(times, nodes, 2) [m/s]"""
+    """Velocity (times, nodes, 2) [m/s]."""
     A: np.ndarray
-    """(times, nodes, 2) [m/s^2]"""
+    """Acceleration (times, nodes, 2) [m/s^2]."""
 
     @property
     def length(self) -> float:
-        """L [m]."""
+        """Length L [m] of the body."""
         return float(self.s[-1])
 
 
@@ -76,13 +77,13 @@ class Angles(NamedTuple):
     """Angles of the segments between measured points."""
 
     phi: np.ndarray
-    """(frames, segments) [rad]: angle of the direction towards the head."""
+    """Angle (frames, segments) [rad] of the direction towards the head."""
     behind: np.ndarray
-    """(frames, segments) [m]: distance from the head to the segment's middle."""
+    """Distance (frames, segments) [m] along the body from the head to the segment's middle."""
 
 
 def measured_angles(midlines: Midlines) -> Angles:
-    """Returns the measured angles, continuous along the body and in time."""
+    """Returns the measured angles without jumps of 2 pi, along the body and in time."""
     steps = midlines.points[:, :-1] - midlines.points[:, 1:]
     size = np.hypot(steps[..., 0], steps[..., 1])
     phi = np.unwrap(np.arctan2(steps[..., 1], steps[..., 0]), axis=1)
@@ -92,7 +93,7 @@ def measured_angles(midlines: Midlines) -> Angles:
 
 
 def white_noise(series: np.ndarray) -> np.ndarray:
-    """Returns the white noise (deviation) of series (times, ...), from their fourth differences."""
+    """Returns the standard deviation of white noise in `series` (times, ...)."""
     return np.sqrt(np.mean(np.diff(series, n=4, axis=0) ** 2, axis=0) / 70.0)
 
 
@@ -111,9 +112,9 @@ def smooth_along_body(
 def choose_smoothing(midlines: Midlines) -> Smoothing:
     """Returns the wavelength and cutoff that remove only the measurement noise.
 
-    The wavelength is the longest with a residual of at most `RESIDUAL_OVER_NOISE` times the angles'
-    noise. The cutoff is the first frequency above the strides' at which the angles' power falls to
-    `POWER_OVER_NOISE` times the mean power above `NOISE_BAND` of the highest frequency.
+    The wavelength is the longest one with a residual of at most `RESIDUAL_OVER_NOISE` times the
+    noise of the angles. The cutoff is the first frequency above the stride frequency at which the
+    power of the angles falls to `POWER_OVER_NOISE` times the noise power.
     """
     measured, length = measured_angles(midlines), float(np.median(midlines.lengths))
     noise = float(np.median(white_noise(measured.phi)))
@@ -127,9 +128,9 @@ def choose_smoothing(midlines: Midlines) -> Smoothing:
 
 
 def _noise_frequency(phi: np.ndarray, interval: float) -> float:
-    """Returns the frequency [Hz] at which the power of phi (times, nodes) falls to its noise.
+    """Returns the frequency [Hz] at which the power of phi (times, nodes) falls to the noise power.
 
-    The power is the mean over the body and over three neighbouring frequencies.
+    The noise power is the mean power above `NOISE_BAND` times the highest frequency.
     """
     frames = len(phi)
     straight = np.linspace(0.0, 1.0, frames)[:, None] * (phi[-1] - phi[0]) + phi[0]
@@ -144,7 +145,7 @@ def _noise_frequency(phi: np.ndarray, interval: float) -> float:
 
 
 def twicing_spline(x: np.ndarray, series: np.ndarray, cutoff: float) -> Callable[..., np.ndarray]:
-    """Returns (at, n) -> d^n/dx^n of the smoothed series; half is kept at `cutoff` [1/x]."""
+    """Returns a function (at, n): n-th derivative of the series, smoothed with `cutoff` [1/x]."""
     weight = 1.0 / (np.mean(np.diff(x)) * (2.0 * math.pi * cutoff / _TWICING_RATIO) ** 4)
     first = make_smoothing_spline(x, series, lam=weight)
     second = make_smoothing_spline(x, series - first(x), lam=weight)
@@ -152,7 +153,7 @@ def twicing_spline(x: np.ndarray, series: np.ndarray, cutoff: float) -> Callable
 
 
 def midline_motion(midlines: Midlines, smoothing: Smoothing, length: float | None = None) -> Motion:
-    """Returns the motion of a body of `length` [m] (default: the median) at the frames' times."""
+    """Returns the motion of a body at the frames' times; `length` [m] (default: median length)."""
     L = float(np.median(midlines.lengths)) if length is None else length
     t, s = midlines.t, np.linspace(0.0, L, NODES)
     phi, _ = smooth_along_body(measured_angles(midlines), s, smoothing.wavelength)
@@ -166,7 +167,7 @@ def midline_motion(midlines: Midlines, smoothing: Smoothing, length: float | Non
 def motion_from_angles(
     t: np.ndarray, s: np.ndarray, phi: list[np.ndarray], head: list[np.ndarray]
 ) -> Motion:
-    """Returns the motion from phi (times, nodes) and head (times, 2), each with two derivatives."""
+    """Returns the motion from phi (times, nodes) and head (times, 2), with two derivatives each."""
     ds = np.diff(s)
     angle, omega, turn = (0.5 * (x[:, 1:] + x[:, :-1]) for x in phi)
     tau = np.stack([np.cos(angle), np.sin(angle)], axis=-1)

@@ -1,4 +1,4 @@
-"""Writes an animal's axial force balance as report.json, in sentences and as report.html."""
+"""Writes an animal's axial force balance as report.json, as text and as report.html."""
 
 from typing import Any
 
@@ -33,20 +33,20 @@ from calibration.reporting.html import embedded_png, render_page
 from slider_jax.io.files import versions
 
 NEXT_ANIMAL_EXPERIMENT = (
-    "Measure a gliding animal (straight, no stroke) at two speeds: only friction and form drag act "
-    "on it, and the two speeds separate them. What swimming adds is the thinned boundary layer."
+    "Measure a gliding animal (straight, no stroke) at two speeds, to discriminate between "
+    "friction and form drag. The thinned boundary layer acts only on the swimming animal."
 )
 
 
 def interval_record(value: float, low: float, high: float, unit: str) -> dict[str, Any]:
-    """Returns a number with its interval in the form of report.json."""
+    """Returns a value with interval and unit, as a record of report.json."""
     return {"value": value, "low": low, "high": high, "unit": unit}
 
 
 def animal_record(
     x: BalanceAnalysis, seconds: float, sources: list[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Returns the content of report.json; `sources` are the records of the input files."""
+    """Returns the content of report.json; `sources` has one record for each input file."""
     verdict, candidates = balance_verdict(x)
     closer = CANDIDATES[0]
     stride_errors = imbalance_errors(x, closer) | {"closed_by": closer}
@@ -115,7 +115,7 @@ def closing_effects(x: BalanceAnalysis, candidates: list[str]) -> list[dict[str,
 
 
 def _closing(x: BalanceAnalysis, name: str) -> dict[str, Any]:
-    """Returns the record of the closing coefficient, by the parameter's name."""
+    """Returns the record of the coefficient that closes the balance, with the parameter as key."""
     ((parameter, prior),) = EFFECTS[name].priors().items()
     values = x.samples.closing(name)
     record = interval_record(float(np.median(values)), *central_interval(values), prior.unit)
@@ -123,7 +123,7 @@ def _closing(x: BalanceAnalysis, name: str) -> dict[str, Any]:
 
 
 def closing_candidates(x: BalanceAnalysis) -> list[dict[str, Any]]:
-    """Returns the coefficient with which each effect alone would close the balance."""
+    """Returns a record for each effect, with the coefficient that alone closes the balance."""
     share = x.possible
     rows = []
     for name in sorted(EFFECTS, key=lambda n: -share[n]):
@@ -139,7 +139,7 @@ def closing_candidates(x: BalanceAnalysis) -> list[dict[str, Any]]:
 
 
 def _settings(x: BalanceAnalysis) -> dict[str, Any]:
-    """Returns the chosen settings and the assumptions."""
+    """Returns the settings of the smoothing and the assumed values and ranges."""
     return {
         "smoothing": {"wavelength_L": x.smoothing.wavelength, "cutoff_Hz": x.smoothing.cutoff},
         "width": f"{WIDTH_COLUMN} times {WIDTH_OVER_HALF_WIDTH:g}: assumed to be a half width",
@@ -159,11 +159,11 @@ def midline_quality(x: BalanceAnalysis) -> list[str]:
     """Returns sentences on the quality of the midlines."""
     lengths = 1e3 * x.midlines.lengths
     return [
-        f"{x.midlines.incomplete_frames} incomplete frames at the ends are omitted.",
+        f"The analysis omits {x.midlines.incomplete_frames} incomplete frames at the ends.",
         f"The traced length is {lengths.min():.0f} to {lengths.max():.0f} mm, because the tail's "
-        "end was not always visible. The analysis measures distances from the head and keeps the "
-        "length constant.",
-        f"The smoothed body differs from the points by {1e3 * midline_misfit(x):.2f} mm rms.",
+        "end was not always visible. The analysis measures distances from the head, and keeps the "
+        "body length constant.",
+        f"The smoothed body is {1e3 * midline_misfit(x):.2f} mm rms from the measured points.",
     ]
 
 
@@ -174,11 +174,11 @@ def animal_sentence(x: BalanceAnalysis) -> str:
     first = 1e3 * x.imbalance.mean()
     sentence = (
         f"With the paper's coefficients (C_d {x.C_d:g}, m_a {x.m_a:g}), the model's mean forward "
-        f"force exceeds the momentum that the animal gains per time by {first:.2f} mN ({low:.2f} "
-        f"to {high:.2f} mN at 95 % with all uncertainties)."
+        f"force exceeds the momentum that the animal gains per time by {first:.2f} mN (95 % "
+        f"interval with all uncertainties: {low:.2f} to {high:.2f} mN)."
     )
     if verdict == "nothing_missing":
-        return sentence + " The interval includes zero: no effect is missing at this precision."
+        return sentence + " The interval includes zero, so the data show no missing effect."
     if verdict == "unexplained":
         return sentence + " No candidate closes the balance within its prior range."
     name = candidates[0]
@@ -190,26 +190,26 @@ def animal_sentence(x: BalanceAnalysis) -> str:
     if verdict == "identified":
         return sentence
     others = ", ".join(candidates[1:])
-    return f"{sentence} One mean force cannot discriminate it from {others}."
+    return f"{sentence} One mean force cannot discriminate this effect from {others}."
 
 
 def balance_table(x: BalanceAnalysis) -> str:
-    """Returns the balance as a table for the terminal."""
+    """Returns the axial force balance as a text table."""
     mean = {n: 1e3 * x.forces.unit[n].mean() for n in BASE_EFFECTS}
     low, high = (1e3 * v for v in central_interval(x.samples.imbalance))
     rows = [
         ("reactive force", x.m_a * mean[BASE_EFFECTS[0]]),
         ("normal drag", x.C_d * mean[BASE_EFFECTS[1]]),
-        ("momentum gained", 1e3 * x.forces.gain.mean()),
+        ("momentum gained per time", 1e3 * x.forces.gain.mean()),
         ("imbalance", 1e3 * x.imbalance.mean()),
     ]
     lines = [f"{name:<24}{value:8.2f} mN" for name, value in rows]
-    lines.append(f"{'imbalance, 95 %':<24}{low:8.2f} to {high:.2f} mN")
+    lines.append(f"{'95 % interval':<24}{low:8.2f} to {high:.2f} mN")
     for row in closing_candidates(x):
         n = row["needs"]
         lines.append(
             f"{row['name']:<24}{row['parameter']} = {n['value']:.3g} ({n['low']:.2g} to "
-            f"{n['high']:.2g} {n['unit']}); within the prior in {row['possible']:.0%} of samples"
+            f"{n['high']:.2g} {n['unit']}); in the prior range for {row['possible']:.0%} of samples"
         )
     return "\n".join(lines)
 
@@ -238,12 +238,12 @@ def animal_page(x: BalanceAnalysis, record: dict[str, Any]) -> str:
 def _assumptions(x: BalanceAnalysis) -> list[list[str]]:
     along, in_time, (fine, coarse) = x.smoothing.wavelength, x.smoothing.cutoff, SMOOTHING_FACTORS
     ranges: list[tuple[str, float, tuple[float, float]]] = [
-        ("depth over width", x.shape.aspect, ASPECT_RANGE),
+        ("depth divided by width", x.shape.aspect, ASPECT_RANGE),
         ("depth at the tail's end (body lengths)", x.shape.tail_depth, TAIL_RANGE),
         ("C_d", x.C_d, C_D_RANGE),
         ("m_a", x.m_a, M_A_RANGE),
-        ("smoothing along the body (body lengths)", along, (along * fine, along * coarse)),
-        ("smoothing in time (Hz)", in_time, (in_time / coarse, in_time / fine)),
+        ("smoothing wavelength (body lengths)", along, (along * fine, along * coarse)),
+        ("cutoff frequency in time (Hz)", in_time, (in_time / coarse, in_time / fine)),
     ]
     width = f"{WIDTH_OVER_HALF_WIDTH:g} x {WIDTH_COLUMN}"
     return [

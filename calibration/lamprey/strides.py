@@ -1,4 +1,4 @@
-"""Whole strides of a motion that has a travelling wave, and the quantities of its gait."""
+"""Whole strides of a motion with a travelling wave, and the quantities of the gait."""
 
 import math
 from typing import NamedTuple
@@ -11,18 +11,18 @@ from slider_jax.errors import InputError
 from slider_jax.observables import body_wave, strouhal_number, travelling_index
 
 EDGE_FRAMES = 3
-"""Frames omitted at either end, where a smoothing spline's derivatives are inaccurate."""
+"""Number of frames omitted at each end, where derivatives of a smoothing spline are inaccurate."""
 MIN_STRIDES = 3
-"""Smallest number of whole strides from which a spread between strides can be estimated."""
+"""Smallest number of whole strides from which the spread between strides can be estimated."""
 
 
 class Strides(NamedTuple):
-    """Times at which the wave returns to the same phase."""
+    """The whole strides of a motion."""
 
     marks: np.ndarray
-    """(strides + 1,) [s]"""
+    """Times (strides + 1,) [s] at which the wave returns to the same phase."""
     phase: np.ndarray
-    """(times,) [turns], increasing by 1 from mark to mark."""
+    """Phase (times,) [turns] of the wave. It increases by 1 in every stride."""
 
     @property
     def number(self) -> int:
@@ -30,11 +30,11 @@ class Strides(NamedTuple):
 
     @property
     def frequency(self) -> float:
-        """Mean frequency [Hz] over the strides."""
+        """Mean frequency [Hz] of the strides."""
         return self.number / float(self.marks[-1] - self.marks[0])
 
     def means(self, t: np.ndarray, series: np.ndarray) -> np.ndarray:
-        """Returns the mean of a series (times, ...) over each stride, (strides, ...)."""
+        """Returns the mean (strides, ...) of `series` (times, ...) in each stride."""
         steps = 0.5 * (series[1:] + series[:-1]) * _column(np.diff(t), series)
         total = np.concatenate([np.zeros_like(series[:1]), np.cumsum(steps, axis=0)])
         return np.diff(_interpolate(self.marks, t, total), axis=0) / _column(
@@ -42,7 +42,7 @@ class Strides(NamedTuple):
         )
 
     def gains(self, t: np.ndarray, series: np.ndarray) -> np.ndarray:
-        """Returns the mean rate of change of a series over each stride, (strides, ...)."""
+        """Returns the mean rate of change (strides, ...) of `series` in each stride."""
         spans = _column(np.diff(self.marks), series)
         return np.diff(_interpolate(self.marks, t, series), axis=0) / spans
 
@@ -51,14 +51,14 @@ class AnimalGait(NamedTuple):
     """Quantities of an animal's gait in SI units."""
 
     speed: float
-    """[m/s] of the body's mean position, along `direction`."""
+    """Mean speed [m/s] of the body along `direction`."""
     direction: np.ndarray
-    """(2,) unit vector of the mean course over whole strides."""
+    """Unit vector (2,) of the mean course over whole strides."""
     frequency: float
     tail_amplitude: float
-    """Amplitude [m] of the fundamental of the tail's lateral motion: half the stroke."""
+    """Amplitude [m] of the tail's lateral motion at the stride frequency: half of the stroke."""
     wavelength: float
-    """[m], along the body."""
+    """Wavelength [m] along the body."""
     wave_speed: float
     travelling_index: float
     strouhal: float
@@ -66,7 +66,7 @@ class AnimalGait(NamedTuple):
 
 
 def whole_strides(motion: Motion) -> Strides:
-    """Returns the whole strides within a motion without its edge frames.
+    """Returns the whole strides of a motion without the first and last `EDGE_FRAMES` frames.
 
     A travelling wave traces a closed loop in the plane of the two leading modes of phi(s, t). The
     phase is the angle in this plane. Raises `InputError` for fewer than `MIN_STRIDES` strides.
@@ -86,14 +86,14 @@ def whole_strides(motion: Motion) -> Strides:
             f"midlines: {max(whole, 0)} whole strides in {t[inner][-1] - t[inner][0]:.2f} s; "
             f"at least {MIN_STRIDES} are required; use a longer record of steady swimming"
         )
-    # The last strides are used, because the animal may still accelerate when the record begins.
+    # The last strides are used, because the animal may still accelerate in the first strides.
     first = rising[-1] - whole
     marks = np.interp(first + np.arange(whole + 1.0), rising, t[inner])
     return Strides(marks, phase - first)
 
 
 def animal_gait(motion: Motion, strides: Strides, viscosity: float) -> AnimalGait:
-    """Returns the gait of a motion over its whole strides; `viscosity` in m^2/s."""
+    """Returns the gait of a motion in the whole strides `strides`; `viscosity` is in m^2/s."""
     t, s = np.asarray(motion.t), motion.s
     middle = np.trapezoid(motion.r, s, axis=1) / motion.length
     ends = _interpolate(strides.marks[[0, -1]], t, middle)
@@ -119,7 +119,7 @@ def animal_gait(motion: Motion, strides: Strides, viscosity: float) -> AnimalGai
 
 
 def fundamental(t: np.ndarray, series: np.ndarray, strides: Strides) -> np.ndarray:
-    """Returns the amplitude (nodes,) at the strides' phase of a detrended series (times, nodes)."""
+    """Returns the complex amplitude (nodes,) of `series` (times, nodes) at the stride frequency."""
     inside = (t >= strides.marks[0]) & (t <= strides.marks[-1])
     angle, at = 2.0 * math.pi * strides.phase[inside], t[inside] - t[inside].mean()
     basis = np.stack([np.ones_like(at), at, at**2, np.cos(angle), np.sin(angle)], axis=1)

@@ -246,9 +246,9 @@ def _reversed(rows):
     ("edit", "says"),
     [
         (lambda r: _scaled(r, 1e-3), "give the columns in mm"),
-        (lambda r: r[:200] + r[201:], "every frame once"),
-        (lambda r: _blank(r, range(15, 65)), "complete frames has 15"),
-        (lambda r: _blank(r, range(0, 80, 4)), "complete frames has 3"),
+        (lambda r: r[:200] + r[201:], "must have one row for each"),
+        (lambda r: _blank(r, range(15, 65)), ": 15 consecutive frames"),
+        (lambda r: _blank(r, range(0, 80, 4)), ": 3 consecutive frames"),
         (_reversed, "number the points from the head"),
         (lambda r: [x.replace("mymm", "y") for x in r], "column mymm is missing"),
         (lambda r: [*r[:801], *(x.replace(x.split(",")[0], f"{float(x.split(',')[0]) + 0.5:g}", 1)
@@ -269,7 +269,7 @@ def test_blank_ends_are_omitted_and_widths_are_checked(tmp_path):
     assert found.incomplete_frames == 3 and len(found.t) == 77 and found.t[0] == pytest.approx(0.04)
     width = tmp_path / "fishwidth.csv"
     width.write_text("s,ammowidth\n0,18\n1,2\n")
-    with pytest.raises(InputError, match="shares of the body length"):
+    with pytest.raises(InputError, match="widths in body lengths"):
         read_width(width, "ammowidth")
 
 
