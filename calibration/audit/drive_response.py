@@ -52,7 +52,7 @@ def _fitted(r: Record, chambers: tuple[DeclaredDrive, DeclaredDrive]) -> LagFits
     found = fit_lags(r.t, r.values[:2], chambers)
     respond = (found.residual.min(axis=(0, 2, 3)) < MAX_RESIDUAL).all()
     plain = respond and not any(is_tiny(r, c) for c in (0, 1))
-    return found if plain else fit_lags(r.t, r.values, chambers)
+    return found if plain else fit_lags(r.t, r.values[: len(BUILT_IN)], chambers)
 
 
 def is_tiny(r: Record, row: int) -> bool:

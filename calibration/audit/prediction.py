@@ -111,7 +111,7 @@ def _columns(of: _Correlations) -> tuple[list[Record], list[Finding]]:
         if not moved or not (clear or best == usual):
             kept.append(r)
             continue
-        rows = [0, 1, *(BODY[c] for c in best)]
+        rows = [0, 1, *(BODY[c] for c in best), *range(len(NAMES), len(r.values))]
         names = " and ".join(NAMES[BODY[x]] for x in moved)
         channels = ", ".join(BUILT_IN[BODY[x]] for x in moved)
         detail = f"the columns {names} are swapped: each follows another channel's prediction"

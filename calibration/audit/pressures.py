@@ -58,7 +58,7 @@ def _columns(
     kept, findings = [], []
     for i, r in enumerate(records):
         gain, residual = responses.gain(i), responses.residual(i)
-        order = list(range(5))
+        order = list(range(len(r.values)))
         for c in (0, 1):
             strange = not 1e-6 < abs(gain[c, c]) < 1e5 or residual[c, c] > MAX_RESIDUAL
             fit = [
@@ -70,10 +70,10 @@ def _columns(
             if fit and not ordinary and (strange or is_tiny(r, c)):
                 other = min(fit, key=lambda x: residual[x, c])
                 order[c], order[other] = other, c
-        if order == list(range(5)):
+        if order == sorted(order):
             kept.append(r)
             continue
-        moved = [NAMES[x] for x in range(5) if order[x] != x]
+        moved = [name for x, name in enumerate(NAMES) if order[x] != x]
         detail = f"the columns {' and '.join(moved)} are swapped: each has another's readings"
         findings.append(trial_finding(r, "swapped_columns", ", ".join(moved), detail, "mended"))
         kept.append(replace(r, values=r.values[order]))
@@ -133,7 +133,7 @@ def _front_and_rear(
             continue
         detail = "p_front_Pa and p_rear_Pa are swapped: each follows the drive of the other chamber"
         findings.append(trial_finding(r, "swapped_columns", "p_front, p_rear", detail, "mended"))
-        kept.append(replace(r, values=r.values[[1, 0, 2, 3, 4]]))
+        kept.append(replace(r, values=np.concatenate([r.values[1::-1], r.values[2:]])))
     return kept, findings
 
 

@@ -52,12 +52,18 @@ def effects_matrix(
     from calibration.experiment_design.trial_search import TrialLimits, limits_of
     from calibration.inference.cache import input_settings, resumable
     from calibration.model.extended import candidate_effects
+    from slider_jax.effects.library import LIBRARY
     from slider_jax.experiment.load import load
     from slider_jax.io.files import input_file, staged, write_json, write_text
 
+    excluded = ", ".join(name for name in LIBRARY if name not in candidate_effects())
     for option, names in (("--effects", effects), ("--separate", separate)):
-        listed = "the names that slider effects lists, except gravity"
-        refuse_unknown(option, names, candidate_effects(), listed)
+        refuse_unknown(
+            option,
+            names,
+            candidate_effects(),
+            f"the names that slider effects lists, except {excluded}",
+        )
     if separate and len(set(separate)) < 2:
         raise InputError("--separate: given one effect; allowed two or more effects")
     given = dict(zip(TrialLimits._fields, (frequency, amplitude, phase, tow_speed), strict=True))

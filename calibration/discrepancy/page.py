@@ -9,6 +9,7 @@ from calibration.discrepancy.localise import residual_text
 from calibration.reporting.html import embedded_png, render_page
 from calibration.reporting.parameters import widened
 from slider_jax.channels import CHANNELS, row_of
+from slider_jax.io.figures import new_figure
 
 SHOWN_STRIDES = 3.0
 """Number of last strides in the figure of readings; seconds if the trial has no frequency."""
@@ -114,14 +115,10 @@ def _consequence(record: dict[str, Any]) -> list[list[str]]:
 
 def readings_figure(outcome: LoopOutcome):
     """Plots one trial's last strides and whole residual, for the models before and after."""
-    import matplotlib.pyplot as plt
-
     record, before, after = _shown_trial(outcome)
     channels = [c for c in CHANNELS if record.has(c)]
-    figure, axes = plt.subplots(
-        len(channels), 2, figsize=(12, 1.2 + 1.6 * len(channels)), sharex="col", squeeze=False,
-        layout="constrained",
-    )  # fmt: skip
+    size = 12.0, 1.2 + 1.6 * len(channels)
+    figure, axes = new_figure(len(channels), 2, figsize=size, sharex="col", squeeze=False)
     late = record.t >= record.t[-1] - SHOWN_STRIDES / (record.trial.frequency or 1.0)
     models = ((before, "before", "tab:orange"), (after, "after", "tab:blue"))
     for (left, right), channel in zip(axes, channels, strict=True):
@@ -159,13 +156,9 @@ def _shown_trial(outcome: LoopOutcome):
 
 def score_figure(record: dict[str, Any]):
     """Plots the best 12 scores of every round."""
-    import matplotlib.pyplot as plt
-
     rounds = sorted({x["round"] for x in record["candidates"]})
-    figure, axes = plt.subplots(
-        1, max(len(rounds), 1), figsize=(max(5.0 * len(rounds), 6.0), 4), layout="constrained",
-        squeeze=False,
-    )  # fmt: skip
+    size = max(5.0 * len(rounds), 6.0), 4.0
+    figure, axes = new_figure(1, max(len(rounds), 1), figsize=size, squeeze=False)
     for axis, number in zip(axes[0], rounds, strict=False):
         rows = [x for x in record["candidates"] if x["round"] == number][:12][::-1]
         colours = ["C0" if x["chosen"] else "0.7" for x in rows]

@@ -16,6 +16,7 @@ from calibration.free_swimming.published_speeds import (
     UnresistedSwim,
 )
 from calibration.reporting.html import embedded_png, render_page
+from slider_jax.io.figures import new_figure
 from slider_jax.io.files import versions
 
 EQUIVALENT_SHARE = 0.8
@@ -201,9 +202,7 @@ def speeds_page(x: CrossPrediction, record: dict[str, Any]) -> str:
 
 def unresisted_figure(found: list[UnresistedSwim]):
     """Draws the mean speed of each stride from rest without axial resistance."""
-    import matplotlib.pyplot as plt
-
-    figure, axis = plt.subplots(figsize=(9, 3.8), layout="constrained")
+    figure, axis = new_figure(figsize=(9, 3.8))
     shown = [b for b in found if b.head == found[0].head]
     for b in shown:
         axis.plot(np.arange(1, len(b.by_stride) + 1), b.by_stride, label=f"{b.point}\n{b.gait}")
@@ -216,9 +215,7 @@ def unresisted_figure(found: list[UnresistedSwim]):
 
 def prediction_figure(found: list[SpeedPrediction]):
     """Draws the predictions with the published speed and its error."""
-    import matplotlib.pyplot as plt
-
-    figure, axis = plt.subplots(figsize=(9, 3.6), layout="constrained")
+    figure, axis = new_figure(figsize=(9, 3.6))
     low, high = (100 * (OPTIMUM.speed + side * OPTIMUM.error) for side in (-1, 1))
     axis.axvspan(low, high, color="0.8", label="published")
     axis.axvline(100 * PAPER_MODEL_AT_OPTIMUM, color="k", ls=":", label="paper's model")

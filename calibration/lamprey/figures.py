@@ -4,6 +4,7 @@ import numpy as np
 
 from calibration.lamprey.axial_balance import BASE_EFFECTS, central_interval
 from calibration.lamprey.balance import BalanceAnalysis
+from slider_jax.io.figures import new_figure
 
 SOURCE_LABELS = {
     "strides": "differences between strides",
@@ -16,15 +17,12 @@ SOURCE_LABELS = {
 
 def body_figure(x: BalanceAnalysis):
     """Draws midlines and points of the last whole stride, and depth and width of the body."""
-    import matplotlib
-    import matplotlib.pyplot as plt
+    from matplotlib import colormaps
 
-    figure, (left, right) = plt.subplots(
-        1, 2, figsize=(10, 3.6), layout="constrained", width_ratios=(2, 1)
-    )
+    figure, (left, right) = new_figure(1, 2, figsize=(10, 3.6), width_ratios=(2, 1))
     t, (begin, end) = x.motion.t, x.strides.marks[-2:]
     shown = np.flatnonzero((t >= begin) & (t <= end))[::2]
-    colours = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.9, len(shown)))
+    colours = colormaps["viridis"](np.linspace(0.0, 0.9, len(shown)))
     for colour, i in zip(colours, shown, strict=True):
         left.plot(*(1e3 * x.midlines.points[i].T), ".", color=colour, ms=3)
         left.plot(*(1e3 * x.motion.r[i].T), "-", color=colour, lw=1.0)
@@ -41,9 +39,7 @@ def body_figure(x: BalanceAnalysis):
 
 def strides_figure(x: BalanceAnalysis):
     """Draws the mean forces and the momentum gained per time of every stride."""
-    import matplotlib.pyplot as plt
-
-    figure, axis = plt.subplots(figsize=(9, 3.6), layout="constrained")
+    figure, axis = new_figure(figsize=(9, 3.6))
     number = np.arange(1, x.strides.number + 1)
     reactive = 1e3 * x.m_a * x.forces.unit[BASE_EFFECTS[0]]
     drag = 1e3 * x.C_d * x.forces.unit[BASE_EFFECTS[1]]
@@ -62,9 +58,7 @@ def strides_figure(x: BalanceAnalysis):
 
 def imbalance_figure(x: BalanceAnalysis):
     """Draws the intervals of the imbalance for each source of uncertainty and for all sources."""
-    import matplotlib.pyplot as plt
-
-    figure, axis = plt.subplots(figsize=(9, 2.8), layout="constrained")
+    figure, axis = new_figure(figsize=(9, 2.8))
     rows = dict(x.by_source) | {"all together": central_interval(x.samples.imbalance)}
     for place, (name, (low, high)) in enumerate(rows.items()):
         colour = "C3" if name == "all together" else "C0"

@@ -21,10 +21,7 @@ def render_page(template: str, **content: Any) -> str:
 
 
 def embedded_png(figure) -> str:
-    """Returns a matplotlib figure as a base64 PNG and closes the figure."""
-    import matplotlib.pyplot as plt
-
+    """Returns a matplotlib figure as a base64 PNG."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110)
-    plt.close(figure)
     return base64.b64encode(buffer.getvalue()).decode()

@@ -32,7 +32,7 @@ def rig_loop(
 ) -> None:
     """Measures trials, searches for missing effects, and adds the most informative trial.
 
-    The command repeats these steps until the equivalence class is final or the budget is used.
+    The command repeats these steps until the verdict is final or the budget is used.
     DIR/measured becomes the experiment's folder with all trials. DIR/round_NN.json contains the
     result of a round; report.html, report.json and model.toml contain the result of the last round.
     An interrupted loop resumes when you repeat the command. Chambers vent during computations.
@@ -108,4 +108,4 @@ def rig_loop(
     for x in found.rounds:
         print(f"{x['trials']:2} trials: {x['said']}")
     final = "is final" if found.settled else "is not final"
-    print(f"with {found.rounds[-1]['trials']} trials, the equivalence class {final}")
+    print(f"with {found.rounds[-1]['trials']} trials, the verdict {final}")

@@ -78,9 +78,9 @@ class SensorMounting:
         allowed = [sign + axis for axis in AXES[:3] for sign in "+-"]
         for name, axis in (("thrust", self.thrust), ("recoil", self.recoil)):
             if axis not in allowed:
-                raise RigError.value(f"mounting.{name}", repr(axis), ", ".join(allowed))
+                raise RigError.value(f"force.{name}", repr(axis), ", ".join(allowed))
         if self.thrust[1:] == self.recoil[1:]:
-            raise RigError.value("mounting.recoil", repr(self.recoil), "another axis than thrust's")
+            raise RigError.value("force.recoil", repr(self.recoil), "another axis than thrust's")
 
     def thrust_and_recoil(self, wrench: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Returns thrust and recoil (...) [N] of wrenches (..., 6)."""

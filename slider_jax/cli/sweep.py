@@ -75,6 +75,8 @@ def sweep(
         named = (re.match(r"trials\.(\d+)(\.|$)", axis.field) for axis in axes)
         trial = next((int(x[1]) for x in named if x), 0)
     given = load(experiment, model)
+    if swim:
+        strides, transient = 1, 0
     task = Sweep(given, tuple(axes), trial, strides, transient, steps_per_stride, swim)
     output_folder(out)
     if is_written(task, out):

@@ -93,14 +93,18 @@ def assemble(
     if model is None:
         return experiment
     changes = read_toml(Path(model))
-    allowed = {"name": str, "robot": dict, "parameters": dict, "effects": list}
+    allowed = {
+        "name": (str, "a string"),
+        "robot": (dict, "a table [robot]"),
+        "parameters": (dict, "a table [parameters]"),
+        "effects": (list, "a list of tables [[effects]]"),
+    }
     for key, value in changes.items():
         if key not in allowed:
             raise InputError(f"{model}: {key}: unknown key; allowed {', '.join(allowed)}")
-        if not isinstance(value, allowed[key]):
-            raise InputError(
-                f"{model}: {key}: given {value!r}; allowed is {key} as in an experiment file"
-            )
+        kind, text = allowed[key]
+        if not isinstance(value, kind):
+            raise InputError.value(f"{model}: {key}", value, text)
     changed = changes.get("parameters", {})
     replaced: set[str] = set()
     if changed.get("force_coefficients") in ("ramp", "table"):

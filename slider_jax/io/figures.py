@@ -9,22 +9,22 @@ FRAME = 50
 """Duration [ms] of a frame in an animation."""
 
 
-def new_figure(*args, **kwargs):
-    """Returns a figure without display and its axes; the arguments are those of `plt.subplots`."""
-    import matplotlib
+def new_figure(*shape: int, figsize: tuple[float, float], dpi: float | None = None, **kwargs):
+    """Returns a figure without display and its axes, a grid of `shape` as `Figure.subplots` makes.
 
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    `figsize` is in inches. The function does not change the backend of `matplotlib.pyplot`.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
 
-    return plt.subplots(*args, layout="constrained", **kwargs)
+    figure = Figure(figsize, dpi, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.subplots(*shape, **kwargs)
 
 
 def save_figure(figure, path: Path) -> None:
-    """Writes `figure` to `path` and closes it."""
-    import matplotlib.pyplot as plt
-
+    """Writes `figure` to `path`."""
     figure.savefig(path, dpi=150)
-    plt.close(figure)
 
 
 def save_film(
@@ -35,12 +35,11 @@ def save_film(
     path: Path,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> None:
-    """Writes a GIF with one frame for each index in `shown`, and closes the figure.
+    """Writes a GIF with one frame for each index in `shown`.
 
     `move(index)` updates the artists `moving`. All other artists are drawn only once, because texts
     take most of the drawing time. `progress(frames done, all frames)` is called after each frame.
     """
-    import matplotlib.pyplot as plt
     from PIL import Image
 
     canvas, images = figure.canvas, []
@@ -56,5 +55,4 @@ def save_film(
         picture = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
         images.append(picture.quantize(128, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE))
         progress(number, len(shown))
-    plt.close(figure)
     images[0].save(path, save_all=True, append_images=images[1:], duration=FRAME, loop=0)

@@ -2,11 +2,8 @@
 This package may import `dynamics` and packages of lower layers."""
 
 from slider_jax.observables.energy import (
-    EnergyRates as EnergyRates,
     StoredEnergy as StoredEnergy,
     chamber_power as chamber_power,
-    clamp_power as clamp_power,
-    energy_rates as energy_rates,
     stored_energy as stored_energy,
 )
 from slider_jax.observables.measured import (
@@ -27,7 +24,6 @@ from slider_jax.observables.wave import (
     BodyWave as BodyWave,
     body_wave as body_wave,
     fundamental_mode as fundamental_mode,
-    orthogonal_mode as orthogonal_mode,
     shape_wavelength as shape_wavelength,
     travelling_index as travelling_index,
 )

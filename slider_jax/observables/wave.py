@@ -46,36 +46,6 @@ def fundamental_mode(
     )
 
 
-def orthogonal_mode(y: Float[Array, "times points"]) -> Complex[Array, " points"]:
-    """Returns c(s) [m] of the first complex orthogonal mode of `y` [m].
-
-    The mode is the dominant eigenvector of the covariance of the analytic signal of y - mean(y). It
-    is scaled by its rms in time, so |c| is the amplitude, and it has the phases of the first
-    sample. For a body at rest, c is zero. The samples are evenly spaced in whole strides.
-
-    Source: Feeny, B. F. (2008), A complex orthogonal decomposition for wave motion analysis, J.
-    Sound Vib. 310, 77-90.
-    """
-    steps = y.shape[0]
-    spectrum = jnp.fft.fft(y - jnp.mean(y, axis=0), axis=0)
-    index = jnp.arange(float(steps))
-    keep = jnp.where(
-        (index > 0) & (2 * index < steps), 2.0, jnp.where(2 * index == steps, 1.0, 0.0)
-    )
-    analytic = jnp.fft.ifft(spectrum * keep[:, None].astype(spectrum.dtype), axis=0)
-    covariance = analytic.T @ jnp.conj(analytic) / float(steps)
-    # Repeated squaring gives the projector on the dominant eigenvector. An SVD has no derivative
-    # here, because almost all singular values are zero and therefore coincide.
-    projector = covariance
-    for _ in range(12):
-        projector = _over(projector, jnp.real(jnp.trace(projector)))
-        projector = projector @ projector
-    projector = _over(projector, jnp.real(jnp.trace(projector)))
-    first = projector @ analytic[0]
-    size = _root(jnp.real(jnp.trace(projector @ covariance)))
-    return _over(first, _root(jnp.real(jnp.vdot(first, first)))) * size.astype(first.dtype)
-
-
 def body_wave(mode: Complex[Array, " points"], s: Float[Array, " points"], frequency) -> BodyWave:
     """Returns wavelength and speed of a mode c(s) with `frequency` [Hz]; `s` [m] is from the tail.
 

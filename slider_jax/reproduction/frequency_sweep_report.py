@@ -20,7 +20,7 @@ ASSUMED = {
     "0.05 of a stride later, match the paper's mean thrust at 4.8 Hz and its minimum near 1 Hz, so "
     "these two values do not test the model",
     "damping_time": "2 ms; with the paper's 5e-6 s, vibrations at 30-100 Hz are undamped",
-    "EA_body, EA_tail": "5 kN; not given in the paper; strains are below 1e-3",
+    "EA_body, EA_tail": "100 kN; not given in the paper; strains are below 1e-3",
     "C_d, m_a": "4 and 0 below 2 Hz, 3 and 1 above 3 Hz, linear between",
 }
 """Assumed values of the demo, with reasons."""

@@ -221,8 +221,7 @@ def run_sweep(
     groups, partial = groups_of(sweep), folder / "partial"
     chunks = _chunks(groups, _take_up(sweep, partial), partial)
     remaining = [i for i, chunk in enumerate(chunks) if not chunk.file.exists()]
-    strides = 1 if sweep.swim else sweep.strides
-    on_begin(len(chunks) * strides, (len(chunks) - len(remaining)) * strides)
+    on_begin(len(chunks) * sweep.strides, (len(chunks) - len(remaining)) * sweep.strides)
     compiled: dict[int, Any] = {}
     locks = [threading.Lock() for _ in groups]
 

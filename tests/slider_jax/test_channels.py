@@ -5,9 +5,10 @@ import importlib.util
 import numpy as np
 import pytest
 
+from calibration.audit.pressures import check_pressures
 from calibration.inference.noise import channel_noise
 from calibration.inference.problem import TankProblem
-from calibration.measurements.records import load_records
+from calibration.measurements.records import Record, load_records
 from calibration.model.predict import Resolution, plan_trial, predict_readings
 from slider_jax.channels import BUILT_IN, CHANNELS, channel_columns, register, row_of
 from slider_jax.errors import InputError
@@ -84,6 +85,20 @@ def test_a_channel_outside_the_package_is_simulated_read_and_fitted(marked):
     assert problem.channels == (*BUILT_IN, "marker")
     residuals = problem.residuals([predicted], problem.whiteners([predicted]))
     assert np.isfinite(residuals[0, "marker"]).all() and residuals[0, "marker"].any()
+
+
+def test_a_repair_of_swapped_columns_keeps_the_channel(marked):
+    experiment = load(marked[1])
+    records = []
+    for trial, run in ((t, simulate_trial(experiment, t)) for t in experiment.trials):
+        columns = run.columns.copy()
+        t = columns.pop("t_s")
+        columns["p_front_Pa"], columns["thrust_N"] = columns["thrust_N"], columns["p_front_Pa"]
+        records.append(Record(trial, t, np.stack([columns[c] for c in channel_columns()[1:]])))
+    repaired, findings = check_pressures(records, None)
+    assert {(x.kind, x.channel) for x in findings} == {("swapped_columns", "p_front_Pa, thrust_N")}
+    for r, before in zip(repaired, records, strict=True):
+        np.testing.assert_array_equal(r.values, before.values[[2, 1, 0, 3, 4, 5]])
 
 
 def test_the_command_writes_the_column(marked, tmp_path):

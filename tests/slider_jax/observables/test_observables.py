@@ -14,6 +14,7 @@ from slider_jax.dynamics.rollout import TimeGrid, rollout
 from slider_jax.effects import Gravity, NormalDrag, ReactiveForce, total_force
 from slider_jax.paper import force_coefficients
 from slider_jax.supports import Clamped
+from tests.support.energy_balance import clamp_power, energy_rates
 from tests.support.helpers import SMALL, march, swimmer
 
 F, L = 3.0, 0.368
@@ -27,11 +28,10 @@ def wave(wavelength, amplitude=lambda s: 0.01 + 0.0 * s, direction=1.0):
     return amplitude(S) * jnp.sin(2 * np.pi * F * T[:, None] + direction * k * S + 0.4)
 
 
-@pytest.mark.parametrize("mode_of", ["fundamental", "orthogonal"])
 @pytest.mark.parametrize("direction", [1.0, -1.0])
-def test_wavelength_and_speed_of_a_travelling_wave_are_exact(mode_of, direction):
+def test_wavelength_and_speed_of_a_travelling_wave_are_exact(direction):
     y = wave(0.25, direction=direction)
-    mode = obs.fundamental_mode(y, T, F) if mode_of == "fundamental" else obs.orthogonal_mode(y)
+    mode = obs.fundamental_mode(y, T, F)
     found = obs.body_wave(mode, S, F)
     np.testing.assert_allclose(found.wavelength, direction * 0.25, rtol=1e-9)
     np.testing.assert_allclose(found.speed, direction * 0.25 * F, rtol=1e-9)
@@ -63,11 +63,10 @@ MOTIONS = {
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
-@pytest.mark.parametrize("mode_of", ["fundamental", "orthogonal"])
-def test_wave_observables_have_finite_derivatives(mode_of, motion):
+def test_wave_observables_have_finite_derivatives(motion):
     def observed(k):
         y = MOTIONS[motion](k)
-        mode = obs.fundamental_mode(y, T, F) if mode_of == "fundamental" else obs.orthogonal_mode(y)
+        mode = obs.fundamental_mode(y, T, F)
         speed = obs.body_wave(mode, S, F).speed
         travels = motion.startswith("travelling")
         squares = obs.travelling_index(mode) ** 2 + jnp.abs(mode[0]) ** 2
@@ -77,21 +76,6 @@ def test_wave_observables_have_finite_derivatives(mode_of, motion):
     slope = float(jax.grad(observed)(0.5))
     central = float((observed(0.5 + 1e-6) - observed(0.5 - 1e-6)) / 2e-6)
     assert slope == pytest.approx(central, rel=1e-4, abs=1e-6)
-
-
-@pytest.mark.parametrize("points", [41, 40])
-def test_the_orthogonal_mode_is_the_first_singular_vector(points):
-    """Two waves of different shape and frequency; the first carries most of the motion."""
-    y = (wave(0.3) + 0.5 * jnp.sin(4 * np.pi * F * T)[:, None] * wave(0.2))[:, :points]
-    steps = y.shape[0]
-    spectrum = np.fft.fft(y - y.mean(axis=0), axis=0)
-    spectrum[1 : steps // 2] *= 2.0
-    spectrum[steps // 2 + 1 :] = 0.0
-    in_time, size, in_space = np.linalg.svd(np.fft.ifft(spectrum, axis=0), full_matrices=False)
-    phase = in_time[0, 0] / abs(in_time[0, 0])
-    assert 0.05 < size[1] / size[0] < 0.6
-    expected = in_space[0] * phase * size[0] / np.sqrt(steps)
-    np.testing.assert_allclose(obs.orthogonal_mode(y), expected, atol=1e-12)
 
 
 def test_travelling_index_is_one_for_a_travelling_and_zero_for_a_standing_wave():
@@ -153,7 +137,7 @@ def everything(x):
     in_plane = jnp.stack(to_plane(F_tau, F_n, section.phi))
     velocity = jnp.stack(to_plane(section.V_tau, section.V_n, section.phi))
     return dict(
-        rates=obs.energy_rates(x),
+        rates=energy_rates(x),
         energy=obs.stored_energy(x).total,
         force=jnp.stack(to_plane(-head.T, -head.N, head.phi)),
         thrust=obs.thrust(x),
@@ -170,7 +154,7 @@ def test_every_observable_of_a_snapshot_is_differentiable():
 
     def saved(x):
         shape = (obs.midline(x), obs.lateral(x), obs.tip(x))
-        return everything(x), shape, obs.chamber_power(x), obs.clamp_power(x)
+        return everything(x), shape, obs.chamber_power(x), clamp_power(x)
 
     @jax.jit
     def last(C_d):
