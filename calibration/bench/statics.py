@@ -49,7 +49,13 @@ def levenberg_marquardt(linearised: Linearised, start: np.ndarray) -> Minimum:
 
     Raises `InputError` if the model has no solution at the start.
     """
-    known: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+    first = linearised(start)
+    if not np.isfinite(first[0]).all():
+        raise InputError(
+            "the model has no solution for the loads of this file at the given stiffness; check "
+            "loads, stiffness and units"
+        )
+    known = {start.tobytes(): first}
 
     def at(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         key = x.tobytes()
@@ -59,11 +65,6 @@ def levenberg_marquardt(linearised: Linearised, start: np.ndarray) -> Minimum:
             known[key] = (np.nan_to_num(residual, nan=1e6, posinf=1e6, neginf=-1e6), slope)
         return known[key]
 
-    if not np.isfinite(linearised(start)[0]).all():
-        raise InputError(
-            "the model has no solution for the loads of this file at the given stiffness; check "
-            "loads, stiffness and units"
-        )
     found = least_squares(
         lambda x: at(x)[0], start, lambda x: at(x)[1], method="lm", x_scale="jac", max_nfev=60
     )
