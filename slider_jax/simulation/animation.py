@@ -18,11 +18,10 @@ ARROW = 50.0
 def animate_run(
     run: TrialRun, folder: Path, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> Path:
-    """Writes `<stem>.gif` and returns its path; `progress(frames done, total)` is called per frame.
+    """Writes `<stem>.gif` and returns the path; calls `progress(frames done, total)` per frame.
 
-    The film shows the last two strides (or two seconds) in slow motion. The midline is coloured by
-    the net internal moment; arrows are the water's force per length. Below are thrust and recoil
-    with a cursor.
+    The film shows the last two strides (or two seconds) in slow motion. The midline's colour is the
+    net internal moment. Arrows show the water's force per length. Curves show thrust and recoil.
     """
     steps = last_strides(run, SHOWN_STRIDES * FRAMES_PER_STRIDE + 1, SHOWN_STRIDES, closed=True)
     figure, moving, move = _scene(run, steps)

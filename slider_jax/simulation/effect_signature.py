@@ -1,4 +1,4 @@
-"""Computes an effect's signature in the sensors: a stride with it minus the stride without it."""
+"""Computes an effect's signature: readings of a stride with the effect, minus those without."""
 
 from collections.abc import Callable
 from dataclasses import asdict
@@ -24,14 +24,14 @@ FREQUENCY = 4.8
 STRIDES = 8
 """Smallest number of simulated strides; the last stride is then steady."""
 MAX_HALVINGS = 3
-"""Largest number of halvings of a parameter at which the simulation fails."""
+"""Largest number of times that a parameter is halved because the simulation fails."""
 
 Series = dict[str, np.ndarray]
-"""Series of a stride by column of `CHANNELS`, in SI units."""
+"""Series of a stride in SI units, by the column in `CHANNELS`."""
 
 
 class Trace(NamedTuple):
-    """The last stride with one parameter of the effect at `size` and the others at their nulls."""
+    """The last stride with one parameter of the effect at `size`, all others at their nulls."""
 
     parameter: str
     size: float
@@ -51,7 +51,7 @@ class EffectSignature(NamedTuple):
     run: TrialRun
     """The simulation without the effect."""
     phase: np.ndarray
-    """Phase of the stride, in periods; time [s] for a drive without a frequency."""
+    """Phase of the stride, as a fraction of a period; time [s] for a recorded drive."""
     without: Series
     """The stride without the effect."""
     traces: tuple[Trace, ...]
@@ -66,7 +66,7 @@ class EffectSignature(NamedTuple):
 
 
 def built_in_experiment() -> Experiment:
-    """Returns the demo's robot at 4.8 Hz, with enough strides for a steady last one."""
+    """Returns the demo's robot at 4.8 Hz, with so many strides that the last stride is steady."""
     robot, assumed = asdict(Robot()), paper.Assumed()
     K_Q = robot.pop("K_Q")
     C_d, m_a = map(float, paper.force_coefficients(FREQUENCY))
@@ -88,7 +88,7 @@ def built_in_experiment() -> Experiment:
 
 
 def typical_size(prior: Prior) -> float:
-    """Returns the upper end of the prior range, or the lower end if the upper one is the null."""
+    """Returns the upper end of the prior range, or the lower end if the upper end is the null."""
     return prior.high if prior.high != prior.null else prior.low
 
 
@@ -97,8 +97,8 @@ def effect_signature(
 ) -> EffectSignature:
     """Returns the signature of an effect in the experiment's first trial, for each parameter.
 
-    A parameter is at the end of its prior range; if the simulation fails, it is halved up to three
-    times. A trial of fewer than eight strides is extended. Raises `SolverError` if all sizes fail.
+    Each parameter is at the end of its prior range. If the simulation fails, the value is halved up
+    to three times, and then `SolverError` is raised. Shorter trials are extended to eight strides.
     """
     trial = experiment.trials[0]
     if trial.frequency is not None:
@@ -140,7 +140,7 @@ def _largest(run: Callable[..., TrialRun], name: str, prior: Prior) -> tuple[flo
 
 
 def _last_stride(run: TrialRun) -> slice:
-    """Returns the steps of the last whole stride with both ends, else the last second."""
+    """Returns the steps of the last whole stride with both ends; without strides, a second."""
     length, end = run.grid.stride, run.grid.steps
     if run.grid.half_period:
         end = end // length * length
@@ -152,7 +152,7 @@ def _cut(run: TrialRun, shown: slice) -> Series:
 
 
 def plot_signature(shown: EffectSignature, path: Path) -> None:
-    """Draws each channel without and with the effect, and the difference on the right."""
+    """Draws each channel without and with the effect (left), and the difference (right)."""
     figure, axes = new_figure(len(CHANNELS), 2, figsize=(11, 10), sharex=True)
     for (left, right), channel in zip(axes, CHANNELS.values(), strict=True):
         name, unit, factor = channel.column, channel.plot_unit, channel.plot_factor

@@ -25,7 +25,7 @@ def run_title(run: TrialRun) -> str:
 def plot_run(run: TrialRun, rmse: dict[str, float] | None, folder: Path) -> None:
     """Writes `<stem>.png` (simulated and measured time series) and `<stem>_midlines.png`.
 
-    `rmse` is the root mean square of simulated minus measured, by column, in SI units.
+    `rmse` is the root mean square of simulated minus measured readings by column, in SI units.
     """
     stem = Path(run.trial.file).stem
     plot_series(run, rmse or {}, folder / f"{stem}.png")

@@ -12,7 +12,7 @@ from slider_jax.simulation.trial import TrialRun
 
 DEFINITIONS = {
     "mean_thrust_N": "mean over the averaged window; positive forward, along the clamp",
-    "thrust_std_N": "standard deviation of the stride means in the window; null for one stride",
+    "thrust_std_N": "standard deviation of the strides' mean thrusts; null for one stride",
     "recoil_rms_N": "root mean square over the window of the lateral force on the clamp",
     "tip_half_range_m": "half of (largest - smallest) lateral position of the tail's tip",
     "averaged": "the averaging window: the last half of the trial's whole strides, at least one; "
@@ -20,16 +20,16 @@ DEFINITIONS = {
     "frequency",
     "periodic": "whether the last two strides agree: mean thrust within 1 % (or 1 mN) and the "
     "tip's range within 1 %; null for a trial of less than two strides",
-    "rmse_to_measured": "root mean square of simulated minus measured, all samples of the trial's "
-    "file; null without a file",
+    "rmse_to_measured": "root mean square of simulated minus measured readings for all samples of "
+    "the trial's file; null without a file",
 }
 
 STEADY, STEADY_THRUST = 0.01, 1e-3
-"""Largest difference of equal strides, as a fraction, and alternatively of mean thrust [N]."""
+"""Largest difference of strides that count as equal, as a fraction, or of the mean thrust [N]."""
 
 
 def averaging_window(run: TrialRun) -> tuple[slice, int]:
-    """Returns the steps of the averaging window, without its first step, and its whole strides."""
+    """Returns the averaging window without its first step, and the number of its whole strides."""
     half, steps = run.grid.half_period, run.grid.steps
     if half is None:
         return slice(steps // 2 + 1, steps + 1), 0
@@ -48,9 +48,9 @@ def is_periodic(run: TrialRun) -> tuple[bool | None, str]:
     stride = 2 * half
     if steps < stride:
         period = stride * run.grid.h
-        return None, f"shorter than one stride ({period:.3g} s): means are over the whole trial"
+        return None, f"trial shorter than one stride ({period:.3g} s); means cover the whole trial"
     if steps < 2 * stride:
-        return None, "shorter than two strides: it is unknown whether it is periodic"
+        return None, "trial shorter than two strides; whether it is periodic is unknown"
     ends = steps - stride, steps
     before, last = (run.series["thrust"][i - stride + 1 : i + 1].mean() for i in ends)
     range_before, range_last = (np.ptp(run.series["tip"][i - stride : i + 1]) for i in ends)
@@ -63,13 +63,13 @@ def is_periodic(run: TrialRun) -> tuple[bool | None, str]:
     if not changes:
         return True, ""
     return False, (
-        f"not periodic: over the last two strides {' and '.join(changes)}; extend the trial "
+        f"not periodic: in the last two strides, the change is {' and '.join(changes)}; extend the trial "
         f"(duration = {2.0 * run.trial.duration:.3g})"
     )
 
 
 def rmse_to_measured(run: TrialRun) -> dict[str, float] | None:
-    """Returns the root mean square of simulated minus measured by column; None without a file."""
+    """Returns the rms of simulated minus measured readings by column; None without a file."""
     columns = run.prepared.measured
     if columns is None:
         return None
@@ -83,7 +83,7 @@ def rmse_to_measured(run: TrialRun) -> dict[str, float] | None:
 
 
 def trial_summary(experiment: Experiment, run: TrialRun) -> dict[str, Any]:
-    """Returns the quantities of `DEFINITIONS` for a trial, with coefficients, step and warnings."""
+    """Returns the quantities in `DEFINITIONS` of a trial, its coefficients, step and warnings."""
     span, strides = averaging_window(run)
     thrust, recoil = run.series["thrust"][span], run.series["recoil"][span]
     tip = run.series["tip"][span.start - 1 : span.stop]

@@ -26,15 +26,15 @@ from slider_jax.experiment.schema import Trial
 
 State = TypeVar("State")
 CHUNK = 250
-"""Steps per call of the compiled program, so that trials of all lengths share one program."""
+"""Number of steps per call of the compiled program. Trials of all lengths share this program."""
 
 
 @dataclass(frozen=True)
 class SavedSeries:
-    """The series that are saved at every step: the true reading of each channel.
+    """Series that are saved at every step: the true reading of each channel.
 
-    With `shape`, these are saved for plots too: `midline` (2, nodes) [m] relative to the head,
-    `moment` (nodes,) [N m], and `force` (2, cells), the effects' force per length [N/m].
+    `shape` adds three series for plots: `midline` (2, nodes) [m] relative to the head, `moment`
+    (nodes,) [N m], and `force` (2, cells), the effects' force per length [N/m].
     """
 
     channels: tuple[Channel, ...]
@@ -53,7 +53,7 @@ class SavedSeries:
         }
 
     def start(self, model: Model, midline: np.ndarray) -> dict[str, np.ndarray]:
-        """Returns the series for the initial state without force, and `midline` (2, nodes) [m]."""
+        """Returns the values at the start, without forces, for a `midline` (2, nodes) [m]."""
         values = {x.name: np.asarray(x.start(midline), float) for x in self.channels}
         values["p_front"] = np.asarray(model.drive.start_front)
         values["p_rear"] = np.asarray(model.drive.start_rear)
@@ -83,7 +83,7 @@ def advance_chunk(
     scheme: Scheme,
     steps: int,
 ) -> tuple[Any, Carry]:
-    """Runs `steps` steps of `h` [s] from `t0` [s]; returns the saved series and the final carry."""
+    """Runs `steps` steps of `h` [s] from `t0` [s]. Returns the saved series and the final carry."""
     times = TimeGrid(h, steps, t0)
     run = continued(begin, model, times, save, numerics, scheme)
     return run.saved, run.final
@@ -96,10 +96,10 @@ def run_chunks(
     chunk: int,
     after: Callable[[int, Any, State], None] = lambda done, saved, carry: None,
 ) -> tuple[list[Any], State]:
-    """Runs at least `steps` steps in chunks; returns the saved parts and the final carry.
+    """Runs at least `steps` steps in chunks. Returns the saved parts and the final carry.
 
-    `advance(done, carry)` runs one chunk after `done` steps and returns its saved series and carry.
-    `after(done, saved, carry)` is called after each chunk, with `done` at most `steps`.
+    After `done` steps, `advance(done, carry)` runs one chunk and returns the chunk's saved series
+    and carry. `after(done, saved, carry)` is called after each chunk, with `done` at most `steps`.
     """
     parts = []
     for done in range(0, steps, chunk):
@@ -111,11 +111,11 @@ def run_chunks(
 
 @dataclass(frozen=True)
 class TrialRun:
-    """A simulated trial; its series start with the initial state."""
+    """A simulated trial. All series start with the initial state."""
 
     prepared: PreparedTrial
     series: dict[str, np.ndarray]
-    """The series of `SavedSeries` (steps + 1, ...), with channels as the sensors record them."""
+    """The series of `SavedSeries` (steps + 1, ...); channels are readings of the sensors."""
     columns: dict[str, np.ndarray]
     """CSV columns (samples,): t_s and every channel at the trial's sample times."""
     factorisations: int
@@ -138,7 +138,7 @@ class TrialRun:
 def simulate_trial(
     experiment: Experiment, trial: Trial | int = 0, *, declared_drive: bool = False, **options: Any
 ) -> TrialRun:
-    """Prepares and simulate one trial, with the `options` of `simulate_prepared`."""
+    """Prepares and simulates one trial, with the `options` of `simulate_prepared`."""
     return simulate_prepared(prepare(experiment, trial, declared_drive=declared_drive), **options)
 
 
@@ -149,10 +149,10 @@ def simulate_prepared(
     progress: Callable[[int, int], None] = lambda done, total: None,
     chunk: int = CHUNK,
 ) -> TrialRun:
-    """Simulates a prepared trial and interpolate its series at the sample times.
+    """Simulates a prepared trial and interpolates the series at the sample times.
 
-    The robot starts straight and at rest relative to the clamp, without forces. With `shape`,
-    midlines, moments and forces are saved too. `progress(steps done, total)` is called after each
+    The robot starts straight and at rest relative to the clamp, without forces. With `shape`, the
+    result contains midlines, moments and forces. `progress(steps done, total)` is called after each
     chunk. Trials with the same waveform and mesh share one compiled program. Raises `SolverError`
     with the trial, time and step if a step does not converge.
     """

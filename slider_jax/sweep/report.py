@@ -1,4 +1,4 @@
-"""Files of a sweep: the table, its record, and a line or contour plot."""
+"""Writes the files of a sweep: table, settings, and a line or contour plot."""
 
 import json
 from pathlib import Path
@@ -15,7 +15,7 @@ DRAWN = (
     ("tip_half_range_m", "tip, half range (mm)", 1e3),
     ("chamber_power_W", "power of the chambers (mW)", 1e3),
 )
-"""Column, label with unit, factor from SI."""
+"""Column, label with unit, and factor from the SI unit to the unit in the label."""
 DRAWN_OF_SWIMMERS = (
     ("speed_m_per_s", "speed (cm/s)", 1e2),
     ("cost_of_transport", "cost of transport", 1.0),
@@ -25,7 +25,7 @@ DRAWN_OF_SWIMMERS = (
 
 
 def plotted_columns(sweep: Sweep) -> tuple[tuple[str, str, float], ...]:
-    """Returns the columns to plot: name, label with unit, factor from SI."""
+    """Returns the columns to plot, as in `DRAWN`."""
     return DRAWN_OF_SWIMMERS if sweep.swim else DRAWN
 
 
@@ -72,7 +72,7 @@ def _axis(axis: Axis) -> tuple[np.ndarray, str]:
 
 
 def plot_sweep(sweep: Sweep, table: dict[str, np.ndarray], path: Path) -> None:
-    """Plots lines over one field or filled contours over two; failed points are omitted."""
+    """Plots lines against one field, or contours against two fields, without failed points."""
     figure, axes = new_figure(2, 2, figsize=(10, 7), sharex=True)
     x, along = _axis(sweep.axes[0])
     for ax, (name, label, factor) in zip(axes.flat, plotted_columns(sweep), strict=True):
@@ -111,5 +111,5 @@ def plot_contours(figure, ax, x: np.ndarray, y: np.ndarray, values: np.ndarray, 
     for text in ax.clabel(lines, fontsize=8, fmt="%g"):
         place = (ax.transData + ax.transAxes.inverted()).transform(text.get_position())
         inside = np.all((0.05 < place) & (place < 0.95))
-        text.set_visible(bool(inside))  # the frame would cut the others
+        text.set_visible(bool(inside))  # the frame would cut hidden labels
     figure.colorbar(drawn, ax=ax, label=label, ticks=round_levels).add_lines(lines)

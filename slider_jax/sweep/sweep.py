@@ -1,4 +1,4 @@
-"""Sweeps over one or two fields of an experiment; an interrupted sweep resumes."""
+"""Simulates a trial for many values of one or two fields; an interrupted sweep resumes."""
 
 import hashlib
 import json
@@ -31,14 +31,14 @@ LARGEST_CHUNK = 8
 
 
 class Axis(NamedTuple):
-    """A field of the experiment, such as `trials.0.frequency`, and the values it takes."""
+    """A field of the experiment, such as `trials.0.frequency`, and the values of this field."""
 
     field: str
     values: tuple[float, ...]
 
     @classmethod
     def spaced(cls, field: str, start: float, stop: float, count: int) -> "Axis":
-        """Returns the axis with `count` evenly spaced values. Raises `InputError` if invalid."""
+        """Returns `count` evenly spaced values. Raises `InputError` for an invalid range."""
         if count < 2:
             raise InputError.value(f"--count of {field}", count, "2 or more values")
         if not np.isfinite([start, stop]).all() or start == stop:
@@ -54,7 +54,7 @@ class Axis(NamedTuple):
 
     @property
     def column(self) -> str:
-        """Names of the field's column in a table, with the unit."""
+        """Name of the field's column in a table, with the unit."""
         unit = self.unit.replace(" ", "_").replace("/", "_per_").replace("^", "")
         return f"{self.field}_{unit}" if unit and " of " not in self.unit else self.field
 
@@ -73,7 +73,7 @@ class Sweep(NamedTuple):
 
     @property
     def points(self) -> list[tuple[float, ...]]:
-        """Values of the axes at every point; the last axis varies fastest."""
+        """Values of the axes at every point. The values of the last axis change fastest."""
         grids = np.meshgrid(*(axis.values for axis in self.axes), indexing="ij")
         return [tuple(map(float, row)) for row in np.stack([g.ravel() for g in grids], axis=1)]
 
@@ -102,13 +102,13 @@ class Group(NamedTuple):
 
     plan: Plan
     members: BatchRobot
-    """Stacked along a first axis."""
+    """Robots of the points, stacked along the first axis."""
     points: np.ndarray
     """Indices of the points in the sweep."""
 
 
 def groups_of(sweep: Sweep) -> list[Group]:
-    """Returns the points grouped by compiled program; only fields of numerics need several.
+    """Returns the points, grouped by compiled program. Only `numerics` needs several programs.
 
     Raises `InputError` for a field that cannot be varied.
     """
@@ -123,7 +123,7 @@ def groups_of(sweep: Sweep) -> list[Group]:
             raise InputError(
                 f"--field {axis.field}: this field does not affect the strides of trial "
                 f"{sweep.trial}; allowed are numbers of robot, parameters, water, effects, "
-                "numerics, and of the trial itself (--trial)"
+                "numerics, and of the simulated trial (--trial)"
             )
     plans = list(dict.fromkeys(plan for plan, _ in cases))
     indices = [np.array([i for i, case in enumerate(cases) if case[0] == x]) for x in plans]
@@ -152,8 +152,8 @@ def _check(sweep: Sweep) -> None:
     for axis in sweep.axes:
         if axis.field.startswith("trials.") and axis.field.endswith(".duration"):
             raise InputError(
-                f"--field {axis.field}: a sweep ignores the duration; --strides sets the number of "
-                "strides, and --transient how many of them the means exclude"
+                f"--field {axis.field}: a sweep ignores the duration; --strides sets the number "
+                "of strides, and --transient the number of strides that the means exclude"
             )
 
 
@@ -166,7 +166,7 @@ def _case(sweep: Sweep, point: tuple[float, ...]) -> tuple[Plan, BatchRobot]:
     assert f is not None
     if "numerics.step" in values:
         steps = POSES * max(2, int(np.ceil(1.0 / (f * values["numerics.step"] * POSES) - 1e-9)))
-    # The cells follow the given robot, so that points with other lengths share a program.
+    # All points use the cells of the given robot, so that robots of all lengths share a program.
     meshed = experiment.model_copy(update={"robot": sweep.experiment.robot})
     plan = Plan(steps, sweep.strides, *to_numerics(meshed))
     model = to_model(experiment, sweep.trial)
@@ -174,7 +174,7 @@ def _case(sweep: Sweep, point: tuple[float, ...]) -> tuple[Plan, BatchRobot]:
 
 
 def _whole(field: str, value: float) -> float | int:
-    """Returns `value`, converted to an integer if the field is one."""
+    """Returns `value`, converted to an integer if the field is an integer."""
     _, info = field_at(Experiment, field.split("."))
     if info is None or info.annotation is not int:
         return value
@@ -185,7 +185,7 @@ def _whole(field: str, value: float) -> float | int:
 
 
 class Chunk(NamedTuple):
-    """A part of a group that is computed at once, and its file."""
+    """A part of a group that is computed in one call, and the file of its results."""
 
     group: int
     members: np.ndarray
@@ -215,8 +215,8 @@ def run_sweep(
     """Runs a sweep and returns its table, with one row for each point.
 
     Finished chunks are files in `folder`/partial, so an interrupted sweep resumes. `on_begin` gets
-    the total number of chunk-strides and the number already complete; `on_stride` is called after
-    each new one. Raises `InputError` if `partial` has other settings.
+    the total and the completed number of strides of all chunks. `on_stride` is called after each
+    stride of a chunk. Raises `InputError` if `partial` contains other settings.
     """
     groups, partial = groups_of(sweep), folder / "partial"
     chunks = _chunks(groups, _take_up(sweep, partial), partial)
@@ -260,7 +260,7 @@ def _gathered(sweep: Sweep, groups: list[Group], chunks: list[Chunk]) -> dict[st
 
 
 def _take_up(sweep: Sweep, partial: Path) -> int:
-    """Creates `partial`, or checks its settings. Returns the largest size of its chunks."""
+    """Creates `partial`, or checks the settings in it. Returns the largest size of the chunks."""
     settings, record = sweep.settings(), partial / "settings.json"
     if record.exists():
         found = json.loads(record.read_text())
@@ -268,7 +268,7 @@ def _take_up(sweep: Sweep, partial: Path) -> int:
             differ = [k for k in settings if settings[k] != found["settings"].get(k)]
             raise InputError(
                 f"{partial}: this folder holds an unfinished sweep with other settings "
-                f"({', '.join(differ)}); finish it, delete the folder, or give another --out"
+                f"({', '.join(differ)}); finish that sweep, delete the folder, or change --out"
             )
         return int(found["chunk"])
     size = chunks_of(len(sweep.points), LARGEST_CHUNK, available_cores()).size

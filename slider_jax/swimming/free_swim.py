@@ -1,4 +1,4 @@
-"""The free-swimming test: the steady speed by root finding, and by swimming from rest."""
+"""Simulates free swimming: the steady speed by root finding, and by swimming from rest."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -28,9 +28,9 @@ from slider_jax.swimming.performance import (
 from slider_jax.swimming.steady_state import MeanMotion, SteadySettings, simulate_strides
 
 AT_ONCE = 10
-"""Strides from rest between two checks of whether they repeat."""
+"""Number of strides from rest after which the program checks whether strides repeat."""
 REPEATS = 1e-4
-"""Largest relative change of speed between consecutive strides that count as repeating."""
+"""Largest relative change of speed between two strides at which strides count as repeating."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Swim:
     found: bool
     """Whether a steady speed was found."""
     performance: Performance
-    """Performance over the steady stride, or over the last stride from rest if there is none."""
+    """Performance over the steady stride, or over the last stride from rest if none was found."""
     stride: Stride
     """The stride that `performance` describes."""
     from_rest: np.ndarray
@@ -52,7 +52,7 @@ class Swim:
     gaining: float
     """Mean acceleration along the course at the end of `from_rest` [m/s^2]."""
     unresisted: np.ndarray | None
-    """`from_rest` without the effects that resist axial motion; None if the model has none."""
+    """As `from_rest`, without the effects that resist axial motion; None without such effects."""
     unresisted_gaining: float
     """Mean acceleration at the end of `unresisted` [m/s^2]."""
     resisting: str
@@ -65,7 +65,7 @@ class Swim:
 
     @property
     def difference(self) -> float:
-        """Relative difference of the steady speed from that of the last stride from rest."""
+        """Relative difference of the steady speed from the speed of the last stride from rest."""
         return float(self.performance.speed) / self.from_rest[-1] - 1.0
 
 
@@ -86,14 +86,17 @@ def _seen(model: Model, frequency, carry: Carry, search: SteadySettings):
 def _from_rest(
     model: Model, f: jax.Array, search: SteadySettings, least: int, most: int
 ) -> tuple[np.ndarray, MeanMotion, Carry, bool]:
-    """Returns speeds at every tenth stride until they repeat, last motion and state, repeats."""
+    """Returns speeds at every tenth stride, the last motion and state, and whether they repeat.
+
+    The simulation ends when strides repeat, after `least` strides or more, or after `most` strides.
+    """
     carry, speeds = at_rest(model, search.numerics), []
     while True:
         carry, pace = _some_strides(model, f, carry, search)
         if not bool(carry.ok):
             raise SolverError(
-                f"swimming: a time step did not converge at {float(carry.failed_at):.4g} s of a "
-                "stride; try a shorter numerics.step, lower pressures or a stiffer tail"
+                f"swimming: a time step did not converge at {float(carry.failed_at):.4g} s of the "
+                "drive; try a shorter numerics.step, lower pressures or a stiffer tail"
             )
         speeds.append(float(pace.speed))
         gained = abs(float(pace.acceleration)) / float(f)
@@ -108,15 +111,12 @@ def resisting(model: Model) -> str:
 
 
 def free_swimmer(experiment: Experiment, trial: Trial) -> tuple[float, Model]:
-    """Returns frequency [Hz] and free robot of a trial. Raises `InputError` if it cannot swim."""
+    """Returns frequency [Hz] and free robot of a trial. Raises `InputError` for invalid trials."""
     return stride_frequency(trial), to_swimmer(to_model(experiment, trial))
 
 
 def steady_settings(experiment: Experiment, frequency: float) -> SteadySettings:
-    """Returns settings with the experiment's mesh and an even number of steps in a stride.
-
-    No step is longer than the experiment's.
-    """
+    """Returns settings with the experiment's mesh and longest step, and even steps per stride."""
     numerics, scheme = to_numerics(experiment)
     steps = 2 * half_period_steps(frequency, experiment.numerics.step)
     return SteadySettings(steps_per_stride=steps, numerics=numerics, scheme=scheme)
@@ -160,7 +160,7 @@ def simulate_free_swim(
 
 
 def swim_record(swim: Swim) -> dict[str, Any]:
-    """Returns the results for JSON, in SI units, by names with units."""
+    """Returns the results for JSON in SI units; each name ends in its unit."""
     return {
         "file": swim.trial.file,
         "frequency_Hz": swim.trial.frequency,

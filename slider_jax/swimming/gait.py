@@ -1,4 +1,4 @@
-"""Gaits (drive and tail), and models of the robot that swims freely or climbs a wall."""
+"""Defines gaits (drive and tail), and models of a robot that swims freely or climbs a wall."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -23,18 +23,18 @@ LINK = 0.03
 
 
 class Gait(NamedTuple):
-    """A drive and a tail, SI units; the six variables of the paper's optimisation."""
+    """A drive and a tail in SI units: the six variables of the paper's optimisation."""
 
     frequency: Scalar
-    """Frequency f [Hz]."""
+    """Stride frequency f [Hz]."""
     front: Scalar
-    """P_head, amplitude of the front chamber's set pressure [Pa]."""
+    """Amplitude P_head of the front chamber's set pressure [Pa]."""
     rear: Scalar
-    """P_tail, amplitude of the rear chamber's set pressure [Pa]."""
+    """Amplitude P_tail of the rear chamber's set pressure [Pa]."""
     phase: Scalar
-    """phi, delay of the rear chamber as a fraction of a period."""
+    """Delay phi of the rear chamber's set pressure, as a fraction of a period."""
     tail_length: Scalar
-    """L_tail [m]"""
+    """Length L_tail of the tail [m]."""
     EI_tail: Scalar
     """Bending stiffness of the tail [N m^2]."""
 
@@ -42,7 +42,7 @@ class Gait(NamedTuple):
 def to_swimmer(model: Model, gait: Gait | None = None) -> Model:
     """Returns the model without support in still water, with the `gait` if given.
 
-    Raises `InputError` if an effect moves the water, because the speed is relative to still water.
+    Raises `InputError` if an effect moves the water, because the speed is relative to the water.
     """
     moving = of_place(model.effects, WaterMotion)
     if moving:
@@ -73,8 +73,8 @@ def to_climber(
     for effect in model.effects:
         if effect.lacks_weight:
             raise InputError(
-                f"effects: given {effect.name()}, which has inertia but no weight here; "
-                "remove it to climb"
+                f"effects: given {effect.name()}, which has inertia but no weight in this "
+                "model; remove this effect to simulate climbing"
             )
     if gait is not None:
         model = driven(model, gait)

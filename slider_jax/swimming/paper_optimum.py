@@ -1,4 +1,4 @@
-"""The paper's optimal swimmer as an experiment, and its published performance."""
+"""Defines the paper's optimal swimmer as an experiment, and the published performance."""
 
 from collections.abc import Callable
 from dataclasses import asdict
@@ -12,15 +12,15 @@ from slider_jax.experiment.load import Experiment, assemble, load
 from slider_jax.swimming.gait import CAP, Gait
 
 HEAD_DRAG = 1.79e-3
-"""Form-drag area [m^2] of the head, calibrated so that this model's speed at the paper's optimum is
-the measured one."""
+"""Form-drag area [m^2] of the head, calibrated so that this model's speed at the paper's optimum
+equals the measured speed."""
 
 PAPER_GAIT = Gait(6.3, 448e3, 414e3, 0.14, 0.053, 0.017)
 """The paper's optimal gait."""
 
 
 class Published(NamedTuple):
-    """A quantity in the paper: value of the paper's model, and measured value."""
+    """A quantity in the paper: the value of the paper's model, and the measured value."""
 
     model: float
     experiment: float | None
@@ -33,8 +33,9 @@ PUBLISHED = {
     "tail_slope": Published(0.57, None),
     "shape_tail_slope": Published(0.51, None),
 }
-"""By the names of `swim_record`. 0.57 is the tail slope that the paper states; its amplitude and
-wavelength give 0.51. A sine with A/(lambda/4) = 0.51 has a root mean square slope of 0.57."""
+"""Published values by the names of `swim_record`. The paper states the tail slope 0.57. With the
+paper's tail amplitude A and wavelength lambda, A/(lambda/4) is 0.51. A sine with this A and lambda
+has a root mean square slope of 0.57."""
 
 
 def swimmer_content(**trial: Any) -> dict[str, Any]:
@@ -59,10 +60,7 @@ def optimum() -> Experiment:
 
 
 def example_climber() -> Experiment:
-    """Returns the experiment of the built-in robot with a climbing drive.
-
-    The paper does not state its climbing drive.
-    """
+    """Returns the built-in robot with an assumed climbing drive; the paper does not state one."""
     content = swimmer_content(file="climb.csv", frequency=2.0, amplitude=CAP)
     return assemble(content | {"effects": []}, "the built-in climber", Path("."))
 
@@ -70,7 +68,7 @@ def example_climber() -> Experiment:
 def given_or(
     default: Callable[[], Experiment], path: Path | None, model: Path | None
 ) -> Experiment:
-    """Returns the experiment at `path` with the overrides of `model`, or the default if no path.
+    """Returns the experiment at `path` with the overrides of `model`; without path, the default.
 
     Raises `InputError` as `load` does, and for a model file without an experiment.
     """

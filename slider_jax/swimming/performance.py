@@ -1,4 +1,4 @@
-"""Performance of a swimmer over a stride: the quantities of the paper's table."""
+"""Computes the performance of a swimmer over a stride: the quantities of the paper's table."""
 
 from collections.abc import Callable
 from typing import Any
@@ -30,7 +30,7 @@ class Stride(eqx.Module):
     """One stride of a swimmer, sampled at the end of each time step."""
 
     t: Float[Array, " steps"]
-    """Time [s] from the start of the previous stride."""
+    """Time [s] of the drive."""
     midline: Float[Array, "steps 2 nodes"]
     """Midlines [m] in the plane, from tail to head."""
     velocity: Float[Array, "steps 2"]
@@ -48,42 +48,42 @@ class Stride(eqx.Module):
 
 
 class Performance(eqx.Module):
-    """Scalars over one stride. Amplitudes are measured perpendicular to the course."""
+    """Quantities of one stride at frequency f. Amplitudes are perpendicular to the course."""
 
     speed: Scalar
-    """U [m/s], of the centre of mass along its course; negative if the tail leads."""
+    """Speed U [m/s] of the centre of mass along the course; negative if the tail leads."""
     wavelength: Scalar
-    """lambda [m] of the body wave."""
+    """Wavelength lambda [m] of the body wave."""
     wave_speed: Scalar
-    """V = lambda f [m/s]."""
+    """Speed V = lambda f [m/s] of the body wave."""
     travelling_index: Scalar
-    """1 for a travelling wave, 0 for a standing one, whose lambda and V mean little."""
+    """1 for a travelling wave, 0 for a standing wave. lambda and V need a travelling wave."""
     power: Scalar
-    """P [W], mean power of the chambers on the body."""
+    """Mean power P [W] of the chambers on the body."""
     thrust: Scalar
-    """T [N], mean force along the course that balances the effects that resist axial motion."""
+    """Mean force T [N] along the course that balances the effects that resist axial motion."""
     froude_efficiency: Scalar
-    """T U / P [-]"""
+    """T U/P [-]"""
     slender_efficiency: Scalar
-    """(1 + U/V)/2 [-], of a slender body in an ideal fluid (Lighthill 1960)."""
+    """Efficiency (1 + U/V)/2 [-] of a slender body in an ideal fluid (Lighthill 1960)."""
     force_efficiency: Scalar
-    """T / P [N/W]"""
+    """T/P [N/W]"""
     cost_of_transport: Scalar
-    """P / (m g U) [-]"""
+    """P/(m g U) [-], with the weight m g of the robot."""
     tail_amplitude: Scalar
-    """A_t [m], half of the tail tip's peak-to-peak excursion."""
+    """Tail amplitude A_t [m], half of the tip's peak-to-peak excursion."""
     head_amplitude: Scalar
     """Half of the head's peak-to-peak excursion [m]: the recoil of the free body."""
     strouhal: Scalar
-    """2 A_t f / U [-]"""
+    """2 A_t f/U [-]"""
     tail_slope: Scalar
-    """A_t / (lambda/4) [-]"""
+    """A_t/(lambda/4) [-]"""
     shape_wavelength: Scalar
-    """Wavelength [m] of the body's shape; defined for a standing wave too."""
+    """Wavelength [m] of the body's shape, which is defined for a standing wave too."""
     shape_tail_slope: Scalar
-    """A_t / (shape_wavelength/4) [-]"""
+    """A_t/(shape_wavelength/4) [-]"""
     turning: Scalar
-    """Turn of the course [rad] per stride, positive to the left."""
+    """Turn of the course [rad] in one stride, positive to the left."""
 
 
 def next_stride(model: Model, frequency, carry: Carry, search: SteadySettings) -> Stride:
@@ -169,7 +169,7 @@ def names_with_units(values: dict[str, Any], units: dict[str, str]) -> dict[str,
 
 
 def performance_columns(found: Performance) -> dict[str, Scalar]:
-    """Returns the quantities by their names with units."""
+    """Returns the quantities; each name ends in its unit."""
     return names_with_units(vars(found), UNITS)
 
 
@@ -184,6 +184,6 @@ def compile_swim(
 
 
 def performance_table(found: Performance, ok: Array) -> dict[str, np.ndarray]:
-    """Returns the quantities (robots,) by their names with units; NaN where not `ok`."""
+    """Returns the quantities (robots,), with units in the names; NaN where not `ok`."""
     columns = performance_columns(found)
     return {name: np.where(ok, np.asarray(values), np.nan) for name, values in columns.items()}

@@ -1,4 +1,4 @@
-"""Table, summary and picture of a free swim."""
+"""Writes the table, the summary and the picture of free swimming."""
 
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ ROWS = (
     ("head_amplitude_m", "head amplitude", "mm", 1e3),
     ("turning_rad_per_stride", "turning, per stride", "mrad", 1e3),
 )
-"""Name in `swim_record`, label, displayed unit, factor from SI to it."""
+"""Name in `swim_record`, label, displayed unit, factor from the SI unit to the displayed unit."""
 
 
 def value_lines(record: dict[str, Any], rows: tuple[tuple[str, str, str, float], ...]) -> list[str]:
@@ -40,7 +40,7 @@ def value_lines(record: dict[str, Any], rows: tuple[tuple[str, str, str, float],
 
 
 def swim_table(row: dict[str, Any], published: dict[str, Published]) -> str:
-    """Returns the table of the quantities, beside the paper's values if `published`."""
+    """Returns the table of the quantities, with the paper's values if `published` contains any."""
     head = f"{'':36}{'here':>10}"
     if published:
         head += f"{'paper model':>14}{'ratio':>8}{'measured':>12}{'ratio':>8}"
@@ -54,14 +54,17 @@ def swim_table(row: dict[str, Any], published: dict[str, Published]) -> str:
 
 
 def swim_summary(swim: Swim) -> list[str]:
-    """Returns sentences on how the speed was reached, and on the speed without resistance."""
+    """Returns sentences about the steady speed, and about the speed without resistance."""
     end = swim.from_rest[-1]
     count = AT_ONCE * len(swim.from_rest)
     root, rest = f"{1e2 * float(swim.performance.speed):.2f} cm/s", f"{1e2 * end:.2f} cm/s"
     gaining = f"{1e2 * swim.gaining:+.2g} cm/s^2"
     if swim.found and swim.repeats:
         off = f"{1e2 * swim.difference:+.2f} %"
-        lines = [f"steady speed {root}; from rest, strides repeat at {rest} after {count} ({off})"]
+        lines = [
+            f"steady speed {root} by root finding; from rest, strides repeat at {rest} after "
+            f"{count} strides (difference {off})"
+        ]
     elif swim.found:
         lines = [
             f"steady speed {root} by root finding; from rest, {rest} after {count} strides with "
@@ -92,7 +95,7 @@ def swim_summary(swim: Swim) -> list[str]:
 
 
 def stride_columns(swim: Swim) -> dict[str, np.ndarray]:
-    """Returns the columns of the stride's table; positions are relative to the first midline."""
+    """Returns the columns of a stride's table; positions are relative to the first midline."""
     steps = swim.search.steps_per_stride
     stride = jax.tree.map(np.asarray, swim.stride)
     place = stride.midline - stride.midline[0].mean(axis=1)[:, None]

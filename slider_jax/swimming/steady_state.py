@@ -1,4 +1,4 @@
-"""Steady swimming: the speed at which the mean force along the course vanishes over a stride.
+"""Finds the steady speed, at which the mean force along the course vanishes over a stride.
 
 Shape, recoil and turning settle within a few strides, so time stepping computes them. The speed
 settles slowly, so a secant method finds it as a root:
@@ -12,8 +12,8 @@ new speed and swims some more strides. The implicit function theorem gives the d
 
     dU* = (U_theta - a_theta U_delta / a_delta) dtheta
 
-U and a belong to two strides that follow some settling strides. These start from the steady state
-with the speed increased by delta.
+Indices denote derivatives with respect to a parameter theta and to delta. U and a belong to two
+strides after settling strides, which start from the steady state with a speed increased by delta.
 """
 
 from typing import NamedTuple
@@ -35,9 +35,9 @@ class SteadySettings(NamedTuple):
     """Settings of the root finding for the steady speed."""
 
     settling: int = 6
-    """Strides from the straight start until the gait has settled; also before derivatives."""
+    """Number of settling strides from the straight start, and of strides for derivatives."""
     between: int = 2
-    """Index of the last stride after a change of speed over which the mean motion is taken."""
+    """Number of strides between a change of speed and the last stride of the mean motion."""
     corrections: int = 7
     """Number of secant steps."""
     second: float = 0.15
@@ -50,7 +50,7 @@ class SteadySettings(NamedTuple):
 
 
 STRIDES_BEFORE_START = 20.0
-"""Strides of the drive before the start of the simulation: longer than any valve delay."""
+"""Number of strides of the drive before the simulation starts: longer than any valve delay."""
 
 
 class MeanMotion(eqx.Module):
@@ -76,8 +76,8 @@ class Steady(eqx.Module):
     ok: Bool[Array, ""]
     """Whether every time step and the root finding converged.
 
-    A speed is steady if it changes by less than 0.2 % in a stride and the next secant step is less
-    than 2 % of it.
+    A speed is steady if it changes by less than 0.2 % in a stride, and if the next secant step is
+    less than 2 % of the speed.
     """
 
     @property
@@ -117,10 +117,7 @@ def velocity_and_heading(x: Snapshot) -> Float[Array, "2 2"]:
 
 
 def mean_motion(before: Float[Array, "2"], mean, ahead, frequency) -> MeanMotion:
-    """Returns the mean motion from the mean velocities of two strides and the head's direction.
-
-    `ahead` need not be normalised.
-    """
+    """Returns the mean motion from the mean velocities of two strides and the direction `ahead`."""
     both = 0.5 * (before + mean)
     size = jnp.sqrt(jnp.sum(both**2) + 1e-18)
     side = jnp.where(both @ ahead < 0.0, -1.0, 1.0)
@@ -177,7 +174,7 @@ def steady_speed(
 ) -> Float[Array, ""]:
     """Returns the steady speed [m/s], NaN if none is found.
 
-    It is differentiable with respect to model and frequency, by the implicit function theorem.
+    The speed is differentiable in model and frequency, by the implicit function theorem.
     """
     held, f = jax.tree.map(jax.lax.stop_gradient, (model, frequency))
     found = jax.tree.map(jax.lax.stop_gradient, find_steady(held, f, search))

@@ -231,5 +231,5 @@ def test_a_tip_mass_is_refused(tmp_path, capsys):
     text = to_toml(coarse()) + '\n[[effects]]\nname = "tip_mass"\nmass = 0.001\n'
     (tmp_path / "wall.toml").write_text(text)
     assert main(["climb", str(tmp_path / "wall.toml"), "--out", str(tmp_path / "out")]) == 2
-    assert "tip_mass, which has inertia but no weight here" in capsys.readouterr().err
+    assert "tip_mass, which has inertia but no weight in this model" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

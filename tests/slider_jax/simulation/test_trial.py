@@ -227,11 +227,11 @@ def test_trials_of_less_than_two_strides_say_so(short):
 
     assert is_periodic(cut(1.9)) == (
         None,
-        "shorter than two strides: it is unknown whether it is periodic",
+        "trial shorter than two strides; whether it is periodic is unknown",
     )
     periodic, warning = is_periodic(cut(0.8))
     assert periodic is None
-    assert "shorter than one stride (0.25 s): means are over the whole trial" in warning
+    assert "trial shorter than one stride (0.25 s); means cover the whole trial" in warning
     assert averaging_window(cut(0.8)) == (slice(1, cut(0.8).grid.steps + 1), 0)
 
 
