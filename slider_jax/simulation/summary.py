@@ -63,7 +63,7 @@ def is_periodic(run: TrialRun) -> tuple[bool | None, str]:
     if not changes:
         return True, ""
     return False, (
-        f"not periodic: in the last two strides, the change is {' and '.join(changes)}; extend the trial "
+        f"not periodic: the last two strides differ: {' and '.join(changes)}; extend the trial "
         f"(duration = {2.0 * run.trial.duration:.3g})"
     )
 
