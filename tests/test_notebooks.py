@@ -40,7 +40,7 @@ def calibrating_drag_and_added_mass(found):
 
 
 def designing_a_tail(found):
-    """Map, gradient and genetic algorithm agree on the fastest tail."""
+    """Maps, gradient and genetic algorithm agree on the fastest tail."""
     on_map, climbed = 100 * np.nanmax(found["on_grid"]), 100 * np.nanmax(found["heights"])
     assert climbed > 0.97 * on_map and 100 * found["bred"].score > 0.97 * on_map
     assert climbed > 1.5 * 100 * found["heights"][0]

@@ -62,7 +62,7 @@ class ManifoldLog:
 
     @property
     def command_Pa(self) -> np.ndarray:
-        """Set gauge pressure [Pa]."""
+        """Sets gauge pressure [Pa]."""
         return PA_PER_PSI * psi(self.command)
 
     @property

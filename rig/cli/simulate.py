@@ -50,7 +50,7 @@ def rig_simulate(
         experiment: experiment file whose robot, water and effects are simulated (default: a tail
             in air).
         rig_file: rig file to write, for `slider rig run --rig`.
-        model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
+        model: TOML file. Its [robot], [parameters], [[effects]] override those of the experiment.
         flipped: fraction of the bytes on the serial line with a flipped bit, 0 to 0.5.
         dropped: fraction of the bytes on the serial line that are lost, 0 to 0.5.
         noise: standard deviation of the measured pressures, in Pa.

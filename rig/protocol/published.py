@@ -70,7 +70,7 @@ class LogRow(NamedTuple):
 
     @property
     def command_Pa(self) -> float:
-        """Set gauge pressure [Pa]."""
+        """Sets gauge pressure [Pa]."""
         return counts_to_pascal(self.command)
 
     @property

@@ -46,7 +46,7 @@ def play_drive(
     watch: Callable[[float], None] = lambda t: None,
     fade: float = 0.0,
 ) -> PlaybackRecord:
-    """Plays a drive immediately and returns the commands' lateness.
+    """Playses a drive immediately and returns the commands' lateness.
 
     `watch` is called with each command's time [s]. An error of `watch` ends the trial. After
     `duration`, the amplitude decreases as a squared cosine for `fade` [s]. After an abrupt end, the

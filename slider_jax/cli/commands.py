@@ -84,7 +84,7 @@ COMMANDS = {
         "rig.cli.run:rig_run", "runs and records the trials of an experiment on the rig", jax=False
     ),
     "rig log": Subcommand(
-        "rig.cli.log:rig_log", "records pressure logs of the published firmware", jax=False
+        "rig.cli.log:rig_log", "records pressure logs with the published firmware", jax=False
     ),
     "rig replay": Subcommand(
         "rig.cli.replay:rig_replay", "converts recordings to CSV, or plays one back", jax=False

@@ -27,7 +27,7 @@ def prepare_jax() -> None:
 
     `JAX_COMPILATION_CACHE_DIR` sets another folder. `SLIDER_CACHE=off` disables the cache.
     """
-    # XLA logs a warning during long compilations. It looks like an error, but errors are raised.
+    # During long compilations XLA logs a warning that looks like an error. Real errors are raised.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     from slider_jax.precision import enable_float64
 

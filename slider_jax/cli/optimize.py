@@ -23,10 +23,10 @@ class SearchOptions:
         experiment: experiment file (.toml) with the properties of robot and water that are not
             optimised. The first trial must have a square wave (default: the paper's robot, with
             the head's form drag fitted to the measured speed).
-        model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
+        model: TOML file. Its [robot], [parameters], [[effects]] override those of the experiment.
         population: number of individuals in a generation. In `multimodal`, an optimisation that
             starts from a known design uses a quarter of this number.
-        generations: total number of generations, also those before an interruption. In
+        generations: total number of generations, including generations before an interruption. In
             `multimodal`, an optimisation that starts from a known design uses half of this number.
         seed: seed of the random numbers.
         resume: continue an interrupted optimisation in DIR.
@@ -36,7 +36,7 @@ class SearchOptions:
             stride has a third more time steps.
         coordinator: host and port at which the first of several processes listens; not needed under
             SLURM (default: none).
-        processes: number of processes.
+        processes: number of processes that compute together.
         process: number of this process, counted from 0.
     """
 

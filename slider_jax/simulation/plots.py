@@ -1,4 +1,4 @@
-"""Plots a simulated trial: the sensors' readings, and midlines over the last stride."""
+"""Plots a simulated trial: the sensors' readings, and midlines of the last stride."""
 
 from pathlib import Path
 
@@ -59,7 +59,7 @@ def plot_series(run: TrialRun, rmse: dict[str, float], path: Path) -> None:
 
 
 def last_strides(run: TrialRun, frames: int, strides: int = 1, closed: bool = False) -> np.ndarray:
-    """Returns `frames` step indices spread evenly over the last strides (or seconds).
+    """Returns `frames` evenly spaced step indices of the last `strides` strides (or seconds).
 
     `closed` includes the last step.
     """

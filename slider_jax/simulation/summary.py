@@ -11,14 +11,14 @@ from slider_jax.io.files import input_file, versions
 from slider_jax.simulation.trial import TrialRun
 
 DEFINITIONS = {
-    "mean_thrust_N": "mean over the averaged window; positive forward, along the clamp",
+    "mean_thrust_N": "mean thrust in the averaging window; positive forward, along the clamp",
     "thrust_std_N": "standard deviation of the strides' mean thrusts; null for one stride",
-    "recoil_rms_N": "root mean square over the window of the lateral force on the clamp",
-    "tip_half_range_m": "half of (largest - smallest) lateral position of the tail's tip",
-    "averaged": "the averaging window: the last half of the trial's whole strides, at least one; "
-    "the whole trial if it is shorter than a stride; the second half of a trial without a "
-    "frequency",
-    "periodic": "whether the last two strides agree: mean thrust within 1 % (or 1 mN) and the "
+    "recoil_rms_N": "root mean square of the lateral force on the clamp in the averaging window",
+    "tip_half_range_m": "half of the range of the lateral position of the tail's tip in the window",
+    "averaged": "the averaging window: the last half of the trial's whole strides, at least one "
+    "stride. It is the whole trial if this is shorter than a stride, and the second half of a "
+    "trial with a recorded drive",
+    "periodic": "whether the last two strides agree: the mean thrust within 1 % or 1 mN, and the "
     "tip's range within 1 %; null for a trial of less than two strides",
     "rmse_to_measured": "root mean square of simulated minus measured readings for all samples of "
     "the trial's file; null without a file",

@@ -54,7 +54,7 @@ class Axis(NamedTuple):
 
     @property
     def column(self) -> str:
-        """Name of the field's column in a table, with the unit."""
+        """Names of the field's column in a table, with the unit."""
         unit = self.unit.replace(" ", "_").replace("/", "_per_").replace("^", "")
         return f"{self.field}_{unit}" if unit and " of " not in self.unit else self.field
 

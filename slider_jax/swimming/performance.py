@@ -40,7 +40,7 @@ class Stride(eqx.Module):
     power: Float[Array, " steps"]
     """Power [W] of the chambers on the body."""
     velocity_before: Float[Array, "2"]
-    """Mean velocity [m/s] over the previous stride."""
+    """Mean velocity [m/s] in the previous stride."""
     ahead: Float[Array, "2"]
     """Mean direction of the body towards the head, not normalised."""
     ok: Bool[Array, ""]

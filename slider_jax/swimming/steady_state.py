@@ -35,9 +35,9 @@ class SteadySettings(NamedTuple):
     """Settings of the root finding for the steady speed."""
 
     settling: int = 6
-    """Number of settling strides from the straight start, and of strides for derivatives."""
+    """Number of strides from the straight start, and before derivatives, to settle the gait."""
     between: int = 2
-    """Number of strides between a change of speed and the last stride of the mean motion."""
+    """Number of strides after a change of speed, before the last stride of the mean motion."""
     corrections: int = 7
     """Number of secant steps."""
     second: float = 0.15
