@@ -211,7 +211,7 @@ print(f"strongest period {period[inside][np.argmax(power[1:][inside])]:.1f} code
 
 # %%
 table = thrust_change(outcome)
-for name in ("lag of the paper", "lag that fits the logs best", "with what was found"):
+for name in ("lag of the paper", "lag that fits the logs best", "with the added effects"):
     x = table[name]
     print(
         f"{name:<28} {1e-3 * x['pressure_half_range_Pa']:4.0f} kPa reached, "

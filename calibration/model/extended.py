@@ -1,7 +1,7 @@
 """The extended model: all candidate effects at their null, with all parameters in one vector.
 
-One compiled program serves every candidate, alone or combined: a refit with another set of effects
-changes other entries of the same vector, and a tangent is one JVP along an entry.
+One compiled program can fit any set of candidates. Each candidate has its entries in the vector.
+The tangent of a parameter is one Jacobian-vector product (JVP) along the entry.
 """
 
 from collections.abc import Sequence
@@ -20,16 +20,16 @@ from slider_jax.effects.library import LIBRARY
 from slider_jax.experiment.load import Experiment, drag_and_added_mass
 
 BASE = {
-    "C_d": Prior(np.nan, 0.0, 12.0, "-", "2 for a plate in steady flow, more at small strokes"),
+    "C_d": Prior(np.nan, 0.0, 12.0, "-", "2 for a plate in steady flow, more for small strokes"),
     "m_a": Prior(np.nan, 0.0, 2.0, "-", "1 for a thin plate in potential flow"),
     "k": Prior(np.nan, 0.005, 0.5, "s", "valves and hoses of such rigs"),
-    "K_Q": Prior(np.nan, 1e-8, 1e-5, "m^3", "area times lever arm of a chamber of this size"),
+    "K_Q": Prior(np.nan, 1e-8, 1e-5, "m^3", "area times lever arm of such a chamber"),
 }
-"""Parameters of the base model that are identified, with their search ranges."""
+"""Parameters of the base model that a calibration identifies, with their search ranges."""
 
 
 class Parameter(NamedTuple):
-    """An entry of the parameter vector; `effect` is "" for a parameter of the base model."""
+    """An entry of the parameter vector. `effect` is "" for a parameter of the base model."""
 
     effect: str
     name: str
@@ -41,7 +41,7 @@ class Parameter(NamedTuple):
 
 
 def model_parameters(effects: Sequence[str]) -> list[Parameter]:
-    """Returns the vector's entries: the base model's parameters, then those of `effects`."""
+    """Returns the entries of the vector: the base parameters, then the parameters of `effects`."""
     base = [Parameter("", name, prior) for name, prior in BASE.items()]
     return base + [
         Parameter(effect, name, prior)
@@ -56,18 +56,18 @@ def candidate_effects() -> list[str]:
 
 
 class ExtendedModel(eqx.Module):
-    """A trial's base model and candidate effects."""
+    """The base model of a trial, and candidate effects."""
 
     base: Model
     conditions: dict[str, Array]
-    """Values that effects take from the trial, by the names of their fields."""
+    """Values that an effect takes from the trial. The key is the name of the effect's field."""
     effects: tuple[str, ...] = eqx.field(static=True)
     channels: tuple[Channel, ...] = eqx.field(
         static=True, default_factory=lambda: tuple(CHANNELS.values())
     )
 
     def at(self, theta: Float[Array, " parameters"]) -> Model:
-        """Returns the model with its parameters from the vector `theta`, in SI units."""
+        """Returns the model with the parameters of the vector `theta`, in SI units."""
         values = dict(
             zip(((p.effect, p.name) for p in model_parameters(self.effects)), theta, strict=True)
         )
@@ -96,7 +96,7 @@ class ExtendedModel(eqx.Module):
 
 
 def base_vector(entries: Sequence[Parameter], base: dict[str, float]) -> np.ndarray:
-    """Returns the vector with the base model's `base` values and every effect at its null."""
+    """Returns the vector with the base parameters `base` and every effect at its null."""
     return np.array([p.prior.null if p.effect else base[p.name] for p in entries])
 
 

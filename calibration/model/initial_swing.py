@@ -1,10 +1,9 @@
-"""The robot's residual swing at the start of a trial, treated as noise.
+"""The remaining swing of the robot at the start of a trial, treated as noise.
 
-Drag that grows with the square of speed damps a small swing slowly: its amplitude falls as 1/t. A
-trial therefore begins with some swing, of unknown phase. The swing has the shape of the first
-bending mode, approximated by the deflection under a uniform load. Its two amplitudes, of position
-and of speed, are noise of the size that the experiment declares. The model gives their effect on
-each channel.
+The drag is proportional to the squared speed, so a small swing decays slowly: its amplitude is
+proportional to 1/t. A trial therefore begins with a swing of unknown phase. The shape of the swing
+is the first bending mode, approximated by the deflection under a uniform load. The initial position
+and speed of the swing are random, with the standard deviation that the experiment declares.
 """
 
 from typing import NamedTuple
@@ -25,18 +24,18 @@ from slider_jax.experiment.load import Experiment
 
 
 class SwingMode(NamedTuple):
-    """Shape and frequency of the first mode; the tip's displacement is 1 m to the left."""
+    """Shape and frequency of the first bending mode. The tip's displacement is 1 m to the left."""
 
     angle: Float[Array, " nodes"]
-    """[rad]"""
+    """Angle of the body [rad]."""
     place: Float[Array, " nodes"]
     """Lateral displacement [m]."""
     frequency: Float[Array, ""]
-    """[rad/s], by Rayleigh's quotient."""
+    """Angular frequency [rad/s], from Rayleigh's quotient."""
 
 
 def first_mode(model: Model, numerics: Numerics) -> SwingMode:
-    """Returns the clamped body's first mode in water, from its deflection under a uniform load."""
+    """Returns the first mode of the clamped body in water, from the bending by a uniform load."""
     mesh = make_mesh(model.body, numerics)
     grid, structure = mesh.grid, mesh.structure
     curvature = grid.mid(grid.s) ** 2 / structure.EI
@@ -59,9 +58,9 @@ def first_mode(model: Model, numerics: Numerics) -> SwingMode:
 
 @eqx.filter_jit
 def _along(model: Model, numerics: Numerics):
-    """Returns the initial state's tangents along position and speed, and the mode's frequency.
+    """Returns the tangents of the initial state, and the angular frequency [rad/s] of the mode.
 
-    The tangents are padded to `DIRECTIONS`.
+    The first two of `DIRECTIONS` tangents are along the swing's position and speed.
     """
     mode, carry = first_mode(model, numerics), at_rest(model, numerics)
 
@@ -78,10 +77,10 @@ def _along(model: Model, numerics: Numerics):
 
 
 def swing_spans(p: TrialPlan, theta: np.ndarray, size: float) -> np.ndarray:
-    """Returns the readings' changes (2, channels, samples) by initial position and speed.
+    """Returns the changes (2, channels, samples) of the readings by initial position and speed.
 
-    Each change is for one standard deviation of a swing of `size` [m], linearised about the trial
-    at `theta`. It is 0 if not finite, for example after a failed step.
+    Position and speed change by one standard deviation of a swing with tip deviation `size` [m].
+    The changes are linearised at `theta`. A value that is not finite, as after a failed step, is 0.
     """
     d_carry, frequency = _along(p.extended.at(jnp.asarray(theta)), p.numerics)
     initial = np.zeros((DIRECTIONS, len(CHANNELS)))
@@ -94,6 +93,6 @@ def swing_spans(p: TrialPlan, theta: np.ndarray, size: float) -> np.ndarray:
 def declared_swing_spans(
     experiment: Experiment, p: TrialPlan, theta: np.ndarray
 ) -> np.ndarray | None:
-    """Returns `swing_spans` for the swing that an experiment declares; None if it has none."""
+    """Returns `swing_spans` for the swing that an experiment declares, or None without a swing."""
     size = experiment.sensors.start_swing
     return swing_spans(p, theta, size) if size > 0.0 else None

@@ -1,4 +1,4 @@
-"""Predicted sensor readings of a trial for a parameter vector, and their tangents."""
+"""Predicts the sensor readings of a trial for a parameter vector, and the readings' tangents."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -34,16 +34,16 @@ from slider_jax.experiment.schema import Trial
 from slider_jax.simulation.trial import run_chunks
 
 BLOCK = 500
-"""Steps or samples per call of a compiled program, so that trials of all lengths share it."""
+"""Number of steps or samples per call of a compiled program, which serves trials of any length."""
 DIRECTIONS = 8
-"""Tangents per call of the compiled program."""
+"""Number of tangents per call of the compiled program."""
 
 
 @dataclass(frozen=True)
 class Resolution:
-    """Number of nodes, fewest steps per stride, longest step [s] and time scheme.
+    """Number of nodes, smallest number of steps per stride, longest step [s] and time scheme.
 
-    It replaces the [numerics] of an experiment, so that errors are small compared with the noise.
+    A resolution replaces the [numerics] of an experiment, to keep errors below the noise.
     """
 
     nodes: int
@@ -53,15 +53,15 @@ class Resolution:
 
 
 FINE = Resolution(101, 200, 2.0e-3)
-"""For residuals. With 51 nodes, the search explained the discretisation error by a softer tail
-(2.5 %)."""
+"""Resolution for residuals. With 51 nodes, the discretisation error makes the identified tail 2.5 %
+too soft."""
 COARSE = Resolution(31, 80, 4.0e-3)
-"""For tangents, which need only a tenth of the accuracy."""
+"""Resolution for tangents, which may have ten times larger errors than residuals."""
 
 
 @dataclass(frozen=True)
 class TrialPlan:
-    """One trial of the extended model on its time grid."""
+    """One trial of the extended model, with the time grid of the simulation."""
 
     trial: Trial
     extended: ExtendedModel
@@ -79,9 +79,9 @@ def plan_trial(
     resolution: Resolution,
     at: np.ndarray | None = None,
 ) -> TrialPlan:
-    """Returns a trial's model and grids; `at` (n,) are the sample times [s] (default: the file's).
+    """Returns the model and the grids of a trial. Raises `InputError` for an unusable trial.
 
-    A prepared trial has its own sample times. Raises `InputError` for an unusable trial.
+    `at` (n,) are sample times [s] (default: times of the data file). A prepared trial ignores `at`.
     """
     if isinstance(trial, PreparedTrial):
         prepared = trial
@@ -103,7 +103,7 @@ def plan_trial(
 
 
 def _chunk(extended: ExtendedModel, theta, carry: Carry, h, t0, numerics: Numerics, scheme: Scheme):
-    """Returns the true readings (BLOCK, channels) of `BLOCK` more steps, and the last state."""
+    """Returns the true readings (BLOCK, channels) of the next `BLOCK` steps, and the last state."""
 
     def save(x: Snapshot):
         return jnp.stack([channel.observe(x) for channel in extended.channels])
@@ -114,7 +114,7 @@ def _chunk(extended: ExtendedModel, theta, carry: Carry, h, t0, numerics: Numeri
 
 
 def _read(extended: ExtendedModel, theta, t, series):
-    """Returns the readings (channels - 2, n) of true `series` (n, channels), without pressures."""
+    """Returns readings (channels - 2, n) of the true `series` (n, channels), without pressures."""
     names = [channel.name for channel in extended.channels]
     true = dict(zip(names, series.T, strict=True))
     read = recorded_series(extended.at(theta).effects, t, true)
@@ -122,7 +122,7 @@ def _read(extended: ExtendedModel, theta, t, series):
 
 
 def recorded_pressures(model: Model, t):
-    """Returns p_front and p_rear (2, n) at regular times `t`, by exact steps between the times."""
+    """Returns the readings p_front and p_rear (2, n) [Pa] at evenly spaced times `t` (n,) [s]."""
     begin = start_chambers(model)
     front, rear = jnp.concatenate([begin.p[None], chamber_history(model, begin, t).p]).T
     zero = jnp.zeros_like(t)
@@ -137,7 +137,7 @@ def _pressures(extended: ExtendedModel, theta, t):
 def _along(function, arguments, directions):
     """Returns the tangents of function(*arguments) along `directions`.
 
-    Each argument's directions have an additional leading axis.
+    The directions of an argument have its shape and an additional first axis.
     """
     dynamic, static = eqx.partition(arguments, eqx.is_inexact_array)
 
@@ -184,7 +184,7 @@ def _chambers_along(extended: ExtendedModel, theta, t, d_theta):
 
 
 def _sample_grid(at: np.ndarray) -> np.ndarray:
-    """Returns regular times from 0 that include the sample times `at`, in whole blocks."""
+    """Returns evenly spaced times from 0, in whole blocks, that include the sample times `at`."""
     spacing = divided_step(float(np.median(np.diff(at))), LONGEST_STEP)
     before = np.ceil(at[0] / spacing - 1e-9)
     n = -(-(round((at[-1] - at[0]) / spacing) + int(before) + 2) // BLOCK) * BLOCK
@@ -196,22 +196,22 @@ def _sample_grid(at: np.ndarray) -> np.ndarray:
 def _sampled(p: TrialPlan, body: np.ndarray, pressures: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Returns series (..., channels, samples) at the trial's sample times.
 
-    `body` (..., channels - 2, steps) is interpolated. `pressures` (..., 2, n) are at the times `t`,
-    which include the sample times.
+    `body` (..., channels - 2, steps) is interpolated. `pressures` (..., 2, n) are at the times `t`
+    (n,) [s], which include the sample times.
     """
     lead = body.shape[:-2]
     flat = body.reshape(-1, body.shape[-1])[:, : p.grid.steps + 1].T
     at_samples = sample_series(p.grid.times, flat, p.at, p.grid.edges).T.reshape(
         *lead, -1, len(p.at)
     )
-    # t[0] is 0, so the first interval may be shorter than the others.
+    # t[0] is 0, so the first interval may be shorter than all other intervals.
     index = 1 + np.round((p.at - t[1]) / (t[2] - t[1])).astype(int)
     index = np.clip(index, 0, len(t) - 1)
     return np.concatenate([pressures[..., index], at_samples], axis=-2)
 
 
 def predict_readings(p: TrialPlan, theta: np.ndarray) -> np.ndarray:
-    """Returns the readings (channels, samples) of a trial, NaN after a failed step."""
+    """Returns the readings (channels, samples) of a trial. Readings after a failed step are NaN."""
     series, failed_at = _series(p, jnp.asarray(theta))
     t = p.grid.h * np.arange(len(series))
     read = np.array(_recorded(p.extended, jnp.asarray(theta), jnp.asarray(t), series))
@@ -222,7 +222,7 @@ def predict_readings(p: TrialPlan, theta: np.ndarray) -> np.ndarray:
 
 
 def _series(p: TrialPlan, theta) -> tuple[Array, float]:
-    """Returns the true series (n, channels) from t = 0 on, and the time of a failed step or inf."""
+    """Returns the true series (n, channels) from t = 0, and the time of a failed step or inf."""
     carry = _begin(p.extended, theta, p.numerics)
     start = jnp.concatenate([carry.chambers.p, jnp.zeros(len(p.extended.channels) - 2)])[None]
     h = jnp.asarray(p.grid.h)
@@ -236,7 +236,7 @@ def _series(p: TrialPlan, theta) -> tuple[Array, float]:
 
 
 def reading_tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Returns derivatives (k, channels, samples) of readings along `directions` (k, entries)."""
+    """Returns tangents (k, channels, samples) of the readings along `directions` (k, entries)."""
     at, grid = jnp.asarray(theta), _sample_grid(p.at)
     series, _ = _series(p, at)
     t = jnp.asarray(p.grid.h * np.arange(len(series)))
@@ -250,7 +250,7 @@ def reading_tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) ->
 
 
 def by_directions(function, directions: np.ndarray) -> np.ndarray:
-    """Returns `function` of all `directions` (k, n), called with `DIRECTIONS` of them at a time."""
+    """Returns `function` of `directions` (k, n), called with `DIRECTIONS` directions at a time."""
     padded = np.zeros((-(-len(directions) // DIRECTIONS), DIRECTIONS, directions.shape[1]))
     padded.reshape(-1, directions.shape[1])[: len(directions)] = directions
     found = [np.asarray(function(jnp.asarray(block))) for block in padded]
@@ -260,10 +260,10 @@ def by_directions(function, directions: np.ndarray) -> np.ndarray:
 def initial_state_tangents(
     p: TrialPlan, theta: np.ndarray, d_carry: Carry, initial: np.ndarray
 ) -> np.ndarray:
-    """Returns the readings' derivatives (`DIRECTIONS`, channels, samples) by the initial state.
+    """Returns tangents (`DIRECTIONS`, channels, samples) of the readings along initial states.
 
-    `d_carry` holds the state's tangents, with a leading axis. `initial` (`DIRECTIONS`, channels)
-    are those of the readings at t = 0. The initial pressures do not change.
+    `d_carry` has the tangents of the initial state, with an additional first axis. `initial`
+    (`DIRECTIONS`, channels) has the tangents of the readings at t = 0; pressures do not change.
     """
     at = jnp.asarray(theta)
     series, _ = _series(p, at)
@@ -298,6 +298,6 @@ def _carried_along(p: TrialPlan, theta, d_theta, d_carry) -> Array:
 
 
 def on_all_cores(work, items: list) -> list:
-    """Returns `work(item)` for every item, in order, computed on one thread per core."""
+    """Returns `work(item)` for every item, in the order of `items`, with one thread per core."""
     with ThreadPoolExecutor(max_workers=available_cores()) as pool:
         return list(pool.map(work, items))

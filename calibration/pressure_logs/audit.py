@@ -1,10 +1,11 @@
-"""Audit of the rig's pressure logs: faults of the instrument, such as codes of unequal width.
+"""Audits the rig's pressure logs: faults of the instrument, such as codes of unequal width.
 
-A converter reads a code that is too narrow too seldom. The noise in counts is larger there, because
-a count is a smaller pressure. Signals also make uneven histograms. The null distribution therefore
-uses the same logs, smoothed, with new white noise and rounding. The codes are unequal if two
-criteria hold at one period: the density varies more than in every null sample, and the noise is
-high where the density is low.
+The density of a converter's code is its number of readings, divided by the expected number. A code
+that is too narrow has a low density and a high noise in counts, because a count is a smaller
+pressure. Signals also make densities uneven. The test therefore compares with null samples: the
+same logs, smoothed, with new white noise and rounding. Codes have unequal widths if two criteria
+hold at one period. The density varies more than in every null sample, and the noise is high where
+the density is low.
 """
 
 from collections.abc import Sequence
@@ -18,44 +19,44 @@ from calibration.measurements.records import Action, Finding, masked_finding
 from calibration.pressure_logs.read import PSI_PER_COUNT, ManifoldLog
 
 PERIODS = np.geomspace(3.0, 48.0, 400)
-"""Periods of the density that are examined [codes]."""
+"""Periods [codes] at which the density is tested."""
 HISTOGRAM_WIDTH = 12.0
-"""Smoothing width [codes] that gives the expected histogram."""
+"""Width [codes] of the smoothing that gives the expected histogram."""
 SIGNAL_WIDTH = 8.0
-"""Smoothing width [samples] of a log in a null sample."""
+"""Width [samples] of the smoothing of a log in a null sample."""
 LEAST_COUNT = 8.0
-"""Expected readings below which a code is ignored."""
+"""Smallest expected number of readings for which a code is examined."""
 NULLS = 40
-"""Null samples."""
+"""Number of null samples."""
 RARE = 0.5
-"""A code is rare if it is read less often than this share of its expected readings."""
+"""A code is rare if its density is below this value."""
 OPPOSED = -0.8
-"""Codes are unequal if log density and log noise correlate below this over the wave's phase."""
+"""Codes have unequal widths if the correlation of log density and log noise is below this value."""
 
 
 class CodeDensity(NamedTuple):
-    """The density of a sensor's codes: how often each is read, over how often it should be."""
+    """The density of a sensor's codes: number of readings divided by the expected number."""
 
     amplitude: float
-    """Relative amplitude of the density at its strongest period."""
+    """Relative amplitude of the density's strongest wave."""
     null: np.ndarray
-    """(nulls,) amplitudes of the null samples at their strongest periods."""
+    """Relative amplitudes (nulls,) of the strongest waves in the null samples."""
     period: float
-    """Strongest period [codes]."""
+    """Period [codes] of the strongest wave."""
     opposed: float
-    """Correlation of log density with log noise over the wave's phase; -1 for unequal widths."""
+    """Correlation of log density and log noise in one period; near -1 for unequal widths."""
     dnl: float
-    """Largest error of a code's width over the wave's phase [codes]."""
+    """Largest error [codes] of a code's width in one period."""
     inl: float
-    """Half the range of a reading's error [codes]: the cumulative sum of the width errors."""
+    """Half of the range of a reading's error [codes]. The error is the sum of all width errors."""
     missing: list[int]
-    """Codes with expected readings that were never read."""
+    """Codes that were expected but never read."""
     rare: list[int]
-    """Codes read less often than `RARE` times their expected readings."""
+    """Codes with a density below `RARE`."""
 
     @property
     def significance(self) -> float:
-        """The amplitude minus the null's mean, in standard deviations of the null."""
+        """Amplitude minus the mean of the null samples, divided by their standard deviation."""
         return float((self.amplitude - self.null.mean()) / max(float(self.null.std()), 1e-12))
 
     @property
@@ -67,10 +68,10 @@ class CodeDensity(NamedTuple):
 def code_density(
     series: Sequence[np.ndarray], seed: int = 0, nulls: int = NULLS
 ) -> CodeDensity | None:
-    """Returns the code density of one sensor from its readings (n,) in whole codes, one per log.
+    """Returns the code density of one sensor. `series` has an array (n,) of readings for each log.
 
-    Returns None if the readings or their codes are too few. `seed` determines the `nulls` null
-    samples.
+    Returns None for readings that are not integers, and for too few readings or codes. `seed`
+    determines the `nulls` null samples.
     """
     logs = [np.asarray(x, float) for x in series if len(x) > 4 * SIGNAL_WIDTH]
     if not logs or any((x != np.round(x)).any() for x in logs):
@@ -98,7 +99,7 @@ def code_density(
 
 
 def _null(logs: Sequence[np.ndarray], rng: np.random.Generator) -> list[np.ndarray]:
-    """Returns the smoothed logs with new white noise of the same size, in codes."""
+    """Returns a null sample: the smoothed logs with new white noise of the same size, in codes."""
     found = []
     for x in logs:
         noise = float(np.sqrt(max(np.mean(np.diff(x, 4) ** 2) / 70.0 - 1.0 / 12.0, 0.0)))
@@ -108,7 +109,7 @@ def _null(logs: Sequence[np.ndarray], rng: np.random.Generator) -> list[np.ndarr
 
 
 def _histogram(logs: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns the codes, their readings, and the readings expected from neighbouring codes."""
+    """Returns codes, their numbers of readings, and expected numbers of readings, each (codes,)."""
     low, high = (int(f([f(x) for x in logs])) for f in (np.min, np.max))
     codes = np.arange(low, high + 1)
     seen, expected = np.zeros(len(codes)), np.zeros(len(codes))
@@ -120,7 +121,7 @@ def _histogram(logs: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def _strongest(codes: np.ndarray, seen: np.ndarray, expected: np.ndarray) -> tuple[float, float]:
-    """Returns relative amplitude and length [codes] of the density's strongest period."""
+    """Returns relative amplitude and period [codes] of the strongest wave in the density."""
     looked = expected > LEAST_COUNT
     x, share = codes[looked], seen[looked] / expected[looked] - 1.0
     weight = np.minimum(expected[looked], np.median(expected[looked]))
@@ -139,13 +140,13 @@ def _over_phase(
     expected: np.ndarray,
     period: float,
 ) -> tuple[np.ndarray, float]:
-    """Returns density (bins,) over the wave's phase and its log's correlation with log noise."""
+    """Returns the density (bins,) in one period, and the correlation of log density with noise."""
     bins = max(min(12, int(period)), 3)
     phase = ((codes % period) / period * bins).astype(int)
     noise, many = np.zeros(len(codes)), np.zeros(len(codes))
     for x in logs:
-        # Code and noise come from different samples: a large noise may carry its own sample to a
-        # rare code, which would correlate noise and density.
+        # Code and noise come from different samples. Otherwise, a large noise may move a sample to
+        # a rare code, and this would correlate noise and density.
         at = np.round(0.5 * (x[:-4] + x[4:]) - codes[0]).astype(int)
         np.add.at(noise, at, np.abs(np.diff(x[1:-1], 2)))
         np.add.at(many, at, 1.0)
@@ -162,20 +163,20 @@ def _over_phase(
 
 
 FULL_DUTY, DUTY_PER_COUNT = 250.0, 10.0
-"""The firmware's law: duty = min(250, 10 |error in counts|), to one valve or the other."""
+"""Law of the published firmware: duty = min(250, 10 |error in counts|); one valve is closed."""
 DUTY_ERROR = 1.5
-"""Largest rounding error of the duty, in its unit."""
+"""Largest rounding error of a duty (0 to 255)."""
 MAX_ERROR_SHARE = 0.01
-"""Share of the samples that may break the law without a finding."""
+"""Fraction of the samples that may contradict the control law without a finding."""
 MAX_JITTER = 1.0
-"""Largest error of the sample times without a finding [samples]."""
+"""Largest error of the sample times [samples] without a finding."""
 
 
 def audit_logs(logs: Sequence[ManifoldLog]) -> list[Finding]:
-    """Returns the faults of the logs and of their common sensor.
+    """Returns the faults of the logs and of the sensor that recorded all logs.
 
     The audit lists repaired rows, clipped readings, valve duties that contradict the firmware's
-    law, sample times that contradict the command, and codes of unequal width.
+    control law, sample times that contradict the command, and codes of unequal width.
     """
     findings = []
     for log in logs:
@@ -199,22 +200,22 @@ def audit_logs(logs: Sequence[ManifoldLog]) -> list[Finding]:
 
 
 def _unequal(found: CodeDensity) -> str:
-    """Returns a sentence on the unequal pressure codes, in counts and psi."""
+    """Returns the text of the finding on unequal pressure codes, in counts and psi."""
     rare = f"; {len(found.rare)} codes are rare" if found.rare else ""
-    rare += f", {len(found.missing)} missing" if found.missing else ""
+    rare += f"; {len(found.missing)} codes are missing" if found.missing else ""
     return (
-        "the pressure codes have unequal widths: their density varies by "
-        f"{found.amplitude:.0%} with a period of {found.period:.1f} counts "
-        f"({found.significance:.0f} standard deviations above smooth signals with the same "
-        "noise), and the noise is high where the density is low (correlation "
-        f"{found.opposed:.2f}){rare}. The error of a width is up to {found.dnl:.2f} counts and of "
-        f"a reading up to {found.inl:.1f} counts or {found.inl * PSI_PER_COUNT:.2f} psi: the "
-        "cause is the converter, not the pneumatics"
+        "the pressure codes have unequal widths. The density of the codes varies by "
+        f"{found.amplitude:.0%} with a period of {found.period:.1f} counts, "
+        f"{found.significance:.0f} standard deviations more than for smooth signals with the same "
+        "noise. The noise is high where the density is low (correlation "
+        f"{found.opposed:.2f}){rare}. The error of a width is up to {found.dnl:.2f} counts. The "
+        f"error of a reading is up to {found.inl:.1f} counts or {found.inl * PSI_PER_COUNT:.2f} "
+        "psi. The cause is the converter, not the pneumatics"
     )
 
 
 def _duties(log: ManifoldLog) -> list[Finding]:
-    """Returns a finding if valve duties contradict the error of their own row."""
+    """Returns a finding if valve duties contradict the pressure error in the same row."""
     error = log.command - log.pressure
     law = np.minimum(FULL_DUTY, DUTY_PER_COUNT * np.abs(error))
     fill, vent = np.where(error > 0.0, law, 0.0), np.where(error > 0.0, 0.0, law)
@@ -223,14 +224,14 @@ def _duties(log: ManifoldLog) -> list[Finding]:
         return []
     first = float(log.t[np.argmax(wrong)])
     detail = (
-        f"{wrong.mean():.1%} of the valve duties differ from min(250, 10 |error|) of their own "
-        f"row, first at {first:.3f} s: the columns have different times, or the firmware differs"
+        f"{wrong.mean():.1%} of the valve duties differ from min(250, 10 |error|) in the same row, "
+        f"first at {first:.3f} s: the columns have different times, or the firmware differs"
     )
     return [Finding(log.path.name, "duty", "valves", first, None, detail, "used")]
 
 
 def _times(log: ManifoldLog) -> list[Finding]:
-    """Returns a finding if the command, a sine of the firmware's clock, contradicts the times."""
+    """Returns a finding if the sine command contradicts the sample times."""
     turn = 2.0 * np.pi * log.frequency * log.t
     columns = np.stack([np.cos(turn), np.sin(turn), np.ones_like(turn)], axis=1)
     a, b, c = np.linalg.lstsq(columns, log.command)[0]
@@ -243,7 +244,7 @@ def _times(log: ManifoldLog) -> list[Finding]:
     if worst <= MAX_JITTER:
         return []
     detail = (
-        f"the command is up to {1e3 * worst * log.period:.1f} ms late or early against the sine "
-        "of the header: samples are missing or late"
+        f"the command is up to {1e3 * worst * log.period:.1f} ms earlier or later than a sine with "
+        "the frequency of the header: samples are missing or late"
     )
     return [Finding(log.path.name, "clock", "t_s", None, None, detail, "used")]

@@ -1,4 +1,4 @@
-"""Closes the loop on the rig's pressure logs; its report adds the effect on thrust."""
+"""Closes the loop on the rig's pressure logs. The report also states the change of the thrust."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -38,16 +38,16 @@ def close_loop_on_logs(
     progress: Callable[[str], None] = lambda text: None,
     memo: Memo | None = None,
 ) -> LoopOutcome:
-    """Returns the effects that the pressure-lag model lacks on the rig's logs.
+    """Returns the outcome of the loop: effects that the pressure-lag model lacks in the rig's logs.
 
-    `effects` are the candidates' names (default: all effects that a log can show). Every second
-    log, in order of frequency, is held out. Raises `InputError` for fewer than five logs.
+    `effects` are the names of the candidates (default: all effects that a log can show). Every
+    second log, in the order of frequency, is held out. Raises `InputError` for too few logs.
     """
     least = 2 * DEFAULT_SETTINGS.min_trials - 1
     if len(logs) < least:
         raise InputError(
-            f"{len(logs)} logs given; the search for an effect needs {least} or more, at different "
-            "frequencies, because it holds out every second log"
+            f"{len(logs)} logs given; the search for effects needs {least} or more logs at "
+            "different frequencies, because it holds out every second log; give more logs"
         )
     logs = sorted(logs, key=lambda log: log.frequency)
     names = tuple(log_candidates() if effects is None else effects)
@@ -72,7 +72,7 @@ def close_loop_on_logs(
 def log_report(
     outcome: LoopOutcome, logs: Sequence[ManifoldLog], seconds: Callable[[], float]
 ) -> dict[str, Any]:
-    """Returns the content of report.json; `seconds()` is the time since the loop began [s]."""
+    """Returns the content of report.json. `seconds()` is the time [s] since the loop began."""
     record = loop_record(outcome, 0.0, {"logs": [input_file(log.path) for log in logs]})
     record["errors_psi"] = {
         part: {c: {k: v / PA_PER_PSI for k, v in row.items()} for c, row in record[part].items()}
@@ -84,9 +84,9 @@ def log_report(
 
 
 def thrust_change(outcome: LoopOutcome) -> dict[str, Any]:
-    """Returns the built-in robot's thrust at 4.8 Hz with three pressure models.
+    """Returns the built-in robot's thrust at `FREQUENCY` with three pressure models.
 
-    The models are the paper's lag, the lag that fits best, and the model with the found effects.
+    The models are the paper's lag, the lag that fits best, and the model with the added effects.
     """
     k = [p.label for p in outcome.entries].index("k")
     pairs = list(zip(outcome.entries, outcome.final.theta, strict=True))
@@ -103,15 +103,15 @@ def thrust_change(outcome: LoopOutcome) -> dict[str, Any]:
         "robot": "built-in",
         "lag of the paper": built_in_last_stride({"k": PRESSURE_LAG}, []),
         "lag that fits the logs best": built_in_last_stride({"k": best}, []),
-        "with what was found": built_in_last_stride({"k": final}, effects),
+        "with the added effects": built_in_last_stride({"k": final}, effects),
     }
 
 
 def built_in_last_stride(parameters: Mapping[str, float], effects: list[dict]) -> dict[str, float]:
     """Returns the last stride of the built-in robot at `FREQUENCY`, with a given pressure model.
 
-    `parameters` and `effects` replace the robot's, in the format of an experiment file. Raises
-    `SolverError` if a step fails.
+    `parameters` and `effects` are in the format of an experiment file. Raises `SolverError` if a
+    step fails.
     """
     experiment = built_in_experiment()
     content = experiment.model_dump() | {"effects": effects}

@@ -1,4 +1,4 @@
-"""The pressure lag of a set of logs, with residuals and confidence intervals."""
+"""Identifies the pressure lag of a set of logs, with residuals and confidence intervals."""
 
 import math
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from calibration.pressure_logs.residual_shape import ResidualShape, shape_of, wh
 from slider_jax.errors import InputError
 
 PAPER_K = 0.087
-"""k [s] of the paper's rig."""
+"""Time constant k [s] of the paper's rig."""
 
 
 def rms(values: np.ndarray) -> float:
@@ -29,7 +29,7 @@ def rms(values: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class LogResult:
-    """One log with its own k, and its residuals [psi] (samples,), measured minus free run."""
+    """One log with its own k. Residuals (samples,) [psi] are measured pressure minus free run."""
 
     log: ManifoldLog
     k: Interval
@@ -45,12 +45,12 @@ class LogResult:
 
     @property
     def fixed(self) -> bool:
-        """Whether this log determines k, inside the search range."""
+        """Whether this log determines k within the search range."""
         return self.converged and self.k.fixed and PLAUSIBLE[0] < self.k.value < PLAUSIBLE[1]
 
     @property
     def rms_held(self) -> float:
-        """RMSE [psi] of a constant pressure at the first sample; a useful model has a lower one."""
+        """RMSE [psi] of a constant pressure, the first sample. A useful model has a lower RMSE."""
         measured = psi(self.log.pressure)
         return rms(measured - measured[0])
 
@@ -61,33 +61,33 @@ class Identification:
 
     logs: tuple[LogResult, ...]
     k: Interval
-    """For the population of such logs: the interval includes the spread between logs."""
+    """Common k. The interval includes the spread between logs and is valid for further logs."""
     within: Interval
-    """For these logs only."""
+    """Common k with an interval that is valid for these logs only."""
 
     def pooled_rmse(self, which: str, settled: bool = False) -> float:
-        """Returns the root of the mean over logs of their mean squares [psi]: equal weights.
+        """Returns the root of the mean of all logs' mean squares [psi]; logs have equal weights.
 
-        `which` is `before`, `after` or `pooled`; `settled` omits the first cycle.
+        `which` is the residual `before`, `after` or `pooled`. `settled` omits the first cycle.
         """
         pairs = [(getattr(x, which), x.log) for x in self.logs]
         values = [r[whole_cycles(log)] if settled else r for r, log in pairs]
         return math.sqrt(np.mean([rms(r) ** 2 for r in values]))
 
     def sample_rmse(self, which: str) -> float:
-        """Returns the root mean square over all samples of all logs [psi]: long logs weigh more."""
+        """Returns the rms [psi] of all samples of all logs; long logs have more weight."""
         return rms(np.concatenate([getattr(x, which) for x in self.logs]))
 
     @property
     def floor(self) -> float:
-        """White noise of the sensor [psi], pooled with equal weights of the logs."""
+        """Standard deviation [psi] of the sensor's white noise; logs have equal weights."""
         return rms(np.array([x.shape.floor for x in self.logs]))
 
 
 def identify_lag(logs: Sequence[ManifoldLog]) -> Identification:
-    """Fits the lag to every log and to all together.
+    """Fits the lag to every log, and to all logs together.
 
-    Raises `InputError` if the logs together do not determine k.
+    Raises `InputError` if all logs together do not determine k.
     """
     batch = LogBatch.of(logs)
     each = fit_each(batch)
@@ -100,8 +100,8 @@ def identify_lag(logs: Sequence[ManifoldLog]) -> Identification:
     if not (bool(np.all(common.converged)) and within.fixed):
         raise InputError(
             f"{', '.join(log.path.name for log in logs)}: these logs do not determine the lag k "
-            f"(interval {within.low:.3g} to {within.high:.3g} s, allowed within a factor of 10); "
-            "give logs with a larger pressure change, more cycles or more frequencies"
+            f"(95 % interval {within.low:.3g} to {within.high:.3g} s; allowed ratio of the ends: "
+            "10); give logs with a larger pressure change, more cycles or more frequencies"
         )
     results = [
         LogResult(

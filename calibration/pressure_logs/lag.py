@@ -1,4 +1,4 @@
-"""The pressure lag k from logs: the free run of a lag, and its least-squares fit by gradient."""
+"""Fits the pressure lag k to logs: the free run of a lag, and least squares with tangents."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -15,26 +15,25 @@ from slider_jax.actuation import FirstOrderLag, Recorded
 from slider_jax.actuation.waveform import Segment
 
 PLAUSIBLE = (0.01, 1.0)
-"""Search range of k [s], chosen before the data were seen: from a bare valve to a long hose that
-leaks."""
+"""Search range of k [s], chosen before the measurements: from a bare valve to a long leaky hose."""
 BLOCK = 1024  # samples
 _STARTS = np.linspace(np.log(PLAUSIBLE[0]), np.log(PLAUSIBLE[1]), 25)
 
 
 class LogBatch(eqx.Module):
-    """Logs padded to equal length: arrays (logs, samples), in psi."""
+    """Logs, padded to equal length: arrays (logs, samples), pressures in psi."""
 
     set_point: Segment
-    """The command between samples: (logs, samples - 1)."""
+    """Linear segments of the command between samples, (logs, samples - 1)."""
     pressure: Float[Array, "logs samples"]
     weight: Float[Array, "logs samples"]
     """1 for a sample, 0 for padding."""
 
     @classmethod
     def of(cls, logs: Sequence[ManifoldLog]) -> "LogBatch":
-        """Returns the batch of `logs`; the padding repeats the last command with weight 0.
+        """Returns the batch of `logs`. The padding repeats the last command with weight 0.
 
-        The length is a multiple of `BLOCK`, so that sets of similar logs share compiled programs.
+        The length is a multiple of `BLOCK`, so sets of similar logs share a compiled program.
         """
         longest = -(-max(len(log.t) for log in logs) // BLOCK) * BLOCK
         after = np.arange(1, longest + 1)
@@ -57,12 +56,12 @@ class LogBatch(eqx.Module):
 
 
 def set_points(t: Float[Array, " n"], command: Float[Array, " n"]) -> Segment:
-    """Returns the linear segments between the samples `command` at times `t` [s]."""
+    """Returns the linear segments between the samples `command` at the times `t` [s]."""
     return jax.vmap(Recorded(t, command).segment)(t[:-1], t[1:])
 
 
 def free_run(k, set_point: Segment, start) -> Float[Array, " n"]:
-    """Returns the pressure of a lag of `k` [s] under the command, in the command's unit.
+    """Returns the free run: the pressure of a lag with time constant `k` [s] for the command.
 
     The free run begins at the pressure `start` and uses no later measurement.
     """
@@ -78,23 +77,23 @@ def free_run(k, set_point: Segment, start) -> Float[Array, " n"]:
 
 
 def residual_psi(log_k, log: LogBatch) -> Float[Array, " n"]:
-    """Returns measured minus free run [psi] of one log, 0 in the padding.
+    """Returns measured pressure minus free run [psi] of one log; 0 in the padding.
 
-    `log` is a `LogBatch` without its first axis.
+    `log` is a `LogBatch` without the first axis.
     """
     return log.weight * (log.pressure - free_run(jnp.exp(log_k), log.set_point, log.pressure[0]))
 
 
 class LagFit(NamedTuple):
-    """log k, and statistics of every log at that k: arrays (logs, samples) and (logs,)."""
+    """The fitted log k, and statistics of every log at this k."""
 
     log_k: Array
     residual: Array
-    """Measured minus free run [psi]."""
+    """Measured pressure minus free run (logs, samples) [psi]."""
     tangent: Array
-    """Derivative of the residual with respect to log k [psi]."""
+    """Derivative (logs, samples) of the residual with respect to log k [psi]."""
     curvature: Array
-    """Second derivative of half the sum of squares with respect to log k [psi^2]."""
+    """Second derivative (logs,) of half the sum of squares with respect to log k [psi^2]."""
     converged: Array
 
 
@@ -102,7 +101,7 @@ _SOLVER: optx.AbstractLeastSquaresSolver = optx.LevenbergMarquardt(rtol=1e-7, at
 
 
 def _solve(residual, start, args):
-    # Linearising the scan would store each of its steps; forward-mode JVP stores none.
+    # A linearised scan would store every step. The forward-mode JVP stores no step.
     @jax.custom_jvp
     def with_tangent(x, args):
         return residual(x, args)
@@ -131,21 +130,21 @@ def _statistics(log_k, log: LogBatch):
 
 
 def _scaled(log_k, log: LogBatch):
-    """Returns the residual scaled so that its sum of squares is the log's mean square."""
+    """Returns a scaled residual, whose sum of squares is the mean square of the log's residual."""
     return residual_psi(log_k, log) / jnp.sqrt(jnp.sum(log.weight))
 
 
 def _profile(batch: LogBatch):
-    """Returns the mean square [psi^2] at each start: shape (starts, logs)."""
+    """Returns the mean square (starts, logs) [psi^2] at each k of the scan."""
     each = jax.vmap(lambda x, log: jnp.sum(_scaled(x, log) ** 2), (None, 0))
     return jax.lax.map(lambda x: each(x, batch), jnp.asarray(_STARTS))
 
 
 def _lowest_minimum(square):
-    """Returns the start at the lowest local minimum of the mean square, else at the lowest value.
+    """Returns log k at the lowest local minimum of the scan, or else at the lowest value.
 
-    The edges of the range are no local minima: a lag longer than the log keeps the first pressure,
-    which fits well if that is near the mean, but does not identify the lag.
+    The edges of the range are no local minima. A lag much longer than the log holds the first
+    pressure. This may fit well by chance, but it does not identify the lag.
     """
     inner = square[1:-1]
     is_minimum = (inner < square[:-2]) & (inner < square[2:])
@@ -158,8 +157,8 @@ def _lowest_minimum(square):
 def fit_each(batch: LogBatch) -> LagFit:
     """Returns k of every log separately.
 
-    Levenberg-Marquardt with forward tangents starts at the lowest local minimum of a scan over
-    `PLAUSIBLE`.
+    The Levenberg-Marquardt method with forward tangents starts at the lowest local minimum of a
+    scan of the range `PLAUSIBLE`.
     """
     start = jax.vmap(_lowest_minimum, 1)(_profile(batch))
     log_k, converged = jax.vmap(lambda x, log: _solve(_scaled, x, log))(start, batch)
@@ -169,7 +168,7 @@ def fit_each(batch: LogBatch) -> LagFit:
 
 @jax.jit
 def fit_pooled(batch: LogBatch) -> LagFit:
-    """Returns one k for all logs, which minimises the mean of their mean squares."""
+    """Returns one k for all logs. This k minimises the mean of the logs' mean squares."""
     start = _lowest_minimum(jnp.mean(_profile(batch), axis=1))
     log_k, converged = _solve(jax.vmap(_scaled, (None, 0)), start, batch)
     residual, tangent, curvature = jax.vmap(_statistics, (None, 0))(log_k, batch)
@@ -178,5 +177,5 @@ def fit_pooled(batch: LogBatch) -> LagFit:
 
 @jax.jit
 def residuals_at(k, batch: LogBatch) -> Float[Array, "logs samples"]:
-    """Returns measured minus free run [psi] of every log at a given k [s]."""
+    """Returns measured pressure minus free run [psi] of every log at a given k [s]."""
     return jax.vmap(lambda log: residual_psi(jnp.log(k), log))(batch)

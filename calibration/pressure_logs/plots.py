@@ -1,4 +1,4 @@
-"""Figures of the pressure lag's identification, and of the robot driven by a log."""
+"""Figures of the identification of the pressure lag, and of the robot driven by a log."""
 
 import math
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ _FILL, _VENT = "tab:red", "tab:green"
 
 
 def plot_log(result: LogResult, reference_k: float, path: Path) -> None:
-    """Plots command, measurement, free runs and residuals over the first 2.5 cycles."""
+    """Plots command, measured pressure, free runs and residuals of the first 2.5 cycles."""
     log = result.log
     here = log.t <= 2.5 / log.frequency
     t, measured = log.t[here], psi(log.pressure)[here]
@@ -37,9 +37,9 @@ def plot_log(result: LogResult, reference_k: float, path: Path) -> None:
     low.set_ylabel("measured - free run (psi)")
     low.set_xlabel("time (s)")
     top.set_title(
-        f"{log.path.name}: {log.frequency:g} Hz, free run from the first sample; RMSE over "
-        f"{log.cycles:.0f} cycles {rms(result.before):.2f} -> {rms(result.after):.2f} psi, "
-        f"noise {result.shape.floor:.2f} psi",
+        f"{log.path.name}, {log.frequency:g} Hz. RMSE of {log.cycles:.0f} cycles: "
+        f"{rms(result.before):.2f} psi (paper's k), {rms(result.after):.2f} psi (own k). "
+        f"Noise: {result.shape.floor:.2f} psi",
         fontsize=10,
     )
     _legend_below(top, 4)
@@ -52,7 +52,7 @@ def _legend_below(axes, columns: int) -> None:
 
 
 def plot_phase(found: Identification, path: Path) -> None:
-    """Plots each log's residual against the command's phase, coloured by the open valve."""
+    """Plots each log's residual against the phase of the command. Colours show the open valve."""
     count = len(found.logs)
     across = min(count, 4)
     down = math.ceil(count / across)
@@ -62,7 +62,7 @@ def plot_phase(found: Identification, path: Path) -> None:
         axis.axis("off")
     for axis, result in zip(axes.flat, found.logs, strict=False):
         log = result.log
-        # In cycles since the command rose through its mean.
+        # Phase in cycles since the command rose through its mean.
         turn = 2.0 * math.pi * log.frequency * log.t
         x = log.command - log.command.mean()
         a, b = (x * np.cos(turn)).sum(), (x * np.sin(turn)).sum()
@@ -89,7 +89,7 @@ def plot_phase(found: Identification, path: Path) -> None:
 
 
 def plot_rate(found: Identification, path: Path) -> None:
-    """Plots all residuals against the rate of the measured pressure, by rising and falling."""
+    """Plots all residuals against the rate of the pressure, for rising and for falling pressure."""
     from matplotlib import colormaps
 
     figure, axes = new_figure(1, 2, figsize=(10.0, 4.4), sharey=True)
@@ -117,18 +117,18 @@ def plot_rate(found: Identification, path: Path) -> None:
 
 
 def plot_k(found: Identification, reference_k: float, path: Path) -> None:
-    """Plots each log's k, the k from gain, phase, filling and venting, and the RMSE."""
+    """Plots each log's k, k estimated from gain, phase, filling and venting, and the RMSE."""
     figure, (left, middle, right) = new_figure(1, 3, figsize=(14.0, 4.6))
     f = np.array([x.log.frequency for x in found.logs])
     k = 1e3 * np.array([[x.k.value, x.k.low, x.k.high] for x in found.logs]).T
     fixed = np.array([x.fixed for x in found.logs])
     for axis in (left, middle):
-        axis.axhline(1e3 * reference_k, color=_BEFORE, label=f"paper, {1e3 * reference_k:.0f} ms")
+        axis.axhline(1e3 * reference_k, color=_BEFORE, label=f"paper: {1e3 * reference_k:.0f} ms")
         axis.set_yscale("log")
         axis.set_ylim(30.0, 1500.0)
         axis.set_ylabel("k (ms)")
     left.axhspan(1e3 * found.k.low, 1e3 * found.k.high, color=_AFTER, alpha=0.15)
-    left.axhline(1e3 * found.k.value, color=_AFTER, label=f"all logs, {1e3 * found.k.value:.0f} ms")
+    left.axhline(1e3 * found.k.value, color=_AFTER, label=f"all logs: {1e3 * found.k.value:.0f} ms")
     for here, mark, label in ((fixed, "o", "one log"), (~fixed, "x", "one log, undetermined")):
         if here.any():
             error = np.stack([k[0] - k[1], k[2] - k[0]])[:, here]
@@ -137,8 +137,8 @@ def plot_k(found: Identification, reference_k: float, path: Path) -> None:
     left.set_title("least-squares k with 95 % intervals", fontsize=10)
     shapes = [x.shape for x in found.logs]
     for values, style, label in (
-        ([s.k_filling for s in shapes], ("^", _FILL), "error over rate, filling"),
-        ([s.k_venting for s in shapes], ("v", _VENT), "error over rate, venting"),
+        ([s.k_filling for s in shapes], ("^", _FILL), "error / rate while filling"),
+        ([s.k_venting for s in shapes], ("v", _VENT), "error / rate while venting"),
         ([s.measured.k_of_gain for s in shapes], ("s", "tab:purple"), "gain of the fundamental"),
         ([s.measured.k_of_phase for s in shapes], ("D", "tab:brown"), "phase of the fundamental"),
     ):
@@ -146,15 +146,15 @@ def plot_k(found: Identification, reference_k: float, path: Path) -> None:
     middle.set_title("k estimated from parts of the measurement", fontsize=10)
     for values, style, label in (
         ([rms(x.before) for x in found.logs], ("o", _BEFORE), f"lag, {1e3 * reference_k:.0f} ms"),
-        ([rms(x.pooled) for x in found.logs], ("s", "tab:cyan"), "lag, k of all logs"),
+        ([rms(x.pooled) for x in found.logs], ("s", "tab:cyan"), "lag, common k of all logs"),
         ([rms(x.after) for x in found.logs], ("o", _AFTER), "lag, each log's own k"),
-        ([x.rms_held for x in found.logs], ("_", "0.5"), "constant first sample"),
+        ([x.rms_held for x in found.logs], ("_", "0.5"), "constant pressure (first sample)"),
         ([s.floor for s in shapes], ("o", "0.2"), "white noise of the sensor"),
     ):
         right.plot(f, values, style[0] + "-", color=style[1], label=label)
     right.set_yscale("log")
     right.set_ylabel("free-run RMSE (psi)")
-    right.set_title("error by frequency", fontsize=10)
+    right.set_title("free-run RMSE of each log", fontsize=10)
     for axis in (left, middle, right):
         axis.set_xlabel("drive frequency (Hz)")
         axis.grid(alpha=0.25, which="both")
@@ -163,12 +163,12 @@ def plot_k(found: Identification, reference_k: float, path: Path) -> None:
 
 
 def plot_driven(log: ManifoldLog, columns: Mapping[str, np.ndarray], path: Path) -> None:
-    """Plots the robot driven by a log: pressure, forces at the clamp and tip."""
+    """Plots a simulation of the robot driven by a log: pressure, forces at the clamp, and tip."""
     figure, axes = new_figure(4, 1, figsize=(9.0, 8.5), sharex=True)
     t = columns["t_s"]
     axes[0].plot(log.t, log.command_Pa / 1e3, "--", color=_COMMAND, label="command")
     axes[0].plot(log.t, log.pressure_Pa / 1e3, color=_MEASURED, lw=0.9, label="measured")
-    axes[0].plot(t, columns["p_front_Pa"] / 1e3, color=_AFTER, label="in both chambers")
+    axes[0].plot(t, columns["p_front_Pa"] / 1e3, color=_AFTER, label="simulated, both chambers")
     axes[0].set_ylabel("gauge pressure (kPa)")
     _legend_below(axes[0], 3)
     for axis, name, scale, label in (

@@ -1,7 +1,6 @@
-"""The rig's pressure logs as trials, with the predicted pressure of one chamber.
+"""Treats the rig's pressure logs as trials, and predicts the pressure of one chamber.
 
-The free run of a log starts at its first measured sample. After that sample it uses only the
-command.
+The prediction (free run) starts at the first measured sample and then uses only the command.
 """
 
 from collections.abc import Sequence
@@ -33,13 +32,13 @@ from slider_jax.experiment.schema import SensorsTable
 from slider_jax.paper import PRESSURE_LAG
 
 CHANNEL = "p_front"
-"""Channel of a log's single pressure."""
+"""Channel of the single pressure in a log."""
 FREE = ("k",)
 """Parameters of the base model that a pressure log can identify."""
 
 
 def log_candidates() -> list[str]:
-    """Returns the effects that a log can show: on the command, the flow or the pressure sensor."""
+    """Returns the effects that a log can show: effects on command, flow or pressure sensor."""
     return [
         name
         for name in candidate_effects()
@@ -50,9 +49,9 @@ def log_candidates() -> list[str]:
 
 
 def log_experiment(log: ManifoldLog, model: Path | None, numerics: dict[str, float]) -> Experiment:
-    """Returns the built-in robot's experiment at the log's frequency, overridden by file `model`.
+    """Returns an experiment with the built-in robot and one trial at the log's frequency.
 
-    C_d and m_a follow the paper's ramp. `numerics` is the [numerics] table.
+    C_d and m_a follow the paper's ramp. The file `model` overrides the tables of the experiment.
     """
     robot = asdict(Robot())
     K_Q = robot.pop("K_Q")
@@ -75,16 +74,16 @@ def log_experiment(log: ManifoldLog, model: Path | None, numerics: dict[str, flo
 
 
 def log_record(log: ManifoldLog, experiment: Experiment) -> Record:
-    """Returns a log as a measured trial with the single channel `CHANNEL`."""
+    """Returns a log as a measured trial with `CHANNEL` as the only channel."""
     values = np.full((len(CHANNELS), len(log.t)), np.nan)
     values[row_of(CHANNEL)] = log.pressure_Pa
     return Record(experiment.trials[0], log.t, values)
 
 
 class LogDrive(eqx.Module):
-    """Commands [Pa] of logs at the times [s] `at`, and their first measured pressures [Pa].
+    """Commands [Pa] of logs at the times `at` [s], and the first measured pressures `start` [Pa].
 
-    All logs have as many times as the longest log.
+    All logs are extended to the number of times of the longest log.
     """
 
     at: Float[Array, "logs n"]
@@ -95,7 +94,7 @@ class LogDrive(eqx.Module):
 @final
 @dataclass(frozen=True, kw_only=True)
 class PressureLogProblem(AbstractProblem):
-    """Pressure logs as trials. A simulation omits effects with all parameters at their nulls."""
+    """Pressure logs as trials. A simulation omits effects whose parameters all have null values."""
 
     logs: list[ManifoldLog]
     base: ExtendedModel
@@ -156,7 +155,7 @@ class PressureLogProblem(AbstractProblem):
         return [np.stack([x[i] - here[i] for x in there]) for i in range(len(here))]
 
     def _moved(self, theta: np.ndarray, along: np.ndarray) -> ExtendedModel:
-        """Returns the model with the effects that have a parameter off its null or in `along`."""
+        """Returns the model with the effects of which a parameter is not null or is in `along`."""
         found = dict.fromkeys(
             p.effect
             for i, p in enumerate(model_parameters(self.base.effects))
@@ -170,7 +169,7 @@ class PressureLogProblem(AbstractProblem):
         return np.array([x for x, p in zip(theta, entries, strict=True) if p.effect in names])
 
     def _at_samples(self, series: np.ndarray) -> list[np.ndarray]:
-        """Returns (channels, samples) of every log from (logs, n)."""
+        """Returns the readings (channels, samples) of every log from the `series` (logs, n)."""
         found = []
         for log, x in zip(self.logs, series, strict=True):
             values = np.full((len(CHANNELS), len(log.t)), np.nan)
@@ -180,7 +179,7 @@ class PressureLogProblem(AbstractProblem):
 
 
 def _read(extended: ExtendedModel, theta, drive: LogDrive):
-    """Returns the sensor's readings (logs, n) [Pa]."""
+    """Returns the predicted readings (logs, n) [Pa] of the pressure sensor."""
     model = extended.at(theta)
 
     def one(at, command, start):

@@ -1,8 +1,8 @@
-"""Reader of the pressure logs that the firmware of the SLIDER rig writes.
+"""Reads the pressure logs that the published firmware writes.
 
-A log is text: a header with one `name value` pair per line, a line of column names, one row per
-sample, and a last line `done<lines>` that counts the lines before it. Lines end in CR, LF or CRLF.
-Source of the format: the public repository bvanstratum/SoftSnakePressureControl.
+A log is a text file: a header with one `name value` pair per line, a line of column names, one row
+per sample, and a last line `done<number>` with the number of earlier lines. Lines end in CR, LF or
+CRLF. Source of the format: the public repository bvanstratum/SoftSnakePressureControl.
 """
 
 import re
@@ -33,21 +33,21 @@ _DONE = re.compile(r"done\s*(\d*)", re.I)
 
 
 def psi(counts):
-    """Returns the gauge pressure [psi] of ADC `counts`, by the calibration of the rig's sensor."""
+    """Returns the gauge pressure [psi] of `counts` of the rig's pressure sensor."""
     return PSI_PER_COUNT * counts + PSI_AT_ZERO
 
 
 @dataclass(frozen=True)
 class ManifoldLog:
-    """One test: arrays of shape (samples,) at increasing times, and the reader's findings.
+    """One pressure log: arrays (samples,) at increasing times, and the findings of the reader.
 
     | field | unit | meaning |
     |---|---|---|
-    | `frequency` | Hz | of the commanded sine, from the header |
-    | `period` | s | between samples, from the header |
-    | `t` | s | since the first sample in the arrays |
-    | `command`, `pressure` | ADC counts | set and measured pressure |
-    | `fill`, `vent` | 0 to 255 | duty of the two valves |
+    | `frequency` | Hz | frequency of the sine command, from the header |
+    | `period` | s | time between samples, from the header |
+    | `t` | s | time since the first sample of the arrays |
+    | `command`, `pressure` | counts | set pressure and measured pressure |
+    | `fill`, `vent` | 0 to 255 | duty of the fill valve and the vent valve; 255: fully open |
     """
 
     path: Path
@@ -77,11 +77,11 @@ class ManifoldLog:
 
 
 def read_log(path: Path | str) -> ManifoldLog:
-    """Reads a log, repair small faults and list them in `findings`.
+    """Reads a log, repairs small faults, and lists the faults in `findings`.
 
     Raises `InputError` with file and line for faults that cannot be repaired: missing or unknown
-    columns, a header without frequency or period, more than one test, too few valid rows or too
-    many bad ones, a counter that falls, a gap longer than a tenth of a cycle.
+    columns, a header without frequency or period, more than one test, too few valid rows, too many
+    bad rows, a counter that decreases, or a gap longer than a tenth of a cycle.
     """
     path = Path(path)
     lines = _lines(path)
@@ -95,7 +95,7 @@ def read_log(path: Path | str) -> ManifoldLog:
     findings += more
     if len(rows) < FEWEST_ROWS:
         raise InputError(
-            f"{path}: {len(rows)} usable rows; at least {FEWEST_ROWS} are needed; record again"
+            f"{path}: {len(rows)} usable rows; at least {FEWEST_ROWS} are needed; record a new log"
         )
     findings += _check_header(values, rows)
     number, fill, vent, command, _, pressure = rows.T
@@ -107,17 +107,17 @@ def read_log(path: Path | str) -> ManifoldLog:
 
 
 def _lines(path: Path) -> list[tuple[int, str]]:
-    """Returns the lines that are not blank, each with its number."""
+    """Returns the lines that are not blank, each with its line number."""
     try:
         text = read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError:
         text = "\0"
     if "\0" in text:
-        raise InputError(f"{path}: the file is not text; give a log that the rig's firmware wrote")
+        raise InputError(f"{path}: the file is not text; give a log of the published firmware")
     lines = [(i, s.strip()) for i, s in enumerate(re.split(r"\r\n|\r|\n", text), start=1)]
     lines = [(i, s) for i, s in lines if s]
     if not lines:
-        raise InputError(f"{path}: the file is empty; record the log again")
+        raise InputError(f"{path}: the file is empty; record a new log")
     return lines
 
 
@@ -125,19 +125,19 @@ def _find_columns(path: Path, lines: list[tuple[int, str]]) -> int:
     """Returns the index of the line of column names."""
     named = [i for i, (_, text) in enumerate(lines) if re.match(r"[A-Za-z]\w*\s*,", text)]
     if not named:
-        raise InputError(f"{path}: no line of column names; expected {','.join(COLUMNS)}")
+        raise InputError(f"{path}: no line of column names; add the line {','.join(COLUMNS)}")
     line, text = lines[named[0]]
     names = tuple(cell.strip() for cell in text.split(","))
     if names != COLUMNS:
         raise InputError(
             f"{path}: line {line}: columns {','.join(names)}; allowed {','.join(COLUMNS)}; "
-            "convert the file or give a log that the rig's firmware wrote"
+            "convert the file, or give a log of the published firmware"
         )
     if len(named) > 1:
         again = lines[named[1]]
         raise InputError(
             f"{path}: line {again[0]}: a second line of column names, {again[1]!r}; "
-            "a log holds one test: split the file at this line"
+            "a log has one test: split the file at this line"
         )
     return named[0]
 
@@ -153,7 +153,7 @@ def _header(path: Path, lines: list[tuple[int, str]]) -> tuple[dict[str, float],
             value = float(match[1])
             if name in values:
                 raise InputError(
-                    f"{path}: line {line}: a second {name}; a log holds one test: split the file"
+                    f"{path}: line {line}: a second {name}; a log has one test: split the file"
                 )
             if not low <= value <= high:
                 raise InputError.value(
@@ -178,7 +178,7 @@ def _header(path: Path, lines: list[tuple[int, str]]) -> tuple[dict[str, float],
 def _body(
     path: Path, lines: list[tuple[int, str]], columns_at: int
 ) -> tuple[list[tuple[int, str]], list[RowFinding]]:
-    """Returns the lines between the column names and `done`, and findings on the line count."""
+    """Returns the lines between the column names and `done`, and findings on the last lines."""
     body = lines[columns_at + 1 :]
     end = next((i for i, (_, text) in enumerate(body) if _DONE.fullmatch(text)), None)
     rows = body[:end]
@@ -186,8 +186,8 @@ def _body(
     starts += [line for line, text in rows if _HEADER["frequency"][0].fullmatch(text)]
     if starts:
         raise InputError(
-            f"{path}: line {min(starts)}: a second test begins; a log holds one test: split the "
-            "file at this line"
+            f"{path}: line {min(starts)}: a second test begins; a log has one test: split the file "
+            "at this line"
         )
     if end is None:
         text = "the file ends without 'done': lines may be missing"
@@ -196,15 +196,15 @@ def _body(
     (line, text), after = body[end], body[end + 1 :]
     counted, before = re.sub(r"\D", "", text), columns_at + 1 + end
     if counted and int(counted) != before:
-        detail = f"'{text}' counts {counted} lines; the file has {before} lines before it"
+        detail = f"'{text}' states {counted} earlier lines; the file has {before} earlier lines"
         findings.append(RowFinding(line, detail))
     if after:
-        findings.append(RowFinding(after[0][0], f"{len(after)} lines after 'done', ignored"))
+        findings.append(RowFinding(after[0][0], f"{len(after)} lines after 'done' are ignored"))
     return rows, findings
 
 
 def _check_header(values: dict[str, float], rows: np.ndarray) -> list[RowFinding]:
-    """Returns where the header's numbers of samples and of cycles differ from the rows."""
+    """Returns findings if the header's numbers of samples and cycles differ from the rows."""
     details, last = [], int(rows[-1, 0])
     missing = {"start", "stop"} - values.keys()
     if missing:
@@ -212,25 +212,25 @@ def _check_header(values: dict[str, float], rows: np.ndarray) -> list[RowFinding
     span = values["stop"] - values["start"]
     expected = span / values["period"]
     if abs(expected - last) > 2.0:
-        details = [f"start, stop and period give {expected:g} samples; the last sample is {last}"]
+        details = [f"the header implies {expected:g} samples; the last sample has number {last}"]
     cycles = span * values["frequency"] / 1000.0
     if "cycles" in values and abs(cycles - values["cycles"]) > 0.05:
-        details += [f"start to stop is {cycles:.2f} cycles; the header has {values['cycles']:g}"]
+        details += [f"times of {cycles:.2f} cycles; the header states {values['cycles']:g} cycles"]
     return [RowFinding(None, detail) for detail in details]
 
 
 def _check_frequency(frequency: float, t: np.ndarray, command: np.ndarray) -> list[RowFinding]:
-    """Returns a finding if the upward crossings of the command's mid level contradict `frequency`.
+    """Returns a finding if the command contradicts the header's `frequency` [Hz].
 
-    `frequency` [Hz] is the header's.
+    The frequency of the command is that of the upward crossings of its middle level.
     """
     level = command - 0.5 * (command.max() + command.min())
     up = np.flatnonzero((level[:-1] < 0) & (level[1:] >= 0))
     if len(up) < 2:
-        detail = "the command has less than two cycles: its frequency is not checked"
+        detail = "the frequency is not checked, because the command has fewer than two cycles"
         return [RowFinding(None, detail)]
     crossing = t[up] - level[up] * (t[up + 1] - t[up]) / (level[up + 1] - level[up])
     found = (len(up) - 1) / (crossing[-1] - crossing[0])
     if abs(found / frequency - 1.0) <= 0.02:
         return []
-    return [RowFinding(None, f"the command has {found:.4g} Hz; the header has {frequency:g} Hz")]
+    return [RowFinding(None, f"the command has {found:.4g} Hz; the header states {frequency:g} Hz")]

@@ -1,4 +1,4 @@
-"""Shape of a periodic test's residual: its harmonics, and its means over parts of the cycle."""
+"""Computes the shape of a log's residual: its harmonics, and its means in parts of the cycle."""
 
 import math
 from typing import NamedTuple
@@ -10,11 +10,11 @@ from calibration.pressure_logs.read import ManifoldLog, psi
 
 HARMONICS = 5
 SMOOTH = 12
-"""Number of harmonics in the periodic part of a residual."""
+"""Number of harmonics of the part that repeats in every cycle."""
 
 
 class FrequencyResponse(NamedTuple):
-    """Gain and phase lag [rad] at the drive frequency, and the k [s] that gives each of them."""
+    """Gain and phase lag [rad] at the drive frequency, and the two values of k [s] from them."""
 
     gain: float
     lag: float
@@ -23,9 +23,9 @@ class FrequencyResponse(NamedTuple):
 
 
 class ResidualShape(NamedTuple):
-    """A residual, measured minus model, over the whole cycles of a log, in psi unless stated.
+    """Statistics of a residual, measured minus model, in the whole cycles of a log; in psi.
 
-    Shares are fractions of the residual's mean square. They sum to 1 if the residual is periodic
+    Shares are fractions of the residual's mean square. Their sum is 1 if the residual is periodic
     and has no harmonic above `HARMONICS`.
     """
 
@@ -34,24 +34,24 @@ class ResidualShape(NamedTuple):
     mean_share: float
     harmonic_shares: tuple[float, ...]
     in_phase: float
-    """Amplitude of the fundamental in phase with the command."""
+    """Amplitude at the drive frequency, in phase with the command."""
     quadrature: float
-    """Amplitude of the fundamental a quarter cycle behind the command."""
+    """Amplitude at the drive frequency, a quarter cycle behind the command."""
     not_repeating_rms: float
-    """RMS of the residual minus its periodic part."""
+    """RMS of the residual minus the part that repeats in every cycle."""
     mean_filling: float
-    """Mean residual while the command exceeds the measured pressure (fill valve open)."""
+    """Mean residual while the command exceeds the measured pressure: the fill valve is open."""
     mean_venting: float
     filling_time_share: float
     k_filling: float
-    """Apparent time constant [s], error over rate, while the fill valve is open."""
+    """Apparent time constant [s] while the fill valve is open: error divided by rate."""
     k_venting: float
     measured: FrequencyResponse
     floor: float
 
 
 def whole_cycles(log: ManifoldLog) -> np.ndarray:
-    """Returns the mask (samples,) of whole cycles, without the first one if there are three."""
+    """Returns the mask (samples,) of whole cycles; it omits the first of three or more cycles."""
     cycles = math.floor(log.cycles + 0.02)
     first = 1 if cycles >= 3 else 0
     turn = log.t * log.frequency
@@ -59,9 +59,9 @@ def whole_cycles(log: ManifoldLog) -> np.ndarray:
 
 
 def harmonics(t: np.ndarray, x: np.ndarray, frequency: float, count: int):
-    """Returns the mean, the c_n of Re(c_n e^{i n w t}) and the sum of a Fourier series fit to `x`.
+    """Returns mean, complex amplitudes (count,) and values (n,) of a Fourier series fitted to `x`.
 
-    The fit is by least squares, with `count` harmonics of `frequency` [Hz] at times `t` [s].
+    The harmonics are Re(c_m e^{2 pi i m f t}), m = 1 to `count`, of the frequency f [Hz].
     """
     turn = 2.0 * math.pi * frequency * t[:, None] * np.arange(1, count + 1)
     basis = np.concatenate([np.ones((len(t), 1)), np.cos(turn), np.sin(turn)], axis=1)
@@ -80,10 +80,10 @@ def _response(omega: float, command: complex, pressure: complex) -> FrequencyRes
 def apparent_time_constants(
     t: np.ndarray, command: np.ndarray, pressure: np.ndarray
 ) -> tuple[float, float]:
-    """Returns the best k [s] of dp/dt = (command - p)/k while filling and while venting.
+    """Returns k [s] of dp/dt = (command - p)/k, fitted to filling and to venting.
 
-    The rate is a central difference over 20 samples. k is NaN if the mean product of error and rate
-    is not positive.
+    The rate dp/dt is a central difference over 20 samples. The error is command - p. k is NaN if
+    the mean product of error and rate is not positive.
     """
     rate = (pressure[20:] - pressure[:-20]) / (t[20:] - t[:-20])
     error = (command - pressure)[10:-10]
@@ -96,7 +96,7 @@ def apparent_time_constants(
 
 
 def shape_of(log: ManifoldLog, residual: np.ndarray) -> ResidualShape:
-    """Returns the shape of `residual` (samples,) [psi] of `log`."""
+    """Returns the shape of the `residual` (samples,) [psi] of `log`."""
     here = whole_cycles(log)
     t, r = log.t[here], residual[here]
     command, pressure = psi(log.command)[here], psi(log.pressure)[here]

@@ -1,4 +1,4 @@
-"""Rows of a pressure log: the parser of a row, and the checks across rows."""
+"""Parses the rows of a pressure log, and checks rows against each other."""
 
 import math
 from pathlib import Path
@@ -17,9 +17,9 @@ COLUMNS = (
     "pressure",
 )
 _RANGES = ((1, 1e9), (0, 255), (0, 255), (-1e4, 1e4), (-2e4, 2e4), (0, 4095))
-MAX_BAD_SHARE = 0.05  # of the rows; more means a damaged recording, not a torn line
-MAX_STALE_ROWS = 5  # a fall of the counter after them is an error
-STUCK_SAMPLES = 25  # the rig's noise of 1.7 counts does not repeat a code so often
+MAX_BAD_SHARE = 0.05  # fraction of bad rows; a larger fraction indicates a damaged recording
+MAX_STALE_ROWS = 5  # number of rows of an earlier test that may precede the first sample
+STUCK_SAMPLES = 25  # with the sensor's noise of 1.7 counts, a code does not repeat so often
 
 
 class RowFinding(NamedTuple):
@@ -37,8 +37,8 @@ def clean_rows(
 ) -> tuple[np.ndarray, list[RowFinding]]:
     """Returns the valid rows (samples, 6) in the order of `COLUMNS`, and the findings.
 
-    The counter increases strictly. Raises `InputError` if more than `MAX_BAD_SHARE` of the rows are
-    bad, the counter falls, or a gap exceeds `longest_gap` [samples].
+    The counter N_sample increases strictly. Raises `InputError` if more than `MAX_BAD_SHARE` of the
+    rows are bad, if the counter decreases, or if a gap exceeds `longest_gap` [samples].
     """
     rows, numbers, findings = [], [], []
     for position, (line, text) in enumerate(lines):
@@ -52,7 +52,7 @@ def clean_rows(
     if len(findings) > max(1.0, MAX_BAD_SHARE * len(lines)):
         raise InputError(
             f"{path}: {findings[0]}; {len(findings)} of {len(lines)} rows are bad, allowed "
-            f"{MAX_BAD_SHARE:.0%}; record again"
+            f"{MAX_BAD_SHARE:.0%}; record a new log"
         )
     table = np.array(rows, dtype=float).reshape(-1, len(COLUMNS))
     table, numbers, more = _without_stale(table, numbers)
@@ -62,10 +62,10 @@ def clean_rows(
 
 
 def _parse(text: str) -> list[float] | str:
-    """Returns the row's six numbers, or the fault of the row as text."""
+    """Returns the six numbers of a row, or the fault of the row as text."""
     cells = [cell.strip() for cell in text.split(",")]
     if len(cells) != len(COLUMNS):
-        return f"{len(cells)} cells, expected {len(COLUMNS)}"
+        return f"{len(cells)} cells instead of {len(COLUMNS)}"
     row = []
     for name, cell, (low, high) in zip(COLUMNS, cells, _RANGES, strict=True):
         try:
@@ -75,22 +75,22 @@ def _parse(text: str) -> list[float] | str:
         if not math.isfinite(value):
             return f"{name} is not finite"
         if not low <= value <= high:
-            return f"{name} outside {low:g} to {high:g}"
+            return f"{name} is outside {low:g} to {high:g}"
         row.append(value)
     if row[0] != int(row[0]):
-        return "N_sample is not whole"
-    # The firmware writes the error beside command and pressure, so it is a checksum of the row.
+        return "N_sample is not a whole number"
+    # The firmware also writes the error, so the error is a checksum of command and pressure.
     if abs(row[3] - row[5] - row[4]) > 0.02:
-        return "pressureError is not pressureCommanded - pressure"
+        return "pressureError differs from pressureCommanded - pressure"
     return row
 
 
 def _without_stale(
     table: np.ndarray, lines: list[int]
 ) -> tuple[np.ndarray, list[int], list[RowFinding]]:
-    """Returns rows, lines and findings without stale rows.
+    """Returns the rows and lines without stale rows, and a finding for each stale row.
 
-    A stale row belongs to an earlier test: the serial buffer still held it at the start.
+    A stale row is a row of an earlier test that was still in the serial buffer at the start.
     """
     drop = 0
     falls = np.flatnonzero(np.diff(table[: MAX_STALE_ROWS + 1, 0]) < 0)
@@ -107,7 +107,7 @@ def _without_stale(
 def _in_order(
     path: Path, table: np.ndarray, lines: list[int], longest_gap: float
 ) -> tuple[np.ndarray, list[RowFinding]]:
-    """Returns the rows with each counter value once, and findings on repeated and missing ones."""
+    """Returns the rows without repeated samples, and findings on repeated and missing samples."""
     if not len(table):
         return table, []
     findings = []
@@ -124,15 +124,15 @@ def _in_order(
             continue
         if step < 0:
             raise InputError(
-                f"{path}: line {lines[i]}: N_sample falls from {last:.0f} to {now:.0f}; it must "
-                "increase: split the file at this line or remove the rows"
+                f"{path}: line {lines[i]}: N_sample decreases from {last:.0f} to {now:.0f}; it "
+                "must increase: split the file at this line or remove the rows"
             )
         if step > 1:
-            detail = f"{step - 1:.0f} samples missing between {last:.0f} and {now:.0f}"
+            detail = f"{step - 1:.0f} samples are missing between {last:.0f} and {now:.0f}"
             if step > longest_gap:
                 raise InputError(
                     f"{path}: line {lines[i]}: {detail}, more than a tenth of a cycle; "
-                    "cut the log at this line or record again"
+                    "cut the log at this line or record a new log"
                 )
             findings.append(RowFinding(lines[i], detail))
         last = now
@@ -140,15 +140,15 @@ def _in_order(
 
 
 def _stuck(table: np.ndarray) -> list[RowFinding]:
-    """Returns findings on runs of equal pressure longer than the sensor's noise allows."""
+    """Returns findings on constant pressure for more samples than the sensor's noise allows."""
     if not len(table):
         return []
     pressure = table[:, 5]
     edges = np.flatnonzero(np.diff(pressure)) + 1
     starts, ends = np.r_[0, edges], np.r_[edges, len(pressure)]
     return [
-        RowFinding(None, f"pressure stuck at {pressure[a]:.0f} counts for {b - a} samples from "
-                f"sample {table[a, 0]:.0f}")
+        RowFinding(None, f"pressure stuck at {pressure[a]:.0f} counts for {b - a} samples, from "
+                f"sample {table[a, 0]:.0f} on")
         for a, b in zip(starts, ends, strict=True)
         if b - a >= STUCK_SAMPLES
     ]  # fmt: skip

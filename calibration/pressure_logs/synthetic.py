@@ -1,7 +1,7 @@
-"""Synthetic logs of a chamber with known valves, in the format of the rig's firmware.
+"""Synthetic logs of a chamber with known valves, in the format of the published firmware.
 
-The chamber is integrated by explicit steps of an eighth of a sample. The code is independent of
-the models that are fitted to the logs.
+The pressure is integrated with eight explicit steps per sample. The code is independent of the
+models that are fitted to the logs.
 """
 
 import math
@@ -19,13 +19,13 @@ PERIOD = 0.002
 """Time between samples [s]."""
 SUBSTEPS = 8
 ATMOSPHERE = 101325.0
-"""Absolute pressure of the room [Pa]."""
+"""Absolute ambient pressure [Pa]."""
 COUNT = PSI_PER_COUNT * PA_PER_PSI
 ZERO = PSI_AT_ZERO * PA_PER_PSI
 
 
 class Valves(NamedTuple):
-    """A fill and a vent valve; parameters as in `slider_jax.effects.pneumatics.firmware_valves`."""
+    """A fill valve and a vent valve, with the parameters of the effect `firmware_valves`."""
 
     fill: float = 2.2
     vent: float = 1.9
@@ -43,7 +43,7 @@ class Valves(NamedTuple):
         return -self.vent * opening * inside * self._flow(ATMOSPHERE / inside)
 
     def _flow(self, ratio: float) -> float:
-        """Returns the flow over the choked flow, at a pressure ratio (ISO 6358)."""
+        """Returns the flow divided by the choked flow at a pressure `ratio` (ISO 6358)."""
         beyond = max(0.0, (ratio - self.critical) / (1.0 - self.critical))
         return math.sqrt(max(0.0, 1.0 - beyond**2))
 
@@ -51,9 +51,9 @@ class Valves(NamedTuple):
 def valve_series(
     valves: Valves, frequency: float, cycles: float, noise: float, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Returns command and measured pressure (samples,) in codes, for a sine from 0 to 54 psi.
+    """Returns command and measured pressure (samples,) [counts] for a sine from 0 to 54 psi.
 
-    `noise` is the sensor's standard deviation in codes; the first pressure has no noise.
+    `noise` is the standard deviation [counts] of the sensor. The first pressure has no noise.
     """
     t = PERIOD * np.arange(round(cycles / frequency / PERIOD))
     command = np.round(290.0 + 195.0 * np.sin(2.0 * math.pi * frequency * t + 0.3), 2)
@@ -70,9 +70,9 @@ def valve_series(
 
 
 def firmware_log(command: np.ndarray, pressure: np.ndarray, frequency: float) -> list[str]:
-    """Returns the lines of a log as the firmware writes it, from command and pressure in codes.
+    """Returns the lines of a log of the published firmware, from command and pressure [counts].
 
-    The firmware's valve duty is ten times the error, at most 250.
+    The valve duty of this firmware is ten times the error [counts], at most 250.
     """
     body = []
     for number, (c, p) in enumerate(zip(command, pressure, strict=True), start=1):

@@ -1,4 +1,4 @@
-"""Sentences that describe the identification of the pressure lag."""
+"""Writes sentences on the identification of the pressure lag."""
 
 import math
 
@@ -7,7 +7,7 @@ import numpy as np
 from calibration.pressure_logs.identify import Identification, rms
 
 MAX_NOISE_RATIO = 2.0
-"""Largest RMSE of a lag that explains the logs, over the sensor's noise."""
+"""Largest RMSE of a lag that explains the logs, divided by the sensor's white noise."""
 
 
 def lag_verdict(found: Identification) -> str:
@@ -16,28 +16,28 @@ def lag_verdict(found: Identification) -> str:
     one, these = ("One lag", "these logs") if len(found.logs) > 1 else ("A lag", "this log")
     does = "explains" if times <= MAX_NOISE_RATIO else "does not explain"
     return (
-        f"{one} of {1e3 * found.k.value:.0f} ms {does} {these}: the residual of its free run is "
-        f"{times:.2g} times the sensor's noise (the limit is {MAX_NOISE_RATIO:g} times)."
+        f"{one} of {1e3 * found.k.value:.0f} ms {does} {these}: the rms residual is {times:.2g} "
+        f"times the sensor's noise (limit: {MAX_NOISE_RATIO:g} times)."
     )
 
 
 def describe_lag(found: Identification) -> list[str]:
-    """Returns sentences on k, the residual and its shape, `lag_verdict` first; without causes."""
+    """Returns sentences on k and on the residual. The first sentence is `lag_verdict`."""
     k, n = found.k, len(found.logs)
     before, after = found.pooled_rmse("before"), found.pooled_rmse("pooled")
     own, floor = found.pooled_rmse("after"), found.floor
     text = [
         lag_verdict(found),
         f"One lag for all {n} logs: k = {1e3 * k.value:.0f} ms, 95 % interval {1e3 * k.low:.0f} to "
-        f"{1e3 * k.high:.0f} ms ({'clustered by log' if n > 1 else 'correlated residual'}; "
-        f"{k.widening:.0f} times the naive interval).",
-        f"Free-run RMSE: {before:.2f} psi before, {after:.2f} psi with the common k, {own:.2f} psi "
-        f"with a separate k for each log; the sensor's white noise is {floor:.2f} psi.",
+        f"{1e3 * k.high:.0f} ms ({'clustered by log' if n > 1 else 'for a correlated residual'}). "
+        f"The interval is {k.widening:.0f} times as wide as for independent samples.",
+        f"The RMSE is {before:.2f} psi with the paper's k, {after:.2f} psi with the common k, and "
+        f"{own:.2f} psi with a separate k for each log; the sensor's noise is {floor:.2f} psi.",
     ]
     if not k.fixed:
         text.append(
-            f"The common k of these logs is {1e3 * found.within.low:.0f} to "
-            f"{1e3 * found.within.high:.0f} ms. The logs are too few and differ too much to "
+            f"For these logs only, the interval of the common k is {1e3 * found.within.low:.0f} to "
+            f"{1e3 * found.within.high:.0f} ms. The logs are too few, and differ too much, to "
             "predict the k of another log."
         )
     return text + _spread(found) + _residual(found)
@@ -49,21 +49,22 @@ def _spread(found: Identification) -> list[str]:
     text = []
     if loose:
         text.append(
-            f"{', '.join(loose)} alone: k is not determined (interval over a factor of 10)."
+            f"A single log does not determine k in the case of {', '.join(loose)}: the interval "
+            "is too wide, or k is at a limit of the search."
         )
     if len(fixed) >= 2:
         low, high = (f(fixed, key=lambda x: x.k.value) for f in (min, max))
         apart = low.k.high < high.k.low
         text.append(
-            f"k of single logs is {1e3 * low.k.value:.0f} ms at {low.log.frequency:g} Hz to "
-            f"{1e3 * high.k.value:.0f} ms at {high.log.frequency:g} Hz; their intervals "
+            f"The k of single logs is between {1e3 * low.k.value:.0f} ms ({low.log.frequency:g} "
+            f"Hz) and {1e3 * high.k.value:.0f} ms ({high.log.frequency:g} Hz). These two intervals "
             + ("do not overlap, so no single lag fits all frequencies." if apart else "overlap.")
         )
     held = [x.log.path.name for x in found.logs if x.rms_held < min(rms(x.after), rms(x.before))]
     if held:
         text.append(
-            "A constant pressure at the first sample fits better than the lag in "
-            f"{', '.join(held)}: the lag's free run is worse than no model."
+            "The lag is worse than no model: a constant pressure, the first sample, fits better "
+            f"in {', '.join(held)}."
         )
     return text
 
@@ -79,24 +80,25 @@ def _residual(found: Identification) -> list[str]:
     first, second, third = (share([s.harmonic_shares[i] for s in shapes]) for i in range(3))
     irregular = share([s.not_repeating_rms**2 / s.rms**2 for s in shapes])
     text = [
-        f"With a separate k for each log, {mean:.0%} of the residual's mean square is a constant "
-        f"offset (measured {'above' if offset > 0 else 'below'} the model by {abs(offset):.1f} psi "
-        f"on average), {first:.0%} is at the drive frequency, {second:.0%} at twice and "
-        f"{third:.0%} at three times that frequency; {irregular:.1%} is not periodic.",
-        "At the drive frequency, the residual's amplitude is "
-        f"{_signed([s.in_phase for s in shapes])} psi in phase with the command and "
-        f"{_signed([s.quadrature for s in shapes])} psi a quarter cycle behind it (over logs).",
-        "The mean residual is "
-        f"{_signed([s.mean_filling for s in shapes])} psi while the fill valve is open and "
-        f"{_signed([s.mean_venting for s in shapes])} psi while the vent valve is (over logs).",
+        "Parts of the residual's mean square, with a separate k for each log: constant offset "
+        f"{mean:.0%} (on average, the measured pressure is {abs(offset):.1f} psi "
+        f"{'above' if offset > 0 else 'below'} the model), drive frequency {first:.0%}, twice the "
+        f"drive frequency {second:.0%}, three times the drive frequency {third:.0%}, not periodic "
+        f"{irregular:.1%}.",
+        "At the drive frequency, the amplitude of the logs' residuals is "
+        f"{_signed([s.in_phase for s in shapes])} psi in phase with the command, and "
+        f"{_signed([s.quadrature for s in shapes])} psi a quarter cycle behind the command.",
+        "The mean of the logs' residuals is "
+        f"{_signed([s.mean_filling for s in shapes])} psi while the fill valve is open, and "
+        f"{_signed([s.mean_venting for s in shapes])} psi while the vent valve is open.",
     ]
     up, down = ([getattr(s, name) for s in shapes] for name in ("k_filling", "k_venting"))
     ratio = [d / u for u, d in zip(up, down, strict=True) if math.isfinite(u) and math.isfinite(d)]
     if ratio:
         same = min(ratio) <= 1.0 <= max(ratio)
         text.append(
-            f"Error over rate is {_range_ms(up)} ms while filling and {_range_ms(down)} ms "
-            f"while venting: venting takes {min(ratio):.2g} to {max(ratio):.2g} times as long"
+            f"Pressure error divided by rate: {_range_ms(up)} ms while filling, {_range_ms(down)} "
+            f"ms while venting. Venting takes {min(ratio):.2g} to {max(ratio):.2g} times as long"
             + ("." if same else f", {'longer' if min(ratio) > 1.0 else 'shorter'} in every log.")
         )
     gains, phases = ([getattr(s.measured, n) for s in shapes] for n in ("k_of_gain", "k_of_phase"))
@@ -104,13 +106,13 @@ def _residual(found: Identification) -> list[str]:
     beyond = [x.log.path.name for x in found.logs if x.shape.measured.lag >= 0.5 * math.pi]
     if both:
         text.append(
-            f"At the drive frequency, the measured gain gives k = {_range_ms(gains)} ms and the "
-            f"measured phase {_range_ms(phases)} ms; a first-order lag would give equal values, "
-            f"these differ by up to a factor of {max(max(g / p, p / g) for g, p in both):.1f}."
+            f"At the drive frequency, the measured gain gives k = {_range_ms(gains)} ms, and the "
+            f"phase gives k = {_range_ms(phases)} ms. The values of a lag would be equal; these "
+            f"values differ by a factor of up to {max(max(g / p, p / g) for g, p in both):.1f}."
         )
     if beyond:
         text.append(
-            f"The pressure lags by over a quarter cycle, more than any lag, in {', '.join(beyond)}."
+            f"The pressure is more than a quarter cycle late (not a lag) in {', '.join(beyond)}."
         )
     return text
 
