@@ -1,14 +1,14 @@
-"""Tests whether a live stream still fits its model: bands, a sequential test and a probable cause.
+"""Tests whether a live stream still fits the model: bands, a sequential test and a probable cause.
 
-The test uses the logarithm of a channel's mean square residual in a window, divided by
+For each channel and window, the test uses the logarithm of (mean square residual / band^2), with
 
     band^2 = noise^2 + (share S)^2
 
-where S is the rms of the model in that window or in the first windows, whichever is larger. Noise
-and share are the declared ones, or those of the first windows if these are larger. The logarithms
-are standardised by their mean and deviation in the first windows, and are positive only outside the
-band. A one-sided CUSUM sums them (Page, E. S. (1954), Continuous inspection schemes, Biometrika 41,
-100-115). A window counts as one value, whatever the correlation of its samples.
+S is the larger of two rms values of the model: in this window and in the first windows. Noise and
+share are declared by the experiment, or learned from the first windows if these values are larger.
+The logarithm is standardised with the mean and the standard deviation of the first windows. It
+counts only outside the band. A one-sided cumulative sum (CUSUM) adds these values, one per window.
+Source: Page, E. S. (1954), Continuous inspection schemes, Biometrika 41, 100-115.
 """
 
 import math
@@ -23,29 +23,29 @@ from slider_jax.channels import BUILT_IN, CHANNELS
 from slider_jax.experiment.schema import SensorsTable
 
 REFERENCE, THRESHOLD = 2.0, 6.0
-"""Reference value and threshold of the CUSUM in standard deviations; see `run_length`."""
+"""Reference value and threshold of the CUSUM, in standard deviations (see `run_length`)."""
 MAX_DEVIATION = 5.0
-"""A window adds at most this value, so an alarm needs at least two windows."""
+"""Largest deviation that the CUSUM adds for a window. An alarm then needs at least two windows."""
 MIN_SPREAD = 0.25
-"""Smallest deviation of a window's logarithm, as a dozen windows may show less by chance."""
+"""Smallest standard deviation of the logarithm. The value of a dozen windows may be too small."""
 MAX_LEARNED_SHARE = (0.1, 0.1, 0.4, 0.4, 0.2)
-"""Largest share of each channel that is learned. A larger residual indicates a wrong model."""
+"""Largest share that each channel may learn. A larger residual indicates a wrong model."""
 MAX_MISFIT = (0.04, 0.04, 0.25, 0.12, 0.12)
-"""Relative residual of each channel above which the first windows are reported as a misfit. That of
-a calibrated model is 0.01 for the pressures, 0.15 for thrust, and 0.05 for recoil and tip. With a
-leak of a fifth of a valve's flow, that of the pressure is 0.09."""
+"""Largest relative residual of each channel in the first windows without a report of a misfit. A
+calibrated model has 0.01 for the pressures, 0.15 for thrust, and 0.05 for recoil and tip. A leak of
+a fifth of a valve's flow causes 0.09 for the pressure."""
 MIN_SAMPLES = 10
-"""A channel with fewer samples in a window is not tested."""
+"""Smallest number of samples with which a channel is tested in a window."""
 MIN_NOISE = 1e-9
-"""Smallest noise relative to the channel's S, used for a noise-free stream."""
+"""Smallest noise, divided by S of the channel, for a stream without noise."""
 EVIDENCE_RETENTION = 0.5
-"""Share of the evidence for a cause that is kept from one window to the next."""
+"""Factor of the evidence of earlier windows in the evidence for a cause."""
 MIN_EXPLAINED = 0.4
-"""A cause is named if it explains at least this share of the residual's mean square."""
+"""Smallest fraction of the residual's mean square that a named cause explains."""
 
 
 def run_length(reference: float, threshold: float, shift: float = 0.0) -> float:
-    """Returns the mean number of windows to an alarm for independent normal values of mean `shift`.
+    """Returns the mean number of windows until an alarm, for independent values N(`shift`, 1).
 
     Source: Siegmund, D. (1985), Sequential Analysis, eq. 2.56.
     """
@@ -56,39 +56,39 @@ def run_length(reference: float, threshold: float, shift: float = 0.0) -> float:
 
 
 class Window(NamedTuple):
-    """The data of some consecutive blocks; a residual that is not tested is NaN."""
+    """The data of some consecutive blocks. The channels are those of `BUILT_IN`."""
 
     residual: np.ndarray
-    """(5, n)"""
+    """Measured minus model (channels, n). A residual that is not tested is NaN."""
     measured: np.ndarray
-    """(5, n)"""
+    """Measured readings (channels, n)."""
     model: np.ndarray
-    """(5, n)"""
+    """Predicted readings (channels, n)."""
     derivatives: np.ndarray
-    """(4, 5, n), the model's derivatives with respect to `PARAMETERS`."""
+    """Derivatives (parameters, channels, n) of the model with respect to `PARAMETERS`."""
     faulty: np.ndarray
-    """(faults, 2, n) [Pa]"""
+    """Pressures (faults, 2, n) [Pa] with each of `FAULT_HYPOTHESES`."""
 
     @property
     def size(self) -> np.ndarray:
-        """rms S of the model, (5,)."""
+        """rms S of the model, (channels,)."""
         return np.sqrt(np.mean(self.model**2, axis=1))
 
     @property
     def sufficient(self) -> np.ndarray:
-        """Whether a channel has enough samples for the test, (5,)."""
+        """Whether a channel has enough samples for the test, (channels,)."""
         return np.sum(np.isfinite(self.residual), axis=1) >= MIN_SAMPLES
 
     @property
     def mean_square(self) -> np.ndarray:
-        """Mean square of the residual, (5,); NaN with too few samples."""
+        """Mean square of the residual, (channels,). It is NaN for too few samples."""
         finite = np.isfinite(self.residual)
         total = np.sum(np.where(finite, self.residual, 0.0) ** 2, axis=1)
         return np.where(self.sufficient, total / np.maximum(finite.sum(axis=1), 1), np.nan)
 
 
 def channel_misfits(windows: list[Window]) -> dict[str, tuple[float, float]]:
-    """Returns channels whose relative residual exceeds `MAX_MISFIT`: its rms, and rms over S."""
+    """Returns channels with a larger residual than `MAX_MISFIT`: rms of the residual, and rms/S."""
     squares = np.array([w.mean_square for w in windows])
     sizes = np.array([w.size**2 for w in windows])
     found = {}
@@ -103,23 +103,23 @@ def channel_misfits(windows: list[Window]) -> dict[str, tuple[float, float]]:
 
 @dataclass
 class Bands:
-    """Band of each channel: `noise` in the channel's unit, and `share` of S; all (5,).
+    """Band of each channel (channels,): `noise` in the unit of the channel, and `share`.
 
-    S is at least `reference_size`, the S of the first windows. A residual that does not depend on
-    the stroke, such as a sensor's offset, thus stays in the band for a smaller stroke.
+    S is at least `reference_size`, the rms of the model in the first windows. A residual that does
+    not depend on the stroke, such as a sensor's offset, stays in the band if the stroke decreases.
     """
 
     noise: np.ndarray
     share: np.ndarray
     reference_size: np.ndarray
     mean: np.ndarray = field(default_factory=lambda: np.zeros(5))
-    """Mean of a window's logarithm without a fault."""
+    """Mean of the windows' logarithms without a fault."""
     spread: np.ndarray = field(default_factory=lambda: np.full(5, MIN_SPREAD))
-    """Standard deviation of a window's logarithm without a fault."""
+    """Standard deviation of the windows' logarithms without a fault."""
 
     @classmethod
     def declared(cls, sensors: SensorsTable, windows: list[Window]) -> "Bands":
-        """Returns the bands that the sensors declare; measure white noise that is not declared."""
+        """Returns the bands of the declared noise; measures white noise that is not declared."""
         values = np.concatenate([w.measured for w in windows], axis=1)
         size = np.sqrt(np.mean([w.size**2 for w in windows], axis=0))
         noise = MIN_NOISE * np.maximum(size, 1e-12)
@@ -132,7 +132,7 @@ class Bands:
 
     @classmethod
     def learned(cls, sensors: SensorsTable, windows: list[Window]) -> "Bands":
-        """Returns the declared bands, widened to the residuals of these windows."""
+        """Returns the declared bands, widened to the residuals of the given windows."""
         bands = cls.declared(sensors, windows)
         squares = np.array([w.mean_square for w in windows])
         sizes = np.array([w.size**2 for w in windows])
@@ -149,21 +149,21 @@ class Bands:
         return bands
 
     def variance(self, window: Window) -> np.ndarray:
-        """Returns band^2, (5,)."""
+        """Returns band^2, (channels,)."""
         return self.noise**2 + (self.share * np.maximum(window.size, self.reference_size)) ** 2
 
     def deviation(self, window: Window) -> np.ndarray:
-        """Returns the standardised logarithm of a window, (5,); NaN for a channel without a test.
+        """Returns the standardised logarithm (channels,) of a window; NaN for an untested channel.
 
-        It is at most 0 within the band. So a residual that was smaller in the first windows may
-        increase up to the band without evidence for a fault.
+        The result is at most 0 within the band. So a residual that was smaller in the first windows
+        may increase up to the band without evidence for a fault.
         """
         logarithm = self.logarithm(window)
         standardised = (logarithm - self.mean) / self.spread
         return np.where(logarithm > 0.0, standardised, np.minimum(standardised, 0.0))
 
     def logarithm(self, window: Window) -> np.ndarray:
-        """Returns the log of mean square over band^2, (5,); NaN for a channel without a test."""
+        """Returns log(mean square / band^2), (channels,); NaN for an untested channel."""
         return np.log(np.maximum(window.mean_square, 1e-300) / self.variance(window))
 
 
@@ -172,7 +172,7 @@ class Alarm(NamedTuple):
 
     on: bool
     channels: tuple[str, ...]
-    """Channels outside their band."""
+    """Names of the channels outside their bands."""
     hint: str
     """The probable cause."""
 
@@ -183,7 +183,7 @@ NO_ALARM = Alarm(False, (), "")
 class SequentialTest:
     """The sequential test of all channels, with the evidence for each cause.
 
-    A CUSUM is limited to twice its threshold, so that an alarm ends soon after its cause.
+    A CUSUM is at most twice the threshold, so an alarm ends soon after its cause has ended.
     """
 
     def __init__(self, bands: Bands):
@@ -194,7 +194,7 @@ class SequentialTest:
         self._body, self._pull, self._normal = 0.0, np.zeros(3), np.zeros((3, 3))
 
     def inside(self, window: Window) -> np.ndarray:
-        """Returns whether the CUSUM remains zero with this window, (5,)."""
+        """Returns whether the CUSUM of each channel remains zero with this window, (channels,)."""
         deviation = np.nan_to_num(self.bands.deviation(window), nan=0.0)
         return (self.cusum + deviation - REFERENCE) <= 0.0
 
@@ -210,12 +210,12 @@ class SequentialTest:
             self.alarm = NO_ALARM
             return
         channels = tuple(c for c, x in zip(BUILT_IN, on, strict=True) if x)
-        # After the cause has ended, new windows contain no evidence for it.
+        # After the cause has ended, new windows contain no evidence for the cause.
         active = bool(np.any(deviation > REFERENCE)) or not before.on
         self.alarm = Alarm(True, channels, self._hint(on) if active else before.hint)
 
     def _add_evidence(self, window: Window) -> None:
-        """Adds the products of the residual with each fault's change and each derivative."""
+        """Adds the sums for least-squares fits of faults and parameters to the residual."""
         variance = self.bands.variance(window)[:, None]
         finite = np.isfinite(window.residual)
         r = np.where(finite, window.residual, 0.0) / np.sqrt(variance)
@@ -236,12 +236,12 @@ class SequentialTest:
         # A changed tail may change both stiffness and length, so both are fitted together.
         tail, K_Q = self._explained([1, 2]), self._explained([0])
         if max(K_Q, tail) < MIN_EXPLAINED:
-            return f"body, tail or the sensors of {channels}; the pressures fit the model"
+            return f"body, tail or sensors of {channels}; the pressures fit the model"
         cause = "changed tail" if tail > K_Q else "changed moment per pressure (K_Q)"
         return f"{cause}: the pressures fit the model, {channels} do not"
 
     def _explained(self, which: list[int]) -> float:
-        """Returns the share of the body's residual that some `PARAMETERS` after k explain."""
+        """Returns the fraction of the body's residual that `which` of `PARAMETERS[1:]` explain."""
         A, b = self._normal[np.ix_(which, which)], self._pull[which]
         size = np.sqrt(np.maximum(np.diag(A), 1e-300))
         x = np.linalg.lstsq(A / np.outer(size, size), b / size, rcond=1e-6)[0]
@@ -254,9 +254,7 @@ class SequentialTest:
         best = int(np.argmax(gained))
         where = ("front", "rear")[i]
         if gained[best] < MIN_EXPLAINED:
-            return (
-                f"{where} chambers: unknown pressure fault (no leak, blocked valve or slower lag)"
-            )
+            return f"{where} chambers: unknown fault (not a leak, a blocked valve or a slower lag)"
         hypothesis = FAULT_HYPOTHESES[best]
         side = {1: "_left", -1: "_right", 0: " chambers"}[hypothesis.side]
         return f"{hypothesis.cause}: {where}{side}"

@@ -1,8 +1,7 @@
-"""Simulates one block of a live stream; compiled once, with its state passed from call to call.
+"""Simulates a block of a live stream. The program is compiled once; calls pass on the state.
 
-The chambers' pressures are predicted from the set pressures. The body is driven by the measured
-pressures. So a pressure fault does not appear as a body fault, and only the pressures determine the
-lag.
+The model predicts the chambers' pressures from the set pressures. The measured pressures drive the
+body. So a pressure fault does not appear as a body fault, and only the pressures determine the lag.
 """
 
 from collections.abc import Callable
@@ -29,18 +28,19 @@ from slider_jax.experiment.load import Experiment, to_model
 from slider_jax.experiment.schema import Trial
 
 PARAMETERS = ("k", "K_Q", "EI_tail", "tail_length")
-"""Parameters for which the block computes derivatives, in this order; the first is the lag's."""
+"""Parameters for which the block computes derivatives, in this order. Only k belongs to the lag."""
 HISTORY = 100
-"""Samples of set pressures and instrument inputs kept from before a block. At 500 Hz this is longer
-than any dead time or filter of the library."""
+"""Number of samples of set pressures and instrument inputs that are kept from before a block. At
+500 Hz, these 0.2 s are longer than any dead time or filter of the library."""
 
 
 class ChamberFault(Flow):
-    """A fault of the chambers' pneumatics on the positive and the negative side, each (2,).
+    """A fault of the chambers' pneumatics; `leak` and `shut` (2,) are for the sides 1 and -1.
 
         dp/dt = (1 - shut) (p_set - p)/(slower k) - leak p/k
 
-    `shut` applies while |p| increases. `leak` is the leak's conductance relative to the valve's.
+    `shut` applies while |p| increases. `leak` is the conductance of the leak, divided by the
+    conductance of the valve. `slower` is a factor of the time constant k.
     """
 
     leak: Float[Array, "2"]
@@ -53,7 +53,7 @@ class ChamberFault(Flow):
 
 
 class FaultHypothesis(NamedTuple):
-    """A fault that may explain the pressures, of `size`, on side 1 or -1, or on both (0)."""
+    """A possible fault of the given `size` on side 1 or -1, or on both sides (0)."""
 
     cause: str
     side: int
@@ -80,21 +80,21 @@ class BlockState(eqx.Module):
     values: Float[Array, " values"]
     """Values of `PARAMETERS` with which the state was computed."""
     p: Float[Array, "2"]
-    """Pressures [Pa] of the lag model from the set pressures."""
+    """Pressures [Pa] that the lag model predicts from the set pressures."""
     dp: Float[Array, "2"]
     """Derivative of `p` with respect to k."""
     sensed: Float[Array, "2"]
-    """Pressures [Pa] that drive the body: measured, and predicted by the lag model over a gap."""
+    """Pressures [Pa] that drive the body: measured, or predicted by the lag model in a gap."""
     faulty: Float[Array, "faults 2"]
-    """As `p`, with each of `FAULT_HYPOTHESES`."""
+    """Pressures [Pa] that the lag model predicts with each of `FAULT_HYPOTHESES`."""
     body: Carry
     d_body: Any
-    """Derivatives of `body` with respect to all `PARAMETERS` except k, on a leading axis."""
+    """Derivatives of `body` by all `PARAMETERS` except k. The first axis is the parameter."""
     last: Float[Array, "3"]
-    """thrust [N], recoil [N] and tip [m] at the block's end."""
+    """Thrust [N], recoil [N] and tip [m] at the end of the block."""
     d_last: Float[Array, "bodies 3"]
     past: Float[Array, "past 5"]
-    """Last inputs of the instruments; empty without instruments."""
+    """Last inputs of the instruments. It is empty without instruments."""
     d_past: Float[Array, "values past 5"]
 
 
@@ -102,16 +102,16 @@ class BlockPrediction(NamedTuple):
     """The model's values at the samples of a block."""
 
     channels: Float[Array, "5 samples"]
-    """In the order of `BUILT_IN`."""
+    """Predicted readings, in the order of `BUILT_IN`."""
     derivatives: Float[Array, "values 5 samples"]
-    """Derivatives with respect to `PARAMETERS`."""
+    """Derivatives of the readings with respect to `PARAMETERS`."""
     faulty: Float[Array, "faults 2 samples"]
     """Pressures [Pa] with each of `FAULT_HYPOTHESES`."""
 
 
 @dataclass(frozen=True)
 class BlockLayout:
-    """A block of `samples` samples, `period` [s] apart; a time step of the body is `per_step`."""
+    """Layout of a block: number of `samples`, `period` [s] between them, samples per time step."""
 
     period: float
     samples: int
@@ -121,7 +121,7 @@ class BlockLayout:
 
 
 def live_model(experiment: Experiment, trial: Trial) -> Model:
-    """Returns a trial's model with the experiment's lag; its drive comes from the stream."""
+    """Returns the model of a trial with the lag of the experiment, for the drive of a stream."""
     wave = Recorded(jnp.zeros(2), jnp.zeros(2))
     return replace(
         to_model(experiment, trial),
@@ -160,11 +160,12 @@ def initial_block_state(model: Model, layout: BlockLayout, values: np.ndarray) -
 def compile_block(
     model: Model, layout: BlockLayout, state: BlockState
 ) -> Callable[..., tuple[BlockState, BlockPrediction]]:
-    """Returns the program of a block, compiled for models of this structure.
+    """Returns the program of a block, compiled for models with the structure of `model`.
 
-    Its arguments are (model, state, values (4,), t0, set_pressure (2, HISTORY + 1 + samples),
-    measured pressure (2, samples)). `t0` [s] is the time of the last sample before the block. A set
-    pressure [Pa] is the mean since the previous sample. A missing measured pressure is NaN.
+    The arguments of the program are (model, state, values (parameters,), t0, set_pressure (2,
+    HISTORY + 1 + samples), measured pressure (2, samples)). `t0` [s] is the time of the last sample
+    before the block. A set pressure [Pa] is the mean since the previous sample. A missing measured
+    pressure is NaN.
     """
 
     def run(model, state, values, t0, set_pressure, measured):
@@ -177,7 +178,7 @@ def compile_block(
 
 
 def _of_body(model: Model, values: Array) -> Model:
-    """Returns the model that the sensors' pressures drive, with all `PARAMETERS` except k."""
+    """Returns the model for measured pressures; `values` are all `PARAMETERS` except k."""
     K_Q, EI_tail, tail_length = values
     return replace(
         model,
@@ -192,7 +193,7 @@ def _block(
 ):
     state = _extrapolated(state, values)
     at = t0 + layout.period * jnp.arange(layout.samples + 1.0)
-    # A chamber fills over several periods, so the mean over a period determines its response.
+    # A chamber needs several periods to fill, so the mean set pressure of a period is sufficient.
     since = t0 + layout.period * jnp.arange(-HISTORY - 1.0, float(layout.samples))
     front, rear = (Held(since, x) for x in set_pressure)
     lag = FirstOrderLag(values[0])
@@ -210,7 +211,7 @@ def _block(
 
 
 def _extrapolated(state: BlockState, values) -> BlockState:
-    """Returns the state at other values of `PARAMETERS`, to first order."""
+    """Returns the state for other `values` of `PARAMETERS`, by linear extrapolation."""
     change = values - state.values
     moving, rest = eqx.partition(state.body, eqx.is_inexact_array)
     moved = jax.tree.map(lambda x, d: x + jnp.tensordot(change[1:], d, 1), moving, state.d_body)
@@ -252,7 +253,7 @@ def _save(x: Snapshot):
 
 
 def _body(layout: BlockLayout, model: Model, state: BlockState, t0):
-    """Returns state, (thrust, recoil, tip) (samples, 3) and derivatives (bodies, samples, 3)."""
+    """Returns the state; thrust, recoil, tip (samples, 3); and derivatives (bodies, samples, 3)."""
     times = TimeGrid(
         jnp.asarray(layout.period * layout.per_step), layout.samples // layout.per_step, t0
     )
@@ -293,7 +294,7 @@ def _body(layout: BlockLayout, model: Model, state: BlockState, t0):
 
 
 def _instruments(layout: BlockLayout, model: Model, state: BlockState, at, true, d_true):
-    """Returns the state, the instruments' readings of `true` (samples, 5) and their derivatives."""
+    """Returns state, readings of `true` (samples, channels), and derivatives of the readings."""
     past = len(state.past)
     series = jnp.concatenate([state.past, true])
     d_series = jnp.concatenate([state.d_past, d_true], axis=1)

@@ -1,4 +1,4 @@
-"""Estimates one parameter from a live stream by recursive least squares with forgetting."""
+"""Estimates a parameter from a live stream by recursive least squares with forgetting."""
 
 import math
 from dataclasses import dataclass
@@ -16,22 +16,22 @@ class ParameterEstimate(NamedTuple):
     deviation: float
 
     def with_share(self, share: float) -> "ParameterEstimate":
-        """Returns the estimate with an additional independent deviation, relative to the value."""
+        """Returns the estimate with an additional independent deviation of `share` times value."""
         return ParameterEstimate(self.value, math.hypot(self.deviation, share * self.value))
 
 
 @dataclass
 class RecursiveEstimator:
-    """Least squares over windows whose weight decreases by a factor e in `memory` windows.
+    """Least squares over windows; a window's weight decreases by a factor e in `memory` windows.
 
-    With residual r and derivative J at its theta_w, a window gives H (theta - theta_w) = g, where
-    g = sum r J/var and H = sum J^2/var. With c = g + H theta_w, theta = sum c/sum H, discounted.
-    The discounted sums of c^2, c H and H^2 give the spread of the gradients c - H theta and thus
-    the deviation, so residuals correlated within a window count once. The memory starts at two
-    windows and grows, because the first windows are linearised far from the final value.
+    Each window has residuals r with variances var and derivatives J, at the value theta_w of the
+    parameter. It gives g = sum(J r/var), H = sum(J^2/var) and c = g + H theta_w. The estimate is
+    theta = sum(c)/sum(H), with weighted sums over the windows. The spread of the gradients c - H
+    theta gives the standard deviation. The memory starts at two windows and grows, because the
+    first windows are linearised at a value far from the final value.
 
-    Source: Ljung, L. (1999), System Identification, 2nd ed., ch. 11. The spread is the sandwich
-    estimate of `calibration.inference.intervals`.
+    Source: Ljung, L. (1999), System Identification, 2nd ed., ch. 11. The standard deviation is a
+    sandwich estimate, as in `calibration.inference.intervals`.
     """
 
     value: float
@@ -49,7 +49,7 @@ class RecursiveEstimator:
         self._informed = 0.0
 
     def update(self, g: float, H: float) -> None:
-        """Updates the value with a window; ignores a window without information."""
+        """Updates the value with a window, and ignores a window without information."""
         if not (H > 0.0 and math.isfinite(g) and math.isfinite(H)):
             return
         keep = 1.0 - 1.0 / min(2.0 + 0.5 * self.windows, self.memory)
@@ -63,7 +63,7 @@ class RecursiveEstimator:
 
     @property
     def estimate(self) -> ParameterEstimate:
-        """Value and deviation from the gradients' spread, or from white noise if that is larger."""
+        """Value and standard deviation, from the gradients' spread or white noise (the larger)."""
         if self.windows < 4:
             return ParameterEstimate(self.value, self.prior)
         cc, cH, HH = self._squares
@@ -72,10 +72,10 @@ class RecursiveEstimator:
 
 
 def lag_gradient(window: Window, variance: np.ndarray) -> tuple[float, float]:
-    """Returns g and H of `RecursiveEstimator.update` for k, from the pressures of a window.
+    """Returns g and H for k from the pressures of a window, for `RecursiveEstimator.update`.
 
-    The part of the derivative that a time shift could also cause is removed, because set pressures
-    change between two readings and valves have dead times.
+    A time shift can change the pressures as k does, because set pressures change between two
+    readings and valves have dead times. This part of the derivative is removed.
     """
     J = window.derivatives[0, :2] * np.isfinite(window.residual[:2])
     shift = np.gradient(window.model[:2], axis=1) * np.isfinite(window.residual[:2])
@@ -85,7 +85,7 @@ def lag_gradient(window: Window, variance: np.ndarray) -> tuple[float, float]:
 
 
 def moment_gradient(window: Window, variance: np.ndarray) -> tuple[float, float]:
-    """Returns g and H of `RecursiveEstimator.update` for K_Q, from thrust, recoil and tip."""
+    """Returns g and H for K_Q from thrust, recoil and tip, for `RecursiveEstimator.update`."""
     return _gradient(window.derivatives[1, 2:], window.residual[2:], variance[2:])
 
 

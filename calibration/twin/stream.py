@@ -1,4 +1,4 @@
-"""Converts a stream of readings to evenly spaced blocks; fills in and marks lost readings."""
+"""Converts a stream of readings to evenly spaced blocks. Lost readings are filled in and marked."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,18 +13,18 @@ MAX_GAP = 0.2
 
 
 class Samples(NamedTuple):
-    """Readings in the order of their device times; NaN if a sensor read nothing."""
+    """Readings in the order of the device's clock. A missing reading is NaN."""
 
     t: np.ndarray
-    """(n,) [s] on the device's clock."""
+    """Times (n,) [s] on the device's clock."""
     set_pressure: np.ndarray
-    """(2, n) [Pa], front and rear, signed: the mean since the previous reading, which includes an
-    edge between the two readings."""
+    """Set pressures (2, n) [Pa] of the front and rear chambers: means since the previous reading. A
+    mean contains a change of the set pressure between two readings."""
     measured: np.ndarray
-    """(5, n) in the order of `slider_jax.channels.BUILT_IN`: Pa, Pa, N, N, m."""
+    """Readings (channels, n) in Pa, Pa, N, N, m, in the order of `slider_jax.channels.BUILT_IN`."""
 
     def checked(self) -> "Samples":
-        """Returns the samples as float arrays. Raises `InputError` for other shapes."""
+        """Returns the samples as float arrays. Raises `InputError` for a wrong shape."""
         samples = Samples(*(np.asarray(x, float) for x in self))
         n = samples.t.shape[-1] if samples.t.ndim else 0
         for name, shape in {"t": (n,), "set_pressure": (2, n), "measured": (5, n)}.items():
@@ -40,20 +40,20 @@ class UniformBlock(NamedTuple):
     """Evenly spaced samples of a block."""
 
     t: np.ndarray
-    """(samples,) [s]"""
+    """Times (samples,) [s]."""
     set_pressure: np.ndarray
-    """(2, samples) [Pa]; over a gap the mean of the whole gap."""
+    """Set pressures (2, samples) [Pa]. In a gap, each sample has the mean of the gap."""
     measured: np.ndarray
-    """(5, samples), NaN if the reading was lost."""
+    """Readings (channels, samples). A lost reading is NaN."""
     lost: np.ndarray
-    """(samples,) whether the reading was lost."""
+    """Whether the reading was lost, (samples,)."""
     restarted: bool
-    """Whether a long gap precedes the block, or it is the first."""
+    """Whether the block is the first block, or follows a long gap."""
 
 
 @dataclass
 class GapFiller:
-    """Places readings on a grid of `period` [s] on the device's clock, in blocks of `samples`."""
+    """Assigns readings to evenly spaced times with `period` [s], in blocks of `samples` times."""
 
     period: float
     samples: int
@@ -62,7 +62,7 @@ class GapFiller:
     repeated: int = 0
     """Number of dropped readings: repeated, out of order, or without a time."""
     gaps: int = 0
-    """Number of gaps too long to fill in."""
+    """Number of gaps that are too long to fill in."""
 
     def __post_init__(self) -> None:
         self._origin: float | None = None

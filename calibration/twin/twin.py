@@ -1,11 +1,11 @@
 """The live twin: a calibrated model that runs in parallel with a stream of readings.
 
-    twin = Twin.of(experiment)                 # compiles the model; call it before the stream
-    for block in twin.feed(readings):          # call it whenever readings arrive
+    twin = Twin.of(experiment)                 # call this before the stream: it compiles the model
+    for block in twin.feed(readings):          # call this whenever readings arrive
         block.model, block.residual, block.k, block.K_Q, block.alarm
 
-After `WARM_UP`, the twin learns the bands of the residuals from some strides. Then it tests each
-window against the bands. It always updates k and K_Q, except while the residual exceeds its band.
+After `WARM_UP`, the twin learns the bands of the residuals from some strides. Then the twin tests
+each window against the bands. The twin updates k and K_Q, except while a residual exceeds its band.
 """
 
 import time
@@ -40,24 +40,22 @@ from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.schema import FEWEST_NODES, Trial
 
 WARM_UP = 2.0
-"""Time [s] after which the initial shape has no influence and k and K_Q are nearly correct."""
+"""Time [s] after which the initial shape has no influence, and k and K_Q are nearly correct."""
 SETTLING, SETTLING_AFTER_RESTART = 0.3, 1.0
-"""Times [s] without a test after a filled gap (three or four pressure lags) and after a restart
-(the body's transient)."""
+"""Times [s] without a test: after a filled gap (3 to 4 time constants k), and after a restart."""
 NEGLIGIBLE_GAP = 0.01
-"""Longest duration [s] of lost readings that needs no settling."""
+"""Longest duration [s] of lost readings without a settling time."""
 TARE_TIME = 2.0
-"""Time constant [s] with which the mean residual of forces and tip is tracked, as tares drift."""
+"""Time constant [s] of the running mean residual of forces and tip. It follows drifting tares."""
 MAX_CLOCK_SHIFT = 2e-3
-"""Largest shift [s] between the forces' and the manifold's clocks. Each clock is aligned by its
-earliest arrival, and a busy computer may delay that of one device."""
+"""Largest expected shift [s] between the clocks of force sensor and manifold. The earliest arrival
+of data aligns each clock. On a busy computer, the earliest arrival of one device may be late."""
 INITIAL_DEVIATION = 0.3
 """Relative standard deviation of k and K_Q before the stream."""
 SYSTEMATIC_K, SYSTEMATIC_K_Q = 0.002, 0.005
-"""Relative systematic errors of k and K_Q, which no stream reduces: the sensors' gains
-(`calibration.inference.noise`) and the mesh."""
+"""Relative errors of k and K_Q by sensor gains and mesh, which more data do not reduce."""
 MIN_EXCITATION = 10.0
-"""A window updates k and K_Q if the model's pressure exceeds its noise by this factor."""
+"""Smallest ratio of the model's pressure to the noise with which a window updates k and K_Q."""
 
 
 @dataclass(frozen=True)
@@ -65,9 +63,9 @@ class TwinSettings:
     """Settings of a twin.
 
     The calibration's mesh (`calibration.model.predict.FINE`) is too slow for real time. The bands
-    include the error of a coarser mesh for a regular drive, but not its error after a delayed edge.
-    With a tip amplitude of 60 mm, that error is 0.2 mm for one second with 31 nodes and time steps
-    of two readings. It is 0.02 mm with these settings.
+    include the error of a coarser mesh for a regular drive, but not the error after a delayed
+    change of the set pressure. For a tip amplitude of 60 mm, the error after a delayed change is
+    0.02 mm with these settings. With 31 nodes and time steps of two readings, it is 0.2 mm for 1 s.
     """
 
     rate: float = 500.0
@@ -79,44 +77,44 @@ class TwinSettings:
     nodes: int = 51
     tolerance: float = 1e-5
     window: float = 0.4
-    """Duration [s] of a window, the unit of the sequential test."""
+    """Duration [s] of a window. The sequential test has one value per window."""
     learn: float = 6.0
-    """Duration [s] of the stream from which the bands are learned; at least four strides."""
+    """Duration [s] from which the bands are learned. The twin uses at least four strides."""
     memory_k: float = 20.0
     """Time constant [s] with which older windows lose weight in the estimate of k."""
     memory_K_Q: float = 60.0
-    """Time constant [s] for K_Q."""
+    """Time constant [s] with which older windows lose weight in the estimate of K_Q."""
 
 
 class TwinBlock(NamedTuple):
     """The twin's result for one block of readings."""
 
     t: np.ndarray
-    """(samples,) [s] on the device's clock."""
+    """Times (samples,) [s] on the device's clock."""
     model: np.ndarray
-    """(5, samples) in the order of `BUILT_IN`."""
+    """Predicted readings (channels, samples) in the order of `BUILT_IN`."""
     measured: np.ndarray
-    """(5, samples), NaN if nothing was read."""
+    """Measured readings (channels, samples). A missing reading is NaN."""
     lost: np.ndarray
-    """(samples,) whether the reading was lost and filled in."""
+    """Whether the reading was lost and filled in, (samples,)."""
     valid: np.ndarray
-    """(samples,) whether the residual is tested: neither lost nor just after a gap."""
+    """Whether the residual is tested, (samples,): neither lost nor shortly after a gap."""
     k: ParameterEstimate
     K_Q: ParameterEstimate
     alarm: Alarm
     watching: bool
-    """Whether the bands are learned and the test runs."""
+    """Whether the twin has learned the bands and tests the windows."""
     seconds: float
     """Computing time of the block [s]."""
 
     @property
     def residual(self) -> np.ndarray:
-        """Measured minus model, (5, samples)."""
+        """Measured minus model, (channels, samples)."""
         return self.measured - self.model
 
 
 class Twin:
-    """A model in parallel with a stream. `of` creates it; `feed` takes the stream's readings."""
+    """A model in parallel with a stream. `of` creates a twin; `feed` takes the readings."""
 
     def __init__(self, experiment: Experiment, settings: TwinSettings, trial: Trial):
         self.experiment, self.settings = experiment, settings
@@ -139,15 +137,15 @@ class Twin:
     def of(
         cls, experiment: Experiment, trial: Trial | int = 0, settings: TwinSettings = TwinSettings()
     ) -> "Twin":
-        """Returns a twin with a trial's coefficients and carriage, compiled and run once.
+        """Returns a compiled twin with the coefficients and the carriage of a trial.
 
-        Takes seconds. Raises `InputError` for invalid settings.
+        The call takes some seconds. Raises `InputError` for invalid settings.
         """
         if settings.samples < 2 or settings.per_step < 1 or settings.samples % settings.per_step:
             raise InputError.value(
                 "twin settings, samples and per_step",
                 f"{settings.samples} and {settings.per_step}",
-                "at least two readings per block, in a whole number of time steps",
+                "2 or more readings per block, which are a multiple of the readings per time step",
             )
         if settings.nodes < FEWEST_NODES:
             allowed = f"{FEWEST_NODES} or more"
@@ -159,7 +157,7 @@ class Twin:
         return twin
 
     def restart(self) -> None:
-        """Prepares for a new stream: discard the bands and the estimates of k and K_Q."""
+        """Prepares for a new stream: discards the bands and the estimates of k and K_Q."""
         self._k = self._recursive("k", self._values[0], self.settings.memory_k)
         self._K_Q = self._recursive("K_Q", self._values[1], self.settings.memory_K_Q)
         self._state = self._rest
@@ -170,8 +168,8 @@ class Twin:
         self._windows: list[Window] = []
         self._raw_windows: list[Window] = []
         self.misfits: dict[str, tuple[float, float]] = {}
-        """Channels whose residual was too large while the bands were learned: its rms in SI units,
-        and relative to the model's rms. The test cannot detect a fault from that time."""
+        """Channels with too large residuals while the bands were learned: rms of the residual in SI
+        units, and this rms divided by the model's rms. The test cannot detect such a fault."""
         self._means = 0
         self._tare = np.zeros(len(BUILT_IN))
         self._d_tare = np.zeros((len(PARAMETERS), len(BUILT_IN)))
@@ -203,12 +201,12 @@ class Twin:
 
     @property
     def judges_after(self) -> float:
-        """Duration [s] of a driven stream after which the bands are learned."""
+        """Duration [s] of a driven stream after which the twin has learned the bands."""
         return sum(self._learned_by) * self.settings.window
 
     @property
     def k(self) -> ParameterEstimate:
-        """Current estimate of the pressure lag [s]."""
+        """Current estimate of the lag's time constant [s]."""
         return self._k.estimate.with_share(SYSTEMATIC_K)
 
     @property
@@ -217,7 +215,7 @@ class Twin:
         return self._K_Q.estimate.with_share(SYSTEMATIC_K_Q)
 
     def _predict(self, block: UniformBlock) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Returns the fields of `BlockPrediction`; after a restart from measured pressures."""
+        """Returns the fields of `BlockPrediction`. A restart begins at the measured pressures."""
         state = self._state
         if block.restarted:
             self._past = np.repeat(block.set_pressure[:, :1], HISTORY + 1, axis=1)
@@ -259,7 +257,7 @@ class Twin:
         return valid
 
     def _close_window(self) -> None:
-        """Learns from the complete window, or tests it."""
+        """Updates the estimates with the complete window, and tests the window or learns bands."""
         whole = Window(*(np.concatenate(x, axis=-1) for x in zip(*self._parts, strict=True)))
         window = _aligned_forces(self._without_mean(whole), self.layout.period)
         self._parts = []
@@ -286,10 +284,10 @@ class Twin:
                 self.misfits = channel_misfits(self._raw_windows[warm:])
 
     def _without_mean(self, window: Window) -> Window:
-        """Returns the window with the means of residual and derivatives subtracted.
+        """Returns the window minus the means of residual and derivatives.
 
-        The means of forces and tip are those of the last seconds. Those of the pressures are from
-        before the test began, because a leak changes the mean.
+        The means of forces and tip are from the last seconds. The means of the pressures are from
+        the time before the test began, because a leak changes the mean.
         """
         tare, d_tare = self._tare, self._d_tare
         finite = np.isfinite(window.residual)
@@ -309,9 +307,9 @@ class Twin:
 
 
 def _aligned_forces(window: Window, period: float) -> Window:
-    """Returns the window with its forces shifted in time by up to `MAX_CLOCK_SHIFT`.
+    """Returns the window with the forces shifted in time by up to `MAX_CLOCK_SHIFT`.
 
-    The shift fits the model best. The part of `derivatives` that a shift could cause is removed.
+    The shifted forces fit the model best. The part of `derivatives` that equals a shift is removed.
     """
     forces = slice(2, 4)
     model, residual = window.model[forces], window.residual[forces]
