@@ -40,9 +40,9 @@ def audit_measurements(
 ) -> Audited:
     """Returns the usable trials of an experiment and the findings of the audit.
 
-    `predict` returns the readings (5, n) of each record that the starting model predicts. Without
-    `predict`, the audit does not compare forces and tip with a prediction. Raises `InputError` with
-    the findings if fewer than `least` trials are usable.
+    `predict` returns the readings (channels, n) of each record that the starting model predicts.
+    Without `predict`, the audit does not compare forces and tip with a prediction. Raises
+    `InputError` with the findings if fewer than `least` trials are usable.
     """
     records, findings = _read(experiment)
     rate = None

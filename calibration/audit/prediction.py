@@ -84,7 +84,7 @@ def check_predicted_channels(
 ) -> tuple[list[Record], list[Finding]]:
     """Returns the records with unambiguous faults of forces and tip repaired, and findings.
 
-    `predicted` contains the starting model's readings (5, n) of every record. A channel that
+    `predicted` contains the starting model's readings (channels, n) of every record. A channel that
     correlates with its prediction in all trials except one is masked in that one trial.
     """
     found, findings = list(records), []

@@ -18,7 +18,7 @@ MIN_ROWS = 20
 
 
 class Rows(NamedTuple):
-    """The times (n,) and the other columns (5, n) of a file, in the order of its rows."""
+    """The times (n,) and the other columns (channels, n) of a file, in the order of its rows."""
 
     t: np.ndarray
     values: np.ndarray
@@ -117,7 +117,7 @@ def _whole_rows(name, header, numbered) -> tuple[list[list[str]], list[Finding]]
 
 
 def _numbers(name, header, rows) -> tuple[np.ndarray, list[Finding]]:
-    """Returns the numbers (6, rows) in the order of `channel_columns()`, and findings."""
+    """Returns the numbers (columns, rows) in the order of `channel_columns()`, and findings."""
     table, findings = np.full((len(channel_columns()), len(rows)), np.nan), []
     for i, column in enumerate(channel_columns()):
         if column not in header:

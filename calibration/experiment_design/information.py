@@ -162,7 +162,7 @@ class TrialInformation:
         return found
 
     def _readings(self, trial: Trial, p: TrialPlan) -> list[np.ndarray]:
-        """Returns readings (5, n) and tangents (k, 5, n); k = 0 if a reading is not finite."""
+        """Returns readings (channels, n) and tangents (k, channels, n); k = 0 for a failed step."""
 
         def make() -> list[np.ndarray]:
             y = predict_readings(p, self.theta)
@@ -174,7 +174,7 @@ class TrialInformation:
         return cached(self.memo, name, [self.theta, self.chosen, steps], make)
 
     def _other(self, trial: Trial, p: TrialPlan) -> np.ndarray | None:
-        """Returns the readings (5, n) of the other model."""
+        """Returns the readings (channels, n) of the other model."""
         other = self.other
         if other is None:
             return None
@@ -234,7 +234,7 @@ def predict_information(
 
 
 def _secant(p: TrialPlan, theta: np.ndarray, y: np.ndarray, entry: int, step: float) -> np.ndarray:
-    """Returns the change (5, n) of the readings, `y` at theta, per unit of an entry."""
+    """Returns the change (channels, n) of the readings, `y` at theta, per unit of an entry."""
     moved = theta.copy()
     moved[entry] += step
     return (predict_readings(p, moved) - y) / step

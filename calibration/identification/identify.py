@@ -41,7 +41,7 @@ class Identified(NamedTuple):
     entries: list[Parameter]
     problem: TankProblem
     before: list[np.ndarray]
-    """Readings (5, samples) of every trial with the experiment's own parameters."""
+    """Readings (channels, samples) of every trial with the experiment's own parameters."""
     fit: Fit
     method: str
     proposals: dict[int, Proposal]

@@ -48,7 +48,7 @@ class CodeDensity(NamedTuple):
     dnl: float
     """Largest error [codes] of a code's width in one period."""
     inl: float
-    """Half of the range of a reading's error [codes]. The error is the sum of all width errors."""
+    """Half of the range of a reading's error [codes], the cumulative sum of the width errors."""
     missing: list[int]
     """Codes that were expected but never read."""
     rare: list[int]

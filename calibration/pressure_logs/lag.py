@@ -144,7 +144,7 @@ def _lowest_minimum(square):
     """Returns log k at the lowest local minimum of the scan, or else at the lowest value.
 
     The edges of the range are no local minima. A lag much longer than the log holds the first
-    pressure. This may fit well by chance, but it does not identify the lag.
+    pressure. A constant may fit well by chance, but it does not identify k.
     """
     inner = square[1:-1]
     is_minimum = (inner < square[:-2]) & (inner < square[2:])

@@ -62,7 +62,7 @@ class ManifoldLog:
 
     @property
     def command_Pa(self) -> np.ndarray:
-        """Sets gauge pressure [Pa]."""
+        """Commanded gauge pressure [Pa]."""
         return PA_PER_PSI * psi(self.command)
 
     @property

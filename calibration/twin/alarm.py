@@ -31,9 +31,9 @@ MIN_SPREAD = 0.25
 MAX_LEARNED_SHARE = (0.1, 0.1, 0.4, 0.4, 0.2)
 """Largest share that each channel may learn. A larger residual indicates a wrong model."""
 MAX_MISFIT = (0.04, 0.04, 0.25, 0.12, 0.12)
-"""Largest relative residual of each channel in the first windows without a report of a misfit. A
-calibrated model has 0.01 for the pressures, 0.15 for thrust, and 0.05 for recoil and tip. A leak of
-a fifth of a valve's flow causes 0.09 for the pressure."""
+"""Largest relative residual (rms/S) of each channel in the first windows that is not reported as a
+misfit. With a calibrated model, the relative residual is 0.01 for the pressures, 0.15 for thrust,
+0.05 for recoil and tip. With a leak of a fifth of a valve's flow, it is 0.09 for the pressure."""
 MIN_SAMPLES = 10
 """Smallest number of samples with which a channel is tested in a window."""
 MIN_NOISE = 1e-9
@@ -103,7 +103,7 @@ def channel_misfits(windows: list[Window]) -> dict[str, tuple[float, float]]:
 
 @dataclass
 class Bands:
-    """Band of each channel (channels,): `noise` in the unit of the channel, and `share`.
+    """Bands of all channels, (channels,): `noise` in the channel's unit, and `share` (no unit).
 
     S is at least `reference_size`, the rms of the model in the first windows. A residual that does
     not depend on the stroke, such as a sensor's offset, stays in the band if the stroke decreases.

@@ -94,7 +94,7 @@ class BlockState(eqx.Module):
     """Thrust [N], recoil [N] and tip [m] at the end of the block."""
     d_last: Float[Array, "bodies 3"]
     past: Float[Array, "past 5"]
-    """Last inputs of the instruments. It is empty without instruments."""
+    """Last inputs of the instruments; an empty array if the model has no instruments."""
     d_past: Float[Array, "values past 5"]
 
 

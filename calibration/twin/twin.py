@@ -46,7 +46,7 @@ SETTLING, SETTLING_AFTER_RESTART = 0.3, 1.0
 NEGLIGIBLE_GAP = 0.01
 """Longest duration [s] of lost readings without a settling time."""
 TARE_TIME = 2.0
-"""Time constant [s] of the running mean residual of forces and tip. It follows drifting tares."""
+"""Time constant [s] of the running mean residual of forces and tip; the mean follows the tares."""
 MAX_CLOCK_SHIFT = 2e-3
 """Largest expected shift [s] between the clocks of force sensor and manifold. The earliest arrival
 of data aligns each clock. On a busy computer, the earliest arrival of one device may be late."""

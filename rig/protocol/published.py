@@ -70,7 +70,7 @@ class LogRow(NamedTuple):
 
     @property
     def command_Pa(self) -> float:
-        """Sets gauge pressure [Pa]."""
+        """Commanded gauge pressure [Pa]."""
         return counts_to_pascal(self.command)
 
     @property

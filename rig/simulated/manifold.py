@@ -33,7 +33,7 @@ class ManifoldCore:
 
     @property
     def set_pressures(self) -> Pressures | None:
-        """Sets pressures (4,) [Pa] that the valves follow; None while all vent."""
+        """Set pressures (4,) [Pa] that the valves follow; None while all vent."""
         return (
             self._set
             if self.state in (wire.ManifoldState.ARMED, wire.ManifoldState.PLAYING)
