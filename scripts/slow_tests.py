@@ -2,7 +2,7 @@
 
     python scripts/slow_tests.py [PYTEST ARGUMENTS]
 
-The script passes its arguments to pytest, for example `-n 2` (the default) or a folder of tests.
+The script passes its arguments to pytest, for example `-n 3` (the default) or a folder of tests.
 The exit code is the exit code of pytest.
 """
 
@@ -37,7 +37,7 @@ def results_table(report: Path) -> str:
 
 def main(arguments: list[str]) -> int:
     """Runs pytest on the slow tests, prints the table, and returns pytest's exit code."""
-    parallel = [] if any(x.startswith("-n") for x in arguments) else ["-n", "2"]
+    parallel = [] if any(x.startswith("-n") for x in arguments) else ["-n", "3"]
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "slow.xml"
         command = [sys.executable, "-m", "pytest", "-q", "-m", "slow", f"--junitxml={report}"]

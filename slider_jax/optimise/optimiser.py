@@ -4,6 +4,7 @@ All optimisers maximise a score. evosax and optax minimise, so this module chang
 """
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any, NamedTuple
 
 import jax
@@ -145,10 +146,19 @@ def _losses(scores: np.ndarray) -> jax.Array:
     return jnp.asarray(-np.where(good, scores, worst))
 
 
+MUTATION_SCHEDULE = optax.linear_schedule(*MUTATION, DECAY)
+"""Standard deviation of mutations by generation."""
+
+
+@cache
+def _shared(algorithm: type, population: int, dimensions: int, *options: Any) -> Any:
+    """Returns one evosax object for all optimisers of one size: evosax compiles for each object."""
+    return algorithm(population, jnp.zeros(dimensions), *options)
+
+
 def genetic(population: int, dimensions: int) -> Optimiser:
     """Returns the paper's genetic algorithm."""
-    schedule = optax.linear_schedule(*MUTATION, DECAY)
-    ga = RankGA(population, jnp.zeros(dimensions), schedule)
+    ga = _shared(RankGA, population, dimensions, MUTATION_SCHEDULE)
     params = ga.default_params
 
     def begin(seed):
@@ -178,7 +188,7 @@ def cma_es(
     the bounds' width.
     """
     middle = np.full(dimensions, 0.5) if around is None else around
-    es = CMA_ES(population, jnp.zeros(dimensions))
+    es = _shared(CMA_ES, population, dimensions)
 
     def begin(seed):
         params = es.default_params.replace(std_init=spread)

@@ -314,5 +314,7 @@ def test_a_coefficient_table_is_linear_between_its_frequencies_and_constant_beyo
     with pytest.raises(InputError, match="frequencies that increase from table to table"):
         load(path, model)
     model.write_text('[parameters]\nforce_coefficients = "table"\n')
-    with pytest.raises(InputError, match="coefficients: given 0 tables; allowed one table or more"):
+    with pytest.raises(
+        InputError, match="coefficients: given 0 tables; allowed at least one table"
+    ):
         load(path, model)
