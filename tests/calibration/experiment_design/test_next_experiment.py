@@ -238,9 +238,9 @@ def test_no_trial_is_proposed_if_none_would_narrow_an_interval(tank):
     record = loop_record(done, 1.0, {"path": "tank.toml", "sha256": "0"}, found)
     assert record["next_experiment"] is found
     html = loop_page(done, record | {"candidates": []})
-    assert "<h2>Next experiment</h2>" in html and "above it" not in html
+    assert "<h2>Next experiment</h2>" in html and "channels above" not in html
     loud = record | {"candidates": [], "left_over_noise": {"tip": 2.0}}
-    assert "above it: tip." in loop_page(done, loud)
+    assert "channels above the noise floor: tip." in loop_page(done, loud)
 
 
 def test_no_trial_is_proposed_for_recorded_drives(tank):
