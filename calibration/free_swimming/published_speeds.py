@@ -63,8 +63,10 @@ FIRST = PublishedPoint(
     0.213,
     0.004,
     {
-        "365 kPa (Q_set), table's tail": Gait(5.0, 365e3, 365e3, 0.2, 0.070, 0.0058),
-        "260 kPa (as fits the head-fixed thrust), table's tail": Gait(
+        "365 kPa (from Q_set), tail of the paper's table": Gait(
+            5.0, 365e3, 365e3, 0.2, 0.070, 0.0058
+        ),
+        "260 kPa (reproduces the head-fixed thrust), tail of the paper's table": Gait(
             5.0, 260e3, 260e3, 0.2, 0.070, 0.0058
         ),
         "pressures and tail of the optimum": Gait(5.0, 448e3, 414e3, 0.2, 0.053, 0.017),
@@ -83,7 +85,7 @@ RESISTIVE_EFFECTS: dict[str, Callable[[Any], Effect]] = {
 }
 INITIAL_COEFFICIENTS = {"tangential_friction": 0.1, "head_drag": 2e-3}
 """Initial values of the secant search for a coefficient."""
-HEAD_ADDED_MASSES = {"no point force at the head": 0.0, "added mass begins at the head": 1.0}
+HEAD_ADDED_MASSES = {"without head_added_mass": 0.0, "with head_added_mass": 1.0}
 """m_a of `HeadAddedMass`. The paper's local form of the reactive force has no such point force."""
 
 

@@ -174,7 +174,7 @@ def animal_sentence(x: BalanceAnalysis) -> str:
     first = 1e3 * x.imbalance.mean()
     sentence = (
         f"With the paper's coefficients (C_d {x.C_d:g}, m_a {x.m_a:g}), the model's mean forward "
-        f"force exceeds the momentum that the animal gains per time by {first:.2f} mN (95 % "
+        f"force exceeds the animal's gain of momentum per unit time by {first:.2f} mN (95 % "
         f"interval with all uncertainties: {low:.2f} to {high:.2f} mN)."
     )
     if verdict == "nothing_missing":

@@ -215,7 +215,7 @@ def _check_header(values: dict[str, float], rows: np.ndarray) -> list[RowFinding
         details = [f"the header implies {expected:g} samples; the last sample has number {last}"]
     cycles = span * values["frequency"] / 1000.0
     if "cycles" in values and abs(cycles - values["cycles"]) > 0.05:
-        details += [f"times of {cycles:.2f} cycles; the header states {values['cycles']:g} cycles"]
+        details += [f"start and stop span {cycles:.2f} cycles; cycles: {values['cycles']:g}"]
     return [RowFinding(None, detail) for detail in details]
 
 

@@ -113,7 +113,7 @@ def rig_run(
         late_ms = 1e3 * record["command_late_99_s"]
         print(
             f"{record['trial']}.csv  {record['rows']} rows, 99 % of commands at most "
-            f"{late_ms:.1f} ms late: {'; '.join(findings) or 'no findings'}"
+            f"{late_ms:.1f} ms late; {'; '.join(findings) or 'no findings'}"
         )
     if poor:
         print(

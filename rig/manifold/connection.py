@@ -13,7 +13,7 @@ from rig.recording.clock import Sink, host_ns
 
 VENTS = "the manifold vents by itself 0.1 s after the last command"
 MAX_DAMAGED = 1e-3
-"""If a larger fraction of frames is damaged, an error's text names the line as possible cause."""
+"""Fraction of damaged frames above which errors name the serial line as a possible cause."""
 
 
 class Connection:

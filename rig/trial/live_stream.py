@@ -1,4 +1,4 @@
-"""Combines a rig's streams during a trial to set and measured values at each reading."""
+"""Combines a rig's data streams during a trial; each reading gets set and measured values."""
 
 from bisect import bisect_right
 from collections import deque
@@ -20,7 +20,7 @@ MAX_FORCE_DELAY = 0.05
 MAX_KEPT = 4096
 """Largest number of readings, commands or force samples in memory, 4 s of forces at 1 kHz."""
 FORCE_MEMORY = 0.2
-"""Force samples are kept up to this time before the latest reading [s]."""
+"""Force samples older than this, relative to the latest reading, are deleted [s]."""
 Pressures = tuple[float, float, float, float]
 Item = TypeVar("Item")
 Signed = tuple[float, float]
@@ -83,7 +83,7 @@ class LiveStream:
         self._forces_received.append((host_ns, sensor_s, thrust, recoil))
 
     def take(self) -> LiveReadings:
-        """Returns the complete readings. A force sensor's latest sample limits them."""
+        """Returns the complete readings: those that are older than the latest force sample, if any."""
         self._order()
         forces = np.array(self._forces).reshape(-1, 3).T
         if len(forces[0]):

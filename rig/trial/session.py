@@ -246,7 +246,7 @@ def _trial_record(
     findings = list(columns.record["findings"])
     if late_99 > LATE_COMMANDS:
         findings.append(
-            f"1 % of the commands were over {1e3 * late_99:.1f} ms late: the computer is too busy"
+            f"the computer is too busy: 1 % of the commands were over {1e3 * late_99:.1f} ms late"
         )
     if columns.record["late_median_s"] > LATE_READINGS:
         findings.append(

@@ -22,7 +22,7 @@ ROWS = (
     ("strouhal", "Strouhal number 2 A_t f/U", "", 1.0),
     ("tail_slope", "tail slope A_t/(lambda/4)", "", 1.0),
     ("shape_wavelength_m", "wavelength of the shape", "mm", 1e3),
-    ("shape_tail_slope", "tail slope, wavelength of shape", "", 1.0),
+    ("shape_tail_slope", "tail slope from the shape", "", 1.0),
     ("power_W", "power P", "W", 1.0),
     ("cost_of_transport", "cost of transport P/(m g U)", "", 1.0),
     ("head_amplitude_m", "head amplitude", "mm", 1e3),

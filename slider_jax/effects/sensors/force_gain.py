@@ -18,7 +18,7 @@ class ForceGain(Instrument):
     sensors = ("thrust", "recoil")
 
     gain: Scalar = parameter(
-        0.0, -0.15, 0.15, "-", "calibrations with weights drift by a few percent; mounts add more"
+        0.0, -0.15, 0.15, "-", "a calibrated sensor drifts by a few percent; its mount adds more"
     )
     """g, relative error of the sensitivity."""
 

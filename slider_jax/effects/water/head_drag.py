@@ -22,7 +22,7 @@ class HeadDrag(ForceDensity):
     resists_axially = True
 
     area: Scalar = parameter(
-        0.0, 0.0, 3e-3, "m^2", "a blunt end of 30 by 30 mm has 0.9e-3; tubes and fittings add A"
+        0.0, 0.0, 3e-3, "m^2", "0.9e-3 for a blunt end of 30 by 30 mm; more with tubes and fittings"
     )
     """A, drag coefficient times frontal area."""
     density: Scalar = eqx.field(default=1000.0)
