@@ -30,7 +30,7 @@ NOTES = {
     "alike": "|cos| between two effects' tangents after projecting out C_d, m_a, k and K_Q",
     "finite_start": f"computed with a step of {FINITE_START:g} of the prior range or a declared "
     "start value, because the effect is nonlinear at the null",
-    "told_by_sign": "pairs of parallel effects that change the readings in opposite directions, and "
+    "told_by_sign": "pairs of parallel effects that change the readings in opposite directions and "
     "whose parameters cannot change sign",
 }
 

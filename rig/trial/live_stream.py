@@ -83,7 +83,7 @@ class LiveStream:
         self._forces_received.append((host_ns, sensor_s, thrust, recoil))
 
     def take(self) -> LiveReadings:
-        """Returns the complete readings: those that are older than the latest force sample, if any."""
+        """Returns the complete readings: those older than the latest force sample, if any."""
         self._order()
         forces = np.array(self._forces).reshape(-1, 3).T
         if len(forces[0]):
