@@ -156,7 +156,7 @@ def propose_trials(
         int(i)
         for i in fit.free
         if not determined(entries[i], *confidence_interval(fit, entries, int(i))[1:])
-        and value_by_variation(fit, int(i)) is None  # more data would repeat the disagreement
+        and value_by_variation(fit, int(i)) is None  # mean forces and variation disagree
     ]
     candidates = feasible_trials(experiment) if wanted else []
     if not candidates:

@@ -177,7 +177,7 @@ class TankProblem(AbstractProblem):
     mesh: Resolution = COARSE
     """Resolution of the tangents."""
     maps: tuple[Affine, ...] | None = None
-    """Maps from the fitted vector to each trial's parameters; None if these are the same."""
+    """Maps from the fitted vector to each trial's parameters; None if they are the same vector."""
     swing: Swing | None = None
 
     @classmethod

@@ -83,7 +83,7 @@ def log_record(log: ManifoldLog, experiment: Experiment) -> Record:
 class LogDrive(eqx.Module):
     """Commands [Pa] of logs at the times `at` [s], and the first measured pressures `start` [Pa].
 
-    All logs are extended to the number of times of the longest log.
+    Shorter logs are extended, so that all logs have as many samples as the longest log.
     """
 
     at: Float[Array, "logs n"]
@@ -155,7 +155,7 @@ class PressureLogProblem(AbstractProblem):
         return [np.stack([x[i] - here[i] for x in there]) for i in range(len(here))]
 
     def _moved(self, theta: np.ndarray, along: np.ndarray) -> ExtendedModel:
-        """Returns the model with the effects of which a parameter is not null or is in `along`."""
+        """Returns the model with the effects that have a parameter off its null or in `along`."""
         found = dict.fromkeys(
             p.effect
             for i, p in enumerate(model_parameters(self.base.effects))

@@ -121,7 +121,7 @@ class BlockLayout:
 
 
 def live_model(experiment: Experiment, trial: Trial) -> Model:
-    """Returns the model of a trial with the lag of the experiment, for the drive of a stream."""
+    """Returns the model of a trial with the experiment's lag; blocks replace its zero drive."""
     wave = Recorded(jnp.zeros(2), jnp.zeros(2))
     return replace(
         to_model(experiment, trial),

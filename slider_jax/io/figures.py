@@ -10,9 +10,9 @@ FRAME = 50
 
 
 def new_figure(*shape: int, figsize: tuple[float, float], dpi: float | None = None, **kwargs):
-    """Returns a figure without display and its axes, a grid of `shape` as `Figure.subplots` makes.
+    """Returns a figure that needs no display, and its axes.
 
-    `figsize` is in inches. The function does not change the backend of `matplotlib.pyplot`.
+    `figsize` is in inches; `shape` and `kwargs` are arguments of `Figure.subplots`.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
