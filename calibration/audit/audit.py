@@ -155,5 +155,5 @@ def _refusal(
     absent = f"; {missing} files do not exist" if missing else ""
     return (
         f"{experiment.folder}: {len(records)} measured trials are usable, but at least {least} are "
-        f"needed{'; ' if text else ''}{text}{more}{absent}; repair or repeat these trials"
+        f"needed{'; ' if text else ''}{text}{more}{absent}; repair, repeat or add trials"
     )

@@ -122,6 +122,10 @@ def rig_run(
             file=sys.stderr,
         )
         return 1
-    print(f"experiment.toml and the trials are in {folder}; next, run: slider close-loop "
-          f"{folder / 'experiment.toml'} --out ...", file=sys.stderr)  # fmt: skip
+    file = folder / "experiment.toml"
+    print(
+        f"experiment.toml and the trials are in {folder}; next, run: slider calibrate {file} --out "
+        f"..., or with three trials or more: slider close-loop {file} --out ...",
+        file=sys.stderr,
+    )
     return 0
