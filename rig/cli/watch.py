@@ -53,7 +53,7 @@ def rig_watch(
     seconds: Seconds = None,
     out: MaybeFolder = None,
 ) -> int:
-    """Playses a trial's drive, and compares the readings with the calibrated model in real time.
+    """Plays a trial's drive, and compares the readings with the calibrated model in real time.
 
     The command prints estimates of k (time constant of the pressure) and K_Q (moment of a chamber
     per unit pressure), measured and modelled values, and the model's delay. During the first

@@ -163,7 +163,7 @@ class Manifold:
             self._request(partial(_wave_piece, first, flat))
 
     def play(self, repeats: int = 1) -> None:
-        """Playses the waveform `repeats` times, or endlessly for 0. Send heartbeats meanwhile."""
+        """Plays the waveform `repeats` times, or endlessly for 0. Send heartbeats meanwhile."""
         self._request(lambda seq: wire.WavePlay(seq, repeats))
 
     def _send(self, make: Callable[[int], wire.Message]) -> int:

@@ -27,7 +27,7 @@ class RecordedInstrument(Protocol):
         ...
 
     def stop(self) -> None:
-        """Stops calling the sink."""
+        """Stops calling the function that was passed to `start`."""
         ...
 
     def check(self) -> None:
@@ -43,13 +43,13 @@ class TrialTiming(NamedTuple):
     """Durations of a trial's parts, and the rate of its commands."""
 
     quiet: float = 1.0
-    """Rest before the drive, for the sensors' tares and noise [s]."""
+    """Duration of the rest before the drive, in which tares and noise are measured [s]."""
     after: float = 0.3
-    """Rest after the drive [s]."""
+    """Duration of the rest after the drive [s]."""
     rate: float = RATE
     """Commands per second."""
     fade: float = 2.0
-    """Time after the drive over which the amplitude decreases to 0 [s]."""
+    """Time in which the amplitude decreases to 0 after the drive [s]."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class PlannedTrial:
     """Duration of the drive without its fade [s]."""
 
     def check(self, limits: PressureLimits) -> None:
-        """Raises `RigError` with the trial's name if a set pressure exceeds its chamber's limit."""
+        """Raises `RigError` with the trial's name if a set pressure exceeds the chamber's limit."""
         try:
             self.drive.check(limits, self.duration)
         except RigError as error:
@@ -71,14 +71,14 @@ class PlannedTrial:
 
 
 class RecordedTrial(NamedTuple):
-    """How a recorded trial was played, and the recorder's load."""
+    """Playback record of a recorded trial, and the recorder's load."""
 
     played: PlaybackRecord
     load: RecorderLoad
 
 
 class SwitchableSink:
-    """A sink that forwards to the sink `to`, or drops the data if `to` is None."""
+    """A sink that passes the data to the sink `to`, or drops the data if `to` is None."""
 
     def __init__(self) -> None:
         self.to: Sink | None = None
@@ -111,11 +111,11 @@ def record_trial(
     timing: TrialTiming = TrialTiming(),
     watch: Callable[[str, float], None] = lambda phase, t: None,
 ) -> RecordedTrial:
-    """Records a trial to `path` and returns how it was played.
+    """Records a trial to the file `path`, and returns the playback record and the recorder's load.
 
-    `instruments` contains each instrument by the stream's name. At the end and on every error, the
-    manifold vents before anything else. `watch` is called about 100 times per second with the phase
-    and the time since the phase began [s]. Raises `RigError`.
+    `instruments` maps a stream's name to the instrument. When the drive ends or an error occurs,
+    the manifold vents first. `watch` is called after each command, and 100 times per second at
+    rest, with the phase's name and the time since the phase began [s]. Raises `RigError`.
     """
     trial.check(limits)
     streams = ("manifold", "commands", *instruments)

@@ -12,10 +12,10 @@ from rig.manifold.driver import Manifold
 from rig.protocol.messages import CHAMBERS, Reading
 
 ANSWER_TIMEOUT = 0.02
-"""Longest wait for the reading that answers a command [s]. It is short, so that several consecutive
-readings may be lost before the watchdog vents."""
+"""Longest wait for the reading that answers a command [s]. With this short wait, the watchdog does
+not vent if several consecutive readings are lost."""
 HOLD_TIME = 1.5
-"""Duration of each chamber's test [s]."""
+"""Duration of the test of one chamber [s]."""
 TIMED_COMMANDS = 50
 """Number of commands whose answers are timed."""
 LEAST_HELD = 0.95
@@ -27,13 +27,13 @@ FORCE_RATE = 1000.0
 
 
 class ChamberCheck(NamedTuple):
-    """The test of one chamber at a set pressure."""
+    """Result of the test of one chamber at a set pressure."""
 
     name: str
     asked: float
     """Set pressure [Pa]."""
     reached: float
-    """Mean pressure over the last fifth of the test [Pa]."""
+    """Mean pressure in the last fifth of the test [Pa]."""
     rise: float
     """Time until the pressure is 63 % of `reached` [s]."""
     others: float
@@ -52,9 +52,9 @@ class ManifoldCheck(NamedTuple):
     round_trip: np.ndarray
     """(n,) time from a command to the first reading with the command's number [s]."""
     noise: np.ndarray
-    """(8,) standard deviations at rest, in the channels' units."""
+    """(8,) standard deviations of the channels at rest, in the units of `CHANNELS`."""
     offset: np.ndarray
-    """(8,) means at rest, in the channels' units."""
+    """(8,) means of the channels at rest, in the units of `CHANNELS`."""
     held: list[ChamberCheck]
     findings: list[str]
 
@@ -69,7 +69,7 @@ class ForceCheck(NamedTuple):
     offset: np.ndarray
     """(2,) means of thrust and recoil [N]."""
     noise: np.ndarray
-    """(2,) standard deviations [N]."""
+    """(2,) standard deviations of thrust and recoil [N]."""
     findings: list[str]
 
 
@@ -83,7 +83,7 @@ class ReadingCollector:
         self.rows.append((host_ns, reading))
 
     def take(self) -> list[tuple[int, Reading]]:
-        """Returns and removes the readings since the last call."""
+        """Returns the readings since the last call, and removes them from `rows`."""
         rows = self.rows[: len(self.rows)]
         del self.rows[: len(rows)]
         return rows
@@ -95,9 +95,9 @@ def check_manifold(
     pressure: float,
     progress: Callable[[str], None] = lambda text: None,
 ) -> ManifoldCheck:
-    """Returns the check of a configured manifold, with each chamber in turn at `pressure` [Pa].
+    """Checks a configured manifold, with one chamber after another at `pressure` [Pa].
 
-    `collector` receives the manifold's readings. Raises `RigError`.
+    `collector` must be the `on_reading` function of the manifold. Raises `RigError`.
     """
     assert manifold.ident is not None
     progress("at rest")
@@ -144,7 +144,7 @@ def check_manifold(
 
 
 def check_force(source: ForceSource, mounting: SensorMounting, seconds: float = 1.0) -> ForceCheck:
-    """Returns the check of a force sensor during `seconds` at rest. Raises `RigError`."""
+    """Checks a force sensor at rest for `seconds` [s]. Raises `RigError`."""
     received: list[tuple[int, bytes]] = []
     source.start(lambda host_ns, piece: received.append((host_ns, piece)))
     try:

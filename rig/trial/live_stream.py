@@ -1,4 +1,4 @@
-"""Combines a rig's data streams during a trial; each reading gets set and measured values."""
+"""Adds set pressures, forces and the tip position to the manifold's readings during a trial."""
 
 from bisect import bisect_right
 from collections import deque
@@ -16,11 +16,11 @@ from rig.recording.table import ORDER, AnalogueSensor, resample_at_rows
 CHANNELS_OUT = ORDER[1:]
 """Channels of a reading, in this order."""
 MAX_FORCE_DELAY = 0.05
-"""Longest wait for a force sample [s]."""
+"""Longest time for which a reading waits for a later force sample [s]."""
 MAX_KEPT = 4096
-"""Largest number of readings, commands or force samples in memory, 4 s of forces at 1 kHz."""
+"""Largest numbers of readings, commands and force samples in memory: 4 s of forces at 1 kHz."""
 FORCE_MEMORY = 0.2
-"""Force samples older than this, relative to the latest reading, are deleted [s]."""
+"""Force samples that are older than the latest complete reading by this time [s] are deleted."""
 Pressures = tuple[float, float, float, float]
 Item = TypeVar("Item")
 Signed = tuple[float, float]
@@ -28,24 +28,24 @@ Signed = tuple[float, float]
 
 
 class LiveReadings(NamedTuple):
-    """The n readings since the last call."""
+    """The n readings that became complete since the last call of `LiveStream.take`."""
 
     device_s: np.ndarray
     """(n,) times on the manifold's clock [s]."""
     set_pressure: np.ndarray
-    """(2, n) mean signed set pressures of front and rear since the previous reading [Pa]."""
+    """(2, n) signed set pressures of front and rear, means since the previous reading [Pa]."""
     measured: np.ndarray
-    """(5, n) values of `CHANNELS_OUT`; NaN without a sensor."""
+    """(5, n) values of `CHANNELS_OUT`; NaN for a channel without a sensor."""
     arrived_ns: np.ndarray
     """(n,) host times of arrival [ns]."""
 
 
 class LiveStream:
-    """Combines the streams of several threads, which only append to deques.
+    """Combines the data of several threads. The threads only append to deques.
 
-    Pass `reading` and `follows` to the manifold as callbacks, and the stream itself to `play_drive`
-    in place of the manifold. Readings are used only while the valves follow set pressures. All
-    state except the deques belongs to the thread that calls `take`.
+    Pass the methods `reading` and `follows` to `Manifold` as callbacks. Pass the `LiveStream`
+    itself to `play_drive` in place of the manifold. Readings are used only while the valves follow
+    set pressures. Only the thread that calls `take` may use the other attributes.
     """
 
     def __init__(self, analogue: tuple[AnalogueSensor, ...] = (), has_force: bool = False):
@@ -71,7 +71,7 @@ class LiveStream:
         return seq
 
     def reading(self, host_ns: int, reading: Reading) -> None:
-        """Adds a reading that arrived at `host_ns`."""
+        """Adds a reading that arrived at host time `host_ns` [ns]."""
         self._received.append((host_ns, reading))
 
     def follows(self, change: Follows) -> None:
@@ -79,11 +79,15 @@ class LiveStream:
         self._received.append(change)
 
     def force(self, host_ns: int, sensor_s: float, thrust: float, recoil: float) -> None:
-        """Adds a force sample [N], taken at sensor time `sensor_s`, that arrived at `host_ns`."""
+        """Adds a force sample [N]. `sensor_s` [s] is the sampling time by the sensor's clock."""
         self._forces_received.append((host_ns, sensor_s, thrust, recoil))
 
     def take(self) -> LiveReadings:
-        """Returns the complete readings: those older than the latest force sample, if any."""
+        """Returns the complete readings, and removes them.
+
+        With a force sensor, a reading is complete when a later force sample has arrived, or after
+        `MAX_FORCE_DELAY`. Without a force sensor, every reading is complete.
+        """
         self._order()
         forces = np.array(self._forces).reshape(-1, 3).T
         if len(forces[0]):
@@ -118,7 +122,7 @@ class LiveStream:
             self._forces.append((sensor_s, forces[0], forces[1]))
         del self._forces[:-MAX_KEPT]
         items = list(_all_of(self._received))
-        with self._lock:  # briefly, because the player waits for it
+        with self._lock:  # held briefly, because `set` waits for the lock
             commands = dict(self._commands)
         for item in items:
             if isinstance(item, Follows):
@@ -127,7 +131,7 @@ class LiveStream:
             host_ns, reading = item
             t, resets = 1e-6 * reading.device_us, self._clock.resets
             self._clock.add(t, 1e-9 * host_ns)
-            if self._clock.resets > resets:  # earlier times belong to the clock before the restart
+            if self._clock.resets > resets:  # the manifold restarted; earlier times are invalid
                 self._rows.clear()
                 self._followed.forget()
             if reading.state not in (ManifoldState.ARMED, ManifoldState.PLAYING):
@@ -139,7 +143,7 @@ class LiveStream:
 
 
 def _all_of(items: deque[Item]) -> Iterator[Item]:
-    """Yields and removes the present items. Another thread may append items meanwhile."""
+    """Yields and removes the present items. Meanwhile, another thread may append items."""
     for _ in range(len(items)):
         yield items.popleft()
 
@@ -151,29 +155,29 @@ class _Followed:
         self.forget()
 
     def forget(self) -> None:
-        """Returns to the initial state without set pressures."""
+        """Deletes all set pressures."""
         self._at: list[float] = [-np.inf]
         self._sets: list[Signed] = [(0.0, 0.0)]
         self._since: float | None = None
 
     def change(self, t: float, pressures: Signed) -> None:
-        """Adds a change at `t`."""
+        """Adds a change of the set pressures at device time `t` [s]."""
         if t < self._at[-1]:  # the manifold restarted
             self.forget()
         self._at.append(t)
         self._sets.append(pressures)
 
     def at_reading(self, t: float, pressures: Signed) -> None:
-        """Adds the set pressures that a reading at `t` reports.
+        """Adds the set pressures [Pa] that a reading at device time `t` [s] reports.
 
-        If they are new, the message of the change was lost. The change is then assumed halfway
-        between this reading and the previous reading.
+        If these pressures are new, the `Follows` message of the change was lost. The change is then
+        assumed halfway between this reading and the previous reading.
         """
         if self._sets[-1] != pressures:
             self.change(t if self._since is None else 0.5 * (self._since + t), pressures)
 
     def mean_until(self, t: float) -> Signed:
-        """Returns the mean since the last call's time. The first call returns the value at `t`."""
+        """Returns the mean since the last call's `t`; the first call returns the value at `t`."""
         last = bisect_right(self._at, t) - 1
         since, self._since = self._since, t
         if since is None or not since < t:

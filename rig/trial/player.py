@@ -26,7 +26,7 @@ class PlaybackRecord(NamedTuple):
     begun_ns: int
     """Host time of the drive's t = 0 [ns]."""
     lateness: np.ndarray
-    """(commands,) delay of each command from its scheduled time until it was sent [s]."""
+    """(commands,) time from the scheduled to the actual sending of each command [s]."""
 
 
 def command_times(drive: SegmentDrive, duration: float, rate: float = RATE) -> np.ndarray:
@@ -34,7 +34,7 @@ def command_times(drive: SegmentDrive, duration: float, rate: float = RATE) -> n
     regular = np.arange(int(np.ceil(duration * rate))) / rate
     regular = regular[regular < duration]
     times = np.union1d(regular, drive.edges(duration))
-    # If rounding separates a step from a regular time, only the later of these times is kept.
+    # If rounding separates a pressure step from a regular time, only the later time is kept.
     return times[np.append(np.diff(times) > 1e-6, True)]
 
 
@@ -46,11 +46,11 @@ def play_drive(
     watch: Callable[[float], None] = lambda t: None,
     fade: float = 0.0,
 ) -> PlaybackRecord:
-    """Playses a drive immediately and returns the commands' lateness.
+    """Plays a drive immediately and returns the commands' lateness.
 
-    `watch` is called with each command's time [s]. An error of `watch` ends the trial. After
-    `duration`, the amplitude decreases as a squared cosine for `fade` [s]. After an abrupt end, the
-    body would swing for a minute, because quadratic drag hardly damps small motions.
+    `watch` is called with each command's time [s]. An exception in `watch` ends the trial. After
+    `duration` [s], the amplitude decreases to 0 within `fade` [s], as a squared cosine. An abrupt
+    end would let the body swing for a minute, because quadratic drag hardly damps small motions.
     """
     end = duration + fade
     times = command_times(drive, end, rate)

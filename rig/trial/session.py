@@ -1,4 +1,4 @@
-"""Runs an experiment's trials on the rig and writes a folder. An interrupted run can be resumed."""
+"""Runs an experiment's trials on the rig and writes a folder. A later run resumes a stopped run."""
 
 import hashlib
 import json
@@ -33,22 +33,22 @@ from rig.trial.settling import Stillness, sensor_noise
 ASSUMED_RANGES = {"thrust_N": 1.0, "recoil_N": 1.0, "tip_m": 0.08}
 """Assumed ranges of the sensors before the first trial [N, N, m]."""
 LATE_COMMANDS = 3e-3
-"""A finding is recorded if the commands' lateness has a larger 99th percentile [s]."""
+"""A finding is recorded if the 99th percentile of the commands' lateness exceeds this value [s]."""
 LATE_READINGS = 4e-3
-"""A finding is recorded if the readings' lateness has a larger median [s]. The median is 0.7 ms on
-a computer without other load."""
+"""A finding is recorded if the readings' median delay exceeds this value [s]. The median delay is
+0.7 ms on a computer without other load."""
 SLOW_FLUSH = 0.15
-"""A finding is recorded if the time between flushes of the recording is longer [s]."""
+"""A finding is recorded if the time between two writes to disk exceeds this value [s]."""
 MAY_CHANGE = {"rig.force.host", "rig.force.port", "rig.force.page_port", "experiment_sha256"}
-"""Settings that may change before a run is resumed: the force sensor's address, and the experiment
-file, which may contain more trials."""
+"""Settings that a resumed run may change: the force sensor's address, and the checksum of the
+experiment file, because trials may have been added to the file."""
 RECORDINGS = "recordings"
-"""Folder of the trials' recordings NAME.h5 and records NAME.json, in the experiment's folder."""
+"""Subfolder of the experiment's folder for recordings (NAME.h5) and records (NAME.json)."""
 
 
 @dataclass(frozen=True)
 class Rig:
-    """Devices and settings of a run. Instruments and readers have the stream's name as key."""
+    """Devices and settings of a run. The keys of `instruments` and `readers` are stream names."""
 
     manifold: Manifold
     sinks: ManifoldSinks
@@ -56,13 +56,13 @@ class Rig:
     instruments: dict[str, RecordedInstrument]
     readers: dict[str, StreamReader]
     force: ForceSource | None = None
-    """The force sensor among the instruments, whose latest sample is displayed."""
+    """The force sensor of `instruments`; its latest sample is displayed during a run."""
     analogue: tuple[AnalogueSensor, ...] = ()
     timing: TrialTiming = TrialTiming()
     pause: float = 2.0
     """Shortest pause between trials, in which the water comes to rest [s]."""
     longest_pause: float = 60.0
-    """Longest pause, which applies if the analogue sensors still detect motion [s]."""
+    """Longest pause [s]. The pause ends after this time, even if a sensor still detects motion."""
 
 
 def run_trials(
@@ -74,9 +74,9 @@ def run_trials(
 ) -> list[dict[str, Any]]:
     """Runs all trials, writes their files to `folder`, and returns their records in order.
 
-    Trials that an earlier run with the same `settings` has finished are not repeated. An unfinished
-    recording is kept under another name. `watch` is called often with the trial's name, its phase
-    and the time in the phase [s]. Raises `RigError`.
+    If an earlier run with the same `settings` finished a trial, the trial is not repeated. An
+    unfinished recording is kept under another name. `watch` is called often with the name of the
+    trial, the phase of the trial, and the time since the phase began [s]. Raises `RigError`.
     """
     for trial in trials:
         trial.check(rig.limits)
@@ -119,7 +119,7 @@ def run_trial(
 
 
 def write_trial(folder: Path, name: str, columns: TrialColumns) -> None:
-    """Writes NAME.csv, and the played drive to NAME.played.csv if it is known."""
+    """Writes NAME.csv, and NAME.played.csv if the played drive is known."""
     played = folder / f"{name}.played.csv"
     if columns.played is None:
         played.unlink(missing_ok=True)
@@ -129,7 +129,7 @@ def write_trial(folder: Path, name: str, columns: TrialColumns) -> None:
 
 
 def start_swing(records: Sequence[dict[str, Any]]) -> float:
-    """Returns the tip's largest standard deviation before a trial, without the noise [m]."""
+    """Returns the tip's largest standard deviation before a trial, reduced by the noise [m]."""
     squares = [
         x["at_rest_deviation"]["tip_m"] ** 2 - x["at_rest_noise"]["tip_m"] ** 2
         for x in records
@@ -143,8 +143,8 @@ def wait_for_rest(
 ) -> None:
     """Waits with vented chambers until the robot is at rest. Raises `RigError`.
 
-    `before` is the previous trial's record, or None for the first trial. `watch` is called with the
-    name of a sensor that still moves, and the time since the pause began [s].
+    `before` is the previous trial's record, or None for the first trial. `watch` is called with a
+    text that names the sensors that still move, and with the time since the pause began [s].
     """
     # Discards earlier events of the manifold, such as a reset.
     rig.manifold.configure(rig.limits)
@@ -167,9 +167,9 @@ def wait_for_rest(
 def finished_record(
     folder: Path, trial: PlannedTrial, settings: dict[str, Any]
 ) -> dict[str, Any] | None:
-    """Returns the record of a trial that an earlier run has finished, or None.
+    """Returns the record of a trial if an earlier run finished the trial, otherwise None.
 
-    Raises `RigError` if that run used another drive or other settings.
+    Raises `RigError` if the earlier run used another drive or other settings.
     """
     path = folder / RECORDINGS / f"{trial.name}.json"
     record = read_trial_record(path.with_suffix(".h5"))
@@ -185,7 +185,7 @@ def finished_record(
 
 
 def _drive(trial: PlannedTrial) -> dict[str, Any]:
-    """Returns a trial's duration and drive for the record. A recorded drive has checksums."""
+    """Returns a trial's duration and drive for the record, with checksums of a recorded drive."""
     plain = (str, float, int)
     drive = {key: x for key, x in asdict(trial.drive).items() if isinstance(x, plain)}
     for key in ("times", "recorded"):
@@ -195,14 +195,14 @@ def _drive(trial: PlannedTrial) -> dict[str, Any]:
 
 
 def changed_settings(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
-    """Returns the full names of the changed settings, except for those in `MAY_CHANGE`."""
+    """Returns the full names of the changed settings that are not in `MAY_CHANGE`."""
     # A round trip through JSON converts tuples to lists.
     a, b = _flat(before), _flat(json.loads(json.dumps(now)))
     return sorted(key for key in {*a, *b} - MAY_CHANGE if a.get(key) != b.get(key))
 
 
 def _flat(tables: dict[str, Any], name: str = "") -> dict[str, Any]:
-    """Returns the values of nested tables by their full names."""
+    """Returns the values of nested tables; the keys are full names such as `rig.force.host`."""
     found: dict[str, Any] = {}
     for key, value in tables.items():
         inner = isinstance(value, dict)
@@ -211,7 +211,7 @@ def _flat(tables: dict[str, Any], name: str = "") -> dict[str, Any]:
 
 
 def read_trial_record(recording: Path) -> dict[str, Any] | None:
-    """Returns the record beside a recording, or None if the run did not end. Raises `RigError`."""
+    """Returns a recording's record, or None if the run did not finish. Raises `RigError`."""
     path = recording.with_suffix(".json")
     try:
         record = json.loads(path.read_text())
@@ -227,7 +227,7 @@ def read_trial_record(recording: Path) -> dict[str, Any] | None:
 
 
 def _rename_earlier(path: Path) -> None:
-    """Renames a trial's earlier recording and record, so that they are not overwritten."""
+    """Renames the earlier recording and record of a trial, so that no file is overwritten."""
     count = 1
     while path.exists():
         kept = path.with_name(f"{path.stem}.unfinished-{count}.h5")

@@ -11,18 +11,18 @@ from rig.protocol.messages import Reading
 from rig.recording.table import AnalogueSensor, format_value
 
 WINDOW = 2.5
-"""Duration of the tested readings [s], which is long enough to detect a slow swing."""
+"""Duration of the readings that are tested [s]. It is long enough to detect a slow swing."""
 MAX_NOISE_RANGE = 6.0
-"""Range of about 50 readings that noise may cause, in standard deviations of a reading's noise."""
+"""Largest range of about 50 readings that noise causes, in standard deviations of the noise."""
 MAX_REST_RANGE = 0.005
-"""Largest range at rest, as a fraction of the sensor's range in the previous trial."""
+"""Largest range of a sensor at rest, as a fraction of the sensor's range in the previous trial."""
 
 
 class Stillness:
-    """Tests the readings of a pause for rest.
+    """Tests whether the readings of a pause show that the robot is at rest.
 
-    `ranges` are the columns' ranges in the previous trial. `noise` are the standard deviations of a
-    reading's noise. Both have the column's unit.
+    For each column, in the column's unit, `ranges` contains the range in the previous trial, and
+    `noise` contains the standard deviation of a reading's noise.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class Stillness:
 
     @property
     def reached(self) -> bool:
-        """Whether all sensors are at rest; True without a sensor."""
+        """Whether all sensors are at rest; True if there are no sensors."""
         if not self._sensors:
             return True
         if not self._seen or self._seen[-1][0] - self._seen[0][0] < 0.9 * WINDOW:
@@ -53,7 +53,7 @@ class Stillness:
 
     @property
     def waits_for(self) -> str:
-        """The sensors that still move and their limits, as text; empty at rest."""
+        """Text with the column and the limit of each sensor that still moves; empty at rest."""
         moved = self._moved() if self._seen else np.zeros(len(self._sensors))
         return "".join(
             f", until the range of {sensor.column} is below {format_value(sensor.column, allowed)} "
@@ -63,17 +63,17 @@ class Stillness:
         )
 
     def _moved(self) -> np.ndarray:
-        """Returns each sensor's range over the last `WINDOW`: (sensors,)."""
+        """Returns the range of each sensor in the last `WINDOW` seconds, shape (sensors,)."""
         return np.ptp(np.array([x for _, x in self._seen]), axis=0)
 
 
 def sensor_noise(
     manifold: Manifold, sensors: Sequence[AnalogueSensor], count: int = 50
 ) -> dict[str, float]:
-    """Returns the standard deviation of each column's noise, independent of a slow swing.
+    """Returns the standard deviation of each column's noise, without the effect of a slow swing.
 
-    The function waits for `count` readings, at most for one second. Noise is the part that is
-    independent between consecutive readings.
+    The function waits for `count` readings, at most for one second. Noise is the part of a signal
+    that is independent between consecutive readings.
     """
     seen: dict[int, tuple[int, ...]] = {}
     end = time.monotonic() + 1.0
@@ -85,5 +85,5 @@ def sensor_noise(
     if len(seen) < 3:
         return {}
     channels = np.array(list(seen.values()), float)
-    # Second differences remove a swing at 3 Hz that is 100 times the noise; first ones would not.
+    # Unlike first differences, second differences remove a swing at 3 Hz of 100 times the noise.
     return {x.column: float(np.diff(x.signal(channels), 2).std() / np.sqrt(6.0)) for x in sensors}

@@ -1,4 +1,4 @@
-"""Defines the set pressures of a trial's segments and chambers as functions of time.
+"""Defines the set pressures of the robot's segments and chambers as functions of time.
 
 Each segment of the robot has a left and a right chamber. As in the simulator and the experiment
 files, a segment's signed pressure is the left chamber's pressure minus the right chamber's
@@ -19,12 +19,12 @@ Waveform = Literal["square", "sine", "trapezoid", "recorded"]
 
 @dataclass(frozen=True)
 class SegmentDrive:
-    """Signed set pressures of the front and rear segment, equal to the simulator's waveforms.
+    """Signed set pressures of the front and rear segment. The simulator uses the same waveforms.
 
     The front segment has the `amplitude` [Pa] and the `frequency` [Hz]. The rear segment has
     `rear_ratio` times the amplitude and a delay of `phase` periods. `rise` is the duration of a
-    trapezoid's ramp in periods. A recorded drive has `times` [s] (n,) and `recorded` [Pa] (n, 2)
-    instead.
+    trapezoid's ramp in periods. The waveform "recorded" uses only `times` [s] (n,) and the set
+    pressures `recorded` [Pa] (n, 2).
     """
 
     waveform: Waveform
@@ -41,7 +41,7 @@ class SegmentDrive:
             if self.times is None or self.recorded is None:
                 raise RigError("drive: times or pressures are missing; a recorded drive needs both")
             if not (np.isfinite(self.times).all() and np.isfinite(self.recorded).all()):
-                raise RigError("drive: the recorded drive has a NaN; allowed finite numbers")
+                raise RigError("drive: a time or pressure is not finite; allowed finite numbers")
             return
         numbers = (self.frequency, self.amplitude, self.rear_ratio, self.phase, self.rise)
         if not np.isfinite(numbers).all():
@@ -74,17 +74,17 @@ class SegmentDrive:
         return sign * min(max((turns - half_turns / 2.0) / (0.5 * self.rise), -1.0), 1.0)
 
     def edges(self, duration: float) -> np.ndarray:
-        """Returns the times [s] in [0, duration) at which a set pressure steps."""
+        """Returns the times [s] from 0 to `duration` (excluded) at which a set pressure steps."""
         if self.waveform != "square" or not self.amplitude:
             return np.empty(0)
-        # Each segment's pressure steps at (n/2 + its phase) periods.
+        # The pressure of a segment with phase p steps at n/2 + p periods, for n = 0, 1, ...
         shifts = np.array([0.0, self.phase % 0.5])
         halves = np.arange(int(2.0 * self.frequency * duration) + 1) / 2.0
         times = np.unique((halves[:, None] + shifts).ravel() / self.frequency)
         return times[times < duration]
 
     def check(self, limits: PressureLimits, duration: float) -> None:
-        """Raises `RigError` if a set pressure exceeds its chamber's limit."""
+        """Raises `RigError` if a set pressure exceeds the chamber's limit."""
         if self.waveform == "recorded":
             assert self.recorded is not None
             extremes = [self.recorded.max(axis=0), self.recorded.min(axis=0)]
