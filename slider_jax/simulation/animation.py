@@ -20,8 +20,8 @@ def animate_run(
 ) -> Path:
     """Writes `<stem>.gif` and returns the path; calls `progress(frames done, total)` per frame.
 
-    The film shows the last two strides (or two seconds) in slow motion. The midline's colour is the
-    net internal moment. Arrows show the water's force per length. Curves show thrust and recoil.
+    The film shows the last two strides (or two seconds) in slow motion. The midline's colour shows
+    the net internal moment. Arrows show the water's force per length. Curves are thrust and recoil.
     """
     steps = last_strides(run, SHOWN_STRIDES * FRAMES_PER_STRIDE + 1, SHOWN_STRIDES, closed=True)
     figure, moving, move = _scene(run, steps)

@@ -1,4 +1,4 @@
-"""Computes an effect's signature: readings of a stride with the effect, minus those without."""
+"""Computes the signature of an effect: the effect's change of the readings of one stride."""
 
 from collections.abc import Callable
 from dataclasses import asdict
@@ -27,11 +27,11 @@ MAX_HALVINGS = 3
 """Largest number of times that a parameter is halved because the simulation fails."""
 
 Series = dict[str, np.ndarray]
-"""Series of a stride in SI units, by the column in `CHANNELS`."""
+"""Readings of a stride in SI units; the keys are the columns of `CHANNELS`."""
 
 
 class Trace(NamedTuple):
-    """The last stride with one parameter of the effect at `size`, all others at their nulls."""
+    """The last stride, with one parameter of the effect at `size` and the others at their nulls."""
 
     parameter: str
     size: float
@@ -45,7 +45,7 @@ class Trace(NamedTuple):
 
 
 class EffectSignature(NamedTuple):
-    """The last stride of an experiment's first trial, without an effect and with it."""
+    """The last stride of an experiment's first trial, without and with an effect."""
 
     effect: str
     run: TrialRun
@@ -57,11 +57,11 @@ class EffectSignature(NamedTuple):
     traces: tuple[Trace, ...]
 
     def change(self, trace: Trace) -> Series:
-        """Returns the stride with the effect minus the stride without it."""
+        """Returns the readings with the effect minus the readings without the effect."""
         return {name: trace.series[name] - x for name, x in self.without.items()}
 
     def rms(self, trace: Trace) -> dict[str, float]:
-        """Returns the root mean square of the change, by column, in SI units."""
+        """Returns the root mean square of the change of each column, in SI units."""
         return {name: float(np.sqrt(np.mean(x**2))) for name, x in self.change(trace).items()}
 
 
@@ -97,8 +97,9 @@ def effect_signature(
 ) -> EffectSignature:
     """Returns the signature of an effect in the experiment's first trial, for each parameter.
 
-    Each parameter is at the end of its prior range. If the simulation fails, the value is halved up
-    to three times, and then `SolverError` is raised. Shorter trials are extended to eight strides.
+    Each parameter has the value `typical_size`. If the simulation fails, this value is halved, up
+    to three times. Raises `SolverError` if the simulation fails again. Shorter trials are extended
+    to eight strides.
     """
     trial = experiment.trials[0]
     if trial.frequency is not None:
@@ -140,7 +141,7 @@ def _largest(run: Callable[..., TrialRun], name: str, prior: Prior) -> tuple[flo
 
 
 def _last_stride(run: TrialRun) -> slice:
-    """Returns the steps of the last whole stride with both ends; without strides, a second."""
+    """Returns the steps of the last whole stride, or of the last second of a recorded drive."""
     length, end = run.grid.stride, run.grid.steps
     if run.grid.half_period:
         end = end // length * length

@@ -61,7 +61,7 @@ def plot_series(run: TrialRun, rmse: dict[str, float], path: Path) -> None:
 def last_strides(run: TrialRun, frames: int, strides: int = 1, closed: bool = False) -> np.ndarray:
     """Returns `frames` evenly spaced step indices of the last `strides` strides (or seconds).
 
-    `closed` includes the last step.
+    If `closed`, the indices include the last step.
     """
     begin = max(0, run.grid.steps - strides * run.grid.stride)
     return np.linspace(begin, run.grid.steps, frames, endpoint=closed).round().astype(int)

@@ -14,10 +14,10 @@ DEFINITIONS = {
     "mean_thrust_N": "mean thrust in the averaging window; positive forward, along the clamp",
     "thrust_std_N": "standard deviation of the strides' mean thrusts; null for one stride",
     "recoil_rms_N": "root mean square of the lateral force on the clamp in the averaging window",
-    "tip_half_range_m": "half of the range of the lateral position of the tail's tip in the window",
+    "tip_half_range_m": "half of the range of the tip's lateral position in the averaging window",
     "averaged": "the averaging window: the last half of the trial's whole strides, at least one "
-    "stride. It is the whole trial if this is shorter than a stride, and the second half of a "
-    "trial with a recorded drive",
+    "stride. The window is the whole trial if the trial is shorter than a stride, and the second "
+    "half of the trial if the drive is recorded",
     "periodic": "whether the last two strides agree: the mean thrust within 1 % or 1 mN, and the "
     "tip's range within 1 %; null for a trial of less than two strides",
     "rmse_to_measured": "root mean square of simulated minus measured readings for all samples of "
@@ -25,11 +25,11 @@ DEFINITIONS = {
 }
 
 STEADY, STEADY_THRUST = 0.01, 1e-3
-"""Largest difference of strides that count as equal, as a fraction, or of the mean thrust [N]."""
+"""Strides agree if they differ by at most this fraction, or by at most this mean thrust [N]."""
 
 
 def averaging_window(run: TrialRun) -> tuple[slice, int]:
-    """Returns the averaging window without its first step, and the number of its whole strides."""
+    """Returns the averaging window without the first step, and the number of whole strides."""
     half, steps = run.grid.half_period, run.grid.steps
     if half is None:
         return slice(steps // 2 + 1, steps + 1), 0
@@ -48,9 +48,12 @@ def is_periodic(run: TrialRun) -> tuple[bool | None, str]:
     stride = 2 * half
     if steps < stride:
         period = stride * run.grid.h
-        return None, f"trial shorter than one stride ({period:.3g} s); means cover the whole trial"
+        return (
+            None,
+            f"the stride ({period:.3g} s) is longer than the trial; means cover the trial",
+        )
     if steps < 2 * stride:
-        return None, "trial shorter than two strides; whether it is periodic is unknown"
+        return None, "the trial is too short to compare two strides; the motion may not be periodic"
     ends = steps - stride, steps
     before, last = (run.series["thrust"][i - stride + 1 : i + 1].mean() for i in ends)
     range_before, range_last = (np.ptp(run.series["tip"][i - stride : i + 1]) for i in ends)
@@ -83,7 +86,7 @@ def rmse_to_measured(run: TrialRun) -> dict[str, float] | None:
 
 
 def trial_summary(experiment: Experiment, run: TrialRun) -> dict[str, Any]:
-    """Returns the quantities in `DEFINITIONS` of a trial, its coefficients, step and warnings."""
+    """Returns the quantities of `DEFINITIONS`, coefficients, time step and warnings of a trial."""
     span, strides = averaging_window(run)
     thrust, recoil = run.series["thrust"][span], run.series["recoil"][span]
     tip = run.series["tip"][span.start - 1 : span.stop]

@@ -31,10 +31,10 @@ CHUNK = 250
 
 @dataclass(frozen=True)
 class SavedSeries:
-    """Series that are saved at every step: the true reading of each channel.
+    """Selects the series that are saved at every step: the true reading of each channel.
 
-    `shape` adds three series for plots: `midline` (2, nodes) [m] relative to the head, `moment`
-    (nodes,) [N m], and `force` (2, cells), the effects' force per length [N/m].
+    If `shape`, three series for plots are added: `midline` (2, nodes) [m] relative to the head,
+    `moment` (nodes,) [N m], and `force` (2, cells), the effects' force per length [N/m].
     """
 
     channels: tuple[Channel, ...]
@@ -53,7 +53,7 @@ class SavedSeries:
         }
 
     def start(self, model: Model, midline: np.ndarray) -> dict[str, np.ndarray]:
-        """Returns the values at the start, without forces, for a `midline` (2, nodes) [m]."""
+        """Returns the values at the start, where all forces are zero; `midline` (2, nodes) [m]."""
         values = {x.name: np.asarray(x.start(midline), float) for x in self.channels}
         values["p_front"] = np.asarray(model.drive.start_front)
         values["p_rear"] = np.asarray(model.drive.start_rear)
@@ -98,8 +98,9 @@ def run_chunks(
 ) -> tuple[list[Any], State]:
     """Runs at least `steps` steps in chunks. Returns the saved parts and the final carry.
 
-    After `done` steps, `advance(done, carry)` runs one chunk and returns the chunk's saved series
-    and carry. `after(done, saved, carry)` is called after each chunk, with `done` at most `steps`.
+    `advance(done, carry)` runs the chunk after `done` steps and returns the chunk's saved series
+    and the new carry. `after(done, saved, carry)` is called after each chunk; `done` is the number
+    of completed steps, at most `steps`.
     """
     parts = []
     for done in range(0, steps, chunk):
@@ -115,7 +116,7 @@ class TrialRun:
 
     prepared: PreparedTrial
     series: dict[str, np.ndarray]
-    """The series of `SavedSeries` (steps + 1, ...); channels are readings of the sensors."""
+    """The series of `SavedSeries` (steps + 1, ...), with sensor readings instead of true ones."""
     columns: dict[str, np.ndarray]
     """CSV columns (samples,): t_s and every channel at the trial's sample times."""
     factorisations: int

@@ -28,9 +28,9 @@ from slider_jax.swimming.performance import (
 from slider_jax.swimming.steady_state import MeanMotion, SteadySettings, simulate_strides
 
 AT_ONCE = 10
-"""Number of strides from rest after which the program checks whether strides repeat."""
+"""Number of strides between two checks of whether strides repeat."""
 REPEATS = 1e-4
-"""Largest relative change of speed between two strides at which strides count as repeating."""
+"""Strides repeat if the speed changes by less than this fraction from stride to stride."""
 
 
 @dataclass(frozen=True)
@@ -42,19 +42,19 @@ class Swim:
     found: bool
     """Whether a steady speed was found."""
     performance: Performance
-    """Performance over the steady stride, or over the last stride from rest if none was found."""
+    """Performance over the steady stride, or over the last stride from rest if not `found`."""
     stride: Stride
     """The stride that `performance` describes."""
     from_rest: np.ndarray
-    """Speed [m/s] at every tenth stride from rest."""
+    """Speed [m/s] after every tenth stride of the simulation from rest."""
     repeats: bool
-    """Whether the last stride from rest repeats."""
+    """Whether strides repeat at the end of the simulation from rest."""
     gaining: float
-    """Mean acceleration along the course at the end of `from_rest` [m/s^2]."""
+    """Mean acceleration [m/s^2] along the course at the end of the simulation from rest."""
     unresisted: np.ndarray | None
-    """As `from_rest`, without the effects that resist axial motion; None without such effects."""
+    """Like `from_rest`, without effects that resist axial motion; None if the model has none."""
     unresisted_gaining: float
-    """Mean acceleration at the end of `unresisted` [m/s^2]."""
+    """Mean acceleration [m/s^2] along the course at the end of the simulation `unresisted`."""
     resisting: str
     """Names of the effects that `unresisted` omits."""
 
@@ -86,9 +86,9 @@ def _seen(model: Model, frequency, carry: Carry, search: SteadySettings):
 def _from_rest(
     model: Model, f: jax.Array, search: SteadySettings, least: int, most: int
 ) -> tuple[np.ndarray, MeanMotion, Carry, bool]:
-    """Returns speeds at every tenth stride, the last motion and state, and whether they repeat.
+    """Returns speeds after every tenth stride, last motion and state, and if strides repeat.
 
-    The simulation ends when strides repeat, after `least` strides or more, or after `most` strides.
+    The simulation takes at least `least` strides. It ends when strides repeat or after `most`.
     """
     carry, speeds = at_rest(model, search.numerics), []
     while True:
@@ -111,12 +111,12 @@ def resisting(model: Model) -> str:
 
 
 def free_swimmer(experiment: Experiment, trial: Trial) -> tuple[float, Model]:
-    """Returns frequency [Hz] and free robot of a trial. Raises `InputError` for invalid trials."""
+    """Returns a trial's frequency [Hz] and free robot. Raises `InputError` for an invalid trial."""
     return stride_frequency(trial), to_swimmer(to_model(experiment, trial))
 
 
 def steady_settings(experiment: Experiment, frequency: float) -> SteadySettings:
-    """Returns settings with the experiment's mesh and longest step, and even steps per stride."""
+    """Returns settings with the experiment's mesh and with steps of at most `numerics.step`."""
     numerics, scheme = to_numerics(experiment)
     steps = 2 * half_period_steps(frequency, experiment.numerics.step)
     return SteadySettings(steps_per_stride=steps, numerics=numerics, scheme=scheme)
@@ -141,7 +141,7 @@ def simulate_free_swim(
     stride, seen, ok = _steadily(model, f, search)
     found = bool(ok)
     progress("swimming from rest")
-    twelve = AT_ONCE * ceil(12.0 * frequency / AT_ONCE)  # strides in 12 s
+    twelve = AT_ONCE * ceil(12.0 * frequency / AT_ONCE)  # number of strides in 12 s
     most = longest if found else min(longest, twelve)
     speeds, pace, carry, repeats = _from_rest(model, f, search, 2 * AT_ONCE, most)
     if not found:

@@ -19,7 +19,7 @@ Wave = SquareWave | SineWave | Trapezoid
 CAP = 172.3e3
 """Highest set pressure [Pa] of the paper's climbing robot."""
 LINK = 0.03
-"""Length [m] of the paper's climbing robot's cross-link."""
+"""Length [m] of the cross-link of the paper's climbing robot."""
 
 
 class Gait(NamedTuple):
@@ -40,9 +40,9 @@ class Gait(NamedTuple):
 
 
 def to_swimmer(model: Model, gait: Gait | None = None) -> Model:
-    """Returns the model without support in still water, with the `gait` if given.
+    """Returns the model of a free swimmer in still water, with drive and tail of `gait` if given.
 
-    Raises `InputError` if an effect moves the water, because the speed is relative to the water.
+    Raises `InputError` if an effect moves the water, as speeds are relative to still water.
     """
     moving = of_place(model.effects, WaterMotion)
     if moving:
@@ -62,13 +62,13 @@ def to_climber(
     link: Scalar = LINK,
     cap: Scalar = CAP,
 ) -> Model:
-    """Returns the model in air, head up, with the ends of its cross-link pinned alternately.
+    """Returns the model of a climber in air, head up; both cross-link ends are pinned in turn.
 
     `link` is the cross-link's length [m]. The left end is pinned for the first half of each period
-    1/`frequency` [Hz], starting at `pin_phase` (fraction of a period). Without set pressure the
-    left end stays pinned. Weight acts on the body; hydrodynamic forces and the carriage clamp are
-    omitted. Pressure amplitudes are limited to `cap` [Pa]. Raises `InputError` for a mass at the
-    tail's tip, because its weight is unknown.
+    1/`frequency` [Hz], starting at `pin_phase` (fraction of a period). If both set pressures are
+    zero, the left end stays pinned. Weight acts on the body; hydrodynamic forces and the carriage
+    clamp are omitted. Pressure amplitudes are limited to `cap` [Pa]. Raises `InputError` for an
+    effect with inertia but without weight, such as a mass at the tail's tip.
     """
     for effect in model.effects:
         if effect.lacks_weight:

@@ -33,7 +33,7 @@ PUBLISHED = {
     "tail_slope": Published(0.57, None),
     "shape_tail_slope": Published(0.51, None),
 }
-"""Published values by the names of `swim_record`. The paper states the tail slope 0.57. With the
+"""Published values, with the keys of `swim_record`. The paper states the tail slope 0.57. With the
 paper's tail amplitude A and wavelength lambda, A/(lambda/4) is 0.51. A sine with this A and lambda
 has a root mean square slope of 0.57."""
 
@@ -60,7 +60,7 @@ def optimum() -> Experiment:
 
 
 def example_climber() -> Experiment:
-    """Returns the built-in robot with an assumed climbing drive; the paper does not state one."""
+    """Returns the built-in robot with an assumed climbing drive; the paper states no drive."""
     content = swimmer_content(file="climb.csv", frequency=2.0, amplitude=CAP)
     return assemble(content | {"effects": []}, "the built-in climber", Path("."))
 
@@ -68,9 +68,10 @@ def example_climber() -> Experiment:
 def given_or(
     default: Callable[[], Experiment], path: Path | None, model: Path | None
 ) -> Experiment:
-    """Returns the experiment at `path` with the overrides of `model`; without path, the default.
+    """Returns the experiment of the file `path`, with the values of the file `model`.
 
-    Raises `InputError` as `load` does, and for a model file without an experiment.
+    Without `path`, returns `default()`. Raises `InputError` as `load` does, and for a model file
+    without an experiment.
     """
     if path is not None:
         return load(path, model)

@@ -57,33 +57,33 @@ class Performance(eqx.Module):
     wave_speed: Scalar
     """Speed V = lambda f [m/s] of the body wave."""
     travelling_index: Scalar
-    """1 for a travelling wave, 0 for a standing wave. lambda and V need a travelling wave."""
+    """1 for a travelling wave; 0 for a standing wave, for which lambda and V have no meaning."""
     power: Scalar
     """Mean power P [W] of the chambers on the body."""
     thrust: Scalar
     """Mean force T [N] along the course that balances the effects that resist axial motion."""
     froude_efficiency: Scalar
-    """T U/P [-]"""
+    """Froude efficiency T U/P [-]."""
     slender_efficiency: Scalar
     """Efficiency (1 + U/V)/2 [-] of a slender body in an ideal fluid (Lighthill 1960)."""
     force_efficiency: Scalar
-    """T/P [N/W]"""
+    """Thrust divided by power, T/P [N/W]."""
     cost_of_transport: Scalar
-    """P/(m g U) [-], with the weight m g of the robot."""
+    """Cost of transport P/(m g U) [-], with the weight m g of the robot."""
     tail_amplitude: Scalar
     """Tail amplitude A_t [m], half of the tip's peak-to-peak excursion."""
     head_amplitude: Scalar
     """Half of the head's peak-to-peak excursion [m]: the recoil of the free body."""
     strouhal: Scalar
-    """2 A_t f/U [-]"""
+    """Strouhal number 2 A_t f/U [-]."""
     tail_slope: Scalar
-    """A_t/(lambda/4) [-]"""
+    """Tail slope A_t/(lambda/4) [-]."""
     shape_wavelength: Scalar
-    """Wavelength [m] of the body's shape, which is defined for a standing wave too."""
+    """Wavelength [m] of the body's shape, which is also defined for a standing wave."""
     shape_tail_slope: Scalar
-    """A_t/(shape_wavelength/4) [-]"""
+    """Tail slope A_t/(shape_wavelength/4) [-]."""
     turning: Scalar
-    """Turn of the course [rad] in one stride, positive to the left."""
+    """Angle [rad] by which the course turns in one stride, positive to the left."""
 
 
 def next_stride(model: Model, frequency, carry: Carry, search: SteadySettings) -> Stride:
@@ -109,7 +109,7 @@ def performance(model: Model, frequency, stride: Stride, search: SteadySettings)
     mean, before = jnp.mean(stride.velocity, axis=0), stride.velocity_before
     pace = mean_motion(before, mean, stride.ahead, frequency)
     speed, along = pace.speed, pace.course
-    # Left of the course is positive, as the normal n is left of the tangent tau.
+    # Positions left of the course are positive, because n is also left of tau.
     across = -along[1] * stride.midline[:, 0] + along[0] * stride.midline[:, 1]
     s = make_mesh(model.body, search.numerics).grid.s
     mode = obs.fundamental_mode(across, stride.t, frequency)
@@ -142,7 +142,7 @@ def performance(model: Model, frequency, stride: Stride, search: SteadySettings)
 def steady_stride(
     model: Model, frequency, search: SteadySettings
 ) -> tuple[Stride, Performance, Bool[Array, ""]]:
-    """Returns a steady stride, its performance, and whether it is steady and converged."""
+    """Returns a stride at the steady speed, its performance, and whether both are valid."""
     steady = find_steady(model, frequency, search)
     stride = next_stride(model, frequency, steady.carry, search)
     return stride, performance(model, frequency, stride, search), steady.ok & stride.ok
@@ -164,19 +164,19 @@ UNITS = {
 
 
 def names_with_units(values: dict[str, Any], units: dict[str, str]) -> dict[str, Any]:
-    """Returns `values` with each name's unit, if it has one, appended to the name."""
+    """Returns `values`, with the unit appended to each name that is in `units`."""
     return {f"{k}_{units[k]}" if k in units else k: value for k, value in values.items()}
 
 
 def performance_columns(found: Performance) -> dict[str, Scalar]:
-    """Returns the quantities; each name ends in its unit."""
+    """Returns the quantities by name; the names of dimensional quantities end in the unit."""
     return names_with_units(vars(found), UNITS)
 
 
 def compile_swim(
     plan: Plan, chunk: BatchRobot
 ) -> Callable[[BatchRobot], tuple[Performance, Array]]:
-    """Returns the compiled function from robots stacked like `chunk` to (performance, ok)."""
+    """Returns a compiled function from robots, stacked like `chunk`, to (performance, ok)."""
     steps, _, numerics, scheme = plan
     search = SteadySettings(steps_per_stride=steps, numerics=numerics, scheme=scheme)
     one = jax.vmap(lambda robot: steady_stride(robot.model, robot.frequency, search)[1:])
@@ -184,6 +184,6 @@ def compile_swim(
 
 
 def performance_table(found: Performance, ok: Array) -> dict[str, np.ndarray]:
-    """Returns the quantities (robots,), with units in the names; NaN where not `ok`."""
+    """Returns each quantity (robots,) by name with unit; NaN for robots that are not `ok`."""
     columns = performance_columns(found)
     return {name: np.where(ok, np.asarray(values), np.nan) for name, values in columns.items()}

@@ -32,7 +32,7 @@ ROWS = (
 
 
 def value_lines(record: dict[str, Any], rows: tuple[tuple[str, str, str, float], ...]) -> list[str]:
-    """Returns a line with label, unit and value for each of `rows`, laid out like `ROWS`."""
+    """Returns a line with label, unit and value for each of `rows`; see `ROWS` for the columns."""
     return [
         f"{label + (f' ({unit})' if unit else ''):36}{factor * record[name]:10.4g}"
         for name, label, unit, factor in rows
@@ -95,7 +95,7 @@ def swim_summary(swim: Swim) -> list[str]:
 
 
 def stride_columns(swim: Swim) -> dict[str, np.ndarray]:
-    """Returns the columns of a stride's table; positions are relative to the first midline."""
+    """Returns the columns of a stride's table; the origin is the mean of the first midline."""
     steps = swim.search.steps_per_stride
     stride = jax.tree.map(np.asarray, swim.stride)
     place = stride.midline - stride.midline[0].mean(axis=1)[:, None]

@@ -1,19 +1,20 @@
 """Finds the steady speed, at which the mean force along the course vanishes over a stride.
 
 Shape, recoil and turning settle within a few strides, so time stepping computes them. The speed
-settles slowly, so a secant method finds it as a root:
+U settles slowly, so a secant method finds the steady speed U* as the root of the acceleration a:
 
-    a(U) = (v_2 - v_1) . ahead / T,    a(U*) = 0
+    a(U) = (v_2 - v_1) . course / T,    a(U*) = 0
 
 v_1 and v_2 are the mean velocities of the centre of mass over two consecutive strides of period T.
-ahead is the unit vector along v_1 + v_2, on the side of the head. a is the mean force along the
-course per mass; it vanishes on a steady circle too. After each correction the whole body gets the
-new speed and swims some more strides. The implicit function theorem gives the derivative of U*,
+The unit vector `course` is parallel to v_1 + v_2 and points towards the head. a also vanishes if
+the robot swims in a circle at constant speed. After each correction of the speed, the whole body
+moves at the new speed, and some more strides are simulated. The implicit function theorem gives
 
     dU* = (U_theta - a_theta U_delta / a_delta) dtheta
 
-Indices denote derivatives with respect to a parameter theta and to delta. U and a belong to two
-strides after settling strides, which start from the steady state with a speed increased by delta.
+Indices denote derivatives with respect to a model parameter theta and to a change delta of the
+speed. The simulation for these derivatives starts from the steady state with its speed increased by
+delta. After some settling strides, U and a are computed from the last two strides.
 """
 
 from typing import NamedTuple
@@ -35,13 +36,13 @@ class SteadySettings(NamedTuple):
     """Settings of the root finding for the steady speed."""
 
     settling: int = 6
-    """Number of strides from the straight start, and before derivatives, to settle the gait."""
+    """Number of strides in which the gait settles: from rest, and again for the derivatives."""
     between: int = 2
-    """Number of strides after a change of speed, before the last stride of the mean motion."""
+    """Number of strides after each correction of the speed, without the last of these strides."""
     corrections: int = 7
     """Number of secant steps."""
     second: float = 0.15
-    """Second speed [m/s] of the secant method."""
+    """Second speed [m/s] of the secant method; the first is the speed after settling from rest."""
     largest: float = 0.3
     """Largest change of the speed in one secant step [m/s]."""
     steps_per_stride: int = 96
@@ -50,14 +51,14 @@ class SteadySettings(NamedTuple):
 
 
 STRIDES_BEFORE_START = 20.0
-"""Number of strides of the drive before the simulation starts: longer than any valve delay."""
+"""Number of strides from the start of the drive to the simulation: more than any valve delay."""
 
 
 class MeanMotion(eqx.Module):
     """Mean motion of a swimmer over two strides."""
 
     course: Float[Array, "2"]
-    """Unit vector along the mean velocity, on the side of the head."""
+    """Unit vector parallel to the mean velocity; the vector points towards the head."""
     speed: Float[Array, ""]
     """Mean speed [m/s]; negative if the tail leads."""
     acceleration: Float[Array, ""]
@@ -76,8 +77,8 @@ class Steady(eqx.Module):
     ok: Bool[Array, ""]
     """Whether every time step and the root finding converged.
 
-    A speed is steady if it changes by less than 0.2 % in a stride, and if the next secant step is
-    less than 2 % of the speed.
+    The root finding converged if the speed changes by less than 0.2 % per stride, and the next
+    secant step is less than 2 % of the speed.
     """
 
     @property
@@ -97,7 +98,7 @@ def with_added_velocity(carry: Carry, change: Float[Array, "2"]) -> Carry:
 
 
 def stride_times(frequency, count: int, search: SteadySettings) -> TimeGrid:
-    """Returns the time grid of `count` strides, long after the start of the drive."""
+    """Returns the time grid of `count` strides, which begins long after the start of the drive."""
     h = 1.0 / (frequency * search.steps_per_stride)
     return TimeGrid(h, count * search.steps_per_stride, STRIDES_BEFORE_START / frequency)
 
@@ -110,14 +111,14 @@ def velocity(x: Snapshot) -> Float[Array, "2"]:
 
 
 def velocity_and_heading(x: Snapshot) -> Float[Array, "2 2"]:
-    """Returns the velocity [m/s] of the centre of mass and the mean direction, tail to head."""
+    """Returns velocity [m/s] of the centre of mass, and the mean direction from tail to head."""
     cell, grid = x.section(), x.mesh.grid
     ahead = jnp.stack(to_plane(jnp.ones_like(cell.phi), jnp.zeros_like(cell.phi), cell.phi))
     return jnp.stack([velocity(x), grid.integral(ahead)])
 
 
 def mean_motion(before: Float[Array, "2"], mean, ahead, frequency) -> MeanMotion:
-    """Returns the mean motion from the mean velocities of two strides and the direction `ahead`."""
+    """Returns the mean motion from the mean velocities of two strides; `ahead` is tail to head."""
     both = 0.5 * (before + mean)
     size = jnp.sqrt(jnp.sum(both**2) + 1e-18)
     side = jnp.where(both @ ahead < 0.0, -1.0, 1.0)
@@ -155,7 +156,7 @@ def find_steady(model: Model, frequency, search: SteadySettings = SteadySettings
         carry, after = simulate_strides(model, frequency, faster, search.between + 1, search)
         far = after.speed - pace.speed
         secant = (after.acceleration - pace.acceleration) / jnp.where(far == 0.0, 1.0, far)
-        # Keep the last slope if the new one is rounding error or leads away from the root.
+        # The previous slope is kept if the new slope is rounding error or leads from the root.
         slope = jnp.where((secant < 0.0) & (jnp.abs(far) > 1e-7), secant, slope)
         change = jnp.clip(-after.acceleration / slope, -search.largest, search.largest)
         return (carry, after, slope, change), None
@@ -172,9 +173,9 @@ def find_steady(model: Model, frequency, search: SteadySettings = SteadySettings
 def steady_speed(
     model: Model, frequency, search: SteadySettings = SteadySettings()
 ) -> Float[Array, ""]:
-    """Returns the steady speed [m/s], NaN if none is found.
+    """Returns the steady speed [m/s], or NaN if no steady speed is found.
 
-    The speed is differentiable in model and frequency, by the implicit function theorem.
+    The implicit function theorem gives the derivatives with respect to model and frequency.
     """
     held, f = jax.tree.map(jax.lax.stop_gradient, (model, frequency))
     found = jax.tree.map(jax.lax.stop_gradient, find_steady(held, f, search))

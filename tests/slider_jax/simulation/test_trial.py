@@ -227,11 +227,11 @@ def test_trials_of_less_than_two_strides_say_so(short):
 
     assert is_periodic(cut(1.9)) == (
         None,
-        "trial shorter than two strides; whether it is periodic is unknown",
+        "the trial is too short to compare two strides; the motion may not be periodic",
     )
     periodic, warning = is_periodic(cut(0.8))
     assert periodic is None
-    assert "trial shorter than one stride (0.25 s); means cover the whole trial" in warning
+    assert "the stride (0.25 s) is longer than the trial; means cover the trial" in warning
     assert averaging_window(cut(0.8)) == (slice(1, cut(0.8).grid.steps + 1), 0)
 
 
