@@ -1,1 +1,2 @@
-"""The calibration's commands. They may import all packages. Only the command table imports them."""
+"""The commands of the calibration. These modules may import all packages. No module imports them,
+except the table of commands in `slider_jax.cli`."""

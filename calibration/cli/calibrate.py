@@ -18,21 +18,22 @@ from slider_jax.io.toml import significant, toml_text
 
 DEFINITIONS = {
     "rmse": "root mean square of the residual, measured minus simulated pressure. The simulated "
-    "pressure (free run) starts at the first measured sample and then depends on the command only",
+    "pressure starts at the first measured sample and then depends on the command only",
     "pooled rmse": "root of the mean of all logs' mean squares; all logs have the same weight",
-    "settled": "value without the first cycle of each log",
-    "over samples": "root mean square of the samples of all logs; long logs have more weight",
-    "k": "least-squares estimate by the Levenberg-Marquardt method in log k. It starts at the "
-    f"lowest local minimum of a scan from {PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g} s. The common k of "
-    "all logs minimises the pooled rmse",
+    "settled": "value computed without the first cycle of each log",
+    "over samples": "root mean square over the samples of all logs; long logs have more weight",
+    "k": "least-squares estimate by the Levenberg-Marquardt method in log k. The method starts at "
+    f"the lowest local minimum of a scan from {PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g} s. The common k "
+    "of all logs minimises the pooled rmse",
     "interval": "95 % interval from the sandwich variance of log k. The effective number of "
-    "samples is samples / (1 + 2 c), with the sum c of the residual's autocorrelation up to its "
-    "first zero. The interval of the common k has one cluster per log and Student's t with "
-    "logs - 1 degrees of freedom. The interval k_within is valid for these logs only",
+    "samples is samples / (1 + 2 c), where c sums the residual's autocorrelation up to its first "
+    "zero. The interval of the common k uses one cluster per log, and Student's t with logs - 1 "
+    "degrees of freedom. The interval k_within is valid for these logs only",
     "widening": "width of the interval, divided by its width for independent samples",
     "floor": "standard deviation of the white noise of the measured pressure, estimated from "
     "fourth differences; it does not include drift and slow noise",
-    "shape": "shape of the residual at the log's own k, in whole cycles after the first cycle",
+    "shape": "shape of the residual with the k fitted to this log, over whole cycles after the "
+    "first cycle",
 }
 
 
@@ -44,10 +45,10 @@ def manifold(
     out: Folder,
     plot: Pictures = True,
 ) -> None:
-    """Identifies the pressure lag k from pressure logs, for each log and for all logs together.
+    """Identifies the lag's time constant k from pressure logs: one value per log, and a common one.
 
     The command writes DIR/manifold.json, pictures, and DIR/model.toml (for `slider simulate
-    --model`). It prints whether one lag explains the logs, and a table of the fits.
+    --model`). The command prints whether one k explains all logs, and a table of the fits.
 
     Args:
         logs: one or more pressure logs (.txt) in the format of the published firmware.
@@ -79,7 +80,8 @@ def refuse_same_names(logs: tuple[Path, ...]) -> None:
     for path in logs:
         if path.stem in seen:
             raise InputError(
-                f"{path}: same name as {seen[path.stem]}; rename one log, or give each log once"
+                f"{path}: same name as {seen[path.stem]}; all logs must have different names, so "
+                "rename one of the logs, or omit a log that is given twice"
             )
         seen[path.stem] = path
 
@@ -97,7 +99,7 @@ def _draw(found: Identification, folder: Path) -> None:
 
 
 def lag_record(found: Identification, lines: list[str]) -> dict[str, Any]:
-    """Returns the content of manifold.json: k in s, pressures in psi."""
+    """Returns the content of manifold.json, with k in s and pressures in psi."""
     return {
         "pooled": {
             "k": found.k._asdict(),
@@ -153,13 +155,13 @@ def lag_model_toml(found: Identification) -> str:
         f"slider calibrate manifold identified this pressure lag from {len(found.logs)} logs: "
         f"{names}\nThe 95 % interval of k is {k.low:.4f} to {k.high:.4f} s. The RMSE is "
         f"{found.pooled_rmse('before'):.2f} psi with the paper's k and "
-        f"{found.pooled_rmse('pooled'):.2f} psi with this k; sensor noise {found.floor:.2f} psi"
+        f"{found.pooled_rmse('pooled'):.2f} psi with this k. Sensor noise: {found.floor:.2f} psi"
     )
     return toml_text({"parameters": {"k": significant(k.value, 6)}}, comment, {"k": "s"})
 
 
 def lag_table(found: Identification) -> str:
-    """Returns the result as a table with a line for each log."""
+    """Returns the result as a table, with one line for each log and one line for all logs."""
     lines = [
         f"{'log':<16}{'Hz':>7}{'samples':>9}{'k ms':>7}{'95 % interval':>16}{'widening':>10}"
         f"{'before':>9}{'after':>8}{'common k':>10}{'noise':>7}   (RMSE in psi)"

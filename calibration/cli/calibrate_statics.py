@@ -1,4 +1,4 @@
-"""`slider calibrate statics`: identifies stiffness, damping and K_Q from bench tests in air."""
+"""`slider calibrate statics`: identifies EI, damping and K_Q from bench tests in air."""
 
 import sys
 from operator import attrgetter
@@ -15,10 +15,11 @@ def statics(
     out: Folder,
     plot: Pictures = True,
 ) -> None:
-    """Identifies EI, alpha and K_Q from tip loads, a ring-down and static pressures.
+    """Identifies bending stiffness EI, damping time alpha and K_Q (moment per pressure) in air.
 
-    The command writes DIR/statics.json (values, 95 % intervals and the residuals of every table),
-    DIR/model.toml (for `slider simulate --model`) and a picture of every table.
+    The bench tests are tip loads, a ring-down and static pressures. The command writes
+    DIR/statics.json (values, 95 % intervals and the residuals of every table), DIR/model.toml (for
+    `slider simulate --model`) and a picture of every table.
 
     Args:
         bench: bench file (.toml). Its tables (.csv) must be in the same folder.

@@ -28,9 +28,9 @@ def tank(
     The command writes DIR/calibration.json (values, intervals, correlations, errors and noise
     floors) and DIR/model.toml (for `slider simulate --model`). If the data do not determine a
     parameter, the command gives no value and proposes a trial that would determine the parameter.
-    With --per-frequency, the command also identifies C_d and m_a for every drive frequency. It
-    compares these values by cross-validation with constant values and with the paper's ramp, in
-    DIR/per_frequency.csv and DIR/per_frequency.png.
+    With --per-frequency, the command also identifies C_d and m_a for every drive frequency, and
+    compares these values with constant values and with the paper's ramp by cross-validation.
+    The results of the comparison are in DIR/per_frequency.csv and DIR/per_frequency.png.
 
     Args:
         experiment: experiment file (.toml). Its measured trials must be in the same folder.
@@ -38,7 +38,7 @@ def tank(
         also: names of effects whose parameters are also identified (default: none). The command
             slider effects lists the names.
         channels: names of the channels to fit (default: p_front p_rear thrust recoil tip).
-        per_frequency: compare values for every drive frequency with constant values.
+        per_frequency: compare separate values for every drive frequency with constant values.
         each: names of the parameters that may differ between frequencies (default: C_d m_a).
         method: lm (Gauss-Newton with step shortening), lbfgs (L-BFGS), or auto (lbfgs for 12
             parameters or more, otherwise lm).
@@ -78,7 +78,7 @@ def tank(
 
 
 def _by_frequency(found, each, progress, stage: Path):
-    """Returns record, model file and table of the comparison; writes a CSV file and a figure."""
+    """Writes CSV file and figure of the comparison; returns its JSON record, model file, table."""
     from calibration.identification import per_frequency_report as report
     from calibration.identification.per_frequency import compare_ties
     from slider_jax.io.files import write_csv

@@ -25,10 +25,10 @@ def close_loop(
 ) -> None:
     """Calibrates a model and finds the effects that the model lacks.
 
-    The command fits the model and adds effects of the library that explain the residual. It writes
-    DIR/report.html (to read), DIR/report.json (to process) and DIR/model.toml. The model file has
-    the fitted parameters and the added effects, for `slider simulate --model`. An interrupted run
-    resumes when you repeat the command.
+    The command fits the model and adds effects of the library that explain the residual. The
+    command writes DIR/report.html (for people), DIR/report.json (for programs) and DIR/model.toml.
+    The model file contains the fitted parameters and the added effects, for `slider simulate
+    --model`. An interrupted run resumes when you repeat the command.
 
     Args:
         inputs: experiment file (.toml) with its measured trials in the same folder, or five or more
@@ -66,11 +66,11 @@ def close_loop(
 
 def _are_logs(inputs: tuple[Path, ...], model: Path | None) -> bool:
     if not inputs:
-        raise InputError("inputs: no file given; give an experiment file or pressure logs")
+        raise InputError("inputs: no file given; give an experiment file or five pressure logs")
     tables = [path for path in inputs if path.suffix == ".toml"]
     if not tables:
         if model is not None:
-            raise InputError(f"--model {model}: not allowed with logs; omit --model")
+            raise InputError(f"--model {model}: not allowed with pressure logs; omit --model")
         return True
     if len(inputs) > 1:
         raise InputError(

@@ -23,24 +23,25 @@ def effects_matrix(
     tow_speed: Range = None,
     model: ModelFile = None,
 ) -> None:
-    """Computes the detection limits of effects, and the effects an experiment cannot discriminate.
+    """Predicts which effects an experiment can detect, and between which it can discriminate.
 
-    The trials need not be measured. The command writes DIR/matrix.json and DIR/matrix.png. The
-    option --separate also searches for the next trial that best discriminates between the given
-    effects, and writes this trial to DIR/matrix.json and DIR/next_trial.toml. An interrupted run
-    resumes when you repeat the command.
+    The command works before any trial is measured. It writes the detection limits of the effects to
+    DIR/matrix.json and DIR/matrix.png. With --separate, the command also searches for the trial
+    that best discriminates between the given effects, and writes this trial to DIR/matrix.json and
+    DIR/next_trial.toml. An interrupted run resumes when you repeat the command.
 
     Args:
-        experiment: experiment file (.toml). Measured trials in its folder are used, but not needed.
+        experiment: experiment file (.toml). Measured trials in its folder are used if they exist.
         out: folder for the results; created if missing. Files of the same name are replaced.
-        effects: names of the effects (default: the effects of --separate if given, otherwise all).
+        effects: names of the effects (default: the effects of --separate, or else all effects).
         separate: names of two or more effects that the next trial discriminates (default: none).
-        frequency: lowest and highest frequency of the next trial, in Hz. The default of this and
-            the next three options is the range of the experiment's trials, widened by 10 %.
-        amplitude: lowest and highest amplitude of the next trial, in Pa (default: as above).
+        frequency: lowest and highest frequency of the next trial, in Hz (default: the range in the
+            experiment's trials, widened by 10 %).
+        amplitude: lowest and highest amplitude of the next trial in Pa (default: as for frequency).
         phase: lowest and highest phase of the rear chamber, as a fraction of a period (default: as
-            above).
-        tow_speed: lowest and highest tow speed of the next trial, in m/s (default: as above).
+            for frequency).
+        tow_speed: lowest and highest tow speed of the next trial, in m/s (default: as for
+            frequency).
         model: TOML file. Its [robot], [parameters], [[effects]] override those of the experiment.
     """
     from calibration.experiment_design.detectability import detectability_matrix
@@ -65,12 +66,12 @@ def effects_matrix(
             f"the names that slider effects lists, except {excluded}",
         )
     if separate and len(set(separate)) < 2:
-        raise InputError("--separate: given one effect; allowed two or more effects")
+        raise InputError("--separate: given one effect; allowed two or more; add another effect")
     given = dict(zip(TrialLimits._fields, (frequency, amplitude, phase, tow_speed), strict=True))
     for name, limits in given.items():
         if limits is not None and not separate:
             option = f"--{name.replace('_', '-')}"
-            raise InputError(f"{option}: works only with --separate; add --separate or omit it")
+            raise InputError(f"{option}: works only with --separate; use both, or neither")
     loaded = load(experiment, model)
     within = limits_of(loaded, given) if separate else None
     progress = timed_printer()

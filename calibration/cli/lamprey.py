@@ -16,15 +16,15 @@ def lamprey(
     draws: Whole = 400,
     seed: Whole = 0,
 ) -> None:
-    """Compares the modelled axial force on a swimming animal with the animal's gain of momentum.
+    """Compares the modelled axial force on a swimming animal with the animal's change of momentum.
 
-    The body of the model follows the measured midlines. If force and gain of momentum differ, the
-    report states which effects would explain the difference. The command writes DIR/report.html and
-    DIR/report.json.
+    The model computes the force for the measured motion of the body. If force and change of
+    momentum per time differ, the report states which effects would explain the difference. The
+    command writes DIR/report.html and DIR/report.json.
 
     Args:
-        folder: folder with lampreydata.csv (t, frame, point, mxmm, mymm) and fishwidth.csv (s,
-            ammowidth).
+        folder: folder with lampreydata.csv (columns t, frame, point, mxmm, mymm) and fishwidth.csv
+            (columns s, ammowidth).
         out: folder for the results; created if missing. Files of the same name are replaced.
         draws: number of random samples for the 95 % intervals, at least 20.
         seed: seed of the random samples.

@@ -1,4 +1,4 @@
-"""`slider published`: compares the paper's free-swimming speeds with the paper's equations."""
+"""`slider published`: compares the paper's measured free-swimming speeds with simulated speeds."""
 
 import sys
 import time
@@ -8,10 +8,12 @@ from slider_jax.cli.progress import timed_printer
 
 
 def published(out: Folder) -> None:
-    """Compares the paper's free-swimming speeds with its equations and with added axial resistance.
+    """Compares the paper's two measured free-swimming speeds with simulated speeds.
 
-    Each effect is calibrated on one of the paper's two speeds and predicts the other speed. The
-    command takes some minutes. It writes DIR/report.html and DIR/report.json.
+    The paper's equations have no resistance to axial motion. The command therefore also adds one
+    effect at a time that resists axial motion. This effect is calibrated on one measured speed and
+    predicts the other measured speed. The command takes some minutes and writes DIR/report.html and
+    DIR/report.json.
 
     Args:
         out: folder for the results; created if missing. Files of the same name are replaced.

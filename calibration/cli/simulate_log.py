@@ -27,26 +27,27 @@ CHUNK = 125
 """Number of samples per call of the compiled program."""
 NUMERICS = {"step": 1e-3}
 """Longest time step [s]. The sampling period of the log is a multiple of the actual step. For a log
-at 3 Hz, the results with steps of 1 ms and 0.25 ms differ by 0.4 % of the standard deviation of the
-thrust, and by 0.1 % of that of the recoil. Both drives, "set" and "measured", give these values."""
+at 3 Hz, the results with steps of 1 ms and 0.25 ms differ by 0.4 % of the thrust's standard
+deviation and by 0.1 % of the recoil's, both with the drive "set" and with the drive "measured"."""
 
 DEFINITIONS = {
-    "mapping": "the log has the gauge pressure of one chamber. Both chambers of the built-in robot "
-    "have this pressure with the same sign, so both chambers bend the body to the same side",
-    "start": "the robot starts straight and at rest. The pressure starts at the first measured "
+    "mapping": "the log contains the gauge pressure of one chamber. In the simulation, the front "
+    "and the rear chamber both have this pressure, so both chambers bend the body to the same side",
+    "start": "the robot starts straight and at rest. The initial pressure is the first measured "
     "sample. The first cycle contains the transient",
-    "averaged": "averages are over the log's whole cycles after the first cycle",
+    "averaged": "averages are computed over the log's whole cycles after the first cycle",
 }
 
 
 def simulate_log(
     path: Path, model: Path | None, out: Path, drive: Literal["set", "measured"], plot: bool
 ) -> None:
-    """Simulates a log; writes DIR/<name of the log>.csv and DIR/summary.json.
+    """Simulates the robot with a pressure log; writes `out`/<name of the log>.csv and summary.json.
 
-    The CSV file has the log's sample times. With `drive` "set", the pressure model starts at the
-    first measured sample and follows the command. With "measured", the measured pressure drives the
-    robot. Raises `InputError` for invalid files, `SolverError` if a step does not converge.
+    The CSV file has the log's sample times. With `drive` "set", the pressure starts at the first
+    measured sample and follows the command with the lag. With `drive` "measured", the measured
+    pressure drives the robot. Raises `InputError` for invalid files, and `SolverError` if a step
+    does not converge.
     """
     log = read_log(path)
     for finding in log.findings:
@@ -76,7 +77,7 @@ def simulate_log(
 def drive_robot(
     log: ManifoldLog, experiment: Experiment, drive: str, progress=lambda done, total: None
 ) -> dict[str, np.ndarray]:
-    """Returns the columns of a trial at the log's sample times.
+    """Returns the simulated readings at the log's sample times, as the columns of a trial file.
 
     Missing samples of the drive are interpolated linearly. The function calls `progress` with the
     number of finished samples and the number of all samples.
@@ -110,8 +111,8 @@ def drive_robot(
         if failed_at < log.t[-1] + 0.5 * h or not np.isfinite(saved["recoil"]).all():
             raise SolverError(
                 f"{log.path}: the step to t = {min(failed_at, at[done]):.6g} s (length "
-                f"{h:.3g} s) did not converge; check K_Q, stiffness and lag in the model file: the "
-                "bending moment may be too large for the body"
+                f"{h:.3g} s) did not converge. The bending moment may be too large for the body; "
+                "check K_Q, stiffness and lag in the model file"
             )
         progress(min(done + 1, len(log.t)), len(log.t))
 

@@ -1,2 +1,2 @@
-"""Identifies the base parameters from measured trials, for all or for each drive frequency. This
+"""Identifies parameters from measured trials, as constants or as values per drive frequency. This
 package may import `experiment_design` and packages of lower layers."""

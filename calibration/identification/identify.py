@@ -1,4 +1,4 @@
-"""Identifies a model's parameters from measured trials, without selection of effects."""
+"""Identifies the base parameters, and the parameters of given effects, from measured trials."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -31,21 +31,21 @@ from slider_jax.io.toml import toml_text
 
 METHODS = {"lm": fit_gauss_newton, "lbfgs": fit_lbfgs}
 LBFGS_PARAMETERS = 12
-"""The method "auto" is L-BFGS for this number of free parameters or more."""
+"""Smallest number of fitted parameters for which the method "auto" is L-BFGS."""
 
 
 class Identified(NamedTuple):
-    """A fit of chosen parameters, with the readings before it."""
+    """A fit of the base parameters and of the parameters of given effects."""
 
     experiment: Experiment
     entries: list[Parameter]
     problem: TankProblem
     before: list[np.ndarray]
-    """Readings (channels, samples) of every trial with the experiment's own parameters."""
+    """Predicted readings (channels, samples) of every trial, before the fit."""
     fit: Fit
     method: str
     proposals: dict[int, Proposal]
-    """Proposed trial for every entry that the data do not determine."""
+    """Index in `entries` of each undetermined parameter, and a trial that would determine it."""
     audit: list[Finding]
     """Faults of the data and the actions taken."""
     doubt: str
@@ -70,8 +70,8 @@ def identify_parameters(
 ) -> Identified:
     """Fits C_d, m_a, k, K_Q and the parameters of `effects` to all measured trials.
 
-    `method` is "lm", "lbfgs" or "auto": L-BFGS for `LBFGS_PARAMETERS` or more. Raises `InputError`
-    for an unknown effect, channel or method, or if no measured trial can be used.
+    `method` is "lm" (Gauss-Newton), "lbfgs" (L-BFGS), or "auto" (see `LBFGS_PARAMETERS`). Raises
+    `InputError` for an unknown effect, channel or method, or if no measured trial can be used.
     """
     check_names(effects, channels, method)
     entries = model_parameters(tuple(effects))
@@ -83,7 +83,7 @@ def identify_parameters(
     base = base_vector(entries, base_values(experiment))
     initial = base.copy()
     for i, p in enumerate(entries):
-        if p.effect:  # a fit that starts at the null could not leave this bound
+        if p.effect:  # the null may be a bound, and a fit that starts at a bound stays there
             initial[i] += 0.02 * (p.prior.high - p.prior.low)
     progress("auditing the data")
     audited = audit_measurements(experiment, 1, lambda few: problem_of(few).predict(base))
@@ -110,8 +110,8 @@ def residual_warning(problem: TankProblem, fit: Fit) -> str:
     channels = ", ".join(f"{np.sqrt(x):.2g} times the noise in {c}" for c, x in left.items())
     return (
         f"The model does not explain these data: the residual is {channels}. The model lacks an "
-        "effect, so the values are biased and the intervals too narrow. Run slider close-loop to "
-        "find the effect."
+        "effect, so the values are biased and the intervals are too narrow. Run slider close-loop "
+        "to find the effect."
     )
 
 
@@ -144,7 +144,7 @@ def identification_record(found: Identified, source: dict[str, Any]) -> dict[str
 
 
 def parameter_table(found: Identified) -> str:
-    """Returns the result as text: a line for each parameter and each channel."""
+    """Returns the result as text, with one line for each parameter and for each channel."""
     labels = [p.label for p in found.entries]
     lines = entry_lines(found.fit, found.entries, labels, found.proposals)
     errors = channel_errors(found.problem, found.before, found.fit.predicted)
@@ -160,7 +160,7 @@ def parameter_table(found: Identified) -> str:
 def entry_lines(
     fit: Fit, entries: Sequence[Parameter], labels: Sequence[str], proposals: dict[int, Proposal]
 ) -> list[str]:
-    """Returns a line for each entry, followed by its proposed trial."""
+    """Returns a line for each entry, followed by a line for the entry's proposed trial, if any."""
     lines = []
     for i, (p, label) in enumerate(zip(entries, labels, strict=True)):
         lines.append(f"{label:<28} {parameter_text(parameter_record(fit, entries, i))}")
@@ -170,7 +170,7 @@ def entry_lines(
 
 
 def identified_model(found: Identified) -> str:
-    """Returns the calibrated model as a file for `slider simulate --model`."""
+    """Returns the text of a model file with the fit, for `slider simulate --model`."""
     effects = list(dict.fromkeys(p.effect for p in found.entries if p.effect))
     comment = f"Identified from {len(found.problem.records)} trials of {found.experiment.name}."
     comment = f"{comment} {found.doubt}".strip()

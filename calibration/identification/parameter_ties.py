@@ -1,8 +1,9 @@
-"""Ties of parameters: affine maps from one fitted vector to the parameters of every trial.
+"""Ties of parameters: rules for how the parameters depend on the drive frequency of a trial.
 
-Four kinds of ties describe how C_d and m_a depend on the drive frequency: `constant` values, the
-`paper`'s ramp with its published values, a `ramp` with identified end values, and separate values
-for every frequency.
+There are four kinds of ties: constant values, the paper's ramp of C_d and m_a with the published
+values, the same ramp with identified end values, and separate values for every frequency. The ramp
+changes linearly between 2 and 3 Hz, and is constant outside. A fit determines one vector for all
+trials. An affine map computes the parameters of each trial from this vector.
 """
 
 from collections.abc import Sequence
@@ -20,28 +21,28 @@ CONSTANT, PAPER, RAMP, EACH = "constant", "paper", "ramp", "per_frequency"
 RAMP_PARAMETERS = ("C_d", "m_a")
 """Parameters that follow the paper's ramp."""
 SAME_FREQUENCY = 0.02
-"""Largest relative difference between frequencies of one group."""
+"""Largest relative difference between two drive frequencies that count as one frequency."""
 
 
 class ParameterTies(NamedTuple):
-    """A vector of entries, and the maps from this vector to every trial's parameters."""
+    """One kind of ties: the fitted vector, and maps from this vector to each trial's parameters."""
 
     name: str
     entries: list[Parameter]
     labels: list[str]
-    """Labels of the entries, with the frequency if an entry belongs to one frequency."""
+    """Labels of the entries. The label contains the frequency if an entry is for one frequency."""
     maps: tuple[Affine, ...]
     """Map to the parameters of each trial."""
     start: np.ndarray
     """Initial values (entries,) of a fit."""
     group: np.ndarray
-    """Index (entries,) of the frequency to which an entry belongs, or -1."""
+    """Index (entries,) of the frequency for which an entry is, or -1 for all frequencies."""
     parameter: np.ndarray
-    """Index (entries,) of the entry's parameter among a trial's parameters."""
+    """Index (entries,) of each entry's parameter in the list of a trial's parameters."""
 
 
 def drive_frequencies(trials: Sequence[Trial]) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the distinct drive frequencies [Hz], ascending, and each trial's index (trials,).
+    """Returns the distinct drive frequencies [Hz], ascending, and their index for each trial.
 
     Raises `InputError` for a trial without a drive frequency.
     """
@@ -49,8 +50,8 @@ def drive_frequencies(trials: Sequence[Trial]) -> tuple[np.ndarray, np.ndarray]:
     for trial in trials:
         if trial.frequency is None:
             raise InputError(
-                f"--per-frequency: trial {trial.file} has no frequency; omit the option, or remove "
-                "the trial from the experiment file"
+                f"--per-frequency: trial {trial.file} has no frequency; omit --per-frequency, or "
+                "remove the trial from the experiment file"
             )
         given.append(trial.frequency)
     order = np.argsort(given, kind="stable")
@@ -66,14 +67,14 @@ def drive_frequencies(trials: Sequence[Trial]) -> tuple[np.ndarray, np.ndarray]:
 def constant_ties(
     entries: Sequence[Parameter], theta: np.ndarray, at: np.ndarray, place: np.ndarray
 ) -> ParameterTies:
-    """Returns the ties with the same values in all trials."""
+    """Returns the ties with constant values: `place` (trials,) are indices of `at` [Hz]."""
     return per_frequency_ties(entries, theta, at, place, ())._replace(name=CONSTANT)
 
 
 def paper_ties(
     entries: Sequence[Parameter], theta: np.ndarray, at: np.ndarray, place: np.ndarray
 ) -> ParameterTies:
-    """Returns the ties with C_d and m_a of the paper's ramp, and the same others in all trials."""
+    """Returns the ties with C_d and m_a of the paper's ramp."""
     common = [i for i, p in enumerate(entries) if p.label not in RAMP_PARAMETERS]
     maps = []
     for g in place:
@@ -87,10 +88,7 @@ def paper_ties(
 def ramp_ties(
     entries: Sequence[Parameter], theta: np.ndarray, at: np.ndarray, place: np.ndarray
 ) -> ParameterTies:
-    """Returns the ties with free values of C_d and m_a at both ends of the paper's ramp.
-
-    All trials share the other parameters.
-    """
+    """Returns the ties with fitted values of C_d and m_a at the two ends of the paper's ramp."""
     common = [i for i, p in enumerate(entries) if p.label not in RAMP_PARAMETERS]
     moving = [_index(entries, name) for name in RAMP_PARAMETERS]
     indices = [*common, *(i for i in moving for _ in (0, 1))]
@@ -115,7 +113,7 @@ def per_frequency_ties(
     place: np.ndarray,
     each: Sequence[str],
 ) -> ParameterTies:
-    """Returns the ties with a value per frequency for labels in `each`, and constant others."""
+    """Returns the ties with one value per frequency for parameters whose label is in `each`."""
     common = [i for i, p in enumerate(entries) if p.label not in each]
     own = [_index(entries, name) for name in each]
     indices = [*common, *(i for i in own for _ in at)]
@@ -145,6 +143,6 @@ def _index(entries: Sequence[Parameter], label: str) -> int:
 
 
 def spans_ramp(at: np.ndarray) -> bool:
-    """Returns whether the frequencies `at` [Hz] include both halves of the ramp."""
+    """Returns whether some frequencies in `at` [Hz] are below the ramp's middle and some above."""
     middle = 0.5 * (RAMP_START + RAMP_END)
     return bool((at < middle).any() and (at > middle).any())

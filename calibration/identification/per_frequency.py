@@ -1,9 +1,11 @@
 """Compares constant C_d and m_a with the paper's ramp and with separate values per frequency.
 
-All ties of `parameter_ties` are fitted to all trials and compared by cross-validation. Each
-frequency is held out in turn. The fit to all other frequencies uses the linearisation at the
-optimum. Separate values are interpolated to the held-out frequency, whose trials are simulated. The
-comparison chooses the simplest ties whose error is within one standard error of the smallest error.
+*Ties* are a rule for how the parameters depend on the drive frequency (`parameter_ties`). Each kind
+of ties is fitted to all trials. Cross-validation then compares the kinds. For each frequency, the
+parameters are refitted to all other frequencies by one linear step. Separate values are then
+interpolated to the held-out frequency. The prediction error comes from a simulation of the held-out
+trials with these parameters. Of all ties whose prediction error is within one standard error of the
+smallest, the comparison chooses the ties with the fewest parameters.
 """
 
 from collections.abc import Callable, Sequence
@@ -51,7 +53,7 @@ MIN_FREQUENCIES = 4
 
 
 class FittedTies(NamedTuple):
-    """Fitted ties with the result of their cross-validation."""
+    """The fit of one kind of ties, and the result of the cross-validation."""
 
     ties: ParameterTies
     fit: Fit
@@ -60,22 +62,22 @@ class FittedTies(NamedTuple):
 
 
 class FrequencyComparison(NamedTuple):
-    """The comparison of all ties."""
+    """The comparison of all kinds of ties."""
 
     experiment: Experiment
     entries: list[Parameter]
     """Parameters of one trial."""
     problem: TankProblem
-    """Fitting problem without maps of the parameters."""
+    """Fitting problem with the same parameters in all trials."""
     frequencies: np.ndarray
     """Drive frequencies (frequencies,) [Hz]."""
     place: np.ndarray
     """Index (trials,) of each trial's frequency."""
     fitted: dict[str, FittedTies]
     chosen: str | None
-    """Name of the chosen ties, or None for too few frequencies."""
+    """Name of the chosen ties, or None for fewer than `MIN_FREQUENCIES` frequencies."""
     proposals: dict[int, Proposal]
-    """Proposed trial for every entry of the per-frequency ties that the data do not determine."""
+    """Index of each undetermined separate value, and a trial that would determine this value."""
 
     @property
     def used(self) -> FittedTies:
@@ -92,15 +94,19 @@ def compare_ties(
     progress: Callable[[str], None] = lambda text: None,
     coarse: Resolution = COARSE,
 ) -> FrequencyComparison:
-    """Fits all ties, starting from the fit `initial` of constant values, and compares them.
+    """Fits all kinds of ties and compares the fits.
 
-    `each` are labels of the parameters that may differ between frequencies. Raises `InputError` for
-    an unknown label, a trial without a frequency, or if all trials have the same frequency.
+    All fits start from `initial`, the fit of constant values. `each` are labels of the parameters
+    that may differ between frequencies. Raises `InputError` for an unknown label, for a trial
+    without a frequency, or if all trials have the same frequency.
     """
     refuse_unknown("--each", each, [p.label for p in entries])
     at, place = drive_frequencies([r.trial for r in problem.records])
     if len(at) < 2:
-        raise InputError(f"--per-frequency: all trials are driven at {at[0]:g} Hz; omit the option")
+        raise InputError(
+            f"--per-frequency: all trials are driven at {at[0]:g} Hz, allowed two or more "
+            "frequencies; omit --per-frequency, or add a trial with another frequency"
+        )
     white = problem.whiteners(initial.predicted)
     theta = initial.theta
     candidates = [constant_ties(entries, theta, at, place)]
@@ -128,7 +134,7 @@ def compare_ties(
 
 
 def _proposals(found: FrequencyComparison, coarse: Resolution) -> dict[int, Proposal]:
-    """Returns for each undetermined entry the trial at its frequency that narrows it most."""
+    """Returns, for each undetermined value, the trial that narrows the value's interval most."""
     ties, best = found.fitted[EACH].ties, found.fitted[EACH].fit
     A = summed(best.blocks)[0] / best.inflation
     measured, result = MeasuredInformation.of(found.problem, best), dict[int, Proposal]()
@@ -136,7 +142,8 @@ def _proposals(found: FrequencyComparison, coarse: Resolution) -> dict[int, Prop
         g = int(ties.group[i])
         if g < 0 or determined(p, *confidence_interval(best, ties.entries, i)[1:]):
             continue
-        if value_by_variation(best, i) is not None:  # more data would repeat the disagreement
+        # The mean forces and the other data give different values; a new trial cannot change this.
+        if value_by_variation(best, i) is not None:
             continue
         here = np.flatnonzero((ties.group < 0) | (ties.group == g))
         other = np.flatnonzero((ties.group >= 0) & (ties.group != g))
@@ -171,7 +178,7 @@ def _left_out(problem: TankProblem, ties: ParameterTies, fit: Fit, at, place, wh
 def _without(
     ties: ParameterTies, fit: Fit, at: np.ndarray, g: int, place: np.ndarray
 ) -> np.ndarray:
-    """Returns the vector fitted without the frequency of index `g`."""
+    """Returns the vector that is fitted to all trials except the trials at frequency `at[g]`."""
     others = [x for x in fit.blocks if place[x.trial] != g]
     A, b = summed(others)
     x = fit.theta + least_squares_step(A, b, np.flatnonzero(ties.group != g))
@@ -185,7 +192,7 @@ def _without(
 
 
 def choose_ties(fitted: dict[str, FittedTies]) -> str | None:
-    """Returns the name of the simplest ties within one standard error of the best ties, or None."""
+    """Returns the name of the chosen ties (rule: see module), or None without cross-validation."""
     if any(x.left_out is None for x in fitted.values()):
         return None
     squares = {n: np.asarray(x.left_out) for n, x in fitted.items()}
@@ -200,7 +207,7 @@ def choose_ties(fitted: dict[str, FittedTies]) -> str | None:
 
 
 def tied_values(fitted: FittedTies, label: str) -> list[tuple[float, float, float, bool]]:
-    """Returns each entry of a label: value, 95 % interval, and whether the value is determined."""
+    """Returns (value, low, high, determined) of each fitted `label`, with the 95 % interval."""
     found = []
     for i, p in enumerate(fitted.ties.entries):
         if p.label == label:
@@ -212,13 +219,13 @@ def tied_values(fitted: FittedTies, label: str) -> list[tuple[float, float, floa
 _DESCRIPTIONS = {
     CONSTANT: "constant values of C_d and m_a",
     PAPER: "the paper's ramp between 2 and 3 Hz, with the paper's values",
-    RAMP: "a ramp between 2 and 3 Hz, with identified end values",
+    RAMP: "a ramp between 2 and 3 Hz, with identified values at 2 and at 3 Hz",
     EACH: "separate values for every frequency",
 }
 
 
 def comparison_text(found: FrequencyComparison) -> str:
-    """Returns the result of the comparison as text."""
+    """Returns the result of the comparison in two sentences."""
     if found.chosen is None:
         return (
             f"The comparison needs {MIN_FREQUENCIES} frequencies for cross-validation; these data "

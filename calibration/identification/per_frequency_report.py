@@ -1,4 +1,4 @@
-"""Writes the comparison of ties as JSON, per_frequency.csv, model.toml, text and figure."""
+"""Writes the comparison of constant and frequency-dependent parameters: JSON, CSV, TOML, figure."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,7 +23,7 @@ from slider_jax.paper import RAMP_END, RAMP_START, force_coefficients
 
 
 def per_frequency_record(found: FrequencyComparison) -> dict[str, Any]:
-    """Returns the comparison as in calibration.json."""
+    """Returns the comparison as calibration.json contains it."""
     return {
         "said": comparison_text(found),
         "chosen": found.chosen,
@@ -65,9 +65,9 @@ def _fit_record(fitted: FittedTies) -> dict[str, Any]:
 
 
 def frequency_columns(found: FrequencyComparison, each: Sequence[str]) -> dict[str, np.ndarray]:
-    """Returns the columns of per_frequency.csv, a row for each frequency.
+    """Returns the columns of per_frequency.csv, which has one row for each frequency.
 
-    A value that the data do not determine is blank.
+    A value that the data do not determine is NaN, so the CSV file has an empty cell.
     """
     table = {"frequency_Hz": found.frequencies}
     table["trials"] = np.bincount(found.place).astype(float)
@@ -85,18 +85,18 @@ def frequency_columns(found: FrequencyComparison, each: Sequence[str]) -> dict[s
 
 
 def per_frequency_table(found: FrequencyComparison) -> str:
-    """Returns the comparison as text: a line for each value at each frequency, then the result."""
+    """Returns the comparison as text: one line for each fitted value, then the result."""
     each = found.fitted[EACH]
     lines = entry_lines(each.fit, each.ties.entries, each.ties.labels, found.proposals)
     return "\n".join([*lines, "", comparison_text(found)])
 
 
 def per_frequency_model(found: FrequencyComparison, each: Sequence[str]) -> str:
-    """Returns the model that predicts best as a file for `slider simulate --model`.
+    """Returns the text of a model file with the chosen values, for `slider simulate --model`.
 
-    A ramp with fitted end values, or separate values for each frequency, become a table of C_d and
-    m_a. If other parameters depend on frequency, the file contains constant values, because a model
-    file has no table for them.
+    If C_d and m_a are a ramp with fitted end values, or separate values for each frequency, the
+    file contains them as a table. If other parameters depend on frequency, the file contains
+    constant values, because a model file has no table for other parameters.
     """
     used = found.used
     entries, theta = used.ties.entries, used.fit.theta
@@ -128,7 +128,7 @@ def per_frequency_model(found: FrequencyComparison, each: Sequence[str]) -> str:
 
 
 def coefficient_table(found: FrequencyComparison) -> list[tuple[float, float, float]]:
-    """Returns rows (frequency [Hz], C_d, m_a) between which C_d and m_a are linear."""
+    """Returns rows (frequency [Hz], C_d, m_a). Between two rows, C_d and m_a are linear."""
     ramp = found.used.ties.name == RAMP
     at = np.array([RAMP_START, RAMP_END]) if ramp else found.frequencies
     rows = []
@@ -139,7 +139,7 @@ def coefficient_table(found: FrequencyComparison) -> list[tuple[float, float, fl
 
 
 def plot_by_frequency(found: FrequencyComparison, each: Sequence[str], path: Path) -> None:
-    """Plots every parameter against drive frequency: values with intervals, constant, and ramps."""
+    """Plots the values of every parameter in `each` against drive frequency, with intervals."""
     figure, axes = new_figure(1, len(each), figsize=(5.2 * len(each), 4.2), squeeze=False)
     f = found.frequencies
     fine = np.linspace(0.9 * f.min(), 1.05 * f.max(), 200)
@@ -161,7 +161,7 @@ def plot_by_frequency(found: FrequencyComparison, each: Sequence[str], path: Pat
         rows = np.array([x[:3] for x in tied_values(found.fitted[EACH], label)])
         known = np.array([x[3] for x in tied_values(found.fitted[EACH], label)])
         for here, colour, name in (
-            (known, "black", "by frequency, 95 %"),
+            (known, "black", "separate values, 95 %"),
             (~known, "0.7", "not determined"),
         ):
             if here.any():

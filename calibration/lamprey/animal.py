@@ -1,7 +1,7 @@
 """Computes the forces of the robot model's effects on the body of an animal with a given motion.
 
-The measured motion is converted to the `Section` that the robot's effects take as input. So the
-force densities are the code of the robot's model. Depth and mass vary along the animal.
+The motion is converted to a `Section`, the state of a cell from which an effect computes a force.
+Animal and robot thus use the same code of the effects. Depth and mass vary along the animal.
 """
 
 import math
@@ -21,7 +21,7 @@ from slider_jax.effects import ForceDensity
 VISCOSITY = 1.0e-6
 """Kinematic viscosity [m^2/s] of water at 20 degrees Celsius."""
 SNOUT_SHARE = 0.04
-"""Length of the snout, divided by the body length. The snout is rounded as an ellipse."""
+"""Length of the snout, divided by the body length. The outline of the snout is an ellipse."""
 FIN_START = 0.6
 """Position where the fins begin, in body lengths from the snout. The fins end at the tail's end."""
 
@@ -31,7 +31,7 @@ class CrossSections:
     """The cross-sections of the animal: ellipses of the measured width and an assumed depth.
 
     In front of the fins, the depth is `aspect` times the width. Along the fins, the depth changes
-    linearly to `tail_depth` [body lengths] at the tail's end. The tail's end is blunt like a fin.
+    linearly to `tail_depth` [body lengths] at the tail's end. The tail's end is not rounded.
     """
 
     positions: np.ndarray
@@ -44,7 +44,7 @@ class CrossSections:
     """Density of the animal [kg/m^3]."""
 
     def with_depth(self, aspect: float, tail_depth: float) -> "CrossSections":
-        """Returns cross-sections of the same width with another depth."""
+        """Returns cross-sections with the width of these cross-sections and another depth."""
         return replace(self, aspect=aspect, tail_depth=tail_depth)
 
     def at(self, from_snout: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
@@ -61,7 +61,7 @@ class CrossSections:
 
 
 class AnimalBody(eqx.Module):
-    """The cross-sections in the cells between the nodes of a motion. They are constant in time."""
+    """The cross-sections in the cells between the nodes of a motion, constant in time."""
 
     structure: Structure
     width: Float[Array, " cells"]
@@ -85,7 +85,7 @@ def body_on_nodes(shape: CrossSections, s: np.ndarray) -> AnimalBody:
     width, depth = shape.at(middle, s[-1])
     _, at_nodes = shape.at(ends, s[-1])
     # The added mass is proportional to the squared depth. With this slope of the depth, the
-    # momentum fluxes of neighbouring cells cancel exactly.
+    # momentum that leaves a cell equals the momentum that enters the next cell.
     slope = np.diff(at_nodes**2) / (2.0 * depth * ds)
     one = np.ones_like(middle)
     structure = Structure(
@@ -104,14 +104,14 @@ def body_on_nodes(shape: CrossSections, s: np.ndarray) -> AnimalBody:
 
 
 class PrescribedMotion(eqx.Module):
-    """A motion as sections, the input of the effects. The first axis of the sections is time."""
+    """A body and its `Section` at every time, the input of the effects. Time is the first axis."""
 
     body: AnimalBody
     x: Section
 
 
 def prescribe(motion: Motion, shape: CrossSections) -> PrescribedMotion:
-    """Returns the sections in water at rest, at every time of `motion`."""
+    """Returns body and sections for a body of the given `shape` in water at rest."""
     return _prescribe(jax.tree.map(jnp.asarray, motion), body_on_nodes(shape, motion.s))
 
 
@@ -119,7 +119,7 @@ def prescribe(motion: Motion, shape: CrossSections) -> PrescribedMotion:
 def _prescribe(motion: Motion, body: AnimalBody) -> PrescribedMotion:
     V_tau, V_n = to_body(jnp.moveaxis(motion.V, 2, 0), motion.phi)
     A_tau, A_n = to_body(jnp.moveaxis(motion.A, 2, 0), motion.phi)
-    # The body frame rotates at omega, so the components' rates differ from the acceleration A.
+    # The frame (tau, n) rotates at omega, so dV_tau/dt and dV_n/dt differ from A_tau and A_n.
     rates = (A_tau + motion.omega * V_n, A_n - motion.omega * V_tau, motion.omega)
     at = jax.vmap(_section, (None, 0, 0, 0))
     values = jnp.stack([V_tau, V_n, motion.phi], axis=1)

@@ -4,8 +4,8 @@ For whole strides, the balance is
 
     mean force of the water along the course = change of the body's momentum / duration
 
-The imbalance is the modelled mean force minus the momentum gained per time. The imbalance of a
-complete model is zero. Each force is its coefficient times the force at a coefficient of 1.
+The imbalance is the modelled mean force minus the momentum gained per time. A complete model has an
+imbalance of zero. The force of an effect is proportional to the effect's coefficient.
 """
 
 from collections.abc import Sequence
@@ -44,19 +44,19 @@ CANDIDATES = ("tangential_friction", "thinned_friction", "head_drag")
 """Effects that the robot's model omits."""
 
 C_D_RANGE = (1.0, 4.0)
-"""Range of C_d, from a smooth round section in steady flow to the largest value of the paper."""
+"""Range of C_d: 1 for a smooth round section in steady flow, 4 is the paper's largest value."""
 M_A_RANGE = (0.7, 1.1)
 """Range of m_a: below 1 if the fins shed vortices ahead of the tail, above 1 for thick sections."""
 ASPECT_RANGE = (1.1, 1.9)
-"""Range of depth divided by width: from nearly round to the limit of a sea lamprey's mass."""
+"""Range of depth divided by width. 1.1 is nearly round; above 1.9, the mass would be too large."""
 TAIL_RANGE = (0.025, 0.055)
 """Range of the depth at the tail's end, in body lengths."""
 LENGTH_ERROR = 0.01
-"""Relative standard deviation of the body length. It is half the spread of the traced lengths."""
+"""Relative standard deviation of the body length: half the spread of the traced lengths."""
 SMOOTHING_FACTORS = (0.75, 1.5)
-"""Range of factors by which the wavelength is multiplied or the cutoff frequency is divided."""
+"""Range of random factors on the smoothing's wavelength and on 1/cutoff frequency."""
 MOTIONS, SAMPLES = 24, 400
-"""Number of alternative motions, and number of samples of all uncertain quantities."""
+"""Number of alternative motions, and number of random samples for an interval."""
 
 
 class StrideForces(NamedTuple):
@@ -65,7 +65,7 @@ class StrideForces(NamedTuple):
     unit: dict[str, np.ndarray]
     """Force (strides,) of each effect with a coefficient of 1."""
     gain: np.ndarray
-    """Momentum gained per time, (strides,) [N]."""
+    """Change of the body's momentum per time, (strides,) [N]."""
 
     def imbalance(self, C_d: float, m_a: float) -> np.ndarray:
         """Returns the imbalance (strides,) [N]: modelled force minus momentum gained per time."""
@@ -94,7 +94,7 @@ def forces_by_stride(motion: Motion, shape: CrossSections, course: Course) -> St
 
 
 class BalanceSamples(NamedTuple):
-    """Random samples of all uncertain quantities."""
+    """Random samples of forces, coefficients and weights of the strides."""
 
     stride_forces: Sequence[StrideForces]
     C_d: np.ndarray
@@ -117,7 +117,7 @@ class BalanceSamples(NamedTuple):
         return self.mean([x.unit[effect] for x in self.stride_forces])
 
     def closing(self, effect: str) -> np.ndarray:
-        """Returns the coefficient (samples,) of `effect` that closes the balance by itself."""
+        """Returns the coefficient (samples,) of `effect` that alone makes the imbalance zero."""
         current = {BASE_EFFECTS[0]: self.m_a, BASE_EFFECTS[1]: self.C_d}.get(effect, 0.0)
         return current - self.imbalance / self.unit(effect)
 
@@ -131,8 +131,8 @@ def central_interval(values: np.ndarray) -> tuple[float, float]:
 def stride_weights(strides: int, samples: int, rng: np.random.Generator) -> np.ndarray:
     """Returns bootstrap weights of the strides, (samples, strides).
 
-    With few strides, a plain bootstrap interval is too narrow: it uses the biased variance and the
-    normal distribution. The weights are scaled to give Student's interval of the mean.
+    With few strides, a plain bootstrap interval is too narrow, because the variance is biased and
+    the distribution is nearly normal. The weights are scaled to give Student's interval of a mean.
     """
     picked = rng.multinomial(strides, np.full(strides, 1.0 / strides), size=samples) / strides
     student = stats.t.ppf(0.975, strides - 1) / stats.norm.ppf(0.975)
@@ -143,7 +143,7 @@ def stride_weights(strides: int, samples: int, rng: np.random.Generator) -> np.n
 def alternative_motions(
     midlines: Midlines, smoothing: Smoothing, rng: np.random.Generator, count: int = MOTIONS
 ) -> list[Motion]:
-    """Returns motions of `midlines` with other smoothing, body length and tracing noise."""
+    """Returns `count` motions of `midlines` with random smoothing, body length, tracing noise."""
     across = float(np.median(midlines.lengths)) / (midlines.points.shape[1] - 1)
     noise = white_noise(measured_angles(midlines).phi) * across / np.sqrt(2.0)
     sigma = np.concatenate([noise[:1], noise])
@@ -171,9 +171,10 @@ def sample_balances(
     vary: Sequence[str],
     count: int = SAMPLES,
 ) -> BalanceSamples:
-    """Returns samples with the sources `vary` of "strides", "reading", "shape", "coefficients".
+    """Returns samples in which only the sources of uncertainty in `vary` are random.
 
-    `motions[0]` is the motion of the measured midlines. `coefficients` is (C_d, m_a).
+    The sources are "strides" (weights), "reading" (motions), "shape" and "coefficients" (C_d, m_a).
+    `motions[0]` is the motion of the measured midlines. All other motions are alternatives.
     """
     strides = course.strides.number
     equal = np.full((count, strides), 1.0 / strides)

@@ -1,8 +1,8 @@
-"""Compares the modelled axial force on a swimming animal with the animal's gain of momentum.
+"""Compares the modelled axial force on a swimming animal with the animal's change of momentum.
 
-The effects of the robot's model compute the force on the measured midlines. The mean force in whole
-strides is compared with the gained momentum. Several effects may close the balance, because it has
-one equation. The result is the required coefficient of each effect, with a 95 % interval.
+The effects of the robot's model compute the force for the measured motion. The imbalance is the
+mean force over whole strides minus the change of momentum per time. The result is, for each effect,
+the coefficient that makes the imbalance zero (closes the balance), with a 95 % interval.
 """
 
 import math
@@ -45,7 +45,7 @@ WIDTH_OVER_HALF_WIDTH = 2.0
 full widths, the animal of 155 mm would have a mass of 1 g instead of about 5 g (sea lamprey)."""
 MIN_POSSIBLE_SHARE = 0.1
 """An effect can close the balance if the required coefficient is within the prior range in at least
-this fraction of the samples."""
+this fraction of the random samples."""
 SOURCES = ("strides", "reading", "shape", "coefficients")
 
 
@@ -68,11 +68,11 @@ class BalanceAnalysis:
     samples: BalanceSamples
     """Samples in which all sources of uncertainty vary."""
     noise_floor: float
-    """rms difference [N] between a stride's imbalance in the motion and in `alternatives`."""
+    """rms difference [N] between a stride's imbalance with `motion` and with `alternatives`."""
     other_smoothings: dict[str, tuple[Smoothing, float]]
-    """Other smoothing settings, each with its mean imbalance [N]."""
+    """Other smoothing settings, and the mean imbalance [N] with each setting."""
     alternatives: list[Motion]
-    """Alternative motions that agree with the measured midlines."""
+    """Motions with another smoothing, another body length, and added tracing noise."""
 
     @property
     def imbalance(self) -> np.ndarray:
@@ -81,7 +81,7 @@ class BalanceAnalysis:
 
     @property
     def possible(self) -> dict[str, float]:
-        """Fraction of the samples in which an effect closes the balance within its prior range."""
+        """Fraction of samples in which an effect's required coefficient is in the prior range."""
         shares = {}
         for name, effect in EFFECTS.items():
             (prior,) = effect.priors().values()
@@ -153,7 +153,7 @@ def _other_smoothings(x: Smoothing) -> dict[str, Smoothing]:
 
 
 def balance_verdict(x: BalanceAnalysis) -> tuple[str, list[str]]:
-    """Returns the verdict and the effects that can close the balance, most probable first."""
+    """Returns the verdict and the effects that can close the balance, the most probable first."""
     low, high = central_interval(x.samples.imbalance)
     if low <= 0.0 <= high:
         return "nothing_missing", []
@@ -169,7 +169,7 @@ def balance_verdict(x: BalanceAnalysis) -> tuple[str, list[str]]:
 def imbalance_errors(x: BalanceAnalysis, closer: str) -> dict[str, float]:
     """Returns the strides' rms imbalance [N] without and with the effect `closer`, and noise floor.
 
-    For "after", the coefficient of each stride is computed from the other strides.
+    For "after", the effect's coefficient for a stride is computed from all other strides.
     """
     before, unit = x.imbalance, x.forces.unit[closer]
     after = before - unit * (before.sum() - before) / (unit.sum() - unit)
@@ -181,11 +181,11 @@ def _rms(values: np.ndarray) -> float:
 
 
 def small_amplitude_thrust(x: BalanceAnalysis) -> float:
-    """Returns Lighthill's mean thrust [N] for waves of small amplitude, from the tail's end only.
+    """Returns Lighthill's mean thrust [N] for waves of small amplitude.
 
-        T = mean over whole strides of m_A ( (dh/dt)^2 - U^2 (dh/dx)^2 ) / 2
+        T = mean over whole strides of m_A ( (dh/dt)^2 - U^2 (dh/dx)^2 ) / 2 at the tail's end
 
-    m_A is the added mass per length, h the lateral position and U the speed.
+    m_A is the added mass per length, h the lateral position, x the axial position, U the speed.
     Source: Lighthill, M. J. (1960), Note on the swimming of slender fish, J. Fluid Mech. 9, 305.
     """
     depth = x.prescribed.body.structure.height[0]
@@ -199,7 +199,7 @@ def small_amplitude_thrust(x: BalanceAnalysis) -> float:
 
 
 def skin_friction(x: BalanceAnalysis) -> dict[str, Any]:
-    """Returns the skin-friction coefficient that closes the balance, and values of flat plates."""
+    """Returns the skin-friction coefficient C_f that closes the balance, and C_f of flat plates."""
     body = x.prescribed.body
     wetted = float(np.sum(body.perimeter * body.structure.ds))
     outline = float(np.sum(body.structure.height * body.structure.ds))
@@ -228,11 +228,10 @@ def frontal_coefficient(x: BalanceAnalysis) -> tuple[float, float, float]:
 
 
 def within_stride(x: BalanceAnalysis) -> dict[str, float]:
-    """Returns axial amplitudes within a stride, to discriminate between the candidates.
+    """Returns axial amplitudes of the forces [N] and of the motion of the centre of mass [m].
 
-    The amplitudes of the forces [N] and of the motion of the centre of mass [m] are at twice the
-    stride frequency, as for any symmetric swimmer. The spread is the rms change of the measured
-    motion between the alternative motions.
+    The amplitudes are at twice the stride frequency, the frequency of a symmetric swimmer's axial
+    force. The spread is the rms difference [m] between measured and alternative motions.
     """
     double = Strides(x.strides.marks, 2.0 * x.strides.phase)
 
@@ -262,7 +261,7 @@ def within_stride(x: BalanceAnalysis) -> dict[str, float]:
 
 
 def midline_misfit(x: BalanceAnalysis) -> float:
-    """Returns the rms distance [m] of the smoothed body from the measured points on its length."""
+    """Returns the rms distance [m] between the smoothed midline and the measured points."""
     L, count = x.motion.length, x.midlines.points.shape[1]
     squares = []
     for frame, length, r in zip(x.midlines.points, x.midlines.lengths, x.motion.r, strict=True):

@@ -16,7 +16,7 @@ SOURCE_LABELS = {
 
 
 def body_figure(x: BalanceAnalysis):
-    """Draws midlines and points of the last whole stride, and depth and width of the body."""
+    """Draws smoothed midlines and measured points of the last stride, and the body's size."""
     from matplotlib import colormaps
 
     figure, (left, right) = new_figure(1, 2, figsize=(10, 3.6), width_ratios=(2, 1))

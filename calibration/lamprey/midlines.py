@@ -1,7 +1,7 @@
 """Reads and checks the measured midlines and widths of a swimming animal from CSV files.
 
-`lampreydata.csv` has the columns t [s], frame, point (1: head), mxmm and mymm [mm]. The cells of an
-invisible point are blank. `fishwidth.csv` has s (0: snout, 1: tail) and widths in body lengths.
+`lampreydata.csv` has the columns t [s], frame, point (1: head), mxmm and mymm [mm]. A point that is
+not visible has blank cells. `fishwidth.csv` has s (0: snout, 1: tail) and widths in body lengths.
 """
 
 from dataclasses import dataclass
@@ -24,14 +24,14 @@ MIN_FRAMES, MIN_POINTS = 20, 8
 
 @dataclass(frozen=True)
 class Midlines:
-    """Midlines of consecutive complete frames."""
+    """Midlines of consecutive frames in which all points are visible."""
 
     t: np.ndarray
     """Evenly spaced times (frames,) [s]."""
     points: np.ndarray
     """Positions x and y (frames, points, 2) [m], from head to tail."""
     incomplete_frames: int
-    """Number of earlier and later frames that are omitted, because points are blank."""
+    """Number of frames that are not used."""
 
     @property
     def lengths(self) -> np.ndarray:
@@ -45,9 +45,9 @@ class Midlines:
 
 
 def read_midlines(path: Path) -> Midlines:
-    """Returns the longest run of complete frames in a file of midlines.
+    """Returns the longest run of frames without a blank cell in a file of midlines.
 
-    Raises `InputError` if the midlines are not evenly spaced in time, in mm and from head to tail.
+    Raises `InputError` for a wrong table, uneven times, a wrong unit, or points from tail to head.
     """
     table = read_table(path, ("t", "frame", "point", "mxmm", "mymm"), blank=("mxmm", "mymm"))
     frame, point = table["frame"], table["point"]
@@ -87,7 +87,7 @@ def _check(path: Path, midlines: Midlines, frames: np.ndarray) -> None:
     if np.ptp(steps) > 0.01 * np.median(steps):
         late = int(frames[1 + np.argmax(np.abs(steps - np.median(steps)))])
         raise InputError(
-            f"{path}, frame {late}: the time between two frames is up to {steps.max():g} s, its "
+            f"{path}, frame {late}: times between two frames are up to {steps.max():g} s, but the "
             f"median is {np.median(steps):g} s; allowed are equal times; cut the file at this frame"
         )
     lengths = midlines.lengths
@@ -103,7 +103,7 @@ def _check(path: Path, midlines: Midlines, frames: np.ndarray) -> None:
             f"{path}, frame {frames[np.argmax(off)]:g}: the midline is "
             f"{1e3 * lengths[np.argmax(off)]:.1f} mm long, the median length is "
             f"{1e3 * length:.1f} mm; allowed is a difference of {MAX_STRETCH:.0%}, because an "
-            "animal does not stretch; remove the frame or trace it again"
+            "animal does not stretch; remove this frame, or trace the frame again"
         )
     moved = np.hypot(*np.diff(midlines.points[:, 0], axis=0).T)
     if moved.max() > MAX_HEAD_STEP * length:
@@ -116,15 +116,15 @@ def _check(path: Path, midlines: Midlines, frames: np.ndarray) -> None:
     ahead = np.mean(midlines.points[:, 0] - midlines.points[:, -1], axis=0)
     if travelled @ ahead <= 0.0:
         raise InputError(
-            f"{path}, column point: the animal swims towards its last point; point 1 must be at "
-            "the head; number the points from the head"
+            f"{path}, column point: the animal swims in the direction of the last point; point 1 "
+            "must be at the head; number the points from the head to the tail"
         )
 
 
 def read_width(path: Path, column: str) -> tuple[np.ndarray, np.ndarray]:
-    """Returns s from 0 at the snout to 1 at the tail, and the width in body lengths.
+    """Returns s, from 0 at the snout to 1 at the tail, and the width in body lengths.
 
-    Raises `InputError` if s does not increase from 0 to 1 or the widths are not plausible.
+    Raises `InputError` if s does not increase from 0 to 1, or if the widths are not plausible.
     """
     table = read_table(path, ("s", column))
     s, width = table["s"], table[column]

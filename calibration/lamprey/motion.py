@@ -5,12 +5,12 @@ a body with constant length L are computed from the head, with the unit vector t
 
     dr/ds = tau(phi),     r(L, t) = track of the head
 
-The track of the head has little noise. Changes of the traced length are errors at the tail's end.
+The positions start at the head, because the measured track of the head has little noise.
 
-Both smoothings apply a cubic smoothing spline to a series, and again to the residual (twicing). At
-a frequency or wavenumber f, twicing multiplies amplitudes by 1 - (1 - g)^2 with
-g = 1/(1 + (f/f_1)^4). One spline without twicing halves an amplitude at f_1. The settings are the
-values of f at which twicing halves an amplitude.
+The smoothing fits a cubic smoothing spline to a series, fits a second spline to the residual, and
+adds both splines (twicing). At a frequency or wavenumber f, one spline multiplies amplitudes by
+g = 1/(1 + (f/f_1)^4), and twicing by 1 - (1 - g)^2. The parameter f_1 sets the spline's stiffness.
+The settings of the smoothing are the values of f at which twicing halves an amplitude.
 Sources: Reinsch, C. H. (1967), Smoothing by spline functions, Numer. Math. 10, 177-183; Tukey,
 J. W. (1977), Exploratory Data Analysis, ch. 16.
 """
@@ -25,23 +25,23 @@ from scipy.interpolate import make_smoothing_spline
 from calibration.lamprey.midlines import Midlines
 
 NODES = 81
-"""Number of nodes of the body. The nodes are evenly spaced."""
+"""Number of evenly spaced nodes of the body."""
 WAVELENGTHS = (0.6, 0.5, 0.4, 0.35, 0.3, 0.25, 0.2, 0.15)
-"""Wavelengths [body lengths] of the smoothing along the body, from which one is chosen."""
+"""Wavelengths [body lengths] that `choose_smoothing` tries for the smoothing along the body."""
 RESIDUAL_OVER_NOISE = 1.5
-"""A wavelength is short enough if the smoothing residual is at most this multiple of the noise."""
+"""Largest allowed residual of the smoothing along the body, divided by the noise of the angles."""
 FRAME_STRIDE = 4
-"""Step between the frames that choose the wavelength. Every fourth frame is enough."""
+"""The choice of the wavelength uses only every fourth frame, to save time."""
 NOISE_BAND = 0.7
-"""Fraction of the highest frequency above which the angles are assumed to contain only noise."""
+"""Above this fraction of the highest frequency, the angles are assumed to contain only noise."""
 POWER_OVER_NOISE = 2.0
-"""The cutoff is the frequency at which the angles' power falls to this multiple of the noise."""
+"""Power of the angles at the cutoff frequency, divided by the power of the noise."""
 _TWICING_RATIO = (1.0 / (1.0 - math.sqrt(0.5)) - 1.0) ** 0.25
-"""Ratio of the cutoff frequency to f_1 of the module's formula."""
+"""Cutoff frequency divided by f_1 (see the formula in the module's docstring)."""
 
 
 class Smoothing(NamedTuple):
-    """Settings of the smoothing of midlines."""
+    """Settings with which midlines are smoothed."""
 
     wavelength: float
     """Wavelength along the body [body lengths] at which the smoothing halves an amplitude."""
@@ -79,11 +79,11 @@ class Angles(NamedTuple):
     phi: np.ndarray
     """Angle (frames, segments) [rad] of the direction towards the head."""
     behind: np.ndarray
-    """Distance (frames, segments) [m] along the body from the head to the segment's middle."""
+    """Distance (frames, segments) [m] along the body from the head to the middle of the segment."""
 
 
 def measured_angles(midlines: Midlines) -> Angles:
-    """Returns the measured angles without jumps of 2 pi, along the body and in time."""
+    """Returns the measured angles, unwrapped (without jumps of 2 pi) along the body and in time."""
     steps = midlines.points[:, :-1] - midlines.points[:, 1:]
     size = np.hypot(steps[..., 0], steps[..., 1])
     phi = np.unwrap(np.arctan2(steps[..., 1], steps[..., 0]), axis=1)
@@ -93,7 +93,7 @@ def measured_angles(midlines: Midlines) -> Angles:
 
 
 def white_noise(series: np.ndarray) -> np.ndarray:
-    """Returns the standard deviation of white noise in `series` (times, ...)."""
+    """Returns the standard deviation (...) of white noise in `series` (times, ...)."""
     return np.sqrt(np.mean(np.diff(series, n=4, axis=0) ** 2, axis=0) / 70.0)
 
 
@@ -145,7 +145,7 @@ def _noise_frequency(phi: np.ndarray, interval: float) -> float:
 
 
 def twicing_spline(x: np.ndarray, series: np.ndarray, cutoff: float) -> Callable[..., np.ndarray]:
-    """Returns a function (at, n): n-th derivative of the series, smoothed with `cutoff` [1/x]."""
+    """Returns a function (at, n): n-th derivative at `at` of the series, smoothed with `cutoff`."""
     weight = 1.0 / (np.mean(np.diff(x)) * (2.0 * math.pi * cutoff / _TWICING_RATIO) ** 4)
     first = make_smoothing_spline(x, series, lam=weight)
     second = make_smoothing_spline(x, series - first(x), lam=weight)
@@ -153,7 +153,7 @@ def twicing_spline(x: np.ndarray, series: np.ndarray, cutoff: float) -> Callable
 
 
 def midline_motion(midlines: Midlines, smoothing: Smoothing, length: float | None = None) -> Motion:
-    """Returns the motion of a body at the frames' times; `length` [m] (default: median length)."""
+    """Returns the motion of a body of `length` [m] (default: median of the traced lengths)."""
     L = float(np.median(midlines.lengths)) if length is None else length
     t, s = midlines.t, np.linspace(0.0, L, NODES)
     phi, _ = smooth_along_body(measured_angles(midlines), s, smoothing.wavelength)
@@ -167,7 +167,10 @@ def midline_motion(midlines: Midlines, smoothing: Smoothing, length: float | Non
 def motion_from_angles(
     t: np.ndarray, s: np.ndarray, phi: list[np.ndarray], head: list[np.ndarray]
 ) -> Motion:
-    """Returns the motion from phi (times, nodes) and head (times, 2), with two derivatives each."""
+    """Returns the motion from `phi` (times, nodes) [rad] and the `head` position (times, 2) [m].
+
+    Each list contains the quantity, its first and its second derivative with respect to time.
+    """
     ds = np.diff(s)
     angle, omega, turn = (0.5 * (x[:, 1:] + x[:, :-1]) for x in phi)
     tau = np.stack([np.cos(angle), np.sin(angle)], axis=-1)

@@ -99,7 +99,7 @@ def animal_record(
 
 
 def closing_effects(x: BalanceAnalysis, candidates: list[str]) -> list[dict[str, Any]]:
-    """Returns the most probable effect and the effects equivalent to it."""
+    """Returns the record of the most probable effect, which also names the equivalent effects."""
     if not candidates:
         return []
     first, *others = candidates
@@ -115,7 +115,7 @@ def closing_effects(x: BalanceAnalysis, candidates: list[str]) -> list[dict[str,
 
 
 def _closing(x: BalanceAnalysis, name: str) -> dict[str, Any]:
-    """Returns the record of the coefficient that closes the balance, with the parameter as key."""
+    """Returns {parameter: record of the value that closes the balance} for the effect `name`."""
     ((parameter, prior),) = EFFECTS[name].priors().items()
     values = x.samples.closing(name)
     record = interval_record(float(np.median(values)), *central_interval(values), prior.unit)
@@ -123,7 +123,7 @@ def _closing(x: BalanceAnalysis, name: str) -> dict[str, Any]:
 
 
 def closing_candidates(x: BalanceAnalysis) -> list[dict[str, Any]]:
-    """Returns a record for each effect, with the coefficient that alone closes the balance."""
+    """Returns a record for each effect, with the coefficient that closes the balance."""
     share = x.possible
     rows = []
     for name in sorted(EFFECTS, key=lambda n: -share[n]):
@@ -163,7 +163,7 @@ def midline_quality(x: BalanceAnalysis) -> list[str]:
         f"The traced length is {lengths.min():.0f} to {lengths.max():.0f} mm, because the tail's "
         "end was not always visible. The analysis measures distances from the head, and keeps the "
         "body length constant.",
-        f"The smoothed body is {1e3 * midline_misfit(x):.2f} mm rms from the measured points.",
+        f"The smoothed body is {1e3 * midline_misfit(x):.2f} mm (rms) from the measured points.",
     ]
 
 

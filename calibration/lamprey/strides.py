@@ -1,4 +1,4 @@
-"""Whole strides of a motion with a travelling wave, and the quantities of the gait."""
+"""Finds the whole strides of a swimming animal's motion, and computes quantities of the gait."""
 
 import math
 from typing import NamedTuple
@@ -20,9 +20,9 @@ class Strides(NamedTuple):
     """The whole strides of a motion."""
 
     marks: np.ndarray
-    """Times (strides + 1,) [s] at which the wave returns to the same phase."""
+    """Times (strides + 1,) [s] of the ends of the strides, all with the same phase of the wave."""
     phase: np.ndarray
-    """Phase (times,) [turns] of the wave. It increases by 1 in every stride."""
+    """Phase (times,) [turns] of the travelling wave. The phase increases by 1 in every stride."""
 
     @property
     def number(self) -> int:
@@ -42,7 +42,7 @@ class Strides(NamedTuple):
         )
 
     def gains(self, t: np.ndarray, series: np.ndarray) -> np.ndarray:
-        """Returns the mean rate of change (strides, ...) of `series` in each stride."""
+        """Returns the mean rate of change (strides, ...) of `series` (times, ...) per stride."""
         spans = _column(np.diff(self.marks), series)
         return np.diff(_interpolate(self.marks, t, series), axis=0) / spans
 
@@ -56,9 +56,9 @@ class AnimalGait(NamedTuple):
     """Unit vector (2,) of the mean course over whole strides."""
     frequency: float
     tail_amplitude: float
-    """Amplitude [m] of the tail's lateral motion at the stride frequency: half of the stroke."""
+    """Amplitude [m] of the tail's lateral motion at the stride frequency."""
     wavelength: float
-    """Wavelength [m] along the body."""
+    """Wavelength [m] of the wave along the body."""
     wave_speed: float
     travelling_index: float
     strouhal: float
@@ -68,8 +68,8 @@ class AnimalGait(NamedTuple):
 def whole_strides(motion: Motion) -> Strides:
     """Returns the whole strides of a motion without the first and last `EDGE_FRAMES` frames.
 
-    A travelling wave traces a closed loop in the plane of the two leading modes of phi(s, t). The
-    phase is the angle in this plane. Raises `InputError` for fewer than `MIN_STRIDES` strides.
+    The amplitudes a(t) and b(t) of the two leading modes of phi(s, t) trace a closed loop. The
+    phase is the angle of point (a, b). Raises `InputError` for fewer than `MIN_STRIDES` strides.
     """
     t = np.asarray(motion.t)
     trend = np.polynomial.polynomial.polyvander(t - t.mean(), 2)
