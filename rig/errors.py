@@ -1,8 +1,8 @@
-"""The rig's error, whose message says what is wrong and what to do next."""
+"""Defines the rig's error. The message of the error says what is wrong and what to do next."""
 
 
 class RigError(Exception):
-    """The request cannot be fulfilled. The command line prints the message and exits with 2."""
+    """Error of a device, file or value. The command line prints the message and exits with 2."""
 
     @classmethod
     def value(cls, where: str, given: object, allowed: str, advice: str = "") -> "RigError":

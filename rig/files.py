@@ -1,4 +1,4 @@
-"""Writes the files beside a recording atomically: a file is complete or does not exist."""
+"""Writes files atomically: a file is complete or does not exist."""
 
 import json
 import math

@@ -5,17 +5,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 STREAM_PRIORITY, RECORDER_PRIORITY = 2, 1
-"""Real-time priorities of threads that command and read, and of the recorder; larger runs first."""
+"""Real-time priorities: of threads that command and read, and of the recorder. The thread with the
+higher priority runs first."""
 NICE = -10
-"""A program with this niceness gets 90 % of a core that it shares with an ordinary program."""
+"""Niceness. On a core that is shared with an ordinary program, a program gets 90 % of the time."""
 
 
 @contextmanager
 def real_time_priority(level: int = STREAM_PRIORITY) -> Iterator[str]:
-    """Gives this thread, and threads it starts in the block, priority over ordinary threads.
+    """Gives real-time priority to this thread, and to threads that this thread starts in the block.
 
-    A stream of 500 readings and 200 commands per second needs little processor time, but without
-    delay: the manifold vents after 0.1 s without a command. On Linux, the `rtprio` limit of
+    A stream of 500 readings and 200 commands per second needs little processor time, but must not
+    be delayed: the manifold vents after 0.1 s without a command. On Linux, the `rtprio` limit of
     /etc/security/limits.conf grants the permission. `level` is `STREAM_PRIORITY` or
     `RECORDER_PRIORITY`. Yields "real time", or "ordinary" if the system refuses the priority.
     """
@@ -27,7 +28,7 @@ def real_time_priority(level: int = STREAM_PRIORITY) -> Iterator[str]:
 
 
 def share_priority_with_all_threads() -> None:
-    """Gives this thread's priority to all existing threads of the program, such as a library's."""
+    """Gives this thread's priority to all threads of the program, also to a library's threads."""
     if not os.path.isdir("/proc/self/task"):
         return
     policy, param = os.sched_getscheduler(0), os.sched_getparam(0)
@@ -37,11 +38,11 @@ def share_priority_with_all_threads() -> None:
 
 
 def raise_priority() -> None:
-    """Lowers the niceness of this program's threads, and of threads they start, if allowed.
+    """Sets the niceness of all threads of this program to `NICE`, if the system allows it.
 
     Use this function in a program that computes much. With real-time priority, such a program
-    delayed the system's ordinary threads, which transfer a port's bytes, and the readings stopped.
-    On Linux, the `nice` limit of /etc/security/limits.conf grants the permission.
+    delayed the system's threads that transfer a port's bytes, and the readings stopped. On Linux,
+    the `nice` limit of /etc/security/limits.conf grants the permission.
     """
     if not hasattr(os, "setpriority"):
         return
@@ -54,8 +55,8 @@ def raise_priority() -> None:
 def ordinary_priority() -> Iterator[bool]:
     """Removes this thread's real-time priority in the block. Yields whether the thread had one.
 
-    Start other programs in this block. A program computes for some tenths of a second when it
-    starts. With real-time priority, the new program could delay all other programs by 0.1 s.
+    Start other programs in this block. A program computes for some tenths of a second after its
+    start. With real-time priority, this program could delay all other programs by 0.1 s.
     """
     if not hasattr(os, "sched_setscheduler") or os.sched_getscheduler(0) == os.SCHED_OTHER:
         yield False
@@ -66,7 +67,7 @@ def ordinary_priority() -> Iterator[bool]:
 
 @contextmanager
 def _scheduled(policy: int, level: int) -> Iterator[bool]:
-    """Sets this thread's policy and priority in the block; yields whether the system allows it."""
+    """Sets this thread's policy and priority in the block. Yields False if the system refuses."""
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
         os.sched_setscheduler(0, policy, os.sched_param(level))

@@ -1,4 +1,4 @@
-"""Serial connection to the manifold: it sends frames, and a thread receives messages."""
+"""Serial connection to the manifold: sends frames, and receives messages in a thread."""
 
 import threading
 from collections.abc import Callable
@@ -13,14 +13,15 @@ from rig.recording.clock import Sink, host_ns
 
 VENTS = "the manifold vents by itself 0.1 s after the last command"
 MAX_DAMAGED = 1e-3
-"""Fraction of damaged frames above which errors name the serial line as a possible cause."""
+"""If a larger fraction of the frames is damaged, errors name the line as a possible cause."""
 
 
 class Connection:
-    """A port with a thread that calls `take(host time [ns], message)` for each message.
+    """A port, and a thread that calls `take(host time [ns], message)` for each received message.
 
-    The thread also calls `sink(host time [ns], bytes)` for the bytes of each read. The writing
-    thread calls `sent(host time [ns], bytes)` for each frame. `failed` is called after an error.
+    This thread also calls `sink(host time [ns], bytes)` for the bytes of each read. The thread that
+    calls `write` calls `sent(host time [ns], bytes)` for each frame. `failed()` is called after an
+    error.
     """
 
     def __init__(
@@ -34,7 +35,7 @@ class Connection:
         self.name: str = port.name
         self.failure: RigError | None = None
         self.received = 0
-        """Number of messages."""
+        """Number of received messages."""
         self._port, self._take, self._failed = port, take, failed
         self._sink, self._sent = sink, sent
         self._decoder, self._ends = FrameDecoder(in_step=False), threading.Event()
@@ -47,7 +48,7 @@ class Connection:
 
     @property
     def is_bad(self) -> bool:
-        """Whether so many frames were damaged that the line may cause an error."""
+        """Whether the fraction of damaged frames exceeds `MAX_DAMAGED`."""
         return self.damaged > MAX_DAMAGED * (self.received + self.damaged)
 
     def start(self) -> None:
@@ -72,14 +73,14 @@ class Connection:
         """Ends the thread and closes the port."""
         self._ends.set()
         self._thread.join(0.5)
-        # Closing may wait long for unsent bytes. A lost port raises termios.error here.
+        # `close` may wait long for unsent bytes. A lost port raises termios.error here.
         with suppress(Exception):
             self._port.reset_output_buffer()
         self._port.close()
 
     def _gone(self, error: Exception) -> PortLost:
         failure = PortLost(
-            f"{self.name}: the port is gone ({error}); {VENTS}; check plug and cable"
+            f"{self.name}: the port is gone ({error}); {VENTS}; check the plug and the cable"
         )
         self._fail(failure)
         return failure

@@ -1,4 +1,4 @@
-"""Drives the manifold: sends commands, receives readings, and always vents at the end."""
+"""Drives the manifold: sends commands, receives readings, and vents all chambers at the end."""
 
 import threading
 import time
@@ -17,7 +17,8 @@ from rig.recording.clock import Sink
 ANSWER_WAIT, TRIES = 0.08, 8
 """Longest wait for an answer [s], below the watchdog's 0.1 s; number of tries of a command."""
 MAX_SILENCE = 0.5
-"""Longest time without a reading while armed [s]. A host without readings must stop the drive."""
+"""Longest time without a reading while the manifold is armed [s]. After this time, the host stops
+the drive."""
 _VENT_REASONS = {
     wire.Cause.RESET: "it has reset (power, or its hardware watchdog)",
     wire.Cause.WATCHDOG: "it received no command for {detail} ms",
@@ -45,7 +46,7 @@ class Manifold:
         self.ident: wire.Ident | None = None
         self.latest: wire.Reading | None = None
         self.lost = self.duplicated = 0
-        """Numbers of missing and repeated readings, from their sequence numbers."""
+        """Numbers of missing and of repeated readings, from the readings' sequence numbers."""
         self.limits = PressureLimits(0.0, 0.0, 0.0, 0.0)
         self._line = Connection(port, self._take, self._notify, sink, sent)
         self._on_reading, self._on_follows = on_reading, on_follows
@@ -95,7 +96,7 @@ class Manifold:
             )
 
     def stop_after(self, error: BaseException | None) -> None:
-        """Vents all chambers. If this fails, adds a note to `error`, or raises `RigError`."""
+        """Vents all chambers. On failure, adds a note to `error`; if `error` is None, raises."""
         try:
             self.stop()
         except RigError as failure:
@@ -117,7 +118,7 @@ class Manifold:
             )
 
     def configure(self, limits: PressureLimits) -> None:
-        """Sends the limits. The manifold vents and clears a fault."""
+        """Sends the limits. The manifold then vents and leaves the state FAULT."""
         assert self.ident is not None
         self.limits = limits.within(self.ident)
         # The new limits clear an earlier fault, such as a reset.
@@ -126,7 +127,7 @@ class Manifold:
         self._request(lambda seq: wire.SetLimits(seq, *(int(p) for p in limits)))
 
     def arm(self) -> None:
-        """Arms the manifold: its valves follow set pressures, and its watchdog is active."""
+        """Arms the manifold: the valves follow set pressures, and the watchdog is active."""
         self._request(wire.Arm)
         self._armed, self._last_reading = True, time.monotonic()
 
@@ -147,7 +148,7 @@ class Manifold:
         self._request(wire.Stop)
 
     def upload(self, samples: Sequence[Sequence[float]], period: float) -> None:
-        """Sends a waveform of set pressures (n, 4) [Pa], `period` [s] apart."""
+        """Sends a waveform of set pressures (n, 4) [Pa] at intervals of `period` [s]."""
         assert self.ident is not None
         if not 2 <= len(samples) <= self.ident.samples:
             allowed = f"2 to {self.ident.samples}, the manifold's memory"
@@ -163,7 +164,7 @@ class Manifold:
             self._request(partial(_wave_piece, first, flat))
 
     def play(self, repeats: int = 1) -> None:
-        """Plays the waveform `repeats` times, or endlessly for 0. Send heartbeats meanwhile."""
+        """Plays the waveform `repeats` times, or without end for 0. Needs regular heartbeats."""
         self._request(lambda seq: wire.WavePlay(seq, repeats))
 
     def _send(self, make: Callable[[int], wire.Message]) -> int:
@@ -181,14 +182,14 @@ class Manifold:
         return isinstance(self._line.failure, PortLost)
 
     def _request(self, make: Callable[[int], wire.Message]) -> None:
-        """Sends a command and waits for its answer; without an answer, sends it again."""
+        """Sends a command and waits for the answer. Without an answer, sends the command again."""
         for tried in range(TRIES):
             if self._is_gone:
                 self.check()
             seq = self._send(make)
             ack = self._wait_for_ack(seq)
             if ack is not None:
-                # The manifold obeyed the previous try, but its answer was lost.
+                # The manifold obeyed the previous try, but the answer was lost.
                 obeyed = tried and make is wire.Arm and ack.answer == wire.Answer.WRONG_STATE
                 if not (obeyed and self.latest and self.latest.state == wire.ManifoldState.ARMED):
                     self._raise_refusal(make(seq), ack)
@@ -251,7 +252,7 @@ class Manifold:
                     self._changed.notify_all()
             case wire.Ident():
                 if self.ident is None:
-                    # Earlier messages are old: they were waiting in buffers.
+                    # Messages before the first Ident are old: they were waiting in buffers.
                     self.latest, self.lost, self.duplicated = None, 0, 0
                     self._line.reset_counts()
                 with self._changed:
@@ -275,7 +276,7 @@ class Manifold:
             if ahead == 0:
                 self.duplicated += 1
                 return
-            # The numbers restart from 0 after a reset.
+            # After a reset of the manifold, the sequence numbers restart from 0.
             self.lost += ahead - 1 if ahead < 2**31 else 0
         self.latest = reading
 

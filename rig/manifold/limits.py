@@ -21,9 +21,9 @@ class PressureLimits(NamedTuple):
 
     @classmethod
     def of(cls, pressures: Sequence[float], where: str = "limits") -> "PressureLimits":
-        """Returns limits from one pressure for all chambers, or one for each [Pa].
+        """Returns the limits from one pressure for all chambers, or from four pressures [Pa].
 
-        Raises `RigError` for a wrong number or value. `where` is the source that the error names.
+        Raises `RigError` for a wrong number of pressures or a wrong value. The error names `where`.
         """
         if len(pressures) not in (1, 4):
             raise RigError.value(
@@ -42,7 +42,7 @@ class PressureLimits(NamedTuple):
         return limits
 
     def within(self, ident: Ident) -> "PressureLimits":
-        """Returns these limits. Raises `RigError` if one exceeds the manifold's hard limit."""
+        """Returns these limits. Raises `RigError` if a limit exceeds the manifold's hard limit."""
         for name, limit in zip(CHAMBERS, self, strict=True):
             hard = getattr(ident, name)
             if limit > hard:
@@ -56,9 +56,9 @@ class PressureLimits(NamedTuple):
 def checked_pressures(
     pressures: Sequence[float], limits: PressureLimits
 ) -> tuple[int, int, int, int]:
-    """Returns the set gauge pressures (4,) in whole pascals, as the protocol sends them.
+    """Returns the set gauge pressures (4,) in whole pascals, for the protocol's messages.
 
-    Raises `RigError` for a pressure above the limit, because clipping would change the gait.
+    Raises `RigError` for a pressure above the limit. A clipped pressure would change the gait.
     """
     if len(pressures) != len(CHAMBERS):
         raise RigError.value(

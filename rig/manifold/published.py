@@ -1,4 +1,4 @@
-"""Drives the authors' published firmware, which runs one test at one frequency."""
+"""Drives the published firmware (of the paper's authors), which runs one test at one frequency."""
 
 import string
 import time
@@ -13,23 +13,23 @@ from rig.protocol.published import Dialogue, Done, Event, Header, LogRow, Questi
 from rig.recording.clock import Sink
 
 FREQUENCIES = (0.1, 5.0)
-"""Allowed frequencies [Hz]; the published sweep is from 0.25 to 3 Hz."""
+"""Lowest and highest allowed frequency [Hz]. The published tests are from 0.25 to 3 Hz."""
 QUOTED, MIN_PRINTABLE = 60, 0.9
-"""An error quotes this number of received characters, if this fraction of them is printable."""
+"""Largest number of received characters that an error quotes, and smallest printable fraction."""
 MAX_START_WAIT = 5.0
 """Longest wait for the firmware's question, and for the first row after the answer [s]."""
 MAX_ROW_WAIT = 0.5
 """Longest wait for the next row of a test [s]."""
 QUIET = 0.05
-"""A question or a `done` without a line end is complete after this time without a byte [s]."""
+"""Time without a byte after which a question or a `done` without a line end is complete [s]."""
 CANNOT_STOP = (
-    "this firmware has no stop command and no watchdog: if it still runs, it drives the valves "
-    "until its test ends; close the supply valve by hand"
+    "this firmware has no stop command and no watchdog: a running test drives the valves until "
+    "the test ends; close the supply valve by hand"
 )
 
 
 class FrequencyOutcome(NamedTuple):
-    """Outcome of a test: its header, and the counts of `Dialogue`."""
+    """Outcome of a test: the header, and the counts that `Dialogue` defines."""
 
     header: Header
     rows: int
@@ -38,7 +38,7 @@ class FrequencyOutcome(NamedTuple):
     stale: int
     lines: int
     counted: int | None
-    """The firmware's own count of its lines, if it sent one."""
+    """The firmware's count of the sent lines; None if the firmware sent no count."""
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -58,11 +58,11 @@ class FrequencyOutcome(NamedTuple):
 class PublishedManifold:
     """A manifold with the published firmware, on a port from `serial_port.open_port`.
 
-    The host can send only a frequency. The firmware then commands its own pressures, 91 to 491
-    counts (0 to 370 kPa). It has no stop command and no watchdog: it runs the test to its end, even
-    if this program, the cable or the computer fails. Its logs do not show what its valves do after
-    the test. Closing the supply valve by hand is the only stop. After any error in a test the port
-    is closed.
+    The host can send only a frequency. The firmware then commands a fixed sine, 91 to 491 counts (0
+    to 370 kPa). The firmware has no stop command and no watchdog: the test runs to the end, even if
+    this program, the cable or the computer fails. Closing the supply valve by hand is the only
+    stop. The published logs do not show the valves after the test. After any error in a test, this
+    class closes the port.
 
     `ending` are the bytes after the frequency. `clock` returns the host's time [ns].
     """
@@ -87,9 +87,9 @@ class PublishedManifold:
         """Waits for the firmware's question, sends `frequency` [Hz], and reads to the test's end.
 
         Calls `sink(host time [ns], bytes)` for all bytes of the test, and `on_row(host time [ns],
-        LogRow)` after each row. Before sending, raises `RigError` if the frequency is not allowed.
-        Also raises `RigError` for a missing question, a different frequency in the header, and
-        missing rows. Raises `PortLost` if the port disappears.
+        LogRow)` after each row. Raises `RigError` for a frequency that is not allowed, a missing
+        question, another frequency in the header, and missing rows. Raises `PortLost` if the port
+        disappears.
         """
         low, high = self._frequencies
         if not low <= frequency <= high:  # also refuses NaN
@@ -105,8 +105,8 @@ class PublishedManifold:
     def _receive(self, asked: int) -> tuple[int, bytes, list[Event]]:
         """Returns (host time [ns], bytes, events) of one read that begins at `asked` [ns].
 
-        The firmware's silence is measured up to `asked`, before the read. Otherwise, a pause of
-        this program would count as a silence of the firmware.
+        The firmware's silence is measured up to `asked`. After the read, a pause of this program
+        would count as silence of the firmware.
         """
         try:
             piece = read_piece(self._port)
@@ -135,7 +135,7 @@ class PublishedManifold:
         raise RigError(
             f"{self._port.name}: no question for a frequency in {MAX_START_WAIT:g} s; received "
             f"{_quoted(text) if text else 'nothing'}; check that this is the Teensy's port, at "
-            f"{BAUD} baud, with the published firmware; reset the board, so that it asks again; "
+            f"{BAUD} baud, with the published firmware; reset the board to repeat the question; "
             "for the firmware in rig/firmware, use `slider rig check`"
         )
 
@@ -147,10 +147,10 @@ class PublishedManifold:
             raise self._gone(error) from None
 
     def _gone(self, error: OSError) -> PortLost:
-        """Returns the error for a lost port; pyserial's exceptions are `OSError` too."""
+        """Returns the error for a lost port. pyserial's exceptions are subclasses of `OSError`."""
         return PortLost(
-            f"{self._port.name}: the port is gone ({error}); {CANNOT_STOP}, then check plug and "
-            "cable"
+            f"{self._port.name}: the port is gone ({error}); {CANNOT_STOP}, then check the plug "
+            "and the cable"
         )
 
     def _record(
@@ -195,7 +195,7 @@ class PublishedManifold:
 
 
 def _quoted(text: str) -> str:
-    """Returns the beginning of `text` in quotation marks, or a remark that it is not text."""
+    """Returns the beginning of `text` in quotation marks, or a remark if `text` is unprintable."""
     begin = text[:QUOTED]
     printable = sum(x in string.printable for x in begin)
     return repr(begin) if printable >= MIN_PRINTABLE * len(begin) else "bytes that are not text"

@@ -18,7 +18,7 @@ class PortLost(RigError):
 
 
 class Readable(Protocol):
-    """The part of `serial.Serial` that `read_piece` needs."""
+    """The attributes of `serial.Serial` that `read_piece` needs."""
 
     @property
     def in_waiting(self) -> int: ...
@@ -42,9 +42,9 @@ def serial_ports() -> list[SerialPortInfo]:
 
 
 def open_port(name: str, baud: int = BAUD) -> serial.Serial:
-    """Opens the port for this process only. Reads wait at most 50 ms, writes at most 0.5 s.
+    """Opens the port for this process only. A read waits at most 50 ms, and a write at most 0.5 s.
 
-    Raises `RigError` for a port that is missing, busy, forbidden, or not a serial port.
+    Raises `RigError` if the port is missing, busy, forbidden, or not a serial port.
     """
     try:
         port = serial.Serial(name, baud, timeout=0.05, write_timeout=0.5, exclusive=True)
@@ -55,10 +55,10 @@ def open_port(name: str, baud: int = BAUD) -> serial.Serial:
 
 
 def read_piece(port: Readable) -> bytes:
-    """Returns the received bytes, usually whole frames or lines; empty after the port's timeout.
+    """Returns the received bytes; empty if no byte arrives within the port's timeout.
 
-    The first read waits for one byte, and the second read takes all further bytes. Returning the
-    first byte alone would split each frame in two and double the recorder's work.
+    The first read waits for one byte, and the second read takes all further bytes. Without the
+    second read, each frame would be split in two, which would double the recorder's work.
     """
     piece = port.read(1)
     waiting = port.in_waiting if piece else 0

@@ -1,9 +1,9 @@
 """Messages between host and manifold (protocol 1), and their frames on the serial line.
 
 A message is a type byte and its fields, little endian (table in docs/reference/rig_protocol.md).
-Pressures are gauge pressures in whole pascals, so none can be NaN. A frame is a message and its
-CRC-32, encoded by COBS and ended by a zero byte. The CRC is the one of zlib and Ethernet, little
-endian. A CRC of two bytes instead of four would accept about 15 of a million damaged frames.
+Pressures are gauge pressures in whole pascals, because an integer cannot be NaN. A frame is a
+message and its CRC-32, encoded by COBS and followed by a zero byte. zlib and Ethernet use the same
+CRC. A CRC of two instead of four bytes would accept about 15 of a million damaged frames.
 """
 
 import struct
@@ -18,13 +18,13 @@ CHAMBERS = ("front_left", "front_right", "rear_left", "rear_right")
 CHANNELS = (*(f"p_{name}_Pa" for name in CHAMBERS), "p_supply_Pa", "in_1_uV", "in_2_uV", "in_3_uV")
 """Channels of a reading: gauge pressures [Pa], then three analogue inputs [uV]."""
 WATCHDOG = 0.1
-"""The manifold vents after this time without a valid command [s]."""
+"""Time without a valid command after which the manifold vents [s]."""
 MAX_SAMPLES_PER_PIECE = 8
 """Largest number of waveform samples in one message."""
 
 
 class ManifoldState(IntEnum):
-    """State of the manifold. All valves vent in every state except ARMED and PLAYING."""
+    """State of the manifold. All chambers vent in the states BOOT, READY and FAULT."""
 
     BOOT = 0
     """The limits are not set yet."""
@@ -34,7 +34,7 @@ class ManifoldState(IntEnum):
     PLAYING = 3
     """The valves follow the uploaded waveform."""
     FAULT = 4
-    """The manifold vented without a `Stop`; `SetLimits` clears the fault."""
+    """The manifold vented without a `Stop` command. `SetLimits` clears the fault."""
 
 
 class Answer(IntEnum):
@@ -49,17 +49,17 @@ class Answer(IntEnum):
     BELOW_ZERO = 4
     """A set gauge pressure is below 0; `detail` is the chamber."""
     WRONG_PLACE = 5
-    """A piece is outside its waveform, or the waveform is incomplete or too long."""
+    """A piece is outside the waveform, or the waveform is incomplete or too long."""
 
 
 class Cause(IntEnum):
-    """Codes of `Event`: why the manifold sent the event, and vented in all cases but PLAYED."""
+    """Codes of `Event`: reason for the event. The manifold vents at each event except PLAYED."""
 
     RESET = 0
     """The manifold has just started."""
     STOPPED = 1
     WATCHDOG = 2
-    """No valid command came for `WATCHDOG`; `detail` is the silence in milliseconds."""
+    """No valid command came within `WATCHDOG`; `detail` is the time without a command [ms]."""
     OVER_PRESSURE = 3
     """A chamber's pressure exceeded 110 % of its limit + 5 kPa; `detail` is the chamber."""
     REFUSED = 4
@@ -91,7 +91,7 @@ class Arm(NamedTuple):
 
 
 class SetPressures(NamedTuple):
-    """Sets the pressures [Pa]. Answer: `Ack`, only if refused. Readings contain the last `seq`."""
+    """Sets the set pressures [Pa]. Answer: `Ack`, but only if the manifold refuses the command."""
 
     seq: int
     front_left: int
@@ -121,7 +121,7 @@ class WaveBegin(NamedTuple):
 
 
 class WavePiece(NamedTuple):
-    """Uploads samples from number `first` on, four pressures [Pa] each. Answer: `Ack`."""
+    """Uploads samples of four pressures [Pa]; the first has the number `first`. Answer: `Ack`."""
 
     seq: int
     first: int
@@ -129,14 +129,14 @@ class WavePiece(NamedTuple):
 
 
 class WavePlay(NamedTuple):
-    """Plays the waveform `repeats` times, or endlessly for 0, if ARMED. Answer: `Ack`."""
+    """Plays the waveform `repeats` times, or without end for 0. Needs ARMED. Answer: `Ack`."""
 
     seq: int
     repeats: int
 
 
 class Ident(NamedTuple):
-    """The manifold's firmware version, and hard limits [Pa], which no command can raise."""
+    """Firmware version and hard limits [Pa] of the manifold. No command can raise these limits."""
 
     protocol: int
     major: int
@@ -184,8 +184,8 @@ class Event(NamedTuple):
 class Follows(NamedTuple):
     """Set pressures [Pa] that the valves follow from now on.
 
-    The manifold sends this message when armed and at each change. A trial's drive is computed from
-    these messages, because commands arrive late.
+    The manifold sends this message when `Arm` is accepted and at each change. The drive as played
+    is computed from these messages, because commands arrive late.
     """
 
     number: int
@@ -229,7 +229,7 @@ def type_byte(kind: type) -> int:
 
 
 def pack_message(message: Message) -> bytes:
-    """Returns type byte and fields. Raises `struct.error` for a number too large for its field."""
+    """Returns type byte and fields. Raises `struct.error` if a number does not fit into a field."""
     code = _CODES[type(message)]
     layout = _LAYOUTS[code][1]
     if isinstance(message, Reading):
@@ -241,7 +241,7 @@ def pack_message(message: Message) -> bytes:
 
 
 def unpack_message(body: bytes) -> Message | None:
-    """Returns the message in `body`; None if its type or length is unknown."""
+    """Returns the message in `body`; None if the message's type or length is unknown."""
     if not body or body[0] not in _LAYOUTS:
         return None
     kind, layout = _LAYOUTS[body[0]]
@@ -263,17 +263,17 @@ def unpack_message(body: bytes) -> Message | None:
 
 
 LONGEST_FRAME = 192
-"""Largest number of bytes between two zeros; a longer run of bytes is noise."""
+"""Largest number of bytes between two zero bytes. A longer run of bytes is noise."""
 
 
 def encode_frame(message: Message) -> bytes:
-    """Returns the frame of a message, with its final zero byte."""
+    """Returns the frame of a message, with the zero byte at the end."""
     body = pack_message(message)
     return cobs.encode(body + crc32(body).to_bytes(4, "little")) + b"\0"
 
 
 def decode_frame(frame: bytes) -> Message | None:
-    """Returns the message in `frame`, without its final zero; None if the frame is damaged."""
+    """Returns the message of a frame without the final zero byte; None for a damaged frame."""
     try:
         content = cobs.decode(frame)
     except cobs.DecodeError:
@@ -291,11 +291,11 @@ class FrameDecoder:
         """With `in_step` False, an incomplete first frame does not count as damaged."""
         self._in_step = in_step
         self.damaged = 0
-        """Number of byte runs between zeros that were not a message."""
+        """Number of damaged frames: bytes between two zero bytes that are not a message."""
         self._rest, self._noise = b"", False
 
     def feed(self, piece: bytes) -> list[Message]:
-        """Returns the messages that end in this piece."""
+        """Returns the messages whose last byte is in this piece."""
         if not self._in_step:
             _, end, piece = piece.partition(b"\0")
             self._in_step = bool(end)

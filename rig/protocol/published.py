@@ -1,11 +1,11 @@
-"""Parser of the text that the authors' published firmware sends.
+"""Parses the text that the published firmware (of the paper's authors) sends.
 
-The firmware asks for a frequency and waits. Then it runs one test and sends a header with one
-`name value` pair per line, a line of column names, one row per sample, and the last line `done`,
-which may contain the number of preceding lines. Lines end in CR, LF or CRLF. Source: the public
-repository bvanstratum/SoftSnakePressureControl and its frequency tests of 2022-12-21. In the logs
-of these tests, neither a count nor a line end follows `done`. A row may come before the header, and
-the text of the question is missing.
+The firmware asks for a frequency and waits. After the answer, the firmware runs one test and sends
+a header with one `name value` pair per line, a line of column names, one row per sample, and the
+last line `done`, which may contain the number of preceding lines. Lines end in CR, LF or CRLF.
+Source: the public repository bvanstratum/SoftSnakePressureControl and its frequency tests of
+2022-12-21. In the logs of these tests, neither a count nor a line end follows `done`, a row may
+precede the header, and the text of the question is missing.
 """
 
 import re
@@ -17,9 +17,9 @@ PSI_PER_COUNT = 0.13529
 PSI_AT_ZERO = -12.4282
 PA_PER_PSI = 6894.757
 LONGEST_LINE = 512
-"""Largest number of bytes without a line end; a longer run of bytes is noise."""
+"""Largest number of bytes without a line end. A longer run of bytes is noise."""
 MAX_UNCONFIRMED_GAP = 50
-"""After more missing samples than this, a row is accepted only if the next row confirms it."""
+"""Largest gap [samples] that one row proves. After a larger gap, two successive rows are needed."""
 
 _NUMBER = r"(\d+(?:\.\d*)?)"
 _HEADER = {
@@ -31,7 +31,7 @@ _HEADER = {
 }
 _ROW = re.compile(r"(\d{1,9}),(\d{1,3}),(\d{1,3}),(-?\d{1,5}\.\d\d),(-?\d{1,5}\.\d\d),(\d{1,4})")
 _DONE = re.compile(rb"\s*done[ \t]*(\d*)[ \t]*", re.I)
-# A line end follows, or directly the next question. A final CR waits for a possible LF.
+# A line end or the next question follows `done`. After a final CR, an LF may still come.
 _DONE_ENDED = re.compile(_DONE.pattern + rb"(?:\r\n|\n|\r(?=[^\n])|(?=[^\d\s]))", re.I)
 _QUESTION = re.compile(r"freq|hz", re.I)
 _END = re.compile(rb"\r\n|\r|\n")
@@ -49,7 +49,7 @@ class Question(NamedTuple):
 
 
 class Header(NamedTuple):
-    """Header of a test [Hz, s]; None for a missing or damaged line."""
+    """Header of a test, with frequency [Hz] and times [s]; None for a missing or damaged line."""
 
     frequency: float | None = None
     start: float | None = None
@@ -59,7 +59,7 @@ class Header(NamedTuple):
 
 
 class LogRow(NamedTuple):
-    """One sample: pressures and error (command - pressure) in ADC counts, valves from 0 to 255."""
+    """One sample: pressures, error (command - pressure) [ADC counts]; valve duties, 0 to 255."""
 
     number: int
     fill: int
@@ -80,7 +80,7 @@ class LogRow(NamedTuple):
 
 
 class Done(NamedTuple):
-    """End of the test. `counted` is the firmware's own count of lines, if it sends a count."""
+    """End of the test. `counted` is the firmware's count of lines, or None if it sends no count."""
 
     counted: int | None
 
@@ -97,11 +97,11 @@ class DialogueStage(Enum):
 
 
 class Dialogue:
-    """Parser of the byte stream in pieces of any size. The counts are those of the current test."""
+    """Parser of the byte stream in pieces of any size. All counts belong to the current test."""
 
     def __init__(self) -> None:
         self.unparsed = b""
-        """Bytes of an unfinished line, or received after a test's end."""
+        """Bytes of an unfinished line, and bytes that were received after a test's end."""
         self.last_text = ""
         """The last line that was not a row."""
         self._question = ""
@@ -112,18 +112,18 @@ class Dialogue:
         self.lines = 0
         """Number of the test's lines, without blank lines and `done`."""
         self.rows = self.damaged = self.stale = self.lost = 0
-        """Accepted rows, damaged lines, rows of an earlier test, and missing samples."""
+        """Numbers of accepted rows, damaged lines, rows of an earlier test, and missing samples."""
         self.number = 0
         """Sample number of the last accepted row."""
         self._candidate = 0
 
     def answered(self) -> None:
-        """Starts a test; call it when the frequency is sent."""
+        """Starts a test. Call this method when the frequency is sent."""
         self._begin(DialogueStage.HEADER)
         self.unparsed, self.last_text, self._question = b"", "", ""
 
     def feed(self, piece: bytes) -> list[Event]:
-        """Returns events that `piece` completes, up to a test's end; keeps the rest unparsed."""
+        """Returns the events that `piece` completes. Bytes after a test's end are kept unparsed."""
         self.unparsed += piece
         events: list[Event] = []
         at = 0
@@ -144,7 +144,7 @@ class Dialogue:
         return events
 
     def quiet(self) -> list[Event]:
-        """Returns the events that a silence completes: a question, or a `done` without line end."""
+        """Returns the event that silence completes: a question, or a `done` without a line end."""
         if self.stage is DialogueStage.IDLE:
             text = _text(self.unparsed)
             question = text if _asks(text) else self._question
@@ -192,7 +192,7 @@ class Dialogue:
         return []
 
     def _accept(self, row: LogRow | None) -> list[Event]:
-        """Returns the row if it is valid and in order. Only the order reveals a damaged number."""
+        """Returns a valid row in the right order. Only the order shows a damaged sample number."""
         if row is None:
             self.damaged += 1
             return []

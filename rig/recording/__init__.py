@@ -1,2 +1,2 @@
-"""Writes and reads recordings: HDF5 files that stay readable if the writing process is killed. This
-package may import `protocol`."""
+"""Writes and reads recordings: HDF5 files, which remain readable if the writing process is killed.
+This package may import `protocol`."""

@@ -4,7 +4,7 @@ A message arrives after a delay that varies but is never negative. In a plot aga
 all arrivals are therefore above the line of the device's clock. The estimate is the line below all
 arrivals with the smallest sum of distances. This line is the edge of the arrivals' lower convex
 hull that spans the mean device time (Moon, Skelly and Towsley, "Estimation and removal of clock
-skew from network delay measurements", INFOCOM 1999). The unobservable smallest delay is set to 0.
+skew from network delay measurements", INFOCOM 1999). The smallest delay is assumed to be 0.
 """
 
 import time
@@ -16,28 +16,28 @@ import numpy as np
 from rig.errors import RigError
 
 MAX_DRIFT = 1e-3
-"""Largest accepted relative difference of two clock rates. A quartz is within 2e-4."""
+"""Largest accepted relative difference of two clock rates. A quartz clock's error is below 2e-4."""
 PIECE = 60.0
-"""Duration over which a clock's rate is taken as constant [s]."""
+"""Duration in which a clock's rate is assumed to be constant [s]."""
 _SHORT = 10.0
-"""If a record is shorter [s], the scatter of the delays hides the clock's rate."""
+"""Shortest record that determines the clock's rate in spite of the scatter of the delays [s]."""
 _BLOCK = 0.5
 """The on-line fit keeps one arrival for each interval of this duration [s]."""
 MAX_MEDIAN_DELAY = 0.5
-"""Largest median delay of samples [s]. A larger delay shows that the sensor has another rate."""
+"""Largest median delay of samples [s]. A larger delay shows that the sensor's rate is wrong."""
 
 
 Sink = Callable[[int, bytes], None]
-"""Function that receives the host's time of arrival [ns] and the bytes of each piece."""
+"""Function that receives each piece of data: the host's time of arrival [ns], and the bytes."""
 
 
 def host_ns() -> int:
-    """Returns the host's time [ns]; it never decreases and is the same in all processes."""
+    """Returns the host's time [ns], which never decreases and is common to all processes."""
     return time.monotonic_ns()
 
 
 class ClockFit(NamedTuple):
-    """Host time as a function of device time: linear between knots, extrapolated outside."""
+    """Host time as a function of device time: linear between knots, extrapolated beyond knots."""
 
     device_s: np.ndarray
     """(knots,) device times [s]"""
@@ -48,11 +48,11 @@ class ClockFit(NamedTuple):
     late_99: float
     """99th percentile of the delay [s]."""
     early_max: float
-    """Largest lead of an arrival [s]. It is above 0 if the rate changes within `PIECE`."""
+    """Largest time of an arrival before the fit [s]; above 0 if the rate changes within `PIECE`."""
 
     @property
     def rate(self) -> float:
-        """Host seconds per device second, over the whole record."""
+        """Host seconds per device second, mean of the whole record."""
         return float((self.host_s[-1] - self.host_s[0]) / (self.device_s[-1] - self.device_s[0]))
 
     def to_host(self, device_s: np.ndarray | float) -> np.ndarray:
@@ -108,11 +108,11 @@ def fit_clock(device_s: np.ndarray, host_s: np.ndarray) -> ClockFit:
 
 
 class RunningClock:
-    """An on-line `fit_clock` over the last `PIECE` seconds, in bounded memory and time."""
+    """Performs `fit_clock` on-line for the last `PIECE` seconds, with bounded memory and time."""
 
     def __init__(self) -> None:
         self.resets = 0
-        """Number of device restarts. Device time then decreases, and the fit starts again."""
+        """Number of device restarts. At a restart, device time decreases; the fit starts again."""
         self._blocks: dict[int, tuple[float, float]] = {}
         self._last = -np.inf
         self._line: _Line | None = None
@@ -140,7 +140,7 @@ class RunningClock:
 
 
 def split_at_restarts(device_s: np.ndarray) -> list[slice]:
-    """Returns the slices between restarts of the device, at which its time decreases."""
+    """Returns the slices between restarts of the device. Device time decreases at a restart."""
     restarts = np.flatnonzero(np.diff(device_s) < 0) + 1
     ends = [0, *restarts.tolist(), len(device_s)]
     return [slice(a, b) for a, b in zip(ends, ends[1:], strict=False)]
@@ -149,8 +149,8 @@ def split_at_restarts(device_s: np.ndarray) -> list[slice]:
 def unwrap_counter(counts: np.ndarray, modulus: int) -> np.ndarray:
     """Returns the counts (n,) of a counter that restarts from 0 at `modulus`, unwrapped (int64).
 
-    A step larger than half the modulus is a wrap. A smaller backward step is kept, because it is a
-    reordered packet or a restart.
+    A step larger than half the modulus is a wrap. A smaller backward step is kept: a packet arrived
+    out of order, or the device restarted.
     """
     counts = np.asarray(counts).astype(np.int64)
     half = modulus // 2
@@ -193,11 +193,12 @@ class _Line(NamedTuple):
 
 
 def _line_below(x: np.ndarray, y: np.ndarray) -> _Line:
-    """Returns the line below all points with the highest mean, for drifts up to `MAX_DRIFT`.
+    """Returns the line below all points with the highest mean and a drift of at most `MAX_DRIFT`.
 
-    For a given drift, the highest line touches one point. The line's mean is a concave function of
-    the drift. At the maximum, the line touches a point on either side of the mean time. The loop
-    searches for these two points. If all lines touch the same point, the drift is 0.
+    For a given drift, the highest line below the points touches one point. The mean of this line
+    is a concave function of the drift. The line with the highest mean touches two points: one
+    before and one after the mean time. The loop searches for these two points. If the lines of all
+    drifts touch the same point, the drift is 0.
     """
     middle = x.mean()
     u, v = x - middle, y - x

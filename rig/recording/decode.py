@@ -1,4 +1,4 @@
-"""Decodes the manifold's recorded streams to readings, numbers of losses, and the drive's span."""
+"""Decodes the manifold's recorded streams: readings, their losses, and the time of the drive."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -15,7 +15,7 @@ class DecodedReadings(NamedTuple):
     """The n distinct readings that arrived, sorted by sequence number: arrays of shape (n,)."""
 
     seq: np.ndarray
-    """Sequence number, unwrapped where the manifold's 32-bit counter wraps."""
+    """Sequence number, continued if the manifold's 32-bit counter restarts from 0."""
     host_s: np.ndarray
     """Arrival time on the host's monotonic clock [s]."""
     device_s: np.ndarray
@@ -83,7 +83,7 @@ class DriveSpan(NamedTuple):
 
 
 def drive_span(recording: Recording) -> DriveSpan:
-    """Returns the span of the drive, from the recorded commands of an interrupted run.
+    """Returns start and duration of the drive, from the recorded commands of an interrupted run.
 
     Raises `RigError` if the drive had not begun.
     """

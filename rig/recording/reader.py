@@ -1,4 +1,4 @@
-"""Reads recordings that are finished, still being written, or cut off by a killed writer."""
+"""Reads recordings, also if a recorder still writes the file or was killed."""
 
 import json
 from pathlib import Path
@@ -13,7 +13,7 @@ from rig.recording.writer import CRC_OF_NOTHING, SCHEMA, open_to_read
 
 
 class RecordedStream(NamedTuple):
-    """The bytes of one stream, in pieces as they arrived; the arrays have the shape (pieces,)."""
+    """The bytes of one stream in the received pieces. The arrays have the shape (pieces,)."""
 
     host_ns: np.ndarray
     """Arrival time of each piece on the host's clock [ns]."""
@@ -23,16 +23,16 @@ class RecordedStream(NamedTuple):
     lost: tuple[int, int]
     """Numbers of pieces and bytes that arrived but could not be written."""
     trimmed: tuple[int, int]
-    """Numbers of incomplete pieces and of bytes at the file's end, which are omitted here."""
+    """Numbers of incomplete pieces and of bytes at the file's end. Both are omitted."""
 
     def pieces(self) -> list[bytes]:
-        """Returns each piece as it arrived."""
+        """Returns the received pieces."""
         starts = [0, *self.ends.tolist()]
         return [self.data[a:b] for a, b in zip(starts, starts[1:], strict=False)]
 
 
 class Recording(NamedTuple):
-    """All streams of a trial by name, and the settings and versions stored at its start."""
+    """All streams of a trial by name, and the settings and versions at the start of the trial."""
 
     streams: dict[str, RecordedStream]
     settings: dict[str, Any]
@@ -40,7 +40,7 @@ class Recording(NamedTuple):
     wall_ns_at_host_0: int
     """Unix time [ns] of host time 0."""
     closed: bool
-    """False if the recorder was killed, its disk failed, or it still runs; otherwise True."""
+    """False if the recorder was killed or still runs, or if the disk failed; otherwise True."""
 
 
 def read_recording(path: Path | str) -> Recording:
@@ -82,7 +82,7 @@ def _read(file: h5py.File) -> Recording:
 
 
 def _stream(group: h5py.Group) -> RecordedStream:
-    index = group["index"][:]  # read before the bytes, to which a running recorder appends
+    index = group["index"][:]  # read first, because a running recorder appends bytes
     data = group["bytes"][:].tobytes()
     good, end, crc = 0, 0, CRC_OF_NOTHING
     for _, next_end, next_crc in index.tolist():

@@ -1,4 +1,4 @@
-"""Converts a recorded trial to the columns of its CSV file, at the manifold's times."""
+"""Converts a recorded trial to the columns of the trial's CSV file, at the readings' times."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,13 +15,13 @@ from rig.recording.reader import RecordedStream, Recording
 ORDER = ("t_s", "p_front_Pa", "p_rear_Pa", "thrust_N", "recoil_N", "tip_m")
 """Order of the columns in a trial's file."""
 AVERAGED = 25
-"""The test for motion uses means of this number of readings at rest."""
+"""The test for motion at rest uses means of this number of readings."""
 QUIET_NOISE_RANGE = 5.0
-"""Range of such means that noise may cause, in standard deviations of a mean."""
+"""Largest range of these means that noise causes, in standard deviations of a mean."""
 QUIET_RANGE = 0.02
-"""A sensor with a larger range at rest counts as moving; a fraction of the range in the drive."""
+"""Largest range of a sensor at rest, as a fraction of the sensor's range during the drive."""
 MAX_SAMPLE_GAP = 0.006
-"""Longest interval between an instrument's samples that is interpolated [s]."""
+"""Longest interval between two samples of an instrument in which values are interpolated [s]."""
 
 
 class SampledColumns(NamedTuple):
@@ -32,7 +32,8 @@ class SampledColumns(NamedTuple):
     """NaN for lost or invalid samples."""
     findings: tuple[str, ...]
     continuous: bool = True
-    """True if sampled faster than the manifold. Otherwise each value sets only the nearest row."""
+    """True if the instrument samples faster than the manifold. If False, only the row nearest to a
+    sample gets a value."""
 
 
 @dataclass(frozen=True)
@@ -55,13 +56,13 @@ class AnalogueSensor:
             raise RigError.value("analogue scale", self.scale, "a finite number except 0")
 
     def signal(self, channels: np.ndarray) -> np.ndarray:
-        """Returns values (...) for channels (..., 8), with 0 V for a `zero` of None."""
+        """Returns values (...) for channels (..., 8). If `zero` is None, the zero is 0 V."""
         volts = 1e-6 * channels[..., CHANNELS.index(f"in_{self.input}_uV")]
         return self.scale * (volts - (self.zero or 0.0))
 
 
 def format_value(column: str, x: float) -> str:
-    """Returns a column's value as text with the unit, lengths in mm and pressures in kPa."""
+    """Returns a column's value as text with the unit: mm for lengths, kPa for pressures."""
     unit = column.rsplit("_", 1)[-1]
     factor, shown = {"m": (1e3, "mm"), "Pa": (1e-3, "kPa")}.get(unit, (1.0, unit))
     return f"{factor * x:.3g} {shown}"
@@ -77,9 +78,9 @@ class TrialColumns(NamedTuple):
     """t_s, p_front_Pa, p_rear_Pa and the instruments' columns, (n,) each."""
     played: dict[str, np.ndarray] | None
     """t_s, set_front_Pa, set_rear_Pa: the manifold followed these signed set pressures from t_s on.
-    The last row is the trial's end. None if a change was not recorded."""
+    The last row is the trial's end. None if a change of the set pressures was not recorded."""
     record: dict[str, Any]
-    """Losses, delays, ranges, statistics at rest and findings, for the trial's JSON file."""
+    """Content of the trial's JSON file: losses, delays, ranges, statistics at rest, findings."""
 
 
 def trial_columns(
@@ -92,7 +93,7 @@ def trial_columns(
     """Returns the columns from the drive's start at `begun_ns` (host time [ns]) to `duration` [s].
 
     The means at rest before the drive are subtracted from forces and tip, not from pressures.
-    `instruments` contains the reader of each stream by name. Raises `RigError` without readings.
+    `instruments` maps a stream's name to the reader. Raises `RigError` for fewer than two readings.
     """
     received = recording.streams["manifold"]
     readings = decode_readings(zip(received.host_ns.tolist(), received.pieces(), strict=True))
@@ -154,13 +155,13 @@ def _played_drive(
         return None
     sets = np.array([x[2:] for x in readings.follows], float)
     t = clock.to_host(np.array([1e-6 * x.device_us for x in readings.follows])) - begun_ns * 1e-9
-    # Only changes up to the first change after the trial matter, not those in the fade.
+    # Later changes, in the fade after the trial, are not needed.
     needed = int(np.searchsorted(t, duration)) + 1
     steps = np.diff([x.number for x in readings.follows[:needed]]) % 2**16
     if t[0] > 0.0 or (steps != 1).any():
         return None
-    # The first row is the value at t = 0, and the last row is the value at the end. Of changes at
-    # one time, only the last change is kept.
+    # The first row is the value at t = 0, and the last row is the value at the end. If several
+    # changes have the same time, only the last change is kept.
     before, within = np.flatnonzero(t <= 0.0)[-1], np.flatnonzero((t > 0.0) & (t < duration))
     within = within[np.append(np.diff(t[within]) > 0.0, True)[: len(within)]]
     rows = np.concatenate([[before], within, [within[-1] if len(within) else before]])
@@ -170,13 +171,13 @@ def _played_drive(
 
 
 class RestStatistics(NamedTuple):
-    """Statistics of a sensor at rest before the drive; 0 without readings."""
+    """Statistics of a sensor at rest before the drive; 0 with fewer than three readings."""
 
     mean: float = 0.0
     deviation: float = 0.0
     """Standard deviation of the readings."""
     noise: float = 0.0
-    """Standard deviation of the part that is independent between consecutive readings."""
+    """Standard deviation of the part of the signal that is independent between readings."""
 
 
 def _rest(signal: np.ndarray) -> RestStatistics:
@@ -205,9 +206,9 @@ def _motion_findings(
 def resample_at_rows(
     rows: np.ndarray, at: np.ndarray, signal: np.ndarray, continuous: bool = True
 ) -> np.ndarray:
-    """Returns a signal (m,), sampled at times `at` (m,) [s], at the times of `rows` (n,) [s].
+    """Returns a signal (m,) with the sampling times `at` (m,) [s], at the times `rows` (n,) [s].
 
-    The result is NaN without a sample nearby; see `SampledColumns.continuous`.
+    A row without a sample nearby gets NaN. `continuous` is defined in `SampledColumns`.
     """
     valid = np.isfinite(signal)
     if valid.sum() < 2:
@@ -219,8 +220,8 @@ def resample_at_rows(
     value = np.interp(rows, at, signal, left=np.nan, right=np.nan)
     if continuous:
         return np.where(at[after] - at[after - 1] <= MAX_SAMPLE_GAP, value, np.nan)
-    # The signal between frames is unknown. Therefore only the row nearest to a frame gets a value,
-    # which is interpolated to the row's time.
+    # The signal between two samples is unknown. Therefore only the row nearest to a sample gets a
+    # value, which is interpolated to the row's time.
     nearest = np.clip(np.searchsorted(rows, at), 1, len(rows) - 1)
     nearest -= (at - rows[nearest - 1]) < (rows[nearest] - at)
     known = np.zeros(len(rows), bool)

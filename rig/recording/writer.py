@@ -1,18 +1,18 @@
-"""Writes one HDF5 file per trial with the received bytes and their times, safe against kill -9.
+"""Writes one HDF5 file per trial with the received bytes and the times of arrival.
 
-The bytes of one read are called a piece.
+The file remains readable if the writer is killed. The bytes of one read are called a piece.
 
 | in the file | content |
 |---|---|
 | attributes | `schema`; `settings`, `versions` (JSON); `wall_ns_at_host_0` (Unix time [ns]) |
 | `closed` | 1 after the recorder has ended normally |
 | `streams/NAME/bytes` | uint8 (bytes,): the concatenated pieces |
-| `streams/NAME/index` | int64 (pieces, 3): host time [ns], end, CRC-32 of all bytes up to the end |
+| `streams/NAME/index` | int64 (pieces, 3): host time [ns], end, CRC-32 of all bytes up to end |
 | `streams/NAME/lost` | int64 (2,): pieces and bytes that arrived but could not be written |
 
 The file follows HDF5's rules for a single writer and many readers (SWMR). `rig.recording.reader`
-can therefore read the file at any time, even if the writer was killed. Bytes are written before
-the index. The CRC shows whether bytes and index match.
+can therefore read the file at any time. The recorder writes the bytes before the index. The CRC
+shows whether bytes and index match.
 """
 
 import ctypes
@@ -42,14 +42,14 @@ from rig.recording.clock import Sink
 SCHEMA = 1
 STREAMS = ("manifold", "force", "camera", "commands")
 FLUSH_INTERVAL = 0.05
-"""Time between flushes to disk [s]. A killed recorder loses at most the data of this time."""
+"""Time between two writes to disk [s]. A killed recorder loses at most the data of this time."""
 MAX_WAITING = 64 * 2**20
 """Largest number of bytes of a stream that wait for the disk. Further pieces are lost."""
 CRC_OF_NOTHING = 1
-"""Initial value of the CRC. With 0, an index of zeros would seem to be valid and empty pieces."""
+"""Initial value of the CRC. With 0, an index that contains only zeros would be valid."""
 _BYTES_A_CHUNK, _ROWS_A_CHUNK = 16384, 512
-"""HDF5 chunk sizes in bytes and rows, for at least 0.25 s of the manifold's data. A flush rewrites
-the last chunk, which is faster than a new chunk. With 4096 and 64, each flush created a chunk."""
+"""HDF5 chunk sizes in bytes and rows, for at least 0.25 s of the manifold's data. To rewrite the
+last chunk is faster than to create a chunk. With 4096 and 64, each write created a chunk."""
 _ATTEMPTS = 27
 """Number of HDF5's attempts to read metadata that a writer may be changing. The wait doubles after
 each attempt, to 0.1 s in total. With the default of 100, an incomplete file would block readers."""
@@ -61,15 +61,15 @@ class RecorderLoad(NamedTuple):
     recorded: dict[str, int]
     """Pieces on disk, by stream."""
     lost: dict[str, int]
-    """Lost pieces, by stream: too many pieces were waiting, or the recorder had ended."""
+    """Lost pieces, by stream. A piece is lost if too many pieces wait or the recorder has ended."""
     waiting: int
     """Pieces of all streams that wait for the disk."""
     slowest_flush: float
-    """Longest time between the ends of two flushes [s]; `FLUSH_INTERVAL` on a fast disk."""
+    """Longest time between the ends of two writes to disk [s]; `FLUSH_INTERVAL` on a fast disk."""
 
 
 class _Stream:
-    """A stream's waiting pieces and datasets. Tallies are (number of pieces, number of bytes)."""
+    """A stream's waiting pieces and datasets. A tally is a (number of pieces, number of bytes)."""
 
     def __init__(self, group: h5py.Group, max_waiting: int) -> None:
         self.bytes, self.index, self.tally = group["bytes"], group["index"], group["lost"]
@@ -100,7 +100,7 @@ class _Stream:
             self.lost = (self.received[0] - self.recorded[0], self.received[1] - self.recorded[1])
 
     def write(self) -> None:
-        """Writes the waiting bytes to disk, then their index."""
+        """Writes the waiting bytes to disk, then the index of these bytes."""
         with self.lock:
             pieces, self.waiting, self.size = self.waiting, [], 0
             lost = self.lost
@@ -125,7 +125,7 @@ def _add_piece(tally: tuple[int, int], piece: bytes) -> tuple[int, int]:
 
 
 class AbstractRecorder(ABC):
-    """A context manager that closes itself at the end and raises a failure once."""
+    """A context manager that closes the recorder at the end, and raises a failure only once."""
 
     _failure: RigError | None = None
     _raised = False
@@ -201,11 +201,11 @@ class Recorder(AbstractRecorder):
         )
 
     def check(self) -> None:
-        """Raises the disk's failure as `RigError`, once."""
+        """Raises `RigError` if the disk failed. Later calls do not raise this error again."""
         self._raise_failure()
 
     def close(self) -> None:
-        """Writes the waiting pieces and ends; raises as `check`. A second call does nothing."""
+        """Writes the waiting pieces and ends. Raises errors as `check`. May be repeated."""
         self._ending.set()
         self._thread.join()
         self.check()
@@ -244,9 +244,9 @@ class Recorder(AbstractRecorder):
 
 
 def _close_without_disk(file: h5py.File) -> None:
-    """Closes the file, with HDF5's last writes redirected to memory.
+    """Closes the file while HDF5's last writes are redirected to memory.
 
-    HDF5 cannot close a file on a failed disk, and would crash the process when the process ends.
+    HDF5 cannot close a file on a failed disk, and an open file crashes the process at the end.
     """
     with suppress(Exception):
         memory = os.memfd_create("recorder")
@@ -258,21 +258,21 @@ def _close_without_disk(file: h5py.File) -> None:
 def open_to_write(path: Path) -> h5py.File:
     """Returns the file, opened to write in SWMR mode from the start.
 
-    h5py itself opens a file normally and then switches to SWMR. A kill between these two steps
-    would block readers.
+    h5py itself opens a file normally and then switches to SWMR. If the process were killed between
+    these two steps, the file would block readers.
     """
     return _open_swmr(path, h5f.ACC_RDWR | h5f.ACC_SWMR_WRITE)
 
 
 def open_to_read(path: Path) -> h5py.File:
-    """Returns the file, opened to read, also if it is being written or its writer was killed."""
+    """Returns the file, opened to read, also if a recorder still writes the file or was killed."""
     return _open_swmr(path, h5f.ACC_RDONLY | h5f.ACC_SWMR_READ)
 
 
 def _open_swmr(path: Path, flags: int) -> h5py.File:
     access = h5p.create(h5p.FILE_ACCESS)
     access.set_libver_bounds(h5f.LIBVER_LATEST, h5f.LIBVER_LATEST)
-    access.set_file_locking(False, True)  # a lock would make simultaneous openings fail
+    access.set_file_locking(False, True)  # with a lock, two programs could not open the file
     with phil, suppress(AttributeError):  # h5py lacks this function; Windows does not export it
         hdf5 = ctypes.PyDLL(h5p.__file__)
         hdf5.H5Pset_metadata_read_attempts(ctypes.c_int64(access.id), ctypes.c_uint(_ATTEMPTS))
@@ -325,7 +325,7 @@ def _create(path: Path, streams: tuple[str, ...], settings: Mapping[str, Any]) -
 
 
 def settings_json(path: Path | str, settings: Mapping[str, Any]) -> str:
-    """Returns `settings` as JSON. Raises `RigError`, which names the recording at `path`."""
+    """Returns `settings` as JSON. Raises `RigError` that names the recording at `path`."""
     try:
         return json.dumps(settings, allow_nan=False)
     except (TypeError, ValueError) as error:

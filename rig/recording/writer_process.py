@@ -1,8 +1,9 @@
 """Runs the recorder in a separate process.
 
-While another program filled the disk, the 99th percentile of the commands' lateness was 30 to 43 ms
-with the recorder in the commanding process. It was 14 ms with a separate process, and 7 to 19 ms
-without a recorder. The recorder's process writes all received pieces even if the program is killed.
+While another program filled the disk, the 99th percentile of the commands' lateness was 30 to
+43 ms with the recorder in the commanding process, 14 ms with the recorder in a separate process,
+and 7 to 19 ms without a recorder. If the commanding process is killed, the recorder's process still
+writes all pieces that it has received.
 """
 
 import json
@@ -30,14 +31,14 @@ from rig.recording.writer import (
 from rig.scheduling import RECORDER_PRIORITY, ordinary_priority, real_time_priority
 
 TRANSFER_INTERVAL = 0.02
-"""Time between transfers to the process [s]. A killed program loses the data of this time."""
+"""Time between transfers to the recorder [s]. A killed program loses the data of this time."""
 PROCESS_TIMEOUT = 60.0
-"""Longest time for the process to start, and to write the waiting pieces at the end [s]."""
+"""Longest time in which the process must start, or write the waiting pieces at the end [s]."""
 _HEAD = struct.Struct("<BqI")
 
 
 class ProcessRecorder(AbstractRecorder):
-    """A `rig.recording.writer.Recorder` in a separate process, with equal sinks and errors.
+    """A `rig.recording.writer.Recorder` in a separate process, with the same sinks and errors.
 
     `check` and `close` also raise `RigError` if the process has ended unexpectedly.
     """
@@ -60,7 +61,7 @@ class ProcessRecorder(AbstractRecorder):
             "streams": self._names,
             "settings": dict(settings or {}),
         }
-        # This starts a new program, because `multiprocessing` would rerun the caller's main module.
+        # `Popen` is used because `multiprocessing` would run the caller's main module again.
         with ordinary_priority() as request["real_time"]:
             text = settings_json(path, request)
             self._process = subprocess.Popen(
@@ -87,7 +88,7 @@ class ProcessRecorder(AbstractRecorder):
         return self._process.pid
 
     def sink(self, stream: str) -> Sink:
-        """Returns a function `sink(host_ns, piece)`, as `Recorder.sink`."""
+        """Returns a function `sink(host_ns, piece)` that records a piece, as `Recorder.sink`."""
         if stream not in self._names:
             raise RigError.value("stream", repr(stream), ", ".join(self._names))
         number = self._names.index(stream)
@@ -100,12 +101,12 @@ class ProcessRecorder(AbstractRecorder):
         return put
 
     def load(self) -> RecorderLoad:
-        """Returns the recorder's load. Call this function after `close` only."""
+        """Returns the recorder's load. Call this function only after `close`."""
         assert self._load is not None
         return self._load
 
     def check(self) -> None:
-        """Raises the first failure as `RigError`, once."""
+        """Raises `RigError` if the recorder failed. Later calls do not raise this error again."""
         if self._size > self._most and self._failure is None:
             self._failure = RigError(
                 f"{self.path}: the disk is too slow, {self._size >> 20} MiB are waiting; record to "
@@ -114,7 +115,7 @@ class ProcessRecorder(AbstractRecorder):
         self._raise_failure()
 
     def close(self) -> None:
-        """Writes the waiting pieces and ends the process; raises as `check`."""
+        """Writes the waiting pieces and ends the process. Raises `RigError` as `check`."""
         if not self._closed:
             self._closed = True
             self._ending.set()
@@ -136,7 +137,7 @@ class ProcessRecorder(AbstractRecorder):
             self._process.stdin.close()
 
     def _write(self, content: bytes) -> None:
-        """Writes to the process. If the process has ended, `_listen` reports this."""
+        """Writes to the process. If the process has ended, `_listen` reports the end."""
         assert self._process.stdin is not None
         with suppress(OSError, ValueError):
             self._process.stdin.write(content)
@@ -209,7 +210,7 @@ def _record(request: Mapping[str, Any], source: BinaryIO, send: Callable[..., No
         piece = source.read(size)
         if len(piece) == size:
             sinks[number](host_ns, piece)
-    with suppress(RigError):  # the error was sent when it occurred
+    with suppress(RigError):  # an error was sent when the error occurred
         recorder.close()
     send("ended", recorder.load()._asdict())
 
