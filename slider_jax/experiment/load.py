@@ -77,9 +77,9 @@ def _experiment(content: dict[str, Any], source: str, folder: Path) -> Experimen
 def load(path: Path | str, model: Path | str | None = None) -> Experiment:
     """Returns the validated experiment of the file `path`, changed by the file `model` if given.
 
-    Keys of `[robot]` and `[parameters]` in the model file replace keys of the experiment, and
-    `[[effects]]` are added. C_d and m_a replace `force_coefficients = "ramp"` or `"table"`, and
-    vice versa. Raises `InputError` with the file and key.
+    Keys of `[robot]` and `[parameters]` in the model file replace keys of the experiment. The
+    `[[effects]]` of both files are combined. If the model file has C_d and m_a, they replace
+    the source "ramp" or "table" of C_d and m_a, and vice versa. Raises `InputError` with file and key.
     """
     path = Path(path)
     return assemble(read_toml(path), str(path), path.parent, model)
@@ -88,7 +88,7 @@ def load(path: Path | str, model: Path | str | None = None) -> Experiment:
 def assemble(
     content: dict[str, Any], source: str, folder: Path, model: Path | str | None = None
 ) -> Experiment:
-    """Returns the experiment of the tables `content`, as `load`; errors name the `source`."""
+    """Returns the experiment with the tables `content`, as `load`; errors name `source` as file."""
     experiment = _experiment(content, source, folder)
     if model is None:
         return experiment
@@ -121,7 +121,7 @@ def assemble(
 
 
 def trial_conditions(experiment: Experiment, trial: Trial) -> dict[str, float]:
-    """Returns a trial's values of effect fields, by field, for fields that the file omits."""
+    """Returns the values by name that an effect takes from `trial` for fields that are omitted."""
     return {
         "density": experiment.robot.water_density,
         "stride_frequency": trial.frequency or 1.0,
@@ -130,7 +130,7 @@ def trial_conditions(experiment: Experiment, trial: Trial) -> dict[str, float]:
 
 
 def _effect(table: EffectTable, where: str, taken: dict[str, float] | None = None) -> Effect:
-    """Returns the effect of a table; `taken` contains the trial's values of omitted fields."""
+    """Returns the effect of `table`. Fields that the table omits take their values from `taken`."""
     if table.name not in LIBRARY:
         raise InputError(
             f"{where}.name: given {table.name!r}; allowed {', '.join(LIBRARY)}; drag and added "
@@ -148,16 +148,16 @@ def _effect(table: EffectTable, where: str, taken: dict[str, float] | None = Non
 
 
 LONGEST_RECORD = 20.0
-"""Longest recorded drive, in durations of the trial. Longer times are probably not in seconds."""
+"""Largest ratio of a recorded drive's duration to the trial's. Larger ratios mean a wrong unit."""
 
 
 def check_pascal(path: Path, columns: dict[str, np.ndarray], names: tuple[str, ...]) -> None:
-    """Raises `InputError` if the largest value of these columns cannot be a pressure in Pa."""
+    """Raises `InputError` if the largest value in the columns `names` is implausible in Pa."""
     largest = max(float(np.abs(columns[name]).max()) for name in names)
     if largest > 2e6 or 0.0 < largest < 1e3:
         raise InputError.value(
             f"{path}, column {' and '.join(names)}",
-            f"at most {largest:g}",
+            f"a largest value of {largest:g}",
             "0, or peaks of 1e3 to 2e6 Pa",
             "pressures are in pascal, not kPa or psi",
         )
@@ -179,13 +179,13 @@ def _recorded(experiment: Experiment, trial: Trial) -> tuple[Recorded, Recorded]
     if times[-1] - times[0] > LONGEST_RECORD * trial.duration:
         raise InputError(
             f"{path}: t_s covers {times[0]:g} to {times[-1]:g}, but the trial {trial.file} lasts "
-            f"{trial.duration:g} s; t_s is in seconds: divide milliseconds by 1000, or cut the "
-            f"recording to at most {LONGEST_RECORD:g} times the trial's duration"
+            f"{trial.duration:g} s; t_s must be in seconds: divide milliseconds by 1000, or cut "
+            f"the recording to at most {LONGEST_RECORD:g} times the trial's duration"
         )
     if times[0] > spacing.mean() or times[-1] < trial.duration - 1.5 * spacing.mean():
         raise InputError(
-            f"{path}: covers {times[0]:g} to {times[-1]:g} s; the trial {trial.file} needs 0 to "
-            f"{trial.duration:g} s; give a longer recording or a shorter duration"
+            f"{path}: t_s covers {times[0]:g} to {times[-1]:g} s, but the trial {trial.file} lasts "
+            f"from 0 to {trial.duration:g} s; give a longer recording or a shorter duration"
         )
     for name in names:
         check_pascal(path, columns, (name,))
@@ -227,13 +227,13 @@ def coefficients_at(parameters: ParametersTable, frequency: Scalar | None):
 
 
 def drag_and_added_mass(experiment: Experiment, trial: Trial) -> tuple[float, float]:
-    """Returns (C_d, m_a) of a trial from the file's constants or table, or the paper's ramp."""
+    """Returns (C_d, m_a) of a trial from the experiment file or from the paper's ramp."""
     C_d, m_a = coefficients_at(experiment.parameters, trial.frequency)
     return float(C_d), float(m_a)
 
 
 def to_model(experiment: Experiment, trial: Trial | int = 0) -> Model:
-    """Returns the model of one trial, with arrays as leaves, so that JAX can differentiate it.
+    """Returns the model of one trial, with arrays as leaves that JAX can differentiate.
 
     Models of trials with the same waveform have the same tree structure, so `jax.tree.map` can
     stack them for vmap. Raises `InputError` if a recorded drive is invalid.
@@ -264,7 +264,7 @@ def to_model(experiment: Experiment, trial: Trial | int = 0) -> Model:
 
 
 def read_measured(experiment: Experiment, trial: Trial) -> dict[str, np.ndarray] | None:
-    """Returns the columns of a trial's measured file, or None without this file.
+    """Returns the columns of a trial's measured file, or None if this file does not exist.
 
     Only `t_s` is required; blank cells of other columns become NaN. Raises `InputError` if the file
     is invalid or contradicts the experiment.

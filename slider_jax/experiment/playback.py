@@ -1,8 +1,8 @@
 """Reads the played drive of a trial: the set pressures that the valves followed, and their times.
 
 Other programs of the computer, the serial line and the manifold's control loop delay each pressure
-step by a different time. In a step of 400 kPa, a delay of 1 ms changes the pressure by several
-kilopascals, many times the sensors' noise. The played drive removes this error.
+step by a different time. In a pressure step of 400 kPa, a delay of 1 ms changes the pressure by
+several kilopascals, which is many times the sensor noise. The played drive removes this error.
 """
 
 from pathlib import Path
@@ -19,13 +19,16 @@ from slider_jax.experiment.schema import Trial
 from slider_jax.io.csv import read_csv
 
 PLAYED_COLUMNS = ("t_s", "set_front_Pa", "set_rear_Pa")
-"""Columns of the file: signed set pressures from the time `t_s` on. The last row is the end."""
+"""Columns of a .played.csv file: a time, and the signed set pressures from this time until the next
+time. The last row contains the end of the drive."""
 LEAST_ROWS = 64
-"""Smallest number of rows. Padding to a power of two lets trials share compiled programs."""
+"""Smallest number of samples in a `Held` wave. The number is padded to a power of two, so that
+trials with different numbers of samples share compiled programs."""
 LONGEST_STEP = 2.5e-3
 """Longest step of a simulation with a played drive [s]."""
 AVERAGING_TIME = 5e-3
-"""Interval [s] in which changes of a smooth wave are averaged. It is much shorter than the lag."""
+"""Length [s] of the intervals in which frequent changes of a set pressure are averaged. The length
+is much smaller than the time constant of the pressure."""
 
 
 class PlayedDrive(NamedTuple):
@@ -33,12 +36,13 @@ class PlayedDrive(NamedTuple):
 
     drive: Drive
     edges: np.ndarray | None
-    """Times of a square wave's steps [s]; None for another waveform."""
+    """Times [s] at which a square wave changes the set pressures; None for other waveforms."""
 
 
 def read_played(experiment: Experiment, trial: Trial) -> PlayedDrive | None:
-    """Returns the drive in NAME.played.csv beside a trial's file, or None without that file.
+    """Returns the drive in NAME.played.csv, the file beside the trial's measured file NAME.csv.
 
+    Returns None if NAME.played.csv does not exist, or if the trial's drive is a measured pressure.
     Raises `InputError` if the drive does not cover the trial, is not in pascal, or has an amplitude
     that differs from the trial's amplitude.
     """
@@ -47,11 +51,11 @@ def read_played(experiment: Experiment, trial: Trial) -> PlayedDrive | None:
         return None
     columns = read_csv(path, PLAYED_COLUMNS)
     t, sets = columns["t_s"], [columns[name] for name in PLAYED_COLUMNS[1:]]
-    advice = "delete it to use the declared drive"
+    advice = "delete the .played.csv file to use the drive of the experiment file"
     if t[0] > 1e-9 or t[-1] < trial.duration * (1.0 - 1e-6):
         raise InputError(
-            f"{path}: covers {t[0]:g} to {t[-1]:g} s; the trial {trial.file} needs 0 to "
-            f"{trial.duration:g} s; {advice}"
+            f"{path}: t_s covers {t[0]:g} to {t[-1]:g} s, but the trial {trial.file} lasts from "
+            f"0 to {trial.duration:g} s; {advice}"
         )
     check_pascal(path, columns, PLAYED_COLUMNS[1:])
     front, given = float(np.abs(sets[0]).max()), trial.amplitude
@@ -69,7 +73,7 @@ def read_played(experiment: Experiment, trial: Trial) -> PlayedDrive | None:
 
 
 def _averaged(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns times and set pressures; frequent changes are averaged in each `AVERAGING_TIME`."""
+    """Returns times and set pressures; averages frequent changes in each `AVERAGING_TIME`."""
     if np.diff(t[:-1]).min(initial=np.inf) >= 0.9 * AVERAGING_TIME:
         return t, values
     area = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(t))])
@@ -79,7 +83,7 @@ def _averaged(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def _held(t: np.ndarray, values: np.ndarray) -> Held:
-    """Returns one chamber's wave without repeated values. The wave may change once in a step."""
+    """Returns a wave without repeated values: `Held` allows at most one sample in a time step."""
     kept = np.concatenate([[True], np.diff(values) != 0.0])
     t, values = t[kept], values[kept]
     rows = max(LEAST_ROWS, 1 << int(np.ceil(np.log2(len(t) + 1))))

@@ -22,7 +22,7 @@ class StepGrid:
     """Time step [s]."""
     steps: int
     half_period: int | None = None
-    """Number of steps per half stride; None for a recorded drive, even if it has a frequency."""
+    """Number of steps per half stride; always None for a recorded drive."""
     phase: float = 0.0
     """Delay of the rear chamber, as a fraction of a stride."""
     played: np.ndarray | None = None
@@ -40,7 +40,7 @@ class StepGrid:
 
     @property
     def edges(self) -> np.ndarray:
-        """Indices of steps between which the drive is smooth. Played edges are rounded to steps."""
+        """Indices of steps with an edge of the drive, 0 and `steps`; played edges are rounded."""
         if self.played is not None:
             near = np.round(np.asarray(self.played) / self.h).astype(int)
             inner = near[(near > 0) & (near < self.steps)]
@@ -59,7 +59,8 @@ def step_grid(
 ) -> StepGrid:
     """Returns a grid up to `end` [s] with steps of at most `longest` [s].
 
-    The step divides `spacing` [s] if given, otherwise half a stride if the trial has a frequency.
+    A `spacing` [s], if given, is a multiple of the step. Otherwise, if the trial has a frequency,
+    half a stride is a multiple of the step.
     """
     half, edges = None, None if played is None else played.edges
     if spacing is not None:
@@ -83,16 +84,16 @@ class PreparedTrial:
 
     trial: Trial
     model: Model
-    """The trial's model, with the played drive if it is known."""
+    """The trial's model, with the played drive if `played` is not None."""
     numerics: Numerics
     scheme: Scheme
     grid: StepGrid
     sample_times: np.ndarray
     """Sample times (n,) [s]."""
     played: PlayedDrive | None
-    """The played drive, or None without a file of it."""
+    """The played drive, or None if no file contains the played drive."""
     measured: dict[str, np.ndarray] | None
-    """Columns of the trial's measured file, or None without this file."""
+    """Columns of the trial's measured file, or None if this file does not exist."""
     channels: tuple[Channel, ...]
 
 
@@ -103,11 +104,12 @@ def prepare(
     sample_times: np.ndarray | None = None,
     declared_drive: bool = False,
 ) -> PreparedTrial:
-    """Reads a trial's files, builds the trial's model and chooses the steps by [numerics].
+    """Reads a trial's files, builds the model, and chooses the time steps according to [numerics].
 
-    With `sample_times` (n,) [s], the trial's measured file is not read. Without them, the sample
-    times are the times in this file; without the file, they follow from the sensors' sample rate.
-    With `declared_drive`, the played drive is not used. Raises `InputError` if a file is invalid.
+    If `sample_times` (n,) [s] are given, the trial's measured file is not read. Otherwise, the
+    sample times come from the measured file, or from the sensors' sample rate without this file. If
+    `declared_drive` is true, the model has the drive of the experiment file. Raises `InputError` if
+    a file is invalid.
     """
     if isinstance(trial, int):
         trial = experiment.trials[trial]
@@ -136,8 +138,8 @@ def prepare(
 def half_period_steps(frequency: float, longest: float, phase: float = 0.0) -> int:
     """Returns the number of steps per half period of `frequency` [Hz], at most `longest` [s] each.
 
-    Edges of the front chamber's pressure, at half periods, are always at ends of steps. Up to a
-    quarter more steps are used if they also put the rear chamber's edges at ends of steps.
+    The front chamber's edges, at half periods, are therefore at ends of steps. The number of steps
+    is increased by up to a quarter if then the rear chamber's edges are also at ends of steps.
     """
     least = max(2, int(np.ceil(0.5 / (frequency * longest) * (1.0 - 1e-12))))
     for steps in range(least, least + least // 4 + 1):
@@ -147,7 +149,7 @@ def half_period_steps(frequency: float, longest: float, phase: float = 0.0) -> i
 
 
 def edge_steps(steps: int, half_period: int, phase: float = 0.0) -> np.ndarray:
-    """Returns the indices of steps between which the drive is smooth, including 0 and `steps`."""
+    """Returns the indices of steps at which a set pressure has an edge, with 0 and `steps`."""
     delay = round(2 * half_period * phase) % half_period
     front, rear = np.arange(0, steps, half_period), np.arange(delay, steps, half_period)
     return np.unique(np.concatenate([front, rear, [0, steps]]))
@@ -159,7 +161,7 @@ def sample_series(
     """Interpolates `values` (n, ...) at evenly spaced times `t` (n,) cubically to the times `at`.
 
     Each result uses the four nearest steps between two neighbouring `edges` (indices of t), so no
-    polynomial crosses an edge. If fewer steps are between the edges, the result uses all of them.
+    polynomial crosses an edge. If fewer than four are available, the result uses all these steps.
     """
     h = (t[-1] - t[0]) / (len(t) - 1)
     place = np.clip((at - t[0]) / h, 0.0, len(t) - 1.0)

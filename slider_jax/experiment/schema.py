@@ -18,7 +18,7 @@ FROM_LIST = BeforeValidator(lambda x: tuple(x) if isinstance(x, list) else x)
 
 
 def _plain_name(name: str) -> str:
-    """Returns a valid name of a CSV file, without folder, so the file is beside the experiment."""
+    """Returns `name`, or raises an error if `name` is not a CSV file name without folder."""
     parts = PurePath(name.replace("\\", "/")).parts
     if len(parts) != 1 or parts[0] in ("..", ".") or not name.endswith(".csv"):
         raise PydanticCustomError(
@@ -87,8 +87,8 @@ class ParametersTable(Table):
     """[parameters]: the values that calibration identifies.
 
     `force_coefficients` is the source of C_d and m_a. With "fixed", C_d and m_a are the numbers in
-    this table. With "ramp", they follow the paper's ramp at each trial's frequency. With "table",
-    they are interpolated linearly in the frequency; outside the table they are constant.
+    this table. With "ramp", C_d and m_a follow the paper's ramp at each trial's frequency. With
+    "table", C_d and m_a are interpolated linearly in the frequency, and constant outside the table.
     """
 
     force_coefficients: Literal["fixed", "ramp", "table"] = "fixed"
@@ -105,7 +105,7 @@ class ParametersTable(Table):
             if self.force_coefficients == "fixed" and given is None:
                 _fail(name, "nothing", 'a number, unless force_coefficients is "ramp" or "table"')
             if self.force_coefficients != "fixed" and given is not None:
-                _fail(name, given, 'only with force_coefficients = "fixed"; omit it')
+                _fail(name, given, 'only with force_coefficients = "fixed"; omit this key')
         given_at = [x.frequency for x in self.coefficients]
         if (self.force_coefficients == "table") != bool(given_at):
             allowed = 'at least one table if force_coefficients = "table", otherwise none'
@@ -145,7 +145,7 @@ class NumericsTable(Table):
 
 class Trial(Table):
     """[[trials]]: one trial. The rear set pressure is `rear_ratio` times the front set pressure and
-    `phase` periods later. `drive_is`: whether a recorded drive is set or measured pressure."""
+    `phase` periods later. `drive_is` states which pressures a recorded drive contains."""
 
     file: FileName
     waveform: Literal["square", "sine", "trapezoid", "recorded"] = "square"

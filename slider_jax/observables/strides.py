@@ -1,4 +1,4 @@
-"""Means over strides of a series, and dimensionless numbers of swimming from such means."""
+"""Computes the mean of a series in each stride, and efficiencies and other numbers from means."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -9,7 +9,7 @@ from slider_jax.beam.parameters import Scalar
 def stride_means(
     series: Float[Array, "*b steps"], steps_per_stride: int
 ) -> Float[Array, "*b strides"]:
-    """Returns the mean of each stride, which is the trapezoidal rule for a periodic series."""
+    """Returns the mean value of `series` in each stride; time is the last axis."""
     steps = series.shape[-1]
     if steps % steps_per_stride:
         raise ValueError(
@@ -50,7 +50,7 @@ def tail_slope(amplitude: Scalar, wavelength: Scalar) -> Scalar:
     """Returns the paper's slope A_t / (lambda/4) [-] of the wave at the tail.
 
     `amplitude` A_t [m] is half the peak-to-peak excursion; lambda [m] is the body wavelength. A
-    straight line from a zero of the wave to the crest has this slope. At the zero, a sine wave is
-    steeper by the factor pi/2.
+    straight line from a zero of the wave to the next crest has this slope. At the zero, a sine wave
+    is steeper than this line by the factor pi/2.
     """
     return amplitude / (wavelength / 4.0)

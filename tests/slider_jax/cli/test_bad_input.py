@@ -29,7 +29,7 @@ TOML_CASES = {
     ),
     "coefficient beside the ramp": (
         ("m_a = 1.0", 'force_coefficients = "ramp"'),
-        ('parameters.C_d: given 3.0; allowed only with force_coefficients = "fixed"', "omit it"),
+        ('parameters.C_d: given 3.0; allowed only with force_coefficients = "fixed"', "omit this"),
     ),
     "unknown coefficients": (
         ("m_a = 1.0", 'm_a = 1.0\nforce_coefficients = "paper"'),
@@ -159,9 +159,9 @@ DRIVE_CASES = {
     "short": (_drive_with(_T[:20], 1e5 + 0 * _T[:20]), ("covers 0 to 0.19 s", "0.75 s")),
     "milliseconds": (
         _drive_with(1e3 * _T, 1e5 + 0 * _T),
-        ("t_s covers 0 to 750", "0.75 s", "t_s is in seconds: divide milliseconds by 1000"),
+        ("t_s covers 0 to 750", "0.75 s", "t_s must be in seconds: divide milliseconds by 1000"),
     ),
-    "late": (_drive_with(_T + 0.02, 1e5 + 0 * _T), ("covers 0.02 to 0.77 s", "needs 0 to")),
+    "late": (_drive_with(_T + 0.02, 1e5 + 0 * _T), ("covers 0.02 to 0.77 s", "lasts from 0 to")),
     "NaN": (_drive_with(_T, ["1e5"] * 5 + ["nan"] * 71), ("line 7, column p_front_Pa", "finite")),
     "mixed rates": (
         _drive_with(np.concatenate([_T[:40], 0.4 + 0.005 * np.arange(80)]), [1e5] * 120),
@@ -184,7 +184,7 @@ MODEL_CASES = {
     "unknown table": ("[robt]\nEI_body = 0.04\n", ("robt: unknown key; allowed name, robot",)),
     "ramp and a coefficient": (
         '[parameters]\nforce_coefficients = "ramp"\nC_d = 3.0\n',
-        ("parameters.C_d: given 3.0", "omit it"),
+        ("parameters.C_d: given 3.0", "omit this key"),
     ),
     "unknown key": ("[parameters]\nCd = 3.0\n", ("parameters.Cd: unknown key", "mean C_d?")),
     "out of range": ("[parameters]\nk = 87.0\n", ("parameters.k: given 87.0", "in seconds")),

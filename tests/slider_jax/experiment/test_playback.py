@@ -148,9 +148,9 @@ def test_a_trial_of_which_nothing_is_told_is_driven_as_meant(tmp_path):
 @pytest.mark.parametrize(
     ("t", "front", "said"),
     [
-        ([0.0, 0.1, 0.7], [1e5] * 3, "covers 0 to 0.7 s; the trial trial_00.csv needs 0 to 0.75 s"),
+        ([0.0, 0.1, 0.7], [1e5] * 3, "0 to 0.7 s, but the trial trial_00.csv lasts from 0 to 0.75"),
         ([0.1, 0.2, 0.75], [1e5] * 3, "covers 0.1 to 0.75 s"),
-        ([0.0, 0.1, 0.75], [100.0] * 3, "given at most 100; allowed 0, or peaks of"),
+        ([0.0, 0.1, 0.75], [100.0] * 3, "given a largest value of 100; allowed 0, or peaks of"),
         (
             [0.0, 0.1, 0.75],
             [1e5] * 3,
