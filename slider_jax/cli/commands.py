@@ -1,4 +1,4 @@
-"""Lists the subcommands. Functions are given as text, so that only the called one is imported."""
+"""Lists the subcommands. Functions are given as text: Python imports only the called function."""
 
 from collections.abc import Callable
 from importlib import import_module
@@ -14,7 +14,7 @@ class Subcommand(NamedTuple):
     target: str
     help: str
     alone: bool = False
-    """Whether the command has the name of a group, as `effects`, and may run without arguments."""
+    """Whether the command is also the name of a group, like `effects`, and runs if called alone."""
     jax: bool = True
     """Whether the command needs JAX, which may not be installed on the rig's computer."""
 

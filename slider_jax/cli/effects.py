@@ -88,7 +88,7 @@ def listing() -> str:
 
 
 def explanation(name: str) -> str:
-    """Returns the docstring, priors and example of an effect, midway from null to typical size."""
+    """Returns docstring and priors of an effect, and an example halfway to `typical_size`."""
     from slider_jax.simulation.effect_signature import typical_size
 
     kind = LIBRARY[name]

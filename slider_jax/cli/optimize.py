@@ -33,7 +33,7 @@ class SearchOptions:
         tail_length: bounds of the tail's length, in m (default: 0.02 0.1).
         EI_tail: bounds of the tail's bending stiffness, in N m^2 (default: 0.001 0.038).
         steps_per_stride: number of time steps in a swimming stride, an even number. A climbing
-            stride has a third more time steps.
+            stride has one third more time steps than this number.
         coordinator: host and port at which the first of several processes listens; not needed under
             SLURM (default: none).
         processes: number of processes that compute together.

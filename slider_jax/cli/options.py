@@ -1,4 +1,4 @@
-"""Defines types of command-line arguments, with their names in the help and error messages."""
+"""Defines types of command-line arguments, and how help and error messages name the arguments."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -69,7 +69,7 @@ Pictures = Annotated[bool, tyro.conf.arg(help_behavior_hint="(default: pictures 
 
 
 def chosen_trials(trials: tuple, number: int | None) -> tuple:
-    """Returns all trials, or only the trial `number`. Raises `InputError` if it does not exist."""
+    """Returns all trials, or only the trial `number`. Raises `InputError` for a bad number."""
     if number is None:
         return trials
     if not 0 <= number < len(trials):

@@ -10,7 +10,7 @@ from typing import Any
 import tyro
 
 # This private module defines the events behind tyro's error boxes.
-# tests/slider_jax/cli/test_parse.py fails if a new version of tyro changes them.
+# tests/slider_jax/cli/test_parse.py fails if a new tyro version changes these events.
 from tyro import _errors as tyro_errors
 
 from slider_jax.errors import InputError, did_you_mean

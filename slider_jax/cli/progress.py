@@ -14,7 +14,7 @@ PAUSE = 10.0
 
 
 class Progress:
-    """Context manager that shows progress and erases the bar at the end. All threads may report."""
+    """Context manager that shows progress in a bar, erased at the end. All threads may report."""
 
     def __init__(self, name: str, unit: str, first: str = "compiling"):
         self._name, self._unit = name, unit
@@ -63,7 +63,7 @@ class Progress:
 
 
 def timed_printer() -> Callable[[str], None]:
-    """Returns a function that prints a text to stderr, after the seconds since this call."""
+    """Returns a function that prints to stderr: the seconds since `timed_printer`, and a text."""
     start = time.monotonic()
 
     def print_timed(text: str) -> None:

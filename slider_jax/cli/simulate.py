@@ -25,7 +25,7 @@ def simulate(
 ) -> None:
     """Simulates all trials of an experiment, and writes the readings of the sensors.
 
-    For each trial, the command writes a CSV file to DIR; the key `file` of the trial is its name.
+    For each trial, the command writes a CSV file to DIR, with the name in the trial's key `file`.
     The columns are t_s, p_front_Pa, p_rear_Pa, thrust_N, recoil_N and tip_m. The command also
     writes DIR/summary.json with cycle means, settings and versions.
 

@@ -35,8 +35,9 @@ def sweep(
     """Simulates one trial for evenly spaced values of one or two fields.
 
     The command writes sweep.csv, sweep.json (settings and versions) and sweep.png to DIR. Each row
-    of sweep.csv contains the means over the steady strides of one point. An interrupted sweep
-    resumes when you repeat the command. A complete sweep with the same settings is not repeated.
+    of sweep.csv contains one value (or pair of values) of the fields, and the means over the steady
+    strides. An interrupted sweep resumes when you repeat the command. A complete sweep with the
+    same settings is not repeated.
 
     Args:
         experiment: experiment file (.toml).
@@ -97,7 +98,7 @@ def sweep(
 
             table = run_sweep(task, out, begin, progress.step)
     except KeyboardInterrupt:
-        text = f"finished chunks are in {out / 'partial'}; repeat the same command to resume"
+        text = f"the finished part is in {out / 'partial'}; repeat the same command to resume"
         print(text, file=sys.stderr)
         raise
     write_sweep(task, table, out, experiment)

@@ -46,7 +46,7 @@ frequency and pressure, and a tail that is as stiff as the body."""
 
 @dataclass(frozen=True)
 class GaitBounds:
-    """Bounds (6,) of the design variables in SI units, in the order of `Gait`."""
+    """Bounds (6,) of the variables of `Gait` in SI units; they are 0 and 1 in the unit box."""
 
     low: np.ndarray
     high: np.ndarray
@@ -82,7 +82,7 @@ def gait_bounds(given: Mapping[str, tuple[float, float] | None]) -> GaitBounds:
 
 
 def models(experiment: Experiment) -> Callable[[Gait], Model]:
-    """Returns the free robot of an experiment's first trial as a function of the gait.
+    """Returns a function from a gait to the free robot of an experiment's first trial.
 
     The function is differentiable. Quantities that depend on the frequency follow the gait's
     frequency: drag and added mass (by ramp or table), and effects with a field `stride_frequency`.
@@ -106,7 +106,7 @@ def models(experiment: Experiment) -> Callable[[Gait], Model]:
 
 
 def speed_of(experiment: Experiment, box: GaitBounds, search: SteadySettings):
-    """Returns the function from a point of the unit box to the steady speed [m/s] (NaN: none)."""
+    """Returns the function from a point of the unit box to the steady speed [m/s], or NaN."""
     model = models(experiment)
 
     def speed(unit: Float[Array, "6"]) -> Float[Array, ""]:
@@ -133,7 +133,7 @@ def slope_of(experiment: Experiment, box: GaitBounds, search: SteadySettings):
 
 
 def with_gait(experiment: Experiment, gait: Gait) -> Experiment:
-    """Returns the experiment with only its first trial, with the drive and tail of a gait.
+    """Returns the experiment, reduced to the first trial, with the drive and tail of a gait.
 
     The time step is shortened if the gait's frequency requires it.
     """

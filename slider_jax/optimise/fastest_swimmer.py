@@ -36,14 +36,15 @@ from slider_jax.swimming.paper_optimum import PAPER_GAIT, PUBLISHED
 from slider_jax.swimming.steady_state import SteadySettings, steady_speed
 
 MESH = 31
-"""Largest number of nodes for the comparison of designs. The speed differs from the speed with 51
-nodes by at most 0.7 % for tails of 6 mN m^2 and more. It is 6 % too high for a tail of 1 mN m^2.
-The report therefore also contains the speed of the best design on the experiment's own mesh."""
+"""Largest number of nodes for the comparison of designs. The speed on 31 nodes differs from the
+speed on 51 nodes by at most 0.7 % for tails with an EI of 6 mN m^2 or more. The speed is 6 % too
+high for a tail with an EI of 1 mN m^2. The report therefore also contains the speed of the best
+design on the experiment's own mesh."""
 STIFFEST = 10
-"""Largest upper bound of the tail's EI, in units of the body's EI."""
+"""Largest upper bound of the tail's EI, divided by the body's EI."""
 ASCENDING = 2
-"""Number of individuals whose gradients a device evaluates together. It is small, because gradient
-ascent has few individuals and all cores should work."""
+"""Number of individuals whose gradients a device evaluates together. The number is small, because
+gradient ascent has few individuals and all cores should work."""
 
 
 class Task(NamedTuple):
@@ -76,10 +77,10 @@ class Task(NamedTuple):
             raise InputError.value(
                 "--EI-tail",
                 f"{box.high[-1]:g}",
-                f"at most {stiffest:g} N m^2, {STIFFEST} times the body's",
+                f"at most {stiffest:g} N m^2, {STIFFEST} times the body's EI",
                 "in N m^2, not mN m^2",
             )
-        for corner in (box.low, box.high):  # any result can be written as an experiment
+        for corner in (box.low, box.high):  # so that each result can be an experiment
             to_swimmer(to_model(with_gait(experiment, Gait(*corner))))
         return cls(experiment, box, search)
 
@@ -139,9 +140,9 @@ class Sensitivity(NamedTuple):
     """Derivatives of the steady speed at a design."""
 
     gradient: np.ndarray
-    """(6,) [m/s per width of the bounds]"""
+    """Gradient (6,) of the speed [m/s per width of the bounds]."""
     hessian: np.ndarray
-    """(6, 6) [m/s per product of widths], from differences of gradients 4 % of a width apart."""
+    """Hessian (6, 6) [m/s per product of two widths], from gradients 4 % of a width apart."""
 
 
 def sensitivity(task: Task, unit: np.ndarray, step: float = 0.02) -> Sensitivity:

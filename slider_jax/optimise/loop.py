@@ -18,7 +18,7 @@ from slider_jax.optimise.optimiser import Optimiser
 
 CHECKPOINT = "checkpoint.npz"
 PLAN = "search.json"
-"""File with the settings of a multimodal optimisation, beside the folders of its optimisations."""
+"""File with the settings of a multimodal optimisation, which runs several optimisations."""
 
 
 class Generation(NamedTuple):
@@ -72,9 +72,9 @@ def run_optimiser(
 
     `evaluate(population (n, d), gradients)` returns scores (n,), and gradients (n, d) if
     requested. `on_generation` is called after each generation with the summary and the duration in
-    seconds. With `resume`, the optimisation continues from the checkpoint in `folder`, if any. Of
-    several processes, only one may `keep` (write) checkpoints. Raises `InputError` for a
-    checkpoint that has other `settings` or is damaged, and for any checkpoint without `resume`.
+    seconds. With `resume`, the optimisation continues from the checkpoint in `folder`, if any. If
+    several processes compute, only one process may write checkpoints (`keep`). Raises `InputError`
+    for a checkpoint that has other `settings` or is damaged, and for a checkpoint without `resume`.
     """
     state, none = optimiser.begin(seed), np.full(0, np.nan)
     path = None if folder is None else folder / CHECKPOINT
@@ -106,11 +106,11 @@ def run_optimiser(
 
 
 def refuse_without(resume: bool, path: Path) -> None:
-    """Raises `InputError` without `resume`; `path` is a file of an earlier optimisation."""
+    """Raises `InputError` if not `resume`; `path` is a file of an earlier optimisation."""
     if not resume:
         raise InputError(
-            f"{path}: this folder holds an optimisation; add --resume to continue it, or give "
-            "another folder"
+            f"{path}: this folder holds an optimisation; add --resume to continue the search, or "
+            "give another folder"
         )
 
 
@@ -140,8 +140,8 @@ def _save(path: Path, state: Any, result: OptimisationResult, settings: dict[str
 def _load(path: Path, state: Any, settings: dict[str, Any]) -> tuple[Any, OptimisationResult]:
     """Returns state and result of a checkpoint; `state` is a tree with the same structure."""
     damaged = InputError(
-        f"{path}: the file is damaged or is not a checkpoint of this program; delete it to start "
-        "again, or restore it from a copy"
+        f"{path}: the file is damaged or is not a checkpoint of this program; delete the file to "
+        "start again, or restore the file from a copy"
     )
     try:
         content = path.read_bytes()

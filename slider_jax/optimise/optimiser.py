@@ -1,4 +1,4 @@
-"""Defines optimisers in the unit box that compute one generation at a time.
+"""Defines optimisers that compute one generation at a time in the unit box (variables 0 to 1).
 
 All optimisers maximise a score. evosax and optax minimise, so this module changes the sign.
 """
@@ -19,7 +19,7 @@ from slider_jax.errors import InputError
 
 
 class Optimiser(NamedTuple):
-    """An algorithm with an ask-and-tell interface, for one population size; it maximises.
+    """An algorithm that maximises a score, for one population size, with `ask` and `tell`.
 
     The state is a tree of arrays. Random numbers depend on the seed and the generation only, so an
     optimisation that resumes from a saved state gives the same result as an uninterrupted one. An
@@ -38,7 +38,7 @@ class Optimiser(NamedTuple):
     wants_gradients: Callable[[int], bool] = lambda generation: False
     """Whether the optimiser needs the gradients of a generation."""
     cost: int = 1
-    """Number of evaluations as which one evaluation with gradient counts."""
+    """One evaluation with gradient counts as this number of evaluations."""
 
 
 def standard(call: Callable[..., Any]) -> Callable[..., Any]:
@@ -57,12 +57,12 @@ STEP, STEPS, LAST = 0.08, 30, 0.05
 """Cosine schedule of Adam's learning rate: initial value as a fraction of the bounds' width, number
 of generations, and final value as a fraction of the initial value."""
 COST = 3
-"""Number of evaluations as which one evaluation with gradient counts: the ratio of the computing
+"""One evaluation with gradient counts as this number of evaluations: the ratio of the computing
 times with and without gradient, rounded up."""
 
 
 def gradient(population: int, dimensions: int) -> Optimiser:
-    """Returns gradient ascent from the best of a first generation of scrambled Sobol points.
+    """Returns gradient ascent from the best of some scrambled Sobol points (first generation).
 
     Adam sets the steps; points outside the box are clipped to its faces. Source: Kingma, D. P., Ba,
     J. (2015), Adam: a method for stochastic optimization, ICLR.
@@ -139,7 +139,7 @@ def _key(seed: int, generation: int, use: int) -> jax.Array:
 
 
 def _losses(scores: np.ndarray) -> jax.Array:
-    """Returns losses for evosax, which minimises. The worst score replaces a missing score."""
+    """Returns losses for evosax, which minimises. A missing score counts as the worst."""
     scores = np.asarray(scores, float)
     good = np.isfinite(scores)
     worst = scores[good].min() - 1.0 if good.any() else 0.0
@@ -147,12 +147,12 @@ def _losses(scores: np.ndarray) -> jax.Array:
 
 
 MUTATION_SCHEDULE = optax.linear_schedule(*MUTATION, DECAY)
-"""Standard deviation of mutations by generation."""
+"""Standard deviation of mutations as a function of the generation number."""
 
 
 @cache
 def _shared(algorithm: type, population: int, dimensions: int, *options: Any) -> Any:
-    """Returns one evosax object for all optimisers of one size: evosax compiles for each object."""
+    """Returns one evosax object per size, because evosax compiles again for each object."""
     return algorithm(population, jnp.zeros(dimensions), *options)
 
 

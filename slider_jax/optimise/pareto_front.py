@@ -27,11 +27,11 @@ NEAR = 0.06
 """Initial standard deviation of an optimisation that starts from a known design, as a fraction of
 the bounds' width."""
 BLENDS = 5
-"""Number of starting points with a tail between the best tail of each task."""
+"""Number of starting designs whose tails are between the best tails of the two tasks."""
 
 
 class FrontPoint(NamedTuple):
-    """The best design for one beta."""
+    """The best design for one beta, which is the weight of swimming."""
 
     beta: float
     eta: float
@@ -47,7 +47,7 @@ class Front(NamedTuple):
     points: list[FrontPoint]
     """Points of the front, by increasing beta."""
     only: np.ndarray
-    """E_swim,only and E_climb,only (2,): the largest values of all evaluated designs."""
+    """E_swim,only and E_climb,only (2,): the largest values of `alone` and all compared designs."""
     alone: np.ndarray
     """E_swim and E_climb (2,): the best values from the optimisations of one task alone."""
     evaluations: dict[str, int]
@@ -64,13 +64,13 @@ class FrontEffort(NamedTuple):
 
     @property
     def between(self) -> tuple[int, int]:
-        """Population (a quarter) and generations (half) of a start from a known design."""
+        """A quarter of the population and half of the generations, for a known first design."""
         return max(6, self.population // 4), max(1, self.generations // 2)
 
 
 @dataclass
 class FrontSearches:
-    """Optimisations that compute a front. Each has its own folder with a checkpoint."""
+    """Optimisations that compute a front. Each optimisation has a folder with a checkpoint."""
 
     modes: TwoTasks
     effort: FrontEffort
@@ -91,8 +91,8 @@ class FrontSearches:
     ) -> tuple[np.ndarray, float]:
         """Returns (design, eta) of the best design.
 
-        Only variables with the indices `free` vary; the others keep the values of `base`. The
-        optimisation starts from `base` if `near`. Otherwise it samples the whole box.
+        Only variables with the indices `free` vary. All other variables keep the values of `base`.
+        If `near`, the optimisation starts from `base`, otherwise in the whole unit box.
         """
         effort, columns = self.effort, list(free)
         population, generations = effort.population, effort.generations
@@ -133,7 +133,7 @@ class FrontSearches:
     def alone(self, task: str, part: tuple[int, ...], beta: float) -> tuple[np.ndarray, float]:
         """Returns (design, eta) of the best design for one task.
 
-        A second optimisation starts from the best design of the first.
+        A second optimisation starts from the best design of the first optimisation.
         """
         free, one = part + TAIL, np.ones(2)
         first = self.optimise(f"{task}_only", free, np.full(len(NAMES), 0.5), beta, one, near=False)
@@ -222,7 +222,7 @@ def _begin(folder: Path, settings: dict[str, Any], resume: bool) -> None:
 def _best(
     beta: float, known: list[np.ndarray], efficiencies: np.ndarray, only: np.ndarray
 ) -> tuple[float, int]:
-    """Returns eta and index of the best design; the sum of both efficiencies breaks ties."""
+    """Returns eta and index of the best design. The sum of relative efficiencies breaks ties."""
     scores = eta(beta, efficiencies, only)
     other = np.nan_to_num((efficiencies / only).sum(axis=1), nan=-1.0)
     scores = np.where(np.isfinite(scores), scores, -np.inf)
@@ -233,7 +233,7 @@ def _best(
 def dominated(points: list[FrontPoint]) -> list[float]:
     """Returns the betas of the points that a neighbour dominates.
 
-    The neighbour's efficiencies are then at least as large in both tasks, and larger in one task.
+    A neighbour dominates if no efficiency is smaller and at least one efficiency is larger.
     """
     return [
         point.beta

@@ -1,7 +1,7 @@
 """Evaluates a population on all devices of all processes.
 
-All chunks of a population have one size, which does not depend on the number of devices. Therefore
-the score of an individual is the same to the last bit on one device and on many devices.
+The population is divided into chunks of one size, for any number of devices. Therefore the score
+of an individual is the same to the last bit on one device and on many devices.
 """
 
 import itertools
@@ -21,7 +21,7 @@ from slider_jax.errors import InputError
 CHUNK = 8
 """Number of individuals that a device evaluates together. They fit into the cache of a core."""
 PATIENCE = 3600
-"""Time [s] for which a process waits for a slow process. It does not wait for an ended process."""
+"""Time [s] for which a process waits for slow processes. Processes that ended are not awaited."""
 _meetings = itertools.count()
 
 
@@ -45,11 +45,11 @@ class Evaluation:
         self._sharding = jax.NamedSharding(mesh, rows)
 
     def __call__(self, population: np.ndarray) -> Any:
-        """Returns scores (n, ...) of a population (n, d), of any n without recompilation."""
+        """Returns scores (n, ...) of a population (n, d). Another n needs no recompilation."""
         n = len(population)
         filled = population[np.minimum(np.arange(-(-n // self._rows) * self._rows), n - 1)]
         parts = filled.reshape(-1, self._rows, filled.shape[-1])
-        found = [self._compiled(self._given(part)) for part in parts]  # all parts start
+        found = [self._compiled(self._given(part)) for part in parts]  # starts all parts
         scores = jax.tree.map(lambda *x: np.stack([_local(part) for part in x]), *found)
         if jax.process_count() > 1:
             barrier("scores")
@@ -93,12 +93,12 @@ def start_devices(cores: int, coordinator: str = "", processes: int = 1, process
 
 
 def is_first() -> bool:
-    """Returns whether this process is the one that prints and writes files."""
+    """Returns whether this is the first process, which alone prints and writes files."""
     return jax.process_index() == 0
 
 
 def barrier(place: str) -> None:
-    """Waits until all processes reach this call. All must make the same number of calls."""
+    """Waits until all processes reach this call. All need the same number of calls."""
     if jax.process_count() > 1:
         client = distributed.global_state.client
         assert client is not None

@@ -67,7 +67,7 @@ class TwoTasks(NamedTuple):
             np.concatenate([x[:4], y, x[4:]])
             for x, y in zip((task.box.low, task.box.high), climbing, strict=True)
         )
-        # Fewer settling strides than the default are enough to compare designs.
+        # Fewer settling strides than the default (15) are enough to compare designs.
         steps = steps_per_stride + steps_per_stride // 3
         numerics, scheme = task.search.numerics, task.search.scheme
         plan = ClimbPlan(10, 15, steps + steps % 2, numerics, scheme)
@@ -102,7 +102,7 @@ class TwoTasks(NamedTuple):
 
 
 def swim_efficiency(experiment: Experiment, search: SteadySettings):
-    """Returns the function from a gait (6,) in SI units to the Froude efficiency (NaN: none)."""
+    """Returns the function from a gait (6,) in SI units to the Froude efficiency, or NaN."""
     model = models(experiment)
 
     def one(x: Float[Array, "6"]) -> Float[Array, ""]:
@@ -115,9 +115,9 @@ def swim_efficiency(experiment: Experiment, search: SteadySettings):
 
 
 def climb_efficiency(experiment: Experiment, plan: ClimbPlan):
-    """Returns the function from (7,) SI values (drive, pin phase, tail) to m g U/P.
+    """Returns the function from (7,) SI values (drive, pin phase, tail) to E_climb = m g U/P.
 
-    It returns NaN if a step fails or the error of the energy balance exceeds `UNACCOUNTED`.
+    The function returns NaN if a step fails or the energy balance has an error above `UNACCOUNTED`.
     """
     base = to_model(experiment, 0)
 

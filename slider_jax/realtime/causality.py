@@ -1,4 +1,4 @@
-"""Checks that effects need no future values and no values that are older than a plant stores."""
+"""Checks that effects need neither future values nor older values than a `Plant` stores."""
 
 import equinox as eqx
 import jax
@@ -16,7 +16,7 @@ def check_commands(commands: tuple[Command, ...], h: float, samples: int) -> Non
     """Raises `InputError` if the valves depend on more than the last `samples` set pressures.
 
     The check applies the effects to random set pressures, `h` [s] apart. It compares the waveform
-    of the whole series with the waveforms of the samples that a plant knows at each time.
+    of the whole series with the waveforms of those samples that a `Plant` knows at the time.
     """
     length = 2 * samples + 10
     times = jnp.asarray(h * np.arange(float(length)))
@@ -71,7 +71,7 @@ def check_instrument(effect: Instrument, h: float, samples: int) -> None:
 
     whole, live = both(effect, series)
     for expected, reading in zip(whole[1:], live[1:], strict=True):
-        # The last samples of a series have no successors, so a delay reads them differently.
+        # The last samples have no successors, so a delayed reading differs there.
         error = np.abs(np.asarray(reading) - np.asarray(expected)[1:])[:-4]
         if not error.max() < 1e-9 * np.abs(expected).max():
             raise InputError(

@@ -14,7 +14,7 @@ CHAMBERS = ("front_left", "front_right", "rear_left", "rear_right")
 
 
 class Faults(NamedTuple):
-    """Fault values, which may change between steps. Indices of arrays are [segment, side]."""
+    """Fault values, which may change between steps. Arrays are [front or rear, left or right]."""
 
     leak: Float[Array, "2 2"] | np.ndarray
     """Leak rate [1/s]: conductance of the leak divided by the capacity of the chamber."""
@@ -29,8 +29,8 @@ class ChamberFaults(Flow):
 
         dp/dt = (1 - b) r - q p    while |p| increases,    r - q p    while |p| decreases
 
-    p is the signed pressure, and r is dp/dt from the pressure law and all other effects. b and q
-    are the values of the left chamber for p > 0, else of the right chamber. Source: see `Leakage`.
+    p is the signed pressure. r is dp/dt from the pressure law and all other effects. b and q belong
+    to the left chamber if p > 0, otherwise to the right chamber. The source is that of `Leakage`.
     """
 
     title = "faults of single chambers"
@@ -46,7 +46,7 @@ class ChamberFaults(Flow):
 
 
 def no_faults(EI_tail: float) -> Faults:
-    """Returns the values without faults; `EI_tail` [N m^2] is the tail's nominal stiffness."""
+    """Returns fault values of an intact robot; `EI_tail` [N m^2] is the nominal stiffness."""
     return Faults(np.zeros((2, 2)), np.zeros((2, 2)), np.asarray(EI_tail))
 
 

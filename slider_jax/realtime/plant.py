@@ -1,7 +1,7 @@
-"""Simulates a robot in its tank in real time, driven by set pressures as they arrive.
+"""Simulates a robot in a tank in real time, with set pressures that arrive during the simulation.
 
 The constructor compiles one step of the simulator. Later calls compile nothing. Each step calls
-`rollout`, so that effects act as in the simulation of a whole trial, and keep their states.
+`continued`, so effects act as in the simulation of a whole trial, and keep their states.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ from slider_jax.realtime.sensors import Past, SensorReading, constant_past, read
 PLANT_STEP = 2e-3
 """Default time step [s]."""
 LOOK_BACK = 0.2
-"""Time [s] for which set pressures and readings are kept, for effects with a delay."""
+"""Set pressures and readings of this last time [s] are stored, for effects with a delay."""
 
 
 class PlantState(eqx.Module):
@@ -40,19 +40,18 @@ class PlantState(eqx.Module):
     commanded: Float[Array, "samples 2"]
     """Signed set pressures of the last steps [Pa], oldest first."""
     shared: Float[Array, "2"]
-    """Common pressure [Pa] of a segment's two chambers, which does not bend the segment."""
+    """Common pressure [Pa] of the two chambers of each segment. This pressure does not bend."""
     instruments: tuple[Past, ...]
 
 
 class Plant:
-    """Real-time simulation of an experiment's robot and effects, sample by sample.
+    """Simulates an experiment's robot and effects in real time, in steps of `step` [s].
 
-    Steps are `step` [s] long. The constructor compiles for about ten seconds. A step then computes
-    faster than real time. The left chamber of a segment holds a positive signed pressure, the right
-    chamber a negative signed pressure. A set pressure that is common to both chambers follows with
-    the lag alone and does not bend the body. A vented chamber has the set pressure 0.
-
-    Raises `InputError` if an effect needs future values.
+    The constructor compiles for about ten seconds. Afterwards, a step computes faster than real
+    time. The left chamber of a segment holds a positive signed pressure, the right chamber a
+    negative signed pressure. The smaller set pressure of the two chambers is common to both. Only
+    the lag acts on the common pressure, which does not bend the body. A vented chamber has the set
+    pressure 0. Raises `InputError` if an effect needs future values.
     """
 
     def __init__(self, experiment: Experiment, trial: Trial | int = 0, *, step: float = PLANT_STEP):
@@ -80,9 +79,9 @@ class Plant:
     def begin(self, trial: Trial | int = 0, settle: float = 0.0) -> SensorReading:
         """Resets the plant to the start of a trial and returns the reading at the start.
 
-        The plant uses the trial's clamp motion and effects, but not the drive. It keeps all faults.
+        The plant uses the trial's clamp motion and effects, but not the drive. All faults remain.
         The robot is straight and at rest relative to the clamp, and the chambers are empty. With
-        `settle`, the robot is in this state `settle` [s] before the start and vented until then.
+        `settle`, the robot is in this state `settle` [s] earlier, and vented until the start.
         """
         if not 0.0 <= settle < np.inf:
             raise InputError.value("settle", settle, "a finite time of 0 s or more")
@@ -102,8 +101,8 @@ class Plant:
 
         The chambers are in the order of `SensorReading.pressures`; None vents a chamber. Time
         advances in whole steps. A step uses the set pressures of the call that completes the step.
-        The next call adds the remaining time. A step that does not converge stops the plant until
-        `begin`: then `ok` of the readings is false, and `failed_at` is the time [s] of this step.
+        Time shorter than a step is kept for the next call. If a step does not converge, the plant
+        stops until `begin` is called. `ok` of the readings is false, `failed_at` is the time [s].
         Raises `InputError` for a pressure that is negative or not finite.
         """
         commanded = np.concatenate([[0.0], _checked(set_pressures)])
@@ -184,7 +183,7 @@ def _with_faults(model: Model, faults: Faults) -> Model:
 
 
 def _pack(read: Readings, state: PlantState) -> Float[Array, "8"]:
-    """Returns all values that leave the device in one array."""
+    """Returns readings, common pressures and `ok` as one array, for one transfer per step."""
     values = jnp.stack([*read[1:], *state.shared])
     ok = state.carry.ok & jnp.all(jnp.isfinite(values))
     return jnp.concatenate([values, ok.astype(values.dtype)[None]])

@@ -19,7 +19,7 @@ class Past(NamedTuple):
 
 
 def constant_past(effect: Instrument, first: Readings, h: float, samples: int) -> Past:
-    """Returns the past of an instrument with constant input: `samples` samples, `h` [s] apart."""
+    """Returns the past with constant input of an instrument: `samples` samples, `h` [s] apart."""
     held = jax.tree.map(lambda x: jnp.broadcast_to(x, (samples,)), first)
     shown = held._replace(t=first.t + h * jnp.arange(1.0 - samples, 1.0))
     return Past(shown, effect.read(shown))
@@ -43,10 +43,10 @@ class SensorReading(NamedTuple):
     pressures: tuple[float, float, float, float]
     """Gauge pressures [Pa] of the chambers: front left, front right, rear left, rear right."""
     p_front: float
-    """Signed pressure [Pa]: left minus right, as in the model and in CSV columns; also `p_rear`."""
+    """`p_front` and `p_rear`: signed pressures [Pa], left minus right, as in the CSV columns."""
     p_rear: float
     thrust_N: float
     recoil_N: float
     tip_m: float
     ok: bool
-    """False after a failed step; the other values are then the last valid values."""
+    """False after a step that did not converge; the other values are then the last valid ones."""

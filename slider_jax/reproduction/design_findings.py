@@ -1,4 +1,4 @@
-"""Checks the paper's statements on its design maps (Fig. 7) with computed maps of speed."""
+"""Checks the paper's statements about design maps (Fig. 7) with computed maps of the speed."""
 
 from typing import NamedTuple
 
@@ -35,7 +35,7 @@ class StatementCheck(NamedTuple):
 
 
 def interior_optimum(over_stiffness: Map) -> StatementCheck:
-    """Checks whether, at every length, the fastest stiffness is inside the range of stiffness."""
+    """Checks whether, at every length, the best stiffness is inside the computed range."""
     lengths, peaks = over_stiffness.lengths, best_stiffness(over_stiffness)
     inside = np.array([np.nan if p.inside is None else p.inside for p in peaks])
     best = np.where(np.isnan(inside), np.nan, [1e3 * p.x for p in peaks])
@@ -149,7 +149,7 @@ def findings(over_stiffness: Map, over_phase: Map) -> list[StatementCheck]:
 
 
 def _tops(over_phase: Map) -> tuple[np.ndarray, np.ndarray]:
-    """Returns best phases and their speeds; NaN where a neighbour of the best point is missing."""
+    """Returns the best phases and speeds; NaN if a point beside the best point has no speed."""
     peaks = best_phase(over_phase)
     known = [p.inside is not None for p in peaks]
     best, speed = (np.array([getattr(p, name) for p in peaks]) for name in "xy")
@@ -171,7 +171,7 @@ def _mm(lengths) -> str:
 
 
 def _text(lengths: np.ndarray, values, form: str) -> str:
-    """Returns one value, or values of the shortest and longest tail, range and missing lengths."""
+    """Returns text: values of the shortest and longest tail, range, and lengths without value."""
     values, found = np.asarray(values, float), np.isfinite(values)
     lost = f"; missing for {_mm(lengths[~found])}" if not found.all() else ""
     if not found.any():

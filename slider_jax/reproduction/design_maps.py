@@ -37,7 +37,7 @@ class Map(NamedTuple):
 
 
 class Peak(NamedTuple):
-    """Maximum of a curve."""
+    """Maximum `y` of a curve, at `x`."""
 
     x: float
     y: float
@@ -62,7 +62,7 @@ def curve_maximum(x: np.ndarray, y: np.ndarray) -> Peak:
 
 
 def best_stiffness(over_stiffness: Map) -> list[Peak]:
-    """Returns the fastest EI [N m^2] at each length, by a parabola in the logarithm of EI."""
+    """Returns the EI [N m^2] of the largest speed at each length, by a parabola in log(EI)."""
     found = [curve_maximum(np.log(over_stiffness.across), row) for row in over_stiffness.speed]
     return [p._replace(x=float(np.exp(p.x))) for p in found]
 

@@ -52,7 +52,7 @@ class FrequencySeries(NamedTuple):
 
 
 class FrequencySweep(NamedTuple):
-    """Result of the sweep; `table` has a column (F,) for each quantity, named with its unit."""
+    """Result of a sweep of F frequencies. Columns (F,) of `table` have names that end in units."""
 
     table: dict[str, np.ndarray]
     stride_thrust: np.ndarray

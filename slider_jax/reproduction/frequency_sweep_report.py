@@ -16,12 +16,12 @@ from slider_jax.reproduction.frequency_sweep_figures import (
 
 ASSUMED = {
     "front_chamber, rear_chamber": "positions from the head in m; not given in the paper",
-    "amplitude, rear_ratio, phase": "not given in the paper; 260 kPa in both chambers, the rear "
-    "0.05 of a stride later, match the paper's mean thrust at 4.8 Hz and its minimum near 1 Hz, so "
-    "these two values do not test the model",
+    "amplitude, rear_ratio, phase": "not given in the paper; the demo uses 260 kPa in both chambers"
+    " and delays the rear chamber by 0.05 of a stride. These values were chosen to match the mean "
+    "thrust at 4.8 Hz and its minimum near 1 Hz, so these two results do not test the model",
     "damping_time": "2 ms; with the paper's 5e-6 s, vibrations at 30-100 Hz are undamped",
     "EA_body, EA_tail": "100 kN; not given in the paper; strains are below 1e-3",
-    "C_d, m_a": "4 and 0 below 2 Hz, 3 and 1 above 3 Hz, linear between",
+    "C_d, m_a": "C_d = 4, m_a = 0 below 2 Hz; C_d = 3, m_a = 1 above 3 Hz; linear in between",
 }
 """Assumed values of the demo, with reasons."""
 
@@ -29,7 +29,7 @@ ASSUMED = {
 def write_frequency_sweep(
     sweep: FrequencySweep, settings: FrequencySweepSettings, folder: Path
 ) -> None:
-    """Writes tables, pictures and settings; if one fails, none is written."""
+    """Writes tables, pictures and settings; if one file fails, no file is written."""
     with staged(folder) as stage:
         write_csv(stage / "sweep.csv", sweep.table)
         thrust_against_frequency(sweep, settings, stage / "thrust_against_frequency.png")

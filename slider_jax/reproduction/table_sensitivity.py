@@ -23,8 +23,8 @@ from slider_jax.swimming.performance import Performance, Stride, steady_stride
 from slider_jax.swimming.steady_state import SteadySettings
 
 K_Q_OF_THE_TIP = 1.623e-6
-"""K_Q [m^3] with which 45 kPa in both chambers move the tip by 102 mm, as the paper states. It is
-3.4 times the value from the paper's Q_set = 175 mN m at 365 kPa."""
+"""K_Q [m^3] with which 45 kPa in both chambers move the tip by 102 mm, as the paper states. It
+is 3.4 times the value from the paper's Q_set = 175 mN m at 365 kPa."""
 TRANSIENT_STRIDES, MEAN_STRIDES = 12, 4
 """Numbers of transient strides, and of strides for the mean thrust, with a clamped head."""
 
@@ -109,7 +109,7 @@ def _arrays(model: Model) -> Model:
 
 
 def steady_row(model: Model, frequency: float, search: SteadySettings) -> SteadyRow:
-    """Returns the steady stride. Raises `SolverError` if there is none."""
+    """Returns the steady stride. Raises `SolverError` if no steady stride is found."""
     model = _arrays(model)
     stride, found, ok = jax.device_get(_steadily(model, jnp.asarray(frequency, float), search))
     if not bool(ok):
@@ -123,7 +123,7 @@ def steady_row(model: Model, frequency: float, search: SteadySettings) -> Steady
 def fit_head_drag(
     model: Model, frequency: float, speed: float, search: SteadySettings
 ) -> SteadyRow:
-    """Returns the steady stride whose speed is `speed` [m/s] to 0.2 %, by a fitted head-drag area.
+    """Returns the steady stride with the head-drag area that gives `speed` [m/s] within 0.2 %.
 
     A secant method in the logarithms of area and speed computes the area. The first slope assumes
     that only head drag balances a constant thrust. Raises `SolverError` if no area is found.

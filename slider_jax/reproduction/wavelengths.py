@@ -50,7 +50,7 @@ def rms_tail_slope(along: np.ndarray, across: np.ndarray) -> float:
 def wavelengths(stride: Stride, s: np.ndarray, frequency: float) -> dict[str, float]:
     """Returns the wavelength [m] of a stride for each definition.
 
-    Wavelengths from a phase are negative for a wave towards the head.
+    Wavelengths that follow from a phase are negative if the wave travels towards the head.
     """
     along, y = course_coordinates(stride)
     t = jnp.asarray(stride.t)

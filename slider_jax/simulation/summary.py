@@ -48,10 +48,7 @@ def is_periodic(run: TrialRun) -> tuple[bool | None, str]:
     stride = 2 * half
     if steps < stride:
         period = stride * run.grid.h
-        return (
-            None,
-            f"the stride ({period:.3g} s) is longer than the trial; means cover the trial",
-        )
+        return None, f"the stride ({period:.3g} s) is longer than the trial; means cover the trial"
     if steps < 2 * stride:
         return None, "the trial is too short to compare two strides; the motion may not be periodic"
     ends = steps - stride, steps

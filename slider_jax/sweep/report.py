@@ -44,7 +44,7 @@ def is_written(sweep: Sweep, folder: Path) -> bool:
 
 
 def write_sweep(sweep: Sweep, table: dict[str, np.ndarray], folder: Path, source: Path) -> None:
-    """Writes sweep.csv, sweep.json and sweep.png; if one fails, none is written."""
+    """Writes sweep.csv, sweep.json and sweep.png; if one file fails, no file is written."""
     settings = sweep.settings()
     record = {
         "settings": settings,
@@ -111,5 +111,5 @@ def plot_contours(figure, ax, x: np.ndarray, y: np.ndarray, values: np.ndarray, 
     for text in ax.clabel(lines, fontsize=8, fmt="%g"):
         place = (ax.transData + ax.transAxes.inverted()).transform(text.get_position())
         inside = np.all((0.05 < place) & (place < 0.95))
-        text.set_visible(bool(inside))  # the frame would cut hidden labels
+        text.set_visible(bool(inside))  # hides labels that the frame would cut
     figure.colorbar(drawn, ax=ax, label=label, ticks=round_levels).add_lines(lines)

@@ -54,7 +54,7 @@ class Axis(NamedTuple):
 
     @property
     def column(self) -> str:
-        """Names of the field's column in a table, with the unit."""
+        """Name of the field's column in a table, with the unit."""
         unit = self.unit.replace(" ", "_").replace("/", "_per_").replace("^", "")
         return f"{self.field}_{unit}" if unit and " of " not in self.unit else self.field
 
@@ -108,9 +108,9 @@ class Group(NamedTuple):
 
 
 def groups_of(sweep: Sweep) -> list[Group]:
-    """Returns the points, grouped by compiled program. Only `numerics` needs several programs.
+    """Returns the points by compiled program. Only fields of [numerics] need several programs.
 
-    Raises `InputError` for a field that cannot be varied.
+    Raises `InputError` for a field that does not affect the strides.
     """
     _check(sweep)
     cases = [_case(sweep, point) for point in sweep.points]
@@ -189,9 +189,9 @@ class Chunk(NamedTuple):
 
     group: int
     members: np.ndarray
-    """Indices in the group; the last one may be repeated to fill the chunk."""
+    """Indices of robots in the group; the last index may be repeated to fill the chunk."""
     points: np.ndarray
-    """Indices in the sweep, without repetitions."""
+    """Indices of the points in the sweep, without repetitions."""
     file: Path
 
 
@@ -260,7 +260,7 @@ def _gathered(sweep: Sweep, groups: list[Group], chunks: list[Chunk]) -> dict[st
 
 
 def _take_up(sweep: Sweep, partial: Path) -> int:
-    """Creates `partial`, or checks the settings in it. Returns the largest size of the chunks."""
+    """Creates the folder `partial`, or checks its settings. Returns the largest chunk size."""
     settings, record = sweep.settings(), partial / "settings.json"
     if record.exists():
         found = json.loads(record.read_text())
