@@ -19,17 +19,17 @@ def rig_check(
         Path | None, tyro.conf.arg(metavar="CHECK.json", help_behavior_hint="(default: no file)")
     ] = None,
 ) -> int:
-    """Checks the manifold's readings, answer times and noise, and the pressure of each chamber.
+    """Checks the force sensor and the manifold: readings, answer times, noise, chamber pressures.
 
-    First, the command checks the force sensor of the rig file for 1 s. Then it sets one chamber
-    after another to the test pressure for 1.5 s. All chambers vent at the end. The exit code is 1
-    if there is a finding.
+    First, the command checks the force sensor of the rig file for 1 s. Then the command sets one
+    chamber after another to the test pressure for 1.5 s. All chambers vent at the end. The exit
+    code is 1 if the command finds a problem.
 
     Args:
-        port: serial port of the manifold; `slider rig ports` lists all.
+        port: serial port of the manifold; `slider rig ports` lists all serial ports.
         rig: TOML file of the rig.
         pressure: set pressure of the test, in Pa.
-        out: JSON file for the results; its folder is created if missing.
+        out: JSON file for the results. The file's folder is created if missing.
     """
     from rig.cli.settings import load_rig
     from rig.cli.shared import open_force_sensor, signals_as_ctrl_c
@@ -86,7 +86,7 @@ def rig_check(
     for x in found.held:
         print(
             f"{x.name:<12} reached {1e-3 * x.reached:7.2f} of {1e-3 * x.asked:g} kPa, "
-            f"63 % of it after {1e3 * x.rise:.0f} ms"
+            f"63 % of this pressure after {1e3 * x.rise:.0f} ms"
         )
     findings, content = list(found.findings), found._asdict()
     content["held"] = [x._asdict() for x in found.held]

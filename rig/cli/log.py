@@ -15,13 +15,13 @@ def rig_log(frequencies: tyro.conf.Positional[Frequencies], port: Port, out: Fol
     """Runs the sine test of the published Teensy firmware at each frequency, and records the logs.
 
     This firmware has no stop command and no watchdog. To end a running test, close the supply valve
-    by hand. DIR/<frequency>.txt is the firmware's unchanged output, for `slider calibrate manifold`
-    and `slider close-loop`. The output of an interrupted test is in DIR/<frequency>.unfinished.
-    Existing logs are not recorded again.
+    by hand. The command writes the firmware's unchanged output to DIR/<frequency>.txt, for `slider
+    calibrate manifold` and `slider close-loop`. The output of an interrupted test is in
+    DIR/<frequency>.unfinished. The command does not repeat a test whose log exists.
 
     Args:
         frequencies: frequencies of the commanded sine, in Hz, 0.1 to 5.
-        port: serial port of the manifold; `slider rig ports` lists all.
+        port: serial port of the manifold; `slider rig ports` lists all serial ports.
         out: folder for the logs; created if missing.
     """
     from rig.manifold.published import FREQUENCIES, PublishedManifold
@@ -43,7 +43,7 @@ def rig_log(frequencies: tyro.conf.Positional[Frequencies], port: Port, out: Fol
             continue
         print(f"{frequency:g} Hz ...", file=sys.stderr, flush=True)
         begun = path.with_suffix(".unfinished")
-        # The file is unbuffered, so that all received bytes are kept if the program is killed.
+        # The file is unbuffered, so that no received byte is lost if the program is killed.
         with begun.open("wb", buffering=0) as file:
             outcome = PublishedManifold(open_port(port)).run_test(
                 frequency, sink=partial(_keep, file)

@@ -32,14 +32,15 @@ def rig_loop(
 ) -> None:
     """Measures trials, searches for missing effects, and adds the most informative trial.
 
-    The command repeats these steps until the verdict is final or the budget is used.
-    DIR/measured becomes the experiment's folder with all trials. DIR/round_NN.json contains the
-    result of a round; report.html, report.json and model.toml contain the result of the last round.
-    An interrupted loop resumes when you repeat the command. Chambers vent during computations.
+    The command repeats these steps until the verdict is final or all trials of the budget are
+    measured. DIR/measured is the folder of the experiment with all trials. DIR/round_NN.json
+    contains the result of round NN. DIR/report.html, report.json and model.toml contain the result
+    of the last round. To resume an interrupted loop, repeat the command. All chambers vent during
+    computations.
 
     Args:
-        experiment: experiment file with three or more trials, which are run first.
-        port: serial port of the manifold; `slider rig ports` lists all.
+        experiment: experiment file with three or more trials. The rig runs these trials first.
+        port: serial port of the manifold; `slider rig ports` lists all serial ports.
         out: folder for the results; created if missing.
         rig: TOML file of the rig: limits, command rate, pauses and sensors.
         budget: largest number of trials, including those of the experiment file.
@@ -69,8 +70,8 @@ def rig_loop(
         )
     if any(trial.clamp_moves or trial.tow_speed for trial in given.trials):
         raise InputError(
-            f"{experiment}: a trial's clamp moves or is towed; allowed are fixed clamps; remove "
-            "this trial"
+            f"{experiment}: the clamp of a trial moves or is towed; allowed are fixed clamps; "
+            "remove this trial"
         )
     allowed = {"frequency": frequency, "amplitude": amplitude, "phase": phase}
     allowed["tow_speed"] = (0.0, 0.0)
@@ -91,7 +92,7 @@ def rig_loop(
     install_experiment(experiment, folder)
 
     def capture(trials: tuple[Trial, ...]) -> None:
-        # The rig is opened for each round: between rounds it is vented and the port is free.
+        # The rig is opened for each round. Between rounds, all chambers vent; the port is closed.
         with open_rig(port, settings) as machine:
             planned = [planned_trial(trial, path) for trial in trials]
             live = StatusLine(machine, len(planned))

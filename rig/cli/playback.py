@@ -41,7 +41,7 @@ class DrivePlayer:
 
     @property
     def ended(self) -> bool:
-        """Whether the drive has ended. Raises the error that ended it, if any."""
+        """Whether the drive has ended. Raises the error if an error ended the drive."""
         if not self._thread.is_alive() and self._failure is not None:
             raise self._failure
         return not self._thread.is_alive()
@@ -60,7 +60,7 @@ class DrivePlayer:
         self._end_after(error)
 
     def _end_after(self, error: BaseException | None) -> None:
-        """Ends the thread, which vents. Raises the thread's failure, or adds it to `error`."""
+        """Ends the thread, which vents. Raises the thread's error, or adds its text to `error`."""
         self._stop.set()
         if self._thread.ident is not None:
             self._thread.join()
@@ -96,7 +96,7 @@ class DrivePlayer:
                 except BaseException as error:
                     m.stop_after(error)
                     raise
-                m.stop()  # before the force sensor is closed, which takes longer
+                m.stop()  # vents before the force sensor is closed, which takes time
 
     def _tick(self, t: float) -> None:
         assert self.stream.manifold is not None
@@ -108,12 +108,12 @@ class DrivePlayer:
 
 
 class _Ended(Exception):
-    """The block of the context manager ended before the drive did."""
+    """The block of the context manager ended before the end of the drive."""
 
 
 @contextmanager
 def _forces(table: ForceTable | None, stream: LiveStream) -> Iterator[ForceSource | None]:
-    """Opens the force sensor, if any, and passes its samples to the stream in the block."""
+    """Opens the force sensor of `table`, if given, and passes the samples to the stream."""
     if table is None:
         yield None
         return

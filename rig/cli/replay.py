@@ -27,28 +27,28 @@ def rig_replay(
 ) -> int:
     """Converts a run's recordings to CSV files again, or plays one recording back on a port.
 
-    Give an output folder of `slider rig run` to convert all recordings in it, also those of a
-    killed run, to CSV files in --out. --rig replaces the sensors and axes that the run used. Give a
-    single recording to play it back on a pseudo-terminal. When a program opens that port, the
-    command sends the manifold's recorded bytes at the recorded times. The exit code is 1 if a
-    recording could not be read.
+    With an output folder of `slider rig run`, the command converts all recordings of the folder to
+    CSV files in --out, also recordings of a killed run. --rig replaces the sensors and axes that
+    the run used. With a single recording, the command creates a pseudo-terminal. When a program
+    opens this port, the command sends the manifold's recorded bytes at the recorded times. The exit
+    code is 1 if a recording could not be read.
 
     Args:
         recording: an experiment's folder, or one recording (.h5).
         out: folder for the converted trials, required for an experiment's folder; created if
             missing. Existing files are replaced.
-        rig: TOML file of the rig, whose sensors replace the recorded sensors. If the file does not
-            contain the force sensor's counts, the recorded counts are used.
+        rig: TOML file of the rig. The sensors of this file replace the recorded sensors. If the
+            file does not contain the force sensor's counts, the recorded counts are used.
         speed: playback speed as a multiple of the recorded speed.
     """
     if recording.is_dir():
         if out is None:
             raise InputError("--out: missing; give a folder for the converted trials")
         if speed != 1.0:
-            raise InputError(f"--speed {speed:g}: is only for a single recording; omit it")
+            raise InputError(f"--speed {speed:g}: needs a single recording; omit --speed")
         return _convert(recording, out, rig)
     if out is not None:
-        raise InputError(f"--out {out}: is only for an experiment's folder; omit it")
+        raise InputError(f"--out {out}: needs an experiment's folder; omit --out")
     if not 0.01 <= speed <= 100.0:
         raise InputError.value("--speed", f"{speed:g}", "0.01 to 100")
     _play_back(recording, speed)
@@ -120,7 +120,7 @@ def _read_trial(path: Path, durations: dict[str, float]) -> _Trial:
 def _read_columns(
     trial: _Trial, given: RigTable | None, path: Path
 ) -> tuple[TrialColumns, list[str]]:
-    """Returns the columns for the sensors of `given`, or for the recorded sensors if it is None.
+    """Returns the columns for the sensors of `given`. None stands for the recorded sensors.
     Also returns a finding if columns of the original run are missing."""
     stored = trial.recording.settings.get("rig", {})
     recorded = validate(RigTable, stored, f"{path}: settings")
@@ -133,8 +133,8 @@ def _read_columns(
             force = force.model_copy(update=counts)
         if force.counts_per_N is None:
             raise InputError(
-                f"{path}: force.counts_per_N: is missing; a replay does not read it from the box; "
-                "give --rig with counts_per_N and counts_per_Nm"
+                f"{path}: force.counts_per_N: is missing, and a replay cannot read the box; give "
+                "--rig with counts_per_N and counts_per_Nm"
             )
         mounting = SensorMounting(force.thrust, force.recoil)
         readers["force"] = force_reader(force_calibration(force), mounting)
@@ -143,7 +143,7 @@ def _read_columns(
     analogue = tuple(x.sensor() for x in settings.analogue)
     columns = trial_columns(trial.recording, trial.begun_ns, trial.seconds, readers, analogue)
     missing = [name for name in trial.columns if name not in columns.values]
-    return columns, [f"no {', '.join(missing)}: not a sensor of the rig file"] if missing else []
+    return columns, [f"no {', '.join(missing)}: the rig file has no such sensor"] if missing else []
 
 
 def _play_back(path: Path, speed: float) -> None:

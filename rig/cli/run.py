@@ -39,12 +39,12 @@ def rig_run(
     measured experiment to DIR: experiment.toml and the trials' CSV files, for `slider calibrate`
     and `slider close-loop`. If the tip swings at rest by more than twice the declared swing, the
     command writes the measured swing to experiment.toml. DIR/recordings contains all received
-    bytes. An interrupted run resumes with the missing trials when you repeat the command. The exit
-    code is 1 if a trial lost more than 1 % of its readings.
+    bytes. To resume an interrupted run with the missing trials, repeat the command. The exit code
+    is 1 if more than 1 % of a trial's readings were lost.
 
     Args:
         experiment: experiment file; its [robot] and [parameters] are not used.
-        port: serial port of the manifold; `slider rig ports` lists all.
+        port: serial port of the manifold; `slider rig ports` lists all serial ports.
         out: folder for the measured experiment; created if missing.
         rig: TOML file of the rig: limits, command rate, pauses and sensors.
         limit: highest set pressure, in Pa: one value for all chambers, or four values (default: the
@@ -86,7 +86,7 @@ def rig_run(
         for planned in trials:
             planned.check(machine.limits.within(ident))
         folder = output_folder(out)
-        # Nothing is written yet: this check refuses finished trials with different settings.
+        # Before anything is written, this check refuses finished trials with different settings.
         for planned in trials:
             finished_record(folder, planned, recorded)
         install_experiment(experiment, folder)

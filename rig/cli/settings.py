@@ -17,7 +17,7 @@ Axis = Literal["+Fx", "-Fx", "+Fy", "-Fy", "+Fz", "-Fz"]
 
 
 class ManifoldTable(Table):
-    """[manifold]: highest set pressures (one for all chambers, or four), command rate, pauses."""
+    """[manifold]: highest set pressures (one or four values), command rate, durations of pauses."""
 
     limits: Annotated[
         tuple[Pressure, ...], FROM_LIST, FROM_NUMBER, Field(min_length=1, max_length=4)
@@ -62,8 +62,7 @@ class ForceTable(Table):
 
 
 class CameraTable(Table):
-    """[camera]: the number of a device or a video file, the number of blue markers, and the image's
-    scale."""
+    """[camera]: video file or number of a device, number of blue markers, scale of the image."""
 
     source: int | str
     markers: Annotated[int, Field(ge=2, le=50)]
@@ -75,7 +74,7 @@ class CameraTable(Table):
 
 
 class AnalogueTable(Table):
-    """[[analogue]]: a sensor at an analogue input, with the value scale (voltage - zero)."""
+    """[[analogue]]: a sensor at an analogue input. Its value is scale (voltage - zero)."""
 
     column: Literal["thrust_N", "recoil_N", "tip_m"]
     input: Literal[1, 2, 3]
@@ -109,12 +108,12 @@ class RigTable(Table):
 def load_rig(path: Path | None, changes: dict[str, Any] | None = None) -> RigTable:
     """Returns the settings of a rig file, or the defaults if `path` is None.
 
-    `changes` are keys by table, set on the command line. Raises `InputError` with file and key.
+    `changes` maps a table's name to the values that the command line sets. Raises `InputError`.
     """
     content = read_toml(path) if path is not None else {}
     if "robot" in content or "trials" in content:
         raise InputError(
-            f"--rig {path}: is an experiment file; give a rig file, with [manifold], [force], "
+            f"--rig {path}: is an experiment file; give a rig file, with [manifold], [force] or "
             "[[analogue]]"
         )
     for table, values in (changes or {}).items():

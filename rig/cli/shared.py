@@ -40,7 +40,7 @@ RigFile = Annotated[
     Path | None, tyro.conf.arg(metavar="RIG.toml", help_behavior_hint="(default: none)")
 ]
 LEAST_SWING = 1e-4
-"""A smaller swing of the tip at rest is not written to the experiment file [m]."""
+"""Smallest swing of the tip at rest that is written to the experiment file [m]."""
 
 
 def rig_ports() -> None:
@@ -55,13 +55,13 @@ def rig_ports() -> None:
 
 
 def load_trials(path: Path) -> tuple[ExperimentTable, list[PlannedTrial]]:
-    """Returns an experiment's tables and trials, as the rig plays them. Raises `InputError`."""
+    """Returns an experiment's tables, and the trials that the rig plays. Raises `InputError`."""
     experiment = validate(ExperimentTable, read_toml(path), str(path))
     return experiment, [planned_trial(x, path) for x in experiment.trials]
 
 
 def copy_experiment(path: Path, folder: Path) -> None:
-    """Copies an experiment file to experiment.toml in a folder, with the file's recorded drives."""
+    """Copies an experiment file to experiment.toml in a folder, and also copies recorded drives."""
     table, _ = load_trials(path)
     write_bytes(folder / "experiment.toml", path.read_bytes())
     for name in {x.drive_file for x in table.trials if x.drive_file}:
@@ -69,10 +69,10 @@ def copy_experiment(path: Path, folder: Path) -> None:
 
 
 def install_experiment(path: Path, folder: Path) -> None:
-    """Copies an experiment file to a folder that may contain a copy of an earlier run.
+    """Copies an experiment file to a folder that may contain the copy of an earlier run.
 
-    An earlier copy is kept if it differs only by added trials and the measured swing. Raises
-    `InputError` if the folder contains measured trials that are not in the file.
+    If the earlier copy differs only by added trials and the measured swing, this copy is kept.
+    Raises `InputError` if the folder contains measured trials that the file does not contain.
     """
     earlier = folder / "experiment.toml"
     if earlier.exists():
@@ -96,7 +96,7 @@ def _without_swing(tables: dict[str, Any]) -> dict[str, Any]:
 
 
 def declare_swing(path: Path, records: list[dict[str, Any]]) -> None:
-    """Writes the tip's swing at rest to an experiment file that declares less than half of it."""
+    """Writes the tip's swing at rest to an experiment file if the file declares less than half."""
     swing = start_swing(records)
     declared = validate(ExperimentTable, read_toml(path), str(path)).sensors.start_swing
     if swing <= max(2.0 * declared, LEAST_SWING):
@@ -109,7 +109,7 @@ def declare_swing(path: Path, records: list[dict[str, Any]]) -> None:
 
 
 def planned_trial(trial: TrialTable, path: Path) -> PlannedTrial:
-    """Returns a trial as the rig plays it. Raises `InputError` for a measured drive."""
+    """Converts an experiment's trial for the rig. Raises `InputError` for a measured drive."""
     name = Path(trial.file).stem
     if trial.waveform != "recorded":
         return PlannedTrial(
@@ -132,16 +132,16 @@ def planned_trial(trial: TrialTable, path: Path) -> PlannedTrial:
 
 
 def warn_of_moving_clamp(trial: TrialTable) -> None:
-    """Prints a warning if a trial's clamp moves or is towed, which the rig cannot do."""
+    """Prints a warning if a trial's clamp moves or is towed, because the rig cannot do this."""
     if trial.tow_speed or trial.clamp_moves:
         moves = "is towed" if trial.tow_speed else "moves"
         print(f"{trial.file}: the clamp {moves}; the rig does not do this", file=sys.stderr)
 
 
 def with_force_counts(settings: RigTable) -> RigTable:
-    """Returns the settings, with missing counts of the force sensor from the box's web page.
+    """Returns the settings. Missing counts of the force sensor are read from the box's web page.
 
-    A recording stores these counts, so that it can be converted without the box.
+    A recording stores these counts, so that the recording can be converted without the box.
     """
     if settings.force is None:
         return settings
@@ -151,7 +151,7 @@ def with_force_counts(settings: RigTable) -> RigTable:
 
 
 def force_calibration(table: ForceTable) -> NetCalibration:
-    """Returns the calibration from the table, or from the box's web page if the table has none."""
+    """Returns the calibration from the table, or from the box's web page if counts are missing."""
     if table.counts_per_N is not None and table.counts_per_Nm is not None:
         return NetCalibration(table.counts_per_N, table.counts_per_Nm)
     return NetCalibration.fetch(table.host, table.page_port)
@@ -178,7 +178,7 @@ def marker_camera(table: CameraTable) -> tuple[RecordedInstrument, StreamReader]
 
 @contextmanager
 def open_rig(port: str, table: RigTable) -> Iterator[Rig]:
-    """Opens the rig of a table. All chambers vent when the block ends, also after an error.
+    """Opens the rig that a table describes. All chambers vent when the block ends or fails.
 
     SIGTERM and SIGHUP end the block like Ctrl-C.
     """
@@ -244,7 +244,7 @@ class StatusLine:
         self._count, self._name = 0, ""
 
     def __call__(self, trial: str, phase: str, t: float) -> None:
-        """Prints the trial, the phase and its time `t` [s], if the last line is old enough."""
+        """Prints trial, phase and the time `t` [s] in the phase, if the last line is old enough."""
         now = time.monotonic()
         if trial != self._name:
             self._name, self._count = trial, self._count + 1

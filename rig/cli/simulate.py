@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 SUPPLY_PRESSURE = 600e3
 """Gauge pressure of the simulated supply [Pa]."""
 PLANT_STEP = 1e-3
-"""Time step of the simulated robot [s]. With 2 ms, each pressure step causes a spike of 0.1 N in
-the recoil."""
+"""Time step of the simulated robot [s]. With 2 ms, each step of a pressure causes a spike of 0.1 N
+in the recoil."""
 RIG_FILE, FORCE_NOISE, TIP_NOISE = Path("simulated_rig.toml"), 2e-3, 2e-5
 
 
@@ -42,22 +42,22 @@ def rig_simulate(
 ) -> None:
     """Simulates a manifold on a pseudo-terminal and a force sensor on the network until Ctrl-C.
 
-    The devices use the same protocols as real ones. The command prints the port and writes a
-    matching rig file. With an experiment, the command simulates the robot in water with all effects
-    of the file, in real time. Otherwise, the rig is a tail in air with delayed pressures.
+    The devices use the same protocols as real devices. The command prints the port and writes a
+    matching rig file. With an experiment file, the command simulates the robot in water with all
+    effects of the file, in real time. Without one, the rig is a tail in air with delayed pressures.
 
     Args:
         experiment: experiment file whose robot, water and effects are simulated (default: a tail
             in air).
-        rig_file: rig file to write, for `slider rig run --rig`.
-        model: TOML file. Its [robot], [parameters], [[effects]] override those of the experiment.
+        rig_file: file to which the command writes the rig file, for `slider rig run --rig`.
+        model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's.
         flipped: fraction of the bytes on the serial line with a flipped bit, 0 to 0.5.
         dropped: fraction of the bytes on the serial line that are lost, 0 to 0.5.
         noise: standard deviation of the measured pressures, in Pa.
         force_noise: standard deviation of the measured forces, in N.
         tip_noise: standard deviation of the measured tip position, in m.
-        inject: faults, each with a value and a start time in s. leak_front_left=5@20 is a leak of
-            5 1/s from 20 s on (default: none).
+        inject: faults, each with a value and a start time in s. For example, leak_front_left=5@20
+            is a leak of 5 1/s that starts at 20 s (default: none).
         seed: seed of the random numbers.
         published: simulate the authors' published firmware with one chamber, for `slider rig log`.
     """
@@ -95,8 +95,8 @@ def rig_simulate(
             inject_fault(name, value)
             print(f"{seconds:.1f} s: {name} is {value:g}", file=sys.stderr, flush=True)
 
-    # With Python's default interval, the threads of manifold and force sensor may delay each other
-    # by 5 ms.
+    # With Python's default interval, the manifold's thread and the force sensor's thread may delay
+    # one another by 5 ms.
     sys.setswitchinterval(2e-4)
     line_faults = LineFaults(
         flipped=flipped, dropped=dropped, noise=noise, tip_noise=tip_noise, seed=seed
@@ -188,7 +188,7 @@ def _tank(experiment: Path | None, model: Path | None, faults: list[str]):
 
     if experiment is not None:
         if hasattr(os, "sched_setaffinity"):
-            # One core, because several threads of XLA double the time of such a small step.
+            # On one core, because several threads of XLA double the duration of a small time step.
             os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
         from slider_jax.cli.main import prepare_jax
         from slider_jax.experiment.load import load
@@ -209,7 +209,7 @@ def _tank(experiment: Path | None, model: Path | None, faults: list[str]):
             with_fault(plant.faults, name, 0.1)
         return RobotTank(plant), plant.inject
     if model is not None:
-        raise InputError(f"--model {model}: needs an experiment file; give one, or omit --model")
+        raise InputError(f"--model {model}: needs an experiment file; give a file, or omit --model")
     bench = BenchTank()
     allowed = {f"leak_{chamber}": i for i, chamber in enumerate(CHAMBERS)}
     for name in faults:

@@ -39,7 +39,7 @@ STATUS_CHANNELS = (
     (2, "thrust", 1.0, "6.3f", "N"),
     (4, "tip", 1e3, "5.1f", "mm"),
 )
-"""Channels of the status line: index and name; factor, format and unit of the mean magnitude."""
+"""Channels of the status line: index, name, and factor, format and unit of the mean magnitude."""
 LINE_INTERVAL = 2.0
 """Time between status lines if stderr is not a terminal [s]."""
 
@@ -56,15 +56,15 @@ def rig_watch(
     """Plays a trial's drive, and compares the readings with the calibrated model in real time.
 
     The command prints estimates of k (time constant of the pressure) and K_Q (moment of a chamber
-    per unit pressure), measured and modelled values, and the model's delay. During the first
-    seconds, it learns the normal band of each channel's residual. A fault of this time raises no
-    alarm, but a message reports a poor fit. When a residual later leaves its band, an alarm names
-    possible causes: a leak, a blocked valve, a changed tail. All chambers vent at the end, and on
-    an alarm if stderr is not a terminal. The exit code is 1 after an alarm.
+    per unit pressure), measured and modelled values, and the model's delay. During the first eight
+    seconds, the command learns the normal band of each channel's residual. A fault during this time
+    raises no alarm, but a message reports a poor fit. If a residual leaves the band later, an alarm
+    names possible causes: a leak, a blocked valve, a changed tail. All chambers vent at the end,
+    and after an alarm if stderr is not a terminal. The exit code is 1 after an alarm.
 
     Args:
         experiment: experiment file of the robot.
-        port: serial port of the manifold; `slider rig ports` lists all.
+        port: serial port of the manifold; `slider rig ports` lists all serial ports.
         rig: TOML file of the rig: limits, command rate and sensors.
         model: TOML file whose [robot], [parameters] and [[effects]] override the experiment's, for
             example from `slider calibrate`.
@@ -108,7 +108,7 @@ def rig_watch(
                 if log.alarms and not sys.stderr.isatty():
                     log.ended = "by the alarm"
                     break
-    except BaseException as error:  # Ctrl-C too: `finally` writes the log, which needs the reason
+    except BaseException as error:  # also Ctrl-C; `finally` writes the reason to the log
         log.ended = "\n".join([str(error) or "stopped", *getattr(error, "__notes__", ())])
         raise
     finally:
@@ -126,18 +126,18 @@ class WatchLog:
     rows: list[dict[str, float]] = field(default_factory=list)
     alarms: list[dict[str, Any]] = field(default_factory=list)
     begun: float = np.nan
-    """The manifold's time of the first reading [s]."""
+    """Time of the first reading on the manifold's clock [s]."""
     ended: str = "whole"
-    """How the run ended: "whole", "by the alarm", "stopped" or an error's text."""
+    """End of the run: "whole", "by the alarm", "stopped" or an error's text."""
     judged: bool = False
-    """Whether the bands were learned."""
+    """Whether the watch has learned the bands of the residuals."""
     misfits: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """The value of `Twin.misfits`."""
+    """Rms residual, and fraction of the modelled rms, of each channel with a poor fit."""
     _printed: float = 0.0
     _on: bool = False
 
     def add(self, block: TwinBlock, arrived_ns: int, lost: int) -> None:
-        """Adds a block that was complete at `arrived_ns`, and the number of lost readings."""
+        """Adds a block that was complete at host time `arrived_ns`; `lost` readings are missing."""
         if not self.rows:
             self.begun = float(block.t[0])
         lag = 1e-9 * (time.monotonic_ns() - arrived_ns)
@@ -153,7 +153,7 @@ class WatchLog:
             _print_line(block, self.rows[-1], lost, new)
 
     def add_misfits(self, misfits: dict[str, tuple[float, float]]) -> None:
-        """Stores the misfits of the time when the bands were learned, and prints them once."""
+        """Stores the misfits while the bands were learned, and prints these misfits once."""
         if misfits and not self.misfits:
             self.misfits = misfits
             print(f"\n{self._misfit_text()}", file=sys.stderr, flush=True)
@@ -185,7 +185,7 @@ class WatchLog:
             print(f"no alarm, but {self._misfit_text()}" if self.misfits else "no alarm")
 
     def write(self, out: Path, beside: dict[str, Any]) -> None:
-        """Writes watch.csv, and watch.json with the entries of `beside`."""
+        """Writes watch.csv and watch.json. The entries of `beside` are added to watch.json."""
         with staged(out) as stage:
             columns = {k: np.array([r[k] for r in self.rows]) for k in self.rows[0]}
             write_csv(stage / "watch.csv", columns)

@@ -200,7 +200,7 @@ def test_a_replay_uses_other_axes_of_a_rig_file(measured, tmp_path):
     )
     assert np.allclose(after["thrust_N"], -before["thrust_N"], atol=1e-12)
     assert np.array_equal(after["t_s"], before["t_s"]) and "tip_m" not in after.dtype.names
-    assert "no tip_m: not a sensor of the rig file" in done.stdout
+    assert "no tip_m: the rig file has no such sensor" in done.stdout
 
 
 def test_a_replay_sends_the_recorded_bytes_on_a_port(measured, tmp_path):
