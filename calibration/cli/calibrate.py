@@ -80,8 +80,8 @@ def refuse_same_names(logs: tuple[Path, ...]) -> None:
     for path in logs:
         if path.stem in seen:
             raise InputError(
-                f"{path}: same name as {seen[path.stem]}; all logs must have different names, so "
-                "rename one of the logs, or omit a log that is given twice"
+                f"{path}: same name as {seen[path.stem]}; names of logs must differ; rename one of "
+                "the logs, or give each log once"
             )
         seen[path.stem] = path
 

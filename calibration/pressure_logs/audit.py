@@ -1,11 +1,11 @@
 """Audits the rig's pressure logs: faults of the instrument, such as codes of unequal width.
 
-The density of a converter's code is its number of readings, divided by the expected number. A code
-that is too narrow has a low density and a high noise in counts, because a count is a smaller
-pressure. Signals also make densities uneven. The test therefore compares with null samples: the
-same logs, smoothed, with new white noise and rounding. Codes have unequal widths if two criteria
-hold at one period. The density varies more than in every null sample, and the noise is high where
-the density is low.
+A code is an integer reading of the converter. The density of a code is the number of readings of
+this code, divided by the expected number. A code that is too narrow has a low density, and a high
+noise in counts, because one count is then a smaller pressure. The signal also makes densities
+uneven, so the test needs null samples: smoothed logs with new white noise and rounding. Codes have
+unequal widths if the density varies with a period more than in every null sample, and if the noise
+is high where the density is low.
 """
 
 from collections.abc import Sequence
@@ -19,38 +19,38 @@ from calibration.measurements.records import Action, Finding, masked_finding
 from calibration.pressure_logs.read import PSI_PER_COUNT, ManifoldLog
 
 PERIODS = np.geomspace(3.0, 48.0, 400)
-"""Periods [codes] at which the density is tested."""
+"""Periods [codes] with which the density may vary; the test examines each of these periods."""
 HISTOGRAM_WIDTH = 12.0
-"""Width [codes] of the smoothing that gives the expected histogram."""
+"""Standard deviation [codes] of the Gaussian filter that gives the expected histogram."""
 SIGNAL_WIDTH = 8.0
-"""Width [samples] of the smoothing of a log in a null sample."""
+"""Standard deviation [samples] of the Gaussian filter that smooths a log for a null sample."""
 LEAST_COUNT = 8.0
-"""Smallest expected number of readings for which a code is examined."""
+"""The test examines a code if the expected number of readings exceeds this value."""
 NULLS = 40
 """Number of null samples."""
 RARE = 0.5
 """A code is rare if its density is below this value."""
 OPPOSED = -0.8
-"""Codes have unequal widths if the correlation of log density and log noise is below this value."""
+"""Codes have unequal widths only if the field `opposed` of `CodeDensity` is below this value."""
 
 
 class CodeDensity(NamedTuple):
     """The density of a sensor's codes: number of readings divided by the expected number."""
 
     amplitude: float
-    """Relative amplitude of the density's strongest wave."""
+    """Relative amplitude of the strongest sine wave in the density as a function of the code."""
     null: np.ndarray
     """Relative amplitudes (nulls,) of the strongest waves in the null samples."""
     period: float
     """Period [codes] of the strongest wave."""
     opposed: float
-    """Correlation of log density and log noise in one period; near -1 for unequal widths."""
+    """Correlation between log(density) and log(noise) in one period; near -1 for unequal widths."""
     dnl: float
     """Largest error [codes] of a code's width in one period."""
     inl: float
-    """Half of the range of a reading's error [codes], the cumulative sum of the width errors."""
+    """Half of the range of a reading's error [codes] (the cumulative sum of the width errors)."""
     missing: list[int]
-    """Codes that were expected but never read."""
+    """Codes that were expected but have no reading."""
     rare: list[int]
     """Codes with a density below `RARE`."""
 
@@ -70,8 +70,8 @@ def code_density(
 ) -> CodeDensity | None:
     """Returns the code density of one sensor. `series` has an array (n,) of readings for each log.
 
-    Returns None for readings that are not integers, and for too few readings or codes. `seed`
-    determines the `nulls` null samples.
+    Returns None if readings are not integers, or if there are too few readings or codes. `nulls` is
+    the number of null samples. `seed` is the seed of the null samples' random noise.
     """
     logs = [np.asarray(x, float) for x in series if len(x) > 4 * SIGNAL_WIDTH]
     if not logs or any((x != np.round(x)).any() for x in logs):
@@ -99,7 +99,7 @@ def code_density(
 
 
 def _null(logs: Sequence[np.ndarray], rng: np.random.Generator) -> list[np.ndarray]:
-    """Returns a null sample: the smoothed logs with new white noise of the same size, in codes."""
+    """Returns a null sample [codes]: the smoothed logs with new white noise of the logs' size."""
     found = []
     for x in logs:
         noise = float(np.sqrt(max(np.mean(np.diff(x, 4) ** 2) / 70.0 - 1.0 / 12.0, 0.0)))
@@ -140,13 +140,13 @@ def _over_phase(
     expected: np.ndarray,
     period: float,
 ) -> tuple[np.ndarray, float]:
-    """Returns the density (bins,) in one period, and the correlation of log density with noise."""
+    """Returns the density (bins,) in one period, and the field `opposed` of `CodeDensity`."""
     bins = max(min(12, int(period)), 3)
     phase = ((codes % period) / period * bins).astype(int)
     noise, many = np.zeros(len(codes)), np.zeros(len(codes))
     for x in logs:
-        # Code and noise come from different samples. Otherwise, a large noise may move a sample to
-        # a rare code, and this would correlate noise and density.
+        # Code and noise come from different samples. Otherwise, noise that moves a sample to a rare
+        # code would cause a correlation between noise and density.
         at = np.round(0.5 * (x[:-4] + x[4:]) - codes[0]).astype(int)
         np.add.at(noise, at, np.abs(np.diff(x[1:-1], 2)))
         np.add.at(many, at, 1.0)
@@ -163,11 +163,11 @@ def _over_phase(
 
 
 FULL_DUTY, DUTY_PER_COUNT = 250.0, 10.0
-"""Law of the published firmware: duty = min(250, 10 |error in counts|); one valve is closed."""
+"""Law of the published firmware: duty = min(250, 10 |error in counts|). One valve is closed."""
 DUTY_ERROR = 1.5
 """Largest rounding error of a duty (0 to 255)."""
 MAX_ERROR_SHARE = 0.01
-"""Fraction of the samples that may contradict the control law without a finding."""
+"""Largest fraction of samples that contradict the control law without a finding."""
 MAX_JITTER = 1.0
 """Largest error of the sample times [samples] without a finding."""
 
@@ -175,8 +175,8 @@ MAX_JITTER = 1.0
 def audit_logs(logs: Sequence[ManifoldLog]) -> list[Finding]:
     """Returns the faults of the logs and of the sensor that recorded all logs.
 
-    The audit lists repaired rows, clipped readings, valve duties that contradict the firmware's
-    control law, sample times that contradict the command, and codes of unequal width.
+    The faults are repaired rows, clipped readings, valve duties that contradict the firmware's
+    control law, sample times that contradict the sine command, and codes of unequal width.
     """
     findings = []
     for log in logs:
@@ -204,13 +204,13 @@ def _unequal(found: CodeDensity) -> str:
     rare = f"; {len(found.rare)} codes are rare" if found.rare else ""
     rare += f"; {len(found.missing)} codes are missing" if found.missing else ""
     return (
-        "the pressure codes have unequal widths. The density of the codes varies by "
-        f"{found.amplitude:.0%} with a period of {found.period:.1f} counts, "
-        f"{found.significance:.0f} standard deviations more than for smooth signals with the same "
-        "noise. The noise is high where the density is low (correlation "
-        f"{found.opposed:.2f}){rare}. The error of a width is up to {found.dnl:.2f} counts. The "
-        f"error of a reading is up to {found.inl:.1f} counts or {found.inl * PSI_PER_COUNT:.2f} "
-        "psi. The cause is the converter, not the pneumatics"
+        "the pressure codes have unequal widths. The density (readings of a code, divided by the "
+        f"expected number of readings) varies by {found.amplitude:.0%} with a period of "
+        f"{found.period:.1f} counts, {found.significance:.0f} standard deviations more than for "
+        "smooth signals with the same noise. The noise is high where the density is low "
+        f"(correlation {found.opposed:.2f}){rare}. The error of a width is up to {found.dnl:.2f} "
+        f"counts. The error of a reading is up to {found.inl:.1f} counts or "
+        f"{found.inl * PSI_PER_COUNT:.2f} psi. The cause is the converter, not the pneumatics"
     )
 
 
@@ -225,7 +225,7 @@ def _duties(log: ManifoldLog) -> list[Finding]:
     first = float(log.t[np.argmax(wrong)])
     detail = (
         f"{wrong.mean():.1%} of the valve duties differ from min(250, 10 |error|) in the same row, "
-        f"first at {first:.3f} s: the columns have different times, or the firmware differs"
+        f"first at {first:.3f} s; the columns have different times, or another firmware was used"
     )
     return [Finding(log.path.name, "duty", "valves", first, None, detail, "used")]
 

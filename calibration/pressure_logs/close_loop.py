@@ -1,4 +1,4 @@
-"""Closes the loop on the rig's pressure logs. The report also states the change of the thrust."""
+"""Closes the loop on the rig's pressure logs, and simulates how the result changes the thrust."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -38,16 +38,16 @@ def close_loop_on_logs(
     progress: Callable[[str], None] = lambda text: None,
     memo: Memo | None = None,
 ) -> LoopOutcome:
-    """Returns the outcome of the loop: effects that the pressure-lag model lacks in the rig's logs.
+    """Returns the outcome of the loop: calibrated lag, missing effects of the pressure, verdict.
 
-    `effects` are the names of the candidates (default: all effects that a log can show). Every
-    second log, in the order of frequency, is held out. Raises `InputError` for too few logs.
+    `effects` are the names of the candidates (default: `log_candidates()`). Every second log, in
+    the order of frequency, is held out. Raises `InputError` for too few logs.
     """
     least = 2 * DEFAULT_SETTINGS.min_trials - 1
     if len(logs) < least:
         raise InputError(
             f"{len(logs)} logs given; the search for effects needs {least} or more logs at "
-            "different frequencies, because it holds out every second log; give more logs"
+            "different frequencies, because every second log is held out; give more logs"
         )
     logs = sorted(logs, key=lambda log: log.frequency)
     names = tuple(log_candidates() if effects is None else effects)
@@ -72,7 +72,7 @@ def close_loop_on_logs(
 def log_report(
     outcome: LoopOutcome, logs: Sequence[ManifoldLog], seconds: Callable[[], float]
 ) -> dict[str, Any]:
-    """Returns the content of report.json. `seconds()` is the time [s] since the loop began."""
+    """Returns the content of report.json. `seconds()` returns the time [s] since the loop began."""
     record = loop_record(outcome, 0.0, {"logs": [input_file(log.path) for log in logs]})
     record["errors_psi"] = {
         part: {c: {k: v / PA_PER_PSI for k, v in row.items()} for c, row in record[part].items()}
@@ -86,7 +86,7 @@ def log_report(
 def thrust_change(outcome: LoopOutcome) -> dict[str, Any]:
     """Returns the built-in robot's thrust at `FREQUENCY` with three pressure models.
 
-    The models are the paper's lag, the lag that fits best, and the model with the added effects.
+    The models are the paper's lag, the lag with the best k, and the lag with the added effects.
     """
     k = [p.label for p in outcome.entries].index("k")
     pairs = list(zip(outcome.entries, outcome.final.theta, strict=True))
@@ -108,10 +108,10 @@ def thrust_change(outcome: LoopOutcome) -> dict[str, Any]:
 
 
 def built_in_last_stride(parameters: Mapping[str, float], effects: list[dict]) -> dict[str, float]:
-    """Returns the last stride of the built-in robot at `FREQUENCY`, with a given pressure model.
+    """Returns thrust, recoil, tip and pressure in the last stride of the built-in robot.
 
-    `parameters` and `effects` are in the format of an experiment file. Raises `SolverError` if a
-    step fails.
+    The drive has the frequency `FREQUENCY`. `parameters` and `effects` of the pressure model are in
+    the format of an experiment file. Raises `SolverError` if a step fails.
     """
     experiment = built_in_experiment()
     content = experiment.model_dump() | {"effects": effects}

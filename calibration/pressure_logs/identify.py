@@ -1,4 +1,4 @@
-"""Identifies the pressure lag of a set of logs, with residuals and confidence intervals."""
+"""Identifies the time constant k of the pressure lag from logs, with confidence intervals."""
 
 import math
 from collections.abc import Sequence
@@ -29,28 +29,28 @@ def rms(values: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class LogResult:
-    """One log with its own k. Residuals (samples,) [psi] are measured pressure minus free run."""
+    """One log and its fitted k. Residuals (samples,) [psi] are measured - simulated pressure."""
 
     log: ManifoldLog
     k: Interval
     converged: bool
     before: np.ndarray
-    """Residual at the paper's k."""
+    """Residual with the paper's k."""
     after: np.ndarray
-    """Residual at the log's own k."""
+    """Residual with the k fitted to this log."""
     pooled: np.ndarray
-    """Residual at the common k of all logs."""
+    """Residual with the common k of all logs."""
     shape: ResidualShape
     """Shape of `after`."""
 
     @property
     def fixed(self) -> bool:
-        """Whether this log determines k within the search range."""
+        """Whether this log determines k, and k is inside the search range."""
         return self.converged and self.k.fixed and PLAUSIBLE[0] < self.k.value < PLAUSIBLE[1]
 
     @property
     def rms_held(self) -> float:
-        """RMSE [psi] of a constant pressure, the first sample. A useful model has a lower RMSE."""
+        """RMSE [psi] of a model with constant pressure: the first sample of the log."""
         measured = psi(self.log.pressure)
         return rms(measured - measured[0])
 
@@ -61,9 +61,9 @@ class Identification:
 
     logs: tuple[LogResult, ...]
     k: Interval
-    """Common k. The interval includes the spread between logs and is valid for further logs."""
+    """Common k, with an interval for the population of logs: it includes the spread of the logs."""
     within: Interval
-    """Common k with an interval that is valid for these logs only."""
+    """Common k, with an interval that is valid for these logs only."""
 
     def pooled_rmse(self, which: str, settled: bool = False) -> float:
         """Returns the root of the mean of all logs' mean squares [psi]; logs have equal weights.
@@ -100,8 +100,8 @@ def identify_lag(logs: Sequence[ManifoldLog]) -> Identification:
     if not (bool(np.all(common.converged)) and within.fixed):
         raise InputError(
             f"{', '.join(log.path.name for log in logs)}: these logs do not determine the lag k "
-            f"(95 % interval {within.low:.3g} to {within.high:.3g} s; allowed ratio of the ends: "
-            "10); give logs with a larger pressure change, more cycles or more frequencies"
+            f"(95 % interval {within.low:.3g} to {within.high:.3g} s; allowed: upper end less than "
+            "10 times the lower end); give logs with larger pressure, more cycles or frequencies"
         )
     results = [
         LogResult(

@@ -1,4 +1,4 @@
-"""Fits the pressure lag k to logs: the free run of a lag, and least squares with tangents."""
+"""Fits the time constant k of the pressure lag to logs by least squares with forward tangents."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -15,13 +15,13 @@ from slider_jax.actuation import FirstOrderLag, Recorded
 from slider_jax.actuation.waveform import Segment
 
 PLAUSIBLE = (0.01, 1.0)
-"""Search range of k [s], chosen before the measurements: from a bare valve to a long leaky hose."""
+"""Search range of k [s], chosen before the measurements: bare valve to long hose with a leak."""
 BLOCK = 1024  # samples
 _STARTS = np.linspace(np.log(PLAUSIBLE[0]), np.log(PLAUSIBLE[1]), 25)
 
 
 class LogBatch(eqx.Module):
-    """Logs, padded to equal length: arrays (logs, samples), pressures in psi."""
+    """Logs as arrays (logs, samples) with pressures in psi. Shorter logs are padded."""
 
     set_point: Segment
     """Linear segments of the command between samples, (logs, samples - 1)."""
@@ -61,9 +61,9 @@ def set_points(t: Float[Array, " n"], command: Float[Array, " n"]) -> Segment:
 
 
 def free_run(k, set_point: Segment, start) -> Float[Array, " n"]:
-    """Returns the free run: the pressure of a lag with time constant `k` [s] for the command.
+    """Returns the free run: the pressure that a lag with time constant `k` [s] predicts.
 
-    The free run begins at the pressure `start` and uses no later measurement.
+    The free run begins at the pressure `start` and then depends only on the command `set_point`.
     """
     law = FirstOrderLag(k)
     first = jnp.asarray(start)
@@ -79,13 +79,13 @@ def free_run(k, set_point: Segment, start) -> Float[Array, " n"]:
 def residual_psi(log_k, log: LogBatch) -> Float[Array, " n"]:
     """Returns measured pressure minus free run [psi] of one log; 0 in the padding.
 
-    `log` is a `LogBatch` without the first axis.
+    `log` is one log of a `LogBatch`, so its arrays have no first axis.
     """
     return log.weight * (log.pressure - free_run(jnp.exp(log_k), log.set_point, log.pressure[0]))
 
 
 class LagFit(NamedTuple):
-    """The fitted log k, and statistics of every log at this k."""
+    """The logarithm of the fitted k, and statistics of every log with this k."""
 
     log_k: Array
     residual: Array
@@ -101,7 +101,7 @@ _SOLVER: optx.AbstractLeastSquaresSolver = optx.LevenbergMarquardt(rtol=1e-7, at
 
 
 def _solve(residual, start, args):
-    # A linearised scan would store every step. The forward-mode JVP stores no step.
+    # The solver would linearise the scan and store every step. A forward-mode JVP stores no step.
     @jax.custom_jvp
     def with_tangent(x, args):
         return residual(x, args)
@@ -130,12 +130,12 @@ def _statistics(log_k, log: LogBatch):
 
 
 def _scaled(log_k, log: LogBatch):
-    """Returns a scaled residual, whose sum of squares is the mean square of the log's residual."""
+    """Returns the residual divided by sqrt(samples); its sum of squares is the mean square."""
     return residual_psi(log_k, log) / jnp.sqrt(jnp.sum(log.weight))
 
 
 def _profile(batch: LogBatch):
-    """Returns the mean square (starts, logs) [psi^2] at each k of the scan."""
+    """Returns the mean square (starts, logs) [psi^2] of the residual at each k of the scan."""
     each = jax.vmap(lambda x, log: jnp.sum(_scaled(x, log) ** 2), (None, 0))
     return jax.lax.map(lambda x: each(x, batch), jnp.asarray(_STARTS))
 
@@ -143,8 +143,8 @@ def _profile(batch: LogBatch):
 def _lowest_minimum(square):
     """Returns log k at the lowest local minimum of the scan, or else at the lowest value.
 
-    The edges of the range are no local minima. A lag much longer than the log holds the first
-    pressure. A constant may fit well by chance, but it does not identify k.
+    The ends of the range do not count as local minima: with a k much longer than the log, the
+    pressure stays constant. A constant pressure may fit well by chance without identifying k.
     """
     inner = square[1:-1]
     is_minimum = (inner < square[:-2]) & (inner < square[2:])
@@ -155,10 +155,9 @@ def _lowest_minimum(square):
 
 @jax.jit
 def fit_each(batch: LogBatch) -> LagFit:
-    """Returns k of every log separately.
+    """Returns a fit with a separate k for every log, by the Levenberg-Marquardt method.
 
-    The Levenberg-Marquardt method with forward tangents starts at the lowest local minimum of a
-    scan of the range `PLAUSIBLE`.
+    The fit starts at the lowest local minimum of a scan of the range `PLAUSIBLE`.
     """
     start = jax.vmap(_lowest_minimum, 1)(_profile(batch))
     log_k, converged = jax.vmap(lambda x, log: _solve(_scaled, x, log))(start, batch)
@@ -168,7 +167,7 @@ def fit_each(batch: LogBatch) -> LagFit:
 
 @jax.jit
 def fit_pooled(batch: LogBatch) -> LagFit:
-    """Returns one k for all logs. This k minimises the mean of the logs' mean squares."""
+    """Returns a fit with one k for all logs, which minimises the mean of the logs' mean squares."""
     start = _lowest_minimum(jnp.mean(_profile(batch), axis=1))
     log_k, converged = _solve(jax.vmap(_scaled, (None, 0)), start, batch)
     residual, tangent, curvature = jax.vmap(_statistics, (None, 0))(log_k, batch)

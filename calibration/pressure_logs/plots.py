@@ -20,7 +20,7 @@ def plot_log(result: LogResult, reference_k: float, path: Path) -> None:
     here = log.t <= 2.5 / log.frequency
     t, measured = log.t[here], psi(log.pressure)[here]
     figure, (top, low) = new_figure(2, 1, figsize=(9.0, 6.0), sharex=True, height_ratios=[3, 2])
-    after = f"lag, k = {1e3 * result.k.value:.0f} ms (this log's best)"
+    after = f"lag, k = {1e3 * result.k.value:.0f} ms (fitted to this log)"
     before = f"lag, k = {1e3 * reference_k:.0f} ms (paper's)"
     top.plot(t, psi(log.command)[here], "--", color=_COMMAND, label="command")
     top.plot(t, measured, color=_MEASURED, lw=1.8, label="measured")
@@ -38,7 +38,7 @@ def plot_log(result: LogResult, reference_k: float, path: Path) -> None:
     low.set_xlabel("time (s)")
     top.set_title(
         f"{log.path.name}, {log.frequency:g} Hz. RMSE of {log.cycles:.0f} cycles: "
-        f"{rms(result.before):.2f} psi (paper's k), {rms(result.after):.2f} psi (own k). "
+        f"{rms(result.before):.2f} psi (paper's k), {rms(result.after):.2f} psi (fitted k). "
         f"Noise: {result.shape.floor:.2f} psi",
         fontsize=10,
     )
@@ -52,7 +52,7 @@ def _legend_below(axes, columns: int) -> None:
 
 
 def plot_phase(found: Identification, path: Path) -> None:
-    """Plots each log's residual against the phase of the command. Colours show the open valve."""
+    """Plots each log's residual against the phase of the command. The colour is the open valve."""
     count = len(found.logs)
     across = min(count, 4)
     down = math.ceil(count / across)
@@ -83,7 +83,7 @@ def plot_phase(found: Identification, path: Path) -> None:
         axis.set_xlabel("phase of the command (cycles)", fontsize=9)
     handles, labels = axes.flat[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper right", ncols=2, markerscale=8, fontsize=9)
-    figure.suptitle("Residual at each log's own k; phase 0: the command rises through its mean",
+    figure.suptitle("Residual with the k of each log. At phase 0, the command rises to its mean.",
                     fontsize=10, x=0.01, ha="left")  # fmt: skip
     save_figure(figure, path)
 
@@ -117,7 +117,7 @@ def plot_rate(found: Identification, path: Path) -> None:
 
 
 def plot_k(found: Identification, reference_k: float, path: Path) -> None:
-    """Plots each log's k, k estimated from gain, phase, filling and venting, and the RMSE."""
+    """Plots k and RMSE of each log. Estimates of k are from fit, gain, phase, filling, venting."""
     figure, (left, middle, right) = new_figure(1, 3, figsize=(14.0, 4.6))
     f = np.array([x.log.frequency for x in found.logs])
     k = 1e3 * np.array([[x.k.value, x.k.low, x.k.high] for x in found.logs]).T
@@ -137,8 +137,8 @@ def plot_k(found: Identification, reference_k: float, path: Path) -> None:
     left.set_title("least-squares k with 95 % intervals", fontsize=10)
     shapes = [x.shape for x in found.logs]
     for values, style, label in (
-        ([s.k_filling for s in shapes], ("^", _FILL), "error / rate while filling"),
-        ([s.k_venting for s in shapes], ("v", _VENT), "error / rate while venting"),
+        ([s.k_filling for s in shapes], ("^", _FILL), "pressure error / rate while filling"),
+        ([s.k_venting for s in shapes], ("v", _VENT), "pressure error / rate while venting"),
         ([s.measured.k_of_gain for s in shapes], ("s", "tab:purple"), "gain of the fundamental"),
         ([s.measured.k_of_phase for s in shapes], ("D", "tab:brown"), "phase of the fundamental"),
     ):
@@ -148,7 +148,7 @@ def plot_k(found: Identification, reference_k: float, path: Path) -> None:
         ([rms(x.before) for x in found.logs], ("o", _BEFORE), f"lag, {1e3 * reference_k:.0f} ms"),
         ([rms(x.pooled) for x in found.logs], ("s", "tab:cyan"), "lag, common k of all logs"),
         ([rms(x.after) for x in found.logs], ("o", _AFTER), "lag, each log's own k"),
-        ([x.rms_held for x in found.logs], ("_", "0.5"), "constant pressure (first sample)"),
+        ([x.rms_held for x in found.logs], ("_", "0.5"), "constant pressure of the first sample"),
         ([s.floor for s in shapes], ("o", "0.2"), "white noise of the sensor"),
     ):
         right.plot(f, values, style[0] + "-", color=style[1], label=label)
@@ -179,11 +179,11 @@ def plot_driven(log: ManifoldLog, columns: Mapping[str, np.ndarray], path: Path)
         values = scale * columns[name]
         axis.plot(t, values, color=_AFTER, lw=0.9)
         axis.set_ylabel(label)
-        # The first cycle's transient exceeds the later amplitudes.
+        # The transient in the first cycle is larger than the later amplitudes.
         later = values[t >= min(1.0 / log.frequency, 0.5 * t[-1])]
         margin = 0.15 * max(np.ptp(later), 1e-9)
         axis.set_ylim(later.min() - margin, later.max() + margin)
-    axes[3].set_xlabel("time (s); the first cycle's transient exceeds the scale")
+    axes[3].set_xlabel("time (s). The transient in the first cycle is partly outside the plot.")
     axes[0].set_title(
         f"{log.path.name}, {log.frequency:g} Hz: pressure error "
         f"{rms(columns['p_front_Pa'] - log.pressure_Pa) / PA_PER_PSI:.2f} psi rms",

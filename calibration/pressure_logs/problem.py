@@ -1,6 +1,6 @@
 """Treats the rig's pressure logs as trials, and predicts the pressure of one chamber.
 
-The prediction (free run) starts at the first measured sample and then uses only the command.
+The prediction starts at the first measured pressure and then depends only on the command.
 """
 
 from collections.abc import Sequence
@@ -32,13 +32,13 @@ from slider_jax.experiment.schema import SensorsTable
 from slider_jax.paper import PRESSURE_LAG
 
 CHANNEL = "p_front"
-"""Channel of the single pressure in a log."""
+"""Channel that contains the single pressure of a log."""
 FREE = ("k",)
 """Parameters of the base model that a pressure log can identify."""
 
 
 def log_candidates() -> list[str]:
-    """Returns the effects that a log can show: effects on command, flow or pressure sensor."""
+    """Returns the names of the effects that change the measured pressure of the front chamber."""
     return [
         name
         for name in candidate_effects()
@@ -51,7 +51,7 @@ def log_candidates() -> list[str]:
 def log_experiment(log: ManifoldLog, model: Path | None, numerics: dict[str, float]) -> Experiment:
     """Returns an experiment with the built-in robot and one trial at the log's frequency.
 
-    C_d and m_a follow the paper's ramp. The file `model` overrides the tables of the experiment.
+    C_d and m_a have the paper's values. The file `model` overrides the tables of the experiment.
     """
     robot = asdict(Robot())
     K_Q = robot.pop("K_Q")
@@ -94,7 +94,7 @@ class LogDrive(eqx.Module):
 @final
 @dataclass(frozen=True, kw_only=True)
 class PressureLogProblem(AbstractProblem):
-    """Pressure logs as trials. A simulation omits effects whose parameters all have null values."""
+    """Pressure logs as trials. To save time, a simulation omits effects that are at their null."""
 
     logs: list[ManifoldLog]
     base: ExtendedModel
@@ -133,7 +133,7 @@ class PressureLogProblem(AbstractProblem):
         )
 
     def spans(self) -> None:
-        """Returns None: a log has no initial swing."""
+        """Returns None, because a log contains no motion of the robot."""
 
     def _predict(self, theta: np.ndarray) -> list[np.ndarray]:
         extended = self._moved(theta, np.zeros(len(theta), bool))
@@ -155,7 +155,7 @@ class PressureLogProblem(AbstractProblem):
         return [np.stack([x[i] - here[i] for x in there]) for i in range(len(here))]
 
     def _moved(self, theta: np.ndarray, along: np.ndarray) -> ExtendedModel:
-        """Returns the model with the effects that have a parameter off its null or in `along`."""
+        """Returns the model without effects whose parameters are all at null and not in `along`."""
         found = dict.fromkeys(
             p.effect
             for i, p in enumerate(model_parameters(self.base.effects))

@@ -39,7 +39,7 @@ def psi(counts):
 
 @dataclass(frozen=True)
 class ManifoldLog:
-    """One pressure log: arrays (samples,) at increasing times, and the findings of the reader.
+    """One pressure log: arrays (samples,) at increasing times, and faults that `read_log` found.
 
     | field | unit | meaning |
     |---|---|---|
@@ -137,7 +137,7 @@ def _find_columns(path: Path, lines: list[tuple[int, str]]) -> int:
         again = lines[named[1]]
         raise InputError(
             f"{path}: line {again[0]}: a second line of column names, {again[1]!r}; "
-            "a log has one test: split the file at this line"
+            "only one test is allowed; split the file at this line"
         )
     return named[0]
 
@@ -153,7 +153,7 @@ def _header(path: Path, lines: list[tuple[int, str]]) -> tuple[dict[str, float],
             value = float(match[1])
             if name in values:
                 raise InputError(
-                    f"{path}: line {line}: a second {name}; a log has one test: split the file"
+                    f"{path}: line {line}: a second {name}; allowed is one test; split the file"
                 )
             if not low <= value <= high:
                 raise InputError.value(
@@ -186,11 +186,11 @@ def _body(
     starts += [line for line, text in rows if _HEADER["frequency"][0].fullmatch(text)]
     if starts:
         raise InputError(
-            f"{path}: line {min(starts)}: a second test begins; a log has one test: split the file "
-            "at this line"
+            f"{path}: line {min(starts)}: a second test begins; only one test is allowed; split "
+            "the file at this line"
         )
     if end is None:
-        text = "the file ends without 'done': lines may be missing"
+        text = "the file ends without 'done', so lines may be missing"
         return rows, [RowFinding(lines[-1][0], text)]
     findings = []
     (line, text), after = body[end], body[end + 1 :]
@@ -204,7 +204,7 @@ def _body(
 
 
 def _check_header(values: dict[str, float], rows: np.ndarray) -> list[RowFinding]:
-    """Returns findings if the header's numbers of samples and cycles differ from the rows."""
+    """Returns findings if start and stop time of the header contradict the rows or the cycles."""
     details, last = [], int(rows[-1, 0])
     missing = {"start", "stop"} - values.keys()
     if missing:
@@ -215,14 +215,14 @@ def _check_header(values: dict[str, float], rows: np.ndarray) -> list[RowFinding
         details = [f"the header implies {expected:g} samples; the last sample has number {last}"]
     cycles = span * values["frequency"] / 1000.0
     if "cycles" in values and abs(cycles - values["cycles"]) > 0.05:
-        details += [f"start and stop span {cycles:.2f} cycles; cycles: {values['cycles']:g}"]
+        details += [f"start to stop: {cycles:.2f} cycles; header line: {values['cycles']:g} cycles"]
     return [RowFinding(None, detail) for detail in details]
 
 
 def _check_frequency(frequency: float, t: np.ndarray, command: np.ndarray) -> list[RowFinding]:
     """Returns a finding if the command contradicts the header's `frequency` [Hz].
 
-    The frequency of the command is that of the upward crossings of its middle level.
+    The command's frequency is the number of rises through the middle level per second.
     """
     level = command - 0.5 * (command.max() + command.min())
     up = np.flatnonzero((level[:-1] < 0) & (level[1:] >= 0))

@@ -1,4 +1,4 @@
-"""Computes the shape of a log's residual: its harmonics, and its means in parts of the cycle."""
+"""Computes the harmonics of a log's residual, and the mean residual in parts of the cycle."""
 
 import math
 from typing import NamedTuple
@@ -10,11 +10,11 @@ from calibration.pressure_logs.read import ManifoldLog, psi
 
 HARMONICS = 5
 SMOOTH = 12
-"""Number of harmonics of the part that repeats in every cycle."""
+"""Number of harmonics that describe the part of the residual that repeats in every cycle."""
 
 
 class FrequencyResponse(NamedTuple):
-    """Gain and phase lag [rad] at the drive frequency, and the two values of k [s] from them."""
+    """Gain and phase lag [rad] at the drive frequency, and k [s] of a lag with either value."""
 
     gain: float
     lag: float
@@ -25,8 +25,8 @@ class FrequencyResponse(NamedTuple):
 class ResidualShape(NamedTuple):
     """Statistics of a residual, measured minus model, in the whole cycles of a log; in psi.
 
-    Shares are fractions of the residual's mean square. Their sum is 1 if the residual is periodic
-    and has no harmonic above `HARMONICS`.
+    A share is a fraction of the residual's mean square. The sum of all shares is 1 if the residual
+    is periodic and has no harmonic above `HARMONICS`.
     """
 
     rms: float
@@ -40,18 +40,18 @@ class ResidualShape(NamedTuple):
     not_repeating_rms: float
     """RMS of the residual minus the part that repeats in every cycle."""
     mean_filling: float
-    """Mean residual while the command exceeds the measured pressure: the fill valve is open."""
+    """Mean residual while the fill valve is open (the command exceeds the measured pressure)."""
     mean_venting: float
     filling_time_share: float
     k_filling: float
-    """Apparent time constant [s] while the fill valve is open: error divided by rate."""
+    """Pressure error divided by pressure rate [s] while the fill valve is open."""
     k_venting: float
     measured: FrequencyResponse
     floor: float
 
 
 def whole_cycles(log: ManifoldLog) -> np.ndarray:
-    """Returns the mask (samples,) of whole cycles; it omits the first of three or more cycles."""
+    """Returns a mask (samples,) of whole cycles, without the first of three or more cycles."""
     cycles = math.floor(log.cycles + 0.02)
     first = 1 if cycles >= 3 else 0
     turn = log.t * log.frequency
@@ -80,10 +80,10 @@ def _response(omega: float, command: complex, pressure: complex) -> FrequencyRes
 def apparent_time_constants(
     t: np.ndarray, command: np.ndarray, pressure: np.ndarray
 ) -> tuple[float, float]:
-    """Returns k [s] of dp/dt = (command - p)/k, fitted to filling and to venting.
+    """Returns k [s] of dp/dt = (command - p)/k, fitted while filling and fitted while venting.
 
-    The rate dp/dt is a central difference over 20 samples. The error is command - p. k is NaN if
-    the mean product of error and rate is not positive.
+    The rate dp/dt is a central difference over 20 samples. A value of k is NaN if the mean product
+    of (command - p) and rate is not positive.
     """
     rate = (pressure[20:] - pressure[:-20]) / (t[20:] - t[:-20])
     error = (command - pressure)[10:-10]

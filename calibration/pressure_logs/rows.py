@@ -19,11 +19,11 @@ COLUMNS = (
 _RANGES = ((1, 1e9), (0, 255), (0, 255), (-1e4, 1e4), (-2e4, 2e4), (0, 4095))
 MAX_BAD_SHARE = 0.05  # fraction of bad rows; a larger fraction indicates a damaged recording
 MAX_STALE_ROWS = 5  # number of rows of an earlier test that may precede the first sample
-STUCK_SAMPLES = 25  # with the sensor's noise of 1.7 counts, a code does not repeat so often
+STUCK_SAMPLES = 25  # with a noise of 1.7 counts, a working sensor does not repeat a code so often
 
 
 class RowFinding(NamedTuple):
-    """A fault of the file: a repaired or dropped row, or two numbers that contradict each other."""
+    """A fault of a log's file, and the line with the fault (None: not in one line)."""
 
     line: int | None
     detail: str
@@ -79,7 +79,7 @@ def _parse(text: str) -> list[float] | str:
         row.append(value)
     if row[0] != int(row[0]):
         return "N_sample is not a whole number"
-    # The firmware also writes the error, so the error is a checksum of command and pressure.
+    # The firmware also writes command - pressure. A damaged row contradicts this column.
     if abs(row[3] - row[5] - row[4]) > 0.02:
         return "pressureError differs from pressureCommanded - pressure"
     return row
@@ -88,7 +88,7 @@ def _parse(text: str) -> list[float] | str:
 def _without_stale(
     table: np.ndarray, lines: list[int]
 ) -> tuple[np.ndarray, list[int], list[RowFinding]]:
-    """Returns the rows and lines without stale rows, and a finding for each stale row.
+    """Returns rows and line numbers without stale rows, and a finding for each stale row.
 
     A stale row is a row of an earlier test that was still in the serial buffer at the start.
     """
@@ -124,8 +124,8 @@ def _in_order(
             continue
         if step < 0:
             raise InputError(
-                f"{path}: line {lines[i]}: N_sample decreases from {last:.0f} to {now:.0f}; it "
-                "must increase: split the file at this line or remove the rows"
+                f"{path}: line {lines[i]}: N_sample decreases from {last:.0f} to {now:.0f}; "
+                "N_sample must increase; split the file at this line, or remove the wrong rows"
             )
         if step > 1:
             detail = f"{step - 1:.0f} samples are missing between {last:.0f} and {now:.0f}"
@@ -140,7 +140,7 @@ def _in_order(
 
 
 def _stuck(table: np.ndarray) -> list[RowFinding]:
-    """Returns findings on constant pressure for more samples than the sensor's noise allows."""
+    """Returns a finding for each series of `STUCK_SAMPLES` or more samples with equal pressure."""
     if not len(table):
         return []
     pressure = table[:, 5]

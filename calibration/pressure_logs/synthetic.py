@@ -1,7 +1,7 @@
 """Synthetic logs of a chamber with known valves, in the format of the published firmware.
 
-The pressure is integrated with eight explicit steps per sample. The code is independent of the
-models that are fitted to the logs.
+The pressure is integrated with eight explicit steps per sample. This code uses no code of the
+models that are fitted to the logs, so it is an independent test of these models.
 """
 
 import math
@@ -43,7 +43,7 @@ class Valves(NamedTuple):
         return -self.vent * opening * inside * self._flow(ATMOSPHERE / inside)
 
     def _flow(self, ratio: float) -> float:
-        """Returns the flow divided by the choked flow at a pressure `ratio` (ISO 6358)."""
+        """Returns the flow, divided by the choked flow, at a pressure `ratio` (ISO 6358)."""
         beyond = max(0.0, (ratio - self.critical) / (1.0 - self.critical))
         return math.sqrt(max(0.0, 1.0 - beyond**2))
 
@@ -101,7 +101,7 @@ def write_logs(
     noise: float = 1.7,
     seed: int = 0,
 ) -> list[Path]:
-    """Writes one log per frequency [Hz] to `folder` and returns their paths."""
+    """Writes one log per frequency [Hz] to `folder`, and returns the paths of the logs."""
     folder = output_folder(folder)
     paths = []
     for i, f in enumerate(frequencies):

@@ -1,4 +1,4 @@
-"""Writes sentences on the identification of the pressure lag."""
+"""Writes the sentences of the report on the identification of the pressure lag."""
 
 import math
 
@@ -7,11 +7,11 @@ import numpy as np
 from calibration.pressure_logs.identify import Identification, rms
 
 MAX_NOISE_RATIO = 2.0
-"""Largest RMSE of a lag that explains the logs, divided by the sensor's white noise."""
+"""A lag explains the logs if its RMSE is at most this multiple of the sensor's white noise."""
 
 
 def lag_verdict(found: Identification) -> str:
-    """Returns a sentence on whether one lag explains the logs."""
+    """Returns a sentence that states whether a single lag explains all logs."""
     times = found.pooled_rmse("pooled") / found.floor
     one, these = ("One lag", "these logs") if len(found.logs) > 1 else ("A lag", "this log")
     does = "explains" if times <= MAX_NOISE_RATIO else "does not explain"
