@@ -1,9 +1,10 @@
 """The audit of measured trials: faults of instruments and files, before any fit.
 
 The audit reads the rows, sorts the times, checks the sensors, and compares the pressures with the
-drive. With a prediction, it also compares forces and tip with the prediction. The audit repairs
-unambiguous faults, masks faulty readings, and excludes unusable trials. Most checks compare a trial
-with the other trials. A deviation that all trials share may be a missing effect, so it is no fault.
+drive. If a prediction is available, the audit also compares forces and tip with the prediction. The
+audit repairs unambiguous faults, masks (ignores) faulty readings, and excludes unusable trials.
+Most checks compare a trial with the other trials. A deviation that all trials share is no fault,
+because a missing effect of the model may cause this deviation.
 """
 
 from collections.abc import Callable, Sequence
@@ -40,7 +41,7 @@ def audit_measurements(
 ) -> Audited:
     """Returns the usable trials of an experiment and the findings of the audit.
 
-    `predict` returns the readings (channels, n) of each record that the starting model predicts.
+    `predict` returns, for each record, the readings (channels, n) that the starting model predicts.
     Without `predict`, the audit does not compare forces and tip with a prediction. Raises
     `InputError` with the findings if fewer than `least` trials are usable.
     """
@@ -97,7 +98,7 @@ def _within_duration(
 ) -> tuple[list[Record], list[Finding]]:
     """Returns the records without samples outside the trial's duration, and findings.
 
-    A finding also reports a sample rate that differs from the declared `rate` [Hz].
+    If a trial's sample rate differs from the declared `rate` [Hz], a finding reports this.
     """
     kept, findings = [], []
     for r in records:
@@ -122,7 +123,7 @@ def _within_duration(
 
 
 def _without_copies(records: Sequence[Record]) -> tuple[list[Record], list[Finding]]:
-    """Returns the records without copies of another trial's readings, and findings."""
+    """Returns the records whose readings are not copies of another trial, and findings."""
     kept: list[Record] = []
     findings = []
     for r in records:

@@ -1,4 +1,4 @@
-"""Reports trials whose clock, frequency, phase, amplitude or start is not as declared."""
+"""Reports trials whose clock, frequency, phase, amplitude or start differs from the declaration."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -27,16 +27,16 @@ from calibration.measurements.records import Finding, Record
 from slider_jax.channels import BUILT_IN
 
 SKEW = 0.004
-"""Smallest relative clock error that is a fault. Slow transients may cause a smaller one."""
+"""Smallest relative frequency error that is a fault. Slow transients may cause smaller errors."""
 MAX_SKEW = 0.03
-"""Largest relative error of a clock; a larger one means another drive than declared."""
+"""Largest relative frequency error that a clock may cause. A larger error means another drive."""
 WRONG_DRIVE = 0.8
-"""A pressure has another drive if its relative residual at every lag and delay exceeds this."""
+"""A pressure has another drive if its relative fit residual exceeds this at every lag and delay."""
 STRANGE, TIMES = 0.25, 6.0
-"""`STRANGE` is sufficient if the residual also exceeds `TIMES` times the median of all trials."""
+"""A residual above `STRANGE` is sufficient if it also exceeds `TIMES` times the trials' median."""
 WRONG_AMPLITUDE = np.log(1.25)
 FITS = 0.1
-"""A pressure's delay is determined if the relative residual is below this."""
+"""The delay of a trial's pressures is determined if the relative fit residual is below this."""
 LATE = 0.02
 """Largest accepted difference of a trial's delay from the delay of the other trials [s]."""
 WRONG_PHASE = 0.05
@@ -48,7 +48,7 @@ def check_clocks(
 ) -> tuple[list[Record], list[Finding]]:
     """Returns the usable records with corrected clocks, and findings.
 
-    The pressures' frequencies show the clock's error; `rate` [Hz] is the declared sample rate.
+    The frequency of the pressures shows the clock's error. `rate` [Hz] is the declared sample rate.
     """
     clocks = [_clock(r) for r in records]
     known = [p.off for p in clocks if p is not None]
@@ -80,7 +80,7 @@ def check_clocks(
 
 
 def _clock(r: Record) -> PeriodRatio | None:
-    """Returns the frequency error; None if the two pressures disagree."""
+    """Returns the relative error of the pressures' frequency; None if the pressures disagree."""
     assert r.trial.frequency is not None
     found = []
     for row in (0, 1):
@@ -108,8 +108,8 @@ def check_declared_drive(
         bad = [c for c in (0, 1) if np.isfinite(r.values[c]).mean() > 0.3 and least[i, c] > limit]
         if bad and i not in wrong:
             detail = (
-                f"{' and '.join(NAMES[c] for c in bad)} do not respond to the declared drive "
-                f"({r.trial.frequency:g} Hz), unlike in the other trials{_partner(records, r)}"
+                f"the declared drive ({r.trial.frequency:g} Hz) does not explain "
+                f"{' and '.join(NAMES[c] for c in bad)} in this trial{_partner(records, r)}"
             )
             channels = ", ".join(BUILT_IN[c] for c in bad)
             wrong[i] = trial_finding(r, "wrong_drive", channels, detail, "left out")
@@ -129,14 +129,14 @@ def _partner(records: Sequence[Record], r: Record) -> str:
             continue
         residual = fit_lags(r.t, r.values[:2], chambers).residual
         if max(residual[c, c].min() for c in (0, 1)) < 0.5 * STRANGE:
-            return f"; they follow the drive of {other.trial.file}: the files may be swapped"
+            return f"; the pressures fit the drive of {other.trial.file}: the files may be swapped"
     return ""
 
 
 def _late(
     records: Sequence[Record], responses: DriveResponses, index: Sequence[int]
 ) -> dict[int, Finding]:
-    """Returns findings on trials whose delay is determined and unlike that of the others."""
+    """Returns findings on trials whose pressures have another delay than in the other trials."""
     if len(records) < 4:
         return {}
     around = DELAYS[responses.at[1]] + np.arange(-0.2, 0.2, 0.005)
@@ -184,8 +184,9 @@ def _wrong_phase(
         phase = wrapped((off[j] - usual) * r.trial.frequency)
         if abs(phase) > max(WRONG_PHASE, 8.0 * spread * r.trial.frequency):
             detail = (
-                f"the rear pressure lags the front by {wrapped(r.trial.phase + phase):.2f} of a "
-                f"period; the declared phase is {r.trial.phase:g}"
+                f"the rear pressure lags the front pressure by "
+                f"{wrapped(r.trial.phase + phase):.2f} of a period, but the declared phase is "
+                f"{r.trial.phase:g}"
             )
             found[index[j]] = trial_finding(r, "wrong_phase", "p_rear", detail, "left out")
     return found

@@ -1,4 +1,4 @@
-"""Fits of all trials' pressures with the lag's response to their declared drives."""
+"""Fits the pressures of all trials with a first-order lag's response to the declared drives."""
 
 from collections.abc import Sequence
 
@@ -17,13 +17,13 @@ from slider_jax.channels import BUILT_IN, CHANNELS
 
 NAMES = tuple(CHANNELS[name].column for name in BUILT_IN)
 MAX_RESIDUAL = 0.6
-"""A pressure responds to a drive if the residual's rms is below this fraction of its own rms."""
+"""A pressure responds to a drive if the fit residual's rms is below this fraction of its rms."""
 STRIDES = 1.2
-"""Smallest number of strides after settling that determines a fundamental."""
+"""Smallest number of settled strides from which a fundamental (first harmonic) is computed."""
 
 
 class DriveResponses:
-    """Fits of all trials, and the common lag and delay that fit most trials."""
+    """The fits of all trials, and the one lag and delay that fit most trials."""
 
     def __init__(self, records: Sequence[Record]):
         chambers = driven_chambers(records)
@@ -71,7 +71,7 @@ def rear_lag_and_ratio(r: Record) -> tuple[float, float] | None:
     """Returns the rear pressure's lag behind the front's, and the ratio of front to rear amplitude.
 
     The lag is a fraction of a period. Returns None for a trial with fewer than `STRIDES` settled
-    strides: in so short a trial, a slow drift resembles a fundamental.
+    strides, because a slow drift of a shorter trial could be mistaken for the fundamental.
     """
     if not r.trial.frequency or (r.t[-1] - settling_time(r.t)) * r.trial.frequency < STRIDES:
         return None
@@ -86,7 +86,7 @@ def rear_lag_and_ratio(r: Record) -> tuple[float, float] | None:
 
 
 def wrapped(phase: float) -> float:
-    """Returns a phase in periods between -0.5 and 0.5."""
+    """Returns a phase [periods], reduced by whole periods to a value between -0.5 and 0.5."""
     return (phase + 0.5) % 1.0 - 0.5
 
 

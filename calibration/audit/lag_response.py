@@ -1,7 +1,7 @@
-"""Fits a first-order lag's response to the declared drive to measured series, in numpy.
+"""Fits measured series with the response of a first-order lag to the declared drive.
 
-Gain and slow drift are free. The audit uses one time constant and one delay for all trials, so that
-a physical effect that all trials share does not count as a fault.
+Each fit has a free gain and a free slow drift. The audit uses one time constant and one delay for
+all trials, so that a physical effect that all trials share does not count as a fault.
 """
 
 from typing import NamedTuple
@@ -16,7 +16,7 @@ TIME_CONSTANTS = np.geomspace(0.02, 0.5, 14)
 DELAYS = np.linspace(-0.01, 0.11, 13)
 """Candidate delays of the pressure behind the lag's response [s]."""
 SETTLED = 0.5
-"""Time after which the start no longer affects a cycle's phase [s]."""
+"""Time from the start of the drive until the start no longer affects the phase of a cycle [s]."""
 TWO_CYCLE_ERROR = 2e-3
 """Standard error that is assumed for a phase drift from only two cycles [rad per cycle]."""
 MAX_SAMPLES = 300
@@ -47,7 +47,7 @@ class DeclaredDrive(NamedTuple):
 
 
 def declared_drives(trial: Trial) -> tuple[DeclaredDrive, DeclaredDrive] | None:
-    """Returns a trial's front and rear drive; None if one is zero or the drive is recorded."""
+    """Returns a trial's front and rear drive; None if a drive is zero or `recorded`."""
     f, amplitude = trial.frequency, trial.amplitude
     if trial.waveform == "recorded" or not f or not amplitude or not trial.rear_ratio:
         return None
@@ -61,7 +61,7 @@ def declared_drives(trial: Trial) -> tuple[DeclaredDrive, DeclaredDrive] | None:
 def _lag_responses(
     drive: DeclaredDrive, duration: float, time_constants: np.ndarray
 ) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Returns times (n,) [s] and each lag's response (n,) from rest to a drive of amplitude 1."""
+    """Returns times (n,) [s] and each time constant's response (n,) to a drive of amplitude 1."""
     spacing = min(1e-3, 1.0 / (200.0 * drive.frequency))
     t = spacing * np.arange(int(np.ceil(duration / spacing)) + 2)
     set_point, keep = drive.unit(t + 0.5 * spacing), np.exp(-spacing / time_constants)
@@ -70,10 +70,10 @@ def _lag_responses(
 
 
 class LagFits(NamedTuple):
-    """Fits of m series with the response of each chamber's drive, for all lags and delays.
+    """Fits of m series with the response to each drive, for all time constants and delays.
 
     `gain` is the signed ratio of a series to the response. `residual` is the fit residual's rms
-    divided by the series' rms. Both arrays have the shape (m, 2 chambers, lags, delays).
+    divided by the series' rms. Both arrays have the shape (m, 2 chambers, time constants, delays).
     """
 
     gain: np.ndarray
@@ -94,13 +94,13 @@ def fit_lags(
     delays: np.ndarray = DELAYS,
     time_constants: np.ndarray = TIME_CONSTANTS,
 ) -> LagFits:
-    """Returns fits of `values` (m, n) at `t` (n,) [s]. A missing value is NaN."""
+    """Returns fits of the series `values` (m, n) at times `t` (n,) [s]. Missing values are NaN."""
     shape = (len(values), 2, len(time_constants), len(delays))
     gain, residual = np.zeros(shape), np.ones(shape)
     every = max(1, len(t) // MAX_SAMPLES)
     for j, drive in enumerate(chambers):
         times, responses = _lag_responses(drive, float(t[-1]) + 0.02, time_constants)
-        regressors: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}  # by the rows that are there
+        regressors: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}  # key: rows with readings
         for i, series in enumerate(values):
             there = np.flatnonzero(np.isfinite(series))
             there = there[:: max(1, min(every, len(there) // 60))]
@@ -130,10 +130,10 @@ class PeriodRatio(NamedTuple):
 
 
 def period_ratio(t: np.ndarray, y: np.ndarray, frequency: float) -> PeriodRatio | None:
-    """Returns the frequency's error from the phase drift of the fundamental; None for < 2 cycles.
+    """Returns the error of y's frequency relative to `frequency` [Hz]; None for < 2 cycles.
 
-    A distortion that all cycles share, such as lag, delay or saturation, does not change the
-    result. The first cycles are not used.
+    The phase drift of the fundamental shows the error. A distortion that all cycles share,
+    such as lag, delay or saturation, does not change the result. The first cycles are not used.
     """
     faster, found = 1.0, None
     for _ in range(3):
@@ -150,7 +150,7 @@ def _drift(t: np.ndarray, y: np.ndarray, frequency: float) -> PeriodRatio | None
     first = min(max(1, int(np.ceil(2.0 * SETTLED * frequency))), max(last - 4, 1))
     spacing = float(np.median(np.diff(t)))
     phases, cycles = [], []
-    for j in range(first, last):  # one window per half cycle, one cycle long
+    for j in range(first, last):  # windows of one cycle, half a cycle apart
         inside = (t >= 0.5 * j / frequency) & (t < (0.5 * j + 1.0) / frequency)
         if inside.sum() * spacing * frequency < 0.9:
             continue
@@ -172,14 +172,14 @@ def _drift(t: np.ndarray, y: np.ndarray, frequency: float) -> PeriodRatio | None
 
 
 def settling_time(t: np.ndarray) -> float:
-    """Returns the time [s] after which a pressure counts as periodic, shorter in short trials."""
+    """Returns the time [s] until a pressure counts as periodic: `SETTLED` or 30 % of the trial."""
     return min(SETTLED, 0.3 * float(t[-1]))
 
 
 def fundamental_tone(t: np.ndarray, y: np.ndarray, frequency: float) -> tuple[float, float]:
     """Returns the amplitude and the lag (fraction of a period) of the fundamental of y (n,).
 
-    The least-squares fit includes two harmonics and a parabola.
+    The least-squares fit also includes two higher harmonics and a parabola.
     """
     late = t >= settling_time(t)
     turn = 2.0 * np.pi * frequency * t[late]
@@ -193,10 +193,10 @@ def fundamental_tone(t: np.ndarray, y: np.ndarray, frequency: float) -> tuple[fl
 def leave_one_out(
     y: np.ndarray, x: np.ndarray, slopes: np.ndarray, floor: float
 ) -> list[tuple[float, float]]:
-    """Returns the deviation of each y (n,) from a plane through the others, and its standard error.
+    """Returns, for each y (n,), the deviation from a fit to all other y, and its standard error.
 
-    `x` (n, p) are the variables of the plane and `slopes` (p,) the prior standard deviations of its
-    slopes. `floor` is the smallest scatter about the plane.
+    The fit is a plane with the variables `x` (n, p). `slopes` (p,) are prior standard deviations of
+    the plane's slopes. `floor` is the smallest scatter that is assumed about the plane.
     """
     found = []
     for i in range(len(y)):

@@ -1,6 +1,6 @@
 """Compares forces and tip with a prediction (columns, units, signs), and reports outlier trials.
 
-The starting model predicts the readings. The prediction may be inaccurate, because a wrong unit, a
+The starting model predicts the readings. An inaccurate prediction is sufficient: a wrong unit, a
 wrong sign or swapped columns are evident without the exact parameters.
 """
 
@@ -23,19 +23,19 @@ LAGS = np.arange(-0.03, 0.1, 0.01)
 CLEAR = 0.8
 """Smallest correlation with the prediction that identifies a channel."""
 COMPARABLE = 0.7
-"""A channel of a trial is checked only if all other trials reach this correlation."""
+"""Smallest correlation that a channel must have in the other trials before it is checked."""
 MARGIN = 0.5
-"""Columns count as swapped if the swap raises the sum of the correlations by more than this."""
+"""Columns count as swapped if the exchange raises the sum of correlations by more than this."""
 STRANGE = 0.4
 """A channel does not belong to a trial if its correlation is below this value at every delay."""
 UNIT_MARGIN = np.log10(3.0)
-"""Largest difference between a size ratio and a factor of 1000 or 1/1000 [decades]."""
+"""A unit is wrong if log10(measured/predicted size) differs from 3 or -3 by less than this."""
 SMALL = {1e3: ("mN", "mN", "mm"), 1e-3: ("kN", "kN", "km")}
-"""Units of thrust, recoil and tip. A key is a number in the unit divided by that in SI units."""
+"""Wrong units of thrust, recoil and tip. Each key is the number in the unit for 1 N or 1 m."""
 OUTLIER = 30.0
-"""Smallest ratio of an outlier's mean square to the median of the other trials' mean squares."""
+"""Smallest ratio of an outlier's mean square residual to the median of the other trials."""
 BEYOND = 4.0
-"""Smallest ratio of an outlier's mean square to the largest mean square of the other trials."""
+"""Smallest ratio of an outlier's mean square residual to the largest one of the other trials."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class _Correlations:
     lags: list[float]
 
     def correlation(self, i: int, column: int, row: int) -> float:
-        """Returns the correlation of a column with the predicted row at the delay of this row."""
+        """Returns the correlation of a measured column with a predicted row, delayed by `lags`."""
         r, p = self.pairs[i]
         return _correlation(r, p, column, row, self.lags[BODY.index(row)])
 
@@ -60,7 +60,7 @@ class _Correlations:
 
 
 def _common_lag(pairs: Sequence[tuple[Record, np.ndarray]], row: int) -> float:
-    """Returns the delay [s] behind a predicted row at which most trials have a similar column."""
+    """Returns the delay [s] of a predicted row with the largest correlation to measurements."""
     table = [
         [max(abs(_correlation(r, p, c, row, x)) for c in BODY) for x in LAGS] for r, p in pairs
     ]
@@ -114,7 +114,7 @@ def _columns(of: _Correlations) -> tuple[list[Record], list[Finding]]:
         rows = [0, 1, *(BODY[c] for c in best), *range(len(NAMES), len(r.values))]
         names = " and ".join(NAMES[BODY[x]] for x in moved)
         channels = ", ".join(BUILT_IN[BODY[x]] for x in moved)
-        detail = f"the columns {names} are swapped: each follows another channel's prediction"
+        detail = f"the columns {names} are swapped: each column fits another channel's prediction"
         findings.append(trial_finding(r, "swapped_columns", channels, detail, "mended"))
         kept.append(replace(r, values=r.values[rows]))
     return kept, findings
@@ -158,7 +158,8 @@ def _units(of: _Correlations) -> tuple[list[Record], list[Finding]]:
         values = r.values.copy()
         for x, row in enumerate(BODY):
             ratio = next((f for f in SMALL if abs(sizes[i, x] - np.log10(f)) < UNIT_MARGIN), None)
-            # A wrong model may also scale a channel: one channel or trial must have a normal size.
+            # A wrong model may also scale a channel. So a size must be normal: of this channel in
+            # some trial, or of another channel in this trial.
             if ratio is None or not (ordinary[:, x].any() or ordinary[i].any()):
                 continue
             unit, name = SMALL[ratio][x], NAMES[row]
@@ -173,7 +174,7 @@ def _units(of: _Correlations) -> tuple[list[Record], list[Finding]]:
 
 
 def _strange_channels(of: _Correlations) -> tuple[list[Record], list[Finding]]:
-    """Returns the records and findings; masks a channel that fits in all trials but this one."""
+    """Masks a channel in the only trial in which its prediction is wrong, and reports a finding."""
     n = len(of.pairs)
     table = np.array([[of.correlation(i, x, x) for x in BODY] for i in range(n)]).reshape(n, 3)
     kept, findings = [], []
@@ -202,9 +203,9 @@ def residual_outliers(
 ) -> list[Finding]:
     """Returns findings on trials whose residual is far larger than in all other trials.
 
-    `mean_squares` maps a channel to the whitened residual's mean square (n,) in each trial after
-    the last fit, NaN without the channel. Trends with frequency, amplitude and tow speed are
-    removed, because they may be physical. A channel is checked if five or more trials have it.
+    `mean_squares` maps a channel to the mean square (n,) of the whitened residual in each trial
+    after the last fit. NaN marks trials without the channel. Trends with frequency, amplitude and
+    tow speed may be physical, and are removed. Channels of fewer than five trials are not checked.
     """
     found = []
     slow = [abs(t.tow_speed) for t in trials]

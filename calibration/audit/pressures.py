@@ -1,7 +1,7 @@
 """Compares measured pressures with the declared drives: columns, units, signs, settings.
 
-Lag, delay and gain are the same for all trials. A deviation that all trials share is no fault,
-except a wrong unit, a wrong sign or swapped columns.
+The comparison uses one lag, one delay and one gain for all trials. A deviation that all trials
+share is no fault, unless the deviation is a wrong unit, a wrong sign or a swap of columns.
 """
 
 from collections.abc import Sequence
@@ -24,9 +24,9 @@ from calibration.measurements.records import Finding, Record
 from slider_jax.channels import BUILT_IN
 
 UNITS = {1e-3: "kPa", 1e3: "mPa", 1.0 / 6894.757: "psi", 1e-5: "bar", 1e-6: "MPa"}
-"""Names of units. Each key is the ratio of a number in the unit to the number in Pa."""
+"""Names of units. Each key is the number in the unit that equals 1 Pa."""
 UNIT_MARGIN = np.log(1.6)
-"""Largest difference of ln(gain) from ln(a unit's ratio). Unit ratios differ by factors >= 6.9."""
+"""Largest difference of ln(gain) from ln(key of `UNITS`). The keys differ by factors >= 6.9."""
 
 
 def check_pressures(
@@ -74,7 +74,7 @@ def _columns(
             kept.append(r)
             continue
         moved = [name for x, name in enumerate(NAMES) if order[x] != x]
-        detail = f"the columns {' and '.join(moved)} are swapped: each has another's readings"
+        detail = f"{' and '.join(moved)} are swapped: each column has another sensor's readings"
         findings.append(trial_finding(r, "swapped_columns", ", ".join(moved), detail, "mended"))
         kept.append(replace(r, values=r.values[order]))
     return kept, findings
@@ -98,8 +98,8 @@ def _units(
             unit = min(UNITS, key=lambda u: abs(np.log(ratio / u)))
             if abs(np.log(ratio / unit)) < UNIT_MARGIN:
                 detail = (
-                    f"{NAMES[c]} is {ratio:.4g} times the drive's response: the numbers are in "
-                    f"{UNITS[unit]}, and were multiplied by {1.0 / unit:.6g}"
+                    f"{NAMES[c]} is {ratio:.4g} times its response to the drive: the numbers are "
+                    f"in {UNITS[unit]}, and were multiplied by {1.0 / unit:.6g}"
                 )
                 values[c] /= unit
                 findings.append(trial_finding(r, "units", BUILT_IN[c], detail, "mended"))
@@ -131,14 +131,14 @@ def _front_and_rear(
         if not s:
             kept.append(r)
             continue
-        detail = "p_front_Pa and p_rear_Pa are swapped: each follows the drive of the other chamber"
+        detail = "p_front_Pa and p_rear_Pa are swapped: each follows the other chamber's drive"
         findings.append(trial_finding(r, "swapped_columns", "p_front, p_rear", detail, "mended"))
         kept.append(replace(r, values=np.concatenate([r.values[1::-1], r.values[2:]])))
     return kept, findings
 
 
 def _swapped_by_phase(r: Record, found: tuple[float, float] | None) -> bool | None:
-    """Returns whether the phase shows a swap; None if the declared phase does not discriminate."""
+    """Returns whether the phase shows that the columns are swapped; None if it is inconclusive."""
     if found is None or abs(wrapped(2.0 * r.trial.phase)) < 0.1:
         return None
     straight, crossed = (abs(wrapped(found[0] - s * r.trial.phase)) for s in (1.0, -1.0))
@@ -150,7 +150,7 @@ def _swapped_by_phase(r: Record, found: tuple[float, float] | None) -> bool | No
 def _swapped_by_size(found: float, rear_ratio: float, others: Sequence[float]) -> bool:
     """Returns whether `found`, ln(front/rear amplitude), shows that the columns are swapped.
 
-    `others` are the differences between this logarithm and the declared one in other trials.
+    `others` contains, for each trial, the measured minus the declared ln(front/rear amplitude).
     """
     if len(others) < 2:
         return False

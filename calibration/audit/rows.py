@@ -18,7 +18,7 @@ MIN_ROWS = 20
 
 
 class Rows(NamedTuple):
-    """The times (n,) and the other columns (channels, n) of a file, in the order of its rows."""
+    """The times (n,) and the other columns (channels, n) of a file, in the file's order."""
 
     t: np.ndarray
     values: np.ndarray

@@ -1,7 +1,8 @@
-"""Faults of one sensor: stuck or clipped readings, spikes, missing frames.
+"""Finds faults of one sensor: stuck or clipped readings, spikes, missing readings.
 
-Repeated readings are a fault only if noise and quantisation make them improbable. A faultless
-sensor of a constant pressure may repeat a quantised reading. A saturated signal still has noise.
+Repeated readings are a fault only if they are improbable with the noise and the quantisation of the
+sensor. For example, a faultless sensor may repeat a quantised reading of a constant pressure. If
+the measured quantity saturates but the sensor is not clipped, the readings still vary by noise.
 """
 
 import math
@@ -44,8 +45,8 @@ class Quantisation(NamedTuple):
 def quantisation(values: np.ndarray, declared: float) -> Quantisation:
     """Returns the noise and the step of readings (n,) without NaN.
 
-    `declared` is the noise's declared standard deviation, or 0. The noise is measured in those
-    parts where the signal varies least but is not constant, so that motion does not count as noise.
+    `declared` is the noise's declared standard deviation, or 0. The noise is measured in the parts
+    of the series where the signal varies least but is not constant, to exclude motion.
     """
     step = _step_of(values)
     apart = np.abs(np.diff(values, 4)) / math.sqrt(math.comb(8, 4))
@@ -63,7 +64,7 @@ def quantisation(values: np.ndarray, declared: float) -> Quantisation:
 
 
 def _step_of(values: np.ndarray) -> float:
-    """Returns the quantisation step of readings (n,); nearly all differences are its multiples."""
+    """Returns the quantisation step, of which most differences of readings (n,) are multiples."""
     steps = np.diff(np.unique(values))
     steps = steps[steps > 1e-12 * max(float(np.ptp(values)), 1e-300)]
     if not steps.size:
@@ -77,7 +78,7 @@ def _step_of(values: np.ndarray) -> float:
 
 
 def stuck(values: np.ndarray, g: Quantisation) -> np.ndarray:
-    """Returns for each reading (n,) whether a stuck sensor repeats the reading before it."""
+    """Returns, for each reading (n,), whether a stuck sensor repeats the previous reading."""
     n = len(values)
     edges = np.r_[0, np.flatnonzero(np.diff(values)) + 1, n]
     bad = np.zeros(n, bool)
@@ -85,7 +86,7 @@ def stuck(values: np.ndarray, g: Quantisation) -> np.ndarray:
     if g.noise > 0.0 and g.repeat <= 0.9999:  # a longer repetition is improbable
         longest = max(MIN_REPEATS, math.ceil(math.log(IMPOSSIBLE / n) / math.log(g.repeat)) + 1)
     for a, b in zip(edges[:-1], edges[1:], strict=True):
-        if abs(values[a]) < rest:  # before the start, the signal is 0 without noise
+        if abs(values[a]) < rest:  # before the start, correct readings may be 0
             continue
         if b - a >= longest or (b - a >= MIN_REPEATS and _ends_with_jump(values, a, b, g)):
             bad[a + 1 : b] = True
@@ -93,9 +94,10 @@ def stuck(values: np.ndarray, g: Quantisation) -> np.ndarray:
 
 
 def _ends_with_jump(values: np.ndarray, a: int, b: int, g: Quantisation) -> bool:
-    """Returns whether a jump follows the equal values[a:b], and the signal moves on both sides.
+    """Returns whether the signal jumps after the equal values[a:b], and varies before and after.
 
-    While a sensor is stuck, the signal moves on. The jump afterwards exceeds all nearby steps.
+    While a sensor is stuck, the measured quantity continues to change. So the first correct reading
+    differs from the stuck readings by more than nearby readings differ from each other.
     """
     after, before = values[b : b + 8], values[max(a - 8, 0) : a]
     if len(after) < 8 or len(before) < 8:
@@ -108,10 +110,10 @@ def _ends_with_jump(values: np.ndarray, a: int, b: int, g: Quantisation) -> bool
 
 
 def clipped(values: np.ndarray, g: Quantisation) -> np.ndarray:
-    """Returns for each reading (n,) whether it is at a limit of the sensor's range.
+    """Returns, for each reading (n,), whether the reading is at a limit of the sensor's range.
 
-    A limit is an extreme value that occurs more often than the value beside it. No reading exceeds
-    the limit, although the noise of an unclipped signal would.
+    A limit is an extreme value that occurs more often than the neighbouring values. With an
+    unclipped sensor, noise would make some readings exceed this value.
     """
     bad = np.zeros(len(values), bool)
     if g.noise <= 0.0 or g.repeat > 0.9999:
@@ -132,13 +134,13 @@ def clipped(values: np.ndarray, g: Quantisation) -> np.ndarray:
             for a, b in zip(places[:-1], places[1:], strict=True):
                 bad[a:b] |= b - a <= BRIDGED
             ends.append(top)
-    if len(ends) == 1:  # a range often is symmetric
+    if len(ends) == 1:  # the range of a sensor is often symmetric
         bad |= np.abs(values) == ends[0]
     return bad
 
 
 def spikes(values: np.ndarray, g: Quantisation) -> np.ndarray:
-    """Returns for each reading (n,) whether it is in a spike of up to three successive readings."""
+    """Returns, for each reading (n,), whether it is in a spike of one to three readings."""
     bad = np.zeros(len(values), bool)
     mirrored = np.pad(values, 4, "reflect")
     for width in (1, 2, 3):
@@ -159,8 +161,8 @@ def spikes(values: np.ndarray, g: Quantisation) -> np.ndarray:
 def _leaves_range(values: np.ndarray, a: int, b: int) -> bool:
     """Returns whether values[a:b] exceed the range of all other readings by half of that range.
 
-    A spike at an end of the series must pass this test: it has neighbours on one side only, and a
-    start from rest is also a jump.
+    A spike at an end of the series must pass this test, because such a spike has neighbours on one
+    side only. Without the test, the start from rest would count as a spike.
     """
     rest = np.r_[values[:a], values[b:]]
     low, high = float(rest.min()), float(rest.max())
@@ -217,11 +219,11 @@ def _description(kind: str, channel: str, values: np.ndarray) -> str:
     if kind == "clipped":
         ends = sorted({float(values.min()), float(values.max())})
         return f"{channel} is clipped at {' and '.join(f'{x:.4g}' for x in ends)}"
-    return f"{channel} is stuck: it has equal readings for longer than its noise allows"
+    return f"{channel} is stuck: its readings are equal for longer than its noise makes plausible"
 
 
 def _frames(trial: str, channel: str, t: np.ndarray, values: np.ndarray) -> list[Finding]:
-    """Returns a finding on a channel's gaps. A channel may have a reading in every nth row only."""
+    """Returns a finding on gaps. A channel may regularly have a reading in every nth row only."""
     there = np.flatnonzero(np.isfinite(values))
     steps = np.diff(there)
     usual = int(np.median(steps))

@@ -9,13 +9,13 @@ from calibration.measurements.records import Finding, true_runs
 from slider_jax.experiment.schema import Trial
 
 JITTER = 0.2
-"""Largest rms deviation of the time stamps from a regular grid, in units of its spacing."""
+"""Largest rms deviation of the time stamps from a regular grid, as a fraction of its spacing."""
 MAX_CONFLICTS = 0.02
 """Largest fraction of rows that may have the time of another row, but different values."""
 MANY_GAPS = 20
 """Number of gaps above which one finding describes all gaps of a file."""
 OFTEN = 0.4
-"""A channel that repeats its reading in more than this fraction of rows shows no repeated row."""
+"""Repeated rows are found only with channels that repeat their reading less often than this."""
 FROZEN = 5
 """Smallest number of successive repeated rows that count as a stuck logger."""
 
@@ -33,7 +33,7 @@ def regular_rows(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
 
 
 def _unit(rows: Rows, trial: Trial) -> tuple[Rows, list[Finding]]:
-    """Returns the rows with times in s; a comparison with the trial's duration shows the unit."""
+    """Returns the rows with times in s. The trial's duration shows the unit in the file."""
     longest = float(np.median(np.sort(rows.t)[-3:]))
     for factor, unit in ((1e3, "milliseconds"), (1e6, "microseconds")):
         if 0.5 < longest / (factor * trial.duration) < 1.2:
@@ -163,6 +163,6 @@ def _gap_findings(trial: Trial, t: np.ndarray, there: np.ndarray, dt: float) -> 
         spans.append((float(t[-1]), trial.duration, int((trial.duration - t[-1]) / dt)))
     return [
         Finding(trial.file, "gap", None, a, b,
-                f"{n} rows are missing between {a:.4g} and {b:.4g} s; the others are used", "used")
+                f"{n} rows are missing between {a:.4g} and {b:.4g} s; other rows are used", "used")
         for a, b, n in spans
     ]  # fmt: skip
