@@ -1,5 +1,5 @@
-"""Physical effects of pneumatics, body, water and sensors, one effect in each file. This package
-may import `actuation`, `supports` and packages of lower layers."""
+"""Physical effects of pneumatics, body, water and sensors. Each file defines one effect. This
+package may import `actuation`, `supports` and packages of lower layers."""
 
 from slider_jax.effects.base import (
     MOUNT_LAG as MOUNT_LAG,

@@ -1,9 +1,9 @@
-"""Base classes of the effects. An effect is one physical cause, with parameters and one method.
+"""Base classes of the effects. An effect models one physical cause.
 
-A model contains a list of effects, and the solver treats all effects alike. Every effect enters the
-model at one of the places below. Each place is a class with one abstract method. `parameter`
-declares a parameter of an effect, with the null at which the effect vanishes, the prior range and
-the reason for this range.
+A model contains a list of effects, and the solver treats all effects alike. A place is the part of
+the model where an effect acts. This module defines one base class with one abstract method for each
+place. `parameter` declares a parameter of an effect: the null at which the effect vanishes, the
+prior range and the reason for this range.
 """
 
 import math
@@ -23,10 +23,11 @@ from slider_jax.beam.parameters import Robot
 
 
 class Prior(NamedTuple):
-    """Prior range of a parameter, `low` to `high`; the effect vanishes at `null`.
+    """Prior range of a parameter from `low` to `high`, with the reason `why` for this range.
 
-    `start` is the value at which the loop first tries the effect. Thresholds, limits and replaced
-    laws need a start, because the derivative at the null does not predict the full effect.
+    The effect vanishes at `null`. `start` is the value at which the loop tests the effect. A
+    threshold, a limit and an effect that replaces a law need a start: the derivative at the null
+    does not predict these effects.
     """
 
     null: float
@@ -40,34 +41,34 @@ class Prior(NamedTuple):
 def parameter(
     null: float, low: float, high: float, unit: str, why: str, start: float | None = None
 ) -> Any:
-    """Returns the field of an effect's parameter with this `Prior`. The default is the null."""
+    """Returns a field for a parameter of an effect. The field's default value is `null`."""
     return eqx.field(default=null, metadata={"prior": Prior(null, low, high, unit, why, start)})
 
 
 class Effect(eqx.Module):
-    """One physical cause. Its docstring gives the equation and the source."""
+    """One physical cause. The docstring of an effect gives the equation and the source."""
 
     title: ClassVar[str] = ""
     """Name of the effect in reports."""
     order: ClassVar[float] = math.inf
-    """Position in lists and rankings. Effects without a position are last, sorted by name."""
+    """Position in lists and rankings. Effects without a position are last, in order of name."""
     sensors: ClassVar[tuple[str, ...]] = ("thrust", "recoil", "tip")
-    """Sensors that can detect the effect: any of pressure, thrust, recoil and tip."""
+    """Sensors that can detect the effect: one or more of pressure, thrust, recoil and tip."""
     in_every_model: ClassVar[bool] = False
     """Whether every model contains the effect. Such an effect is not in the library."""
     is_candidate: ClassVar[bool] = True
-    """Whether the loop may add the effect to explain a residual. False if the effect cannot occur
-    in a horizontal tank with a clamped head."""
+    """Whether the loop may add the effect to explain a residual. It is False if the effect cannot
+    act on a horizontal robot with a clamped head in a tank."""
     rear_only: ClassVar[bool] = False
-    """Whether the effect acts only on the rear chamber. A pressure log cannot show the effect."""
+    """Whether only the rear chamber has the effect. A log of one chamber cannot show the effect."""
     lacks_weight: ClassVar[bool] = False
-    """Whether the effect adds inertia without weight. Simulations of climbing in air exclude it."""
+    """Whether the effect adds inertia without weight. Climbing simulations exclude such effects."""
     resists_axially: ClassVar[bool] = False
-    """Whether the effect is a force density that resists axial motion, which is false for normal
-    drag and added mass."""
+    """Whether the effect is a force density that resists axial motion. Normal drag and added mass
+    do not resist axial motion."""
     replaces_law: ClassVar[str] = ""
-    """Part of the model that the effect replaces, or empty. A model may contain only one effect for
-    each part."""
+    """Name of the part of the model that the effect replaces, or an empty string. Two effects of a
+    model must not replace the same part."""
 
     @classmethod
     def name(cls) -> str:
@@ -81,7 +82,7 @@ class Effect(eqx.Module):
 
     @classmethod
     def priors(cls) -> dict[str, Prior]:
-        """Returns the priors of the parameters that can be identified, by parameter name."""
+        """Returns the prior of each parameter that can be identified, with the name as key."""
         return {f.name: f.metadata["prior"] for f in fields(cls) if "prior" in f.metadata}
 
 
@@ -97,27 +98,28 @@ class ForceDensity(Effect):
 
 
 class BendingMoment(Effect):
-    """An internal moment, added to the elastic and viscous moments; it may have memory."""
+    """An internal moment, added to the elastic and viscous moments."""
 
     @abstractmethod
     def moment(self, x: Section, memory: Array, dt: Array) -> tuple[Array, Array]:
         """Returns the moment (cells,) [N m] and the memory (cells,) at the end of the stage.
 
-        The moment has the sign of EI kappa. The time derivative of the effect's state is
-        (value - memory)/dt, and the new value must follow from the section in closed form. An
-        effect without memory returns `memory` unchanged.
+        A positive moment acts like the elastic moment EI kappa of a positive curvature. A state q
+        of the effect has the time derivative (q - `memory`)/`dt`. The method must solve the
+        equation of q in closed form. An effect without a state returns `memory` unchanged.
         """
 
 
 MOUNT_LAG = 1e-3
 """Time constant [s] of a mounting, which is a spring of compliance c parallel to a dashpot.
 
-The displacement x satisfies x + MOUNT_LAG dx/dt = -c load. The loss factor is 0.03 at 5 Hz, which
-is typical of bolted joints. The dashpot also bounds the derivative with respect to c at c = 0."""
+The displacement x under a load satisfies x + MOUNT_LAG dx/dt = -c load. The loss factor is 0.03 at
+5 Hz, which is typical of bolted joints. The dashpot also bounds the derivative of the readings with
+respect to c at c = 0."""
 
 
 class HeadRates(NamedTuple):
-    """Rates of the load on the head, filtered with the time constant `MOUNT_LAG`."""
+    """Time derivatives of the loads on the head, filtered with the time constant `MOUNT_LAG`."""
 
     T_t: Array
     """dT/dt [N/s]"""
@@ -140,21 +142,21 @@ class BodyChange(Effect):
 
     @abstractmethod
     def change(self, robot: Robot) -> Robot:
-        """Returns the actual robot, given the measured robot."""
+        """Returns the robot with actual properties; `robot` has the measured properties."""
 
 
 class Command(Effect):
-    """A change of the set pressure before the valves act on it."""
+    """A difference between the commanded set pressure and the set pressure of the valves."""
 
     sensors = ("pressure", *Effect.sensors)
 
     @abstractmethod
     def command(self, wave: Waveform, chamber: int) -> Waveform:
-        """Returns the waveform that the valves follow; `chamber` is 0 for front, 1 for rear."""
+        """Returns the valves' waveform from the commanded `wave`. `chamber`: 0 front, 1 rear."""
 
 
 class Chamber(NamedTuple):
-    """State of the chambers and their valves at one instant; entries are (2,), front and rear."""
+    """State of chambers and valves at one instant. Arrays have the shape (2,): front and rear."""
 
     p: Array
     """Pressure [Pa]."""
@@ -165,11 +167,11 @@ class Chamber(NamedTuple):
     rear: np.ndarray
     """1 for the rear chamber, 0 for the front chamber."""
     side: Array
-    """Sign of the pressure; it is constant during a step."""
+    """Sign of the pressure; the sign is constant during a Runge-Kutta step."""
 
     @property
     def filling(self) -> Array:
-        """Whether |p| increases."""
+        """Whether the chambers fill, so that |p| increases."""
         return self.side * (self.p_set - self.p) >= 0.0
 
 
@@ -180,13 +182,13 @@ class Flow(Effect):
 
     @abstractmethod
     def rate(self, rate: Array, x: Chamber) -> Array:
-        """Returns dp/dt [Pa/s], given the `rate` [Pa/s] of the model without the effect.
+        """Returns dp/dt [Pa/s] with the effect; `rate` is dp/dt [Pa/s] without the effect.
 
-        The rate may differ between filling and venting, because steps are split where p is zero.
+        The result may jump between filling and venting: steps are split where p changes its sign.
         """
 
     def replaces(self) -> Array | bool:
-        """Returns whether the effect's rate replaces the rate of the lag."""
+        """Returns whether the result of `rate` replaces the rate of the lag."""
         return False
 
 
@@ -197,10 +199,11 @@ class ActingPressure(Effect):
     def act(
         self, p: Float[Array, "2"], memory: Float[Array, "2 2"], dt: Array
     ) -> tuple[Array, Array]:
-        """Returns the acting pressures (2,) [Pa] of front and rear after `dt` [s], and the memory.
+        """Returns the pressures (2,) [Pa] that bend the body at the end of a step, and the memory.
 
-        `memory` contains the effect's state (2,) and the previous pressure (2,). At the start, both
-        equal the pressure. An effect without memory returns `memory` unchanged.
+        `p` is the pressure [Pa] of front and rear at the end of the step `dt` [s]. `memory` (2, 2)
+        contains a state (2,) and the pressure (2,) before the step. Both rows are the pressure at
+        the start of a simulation. An effect without a state returns `memory` unchanged.
         """
 
 
@@ -213,7 +216,7 @@ class WaterMotion(Effect):
 
 
 class Readings(NamedTuple):
-    """Sensor readings at the evenly spaced times of a rollout; each entry is (n,)."""
+    """Sensor readings at n evenly spaced times; each field has the shape (n,)."""
 
     t: Array
     """Time [s]."""
@@ -226,7 +229,7 @@ class Readings(NamedTuple):
     recoil: Array
     """Recoil [N]."""
     tip: Array
-    """Lateral position [m] of the tail tip relative to the head."""
+    """Lateral position [m] of the tail's tip relative to the head."""
 
 
 class Instrument(Effect):
@@ -234,13 +237,13 @@ class Instrument(Effect):
 
     @abstractmethod
     def read(self, true: Readings) -> Readings:
-        """Returns the recorded readings from the `true` readings; `t` is unchanged."""
+        """Returns the readings that the sensors record instead of the `true` readings."""
 
     def read_sample(self, true: Readings, read: Readings) -> Readings:
-        """Returns the recorded reading (scalars) of the last sample of `true`.
+        """Returns the readings (scalars) that the sensors record for the last sample of `true`.
 
-        `read` contains the recorded readings of the previous samples. An instrument whose reading
-        depends on its previous readings must override this method.
+        `read` contains the recorded readings of the previous samples. An instrument must override
+        this method if a recorded reading depends on previously recorded readings.
         """
         return last_sample(self.read(true))
 
@@ -251,7 +254,7 @@ def last_sample(readings: Readings) -> Readings:
 
 
 def of_place(effects: tuple[Effect, ...], place: type) -> tuple:
-    """Returns the effects that enter the model at `place`, in their order."""
+    """Returns those of the `effects` that enter the model at `place`, in the same order."""
     return tuple(effect for effect in effects if isinstance(effect, place))
 
 

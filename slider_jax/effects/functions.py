@@ -7,25 +7,25 @@ from jaxtyping import Array, Float
 from slider_jax.beam.parameters import Scalar
 
 LIMIT_EXPONENT = 32
-"""Exponent in `limited`. For an x at the limit, the result is 2 % too small; for an x at nine
-tenths of the limit, it is 0.1 % too small."""
+"""Exponent of the function `limited`. The result is 2 % too small for an x at the limit, and 0.1 %
+too small for an x at 90 % of the limit."""
 
 
 def magnitude(x: Array, width: float) -> Array:
-    """Returns |x|, rounded below `width`: sqrt(x^2 + width^2)."""
+    """Returns |x| with a smooth corner at x = 0: sqrt(x^2 + width^2)."""
     return jnp.sqrt(x**2 + width**2)
 
 
 def limited(x: Array, inverse: Array) -> Array:
-    """Returns x limited to -1/inverse and 1/inverse: x/(1 + |inverse x|^32)^(1/32)."""
+    """Returns x, limited smoothly to the range +-1/inverse: x/(1 + |inverse x|^32)^(1/32)."""
     return x / (1.0 + (inverse * x) ** LIMIT_EXPONENT) ** (1.0 / LIMIT_EXPONENT)
 
 
 def delayed(x: Float[Array, " n"], t: Float[Array, " n"], delay: Scalar) -> Float[Array, " n"]:
-    """Returns x(t - delay) at the times `t` [s]; x is constant outside `t`.
+    """Returns x(t - delay) at the times `t` [s]; outside `t`, x keeps the end values.
 
     The interpolation is cubic Hermite with central differences as slopes, so the derivative with
-    respect to the delay is continuous at the samples and at zero. `delay` may be negative.
+    respect to `delay` [s] is continuous, also at a delay of zero. `delay` may be negative.
     """
     last = x.shape[0] - 1
     place = jnp.arange(last + 1.0) - delay / (t[1] - t[0])
@@ -41,9 +41,10 @@ def delayed(x: Float[Array, " n"], t: Float[Array, " n"], delay: Scalar) -> Floa
 def lag_coefficients(tau: Scalar, dt: Array) -> tuple[Array, Array]:
     """Returns the decay e = exp(-dt/tau) in a step `dt` [s], and the mean decay (1 - e) tau/dt.
 
-    At tau = 0 both are zero, and the derivative of the mean with respect to tau is 1/dt.
+    `tau` [s] is the time constant. At tau = 0, the decay and the mean decay are zero, and the
+    derivative of the mean decay with respect to tau is 1/dt.
     """
-    # For tau < dt/500 the decay is zero in float64, and the mean is tau/dt.
+    # For tau < dt/500, the decay is below 1e-217 and set to zero; the mean decay is tau/dt.
     slow = tau > dt / 500.0
     exponent = dt / jnp.where(slow, tau, dt)
     e = jnp.where(slow, jnp.exp(-exponent), 0.0)
@@ -55,18 +56,18 @@ def lagged(
 ) -> Float[Array, " n"]:
     """Returns the solution y of tau dy/dt = x - y from y = `start` (default: the first x).
 
-    The solution is exact if x is linear within each step. For a step, with the decay e and the mean
-    decay m of `lag_coefficients`,
+    The solution is exact if x is linear between samples. From sample 0 to sample 1, the solution is
 
         y_1 = e y_0 + (1 - e) x_0 + (1 - m) (x_1 - x_0)
 
-    At tau = 0 the result is x, and the derivative with respect to tau is -dx/dt, as for a slow x.
+    e and m are the decay and the mean decay of `lag_coefficients`. At tau = 0, y is x and the
+    derivative of y with respect to tau is -dx/dt.
     """
     e, m = lag_coefficients(tau, t[1] - t[0])
 
     def body(y, ends):
         x_0, x_1 = ends
-        # This form is x_1 minus the lag, so it is exact at tau = 0.
+        # This form subtracts the lag from x_1, so y is exact at tau = 0.
         y = x_1 + e * (y - x_0) - m * (x_1 - x_0)
         return y, y
 
@@ -78,5 +79,5 @@ def lagged(
 def lagged_sample(
     x: Float[Array, " n"], t: Float[Array, " n"], tau: Scalar, y: Float[Array, " m"]
 ) -> Array:
-    """Returns the last sample of `lagged` from the readings `y` of the previous samples."""
+    """Returns the last sample of `lagged`, computed from the previous samples `y` of `lagged`."""
     return lagged(x[-2:], t[-2:], tau, y[-1])[-1]

@@ -1,4 +1,4 @@
-"""The library of effects by name. It imports each file in the folders next to this file."""
+"""The library of effects: a dictionary from names to classes. This module imports all effects."""
 
 import importlib
 import importlib.util
@@ -14,14 +14,14 @@ from slider_jax.errors import InputError
 
 
 def defined_effects(module: ModuleType) -> list[type[Effect]]:
-    """Returns the effects that `module` defines: concrete subclasses of the places' classes."""
+    """Returns the effects that `module` defines: concrete subclasses of a place, such as `Flow`."""
     kinds = [x for x in vars(module).values() if isinstance(x, type) and issubclass(x, Effect)]
     kinds = [x for x in kinds if x.__module__ == module.__name__ and not inspect.isabstract(x)]
     return [x for x in kinds if Effect not in (x, *x.__bases__)]
 
 
 def _built_in() -> dict[str, type[Effect]]:
-    """Returns the effects in the package by name, without the effects of every model."""
+    """Returns the effects of this package, except the effects that every model contains."""
     found = [m.name for m in walk_packages(effects.__path__, f"{effects.__name__}.")]
     modules = [importlib.import_module(name) for name in found if name != __name__]
     kinds = [kind for module in modules for kind in defined_effects(module)]
@@ -31,7 +31,7 @@ def _built_in() -> dict[str, type[Effect]]:
 
 LIBRARY: dict[str, type[Effect]] = _built_in()
 LOADED_FILES: list[Path] = []
-"""Files from which `load_effects` added to the library."""
+"""Files from which `load_effects` added effects to the library."""
 
 
 def load_effects(path: Path) -> list[str]:
@@ -69,26 +69,26 @@ def load_effects(path: Path) -> list[str]:
 
 
 def _check_effects(path: Path, kinds: list[type[Effect]]) -> None:
-    """Raises `InputError` if the library cannot take the effects of a file."""
+    """Raises `InputError` if the file `path` defines no effect or an invalid effect."""
     if not kinds:
         raise InputError(
-            f"{path}: defines no effect; define a class derived from a base class of "
-            "slider_jax.effects, with its abstract method"
+            f"{path}: defines no effect; define a class that is derived from a base class of "
+            "slider_jax.effects, and define the abstract method of the base class"
         )
     for kind in kinds:
         where = f"{path}: {kind.__name__}"
         if kind.name() in LIBRARY:
-            raise InputError(f"{where}: the effect {kind.name()!r} exists; rename the class")
+            raise InputError(f"{where}: the effect {kind.name()!r} exists; change the class name")
         if not kind.title:
-            raise InputError(f'{where}: has no title; add title = "its name in reports"')
+            raise InputError(f'{where}: has no title; add title = "name of the effect in reports"')
         if not kind.priors():
             raise InputError(
-                f"{where}: has no parameter with a null and a prior; declare a field with "
+                f"{where}: has no parameter with null and prior range; declare a field with "
                 "parameter(null, low, high, unit, why)"
             )
         for name, prior in kind.priors().items():
             if not (prior.low <= prior.null <= prior.high and prior.low < prior.high):
                 raise InputError(
                     f"{where}.{name}: given null {prior.null:g}, prior {prior.low:g} to "
-                    f"{prior.high:g}; allowed low < high with the null inside the range"
+                    f"{prior.high:g}; allowed are low < high and a null in this range"
                 )

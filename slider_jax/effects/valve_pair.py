@@ -10,25 +10,26 @@ from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Chamber, Flow
 
 FULL_DUTY_ERROR = 25 * 932.8
-"""Pressure error [Pa] at the largest duty: 25 codes, since the duty is 10 per code, at most 250."""
+"""Smallest pressure error [Pa] that causes the largest duty of 250. The error is 25 codes, because
+the duty is 10 per code. A code is one step of the pressure converter, 932.8 Pa."""
 MAX_DUTY = 250.0 / 255.0
-"""Largest duty that the firmware sets."""
+"""Largest duty that the firmware sets, as a fraction of full duty (255)."""
 
 
 def opening(error: Array, dead: Scalar) -> Array:
     """Returns the flow of a valve at a pressure error [Pa], as a fraction of the full flow.
 
-    The duty is min(250, 10 |error in codes|)/255. A duty below `dead` opens no valve. Source: the
-    public repository bvanstratum/SoftSnakePressureControl.
+    The duty is min(250, 10 |error in codes|)/255. The valve stays closed at a duty below `dead`.
+    Source: the public repository bvanstratum/SoftSnakePressureControl.
     """
     duty = MAX_DUTY * jnp.minimum(jnp.abs(error) / FULL_DUTY_ERROR, 1.0)
     return jnp.maximum(duty - dead, 0.0) / (1.0 - dead)
 
 
 class ValvePair(Flow):
-    """A fill valve and a vent valve, which the firmware opens with its duty, replace the lag.
+    """A model of a fill valve and a vent valve, pulsed by the firmware, replaces the lag.
 
-    At the null `fill` = 0, the lag is unchanged.
+    At `fill` = 0, which is the null, the lag is unchanged.
     """
 
     replaces_law = "lag"

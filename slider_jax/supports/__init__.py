@@ -1,4 +1,4 @@
-"""Supports of the head: clamped, free and pinned. The supports may import `beam`."""
+"""Supports of the head: clamped, free and pinned. This package may import the package `beam`."""
 
 from slider_jax.supports.base import Support as Support
 from slider_jax.supports.clamped import Clamped as Clamped

@@ -10,7 +10,7 @@ from slider_jax.beam.state import Fields
 
 
 class Start(NamedTuple):
-    """Rigid motion of a body that is at rest relative to its support."""
+    """Rigid motion of a body that is at rest relative to the support."""
 
     velocity: tuple[Array, Array]
     """Velocity (x, y) [m/s] of the head."""
@@ -21,20 +21,21 @@ class Start(NamedTuple):
 
 
 class Support(eqx.Module):
-    """Three boundary conditions at the head, and an anchored point: the head itself or a pin.
+    """A support defines three boundary conditions at the head, and a reference point.
 
-    A support may change between steps but not within a step. `during` returns a step's support.
+    The reference point is the head or a pin. The solver integrates the velocity of this point. A
+    support may change between two time steps, but not within a time step.
     """
 
     @abstractmethod
     def during(self, t0: Array, t1: Array) -> "Support":
-        """Returns the support for the step from `t0` to `t1` [s]."""
+        """Returns the support for the time step from `t0` to `t1` [s]."""
 
     @abstractmethod
     def rows(self, head: Fields, omega: Array, t: Array) -> tuple[Array, Array, Array]:
         """Returns the residuals of the three boundary conditions at `t` [s].
 
-        `head` contains the six unknowns at the head; `omega` [rad/s] is the head's turning rate.
+        `head` contains the six unknowns at the head. `omega` [rad/s] is the head's turning rate.
         """
 
     @abstractmethod
@@ -43,12 +44,12 @@ class Support(eqx.Module):
 
     @abstractmethod
     def sensor_angle(self, phi: Array, t: Array) -> Array:
-        """Returns the angle [rad] of the force sensor's axes for the head's angle `phi` [rad]."""
+        """Returns the angle [rad] of the force sensor's axes; `phi` [rad] is the head's angle."""
 
     @abstractmethod
     def anchor_offset(self, phi: Array, t: Array) -> Float[Array, "2"]:
-        """Returns the vector [m] from the head to the anchored point for the head's angle [rad]."""
+        """Returns the vector [m] from the head, at angle `phi` [rad], to the reference point."""
 
     @abstractmethod
     def anchor_velocity(self, head: Fields, omega: Array, t: Array) -> Float[Array, "2"]:
-        """Returns the velocity (x, y) [m/s] of the anchored point."""
+        """Returns the velocity (x, y) [m/s] of the reference point."""

@@ -1,4 +1,4 @@
-"""Support of a head that is clamped to a carriage; the carriage may tow, heave and pitch."""
+"""Support of a head that is clamped to a carriage, which may move forward, heave and pitch."""
 
 import math
 
@@ -13,13 +13,14 @@ from slider_jax.supports.base import Start, Support
 class Clamped(Support):
     """A clamp that prescribes V_tau, V_n and the turning rate of the head.
 
-    The carriage moves along x at `tow_speed` [m/s] and may heave along y and pitch:
+    The carriage moves along x at `tow_speed` [m/s]. The carriage may also heave along y and pitch:
 
         y_h = heave sin(2 pi f t),    phi_h = pitch sin(2 pi f t + pitch_phase)
 
     y_h [m] and phi_h [rad] are the carriage's position and angle, with `heave` [m], `pitch` [rad],
-    f = `frequency` [Hz] and `pitch_phase` [rad]. The clamp prescribes the rate of phi_h. With a
-    prescribed phi_h, the rate and the clamp forces would be only first-order accurate.
+    f = `frequency` [Hz] and `pitch_phase` [rad]. The clamp prescribes the rate d(phi_h)/dt, not the
+    angle phi_h. With a prescribed angle, the error of the turning rate and of the clamp forces
+    would be of first order in the time step.
     """
 
     tow_speed: Scalar = eqx.field(default=0.0)
@@ -29,7 +30,7 @@ class Clamped(Support):
     pitch_phase: Scalar = eqx.field(default=0.0)
 
     def carriage(self, t):
-        """Returns the carriage's velocity (x, y) [m/s], angle [rad] and rate [rad/s] at `t` [s]."""
+        """Returns velocity (x, y) [m/s], angle [rad] and turning rate [rad/s] of the carriage."""
         turn = 2.0 * math.pi * self.frequency
         velocity = (jnp.asarray(self.tow_speed), self.heave * turn * jnp.cos(turn * t))
         phase = turn * t + self.pitch_phase

@@ -7,7 +7,7 @@ from slider_jax.supports.base import Start, Support
 
 
 class Free(Support):
-    """A free head without force and moment: T = N = M = 0. The anchored point is the head."""
+    """A head without loads, T = N = M = 0. The reference point (`anchor_offset`) is the head."""
 
     def rows(self, head, omega, t):
         return head.T, head.N, head.M

@@ -9,19 +9,19 @@ from slider_jax.supports.base import Start, Support
 
 
 class PinnedLink(Support):
-    """A massless rigid link of `link_length` l_p [m] across the head, pinned at one of its ends.
+    """A massless rigid link across the head, of length l_p = `link_length` [m], pinned at one end.
 
     The vector from the head to the pin is sigma (l_p/2) n, with sigma = +1 or -1. The pin does not
     move and carries no moment:
 
         V_tau - sigma (l_p/2) omega = 0,    V_n = 0,    M + sigma (l_p/2) T = 0
 
-    The first two conditions are V + omega x r = 0 with the vector r to the pin. The paper writes
-    Omega x r instead of omega x r (docs/explanation/decisions.md).
+    The first two conditions are V + omega x r = 0, with the vector r from the head to the pin. The
+    paper writes the curvature Omega instead of omega (docs/explanation/decisions.md).
 
     sigma is +1 in the first half of every period 1/`frequency` [s] and -1 in the second half.
-    `phase` delays the periods by a fraction of a period. With `frequency` = 0, sigma is always +1.
-    sigma is constant in a step, so sigma changes at the end of a step nearest to the switch.
+    `phase` is the delay of these periods, as a fraction of a period. With `frequency` = 0, sigma is
+    always +1. sigma is constant within a time step: `during` uses the value at mid-step.
     """
 
     link_length: Scalar = eqx.field(default=0.03)

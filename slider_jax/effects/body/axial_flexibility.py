@@ -19,9 +19,9 @@ class AxialFlexibility(BodyChange):
     order = 300
 
     compliance: Scalar = parameter(
-        0.0, 0.0, 4e-3, "1/N", "walls 8 mm from the midline with EI = 0.038 N m^2 have 2e-3"
+        0.0, 0.0, 4e-3, "1/N", "2e-3 for EI = 0.038 N m^2 and walls 8 mm from the midline"
     )
-    """c, strain per force."""
+    """c, axial strain per axial force."""
 
     def change(self, robot):
         EA = robot.EA_body / (1.0 + self.compliance * robot.EA_body)

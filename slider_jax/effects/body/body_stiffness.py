@@ -18,9 +18,9 @@ class BodyStiffness(BodyChange):
     order = 260
 
     x: Scalar = parameter(
-        0.0, -0.3, 0.4, "-", "bend tests have 10 % error; age, tubes and a sleeve add stiffness"
+        0.0, -0.3, 0.4, "-", "10 % error of bending tests, and effects of age, tubes and a sleeve"
     )
-    """x, relative change of the stiffness."""
+    """x, relative change of EI_body."""
 
     def change(self, robot):
         return dataclasses.replace(robot, EI_body=robot.EI_body * (1.0 + self.x))

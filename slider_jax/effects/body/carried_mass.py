@@ -1,4 +1,4 @@
-"""Unweighed mass that moves with the body."""
+"""Mass that moves with the body and is not in the measured mass."""
 
 import dataclasses
 
@@ -11,7 +11,7 @@ class CarriedMass(BodyChange):
 
         m -> m + dm
 
-    Unlike added mass of the water, this mass acts along and across the body.
+    Unlike the added mass of the water in the base model, dm also resists axial acceleration.
     Source: balance of momentum; Newman, J. N. (1977), Marine Hydrodynamics, MIT Press, ch. 4.
     """
 
@@ -19,9 +19,9 @@ class CarriedMass(BodyChange):
     order = 290
 
     dm: Scalar = parameter(
-        0.0, 0.0, 0.4, "kg/m", "folds of 4 cm^2 hold 0.4; sensors and tubes weigh about 0.05"
+        0.0, 0.0, 0.4, "kg/m", "0.4 for water in folds of 4 cm^2; 0.05 for sensors and tubes"
     )
-    """Additional mass per length."""
+    """dm, additional mass per length."""
 
     def change(self, robot):
         return dataclasses.replace(robot, linear_density=robot.linear_density + self.dm)

@@ -5,19 +5,19 @@ from slider_jax.effects.base import BendingMoment, parameter
 
 
 class CubicElasticity(BendingMoment):
-    """Body and tail stiffen with curvature, in proportion to their own stiffness.
+    """The stiffness of body and tail increases with curvature by the same relative amount.
 
         M = EI kappa (1 + b kappa^2)
 
-    A negative b softens. `Stiffening` acts only on the actuated body. Source: Nayfeh, A. H. and
-    Mook, D. T. (1979), Nonlinear Oscillations, Wiley, ch. 2.
+    With a negative b, the stiffness decreases. `Stiffening` acts only on the actuated body. Source:
+    Nayfeh, A. H. and Mook, D. T. (1979), Nonlinear Oscillations, Wiley, ch. 2.
     """
 
     title = "body and tail stiffen as they bend"
     order = 320
 
     b: Scalar = parameter(
-        0.0, -0.005, 0.1, "m^2", "at kappa = 3 1/m, from 5 % less to twice the stiffness"
+        0.0, -0.005, 0.1, "m^2", "at kappa = 3 1/m, the stiffness is 5 % smaller to twice as large"
     )
     """b, relative increase of the stiffness per squared curvature."""
 

@@ -8,13 +8,13 @@ from slider_jax.effects.base import ForceDensity, parameter
 
 
 class Gravity(ForceDensity):
-    """Weight minus buoyancy per unit length, along -x. For a climbing robot, the x axis points up.
+    """Weight minus buoyancy per length, along -x. The x axis of a climbing robot points up.
 
         (F_x, F_y) = (-m g/(1 + eps), 0)
 
-    m is the mass per unstretched length. In water, use g (1 - rho A/m) with the cross-section A.
-    The robot is nearly neutrally buoyant in water. Source: Archimedes' principle, Batchelor, G. K.
-    (1967), An Introduction to Fluid Dynamics, Cambridge University Press, section 1.4.
+    m is the mass per unstretched length and eps the axial strain. In water, use g (1 - rho A/m),
+    with the water's density rho and the cross-section A. Source: Archimedes' principle, Batchelor,
+    G. K. (1967), An Introduction to Fluid Dynamics, Cambridge University Press, section 1.4.
     """
 
     title = "weight"

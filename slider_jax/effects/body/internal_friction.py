@@ -7,16 +7,16 @@ from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import BendingMoment, parameter
 
 FRICTION_CREEP = 1.0
-"""w [1/(m s)]. It is 1 % of the curvature rate in a stride, so the friction is still dry."""
+"""w [1/(m s)], 1 % of the curvature rate in a stride, so the smoothing hardly changes M."""
 
 
 class InternalFriction(BendingMoment):
-    """Dahl's friction between tubes, sleeve and chambers of the actuated body.
+    """Friction between tubes, sleeve and chambers of the actuated body, in Dahl's model.
 
         M = EI kappa + z_c q,    kappa_c dq/dt = d(kappa)/dt - |d(kappa)/dt| q
 
-    The memory q changes from -1 to 1 while the curvature changes by a few kappa_c. Here |r| means
-    sqrt(r^2 + w^2) with w = 1 1/(m s), so the friction decays slowly while the body is at rest.
+    The state q changes from -1 to 1 while the curvature changes by a few kappa_c. |r| is smoothed
+    to sqrt(r^2 + w^2) with w = 1 1/(m s), so the friction decays slowly while the body is at rest.
     Source: Dahl, P. R. (1976), Solid friction damping of mechanical vibrations, AIAA J. 14,
     1675-1682.
     """
@@ -25,11 +25,11 @@ class InternalFriction(BendingMoment):
     order = 350
 
     z_c: Scalar = parameter(
-        0.0, 0.0, 0.03, "N m", "up to a quarter of a chamber's moment of 0.12 N m at 250 kPa"
+        0.0, 0.0, 0.03, "N m", "up to a quarter of a chamber's moment, which is 0.12 N m at 250 kPa"
     )
     """z_c, largest friction moment."""
     kappa_c: Scalar = eqx.field(default=0.3)
-    """Curvature change [1/m] that reverses the friction: a tenth of the curvature in a stride."""
+    """kappa_c [1/m], a tenth of the curvature in a stride."""
 
     def moment(self, x, memory, dt):
         speed = jnp.sqrt(x.kappa_t**2 + FRICTION_CREEP**2)

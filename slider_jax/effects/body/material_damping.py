@@ -11,7 +11,7 @@ class MaterialDamping(BodyChange):
 
         alpha -> alpha (1 + x)
 
-    The effect vanishes if the robot's alpha is zero.
+    alpha is the damping time. If alpha is zero, the effect changes nothing.
     Source: Christensen, R. M. (1982), Theory of Viscoelasticity, 2nd ed., Academic Press, ch. 1.
     """
 
@@ -19,7 +19,7 @@ class MaterialDamping(BodyChange):
     order = 280
 
     x: Scalar = parameter(
-        0.0, -0.9, 4.0, "-", "rubber's damping varies strongly with batch, temperature and rate"
+        0.0, -0.9, 4.0, "-", "the damping of rubber varies with batch, temperature and rate"
     )
     """x, relative change of the damping time."""
 

@@ -11,7 +11,7 @@ class PressureStiffening(BendingMoment):
 
         M = EI kappa + c |p| kappa
 
-    p is the pressure of the chamber that spans the cell. Source: Comer, R. L. and Levy, S. (1963),
+    p is the pressure of the chamber at the position s. Source: Comer, R. L. and Levy, S. (1963),
     Deflections of an inflated circular-cylindrical cantilever beam, AIAA J. 1, 1652-1655.
     """
 
@@ -19,7 +19,7 @@ class PressureStiffening(BendingMoment):
     order = 330
 
     c: Scalar = parameter(
-        0.0, -5e-8, 2e-7, "N m^2/Pa", "at 250 kPa, from a third less to twice the stiffness"
+        0.0, -5e-8, 2e-7, "N m^2/Pa", "at 250 kPa, the stiffness is 0.7 to 2.3 times EI"
     )
     """c, additional stiffness per pressure."""
 

@@ -9,7 +9,7 @@ class RestCurvature(BendingMoment):
 
         M = EI kappa - m_0
 
-    A rollout from rest starts straight and then bends to this curvature.
+    In a simulation from rest, the body starts straight and then bends to this curvature.
     Source: Audoly, B. and Pomeau, Y. (2010), Elasticity and Geometry, Oxford, ch. 3.
     """
 
@@ -17,9 +17,10 @@ class RestCurvature(BendingMoment):
     order = 360
 
     m_0: Scalar = parameter(
-        0.0, -0.03, 0.03, "N m", "walls that differ by 10 %, or bending by 0.8 1/m in storage"
+        0.0, -0.03, 0.03, "N m", "storage leaves a curvature of 0.8 1/m; wall thickness varies 10 %"
     )
-    """Moment that would straighten the body. A positive m_0 bends it like a positive pressure."""
+    """m_0, the moment that bends a straight body to its rest curvature. A positive m_0 bends the
+    body in the same direction as a positive pressure."""
 
     def moment(self, x, memory, dt):
         return -(1.0 - x.in_tail) * self.m_0, memory

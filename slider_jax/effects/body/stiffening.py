@@ -9,18 +9,18 @@ class Stiffening(BendingMoment):
 
         M = EI kappa + beta kappa^3
 
-    The cubic term is the first odd term after the linear term. A negative beta softens; the body is
-    stable while 3 |beta| kappa^2 < EI. Source: Nayfeh, A. H. and Mook, D. T. (1979), Nonlinear
-    Oscillations, Wiley, ch. 2.
+    The cubic term is the first odd term after the linear term. With a negative beta, the stiffness
+    decreases and is positive if 3 |beta| kappa^2 < EI. Source: Nayfeh, A. H. and Mook, D. T.
+    (1979), Nonlinear Oscillations, Wiley, ch. 2.
     """
 
     title = "the body stiffens as it bends"
     order = 310
 
     beta: Scalar = parameter(
-        0.0, -2e-4, 2e-3, "N m^4", "at kappa = 3 1/m, from 5 % less to 50 % more moment"
+        0.0, -2e-4, 2e-3, "N m^4", "at kappa = 3 1/m, the moment is 5 % smaller to 50 % larger"
     )
-    """Coefficient of the cubic term."""
+    """beta, coefficient of the cubic term."""
 
     def moment(self, x, memory, dt):
         return (1.0 - x.in_tail) * self.beta * x.kappa**3, memory

@@ -11,7 +11,7 @@ class StressRelaxation(BendingMoment):
 
         M = EI kappa + E_1 q,    dq/dt = d(kappa)/dt - q/tau
 
-    The memory q is the curvature of the spring E_1.
+    The state q is the curvature of the spring E_1, and tau is the relaxation time.
     Source: Christensen, R. M. (1982), Theory of Viscoelasticity, 2nd ed., Academic Press, ch. 1.
     """
 
@@ -23,7 +23,7 @@ class StressRelaxation(BendingMoment):
     )
     """Stiffness of the spring in series with the dashpot."""
     tau: Scalar = eqx.field(default=0.1)
-    """Relaxation time [s]; with the default, stress relaxes partly within a stride of 0.2 s."""
+    """tau, relaxation time [s]. The default is half of a stride of 0.2 s."""
 
     def moment(self, x, memory, dt):
         q = (memory + dt * x.kappa_t) / (1.0 + dt / self.tau)

@@ -9,11 +9,11 @@ from slider_jax.effects.base import Mounting, parameter
 class SurgeCompliance(Mounting):
     """The head moves along tau relative to the carriage, held by a spring of stiffness 1/c.
 
-        V_tau - V_tau,carriage = -c dT/dt,    T filtered with `MOUNT_LAG`
+        V_tau - V_tau,carriage = -c dT/dt
 
-    T is the force of the mounting on the head. The thrust -T acts on the spring, which yields in
-    the direction of the thrust. Source: Meirovitch, L. (2001), Fundamentals of Vibrations,
-    McGraw-Hill, ch. 1.
+    T is the force of the mounting on the head, filtered with the time constant 1 ms (`MOUNT_LAG`).
+    The thrust -T acts on the spring, which yields in the direction of the thrust. Source:
+    Meirovitch, L. (2001), Fundamentals of Vibrations, McGraw-Hill, ch. 1.
     """
 
     title = "the mounting yields axially"
@@ -24,7 +24,7 @@ class SurgeCompliance(Mounting):
         0.0,
         3e-4,
         "m/N",
-        "a soft sensor or strut has 3 kN/m; on a softer mounting, the robot would bounce",
+        "a soft sensor or strut has 1/c = 3 kN/m; a robot on a softer mounting bounces",
         3e-5,
     )
     """c, the inverse of the mounting's stiffness [N/m]."""

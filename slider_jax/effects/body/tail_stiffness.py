@@ -19,9 +19,9 @@ class TailStiffness(BodyChange):
     order = 270
 
     x: Scalar = parameter(
-        0.0, -0.5, 0.8, "-", "a sixth of the thickness changes EI by half; the joint adds more"
+        0.0, -0.5, 0.8, "-", "a sheet thicker by a sixth has 1.6 times EI; the joint changes EI too"
     )
-    """x, relative change of the stiffness."""
+    """x, relative change of EI_tail."""
 
     def change(self, robot):
         return dataclasses.replace(robot, EI_tail=robot.EI_tail * (1.0 + self.x))

@@ -13,7 +13,7 @@ class TipMass(ForceDensity):
         (1 + eps) F_tau = -(mass/l) (dV_tau/dt - omega V_n)
         (1 + eps) F_n   = -(mass/l) (dV_n/dt + omega V_tau)      for s < l
 
-    The acceleration is relative to the tank, not to the water.
+    V is the velocity relative to the tank, omega the turning rate and eps the axial strain.
     Source: balance of momentum; Blevins, R. D. (1979), Formulas for natural frequency and mode
     shape, ch. 8, on beams that carry masses.
     """
@@ -23,11 +23,11 @@ class TipMass(ForceDensity):
     lacks_weight = True
 
     mass: Scalar = parameter(
-        0.0, 0.0, 5e-3, "kg", "a plastic marker weighs 1 g, more with glue; the tail weighs 50 g"
+        0.0, 0.0, 5e-3, "kg", "1 g for a plastic marker, more with glue; the tail has 50 g"
     )
     """Mass of the marker."""
     length: Scalar = eqx.field(default=0.01)
-    """Length l [m] of the tail that carries the mass."""
+    """Length l [m] of the part of the tail that carries the mass."""
 
     def force(self, x):
         covered = jnp.clip((self.length - x.s) / x.ds + 0.5, 0.0, 1.0)

@@ -9,16 +9,16 @@ class ActuatorCubic(ActingPressure):
 
         p_act = p (1 + q p^2)
 
-    The relative deviation q p^2 grows with the square of the pressure. `ActuatorSaturation` and
-    `ActuatorQuadratic` deviate more at small pressures. Source: Polygerinos, P. et al. (2015),
-    Modeling of soft fiber-reinforced bending actuators, IEEE Trans. Robot. 31, 778-789.
+    The relative change q p^2 of the moment is small at small pressures. `ActuatorSaturation` and
+    `ActuatorQuadratic` change the moment more at small pressures. Source: Polygerinos, P. et al.
+    (2015), Modeling of soft fiber-reinforced bending actuators, IEEE Trans. Robot. 31, 778-789.
     """
 
     title = "the actuators' moment is nonlinear at high pressure"
     order = 220
 
     q: Scalar = parameter(
-        0.0, -4e-12, 6e-12, "1/Pa^2", "at 330 kPa, from two fifths less to two thirds more moment"
+        0.0, -4e-12, 6e-12, "1/Pa^2", "at 330 kPa, the moment is 44 % smaller to 65 % larger"
     )
     """q, coefficient of the cubic term."""
 

@@ -8,14 +8,14 @@ from slider_jax.effects.base import ActingPressure, parameter
 
 
 class ActuatorHysteresis(ActingPressure):
-    """Friction in the walls delays the moment while pressure rises and while it falls.
+    """Friction in the walls delays the moment when the pressure rises and when the pressure falls.
 
         p_act = p - A z,    w dz/dt = dp/dt - |dp/dt| z
 
-    While the pressure changes by a few w, z approaches the sign of dp/dt, so a wide loop is 2 A
-    high. The loop does not depend on the rate of p. The step is exact: z_1 = s + (z_0 - s)
-    exp(-|dp|/w), where s is the sign of dp. Source: Wen, Y.-K. (1976), Method for random vibration
-    of hysteretic systems, J. Eng. Mech. Div. ASCE 102, 249-263, with exponent 1 and one slope.
+    z is the state of the friction. While the pressure changes by a few w, z approaches the sign of
+    dp/dt, so the hysteresis loop is 2 A high. The loop does not depend on the rate of p. Each time
+    step is solved exactly. Source: Wen, Y.-K. (1976), Method for random vibration of hysteretic
+    systems, J. Eng. Mech. Div. ASCE 102, 249-263, with exponent 1.
     """
 
     title = "hysteresis of the actuators"
@@ -24,12 +24,12 @@ class ActuatorHysteresis(ActingPressure):
     amplitude: Scalar = parameter(
         0.0, 0.0, 50e3, "Pa", "hysteresis of elastomer actuators is up to a third of the stroke"
     )
-    """A, half the height of a wide loop."""
+    """A, half the height of the hysteresis loop."""
     width: Scalar = eqx.field(default=50e3)
     """w [Pa], the change of pressure that reverses z."""
 
     def act(self, p, memory, dt):
-        # The memory is p - w z. At the start, the memory is p, so z is zero.
+        # `held` is p - w z of the previous step. At the start, `held` is p, so z is zero.
         held, before = memory
         sign = jnp.sign(p - before)
         z = sign + ((before - held) / self.width - sign) * jnp.exp(

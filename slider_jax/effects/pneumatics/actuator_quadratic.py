@@ -7,20 +7,20 @@ from slider_jax.effects.base import ActingPressure, parameter
 
 
 class ActuatorQuadratic(ActingPressure):
-    """The moment has a quadratic part, because the chambers' section and lever arm grow.
+    """The moment has a quadratic part, because chambers under pressure grow.
 
         p_act = p (1 + q |p|)
 
-    To first order in q, this is `ActuatorSaturation` with the opposite sign. Source: Polygerinos,
-    P. et al. (2015), Modeling of soft fiber-reinforced bending actuators, IEEE Trans. Robot. 31,
-    778-789.
+    The cross-section and the lever arm of a chamber grow. To first order in q, the effect equals
+    `ActuatorSaturation` with the opposite sign. Source: Polygerinos, P. et al. (2015), Modeling of
+    soft fiber-reinforced bending actuators, IEEE Trans. Robot. 31, 778-789.
     """
 
     title = "the actuators' moment grows faster than the pressure"
     order = 210
 
     quadratic: Scalar = parameter(
-        0.0, 0.0, 3e-6, "1/Pa", "at 330 kPa, the moment per pressure at most doubles"
+        0.0, 0.0, 3e-6, "1/Pa", "at 330 kPa, the moment per pressure doubles at most"
     )
     """q, relative growth of the moment per pressure."""
 

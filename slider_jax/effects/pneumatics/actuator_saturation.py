@@ -11,9 +11,9 @@ class ActuatorSaturation(ActingPressure):
 
         p_act = p/(1 + c |p|)
 
-    At p = 1/c, half of the moment is lost, because the actuators' walls carry an increasing part of
-    the load. Source: Polygerinos, P. et al. (2015), Modeling of soft fiber-reinforced bending
-    actuators, IEEE Trans. Robot. 31, 778-789.
+    At p = 1/c, half of the moment is lost. The reason is that the actuators' walls carry a part of
+    the load, which increases with pressure. Source: Polygerinos, P. et al. (2015), Modeling of soft
+    fiber-reinforced bending actuators, IEEE Trans. Robot. 31, 778-789.
     """
 
     title = "the actuators' moment saturates"

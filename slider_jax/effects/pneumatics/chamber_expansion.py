@@ -10,20 +10,20 @@ ATMOSPHERE = 101325.0
 
 
 class ChamberExpansion(Flow):
-    """A soft chamber expands, V = V_0 (1 + c |p|), so the same flow raises p less.
+    """A soft chamber expands under pressure, so the same flow changes p less.
 
         dp/dt = (p_set - p)/k / (1 + c (p_a + 2 |p|))
 
-    This follows from d((p_a + |p|) V)/dt = R_gas T dm/dt for the mass m of air at the constant
-    temperature T. k is the time constant of a rigid chamber.
-    Source: mass balance of a variable volume, Beater, P. (2007), Pneumatic Drives, Springer.
+    V = V_0 (1 + c |p|) is the volume, p_a the atmospheric pressure and k the time constant of a
+    rigid chamber. The mass flow of the air is proportional to d((p_a + |p|) V)/dt. Source: mass
+    balance of a variable volume, Beater, P. (2007), Pneumatic Drives, Springer.
     """
 
     title = "chambers expand under pressure"
     order = 180
 
     expansion: Scalar = parameter(
-        0.0, 0.0, 5e-6, "1/Pa", "an elastomer chamber at most doubles its volume at 200 kPa"
+        0.0, 0.0, 5e-6, "1/Pa", "the volume of an elastomer chamber doubles at most at 200 kPa"
     )
     """c, relative increase of the volume per pressure."""
 

@@ -7,11 +7,11 @@ from slider_jax.effects.base import ActingPressure, parameter
 
 
 class ChamberMismatch(ActingPressure):
-    """The front chamber has a larger K_Q than the rear chamber; the mean K_Q is unchanged.
+    """The front and the rear chamber have different K_Q; the mean K_Q is unchanged.
 
         p_act = ((1 + d) p_front, (1 - d) p_rear)
 
-    Source: K_Q is the product of a chamber's cross-section and lever arm, both made by hand;
+    K_Q is the moment per pressure: the cross-section of a chamber times the lever arm. Source:
     Polygerinos, P. et al. (2015), Modeling of soft fiber-reinforced bending actuators, IEEE Trans.
     Robot. 31, 778-789.
     """
@@ -22,7 +22,7 @@ class ChamberMismatch(ActingPressure):
     difference: Scalar = parameter(
         0.0, -0.3, 0.3, "-", "hand-made chambers differ by tens of percent"
     )
-    """d, half the difference of the two K_Q, divided by the mean K_Q."""
+    """d, half of the difference of K_Q (front minus rear), divided by the mean K_Q."""
 
     def act(self, p, memory, dt):
         d = self.difference

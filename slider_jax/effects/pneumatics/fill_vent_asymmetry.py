@@ -7,7 +7,7 @@ from slider_jax.effects.base import Flow, parameter
 
 
 class FillVentAsymmetry(Flow):
-    """A chamber vents more slowly, or faster, than it fills.
+    """A chamber vents more slowly or faster than the chamber fills.
 
         dp/dt = (p_set - p)/k        while |p| increases
         dp/dt = (p_set - p)/(r k)    while |p| decreases

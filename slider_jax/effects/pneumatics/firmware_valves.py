@@ -1,4 +1,4 @@
-"""The rig's valves, pulsed by its firmware, with choked or subsonic flow."""
+"""Valves of the rig, pulsed by the published firmware, with choked or subsonic flow."""
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import parameter
@@ -14,11 +14,12 @@ class FirmwareValves(ValvePair):
         dp/dt =  c_v u (p_a + |p|) psi(p_a/(p_a + |p|))    venting, with the sign of p_set - p
         psi(r) = sqrt(1 - ((r - b)/(1 - b))^2),    1 for r < b
 
-    u is the opening of the valve for the error p_set - p (`valve_pair.opening`). P_s = p_a + p_s is
-    the supply's absolute pressure with the atmospheric pressure p_a. Below the pressure ratio b the
-    flow is choked and does not depend on the downstream pressure. At c_f = 0 the lag is unchanged;
-    at c_f > 0 it is replaced. Source: ISO 6358-1 (2013), Pneumatic fluid power: determination
-    of flow-rate characteristics of components; firmware: bvanstratum/SoftSnakePressureControl.
+    u is the opening of the valve at the error p_set - p (`valve_pair.opening`). P_s = p_a + p_s is
+    the absolute supply pressure, and p_a the atmospheric pressure. psi is the flow divided by the
+    choked flow, and r the downstream pressure divided by the upstream pressure. The flow is choked
+    for r < b. At c_f = 0, the lag is unchanged. At c_f > 0, the valves replace the lag. Source: ISO
+    6358-1 (2013), Pneumatic fluid power: determination of flow-rate characteristics of components;
+    firmware: bvanstratum/SoftSnakePressureControl.
     """
 
     title = "pulsed valves of the firmware with choked or subsonic flow"
@@ -33,11 +34,11 @@ class FirmwareValves(ValvePair):
     )
     """c_v, choked flow of the vent valve divided by the chamber's volume."""
     supply: Scalar = parameter(
-        450e3, 200e3, 1.1e6, "Pa", "gauge pressure of laboratory regulators and compressors"
+        450e3, 200e3, 1.1e6, "Pa", "gauge pressures of laboratory regulators and compressors"
     )
-    """Supply pressure p_s, gauge."""
+    """p_s, gauge pressure of the supply."""
     critical: Scalar = parameter(0.3, 0.1, 0.6, "-", "0.2 to 0.5 for valves, 0.528 for a nozzle")
-    """Critical pressure ratio b."""
+    """b, critical pressure ratio."""
     dead: Scalar = parameter(0.05, 0.0, 0.5, "-", "short pulses do not lift the armature")
     """Duty below which a valve stays closed."""
 

@@ -12,9 +12,9 @@ class LineLag(ActingPressure):
 
         tau dy/dt = p - y
 
-    The step is exact for p linear in time: with e = exp(-dt/tau) and m = (1 - e) tau/dt,
-    y_1 = p_1 + e (y_0 - p_0) - m (p_1 - p_0). Source: pressure transmission in tubes, Holman, J. P.
-    (2012), Experimental Methods for Engineers, 8th ed., McGraw-Hill, ch. 6.
+    y bends the body. A time step is exact if p is linear in the step: with e = exp(-dt/tau) and
+    m = (1 - e) tau/dt, y_1 = p_1 + e (y_0 - p_0) - m (p_1 - p_0). Source: pressure transmission in
+    tubes, Holman, J. P. (2012), Experimental Methods for Engineers, 8th ed., McGraw-Hill, ch. 6.
     """
 
     title = "lag of the line to the chamber"

@@ -10,7 +10,7 @@ from slider_jax.effects.pneumatics.chamber_expansion import ATMOSPHERE
 
 
 def characteristic(ratio: Array, b: Scalar) -> Array:
-    """Returns psi(r), flow divided by choked flow; r is the downstream by the upstream pressure.
+    """Returns psi(r), flow divided by choked flow, for r = downstream/upstream pressure.
 
     psi(r) = sqrt(1 - ((r - b)/(1 - b))^2) for r > b,    1 for r <= b
     """
@@ -27,9 +27,9 @@ class OrificeFlow(Flow):
         c = psi((p_a + |p|)/(p_a + p_s))                            filling, supply to chamber
         c = (p_a + |p|)/(p_a + p_s) psi(p_a/(p_a + |p|))            venting, chamber to atmosphere
 
-    psi(r) = sqrt(1 - ((r - b)/(1 - b))^2) for subsonic flow, and 1 below the critical ratio b. p_s
-    is the supply's gauge pressure, and p_a the atmospheric pressure. Source: ISO 6358-1 (2013),
-    Pneumatic fluid power: determination of flow-rate characteristics of components.
+    psi(r) = sqrt(1 - ((r - b)/(1 - b))^2) for r > b (subsonic flow), and 1 below the critical ratio
+    b. p_s is the supply's gauge pressure, and p_a the atmospheric pressure. Source: ISO 6358-1
+    (2013), Pneumatic fluid power: determination of flow-rate characteristics of components.
     """
 
     title = "compressible flow through the valves"
@@ -38,9 +38,9 @@ class OrificeFlow(Flow):
     share: Scalar = parameter(0.0, 0.0, 1.0, "-", "0 for the linear lag, 1 for an orifice")
     """w, weight of orifice flow; 1 - w is the weight of the linear lag."""
     supply: Scalar = eqx.field(default=600e3)
-    """Supply pressure p_s [Pa], gauge."""
+    """p_s [Pa], gauge pressure of the supply."""
     critical: Scalar = eqx.field(default=0.3)
-    """Critical pressure ratio b [-]; valves have 0.2 to 0.5."""
+    """b, critical pressure ratio [-]. The ratio of valves is 0.2 to 0.5."""
 
     def rate(self, rate, x):
         inside, supply = ATMOSPHERE + jnp.abs(x.p), ATMOSPHERE + self.supply

@@ -13,9 +13,9 @@ class PulsedValves(ValvePair):
         dp/dt = c_f u (p_s - |p|)    filling, with the sign of p_set - p
         dp/dt = c_v u |p|            venting, with the sign of p_set - p
 
-    u is the opening of the valve for the error p_set - p (`valve_pair.opening`).
-    Source: laminar restriction, Andersen, B. W. (1967), The analysis and design of pneumatic
-    systems, Wiley; firmware: bvanstratum/SoftSnakePressureControl.
+    u is the opening of the valve at the error p_set - p (`valve_pair.opening`). Source: laminar
+    restriction, Andersen, B. W. (1967), The analysis and design of pneumatic systems, Wiley;
+    firmware: bvanstratum/SoftSnakePressureControl.
     """
 
     title = "pulsed valves of the firmware with laminar flow"
@@ -30,9 +30,9 @@ class PulsedValves(ValvePair):
     )
     """c_v, laminar conductance of the vent valve."""
     supply: Scalar = parameter(
-        600e3, 200e3, 1.1e6, "Pa", "gauge pressure of laboratory regulators and compressors"
+        600e3, 200e3, 1.1e6, "Pa", "gauge pressures of laboratory regulators and compressors"
     )
-    """Supply pressure p_s, gauge."""
+    """p_s, gauge pressure of the supply."""
     dead: Scalar = parameter(0.05, 0.0, 0.5, "-", "short pulses do not lift the armature")
     """Duty below which a valve stays closed."""
 

@@ -10,15 +10,15 @@ class RateLimit(Flow):
 
         dp/dt = min(max((p_set - p)/k, -R), R)
 
-    The function `limited` rounds the corners. `ChokedFlow` reduces every rate; this effect acts
-    only near R. Source: saturation of a valve, Beater, P. (2007), Pneumatic Drives, Springer.
+    The function `limited` smooths the corners. `ChokedFlow` reduces every rate, `RateLimit` only
+    rates near or above R. Source: valve saturation, Beater, P. (2007), Pneumatic Drives, Springer.
     """
 
     title = "the flow has a hard limit"
     order = 100
 
     inverse: Scalar = parameter(
-        0.0, 0.0, 2e-6, "s/Pa", "a reversal of 250 kPa needs 6 MPa/s; R is 0.5 MPa/s or more", 4e-7
+        0.0, 0.0, 2e-6, "s/Pa", "a reversal of 250 kPa needs 6 MPa/s; R is at least 0.5 MPa/s", 4e-7
     )
     """1/R, inverse of the largest rate. With k = 87 ms, reversing 250 kPa needs 6 MPa/s."""
 

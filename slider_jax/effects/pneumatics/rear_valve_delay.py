@@ -19,7 +19,7 @@ class RearValveDelay(Command):
     rear_only = True
 
     delay: Scalar = parameter(
-        0.0, 0.0, 0.03, "s", "the rear valve may be late by its whole switching time"
+        0.0, 0.0, 0.03, "s", "the delay is at most the switching time of the valve"
     )
     """Dead time of the rear valve minus the dead time of the front valve."""
 

@@ -10,8 +10,8 @@ class RegulatorGain(Command):
 
         p_set,valve = (1 + g) p_set
 
-    The sensors read the actual pressure, so the measured p changes too. Source: static sensitivity,
-    Doebelin, E. O. (2003), Measurement Systems, 5th ed., McGraw-Hill, ch. 3.
+    The sensors measure the actual pressure, so the measured p changes too. Source: static
+    sensitivity, Doebelin, E. O. (2003), Measurement Systems, 5th ed., McGraw-Hill, ch. 3.
     """
 
     title = "gain error of the regulator"

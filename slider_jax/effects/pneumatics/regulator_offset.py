@@ -11,8 +11,8 @@ class RegulatorOffset(Command):
         p_set,valve = p_set + p_0
 
     With a positive p_0, the side of positive pressure reaches a higher pressure than the opposite
-    side. The sensors read the actual pressure, so the measured p changes too. Source: zero drift,
-    Doebelin, E. O. (2003), Measurement Systems, 5th ed., McGraw-Hill, ch. 3.
+    side. The sensors measure the actual pressure, so the measured p changes too. Source: zero
+    drift, Doebelin, E. O. (2003), Measurement Systems, 5th ed., McGraw-Hill, ch. 3.
     """
 
     title = "zero error of the regulator"

@@ -11,9 +11,9 @@ class SupplyCap(Command):
 
         p_set,valve = min(max(p_set, -P), P)
 
-    The function `limited` rounds the corners. `SupplyLimit` reduces every set pressure; this effect
-    acts only near P. Source: Andersen, B. W. (1967), The analysis and design of pneumatic systems,
-    Wiley.
+    The function `limited` smooths the corners. `SupplyLimit` reduces every set pressure, but
+    `SupplyCap` reduces only set pressures near P or above P. Source: Andersen, B. W. (1967), The
+    analysis and design of pneumatic systems, Wiley.
     """
 
     title = "the supply caps the set pressure"

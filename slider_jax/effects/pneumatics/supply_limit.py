@@ -8,20 +8,20 @@ from slider_jax.effects.base import Command, parameter
 
 
 class SupplyLimit(Command):
-    """The regulator's pressure droops as the set pressure approaches the supply pressure.
+    """The regulator delivers less than the set pressure, because the supply pressure is limited.
 
         p_set,valve = p_set/(1 + c |p_set|)
 
-    The regulator's pressure never exceeds the supply pressure 1/c. Unlike a hard limit, the effect
-    has a nonzero tangent at the null: -|p_set| p_set. Source: regulator droop, Andersen, B. W.
-    (1967), The analysis and design of pneumatic systems, Wiley.
+    The delivered pressure never exceeds the supply pressure 1/c. At the null, the derivative with
+    respect to c is -|p_set| p_set; for a hard limit, the derivative is zero. Source: regulator
+    droop, Andersen, B. W. (1967), The analysis and design of pneumatic systems, Wiley.
     """
 
     title = "the supply cannot reach the set pressure"
     order = 40
 
     inverse: Scalar = parameter(
-        0.0, 0.0, 3e-6, "1/Pa", "a supply of 330 kPa halves the largest set pressure"
+        0.0, 0.0, 3e-6, "1/Pa", "with a supply of 330 kPa, a set pressure of 330 kPa is halved"
     )
     """c, inverse of the supply pressure."""
 

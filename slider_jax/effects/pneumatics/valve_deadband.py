@@ -12,17 +12,17 @@ class ValveDeadband(Flow):
 
         dp/dt = e/k exp(-(d/|e|)^32),    e = p_set - p
 
-    The flow is half of the lag's flow at |e| = 1.01 d, and 1e-9 of it at 0.91 d. The pressure
-    therefore stops changing about d before the set pressure. `ValveOverlap` also reduces the flow
-    at larger errors. Source: on-off control of a pressure, Beater, P. (2007), Pneumatic Drives,
-    Springer.
+    The flow is half of the lag's flow at |e| = 1.01 d, and 1e-9 of the lag's flow at |e| = 0.91 d.
+    So the pressure stops changing at a distance of about d from the set pressure. `ValveOverlap`
+    also reduces the flow at larger errors. Source: on-off control of a pressure, Beater, P. (2007),
+    Pneumatic Drives, Springer.
     """
 
     title = "deadband of the valves"
     order = 110
 
     band: Scalar = parameter(
-        0.0, 0.0, 40e3, "Pa", "an eighth of the largest set pressure; short pulses open no valve",
+        0.0, 0.0, 40e3, "Pa", "up to an eighth of the set pressure, as short pulses open no valve",
         12e3,
     )  # fmt: skip
     """d, the error below which the valves stay closed."""

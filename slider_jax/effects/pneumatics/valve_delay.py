@@ -17,7 +17,7 @@ class ValveDelay(Command):
     order = 10
 
     delay: Scalar = parameter(
-        0.0, 0.0, 0.06, "s", "switching takes 5 to 30 ms; the controller's cycle adds a delay"
+        0.0, 0.0, 0.06, "s", "5 to 30 ms of switching time and the controller's cycle time"
     )
     """Dead time of all valves."""
 

@@ -7,7 +7,7 @@ from slider_jax.effects.base import Flow, parameter
 
 
 class ValveOverlap(Flow):
-    """The overlap of the spool reduces the error that opens the valve.
+    """The spool closes the valve below an error d, and reduces the flow above this error.
 
         dp/dt = sign(e) max(|e| - d, 0)/k,    e = p_set - p
 

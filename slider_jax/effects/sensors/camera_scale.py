@@ -5,7 +5,7 @@ from slider_jax.effects.base import Instrument, parameter
 
 
 class CameraScale(Instrument):
-    """The scale in metres per pixel has an error.
+    """The assumed scale in metres per pixel is too large by a factor.
 
         tip_read = (1 + g) tip
 
@@ -18,7 +18,7 @@ class CameraScale(Instrument):
     sensors = ("tip",)
 
     gain: Scalar = parameter(
-        0.0, -0.1, 0.1, "-", "the ruler is outside the tip's plane or seen through the surface"
+        0.0, -0.1, 0.1, "-", "the camera sees the ruler at another depth or through the surface"
     )
     """g, relative error of the scale."""
 

@@ -1,4 +1,4 @@
-"""Force and pressure recorded on two clocks."""
+"""Forces and pressures that are recorded with two clocks."""
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Instrument, parameter
@@ -6,12 +6,12 @@ from slider_jax.effects.functions import delayed
 
 
 class ForceClockOffset(Instrument):
-    """The time stamps of the forces are late relative to those of the pressures.
+    """The time stamps of the forces are later than the time stamps of the pressures.
 
         F_read(t) = F(t - delay)
 
-    The interpolation between samples is cubic. Source: dead-time elements, Doebelin, E. O. (2003),
-    Measurement Systems, 5th ed., McGraw-Hill, ch. 3.
+    Forces between samples are interpolated with cubic polynomials. Source: dead-time elements,
+    Doebelin, E. O. (2003), Measurement Systems, 5th ed., McGraw-Hill, ch. 3.
     """
 
     title = "clock offset of the force sensor"
@@ -21,7 +21,7 @@ class ForceClockOffset(Instrument):
     delay: Scalar = parameter(
         0.0, -0.03, 0.03, "s", "two recorders start tens of ms apart, by hand or by software"
     )
-    """Delay of the time stamps [s]. It is negative if the time stamps are early."""
+    """Delay of the time stamps [s]. A negative delay means that the time stamps are early."""
 
     def read(self, true):
         return true._replace(

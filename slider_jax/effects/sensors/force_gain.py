@@ -5,7 +5,7 @@ from slider_jax.effects.base import Instrument, parameter
 
 
 class ForceGain(Instrument):
-    """The readings of both forces are too large by the same factor.
+    """The readings of thrust and recoil are too large by the same factor.
 
         thrust_read = (1 + g) thrust,    recoil_read = (1 + g) recoil
 
@@ -18,7 +18,7 @@ class ForceGain(Instrument):
     sensors = ("thrust", "recoil")
 
     gain: Scalar = parameter(
-        0.0, -0.15, 0.15, "-", "a calibrated sensor drifts by a few percent; its mount adds more"
+        0.0, -0.15, 0.15, "-", "a calibrated sensor drifts by a few percent; the mount adds errors"
     )
     """g, relative error of the sensitivity."""
 

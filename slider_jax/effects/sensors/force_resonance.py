@@ -1,4 +1,4 @@
-"""A force sensor that resonates with the mass mounted on it."""
+"""A force sensor that resonates with the mass on the sensor."""
 
 import equinox as eqx
 import jax
@@ -10,14 +10,14 @@ from slider_jax.effects.base import Instrument, last_sample, parameter
 
 
 class ForceResonance(Instrument):
-    """The sensor is a spring that carries a mass: the robot's head and the bracket.
+    """The sensor is a damped spring that carries a mass: the robot's head and the bracket.
 
         c (F_read'' + b F_read') + F_read = F
 
-    c is mass/stiffness, so the natural frequency is 1/(2 pi sqrt(c)). With the fixed damping rate
-    b, the damping ratio is b sqrt(c)/2. The reading near the null, F - c (F'' + b F'), is smooth in
-    c. Houbolt's backward difference in time has second order and is stable for any step. If the
-    resonance is too fast for the sample rate, the reading equals the force.
+    F is the true force. c is mass/stiffness, so the natural frequency is 1/(2 pi sqrt(c)). With the
+    fixed damping rate b, the damping ratio is b sqrt(c)/2. The reading is a smooth function of c at
+    c = 0. Houbolt's backward difference in time is of second order and stable for any step. If the
+    natural frequency is too high for the sample rate, the reading equals the force.
 
     Source: second-order instruments, Doebelin, E. O. (2003), Measurement Systems, 5th ed.,
     McGraw-Hill, ch. 3; Houbolt, J. C. (1950), A recurrence matrix solution for the dynamic response
@@ -29,14 +29,14 @@ class ForceResonance(Instrument):
     sensors = ("thrust", "recoil")
 
     mass_over_stiffness: Scalar = parameter(
-        0.0, 0.0, 1e-4, "s^2", "from a stiff sensor to a resonance at 16 Hz with the head"
+        0.0, 0.0, 1e-4, "s^2", "0 for a stiff sensor, 1e-4 for a resonance at 16 Hz"
     )
     """c [s^2], mass divided by stiffness."""
     damping_rate: Scalar = eqx.field(default=20.0)
-    """b [1/s]; the default is 0.1 of critical damping at 16 Hz."""
+    """b [1/s]. With the default, the damping ratio is 0.1 for a resonance at 16 Hz."""
 
     def follow(self, before: tuple[Array, Array, Array], F: Array, dt: Array) -> Array:
-        """Returns the reading [N] for F [N]; `before` has the last three readings, latest first."""
+        """Returns the reading [N] at F [N]. `before`: last three readings, the latest first."""
         inertia = self.mass_over_stiffness / dt**2
         damping = self.mass_over_stiffness * self.damping_rate / (6.0 * dt)
         x1, x2, x3 = before

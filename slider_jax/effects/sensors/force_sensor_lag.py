@@ -6,12 +6,12 @@ from slider_jax.effects.functions import lagged, lagged_sample
 
 
 class ForceSensorLag(Instrument):
-    """Both forces pass a first-order low-pass filter.
+    """Thrust and recoil pass a first-order low-pass filter.
 
         tau dF_read/dt = F - F_read
 
-    The solution is exact if the force is linear between samples. Source: first-order instruments,
-    Doebelin, E. O. (2003), Measurement Systems, 5th ed., McGraw-Hill, ch. 3.
+    The solution is exact if the true force F is linear between samples. Source: first-order
+    instruments, Doebelin, E. O. (2003), Measurement Systems, 5th ed., McGraw-Hill, ch. 3.
     """
 
     title = "lag of the force sensor"
@@ -21,7 +21,7 @@ class ForceSensorLag(Instrument):
     tau: Scalar = parameter(
         0.0, 0.0, 0.03, "s", "bridge amplifiers have low-pass filters of 5 Hz and higher"
     )
-    """Time constant [s]."""
+    """tau, time constant of the filter [s]."""
 
     def read(self, true):
         return true._replace(

@@ -1,11 +1,11 @@
-"""Hoses that bypass the force sensor."""
+"""Hoses that push on the force sensor."""
 
 from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import Instrument, parameter
 
 
 class HoseLoad(Instrument):
-    """Pressurised hoses straighten and push on the force sensor.
+    """Hoses under pressure straighten and push on the force sensor.
 
         thrust_read = thrust + a (p_front + p_rear),    recoil_read = recoil + b (p_front + p_rear)
 
@@ -18,13 +18,13 @@ class HoseLoad(Instrument):
     sensors = ("thrust", "recoil")
 
     along: Scalar = parameter(
-        0.0, -4e-7, 4e-7, "N/Pa", "a well guided soft hose of 4 mm exerts 0.1 N at 250 kPa"
+        0.0, -4e-7, 4e-7, "N/Pa", "a soft hose of 4 mm with good guides exerts 0.1 N at 250 kPa"
     )
-    """Coefficient a of the thrust."""
+    """a, additional thrust per pressure."""
     across: Scalar = parameter(
-        0.0, -4e-7, 4e-7, "N/Pa", "a well guided soft hose of 4 mm exerts 0.1 N at 250 kPa"
+        0.0, -4e-7, 4e-7, "N/Pa", "a soft hose of 4 mm with good guides exerts 0.1 N at 250 kPa"
     )
-    """Coefficient b of the recoil."""
+    """b, additional recoil per pressure."""
 
     def read(self, true):
         p = true.p_front + true.p_rear

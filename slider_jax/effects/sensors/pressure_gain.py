@@ -5,7 +5,7 @@ from slider_jax.effects.base import Instrument, parameter
 
 
 class PressureGain(Instrument):
-    """The readings of both pressures are too large by the same factor.
+    """The readings of front and rear pressure are too large by the same factor.
 
         p_read = (1 + g) p
 
@@ -18,7 +18,7 @@ class PressureGain(Instrument):
     sensors = ("pressure",)
 
     gain: Scalar = parameter(
-        0.0, -0.1, 0.1, "-", "sensors and their supply voltage have a few percent error"
+        0.0, -0.1, 0.1, "-", "sensors and supply voltages have an error of a few percent"
     )
     """g, relative error of the sensitivity."""
 

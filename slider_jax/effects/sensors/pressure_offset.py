@@ -5,7 +5,7 @@ from slider_jax.effects.base import Instrument, parameter
 
 
 class PressureOffset(Instrument):
-    """The readings of both pressures are too large by the same amount.
+    """The readings of front and rear pressure are too large by the same pressure p_0.
 
         p_read = p + p_0
 

@@ -1,4 +1,4 @@
-"""An analogue-to-digital converter with unequal steps."""
+"""Periodic error of the analogue-to-digital converter of the pressures."""
 
 import math
 
@@ -10,7 +10,7 @@ from slider_jax.effects.base import Instrument, parameter
 
 
 class PressureRipple(Instrument):
-    """The analogue-to-digital converter has a periodic error, since one bit has a wrong weight.
+    """The error of the converter is periodic in the pressure, because one bit has a wrong weight.
 
         p_read = p + a sin(2 pi p/P) + b cos(2 pi p/P)
 
@@ -21,12 +21,12 @@ class PressureRipple(Instrument):
     order = 560
     sensors = ("pressure",)
 
-    a: Scalar = parameter(0.0, -6e3, 6e3, "Pa", "six codes of the converter, 0.93 kPa each")
-    """Amplitude of the sine."""
-    b: Scalar = parameter(0.0, -6e3, 6e3, "Pa", "six codes of the converter, 0.93 kPa each")
-    """Amplitude of the cosine."""
+    a: Scalar = parameter(0.0, -6e3, 6e3, "Pa", "six codes (steps) of the converter, 0.93 kPa each")
+    """a, amplitude of the sine."""
+    b: Scalar = parameter(0.0, -6e3, 6e3, "Pa", "six codes (steps) of the converter, 0.93 kPa each")
+    """b, amplitude of the cosine."""
     period: Scalar = eqx.field(default=32 * 932.8)
-    """Period P [Pa] of the error; the default is 32 codes, the fifth bit of the rig's converter."""
+    """P [Pa], period of the error. The default is 32 codes, for the fifth bit of the converter."""
 
     def read(self, true):
         def off(p):

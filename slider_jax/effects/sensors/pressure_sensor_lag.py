@@ -6,13 +6,13 @@ from slider_jax.effects.functions import lagged, lagged_sample
 
 
 class PressureSensorLag(Instrument):
-    """Both pressures pass a first-order low-pass filter: the sensor's tube or electronics.
+    """A tube or the electronics of the sensors filter the pressures (first-order low-pass).
 
         tau dp_read/dt = p - p_read
 
-    The solution is exact if the pressure is linear between samples. The pressure p, not p_read,
-    bends the body. Source: first-order instruments, Doebelin, E. O. (2003), Measurement Systems,
-    5th ed., McGraw-Hill, ch. 3.
+    The solution is exact if p is linear between samples. The pressure p, not p_read, bends the
+    body. Source: first-order instruments, Doebelin, E. O. (2003), Measurement Systems, 5th ed.,
+    McGraw-Hill, ch. 3.
     """
 
     title = "lag of the pressure sensors"
@@ -22,7 +22,7 @@ class PressureSensorLag(Instrument):
     tau: Scalar = parameter(
         0.0, 0.0, 0.05, "s", "thin tubes and noise filters have time constants of tens of ms"
     )
-    """Time constant [s]."""
+    """tau, time constant of the filter [s]."""
 
     def read(self, true):
         return true._replace(

@@ -8,21 +8,22 @@ from slider_jax.effects.base import ForceDensity, parameter
 
 
 class NormalDrag(ForceDensity):
-    """Drag of the separated crossflow.
+    """Drag of the flow across the body, which separates from the body.
 
         F_n = -rho C_d H |u_n| u_n / 2
 
-    Source: Taylor, G. (1952), Analysis of the swimming of long and narrow animals, Proc. R. Soc. A
-    214, 158-183; the paper's equation for F_d.
+    H is the height of the robot and u_n the lateral velocity relative to the water. Source: Taylor,
+    G. (1952), Analysis of the swimming of long and narrow animals, Proc. R. Soc. A 214, 158-183;
+    the paper's equation for F_d.
     """
 
     title = "drag of the crossflow"
     in_every_model = True
 
     C_d: Scalar = parameter(
-        0.0, 0.0, 6.0, "-", "2 for a plate in steady flow, more at small strokes"
+        0.0, 0.0, 6.0, "-", "2 for a plate in steady flow, more for small stroke amplitudes"
     )
-    """Drag coefficient."""
+    """C_d, drag coefficient."""
     density: Scalar = eqx.field(default=1000.0)
     """Density rho [kg/m^3] of the water."""
 

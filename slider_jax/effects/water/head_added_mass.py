@@ -9,17 +9,17 @@ from slider_jax.effects.water.reactive import ReactiveForce
 
 
 class HeadAddedMass(ForceDensity):
-    """Momentum fluxes of `ReactiveForce` at the head, as at the leading edge of a slender wing.
+    """Point force of the added mass at the head, as at the leading edge of a slender wing.
 
         F_n   = -m_A u_tau u_n delta(s - L)
         F_tau =  m_A u_n^2/2 delta(s - L)
         m_A   =  m_a pi rho H^2/4
 
     The water ahead of the body has no lateral momentum and gains momentum suddenly at a blunt head.
-    A clamped head in still water has u_n = 0, so the force is zero. The force acts in the cell at
-    the head. Source: Lighthill, M. J. (1971), as in `ReactiveForce`; Jones, R. T. (1946),
-    Properties of low-aspect-ratio pointed wings at speeds below and above the speed of sound, NACA
-    Report 835.
+    The force is the sum of the momentum fluxes of `ReactiveForce` at the head. The force is zero if
+    the head is clamped in still water (u_n = 0). The force acts in the cell at the head. Source:
+    Lighthill, M. J. (1971), as in `ReactiveForce`; Jones, R. T. (1946), Properties of
+    low-aspect-ratio pointed wings at speeds below and above the speed of sound, NACA Report 835.
     """
 
     title = "added mass that begins at the head"
@@ -27,9 +27,9 @@ class HeadAddedMass(ForceDensity):
     is_candidate = False
 
     m_a: Scalar = parameter(
-        0.0, 0.0, 1.5, "-", "a blunt head has the body's m_a, and less if the flow separates"
+        0.0, 0.0, 1.5, "-", "as large as m_a of the body, or smaller if the flow separates"
     )
-    """Added-mass coefficient at the head."""
+    """m_a, added-mass coefficient at the head."""
     density: Scalar = eqx.field(default=1000.0)
     """Density rho [kg/m^3] of the water."""
 

@@ -12,9 +12,9 @@ class HeadDrag(ForceDensity):
 
         F_tau = -rho A |u_tau| u_tau / 2 delta(s - L)
 
-    A is the drag coefficient times the frontal area. The coefficient is 0.8 to 1.2 for blunt bodies
-    and 0.2 for rounded bodies. The force acts in the cell at the head.
-    Source: Hoerner, S. F. (1965), Fluid-Dynamic Drag, ch. 3.
+    A is the drag coefficient times the frontal area. The drag coefficient is 0.8 to 1.2 for blunt
+    bodies and 0.2 for rounded bodies. The force acts in the cell at the head. Source: Hoerner, S.
+    F. (1965), Fluid-Dynamic Drag, ch. 3.
     """
 
     title = "form drag of the head"
@@ -22,7 +22,7 @@ class HeadDrag(ForceDensity):
     resists_axially = True
 
     area: Scalar = parameter(
-        0.0, 0.0, 3e-3, "m^2", "0.9e-3 for a blunt end of 30 by 30 mm; more with tubes and fittings"
+        0.0, 0.0, 3e-3, "m^2", "0.9e-3 for a blunt end of (30 mm)^2, more with tubes and fittings"
     )
     """A, drag coefficient times frontal area."""
     density: Scalar = eqx.field(default=1000.0)

@@ -1,4 +1,4 @@
-"""Drag whose coefficient decreases with the stroke amplitude."""
+"""Drag with a coefficient that decreases with the stroke amplitude."""
 
 import math
 
@@ -9,27 +9,27 @@ from slider_jax.beam.parameters import Scalar
 from slider_jax.effects.base import ForceDensity, parameter
 
 MIN_KC = 0.3
-"""Smallest KC, which bounds the coefficient: strokes of a twentieth of the plate's height H."""
+"""Smallest KC, so that the coefficient is finite. The stroke amplitude is then about H/20."""
 
 
 class KeuleganCarpenterDrag(ForceDensity):
-    """Drag of a plate that oscillates at f, in addition to drag with a constant coefficient.
+    """Drag of a plate that oscillates at the frequency f, in addition to the base model's drag.
 
         F_n = -rho C KC^(-1/3) H |u_n| u_n / 2
         KC  = U/(f H),    U^2 = u_n^2 + (du_n/dt)^2/(2 pi f)^2
 
-    U is the amplitude of a sinusoidal u_n. A smooth limit keeps KC above 0.3. Source: Keulegan, G.
-    H. and Carpenter, L. H. (1958), Forces on cylinders and plates in an oscillating fluid, J. Res.
-    Natl. Bur. Stand. 60, 423-440; the exponent -1/3 and C = 8 are from Graham, J. M. R. (1980), The
-    forces on sharp-edged cylinders in oscillatory flow at low Keulegan-Carpenter numbers, J. Fluid
-    Mech. 97, 331-346.
+    KC is the Keulegan-Carpenter number, and U the amplitude of a sinusoidal u_n. A smooth limit
+    keeps KC above 0.3. Source: Keulegan, G. H. and Carpenter, L. H. (1958), Forces on cylinders and
+    plates in an oscillating fluid, J. Res. Natl. Bur. Stand. 60, 423-440. The exponent -1/3 and
+    C = 8 are from Graham, J. M. R. (1980), The forces on sharp-edged cylinders in oscillatory flow
+    at low Keulegan-Carpenter numbers, J. Fluid Mech. 97, 331-346.
     """
 
     title = "drag coefficient that decreases with amplitude"
     order = 500
 
     C: Scalar = parameter(
-        0.0, 0.0, 10.0, "-", "8 for a sharp-edged plate, less with round edges or with a large C_d"
+        0.0, 0.0, 10.0, "-", "8 for a plate with sharp edges, less with round edges or large C_d"
     )
     """C, drag coefficient at KC = 1."""
     stride_frequency: Scalar = eqx.field(default=5.0)

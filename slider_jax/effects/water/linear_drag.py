@@ -7,20 +7,21 @@ from slider_jax.effects.base import ForceDensity, parameter
 
 
 class LinearDrag(ForceDensity):
-    """Viscous drag of the crossflow, which dominates if strokes are too small for flow separation.
+    """Viscous drag of the crossflow, dominant if strokes are too small for flow separation.
 
         F_n = -c u_n
 
-    For a cylinder of diameter D that oscillates at f in water of viscosities mu and nu, c is
-    2 pi^(3/2) mu (D^2 f/nu)^(1/2) to first order. Source: Stokes, G. G. (1851), On the effect of
-    the internal friction of fluids on the motion of pendulums, Trans. Camb. Phil. Soc. 9, 8-106.
+    To first order, c is 2 pi^(3/2) mu (D^2 f/nu)^(1/2) for a cylinder of diameter D that oscillates
+    at the frequency f. mu and nu are the dynamic and the kinematic viscosity of the water.
+    Source: Stokes, G. G. (1851), On the effect of the internal friction of fluids on the motion of
+    pendulums, Trans. Camb. Phil. Soc. 9, 8-106.
     """
 
     title = "drag linear in the crossflow"
     order = 450
 
     c: Scalar = parameter(
-        0.0, 0.0, 5.0, "N s/m^2", "0.7 after Stokes for 30 mm and 5 Hz; waves and tubes add drag"
+        0.0, 0.0, 5.0, "N s/m^2", "0.7 for D = 30 mm and f = 5 Hz; waves and tubes add drag"
     )
     """c, drag per length and speed."""
 

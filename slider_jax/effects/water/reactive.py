@@ -9,7 +9,7 @@ from slider_jax.effects.base import ForceDensity, parameter
 
 
 class ReactiveForce(ForceDensity):
-    """Force per length of the large-amplitude elongated-body theory, with all three terms.
+    """Force per length f of the large-amplitude elongated-body theory, with all three terms.
 
     f = -[ d(m_A u_n n)/dt - d(m_A u_tau u_n n)/ds + d(m_A u_n^2/2 tau)/ds ], with
     d(tau)/ds = kappa n, d(n)/ds = -kappa tau, d(n)/dt = -omega tau:
@@ -18,8 +18,8 @@ class ReactiveForce(ForceDensity):
         F_tau = -m_A ( -u_n omega + u_tau u_n kappa + u_n du_n/ds ) - dm_A/ds u_n^2/2
         m_A   = m_a pi rho H^2/4
 
-    The robot's height H is uniform, so dm_A/ds = 0. No point force acts at the robot's blunt head;
-    docs/explanation/decisions.md gives the reason.
+    The robot's height H is uniform, so dm_A/ds = 0. `HeadAddedMass` adds the point force at a blunt
+    head; docs/explanation/decisions.md explains why the base model omits this force.
 
     Source: Lighthill, M. J. (1971), Large-amplitude elongated-body theory of fish locomotion, Proc.
     R. Soc. B 179, 125-138; the paper's equations for F_a.
@@ -31,7 +31,7 @@ class ReactiveForce(ForceDensity):
     m_a: Scalar = parameter(
         0.0, 0.0, 1.5, "-", "1 for a thin plate in potential flow, less if the flow separates"
     )
-    """Added-mass coefficient."""
+    """m_a, added-mass coefficient."""
     density: Scalar = eqx.field(default=1000.0)
     """Density rho [kg/m^3] of the water."""
 

@@ -10,8 +10,8 @@ from slider_jax.effects.water.reactive import ReactiveForce
 class TailAddedMass(ForceDensity):
     """Reactive force due to the difference in added mass between tail and body.
 
-    The terms of `ReactiveForce` act along the tail. At the joint, the added mass changes suddenly.
-    The momentum fluxes cause a point force there, like lift at the leading edge of a slender wing:
+    The terms of `ReactiveForce` act along the tail. At the joint, the added mass changes suddenly,
+    which causes a point force, similar to the lift at the leading edge of a slender wing:
 
         F_n   = -m_A u_tau u_n delta(s - s_joint)
         F_tau =  m_A u_n^2/2 delta(s - s_joint)
@@ -25,9 +25,9 @@ class TailAddedMass(ForceDensity):
     order = 470
 
     m_a: Scalar = parameter(
-        0.0, -0.5, 0.8, "-", "a sheet has 1, or less if the flow separates; the body is thick"
+        0.0, -0.5, 0.8, "-", "m_a of a sheet is 1, or less if the flow separates; the body is thick"
     )
-    """Added-mass coefficient of the tail minus the coefficient of the body."""
+    """m_a, added-mass coefficient of the tail minus the coefficient of the body."""
     density: Scalar = eqx.field(default=1000.0)
     """Density rho [kg/m^3] of the water."""
 

@@ -13,7 +13,7 @@ class TailDrag(ForceDensity):
         F_n = -rho C H |u_n| u_n / 2   on the tail
 
     The tail is a sheet with sharp edges and has larger strokes than the body. With a negative C,
-    the tail's coefficient is smaller than the body's. Source: as in `NormalDrag`; Hoerner, S. F.
+    the tail has a smaller coefficient than the body. Source: as in `NormalDrag`; Hoerner, S. F.
     (1965), Fluid-Dynamic Drag, ch. 3, on edges.
     """
 
@@ -23,7 +23,7 @@ class TailDrag(ForceDensity):
     C: Scalar = parameter(
         0.0, -2.0, 3.0, "-", "plate and cylinder differ by 1 in steady flow, more in oscillation"
     )
-    """Drag coefficient of the tail minus the coefficient of the body."""
+    """C, drag coefficient of the tail minus the coefficient of the body."""
     density: Scalar = eqx.field(default=1000.0)
     """Density rho [kg/m^3] of the water."""
 

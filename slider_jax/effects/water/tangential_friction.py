@@ -21,9 +21,9 @@ class TangentialFriction(ForceDensity):
     resists_axially = True
 
     C_t: Scalar = parameter(
-        0.0, 0.0, 0.2, "-", "0.005 for a smooth plate, and more with tubes, seams or a clamp"
+        0.0, 0.0, 0.2, "-", "0.005 for a smooth plate, more with tubes, seams or a clamp"
     )
-    """Friction coefficient for the wetted area of a flat body, 2 H per length."""
+    """C_t, friction coefficient. The wetted area per length of a flat body is 2 H."""
     density: Scalar = eqx.field(default=1000.0)
     """Density rho [kg/m^3] of the water."""
 

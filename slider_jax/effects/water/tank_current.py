@@ -19,11 +19,11 @@ class TankCurrent(WaterMotion):
     order = 510
 
     U_x: Scalar = parameter(
-        0.0, -0.2, 0.2, "m/s", "the robot's jet of 0.2 m/s recirculates in a small tank"
+        0.0, -0.2, 0.2, "m/s", "a jet of 0.2 m/s from the robot recirculates in a small tank"
     )
-    """Velocity along x."""
-    U_y: Scalar = parameter(0.0, -0.1, 0.1, "m/s", "convection reaches some cm/s, and pumps more")
-    """Velocity along y."""
+    """U_x, velocity along x."""
+    U_y: Scalar = parameter(0.0, -0.1, 0.1, "m/s", "some cm/s by convection, more by pumps")
+    """U_y, velocity along y."""
 
     def velocity(self, t):
         zero = jnp.zeros_like(t)

@@ -7,7 +7,7 @@ from slider_jax.effects.base import ForceDensity, parameter
 from slider_jax.effects.functions import magnitude
 
 CROSSFLOW_ROUNDING = 1e-3
-"""Crossflow [m/s] below which the root is rounded, so that the derivative stays finite."""
+"""Crossflow speed [m/s] below which |u_n| is smoothed, so that the derivative is finite."""
 
 
 class ThinnedFriction(ForceDensity):
@@ -15,10 +15,10 @@ class ThinnedFriction(ForceDensity):
 
         F_tau = -2.7 c rho (nu H |u_n|)^(1/2) u_tau
 
-    The crossflow makes the boundary layer thinner, so friction increases with the crossflow.
-    Lighthill and Bone explain the large drag of swimming fish by this effect. |u_n| is rounded
-    below 1 mm/s. Source: Taylor, G. (1952), Analysis of the swimming of long and narrow animals,
-    Proc. R. Soc. A 214, 158-183, for a circular section (c = 1).
+    The crossflow makes the boundary layer thinner, so friction increases with the crossflow. nu is
+    the kinematic viscosity. |u_n| is smoothed below 1 mm/s. Lighthill and Bone explain the large
+    drag of swimming fish by this effect. Source: Taylor, G. (1952), Analysis of the swimming of
+    long and narrow animals, Proc. R. Soc. A 214, 158-183, for a circular section (c = 1).
     """
 
     title = "friction in a thinned boundary layer"
@@ -26,7 +26,7 @@ class ThinnedFriction(ForceDensity):
     resists_axially = True
 
     c: Scalar = parameter(
-        0.0, 0.0, 3.0, "-", "1 for a smooth round cylinder; a flat section has more surface"
+        0.0, 0.0, 3.0, "-", "1 for a smooth round cylinder, more for a flat section"
     )
     """c, friction divided by Taylor's value."""
     viscosity: Scalar = eqx.field(default=1.0e-6)

@@ -1,4 +1,4 @@
-"""A gantry that does not run at its declared speed."""
+"""An error of the declared speed of the gantry."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -8,7 +8,7 @@ from slider_jax.effects.base import WaterMotion, parameter
 
 
 class TowSpeedError(WaterMotion):
-    """The carriage moves faster than declared, which for the robot is a flow from ahead.
+    """The carriage moves faster than declared. The error is modelled as a water flow along -x.
 
         U_x = -g U_tow
 
@@ -22,7 +22,7 @@ class TowSpeedError(WaterMotion):
     gain: Scalar = parameter(
         0.0, -0.2, 0.2, "-", "lost motor steps or a wrong wheel diameter cause up to 20 %"
     )
-    """g, relative error of the speed."""
+    """g, relative error of the tow speed."""
     tow_speed: Scalar = eqx.field(default=0.1)
     """Tow speed U_tow [m/s] of the trial."""
 
