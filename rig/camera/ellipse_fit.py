@@ -1,4 +1,4 @@
-"""Least-squares fit of a blurred, partly covered disc to its visible pixels."""
+"""Fits a blurred, partly covered disc to the visible pixels of a marker by least squares."""
 
 from typing import NamedTuple
 
@@ -6,13 +6,14 @@ import numpy as np
 
 MAX_STEPS = 40
 SOFTEST, SHARPEST = 1.5, 60.0
-"""Bounds of the edge's sharpness k. Outside these bounds the image hardly changes with k."""
+"""Bounds of the edge's sharpness k. Outside these bounds, k hardly changes the image."""
 
 
 class SoftEllipse(NamedTuple):
-    """Marker with a soft edge: m(p) = b + A / (1 + exp(k (|u| - 1))) at pixel p, u = S (p - c).
+    """Marker with a soft edge: m(p) = b + A / (1 + exp(k (|u| - 1))), with u = S (p - c).
 
-    c = (x, y) [px] is the centre, A the amplitude, b the background. S [1/px] is upper triangular.
+    m is the value at the pixel p [px], c = (x, y) [px] the centre, A the amplitude, b the
+    background, and k the sharpness of the edge. S [1/px] is an upper triangular matrix.
     """
 
     x: float
@@ -26,7 +27,7 @@ class SoftEllipse(NamedTuple):
 
     @property
     def mass(self) -> float:
-        """Integral of m - b over the image plane [px^2], which motion blur does not change."""
+        """Integral of m - b over the image plane [px^2], independent of motion blur."""
         return self.amplitude * np.pi * (1 + np.pi**2 / (3 * self.k**2)) / (self.s_xx * self.s_yy)
 
     def inside(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -46,7 +47,7 @@ def initial_ellipse(center: np.ndarray, covariance: np.ndarray, mass: float) -> 
 
 
 def ellipse_model(q: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns m (n,) at pixels (n,), and the derivatives (n, 8) of m with respect to q (8,)."""
+    """Returns m (n,) at pixels (n,), and derivatives (n, 8) of m by the fields q (8,)."""
     cx, cy, s_xx, s_xy, s_yy, k, amplitude, background = q
     dx, dy = x - cx, y - cy
     u, v = s_xx * dx + s_xy * dy, s_yy * dy

@@ -17,21 +17,21 @@ from rig.recording.reader import RecordedStream
 from rig.recording.table import SampledColumns, StreamReader
 
 REST_FRAMES = 20
-"""Number of frames at rest, of which at least one must show all markers."""
+"""Number of frames at rest. At least one of these frames must show all markers."""
 MIN_SEEN = 0.8
 """If the tip is found in a smaller fraction of the frames, the reader adds a finding."""
 
 
 @dataclass(frozen=True)
 class MarkerLayout:
-    """Number of markers, and position of the head in the image, for the robot at rest."""
+    """Number of the robot's markers, and position of the head in the image at rest."""
 
     markers: int
     head: tuple[float, float]
     """Position in the image of a point beyond the head's marker [px]."""
     gate: float | None = None
-    """Largest motion of a marker between frames [px]. The default is just below half of the
-    smallest distance between two markers, so that markers cannot be confused."""
+    """Largest motion of a marker between frames [px]. The default is slightly less than half of
+    the smallest distance between two markers, so that markers cannot be confused."""
     criteria: MarkerCriteria = MarkerCriteria()
 
 
@@ -111,7 +111,7 @@ def camera_reader(scale: Scale) -> StreamReader:
         tip = tip_excursion(tracks.xy, scale.along(rest))
         seen = float(np.isfinite(tip).mean()) if len(tip) else 0.0
         findings = []
-        # Frames before the first record are not dropped: they were used to find the markers.
+        # Frames before the first record were used to find the markers, so they were not dropped.
         dropped = int(tracks.number[-1] - tracks.number[0] + 1 - len(tracks.number))
         if dropped:
             findings.append(f"{dropped} camera frames were dropped")

@@ -1,11 +1,11 @@
 """Detection of blue markers in an image, with their centres to a fraction of a pixel.
 
-Thresholds in HSV select the blue pixels. The centre is the centroid of the coverage, which is the
-fraction of a pixel that the marker covers. The coverage is a linear function of colour: 1 on the
-marker and 0 around the marker. Fisher's discriminant (1936) makes this function insensitive to
-variations of body, water and white light. Pixels that glare saturates are excluded, and an ellipse
-with a soft edge is fitted to the remaining pixels. A blue region is rejected if the region is cut
-off by the image's edge, too small, too long, mostly hidden by glare, or asymmetric.
+Thresholds in HSV select the blue pixels. The centre of a marker is the centroid of the coverage.
+The coverage is the fraction of a pixel that the marker covers, a linear function of colour: 1 on
+the marker and 0 around the marker. Fisher's discriminant (1936) makes this function insensitive to
+variations of body, water and white light. If glare saturates pixels, an ellipse with a soft edge is
+fitted to the other pixels. A blue region is rejected if the region is cut off by the image's edge,
+too small, too long, mostly hidden by glare, or asymmetric.
 """
 
 from typing import Any, NamedTuple
@@ -18,7 +18,7 @@ from rig.errors import RigError
 MARGIN = 10
 """Margin of the image patch around a marker [px]."""
 MIN_PIXELS = 30
-"""Smallest number of pixels to estimate the background's colour or to fit an ellipse."""
+"""Smallest number of pixels from which the background's colour or an ellipse is estimated."""
 SMOOTH = (5, 5)
 """Window [px] of the moving average that smooths the background's colour."""
 WHITE, NOISE = 100.0, 2.0
@@ -26,7 +26,7 @@ WHITE, NOISE = 100.0, 2.0
 
 
 class MarkerCriteria(NamedTuple):
-    """Criteria for a marker. OpenCV's HSV has hue in steps of 2 deg, saturation, value to 255."""
+    """Criteria for a marker, in OpenCV's HSV: hue in steps of 2 deg, saturation and value to 255."""
 
     hue: tuple[int, int] = (102, 130)
     """Lowest and highest hue of a blue pixel."""
@@ -39,7 +39,7 @@ class MarkerCriteria(NamedTuple):
     area: tuple[float, float] = (30.0, 4000.0)
     """Smallest and largest area of the blue pixels [px^2]."""
     aspect: float = 5.0
-    """Largest ratio of the axes; motion blur lengthens a disc."""
+    """Largest ratio of the long to the short axis; motion blur lengthens a disc."""
     seen: float = 0.3
     """Smallest fraction of the marker's area that is free of glare."""
     error: float = 0.3
@@ -62,7 +62,7 @@ class Marker(NamedTuple):
 
 
 def import_opencv() -> Any:
-    """Returns the module cv2. Raises `RigError` if it is not installed."""
+    """Returns the module cv2. Raises `RigError` if OpenCV is not installed."""
     try:
         import cv2
     except ImportError:
@@ -111,7 +111,7 @@ def _measure(
     glare: np.ndarray,
     criteria: MarkerCriteria,
 ) -> Marker | None:
-    """Returns the marker with the blue pixels `own` of a patch, or None for a rejected marker."""
+    """Returns the marker with the blue pixels `own` of a patch; None if the marker is rejected."""
     near = _dilated(cv2, own, 2)
     free = ~glare & ~_dilated(cv2, other, 4)
     around = free & ~_dilated(cv2, own, 4)
@@ -151,9 +151,9 @@ def _dilated(cv2: Any, mask: np.ndarray, pixels: int) -> np.ndarray:
 
 
 def _coverage(cv2: Any, levels: np.ndarray, own: np.ndarray, around: np.ndarray) -> np.ndarray:
-    """Returns the coverage of each pixel, from the colours of the marker and around the marker.
+    """Returns the coverage of each pixel, from the colours on the marker and around the marker.
 
-    The background is smoothed because patches of colour shift the centroid more than noise does.
+    The background is smoothed because patches of colour shift the centroid more than noise.
     """
     share = cv2.blur(around.astype(np.float32), SMOOTH)[around]
     background = cv2.blur(levels * around[..., None], SMOOTH)[around] / share[:, None]

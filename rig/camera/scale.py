@@ -13,7 +13,7 @@ MISFIT = 0.005
 
 
 class Lens(NamedTuple):
-    """OpenCV's pinhole camera and its lens distortion."""
+    """OpenCV's model of a pinhole camera with lens distortion."""
 
     matrix: np.ndarray
     """(3, 3) focal lengths and centre [px]."""
@@ -25,8 +25,9 @@ class Lens(NamedTuple):
 class Scale:
     """Mapping from pixels to metres in the plane in which the robot moves.
 
-    `angle` [rad] is between the image's right and the x axis, positive towards the image's bottom.
-    The y axis points to the left of x, seen from above. `origin` [px] is in the undistorted image.
+    `angle` [rad] is the angle from the image's right to the x axis, positive towards the image's
+    bottom. Seen from above, the y axis points to the left of the x axis. `origin` [px] is in the
+    undistorted image.
     """
 
     px_per_metre: float
@@ -37,7 +38,7 @@ class Scale:
     lens: Lens | None = None
 
     def metres(self, px: np.ndarray) -> np.ndarray:
-        """Returns positions (..., 2) [m] of positions (..., 2) [px]; NaN stays NaN."""
+        """Converts positions (..., 2) from px to m. A NaN remains a NaN."""
         flat = undistort(px, self.lens) - np.array(self.origin)
         cos, sin = np.cos(self.angle), np.sin(self.angle)
         along = flat[..., 0] * cos + flat[..., 1] * sin
@@ -47,10 +48,10 @@ class Scale:
         return np.stack([along, left], axis=-1) / self.px_per_metre
 
     def along(self, rest: np.ndarray) -> "Scale":
-        """Returns the scale with its origin at the straight robot's tip and x towards its head.
+        """Returns the scale with the origin at the straight robot's tip and x towards the head.
 
-        `rest` (markers, 2) [px] are the markers, tip first. The x axis has the least squared
-        distances from the markers. The y axis points to the robot's left.
+        `rest` (markers, 2) [px] are the markers, tip first. The x axis is the line with the least
+        squared distances from the markers. The y axis points to the robot's left.
         """
         positions = undistort(rest, self.lens)
         if len(positions) < 2 or not np.isfinite(positions).all():
@@ -80,7 +81,7 @@ def undistort(px: np.ndarray, lens: Lens | None) -> np.ndarray:
 def tip_excursion(xy: np.ndarray, scale: Scale) -> np.ndarray:
     """Returns the tip's lateral distance (frames,) [m] from the robot's axis, positive to the left.
 
-    The tip is the first of the markers xy (frames, markers, 2) [px]; `scale` is from `Scale.along`.
+    The tip is the first of the markers xy (frames, markers, 2) [px]. `Scale.along` gives `scale`.
     """
     return scale.metres(xy[:, 0])[:, 1]
 
@@ -93,7 +94,7 @@ def scale_of_points(
     from_below: bool = False,
     lens: Lens | None = None,
 ) -> Scale:
-    """Returns the scale from two points [px] at a `distance` [m]; x points to the second point."""
+    """Returns the scale from two points [px] at a `distance` [m]. x points to the second point."""
     if not (np.isfinite(distance) and distance > 0):
         raise RigError.value("camera: distance of two points", f"{distance} m", "above 0 m")
     px, metres = np.array([first, second]), np.array([[0.0, 0.0], [distance, 0.0]])

@@ -1,6 +1,7 @@
 """Reads numbered and timed frames from a camera or a video file, and records their markers.
 
-A frame's number is computed from the source's times, so a dropped frame leaves a gap.
+The number of a frame is computed from the source's times, so a dropped frame leaves a gap in the
+numbers.
 """
 
 import queue
@@ -19,11 +20,11 @@ from rig.errors import RigError
 from rig.recording.clock import Sink
 
 STALLED = 5.0
-"""A live source counts as unplugged after this time without a frame [s]."""
+"""Time without a frame after which a live source counts as unplugged [s]."""
 
 
 class Shot(NamedTuple):
-    """An image of a source, with the image's times."""
+    """An image of a source, with the times of the image."""
 
     source_ns: int
     """Time by the source's clock [ns]."""
@@ -34,7 +35,7 @@ class Shot(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """A shot with its number; the first is 0."""
+    """An image with times and the frame's number. The first frame has the number 0."""
 
     number: int
     source_ns: int
@@ -48,7 +49,7 @@ class Source(Protocol):
     name: str
     fps: float
     live: bool
-    """True for a device, which loses unread images; False for a file."""
+    """True for a device, which loses images that are not read; False for a file."""
 
     def read(self) -> Shot | None:
         """Returns the next image, None at the end. Raises `RigError` if the source fails."""
@@ -57,10 +58,10 @@ class Source(Protocol):
 
 
 class OpenCvSource:
-    """A video file (a path) or a device (its index), read by OpenCV.
+    """A video file (given by a path) or a device (given by an index), read by OpenCV.
 
     The host time of a file's frame is the time of opening plus the frame's time in the file. `fps`
-    [Hz] is the camera's true rate. Give `fps` if the source does not state it (slow motion).
+    [Hz] is the camera's true rate. Give `fps` if the source states another rate (slow motion).
     Raises `RigError` if the source cannot be opened.
     """
 
@@ -82,7 +83,7 @@ class OpenCvSource:
             cv2.utils.logging.setLogLevel(level)
         if not self._capture.isOpened():
             raise RigError(
-                f"{self.name}: cannot be opened; check its plug, other programs and permissions"
+                f"{self.name}: cannot be opened; check plug, other programs and permissions"
                 if self.live
                 else f"{self.name}: not a readable video, or incomplete; record it again"
             )
@@ -102,7 +103,7 @@ class OpenCvSource:
         image = self._capture.retrieve()[1] if good else None
         if image is None:
             if self.live:
-                raise RigError(f"{self.name}: no more frames; check its plug")
+                raise RigError(f"{self.name}: no more frames; check the plug")
             if self._length <= 0 or self._ends < self._length:
                 length = self._length if self._length > 0 else "an unknown number (never closed)"
                 raise RigError(
@@ -123,16 +124,16 @@ class OpenCvSource:
 
 
 class Camera:
-    """A context manager whose thread reads a source, so that slow processing does not delay it.
+    """A context manager whose thread reads a source. Slow processing does not delay the reading.
 
-    A loop `for frame in camera` ends when the source ends, and raises the source's `RigError`. A
+    A loop `for frame in camera` ends when the source ends. The loop raises the source's errors. A
     frame of a live source is dropped if `room` frames are already waiting.
     """
 
     def __init__(self, source: Source, room: int = 32):
         self.source = source
         self.dropped = 0
-        """Number of frames that the source or the full queue dropped so far."""
+        """Number of frames that the source dropped, or that found the queue full."""
         self._waiting: queue.Queue[Frame | int | BaseException] = queue.Queue(room)
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._read, name=source.name, daemon=True)
@@ -182,7 +183,7 @@ class Camera:
             except queue.Empty:
                 if self.source.live and time.monotonic() - last_frame > STALLED:
                     raise RigError(
-                        f"{self.source.name}: no frame for {STALLED:g} s; check its plug"
+                        f"{self.source.name}: no frame for {STALLED:g} s; check the plug"
                     ) from None
                 continue
             last_frame = time.monotonic()
@@ -197,7 +198,7 @@ class Camera:
 
 
 def frames_between(before: int | None, now: int, fps: float) -> int:
-    """Returns the increase of the frame number between two shots [ns]; 1 without dropped frames."""
+    """Returns the increase of the frame number between the times of two images [ns]."""
     return 1 if before is None else max(1, round((now - before) * 1e-9 * fps))
 
 

@@ -1,4 +1,4 @@
-"""Tracking of the markers from frame to frame; a lost marker has a NaN position."""
+"""Tracks the markers from frame to frame. The position of a lost marker is NaN."""
 
 from collections.abc import Sequence
 
@@ -8,13 +8,14 @@ from rig.camera.markers import Marker
 from rig.errors import RigError
 
 MASS_RATIO = (0.6, 1.6)
-"""Allowed ratio of a marker's area to the same marker's first area; outside, it counts as lost."""
+"""Allowed range of a marker's area divided by the marker's first area. Outside this range, the
+marker counts as lost."""
 
 
 def order_at_rest(found: Sequence[Marker], count: int, head: tuple[float, float]) -> np.ndarray:
-    """Returns the positions (count, 2) [px] of a straight robot's markers, tip first.
+    """Returns the positions (count, 2) [px] of the straight robot's markers, tip first.
 
-    `head` [px] is a point beyond the head's end. Raises `RigError` if `found` is not `count` long.
+    `head` [px] is a point in front of the head. Raises `RigError` if not `count` markers are found.
     """
     if len(found) != count or count < 1:
         raise RigError.value(
@@ -37,9 +38,9 @@ def smallest_distance(positions: np.ndarray) -> float:
 class Tracker:
     """Follows markers from their first positions `start` (markers, 2) [px].
 
-    `gate` [px] is the largest motion of a marker between frames. It must be below half the smallest
-    distance between two markers. A found and a followed marker match if they are mutually nearest
-    within the gate. The gate of a lost marker grows with every frame up to the smallest distance.
+    `gate` [px] is the largest motion of a marker between frames. The gate must be below half the
+    smallest distance between two markers. A found and a followed marker match if they are mutually
+    nearest within the gate. The gate of a lost marker grows with every frame up to this distance.
     """
 
     def __init__(self, start: np.ndarray, gate: float):

@@ -432,7 +432,7 @@ def test_a_file_that_is_not_a_video_is_refused(tmp_path, content):
 def test_a_missing_file_or_device_gives_one_error(tmp_path, capfd):
     with pytest.raises(RigError, match="no such file"):
         OpenCvSource(tmp_path / "none.avi")
-    with pytest.raises(RigError, match="camera 99: cannot be opened; check its plug"):
+    with pytest.raises(RigError, match="camera 99: cannot be opened; check plug"):
         OpenCvSource(99)
     assert capfd.readouterr().err == ""
 
