@@ -40,9 +40,9 @@ class Channel:
     kind: Literal["pressure", "force", "camera", "other"] = "other"
     """Kind of sensor: forces have a tare and slow noise; pressures have a quantisation step."""
     noise: str = ""
-    """Key of [sensors] that declares the white noise. If "", the data determine the noise."""
+    """Key in table [sensors] that declares the white noise. If "", the data determine the noise."""
     gain: float = 0.01
-    """Relative standard deviation of a trial's gain. Calibration errors and drift cause it."""
+    """Relative standard deviation of a trial's gain, due to calibration errors and drift."""
     discrepancy: float = 0.05
     """Model-discretisation discrepancy, as a fraction of the channel's rms."""
     digits: str = ".7g"
@@ -56,7 +56,7 @@ CHANNELS: dict[str, Channel] = {}
 
 
 def register(channel: Channel) -> Channel:
-    """Adds a channel to `CHANNELS` and returns it.
+    """Adds a channel to `CHANNELS` and returns the channel.
 
     Raises `InputError` if another channel has the same name or column.
     """
@@ -85,7 +85,7 @@ def _force(name: str, observe: Callable[[Snapshot], Array], discrepancy: float) 
     )  # fmt: skip
 
 
-# Rms differences from an independent program (see the glossary) in twelve noise-free trials:
+# Discrepancies from an independent program (see the glossary) in twelve noise-free trials:
 # pressures 0.05 to 0.3 %, thrust 5 to 28 % (median 7), recoil 0.7 to 2.1 %, tip 0.1 to 0.9 %.
 register(_pressure("p_front", "front pressure", 0))
 register(_pressure("p_rear", "rear pressure", 1))

@@ -15,11 +15,11 @@ class InputError(Exception):
 
 
 class SolverError(Exception):
-    """A time step of a single run did not converge. A batch returns a flag instead."""
+    """A time step of a single run did not converge. For batches, a flag is returned."""
 
 
 def did_you_mean(given: str, allowed: Iterable[str]) -> str:
-    """Returns a clause that suggests the allowed name closest to `given`, or "" without one."""
+    """Returns a clause that suggests the allowed name closest to `given`; "" if none is close."""
     close = get_close_matches(given, list(allowed), 1)
     return f"; did you mean {close[0]}?" if close else ""
 

@@ -31,7 +31,7 @@ SWEEP = tuple(round(0.4 + 0.2 * i, 1) for i in range(34))
 MINIMUM_NEAR = 1.0
 """Frequency [Hz] near which the mean thrust has its negative minimum."""
 THRUST_AT, THRUST_THERE = 4.8, 0.060
-"""Frequency [Hz] and the mean thrust [N] near it; the paper says "about 60 mN"."""
+"""Frequency [Hz], and mean thrust [N] near this frequency; the paper says "about 60 mN"."""
 RECOIL_AT, RECOIL_THERE = 1.0, 1.0
 """The recoil exceeds `RECOIL_THERE` [N] at the frequency `RECOIL_AT` [Hz]."""
 
@@ -54,8 +54,9 @@ class Assumed(eqx.Module):
     | `rear_ratio` | - | ratio of the rear to the front amplitude |
     | `phase` | - | delay of the rear chamber, as a fraction of a stride |
 
-    These values match the paper's mean thrust at 4.8 Hz. The mean thrust has a minimum at 1.0 Hz
-    for a phase of 0 to 0.05, as in the paper, at 1.4 Hz for 0.15, and no minimum for 0.3.
+    With these values, the mean thrust at 4.8 Hz and the frequency of the minimum agree with the
+    paper. The minimum is at 1.0 Hz for a phase of 0 to 0.05, and at 1.4 Hz for a phase of 0.15. For
+    a phase of 0.3, the mean thrust has no minimum.
     """
 
     amplitude: Scalar = 260e3

@@ -1,4 +1,4 @@
-"""Sets JAX's floating-point precision, which importing the library does not change."""
+"""Sets JAX's floating-point precision. Importing slider_jax does not change the precision."""
 
 
 def enable_float64() -> None:

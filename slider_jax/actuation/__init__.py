@@ -1,4 +1,4 @@
-"""Set pressures, pressure lag and bending moment of the chambers. Actuation may import `beam`."""
+"""Set pressures, pressure lag and moment of the chambers. This package may import `beam`."""
 
 from slider_jax.actuation.moment import chamber_windows
 from slider_jax.actuation.pressure import FirstOrderLag, Ideal, PressureLaw

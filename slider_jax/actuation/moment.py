@@ -1,4 +1,4 @@
-"""Bending moment of a chamber: two couples at its ends, regularised by Peskin's delta."""
+"""Computes the moment of a chamber: a couple at each end, regularised by Peskin's delta."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -10,7 +10,7 @@ from slider_jax.beam.parameters import Robot, Scalar
 def peskin_delta(r):
     """Returns Peskin's four-point regularised delta at the distance `r` [grid spacings].
 
-    On a uniform grid, the values sum to 1 and the first moment is zero for every position.
+    On a uniform grid, the sum of the nodes' values is 1 and the first moment is exact.
     Source: Peskin, C. S. (2002), The immersed boundary method, Acta Numerica 11, eq. 6.27.
     """
     r = jnp.abs(r)
@@ -21,11 +21,11 @@ def peskin_delta(r):
 
 
 def spread(position: Scalar, grid: Grid) -> Float[Array, " nodes"]:
-    """Returns nodal weights of a unit couple at `position` [m]; zeroth and first moments are exact.
+    """Returns the weights that distribute a unit couple at `position` [m] to the nodes.
 
-    Peskin's delta requires a uniform grid, so its four nodes must be all in the tail or all in the
-    body. Near an end or the joint, the weights are the two-point (linear) delta, whose moments are
-    exact on any grid.
+    Peskin's delta requires a uniform grid, so it is used only if all four nodes are in the tail or
+    all four are in the body. Otherwise, the weights are linear between the two nearest nodes. The
+    zeroth and first moments of the weights are always exact.
     """
     nodes = grid.s.shape[0]
     index = jnp.arange(nodes, dtype=grid.s.dtype)
@@ -43,8 +43,8 @@ def spread(position: Scalar, grid: Grid) -> Float[Array, " nodes"]:
 def chamber_windows(robot: Robot, grid: Grid) -> Float[Array, "2 cells"]:
     """Returns the moment of the front and rear chamber in each cell, as a fraction of K_Q p.
 
-    The paper's distributed moment Q = d(M_act)/ds consists of two opposite couples K_Q p at the
-    ends of a chamber. Hence M_act = K_Q (window_front p_front + window_rear p_rear).
+    In the paper, each chamber exerts two opposite couples K_Q p at its ends. The active moment is
+    therefore M_act = K_Q (window_front p_front + window_rear p_rear).
     """
 
     def window(span):

@@ -15,7 +15,7 @@ class PressureLaw(eqx.Module):
 
     @abstractmethod
     def advance(self, p: Array, set_point: Segment) -> Array:
-        """Returns the pressure [Pa] at a segment's end from the pressure `p` [Pa] at its start."""
+        """Returns the pressure [Pa] at the end of a segment that starts with pressure `p` [Pa]."""
 
 
 def _ramp_response(p, a0, a1, span, k):
@@ -47,7 +47,7 @@ class FirstOrderLag(PressureLaw):
 
 
 class Ideal(PressureLaw):
-    """A pressure without lag, p = p_set. It is used if the drive is a measured pressure."""
+    """A law without lag, p = p_set, for trials whose drive is a measured pressure."""
 
     def advance(self, p, set_point):
         return jnp.broadcast_to(set_point.b1, jnp.shape(p))

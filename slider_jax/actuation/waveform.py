@@ -1,4 +1,4 @@
-"""Waveforms of the set pressure. They are piecewise linear with at most one break in a step."""
+"""Waveforms of the set pressure. A `Segment` is the set pressure in one time step."""
 
 import math
 from abc import abstractmethod
@@ -12,9 +12,9 @@ from slider_jax.beam.parameters import Scalar
 
 
 class Segment(eqx.Module):
-    """Set pressure [Pa] in a step from `t0` to `t1` [s].
+    """Set pressure [Pa] in a time step from `t0` to `t1` [s], linear before and after one break.
 
-    It changes linearly from `a0` to `a1` before `t_break`, and from `b0` to `b1` after `t_break`.
+    The set pressure is `a0` at `t0`, `a1` before `t_break`, `b0` after `t_break` and `b1` at `t1`.
     """
 
     t0: Array
@@ -31,7 +31,7 @@ class Waveform(eqx.Module):
 
     @abstractmethod
     def segment(self, t0: Array, t1: Array) -> Segment:
-        """Returns the segment from `t0` to `t1` [s]. Each class states when a segment is exact."""
+        """Returns the segment from `t0` to `t1` [s]. Each class states when segments are exact."""
 
 
 def _continuous(value, t0, t_break, t1) -> Segment:
@@ -45,8 +45,8 @@ class SquareWave(Waveform):
 
     The period is 1/`frequency` [s], and `phase` is the delay as a fraction of a period. The segment
     is exact for steps of up to half a period. The segment is differentiable with respect to
-    frequency and phase, because the time of an edge is not rounded to a step. The pressure has a
-    corner at an edge, and the derivative there is the left-sided derivative.
+    frequency and phase, because the time of an edge is not rounded to a step. At an edge,
+    the pressure has a corner, and derivatives of the pressure are left-sided.
     """
 
     frequency: Scalar
@@ -68,7 +68,7 @@ class SquareWave(Waveform):
 
 
 class SineWave(Waveform):
-    """A sine, amplitude sin(2 pi (f t - phase)) [Pa]. A segment has second-order accuracy."""
+    """A sine, amplitude sin(2 pi (frequency t - phase)) [Pa], second-order accurate."""
 
     frequency: Scalar
     amplitude: Scalar
@@ -85,7 +85,7 @@ class Trapezoid(Waveform):
     """A square wave whose edges are replaced by ramps, which are centred on the edges.
 
     `rise` is the length of a ramp as a fraction of a period. The segment is exact for steps that
-    are shorter than the ramp and the plateau.
+    are shorter than a ramp and than the plateau between ramps.
     """
 
     frequency: Scalar
@@ -126,10 +126,10 @@ class Recorded(Waveform):
 
 
 class Held(Waveform):
-    """Set pressures [Pa]; each value is constant from its time [s] until the next time.
+    """A set pressure that is constant from each of the `times` [s] until the next time.
 
-    The segment is exact for steps that are not longer than the time between changes. Two equal
-    neighbouring values make no break, so derivatives with respect to one value are unavailable.
+    The segment is exact for steps that are not longer than the time between samples. If two
+    neighbouring `values` [Pa] are equal, derivatives with respect to one value are unavailable.
     """
 
     times: Float[Array, " samples"]
@@ -156,14 +156,14 @@ class Delayed(Waveform):
         early = self.wave.segment(jnp.where(t0 > self.delay, t0 - self.delay, 0.0), t1 - self.delay)
         smooth = early.t_break >= early.t1
         before = t1 <= self.delay
-        # With zero delay, the start is at t0. It must count, since the derivative shifts the start.
+        # With zero delay, the wave starts at t0. A derivative shifts this start, so it is a break.
         starts = ((t0 < self.delay) | ((t0 == self.delay) & smooth)) & (t1 > self.delay)
 
         def choose(inside, beginning):
             return jnp.where(before, 0.0, jnp.where(starts, beginning, inside))
 
         # If the wave starts within the step, the break is the wave's start, because no edge of the
-        # wave follows in this step. If the wave is zero at first, its first edge is the break.
+        # wave follows in this step. If the wave is zero at first, the break is the first edge.
         late = ~smooth & (early.a0 == 0.0)
         break_at = jnp.where(starts & ~late, self.delay, early.t_break + self.delay)
         return Segment(
@@ -178,10 +178,10 @@ class Delayed(Waveform):
 
 
 class Shaped(Waveform):
-    """The set pressure curve(wave), exact if the curve is linear or the wave piecewise constant.
+    """The set pressure curve(wave), for a function `curve` of a set pressure [Pa].
 
-    `curve` maps a set pressure [Pa] to a set pressure [Pa]. The function must be a pytree, such as
-    a method of an effect.
+    Segments are exact if `curve` is linear or `wave` is piecewise constant. `curve` must be a
+    pytree, such as a method of an effect.
     """
 
     wave: Waveform

@@ -1,7 +1,7 @@
 """Divides a batch of robots into chunks and simulates the chunks in threads.
 
-A chunk of about eight robots fits the cache of a core, so a robot takes less time than in one large
-batch. The threads use all cores, because compiled programs release Python's global lock.
+A chunk of about eight robots fits into the cache of a core, which reduces the computing time per
+robot. The threads use all cores, because compiled programs release Python's global lock.
 """
 
 import os
@@ -16,7 +16,7 @@ import numpy as np
 
 
 class Chunks(NamedTuple):
-    """`total` chunks of `size` robots. The last chunk repeats the last robot until it is full."""
+    """`total` chunks of `size` robots. The last robot is repeated until the last chunk is full."""
 
     robots: int
     size: int
@@ -24,7 +24,7 @@ class Chunks(NamedTuple):
     workers: int
 
     def indices(self, chunk: int) -> np.ndarray:
-        """Returns the indices of the robots in `chunk`; the last chunk may repeat an index."""
+        """Returns the robots' indices in `chunk`; the last chunk may repeat the last index."""
         start = chunk * self.size
         return np.minimum(np.arange(start, start + self.size), self.robots - 1)
 
@@ -34,7 +34,7 @@ class Chunks(NamedTuple):
 
 
 def chunks_of(robots: int, size: int = 8, workers: int | None = None) -> Chunks:
-    """Returns chunks of at most `size` robots, balanced for `workers` (default: one per core)."""
+    """Returns chunks of at most `size` robots for `workers` threads (default: one per core)."""
     workers = min(workers or available_cores(), robots)
     rounds = -(-robots // (size * workers))
     size = -(-robots // (rounds * workers))
@@ -49,22 +49,22 @@ def available_cores() -> int:
 
 
 def stack(trees: list[Any]) -> Any:
-    """Returns one tree. Each leaf stacks the leaves of the `trees` along a new first axis."""
+    """Returns one pytree, which stacks the leaves of the `trees` along a new first axis."""
     return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(x, float) for x in leaves]), *trees)
 
 
 def take(tree: Any, indices: np.ndarray) -> Any:
-    """Returns the robots of a stacked tree that have the `indices`."""
+    """Returns the stacked tree of the robots with these `indices`."""
     return jax.tree.map(lambda x: x[indices], tree)
 
 
 def run_in_threads(
     work: Callable[[int, Callable[[], bool]], Any], chunks: list[int], workers: int
 ) -> Iterator[tuple[int, Any]]:
-    """Yields (chunk, result) of `work(chunk, stopped)` in the order of completion.
+    """Runs `work(chunk, stopped)` in threads and yields (chunk, result) when a chunk is complete.
 
-    If a chunk fails or the caller leaves the loop, chunks that have not started are cancelled, and
-    `stopped()` returns true in the running chunks.
+    If a chunk fails or the caller stops the iteration, chunks that have not started are cancelled,
+    and `stopped()` returns true in the running chunks.
     """
     stop = threading.Event()
     pool = ThreadPoolExecutor(max_workers=workers)

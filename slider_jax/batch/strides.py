@@ -1,7 +1,7 @@
 """Simulates a chunk of robots stride by stride and computes quantities of the steady strides.
 
-The program of one stride is compiled and run repeatedly. The caller can therefore show progress
-and stop between strides.
+The compiled program simulates one stride and is called for each stride. The caller can therefore
+show progress and stop between strides.
 """
 
 import functools as ft
@@ -38,7 +38,7 @@ class BatchRobot(eqx.Module):
 
 
 class Plan(NamedTuple):
-    """Settings that are constants of the compiled programs."""
+    """Settings that are constant in the compiled programs."""
 
     steps_per_stride: int
     """Number of time steps per stride, a multiple of `POSES`."""
@@ -48,14 +48,14 @@ class Plan(NamedTuple):
 
 
 class Programs(NamedTuple):
-    """Compiled programs for chunks of one size: `rest` begins a run, `stride` runs one stride."""
+    """Compiled programs for chunks of one size: `rest` creates the start, `stride` one stride."""
 
     rest: Callable[[BatchRobot], Carry]
     stride: Callable[[BatchRobot, Array, Carry], tuple[Carry, dict[str, Array]]]
 
 
 def saved_quantities(x: Snapshot) -> dict[str, Array]:
-    """Returns what a step saves: `true_readings`, `power` [W] and `midline` (2, nodes) [m]."""
+    """Returns the saved quantities: `true_readings`, `power` [W] and `midline` (2, nodes) [m]."""
     return true_readings(x) | {
         "power": jnp.sum(obs.chamber_power(x)),
         "midline": obs.midline(x) - x.head[:, None],
@@ -65,7 +65,7 @@ def saved_quantities(x: Snapshot) -> dict[str, Array]:
 def one_stride(
     plan: Plan, robot: BatchRobot, number, carry: Carry
 ) -> tuple[Carry, dict[str, Array]]:
-    """Simulates stride `number` (from 0) of one robot; returns the next carry and the series."""
+    """Simulates stride `number` (first: 0) of a robot; returns the last state and the series."""
     steps, f = plan.steps_per_stride, robot.frequency
     times = TimeGrid(h=1.0 / (f * steps), steps=steps, t0=number / f)
     out = continued(carry, robot.model, times, saved_quantities, plan.numerics, plan.scheme)
@@ -90,7 +90,8 @@ def run_strides(
     """Returns the series of all strides of a chunk.
 
     `t`, `power` and all channels have the shape (robots, strides, steps). `midline` (robots, POSES,
-    2, nodes) contains shapes in the last stride. `ok` (robots,) is False for a robot that failed.
+    2, nodes) contains midlines of the last stride. `ok` (robots,) is False if a robot's simulation
+    failed.
     Raises `StopRequested` if `stopped()` is true between strides.
     """
     carry, series = programs.rest(chunk), []
@@ -111,12 +112,12 @@ def run_strides(
 def steady_quantities(
     plan: Plan, robots: BatchRobot, runs: dict[str, np.ndarray], transient: int
 ) -> dict[str, np.ndarray]:
-    """Returns quantities (robots,) of all strides after the first `transient` strides.
+    """Returns quantities (robots,), by name, of strides after the first `transient` strides.
 
-    A key is a name with unit. `thrust_std_of_strides` is the standard deviation of the stride
-    means. `thrust_std_within_stride` is the mean of the standard deviations within the strides.
-    Peaks and ranges are also means of the strides' values. The wave quantities describe the
-    fundamental of the last stride. All quantities of a failed robot are NaN.
+    `thrust_std_of_strides` is the standard deviation of the strides' mean thrusts.
+    `thrust_std_within_stride` is the mean of the standard deviations within each stride. Peaks and
+    ranges are computed for each stride and then averaged. The wave quantities describe the motion
+    at the drive frequency in the last stride. All quantities of a failed robot are NaN.
     """
     thrust, recoil, power, tip = (
         runs[name][:, transient:] for name in ("thrust", "recoil", "power", "tip")

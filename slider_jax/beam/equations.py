@@ -12,7 +12,7 @@ With kappa = d(phi)/ds, omega = d(phi)/dt and the symbols of docs/reference/glos
 M_extra is the sum of the moments that the model's effects add. The axial law
 T = EA (eps + alpha d(eps)/dt) is solved for eps in each cell, so eps is not an unknown.
 
-In every stage of a time scheme, a time derivative is (value - reference)/dt.
+A time derivative is (value - reference)/dt, with the `Reference` of the stage of the time scheme.
 """
 
 import equinox as eqx
@@ -36,7 +36,7 @@ class Structure(eqx.Module):
     in_tail: Array
     """1 in the cells of the tail, 0 in the cells of the body."""
     joint: Array
-    """Unit delta at the joint [1/m], spread over the two adjacent cells."""
+    """Unit delta at the joint [1/m], distributed to the two adjacent cells."""
 
 
 class Reference(eqx.Module):
@@ -71,7 +71,7 @@ class Section(eqx.Module):
     t: Array
     phi: Array
     pressure: Array
-    """Pressure [Pa] that bends the body, of the chamber at the cell."""
+    """Acting pressure [Pa], which bends the body, of the chamber at the cell."""
     kappa: Array
     kappa_t: Array
     omega: Array
@@ -90,7 +90,7 @@ class Section(eqx.Module):
 
 
 def strain(T, structure: Structure, reference: Reference):
-    """Returns the strain eps [-] that solves T = EA (eps + alpha (eps - eps_ref)/dt)."""
+    """Returns the strain eps [-] that solves T = EA (eps + damping_time (eps - eps_ref)/dt)."""
     lag = structure.damping_time / reference.dt
     return (T / structure.EA + lag * reference.strain) / (1.0 + lag)
 

@@ -1,8 +1,8 @@
-"""The spatial grid: nodes from the tail (s = 0) to the head (s = L), cells between them.
+"""The spatial grid: nodes from the tail (s = 0) to the head (s = L), and cells between the nodes.
 
-Tail and body each have a uniform mesh. The joint is therefore always on a node, and every cell has
-one bending stiffness. The numbers of cells are static, so the positions of the nodes are
-differentiable with respect to a length, such as the tail length.
+All cells of the tail are equally long, and all cells of the body are equally long. The joint is
+always a node, so the stiffness of a cell is uniform. The numbers of cells are static, so the
+positions of the nodes are differentiable with respect to a length, such as the tail length.
 """
 
 import equinox as eqx
@@ -13,8 +13,8 @@ from jaxtyping import Array, Float
 class Grid(eqx.Module):
     """Nodes and cells of the box method.
 
-    `s` [m] has shape (N,) and `ds` [m] has shape (N - 1,). Node 0 is the tail tip; node N - 1 is
-    the head.
+    `s` [m] contains the positions of N nodes, `ds` [m] the lengths of N - 1 cells. Node 0 is the
+    tail tip; node N - 1 is the head.
     """
 
     s: Float[Array, " nodes"]
@@ -38,9 +38,9 @@ class Grid(eqx.Module):
         return jnp.where(jnp.arange(self.ds.shape[-1]) < self.tail_cells, tail, body)
 
     def at_joint(self) -> Float[Array, " cells"]:
-        """Returns a unit delta at the joint [1/m] in the two adjacent cells; zero without a joint.
+        """Returns a unit delta at the joint [1/m], distributed to the two adjacent cells.
 
-        The zeroth and first moments of the delta are exact.
+        The zeroth and first moments of the delta are exact. Without a joint, the delta is zero.
         """
         joint = self.tail_cells
         zero = jnp.zeros_like(self.ds)
@@ -65,9 +65,9 @@ def make_grid(tail_length, body_length, tail_cells: int, body_cells: int) -> Gri
 
 
 def split_cells(nodes: int, tail_length: float, body_length: float) -> tuple[int, int]:
-    """Returns the numbers of tail and body cells, in proportion to the lengths; at least 2 each.
+    """Returns the numbers of cells of tail and body, in proportion to their lengths [m].
 
-    The sum of the two numbers is `nodes` - 1. A tail of zero length has no cells.
+    The sum is `nodes` - 1. Each number is at least 2, but a tail of zero length has no cells.
     """
     cells = nodes - 1
     tail = round(cells * tail_length / (tail_length + body_length))

@@ -24,9 +24,9 @@ class Robot(eqx.Module):
     | `linear_density` | kg/m | m, mass per length |
     | `EI_body`, `EI_tail` | N m^2 | bending stiffness |
     | `EA_body`, `EA_tail` | N | axial stiffness |
-    | `damping_time` | s | alpha, Kelvin-Voigt: E = E_el (1 + alpha d/dt) |
+    | `damping_time` | s | alpha: stress = E_el (1 + alpha d/dt) strain, elastic modulus E_el |
     | `height` | m | H, out-of-plane height that determines the forces of the water |
-    | `front_chamber`, `rear_chamber` | m | distances of a chamber's (near, far) end from the head |
+    | `front_chamber`, `rear_chamber` | m | distances of the near and the far end from the head |
     | `K_Q` | m^3 | bending moment of a chamber per unit pressure |
     """
 
@@ -52,9 +52,9 @@ class Robot(eqx.Module):
 class Numerics(eqx.Module):
     """Size of the mesh and tolerance of a step; all fields are static.
 
-    The mesh has N_p = `tail_cells` + `body_cells` + 1 nodes. `tolerance` bounds the estimated error
-    of each implicit solve, relative to `scales_of` the robot. `max_newton` bounds the number of
-    factorisations of the Jacobian per solve.
+    The mesh has N_p = `tail_cells` + `body_cells` + 1 nodes. `tolerance` is the largest
+    estimated error of a stage, relative to the sizes from `scales_of`. `max_newton` is the largest
+    number of factorisations of the Jacobian per stage.
     """
 
     tail_cells: int = eqx.field(static=True, default=10)
@@ -76,7 +76,7 @@ def grid_of(robot: Robot, numerics: Numerics) -> Grid:
 def scales_of(robot: Robot) -> Float[Array, "6 1"]:
     """Returns the characteristic size of each nodal unknown, for the convergence test.
 
-    The force is EI/L^2, the moment EI/L, the angle 1 rad and the speed sqrt(EI/m)/L.
+    Forces: EI/L^2. Moment: EI/L. Speeds: sqrt(EI/m)/L with the mass per length m. Angle: 1 rad.
     """
     L, EI = robot.length, robot.EI_body
     force = EI / L**2

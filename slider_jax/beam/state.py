@@ -42,8 +42,8 @@ class Memory(eqx.Module):
     """The quantities with a time derivative, which a step passes to the next step.
 
     `motion` (3, N): V_tau [m/s], V_n [m/s] and phi [rad] at the nodes. `strain` (N - 1,): eps [-]
-    in the cells. `head` (2,): position [m] of the head. `load` (3,): T, N, M at the head, filtered
-    with `MOUNT_LAG`. `internal`: a state (N - 1,) for each `BendingMoment` effect, in order.
+    in the cells. `head` (2,): position [m] of the head. `load` (3,): T, N, M at the head after a
+    low-pass filter (`MOUNT_LAG`). `internal`: the states (N - 1,) of the `BendingMoment` effects.
     """
 
     motion: Float[Array, "3 nodes"]

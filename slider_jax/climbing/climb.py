@@ -1,4 +1,4 @@
-"""Simulates the climbing test: the robot hangs straight, and climbs until strides repeat."""
+"""Simulates the climbing test: a straight hanging robot starts and climbs until strides repeat."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -32,9 +32,9 @@ from slider_jax.swimming.performance import names_with_units
 PHASES = 16
 """Number of pin phases that are compared if no pin phase is given."""
 PERIODS = 5
-"""Longest period of a climb, in strides. Lightly damped swings repeat after several strides."""
+"""Longest detected period of the motion [strides]; lightly damped swings have a long period."""
 REPEATS = 3e-2
-"""Largest difference of the rises of repeating strides, as a fraction of the mean rise."""
+"""Largest difference between the rises of strides that repeat, as a fraction of the mean rise."""
 MESH, STEP = 31, 5e-3
 """Largest number of nodes and longest time step [s] for the comparison of pin phases."""
 
@@ -52,13 +52,13 @@ class ClimbRun:
     cap: float
     """Highest set pressure [Pa]."""
     tried: dict[float, float]
-    """Speed [m/s] at each compared pin phase; NaN if a step failed. Empty without comparison."""
+    """Speed [m/s] at each compared pin phase; NaN if a step failed. May be empty."""
     found: Climb
-    """Performance over the last `plan.strides` strides, or over the whole periods in them."""
+    """Performance in the last `plan.strides` strides, or in the whole periods of these strides."""
     series: Any
     """`ClimbSeries` of the strides in `found` and of the time step before these strides."""
     rises: np.ndarray
-    """Rise of the head [m] in every stride from the 16th on."""
+    """Rise of the head [m] in every stride from the 16th stride on."""
     period: int
     """Number of strides after which the last strides repeat; 0 if they do not repeat."""
 
@@ -79,7 +79,7 @@ def _amounts(model: Model, frequency, series: ClimbSeries, plan: ClimbPlan):
 
 
 def period_of(rises: np.ndarray, link: float, least: int = 10) -> int:
-    """Returns the period of the last `least` rises [m] in strides; 0 if longer than `PERIODS`."""
+    """Returns the number of strides (1 to `PERIODS`) after which `rises` [m] repeat, or 0."""
     last = rises[-least - PERIODS :]
     same = REPEATS * max(np.abs(last).mean(), 0.1 * link)
     for n in range(1, PERIODS + 1):
@@ -135,10 +135,11 @@ def simulate_climb(
     """Simulates climbing in air with a trial's drive.
 
     The robot starts straight, with its centre of mass below the pin. It climbs in blocks of 15
-    strides until strides repeat, or until `longest` strides. The result covers the last 15 strides,
-    or the whole periods in these strides. Without `pin_phase` (fraction of a period), the function
-    uses the fastest of `PHASES` phases. `link` is in m, `cap` in Pa. Raises `InputError` for a
-    recorded drive, and `SolverError` if a time step does not converge.
+    strides until strides repeat, or for `longest` strides. The result covers the last 15 strides,
+    or the whole periods of these strides. Without `pin_phase` (fraction of a period), the function
+    uses the fastest of `PHASES` pin phases. `link` [m] is the length of the cross-link, and `cap`
+    [Pa] the highest set pressure. Raises `InputError` for a recorded drive, and `SolverError` if a
+    time step does not converge.
     """
     if isinstance(trial, int):
         trial = experiment.trials[trial]
@@ -146,7 +147,7 @@ def simulate_climb(
     plan = climb_plan(experiment, frequency)
     tried: dict[float, float] = {}
     if pin_phase is None and trial.amplitude:
-        progress(f"comparing {PHASES} phases of the pin")
+        progress(f"comparing {PHASES} pin phases")
         rough = _rough(experiment, plan, frequency)
         tried = speeds_by_phase(base, frequency, link, cap, rough)
         if not np.isfinite(list(tried.values())).any():

@@ -21,12 +21,12 @@ ROWS = (
     ("swing_rad", "swing of the head, peak to peak", "deg", 180.0 / np.pi),
     ("tail_swing_m", "swing of the tip, peak to peak", "mm", 1e3),
 )
-"""Name in `climb_record`, label, displayed unit, factor from the SI unit to the displayed unit."""
+"""Rows of the table: name in `climb_record`, label, displayed unit, factor from the SI unit."""
 FILM_STRIDES, FRAMES_PER_STRIDE = 4, 24
 
 
 def climb_table(row: dict[str, Any]) -> str:
-    """Returns the table of the quantities."""
+    """Returns the table of the quantities in `row` (a `climb_record`) as text."""
     return "\n".join(value_lines(row, ROWS))
 
 
@@ -49,18 +49,18 @@ def climb_summary(run: ClimbRun) -> list[str]:
     if run.period == 1:
         lines.append(f"strides repeat: the robot rises by {each}")
     elif run.period:
-        lines.append(f"the motion repeats after {run.period} strides; mean rise {each}")
+        lines.append(f"the motion repeats after {run.period} strides; the mean rise is {each}")
     else:
         spread = f"{last.min():.1f} to {last.max():.1f}"
         lines.append(
-            f"strides do not repeat within {len(run.rises) + run.plan.strides} strides; the last "
-            f"{run.plan.strides} strides rise by {spread} mm, mean rise {each}"
+            f"strides do not repeat within {len(run.rises) + run.plan.strides} strides; the rise "
+            f"of the last {run.plan.strides} strides is {spread} mm, on average {each}"
         )
     return lines
 
 
 def series_columns(run: ClimbRun) -> dict[str, np.ndarray]:
-    """Returns the columns of the last strides. x points up; the centre of mass starts at 0."""
+    """Returns the CSV columns of the last strides; x points up from the first centre of mass."""
     x, steps = run.series, run.plan.steps_per_stride
     start = x.centre[0]
     places = {"head": x.midline[:, :, -1], "tip": x.midline[:, :, 0], "pin": x.pin,
@@ -112,7 +112,7 @@ def plot_climb(run: ClimbRun, path: Path) -> None:
 def film(
     run: ClimbRun, path: Path, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> None:
-    """Writes a GIF of the last strides: body, cross-link, pin, time and lines 10 mm apart."""
+    """Writes a GIF of the last strides with body, cross-link, pin, time and a line every 10 mm."""
     x, steps = run.series, run.plan.steps_per_stride
     shown = np.linspace(
         max(0, len(x.angle) - 1 - FILM_STRIDES * steps), len(x.angle) - 1,

@@ -1,7 +1,7 @@
 """Simulates climbing strides of a robot on alternating pins, as pure functions.
 
-The x axis points up. While one end of the cross-link is pinned, the body swings the other end up.
-Then this other end is pinned. The energy balance from time 1 to time 2, over whole strides, is
+The x axis points up. While one end of the cross-link is pinned, the body swings the free end up.
+Then the free end is pinned. The energy balance of whole strides, from time 1 to time 2, is
 
     W = m g (x_2 - x_1) + D + (E_2 - E_1) + error of the time steps
 
@@ -34,7 +34,7 @@ class ClimbPlan(NamedTuple):
     """Number of strides and numerical settings of a climb."""
 
     settling: int = 15
-    """Number of strides from rest that the averages exclude."""
+    """Number of strides after the start that the averages exclude."""
     strides: int = 15
     """Number of strides over which speed and power are averaged (the paper's value)."""
     steps_per_stride: int = 96
@@ -73,8 +73,8 @@ class Climb(eqx.Module):
     power: Scalar
     """Mean power P of the chambers on the body [W]."""
     efficiency: Scalar
-    """m g U/P [-] with the weight m g. Here P excludes the increase of stored energy, which is zero
-    if strides repeat. NaN, like the fractions of P below, if the chambers do no positive work."""
+    """Weight times U/P [-]. This P excludes the increase of stored energy, which is zero if strides
+    repeat. All ratios to P are NaN if the chambers do no positive work."""
     dissipated: Scalar
     """Fraction of P that is dissipated [-]."""
     stored: Scalar
@@ -125,8 +125,8 @@ def climb_on(
 ) -> tuple[Carry, ClimbSeries]:
     """Simulates `count` strides at `frequency` [Hz], starting when the left end is pinned.
 
-    `to_climber` returns the model. The pin changes at the end of a time step for every pin phase.
-    Edges of the pressures may be within time steps.
+    `to_climber` returns such a `model`. For every pin phase, the pinned end changes at the end of a
+    time step. Edges of the set pressures may be within time steps.
     """
     assert isinstance(model.support, PinnedLink)
     steps = plan.steps_per_stride
@@ -162,7 +162,7 @@ def climb_of(model: Model, frequency: Scalar, series: ClimbSeries, plan: ClimbPl
 
 
 def join(before: ClimbSeries, after: ClimbSeries) -> ClimbSeries:
-    """Returns `after` with the last time step of `before` in front."""
+    """Returns `after`, preceded by the last time step of `before`."""
     return jax.tree.map(lambda a, b: jnp.concatenate([a[-1:], b]), before, after)
 
 
@@ -171,7 +171,7 @@ def climb_from_rest(
 ) -> tuple[Climb, Bool[Array, ""]]:
     """Returns the performance of a climb from rest, and whether all time steps converged.
 
-    The average covers `plan.strides` strides after `plan.settling` strides. Batch it with vmap.
+    The average covers `plan.strides` strides after `plan.settling` strides. Supports `vmap`.
     """
     begin = hanging(model, plan.numerics)
     carry, before = climb_on(model, frequency, begin, plan.settling, plan)

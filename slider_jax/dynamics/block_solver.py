@@ -7,12 +7,12 @@ at the tail and three at the head. The solver first transforms all cells to the 
     v_left  = S11 f_left + S12 v_right + s1
     f_right = S21 f_left + S22 v_right + s2
 
-with matrices S and vectors s. This is the response of a short cantilever to forces at the tail
-side and motion at the head side, a problem that is always well posed. Redheffer's star
+with matrices S and vectors s. A cell in this form is a short cantilever with given forces at the
+tail side and given motion at the head side. This problem is always well posed. Redheffer's star
 product joins two neighbours into a longer cantilever. Pairwise joining solves the whole body in
 log2(cells) levels. Unlike transfer matrices, the method loses no digits on long or soft bodies. No
-support requires pivoting, because the pivots never mix forces and motion. The cells are along the
-last axis, and all operations are elementwise along this contiguous axis.
+pivoting is required, because the pivots never mix forces and motion. The cells are along the last
+axis, and all operations are elementwise along this contiguous axis.
 
 Source: Redheffer, R. (1959), Inequalities for a matrix Riccati equation, J. Math. Mech. 8, 349-367.
 """
@@ -50,7 +50,7 @@ class BeamOperator(lx.AbstractLinearOperator):
         return columns(jnp.eye(y.size)).T
 
     def transpose(self):
-        raise NotImplementedError("BeamOperator: to solve with A^T, use BeamSolver.transpose")
+        raise NotImplementedError("BeamOperator.transpose does not exist; use BeamSolver.transpose")
 
     def in_structure(self):
         return jax.ShapeDtypeStruct((6, self.left.shape[-1] + 1), self.left.dtype)
@@ -74,7 +74,7 @@ for _query in (
     _query.register(BeamOperator)(lambda operator: False)
 
 
-# The barrier makes the compiler compute a value once, and not in each expression that uses it.
+# The barrier makes the compiler compute a value only once, even if several expressions use it.
 _keep = jax.lax.optimization_barrier
 
 
@@ -124,7 +124,8 @@ def _inverse6(a):
 def _halving_order(cells: int) -> list[int]:
     """Returns an order of the cells in which each level joins two contiguous slices of k pieces.
 
-    Each level joins the neighbours at positions i and i + k. A piece without a partner is last.
+    A piece is one cell or several joined cells. Each level joins the neighbours i and i + k. If the
+    number of pieces is odd, the last piece is not joined at this level.
     """
     if cells == 1:
         return [0]
@@ -134,7 +135,7 @@ def _halving_order(cells: int) -> list[int]:
 
 
 class _Join(eqx.Module):
-    """Matrices of one level of joins, for the motion and forces at the node between two pieces."""
+    """Matrices of one level of joins, which give motion and forces between two pieces."""
 
     E: Array
     A12: Array
@@ -146,7 +147,7 @@ class _Join(eqx.Module):
 
 
 class _Factors(eqx.Module):
-    """A factorised Jacobian: inverses of the cells' blocks, joins, and matrices of both ends."""
+    """A factorised Jacobian: inverses of the cells' blocks, joins, boundary matrices."""
 
     cells: Array
     joins: tuple[_Join, ...]
@@ -159,7 +160,7 @@ class _Factors(eqx.Module):
 
 
 def _join(A, B):
-    """Joins neighbours: star product of scattering matrices (6, 6, k); A is on the tail side."""
+    """Joins neighbours A (tail side) and B by the star product of scattering matrices (6, 6, k)."""
     A11, A12, A21, A22 = A[:3, :3], A[:3, 3:], A[3:, :3], A[3:, 3:]
     B11, B12, B21, B22 = B[:3, :3], B[:3, 3:], B[3:, :3], B[3:, 3:]
     one = jnp.eye(3, dtype=A.dtype)[:, :, None]
@@ -186,8 +187,8 @@ def _factorise(operator: BeamOperator) -> _Factors:
         joins.append(join)
         S = _keep(jnp.concatenate([joined, S[..., 2 * pairs :]], axis=-1))
     S = S[..., 0]
-    # The tail's rows G_f f + G_v v = g give f. The head's rows H_f f + H_v v = h, with f
-    # eliminated, give v.
+    # The boundary conditions G_f f + G_v v = g give f at the tail. After f is eliminated, the
+    # conditions H_f f + H_v v = h give v at the head.
     G_f, G_v = operator.tail[:, :3], operator.tail[:, 3:]
     tail_f = _inverse3(G_f[..., None])[..., 0]
     tail_v = -tail_f @ G_v
@@ -200,7 +201,7 @@ def _factorise(operator: BeamOperator) -> _Factors:
 
 
 def _solve(factors: _Factors, rhs):
-    """Returns the solution y of A y = rhs. It is linear in `rhs`, and JAX can transpose it."""
+    """Returns the solution y of A y = rhs with the factorised A; JAX can transpose the function."""
     r_cells, r_tail, r_head = rhs
     order = np.array(_halving_order(r_cells.shape[-1]))
     s = _keep(_mv(factors.cells, r_cells)[:, order])
@@ -221,7 +222,7 @@ def _solve(factors: _Factors, rhs):
     v_tail = v_tail0 + factors.tail_solve @ (S[:3, 3:] @ v_head)
     f_tail = f_tail0 + factors.tail_v @ v_tail
     f_head = S[3:, :3] @ f_tail + S[3:, 3:] @ v_head + s[3:]
-    # On the way back, the forces at a piece's left end and the motion at its right end are known.
+    # The forces at the left end and the motion at the right end of each piece are now known.
     ends = jnp.concatenate([f_tail, v_head])[:, None]
     for join, (v0, f0) in zip(reversed(factors.joins), reversed(meetings), strict=True):
         pairs = v0.shape[-1]

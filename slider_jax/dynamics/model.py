@@ -44,7 +44,7 @@ class Model(eqx.Module):
         return robot
 
     def water_velocity(self, t: Array) -> Float[Array, "2"]:
-        """Returns the water's velocity (U_x, U_y) [m/s] at `t` [s], with `WaterMotion` effects."""
+        """Returns the water's velocity (U_x, U_y) [m/s] at `t` [s], plus `WaterMotion` effects."""
         velocity = jnp.stack([jnp.asarray(u, float) for u in self.water])
         for effect in of_place(self.effects, WaterMotion):
             velocity = velocity + jnp.stack(effect.velocity(t))
@@ -59,7 +59,7 @@ class Mesh(eqx.Module):
     chambers: Float[Array, "2 cells"]
     """Moment in each cell per unit pressure in each chamber [m^3]."""
     windows: Float[Array, "2 cells"]
-    """Moment of each chamber in each cell, as a fraction of K_Q p [-]."""
+    """Fraction [-] of each chamber's moment K_Q p that acts in each cell."""
 
 
 def make_mesh(robot: Robot, numerics: Numerics) -> Mesh:

@@ -2,10 +2,10 @@
 
 `BeamNewton` reads three options. `options["jacobian"]` is a function (y, args) -> BeamOperator.
 `options["scale"]` is the scale of each unknown. If `options["skip"]` is true, the iteration stops
-at once, so a robot that failed takes no further time in a batch.
+at once. In a batch, a failed robot therefore takes no further computing time.
 
-`BeamAdjoint` differentiates the root with the same Jacobian. A robot that failed invalidates only
-its own derivative. Neither class calls Python at run time, so compiled programs can be cached.
+`BeamAdjoint` differentiates the root with the same Jacobian. A failed robot invalidates only the
+derivatives of this robot. Neither class calls Python at run time, so JAX can cache programs.
 """
 
 import functools as ft
@@ -32,10 +32,10 @@ def tangent_of(function: Callable[[Any], Any], inputs: Any, tangents: Any) -> An
 class BeamNewton(optx.AbstractRootFinder):
     """Shamanskii's method: one factorisation per iteration and several simplified Newton steps.
 
-    Each iteration makes `corrections` (at least 2) steps with the same factors. The increments
-    decrease at a steady rate r, so |increment| r/(1 - r) estimates the error after the last step.
+    Each iteration makes `corrections` (at least 2) steps with the same factors. Each increment
+    is about r times the last one, so |increment| r/(1 - r) estimates the error after the last step.
     The iteration stops when this estimate, divided by max(`options["scale"]`, |y|), is below
-    `rtol`. optimistix requires `atol`. It must be 0, since the six unknowns have different units.
+    `rtol`. The field `atol` of optimistix must be 0, since the six unknowns have different units.
 
     Source: Shamanskii, V. E. (1967), A modification of Newton's method, Ukr. Math. J. 19, 118-122.
     """
@@ -50,7 +50,7 @@ class BeamNewton(optx.AbstractRootFinder):
         if self.corrections < 2 or self.atol != 0.0:
             raise ValueError(
                 f"BeamNewton: given corrections={self.corrections}, atol={self.atol}; allowed "
-                "corrections >= 2 (the last two give the convergence rate) and atol = 0"
+                "corrections >= 2 (the last two steps give the convergence rate) and atol = 0"
             )
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags):
@@ -83,7 +83,7 @@ class BeamNewton(optx.AbstractRootFinder):
 class BeamAdjoint(optx.AbstractAdjoint):
     """Returns dy = -J^-1 df for the root y of f(y, args) = 0, with the Jacobian J = df/dy at y.
 
-    J is factorised once per root for all forward tangents. Reverse mode transposes this solve.
+    J is factorised once per root for all forward tangents. Reverse mode transposes this solution.
     """
 
     linear_solver: BeamSolver = BeamSolver()

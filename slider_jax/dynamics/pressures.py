@@ -3,7 +3,7 @@
     set pressure -> Command effects -> pressure law and Flow effects -> p at the pressure sensor
                  -> ActingPressure effects -> pressure that bends the body
 
-The pressures are known before the rollout, because the motion of the body does not affect them.
+The rollout does not compute the pressures, because the motion of the body does not affect them.
 """
 
 import functools as ft
@@ -31,7 +31,7 @@ class Chambers(eqx.Module):
     acting: Float[Array, "2"]
     """Pressure [Pa] that bends the body."""
     memories: tuple[Float[Array, "2 2"], ...] = ()
-    """State of each `ActingPressure` effect and the previous pressure, in the effects' order."""
+    """The memory of each `ActingPressure` effect: its state and the previous pressure [Pa]."""
 
 
 def start_chambers(model: Model) -> Chambers:
@@ -42,7 +42,7 @@ def start_chambers(model: Model) -> Chambers:
 
 
 def chamber_history(model: Model, begin: Chambers, times: Float[Array, " n"]) -> Chambers:
-    """Returns the chambers, entries (n - 1, ...), at the `times` [s] that follow the first time."""
+    """Returns the chambers at all `times` [s] after the first; arrays have shape (n - 1, ...)."""
     flows = of_place(model.effects, Flow)
     acting_effects = of_place(model.effects, ActingPressure)
 
@@ -60,7 +60,7 @@ def chamber_history(model: Model, begin: Chambers, times: Float[Array, " n"]) ->
 
 
 def set_pressures(model: Model, times: Float[Array, " n"]) -> Segment:
-    """Returns both chambers' set pressures between the `times` [s]; fields are (n - 1, 2)."""
+    """Returns both chambers' set pressures between `times` [s]; each field is (n - 1, 2)."""
     commands = of_place(model.effects, Command)
 
     def segments(wave, chamber):
@@ -77,10 +77,10 @@ def advance(
 ) -> Float[Array, "2"]:
     """Returns front and rear pressures [Pa] at the end of segment `x` from `p` [Pa] at its start.
 
-    Without `Flow` effects, this is the exact step of the law. `Flow` effects on a lag add the
-    difference of two classical Runge-Kutta steps, with and without the effects. Effects at their
-    null therefore change nothing. Both Runge-Kutta steps are split at the break of the set pressure
-    and at zero pressure, where the opposite chamber starts to fill.
+    The pressure law has an exact solution. For `FirstOrderLag` with `Flow` effects, the difference
+    of two Runge-Kutta steps, with and without these effects, is added to this solution. Effects
+    at their null therefore change nothing. Both Runge-Kutta steps are split at the break of the set
+    pressure and at zero pressure, where the opposite air chamber starts to fill.
     """
     exact = law.advance(p, x)
     if not flows or not isinstance(law, FirstOrderLag):
@@ -114,7 +114,7 @@ def _rate(k, flows, side):
 
 
 def _through_zero(k, flows, p, a0, a1, span):
-    """Returns the pressure after a Runge-Kutta step, split where the pressure changes its sign."""
+    """Returns the pressure after a Runge-Kutta step that is split at zero pressure."""
     rate = _rate(k, flows, jnp.where(p == 0.0, jnp.sign(a0 + a1), jnp.sign(p)))
     whole = _runge_kutta(rate, p, a0, a1, span)
     crosses = p * whole < 0.0

@@ -64,7 +64,7 @@ def load_rates(head: Float[Array, "6"], stage: Stage) -> Float[Array, "3"]:
 
 
 def head_rows(head: Float[Array, "6"], stage: Stage) -> Float[Array, "3"]:
-    """Returns residuals of the support's conditions, for the head's motion minus the mounting's."""
+    """Returns residuals of the support for the head's motion relative to `Mounting` effects."""
     at_head, omega = fields(head), turning_rate(fields(head), stage)
     rates = HeadRates(*load_rates(head, stage))
     for effect in of_place(stage.effects, Mounting):
@@ -100,8 +100,8 @@ def residual(y: Unknowns, stage: Stage):
 def jacobian(y: Unknowns, stage: Stage) -> BeamOperator:
     """Returns the blocks of d(residual)/dy.
 
-    The equations of a cell depend on 12 values: the means and slopes of the six unknowns. Cells do
-    not depend on each other's values, so 12 forward tangents give all blocks of all cells.
+    The equations of a cell depend on 12 values: the means and slopes of the six unknowns. The
+    values of other cells have no effect, so 12 forward tangents give all blocks of all cells.
     """
     mid, slope = mid_and_slope(y, stage.structure.ds)
     values = (*mid, *slope)

@@ -63,10 +63,10 @@ def rollout(
     """Integrates `model` over `times` and stores `save(snapshot)` at the end of every step.
 
     Without `begin`, the body starts straight and at rest relative to its support. To continue an
-    earlier rollout, pass the `final` of that rollout as `begin`. If a step fails, the state remains
-    frozen and `ok` is false. No error stops the other robots of a batch; `simulate_trial` and other
-    callers raise `SolverError`. With `checkpoint`, reverse mode stores only the carry of each step
-    and recomputes all other values.
+    earlier rollout, pass its `final` as `begin`. If a step fails, the state remains frozen and `ok`
+    is false. No error is raised here, because an error would stop all robots of a batch. Callers
+    such as `simulate_trial` raise `SolverError`. With `checkpoint`, reverse-mode differentiation
+    stores only the carry of each step and recomputes all other values.
     """
     mesh = make_mesh(model.body, numerics)
     if begin is None:

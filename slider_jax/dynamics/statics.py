@@ -1,4 +1,4 @@
-"""Static shapes of a clamped robot under chamber pressures and a dead load at the tail end."""
+"""Static shapes of a clamped robot under chamber pressures and a constant force on the tail end."""
 
 from typing import NamedTuple
 
@@ -20,7 +20,7 @@ from slider_jax.dynamics.step import Carry, initial_carry
 from slider_jax.effects import BendingMoment, of_place
 
 LONG = 1e9
-"""Value of dt [s] in a static stage. It is so large that rates (value - reference)/dt vanish."""
+"""Value of dt [s] in a static stage, so large that rates (value - reference)/dt vanish."""
 INCREMENTS = 8
 """Number of load increments; each static shape is the initial guess for the next one."""
 CORRECTIONS, LAST = 3, 4
@@ -48,9 +48,9 @@ class AtRest(NamedTuple):
 
 
 def at_rest_under(model: Model, loads: Loads, numerics: Numerics = Numerics()) -> AtRest:
-    """Returns the static state under `loads` of a `model` with a clamp, in still water.
+    """Returns the static state of a clamped `model` under `loads` in still water.
 
-    The drive is ignored. Implicit differentiation gives derivatives with respect to all numbers.
+    The drive of the model is ignored. All numbers in `model` and `loads` are differentiable.
     """
     mesh = make_mesh(model.body, numerics)
     zero = jnp.zeros_like(mesh.grid.ds)
@@ -74,7 +74,7 @@ def at_rest_under(model: Model, loads: Loads, numerics: Numerics = Numerics()) -
 
 
 def release(model: Model, begin: AtRest, numerics: Numerics = Numerics()) -> Carry:
-    """Returns the carry of a rollout from the static state `begin`, without the load on the tip."""
+    """Returns the carry that starts a rollout from the state `begin` when the tip is released."""
     mesh = make_mesh(model.body, numerics)
     y = begin.y.at[3:5].set(0.0)
     eps = mesh.grid.mid(y[0]) / mesh.structure.EA

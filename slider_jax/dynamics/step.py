@@ -1,4 +1,4 @@
-"""One time step of the simulation. Each implicit stage of the step solves for a root."""
+"""Makes one time step. In each stage, Newton's method solves the implicit equations."""
 
 import functools as ft
 from collections.abc import Callable
@@ -37,11 +37,11 @@ class Carry(eqx.Module):
     memory: Memory
     chambers: Chambers
     ok: Bool[Array, ""]
-    """False after the first stage that did not converge; the state then remains frozen."""
+    """False after a stage did not converge; from this stage on, the state remains frozen."""
     factorisations: Array
     """Number of factorisations of the Jacobian so far."""
     failed_at: Array
-    """Time [s] of the failed stage, or inf."""
+    """Time [s] of the failed stage; inf if no stage failed."""
 
 
 class Snapshot(eqx.Module):
@@ -179,7 +179,7 @@ def at_rest(model: Model, numerics: Numerics, t0: Scalar = 0.0) -> Carry:
 
 
 def with_motion(carry: Carry, change: Callable[[Array], Array]) -> Carry:
-    """Returns the carry with `change` applied to its (V_tau, V_n, phi), shape (..., 3, nodes)."""
+    """Returns the carry after `change` of (V_tau, V_n, phi), arrays of shape (..., 3, nodes)."""
     history = carry.history.at[:, 3:].set(change(carry.history[:, 3:]))
     rows = change(carry.memory.motion), history
     return eqx.tree_at(lambda c: (c.memory.motion, c.history), carry, rows)

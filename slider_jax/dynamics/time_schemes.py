@@ -40,7 +40,7 @@ SCHEMES = {scheme.name: scheme for scheme in (BACKWARD_EULER, SDIRK2)}
 
 
 def extrapolation(scheme: Scheme) -> list[list[float]]:
-    """Returns the weights of the last three solutions (oldest first) that predict each stage."""
+    """Returns weights that extrapolate the last three solutions (oldest first) to each stage."""
     times = [node - back for back in (3, 2, 1, 0) for node in scheme.nodes]
     rows = []
     for stage in range(scheme.stages):

@@ -78,8 +78,8 @@ def load(path: Path | str, model: Path | str | None = None) -> Experiment:
     """Returns the validated experiment of the file `path`, changed by the file `model` if given.
 
     Keys of `[robot]` and `[parameters]` in the model file replace keys of the experiment. The
-    `[[effects]]` of both files are combined. If the model file has C_d and m_a, they replace
-    the source "ramp" or "table" of C_d and m_a, and vice versa. Raises `InputError` with file and key.
+    `[[effects]]` of both files are combined. C_d and m_a of the model file replace the source
+    "ramp" or "table" of the experiment, and vice versa. Raises `InputError` with file and key.
     """
     path = Path(path)
     return assemble(read_toml(path), str(path), path.parent, model)

@@ -13,9 +13,9 @@ from slider_jax.io.toml import read_bytes
 def read_csv(
     path: Path, required: Sequence[str], blank: Sequence[str] = (), increasing: str = "time"
 ) -> dict[str, np.ndarray]:
-    """Returns the columns of a series, as `read_table`. The first `required` column must increase.
+    """Returns the columns as `read_table`, and checks that the first `required` column increases.
 
-    `increasing` names this column in the error. Raises `InputError` with file and line.
+    The error calls this column `increasing`. Raises `InputError` with file and line.
     """
     columns, lines = _read(path, required, blank)
     times = columns[required[0]]
@@ -45,10 +45,10 @@ def _read(
     try:
         text = read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from None
+        raise InputError(f"{path}: not UTF-8 text (byte {error.start}); save as UTF-8") from None
     rows = list(csv.reader(text.splitlines()))
     if not rows:
-        raise InputError(f"{path}: empty; add a header with {', '.join(required)}")
+        raise InputError(f"{path}: the file is empty; add a header with {', '.join(required)}")
     header = [name.strip() for name in rows[0]]
     for name in required:
         if name not in header:

@@ -1,4 +1,4 @@
-"""Writes result files atomically, and determines the versions and input digests in result files.
+"""Writes result files atomically, and computes versions and digests of inputs for these files.
 
 A file is written under a temporary name and then renamed, so no file is ever incomplete.
 """
@@ -22,7 +22,7 @@ from slider_jax.errors import InputError
 
 
 def output_folder(path: Path | str) -> Path:
-    """Returns `path` as a writable folder, created if missing. Raises `InputError` otherwise."""
+    """Creates the folder `path` if missing. Raises `InputError` if the folder is not writable."""
     path = Path(path)
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -39,13 +39,13 @@ def output_folder(path: Path | str) -> Path:
 
 @contextmanager
 def tentative_folder(path: Path | str) -> Iterator[Path]:
-    """Yields the output folder `path`. If the block fails, new empty folders are removed."""
+    """Yields the output folder `path`. After an error, new empty folders are removed."""
     path = Path(path)
     created = [p for p in (path, *path.parents) if not os.path.exists(p)]
     try:
         yield output_folder(path)
     except BaseException:
-        with suppress(OSError):  # not empty
+        with suppress(OSError):  # a folder is not empty
             for folder in created:
                 folder.rmdir()
         raise
@@ -53,7 +53,7 @@ def tentative_folder(path: Path | str) -> Iterator[Path]:
 
 @contextmanager
 def replacing(path: Path | str) -> Iterator[Path]:
-    """Yields a temporary file next to `path` with the same suffix, renamed to `path` on success."""
+    """Yields a temporary file next to `path`. If no error follows, renames this file to `path`."""
     path = Path(path)
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=".tmp-", suffix=path.suffix)
     os.close(handle)
@@ -68,7 +68,7 @@ def replacing(path: Path | str) -> Iterator[Path]:
 
 @contextmanager
 def staged(folder: Path | str) -> Iterator[Path]:
-    """Yields a temporary folder. Its files move into `folder` only if the block succeeds."""
+    """Yields a temporary folder. Its files move into `folder` if no error follows."""
     with tentative_folder(folder) as out:
         stage = Path(tempfile.mkdtemp(dir=out, prefix=".tmp-"))
         try:
@@ -119,10 +119,10 @@ def write_csv(
     columns: Mapping[str, Sequence[float] | np.ndarray],
     formats: Mapping[str, str] | None = None,
 ) -> None:
-    """Writes `columns`, lists of equal length by name with unit, to `path` atomically.
+    """Writes `columns` (names with units, values of equal length) to a CSV file atomically.
 
-    `formats` contains formats by column name, such as ".4f"; the default is ".9g". A NaN becomes an
-    empty cell.
+    `formats` contains number formats, such as ".4f", by column name. The default format is ".9g".
+    A NaN becomes an empty cell.
     """
     formats = formats or {}
     cells = []

@@ -20,7 +20,7 @@ TableType = TypeVar("TableType", bound=BaseModel)
 
 
 def read_bytes(path: Path) -> bytes:
-    """Returns the content of an input file. Raises `InputError` if it cannot be read."""
+    """Returns the content of an input file. Raises `InputError` for an unreadable file."""
     if path.is_dir():
         raise InputError(f"{path}: is a folder; give a file in this folder")
     try:
@@ -37,7 +37,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         text = read_bytes(path).decode("utf-8")
         return tomllib.loads(text)
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from None
+        raise InputError(f"{path}: not UTF-8 text (byte {error.start}); save as UTF-8") from None
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path}: not valid TOML: {error}{_unit_advice(text, error)}") from None
 
@@ -68,7 +68,7 @@ def significant(value: float, digits: int = 9) -> float:
 
 
 def _unit_advice(text: str, error: tomllib.TOMLDecodeError) -> str:
-    """Returns advice for the most common mistake, a unit after a number; otherwise ""."""
+    """Returns advice if the line of the error has a unit after a number; otherwise returns ""."""
     at = re.search(r"at line (\d+)", str(error))
     lines = text.split("\n")
     line = lines[int(at[1]) - 1] if at and int(at[1]) <= len(lines) else ""
@@ -96,7 +96,7 @@ def field_at(
 
 
 def quantity_of(field: FieldInfo | None) -> Quantity | None:
-    """Returns the unit and range of a field, or None if it has none."""
+    """Returns the unit and range of a field, or None for a field without unit and range."""
     candidates = list(field.metadata) if field is not None else []
     for inner in getattr(getattr(field, "annotation", None), "__args__", ()):
         candidates += getattr(inner, "__metadata__", ())
@@ -120,10 +120,10 @@ def _message(table: type[BaseModel], error: Any) -> str:
             name = f"[{where}]" if one else f"[[{where}]]"
             return f"{where}: missing; add a table {name} with {', '.join(needed)}"
         unit = f" in {quantity.unit}" if quantity and quantity.unit else ""
-        return f"{where}: missing; add it{unit}"
+        return f"{where}: missing; add a value{unit}"
     if kind == "extra_forbidden":
         close = difflib.get_close_matches(str(location[-1]), owner.model_fields, 1)
-        advice = f"did you mean {close[0]}?" if close else "remove it"
+        advice = f"did you mean {close[0]}?" if close else "remove this key"
         return f"{where}: unknown key; allowed {', '.join(owner.model_fields)}; {advice}"
     if kind in ("quantity", "file_name", "too_short", "too_long"):
         return f"{where}: {error['msg']}"

@@ -1,4 +1,4 @@
-"""Energies stored in the body, and the power input of its chambers.
+"""Computes energies stored in the body and the power of the chambers (symbols: glossary).
 
 kinetic = int m (V_tau^2 + V_n^2)/2 ds      bending    = int EI kappa^2/2 ds
 P       = int M_act kappa_t ds              stretching = int EA eps^2/2 ds

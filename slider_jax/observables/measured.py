@@ -1,4 +1,4 @@
-"""Quantities that instruments on the carriage measure: forces at the head and the body's position.
+"""Computes what instruments on the carriage measure: forces at the head and the body's position.
 
 The clamp exerts the force T tau + N n on the head and receives the opposite force from the head.
 The force sensor is mounted on the carriage. Its axes pitch with the carriage, but they do not turn
@@ -37,7 +37,7 @@ def _on_sensor(x: Snapshot) -> tuple[Array, Array]:
 
 
 def thrust(x: Snapshot) -> Float[Array, ""]:
-    """Returns the body's forward force [N] on the carriage; -T at the head for a rigid clamp.
+    """Returns the body's forward force [N] on the carriage (-T for a rigid clamp).
 
     The axes of the forces pitch with the carriage, like the axes of the force sensor.
     """
@@ -45,7 +45,7 @@ def thrust(x: Snapshot) -> Float[Array, ""]:
 
 
 def recoil(x: Snapshot) -> Float[Array, ""]:
-    """Returns the body's force [N] to the left on the carriage; -N at the head for a rigid clamp.
+    """Returns the body's force [N] to the left on the carriage (-N for a rigid clamp).
 
     The axes are the same as in `thrust`.
     """

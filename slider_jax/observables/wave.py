@@ -1,4 +1,4 @@
-"""Wavelength, speed and travelling index of the body wave.
+"""Computes wavelength, speed and travelling index of the body wave.
 
 A lateral motion y(s, t) = Re( c(s) exp(2 pi i f t) ) has an amplitude |c| and a phase arg c at each
 point s, measured from the tail. A wave whose phase increases towards the head travels from head to
@@ -56,7 +56,7 @@ def body_wave(mode: Complex[Array, " points"], s: Float[Array, " points"], frequ
     at each wave node. The wavelength and its sign are then unreliable.
     """
     turned = mode[1:] * jnp.conj(mode[:-1])
-    # At a clamped head, the amplitude is zero. The phase there is undefined and has zero weight.
+    # At a clamped head, the amplitude is zero. This phase is undefined and has zero weight.
     still = jnp.abs(turned) == 0.0
     phase_steps = jnp.where(still, 0.0, jnp.angle(jnp.where(still, 1.0, turned)))
     phase = jnp.concatenate([jnp.zeros(1), jnp.cumsum(phase_steps)])
@@ -76,8 +76,9 @@ def shape_wavelength(
         lambda = 2 pi sqrt( int |c|^2 ds / int |dc/ds|^2 ds ),    `s` [m] from the tail
 
     For a travelling wave of constant amplitude, lambda is exact on a body of any length. For a
-    standing or mixed wave, lambda is exact on a body of whole half waves. lambda has no direction;
-    `body_wave` returns a wavelength with direction. lambda is infinite if all points move equally.
+    standing or mixed wave, lambda is exact if the body length is a multiple of lambda/2. lambda is
+    never negative; the sign from `body_wave` gives the direction. lambda is infinite if all points
+    move equally.
     """
     ds = s[1:] - s[:-1]
     size, step = (jnp.real(c * jnp.conj(c)) for c in (mode, mode[1:] - mode[:-1]))
@@ -90,7 +91,7 @@ def travelling_index(mode: Complex[Array, " points"]) -> Float[Array, ""]:
     """Returns the travelling index [-]: 1 for a pure travelling wave, 0 for a pure standing wave.
 
     The index is the smaller singular value of [Re c, Im c] divided by the larger one (Feeny 2008,
-    the reciprocal condition number). It is 0 for a body at rest.
+    the reciprocal condition number). For a body at rest, the index is 0.
     """
     a, b = jnp.real(mode), jnp.imag(mode)
     mean, cross = 0.5 * (a @ a + b @ b), a @ b
