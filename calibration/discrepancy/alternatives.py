@@ -1,11 +1,11 @@
 """Compares alternative effects with a chosen effect.
 
 The alternatives of a chosen effect are candidates of the same round with nearly the same gain or
-with parallel tangents. In that round, another missing effect can hide differences between these
-candidates. So the alternatives are compared again after the selection, if no residual exceeds the
-noise floor. Each alternative is substituted for the chosen effect, and all parameters are refitted.
-If the fit is worse by the naming threshold, the alternative is excluded. All other alternatives
-form the equivalence class.
+with parallel tangents. During this round, another effect that is still missing can hide differences
+between these candidates. So the alternatives are compared again after the selection, unless a
+residual exceeds the noise floor. Each alternative is substituted for the chosen effect, and all
+parameters are refitted. If the fit becomes worse by the naming threshold, the alternative is
+excluded. All other alternatives form the equivalence class.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,9 +36,9 @@ def equivalent_effects(
     blocks: Sequence[ChannelBlock],
     settings: SelectionSettings,
 ) -> list[str]:
-    """Returns the round's candidates with nearly the best one's gain or with parallel tangents.
+    """Returns the round's candidates with nearly the gain of `best`, or tangents parallel to it.
 
-    `scored` contains the indices of the parameters that score each effect.
+    `scored` maps each effect to the indices of the parameters from which its score is computed.
     """
     A, _ = summed(blocks)
     enough = settings.equal_gain_share * best.gain
@@ -58,8 +58,8 @@ def equivalent_effects(
 def judge_alternatives(refits: Refits, found: Selection) -> None:
     """Substitutes each alternative for its round's chosen effect and updates the equivalence class.
 
-    An alternative keeps the classification from its round if it cannot be fitted, or if a residual
-    exceeds the noise floor.
+    If an alternative cannot be fitted, or if a residual exceeds the noise floor, the alternative
+    remains in the class if its round put it there.
     """
     settings = refits.settings
     for round_ in found.rounds:
@@ -82,7 +82,7 @@ def judge_alternatives(refits: Refits, found: Selection) -> None:
 
 
 def better_alternative(found: Selection) -> tuple[SelectionStep, str] | None:
-    """Returns a round and the alternative that fits better than its chosen effect, or None.
+    """Returns a round and an alternative that fits better than the round's chosen effect, or None.
 
     The round must have refitted the alternative, and cross-validation must confirm the alternative.
     """
@@ -114,8 +114,8 @@ def _substituted(
 ) -> Fit | None:
     """Returns the final fit with an alternative substituted for a round's chosen effect.
 
-    The alternative may be in the fit already. Returns None if another effect replaces the same law,
-    or if the substitution cannot be simulated.
+    The alternative may already be in the fit. Returns None if another effect in the fit replaces
+    the same law of the base model, or if the substitution cannot be simulated.
     """
     assert round_.chosen is not None
     others = [n for n in found.effects if n not in (round_.chosen, alternative)]

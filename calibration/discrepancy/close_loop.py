@@ -1,4 +1,4 @@
-"""The loop on an experiment: from measured trials to a verdict and a better model."""
+"""Closes the loop on an experiment: measured trials give a verdict and a better model."""
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
@@ -38,13 +38,13 @@ class LoopOutcome:
     final: Fit
     """The chosen model, refitted to all trials."""
     problem: AbstractProblem
-    """All trials."""
+    """The fit problem of all trials."""
     used: dict[str, dict[str, float]]
-    """`channel_errors` of the trials that the selection used."""
+    """`channel_errors` of the trials that were used to select effects."""
     held_out: dict[str, dict[str, float]]
     """`channel_errors` of the held-out trials; empty if there are none."""
     excess: dict[str, Excess]
-    """Excess of the chosen model on the trials that the selection used."""
+    """Excess of the chosen model's residual in the trials that were used to select effects."""
     held: list[int]
     """Held-out trials, as indices of `problem.records`."""
     audit: list[Finding] = field(default_factory=list)
@@ -54,16 +54,16 @@ class LoopOutcome:
 
     @property
     def effects(self) -> list[str]:
-        """Effects added to the model: the selected ones, if the verdict names them."""
+        """Effects added to the model: the selected effects if the verdict names them, or none."""
         return self.search.effects if self.verdict in NAMED else []
 
     @property
     def chosen(self) -> Fit:
-        """The chosen model on the trials that were not held out."""
+        """The chosen model, fitted to the trials that were not held out."""
         return self.search.final if self.effects else self.search.base
 
     def interval(self, index: int) -> tuple[float, float, float]:
-        """Returns value, lower and upper 95 % bound of a fitted entry."""
+        """Returns value, lower and upper 95 % bound of the fitted parameter `entries[index]`."""
         return confidence_interval(self.final, self.entries, index)
 
 
@@ -72,11 +72,11 @@ def choose_held_out(
     kept: Collection[str] = (),
     settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> list[int]:
-    """Returns the indices of a quarter of the trials, or none if there are too few.
+    """Returns the indices of about a quarter of the trials, or none if there are too few trials.
 
     The held-out trials cover the range of frequencies, except the lowest and the highest one. At
-    least two towed trials and two trials in still water are not held out, because an effect may act
-    on one kind of trial only. Trials of the files `kept` are never held out.
+    least two towed trials and two trials in still water remain in the fit, because an effect may
+    act on one kind of trial only. Trials of the files `kept` always remain in the fit.
     """
     if len(found) < 2 * settings.min_trials:
         return []
@@ -103,7 +103,7 @@ def close_loop_on_trials(
     kept: Collection[str] = (),
     settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> LoopOutcome:
-    """Returns the loop's result: the effects that the model lacks in the measured trials.
+    """Returns the loop's result: the effects that are missing in the model of the measured trials.
 
     `effects` are the candidates' names (default: the whole library). Residuals are computed at the
     resolution `fine` and tangents at `coarse`. Trials of the files `kept` are not held out. Raises

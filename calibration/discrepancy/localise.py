@@ -1,4 +1,4 @@
-"""Localisation of a residual by channel, trial, setting, phase of the stride and frequency."""
+"""Finds the channel, trial, setting, phase of the stride and frequency of a large residual."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -20,10 +20,10 @@ def locate_residuals(
     left: dict[str, Excess],
     noise_floor: float,
 ) -> list[dict[str, Any]]:
-    """Returns a record of the residual of each channel above the noise floor.
+    """Returns a record for each channel with a residual above the noise floor.
 
     `predicted` are the readings (channels, samples) of every trial of `records`. `left` contains
-    the excess of every channel.
+    the excess of the residual in every channel.
     """
     found = []
     for channel, x in left.items():
@@ -54,11 +54,11 @@ def locate_residuals(
 def residual_timing(record: Record, channel: str, model: np.ndarray) -> dict[str, Any]:
     """Returns when in a trial the residual of a channel is largest.
 
-    `phase` is the eighth of the drive's period with the largest squared residual, and `share` its
-    fraction of the total. `growing` is the fraction of the squared residual at times when the
-    model's reading moves away from its mean. `mean` is the residual's mean divided by its rms.
-    `peak_Hz` is the frequency of the sine that explains most of the residual without its mean, and
-    `peak_share` is the fraction of the squared residual that this sine explains.
+    `phase` is the eighth of the drive's period with the largest mean squared residual. `share` is
+    this value divided by the sum of the eight values. `growing` is the fraction of the squared
+    residual at times when the predicted reading moves away from its mean. `mean` is the residual's
+    mean divided by its rms. `peak_Hz` is the frequency of the sine that explains most of the
+    residual after subtraction of the mean, and `peak_share` the fraction of squares it explains.
     """
     there = record.there(channel)
     r = (record.values[row_of(channel)] - model)[there]
@@ -80,7 +80,7 @@ def residual_timing(record: Record, channel: str, model: np.ndarray) -> dict[str
 
 
 def _strongest(t: np.ndarray, r: np.ndarray) -> dict[str, float]:
-    """Returns the sine that explains most of a squared residual; gaps are interpolated."""
+    """Returns the frequency and the share of the sine that explains most of a squared residual."""
     even = np.arange(t[0], t[-1], float(np.median(np.diff(t))))
     y = np.interp(even, t, r - r.mean())
     power = np.abs(np.fft.rfft(y, 4 * len(y)))[1:] ** 2
@@ -91,7 +91,7 @@ def _strongest(t: np.ndarray, r: np.ndarray) -> dict[str, float]:
 
 
 def significant_trend(settings: Sequence[float | None], squares: np.ndarray) -> float | None:
-    """Returns the rank correlation of the trials' mean squares with a setting.
+    """Returns the rank correlation of `squares` (one mean square per trial) with a setting.
 
     Returns None for fewer than five trials or a p-value of 0.05 or more.
     """
@@ -120,7 +120,7 @@ def residual_text(x: dict[str, Any]) -> str:
         low, high = here["phase"]
         text += f", largest at {low:.3g} to {high:.3g} of the stride"
     text += f"; a sine of {here['peak_Hz']:.3g} Hz explains {here['peak_share']:.0%} of the square"
-    text += f"; {here['growing']:.0%} of the square while the model moves away from its mean"
+    text += f"; {here['growing']:.0%} of the square while the prediction moves away from its mean"
     for name, rank in x["grows_with"].items():
         if rank is not None:
             word = "grows" if rank > 0 else "falls"

@@ -1,4 +1,4 @@
-"""The loop's report page, with its tables and figures."""
+"""Writes the loop's report page with tables and figures."""
 
 from typing import Any
 
@@ -12,11 +12,11 @@ from slider_jax.channels import CHANNELS, row_of
 from slider_jax.io.figures import new_figure
 
 SHOWN_STRIDES = 3.0
-"""Number of last strides in the figure of readings; seconds if the trial has no frequency."""
+"""Number of last strides in the figure of readings (seconds if the trial has no frequency)."""
 
 
 def loop_page(outcome: LoopOutcome, record: dict[str, Any]) -> str:
-    """Returns the report page of a loop; `record` is the content of report.json."""
+    """Returns the report page (HTML) of a loop. `record` is the content of report.json."""
     known, settings = dict(record["parameters"]), outcome.search.settings
     for effect in record["effects"]:
         known |= {f"{effect['name']}.{n}": x for n, x in effect["parameters"].items()}
@@ -114,7 +114,7 @@ def _consequence(record: dict[str, Any]) -> list[list[str]]:
 
 
 def readings_figure(outcome: LoopOutcome):
-    """Plots one trial's last strides and whole residual, for the models before and after."""
+    """Plots one trial's last strides and whole residual, before and after effects were added."""
     record, before, after = _shown_trial(outcome)
     channels = [c for c in CHANNELS if record.has(c)]
     size = 12.0, 1.2 + 1.6 * len(channels)
@@ -142,7 +142,7 @@ def readings_figure(outcome: LoopOutcome):
 
 
 def _shown_trial(outcome: LoopOutcome):
-    """Returns the fitted trial for which the two fits differ most, and both its predictions."""
+    """Returns the trial for which the predictions of both fits differ most, and the predictions."""
     fitted = [i for i in range(len(outcome.problem.records)) if i not in outcome.held]
     pairs = list(zip(outcome.search.base.predicted, outcome.chosen.predicted, strict=True))
     rows = [row_of(c) for c in outcome.problem.channels]

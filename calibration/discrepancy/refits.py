@@ -18,8 +18,8 @@ def initial_theta(
 ) -> np.ndarray:
     """Returns the vector from which a refit with an effect starts.
 
-    The effect's parameters with a `Prior.start` start there. Without any such parameter, the refit
-    starts at `theta` plus the score's `step`.
+    The effect's parameters that have a `Prior.start` begin with this value. If the effect has no
+    such parameter, the refit starts at `theta` plus the score's `step`.
     """
     entries = refits.entries
     starts = [i for i in group if entries[i].prior.start is not None]
@@ -49,19 +49,20 @@ class Refits:
         return relative_changes(self.problem.channels, before.predicted, after.predicted)
 
     def fit(self, theta: np.ndarray, free: np.ndarray) -> Fit:
-        """Returns the fit of the entries `free` from theta."""
+        """Returns the fit of the parameters `free` (indices) that starts at `theta`."""
         return fit_gauss_newton(self.problem, self.entries, theta, free, self.progress, self.white)
 
     def null(self, theta: np.ndarray, group: np.ndarray) -> np.ndarray:
-        """Returns theta with the entries `group` at their null."""
+        """Returns theta with the parameters `group` (indices) at their null."""
         theta = theta.copy()
         theta[group] = [self.entries[i].prior.null for i in group]
         return theta
 
     def joined(self, theta: np.ndarray, start: np.ndarray, free: np.ndarray) -> Fit | None:
-        """Returns the fit of the entries `free` from `start`.
+        """Returns the fit of the parameters `free` (indices) that starts at `start`.
 
-        A start that cannot be simulated is moved halfway to theta. Returns None if no start works.
+        A start that cannot be simulated is moved halfway to `theta`. Returns None if
+        `max_halvings` successive starts cannot be simulated.
         """
         for _ in range(self.settings.max_halvings):
             found = self.fit(start, free)
@@ -71,7 +72,7 @@ class Refits:
         return None
 
     def without(self, current: Fit, name: str) -> Fit | None:
-        """Returns the fit without an effect, or None if the loss exceeds the naming threshold."""
+        """Returns the fit without an effect, or None if the naming threshold keeps the effect."""
         group = effect_entries(self.entries)[name]
         own = np.isin(current.free, group)
         null = self.null(current.theta, group)

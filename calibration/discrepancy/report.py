@@ -1,4 +1,4 @@
-"""The loop's outcome as report.json, model.toml and text."""
+"""Writes the loop's outcome as report.json, model.toml and text."""
 
 from dataclasses import asdict
 from typing import Any
@@ -22,7 +22,7 @@ def loop_record(
     source: dict[str, Any],
     following: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Returns report.json; `source` describes the input, `following` is the next experiment."""
+    """Returns report.json. `source` describes the input; `following` is the proposed experiment."""
     trials, given = outcome.problem.records, base_values(outcome.experiment)
     return {
         "verdict": outcome.verdict,
@@ -87,7 +87,7 @@ def effect_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
 
 
 def nearest_effects(outcome: LoopOutcome) -> list[dict[str, Any]]:
-    """Returns the effects that reduce an unexplained residual most; they are not in the model."""
+    """Returns the selected effects that the verdict does not name; the model excludes them."""
     names = [] if outcome.effects else outcome.search.effects
     return [{"name": n, "title": LIBRARY[n].title, "where": LIBRARY[n].place()} for n in names]
 
@@ -119,7 +119,7 @@ def candidate_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
 
 
 def residual_records(outcome: LoopOutcome) -> list[dict[str, Any]]:
-    """Returns where the final fit's residual exceeds the noise floor on the fitted trials."""
+    """Returns `locate_residuals` of the fitted trials: residuals above the noise floor."""
     fitted = [r for i, r in enumerate(outcome.problem.records) if i not in outcome.held]
     floor = outcome.search.settings.noise_floor
     return locate_residuals(fitted, outcome.chosen.predicted, outcome.excess, floor)
@@ -149,7 +149,7 @@ def verdict_text(outcome: LoopOutcome) -> str:
             if edge:
                 text += f" A parameter is at a bound of its prior range: {', '.join(edge)}."
             elif names:
-                text += f" The residual remains too large with the best candidate, {titles}."
+                text += f" With the best candidate, {titles}, the residual is still too large."
             return text
     if not outcome.search.final.converged:
         return "Inconclusive: the final fit did not converge."
@@ -166,7 +166,7 @@ def parameter_lines(record: dict[str, Any]) -> list[str]:
 
 
 def error_lines(record: dict[str, Any]) -> list[str]:
-    """Returns a line for each channel's error on held-out trials (on all, if none is held out)."""
+    """Returns a line for each channel's error in the held-out trials, or in all trials."""
     held = record["held_out"]
     errors, trials = held or record["errors"], "held-out trials" if held else "all trials"
     return [

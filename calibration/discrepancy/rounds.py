@@ -1,4 +1,4 @@
-"""The record of a selection: rounds, refitted candidates and alternatives."""
+"""Defines the record of a selection: rounds, refitted candidates and alternatives."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -15,10 +15,10 @@ from slider_jax.channels import row_of
 
 
 class Agreement(NamedTuple):
-    """Cross-validation: whether a candidate consistently improves the fit to held-out trials."""
+    """Result of cross-validation: does a candidate consistently improve held-out trials?"""
 
     mean: float
-    """t-statistic of the log gains `Score.left_out`: their mean divided by its standard error."""
+    """t-statistic: mean of the log gains `Score.left_out`, divided by the mean's standard error."""
     chance: float
     """p-value of Wilcoxon's signed-rank test on these log gains."""
 
@@ -28,7 +28,7 @@ class Agreement(NamedTuple):
 
 
 def agreement(left_out: np.ndarray) -> Agreement:
-    """Returns the agreement of the log gains `Score.left_out` (trials,)."""
+    """Returns the result of cross-validation from the log gains `Score.left_out` (trials,)."""
     n = len(left_out)
     spread = float(left_out.std(ddof=1)) / np.sqrt(n) if n > 1 else np.inf
     mean = float(left_out.mean()) / max(spread, 1e-300)
@@ -42,9 +42,9 @@ class Refit:
     name: str
     fit: Fit
     gain: float
-    """Reduction of the sum of squares, in units of the refit's mean square."""
+    """Reduction of the sum of squares, divided by the refit's mean square."""
     sizes: dict[str, float]
-    """rms change of each channel by the candidate, as a fraction of the channel's rms."""
+    """rms change of each channel that the candidate causes, as a fraction of the channel's rms."""
     agreement: Agreement
     worth_naming: bool
     """Whether gain and sizes exceed the naming threshold."""
@@ -55,7 +55,7 @@ class Alternative(NamedTuple):
 
     fit: Fit
     loss: float
-    """Increase of the sum of squares, in units of the final fit's mean square."""
+    """Increase of the sum of squares, divided by the final fit's mean square."""
     sizes: dict[str, float]
     """rms difference of the two fits in each channel, as a fraction of the channel's rms."""
 
@@ -70,9 +70,9 @@ class SelectionStep:
     equivalent: list[str] = field(default_factory=list)
     """Effects that these data cannot discriminate from the chosen effect."""
     alternatives: dict[str, Alternative] = field(default_factory=dict)
-    """Effects substituted for the chosen effect after the selection, equivalent or not."""
+    """All effects that were substituted for the chosen effect after the selection."""
     taken_out: str | None = None
-    """Effect that this round chose and that a later round removed as unnecessary."""
+    """Effect that this round chose and a later round removed because it was unnecessary."""
     replaced: str | None = None
     """Effect that this round chose first and that an alternative replaced."""
 
@@ -89,13 +89,13 @@ class Selection:
 
 
 def effect_entries(entries: Sequence[Parameter]) -> dict[str, np.ndarray]:
-    """Returns the indices of the parameters of every effect."""
+    """Returns, for every effect, the indices of its parameters."""
     names = dict.fromkeys(p.effect for p in entries if p.effect)
     return {n: np.array([i for i, p in enumerate(entries) if p.effect == n]) for n in names}
 
 
 def scoring_entries(entries: Sequence[Parameter]) -> dict[str, np.ndarray]:
-    """Returns the indices of the parameters that score each effect.
+    """Returns, for every effect, the indices of the parameters from which it is scored.
 
     These are the parameters with a `Prior.start`, or all parameters if none has a `Prior.start`.
     """

@@ -1,13 +1,14 @@
-"""Scores of candidate effects from one linearisation.
+"""Scores candidate effects with one linearisation of the model.
 
 Let r be the whitened residual after the fit of the free parameters, J the whitened tangents of the
-free parameters, and G those of a candidate, all stacked over trials and channels. P projects onto
-the columns of J. The score uses the part G1 of G that is orthogonal to J:
+free parameters, and G the whitened tangents of a candidate. Trials and channels are stacked. P is
+the projection onto the columns of J. The score uses the part G1 of G that is orthogonal to J:
 
     G1 = G - P G,    A = G1^T G1,    b = G1^T r,    gain = b^T A^-1 b
 
 The gain is the reduction of the sum of squares if candidate and free parameters are fitted
-together. Cross-validation fits both to all trials but one and evaluates the gain on that trial.
+together. Cross-validation fits candidate and free parameters to all trials except one, and
+evaluates the gain in the trial that was not fitted.
 """
 
 from collections.abc import Sequence
@@ -22,22 +23,22 @@ from calibration.inference.problem import ChannelBlock, summed
 
 
 class Score(NamedTuple):
-    """A candidate's linear score, fitted together with the free parameters."""
+    """Score of a candidate that is fitted, linearised, together with the free parameters."""
 
     name: str
     gain: float
-    """Reduction of the sum of squares, in units of the residual's mean square."""
+    """Reduction of the sum of squares, divided by the residual's mean square."""
     p: float
-    """Probability of such a gain by chance, times the number of candidates, at most 1."""
+    """Probability of this gain or more by chance, times the number of candidates; at most 1."""
     step: np.ndarray
-    """Change (parameters,) of all entries, in SI units."""
+    """Change (parameters,) of all parameters in the linear fit, in SI units."""
     left_out: np.ndarray
     """Cross-validated log gain of each trial that the candidate changes visibly: logarithm of the
-    factor by which the candidate lowers the held-out trial's sum of squares."""
+    held-out trial's sum of squares without the candidate, divided by the sum with it."""
 
 
 def least_squares_step(A: np.ndarray, b: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Returns the least-squares step of the entries `index`, zero elsewhere."""
+    """Returns the least-squares step of the parameters `index`; zero for all other parameters."""
     step = np.zeros(len(b))
     step[index] = inverse(A[np.ix_(index, index)]) @ b[index]
     return step
@@ -62,7 +63,7 @@ def score(
     many: int,
     settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> Score:
-    """Returns the score of the candidate whose entries are `group`, given the free entries.
+    """Returns the score of the candidate with the parameters `group`, fitted with those in `free`.
 
     `unit` is the residual's mean square and `many` the number of candidates.
     """
@@ -88,7 +89,7 @@ def score(
 
 
 def tangent_cosine(A: np.ndarray, first: np.ndarray, second: np.ndarray, free: np.ndarray) -> float:
-    """Returns the largest |cos| of two candidates' tangents, orthogonal to the free tangents.
+    """Returns the largest |cos| of two candidates' tangents after projecting out `free`.
 
     `A` is the normal matrix. If the cosine is 1, the data cannot discriminate between the effects.
     """

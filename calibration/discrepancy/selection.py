@@ -1,11 +1,11 @@
-"""Forward-backward selection of effects: fit, score all, refit the best, choose one, repeat.
+"""Selects effects forward and backward: fits, scores all, refits the best, chooses one, repeats.
 
 A candidate can be chosen if three conditions hold. Its gain is significant for the number of
 candidates. Cross-validation confirms the gain. The candidate changes some channel by more than the
 model-discretisation discrepancy, which `slider_jax.channels` declares before any data.
 
 A chosen effect is removed again if effects chosen later make it unnecessary. While two effects are
-missing, a wrong effect that resembles both can explain more than each of the right effects. Source:
+missing, a wrong effect that resembles both can explain more than either missing effect. Source:
 Zhang, T. (2011), Adaptive forward-backward greedy algorithm for learning sparse representations,
 IEEE Trans. Inf. Theory 57, 4689-4708.
 
@@ -51,9 +51,9 @@ def effect_tangents(
     """Returns the readings' change per unit of each parameter, for each trial.
 
     Each array has the shape (parameters, channels, samples). For a parameter with a `Prior.start`,
-    the array contains the secant from null to start, or to half the distance while the start cannot
-    be simulated. If no parameter of an effect has a start, the array contains tangents at `theta`.
-    The array is zero for all other parameters, and where a tangent is not finite.
+    the array contains the secant from null to start. The step of a secant that cannot be simulated
+    is halved. For free parameters and effects without a start, the array contains tangents at
+    `theta`. For all other parameters, and where a tangent is not finite, the array is zero.
     """
     scored = np.unique(np.concatenate([free, *scoring_entries(entries).values()]))
     finite = [i for i in scored if entries[i].prior.start is not None and i not in free]
@@ -89,9 +89,9 @@ def select_effects(
     base_names: Sequence[str] = tuple(BASE),
     settings: SelectionSettings = DEFAULT_SETTINGS,
 ) -> Selection:
-    """Selects the effects of `entries` that the base model lacks on the problem's trials.
+    """Selects those effects in `entries` that are missing in the base model of the trials.
 
-    `base_names` are the parameters of the base model that are fitted.
+    `base_names` are the names of the fitted parameters of the base model.
     """
     free = np.array([i for i, p in enumerate(entries) if not p.effect and p.name in base_names])
     progress("calibrating the base model")
@@ -135,7 +135,7 @@ def _add(refits: Refits, found: Selection) -> None:
 
 
 def _remove_unnecessary(refits: Refits, found: Selection, by: SelectionStep) -> None:
-    """Removes effects that the choice of the round `by` makes unnecessary.
+    """Removes effects that the effect chosen in the round `by` makes unnecessary.
 
     The equivalence classes of the removed effects are added to the class of the round `by`.
     """

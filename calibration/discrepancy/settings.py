@@ -1,4 +1,4 @@
-"""Thresholds of the selection of effects; report.json records them as `selection_settings`."""
+"""Thresholds of the selection of effects. report.json contains them as `selection_settings`."""
 
 from dataclasses import dataclass
 
@@ -7,44 +7,44 @@ from slider_jax.channels import CHANNELS
 
 @dataclass(frozen=True)
 class SelectionSettings:
-    """Thresholds by which the loop scores, refits, accepts and compares candidate effects.
+    """Thresholds with which the loop scores, refits, accepts and compares candidate effects.
 
-    Gains are reductions of the sum of squares, in units of the residual's mean square.
+    A gain is a reduction of the sum of squares, divided by the residual's mean square.
     """
 
     noise_floor: float = 1.5
-    """Largest mean square of the whitened residual of a channel that counts as noise floor. The
+    """Largest mean square of a channel's whitened residual that is attributed to noise. The
     model-discretisation discrepancy alone causes mean squares up to 1.3."""
     min_trials: int = 3
     """Smallest number of trials for a selection. Cross-validation needs three."""
 
     false_alarm_p: float = 1e-3
-    """Largest probability of a score by chance, after correction for the number of candidates."""
+    """A candidate can be refitted only if its corrected p-value, `Score.p`, is below this."""
     short_list: int = 5
-    """Largest number of candidates of each kind that one round refits, to limit the cost."""
+    """Largest number of candidates with tangents, and with secants, that one round refits."""
     min_score_share: float = 0.5
-    """A candidate is refitted if its score is at least this fraction of the best score."""
+    """A candidate can be refitted only if its score exceeds this fraction of the best score."""
     min_score_share_far: float = 0.2
-    """`min_score_share` of candidates that are scored by a secant (`Prior.start`). The fraction is
-    smaller because such a score is less accurate."""
+    """Replaces `min_score_share` for candidates that are scored with a secant (`Prior.start`). The
+    value is smaller because a score from a secant is less accurate."""
     naming_share: float = 0.7
-    """A candidate is refitted if its linear step changes some channel by at least this fraction of
-    the channel's discrepancy. The fraction is below 1 because the step neglects nonlinearity."""
+    """A candidate can be refitted only if its linear step changes some channel by more than this
+    fraction of the channel's discrepancy. It is below 1 because the step neglects nonlinearity."""
     visible_share: float = 1e-3
     """Cross-validation of a candidate uses a trial if the candidate's squared change of the trial
-    is at least this fraction of the largest one in any trial, or at least `visible_gain`."""
+    is at least this fraction of the largest squared change in any trial, or `visible_gain`."""
     visible_gain: float = 4.0
-    """Squared change of a trial, in units of the residual's mean square, that always suffices."""
+    """Squared change, divided by the residual's mean square, with which a trial is always used."""
 
     min_gain: float = 20.0
-    """A refitted candidate can be named only if its gain exceeds this."""
+    """A refitted candidate can be named only if its gain exceeds this value."""
     left_out_t: float = 2.0
     """Threshold on the t-statistic of the cross-validated log gain, in addition to the significance
-    test. Alone, it would accept 6 % of null candidates with five trials and 9 % with three. The
-    logarithm prevents that one outlying trial dominates the mean gain."""
+    test. Without that test, this threshold accepts 6 % of null candidates with five trials and 9 %
+    with three. The logarithm prevents that one outlying trial dominates the mean gain."""
     wilcoxon_p: float = 0.07
-    """Cross-validation also confirms a candidate if Wilcoxon's signed-rank test has a p-value below
-    this. Four improvements in four trials pass, even if one is far larger than the others."""
+    """Cross-validation also confirms a candidate if the p-value of Wilcoxon's signed-rank test is
+    below this. A candidate that improves all of four trials passes, also with unequal gains."""
 
     max_effects: int = 3
     """Largest number of effects in the model."""
@@ -53,16 +53,16 @@ class SelectionSettings:
     max_swaps: int = 2
     """Largest number of times that an alternative replaces a chosen effect."""
     max_halvings: int = 4
-    """Largest number of step sizes to try for a start that cannot be simulated."""
+    """Largest number of step sizes that are tried; each halves a step that cannot be simulated."""
     initial_step_share: float = 0.02
     """Distance of a refit's start from a parameter's null if the scored step is zero, as a fraction
-    of the prior range. A fit that starts at the null could not leave the bound there."""
+    of the prior range. If a bound is at the null, a fit that starts there could not move."""
     removal_loss_factor: float = 10.0
     """An effect is kept without a refit if the linear loss of its removal exceeds this multiple of
     `min_gain`."""
 
     parallel_cosine: float = 0.95
-    """Two effects are equivalent if |cos| between their tangents is larger than this."""
+    """Two effects are equivalent if |cos| between their tangents exceeds this value."""
     equal_gain_share: float = 0.95
     """A candidate with more than this fraction of the chosen effect's gain is equivalent."""
     contender_gain_share: float = 0.8
@@ -70,8 +70,8 @@ class SelectionSettings:
     selection. The fraction is low because a wrong effect can explain part of another effect."""
 
     min_explained: float = 0.9
-    """If a residual above the noise floor remains, effects are named only if they reduce the rms
-    above the floor by at least this fraction."""
+    """If a residual above the noise floor remains, effects are named only if they reduce the excess
+    of the whitened residual's rms over 1 by at least this fraction."""
     bound_margin: float = 0.01
     """A parameter closer to a bound than this fraction of its prior range is at the bound."""
 

@@ -1,4 +1,4 @@
-"""Returns one of five verdicts on a selection."""
+"""Computes the verdict on a selection of effects."""
 
 from collections.abc import Sequence
 
@@ -50,10 +50,11 @@ def reach_verdict(
     before: dict[str, Excess],
     after: dict[str, Excess],
 ) -> str:
-    """Returns the verdict on a selection from the excess of the base fit and of the final fit.
+    """Returns the verdict; `before` and `after` are the excess of the base fit and final fit.
 
-    A parameter at a bound indicates that no candidate is the cause. If the residual is above the
-    noise floor, two effects at one place form a class.
+    If a parameter is at a bound of its prior range, none of the candidates is the cause, and the
+    verdict is "unexplained". If a residual is above the noise floor, effects at one place form a
+    class.
     """
     settings = search.settings
     left = {c: x.all for c, x in after.items() if x.all > settings.noise_floor}
