@@ -138,7 +138,7 @@ class Mounting(Effect):
 
 
 class BodyChange(Effect):
-    """A difference between the body and its measured parameters."""
+    """A difference between actual and measured parameters of the body."""
 
     @abstractmethod
     def change(self, robot: Robot) -> Robot:

@@ -22,7 +22,7 @@ def limited(x: Array, inverse: Array) -> Array:
 
 
 def delayed(x: Float[Array, " n"], t: Float[Array, " n"], delay: Scalar) -> Float[Array, " n"]:
-    """Returns x(t - delay) at the times `t` [s]; outside `t`, x keeps the end values.
+    """Returns x(t - delay) at the times `t` [s]; before and after these times, x is constant.
 
     The interpolation is cubic Hermite with central differences as slopes, so the derivative with
     respect to `delay` [s] is continuous, also at a delay of zero. `delay` may be negative.

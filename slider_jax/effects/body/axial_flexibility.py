@@ -7,7 +7,7 @@ from slider_jax.effects.base import BodyChange, parameter
 
 
 class AxialFlexibility(BodyChange):
-    """Additional axial compliance of the actuated body, in series with its compliance 1/EA_body.
+    """Additional axial compliance of the actuated body, in series with the compliance 1/EA_body.
 
         1/EA_body -> 1/EA_body + c
 

@@ -15,8 +15,8 @@ class InternalFriction(BendingMoment):
 
         M = EI kappa + z_c q,    kappa_c dq/dt = d(kappa)/dt - |d(kappa)/dt| q
 
-    The state q changes from -1 to 1 while the curvature changes by a few kappa_c. |r| is smoothed
-    to sqrt(r^2 + w^2) with w = 1 1/(m s), so the friction decays slowly while the body is at rest.
+    The state q changes from -1 to 1 while the curvature changes by a few kappa_c. |d(kappa)/dt| is
+    smoothed below w = 1 1/(m s), so the friction decays slowly while the body is at rest.
     Source: Dahl, P. R. (1976), Solid friction damping of mechanical vibrations, AIAA J. 14,
     1675-1682.
     """

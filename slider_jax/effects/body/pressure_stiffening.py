@@ -7,7 +7,7 @@ from slider_jax.effects.base import BendingMoment, parameter
 
 
 class PressureStiffening(BendingMoment):
-    """A chamber under pressure increases the stiffness along its span.
+    """Pressure in a chamber increases the bending stiffness around this chamber.
 
         M = EI kappa + c |p| kappa
 

@@ -10,7 +10,7 @@ class Stiffening(BendingMoment):
         M = EI kappa + beta kappa^3
 
     The cubic term is the first odd term after the linear term. With a negative beta, the stiffness
-    decreases and is positive if 3 |beta| kappa^2 < EI. Source: Nayfeh, A. H. and Mook, D. T.
+    decreases but is positive for 3 |beta| kappa^2 < EI. Source: Nayfeh, A. H. and Mook, D. T.
     (1979), Nonlinear Oscillations, Wiley, ch. 2.
     """
 

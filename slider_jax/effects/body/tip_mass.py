@@ -23,7 +23,7 @@ class TipMass(ForceDensity):
     lacks_weight = True
 
     mass: Scalar = parameter(
-        0.0, 0.0, 5e-3, "kg", "1 g for a plastic marker, more with glue; the tail has 50 g"
+        0.0, 0.0, 5e-3, "kg", "1 g for a plastic marker, more with glue; the tail weighs 50 g"
     )
     """Mass of the marker."""
     length: Scalar = eqx.field(default=0.01)

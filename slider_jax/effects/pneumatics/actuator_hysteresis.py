@@ -8,14 +8,14 @@ from slider_jax.effects.base import ActingPressure, parameter
 
 
 class ActuatorHysteresis(ActingPressure):
-    """Friction in the walls delays the moment when the pressure rises and when the pressure falls.
+    """Friction in the walls delays the moment relative to the pressure.
 
         p_act = p - A z,    w dz/dt = dp/dt - |dp/dt| z
 
     z is the state of the friction. While the pressure changes by a few w, z approaches the sign of
-    dp/dt, so the hysteresis loop is 2 A high. The loop does not depend on the rate of p. Each time
-    step is solved exactly. Source: Wen, Y.-K. (1976), Method for random vibration of hysteretic
-    systems, J. Eng. Mech. Div. ASCE 102, 249-263, with exponent 1.
+    dp/dt. With larger changes of pressure, the hysteresis loop is 2 A high. The loop does not
+    depend on the rate of p. Each step is solved exactly. Source: Wen, Y.-K. (1976), Method for
+    random vibration of hysteretic systems, J. Eng. Mech. Div. ASCE 102, 249-263, with exponent 1.
     """
 
     title = "hysteresis of the actuators"
@@ -24,7 +24,7 @@ class ActuatorHysteresis(ActingPressure):
     amplitude: Scalar = parameter(
         0.0, 0.0, 50e3, "Pa", "hysteresis of elastomer actuators is up to a third of the stroke"
     )
-    """A, half the height of the hysteresis loop."""
+    """A, half the height of a hysteresis loop with pressure changes far above w."""
     width: Scalar = eqx.field(default=50e3)
     """w [Pa], the change of pressure that reverses z."""
 

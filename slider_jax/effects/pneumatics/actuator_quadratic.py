@@ -7,11 +7,11 @@ from slider_jax.effects.base import ActingPressure, parameter
 
 
 class ActuatorQuadratic(ActingPressure):
-    """The moment has a quadratic part, because chambers under pressure grow.
+    """The moment has a quadratic part, because pressure enlarges the chambers.
 
         p_act = p (1 + q |p|)
 
-    The cross-section and the lever arm of a chamber grow. To first order in q, the effect equals
+    Cross-section and lever arm of a chamber increase. To first order in q, the effect equals
     `ActuatorSaturation` with the opposite sign. Source: Polygerinos, P. et al. (2015), Modeling of
     soft fiber-reinforced bending actuators, IEEE Trans. Robot. 31, 778-789.
     """

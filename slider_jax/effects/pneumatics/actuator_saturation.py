@@ -11,8 +11,8 @@ class ActuatorSaturation(ActingPressure):
 
         p_act = p/(1 + c |p|)
 
-    At p = 1/c, half of the moment is lost. The reason is that the actuators' walls carry a part of
-    the load, which increases with pressure. Source: Polygerinos, P. et al. (2015), Modeling of soft
+    At p = 1/c, half of the moment is lost. The walls of the actuators carry a part of the load, and
+    this part increases with pressure. Source: Polygerinos, P. et al. (2015), Modeling of soft
     fiber-reinforced bending actuators, IEEE Trans. Robot. 31, 778-789.
     """
 

@@ -7,7 +7,7 @@ from slider_jax.effects.base import ActingPressure, parameter
 
 
 class ChamberMismatch(ActingPressure):
-    """The front and the rear chamber have different K_Q; the mean K_Q is unchanged.
+    """The front and the rear chamber have different K_Q. The mean K_Q is unchanged.
 
         p_act = ((1 + d) p_front, (1 - d) p_rear)
 

@@ -19,10 +19,8 @@ class ChokedFlow(Flow):
     title = "flow through the valves is choked"
     order = 90
 
-    inverse: Scalar = parameter(
-        0.0, 0.0, 1e-6, "s/Pa", "R >= 1 MPa/s; at k = 87 ms, reversing 250 kPa needs 6 MPa/s"
-    )
-    """c = 1/R, the inverse of the largest rate."""
+    inverse: Scalar = parameter(0.0, 0.0, 1e-6, "s/Pa", "the limit R is at least 1 MPa/s")
+    """c = 1/R. At k = 87 ms, a step from -250 to 250 kPa needs a rate of 6 MPa/s."""
 
     def rate(self, rate, x):
         return rate / (1.0 + self.inverse * jnp.abs(rate))

@@ -7,7 +7,7 @@ from slider_jax.effects.base import Flow, parameter
 class LagMismatch(Flow):
     """The rear chamber has a different time constant, for example because of a longer hose.
 
-        dp/dt = (p_set - p)/k          front
+        dp/dt = (p_set - p)/k              front
         dp/dt = (p_set - p)/(k (1 + x))    rear
 
     Source: charge of a volume through a line, Beater, P. (2007), Pneumatic Drives, Springer.

@@ -12,9 +12,9 @@ class LineLag(ActingPressure):
 
         tau dy/dt = p - y
 
-    y bends the body. A time step is exact if p is linear in the step: with e = exp(-dt/tau) and
-    m = (1 - e) tau/dt, y_1 = p_1 + e (y_0 - p_0) - m (p_1 - p_0). Source: pressure transmission in
-    tubes, Holman, J. P. (2012), Experimental Methods for Engineers, 8th ed., McGraw-Hill, ch. 6.
+    The pressure y bends the body. The solution is exact if p is linear within a step. Source:
+    pressure transmission in tubes, Holman, J. P. (2012), Experimental Methods for Engineers, 8th
+    ed., McGraw-Hill, ch. 6.
     """
 
     title = "lag of the line to the chamber"

@@ -19,7 +19,7 @@ class ForceClockOffset(Instrument):
     sensors = ("thrust", "recoil")
 
     delay: Scalar = parameter(
-        0.0, -0.03, 0.03, "s", "two recorders start tens of ms apart, by hand or by software"
+        0.0, -0.03, 0.03, "s", "two recorders that start separately are tens of ms apart"
     )
     """Delay of the time stamps [s]. A negative delay means that the time stamps are early."""
 

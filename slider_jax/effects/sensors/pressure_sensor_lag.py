@@ -6,7 +6,7 @@ from slider_jax.effects.functions import lagged, lagged_sample
 
 
 class PressureSensorLag(Instrument):
-    """A tube or the electronics of the sensors filter the pressures (first-order low-pass).
+    """A tube or the electronics of a sensor acts as a first-order low-pass filter.
 
         tau dp_read/dt = p - p_read
 

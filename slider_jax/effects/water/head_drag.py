@@ -13,8 +13,8 @@ class HeadDrag(ForceDensity):
         F_tau = -rho A |u_tau| u_tau / 2 delta(s - L)
 
     A is the drag coefficient times the frontal area. The drag coefficient is 0.8 to 1.2 for blunt
-    bodies and 0.2 for rounded bodies. The force acts in the cell at the head. Source: Hoerner, S.
-    F. (1965), Fluid-Dynamic Drag, ch. 3.
+    bodies and 0.2 for rounded bodies. The force acts in the cell at the head.
+    Source: Hoerner, S. F. (1965), Fluid-Dynamic Drag, ch. 3.
     """
 
     title = "form drag of the head"
