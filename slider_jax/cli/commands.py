@@ -14,7 +14,7 @@ class Subcommand(NamedTuple):
     target: str
     help: str
     alone: bool = False
-    """Whether the command is also the name of a group, like `effects`, and runs if called alone."""
+    """Whether the command, like `effects`, runs although its name begins other commands' names."""
     jax: bool = True
     """Whether the command needs JAX, which may not be installed on the rig's computer."""
 

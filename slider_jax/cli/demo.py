@@ -11,9 +11,10 @@ def demo(out: Folder = Path("slider_demo")) -> None:
     """Simulates the head-fixed frequency sweep of the paper and compares the results.
 
     The sweep has 34 frequencies from 0.4 to 7.0 Hz. The command writes sweep.csv,
-    thrust_against_frequency.png (like the paper's Fig. 4) and settings.json to DIR. For 1 and 4.8
-    Hz it also writes series_*.csv and stride_*.png (like the paper's Figs. 5 and 6). The paper does
-    not state the positions and pressures of the chambers. settings.json lists the assumed values.
+    thrust_against_frequency.png (like the paper's Fig. 4) and settings.json to DIR. For 1 Hz
+    and 4.8 Hz, the command also writes series_*.csv and stride_*.png (like the paper's Figs. 5 and
+    6). settings.json lists the positions and pressures of the chambers, which the paper does not
+    state.
 
     Args:
         out: folder for the results; created if missing. Existing files are replaced.

@@ -42,8 +42,8 @@ def list_effects(
     Without NAME, the command lists all effects, grouped by the place in the model where they act.
     The list shows the prior range of each parameter and the sensors that the effect changes. With
     NAME, the command prints the equation, the source and the prior ranges of one effect. With
-    --out, it also draws DIR/NAME.png. This figure shows how the readings of one steady stride
-    change if a parameter of the effect is at the end of its prior range.
+    --out, the command also draws DIR/NAME.png. This figure shows how the readings of one steady
+    stride change if a parameter of the effect is at the end of the parameter's prior range.
 
     Args:
         name: name of the effect to explain (default: list all effects).

@@ -23,7 +23,7 @@ class SearchOptions:
         experiment: experiment file (.toml) with the properties of robot and water that are not
             optimised. The first trial must have a square wave (default: the paper's robot, with
             the head's form drag fitted to the measured speed).
-        model: TOML file. Its [robot], [parameters], [[effects]] override those of the experiment.
+        model: TOML file. [robot], [parameters] replace keys of EXPERIMENT; [[effects]] are added.
         population: number of individuals in a generation. In `multimodal`, an optimisation that
             starts from a known design uses a quarter of this number.
         generations: total number of generations, including generations before an interruption. In
@@ -127,8 +127,8 @@ def optimize_swim(
 
     The six variables are the frequency, the set pressure amplitudes of both chambers, the phase of
     the rear chamber, and the length and bending stiffness EI of the tail. The command writes
-    checkpoint.npz to DIR after every generation. At the end it writes optimum.json (history,
-    settings, versions), optimum.png and best.toml, an experiment for `slider swim`.
+    checkpoint.npz to DIR after every generation. The final files are optimum.json (history,
+    settings, versions), optimum.png and best.toml, which is an experiment for `slider swim`.
 
     Args:
         out: folder for the results; created if missing.
@@ -181,9 +181,9 @@ def optimize_multimodal(
     The objective is eta(beta) = beta E_swim/E_swim,only + (1 - beta) E_climb/E_climb,only. E_swim
     is the Froude efficiency of swimming. E_climb is weight times speed divided by power, for
     climbing. The index "only" marks the largest efficiency. The command optimises each task alone,
-    and then both tasks for each beta, starting from the best known design. It writes to DIR:
-    multimodal.json, multimodal.png, and for each beta an experiment for `slider swim` and one for
-    `slider climb`. Each optimisation has a folder with a checkpoint.
+    and then both tasks for each beta, starting from the best known design. DIR then contains
+    multimodal.json, multimodal.png, and experiments for `slider swim` and `slider climb` for each
+    beta. Each optimisation has a folder with a checkpoint.
 
     Args:
         out: folder for the results; created if missing.

@@ -69,7 +69,7 @@ Pictures = Annotated[bool, tyro.conf.arg(help_behavior_hint="(default: pictures 
 
 
 def chosen_trials(trials: tuple, number: int | None) -> tuple:
-    """Returns all trials, or only the trial `number`. Raises `InputError` for a bad number."""
+    """Returns all trials, or only the trial `number`. Raises `InputError` for a wrong one."""
     if number is None:
         return trials
     if not 0 <= number < len(trials):

@@ -63,7 +63,7 @@ class Progress:
 
 
 def timed_printer() -> Callable[[str], None]:
-    """Returns a function that prints to stderr: the seconds since `timed_printer`, and a text."""
+    """Returns a function that prints a text to stderr after the seconds since this call."""
     start = time.monotonic()
 
     def print_timed(text: str) -> None:

@@ -28,14 +28,14 @@ def swim(
     """Simulates free swimming with each trial's drive and reports the steady speed.
 
     The command computes the steady speed twice: by root finding, and by a simulation from rest
-    until strides repeat. It writes swim.json (all values, settings and versions) to DIR. For each
-    trial NAME it also writes NAME_swim.png and NAME_swim.csv, which contain one steady stride.
+    until strides repeat. DIR then contains swim.json (all values, settings and versions), and for
+    each trial NAME the files NAME_swim.png and NAME_swim.csv, which describe one steady stride.
 
     Args:
         experiment: experiment file (.toml); towing and heaving of the trials are ignored (default:
             the paper's optimum, with the head's form drag fitted to the measured speed).
         out: folder for the results; created if missing. Existing files are replaced.
-        model: TOML file. Its [robot], [parameters], [[effects]] override those of the experiment.
+        model: TOML file. [robot], [parameters] replace keys of EXPERIMENT; [[effects]] are added.
         trial: number of the trial to simulate, counted from 0 (default: all trials).
     """
     from slider_jax.swimming.free_swim import free_swimmer, simulate_free_swim, swim_record
@@ -71,14 +71,14 @@ def climb(
     The ends of a cross-link at the head are pinned alternately. Climbing is simulated in air:
     hydrodynamic forces and the carriage clamp are omitted. The simulation runs until strides
     repeat. The command reports the last 15 strides and writes climb.json (all values, settings and
-    versions) to DIR. For each trial NAME it also writes NAME_climb.png, NAME_climb.csv and the film
-    NAME_climb.gif.
+    versions) to DIR. For each trial NAME, DIR also contains NAME_climb.png, NAME_climb.csv and the
+    film NAME_climb.gif.
 
     Args:
         experiment: experiment file (.toml); towing, heaving and water are ignored (default: the
             built-in robot at 2 Hz).
         out: folder for the results; created if missing. Existing files are replaced.
-        model: TOML file. Its [robot], [parameters], [[effects]] override those of the experiment.
+        model: TOML file. [robot], [parameters] replace keys of EXPERIMENT; [[effects]] are added.
         trial: number of the trial to simulate, counted from 0 (default: all trials).
         pin_phase: delay from the positive step of the front chamber to the pinning of the left end,
             as a fraction of a period. The right end is pinned half a period later (default: the

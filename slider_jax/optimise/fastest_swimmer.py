@@ -61,7 +61,7 @@ class Task(NamedTuple):
         bounds: Mapping[str, tuple[float, float] | None],
         steps_per_stride: int = 96,
     ) -> "Task":
-        """Returns the task. Raises `InputError` for invalid bounds and for a non-square wave."""
+        """Returns the task. Raises `InputError` for invalid bounds or if the wave is not square."""
         trial = experiment.trials[0]
         if trial.waveform != "square":
             raise InputError(
@@ -80,7 +80,7 @@ class Task(NamedTuple):
                 f"at most {stiffest:g} N m^2, {STIFFEST} times the body's EI",
                 "in N m^2, not mN m^2",
             )
-        for corner in (box.low, box.high):  # so that each result can be an experiment
+        for corner in (box.low, box.high):  # checks that both are experiments
             to_swimmer(to_model(with_gait(experiment, Gait(*corner))))
         return cls(experiment, box, search)
 
@@ -157,7 +157,7 @@ def sensitivity(task: Task, unit: np.ndarray, step: float = 0.02) -> Sensitivity
         return steady_speed(model(gait), gait.frequency, task.search._replace(settling=10))
 
     gradient = jax.jit(jax.jacfwd(speed))
-    # Near a face of the box both points move inside, where all values are physical.
+    # Near a face of the unit box, both points move inside, where all values are physical.
     middle = np.clip(unit, step, 1.0 - step)
     ends = ((jnp.asarray(middle + d), jnp.asarray(middle - d)) for d in step * np.eye(len(unit)))
     hessian = np.asarray([(gradient(a) - gradient(b)) / (2.0 * step) for a, b in ends])

@@ -34,7 +34,7 @@ class Generation(NamedTuple):
     failed: int
     """Number of individuals that failed."""
     evaluations: int
-    """Number of evaluations so far; an evaluation with gradient counts as several."""
+    """Number of evaluations so far; an evaluation with gradient counts as `cost`."""
 
 
 class OptimisationResult(NamedTuple):
@@ -106,7 +106,7 @@ def run_optimiser(
 
 
 def refuse_without(resume: bool, path: Path) -> None:
-    """Raises `InputError` if not `resume`; `path` is a file of an earlier optimisation."""
+    """Raises `InputError` if not `resume`, because `path` is of an earlier optimisation."""
     if not resume:
         raise InputError(
             f"{path}: this folder holds an optimisation; add --resume to continue the search, or "

@@ -64,7 +64,7 @@ times with and without gradient, rounded up."""
 def gradient(population: int, dimensions: int) -> Optimiser:
     """Returns gradient ascent from the best of some scrambled Sobol points (first generation).
 
-    Adam sets the steps; points outside the box are clipped to its faces. Source: Kingma, D. P., Ba,
+    Adam sets the steps; points outside the box are clipped to the faces. Source: Kingma, D. P., Ba,
     J. (2015), Adam: a method for stochastic optimization, ICLR.
     """
     adam = optax.adam(optax.cosine_decay_schedule(STEP, STEPS, LAST), b1=0.7, b2=0.9)
@@ -93,7 +93,7 @@ def gradient(population: int, dimensions: int) -> Optimiser:
 
 
 DECAY = 100
-"""Number of generations in which the mutations become smaller (the paper's value)."""
+"""Number of generations over which the size of mutations decreases (the paper's value)."""
 MUTATION = (0.15, 0.002)
 """Standard deviation of mutations in the first generation and from generation `DECAY` on, as a
 fraction of the bounds' width."""
@@ -183,7 +183,7 @@ def cma_es(
 ) -> Optimiser:
     """Returns CMA-ES (covariance matrix adaptation).
 
-    Points outside the box are clipped to its faces. The initial distribution has the mean
+    Points outside the box are clipped to the faces. The initial distribution has the mean
     `around` (default: the centre of the box) and the standard deviation `spread`, as a fraction of
     the bounds' width.
     """

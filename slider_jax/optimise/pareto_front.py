@@ -64,7 +64,7 @@ class FrontEffort(NamedTuple):
 
     @property
     def between(self) -> tuple[int, int]:
-        """A quarter of the population and half of the generations, for a known first design."""
+        """Population (a quarter) and generations (half) if an optimisation has a known start."""
         return max(6, self.population // 4), max(1, self.generations // 2)
 
 
@@ -133,7 +133,7 @@ class FrontSearches:
     def alone(self, task: str, part: tuple[int, ...], beta: float) -> tuple[np.ndarray, float]:
         """Returns (design, eta) of the best design for one task.
 
-        A second optimisation starts from the best design of the first optimisation.
+        The best design of a first optimisation is the start of a second optimisation.
         """
         free, one = part + TAIL, np.ones(2)
         first = self.optimise(f"{task}_only", free, np.full(len(NAMES), 0.5), beta, one, near=False)
@@ -154,7 +154,7 @@ def search_front(
     1. Optimise each task alone.
     2. Optimise each task's drive for the other task's tail.
     3. Optimise both tasks for each beta, from swimming to climbing. Each optimisation starts from
-       the best known design.
+       the best design that is known for this beta.
     4. Select the best of all designs for each beta.
 
     With `resume`, an interrupted optimisation continues. Raises `InputError` if `folder` contains
@@ -222,7 +222,7 @@ def _begin(folder: Path, settings: dict[str, Any], resume: bool) -> None:
 def _best(
     beta: float, known: list[np.ndarray], efficiencies: np.ndarray, only: np.ndarray
 ) -> tuple[float, int]:
-    """Returns eta and index of the best design. The sum of relative efficiencies breaks ties."""
+    """Returns eta and index of the best design; the sum of efficiencies decides between equals."""
     scores = eta(beta, efficiencies, only)
     other = np.nan_to_num((efficiencies / only).sum(axis=1), nan=-1.0)
     scores = np.where(np.isfinite(scores), scores, -np.inf)

@@ -12,16 +12,16 @@ from typing import Any
 
 import jax
 import numpy as np
-from jax._src import distributed  # its barrier accepts a timeout
+from jax._src import distributed  # the barrier of `distributed` accepts a timeout
 from jax.experimental import multihost_utils
 from jax.sharding import Mesh, PartitionSpec
 
 from slider_jax.errors import InputError
 
 CHUNK = 8
-"""Number of individuals that a device evaluates together. They fit into the cache of a core."""
+"""Number of individuals that a device evaluates together; so many fit the cache of a core."""
 PATIENCE = 3600
-"""Time [s] for which a process waits for slow processes. Processes that ended are not awaited."""
+"""Time [s] for which a process waits for slow processes, but not for processes that ended."""
 _meetings = itertools.count()
 
 
@@ -75,10 +75,10 @@ def start_devices(cores: int, coordinator: str = "", processes: int = 1, process
     the host:port of process 0 if there are several processes. Omit `coordinator` under srun, where
     the processes find each other. Raises `InputError` if processes have different numbers of cores.
     """
-    # This is the number of processes of a SLURM job step. It is at most 1 in the batch script.
+    # This is the number of processes of a SLURM job step. In the batch script, it is at most 1.
     slurm = int(os.environ.get("SLURM_STEP_NUM_TASKS", "1")) > 1
     with suppress(RuntimeError):
-        # XLA compiles a program for one device differently: the last bit of results would differ.
+        # For one device, XLA compiles differently, and the last bit of results would differ.
         jax.config.update("jax_num_cpu_devices", max(2, cores))
     if coordinator or slurm:
         jax.config.update("jax_cpu_collectives_implementation", "gloo")

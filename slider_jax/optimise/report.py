@@ -71,7 +71,7 @@ def write_front(
     folder: Path,
     inputs: list[dict[str, Any]],
 ) -> dict[str, Any]:
-    """Writes JSON, picture and two experiments per point. Returns the content of the JSON file."""
+    """Writes multimodal.json, multimodal.png and experiments; returns the content of the JSON."""
     found, only = front_records(modes, front), {"E_swim": front.only[0], "E_climb": front.only[1]}
     content = {
         "front": found,

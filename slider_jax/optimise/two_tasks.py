@@ -5,7 +5,7 @@
 beta is the weight of swimming. E_swim is the Froude efficiency of a steady stride. E_climb is m g
 U/P over 15 strides, with the weight m g, the upward speed U and the power P of the chambers. The
 index "only" marks the largest efficiency for one task alone. A design has two drives and one tail.
-At beta = 0 or 1, the drive of the task without weight is optimised for the tail of the other task.
+At beta = 0 or 1, one task has no weight; its drive is optimised for the tail of the other task.
 """
 
 from typing import Any, NamedTuple
@@ -35,7 +35,7 @@ CLIMBER_BOUNDS = {
     "climb_phase": (-0.5, 0.5),
     "pin_phase": (-0.5, 0.5),
 }
-"""Bounds of the climber's drive, in SI units. All are assumed, except for the pressure cap."""
+"""Bounds of the climber's drive, in SI units. All bounds except `CAP` are assumed."""
 UNACCOUNTED = 0.02
 """Largest error of a climb's energy balance, as a fraction of the power. If the error is larger,
 the time step is too long, and the efficiency is NaN."""
@@ -83,7 +83,7 @@ class TwoTasks(NamedTuple):
     def values(
         self, unit: np.ndarray | Float[Array, " n"], part: tuple[int, ...] = SWIM + CLIMB + TAIL
     ):
-        """Returns SI values of the variables `part` from their coordinates in the unit box."""
+        """Returns SI values of the variables `part` at the point `unit` of the unit box."""
         low, high = self.low[list(part)], self.high[list(part)]
         return low + unit * (high - low)
 

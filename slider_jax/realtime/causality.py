@@ -15,7 +15,7 @@ from slider_jax.realtime.sensors import constant_past, read_now
 def check_commands(commands: tuple[Command, ...], h: float, samples: int) -> None:
     """Raises `InputError` if the valves depend on more than the last `samples` set pressures.
 
-    The check applies the effects to random set pressures, `h` [s] apart. It compares the waveform
+    The check applies the effects to random set pressures, `h` [s] apart, and compares the waveform
     of the whole series with the waveforms of those samples that a `Plant` knows at the time.
     """
     length = 2 * samples + 10
@@ -51,8 +51,8 @@ def check_commands(commands: tuple[Command, ...], h: float, samples: int) -> Non
 def check_instrument(effect: Instrument, h: float, samples: int) -> None:
     """Raises `InputError` if `read_now` differs from the instrument's reading of a whole series.
 
-    The check uses a random series with steps of `h` [s]. It detects an instrument that needs future
-    samples, or samples older than the last `samples`.
+    The check uses a random series with steps of `h` [s]. An instrument that needs future samples,
+    or samples older than the last `samples`, fails the check.
     """
     t = jnp.asarray(h * np.arange(2.0 * samples + 50.0))
     noise = np.random.default_rng(0).normal(size=(5, len(t)))
@@ -71,7 +71,7 @@ def check_instrument(effect: Instrument, h: float, samples: int) -> None:
 
     whole, live = both(effect, series)
     for expected, reading in zip(whole[1:], live[1:], strict=True):
-        # The last samples have no successors, so a delayed reading differs there.
+        # A delayed reading differs at the last samples, which have no successors.
         error = np.abs(np.asarray(reading) - np.asarray(expected)[1:])[:-4]
         if not error.max() < 1e-9 * np.abs(expected).max():
             raise InputError(

@@ -14,7 +14,7 @@ CHAMBERS = ("front_left", "front_right", "rear_left", "rear_right")
 
 
 class Faults(NamedTuple):
-    """Fault values, which may change between steps. Arrays are [front or rear, left or right]."""
+    """Fault values, which may change between steps. Array axes: (front, rear), (left, right)."""
 
     leak: Float[Array, "2 2"] | np.ndarray
     """Leak rate [1/s]: conductance of the leak divided by the capacity of the chamber."""
@@ -46,7 +46,7 @@ class ChamberFaults(Flow):
 
 
 def no_faults(EI_tail: float) -> Faults:
-    """Returns fault values of an intact robot; `EI_tail` [N m^2] is the nominal stiffness."""
+    """Returns fault values of an intact robot with the tail stiffness `EI_tail` [N m^2]."""
     return Faults(np.zeros((2, 2)), np.zeros((2, 2)), np.asarray(EI_tail))
 
 

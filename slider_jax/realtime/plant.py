@@ -1,7 +1,7 @@
 """Simulates a robot in a tank in real time, with set pressures that arrive during the simulation.
 
-The constructor compiles one step of the simulator. Later calls compile nothing. Each step calls
-`continued`, so effects act as in the simulation of a whole trial, and keep their states.
+The constructor of `Plant` compiles one step of the simulator. Later calls compile nothing. Each
+step calls `continued`, so effects act, and keep states, as in the simulation of a whole trial.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ from slider_jax.realtime.sensors import Past, SensorReading, constant_past, read
 PLANT_STEP = 2e-3
 """Default time step [s]."""
 LOOK_BACK = 0.2
-"""Set pressures and readings of this last time [s] are stored, for effects with a delay."""
+"""Set pressures and readings of the last 0.2 s are stored, for effects with a delay."""
 
 
 class PlantState(eqx.Module):
@@ -40,7 +40,7 @@ class PlantState(eqx.Module):
     commanded: Float[Array, "samples 2"]
     """Signed set pressures of the last steps [Pa], oldest first."""
     shared: Float[Array, "2"]
-    """Common pressure [Pa] of the two chambers of each segment. This pressure does not bend."""
+    """Common pressure [Pa] of the two chambers of each segment. It bends no segment."""
     instruments: tuple[Past, ...]
 
 

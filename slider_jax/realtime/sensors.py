@@ -19,7 +19,7 @@ class Past(NamedTuple):
 
 
 def constant_past(effect: Instrument, first: Readings, h: float, samples: int) -> Past:
-    """Returns the past with constant input of an instrument: `samples` samples, `h` [s] apart."""
+    """Returns an instrument's past with constant input: `samples` samples, `h` [s] apart."""
     held = jax.tree.map(lambda x: jnp.broadcast_to(x, (samples,)), first)
     shown = held._replace(t=first.t + h * jnp.arange(1.0 - samples, 1.0))
     return Past(shown, effect.read(shown))

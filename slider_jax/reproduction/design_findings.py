@@ -66,7 +66,7 @@ def short_tails_phase(over_phase: Map) -> StatementCheck:
 
 
 def negative_is_slower(over_phase: Map) -> StatementCheck:
-    """Checks whether the swimmer is slower if the rear chamber leads than if both act together."""
+    """Checks whether a swimmer with a leading rear chamber is slower than one with phase 0."""
     phases = over_phase.across
     negative = over_phase.speed[:, (phases < 0.0) & (phases > -0.5)]
     lead = over_phase.at(0.0) - np.max(negative, axis=1)
@@ -161,7 +161,7 @@ def _short(over_phase: Map) -> np.ndarray:
 
 
 def _everywhere(condition, needed) -> bool | None:
-    """Returns whether a condition holds wherever `needed` is finite; None if it is all NaN."""
+    """Returns whether a condition holds wherever `needed` is finite; None if all are NaN."""
     found = np.isfinite(needed)
     return bool(np.all(np.asarray(condition)[found])) if found.any() else None
 

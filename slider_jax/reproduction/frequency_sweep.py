@@ -27,7 +27,7 @@ SHOWN_FREQUENCIES = (1.0, 4.8)
 class FrequencySweepSettings(eqx.Module):
     """Settings of the sweep; the defaults are those of `slider demo`.
 
-    With 400 or 500 instead of 300 steps per stride, each mean thrust changes by at most 0.02 mN.
+    With 400 or 500 instead of 300 steps per stride, the mean thrusts change by at most 0.02 mN.
     Steps per stride must be a multiple of 20, so that pressure edges and poses are on time steps.
     """
 

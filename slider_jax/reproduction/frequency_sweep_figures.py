@@ -49,7 +49,7 @@ def _subtitle(settings: FrequencySweepSettings) -> str:
 def stride_in_detail(
     frequency: float, series: FrequencySeries, settings: FrequencySweepSettings, path: Path
 ) -> None:
-    """Plots midlines of the last stride and three strides against time, as in Figs. 5 and 6."""
+    """Plots midlines of the last stride, and readings of three strides, as in Figs. 5 and 6."""
     figure, _ = new_figure(figsize=(10, 8.5))
     figure.clear()
     grid = figure.add_gridspec(3, 2, height_ratios=(1.3, 1.0, 1.0))

@@ -78,7 +78,7 @@ CHANGES: dict[str, Callable[[Model], Model]] = {
     "chambers over the whole body": _robot(front_chamber=(0.0, 0.149), rear_chamber=(0.149, 0.298)),
     "twice the axial resistance": _effect("head_drag", area=2.0 * HEAD_DRAG),
 }
-"""Single changes of the model of the paper's optimum, by name."""
+"""Changes of the model of the paper's optimum, by name. Each change is applied alone."""
 RECALIBRATED = (NO_LAG, TIP_K_Q, SOFT_TAIL)
 """Changes after which the head's form drag is fitted again."""
 

@@ -22,9 +22,9 @@ from slider_jax.simulation.trial import TrialRun, simulate_trial
 FREQUENCY = 4.8
 """Drive frequency of the built-in robot [Hz]."""
 STRIDES = 8
-"""Smallest number of simulated strides; the last stride is then steady."""
+"""Smallest number of simulated strides, so that the last stride is steady."""
 MAX_HALVINGS = 3
-"""Largest number of times that a parameter is halved because the simulation fails."""
+"""Largest number of halvings of a parameter with which the simulation fails."""
 
 Series = dict[str, np.ndarray]
 """Readings of a stride in SI units; the keys are the columns of `CHANNELS`."""
@@ -66,7 +66,7 @@ class EffectSignature(NamedTuple):
 
 
 def built_in_experiment() -> Experiment:
-    """Returns the demo's robot at 4.8 Hz, with so many strides that the last stride is steady."""
+    """Returns the demo's robot at 4.8 Hz, with enough strides for a steady last stride."""
     robot, assumed = asdict(Robot()), paper.Assumed()
     K_Q = robot.pop("K_Q")
     C_d, m_a = map(float, paper.force_coefficients(FREQUENCY))
@@ -97,9 +97,9 @@ def effect_signature(
 ) -> EffectSignature:
     """Returns the signature of an effect in the experiment's first trial, for each parameter.
 
-    Each parameter has the value `typical_size`. If the simulation fails, this value is halved, up
-    to three times. Raises `SolverError` if the simulation fails again. Shorter trials are extended
-    to eight strides.
+    Each parameter has its `typical_size`. If the simulation fails, the distance from the null is
+    halved, up to three times. Raises `SolverError` if the last simulation fails. Shorter trials are
+    extended to eight strides.
     """
     trial = experiment.trials[0]
     if trial.frequency is not None:

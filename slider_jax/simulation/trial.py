@@ -53,7 +53,7 @@ class SavedSeries:
         }
 
     def start(self, model: Model, midline: np.ndarray) -> dict[str, np.ndarray]:
-        """Returns the values at the start, where all forces are zero; `midline` (2, nodes) [m]."""
+        """Returns the series at the start, without forces, for the `midline` (2, nodes) [m]."""
         values = {x.name: np.asarray(x.start(midline), float) for x in self.channels}
         values["p_front"] = np.asarray(model.drive.start_front)
         values["p_rear"] = np.asarray(model.drive.start_rear)
@@ -96,7 +96,7 @@ def run_chunks(
     chunk: int,
     after: Callable[[int, Any, State], None] = lambda done, saved, carry: None,
 ) -> tuple[list[Any], State]:
-    """Runs at least `steps` steps in chunks. Returns the saved parts and the final carry.
+    """Runs `steps` steps, rounded up to whole chunks. Returns the saved parts and the final carry.
 
     `advance(done, carry)` runs the chunk after `done` steps and returns the chunk's saved series
     and the new carry. `after(done, saved, carry)` is called after each chunk; `done` is the number
@@ -116,7 +116,7 @@ class TrialRun:
 
     prepared: PreparedTrial
     series: dict[str, np.ndarray]
-    """The series of `SavedSeries` (steps + 1, ...), with sensor readings instead of true ones."""
+    """Series of `SavedSeries` (steps + 1, ...), with the sensors' readings as channels."""
     columns: dict[str, np.ndarray]
     """CSV columns (samples,): t_s and every channel at the trial's sample times."""
     factorisations: int

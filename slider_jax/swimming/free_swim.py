@@ -52,7 +52,7 @@ class Swim:
     gaining: float
     """Mean acceleration [m/s^2] along the course at the end of the simulation from rest."""
     unresisted: np.ndarray | None
-    """Like `from_rest`, without effects that resist axial motion; None if the model has none."""
+    """`from_rest` without effects that resist axial motion; None if no effect resists."""
     unresisted_gaining: float
     """Mean acceleration [m/s^2] along the course at the end of the simulation `unresisted`."""
     resisting: str
@@ -88,7 +88,7 @@ def _from_rest(
 ) -> tuple[np.ndarray, MeanMotion, Carry, bool]:
     """Returns speeds after every tenth stride, last motion and state, and if strides repeat.
 
-    The simulation takes at least `least` strides. It ends when strides repeat or after `most`.
+    The simulation takes `least` to `most` strides and ends early if strides repeat.
     """
     carry, speeds = at_rest(model, search.numerics), []
     while True:
@@ -130,7 +130,7 @@ def simulate_free_swim(
 ) -> Swim:
     """Simulates free swimming with a trial's drive; towing and heaving are ignored.
 
-    `longest` is the largest number of strides from rest. Raises `InputError` for a recorded drive,
+    `longest` limits the number of strides from rest. Raises `InputError` for a recorded drive,
     and `SolverError` if a time step does not converge.
     """
     if isinstance(trial, int):
@@ -160,7 +160,7 @@ def simulate_free_swim(
 
 
 def swim_record(swim: Swim) -> dict[str, Any]:
-    """Returns the results for JSON in SI units; each name ends in its unit."""
+    """Returns the results for JSON in SI units; names of quantities end in the unit."""
     return {
         "file": swim.trial.file,
         "frequency_Hz": swim.trial.frequency,

@@ -42,7 +42,7 @@ class Gait(NamedTuple):
 def to_swimmer(model: Model, gait: Gait | None = None) -> Model:
     """Returns the model of a free swimmer in still water, with drive and tail of `gait` if given.
 
-    Raises `InputError` if an effect moves the water, as speeds are relative to still water.
+    Raises `InputError` if an effect moves the water: speeds are relative to still water.
     """
     moving = of_place(model.effects, WaterMotion)
     if moving:

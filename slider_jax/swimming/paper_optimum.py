@@ -68,7 +68,7 @@ def example_climber() -> Experiment:
 def given_or(
     default: Callable[[], Experiment], path: Path | None, model: Path | None
 ) -> Experiment:
-    """Returns the experiment of the file `path`, with the values of the file `model`.
+    """Returns the experiment of the file `path`, changed by the file `model`.
 
     Without `path`, returns `default()`. Raises `InputError` as `load` does, and for a model file
     without an experiment.
@@ -76,5 +76,5 @@ def given_or(
     if path is not None:
         return load(path, model)
     if model is not None:
-        raise InputError("--model: this file overrides an experiment; give EXPERIMENT.toml too")
+        raise InputError("--model: this file changes an experiment; give EXPERIMENT.toml too")
     return default()

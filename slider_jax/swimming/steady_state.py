@@ -7,14 +7,14 @@ U settles slowly, so a secant method finds the steady speed U* as the root of th
 
 v_1 and v_2 are the mean velocities of the centre of mass over two consecutive strides of period T.
 The unit vector `course` is parallel to v_1 + v_2 and points towards the head. a also vanishes if
-the robot swims in a circle at constant speed. After each correction of the speed, the whole body
-moves at the new speed, and some more strides are simulated. The implicit function theorem gives
+the robot swims in a circle at constant speed. After each correction, the whole body gets the new
+speed, and some more strides are simulated. The implicit function theorem gives the change dU*,
 
     dU* = (U_theta - a_theta U_delta / a_delta) dtheta
 
 Indices denote derivatives with respect to a model parameter theta and to a change delta of the
 speed. The simulation for these derivatives starts from the steady state with its speed increased by
-delta. After some settling strides, U and a are computed from the last two strides.
+delta. Of the `settling` strides of this simulation, the last two give U and a.
 """
 
 from typing import NamedTuple
@@ -38,7 +38,7 @@ class SteadySettings(NamedTuple):
     settling: int = 6
     """Number of strides in which the gait settles: from rest, and again for the derivatives."""
     between: int = 2
-    """Number of strides after each correction of the speed, without the last of these strides."""
+    """One less than the number of strides that follow each correction of the speed."""
     corrections: int = 7
     """Number of secant steps."""
     second: float = 0.15
@@ -71,7 +71,7 @@ class Steady(eqx.Module):
     pace: MeanMotion
     """Mean motion of the last two strides."""
     missing: Float[Array, ""]
-    """Next secant step [m/s]: small if the speed is steady."""
+    """Change of the speed [m/s] in the next secant step; small if the speed is steady."""
     carry: Carry
     """The state after the last stride."""
     ok: Bool[Array, ""]
@@ -118,7 +118,7 @@ def velocity_and_heading(x: Snapshot) -> Float[Array, "2 2"]:
 
 
 def mean_motion(before: Float[Array, "2"], mean, ahead, frequency) -> MeanMotion:
-    """Returns the mean motion from the mean velocities of two strides; `ahead` is tail to head."""
+    """Returns the mean motion from two strides' mean velocities; `ahead` points tail to head."""
     both = 0.5 * (before + mean)
     size = jnp.sqrt(jnp.sum(both**2) + 1e-18)
     side = jnp.where(both @ ahead < 0.0, -1.0, 1.0)
@@ -156,7 +156,7 @@ def find_steady(model: Model, frequency, search: SteadySettings = SteadySettings
         carry, after = simulate_strides(model, frequency, faster, search.between + 1, search)
         far = after.speed - pace.speed
         secant = (after.acceleration - pace.acceleration) / jnp.where(far == 0.0, 1.0, far)
-        # The previous slope is kept if the new slope is rounding error or leads from the root.
+        # The last slope is kept if the new slope is rounding error or leads away from the root.
         slope = jnp.where((secant < 0.0) & (jnp.abs(far) > 1e-7), secant, slope)
         change = jnp.clip(-after.acceleration / slope, -search.largest, search.largest)
         return (carry, after, slope, change), None

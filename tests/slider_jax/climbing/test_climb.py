@@ -217,7 +217,7 @@ def test_the_command_writes_what_it_found(ordered):
         (["--trial", "3"], "--trial: given 3; allowed 0 to 0"),
         (
             ["--model", "m.toml"],
-            "--model: this file overrides an experiment; give EXPERIMENT.toml too",
+            "--model: this file changes an experiment; give EXPERIMENT.toml too",
         ),
     ],
 )
