@@ -1,4 +1,4 @@
-"""Measured trials as arrays, and the findings of an audit of these trials."""
+"""Stores measured trials as arrays, and faults of these trials as findings."""
 
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -21,19 +21,19 @@ class Record:
     t: np.ndarray
     """Sample times (n,) [s]."""
     values: np.ndarray
-    """Readings (channels, n) in SI units, in the order of `CHANNELS`. A missing sample is NaN."""
+    """Readings (channels, n) in SI units, in the order of `CHANNELS`. A missing reading is NaN."""
 
     def there(self, channel: str) -> np.ndarray:
-        """Returns a mask (n,) of the samples that the channel has."""
+        """Returns a mask (n,) of the samples at which `channel` has a reading."""
         return np.isfinite(self.values[row_of(channel)])
 
     def has(self, channel: str) -> bool:
-        """Returns whether the channel has at least 20 samples, enough for a comparison."""
+        """Returns whether `channel` has at least 20 readings, the minimum for a comparison."""
         return int(self.there(channel).sum()) >= 20
 
 
 def load_records(experiment: Experiment) -> list[Record]:
-    """Returns the trials with a file. Raises `InputError` for no file or a damaged file."""
+    """Returns all trials that have a file. Raises `InputError` for no file or a damaged file."""
     found = []
     for trial in experiment.trials:
         columns = read_measured(experiment, trial)
@@ -52,12 +52,12 @@ def load_records(experiment: Experiment) -> list[Record]:
 
 
 class Finding(NamedTuple):
-    """One fault of one file, with the action of the audit.
+    """One fault of one file, and what the audit did with the faulty data.
 
     | action | meaning |
     |---|---|
     | `masked` | the audit treats the samples as missing |
-    | `mended` | the audit corrects the fault; `detail` states how |
+    | `mended` | the audit corrects the fault; the field `detail` states the correction |
     | `left out` | the calibration does not use the trial |
     | `used` | the calibration uses the data without a change |
     | `refused` | the calibration cannot use the experiment |
@@ -86,7 +86,7 @@ def true_runs(bad: np.ndarray) -> list[tuple[int, int]]:
 def masked_finding(
     trial: str, kind: str, channel: str, t: np.ndarray, bad: np.ndarray, text: str
 ) -> Finding:
-    """Returns the finding that masks the samples `bad` (n,) of a channel; `t` (n,) is in s."""
+    """Returns a `masked` finding for the samples `bad` (n,) of a channel at the times `t` (n,)."""
     runs, (begin, end) = true_runs(bad), (float(x) for x in t[bad][[0, -1]])
     many = f" in {len(runs)} intervals" if len(runs) > 1 else ""
     where = f"from {begin:.4g} to {end:.4g} s"

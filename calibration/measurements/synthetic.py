@@ -1,7 +1,7 @@
 """Synthetic tank experiments with known parameters: simulated trials with sensor noise.
 
-Mesh and time step differ from those of `calibration.model.predict`. Otherwise, the discretisation
-errors of data and fit would cancel.
+Simulation and fit (`calibration.model.predict`) have different meshes and time steps. Otherwise,
+the discretisation errors of data and fit would cancel.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,13 +23,13 @@ ROBOT = {
     "front_chamber": [0.02, 0.145], "rear_chamber": [0.155, 0.28],
 }  # fmt: skip
 START = {"C_d": 3.5, "m_a": 0.7, "k": 0.087, "K_Q": 4.79e-7}
-"""Parameters in the experiment file, from which a fit starts."""
+"""Parameters in the experiment file. A fit starts from these parameters."""
 CAMERA_EVERY = 5
-"""Number of samples of the force sensors per frame of the camera."""
+"""Number of force samples per frame of the camera that measures the tip."""
 
 
 class Sensors(NamedTuple):
-    """Standard deviations of the sensors' noise, correlation time and sample rate, in SI units."""
+    """Noise and sample rate of the sensors, in SI units; noise as standard deviation."""
 
     pressure_noise: float = 700.0
     force_noise: float = 0.02
@@ -39,7 +39,7 @@ class Sensors(NamedTuple):
     tip_noise: float = 5e-4
     sample_rate: float = 500.0
     gain_drift: float = 0.01
-    """Relative standard deviation of a force sensor's gain between trials; not declared."""
+    """Relative standard deviation of a force sensor's gain (not in the experiment file)."""
 
     def declared(self) -> dict[str, float]:
         """Returns the values that the experiment file declares."""
@@ -92,9 +92,9 @@ def write_tank(
     sensors: Sensors = Sensors(),
     numerics: Mapping[str, Any] = NUMERICS,
 ) -> Path:
-    """Simulates the trials `runs`, adds noise and writes all files; returns experiment.toml's path.
+    """Simulates the trials `runs`, adds noise, and writes the trial files and experiment.toml.
 
-    The experiment file has the parameters `START` and no effects.
+    The experiment file contains the parameters `START` and no effects. Returns its path.
     """
     folder.mkdir(parents=True, exist_ok=True)
     declared = {

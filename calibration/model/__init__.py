@@ -1,2 +1,2 @@
-"""Predicts the readings of trials and their tangents, for a model with all candidate effects. This
-package may import every package of `slider_jax` except `cli`."""
+"""Predicts sensor readings and their derivatives with respect to the parameters, for a model with
+candidate effects. This package may import every package of `slider_jax` except `cli`."""

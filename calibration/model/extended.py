@@ -1,7 +1,7 @@
-"""The extended model: all candidate effects at their null, with all parameters in one vector.
+"""The extended model: the base model and candidate effects, with all parameters in one vector.
 
-One compiled program can fit any set of candidates. Each candidate has its entries in the vector.
-The tangent of a parameter is one Jacobian-vector product (JVP) along the entry.
+One compiled program can fit any of the candidates: an effect with parameters at its null has no
+influence. The tangent of a parameter is one Jacobian-vector product (JVP) along its entry.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ BASE = {
     "k": Prior(np.nan, 0.005, 0.5, "s", "valves and hoses of such rigs"),
     "K_Q": Prior(np.nan, 1e-8, 1e-5, "m^3", "area times lever arm of such a chamber"),
 }
-"""Parameters of the base model that a calibration identifies, with their search ranges."""
+"""Parameters of the base model that a calibration identifies, and the search range of each."""
 
 
 class Parameter(NamedTuple):
@@ -60,7 +60,7 @@ class ExtendedModel(eqx.Module):
 
     base: Model
     conditions: dict[str, Array]
-    """Values that an effect takes from the trial. The key is the name of the effect's field."""
+    """Properties of the trial, such as the tow speed, that are fields of effects (key: field)."""
     effects: tuple[str, ...] = eqx.field(static=True)
     channels: tuple[Channel, ...] = eqx.field(
         static=True, default_factory=lambda: tuple(CHANNELS.values())
@@ -96,12 +96,12 @@ class ExtendedModel(eqx.Module):
 
 
 def base_vector(entries: Sequence[Parameter], base: dict[str, float]) -> np.ndarray:
-    """Returns the vector with the base parameters `base` and every effect at its null."""
+    """Returns the vector with the base parameters `base` and with every effect at its null."""
     return np.array([p.prior.null if p.effect else base[p.name] for p in entries])
 
 
 def base_values(experiment: Experiment) -> dict[str, float]:
-    """Returns the base parameters of an experiment; C_d and m_a are means over the trials."""
+    """Returns the base parameters of an experiment. C_d and m_a are averaged over the trials."""
     C_d, m_a = np.mean([drag_and_added_mass(experiment, t) for t in experiment.trials], axis=0)
     fixed = {"C_d": float(C_d), "m_a": float(m_a)}
     return {n: fixed[n] if n in fixed else getattr(experiment.parameters, n) for n in BASE}

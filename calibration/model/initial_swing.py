@@ -1,9 +1,9 @@
-"""The remaining swing of the robot at the start of a trial, treated as noise.
+"""Computes how a swing that remains from the previous trial changes the readings of a trial.
 
-The drag is proportional to the squared speed, so a small swing decays slowly: its amplitude is
-proportional to 1/t. A trial therefore begins with a swing of unknown phase. The shape of the swing
-is the first bending mode, approximated by the deflection under a uniform load. The initial position
-and speed of the swing are random, with the standard deviation that the experiment declares.
+The drag is proportional to the squared speed. The amplitude of a small swing therefore decays as
+slowly as 1/t. The swing has the shape of the first bending mode, approximated by the deflection
+under a uniform load. The phase of the swing is unknown, so position and speed of the swing at the
+start are treated as noise. The experiment declares the standard deviation of this noise.
 """
 
 from typing import NamedTuple
@@ -24,7 +24,7 @@ from slider_jax.experiment.load import Experiment
 
 
 class SwingMode(NamedTuple):
-    """Shape and frequency of the first bending mode. The tip's displacement is 1 m to the left."""
+    """Shape and frequency of the first bending mode, for a displacement of the tip of 1 m."""
 
     angle: Float[Array, " nodes"]
     """Angle of the body [rad]."""
@@ -35,7 +35,7 @@ class SwingMode(NamedTuple):
 
 
 def first_mode(model: Model, numerics: Numerics) -> SwingMode:
-    """Returns the first mode of the clamped body in water, from the bending by a uniform load."""
+    """Returns the first mode of the clamped body in water, from its shape under a uniform load."""
     mesh = make_mesh(model.body, numerics)
     grid, structure = mesh.grid, mesh.structure
     curvature = grid.mid(grid.s) ** 2 / structure.EI
@@ -58,9 +58,9 @@ def first_mode(model: Model, numerics: Numerics) -> SwingMode:
 
 @eqx.filter_jit
 def _along(model: Model, numerics: Numerics):
-    """Returns the tangents of the initial state, and the angular frequency [rad/s] of the mode.
+    """Returns tangents of the initial state, and the angular frequency [rad/s] of the first mode.
 
-    The first two of `DIRECTIONS` tangents are along the swing's position and speed.
+    The first two tangents are along the position and the speed of the swing; all others are zero.
     """
     mode, carry = first_mode(model, numerics), at_rest(model, numerics)
 
@@ -77,10 +77,11 @@ def _along(model: Model, numerics: Numerics):
 
 
 def swing_spans(p: TrialPlan, theta: np.ndarray, size: float) -> np.ndarray:
-    """Returns the changes (2, channels, samples) of the readings by initial position and speed.
+    """Returns the changes (2, channels, samples) of the readings that an initial swing causes.
 
-    Position and speed change by one standard deviation of a swing with tip deviation `size` [m].
-    The changes are linearised at `theta`. A value that is not finite, as after a failed step, is 0.
+    The two changes belong to one standard deviation of the swing's position and of its speed.
+    `size` [m] is the standard deviation of the tip. The changes are linearised at `theta`. A value
+    that is not finite, as after a failed step, becomes 0.
     """
     d_carry, frequency = _along(p.extended.at(jnp.asarray(theta)), p.numerics)
     initial = np.zeros((DIRECTIONS, len(CHANNELS)))
@@ -93,6 +94,6 @@ def swing_spans(p: TrialPlan, theta: np.ndarray, size: float) -> np.ndarray:
 def declared_swing_spans(
     experiment: Experiment, p: TrialPlan, theta: np.ndarray
 ) -> np.ndarray | None:
-    """Returns `swing_spans` for the swing that an experiment declares, or None without a swing."""
+    """Returns `swing_spans` for the swing that the experiment declares, or None without a swing."""
     size = experiment.sensors.start_swing
     return swing_spans(p, theta, size) if size > 0.0 else None

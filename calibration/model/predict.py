@@ -1,4 +1,8 @@
-"""Predicts the sensor readings of a trial for a parameter vector, and the readings' tangents."""
+"""Predicts the sensor readings of a trial for a parameter vector, and derivatives of the readings.
+
+A *tangent* is the derivative along a direction in the space of the parameters. *True readings* are
+the readings of ideal sensors.
+"""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -34,7 +38,7 @@ from slider_jax.experiment.schema import Trial
 from slider_jax.simulation.trial import run_chunks
 
 BLOCK = 500
-"""Number of steps or samples per call of a compiled program, which serves trials of any length."""
+"""Number of steps or samples per call of a compiled program. A trial can have any length."""
 DIRECTIONS = 8
 """Number of tangents per call of the compiled program."""
 
@@ -43,7 +47,7 @@ DIRECTIONS = 8
 class Resolution:
     """Number of nodes, smallest number of steps per stride, longest step [s] and time scheme.
 
-    A resolution replaces the [numerics] of an experiment, to keep errors below the noise.
+    A resolution replaces the table [numerics] of the experiment file in a fit.
     """
 
     nodes: int
@@ -53,15 +57,14 @@ class Resolution:
 
 
 FINE = Resolution(101, 200, 2.0e-3)
-"""Resolution for residuals. With 51 nodes, the discretisation error makes the identified tail 2.5 %
-too soft."""
+"""Resolution for residuals. A fit with 51 nodes gives a tail that is 2.5 % too soft."""
 COARSE = Resolution(31, 80, 4.0e-3)
-"""Resolution for tangents, which may have ten times larger errors than residuals."""
+"""Resolution for tangents, whose errors may be ten times as large as errors of residuals."""
 
 
 @dataclass(frozen=True)
 class TrialPlan:
-    """One trial of the extended model, with the time grid of the simulation."""
+    """The inputs of the simulation of one trial with the extended model."""
 
     trial: Trial
     extended: ExtendedModel
@@ -79,9 +82,9 @@ def plan_trial(
     resolution: Resolution,
     at: np.ndarray | None = None,
 ) -> TrialPlan:
-    """Returns the model and the grids of a trial. Raises `InputError` for an unusable trial.
+    """Returns the model, mesh and time grid of a trial. Raises `InputError` for an invalid trial.
 
-    `at` (n,) are sample times [s] (default: times of the data file). A prepared trial ignores `at`.
+    `at` (n,) are the sample times [s] (default: times of the data file), not for a prepared trial.
     """
     if isinstance(trial, PreparedTrial):
         prepared = trial
@@ -103,7 +106,7 @@ def plan_trial(
 
 
 def _chunk(extended: ExtendedModel, theta, carry: Carry, h, t0, numerics: Numerics, scheme: Scheme):
-    """Returns the true readings (BLOCK, channels) of the next `BLOCK` steps, and the last state."""
+    """Returns the true readings (BLOCK, channels) in the next `BLOCK` steps, and the end state."""
 
     def save(x: Snapshot):
         return jnp.stack([channel.observe(x) for channel in extended.channels])
@@ -114,7 +117,7 @@ def _chunk(extended: ExtendedModel, theta, carry: Carry, h, t0, numerics: Numeri
 
 
 def _read(extended: ExtendedModel, theta, t, series):
-    """Returns readings (channels - 2, n) of the true `series` (n, channels), without pressures."""
+    """Returns readings (channels - 2, n), without pressures, from true readings (n, channels)."""
     names = [channel.name for channel in extended.channels]
     true = dict(zip(names, series.T, strict=True))
     read = recorded_series(extended.at(theta).effects, t, true)
@@ -137,7 +140,7 @@ def _pressures(extended: ExtendedModel, theta, t):
 def _along(function, arguments, directions):
     """Returns the tangents of function(*arguments) along `directions`.
 
-    The directions of an argument have its shape and an additional first axis.
+    The first axis of `directions` is the direction; the other axes are those of the arguments.
     """
     dynamic, static = eqx.partition(arguments, eqx.is_inexact_array)
 
@@ -184,7 +187,7 @@ def _chambers_along(extended: ExtendedModel, theta, t, d_theta):
 
 
 def _sample_grid(at: np.ndarray) -> np.ndarray:
-    """Returns evenly spaced times from 0, in whole blocks, that include the sample times `at`."""
+    """Returns evenly spaced times from 0 that include the sample times `at`; whole blocks."""
     spacing = divided_step(float(np.median(np.diff(at))), LONGEST_STEP)
     before = np.ceil(at[0] / spacing - 1e-9)
     n = -(-(round((at[-1] - at[0]) / spacing) + int(before) + 2) // BLOCK) * BLOCK
@@ -194,17 +197,17 @@ def _sample_grid(at: np.ndarray) -> np.ndarray:
 
 
 def _sampled(p: TrialPlan, body: np.ndarray, pressures: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Returns series (..., channels, samples) at the trial's sample times.
+    """Returns readings (..., channels, samples) at the trial's sample times.
 
-    `body` (..., channels - 2, steps) is interpolated. `pressures` (..., 2, n) are at the times `t`
-    (n,) [s], which include the sample times.
+    `body` (..., channels - 2, steps) is interpolated between time steps. `pressures` (..., 2, n)
+    are at the times `t` (n,) [s], which include the sample times.
     """
     lead = body.shape[:-2]
     flat = body.reshape(-1, body.shape[-1])[:, : p.grid.steps + 1].T
     at_samples = sample_series(p.grid.times, flat, p.at, p.grid.edges).T.reshape(
         *lead, -1, len(p.at)
     )
-    # t[0] is 0, so the first interval may be shorter than all other intervals.
+    # t[0] is set to 0, so only the first interval may differ from the other intervals.
     index = 1 + np.round((p.at - t[1]) / (t[2] - t[1])).astype(int)
     index = np.clip(index, 0, len(t) - 1)
     return np.concatenate([pressures[..., index], at_samples], axis=-2)
@@ -222,7 +225,7 @@ def predict_readings(p: TrialPlan, theta: np.ndarray) -> np.ndarray:
 
 
 def _series(p: TrialPlan, theta) -> tuple[Array, float]:
-    """Returns the true series (n, channels) from t = 0, and the time of a failed step or inf."""
+    """Returns the true readings (n, channels) from t = 0, and the time of a failed step or inf."""
     carry = _begin(p.extended, theta, p.numerics)
     start = jnp.concatenate([carry.chambers.p, jnp.zeros(len(p.extended.channels) - 2)])[None]
     h = jnp.asarray(p.grid.h)
@@ -250,7 +253,7 @@ def reading_tangents(p: TrialPlan, theta: np.ndarray, directions: np.ndarray) ->
 
 
 def by_directions(function, directions: np.ndarray) -> np.ndarray:
-    """Returns `function` of `directions` (k, n), called with `DIRECTIONS` directions at a time."""
+    """Returns `function(directions)` for `directions` (k, n), in calls with `DIRECTIONS` rows."""
     padded = np.zeros((-(-len(directions) // DIRECTIONS), DIRECTIONS, directions.shape[1]))
     padded.reshape(-1, directions.shape[1])[: len(directions)] = directions
     found = [np.asarray(function(jnp.asarray(block))) for block in padded]
@@ -262,8 +265,8 @@ def initial_state_tangents(
 ) -> np.ndarray:
     """Returns tangents (`DIRECTIONS`, channels, samples) of the readings along initial states.
 
-    `d_carry` has the tangents of the initial state, with an additional first axis. `initial`
-    (`DIRECTIONS`, channels) has the tangents of the readings at t = 0; pressures do not change.
+    `d_carry` are the tangents of the initial state; their first axis is the direction. `initial`
+    (`DIRECTIONS`, channels) are the tangents of the readings at t = 0. Pressures do not change.
     """
     at = jnp.asarray(theta)
     series, _ = _series(p, at)

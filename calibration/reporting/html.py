@@ -16,7 +16,7 @@ TEMPLATES = Environment(
 
 
 def render_page(template: str, **content: Any) -> str:
-    """Returns the page of a template in `templates/`, with every text of `content` escaped."""
+    """Returns the HTML page of a template in `templates/`; texts in `content` are HTML-escaped."""
     return TEMPLATES.get_template(template).render(content)
 
 

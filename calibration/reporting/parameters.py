@@ -1,4 +1,4 @@
-"""Writes fitted parameters as records, texts and model files."""
+"""Converts fitted parameters to JSON records, to texts, and to tables of model files."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,9 +12,9 @@ from slider_jax.io.toml import significant
 
 
 def parameter_record(fit: Fit, entries: Sequence[Parameter], index: int) -> dict[str, Any]:
-    """Returns the record of a fitted parameter.
+    """Returns the JSON record of the fitted entry `index`: value, 95 % interval and unit.
 
-    If the data do not determine the parameter, its value is None and its interval is clipped to
+    If the data do not determine the parameter, its value is None and its interval is limited to
     the prior range.
     """
     p, (value, low, high) = entries[index], confidence_interval(fit, entries, index)
@@ -36,8 +36,8 @@ def parameter_text(x: dict[str, Any]) -> str:
 def widened(x: dict[str, Any]) -> str:
     """Returns the reason for a widened interval."""
     return (
-        f"without the mean forces, the fit gives {x['by_variation_alone']:.4g}; this difference "
-        "is significant, so the interval is widened"
+        f"without the mean forces, the fit gives {x['by_variation_alone']:.4g}; the difference "
+        "from the value is significant, so the interval is widened"
     )
 
 
