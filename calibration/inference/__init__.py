@@ -1,2 +1,2 @@
-"""Fits parameters by least squares: noise model, optimisers, intervals and cached fits. This
-package may import `measurements` and `model`."""
+"""Fits parameters by least squares: noise model, optimisers, intervals, and a cache of simulations.
+This package may import `measurements` and `model`."""

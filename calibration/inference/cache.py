@@ -21,14 +21,14 @@ from slider_jax.io.files import input_file, replacing, tentative_folder, version
 
 @dataclass(frozen=True)
 class Memo:
-    """A folder that caches computed arrays under a digest of their inputs."""
+    """A folder with computed arrays. The name of a file is a digest of the computation's inputs."""
 
     folder: Path
 
     def cached(
         self, name: str, arrays: Sequence[np.ndarray], make: Callable[[], list[np.ndarray]]
     ) -> list[np.ndarray]:
-        """Returns the cached result for `name` and `arrays`; calls `make` if it is not readable."""
+        """Returns the cached result for `name` and `arrays`, or else the result of `make()`."""
         digest = hashlib.sha256(name.encode())
         for array in arrays:
             digest.update(np.ascontiguousarray(array).tobytes())
@@ -61,16 +61,16 @@ def source_digest() -> str:
 
 
 def input_settings(paths: Sequence[Path], folder: Path | None = None) -> dict[str, Any]:
-    """Returns the settings of a run: digests of the files `paths` and of the tables in `folder`."""
+    """Returns digests of the input files `paths` and of all CSV files in `folder`."""
     tables = sorted(folder.glob("*.csv")) if folder else []
     return {"inputs": [input_file(p) for p in (*paths, *tables)]}
 
 
 @contextmanager
 def resumable(out: Path, settings: dict[str, Any]) -> Iterator[Memo]:
-    """Yields a cache under `out` for a run with these settings; deletes it when the run succeeds.
+    """Yields a cache under `out` for a run with `settings`; deletes the cache if the run succeeds.
 
-    A run with the same settings and program resumes from the cache of an interrupted run.
+    If a run was interrupted, a run with the same settings and program version uses its cache.
     """
     versioned = settings | {"versions": versions(), "code": source_digest()}
     key = hashlib.sha256(json.dumps(versioned, sort_keys=True).encode()).hexdigest()
@@ -82,12 +82,12 @@ def resumable(out: Path, settings: dict[str, Any]) -> Iterator[Memo]:
         for other in sorted(parent.glob(".unfinished-*")):
             if other != folder:
                 cause = "from an interrupted run with other data or another program version"
-                print(f"{other}: {cause}; delete it if that run has ended", file=sys.stderr)
+                print(f"{other}: {cause}; delete the folder if this run has ended", file=sys.stderr)
         folder.mkdir(exist_ok=True)
         try:
             yield Memo(folder)
         except BaseException:
-            with suppress(OSError):  # not empty
+            with suppress(OSError):  # removes the folder only if it is empty
                 folder.rmdir()
             raise
         shutil.rmtree(folder, ignore_errors=True)

@@ -1,8 +1,8 @@
 """Least-squares fit of the extended model to measured trials by Gauss-Newton steps.
 
-Each iteration simulates the trials and their forward tangents along the free parameters.
-Optimistix's Levenberg-Marquardt then minimises the linearised sum of squares within the bounds. A
-step that does not lower the simulated sum of squares is shortened.
+Each iteration simulates the trials, and the derivatives (tangents) of their readings with respect
+to the free parameters. Optimistix's Levenberg-Marquardt then minimises the linearised sum of
+squares within the bounds. A step that does not lower the simulated sum of squares is shortened.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,18 +19,18 @@ from calibration.inference.problem import AbstractProblem, ChannelBlock, summed,
 from calibration.model.extended import Parameter
 
 MAX_ITERATIONS = 24
-"""Most fits need 3 to 6 iterations. Fits with an effect that replaces a law need more."""
+"""Most fits need 3 to 6 iterations. Fits with an effect that replaces the lag need more."""
 GAIN_TOLERANCE = 0.02
 """A fit ends if the next step would lower the sum of squares by less than this multiple of the
-residual's mean square. The parameters are then within a seventh of a standard error."""
+residual's mean square. The parameters are then within 1/7 standard error of the optimum."""
 POOR_FIT, ROUGH_GAIN_TOLERANCE = 20.0, 0.5
-"""A mean square above `POOR_FIT` means that the model lacks an effect. Such a fit converges slowly
-and is repeated with the missing effect. It therefore ends at the rough tolerance, with parameters
-within two thirds of a standard error."""
+"""If the residual's mean square exceeds `POOR_FIT`, the model lacks an effect. Such a fit converges
+slowly, and is repeated with the missing effect. The fit therefore ends at the rough tolerance, with
+parameters within 2/3 standard error of the optimum."""
 
 
 class Fit(NamedTuple):
-    """A fitted parameter vector with its residual and linearisation."""
+    """A fitted parameter vector, the predicted readings, and the linearised normal equations."""
 
     theta: np.ndarray
     free: np.ndarray
@@ -43,10 +43,10 @@ class Fit(NamedTuple):
     predicted: list[np.ndarray]
     converged: bool
     difference: np.ndarray | None = None
-    """Shift (k,) of the fitted entries if the forces' means are not used, or 0 if the shift is not
+    """Shift (k,) of the fitted entries if the mean forces are not used, or 0 if the shift is not
     significant. None before `uncertainty.hausman_check`."""
     widening: np.ndarray | float = 1.0
-    """Factor (k,) on the standard errors that accounts for `difference`."""
+    """Factor (k,) that widens the standard errors of entries with a significant `difference`."""
 
     @property
     def inflation(self) -> float:
@@ -55,18 +55,18 @@ class Fit(NamedTuple):
 
     @property
     def covariance(self) -> np.ndarray:
-        """Returns the covariance (k, k) of the free entries, which includes `inflation`."""
+        """Returns the covariance (k, k) of the free entries, multiplied by `inflation`."""
         A, _ = summed(self.blocks)
         return self.inflation * inverse(A) if np.isfinite(A).all() else np.full(A.shape, np.inf)
 
     @property
     def errors(self) -> np.ndarray:
-        """Returns the standard errors (k,) of the free entries, times `widening`."""
+        """Returns the standard errors (k,) of the free entries, multiplied by `widening`."""
         return np.sqrt(np.diag(self.covariance)) * self.widening
 
 
 class Bounds(NamedTuple):
-    """Logistic transform theta = low + (high - low)/(1 + exp(-z)) of every parameter."""
+    """Logistic transform of free variables z to theta = low + (high - low)/(1 + exp(-z))."""
 
     low: Float[Array, " parameters"]
     high: Float[Array, " parameters"]
@@ -75,8 +75,8 @@ class Bounds(NamedTuple):
     def of(cls, entries: Sequence[Parameter]) -> "Bounds":
         """Returns the prior ranges as bounds.
 
-        A range that ends at the effect's null is extended beyond the null by a twentieth of the
-        range. A fit only approaches a bound. The extension allows a fit to reach the null.
+        If a range ends at the effect's null, the bound is a twentieth of the range beyond the null.
+        This allows a fit to reach the null, because a fit can approach but not reach a bound.
         """
         low, high = [], []
         for p in entries:
@@ -90,7 +90,7 @@ class Bounds(NamedTuple):
         return self.low + (self.high - self.low) / (1.0 + jnp.exp(-z))
 
     def z_of(self, theta):
-        """Returns z of theta, after a theta at a bound is moved by a millionth of the range."""
+        """Returns z of theta. The function first moves a theta at a bound by 1e-6 of the range."""
         share = jnp.clip((theta - self.low) / (self.high - self.low), 1e-6, 1.0 - 1e-6)
         return jnp.log(share / (1.0 - share))
 
@@ -98,7 +98,7 @@ class Bounds(NamedTuple):
 def inverse(A: np.ndarray) -> np.ndarray:
     """Returns the inverse of a normal matrix, computed after scaling to a unit diagonal.
 
-    A direction that the data do not determine gets a variance of 1e12 times its scale.
+    The variance of the scaled variables is limited to 1e12 in directions without information.
     """
     size = np.sqrt(np.where(np.diag(A) > 0.0, np.diag(A), 1.0))
     values, vectors = np.linalg.eigh(A / np.outer(size, size))
@@ -106,7 +106,7 @@ def inverse(A: np.ndarray) -> np.ndarray:
 
 
 def marginal_information(A: np.ndarray, group: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """Returns the normal matrix of the entries `group` after projecting out the entries `free`."""
+    """Returns the information on the entries `group` if the entries `free` are also unknown."""
     cross = A[np.ix_(group, free)]
     return A[np.ix_(group, group)] - cross @ inverse(A[np.ix_(free, free)]) @ cross.T
 
@@ -121,9 +121,9 @@ def fit_gauss_newton(
 ) -> Fit:
     """Returns the fit of the entries `free` (indices) of `theta`; the other entries are fixed.
 
-    A step that cannot be simulated is shortened. The fit does not converge if the start cannot be
-    simulated or has no finite tangents. Sums of squares of two fits are comparable only if both
-    fits use the same `white` (default: the whiteners at the start).
+    A step is shortened if the simulation fails. The fit does not converge if the simulation or a
+    tangent at the start fails. `white` are the whiteners of the residuals (default: whiteners for
+    the start). Sums of squares of two fits are comparable only if both use the same whiteners.
     """
     bounds = Bounds.of([entries[i] for i in free])
     directions = np.eye(len(theta))[free]

@@ -13,13 +13,13 @@ class Excess(NamedTuple):
     """Mean squares of a channel's whitened residuals."""
 
     trials: np.ndarray
-    """Mean square (trials,) of every trial; NaN if the trial has no such channel."""
+    """Mean square (trials,) of every trial, or NaN if the trial does not have this channel."""
     all: float
     """Mean square of all trials together."""
 
 
 def excess(problem: AbstractProblem, fit: Fit) -> dict[str, Excess]:
-    """Returns each channel's mean squares of a fit's whitened residuals; noise alone gives 1."""
+    """Returns the mean squares of each channel's whitened residuals. Noise alone would give 1."""
     white = problem.whiteners(fit.predicted)
     residuals = problem.residuals(fit.predicted, white)
     found = {}
@@ -51,7 +51,7 @@ def rms_errors(problem: AbstractProblem, predicted: list[np.ndarray]) -> dict[st
 def channel_errors(
     problem: AbstractProblem, before: list[np.ndarray], after: list[np.ndarray]
 ) -> dict[str, dict[str, float]]:
-    """Returns each channel's rms errors "before" and "after" and its noise "floor", in its unit."""
+    """Returns rms errors "before" and "after", and noise "floor", in the unit of each channel."""
     start, end = rms_errors(problem, before), rms_errors(problem, after)
     floor = noise_floors(problem, after)
     return {c: {"before": start[c], "after": end[c], "floor": floor[c]} for c in end}

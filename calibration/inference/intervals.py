@@ -1,4 +1,4 @@
-"""Computes confidence intervals of a parameter x from correlated residuals, and white noise."""
+"""Computes confidence intervals of a parameter x if the residuals of its fit are correlated."""
 
 import math
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ CONFIDENCE = 0.95
 
 
 class Interval(NamedTuple):
-    """A positive parameter with its 95 % interval for correlated residuals."""
+    """Value and 95 % interval of a positive parameter x, if the residuals are correlated."""
 
     value: float
     low: float
@@ -19,11 +19,11 @@ class Interval(NamedTuple):
     effective: float
     """Effective number of samples."""
     widening: float
-    """Width in log x, divided by the width of the interval for independent samples."""
+    """Width of the interval of log x, divided by the width for independent residuals."""
 
     @property
     def fixed(self) -> bool:
-        """Whether the interval is narrower than a factor of ten."""
+        """Whether `high` is less than ten times `low`."""
         return self.high < 10.0 * self.low
 
 
@@ -36,10 +36,10 @@ class RecordDerivatives(NamedTuple):
 
 
 def correlation_time(residual: np.ndarray) -> float:
-    """Returns the number of samples per independent sample of a residual (n,).
+    """Returns n divided by the effective number of independent samples of a residual (n,).
 
-    This is 1 plus twice the sum of the autocorrelation of the residual minus its mean, up to the
-    first zero. A residual that repeats in every cycle counts as four to six values per cycle.
+    The formula is 1 + 2 c. c is the sum of the residual's autocorrelation up to its first zero. A
+    residual that repeats in every cycle has four to six independent samples per cycle.
     """
     x = residual - residual.mean()
     n = len(x)
@@ -60,8 +60,8 @@ def student_quantile(freedom: float) -> float:
 def record_interval(log_value: float, record: RecordDerivatives) -> Interval:
     """Returns the interval of a least-squares fit to one record.
 
-    The variance of log x is the sandwich estimate s^2 tau J.J/H^2, with the residual's variance s^2
-    and `correlation_time` tau. J.J differs from the true curvature H if the residual is large.
+    The variance of log x is the sandwich estimate s^2 tau J.J/H^2. s^2 is the residual's variance,
+    and tau its `correlation_time`. If the residual is large, J.J differs from the curvature H.
     """
     r, J, H = record
     n, time = len(r), correlation_time(r)
@@ -73,11 +73,11 @@ def record_interval(log_value: float, record: RecordDerivatives) -> Interval:
 
 
 def pooled_interval(log_value: float, records: Sequence[RecordDerivatives]) -> Interval:
-    """Returns the interval of a common value, with the records as a sample of all such records.
+    """Returns the interval of a value that is common to all similar records, measured or not.
 
     All records have the same weight. The variance is the sandwich estimate with one cluster per
-    record: the spread of the records' scores J.r/n, with n samples. Student's quantile has
-    len(records) - 1 degrees of freedom. For a single record, the result is `record_interval`.
+    record: it uses the spread of J.r/n between the records, where n is the number of samples.
+    Student's quantile has len(records) - 1 degrees of freedom.
     """
     count = len(records)
     if count == 1:
@@ -88,9 +88,9 @@ def pooled_interval(log_value: float, records: Sequence[RecordDerivatives]) -> I
 
 
 def within_interval(log_value: float, records: Sequence[RecordDerivatives]) -> Interval:
-    """Returns the interval of a common value for these records alone.
+    """Returns the interval of a value that is common to these records, but not to other records.
 
-    The variances of `record_interval` are summed. The interval does not apply to further records.
+    The variance sums the variances of all records, computed as in `record_interval`.
     """
     variance = sum(_score_variance(x) * correlation_time(x.residual) for x in records)
     quantile = student_quantile(_effective_samples(records) - 1.0)
@@ -98,7 +98,7 @@ def within_interval(log_value: float, records: Sequence[RecordDerivatives]) -> I
 
 
 def _score_variance(x: RecordDerivatives) -> float:
-    """Returns the variance that a record's score J.r/n would have with independent samples."""
+    """Returns the variance of a record's score J.r/n if the n samples were independent."""
     return float(x.residual @ x.residual) * float(x.tangent @ x.tangent) / len(x.residual) ** 3
 
 

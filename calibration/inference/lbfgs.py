@@ -1,10 +1,10 @@
 """Least-squares fit of many parameters by L-BFGS.
 
-The gradient of the sum of squares is -2 J r, with the same forward tangents J as in `gauss_newton`.
-Optax's L-BFGS computes the direction in the unbounded variables, each scaled to unit curvature. A
-backtracking line search on the simulated sum of squares computes the step. Many effects have nearly
-parallel tangents, which make a Gauss-Newton step long and inaccurate. An L-BFGS step does not
-invert the normal matrix, so parallel tangents do not make it inaccurate.
+The gradient of the sum of squares is -2 J r, with the residual r and the tangents J of the readings
+as in `gauss_newton`. Optax's L-BFGS computes the direction of a step in the unbounded variables z
+of `Bounds`, each scaled to unit curvature. A backtracking line search on the simulated sum of
+squares gives the length of the step. Many effects have nearly parallel tangents, which make a
+Gauss-Newton step long and inaccurate. L-BFGS does not invert the normal matrix and is not affected.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,16 +24,16 @@ MAX_GRADIENTS = 60
 MEMORY = 20
 """Number of past gradients that L-BFGS uses."""
 PREDICTED_GAIN_TOLERANCE = 0.003
-"""The fit ends if the linearised model predicts a gain below this, in units of the residual's mean
-square. Every parameter is then within 0.06 standard errors of its optimum."""
+"""The fit ends if the predicted reduction of the sum of squares is less than this multiple of the
+residual's mean square. Every parameter is then within 0.06 standard errors of the optimum."""
 MAX_SCALE_CHANGE = 2.0
 """L-BFGS restarts if the square root of a variable's curvature changes by more than this factor."""
 ARMIJO_SHARE = 1e-4
-"""A step must give at least this fraction of the gain from the slope (Armijo's condition)."""
+"""A step must reduce the sum of squares by at least this fraction of slope times step (Armijo)."""
 STEP_SHARES = (1.0, 0.3, 0.1, 0.03, 0.01)
 """Fractions of a step that the line search tries, in this order."""
 MAX_STEP = 2.0
-"""Largest step of an unbounded variable. It moves a parameter from 0.5 to 0.88 of its range."""
+"""Largest step of an unbounded variable: this step moves a parameter from 50 to 88 % of its range."""
 
 
 def fit_lbfgs(
@@ -78,7 +78,7 @@ def fit_lbfgs(
             )
         step = np.clip(-np.asarray(updates) / scale, -MAX_STEP, MAX_STEP)
         slope = float(gradient @ step)
-        if slope >= 0.0:  # clipping can turn a descent direction uphill
+        if slope >= 0.0:  # after clipping, the step may increase the sum of squares
             step = np.clip(-gradient / scale**2, -MAX_STEP, MAX_STEP)
             slope = float(gradient @ step)
         for share in STEP_SHARES:

@@ -1,10 +1,9 @@
 """Noise model of a channel, and the whitening of residuals.
 
-A sensor's noise has three parts: white noise (with quantisation), slow noise correlated over
-`slow_time`, and a tare that is constant in a trial. Two further parts are proportional to the
-signal: a gain that differs between trials, and the model-discretisation discrepancy.
-`slider_jax.channels` declares both parts before any data. The loop cannot name an effect that
-changes the readings less than these parts.
+A sensor's noise has three parts: white noise (with quantisation), slow noise with the correlation
+time `slow_time`, and a tare that is constant in a trial. Two further parts are proportional to the
+signal: a gain that differs between trials, and the model-discretisation discrepancy. The sizes of
+these two parts are constants of `slider_jax.channels`. Smaller effects cannot be identified.
 """
 
 from typing import NamedTuple
@@ -20,15 +19,15 @@ DISCREPANCY_TIME = 0.02
 """Correlation time of the model-discretisation discrepancy within a stride [s]. It depends on the
 beam, not on the drive."""
 DISCREPANCY_STRIDES = 10.0
-"""Number of strides over which the discrepancy stays correlated, so that more strides do not reduce
-it. The correlation that was measured after one stride is 0.86 to 0.94."""
+"""Correlation time of the discrepancy between strides, in strides. The measured correlation between
+one stride and the next is 0.86 to 0.94, so a mean over strides hardly reduces the discrepancy."""
 MAX_SAMPLES = 1250
-"""Largest number of samples in a whitened series, to limit the Cholesky factor's size. Longer
-series are averaged in groups."""
+"""Largest number of samples in a whitened series. Neighbouring samples of longer series are
+averaged in groups, to limit the size of the covariance matrix."""
 
 
 class Noise(NamedTuple):
-    """Standard deviations of one channel, in its unit."""
+    """Standard deviations of one channel's noise, in the unit of the channel; `slow_time` in s."""
 
     white: float
     slow: float = 0.0
@@ -39,8 +38,8 @@ class Noise(NamedTuple):
 def channel_noise(sensors: SensorsTable, channel: str, values: np.ndarray) -> Noise:
     """Returns the noise that an experiment declares for a channel.
 
-    If the experiment declares no white noise, the noise is estimated from the measured `values`
-    (n,). For a pressure, the smallest step between values is the quantisation.
+    If the experiment declares no white noise, the white noise is estimated from the measured
+    `values` (n,). The declared white noise of a pressure is increased by the quantisation noise.
     """
     key, kind = CHANNELS[channel].noise, CHANNELS[channel].kind
     white = getattr(sensors, key) if key else 0.0
@@ -50,7 +49,7 @@ def channel_noise(sensors: SensorsTable, channel: str, values: np.ndarray) -> No
     elif kind == "pressure":
         white = float(np.hypot(white, quantisation_step(there) / np.sqrt(12.0)))
     if kind == "camera":
-        # While the robot still swings, its initial position is not its rest position.
+        # If the robot still swings at the start, its initial position is not its rest position.
         return Noise(white, tare=sensors.start_swing)
     if kind == "force":
         return Noise(white, sensors.force_slow_noise, sensors.force_slow_time, sensors.force_tare)
@@ -58,7 +57,7 @@ def channel_noise(sensors: SensorsTable, channel: str, values: np.ndarray) -> No
 
 
 def quantisation_step(values: np.ndarray) -> float:
-    """Returns the step of which all differences of values are multiples, or 0 if none exists."""
+    """Returns the quantisation step of `values`, or 0 if the differences have no common divisor."""
     steps = np.diff(np.unique(values))
     steps = steps[steps > 1e-12 * max(float(np.ptp(values)), 1e-300)]
     if not steps.size:
@@ -71,10 +70,10 @@ def quantisation_step(values: np.ndarray) -> float:
 class Whitener:
     """Whitens series of one trial and channel: independent samples of unit variance.
 
-    `t` (n,) [s] are the sample times. `model` (n,) is the model's series; it scales the noise that
-    is proportional to the signal. If the drive's `frequency` [Hz] is given, the
-    model-discretisation discrepancy repeats with it. Tare, gain and `spans` (k, n) are
-    marginalised. A span is a series with an unknown factor of unit variance.
+    `t` (n,) [s] are the sample times. `model` (n,) are the predicted readings, which scale the
+    noise that is proportional to the signal. If `frequency` [Hz] is given, the model-discretisation
+    discrepancy is correlated between strides. Tare, gain and `spans` (k, n) are marginalised. A
+    span is a series that is multiplied by an unknown random factor of unit variance.
     """
 
     def __init__(
@@ -114,8 +113,8 @@ class Whitener:
 def _discrepancy_correlation(lag: np.ndarray, frequency: float | None) -> np.ndarray:
     """Returns the correlation of the model-discretisation discrepancy at a time `lag` [s].
 
-    The correlation decreases exponentially with the chord between two phases on a circle, so that
-    it is high again after each stride. It also decreases slowly from stride to stride.
+    Within a stride, the correlation decreases exponentially with the chord between two phases on a
+    circle. The correlation is high again after each stride, and decreases slowly with strides.
     """
     if not frequency:
         return np.exp(-lag / DISCREPANCY_TIME)

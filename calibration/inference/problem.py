@@ -1,11 +1,11 @@
 """Fitting problems: simulated trials, whitened residuals and their normal equations.
 
-For every trial and channel, with the whitened residual r (n,) and tangents J (parameters, n):
+For every trial and channel, the normal equations contain
 
     A = J J^T,    b = J r,    c = r.r
 
-Least squares, scores, cross-validation and equivalence classes need only sums of these quantities.
-Each parameter vector is therefore simulated only one time.
+with the whitened residual r (n,) and the derivatives J (parameters, n) of the whitened readings.
+Fits, cross-validation and equivalence classes use only sums of A, b and c.
 """
 
 from abc import ABC, abstractmethod
@@ -37,16 +37,16 @@ from slider_jax.experiment.prepare import prepare
 
 
 class Swing(NamedTuple):
-    """Initial swing of the trials."""
+    """Swing of the robot that remains from the previous trial when a trial starts."""
 
     size: float
     """Standard deviation of the swing at the tip [m]."""
     theta: np.ndarray
-    """Parameters at which the swing's effect on the channels is simulated."""
+    """Parameters with which the change of the readings by the swing is simulated."""
 
 
 FAILED = 1e12
-"""Sum of squares of a channel whose simulation failed; any other sum of squares is smaller."""
+"""Sum of squares of a channel whose simulation failed; larger than any other sum of squares."""
 
 
 class ChannelBlock(NamedTuple):
@@ -66,7 +66,7 @@ def summed(blocks: Sequence[ChannelBlock]) -> tuple[np.ndarray, np.ndarray]:
 
 
 class Affine(NamedTuple):
-    """Parameters of one trial as an affine function of a vector x: offset + matrix x."""
+    """Map from a fitted vector x to the parameters of one trial: offset + matrix x."""
 
     offset: np.ndarray
     """(parameters,)"""
@@ -79,7 +79,7 @@ class Affine(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class AbstractProblem(ABC):
-    """Measured trials and a simulator of their readings."""
+    """Measured trials, and a simulation that predicts their readings."""
 
     records: list[Record]
     channels: tuple[str, ...]
@@ -108,23 +108,20 @@ class AbstractProblem(ABC):
         return self._cached("predict", [theta], lambda: self._predict(theta))
 
     def tangents(self, theta: np.ndarray, directions: np.ndarray) -> list[np.ndarray]:
-        """Returns the derivatives (k, channels, samples) of every trial along k `directions`."""
+        """Returns derivatives (k, channels, samples) of each trial's readings in k `directions`."""
         return self._cached(
             "tangents", [theta, directions], lambda: self._tangents(theta, directions)
         )
 
     def secants(self, theta: np.ndarray, others: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Returns the changes (k, channels, samples) of every trial from `theta` to k `others`."""
+        """Returns changes (k, channels, samples) of each trial's readings for k `others`."""
         return self._cached("secants", [theta, *others], lambda: self._secants(theta, others))
 
     def _cached(self, kind: str, arrays: Sequence[np.ndarray], make) -> list[np.ndarray]:
         return cached(self.memo, f"{kind} {[r.trial.file for r in self.records]}", arrays, make)
 
     def whiteners(self, predicted: list[np.ndarray]) -> dict[tuple[int, str], Whitener]:
-        """Returns the whitener of every trial and channel.
-
-        Noise that is proportional to the signal is computed from the `predicted` signal.
-        """
+        """Returns the whitener of every trial and channel; `predicted` are all trials' readings."""
         swing = self.spans()
 
         def one(key):
@@ -170,14 +167,14 @@ class AbstractProblem(ABC):
 @final
 @dataclass(frozen=True, kw_only=True)
 class TankProblem(AbstractProblem):
-    """Trials of the robot in the tank, with the plans to simulate them."""
+    """Trials of the robot in the tank, with plans for fine and coarse simulations."""
 
     fine: list[TrialPlan]
     coarse: list[TrialPlan]
     mesh: Resolution = COARSE
     """Resolution of the tangents."""
     maps: tuple[Affine, ...] | None = None
-    """Maps from the fitted vector to each trial's parameters; None if they are the same vector."""
+    """Map from the fitted vector to the parameters of each trial. None: identical parameters."""
     swing: Swing | None = None
 
     @classmethod
@@ -237,7 +234,7 @@ class TankProblem(AbstractProblem):
         return self.predict_each(self._own(theta))
 
     def predict_each(self, thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Returns the readings (channels, samples) of every trial at its own parameters."""
+        """Returns the readings (channels, samples) of each trial i with parameters `thetas[i]`."""
         pairs = list(zip(self.fine, thetas, strict=True))
         return on_all_cores(lambda pair: predict_readings(*pair), pairs)
 
@@ -266,7 +263,7 @@ class TankProblem(AbstractProblem):
         return on_all_cores(one, list(zip(self.coarse, self._own(theta), along, strict=True)))
 
     def _own(self, theta: np.ndarray) -> list[np.ndarray]:
-        """Returns every trial's own parameters."""
+        """Returns the parameters of each trial for the fitted vector `theta`."""
         return [theta] * len(self.fine) if self.maps is None else [m.at(theta) for m in self.maps]
 
 

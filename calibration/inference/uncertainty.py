@@ -1,7 +1,7 @@
 """Confidence intervals of fitted parameters.
 
-The intervals account for noise, for the model-discretisation discrepancy, and for a disagreement
-between the means of the forces and the rest of the data.
+The intervals account for noise, for the model-discretisation discrepancy, and for a difference
+between two estimates of a parameter: with and without the mean forces of the trials.
 """
 
 from collections.abc import Sequence
@@ -15,22 +15,22 @@ from calibration.model.extended import Parameter
 from slider_jax.channels import BUILT_IN, CHANNELS
 
 BASE_DISCREPANCY = {"C_d": 0.004, "m_a": 0.010, "k": 0.0005, "K_Q": 0.0023}
-"""Relative standard deviation of the base parameters between two correct implementations of the
-model, without the part that differs between trials, which the noise model contains. Each value is
-the quadratic mean of two rms values from fits to simulations without noise. The first rms values,
-0.4, 0.8, 0.02 and 0.3 %, are from seven meshes and steps of three tanks. The second, 0.35, 1.2,
-0.07 and 0.12 %, are from four tanks that a separately written program simulates."""
+"""Relative standard deviation of fitted base parameters between two correct implementations of the
+model. The noise model contains a further part that differs between trials. Each value is the
+quadratic mean of two rms values from fits to simulations without noise. The first rms values, 0.4,
+0.8, 0.02 and 0.3 %, are from simulations of three tanks with seven meshes and time steps. The
+second, 0.35, 1.2, 0.07 and 0.12 %, are from four tanks of a separately written program."""
 EFFECT_DISCREPANCY = 0.02
 """Relative standard deviation of an effect's parameter between two such implementations."""
 FORCES = tuple(name for name in BUILT_IN if CHANNELS[name].kind == "force")
 FREED_TARE = 1e3
-"""Factor on a sensor's noise or tare, whichever is larger. Such a large tare removes the mean."""
+"""Tare of a force in Hausman's test, divided by the larger one of noise and declared tare."""
 HAUSMAN_LIMIT = 2.0
-"""The forces' means and the rest disagree if the difference exceeds this many standard errors."""
+"""Two estimates differ significantly if the difference exceeds this number of standard errors."""
 
 
 def discretisation_share(p: Parameter) -> float:
-    """Returns an entry's relative standard deviation between correct implementations."""
+    """Returns a parameter's relative standard deviation between two correct implementations."""
     return EFFECT_DISCREPANCY if p.effect else BASE_DISCREPANCY[p.name]
 
 
@@ -47,11 +47,11 @@ def confidence_interval(
 def hausman_check(problem: AbstractProblem, fit: Fit) -> Fit:
     """Returns the fit with `difference` and `widening` from Hausman's test.
 
-    The test frees the tares, which removes the forces' means, and takes one linear step. The step's
-    variance is the increase of the estimate's variance. A step below one standard error of the
-    estimate is ignored. A significant step widens the standard error by Birge's ratio, the step
-    divided by its own standard error. Source: Hausman, J. A. (1978), Econometrica 46, 1251-1271;
-    Birge, R. T. (1932), Phys. Rev. 40, 207-227.
+    The test gives the forces a very large tare, so that their means have no influence, and takes
+    one linear step from the fit. The step's variance is the increase of the estimate's variance. A
+    step below one standard error of the estimate is ignored. A significant step widens the standard
+    error by Birge's ratio: the step divided by the standard error of the step. Source: Hausman,
+    J. A. (1978), Econometrica 46, 1251-1271; Birge, R. T. (1932), Phys. Rev. 40, 207-227.
     """
     if not any(channel in FORCES for _, channel in problem.noise):
         return fit
@@ -81,7 +81,7 @@ def _normal(
 
 
 def value_by_variation(fit: Fit, index: int) -> float | None:
-    """Returns the entry `index`, estimated without the forces' means.
+    """Returns the entry `index`, estimated without the mean forces of the trials.
 
     Returns None if `hausman_check` found no significant difference.
     """
