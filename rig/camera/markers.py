@@ -26,7 +26,7 @@ WHITE, NOISE = 100.0, 2.0
 
 
 class MarkerCriteria(NamedTuple):
-    """Criteria for a marker, in OpenCV's HSV: hue in steps of 2 deg, saturation and value to 255."""
+    """Criteria for a marker, in OpenCV's HSV: hue in steps of 2 deg, saturation, value to 255."""
 
     hue: tuple[int, int] = (102, 130)
     """Lowest and highest hue of a blue pixel."""

@@ -58,9 +58,9 @@ def rig_watch(
     The command prints estimates of k (time constant of the pressure) and K_Q (moment of a chamber
     per unit pressure), measured and modelled values, and the model's delay. In about the first
     eight seconds, the command learns the normal band of each channel's residual. A fault in this
-    time raises no alarm, but a message reports a poor fit. If a residual leaves the band later, an alarm
-    names possible causes: a leak, a blocked valve, a changed tail. All chambers vent at the end,
-    and after an alarm if stderr is not a terminal. The exit code is 1 after an alarm.
+    time raises no alarm, but a message reports a poor fit. If a residual leaves the band later, an
+    alarm names possible causes: a leak, a blocked valve, a changed tail. All chambers vent at the
+    end, and after an alarm if stderr is not a terminal. The exit code is 1 after an alarm.
 
     Args:
         experiment: experiment file of the robot.

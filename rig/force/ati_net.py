@@ -26,12 +26,12 @@ from rig.recording.clock import Sink
 
 PAGE = "netftapi2.xml"
 TRIES = 3
-"""UDP may lose a request, so each request is sent up to three times."""
+"""Largest number of times that a request is sent, because UDP may lose requests."""
 
 
 @dataclass(frozen=True)
 class NetCalibration:
-    """Numbers of counts of a Net F/T box per newton and per newton metre."""
+    """Counts per newton and counts per newton metre of a Net F/T box."""
 
     counts_per_N: float
     counts_per_Nm: float
@@ -48,7 +48,7 @@ class NetCalibration:
     def from_page(cls, page: bytes, where: str) -> "NetCalibration":
         """Reads `netftapi2.xml`: counts per unit (cfgcpf, cfgcpt), and the units (scfgfu, scfgtu).
 
-        Raises `RigError` for an incomplete page or an unknown unit; `where` names the page.
+        Raises `RigError` for an incomplete page or an unknown unit. The error names `where`.
         """
         advice = "reload the page, or set counts_per_N and counts_per_Nm in the rig file"
         try:
@@ -97,7 +97,7 @@ class NetCalibration:
         return counts / np.repeat([self.counts_per_N, self.counts_per_Nm], 3)
 
     def forces(self, host_ns: Sequence[int], datagrams: Sequence[bytes]) -> Forces:
-        """Returns the forces of one stream. Raises `RigError` if it is empty or damaged."""
+        """Returns the forces of one stream. Raises `RigError` if the stream is empty or damaged."""
         records = rdt.record_table(host_ns, datagrams)
         wrench = self.wrench(records.counts)
         wrench[~records.present] = np.nan
@@ -107,7 +107,7 @@ class NetCalibration:
 class NetForce(ForceSource):
     """A Net F/T box that streams over UDP.
 
-    Raises `RigError` at once if `host` is unreachable, and in `start` if the box does not answer.
+    Raises `RigError` if `host` is unreachable. `start` raises it if the box does not answer.
     """
 
     def __init__(
@@ -123,7 +123,7 @@ class NetForce(ForceSource):
         self.calibration = calibration
         self.name = f"force sensor {host}:{port}"
         self.patience = patience
-        """Longest allowed time without data [s], at the start and in the stream."""
+        """Longest allowed time without data [s], at the start and during the stream."""
         self.tally = rdt.StreamTally()
         self._reader: ReaderThread | None = None
         self._sink: Sink
@@ -167,7 +167,7 @@ class NetForce(ForceSource):
         self._last = now, np.array(counts)
 
     def start(self, sink: Sink) -> None:
-        """Ends a stream that an earlier run may have left running, then starts a new stream."""
+        """Ends the stream of an earlier run if that stream still runs, then starts a new stream."""
         self.stop()
         self.tally, self._last, self._sink = rdt.StreamTally(), None, sink
         for _ in range(TRIES):
@@ -189,7 +189,7 @@ class NetForce(ForceSource):
         self._reader = ReaderThread(self.name, receive, self._take, self.patience)
 
     def bias(self) -> None:
-        """Sets the present load as zero. The box subtracts this load until it loses power."""
+        """Sets the present load as zero. The box subtracts this load until the power fails."""
         for _ in range(TRIES):  # the box does not confirm the request, which may be lost
             self._send(rdt.BIAS)
 
@@ -197,7 +197,7 @@ class NetForce(ForceSource):
         return Health(self.tally.received, len(self.tally.missing), self.tally.saturated)
 
     def check(self) -> None:
-        """Raises `RigError` as `ForceSource.check`, but not for saturation (see `health`)."""
+        """Raises `RigError` as `ForceSource.check`. Saturation is no error; `health` counts it."""
         if self._reader is not None:
             self._reader.check()
         if self.tally.fault:

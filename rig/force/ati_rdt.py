@@ -1,4 +1,4 @@
-"""RDT, the stream format of an ATI Net F/T box: requests, records, and tables of records.
+"""Defines RDT, the stream format of an ATI Net F/T box: requests, records, tables of records.
 
 A UDP datagram contains one request of 8 bytes or one record of 36 bytes, big endian (ATI manual
 9620-05-NET FT). UDP may lose, duplicate and reorder records. The records are therefore numbered.
@@ -16,11 +16,11 @@ from rig.recording.clock import host_sample_times
 PORT = 49152
 STOP, START, BIAS = 0, 2, 0x42
 INTERNAL_RATE = 7000.0
-"""Rate [1/s] of the box's own samples, which `ft_seq` counts. Not every sample is sent."""
+"""Rate [1/s] of the box's own samples. `ft_seq` counts these samples. The box does not send all."""
 ERROR, SATURATED, LATCHED = 1 << 31, 1 << 17, 1 << 16
-"""Bits of the status: any error; saturated transducer; a threshold was passed (not an error)."""
+"""Bits of the status: any error; saturated transducer; load above a threshold (not an error)."""
 STUCK = 0.1
-"""If all six counts stay constant for this time [s], the sensor is stuck: normally it has noise."""
+"""Shortest time of six constant counts that shows a stuck sensor [s]. An intact sensor has noise."""
 
 RECORD = struct.Struct(">III6i")
 _FIELDS = np.dtype([("rdt", ">u4"), ("ft", ">u4"), ("status", ">u4"), ("counts", ">i4", 6)])
@@ -43,7 +43,7 @@ def check_size(datagram: bytes, where: str) -> None:
 
 
 def has_box_error(status):
-    """Returns whether a status (number or array) has an error other than saturation."""
+    """Returns whether a status (number or array) shows an error other than saturation."""
     return (status & ~(ERROR | SATURATED | LATCHED) != 0) | (status == ERROR)
 
 
@@ -61,14 +61,14 @@ def status_text(status: int) -> str:
 
 
 class BoxTime:
-    """Computes record times by the box's own clock, because records arrive irregularly."""
+    """Computes the records' times by the box's clock, because records arrive irregularly."""
 
     def __init__(self) -> None:
         self._last: int | None = None
         self._counts = 0
 
     def seconds(self, ft_seq: int) -> float | None:
-        """Returns the time since the first record [s]; None for a duplicate or a late record."""
+        """Returns the time since the first record [s]; None for a repeated or late record."""
         if self._last is not None:
             step = (ft_seq - self._last + 2**31) % 2**32 - 2**31
             if step <= 0:
@@ -86,7 +86,7 @@ class StreamTally:
         self.fault = 0
         """The last status with an error."""
         self.missing: set[int] = set()
-        """Numbers of skipped records that have not arrived yet."""
+        """Numbers of the records that have not arrived although a later record has arrived."""
         self._highest = 0
 
     def count(self, rdt_seq: int, status: int) -> None:
@@ -109,13 +109,13 @@ class StreamTally:
 
 @dataclass(frozen=True)
 class Records:
-    """The records of a stream (n,), ordered by number from the first to the last received one.
+    """The records of a stream (n,), ordered by number from the first to the last received record.
 
     | field | meaning |
     |---|---|
-    | `seq` | number, continued over the overflow of the box's 32 bits |
-    | `present` | False for a missing record, whose fields below are 0 |
-    | `host_ns` | arrival on the host's monotonic clock [ns] |
+    | `seq` | number of the record, continued if the box's 32-bit counter restarts from 0 |
+    | `present` | False for a missing record; the fields below are then 0 |
+    | `host_ns` | time of arrival on the host's monotonic clock [ns] |
     | `ft_seq`, `status` | the box's count of its own samples, and its status |
     | `counts` | (n, 6) Fx, Fy, Fz, Tx, Ty, Tz |
     | `late`, `duplicates` | numbers of records that arrived late, and of repeated records |
@@ -155,7 +155,7 @@ class Records:
 
     @property
     def stuck(self) -> np.ndarray:
-        """(n,) True in runs of equal counts that last `STUCK` or longer."""
+        """(n,) True where the counts are constant for the time `STUCK` or longer."""
         rows = np.flatnonzero(self.present)
         new = np.any(np.diff(self.counts[rows], axis=0) != 0, axis=1)
         run = np.concatenate([[0], np.cumsum(new)])
@@ -188,7 +188,7 @@ def record_table(host_ns: Sequence[int] | np.ndarray, datagrams: Sequence[bytes]
     """Returns the records of one stream, from arrival times [ns] and datagrams in order of arrival.
 
     Losses before the first or after the last record cannot be detected. Raises `RigError` for an
-    empty stream, a record of wrong size, or one number with two contents (a second stream).
+    empty stream, a record of wrong size, or two different records with one number (two streams).
     """
     if not datagrams:
         raise RigError("force sensor: no records arrived in the recording; run `slider rig check`")

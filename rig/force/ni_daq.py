@@ -1,7 +1,8 @@
-"""Reads an ATI sensor without a box: an NI card measures six voltages, and a matrix converts them.
+"""Reads an ATI sensor without a box: an NI card measures the voltages of the sensor's six gauges.
 
-The sink gets blocks of samples, little endian: the number of the first sample (u64), then six
-voltages per sample (f64). The module needs NI-DAQmx and the package extra `ni`.
+A matrix converts the voltages to forces. The sink gets blocks of samples, little endian: the number
+of the first sample (u64), then six voltages per sample (f64). The module needs NI-DAQmx and the
+package extra `ni`.
 """
 
 import struct
@@ -31,9 +32,9 @@ from rig.recording.clock import Sink, host_sample_times
 
 _FIRST = struct.Struct("<Q")
 FULL = 0.995
-"""A gauge counts as saturated above this fraction of the gauge's voltage range."""
+"""Fraction of the voltage range above which a gauge counts as saturated."""
 BIAS = 0.25
-"""The mean of the samples over this time [s] becomes the zero."""
+"""Duration of the samples whose mean becomes the zero [s]."""
 BLOCK = 0.02
 """Duration of one block of samples [s]."""
 
@@ -98,11 +99,11 @@ class GaugeCalibration:
         return (volts - np.asarray(self.zero)) @ np.asarray(self.matrix).T
 
     def saturated(self, volts: np.ndarray) -> np.ndarray:
-        """Returns True (...) where a gauge is saturated, which makes all six axes wrong."""
+        """Returns True (...) where a gauge is saturated: then all six axes are wrong."""
         return np.any(np.abs(volts) >= FULL * self.volts, axis=-1)
 
     def forces(self, host_ns: Sequence[int], blocks: Sequence[bytes]) -> Forces:
-        """Returns the forces of one recording. Raises `RigError` if empty or at a wrong rate."""
+        """Returns the forces of one recording. Raises `RigError` for no samples or a wrong rate."""
         if not blocks:
             raise RigError(
                 "force sensor: no samples arrived during the recording; check the NI card"
@@ -176,7 +177,7 @@ class GaugeForce(ForceSource):
     def _refused(self, error: Exception) -> RigError:
         return RigError(
             f"{self.name}: {str(error).splitlines()[0]}; "
-            "check the card, its name and its inputs in NI MAX"
+            "check the card, the card's name and the inputs in NI MAX"
         )
 
     def _receive(self) -> bytes:

@@ -1,12 +1,12 @@
-"""Interface of the force sensors: a source streams raw records, a calibration converts them.
+"""Defines the force sensors: a source streams raw records, and a calibration converts records.
 
 | sensor | source | calibration |
 |---|---|---|
 | ATI Net F/T box, by UDP | `rig.force.ati_net.NetForce` | `rig.force.ati_net.NetCalibration` |
 | six gauges, NI card | `rig.force.ni_daq.GaugeForce` | `rig.force.ni_daq.GaugeCalibration` |
 
-A source calls its sink in its own thread with the host's monotonic time of arrival [ns] and the
-received bytes. A calibration's `forces` converts these bytes into forces at known times.
+The thread of a source calls the sink with the host's monotonic time of arrival [ns] and the
+received bytes. The calibration's method `forces` converts these bytes into forces at known times.
 """
 
 import math
@@ -31,7 +31,7 @@ NEWTON_METRES = {
     "nm": 1.0, "nmm": 1e-3, "knm": 1e3, "kgcm": 0.0980665,
     "lbfin": 0.1129848290276167, "lbfft": 1.3558179483314004,
 }  # fmt: skip
-"""SI value of each unit, by ATI's name in lower case without hyphens."""
+"""SI value of each unit. The keys are ATI's names of the units in lower case, without hyphens."""
 
 
 def unit_in_si(unit: str, known: dict[str, float], where: str) -> float:
@@ -68,7 +68,7 @@ class Forces(NamedTuple):
 class SensorMounting:
     """The sensor's axes, with sign, that measure thrust and recoil.
 
-    Thrust is the force of the robot on the clamp towards the head; recoil is the force to the left.
+    Both are forces of the robot on the clamp: thrust towards the head, recoil towards the left.
     """
 
     thrust: str = "+Fx"
@@ -95,7 +95,7 @@ class Calibration(Protocol):
     """Conversion of raw records into forces."""
 
     def wrench(self, raw: np.ndarray, /) -> np.ndarray:
-        """Returns forces [N] and torques [N m] (..., 6) of counts or volts (..., 6)."""
+        """Returns forces [N] and torques [N m] (..., 6) from counts or volts (..., 6)."""
         ...
 
     def forces(self, host_ns: Sequence[int], datagrams: Sequence[bytes]) -> Forces:
@@ -112,7 +112,7 @@ class Health(NamedTuple):
 
 
 class ForceSource(ABC):
-    """An open sensor and context manager, which closes the sensor at the end or after an error."""
+    """An open sensor. This context manager closes the sensor at the end or after an error."""
 
     calibration: Calibration
     _last: tuple[int, np.ndarray] | None = None
@@ -126,7 +126,7 @@ class ForceSource(ABC):
         """Sets the present load as zero. Call this function at rest, before a recording."""
 
     def latest(self) -> tuple[int, np.ndarray] | None:
-        """Returns arrival [ns] and wrench (6,) [N, N m] of the last record, or None."""
+        """Returns arrival [ns] and wrench (6,) [N, N m] of the last record; None without a record."""
         if self._last is None:
             return None
         now, raw = self._last
@@ -134,7 +134,7 @@ class ForceSource(ABC):
 
     @abstractmethod
     def health(self) -> Health:
-        """Returns the counts since `start`."""
+        """Returns the numbers of records or samples since `start`."""
 
     @abstractmethod
     def check(self) -> None:
@@ -159,15 +159,15 @@ class ForceSource(ABC):
 class ReaderThread:
     """A thread that passes the results of `receive` to `take(host time [ns], bytes)`.
 
-    `receive` waits a short time and returns None without data. An exception of `receive` or `take`
-    ends the thread; `check` raises it again.
+    `receive` waits a short time and returns None without data. An exception in `receive` or `take`
+    ends the thread. `check` then raises this exception.
     """
 
     name: str
     receive: Callable[[], bytes | None]
     take: Callable[[int, bytes], None]
     patience: float
-    """`check` raises an error after this time without data [s]."""
+    """Time without data after which `check` raises an error [s]."""
     last_ns: int = field(default_factory=time.monotonic_ns)
     _failure: BaseException | None = None
     _ending: Event = field(default_factory=Event)
@@ -204,7 +204,7 @@ class ReaderThread:
             )
 
     def end(self, wait: float) -> bool:
-        """Ends the thread when no data arrive. Returns True if it ended within `wait` [s]."""
+        """Ends the thread when no data arrive. Returns True if this takes at most `wait` [s]."""
         self._ending.set()
         self._thread.join(wait)
         return not self._thread.is_alive()
@@ -216,7 +216,7 @@ class ReaderThread:
 
 
 def force_reader(calibration: Calibration, mounting: SensorMounting) -> StreamReader:
-    """Returns the reader of a force sensor's stream: columns thrust_N and recoil_N."""
+    """Returns the reader that converts a force sensor's stream to thrust_N and recoil_N."""
 
     def read(stream: RecordedStream) -> SampledColumns:
         forces = calibration.forces(stream.host_ns.tolist(), stream.pieces())
