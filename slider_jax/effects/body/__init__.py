@@ -1,1 +1,1 @@
-"""Effects of the body and its mounting. They may import `effects` and lower layers."""
+"""Effects of the body and the mounting. This package may import `effects` and lower layers."""

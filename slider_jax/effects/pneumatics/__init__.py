@@ -1,1 +1,1 @@
-"""Effects of valves, flow and chambers. They may import `effects` and lower layers."""
+"""Effects of valves, flow and chambers. This package may import `effects` and lower layers."""

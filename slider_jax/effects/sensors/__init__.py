@@ -1,1 +1,1 @@
-"""Effects of the sensors. They may import `effects` and lower layers."""
+"""Effects of the sensors. This package may import `effects` and lower layers."""

@@ -1,1 +1,1 @@
-"""Effects of the water. They may import `effects` and lower layers."""
+"""Effects of the water. This package may import `effects` and lower layers."""

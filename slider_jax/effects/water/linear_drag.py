@@ -7,7 +7,7 @@ from slider_jax.effects.base import ForceDensity, parameter
 
 
 class LinearDrag(ForceDensity):
-    """Viscous drag of the crossflow, dominant if strokes are too small for flow separation.
+    """Viscous drag of the crossflow, dominant if the amplitude is too small for separation.
 
         F_n = -c u_n
 

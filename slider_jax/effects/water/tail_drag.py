@@ -12,7 +12,7 @@ class TailDrag(ForceDensity):
 
         F_n = -rho C H |u_n| u_n / 2   on the tail
 
-    The tail is a sheet with sharp edges and has larger strokes than the body. With a negative C,
+    The tail is a sheet with sharp edges and moves farther than the body. With a negative C,
     the tail has a smaller coefficient than the body. Source: as in `NormalDrag`; Hoerner, S. F.
     (1965), Fluid-Dynamic Drag, ch. 3, on edges.
     """
