@@ -13,17 +13,17 @@ from slider_jax.io.files import versions
 from slider_jax.io.toml import significant, toml_text
 
 DEFINITIONS = {
-    "interval": "95 % interval, from the declared tip_noise or the tables' scatter about the fit, "
-    "whichever is larger; lengths, masses and loads are assumed to be exact",
+    "interval": "95 % interval, from the declared tip_noise or from the residual of the fit, "
+    "whichever is larger. Lengths, masses and loads are assumed to be exact",
     "determined": f"half of the interval's width is less than {DETERMINED:g} times the value",
     "offset": "reading of a table's ruler at zero displacement, fitted with the parameters [m]",
     "K_Q": "the interval of K_Q includes the uncertainty of EI, which the tip loads identify",
-    "damping_time": "alpha in the modulus E_el (1 + alpha d/dt), from the whole ring-down; the fit "
-    f"includes drag in air, C_d = {AIR_DRAG[0]:g} +- {AIR_DRAG[1]:g} (one standard deviation)",
-    "stiffness": "factor on EI_body and EI_tail with which the model has the measured frequency",
+    "damping_time": "alpha of the modulus E_el (1 + alpha d/dt), from the whole ring-down. The fit "
+    f"includes drag in air with C_d = {AIR_DRAG[0]:g} +- {AIR_DRAG[1]:g} (one standard deviation)",
+    "stiffness": "factor by which EI_body and EI_tail must be multiplied to obtain the frequency",
 }
 ADVICE = {
-    "EI_body": "larger or more loads on the tail's end",
+    "EI_body": "larger loads, or more loads, on the tail's end",
     "EI_tail": 'a [[tip_load]] table of the tail alone, clamped at its root: clamped = "joint"',
     "K_Q": "pressures that bend the tip by a tenth of the length or more",
     "damping_time": "a longer ring-down, until the amplitude is a third of its initial value",
@@ -105,7 +105,7 @@ def _ring(found: Statics, ring: RingFit) -> dict[str, Any]:
 
 
 def _warnings(found: Statics) -> list[str]:
-    """Returns a sentence for each contradiction between model and measurement."""
+    """Returns warnings: fits that did not converge, large residuals and a wrong frequency."""
     text = []
     shapes, ring = found.shapes, found.ring
     if shapes is not None:
@@ -114,7 +114,7 @@ def _warnings(found: Statics) -> list[str]:
         if shapes.mean_square > 4.0:
             text.append(
                 f"The residual of the static shapes is {np.sqrt(shapes.mean_square):.1f} times "
-                "tip_noise. The intervals are wider by this factor; see the figures."
+                "tip_noise. The intervals were widened by this factor: see the figures."
             )
     if ring is not None:
         if not ring.converged:
@@ -122,7 +122,7 @@ def _warnings(found: Statics) -> list[str]:
         if ring.mean_square > 4.0:
             text.append(
                 f"The residual of the ring-down is {np.sqrt(ring.mean_square):.1f} times "
-                "tip_noise. The interval is wider by this factor; see the figure."
+                "tip_noise. The interval was widened by this factor: see the figure."
             )
         low, high = ring.stiffness.low, ring.stiffness.high
         if not low - 0.03 < 1.0 < high + 0.03:

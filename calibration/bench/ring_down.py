@@ -1,8 +1,8 @@
 """Fits the damping time alpha to a ring-down of the robot, released from a bent shape in air.
 
 A small oscillation of a Kelvin-Voigt beam with angular frequency omega decays as exp(-alpha omega^2
-t/2), which gives an initial value of alpha. The fit to the whole record has six parameters: alpha,
-a factor on both stiffnesses (from the frequency), the load before the release, the drag coefficient
+t/2) in the time t. This decay gives an initial value of alpha. The fit to the whole record has six
+parameters: alpha, a factor on both stiffnesses, the load before the release, the drag coefficient
 in air with the prior `AIR_DRAG`, the time of the release, and the ruler's zero.
 """
 
@@ -30,17 +30,17 @@ from slider_jax.simulation.trial import run_chunks
 
 AIR_DRAG = (2.0, 0.7)
 """Mean and standard deviation of the prior on C_d, the drag coefficient of the cross-flow in air.
-A plate in steady flow has C_d = 2; small strokes increase it."""
+A plate in steady flow has C_d = 2. Oscillations with a small stroke increase C_d."""
 STEPS = 200
 """Number of time steps per period of the first mode."""
 BLOCK = 1000
-"""Number of time steps in a compiled program. Records of similar length share one program."""
+"""Number of time steps per call of the compiled function, which all records share."""
 MIN_DAMPING = 1e-6
 """Smallest initial value of alpha [s]."""
 
 
 class Decay(NamedTuple):
-    """Fit of a exp(-rate t) cos(2 pi frequency t + phase) + zero to a record."""
+    """Fit of a cosine whose amplitude decays as exp(-rate t), plus a constant, to a record."""
 
     frequency: float
     """[Hz]"""
@@ -59,21 +59,21 @@ class RingFit(NamedTuple):
     damping_time: BenchEstimate
     """alpha [s]."""
     stiffness: BenchEstimate
-    """Factor on EI_body and EI_tail that gives the measured frequency; 1 if both are correct."""
+    """Factor on EI_body and EI_tail that gives the measured frequency; 1 if they are correct."""
     decay: Decay
     predicted: np.ndarray
     """Predicted tip (n,) [m] at the record's times."""
     noise: float
     """Standard deviation of the tip's noise [m]."""
     mean_square: float
-    """Mean square of the residual divided by the noise."""
+    """Mean square of the residual, after division by the noise's standard deviation."""
     load: float
     """Force before the release [N]."""
     converged: bool
 
 
 def fit_decay(t: np.ndarray, tip: np.ndarray) -> Decay:
-    """Returns frequency and decay of the slowest mode, from the record after the first period.
+    """Returns frequency and decay rate of the first mode; the record's first period is not used.
 
     Raises `InputError` if the record does not oscillate.
     """
@@ -97,7 +97,7 @@ def fit_decay(t: np.ndarray, tip: np.ndarray) -> Decay:
     if not residual < 0.5 * np.std(tip[late]):
         raise InputError(
             f"the ring-down has no decaying oscillation near {frequency:.3g} Hz: the residual of a "
-            "fitted damped cosine is half of the signal or more; start the record at the release"
+            "fitted damped cosine must be below half of the signal; record from the release on"
         )
     return Decay(float(found[3]), float(found[2]))
 
@@ -177,7 +177,7 @@ def fit_ring_down(
     """Returns the fit of alpha to the bench's ring-down; `robot` gives the initial values.
 
     If no noise is declared, the residual's standard deviation is used as noise. The residual is
-    correlated, so the number of samples is divided by the correlation time (in samples).
+    correlated, so the variances are multiplied by its correlation time (in samples).
     """
     record = bench.ring_down
     assert record is not None
@@ -234,9 +234,9 @@ def fit_ring_down(
 
 
 def _start(record: RingDown, decay: Decay, robot, density, grid, numerics) -> np.ndarray:
-    """Returns initial parameters whose simulation has the record's first tip, frequency and decay.
+    """Returns initial parameters that give the record's first tip, frequency and decay.
 
-    Two simulations are compared with the record to correct a first estimate.
+    Each of two simulations is compared with the record to correct the parameters.
     """
     length, EI = float(robot.length), float(robot.EI_body)
     first = float(np.mean(record.tip[: max(2, len(record.tip) // 200)]) - np.mean(record.tip))

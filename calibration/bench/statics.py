@@ -1,7 +1,8 @@
-"""Fits stiffness and moment per pressure to the static shapes of all tables of a bench together.
+"""Fits stiffness and moment per pressure to the static shapes in all tables of a bench together.
 
-The model is the beam of `slider simulate`. Every table has its own offset, the zero of its ruler.
-Tip loads identify EI, and pressures identify K_Q. K_Q's interval includes the uncertainty of EI.
+The model is the beam of `slider simulate`. Every table has an offset: the reading of its ruler at
+zero displacement. Tip loads identify the bending stiffness EI, and pressures identify the moment
+per pressure K_Q. The interval of K_Q includes the uncertainty of EI.
 """
 
 from collections.abc import Callable, Sequence
@@ -27,11 +28,11 @@ from slider_jax.supports import Clamped
 
 UNITS = {"EI_body": "N m^2", "EI_tail": "N m^2", "K_Q": "m^3", "damping_time": "s"}
 DETERMINED = 0.5
-"""A parameter is determined if half of its interval's width is below this fraction of its value."""
+"""A parameter is determined if its interval's half width is below this fraction of its value."""
 FIRST_NOISE = 1e-3
-"""Noise that the first of two fits assumes for a table without declared noise [m]."""
+"""Noise of a table without declared noise in the first fit; a second fit uses the residual [m]."""
 Linearised = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""Maps x (k,) to the residual (n,) in standard deviations, and the residual's derivative (n, k)."""
+"""Maps x (k,) to the residual (n,), divided by the noise, and the residual's derivative (n, k)."""
 
 
 class Minimum(NamedTuple):
@@ -40,12 +41,12 @@ class Minimum(NamedTuple):
     x: np.ndarray
     residual: np.ndarray
     inverse: np.ndarray
-    """Inverse of the normal matrix (k, k): the covariance if the standard deviations are right."""
+    """Inverse of the normal matrix (k, k): the covariance of x if the assumed noise is correct."""
     converged: bool
 
 
 def levenberg_marquardt(linearised: Linearised, start: np.ndarray) -> Minimum:
-    """Returns the minimum near `start`, by MINPACK's Levenberg-Marquardt.
+    """Returns the minimum near `start`, from MINPACK's Levenberg-Marquardt method.
 
     Raises `InputError` if the model has no solution at the start.
     """
@@ -94,15 +95,15 @@ class ShapeFit(NamedTuple):
 
     parameters: dict[str, BenchEstimate]
     correlations: np.ndarray
-    """Correlations of the parameters, in their order."""
+    """Correlations of the parameters, in the order of `parameters`."""
     predicted: list[np.ndarray]
-    """Tip of every table, followed by the joint if it was measured [m]."""
+    """Predicted tip of every table, followed by the joint if the joint was measured [m]."""
     noise: list[float]
     """Standard deviation of the noise in every table [m]."""
     offsets: list[float]
-    """Zero of every table's ruler [m]."""
+    """Reading of every table's ruler at zero displacement [m]."""
     mean_square: float
-    """Mean square of the residual divided by the noise; NaN unless all tables declare noise."""
+    """Mean square of the residual divided by the noise; NaN if a table declares no noise."""
     converged: bool
 
 
@@ -127,8 +128,8 @@ def tail_alone(robot: Robot) -> Robot:
 def _shapes(logs: Float[Array, "3"], robot: Robot, rows, numerics: Numerics):
     """Returns tip and joint (2, rows) [m] and their derivatives (2, rows, 3) in `logs`.
 
-    `logs` are the logarithms of EI_body, EI_tail and K_Q. `rows` are on_tail (rows,), force (rows,)
-    and pressure (rows, 2).
+    `logs` are the logarithms of EI_body, EI_tail and K_Q. `rows` contains on_tail (rows,), force
+    (rows,) and pressure (rows, 2), as in `Shapes`.
     """
 
     def displacements(logs):
@@ -149,7 +150,7 @@ def _shapes(logs: Float[Array, "3"], robot: Robot, rows, numerics: Numerics):
 
 
 def identifiable_parameters(shapes: Sequence[Shapes]) -> list[str]:
-    """Returns the parameters that tables of these kinds can identify.
+    """Returns the parameters that tables of the kinds in `shapes` can identify.
 
     The tip's displacement under a load on the whole robot identifies only one stiffness, EI_body.
     EI_tail needs the joint's displacement, or a table for the tail alone.
@@ -168,7 +169,7 @@ def identifiable_parameters(shapes: Sequence[Shapes]) -> list[str]:
 def fit_shapes(bench: Bench, numerics: Numerics = Numerics()) -> ShapeFit:
     """Returns the fit of the identifiable EI_body, EI_tail and K_Q to all static shapes.
 
-    Raises `InputError` if the pressures bend the measured robot and the model to opposite sides.
+    Raises `InputError` if a pressure bends the measured robot and the model to opposite sides.
     """
     shapes = bench.shapes
     robot = jax.tree.map(lambda x: jnp.asarray(x, float), bench.robot)
@@ -222,7 +223,7 @@ def fit_shapes(bench: Bench, numerics: Numerics = Numerics()) -> ShapeFit:
 
 
 def _scatter(shapes, found, noise, shared: int) -> list[float]:
-    """Returns every table's noise [m]: the declared one, or else the residual's."""
+    """Returns every table's noise [m]: the declared noise or the residual's standard deviation."""
     result = []
     for s, (y, _), n in zip(shapes, found, noise, strict=True):
         if s.noise is None:

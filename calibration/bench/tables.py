@@ -16,7 +16,7 @@ from slider_jax.io.units import Quantity
 MIN_ROWS = 5
 """Smallest number of rows in a table of static shapes."""
 MIN_CYCLES, MIN_SAMPLES = 3.0, 10.0
-"""Smallest number of periods in a ring-down, and of samples per period."""
+"""Smallest number of periods in a ring-down, and smallest number of samples per period."""
 MAX_LOAD = 30.0
 """Largest dimensionless load, load x length^2/EI. A larger load is probably not in newtons."""
 
@@ -26,7 +26,7 @@ TipNoise = Annotated[float, Quantity(1e-6, 0.02, "m")] | None
 
 class TipLoadTable(Table):
     """[[tip_load]]: displacement of the tail's end (and the joint) under a lateral force of
-    constant direction on that end. With `clamped = "joint"`, the tail alone is clamped."""
+    constant direction on the tail's end. With `clamped = "joint"`, the test uses the tail alone."""
 
     file: FileName
     clamped: Clamp = "head"
@@ -72,7 +72,7 @@ class Shapes(NamedTuple):
     name: str
     kind: Literal["tip_load", "pressure"]
     on_tail: bool
-    """Whether the tail alone is clamped, at the joint."""
+    """Whether the tail alone was measured, clamped at the joint."""
     force: np.ndarray
     """Lateral force on the tail's end (rows,) [N]."""
     pressure: np.ndarray
@@ -86,7 +86,7 @@ class Shapes(NamedTuple):
 
     @property
     def measured(self) -> np.ndarray:
-        """Returns the displacement of the tip, followed by that of the joint if measured [m]."""
+        """Returns the displacement of the tip, followed by the joint's if it was measured [m]."""
         return self.tip if self.joint is None else np.concatenate([self.tip, self.joint])
 
 
@@ -112,7 +112,7 @@ class Bench(NamedTuple):
 
 
 def load_bench(path: Path) -> Bench:
-    """Returns the checked content of a bench file and its tables; raises `InputError`."""
+    """Returns the content of a bench file and its tables. Raises `InputError` if it is invalid."""
     table = validate(StaticsTable, read_toml(path), str(path))
     robot = Robot(**table.robot.model_dump(exclude={"water_density"}), K_Q=table.parameters.K_Q)
     folder = path.parent
@@ -173,8 +173,8 @@ def _pressure(folder: Path, x: PressureTable, robot: RobotTable) -> Shapes:
     steps = np.diff(p, axis=0)
     if not any((steps[:, i] > 0.0).all() or (steps[:, i] < 0.0).all() for i in (0, 1)):
         raise InputError(
-            f"{path}: neither pressure is monotonic; sort the rows by load, and give loading and "
-            "unloading as two tables"
+            f"{path}: one of the pressures must increase or decrease in all rows; sort the rows by "
+            "this pressure, and give loading and unloading as two tables"
         )
     _displacement(path, "tip_m", tip, robot.tail_length + robot.body_length)
     return Shapes(x.file, "pressure", False, np.zeros(len(tip)), p, tip, None, x.tip_noise)
@@ -198,9 +198,9 @@ def _ring_down(folder: Path, x: RingDownTable, robot: RobotTable) -> RingDown:
     period = 2.0 * np.pi * length**2 / 3.516 * np.sqrt(robot.linear_density / robot.EI_body)
     if t[-1] - t[0] < MIN_CYCLES * 0.5 * period or np.median(spacing) > period / MIN_SAMPLES:
         raise InputError(
-            f"{path}: {len(t)} samples in {t[-1] - t[0]:.3g} s; the period is about "
-            f"{period:.2g} s: give {MIN_CYCLES:g} periods or more, with {MIN_SAMPLES:g} samples or "
-            "more per period, and times in seconds"
+            f"{path}: the record has {len(t)} samples in {t[-1] - t[0]:.3g} s; the period is about "
+            f"{period:.2g} s. Record {MIN_CYCLES:g} periods or more, with {MIN_SAMPLES:g} samples "
+            "or more per period, and give times in seconds"
         )
     return RingDown(x.file, t, tip, x.tip_noise, x.air_density)
 
@@ -225,5 +225,5 @@ def _same_way(path: Path, load: np.ndarray, tip: np.ndarray, name: str) -> None:
     slope = float(np.sum((load - load.mean()) * (tip - tip.mean())))
     if slope <= 0.0:
         raise InputError(
-            f"{path}: tip_m decreases where {name} increases; both must be positive to one side"
+            f"{path}: tip_m decreases where {name} increases; give both the same positive direction"
         )

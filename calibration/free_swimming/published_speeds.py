@@ -1,9 +1,10 @@
-"""Compares the paper's published free-swimming speeds with its equations and added resistance.
+"""Compares published free-swimming speeds with the paper's equations and with added resistance.
 
 The paper's drag acts only normal to the body, so nothing resists axial motion. In the model, the
-robot accelerates far beyond the measured speed, until its stroke no longer gives thrust. An effect
-that resists axial motion is calibrated on one published point and predicts the speed at another
-point. Variation of the quantities that the paper does not give shows the prediction's uncertainty.
+robot accelerates far beyond the measured speed, until its stroke no longer gives thrust. So this
+module adds an effect that resists axial motion. The effect is calibrated on one published speed and
+predicts another one. The quantities that the paper does not give are varied; the variation of the
+prediction shows its uncertainty.
 """
 
 import itertools
@@ -41,20 +42,20 @@ from slider_jax.swimming.steady_state import (
 
 STEADY_SETTINGS = SteadySettings(steps_per_stride=160)
 CORRECTIONS_FACTOR = 3
-"""Factor on the number of speed corrections if there is no resistance: the final speed is then ten
-times as high."""
+"""Factor on the number of corrections in the search for the steady speed, if the model has no
+resistance. Without resistance, the steady speed is ten times as high."""
 STRIDES_FROM_REST = 60
 """Number of simulated strides from rest, sufficient to show whether the speed settles."""
 
 
 class PublishedPoint(NamedTuple):
-    """A published speed. `gaits` are alternative assumptions on what the paper does not give."""
+    """A published speed. `gaits` are alternative assumptions about quantities not published."""
 
     name: str
     speed: float
     """[m/s]"""
     error: float
-    """[m/s]; assumed for the first point, because the paper gives no error there."""
+    """[m/s]; assumed for the first point, because the paper does not give its error."""
     gaits: dict[str, Gait]
 
 
@@ -86,13 +87,13 @@ RESISTIVE_EFFECTS: dict[str, Callable[[Any], Effect]] = {
 INITIAL_COEFFICIENTS = {"tangential_friction": 0.1, "head_drag": 2e-3}
 """Initial values of the secant search for a coefficient."""
 HEAD_ADDED_MASSES = {"without head_added_mass": 0.0, "with head_added_mass": 1.0}
-"""m_a of `HeadAddedMass`. The paper's local form of the reactive force has no such point force."""
+"""Values of m_a in `HeadAddedMass`, a point force at the head that the paper's equations omit."""
 
 
 def paper_swimmer(
     gait: Gait, resisting: str | None = None, coefficient: float = 0.0, head: float = 0.0
 ) -> Model:
-    """Returns the paper's robot swimming freely, with at most one effect of axial resistance.
+    """Returns a model of the paper's robot in free swimming, with at most one axial resistance.
 
     All such models have the same structure, so they share one compiled program.
     """
@@ -169,12 +170,12 @@ class UnresistedSwim:
     by_stride: np.ndarray
     """Mean speed [m/s] of each stride from rest."""
     steady: float
-    """Steady speed [m/s]; infinite if the search found none."""
+    """Steady speed [m/s], or infinity if the search found no steady speed."""
 
 
 @dataclass(frozen=True)
 class SpeedPrediction:
-    """The speed that an effect predicts at one point after calibration on the other."""
+    """The speed that an effect, calibrated on one published point, predicts at another point."""
 
     resisting: str
     head: str
@@ -202,7 +203,7 @@ class SpeedPrediction:
 def unresisted_swims(
     plan: SteadySettings = STEADY_SETTINGS, strides: int = STRIDES_FROM_REST
 ) -> list[UnresistedSwim]:
-    """Returns the swims at every point and gait, without and with the point force at the head."""
+    """Returns the swims at every point and gait, without and with the head's added mass."""
     swims = []
     for point, head in itertools.product((FIRST, OPTIMUM), HEAD_ADDED_MASSES):
         for name, gait in point.gaits.items():
@@ -221,7 +222,7 @@ def unresisted_swims(
 
 
 def _steady_speed(swim: Steady) -> float:
-    """Returns the steady speed [m/s]; infinite if there is none."""
+    """Returns the steady speed [m/s], or infinity if the search found no steady speed."""
     if not bool(swim.carry.ok):
         raise SolverError("a time step of the search for a steady speed did not converge")
     return float(swim.speed) if bool(swim.ok) else float("inf")
@@ -234,7 +235,7 @@ def predicted_speeds(
     heads: Sequence[str] = tuple(HEAD_ADDED_MASSES),
     done: Callable[[SpeedPrediction], None] = lambda x: None,
 ) -> list[SpeedPrediction]:
-    """Returns the speeds that each effect, calibrated on one point, predicts at another.
+    """Returns the speeds that each effect, calibrated on one point, predicts at another point.
 
     `done` receives each prediction when it is ready.
     """

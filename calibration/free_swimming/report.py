@@ -20,7 +20,7 @@ from slider_jax.io.figures import new_figure
 from slider_jax.io.files import versions
 
 EQUIVALENT_SHARE = 0.8
-"""An effect is equivalent if it removes more than this fraction of the error at the optimum."""
+"""An effect is equivalent to the best effect if it removes more than this fraction of the error."""
 NEXT_SPEED_EXPERIMENT = (
     "Record the set pressures and the tail of the 5 Hz test. Tow the straight, unpowered robot at "
     "0.1 to 0.4 m/s, with and without the tubes, to measure the resistance without a model."
@@ -28,13 +28,13 @@ NEXT_SPEED_EXPERIMENT = (
 
 
 class CrossPrediction(NamedTuple):
-    """Swims without axial resistance, and predictions of each point's speed from another point."""
+    """Swims without axial resistance, and predictions of one point's speed from the other point."""
 
     before: list[UnresistedSwim]
     forward: list[SpeedPrediction]
-    """Calibrated at 5 Hz; predictions of the optimum."""
+    """Predictions of the optimum's speed by effects that were calibrated at 5 Hz."""
     backward: list[SpeedPrediction]
-    """Calibrated at the optimum; predictions of the 5 Hz point."""
+    """Predictions of the speed at 5 Hz by effects that were calibrated at the optimum."""
 
 
 def allowed_error() -> float:
@@ -43,16 +43,16 @@ def allowed_error() -> float:
 
 
 def unresisted_error(x: CrossPrediction) -> float:
-    """Returns the smallest error [m/s] of the steady speed without resistance at the optimum."""
+    """Returns the smallest error [m/s] of the steady speed at the optimum without resistance."""
     return min(b.steady for b in x.before if b.point == OPTIMUM.name) - OPTIMUM.speed
 
 
 def speeds_verdict(x: CrossPrediction) -> tuple[str, SpeedPrediction]:
     """Returns the verdict and the most accurate prediction with a coefficient in its prior range.
 
-    Each prediction assumes one set of the quantities that the paper does not give. The verdict is
-    "unexplained" if no prediction is within the allowed error, and "inconclusive" if fewer than
-    half of the predictions are.
+    Each prediction assumes values of the quantities that the paper does not give. The verdict is
+    "unexplained" if no prediction is within the allowed error. The verdict is "inconclusive" if the
+    predictions within this error are fewer than half of all predictions by the best effect.
     """
     in_prior = [a for a in x.forward if a.in_prior] or x.forward
     best = min(in_prior, key=lambda a: abs(a.error))
@@ -149,7 +149,7 @@ def speeds_record(x: CrossPrediction, seconds: float) -> dict[str, Any]:
 def _coefficient_range(
     predictions: list[SpeedPrediction], best: SpeedPrediction
 ) -> dict[str, dict[str, Any]]:
-    """Returns the record of the best coefficient with its range, by the parameter's name."""
+    """Returns a record of the best coefficient with its range; the key is the parameter's name."""
     values = [a.coefficient for a in predictions if a.resisting == best.resisting]
     ((parameter, prior),) = RESISTIVE_EFFECTS[best.resisting](0.0).priors().items()
     record = {
@@ -186,7 +186,7 @@ def speeds_table(x: CrossPrediction) -> str:
 
 
 def speeds_page(x: CrossPrediction, record: dict[str, Any]) -> str:
-    """Returns report.html; `record` is the content of report.json."""
+    """Returns the content of report.html. `record` is the content of report.json."""
     return render_page(
         "free_swimming.html",
         title="The paper's free-swimming speeds",

@@ -299,9 +299,9 @@ def test_the_command_writes_the_identified_parameters(exact, tmp_path, monkeypat
         ("bent.csv", "p_front_Pa,p_rear_Pa,tip_m\n1,0,.01\n2,0,.02\n3,0,.03\n4,0,.04\n5,0,.05\n",
          "pressures are in pascal, not kPa or psi"),
         ("bent.csv", "p_front_Pa,p_rear_Pa,tip_m\n1e4,0,.01\n2e4,0,.02\n1e4,0,.01\n"
-         "4e4,0,.04\n5e4,0,.05\n", "neither pressure is monotonic"),
+         "4e4,0,.04\n5e4,0,.05\n", "one of the pressures must increase"),
         ("ring.csv", "t_s,tip_m\n0,.01\n.1,.02\n.2,.01\n.3,-.01\n.4,-.02\n",
-         "the period is about 1.1 s: give 3 periods or more"),
+         "the period is about 1.1 s. Record 3 periods or more"),
     ],
 )  # fmt: skip
 def test_a_bad_table_is_refused_in_one_line(exact, tmp_path, file, rows, text):
