@@ -1,7 +1,7 @@
 """Defines the channels: the signal of each sensor, with its CSV column, units and noise.
 
 All code that reads, simulates, plots or fits sensor data iterates over `CHANNELS`. To add a sensor,
-define a `Channel` and pass it to `register` before you load data:
+define a `Channel` and `register` this channel before you load data:
 
     register(Channel("tail_speed", "tail_speed_m_per_s", "m/s", "tail speed", "m/s", 1.0, observe))
 """
@@ -85,7 +85,7 @@ def _force(name: str, observe: Callable[[Snapshot], Array], discrepancy: float) 
     )  # fmt: skip
 
 
-# Discrepancies from an independent program (see the glossary) in twelve noise-free trials:
+# Model-discretisation discrepancies (see the glossary) in twelve noise-free trials:
 # pressures 0.05 to 0.3 %, thrust 5 to 28 % (median 7), recoil 0.7 to 2.1 %, tip 0.1 to 0.9 %.
 register(_pressure("p_front", "front pressure", 0))
 register(_pressure("p_rear", "rear pressure", 1))

@@ -54,9 +54,9 @@ class Assumed(eqx.Module):
     | `rear_ratio` | - | ratio of the rear to the front amplitude |
     | `phase` | - | delay of the rear chamber, as a fraction of a stride |
 
-    With these values, the mean thrust at 4.8 Hz and the frequency of the minimum agree with the
-    paper. The minimum is at 1.0 Hz for a phase of 0 to 0.05, and at 1.4 Hz for a phase of 0.15. For
-    a phase of 0.3, the mean thrust has no minimum.
+    With these values, the mean thrust at 4.8 Hz agrees with the paper. As in the paper, the mean
+    thrust has a minimum at 1.0 Hz, for all phases from 0 to 0.05. With a phase of 0.15, the minimum
+    is at 1.4 Hz. With a phase of 0.3, the mean thrust has no minimum.
     """
 
     amplitude: Scalar = 260e3

@@ -68,7 +68,7 @@ class SquareWave(Waveform):
 
 
 class SineWave(Waveform):
-    """A sine, amplitude sin(2 pi (frequency t - phase)) [Pa], second-order accurate."""
+    """A sine, amplitude sin(2 pi (frequency t - phase)) [Pa]. The error is of second order."""
 
     frequency: Scalar
     amplitude: Scalar

@@ -48,7 +48,7 @@ class Plan(NamedTuple):
 
 
 class Programs(NamedTuple):
-    """Compiled programs for chunks of one size: `rest` creates the start, `stride` one stride."""
+    """Compiled programs for one chunk size: `rest` starts a run, `stride` simulates one stride."""
 
     rest: Callable[[BatchRobot], Carry]
     stride: Callable[[BatchRobot, Array, Carry], tuple[Carry, dict[str, Array]]]
@@ -65,7 +65,7 @@ def saved_quantities(x: Snapshot) -> dict[str, Array]:
 def one_stride(
     plan: Plan, robot: BatchRobot, number, carry: Carry
 ) -> tuple[Carry, dict[str, Array]]:
-    """Simulates stride `number` (first: 0) of a robot; returns the last state and the series."""
+    """Simulates stride `number` (first: 0) of a robot; returns the final carry and the series."""
     steps, f = plan.steps_per_stride, robot.frequency
     times = TimeGrid(h=1.0 / (f * steps), steps=steps, t0=number / f)
     out = continued(carry, robot.model, times, saved_quantities, plan.numerics, plan.scheme)

@@ -52,7 +52,7 @@ class ClimbRun:
     cap: float
     """Highest set pressure [Pa]."""
     tried: dict[float, float]
-    """Speed [m/s] at each compared pin phase; NaN if a step failed. May be empty."""
+    """Speed [m/s] at each compared pin phase; NaN if a step failed; empty if none is compared."""
     found: Climb
     """Performance in the last `plan.strides` strides, or in the whole periods of these strides."""
     series: Any
@@ -134,7 +134,7 @@ def simulate_climb(
 ) -> ClimbRun:
     """Simulates climbing in air with a trial's drive.
 
-    The robot starts straight, with its centre of mass below the pin. It climbs in blocks of 15
+    The robot starts straight with its centre of mass below the pin, and climbs in blocks of 15
     strides until strides repeat, or for `longest` strides. The result covers the last 15 strides,
     or the whole periods of these strides. Without `pin_phase` (fraction of a period), the function
     uses the fastest of `PHASES` pin phases. `link` [m] is the length of the cross-link, and `cap`

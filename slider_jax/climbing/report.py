@@ -60,7 +60,7 @@ def climb_summary(run: ClimbRun) -> list[str]:
 
 
 def series_columns(run: ClimbRun) -> dict[str, np.ndarray]:
-    """Returns the CSV columns of the last strides; x points up from the first centre of mass."""
+    """Returns the CSV columns of the last strides; x is up from the first centre of mass."""
     x, steps = run.series, run.plan.steps_per_stride
     start = x.centre[0]
     places = {"head": x.midline[:, :, -1], "tip": x.midline[:, :, 0], "pin": x.pin,

@@ -33,9 +33,9 @@ class BeamNewton(optx.AbstractRootFinder):
     """Shamanskii's method: one factorisation per iteration and several simplified Newton steps.
 
     Each iteration makes `corrections` (at least 2) steps with the same factors. Each increment
-    is about r times the last one, so |increment| r/(1 - r) estimates the error after the last step.
-    The iteration stops when this estimate, divided by max(`options["scale"]`, |y|), is below
-    `rtol`. The field `atol` of optimistix must be 0, since the six unknowns have different units.
+    is about r times the previous one. The error after the last step is about |increment| r/(1 - r).
+    The iteration stops when this error, divided by max(`options["scale"]`, |y|), is below `rtol`.
+    The field `atol` of optimistix must be 0, since the six unknowns have different units.
 
     Source: Shamanskii, V. E. (1967), A modification of Newton's method, Ukr. Math. J. 19, 118-122.
     """

@@ -64,7 +64,7 @@ def load_rates(head: Float[Array, "6"], stage: Stage) -> Float[Array, "3"]:
 
 
 def head_rows(head: Float[Array, "6"], stage: Stage) -> Float[Array, "3"]:
-    """Returns residuals of the support for the head's motion relative to `Mounting` effects."""
+    """Returns residuals of the support's conditions for head motion minus mounting motion."""
     at_head, omega = fields(head), turning_rate(fields(head), stage)
     rates = HeadRates(*load_rates(head, stage))
     for effect in of_place(stage.effects, Mounting):

@@ -102,7 +102,7 @@ def _loaded_jacobian(y: Unknowns, stage: Stage, force: Float[Array, "2"]) -> Bea
 
 
 def _newton(stage: Stage, force: Float[Array, "2"], scale: Float[Array, "6 1"]):
-    """Returns the state, its last relative change, and the last factors of the Jacobian."""
+    """Returns the state, the last relative change of the state, and the last factors."""
     solver = BeamSolver()
 
     def correct(carry, share):
@@ -123,7 +123,7 @@ def _newton(stage: Stage, force: Float[Array, "2"], scale: Float[Array, "6 1"]):
 
 @eqx.filter_custom_jvp
 def _equilibrium(inputs):
-    """Returns (y, error) for (stage, force, scale)."""
+    """Returns the state and its last relative change for (stage, force, scale)."""
     return _newton(*inputs)[:2]
 
 

@@ -82,8 +82,8 @@ def make_step(model: Model, mesh: Mesh, numerics: Numerics, scheme: Scheme):
     """Returns the function that advances a `Carry` by one step.
 
     The returned function takes (carry, (t, h, chambers)): start `t` [s] and length `h` [s] of the
-    step, and the stacked chambers at all stages. It returns the new carry and a `Snapshot` at the
-    step's end. Raises `ValueError` for a mesh in float32.
+    step, and the stacked chambers at all stages. The function returns the new carry and a
+    `Snapshot` at the step's end. Raises `ValueError` for a mesh in float32.
     """
     if mesh.grid.s.dtype != jnp.float64:
         raise ValueError(
@@ -179,7 +179,7 @@ def at_rest(model: Model, numerics: Numerics, t0: Scalar = 0.0) -> Carry:
 
 
 def with_motion(carry: Carry, change: Callable[[Array], Array]) -> Carry:
-    """Returns the carry after `change` of (V_tau, V_n, phi), arrays of shape (..., 3, nodes)."""
+    """Returns the carry after `change` of its rows (V_tau, V_n, phi), shape (..., 3, nodes)."""
     history = carry.history.at[:, 3:].set(change(carry.history[:, 3:]))
     rows = change(carry.memory.motion), history
     return eqx.tree_at(lambda c: (c.memory.motion, c.history), carry, rows)

@@ -78,8 +78,8 @@ def load(path: Path | str, model: Path | str | None = None) -> Experiment:
     """Returns the validated experiment of the file `path`, changed by the file `model` if given.
 
     Keys of `[robot]` and `[parameters]` in the model file replace keys of the experiment. The
-    `[[effects]]` of both files are combined. C_d and m_a of the model file replace the source
-    "ramp" or "table" of the experiment, and vice versa. Raises `InputError` with file and key.
+    `[[effects]]` of both files are combined. C_d and m_a of the model file replace the
+    experiment's ramp or table, and vice versa. Raises `InputError` with file and key.
     """
     path = Path(path)
     return assemble(read_toml(path), str(path), path.parent, model)
@@ -88,7 +88,7 @@ def load(path: Path | str, model: Path | str | None = None) -> Experiment:
 def assemble(
     content: dict[str, Any], source: str, folder: Path, model: Path | str | None = None
 ) -> Experiment:
-    """Returns the experiment with the tables `content`, as `load`; errors name `source` as file."""
+    """Returns the experiment with the tables `content` of the file `source`, as in `load`."""
     experiment = _experiment(content, source, folder)
     if model is None:
         return experiment
@@ -121,7 +121,7 @@ def assemble(
 
 
 def trial_conditions(experiment: Experiment, trial: Trial) -> dict[str, float]:
-    """Returns the values by name that an effect takes from `trial` for fields that are omitted."""
+    """Returns the values, by field name, that effects take from `trial` for omitted fields."""
     return {
         "density": experiment.robot.water_density,
         "stride_frequency": trial.frequency or 1.0,
@@ -148,7 +148,7 @@ def _effect(table: EffectTable, where: str, taken: dict[str, float] | None = Non
 
 
 LONGEST_RECORD = 20.0
-"""Largest ratio of a recorded drive's duration to the trial's. Larger ratios mean a wrong unit."""
+"""Largest allowed duration of a recorded drive, divided by the duration of the trial."""
 
 
 def check_pascal(path: Path, columns: dict[str, np.ndarray], names: tuple[str, ...]) -> None:

@@ -40,7 +40,7 @@ class StepGrid:
 
     @property
     def edges(self) -> np.ndarray:
-        """Indices of steps with an edge of the drive, 0 and `steps`; played edges are rounded."""
+        """Indices of steps with an edge of the drive, with 0 and `steps`; times are rounded."""
         if self.played is not None:
             near = np.round(np.asarray(self.played) / self.h).astype(int)
             inner = near[(near > 0) & (near < self.steps)]
@@ -138,7 +138,7 @@ def prepare(
 def half_period_steps(frequency: float, longest: float, phase: float = 0.0) -> int:
     """Returns the number of steps per half period of `frequency` [Hz], at most `longest` [s] each.
 
-    The front chamber's edges, at half periods, are therefore at ends of steps. The number of steps
+    The edges of the front set pressure are therefore at ends of steps. The number of steps
     is increased by up to a quarter if then the rear chamber's edges are also at ends of steps.
     """
     least = max(2, int(np.ceil(0.5 / (frequency * longest) * (1.0 - 1e-12))))
@@ -161,7 +161,7 @@ def sample_series(
     """Interpolates `values` (n, ...) at evenly spaced times `t` (n,) cubically to the times `at`.
 
     Each result uses the four nearest steps between two neighbouring `edges` (indices of t), so no
-    polynomial crosses an edge. If fewer than four are available, the result uses all these steps.
+    polynomial crosses an edge. With fewer than four steps between the edges, all steps are used.
     """
     h = (t[-1] - t[0]) / (len(t) - 1)
     place = np.clip((at - t[0]) / h, 0.0, len(t) - 1.0)

@@ -145,7 +145,7 @@ class NumericsTable(Table):
 
 class Trial(Table):
     """[[trials]]: one trial. The rear set pressure is `rear_ratio` times the front set pressure and
-    `phase` periods later. `drive_is` states which pressures a recorded drive contains."""
+    `phase` periods later. `drive_is` states whether a recorded drive is measured."""
 
     file: FileName
     waveform: Literal["square", "sine", "trapezoid", "recorded"] = "square"

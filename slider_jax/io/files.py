@@ -22,7 +22,7 @@ from slider_jax.errors import InputError
 
 
 def output_folder(path: Path | str) -> Path:
-    """Creates the folder `path` if missing. Raises `InputError` if the folder is not writable."""
+    """Returns the folder `path`, created if missing. Raises `InputError` if not writable."""
     path = Path(path)
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -39,7 +39,7 @@ def output_folder(path: Path | str) -> Path:
 
 @contextmanager
 def tentative_folder(path: Path | str) -> Iterator[Path]:
-    """Yields the output folder `path`. After an error, new empty folders are removed."""
+    """Yields the output folder `path`. If an error follows, removes new empty folders."""
     path = Path(path)
     created = [p for p in (path, *path.parents) if not os.path.exists(p)]
     try:
@@ -147,7 +147,7 @@ def versions() -> dict[str, str]:
 
 
 def input_file(path: Path | str) -> dict[str, Any]:
-    """Returns path and SHA-256 digest of an input file, which result files record."""
+    """Returns the path and the SHA-256 digest of an input file, for result files."""
     path = Path(path)
     return {"path": str(path), "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
 

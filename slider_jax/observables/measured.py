@@ -1,4 +1,4 @@
-"""Computes what instruments on the carriage measure: forces at the head and the body's position.
+"""Computes the quantities that sensors on the carriage measure: head forces and body position.
 
 The clamp exerts the force T tau + N n on the head and receives the opposite force from the head.
 The force sensor is mounted on the carriage. Its axes pitch with the carriage, but they do not turn

@@ -90,8 +90,8 @@ def shape_wavelength(
 def travelling_index(mode: Complex[Array, " points"]) -> Float[Array, ""]:
     """Returns the travelling index [-]: 1 for a pure travelling wave, 0 for a pure standing wave.
 
-    The index is the smaller singular value of [Re c, Im c] divided by the larger one (Feeny 2008,
-    the reciprocal condition number). For a body at rest, the index is 0.
+    The index is the smaller singular value of [Re c, Im c] divided by the larger singular value
+    (Feeny 2008: the reciprocal condition number). For a body at rest, the index is 0.
     """
     a, b = jnp.real(mode), jnp.imag(mode)
     mean, cross = 0.5 * (a @ a + b @ b), a @ b
