@@ -10,10 +10,9 @@ from slider_jax.cli.progress import timed_printer
 def published(out: Folder) -> None:
     """Compares the paper's two measured free-swimming speeds with simulated speeds.
 
-    The paper's equations have no resistance to axial motion. The command therefore also adds one
-    effect at a time that resists axial motion. This effect is calibrated on one measured speed and
-    predicts the other measured speed. The command takes some minutes and writes DIR/report.html and
-    DIR/report.json.
+    The command adds one effect at a time that resists axial motion. Each effect is calibrated on
+    one measured speed and predicts the other measured speed. The command takes some minutes. The
+    results are DIR/report.html and DIR/report.json.
 
     Args:
         out: folder for the results; created if missing. Files of the same name are replaced.

@@ -19,7 +19,7 @@ from calibration.inference.problem import AbstractProblem, ChannelBlock, summed,
 from calibration.model.extended import Parameter
 
 MAX_ITERATIONS = 24
-"""Most fits need 3 to 6 iterations. Fits with an effect that replaces the lag need more."""
+"""Most fits need 3 to 6 iterations; fits with an effect that replaces a part of the model more."""
 GAIN_TOLERANCE = 0.02
 """A fit ends if the next step would lower the sum of squares by less than this multiple of the
 residual's mean square. The parameters are then within 1/7 standard error of the optimum."""

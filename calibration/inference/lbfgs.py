@@ -33,7 +33,7 @@ ARMIJO_SHARE = 1e-4
 STEP_SHARES = (1.0, 0.3, 0.1, 0.03, 0.01)
 """Fractions of a step that the line search tries, in this order."""
 MAX_STEP = 2.0
-"""Largest step of an unbounded variable: this step moves a parameter from 50 to 88 % of its range."""
+"""Largest step of an unbounded variable. A parameter then moves from 50 to 88 % of its range."""
 
 
 def fit_lbfgs(

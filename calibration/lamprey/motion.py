@@ -167,10 +167,7 @@ def midline_motion(midlines: Midlines, smoothing: Smoothing, length: float | Non
 def motion_from_angles(
     t: np.ndarray, s: np.ndarray, phi: list[np.ndarray], head: list[np.ndarray]
 ) -> Motion:
-    """Returns the motion from `phi` (times, nodes) [rad] and the `head` position (times, 2) [m].
-
-    Each list contains the quantity, its first and its second derivative with respect to time.
-    """
+    """Returns the motion; `phi` is [phi, dphi/dt, d2phi/dt2], `head` likewise for its position."""
     ds = np.diff(s)
     angle, omega, turn = (0.5 * (x[:, 1:] + x[:, :-1]) for x in phi)
     tau = np.stack([np.cos(angle), np.sin(angle)], axis=-1)

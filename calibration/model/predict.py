@@ -1,8 +1,4 @@
-"""Predicts the sensor readings of a trial for a parameter vector, and derivatives of the readings.
-
-A *tangent* is the derivative along a direction in the space of the parameters. *True readings* are
-the readings of ideal sensors.
-"""
+"""Predicts a trial's readings, and their tangents (derivatives along directions of parameters)."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -106,7 +102,7 @@ def plan_trial(
 
 
 def _chunk(extended: ExtendedModel, theta, carry: Carry, h, t0, numerics: Numerics, scheme: Scheme):
-    """Returns the true readings (BLOCK, channels) in the next `BLOCK` steps, and the end state."""
+    """Returns readings of ideal sensors (BLOCK, channels) in the next steps, and the end state."""
 
     def save(x: Snapshot):
         return jnp.stack([channel.observe(x) for channel in extended.channels])
@@ -117,7 +113,7 @@ def _chunk(extended: ExtendedModel, theta, carry: Carry, h, t0, numerics: Numeri
 
 
 def _read(extended: ExtendedModel, theta, t, series):
-    """Returns readings (channels - 2, n), without pressures, from true readings (n, channels)."""
+    """Returns the readings (channels - 2, n), without pressures, from ideal readings."""
     names = [channel.name for channel in extended.channels]
     true = dict(zip(names, series.T, strict=True))
     read = recorded_series(extended.at(theta).effects, t, true)
@@ -225,7 +221,7 @@ def predict_readings(p: TrialPlan, theta: np.ndarray) -> np.ndarray:
 
 
 def _series(p: TrialPlan, theta) -> tuple[Array, float]:
-    """Returns the true readings (n, channels) from t = 0, and the time of a failed step or inf."""
+    """Returns readings of ideal sensors (n, channels), and the time of a failed step or inf."""
     carry = _begin(p.extended, theta, p.numerics)
     start = jnp.concatenate([carry.chambers.p, jnp.zeros(len(p.extended.channels) - 2)])[None]
     h = jnp.asarray(p.grid.h)

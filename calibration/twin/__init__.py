@@ -1,2 +1,2 @@
-"""Runs the calibrated model in parallel with a live stream, estimates k and K_Q, and raises alarms.
-This package may import `inference`, `audit` and packages of lower layers."""
+"""Runs the calibrated model in parallel with the rig, estimates k and K_Q, and raises alarms. This
+package may import `inference`, `audit` and packages of lower layers."""

@@ -1,14 +1,14 @@
-"""Tests whether a live stream still fits the model: bands, a sequential test and a probable cause.
+"""Tests whether live readings still fit the model: bands, a sequential test and a probable cause.
 
-For each channel and window, the test uses the logarithm of (mean square residual / band^2), with
+For each channel and window of readings, the test computes log(mean square of residual / band^2):
 
     band^2 = noise^2 + (share S)^2
 
-S is the larger of two rms values of the model: in this window and in the first windows. Noise and
-share are declared by the experiment, or learned from the first windows if these values are larger.
-The logarithm is standardised with the mean and the standard deviation of the first windows. It
-counts only outside the band. A one-sided cumulative sum (CUSUM) adds these values, one per window.
-Source: Page, E. S. (1954), Continuous inspection schemes, Biometrika 41, 100-115.
+S is the rms of the predicted reading in this window, or in the first windows if larger. Noise and
+share are declared, but a larger share is learned from the first windows. The logarithm is
+standardised with the mean and the standard deviation of the first windows. A positive value counts
+only if the residual is outside the band. A one-sided cumulative sum (CUSUM) adds one value per
+window. Source: Page, E. S. (1954), Continuous inspection schemes, Biometrika 41, 100-115.
 """
 
 import math
@@ -25,23 +25,23 @@ from slider_jax.experiment.schema import SensorsTable
 REFERENCE, THRESHOLD = 2.0, 6.0
 """Reference value and threshold of the CUSUM, in standard deviations (see `run_length`)."""
 MAX_DEVIATION = 5.0
-"""Largest deviation that the CUSUM adds for a window. An alarm then needs at least two windows."""
+"""Largest deviation that the CUSUM adds for one window, so that an alarm needs two windows."""
 MIN_SPREAD = 0.25
-"""Smallest standard deviation of the logarithm. The value of a dozen windows may be too small."""
+"""Smallest standard deviation of the logarithm. An estimate from few windows may be too small."""
 MAX_LEARNED_SHARE = (0.1, 0.1, 0.4, 0.4, 0.2)
-"""Largest share that each channel may learn. A larger residual indicates a wrong model."""
+"""Largest share that is learned for each channel. A larger residual indicates a wrong model."""
 MAX_MISFIT = (0.04, 0.04, 0.25, 0.12, 0.12)
 """Largest relative residual (rms/S) of each channel in the first windows that is not reported as a
 misfit. With a calibrated model, the relative residual is 0.01 for the pressures, 0.15 for thrust,
-0.05 for recoil and tip. With a leak of a fifth of a valve's flow, it is 0.09 for the pressure."""
+0.05 for recoil and tip. With a leak of a fifth of a valve's flow, the pressure has 0.09."""
 MIN_SAMPLES = 10
-"""Smallest number of samples with which a channel is tested in a window."""
+"""Smallest number of readings in a window with which a channel is tested."""
 MIN_NOISE = 1e-9
-"""Smallest noise, divided by S of the channel, for a stream without noise."""
+"""Smallest noise of a channel, divided by S. A simulated stream may have no noise."""
 EVIDENCE_RETENTION = 0.5
-"""Factor of the evidence of earlier windows in the evidence for a cause."""
+"""Factor by which each new window multiplies the evidence of earlier windows for a cause."""
 MIN_EXPLAINED = 0.4
-"""Smallest fraction of the residual's mean square that a named cause explains."""
+"""A cause is named if it explains at least this fraction of the residual's mean square."""
 
 
 def run_length(reference: float, threshold: float, shift: float = 0.0) -> float:
@@ -59,7 +59,7 @@ class Window(NamedTuple):
     """The data of some consecutive blocks. The channels are those of `BUILT_IN`."""
 
     residual: np.ndarray
-    """Measured minus model (channels, n). A residual that is not tested is NaN."""
+    """Measured minus predicted readings (channels, n). A residual that is not tested is NaN."""
     measured: np.ndarray
     """Measured readings (channels, n)."""
     model: np.ndarray
@@ -71,7 +71,7 @@ class Window(NamedTuple):
 
     @property
     def size(self) -> np.ndarray:
-        """rms S of the model, (channels,)."""
+        """rms S of the predicted readings, (channels,)."""
         return np.sqrt(np.mean(self.model**2, axis=1))
 
     @property
@@ -81,14 +81,14 @@ class Window(NamedTuple):
 
     @property
     def mean_square(self) -> np.ndarray:
-        """Mean square of the residual, (channels,). It is NaN for too few samples."""
+        """Mean square of the residual, (channels,); NaN for fewer than `MIN_SAMPLES` readings."""
         finite = np.isfinite(self.residual)
         total = np.sum(np.where(finite, self.residual, 0.0) ** 2, axis=1)
         return np.where(self.sufficient, total / np.maximum(finite.sum(axis=1), 1), np.nan)
 
 
 def channel_misfits(windows: list[Window]) -> dict[str, tuple[float, float]]:
-    """Returns channels with a larger residual than `MAX_MISFIT`: rms of the residual, and rms/S."""
+    """Returns rms of the residual, and rms/S, for channels whose rms/S exceeds `MAX_MISFIT`."""
     squares = np.array([w.mean_square for w in windows])
     sizes = np.array([w.size**2 for w in windows])
     found = {}
@@ -105,8 +105,8 @@ def channel_misfits(windows: list[Window]) -> dict[str, tuple[float, float]]:
 class Bands:
     """Bands of all channels, (channels,): `noise` in the channel's unit, and `share` (no unit).
 
-    S is at least `reference_size`, the rms of the model in the first windows. A residual that does
-    not depend on the stroke, such as a sensor's offset, stays in the band if the stroke decreases.
+    S is at least `reference_size`, the rms of the predicted readings in the first windows. If the
+    stroke decreases, a constant residual, such as a sensor's offset, thus stays within the band.
     """
 
     noise: np.ndarray
@@ -119,7 +119,7 @@ class Bands:
 
     @classmethod
     def declared(cls, sensors: SensorsTable, windows: list[Window]) -> "Bands":
-        """Returns the bands of the declared noise; measures white noise that is not declared."""
+        """Returns the bands of the declared noise. Undeclared white noise is estimated."""
         values = np.concatenate([w.measured for w in windows], axis=1)
         size = np.sqrt(np.mean([w.size**2 for w in windows], axis=0))
         noise = MIN_NOISE * np.maximum(size, 1e-12)
@@ -155,8 +155,8 @@ class Bands:
     def deviation(self, window: Window) -> np.ndarray:
         """Returns the standardised logarithm (channels,) of a window; NaN for an untested channel.
 
-        The result is at most 0 within the band. So a residual that was smaller in the first windows
-        may increase up to the band without evidence for a fault.
+        Within the band, the result is at most 0. A residual that was much smaller than the band in
+        the first windows may therefore increase up to the band without an alarm.
         """
         logarithm = self.logarithm(window)
         standardised = (logarithm - self.mean) / self.spread
@@ -181,9 +181,9 @@ NO_ALARM = Alarm(False, (), "")
 
 
 class SequentialTest:
-    """The sequential test of all channels, with the evidence for each cause.
+    """The sequential test of all channels, with the evidence for each cause of an alarm.
 
-    A CUSUM is at most twice the threshold, so an alarm ends soon after its cause has ended.
+    A CUSUM is limited to twice the threshold, so that an alarm ends soon after its cause.
     """
 
     def __init__(self, bands: Bands):
@@ -215,7 +215,7 @@ class SequentialTest:
         self.alarm = Alarm(True, channels, self._hint(on) if active else before.hint)
 
     def _add_evidence(self, window: Window) -> None:
-        """Adds the sums for least-squares fits of faults and parameters to the residual."""
+        """Adds a window to the sums for least-squares fits of faults and parameters."""
         variance = self.bands.variance(window)[:, None]
         finite = np.isfinite(window.residual)
         r = np.where(finite, window.residual, 0.0) / np.sqrt(variance)
@@ -233,15 +233,15 @@ class SequentialTest:
         if on[:2].any():
             return "; ".join(self._chamber(int(i)) for i in np.flatnonzero(on[:2]))
         channels = ", ".join(c for c, x in zip(BUILT_IN, on, strict=True) if x)
-        # A changed tail may change both stiffness and length, so both are fitted together.
+        # A changed tail may have another stiffness and another length, so both are fitted together.
         tail, K_Q = self._explained([1, 2]), self._explained([0])
         if max(K_Q, tail) < MIN_EXPLAINED:
             return f"body, tail or sensors of {channels}; the pressures fit the model"
         cause = "changed tail" if tail > K_Q else "changed moment per pressure (K_Q)"
-        return f"{cause}: the pressures fit the model, {channels} do not"
+        return f"{cause}: the pressures fit the model, but {channels} do not"
 
     def _explained(self, which: list[int]) -> float:
-        """Returns the fraction of the body's residual that `which` of `PARAMETERS[1:]` explain."""
+        """Returns the fraction of the thrust, recoil and tip residuals that parameters explain."""
         A, b = self._normal[np.ix_(which, which)], self._pull[which]
         size = np.sqrt(np.maximum(np.diag(A), 1e-300))
         x = np.linalg.lstsq(A / np.outer(size, size), b / size, rcond=1e-6)[0]

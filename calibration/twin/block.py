@@ -1,7 +1,7 @@
-"""Simulates a block of a live stream. The program is compiled once; calls pass on the state.
+"""Simulates the rig during one block of a live stream. Each call returns the state for the next.
 
-The model predicts the chambers' pressures from the set pressures. The measured pressures drive the
-body. So a pressure fault does not appear as a body fault, and only the pressures determine the lag.
+The lag model predicts the chambers' pressures from the set pressures. The measured pressures drive
+the body, so that a fault of the pressures does not change the residuals of thrust, recoil and tip.
 """
 
 from collections.abc import Callable
@@ -28,10 +28,10 @@ from slider_jax.experiment.load import Experiment, to_model
 from slider_jax.experiment.schema import Trial
 
 PARAMETERS = ("k", "K_Q", "EI_tail", "tail_length")
-"""Parameters for which the block computes derivatives, in this order. Only k belongs to the lag."""
+"""Parameters with respect to which derivatives of the readings are computed, in this order."""
 HISTORY = 100
-"""Number of samples of set pressures and instrument inputs that are kept from before a block. At
-500 Hz, these 0.2 s are longer than any dead time or filter of the library."""
+"""Number of set pressures and instrument inputs before a block that the simulation of the block
+uses. At 500 Hz, this number is 0.2 s, longer than any dead time or filter of an effect."""
 
 
 class ChamberFault(Flow):
@@ -39,8 +39,8 @@ class ChamberFault(Flow):
 
         dp/dt = (1 - shut) (p_set - p)/(slower k) - leak p/k
 
-    `shut` applies while |p| increases. `leak` is the conductance of the leak, divided by the
-    conductance of the valve. `slower` is a factor of the time constant k.
+    `shut` is the blocked fraction of the valve and applies only while |p| increases. `leak` is the
+    conductance of the leak divided by that of the valve. `slower` is a factor on k.
     """
 
     leak: Float[Array, "2"]
@@ -53,7 +53,7 @@ class ChamberFault(Flow):
 
 
 class FaultHypothesis(NamedTuple):
-    """A possible fault of the given `size` on side 1 or -1, or on both sides (0)."""
+    """A possible fault with the given `size` on side 1 or -1 of the robot, or on both sides (0)."""
 
     cause: str
     side: int
@@ -75,7 +75,7 @@ FAULT_HYPOTHESES = (
 
 
 class BlockState(eqx.Module):
-    """The state that one block passes to the next."""
+    """The state of the simulation at the end of a block."""
 
     values: Float[Array, " values"]
     """Values of `PARAMETERS` with which the state was computed."""
@@ -84,17 +84,17 @@ class BlockState(eqx.Module):
     dp: Float[Array, "2"]
     """Derivative of `p` with respect to k."""
     sensed: Float[Array, "2"]
-    """Pressures [Pa] that drive the body: measured, or predicted by the lag model in a gap."""
+    """Pressures [Pa] that drive the body: measured pressures, or predicted pressures in a gap."""
     faulty: Float[Array, "faults 2"]
     """Pressures [Pa] that the lag model predicts with each of `FAULT_HYPOTHESES`."""
     body: Carry
     d_body: Any
-    """Derivatives of `body` by all `PARAMETERS` except k. The first axis is the parameter."""
+    """Derivatives of `body` with respect to all `PARAMETERS` except k, on the first axis."""
     last: Float[Array, "3"]
     """Thrust [N], recoil [N] and tip [m] at the end of the block."""
     d_last: Float[Array, "bodies 3"]
     past: Float[Array, "past 5"]
-    """Last inputs of the instruments; an empty array if the model has no instruments."""
+    """Last true readings, the inputs of effects on sensors; empty if there is no such effect."""
     d_past: Float[Array, "values past 5"]
 
 
@@ -111,7 +111,7 @@ class BlockPrediction(NamedTuple):
 
 @dataclass(frozen=True)
 class BlockLayout:
-    """Layout of a block: number of `samples`, `period` [s] between them, samples per time step."""
+    """Layout of a block: time `period` [s] between samples, and number of samples per time step."""
 
     period: float
     samples: int
@@ -121,7 +121,7 @@ class BlockLayout:
 
 
 def live_model(experiment: Experiment, trial: Trial) -> Model:
-    """Returns the model of a trial with the experiment's lag; blocks replace its zero drive."""
+    """Returns the model of a trial with the experiment's k. Each block replaces the zero drive."""
     wave = Recorded(jnp.zeros(2), jnp.zeros(2))
     return replace(
         to_model(experiment, trial),
@@ -131,7 +131,7 @@ def live_model(experiment: Experiment, trial: Trial) -> Model:
 
 
 def parameter_values(experiment: Experiment) -> np.ndarray:
-    """Returns the values of `PARAMETERS` of an experiment."""
+    """Returns the values (parameters,) of `PARAMETERS` in an experiment."""
     parameters, robot = experiment.parameters, experiment.robot
     return np.array([parameters.k, parameters.K_Q, robot.EI_tail, robot.tail_length])
 
@@ -178,7 +178,7 @@ def compile_block(
 
 
 def _of_body(model: Model, values: Array) -> Model:
-    """Returns the model for measured pressures; `values` are all `PARAMETERS` except k."""
+    """Returns the model driven by measured pressures; `values` are all `PARAMETERS` except k."""
     K_Q, EI_tail, tail_length = values
     return replace(
         model,
@@ -193,7 +193,7 @@ def _block(
 ):
     state = _extrapolated(state, values)
     at = t0 + layout.period * jnp.arange(layout.samples + 1.0)
-    # A chamber needs several periods to fill, so the mean set pressure of a period is sufficient.
+    # A chamber fills much more slowly than the sample period, so a mean set pressure is sufficient.
     since = t0 + layout.period * jnp.arange(-HISTORY - 1.0, float(layout.samples))
     front, rear = (Held(since, x) for x in set_pressure)
     lag = FirstOrderLag(values[0])
@@ -221,7 +221,7 @@ def _extrapolated(state: BlockState, values) -> BlockState:
 
 
 def _pressures(layout: BlockLayout, model: Model, state: BlockState, at, measured):
-    """Returns state, p, dp/dk (samples, 2), sensed (samples+1, 2), faulty (samples, faults, 2)."""
+    """Returns state; p, dp/dk (samples, 2); sensed (samples+1, 2); faulty (samples, faults, 2)."""
     flows, law = of_place(model.effects, Flow), model.pressure_law
     faults = jax.tree.map(lambda *x: jnp.stack(x), *(x.effect for x in FAULT_HYPOTHESES))
 

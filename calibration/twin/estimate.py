@@ -16,19 +16,19 @@ class ParameterEstimate(NamedTuple):
     deviation: float
 
     def with_share(self, share: float) -> "ParameterEstimate":
-        """Returns the estimate with an additional independent deviation of `share` times value."""
+        """Returns the estimate with an additional independent error of `share` times the value."""
         return ParameterEstimate(self.value, math.hypot(self.deviation, share * self.value))
 
 
 @dataclass
 class RecursiveEstimator:
-    """Least squares over windows; a window's weight decreases by a factor e in `memory` windows.
+    """Least squares over windows. The weight of a window decreases by 1/e in `memory` windows.
 
-    Each window has residuals r with variances var and derivatives J, at the value theta_w of the
-    parameter. It gives g = sum(J r/var), H = sum(J^2/var) and c = g + H theta_w. The estimate is
-    theta = sum(c)/sum(H), with weighted sums over the windows. The spread of the gradients c - H
-    theta gives the standard deviation. The memory starts at two windows and grows, because the
-    first windows are linearised at a value far from the final value.
+    For a window, J are the derivatives with respect to the parameter, at its value theta_w. r are
+    the residuals with the variances var. The window adds g = sum(J r/var), H = sum(J^2/var) and
+    c = g + H theta_w. The estimate is theta = sum(c)/sum(H), with weighted sums over the windows.
+    The spread of c - H theta between the windows gives the standard deviation. The memory is two
+    windows at first and then grows, because theta_w of the first windows may be far from theta.
 
     Source: Ljung, L. (1999), System Identification, 2nd ed., ch. 11. The standard deviation is a
     sandwich estimate, as in `calibration.inference.intervals`.
@@ -49,7 +49,7 @@ class RecursiveEstimator:
         self._informed = 0.0
 
     def update(self, g: float, H: float) -> None:
-        """Updates the value with a window, and ignores a window without information."""
+        """Updates the value with g and H of a window, or ignores a window without information."""
         if not (H > 0.0 and math.isfinite(g) and math.isfinite(H)):
             return
         keep = 1.0 - 1.0 / min(2.0 + 0.5 * self.windows, self.memory)
@@ -63,7 +63,7 @@ class RecursiveEstimator:
 
     @property
     def estimate(self) -> ParameterEstimate:
-        """Value and standard deviation, from the gradients' spread or white noise (the larger)."""
+        """Value and standard deviation. The deviation is at least that of white noise alone."""
         if self.windows < 4:
             return ParameterEstimate(self.value, self.prior)
         cc, cH, HH = self._squares
@@ -74,8 +74,8 @@ class RecursiveEstimator:
 def lag_gradient(window: Window, variance: np.ndarray) -> tuple[float, float]:
     """Returns g and H for k from the pressures of a window, for `RecursiveEstimator.update`.
 
-    A time shift can change the pressures as k does, because set pressures change between two
-    readings and valves have dead times. This part of the derivative is removed.
+    Set pressures change between two readings, and valves have dead times. Both shift the pressures
+    in time. The part of the derivative that equals a time shift is therefore removed.
     """
     J = window.derivatives[0, :2] * np.isfinite(window.residual[:2])
     shift = np.gradient(window.model[:2], axis=1) * np.isfinite(window.residual[:2])

@@ -1,4 +1,4 @@
-"""Converts a stream of readings to evenly spaced blocks. Lost readings are filled in and marked."""
+"""Converts a stream of readings to blocks of evenly spaced samples, and marks lost readings."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ import numpy as np
 from slider_jax.errors import InputError
 
 MAX_GAP = 0.2
-"""Longest gap [s] that is filled in. After a longer gap, a new series of blocks begins."""
+"""Longest gap [s] in a block; the block has NaN there. After a longer gap, new blocks begin."""
 
 
 class Samples(NamedTuple):
@@ -18,8 +18,8 @@ class Samples(NamedTuple):
     t: np.ndarray
     """Times (n,) [s] on the device's clock."""
     set_pressure: np.ndarray
-    """Set pressures (2, n) [Pa] of the front and rear chambers: means since the previous reading. A
-    mean contains a change of the set pressure between two readings."""
+    """Set pressures (2, n) [Pa] of the front and rear chambers, each averaged from the previous
+    reading to this reading, because set pressures also change between two readings."""
     measured: np.ndarray
     """Readings (channels, n) in Pa, Pa, N, N, m, in the order of `slider_jax.channels.BUILT_IN`."""
 
@@ -42,7 +42,7 @@ class UniformBlock(NamedTuple):
     t: np.ndarray
     """Times (samples,) [s]."""
     set_pressure: np.ndarray
-    """Set pressures (2, samples) [Pa]. In a gap, each sample has the mean of the gap."""
+    """Set pressures (2, samples) [Pa]. All samples in a gap have the mean pressure of the gap."""
     measured: np.ndarray
     """Readings (channels, samples). A lost reading is NaN."""
     lost: np.ndarray
@@ -58,11 +58,11 @@ class GapFiller:
     period: float
     samples: int
     lost: int = 0
-    """Number of lost readings that were filled in."""
+    """Number of lost readings in gaps of up to `MAX_GAP`."""
     repeated: int = 0
     """Number of dropped readings: repeated, out of order, or without a time."""
     gaps: int = 0
-    """Number of gaps that are too long to fill in."""
+    """Number of gaps longer than `MAX_GAP`."""
 
     def __post_init__(self) -> None:
         self._origin: float | None = None

@@ -4,8 +4,8 @@
     for block in twin.feed(readings):          # call this whenever readings arrive
         block.model, block.residual, block.k, block.K_Q, block.alarm
 
-After `WARM_UP`, the twin learns the bands of the residuals from some strides. Then the twin tests
-each window against the bands. The twin updates k and K_Q, except while a residual exceeds its band.
+After `WARM_UP`, the twin learns the bands (the normal ranges of the residuals) from some strides.
+Then the twin tests each window of readings. It updates k and K_Q while all residuals are in bands.
 """
 
 import time
@@ -44,28 +44,28 @@ WARM_UP = 2.0
 SETTLING, SETTLING_AFTER_RESTART = 0.3, 1.0
 """Times [s] without a test: after a filled gap (3 to 4 time constants k), and after a restart."""
 NEGLIGIBLE_GAP = 0.01
-"""Longest duration [s] of lost readings without a settling time."""
+"""Lost readings for up to this duration [s] need no settling time."""
 TARE_TIME = 2.0
-"""Time constant [s] of the running mean residual of forces and tip; the mean follows the tares."""
+"""Time constant [s] of the running mean of force and tip residuals, an estimate of the tares."""
 MAX_CLOCK_SHIFT = 2e-3
-"""Largest expected shift [s] between the clocks of force sensor and manifold. The earliest arrival
-of data aligns each clock. On a busy computer, the earliest arrival of one device may be late."""
+"""Largest expected shift [s] between the clocks of force sensor and manifold. The host aligns the
+clocks by the earliest arrival of data. On a busy computer, even the earliest data may be late."""
 INITIAL_DEVIATION = 0.3
 """Relative standard deviation of k and K_Q before the stream."""
 SYSTEMATIC_K, SYSTEMATIC_K_Q = 0.002, 0.005
-"""Relative errors of k and K_Q by sensor gains and mesh, which more data do not reduce."""
+"""Relative errors of k and K_Q from sensor gains and mesh. More data do not reduce these errors."""
 MIN_EXCITATION = 10.0
-"""Smallest ratio of the model's pressure to the noise with which a window updates k and K_Q."""
+"""A window updates k and K_Q if the rms pressure exceeds this multiple of the pressure noise."""
 
 
 @dataclass(frozen=True)
 class TwinSettings:
     """Settings of a twin.
 
-    The calibration's mesh (`calibration.model.predict.FINE`) is too slow for real time. The bands
-    include the error of a coarser mesh for a regular drive, but not the error after a delayed
-    change of the set pressure. For a tip amplitude of 60 mm, the error after a delayed change is
-    0.02 mm with these settings. With 31 nodes and time steps of two readings, it is 0.2 mm for 1 s.
+    The calibration's mesh (`calibration.model.predict.FINE`) is too slow for real time. The learned
+    bands include the error of the coarser mesh, but not its error after an irregular change of the
+    set pressure. For a tip amplitude of 60 mm, the error of the tip after such a change is 0.02 mm
+    with these settings, and 0.2 mm for 1 s with 31 nodes and time steps of two readings.
     """
 
     rate: float = 500.0
@@ -79,11 +79,11 @@ class TwinSettings:
     window: float = 0.4
     """Duration [s] of a window. The sequential test has one value per window."""
     learn: float = 6.0
-    """Duration [s] from which the bands are learned. The twin uses at least four strides."""
+    """Duration [s] in which the bands are learned (at least four strides)."""
     memory_k: float = 20.0
-    """Time constant [s] with which older windows lose weight in the estimate of k."""
+    """Time constant [s] of the decreasing weight of older windows in the estimate of k."""
     memory_K_Q: float = 60.0
-    """Time constant [s] with which older windows lose weight in the estimate of K_Q."""
+    """Time constant [s] of the decreasing weight of older windows in the estimate of K_Q."""
 
 
 class TwinBlock(NamedTuple):
@@ -96,9 +96,9 @@ class TwinBlock(NamedTuple):
     measured: np.ndarray
     """Measured readings (channels, samples). A missing reading is NaN."""
     lost: np.ndarray
-    """Whether the reading was lost and filled in, (samples,)."""
+    """Whether the reading was lost, (samples,)."""
     valid: np.ndarray
-    """Whether the residual is tested, (samples,): neither lost nor shortly after a gap."""
+    """Whether the residual is tested, (samples,). Residuals shortly after a gap are not tested."""
     k: ParameterEstimate
     K_Q: ParameterEstimate
     alarm: Alarm
@@ -109,12 +109,12 @@ class TwinBlock(NamedTuple):
 
     @property
     def residual(self) -> np.ndarray:
-        """Measured minus model, (channels, samples)."""
+        """Measured minus predicted readings, (channels, samples)."""
         return self.measured - self.model
 
 
 class Twin:
-    """A model in parallel with a stream. `of` creates a twin; `feed` takes the readings."""
+    """A model that runs in parallel with a stream of readings. `Twin.of` creates a twin."""
 
     def __init__(self, experiment: Experiment, settings: TwinSettings, trial: Trial):
         self.experiment, self.settings = experiment, settings
@@ -137,7 +137,7 @@ class Twin:
     def of(
         cls, experiment: Experiment, trial: Trial | int = 0, settings: TwinSettings = TwinSettings()
     ) -> "Twin":
-        """Returns a compiled twin with the coefficients and the carriage of a trial.
+        """Returns a compiled twin with the C_d, m_a and tow speed of `trial` (index or trial).
 
         The call takes some seconds. Raises `InputError` for invalid settings.
         """
@@ -145,7 +145,7 @@ class Twin:
             raise InputError.value(
                 "twin settings, samples and per_step",
                 f"{settings.samples} and {settings.per_step}",
-                "2 or more readings per block, which are a multiple of the readings per time step",
+                "2 or more samples, and samples must be a multiple of per_step",
             )
         if settings.nodes < FEWEST_NODES:
             allowed = f"{FEWEST_NODES} or more"
@@ -157,7 +157,7 @@ class Twin:
         return twin
 
     def restart(self) -> None:
-        """Prepares for a new stream: discards the bands and the estimates of k and K_Q."""
+        """Discards the learned bands and the estimates of k and K_Q, for a new stream."""
         self._k = self._recursive("k", self._values[0], self.settings.memory_k)
         self._K_Q = self._recursive("K_Q", self._values[1], self.settings.memory_K_Q)
         self._state = self._rest
@@ -169,7 +169,7 @@ class Twin:
         self._raw_windows: list[Window] = []
         self.misfits: dict[str, tuple[float, float]] = {}
         """Channels with too large residuals while the bands were learned: rms of the residual in SI
-        units, and this rms divided by the model's rms. The test cannot detect such a fault."""
+        units, and rms divided by S. The test accepts such residuals and cannot detect the fault."""
         self._means = 0
         self._tare = np.zeros(len(BUILT_IN))
         self._d_tare = np.zeros((len(PARAMETERS), len(BUILT_IN)))
@@ -215,7 +215,7 @@ class Twin:
         return self._K_Q.estimate.with_share(SYSTEMATIC_K_Q)
 
     def _predict(self, block: UniformBlock) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Returns the fields of `BlockPrediction`. A restart begins at the measured pressures."""
+        """Returns the fields of `BlockPrediction`. After a restart, p is the measured pressure."""
         state = self._state
         if block.restarted:
             self._past = np.repeat(block.set_pressure[:, :1], HISTORY + 1, axis=1)
@@ -257,7 +257,7 @@ class Twin:
         return valid
 
     def _close_window(self) -> None:
-        """Updates the estimates with the complete window, and tests the window or learns bands."""
+        """Updates k and K_Q with the complete window, and tests the window or learns the bands."""
         whole = Window(*(np.concatenate(x, axis=-1) for x in zip(*self._parts, strict=True)))
         window = _aligned_forces(self._without_mean(whole), self.layout.period)
         self._parts = []
@@ -274,7 +274,7 @@ class Twin:
             test.update(window)
         elif driven:
             self._windows.append(window)
-            # A leak changes the mean pressure. The means of forces and tip depend on tares.
+            # A leak changes the mean pressure, so the residuals of the pressures keep their means.
             pressures = whole.residual[:2]
             residual = np.concatenate([pressures, window.residual[2:]])
             self._raw_windows.append(window._replace(residual=residual))
@@ -286,8 +286,8 @@ class Twin:
     def _without_mean(self, window: Window) -> Window:
         """Returns the window minus the means of residual and derivatives.
 
-        The means of forces and tip are from the last seconds. The means of the pressures are from
-        the time before the test began, because a leak changes the mean.
+        The means of forces and tip are running means over `TARE_TIME`. The means of the pressures
+        stay constant after the bands are learned, because a leak changes the mean pressure.
         """
         tare, d_tare = self._tare, self._d_tare
         finite = np.isfinite(window.residual)
@@ -307,9 +307,9 @@ class Twin:
 
 
 def _aligned_forces(window: Window, period: float) -> Window:
-    """Returns the window with the forces shifted in time by up to `MAX_CLOCK_SHIFT`.
+    """Returns the window with the measured forces shifted in time to fit the model best.
 
-    The shifted forces fit the model best. The part of `derivatives` that equals a shift is removed.
+    A shift above `MAX_CLOCK_SHIFT` is omitted. `derivatives` lose the part that equals a shift.
     """
     forces = slice(2, 4)
     model, residual = window.model[forces], window.residual[forces]
