@@ -52,9 +52,8 @@ def reach_verdict(
 ) -> str:
     """Returns the verdict; `before` and `after` are the excess of the base fit and final fit.
 
-    If a parameter is at a bound of its prior range, none of the candidates is the cause, and the
-    verdict is "unexplained". If a residual is above the noise floor, effects at one place form a
-    class.
+    If a parameter is at a bound of its prior range, the verdict is "unexplained". If a residual is
+    above the noise floor, effects at one place form a class.
     """
     settings = search.settings
     left = {c: x.all for c, x in after.items() if x.all > settings.noise_floor}

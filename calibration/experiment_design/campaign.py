@@ -1,6 +1,6 @@
 """Captures trials, closes the loop and chooses the next trial, until the verdict is final.
 
-The function `capture` makes the trials with a rig, a simulated rig or another program.
+A function `capture` of the caller runs the trials on a rig, a simulated rig or another program.
 """
 
 import json
@@ -28,10 +28,10 @@ BUDGET = 12
 
 @dataclass(frozen=True)
 class Campaign:
-    """All rounds of a campaign."""
+    """The result of a campaign: all rounds, and the outcome of the last round."""
 
     rounds: list[dict[str, Any]]
-    """Each round's number of trials, verdict, effects, and sentences on verdict and next trial."""
+    """For each round: number of trials, verdict, effects, and texts on verdict and next trial."""
     outcome: LoopOutcome
     """Outcome of the last round."""
     report: dict[str, Any]
@@ -41,10 +41,10 @@ class Campaign:
 
 
 def verdict_is_final(outcome: LoopOutcome, following: dict[str, Any]) -> bool:
-    """Returns whether no further trial can change the kind of the verdict.
+    """Returns whether the campaign stops because of this verdict.
 
-    A class is final if no trial within the limits is predicted to make it smaller. The verdicts
-    "unexplained" and "inconclusive" are never final.
+    "nothing_missing" and "identified" are final. "class" is final if no trial within the limits is
+    predicted to exclude an effect of the class. All other verdicts are not final.
     """
     if outcome.verdict in (NOTHING, IDENTIFIED):
         return True
@@ -100,6 +100,6 @@ def run_campaign(
 
 
 def _chosen(out: Path) -> list[str]:
-    """Returns the files of trials that earlier rounds chose; selections must use these trials."""
+    """Returns the files of trials that earlier rounds chose. These trials must not be held out."""
     reports = [json.loads(path.read_text()) for path in sorted(out.glob("round_*.json"))]
     return [x["next_experiment"]["trial"]["file"] for x in reports if x["next_experiment"]["trial"]]

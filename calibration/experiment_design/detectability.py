@@ -1,13 +1,14 @@
-"""Computes effects' detection limits in an experiment, and effects that it cannot discriminate.
+"""Computes effects' detection limits, and which effects an experiment cannot discriminate.
 
 No data are needed. A is the Fisher information of all trials, F the base parameters, and e one
-parameter of an effect, with the size s. Calibration of F absorbs a part of the gain and leaves
+parameter of an effect, at the distance s from the null. Calibration of F absorbs a part of the
+effect's gain. The remaining gain is
 
     gain = s^2 (A_ee - A_eF A_FF^-1 A_Fe)
 
-The loop names the effect if two conditions hold. The gain reaches the threshold of the selection,
-and some channel changes by more than the model-discretisation discrepancy. The detection limit
-exceeds both sizes, so that nine of ten such effects are detected in spite of noise (Currie, L. A.
+The loop names the effect if the gain exceeds the threshold of the selection, and some channel
+changes by more than the model-discretisation discrepancy. The detection limit is larger than the
+smallest such s, so that nine of ten such effects are detected despite noise (Currie, L. A.
 (1968), Limits for qualitative detection and quantitative determination, Anal. Chem. 40, 586-593).
 Two effects form a class if their tangents, without the parts that F absorbs, are parallel.
 """
@@ -46,7 +47,7 @@ ABSORBED_SHARE = 1e-9
 
 
 class DetectionLimit(NamedTuple):
-    """The size above which the loop would name an effect, for one parameter of the effect."""
+    """The distance of an effect's parameter from its null above which the loop names the effect."""
 
     parameter: Parameter
     significant: float
@@ -57,16 +58,16 @@ class DetectionLimit(NamedTuple):
     error: float
     """Standard error of the parameter due to noise, in SI units."""
     finite: bool
-    """Whether a secant replaces the tangent at the null."""
+    """Whether the limit was computed from a secant instead of the tangent at the null."""
 
     @property
     def size(self) -> float:
-        """Returns the detection limit, in SI units: nine of ten effects of this size are named."""
+        """Returns the detection limit (SI units). The loop names 9 of 10 effects of this size."""
         return float(np.maximum(self.significant, self.nameable) + DETECTION_MARGIN * self.error)
 
     @property
     def relative(self) -> float:
-        """Returns the limit divided by the distance from the null to the prior range's far end."""
+        """Returns the limit divided by the larger distance from the null to a prior range's end."""
         prior = self.parameter.prior
         return self.size / max(abs(prior.low - prior.null), abs(prior.high - prior.null))
 
@@ -80,14 +81,14 @@ class DetectionLimit(NamedTuple):
 
 @dataclass(frozen=True)
 class DetectabilityMatrix:
-    """Detection limits of effects, and which effects an experiment can discriminate."""
+    """Detection limits of effects, and the pairs that an experiment can discriminate."""
 
     information: TrialInformation
     channels: list[ChannelInformation]
     limits: list[DetectionLimit]
     names: list[str]
     cosines: np.ndarray
-    """|cos| of two effects (n, n); NaN for an effect that no channel observes."""
+    """|cos| between the tangents of two effects (n, n); NaN if no channel observes an effect."""
     opposed: np.ndarray
     """Whether the signs of the parameters discriminate between two effects (n, n)."""
     classes: list[list[str]]
@@ -99,7 +100,7 @@ class DetectabilityMatrix:
 
 
 def required_gain(freedom: int, many: int) -> float:
-    """Returns the gain that one of `many` candidates needs if it has `freedom` parameters."""
+    """Returns the gain that a candidate with `freedom` parameters needs among `many` candidates."""
     return max(
         DEFAULT_SETTINGS.min_gain, float(chi2.isf(DEFAULT_SETTINGS.false_alarm_p / many, freedom))
     )
@@ -112,7 +113,7 @@ def detectability_matrix(
     coarse: Resolution = COARSE,
     memo: Memo | None = None,
 ) -> DetectabilityMatrix:
-    """Returns the detectability of `effects` by the trials of `experiment`.
+    """Returns the detectability of `effects` in the trials of `experiment`.
 
     `effects` are names (default: all candidates). The trials need not be measured. Raises
     `InputError` if no noise is declared, and `SolverError` if a trial cannot be simulated.
@@ -157,7 +158,7 @@ def _limit(
 
 
 def _pairs(A, names, indices, free, entries) -> tuple[np.ndarray, np.ndarray]:
-    """Returns |cos| of all pairs, and whether the parameters' signs discriminate each pair."""
+    """Returns, for all pairs of effects, |cos| and whether the parameters' signs discriminate."""
     n = len(names)
     cosines, opposed = np.full((n, n), np.nan), np.zeros((n, n), bool)
 
@@ -192,7 +193,7 @@ def _opposed(A, first, second, free, entries: Sequence[Parameter]) -> bool:
 def equivalence_classes(
     names: Sequence[str], cosines: np.ndarray, opposed: np.ndarray, found: set[str]
 ) -> list[list[str]]:
-    """Returns the classes of the effects `found` with |cos| above `parallel_cosine`."""
+    """Returns classes of those effects in `found` that have |cos| above `parallel_cosine`."""
     linked = (np.nan_to_num(cosines) > DEFAULT_SETTINGS.parallel_cosine) & ~opposed
     there = np.array([name in found for name in names])
     linked &= there[:, None] & there
@@ -206,7 +207,7 @@ def effects_at_limits(
 ) -> tuple[TrialInformation, np.ndarray, dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Returns the first arguments of `separating_trial` for effects at their detection limits.
 
-    If a limit is outside the prior range, the end of that range replaces the limit.
+    If a limit is outside the prior range, the end of the prior range replaces the limit.
     """
     indices, entries = scoring_entries(m.information.entries), m.information.entries
     free = np.flatnonzero([not p.effect for p in entries])

@@ -27,7 +27,7 @@ NOTES = {
     "at the larger of significant_from and worth_naming_from. At least two trials must show it",
     "share_of_range": "fraction of the prior range that is beyond the limit",
     "limit_over_range": "limit divided by the distance from the null to the prior range's far end",
-    "alike": "|cos| between two effects' tangents after projecting out C_d, m_a, k and K_Q",
+    "alike": "|cos| between the tangents of two effects after projecting out C_d, m_a, k and K_Q",
     "finite_start": f"computed with a step of {FINITE_START:g} of the prior range or a declared "
     "start value, because the effect is nonlinear at the null",
     "told_by_sign": "pairs of parallel effects that change the readings in opposite directions and "

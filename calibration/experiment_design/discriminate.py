@@ -1,16 +1,16 @@
 """Searches for the trial that discriminates between a chosen effect and its alternatives.
 
 After the selection, the model was fitted with the chosen effect and with each alternative. Suppose
-that the first of two models is true. Let d be the difference between the readings of both models, J
+that the first of two such models is true. Let d be the difference between the readings of both, J
 the tangents of the second model, x a change of the second model's parameters, and W the whitening:
 
     lambda = min over x of |W (d + J x)|^2
 
-The sum of squares includes the existing trials and one more trial. Lambda is the expected loss of
-the second model: the noncentrality of the chi-square test that rejects this model. If the second
-model is true, the models exchange roles. The larger lambda counts, because only a model with more
-parameters may imitate the other model. `alternatives` excludes a model according to this loss and
-the difference of the channels.
+The sum of squares includes the existing trials and one new trial. Lambda is the expected loss of
+the second model: the noncentrality of the chi-square test that rejects this model. Lambda is also
+computed with exchanged roles. The larger value is used, because a model with more parameters may be
+able to imitate the true model. The module `alternatives` uses this loss and the difference of the
+channels to exclude a model.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -37,11 +37,11 @@ from slider_jax.channels import CHANNELS
 from slider_jax.experiment.schema import Trial
 
 MAX_REPEATS = 12
-"""Largest number of repetitions of a trial that are predicted."""
+"""Largest number of repetitions of the new trial for which the distance is predicted."""
 
 
 class ModelDistance(NamedTuple):
-    """Distance between the readings of two models, one of them refitted."""
+    """Distance between the readings of two models after one model was refitted to the other."""
 
     sigmas: float
     """Square root of lambda: the distance in standard deviations."""
@@ -50,7 +50,7 @@ class ModelDistance(NamedTuple):
 
     @property
     def threshold_ratio(self) -> float:
-        """Returns the squared distance divided by the naming threshold; values > 1 discriminate."""
+        """Returns a ratio to the naming threshold. If the ratio is > 1, the data discriminate."""
         return min(self.sigmas**2 / DEFAULT_SETTINGS.min_gain, self.channel[1] ** 2)
 
     @property
@@ -63,8 +63,8 @@ class ModelDistance(NamedTuple):
 def model_distance(channels: Sequence[ChannelInformation], unit: float) -> ModelDistance:
     """Returns the distance between a refitted model and a second model.
 
-    The directions of `channels` are the refitted model's parameters and, last, the difference
-    between the models. `unit` is the residual's mean square.
+    The information in `channels` is along the refitted model's parameters and, as the last
+    direction, the difference between both models. `unit` is the residual's mean square.
     """
     A = information(channels)
     rest, last = np.arange(len(A) - 1), np.array([len(A) - 1])
@@ -86,9 +86,9 @@ def discriminating_trial(
     """Returns the record of the trial that discriminates best between an effect and an alternative.
 
     For each alternative to the effect `name`, `predictions` contains two models: one with the
-    alternative and one with the effect. The field `other` of each contains the other's parameters.
-    Both were fitted to `trials`, with a residual of mean square `unit`. In the record, "times" is
-    the number of repetitions that excludes an alternative, or None if `MAX_REPEATS` are too few.
+    alternative and one with the effect. The field `other` of a model contains the second model's
+    parameters. The models were fitted to `trials`; `unit` is their residual's mean square. "times"
+    in the record is the number of repetitions that excludes an effect (None: > `MAX_REPEATS`).
     """
     models = [f for pair in predictions.values() for f in pair]
     before = [f.trials(trials, progress) for f in models]

@@ -5,7 +5,8 @@ and W whitens the declared noise:
 
     A = (W J) (W J)^T,    raw = J J^T,    square = y.y
 
-A is the normal matrix of least squares. `raw` and `square` compare a change of y with y.
+A is the normal matrix of least squares. From `raw` and `square`, `channel_shares` computes the rms
+change of a channel relative to the rms of its readings.
 """
 
 from collections.abc import Callable, Sequence
@@ -38,7 +39,7 @@ FINITE_START = 0.1
 """Step of a secant, as a fraction of the prior range. A secant replaces the tangent of an effect
 that is nonlinear at its null."""
 MIN_COSINE = 0.9
-"""An effect is nonlinear if the cosine between its tangent and its secant is below this."""
+"""An effect is nonlinear if the cosine between its tangent and its secant is below this value."""
 MAX_LENGTH_RATIO = 1.5
 """An effect is also nonlinear if tangent and secant differ in length by more than this factor."""
 
@@ -50,16 +51,16 @@ class SensorModel:
     noise: dict[str, Noise]
     """Noise of each channel."""
     every: dict[str, int]
-    """Number of samples of a trial for each reading of a channel."""
+    """Number of samples per reading of a channel (2: every second sample has a reading)."""
     measured: dict[str, Record]
-    """Measured trial of each file. A measured trial keeps its own samples."""
+    """Measured trials by file name. Their information is predicted at the measured samples."""
 
     @classmethod
     def of(cls, experiment: Experiment, found: Sequence[Record] | None = None) -> "SensorModel":
-        """Returns the sensors of the measured trials `found`, or else the declared sensors.
+        """Returns the sensors of the measured trials `found`, or the declared sensors if none.
 
-        By default, the trials' files are read. A channel that is neither measured nor declared has
-        no sensor. Raises `InputError` if no channel has a sensor.
+        If `found` is None, existing files are read. A channel that is neither measured nor declared
+        has no sensor. Raises `InputError` if no channel has a sensor.
         """
         if found is None:
             there = any((experiment.folder / t.file).exists() for t in experiment.trials)
@@ -87,14 +88,14 @@ class SensorModel:
         return cls(noise, every, {r.trial.file: r for r in found})
 
     def samples(self, trial: Trial, channel: str, n: int) -> np.ndarray:
-        """Returns which samples (n,) of a trial the channel reads."""
+        """Returns, for each sample (n,) of a trial, whether the channel has a reading."""
         if trial.file in self.measured:
             return self.measured[trial.file].there(channel)
         return np.arange(n) % self.every[channel] == 0
 
 
 class ChannelInformation(NamedTuple):
-    """Information of one trial and channel along k directions."""
+    """Information of one trial and channel along k directions (k parameters of the model)."""
 
     trial: int
     channel: str
@@ -116,13 +117,13 @@ class TrialInformation:
     """Indices (k,) of the parameters in theta along which the tangents are computed."""
     sensing: SensorModel
     secants: dict[int, float]
-    """Step of each parameter whose secant replaces its tangent."""
+    """Step of each parameter whose secant is used instead of the tangent."""
     coarse: Resolution = COARSE
     memo: Memo | None = None
     """Cache of simulated readings."""
     other: np.ndarray | None = None
-    """Parameters of another model. If given, the last direction is the difference between the
-    readings of that model and of this model."""
+    """Parameters of a second model. If they are given, the last direction is the readings of the
+    second model minus the readings of this model."""
 
     @property
     def entries(self) -> list[Parameter]:
@@ -131,7 +132,7 @@ class TrialInformation:
         return [every[i] for i in self.chosen]
 
     def plan(self, trial: Trial) -> TrialPlan:
-        """Returns the trial's plan; a measured trial keeps the sample times of its record."""
+        """Returns the plan of a trial. If the trial is measured, the plan has its sample times."""
         record = self.sensing.measured.get(trial.file)
         at = None if record is None else record.t
         return plan_trial(self.experiment, trial, self.effects, self.coarse, at)
@@ -215,7 +216,7 @@ def predict_information(
     coarse: Resolution = COARSE,
     memo: Memo | None = None,
 ) -> TrialInformation:
-    """Returns the predictor for base parameters and `effects`, at the experiment's parameters.
+    """Returns the predictor for the base parameters and `effects`, at the experiment's values.
 
     Raises `InputError` if the experiment has no fixed C_d and m_a, or declares no noise.
     """
@@ -234,7 +235,7 @@ def predict_information(
 
 
 def _secant(p: TrialPlan, theta: np.ndarray, y: np.ndarray, entry: int, step: float) -> np.ndarray:
-    """Returns the change (channels, n) of the readings, `y` at theta, per unit of an entry."""
+    """Returns the change (channels, n) per unit of a parameter; `y` are the readings at theta."""
     moved = theta.copy()
     moved[entry] += step
     return (predict_readings(p, moved) - y) / step

@@ -1,8 +1,8 @@
 """Proposes the next trial to measure after a verdict of the loop.
 
-For a class, the trial discriminates between the effects of the class. The worst trial is repeated
-if the verdict is "unexplained" or "inconclusive", or if a class has a residual above the noise
-floor. After all other verdicts, the trial narrows the widest interval.
+After "class", the proposed trial discriminates between the effects of the class. The trial with the
+largest residual is repeated after "unexplained" or "inconclusive", or if a class has a residual
+above the noise floor. After all other verdicts, the trial narrows the widest interval.
 """
 
 from collections.abc import Callable
@@ -46,9 +46,9 @@ def next_experiment(
     limits: TrialLimits | None = None,
     effort: SearchEffort = LOOP_EFFORT,
 ) -> dict[str, Any]:
-    """Returns the next experiment as in report.json: purpose, a sentence, and a trial or None.
+    """Returns the record of the next experiment for report.json; its trial may be None.
 
-    `limits` bound the trial (default: the ranges of the experiment's own trials, widened).
+    `limits` are the trial's limits (default: the widened ranges of the experiment's trials).
     """
     left = any(x.all > outcome.search.settings.noise_floor for x in outcome.excess.values())
     if outcome.verdict in (UNEXPLAINED, INCONCLUSIVE) or (outcome.verdict == CLASS and left):
@@ -75,7 +75,7 @@ def _again(outcome: LoopOutcome) -> dict[str, Any]:
     again = trial.model_copy(update={"file": unused_file_name(outcome.experiment)})
     text = (
         f"Repeat {trial.file} ({trial_text(trial)}): the residual's mean square in {channel} is "
-        f"{x.trials[worst]:.1f} times the noise's. If the repetition has the same residual, the "
+        f"{x.trials[worst]:.1f} times that of noise. If the repetition has the same residual, the "
         "cause is in the tank. If not, the set-up of the first trial was the cause."
     )
     return next_trial_record("repeat", text, again)
@@ -99,7 +99,7 @@ def _prediction(
 def _discriminating(
     outcome: LoopOutcome, limits: TrialLimits, effort: SearchEffort, progress: Progress
 ) -> dict[str, Any]:
-    """Returns the trial for the first class that a trial makes smaller, or for the last class."""
+    """Returns the trial for the first class that a trial can reduce, or for the last class."""
     found = _none("No trial is proposed: no alternative can be fitted instead of a chosen effect.")
     last, trials = outcome.search.final, [r.trial for r in _fitted(outcome)]
     for round_ in outcome.search.rounds:
@@ -133,7 +133,7 @@ def _narrowing(
     if errors[widest] <= floor[widest]:
         return _none(
             "No trial is proposed: the model-discretisation discrepancy is the larger part of "
-            "every interval, so more data would not narrow an interval."
+            "every interval, and more data do not reduce this discrepancy."
         )
     f = _prediction(outcome, final.theta, final.free)
     p, before = own[widest], summed(final.blocks)[0]

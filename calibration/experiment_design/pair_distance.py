@@ -5,8 +5,9 @@ second effect b. After a fit of R to the readings of a, the residual's sum of sq
 
     lambda = s^2 (A_aa - A_aR A_RR^-1 A_Ra)
 
-Lambda is the noncentrality of the chi-square test of b against a. The square root of lambda is the
-distance in standard deviations. The smaller one of both directions is the distance of a pair.
+Lambda is the noncentrality of the chi-square test that rejects b if a is true. The square root of
+lambda is a distance in standard deviations. The distance of a pair is the smaller of two values:
+with b fitted to a, and with a fitted to b.
 """
 
 from collections.abc import Callable, Mapping
@@ -49,7 +50,7 @@ def effect_pairs(
     sizes: Mapping[str, np.ndarray],
     free: np.ndarray,
 ) -> list[EffectPair]:
-    """Returns all pairs of the effects in `indices` at their `sizes`, given the information A."""
+    """Returns all pairs of the effects in `indices` with the given `sizes` and information A."""
     found = []
     for first, second in combinations(indices, 2):
         one, other = indices[first], indices[second]

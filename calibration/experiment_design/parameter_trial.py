@@ -1,7 +1,7 @@
 """Proposes the trial that is predicted to narrow a parameter's interval most.
 
-A trial adds its Fisher information J J^T to the information of the measured data. J contains the
-whitened tangents of the readings at the fitted parameters. The sum predicts the interval.
+A trial adds the Fisher information J J^T to the information of the measured data. J contains the
+whitened tangents of the trial's readings at the fitted parameters. The sum predicts the interval.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -27,7 +27,7 @@ from slider_jax.experiment.load import Experiment
 from slider_jax.experiment.schema import Trial
 
 GRID_FREQUENCIES, GRID_STRIDES, MIN_SECONDS = 4, 3.0, 2.0
-"""Number of frequencies in the grid, number of strides of a trial, and its least duration [s]."""
+"""Number of frequencies in the grid; strides and smallest duration [s] of a proposed trial."""
 
 
 class Proposal(NamedTuple):
@@ -37,16 +37,16 @@ class Proposal(NamedTuple):
     half_width: float
     """Half width of the 95 % interval, in SI units."""
     determined: bool
-    """Whether the interval is narrow enough to print a value."""
+    """Whether the parameter will be determined, so that a report contains its value."""
 
 
 class MeasuredInformation(NamedTuple):
     """Information and sensors of the measured data."""
 
     information: np.ndarray
-    """J J^T (k, k) of the free entries."""
+    """J J^T (k, k) of the fitted parameters."""
     free: np.ndarray
-    """Indices (k,) of the identified entries."""
+    """Indices (k,) of the fitted parameters."""
     sensing: SensorModel
     """Sensors with the median noise of each channel."""
 
@@ -113,10 +113,10 @@ def best_trial(
     measured: MeasuredInformation,
     resolution: Resolution = COARSE,
 ) -> dict[int, Proposal]:
-    """Returns for each entry in `wanted` (indices) the candidate that narrows its interval most.
+    """Returns, for each parameter index in `wanted`, the trial that narrows its interval most.
 
-    The interval follows from the measured data and the candidate together, with all free entries
-    fitted. Candidates that cannot be simulated are skipped.
+    The interval follows from the measured data together with one of the `candidates`, if all free
+    parameters are fitted. Candidates that cannot be simulated are skipped.
     """
     effects = tuple(dict.fromkeys(p.effect for p in entries if p.effect))
     model = TrialInformation(
@@ -151,12 +151,12 @@ def propose_trials(
     resolution: Resolution = COARSE,
     progress: Callable[[str], None] = lambda text: None,
 ) -> dict[int, Proposal]:
-    """Returns a proposal for every fitted entry that the data do not determine."""
+    """Returns a proposal for every fitted parameter that the data do not determine."""
     wanted = [
         int(i)
         for i in fit.free
         if not determined(entries[i], *confidence_interval(fit, entries, int(i))[1:])
-        and value_by_variation(fit, int(i)) is None  # mean forces and variation disagree
+        and value_by_variation(fit, int(i)) is None  # None: both estimates agree
     ]
     candidates = feasible_trials(experiment) if wanted else []
     if not candidates:
@@ -189,4 +189,4 @@ def proposal_sentence(p: Parameter, x: Proposal) -> str:
     to = f"{p.label} to ±{x.half_width:.2g} {p.prior.unit}".rstrip(" -")
     if x.determined:
         return f"a trial of {how}, would determine {to}"
-    return f"no trial in this experiment's limits is sufficient; the best one ({how}) narrows {to}"
+    return f"no trial in the experiment's limits is sufficient; the best trial ({how}) narrows {to}"

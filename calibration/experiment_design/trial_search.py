@@ -1,4 +1,4 @@
-"""Searches for the trial that maximises an objective, a function of its predicted information.
+"""Searches for the trial that maximises a function of the predicted information.
 
 The search evaluates evenly spread trials first. A pattern search then starts from the best trial.
 The variables are frequency, amplitude, phase of the rear chamber and tow speed.
@@ -23,10 +23,10 @@ from slider_jax.experiment.schema import Trial
 from slider_jax.io.toml import quantity_of, toml_text, validate
 
 TRIAL_STRIDES, MAX_SECONDS, MIN_STRIDES = 6.0, 2.0, 2.0
-"""A trial lasts `TRIAL_STRIDES` or `MAX_SECONDS` [s], if shorter, but at least `MIN_STRIDES`."""
+"""A trial lasts the shorter of `TRIAL_STRIDES` and `MAX_SECONDS` [s], at least `MIN_STRIDES`."""
 WIDENING = 0.1
-"""Fraction by which each end of the experiment's own range is widened. It refers to the end's value
-for logarithmic quantities, and to the range's width for all other quantities."""
+"""Fraction by which each end of the range of the experiment's trials is widened: a fraction of the
+end's value for `LOGARITHMIC` quantities, and of the range's width for all other quantities."""
 LOGARITHMIC = ("frequency", "amplitude")
 QUANTITIES = ("frequency", "amplitude", "phase", "tow_speed")
 
@@ -60,7 +60,7 @@ class PredictedTrial(NamedTuple):
 def limits_of(
     experiment: Experiment, given: Mapping[str, tuple[float, float] | None] | None = None
 ) -> TrialLimits:
-    """Returns the ranges `given`. The default range is that of the experiment's trials, widened.
+    """Returns the ranges `given` or, by default, the widened ranges of the experiment's trials.
 
     Raises `InputError` for a reversed range, a value that is not allowed, or a missing range.
     """
@@ -70,7 +70,7 @@ def limits_of(
         limits = (given or {}).get(name)
         low, high = _own_range(experiment, name, option) if limits is None else limits
         if low > high:
-            raise InputError.value(option, f"{low:g} {high:g}", "LOW HIGH, the lower one first")
+            raise InputError.value(option, f"{low:g} {high:g}", "LOW HIGH with LOW <= HIGH")
         for value in (low, high):
             allowed = quantity_of(Trial.model_fields[name])
             if allowed and not allowed.low <= value <= allowed.high:
@@ -95,12 +95,12 @@ def _own_range(experiment: Experiment, name: str, option: str) -> tuple[float, f
     def rounded(x: float) -> float:
         return float(np.clip(float(f"{x:.3g}"), allowed.low, allowed.high))
 
-    # An end at zero is not widened: the tank may be unable to tow, or to tow in both directions.
+    # An end at zero is not widened, because a gantry may not tow at all or only in one direction.
     return rounded(low - lower if low else 0.0), rounded(high + upper if high else 0.0)
 
 
 def trial_at(experiment: Experiment, limits: TrialLimits, point: np.ndarray) -> Trial:
-    """Returns the trial at `point` (4,), scaled from 0 to 1 within the limits, in round numbers."""
+    """Returns the trial with rounded values at `point` (4,); 0 and 1 are the ends of the limits."""
     own = [t for t in experiment.trials if t.waveform != "recorded"]
     x = {}
     for name, (low, high), u in zip(QUANTITIES, limits, point, strict=True):
@@ -125,14 +125,14 @@ def unused_file_name(experiment: Experiment) -> str:
 
 @dataclass(frozen=True)
 class TrialSearch:
-    """Maximises the objective `goal` of the information that `predictions` give for a trial."""
+    """Maximises `goal`, a function of the information that each of `predictions` predicts."""
 
     predictions: Sequence[TrialInformation]
     goal: Callable[[list[list[ChannelInformation]]], float]
     limits: TrialLimits
 
     def at(self, point: np.ndarray) -> PredictedTrial:
-        """Returns the trial at a point of the unit cube."""
+        """Returns the trial at a point (4,) with coordinates from 0 to 1 within the limits."""
         trial = trial_at(self.predictions[0].experiment, self.limits, point)
         try:
             channels = [f.trial(trial) for f in self.predictions]
@@ -166,8 +166,8 @@ class TrialSearch:
                 step *= 0.5
         if not np.isfinite(best.value):
             raise SolverError(
-                "no trial within the limits can be simulated; reduce the limits, starting with the "
-                "amplitude"
+                "no trial within the limits can be simulated; reduce the limits, first the "
+                "amplitude's limits"
             )
         return best
 
@@ -196,7 +196,7 @@ def trial_text(trial: Trial) -> str:
 
 
 def trial_table(trial: Trial) -> dict[str, Any]:
-    """Returns a trial's keys with values other than the defaults, and the searched quantities."""
+    """Returns a trial's non-default values and the four searched quantities, by key."""
     content = trial.model_dump(exclude_defaults=True)
     return content | {name: getattr(trial, name) for name in QUANTITIES}
 
