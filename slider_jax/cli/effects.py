@@ -55,14 +55,14 @@ def list_effects(
     if name is None:
         for option, given in {"--out": out, "--experiment": experiment}.items():
             if given is not None:
-                raise InputError(f"{option}: is only for the figure of one effect; add the NAME")
+                raise InputError(f"{option}: needs the NAME of an effect; add this NAME")
         print(listing())
         return
     if name not in LIBRARY:
         near = did_you_mean(name, (*LIBRARY, "matrix"))  # `effects matrix` is a command
         raise InputError(f"NAME: given {name!r}; allowed are the names of `slider effects`{near}")
     if experiment is not None and out is None:
-        raise InputError("--experiment: is only for the figure of the effect; add --out DIR")
+        raise InputError("--experiment: needs a folder for the figure; add --out DIR")
     changes = [] if out is None else _draw(name, out, experiment)
     print("\n".join([explanation(name), *changes]))
 

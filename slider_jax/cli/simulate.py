@@ -48,7 +48,7 @@ def simulate(
         options = {"--animate": animate, "--step": step, "--nodes": nodes, "--scheme": scheme}
         for name, value in options.items():
             if value:
-                raise InputError(f"{name}: is only for an experiment; omit it for a log")
+                raise InputError(f"{name}: not allowed for a log; omit this option")
         return function_of(SIMULATE_LOG)(input, model, out, drive, plot)
     from slider_jax.channels import CHANNELS, TIME
     from slider_jax.cli.progress import Progress
@@ -61,7 +61,7 @@ def simulate(
 
     if drive != "set":
         raise InputError(
-            "--drive measured: is only for a log; in an experiment, set drive_is of the trials"
+            "--drive measured: allowed only for a log; in an experiment, set each trial's drive_is"
         )
     experiment = load(input, model)
     settings = {"numerics.step": step, "numerics.nodes": nodes, "numerics.scheme": scheme}

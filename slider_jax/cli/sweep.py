@@ -71,7 +71,7 @@ def sweep(
     if field2 is not None and start2 is not None and stop2 is not None and count2 is not None:
         axes.append(Axis.spaced(field2, start2, stop2, count2))
     elif second != (None,) * 4:
-        raise InputError("a second field needs all of --field2, --from2, --to2, --count2")
+        raise InputError("a second field needs --field2, --from2, --to2 and --count2; add all four")
     if trial is None:
         named = (re.match(r"trials\.(\d+)(\.|$)", axis.field) for axis in axes)
         trial = next((int(x[1]) for x in named if x), 0)

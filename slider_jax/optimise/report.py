@@ -134,7 +134,7 @@ def front_summary(content: dict[str, Any]) -> list[str]:
     if other := [f"{x['beta']:.3f}" for x in content["front"] if x["own_mesh"][steady] is None]:
         lines.append(f"beta {', '.join(other)}: the strides of the climb do not repeat")
     if content["dominated_by_a_neighbour"]:
-        lines.append(f"a neighbour dominates beta {content['dominated_by_a_neighbour']}")
+        lines.append(f"beta {content['dominated_by_a_neighbour']}: a neighbouring design dominates")
     return lines
 
 

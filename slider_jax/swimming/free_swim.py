@@ -96,7 +96,7 @@ def _from_rest(
         if not bool(carry.ok):
             raise SolverError(
                 f"swimming: a time step did not converge at {float(carry.failed_at):.4g} s of the "
-                "drive; try a shorter numerics.step, lower pressures or a stiffer tail"
+                "drive; use a shorter numerics.step, lower pressures or a stiffer tail"
             )
         speeds.append(float(pace.speed))
         gained = abs(float(pace.acceleration)) / float(f)

@@ -73,10 +73,10 @@ def test_every_effect_can_be_explained_and_added_as_it_says(name, capsys, tmp_pa
             "NAME: given 'valve_dely'; allowed are the names of `slider effects`; "
             "did you mean valve_delay?",
         ),
-        (("--out", "x"), "--out: is only for the figure of one effect; add the NAME"),
+        (("--out", "x"), "--out: needs the NAME of an effect; add this NAME"),
         (
             ("valve_delay", "--experiment", "x"),
-            "--experiment: is only for the figure of the effect; add --out",
+            "--experiment: needs a folder for the figure; add --out",
         ),
         (("valve_delay", "--out", "y", "--experiment", "x"), "x: no such file"),
         (("valve_delay", "--outt", "y"), "--outt: unknown option"),
