@@ -126,7 +126,7 @@ class ForceSource(ABC):
         """Sets the present load as zero. Call this function at rest, before a recording."""
 
     def latest(self) -> tuple[int, np.ndarray] | None:
-        """Returns arrival [ns] and wrench (6,) [N, N m] of the last record; None without a record."""
+        """Returns arrival [ns] and wrench (6,) [N, N m] of the last record; None without one."""
         if self._last is None:
             return None
         now, raw = self._last

@@ -1,7 +1,7 @@
 """Drives the gantry's axis with a GRBL 1.1 controller, and measures runs above the robot.
 
 GRBL computes the trapezoidal speed from its acceleration ($120) and from the feed (speed) of each
-command. If this computer fails, GRBL ends the move within the limits that were checked before.
+command. If this computer fails, GRBL still ends the move, whose limits were checked before.
 Source: https://github.com/gnea/grbl, doc/markdown (commands, interface, settings).
 """
 
@@ -64,16 +64,17 @@ class GantryLimits(NamedTuple):
     speed: float
     """Highest speed [m/s]."""
     acceleration: float
-    """Highest acceleration [m/s^2] that GRBL's settings may contain."""
+    """Highest allowed acceleration in GRBL's settings [m/s^2]."""
 
 
 class GantryAxis:
-    """Context manager of a GRBL's X axis on an open port.
+    """Context manager of the X axis of a GRBL controller on an open port.
 
     On entry, the driver resets GRBL and reads GRBL's settings. If the position is unknown, the axis
-    moves to its home, which is the origin. With `homed=False` (no limit switches), the axis is only
-    unlocked, and the position on entry is the origin. At the end or after an error, the axis slows
-    down (feed hold) and GRBL is reset. Raises `RigError` for GRBL's errors and for a lost port.
+    moves to the home position, which is the origin. With `homed=False` (no limit switches), the
+    axis is only unlocked, and the position on entry is the origin. At the end or after an error,
+    the axis slows down (feed hold) and GRBL is reset. Raises `RigError` for GRBL's errors and for a
+    lost port.
     """
 
     def __init__(
@@ -106,7 +107,7 @@ class GantryAxis:
                 raise
 
     def stop(self) -> None:
-        """Slows the axis down to rest and resets GRBL. Without an answer, only resets GRBL."""
+        """Slows the axis down to rest and resets GRBL. Without GRBL's answer, only resets GRBL."""
         deadline = self._clock() + 1.0 + self.limits.speed / self._acceleration()
         try:
             self._send(HOLD)
@@ -117,7 +118,7 @@ class GantryAxis:
             self._send(RESET)
 
     def profile(self, travel: float, speed: float) -> MotionProfile:
-        """Returns the move over `travel` [m] at `speed` [m/s] with GRBL's acceleration."""
+        """Returns the profile of a move over `travel` [m] at `speed` [m/s], for GRBL's $120."""
         fastest = min(self.limits.speed, self._settings[110] / 60e3)
         if not 0.0 < speed <= fastest:
             advice = "the limit is the lower of the lab's limit and GRBL's $110"
@@ -203,7 +204,7 @@ class GantryAxis:
         return self._until(lambda answer: answer == "ok", patience, line)[:-1]
 
     def _until(self, wanted: Callable[[str], bool], patience: float, asked: str = "") -> list[str]:
-        """Returns the lines up to the first wanted one. Raises `RigError` for an error or alarm."""
+        """Returns the lines up to the first wanted line. Raises `RigError` for error or alarm."""
         deadline, lines, late = self._clock() + patience, list[str](), False
         while not late:
             late = self._clock() >= deadline  # bytes that arrived before the deadline still count
@@ -255,11 +256,12 @@ def gantry_measurement(
     settle: float,
     stride: float,
 ) -> Callable[[float], GantryPass | None]:
-    """Returns the `measure` of `find_swimming_speed`: one run over `travel` [m], and back.
+    """Returns the function `measure` of `find_swimming_speed`: a run over `travel` [m], and back.
 
-    `film` starts robot and camera, and calls its argument, which moves the gantry. It returns the
-    marker's track: times on the axis' clock [s], and positions ahead of the camera [m], NaN if
-    lost. The first `settle` seconds are ignored. `stride` is the period of a stride [s].
+    `film` starts robot and camera, and calls the function that it gets, which moves the gantry.
+    `film` returns the marker's track: times on the axis' clock [s], and positions ahead of the
+    camera [m], NaN if the marker is lost. Frames of the first `settle` [s] are ignored. `stride` is
+    the period of a stride [s].
     """
 
     def measure(speed: float) -> GantryPass | None:

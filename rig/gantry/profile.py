@@ -50,13 +50,13 @@ class MotionProfile:
         return self.cruise + 2.0 * self.ramp
 
     def speed_at(self, t) -> np.ndarray:
-        """Returns the speed [m/s] at times t [s] from the start; 0 before and after the move."""
+        """Returns the speed [m/s] at times t [s] after the start; 0 before and after the move."""
         t = np.asarray(t, float)
         slope = self.acceleration * np.minimum(t, self.duration - t)
         return np.clip(slope, 0.0, self.speed)
 
     def position(self, t) -> np.ndarray:
-        """Returns the distance from the start [m] at times t [s] from the start."""
+        """Returns the travelled distance [m] at times t [s] after the start."""
         t = np.clip(np.asarray(t, float), 0.0, self.duration)
         up, down = np.minimum(t, self.ramp), np.minimum(self.duration - t, self.ramp)
         cruised = np.clip(t - self.ramp, 0.0, self.cruise)

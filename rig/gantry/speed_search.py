@@ -1,9 +1,10 @@
-"""Search for the swimming speed: the gantry's speed at which its camera sees the robot at rest.
+"""Searches for the swimming speed: the gantry's speed at which the robot rests in the image.
 
-The search applies Newton's method to the drift: the displacement divided by the cruise time. The
-drift has the same zero as the displacement. Only the drift is almost linear in the gantry's speed,
-because faster runs take less time. The slope is that of a least-squares line through the last runs,
-which are weighted by noise and by distance from the zero.
+The search applies Newton's method to the drift, which is the displacement of the robot in the image
+divided by the cruise time. Drift and displacement are zero at the same speed. The drift is almost
+linear in the gantry's speed. The displacement is not, because faster runs take less time. The slope
+is the slope of a least-squares line through the last runs. Noise and distance from the zero
+determine the weight of a run.
 """
 
 from collections.abc import Callable
@@ -17,15 +18,15 @@ import numpy as np
 from rig.errors import RigError
 
 MIN_STRIDES = 2.0
-"""Shortest unbroken track of a valid run, in strides."""
+"""Shortest track of a valid run, without a gap, in strides."""
 FITTED_SPEEDS = 4
-"""The runs at this number of most recent speeds determine the slope."""
+"""Number of the last speeds whose runs determine the slope."""
 CURVATURE = 0.1
-"""Assumed error of the straight line, as a fraction of a run's distance from the zero."""
+"""Assumed error of the straight line, as a fraction of the distance between a run and the zero."""
 FREE_SLOPE = (-1.0, 0.5)
-"""Prior of the drift's slope: value for a robot without tether forces, and standard deviation."""
+"""Prior of the drift's slope: mean (for a robot without tether forces) and standard deviation."""
 FLATTEST = -0.2
-"""Upper bound of the slope. It limits steps if the drift is almost constant or rises by chance."""
+"""Upper bound of the slope, which limits a step if the drift hardly changes or rises by chance."""
 STUDENT = (1.96, 12.7, 4.3, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26)
 """Half widths of Student's 95 % interval in standard deviations, for 1, 2, ... repeats. The first
 value applies to a known standard deviation, and to more repeats than the table contains."""
@@ -35,9 +36,9 @@ class GantryPass(NamedTuple):
     """One run of the gantry at a constant speed."""
 
     displacement_m: float
-    """Displacement of the robot relative to the camera, positive ahead; NaN if lost."""
+    """Displacement of the robot relative to the camera, positive ahead; NaN for a lost marker."""
     cruise_time_s: float
-    """Time over which the displacement was measured [s]."""
+    """Time in which the displacement was measured [s]."""
     frames: int
     lost: int
     """Number of frames without the marker."""
@@ -63,7 +64,7 @@ class SpeedSearchResult:
     | field | unit | meaning |
     |---|---|---|
     | `speed` | m/s | zero of the fitted drift; NaN if no run showed the marker |
-    | `uncertainty` | m/s | half of the 95 % interval, from the larger of `noise` and tolerance |
+    | `uncertainty` | m/s | half the 95 % interval, for the larger of `noise` and tolerance |
     | `noise` | m | standard deviation of repeated displacements; 0 without repeats |
     | `history` | | speed [m/s] and run (None if lost), in the order of the runs |
     """
@@ -89,16 +90,16 @@ def find_swimming_speed(
     budget: int = 12,
     second: float | None = None,
 ) -> SpeedSearchResult:
-    """Searches for the speed at which the displacement over the cruise is zero.
+    """Searches for the speed at which the displacement during the cruise is zero.
 
     `measure` makes a run at a speed [m/s] and returns None, or a NaN displacement, if the marker
     was lost. `first` and `second` are the first two speeds [m/s]. The default of `second` assumes a
     robot without tether forces. `limits` are the lowest and highest speed [m/s]. `budget` is the
-    largest number of runs. `tolerance_px` [px] is the largest accepted displacement, and must not
-    be below the camera's noise: two runs cannot detect a noise slightly above the tolerance.
+    largest number of runs. `tolerance_px` [px] is the largest accepted displacement and must not be
+    below the camera's noise: two runs cannot detect a noise slightly above the tolerance.
     `scale` [m/px] converts pixels to metres.
 
-    The run at the found speed is repeated once, and once more if noise ends the search. To measure
+    The run at the result's speed is repeated once, and twice if noise ends the search. To measure
     the noise, a run is also repeated if a Newton step does not halve the displacement.
     """
     _check(first, limits, tolerance_px, scale, budget, second)
@@ -166,7 +167,7 @@ def _check(first, limits, tolerance_px, scale, budget, second) -> None:
 
 
 def _noise(runs: list[tuple[float, GantryPass]]) -> tuple[float, int]:
-    """Returns the pooled standard deviation [m] of repeated displacements, and their number."""
+    """Returns the pooled standard deviation [m] of repeated displacements, and the repeats."""
     groups = [[r.displacement_m for v, r in runs if v == speed] for speed in {v for v, _ in runs}]
     repeats = len(runs) - len(groups)
     squares = sum(len(group) * float(np.var(group)) for group in groups)
@@ -176,8 +177,8 @@ def _noise(runs: list[tuple[float, GantryPass]]) -> tuple[float, int]:
 def _line(runs: list[tuple[float, GantryPass]], noise: float) -> tuple[float, float]:
     """Returns the zero [m/s] of the fitted drift and its standard deviation [m/s].
 
-    `FREE_SLOPE` is a prior of the slope, because runs at one speed or at close speeds cannot
-    determine it.
+    `FREE_SLOPE` is a prior of the slope, because runs at one speed or at close speeds do not
+    determine the slope.
     """
     last = list(dict.fromkeys(v for v, _ in reversed(runs)))[:FITTED_SPEEDS]
     v = np.array([speed for speed, _ in runs if speed in last])
@@ -200,10 +201,10 @@ def _line(runs: list[tuple[float, GantryPass]], noise: float) -> tuple[float, fl
 
 
 def _within_bracket(target: float, runs: list[tuple[float, GantryPass]], clear: float) -> float:
-    """Returns `target`, or the middle of the bracket if `target` is outside.
+    """Returns `target` [m/s], or the middle of the bracket if `target` is outside the bracket.
 
     The bracket begins at the highest speed at which the robot overtook the gantry by more than
-    `clear` [m]. It ends at the lowest speed at which the gantry overtook the robot by more.
+    `clear` [m]. The bracket ends at the lowest speed at which the robot fell behind by more.
     """
     slower = max((v for v, run in runs if run.displacement_m > clear), default=-inf)
     faster = min((v for v, run in runs if run.displacement_m < -clear), default=inf)
@@ -215,10 +216,10 @@ def _within_bracket(target: float, runs: list[tuple[float, GantryPass]], clear: 
 def fit_drift(t, x, start: float, end: float, stride: float) -> GantryPass | None:
     """Returns the run with the marker at x [m] ahead of the camera at times t [s] (frames,).
 
-    Only frames from `start` to `end` [s] count, until the marker is lost for half a `stride` [s]. A
-    robot much faster or slower than the gantry leaves the camera's view. The drift is the slope of
-    a straight line, which is fitted together with the first two harmonics of the stride. Returns
-    None for a track shorter than `MIN_STRIDES`.
+    Only frames from `start` to `end` [s] count, until the marker is lost for half a `stride` [s],
+    because a robot much faster or slower than the gantry leaves the image. A straight line and the
+    first two harmonics of the stride are fitted. The drift is the slope of this line. Returns None
+    for a track shorter than `MIN_STRIDES`.
     """
     t, x = np.asarray(t, float), np.asarray(x, float)
     cruise = (t >= start) & (t <= end)

@@ -16,7 +16,7 @@ from rig.simulated.terminal import Terminal
 
 MADE_UP = "The rig that `slider rig simulate` made up"
 LEAD_US = 5
-"""A force record is sampled this time before a step of the tank [us], because times are rounded."""
+"""Time from the sampling of a force record to a step of the tank [us]; times are rounded."""
 MAX_TANK_WAIT = 0.2
 """Longest time for which a force record waits for the tank's state [s]."""
 
@@ -43,8 +43,8 @@ class HostClockedRig:
         """Returns forces [N] and torques [N m] (6,) at a host time [s]. x is thrust, y recoil."""
         zero = self._zero_ns or time.monotonic_ns()
         at = round((1e9 * host_s - zero) / 1000)
-        # A delayed tank has no present force yet. A late record is better than a guessed force:
-        # the host detects a late record, but not a wrong force.
+        # A delayed tank does not yet know the present force. The record then waits, because the
+        # host detects a late record, but not a wrong force.
         deadline = time.monotonic() + MAX_TANK_WAIT
         while self.rig.reached_us < at and time.monotonic() < deadline:
             time.sleep(2e-4)

@@ -44,13 +44,13 @@ class Scene:
     glare: float = 0.0
     """Probability of glare on a marker in a frame."""
     noise: float = 0.0
-    """Rms noise of a colour channel [counts]. The shot noise of the light is added to it."""
+    """Rms noise of a colour channel [counts], without the shot noise of the light."""
     hidden: frozenset[tuple[int, int]] = frozenset()
     dropped: frozenset[int] = frozenset()
     seed: int = 0
 
     def truth(self, number: int) -> np.ndarray:
-        """Returns the marker positions (markers, 2) [px] in the middle of a frame's exposure."""
+        """Returns the marker positions (markers, 2) [px] at the middle of a frame's exposure."""
         return self.path(np.array([number / self.fps]))[0]
 
     def image(self, number: int) -> np.ndarray:

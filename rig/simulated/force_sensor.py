@@ -49,7 +49,7 @@ class LossyNetwork:
         self._held: list[tuple[int, bytes]] = []
 
     def transmit(self, datagram: bytes) -> list[bytes]:
-        """Sends a datagram and returns arriving datagrams. A delay is 1 to 8 datagrams long."""
+        """Sends a datagram and returns the datagrams that arrive. A delay lasts 1 to 8 datagrams."""
         out = []
         lost, late, twice = self._random.random(3) < (self.drop, self.reorder, self.duplicate)
         if lost:
@@ -78,12 +78,12 @@ class SimulatedForceBox:
     limit: float = 1000.0
     """Load of an axis [N, N m] above which the transducer saturates."""
     stuck: bool = False
-    """Whether the box repeats the last counts."""
+    """Whether the box repeats the last counts, as a stuck sensor."""
     status: int = 0
     """Status bits of every record."""
     seed: int = 0
     zero: np.ndarray = field(default_factory=lambda: np.zeros(6))
-    """Load that the box has subtracted since the last call of `bias` [N, N m]."""
+    """Load that the box subtracts, set by `bias` [N, N m]."""
 
     def __post_init__(self) -> None:
         if not 0 < self.limit <= 1000.0:  # so that biased counts also fit into 32 bits

@@ -17,7 +17,7 @@ TYPED_US = 1_000_000
 """A number without a line end is complete after this time [us], as for Arduino's `parseFloat`."""
 
 Script = Iterator[tuple[int, bytes]]
-"""Pieces of text with their times after the answer [us]."""
+"""Pieces of text, each with the time after the host's answer [us]."""
 Plant = Callable[[int, int, float], float]
 """Function of fill duty, vent duty (0 to 255) and duration [s] that returns gauge pressure [Pa]."""
 
@@ -26,7 +26,7 @@ class PublishedFirmware:
     """A device that repeatedly asks for a frequency and runs a test.
 
     `test` gets the frequency [Hz] and the device's time [us], and returns the test's text. As in
-    the original firmware, input during a test waits and then answers the next question.
+    the original firmware, input that arrives during a test answers the next question.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class PublishedFirmware:
 def replay_log(log: bytes, period_us: int = PERIOD_US) -> Callable[[float, int], Script]:
     """Returns a test that sends an unchanged log, one row every `period_us`, or all rows for 0.
 
-    The test ignores the frequency, so send the frequency of the log.
+    The test ignores the frequency that the host sends. Send the frequency of the log.
     """
 
     def test(frequency: float, now_us: int) -> Script:
@@ -91,8 +91,8 @@ def replay_log(log: bytes, period_us: int = PERIOD_US) -> Callable[[float, int],
 def simulate_frequency_test(plant: Plant, cycles: int = 10) -> Callable[[float, int], Script]:
     """Returns a test of `plant` with the firmware's sine and control law, a row per `PERIOD_US`.
 
-    The duty is min(250, 10 |error|) with the error in counts. This duty applies to the fill valve
-    if the error is positive, otherwise to the vent valve, until the next row.
+    The duty is min(250, 10 |error|) with the error in counts. Until the next row, this duty applies
+    to the fill valve if the error is positive, otherwise to the vent valve.
     """
 
     def test(frequency: float, now_us: int) -> Script:

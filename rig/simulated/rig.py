@@ -15,8 +15,8 @@ STEP = 1_000
 TIP_PER_VOLT = 0.1
 """Scale of the tip's sensor at the first analogue input [m/V]."""
 STALL = 20_000
-"""If this program pauses for a longer time [us], bytes from the pause act this time after the start
-of the pause. For the watchdog, these bytes count as arriving at the end of the pause."""
+"""If this program pauses for a longer time [us], bytes that arrive in the pause act this time after
+the start of the pause. For the watchdog, these bytes arrive at the end of the pause."""
 
 
 @dataclass(frozen=True)

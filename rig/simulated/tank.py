@@ -1,4 +1,4 @@
-"""Simple chambers of the simulated rig, which the simulator's robot can replace."""
+"""Simple models of the chambers and the tail for the simulated rig."""
 
 from math import exp
 from random import Random
@@ -31,8 +31,8 @@ class Tank(Protocol):
 class BenchTank:
     """Chambers with a first-order lag, and a tail in air that follows the chambers' pressures.
 
-    With this tank, users try the rig's commands: thrust and tip depend on the set pressures. The
-    tank is not a model of swimming. `lag` and `tail` [s] are the time constants of chambers and
+    This tank serves to try the rig's commands: thrust and tip depend on the set pressures. The tank
+    is not a model of swimming. `lag` and `tail` [s] are the time constants of chambers and
     tail, `leak` [1/s] is the relative loss rate of a chamber's pressure, and `gain` [m/Pa] is the
     tip's excursion per pressure difference.
     """
@@ -62,8 +62,8 @@ class BenchTank:
 class BenchChamber:
     """One chamber with a fill and a vent valve, as driven by the published firmware.
 
-    The flow is proportional to a valve's duty and to the pressure difference across the valve. If
-    the valve is fully open, this difference decreases to 37 % in `lag` [s].
+    The flow is proportional to a valve's duty and to the pressure difference across the valve. With
+    a fully open valve, this difference decreases to 37 % in `lag` [s].
     """
 
     def __init__(self, lag: float = 0.12, supply: float = 550e3, noise: float = 0.0, seed: int = 0):

@@ -124,7 +124,7 @@ def serve_in_thread(device: Device, backlog: int = BACKLOG) -> Iterator[ServedDe
 def serve_in_process(
     make: Callable[..., Device], *arguments: object, backlog: int = BACKLOG
 ) -> Iterator[ServedDevice]:
-    """Runs the device `make(*arguments)` in its own process, which ends with this process.
+    """Runs the device `make(*arguments)` in a separate process, which ends with this process.
 
     `make` must be a function or class of a module, because the new process imports it. Raises
     `RigError` if the device does not start.
