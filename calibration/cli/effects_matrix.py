@@ -71,7 +71,7 @@ def effects_matrix(
     for name, limits in given.items():
         if limits is not None and not separate:
             option = f"--{name.replace('_', '-')}"
-            raise InputError(f"{option}: works only with --separate; use both, or neither")
+            raise InputError(f"{option}: works only with --separate; use both or neither option")
     loaded = load(experiment, model)
     within = limits_of(loaded, given) if separate else None
     progress = timed_printer()

@@ -73,7 +73,7 @@ def record_interval(log_value: float, record: RecordDerivatives) -> Interval:
 
 
 def pooled_interval(log_value: float, records: Sequence[RecordDerivatives]) -> Interval:
-    """Returns the interval of a value that is common to all similar records, measured or not.
+    """Returns the interval of a common value, valid for these records and for further records.
 
     All records have the same weight. The variance is the sandwich estimate with one cluster per
     record: it uses the spread of J.r/n between the records, where n is the number of samples.

@@ -61,7 +61,7 @@ class Identification:
 
     logs: tuple[LogResult, ...]
     k: Interval
-    """Common k, with an interval for the population of logs: it includes the spread of the logs."""
+    """Common k, with an interval that includes the spread between logs, valid for further logs."""
     within: Interval
     """Common k, with an interval that is valid for these logs only."""
 

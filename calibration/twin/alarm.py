@@ -33,7 +33,7 @@ MAX_LEARNED_SHARE = (0.1, 0.1, 0.4, 0.4, 0.2)
 MAX_MISFIT = (0.04, 0.04, 0.25, 0.12, 0.12)
 """Largest relative residual (rms/S) of each channel in the first windows that is not reported as a
 misfit. With a calibrated model, the relative residual is 0.01 for the pressures, 0.15 for thrust,
-0.05 for recoil and tip. With a leak of a fifth of a valve's flow, the pressure has 0.09."""
+0.05 for recoil and tip. With a leak of a fifth of a valve's flow, it is 0.09 for the pressure."""
 MIN_SAMPLES = 10
 """Smallest number of readings in a window with which a channel is tested."""
 MIN_NOISE = 1e-9
@@ -241,7 +241,8 @@ class SequentialTest:
         return f"{cause}: the pressures fit the model, but {channels} do not"
 
     def _explained(self, which: list[int]) -> float:
-        """Returns the fraction of the thrust, recoil and tip residuals that parameters explain."""
+        """Returns the fraction of the mean square of thrust, recoil and tip residuals that changes
+        of the parameters `PARAMETERS[1:]` with the indices `which` explain."""
         A, b = self._normal[np.ix_(which, which)], self._pull[which]
         size = np.sqrt(np.maximum(np.diag(A), 1e-300))
         x = np.linalg.lstsq(A / np.outer(size, size), b / size, rcond=1e-6)[0]

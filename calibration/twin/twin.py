@@ -5,7 +5,8 @@
         block.model, block.residual, block.k, block.K_Q, block.alarm
 
 After `WARM_UP`, the twin learns the bands (the normal ranges of the residuals) from some strides.
-Then the twin tests each window of readings. It updates k and K_Q while all residuals are in bands.
+Then the twin tests each window of readings. While no residual exceeds its band, the twin also
+updates k and K_Q.
 """
 
 import time
