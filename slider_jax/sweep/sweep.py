@@ -221,7 +221,8 @@ def run_sweep(
     groups, partial = groups_of(sweep), folder / "partial"
     chunks = _chunks(groups, _take_up(sweep, partial), partial)
     remaining = [i for i, chunk in enumerate(chunks) if not chunk.file.exists()]
-    on_begin(len(chunks) * sweep.strides, (len(chunks) - len(remaining)) * sweep.strides)
+    strides = 1 if sweep.swim else sweep.strides
+    on_begin(len(chunks) * strides, (len(chunks) - len(remaining)) * strides)
     compiled: dict[int, Any] = {}
     locks = [threading.Lock() for _ in groups]
 
