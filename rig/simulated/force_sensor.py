@@ -49,7 +49,7 @@ class LossyNetwork:
         self._held: list[tuple[int, bytes]] = []
 
     def transmit(self, datagram: bytes) -> list[bytes]:
-        """Sends a datagram and returns the datagrams that arrive. A delay lasts 1 to 8 datagrams."""
+        """Sends a datagram and returns the datagrams that arrive, delayed by up to 8 datagrams."""
         out = []
         lost, late, twice = self._random.random(3) < (self.drop, self.reorder, self.duplicate)
         if lost:

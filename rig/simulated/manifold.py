@@ -1,4 +1,4 @@
-"""The manifold's state machine in virtual time, equivalent to the firmware in `rig/firmware`."""
+"""Simulates the state machine of the firmware in `rig/firmware`, in virtual time."""
 
 from collections.abc import Sequence
 
@@ -197,7 +197,7 @@ class ManifoldCore:
 
 
 def _outside(pressures: Pressures, limits: Pressures) -> tuple[wire.Answer, int] | None:
-    """Returns the reason for a refusal and the first wrong chamber, or None if all are allowed."""
+    """Returns the reason for a refusal and the first wrong chamber; None if nothing is wrong."""
     for chamber, (pressure, limit) in enumerate(zip(pressures, limits, strict=True)):
         if pressure < 0:
             return wire.Answer.BELOW_ZERO, chamber

@@ -52,7 +52,7 @@ class FaultyLine:
         self._random = Random(self.faults.seed)
 
     def damage(self, piece: bytes) -> bytes:
-        """Returns the bytes of a piece that arrive."""
+        """Returns the bytes that arrive when a piece is sent."""
         faults = self.faults
         share = faults.flipped + faults.dropped + faults.inserted
         if not share or not piece:
@@ -72,9 +72,9 @@ class FaultyLine:
 
 
 class SimulatedRig:
-    """A manifold, driven by bytes, with the chambers of a tank.
+    """A simulated manifold that exchanges bytes with the host, and the chambers of a tank.
 
-    Set pressures act from their arrival: each step uses their mean over the step.
+    Set pressures act from the time of arrival: each time step uses the mean set pressures.
     """
 
     def __init__(
@@ -155,7 +155,7 @@ class SimulatedRig:
         return TankState((p[0], p[1], p[2], p[3]), *rest)
 
     def _mean_set(self) -> SetPoint:
-        """Returns the mean set point over the step that ends now. Later set points are kept."""
+        """Returns the mean set pressures in the step that ends now. Later changes are kept."""
         start, end = self._at - STEP, self._at
         times = [max(at, start) for at, _ in self._followed if at < end]
         sets = [x for at, x in self._followed if at < end]

@@ -1,5 +1,5 @@
 // Valve law of the published firmware (bvanstratum/SoftSnakePressureControl). The duty is min(250, 10 |error|) of 255,
-// with the error in counts of a ten-bit converter. It applies to the fill valve if positive, else to the vent valve.
+// with the error in counts of a ten-bit converter. A positive error drives the fill valve, otherwise the vent valve.
 #pragma once
 
 #include <cstdint>
