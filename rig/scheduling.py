@@ -5,8 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 STREAM_PRIORITY, RECORDER_PRIORITY = 2, 1
-"""Real-time priorities: of threads that command and read, and of the recorder. The thread with the
-higher priority runs first."""
+"""Real-time priorities of stream threads and of the recorder; the larger priority runs first."""
 NICE = -10
 """Niceness. On a core that is shared with an ordinary program, a program gets 90 % of the time."""
 

@@ -1,7 +1,6 @@
 """Reads numbered and timed frames from a camera or a video file, and records their markers.
 
-The number of a frame is computed from the source's times, so a dropped frame leaves a gap in the
-numbers.
+Frame numbers are computed from the source's times, so a dropped frame leaves a gap.
 """
 
 import queue

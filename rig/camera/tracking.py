@@ -8,8 +8,7 @@ from rig.camera.markers import Marker
 from rig.errors import RigError
 
 MASS_RATIO = (0.6, 1.6)
-"""Allowed range of a marker's area divided by the marker's first area. Outside this range, the
-marker counts as lost."""
+"""Allowed ratio of a marker's area to the first area; otherwise the marker counts as lost."""
 
 
 def order_at_rest(found: Sequence[Marker], count: int, head: tuple[float, float]) -> np.ndarray:

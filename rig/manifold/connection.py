@@ -20,8 +20,7 @@ class Connection:
     """A port, and a thread that calls `take(host time [ns], message)` for each received message.
 
     This thread also calls `sink(host time [ns], bytes)` for the bytes of each read. The thread that
-    calls `write` calls `sent(host time [ns], bytes)` for each frame. `failed()` is called after an
-    error.
+    calls `write` calls `sent(host time [ns], bytes)` for each frame. An error calls `failed()`.
     """
 
     def __init__(

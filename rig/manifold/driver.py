@@ -17,8 +17,7 @@ from rig.recording.clock import Sink
 ANSWER_WAIT, TRIES = 0.08, 8
 """Longest wait for an answer [s], below the watchdog's 0.1 s; number of tries of a command."""
 MAX_SILENCE = 0.5
-"""Longest time without a reading while the manifold is armed [s]. After this time, the host stops
-the drive."""
+"""Time without a reading, while the manifold is armed, after which the host stops the drive [s]."""
 _VENT_REASONS = {
     wire.Cause.RESET: "it has reset (power, or its hardware watchdog)",
     wire.Cause.WATCHDOG: "it received no command for {detail} ms",

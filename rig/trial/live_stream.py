@@ -83,10 +83,8 @@ class LiveStream:
         self._forces_received.append((host_ns, sensor_s, thrust, recoil))
 
     def take(self) -> LiveReadings:
-        """Returns the complete readings, and removes them.
-
-        With a force sensor, a reading is complete when a later force sample has arrived, or after
-        `MAX_FORCE_DELAY`. Without a force sensor, every reading is complete.
+        """Returns the complete readings. With a force sensor, a reading is complete after a later
+        force sample or after `MAX_FORCE_DELAY`. Without a force sensor, all readings are complete.
         """
         self._order()
         forces = np.array(self._forces).reshape(-1, 3).T
